@@ -1,0 +1,1 @@
+"""What a stored data set is: columns, records, shards, manifest, runner, errors."""

@@ -1,0 +1,113 @@
+"""The only exception types of the project, named for what the reader of the message must do.
+
+::
+
+    ToolkitError                 (exit code 1)
+    +-- InputError               mend what you gave: a path, an option, a file        (2)
+    |   +-- SpecMismatchError    the folder belongs to another specification
+    |   +-- MissingExtraError    install an optional package
+    |   +-- StorageError         make room, or choose a folder that can be written
+    |   +-- ItemError            one image or mesh cannot be used; a run lists it and goes on
+    +-- IntegrityError           stored data is damaged: fetch or make it again       (3)
+    +-- HubError                 the Hub or the network did not do what was asked     (4)
+
+Every message names the file, row or option, what was found, what was expected, and the next step.
+"""
+
+from __future__ import annotations
+
+__all__ = [
+    "ToolkitError",
+    "InputError",
+    "SpecMismatchError",
+    "MissingExtraError",
+    "StorageError",
+    "ItemError",
+    "IntegrityError",
+    "HubError",
+]
+
+
+class ToolkitError(Exception):
+    """Root of all errors that the toolkit raises on purpose."""
+
+    exit_code = 1
+
+
+class InputError(ToolkitError):
+    """A path, option, file or value given by the user cannot be used."""
+
+    exit_code = 2
+
+
+class SpecMismatchError(InputError):
+    """A data set folder was made by another specification than the one asked for."""
+
+
+class MissingExtraError(InputError):
+    """A feature needs an optional package that is not installed.
+
+    Parameters
+    ----------
+    feature : str
+        What was asked for, in the user's words.
+    package : str
+        The package that is missing.
+    extra : str
+        The extra of this project that installs it.
+    """
+
+    def __init__(self, feature: str, package: str, extra: str) -> None:
+        super().__init__(
+            f"{feature} needs the package {package!r}, which is not installed; "
+            f"next: pip install 'tactile-toolkit[{extra}]'"
+        )
+        self.package = package
+        self.extra = extra
+
+    def __reduce__(self) -> tuple[object, ...]:
+        """Rebuild from the message, so that the error crosses process borders."""
+        return (_rebuild_missing_extra, (self.args[0], self.package, self.extra))
+
+
+class StorageError(InputError):
+    """Data could not be written: no space left, no permission, a read-only folder."""
+
+
+class ItemError(InputError):
+    """One item of a source cannot be turned into a row.
+
+    Parameters
+    ----------
+    reason : str
+        A short, stable word for tables and manifests, such as ``"no-ink"``.
+    message : str
+        The whole story: what, where, found, expected.
+    """
+
+    def __init__(self, reason: str, message: str) -> None:
+        super().__init__(reason, message)
+        self.reason = reason
+        self.message = message
+
+    def __str__(self) -> str:
+        return self.message
+
+
+class IntegrityError(ToolkitError):
+    """Stored data does not match its checksum, schema or row count."""
+
+    exit_code = 3
+
+
+class HubError(ToolkitError):
+    """The Hugging Face Hub or the network refused or failed."""
+
+    exit_code = 4
+
+
+def _rebuild_missing_extra(message: str, package: str, extra: str) -> MissingExtraError:
+    error = MissingExtraError.__new__(MissingExtraError)
+    Exception.__init__(error, message)
+    error.package, error.extra = package, extra
+    return error
