@@ -1,1 +1,69 @@
-"""MNIST 3D: from images of handwritten digits to printable 3D meshes."""
+"""MNIST 3D: from images of handwritten digits to printable 3D meshes.
+
+``mnist3d.load`` opens a data set, ``mnist3d.generate`` makes one, ``mnist3d.solidify`` turns one image into a
+mesh and ``mnist3d.inspect`` tells whether a mesh prints. Names are imported on first use, so that
+``import mnist3d`` costs nothing.
+"""
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from mnist3d.dataset import MeshDataset, MeshRecord, MeshStream, load
+    from mnist3d.digit import DigitCatalog, DigitImage
+    from mnist3d.generate import GenerateSpec, generate
+    from mnist3d.mesh import Mesh
+    from mnist3d.meshfile import read_mesh, write_mesh
+    from mnist3d.printability import PrintProfile, PrintReport, inspect
+    from mnist3d.solid import SolidSpec, solidify
+    from mnist3d.sources import DigitSource
+    from mnist3d.splits import SPLITS, SplitSpec, plan_splits
+
+__all__ = [
+    "SPLITS",
+    "DigitCatalog",
+    "DigitImage",
+    "DigitSource",
+    "GenerateSpec",
+    "Mesh",
+    "MeshDataset",
+    "MeshRecord",
+    "MeshStream",
+    "PrintProfile",
+    "PrintReport",
+    "SolidSpec",
+    "SplitSpec",
+    "generate",
+    "inspect",
+    "load",
+    "plan_splits",
+    "read_mesh",
+    "solidify",
+    "write_mesh",
+]
+
+_HOMES = {
+    "dataset": ("MeshDataset", "MeshRecord", "MeshStream", "load"),
+    "digit": ("DigitCatalog", "DigitImage"),
+    "generate": ("GenerateSpec", "generate"),
+    "mesh": ("Mesh",),
+    "meshfile": ("read_mesh", "write_mesh"),
+    "printability": ("PrintProfile", "PrintReport", "inspect"),
+    "solid": ("SolidSpec", "solidify"),
+    "sources": ("DigitSource",),
+    "splits": ("SPLITS", "SplitSpec", "plan_splits"),
+}
+
+
+def __getattr__(name: str) -> Any:
+    for home, names in _HOMES.items():
+        if name in names:
+            return getattr(import_module(f"mnist3d.{home}"), name)
+    message = f"module 'mnist3d' has no attribute {name!r}"
+    raise AttributeError(message)
+
+
+def __dir__() -> list[str]:
+    return sorted(__all__)

@@ -1,0 +1,262 @@
+"""How well a nearest-neighbour reader reads synthetic digits, and real ones after learning from synthetic ones.
+
+Run ``python benchmarks/recognition.py``. Four figures are printed, each with its confusion table:
+
+- sanity: one half of the MNIST test images read after learning the other half;
+- a: 2,000 synthetic digits read after learning the 10,000 MNIST test images;
+- b: the real high-resolution digits read after learning 5,000 synthetic ones;
+- c: the 10,000 MNIST test images read after learning 5,000 synthetic ones.
+
+The reader takes the majority of the 3 nearest images (Euclidean, raw 0 to 255 pixels; on a three-way tie the
+nearest) among 28 x 28 images normalised as MNIST was (LeCun et al. 1998): largest body of ink, scaled into
+20 x 20 with its aspect kept and its edges antialiased, centred by its centre of mass. MNIST's own images are
+used as they are.
+"""
+
+from __future__ import annotations
+
+import argparse
+import gzip
+import json
+import sys
+import time
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mnist3d.sources.synthetic import SyntheticSource
+
+__all__ = [
+    "Images",
+    "Reading",
+    "evenly",
+    "load_digits",
+    "load_mnist",
+    "main",
+    "normalise",
+    "read",
+    "synthetic_images",
+]
+
+SHARED = Path(__file__).resolve().parents[2] / "shared"
+INK_BELOW = 128
+BOX_PX = 20
+FRAME_PX = 28
+NEIGHBOURS = 3
+TEST_COUNT = 2_000
+TRAIN_COUNT = 5_000
+TARGETS = {"a": 0.92, "b": 0.88, "c": 0.80}
+WORST_CLASS_A = 0.85
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Images:
+    """Normalised images: pixels float32 (N, 784) with ink 255, and labels int64 (N,)."""
+
+    pixels: NDArray[np.float32]
+    labels: NDArray[np.int64]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Reading:
+    """Outcome of one reading: a table int64 (10, 10), row = written, column = read."""
+
+    name: str
+    table: NDArray[np.int64]
+
+    @property
+    def accuracy(self) -> float:
+        """Share of images read rightly."""
+        return float(np.trace(self.table) / self.table.sum())
+
+    @property
+    def per_class(self) -> list[float]:
+        """Share read rightly of each class."""
+        return [float(value) for value in np.diag(self.table) / np.maximum(self.table.sum(axis=1), 1)]
+
+
+def evenly(count: int, number: int, phase: float) -> list[int]:
+    """Return `number` distinct ids spread evenly over ``range(count)``.
+
+    Parameters
+    ----------
+    count, number : int
+        With ``2 * number <= count``.
+    phase : float
+        From 0 to 1: shifts all ids by this share of the space between them.
+    """
+    return [int((index + phase) * count / number) for index in range(number)]
+
+
+def normalise(pixels: NDArray[np.uint8]) -> NDArray[np.float32]:
+    """Return a dark-on-light image as MNIST would hold it.
+
+    Parameters
+    ----------
+    pixels : ndarray of uint8, shape (H, W)
+        0 is ink.
+
+    Returns
+    -------
+    ndarray of float32, shape (28, 28)
+        255 is ink.
+    """
+    from PIL import Image
+
+    body = _largest_body(pixels < INK_BELOW)
+    rows, columns = np.flatnonzero(body.any(axis=1)), np.flatnonzero(body.any(axis=0))
+    ink = body[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1]
+    scale = BOX_PX / max(ink.shape)
+    size = (max(1, round(ink.shape[1] * scale)), max(1, round(ink.shape[0] * scale)))
+    small = np.asarray(Image.fromarray(ink.astype(np.uint8) * 255).resize(size, Image.Resampling.BOX))
+    return _centred(small.astype(np.float32))
+
+
+def _largest_body(ink: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    from scipy import ndimage
+
+    bodies, _ = ndimage.label(ink, structure=np.ones((3, 3), dtype=int))
+    sizes = np.bincount(bodies.ravel())
+    sizes[0] = 0
+    return np.asarray(bodies == sizes.argmax())
+
+
+def _centred(small: NDArray[np.float32]) -> NDArray[np.float32]:
+    rows, columns = np.indices(small.shape)
+    mass = small.sum()
+    top, left = (
+        min(max(round(FRAME_PX / 2 - 0.5 - float((index * small).sum() / mass)), 0), FRAME_PX - side)
+        for index, side in ((rows, small.shape[0]), (columns, small.shape[1]))
+    )
+    frame = np.zeros((FRAME_PX, FRAME_PX), dtype=np.float32)
+    frame[top : top + small.shape[0], left : left + small.shape[1]] = small
+    return frame
+
+
+def synthetic_images(source: SyntheticSource, ids: list[int]) -> Images:
+    """Draw and normalise the digits of `ids`."""
+    digits = [source.image(digit_id) for digit_id in ids]
+    pixels = np.stack([normalise(digit.pixels).ravel() for digit in digits])
+    return Images(pixels, np.array([digit.label for digit in digits], dtype=np.int64))
+
+
+def load_mnist(folder: Path) -> Images:
+    """Return the MNIST test images of `folder`, as they are.
+
+    Raises
+    ------
+    FileNotFoundError
+        When a file is missing.
+    """
+    with gzip.open(folder / "t10k-images-idx3-ubyte.gz") as file:
+        pixels = np.frombuffer(file.read(), dtype=np.uint8, offset=16).reshape(-1, FRAME_PX * FRAME_PX)
+    with gzip.open(folder / "t10k-labels-idx1-ubyte.gz") as file:
+        labels = np.frombuffer(file.read(), dtype=np.uint8, offset=8)
+    return Images(pixels.astype(np.float32), labels.astype(np.int64))
+
+
+def load_digits(folder: Path) -> Images:
+    """Return the images ``NNNN_labelD_writerW.png`` of ``folder/png``, normalised."""
+    from PIL import Image
+
+    files = sorted((folder / "png").glob("*_label*_writer*.png"))
+    pixels = np.stack([normalise(np.asarray(Image.open(file).convert("L"))).ravel() for file in files])
+    labels = [int(file.stem.split("_label")[1][0]) for file in files]
+    return Images(pixels, np.array(labels, dtype=np.int64))
+
+
+def read(name: str, known: Images, unknown: Images) -> Reading:
+    """Read `unknown` by the 3 nearest images of `known`."""
+    table = np.zeros((10, 10), dtype=np.int64)
+    square = (known.pixels**2).sum(axis=1)
+    for start in range(0, len(unknown.labels), 1000):
+        part = unknown.pixels[start : start + 1000]
+        away = square - 2.0 * (part @ known.pixels.T)
+        nearest = np.argpartition(away, NEIGHBOURS, axis=1)[:, :NEIGHBOURS]
+        order = np.take_along_axis(away, nearest, axis=1).argsort(axis=1)
+        votes = known.labels[np.take_along_axis(nearest, order, axis=1)]
+        answer = np.where(votes[:, 1] == votes[:, 2], votes[:, 1], votes[:, 0])
+        np.add.at(table, (unknown.labels[start : start + 1000], answer), 1)
+    return Reading(name, table)
+
+
+def half_and_half(images: Images) -> Reading:
+    """Read the odd images after learning the even ones."""
+    return read(
+        "sanity: MNIST -> MNIST (halves)",
+        Images(images.pixels[0::2], images.labels[0::2]),
+        Images(images.pixels[1::2], images.labels[1::2]),
+    )
+
+
+def measure(source: SyntheticSource, mnist: Images, digits: Images) -> dict[str, Reading]:
+    """Return the four readings of the module's docstring."""
+    test = synthetic_images(source, evenly(source.count, TEST_COUNT, 0.0))
+    train = synthetic_images(source, sorted(_others(source.count)))
+    return {
+        "sanity": half_and_half(mnist),
+        "a": read("a: MNIST -> synthetic", mnist, test),
+        "b": read("b: synthetic -> real digits", train, digits),
+        "c": read("c: synthetic -> MNIST", train, mnist),
+    }
+
+
+def _others(count: int) -> list[int]:
+    """Return training ids, evenly spaced among those that are not for testing."""
+    test = set(evenly(count, TEST_COUNT, 0.0))
+    rest = [digit_id for digit_id in range(count) if digit_id not in test]
+    return [rest[index] for index in evenly(len(rest), TRAIN_COUNT, 0.5)]
+
+
+def milliseconds(source: SyntheticSource, number: int = 300) -> float:
+    """Return the median time to draw one image, after a warm-up."""
+    times = []
+    for digit_id in evenly(source.count, number + 20, 0.25):
+        start = time.perf_counter()
+        source.image(digit_id)
+        times.append(time.perf_counter() - start)
+    return float(np.median(times[20:])) * 1e3
+
+
+def _show(reading: Reading) -> None:
+    print(f"\n{reading.name}: {100 * reading.accuracy:.2f} %")
+    print("  per class  " + "  ".join(f"{d}: {100 * v:.1f}" for d, v in enumerate(reading.per_class)))
+    print("  written \\ read" + "".join(f"{digit:6d}" for digit in range(10)))
+    for digit, row in enumerate(reading.table):
+        print(f"  {digit:14d}" + "".join(f"{value:6d}" if value else "     ." for value in row))
+
+
+def _arguments(argv: list[str] | None) -> argparse.Namespace:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
+    parser.add_argument("--mnist", type=Path, default=SHARED / "mnist", help="folder of the t10k idx files")
+    parser.add_argument("--digits", type=Path, default=SHARED / "digits", help="folder of png/NNNN_labelD_writerW.png")
+    parser.add_argument("--seed", type=int, default=0, help="seed of the synthetic source")
+    parser.add_argument("--json", action="store_true", help="print one JSON document instead of tables")
+    return parser.parse_args(argv)
+
+
+def main(argv: list[str] | None = None) -> int:
+    """Measure and print; return 0 when every target holds, else 1."""
+    options = _arguments(argv)
+    source = SyntheticSource(options.seed)
+    readings = measure(source, load_mnist(options.mnist), load_digits(options.digits))
+    speed_ms = milliseconds(source)
+    met = all(readings[key].accuracy >= target for key, target in TARGETS.items())
+    met = met and min(readings["a"].per_class) >= WORST_CLASS_A
+    if options.json:
+        document: dict[str, object] = {
+            key: {"accuracy": r.accuracy, "per_class": r.per_class, "table": r.table.tolist()}
+            for key, r in readings.items()
+        }
+        print(json.dumps({"seed": options.seed, "ms_per_image": speed_ms, "met": met, "readings": document}))
+        return 0 if met else 1
+    for reading in readings.values():
+        _show(reading)
+    print(f"\n{speed_ms:.2f} ms per image (median); targets {'met' if met else 'MISSED'}")
+    return 0 if met else 1
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,396 @@
+"""``mnist3d``: make, check and look into data sets of printable 3D digits."""
+
+from __future__ import annotations
+
+import os
+import sys
+import time
+from enum import Enum
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Literal, cast
+
+import typer
+
+from cli.failures import EXIT_FAILED, reports_errors, run
+from cli.options import DryRun, Folder, Json, Limit, Out, Overwrite, Quiet, Seed, SplitName, Workers
+from cli.output import Sink, bytes_text, duration_text
+
+if TYPE_CHECKING:
+    from dataset_store.build import Progress
+    from dataset_store.manifest import Manifest
+    from mnist3d.generate import GenerateSpec
+    from mnist3d.sources import DigitSource
+    from mnist3d.summary import SplitSummary
+
+__all__ = ["app", "main"]
+
+app = typer.Typer(
+    name="mnist3d",
+    help="Printable 3D digits: from images of handwriting to validated data sets of meshes.",
+    no_args_is_help=True,
+    pretty_exceptions_enable=False,
+    add_completion=False,
+)
+
+
+class SourceName(str, Enum):
+    """Digit sources on the command line."""
+
+    synthetic = "synthetic"
+    hwdplus = "hwdplus"
+    mnist = "mnist"
+    folder = "folder"
+
+
+class InkName(str, Enum):
+    """Which side of an image is ink."""
+
+    auto = "auto"
+    dark = "dark"
+    light = "light"
+
+
+class ProfileName(str, Enum):
+    """Profiles of the rim."""
+
+    round = "round"
+    linear = "linear"
+    flat = "flat"
+
+
+class SplitBy(str, Enum):
+    """What is divided into splits."""
+
+    digit = "digit"
+    writer = "writer"
+
+
+@app.callback(invoke_without_command=True)
+def _global(
+    version: Annotated[bool, typer.Option("--version", help="Print the version and leave.")] = False,
+    debug: Annotated[bool, typer.Option("--debug", help="Show the traceback of an error.")] = False,
+) -> None:
+    if version:
+        from dataset_store.versions import toolkit_version
+
+        sys.stdout.write(f"tactile-toolkit {toolkit_version()}\n")
+        raise typer.Exit
+
+
+@app.command()
+@reports_errors
+def generate(
+    split: Annotated[SplitName, typer.Option(help="Split to make.")] = SplitName.all,
+    out: Out = Path("mnist3d-data"),
+    source: Annotated[SourceName, typer.Option(help="Where the images come from.")] = SourceName.synthetic,
+    images: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="PATH",
+            help="Images of the source: the .npy file of HWD+, the folder of the MNIST files, or a folder of "
+            "pictures DIR/<label>/*.png.",
+        ),
+    ] = None,
+    writer_info: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="WriterInfo.npy of HWD+ (column 0 is the label).")
+    ] = None,
+    writer_column: Annotated[
+        int | None, typer.Option(min=0, metavar="N", help="Column of WriterInfo.npy that holds the writer.")
+    ] = None,
+    download: Annotated[
+        bool, typer.Option("--download", help="Fetch MNIST into --images first (extra `torch`).")
+    ] = False,
+    ink: Annotated[InkName, typer.Option(help="Ink of pictures in a folder.")] = InkName.auto,
+    digits: Annotated[
+        int, typer.Option(min=1, metavar="N", help="How many digits the synthetic source holds.")
+    ] = 13_580,
+    seed: Seed = 0,
+    split_by: Annotated[SplitBy, typer.Option(help="Divide single digits or whole writers.")] = SplitBy.digit,
+    split_sizes: Annotated[
+        str | None,
+        typer.Option(metavar="train=8,test=2", help="Digits per class in each split instead of the published."),
+    ] = None,
+    per_class: Annotated[
+        int | None, typer.Option(min=1, metavar="N", help="Only the first N digits of each class of a split.")
+    ] = None,
+    limit: Limit = None,
+    profile: Annotated[ProfileName, typer.Option(help="How the rim of a digit rises.")] = ProfileName.round,
+    half_thickness_mm: Annotated[
+        float, typer.Option(help="Height above the mid-plane of ink that is wide enough.")
+    ] = 4.0,
+    vertices: Annotated[int, typer.Option(metavar="N", help="Vertices of a mesh, about.")] = 5_000,
+    join_bodies: Annotated[
+        bool, typer.Option("--join-bodies", help="Bridge separate pieces so that a digit prints in one.")
+    ] = False,
+    workers: Workers = 0,
+    overwrite: Overwrite = False,
+    dry_run: DryRun = False,
+    as_json: Json = False,
+    quiet: Quiet = False,
+) -> None:
+    """Make a data set of printable 3D digits.
+
+    Example: mnist3d generate --split train --per-class 10 --out digits
+
+    A run that was stopped goes on when the same command is given again; finished shards are never made twice.
+    """
+    from mnist3d.generate import GenerateSpec
+    from mnist3d.solid import SolidSpec
+    from mnist3d.splits import SPLITS, SplitSpec
+
+    spec = GenerateSpec(
+        source=_source(source, images, writer_info, writer_column, download, ink, digits, seed),
+        solid=SolidSpec(
+            profile=profile.value,
+            half_thickness_mm=half_thickness_mm,
+            target_vertices=vertices,
+            join_bodies=join_bodies,
+        ),
+        split=SplitSpec(seed, cast("Literal['digit', 'writer']", split_by.value), _sizes(split_sizes)),
+        per_class=per_class,
+        limit=limit,
+    )
+    splits = SPLITS if split is SplitName.all else (split.value,)
+    sink = Sink(as_json, quiet)
+    count = workers or os.cpu_count() or 1
+    if dry_run:
+        _print_forecast(sink, spec, out, splits, count)
+    else:
+        _run_generate(sink, spec, out, splits, count, overwrite)
+
+
+@app.command()
+@reports_errors
+def validate(
+    paths: Annotated[
+        list[Path], typer.Argument(metavar="DIR|FILE...", help="Data set folders, or STL/3MF/PLY/OBJ/GLB files.")
+    ],
+    split: Annotated[SplitName, typer.Option(help="Split of a data set folder.")] = SplitName.all,
+    limit: Limit = None,
+    workers: Workers = 1,
+    as_json: Json = False,
+    quiet: Quiet = False,
+) -> None:
+    """Check meshes as read back from disk: is each a solid, and will it print?
+
+    Example: mnist3d validate digits part.stl
+
+    Exit code 1 when a mesh is no valid solid.
+    """
+    from mnist3d.validate import validate_paths
+
+    sink = Sink(as_json, quiet)
+    chosen = None if split is SplitName.all else split.value
+    with sink.progress("checking", "meshes") as update:
+        results = validate_paths(
+            [str(path) for path in paths], chosen, limit, workers or os.cpu_count() or 1, on_progress=update
+        )
+    sink.document([result.to_dict() for result in results])
+    for result in results:
+        sink.table(*result.table())
+    failed = sum(result.failed for result in results)
+    checked = sum(result.checked for result in results)
+    sink.line(f"{checked - failed:,} of {checked:,} meshes are valid solids")
+    if failed:
+        raise typer.Exit(EXIT_FAILED)
+
+
+@app.command()
+@reports_errors
+def info(folder: Folder, as_json: Json = False) -> None:
+    """Show what a data set folder holds and how it was made."""
+    from dataset_store.errors import InputError
+    from dataset_store.manifest import MANIFEST_FILE, read_manifest
+    from dataset_store.storage import DataFolder
+
+    place = DataFolder(str(folder))
+    manifest = read_manifest(place)
+    if manifest is None:
+        message = f"no {MANIFEST_FILE} in {str(folder)!r}; next: give the folder of a generated data set"
+        raise InputError(message)
+    sink = Sink(as_json)
+    _print_made(sink, manifest, folder)
+    sink.line(f"made by tactile-toolkit {manifest.toolkit_version}; source and spec:")
+    for line in _flat_lines(manifest.spec):
+        sink.line(f"  {line}")
+
+
+@app.command()
+@reports_errors
+def verify(folder: Folder, as_json: Json = False, quiet: Quiet = False) -> None:
+    """Check every checksum, row count, schema and id of a data set folder.
+
+    Exit code 3 when something is damaged; each damaged file is named.
+    """
+    from dataset_store.errors import IntegrityError
+    from dataset_store.storage import DataFolder
+    from dataset_store.verify import verify as verify_folder
+    from mnist3d.rows import mesh_schema
+
+    sink = Sink(as_json, quiet)
+    result = verify_folder(DataFolder(str(folder)), mesh_schema())
+    findings = [{"file": finding.file, "problem": finding.problem} for finding in result.findings]
+    sink.document({"ok": result.ok, "files": result.files, "rows": result.rows, "findings": findings})
+    if result.ok:
+        size = bytes_text(result.bytes)
+        sink.line(f"{folder}: {result.files:,} files, {result.rows:,} rows, {size}: all as the manifest says")
+        return
+    for finding in result.findings:
+        sys.stderr.write(f"damaged: {finding.file}: {finding.problem}\n")
+    message = (
+        f"{len(findings)} problems in {str(folder)!r}; next: run the same `mnist3d generate` again, it makes the "
+        "damaged shards anew"
+    )
+    raise IntegrityError(message)
+
+
+def main() -> None:
+    """Run the command line."""
+    run(app)
+
+
+def _source(
+    name: SourceName,
+    images: Path | None,
+    writer_info: Path | None,
+    writer_column: int | None,
+    download: bool,
+    ink: InkName,
+    digits: int,
+    seed: int,
+) -> DigitSource:
+    """Make the source that the options describe."""
+    from dataset_store.errors import InputError
+
+    if name is SourceName.synthetic:
+        from mnist3d.sources.synthetic import SyntheticSource
+
+        return SyntheticSource(seed=seed, count=digits)
+    if images is None:
+        message = f"--source {name.value} needs --images PATH, which was not given; see mnist3d generate --help"
+        raise InputError(message)
+    if name is SourceName.hwdplus:
+        return _hwdplus(images, writer_info, writer_column)
+    if name is SourceName.mnist:
+        from mnist3d.sources.mnist import MnistSource, download_mnist
+
+        if download:
+            download_mnist(str(images))
+        return MnistSource(str(images))
+    from mnist3d.sources.folder import FolderSource
+
+    return FolderSource(str(images), ink=ink.value)
+
+
+def _hwdplus(images: Path, writer_info: Path | None, writer_column: int | None) -> DigitSource:
+    from dataset_store.errors import InputError
+    from mnist3d.sources.hwdplus import HwdPlusSource
+
+    if writer_info is None:
+        message = "--source hwdplus needs --writer-info FILE (WriterInfo.npy), which was not given"
+        raise InputError(message)
+    return HwdPlusSource(str(images), str(writer_info), writer_column)
+
+
+def _sizes(text: str | None) -> tuple[tuple[str, int], ...] | None:
+    """Parse ``train=8,test=2``."""
+    from dataset_store.errors import InputError
+
+    if text is None:
+        return None
+    sizes: dict[str, int] = {}
+    for part in text.split(","):
+        split, equals, size = part.strip().partition("=")
+        if not equals or not size.strip().isdigit() or split in sizes:
+            message = f"--split-sizes has {part!r}; expected SPLIT=N once per split, such as train=8,test=2"
+            raise InputError(message)
+        sizes[split] = int(size)
+    return tuple(sizes.items())
+
+
+def _run_generate(
+    sink: Sink, spec: GenerateSpec, out: Path, splits: tuple[str, ...], workers: int, overwrite: bool
+) -> None:
+    from mnist3d.generate import generate as make
+
+    start_s = time.monotonic()
+    made = 0
+    with sink.progress("making digits", "digits") as update:
+
+        def on_progress(progress: Progress) -> None:
+            nonlocal made
+            made = progress.done
+            update(progress.done, progress.total)
+
+        manifest = make(
+            spec, str(out), splits, workers=workers, overwrite=overwrite, on_progress=on_progress
+        )
+    elapsed_s = time.monotonic() - start_s
+    _print_made(sink, manifest, out, elapsed_s)
+    done = f"made {made:,} digits in {duration_text(elapsed_s)}" if made else "nothing was left to make"
+    sink.line(f"{done}; the data set is in {out}")
+    sink.line(f"next: mnist3d validate {out}   or in Python: mnist3d.load({str(out)!r}, split={splits[0]!r})")
+
+
+def _print_made(sink: Sink, manifest: Manifest, out: Path, elapsed_s: float | None = None) -> None:
+    """Print the table of what a folder holds."""
+    from dataset_store.storage import DataFolder
+    from mnist3d.summary import summarise
+
+    complete = manifest.complete
+    summaries = summarise(DataFolder(str(out)), manifest) if complete else []
+    sink.document(
+        {
+            "folder": str(out),
+            "complete": complete,
+            "toolkit_version": manifest.toolkit_version,
+            "elapsed_s": None if elapsed_s is None else round(elapsed_s, 3),
+            "splits": [summary.to_dict() for summary in summaries] or manifest.split_table(),
+            "skipped": manifest.skipped_reasons(),
+            "spec": manifest.spec,
+        }
+    )
+    if not complete:
+        sink.line(f"{out}: the run was interrupted; the same `mnist3d generate` goes on where it stopped")
+        return
+    header = ("split", "digits", "per class", "Parquet", "height mm", "thinnest wall mm", "skipped", "warnings")
+    sink.table(header, [_made_row(summary) for summary in summaries])
+    for reason, count in manifest.skipped_reasons().items():
+        sink.line(f"skipped {count:,} digits: {reason} (each is named in {out}/manifest.json)")
+
+
+def _made_row(summary: SplitSummary) -> tuple[object, ...]:
+    least, most = min(summary.per_class), max(summary.per_class)
+    return (
+        summary.split,
+        summary.rows,
+        str(most) if least == most else f"{least}-{most}",
+        bytes_text(summary.bytes),
+        _range(summary.height_mm),
+        _range(summary.thinnest_wall_mm),
+        summary.skipped,
+        ", ".join(f"{word} {count:,}" for word, count in summary.warnings.items()) or "none",
+    )
+
+
+def _range(spread: tuple[float, ...]) -> str:
+    return f"{spread[0]:.1f}-{spread[-1]:.1f}" if spread else "-"
+
+
+def _print_forecast(sink: Sink, spec: GenerateSpec, out: Path, splits: tuple[str, ...], workers: int) -> None:
+    from mnist3d.forecast import forecast
+
+    view = forecast(spec, str(out), splits, workers)
+    sink.document(view.to_dict())
+    header = ("split", "digits", "shards", "finished already")
+    sink.table(header, [(entry.split, entry.digits, entry.shards, entry.finished) for entry in view.splits])
+    sink.line(
+        f"would make {view.digits_to_make:,} digits in {out}: about {bytes_text(view.bytes)} of Parquet, about "
+        f"{duration_text(view.seconds)} with {workers} workers (measured on {view.sampled} digits); nothing was written"
+    )
+
+
+def _flat_lines(values: Any, path: str = "") -> list[str]:
+    if isinstance(values, dict) and values:
+        return [line for key, value in values.items() for line in _flat_lines(value, f"{path}.{key}".lstrip("."))]
+    return [f"{path} = {values}"]

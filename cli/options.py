@@ -1,0 +1,52 @@
+"""Options that several commands share, declared once."""
+
+from __future__ import annotations
+
+from enum import Enum
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+__all__ = [
+    "DryRun",
+    "Folder",
+    "Json",
+    "Limit",
+    "Out",
+    "Overwrite",
+    "Quiet",
+    "Seed",
+    "SplitName",
+    "Workers",
+]
+
+
+class SplitName(str, Enum):
+    """Splits of MNIST 3D on the command line."""
+
+    train = "train"
+    test = "test"
+    holdout = "holdout"
+    printed_train = "printed_train"
+    printed_test = "printed_test"
+    all = "all"
+
+
+Folder = Annotated[Path, typer.Argument(metavar="DIR", help="Folder of a generated data set.")]
+Out = Annotated[Path, typer.Option("--out", "-o", metavar="DIR", help="Folder to write.", show_default=True)]
+Seed = Annotated[int, typer.Option("--seed", min=0, help="Seed of everything that is drawn at random.")]
+Workers = Annotated[
+    int, typer.Option("--workers", "-w", min=0, help="Worker processes; 0 means one per processor core.")
+]
+Limit = Annotated[
+    int | None, typer.Option("--limit", min=1, metavar="N", help="Only the first N rows of each split.")
+]
+Overwrite = Annotated[
+    bool, typer.Option("--overwrite", help="Start again in a folder that holds another data set.")
+]
+DryRun = Annotated[
+    bool, typer.Option("--dry-run", help="Say what would be made, how large and how long; write nothing.")
+]
+Json = Annotated[bool, typer.Option("--json", help="Print one JSON document on stdout.")]
+Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="No progress and no table; errors only.")]

@@ -1,0 +1,98 @@
+"""Reading data sets from the Hugging Face Hub."""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+from dataset_store.errors import HubError
+
+__all__ = ["HubRepository"]
+
+
+@dataclass(frozen=True, slots=True)
+class HubRepository:
+    """A data set repository of the Hub.
+
+    Parameters
+    ----------
+    repo_id : str
+        ``USER/NAME``.
+    revision : str or None
+        Branch, tag or commit.
+
+    Notes
+    -----
+    ``HF_HOME``, ``HF_ENDPOINT``, ``HF_HUB_OFFLINE`` and the stored token are honoured by huggingface_hub.
+    """
+
+    repo_id: str
+    revision: str | None = None
+
+    def files(self) -> list[str]:
+        """List the paths of all files.
+
+        Raises
+        ------
+        HubError
+            The repository is unknown, private or gated, or the Hub cannot be reached and it is not cached.
+        """
+        from huggingface_hub import HfApi, snapshot_download
+        from huggingface_hub.constants import HF_HUB_OFFLINE
+
+        with self._named_failures():
+            if not HF_HUB_OFFLINE:
+                return list(HfApi().list_repo_files(self.repo_id, revision=self.revision, repo_type="dataset"))
+            cached = snapshot_download(
+                self.repo_id, revision=self.revision, repo_type="dataset", local_files_only=True
+            )
+        return _files_below(cached)
+
+    def fetch(self, path: str) -> str:
+        """Download one file into the Hub's cache (or find it there) and return its local path.
+
+        Raises
+        ------
+        HubError
+            As :meth:`files`.
+        """
+        from huggingface_hub import hf_hub_download
+
+        with self._named_failures():
+            return hf_hub_download(self.repo_id, path, repo_type="dataset", revision=self.revision)
+
+    def address(self, path: str) -> str:
+        """Return the fsspec address of a file, for reading it without downloading it whole."""
+        revision = f"@{self.revision.replace('/', '%2F')}" if self.revision else ""
+        return f"hf://datasets/{self.repo_id}{revision}/{path}"
+
+    @contextlib.contextmanager
+    def _named_failures(self) -> Iterator[None]:
+        from huggingface_hub import errors
+
+        try:
+            yield
+        except errors.GatedRepoError as error:
+            raise self._failure("is gated; next: accept its terms on its page and log in") from error
+        except errors.RepositoryNotFoundError as error:
+            hint = "was not found, or is private; next: check the name, or log in with `hf auth login`"
+            raise self._failure(hint) from error
+        except errors.RevisionNotFoundError as error:
+            raise self._failure(f"has no revision {self.revision!r}") from error
+        except errors.LocalEntryNotFoundError as error:
+            hint = "cannot be fetched now (no network, or offline mode) and is not in the cache"
+            raise self._failure(hint) from error
+        except (errors.HfHubHTTPError, OSError) as error:
+            hint = f"could not be read: {type(error).__name__}: {error}; next: check the network, try again"
+            raise self._failure(hint) from error
+
+    def _failure(self, hint: str) -> HubError:
+        return HubError(f"Hub data set {self.repo_id!r} {hint}")
+
+
+def _files_below(folder: str) -> list[str]:
+    from pathlib import Path
+
+    root = Path(folder)
+    return sorted(str(file.relative_to(root)) for file in root.rglob("*") if file.is_file())

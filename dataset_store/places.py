@@ -1,0 +1,132 @@
+"""Where the shards of a named data set lie: a local folder, a file, or a repository of the Hub."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable
+from dataclasses import dataclass
+from pathlib import Path, PurePosixPath
+
+from dataset_store.errors import InputError, IntegrityError
+from dataset_store.hub import HubRepository
+from dataset_store.manifest import MANIFEST_FILE, read_manifest
+from dataset_store.rowgroups import Shard
+from dataset_store.shards import DATA_FOLDER, ShardName
+from dataset_store.storage import DataFolder
+
+__all__ = ["ShardFile", "available_splits", "find_shards"]
+
+_HUB_NAME = re.compile(r"(?:hf://datasets/)?(?P<repo>[\w.-]+/[\w.-]+)")
+
+
+@dataclass(frozen=True, slots=True, order=True)
+class ShardFile:
+    """A Parquet file and the split that it belongs to by its name."""
+
+    split: str
+    path: str
+
+
+def find_shards(
+    name: str, split: str, *, revision: str | None = None, streaming: bool = False
+) -> tuple[Shard, ...]:
+    """Find the shards of one split, fetching them first where they are on the Hub.
+
+    Parameters
+    ----------
+    name : str
+        Local folder, Parquet file, or repository of the Hub (``USER/NAME``).
+    split : str
+        Split wanted; only its shards are fetched.
+    revision : str, optional
+        Branch, tag or commit of the repository.
+    streaming : bool
+        Give remote addresses that are read piece by piece instead of fetching files.
+
+    Raises
+    ------
+    InputError
+        No such folder, or no such split in it.
+    IntegrityError
+        The folder's manifest is damaged, or says that its run was interrupted in this split.
+    HubError
+        The repository cannot be reached or does not exist.
+    """
+    place = Path(name).expanduser()
+    if place.is_file():
+        return (Shard(str(place)),)
+    if place.is_dir():
+        return _local_shards(DataFolder(str(place)), split)
+    match = _HUB_NAME.fullmatch(name)
+    if match is None or name.startswith((".", "/", "~")):
+        message = (
+            f"{name!r} is neither a folder, nor a Parquet file, nor a repository of the Hub (USER/NAME); "
+            "next: check the path, or make a data set with `generate --out`"
+        )
+        raise InputError(message)
+    repository = HubRepository(match["repo"], revision)
+    files = _of_split(_shard_files(repository.files()), split, name)
+    addresses = [repository.address(f.path) if streaming else repository.fetch(f.path) for f in files]
+    return tuple(Shard(address) for address in addresses)
+
+
+def available_splits(folder: DataFolder) -> tuple[str, ...]:
+    """List the splits of a local folder: those of its manifest, or else those its file names tell."""
+    manifest = read_manifest(folder)
+    if manifest is not None:
+        return manifest.splits
+    return tuple(dict.fromkeys(file.split for file in _folder_files(folder)))
+
+
+def _local_shards(folder: DataFolder, split: str) -> tuple[Shard, ...]:
+    manifest = read_manifest(folder)
+    if manifest is None:
+        files = _of_split(_folder_files(folder), split, folder.address())
+        return tuple(Shard(folder.address(file.path)) for file in files)
+    receipts = manifest.receipts_of(split)
+    _refuse_unfinished(folder, split, [receipt.shard for receipt in receipts], manifest.complete)
+    if not receipts:
+        raise _no_split(split, manifest.splits, folder.address())
+    return tuple(Shard(folder.address(receipt.shard.data_path), receipt.rows) for receipt in receipts)
+
+
+def _refuse_unfinished(folder: DataFolder, split: str, shards: list[ShardName], complete: bool) -> None:
+    """Refuse a split of which a running or interrupted `generate` has made only some shards."""
+    if complete or (shards and len(shards) == shards[0].count):
+        return
+    there = [file.path for file in _folder_files(folder) if file.split == split]
+    if there or not shards:
+        message = (
+            f"the run that makes {folder.address()!r} is not finished ({len(there)} shards of split {split!r} "
+            f"are there, {MANIFEST_FILE} is not complete); next: run the same `generate` again, it goes on"
+        )
+        raise IntegrityError(message)
+
+
+def _folder_files(folder: DataFolder) -> list[ShardFile]:
+    nested = [f"{DATA_FOLDER}/{name}" for name in folder.names(DATA_FOLDER)]
+    return _shard_files([*nested, *folder.names()])
+
+
+def _shard_files(paths: Iterable[str]) -> list[ShardFile]:
+    """Sort Parquet files by split: ``train-00000-of-00002.parquet``, or a split's bare name."""
+    files = []
+    for path in paths:
+        file = PurePosixPath(path)
+        if file.suffix != ".parquet" or file.name.startswith(".") or file.parts[0] == "reports":
+            continue
+        shard = ShardName.parse(file.name)
+        files.append(ShardFile(shard.split if shard else re.split(r"[-.]", file.name)[0], path))
+    return sorted(files)
+
+
+def _of_split(files: list[ShardFile], split: str, where: str) -> list[ShardFile]:
+    chosen = [file for file in files if file.split == split]
+    if not chosen:
+        raise _no_split(split, tuple(dict.fromkeys(file.split for file in files)), where)
+    return chosen
+
+
+def _no_split(split: str, known: tuple[str, ...], where: str) -> InputError:
+    found = f"it has {', '.join(known)}" if known else "it holds no Parquet files"
+    return InputError(f"no split {split!r} in {where!r}: {found}; next: choose one of them, or generate it")

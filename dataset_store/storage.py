@@ -1,0 +1,237 @@
+"""The one seam through which data set folders are read and written.
+
+Local folders and every fsspec address (``s3://...``, ``memory://...``) go through :class:`DataFolder`. A file
+appears under its name complete or not at all: local files are written under a temporary name beside their
+place, flushed to disk and renamed; object stores put whole objects.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import errno
+import os
+import socket
+import uuid
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from functools import cached_property
+from pathlib import Path, PurePosixPath
+from typing import IO, Any
+
+from dataset_store.errors import InputError, IntegrityError, StorageError
+
+__all__ = ["DataFolder"]
+
+_TEMPORARY_PREFIX = ".writing-"
+
+_HINTS = {
+    errno.ENOSPC: "no space is left on the device; free some and run the same command again",
+    errno.EDQUOT: "the disk quota is used up; free some space and run the same command again",
+    errno.EROFS: "the file system is read-only; choose another folder with --out",
+    errno.EACCES: "permission denied; choose another folder with --out or change its permissions",
+    errno.EPERM: "the operation is not permitted; choose another folder with --out",
+    errno.ENOTDIR: "a part of the path is a file, not a folder; choose another folder with --out",
+    errno.EEXIST: "a file of that name stands where a folder is needed; choose another folder with --out",
+    errno.EFBIG: "the file would be larger than allowed here (ulimit -f, or the file system's own limit)",
+}
+
+
+@dataclass(frozen=True)
+class DataFolder:
+    """A data set folder, local or remote.
+
+    Parameters
+    ----------
+    url : str
+        Path of a local folder, or any fsspec address of one.
+
+    Notes
+    -----
+    Pickles as its address alone, so that tasks carry it to other processes and machines.
+    """
+
+    url: str
+    _root: str = field(init=False, repr=False, compare=False)
+
+    def __post_init__(self) -> None:
+        root = self.url if "://" in self.url else str(Path(self.url).expanduser().absolute())
+        object.__setattr__(self, "_root", root.removeprefix("file://").rstrip("/") or "/")
+
+    @property
+    def is_local(self) -> bool:
+        """Whether the folder is on a local file system."""
+        return "://" not in self._root
+
+    @cached_property
+    def _remote(self) -> tuple[Any, str]:
+        import fsspec
+
+        file_system, root = fsspec.core.url_to_fs(self._root)
+        return file_system, root
+
+    def __getstate__(self) -> dict[str, str]:
+        """Leave open connections behind."""
+        return {"url": self.url, "_root": self._root}
+
+    def __setstate__(self, state: dict[str, str]) -> None:
+        for name, value in state.items():
+            object.__setattr__(self, name, value)
+
+    def address(self, path: str = "") -> str:
+        """Return the full address of a file of the folder, for messages and readers."""
+        return f"{self._root}/{path}" if path else self._root
+
+    def exists(self, path: str = "") -> bool:
+        """Tell whether a file (or, without an argument, the folder) is there."""
+        if self.is_local:
+            return Path(self.address(path)).exists()
+        file_system, root = self._remote
+        return bool(file_system.exists(f"{root}/{path}" if path else root))
+
+    def names(self, folder: str = "") -> list[str]:
+        """List the file names directly in a sub-folder, sorted; an absent sub-folder is empty."""
+        if self.is_local:
+            place = Path(self.address(folder))
+            return sorted(entry.name for entry in place.iterdir()) if place.is_dir() else []
+        file_system, root = self._remote
+        try:
+            found = file_system.ls(f"{root}/{folder}" if folder else root, detail=False)
+        except FileNotFoundError:
+            return []
+        return sorted(PurePosixPath(name).name for name in found)
+
+    def size_bytes(self, path: str) -> int:
+        """Return the size of a file."""
+        if self.is_local:
+            return Path(self.address(path)).stat().st_size
+        file_system, root = self._remote
+        return int(file_system.size(f"{root}/{path}"))
+
+    def open(self, path: str) -> IO[bytes]:
+        """Open a file for reading."""
+        if self.is_local:
+            return Path(self.address(path)).open("rb")
+        file_system, root = self._remote
+        opened: IO[bytes] = file_system.open(f"{root}/{path}", "rb")
+        return opened
+
+    def read_bytes(self, path: str) -> bytes:
+        """Read a whole (small) file.
+
+        Raises
+        ------
+        IntegrityError
+            When the file is not there or cannot be read.
+        """
+        try:
+            with self.open(path) as stream:
+                return stream.read()
+        except OSError as error:
+            message = f"cannot read {self.address(path)!r}: {error.strerror or error}"
+            raise IntegrityError(message) from error
+
+    def write_bytes(self, path: str, content: bytes) -> None:
+        """Write a whole file so that readers see all of it or nothing.
+
+        Raises
+        ------
+        StorageError
+            No space, no permission, a read-only place. Nothing is left behind under any name.
+        """
+        with _named_failures(self.address(path)):
+            if self.is_local:
+                _write_atomic(Path(self.address(path)), content)
+            else:
+                file_system, root = self._remote
+                file_system.makedirs(str(PurePosixPath(f"{root}/{path}").parent), exist_ok=True)
+                file_system.pipe_file(f"{root}/{path}", content)
+
+    def remove(self, path: str) -> None:
+        """Remove a file; an absent one is no error."""
+        with _named_failures(self.address(path)):
+            if self.is_local:
+                Path(self.address(path)).unlink(missing_ok=True)
+            elif self.exists(path):
+                file_system, root = self._remote
+                file_system.rm_file(f"{root}/{path}")
+
+    def remove_empty(self, folder: str) -> None:
+        """Remove a sub-folder when nothing is left in it."""
+        if self.is_local and not self.names(folder):
+            with contextlib.suppress(OSError):
+                Path(self.address(folder)).rmdir()
+
+    def require_folder(self) -> None:
+        """Create the folder, or say why it cannot hold a data set.
+
+        Raises
+        ------
+        StorageError
+            When the folder cannot be made or written to.
+        InputError
+            When a file stands in its place.
+        """
+        if not self.is_local:
+            return
+        place = Path(self._root)
+        if place.exists() and not place.is_dir():
+            message = f"{self._root!r} is a file, a folder was expected; choose another place with --out"
+            raise InputError(message)
+        probe = place / _temporary_name("probe")
+        with _named_failures(self._root):
+            place.mkdir(parents=True, exist_ok=True)
+            probe.touch()
+            probe.unlink()
+
+    def remove_stale_temporaries(self, folder: str) -> None:
+        """Remove what killed writers of this machine left half-written in a sub-folder."""
+        for name in self.names(folder):
+            if name.startswith(_TEMPORARY_PREFIX) and _writer_is_gone(name):
+                self.remove(f"{folder}/{name}" if folder else name)
+
+
+def _write_atomic(place: Path, content: bytes) -> None:
+    place.parent.mkdir(parents=True, exist_ok=True)
+    temporary = place.parent / _temporary_name(place.name)
+    try:
+        with temporary.open("xb") as stream:
+            stream.write(content)
+            stream.flush()
+            os.fsync(stream.fileno())
+        temporary.replace(place)
+    except BaseException:
+        temporary.unlink(missing_ok=True)
+        raise
+    _flush_folder(place.parent)
+
+
+def _flush_folder(folder: Path) -> None:
+    # A rename survives a power cut only once the folder itself is on the disk.
+    handle = os.open(folder, os.O_RDONLY)
+    try:
+        os.fsync(handle)
+    finally:
+        os.close(handle)
+
+
+def _temporary_name(name: str) -> str:
+    # The writer's host and process let a later run tell a dead writer's leavings from a living one's.
+    return f"{_TEMPORARY_PREFIX}{socket.gethostname()}-{os.getpid()}-{uuid.uuid4().hex[:8]}-{name}"
+
+
+def _writer_is_gone(name: str) -> bool:
+    prefix = f"{_TEMPORARY_PREFIX}{socket.gethostname()}-"
+    if not name.startswith(prefix):
+        return False
+    process = name.removeprefix(prefix).split("-", 1)[0]
+    return process.isdigit() and not Path(f"/proc/{process}").exists()
+
+
+@contextlib.contextmanager
+def _named_failures(address: str) -> Iterator[None]:
+    try:
+        yield
+    except OSError as error:
+        hint = _HINTS.get(error.errno or 0, error.strerror or str(error))
+        message = f"cannot write {address!r}: {hint}; nothing half-written was left, finished files stay"
+        raise StorageError(message) from error

@@ -1,0 +1,152 @@
+"""Proving that a data set folder is what its manifest says."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+from dataset_store.errors import InputError, IntegrityError
+from dataset_store.manifest import MANIFEST_FILE, Manifest, read_manifest
+from dataset_store.rowgroups import Shard
+from dataset_store.shards import DATA_FOLDER, Receipt, file_sha256
+from dataset_store.storage import DataFolder
+
+__all__ = ["Finding", "Verification", "verify"]
+
+
+@dataclass(frozen=True, slots=True)
+class Finding:
+    """One thing that is wrong.
+
+    Attributes
+    ----------
+    file : str
+        Path inside the folder.
+    problem : str
+        What was found and what was expected.
+    """
+
+    file: str
+    problem: str
+
+
+@dataclass(frozen=True, slots=True)
+class Verification:
+    """Result of :func:`verify`: an empty ``findings`` means that everything matches."""
+
+    files: int
+    rows: int
+    bytes: int
+    findings: tuple[Finding, ...]
+
+    @property
+    def ok(self) -> bool:
+        """Whether nothing is wrong."""
+        return not self.findings
+
+
+def verify(
+    folder: DataFolder, schema: Any = None, on_file: Callable[[str], None] = lambda _: None
+) -> Verification:
+    """Check every checksum, row count, schema and the uniqueness of ids over all splits.
+
+    Parameters
+    ----------
+    folder : DataFolder
+        Folder of a finished data set.
+    schema : pyarrow.Schema, optional
+        Schema that every shard must have.
+    on_file : callable
+        Told each file before it is read.
+
+    Raises
+    ------
+    InputError
+        When the folder holds no manifest.
+    IntegrityError
+        When the manifest itself is damaged.
+    """
+    manifest = read_manifest(folder)
+    if manifest is None:
+        message = f"no {MANIFEST_FILE} in {folder.address()!r}; next: give the folder of a generated data set"
+        raise InputError(message)
+    findings = [*_unfinished(manifest), *_strangers(folder, manifest)]
+    seen: dict[object, str] = {}
+    for receipt in manifest.receipts:
+        on_file(receipt.shard.data_path)
+        findings += _check_shard(folder, receipt, schema, seen)
+    for path, checksum in (manifest.files or {}).items():
+        on_file(path)
+        findings += _check_file(folder, path, checksum)
+    rows = sum(receipt.rows for receipt in manifest.receipts)
+    size = sum(receipt.bytes for receipt in manifest.receipts)
+    return Verification(len(manifest.receipts) + len(manifest.files or {}), rows, size, tuple(findings))
+
+
+def _unfinished(manifest: Manifest) -> list[Finding]:
+    findings = []
+    if not manifest.complete:
+        findings.append(Finding(MANIFEST_FILE, "the run was interrupted; the same `generate` goes on"))
+    for split in manifest.splits:
+        receipts = manifest.receipts_of(split)
+        missing = set(range(receipts[0].shard.count)) - {receipt.shard.index for receipt in receipts}
+        if missing and manifest.complete:
+            findings.append(Finding(MANIFEST_FILE, f"split {split!r} lacks shards {sorted(missing)}"))
+    return findings
+
+
+def _strangers(folder: DataFolder, manifest: Manifest) -> list[Finding]:
+    known = {receipt.shard.data_path for receipt in manifest.receipts}
+    there = [f"{DATA_FOLDER}/{name}" for name in folder.names(DATA_FOLDER)]
+    if not manifest.complete:
+        return []
+    return [Finding(path, f"is not listed in {MANIFEST_FILE}") for path in there if path not in known]
+
+
+def _check_file(folder: DataFolder, path: str, checksum: str) -> list[Finding]:
+    if not folder.exists(path):
+        return [Finding(path, "is missing")]
+    found = file_sha256(folder, path)
+    return [] if found == checksum else [Finding(path, f"sha256 is {found}, expected {checksum}")]
+
+
+def _check_shard(folder: DataFolder, receipt: Receipt, schema: Any, seen: dict[object, str]) -> list[Finding]:
+    path = receipt.shard.data_path
+    findings = _check_file(folder, path, receipt.sha256)
+    if findings:
+        return findings
+    try:
+        shard = Shard(folder.address(path))
+        return [
+            *_check_rows(shard, receipt, path),
+            *_check_schema(shard, schema, path),
+            *_check_ids(shard, path, seen),
+        ]
+    except IntegrityError as error:
+        return [Finding(path, str(error))]
+
+
+def _check_rows(shard: Shard, receipt: Receipt, path: str) -> list[Finding]:
+    found = len(shard)
+    return [] if found == receipt.rows else [Finding(path, f"has {found} rows, expected {receipt.rows}")]
+
+
+def _check_schema(shard: Shard, schema: Any, path: str) -> list[Finding]:
+    if schema is None or shard.schema.equals(schema):
+        return []
+    found, expected = set(map(str, shard.schema)), set(map(str, schema))
+    return [
+        Finding(path, f"schema differs: {sorted(found - expected)} there, {sorted(expected - found)} expected")
+    ]
+
+
+def _check_ids(shard: Shard, path: str, seen: dict[object, str]) -> list[Finding]:
+    ids = shard.read(columns=["id"]).column(0).to_pylist()
+    repeated = [item for item, count in Counter(ids).items() if count > 1 or item in seen]
+    first = seen.get(repeated[0], path) if repeated else path
+    seen.update(dict.fromkeys(ids, path))
+    if not repeated:
+        return []
+    return [Finding(path, f"id {repeated[0]!r} is not unique, it also stands in {first} ({len(repeated)} such ids)")]

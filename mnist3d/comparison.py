@@ -1,0 +1,110 @@
+"""How far two surfaces lie apart."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from mnist3d.mesh import MM_PER_M
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from mnist3d.mesh import Mesh
+
+__all__ = ["distances_to_surface_mm", "sample_surface_mm", "symmetric_distances_mm"]
+
+CANDIDATES = 8
+SAMPLES_PER_FACE = 8
+
+
+def symmetric_distances_mm(one: Mesh, other: Mesh, count: int = 10_000, seed: int = 0) -> NDArray[np.float64]:
+    """Measure from points of either surface to the other one.
+
+    Parameters
+    ----------
+    one, other : Mesh
+        In metres.
+    count : int
+        Points on each surface, spread evenly over its area.
+    seed : int
+        Of the choice of points.
+
+    Returns
+    -------
+    ndarray of float64, shape (2 count,)
+        Millimetres: first from ``one`` to ``other``, then back.
+    """
+    rng = np.random.default_rng(seed)
+    there = distances_to_surface_mm(sample_surface_mm(one, count, rng)[0], other, rng)
+    back = distances_to_surface_mm(sample_surface_mm(other, count, rng)[0], one, rng)
+    return np.concatenate([there, back])
+
+
+def sample_surface_mm(
+    mesh: Mesh, count: int, rng: np.random.Generator
+) -> tuple[NDArray[np.float64], NDArray[np.intp]]:
+    """Choose points on a surface, evenly over its area.
+
+    Parameters
+    ----------
+    mesh : Mesh
+        In metres.
+    count : int
+        Number of points.
+    rng : numpy.random.Generator
+
+    Returns
+    -------
+    points_mm : ndarray of float64, shape (count, 3)
+    face_of : ndarray of int, shape (count,)
+        The triangle of each point.
+    """
+    a, b, c = np.moveaxis(_corners_mm(mesh), 1, 0)
+    area = np.linalg.norm(np.cross(b - a, c - a), axis=1)
+    face_of = rng.choice(len(area), size=count, p=area / area.sum())
+    u, v = rng.random((2, count, 1))
+    beyond = u + v > 1
+    u, v = np.where(beyond, 1 - u, u), np.where(beyond, 1 - v, v)
+    return a[face_of] + u * (b - a)[face_of] + v * (c - a)[face_of], face_of
+
+
+def distances_to_surface_mm(
+    points_mm: NDArray[np.float64], mesh: Mesh, rng: np.random.Generator
+) -> NDArray[np.float64]:
+    """Measure from points to the nearest point of a surface.
+
+    The exact distance to the nearest of a few triangles, which a dense sample of the surface proposes; it can only err
+    upwards.
+
+    Parameters
+    ----------
+    points_mm : ndarray of float64, shape (N, 3)
+        In mm.
+    mesh : Mesh
+        In metres.
+    rng : numpy.random.Generator
+        Chooses the sample.
+
+    Returns
+    -------
+    ndarray of float64, shape (N,)
+        Millimetres.
+    """
+    from scipy.spatial import cKDTree
+    from trimesh.triangles import closest_point
+
+    samples, face_of = sample_surface_mm(mesh, SAMPLES_PER_FACE * len(mesh.faces), rng)
+    corners = _corners_mm(mesh)
+    samples = np.concatenate([samples, corners.mean(axis=1)])
+    face_of = np.concatenate([face_of, np.arange(len(corners))])
+    _, nearest = cKDTree(samples).query(points_mm, k=CANDIDATES)
+    faces = face_of[nearest.ravel()]
+    targets = np.repeat(points_mm, CANDIDATES, axis=0)
+    closest: Any = closest_point(corners[faces], targets)
+    return np.asarray(np.linalg.norm(closest - targets, axis=1).reshape(-1, CANDIDATES).min(axis=1))
+
+
+def _corners_mm(mesh: Mesh) -> NDArray[np.float64]:
+    return np.asarray(mesh.vertices_m, dtype=np.float64)[mesh.faces] * MM_PER_M

@@ -1,0 +1,199 @@
+"""From grey levels to the ink of a digit: a mask with one meaning only.
+
+The mask that leaves :func:`clean` holds no speck and no pinhole, and no two of its pixels touch at a corner
+alone. The numbers of bodies and holes are then the same whether corners connect or not, and the solid that is
+built from the mask can be held to them.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from dataset_store.errors import ItemError
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+__all__ = ["binarise", "clean", "count_bodies_and_holes", "otsu_threshold", "repair_corners"]
+
+MIN_SIDE_PX = 8
+"""Smaller images cannot show a digit."""
+
+_CORNERS_CONNECT = np.ones((3, 3), dtype=bool)
+
+
+def binarise(pixels: NDArray[Any], threshold: float | None = None) -> NDArray[np.bool_]:
+    """Tell ink from paper.
+
+    Parameters
+    ----------
+    pixels : ndarray, shape (H, W)
+        Grey levels from 0 (ink) to 255 (paper): uint8, another integer type, or floats.
+    threshold : float, optional
+        Pixels up to this level are ink. By default Otsu's threshold of the image.
+
+    Returns
+    -------
+    ndarray of bool, shape (H, W)
+        True where there is ink.
+
+    Raises
+    ------
+    ItemError
+        ``bad-shape``, ``not-finite``, ``bad-range``, ``no-ink`` or ``all-ink``.
+    """
+    levels = _as_levels(pixels)
+    darkest, lightest = int(levels.min()), int(levels.max())
+    if threshold is None and lightest == darkest:
+        message = f"the image has one grey level only ({darkest}); expected dark ink on light paper"
+        raise ItemError("no-ink" if darkest > 127 else "all-ink", message)
+    mask = levels <= (otsu_threshold(levels) if threshold is None else threshold)
+    _refuse_blank(mask)
+    return mask
+
+
+def otsu_threshold(levels: NDArray[np.uint8]) -> int:
+    """Split the grey levels so that the two groups differ most (Otsu 1979).
+
+    Parameters
+    ----------
+    levels : ndarray of uint8
+        Grey levels of any shape.
+
+    Returns
+    -------
+    int
+        The highest level of the darker group.
+    """
+    counts = np.bincount(levels.ravel(), minlength=256).astype(np.float64)
+    below = np.cumsum(counts)
+    weighted = np.cumsum(counts * np.arange(256))
+    with np.errstate(divide="ignore", invalid="ignore"):
+        spread = (weighted[-1] * below / below[-1] - weighted) ** 2 / (below * (below[-1] - below))
+    return int(np.nanargmax(np.where(np.isfinite(spread), spread, -1.0)))
+
+
+def clean(
+    mask: NDArray[np.bool_], *, pixel_pitch_mm: float, min_speck_mm2: float, min_pinhole_mm2: float
+) -> NDArray[np.bool_]:
+    """Take away specks and pinholes and settle contacts at corners.
+
+    Parameters
+    ----------
+    mask : ndarray of bool, shape (H, W)
+        True where there is ink.
+    pixel_pitch_mm : float
+        Side of a pixel in mm.
+    min_speck_mm2, min_pinhole_mm2 : float
+        Smaller pieces of ink are removed, smaller spots of paper inside the ink are filled.
+
+    Returns
+    -------
+    ndarray of bool, shape (H, W)
+        The ink that is left. 4- and 8-connectivity agree on it.
+
+    Raises
+    ------
+    ItemError
+        ``no-ink`` when nothing but specks was there.
+    """
+    pixel_mm2 = pixel_pitch_mm**2
+    while True:
+        filled = ~_drop_small(~mask, min_pinhole_mm2 / pixel_mm2, keep_border=True)
+        kept = _drop_small(filled, min_speck_mm2 / pixel_mm2, keep_border=False)
+        mask = repair_corners(kept)
+        # A repaired corner may close a new pinhole; without one there is nothing left to find.
+        if np.array_equal(kept, mask):
+            break
+    if not mask.any():
+        message = f"no piece of ink is as large as {min_speck_mm2} mm^2 (min_speck_mm2); expected a digit"
+        raise ItemError("no-ink", message)
+    return mask
+
+
+def repair_corners(mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Fill one pixel wherever two pixels of ink touch at a corner alone.
+
+    Parameters
+    ----------
+    mask : ndarray of bool, shape (H, W)
+        True where there is ink.
+
+    Returns
+    -------
+    ndarray of bool, shape (H, W)
+        The mask without 2x2 checkerboards; ink is only ever added.
+    """
+    mask = mask.copy()
+    while True:
+        upper_left, upper_right = mask[:-1, :-1], mask[:-1, 1:]
+        lower_left, lower_right = mask[1:, :-1], mask[1:, 1:]
+        falling = upper_left & lower_right & ~upper_right & ~lower_left
+        rising = upper_right & lower_left & ~upper_left & ~lower_right
+        if not (falling.any() or rising.any()):
+            return mask
+        mask[1:, :-1] |= falling
+        mask[1:, 1:] |= rising
+
+
+def count_bodies_and_holes(mask: NDArray[np.bool_]) -> tuple[int, int]:
+    """Count the pieces of ink and the spots of paper that ink encloses.
+
+    Parameters
+    ----------
+    mask : ndarray of bool, shape (H, W)
+        A mask from :func:`clean`; paper is taken to go on outside of it.
+
+    Returns
+    -------
+    bodies, holes : int
+    """
+    from scipy import ndimage
+
+    bodies = ndimage.label(mask)[1]
+    papers = ndimage.label(np.pad(~mask, 1, constant_values=True), _CORNERS_CONNECT)[1]
+    return int(bodies), int(papers) - 1
+
+
+def _as_levels(pixels: NDArray[Any]) -> NDArray[np.uint8]:
+    image = np.asarray(pixels)
+    if image.ndim != 2 or min(image.shape) < MIN_SIDE_PX:
+        message = f"the image has shape {image.shape}; expected (H, W) with sides of {MIN_SIDE_PX} px or more"
+        raise ItemError("bad-shape", message)
+    if image.dtype == np.uint8:
+        return image
+    if image.dtype.kind not in "iuf":
+        message = f"the image has dtype {image.dtype}; expected uint8 grey levels"
+        raise ItemError("bad-dtype", message)
+    if not np.isfinite(image).all():
+        bad = int((~np.isfinite(image)).sum())
+        message = f"{bad} pixels of the image are NaN or infinite; expected grey levels from 0 to 255"
+        raise ItemError("not-finite", message)
+    if image.min() < 0 or image.max() > 255:
+        message = f"grey levels run from {image.min()} to {image.max()}; expected 0 (ink) to 255 (paper)"
+        raise ItemError("bad-range", message)
+    return np.round(image).astype(np.uint8)
+
+
+def _refuse_blank(mask: NDArray[np.bool_]) -> None:
+    if not mask.any():
+        message = "no pixel is dark enough to be ink; expected a digit"
+        raise ItemError("no-ink", message)
+    if mask.all():
+        message = "every pixel is dark enough to be ink; expected a digit on lighter paper"
+        raise ItemError("all-ink", message)
+
+
+def _drop_small(mask: NDArray[np.bool_], min_px: float, *, keep_border: bool) -> NDArray[np.bool_]:
+    from scipy import ndimage
+
+    labels, _ = ndimage.label(mask)
+    keep = np.bincount(labels.ravel()) >= min_px
+    keep[0] = False
+    if keep_border:
+        for edge in (labels[0], labels[-1], labels[:, 0], labels[:, -1]):
+            keep[edge] = True
+        keep[0] = False
+    return np.asarray(keep[labels])

@@ -1,0 +1,216 @@
+"""The fast way to the same solid: one distance transform, one lattice as fine as the vertex budget allows.
+
+The distance of every pixel from the outline holds all erosions at once. The solid is evaluated as a real-valued
+depth on a lattice several pixels wide, so its zero is found between the nodes. Only the upper half is made; its
+surface ends in the mid-plane and is mirrored as it is, which makes the mesh symmetric to the last bit.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from dataset_store.errors import ItemError
+from mnist3d.distance import signed_distance_px
+from mnist3d.ink import count_bodies_and_holes, repair_corners
+from mnist3d.profile import half_height, occupancy
+from mnist3d.steps import marching_cubes, scale, smooth
+from mnist3d.storage_order import storage_order
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from mnist3d.mesh import Mesh
+    from mnist3d.spec import SolidSpec
+
+__all__ = ["PlaneLattice", "fit_lattice", "lattice_solid", "mirror_surface"]
+
+BLUR_PER_PITCH = 0.35
+REFINEMENT = 0.8
+NUDGE = 0.03
+FIRST_PITCH_PX = 4.0
+PHASES = ((0.0, 0.0), (0.5, 0.5), (0.5, 0.0), (0.0, 0.5))
+LARGEST_PITCH_PX = 8.0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PlaneLattice:
+    """Distances from the outline at the nodes of a lattice in the mid-plane.
+
+    Attributes
+    ----------
+    s_px : ndarray of float32, shape (A, B)
+        Distance from the outline in pixels, positive inside.
+    pitch_px : float
+        Distance of neighbouring nodes.
+    first_px : tuple of float
+        Row and column of the first node, in pixels of the mask.
+    """
+
+    s_px: NDArray[np.float32]
+    pitch_px: float
+    first_px: tuple[float, float]
+
+
+def lattice_solid(mask: NDArray[np.bool_], spec: SolidSpec) -> Mesh:
+    """Build the solid of an ink mask.
+
+    Parameters
+    ----------
+    mask : ndarray of bool, shape (H, W)
+        Clean ink, from :func:`mnist3d.ink.clean`.
+    spec : SolidSpec
+        The numbers of the algorithm.
+
+    Returns
+    -------
+    Mesh
+
+    Raises
+    ------
+    ItemError
+        ``topology``: no lattice down to one pixel keeps the bodies and holes of the ink.
+    """
+    (top, left), crop = _crop(mask, margin_px=math.ceil(2 * LARGEST_PITCH_PX))
+    counts = count_bodies_and_holes(crop)
+    distance = signed_distance_px(crop, math.ceil(spec.half_thickness_px) + 4, 2 * LARGEST_PITCH_PX)
+    for lattice in _lattices(distance, spec):
+        if count_bodies_and_holes_of(lattice) != counts:
+            continue
+        vertices, faces = _upper_surface(lattice, spec)
+        whole_vertices, whole_faces = mirror_surface(vertices, faces)
+        if _euler_number(whole_vertices, whole_faces) == 2 * (counts[0] - counts[1]):
+            corner = np.float32([lattice.first_px[0] + top, lattice.first_px[1] + left, 0])
+            return scale(whole_vertices + corner, whole_faces, (mask.shape[0], mask.shape[1]), spec)
+    message = f"no lattice keeps the {counts[0]} bodies and {counts[1]} holes of the ink"
+    raise ItemError("topology", message)
+
+
+def fit_lattice(distance: NDArray[np.float32], spec: SolidSpec) -> float:
+    """Find the pitch at which marching cubes will meet the vertex budget.
+
+    A vertex lies on every edge of the lattice that passes through the surface, so their number is known before the
+    surface is made, and it falls with the square of the pitch.
+
+    Parameters
+    ----------
+    distance : ndarray of float32, shape (H, W)
+        From :func:`mnist3d.distance.signed_distance_px`.
+    spec : SolidSpec
+        The numbers of the algorithm.
+
+    Returns
+    -------
+    float
+        Pixels.
+    """
+    pitch = FIRST_PITCH_PX
+    for _ in range(2):
+        crossed = _crossed_edges(_sample(distance, pitch, (0.0, 0.0), BLUR_PER_PITCH), spec)
+        pitch = float(np.clip(pitch * math.sqrt(crossed / spec.target_vertices), 1.0, LARGEST_PITCH_PX))
+    return pitch
+
+
+def mirror_surface(
+    vertices: NDArray[np.float32], faces: NDArray[np.int32]
+) -> tuple[NDArray[np.float32], NDArray[np.int32]]:
+    """Add the lower half to a surface that ends in the mid-plane.
+
+    Parameters
+    ----------
+    vertices : ndarray of float32, shape (V, 3)
+        Upper half; the vertices of its rim have the height 0 exactly.
+    faces : ndarray of int32, shape (F, 3)
+        Triangles.
+
+    Returns
+    -------
+    vertices : ndarray of float32
+        Those of the upper half, then the mirror images of those off the mid-plane, in the same order.
+    faces : ndarray of int32, shape (2 F, 3)
+    """
+    off_plane = vertices[:, 2] != 0
+    image = np.arange(len(vertices), dtype=np.int32)
+    image[off_plane] = len(vertices) + np.arange(np.count_nonzero(off_plane), dtype=np.int32)
+    lower = vertices[off_plane] * np.float32([1, 1, -1])
+    return np.concatenate([vertices, lower]), np.concatenate([faces, image[faces][:, ::-1]])
+
+
+def count_bodies_and_holes_of(lattice: PlaneLattice) -> tuple[int, int] | None:
+    """Count what marching cubes will make of a lattice; None where a corner contact leaves it open."""
+    inside = lattice.s_px > 0
+    if not np.array_equal(repair_corners(inside), inside):
+        return None
+    return count_bodies_and_holes(inside)
+
+
+def _lattices(distance: NDArray[np.float32], spec: SolidSpec) -> Any:
+    pitch = (
+        fit_lattice(distance, spec)
+        if spec.lattice_pitch_mm is None
+        else min(spec.lattice_pitch_mm / spec.pixel_pitch_mm, LARGEST_PITCH_PX)
+    )
+    while pitch > 1:
+        for phase in PHASES:
+            yield _sample(distance, pitch, phase, BLUR_PER_PITCH)
+        pitch *= REFINEMENT
+    # Nodes on the pixel centres and no blur: the signs are those of the ink itself.
+    yield PlaneLattice(distance, 1.0, (0.0, 0.0))
+
+
+def _sample(
+    distance: NDArray[np.float32], pitch: float, phase: tuple[float, float], blur: float
+) -> PlaneLattice:
+    rows = np.arange(phase[0] * pitch, distance.shape[0] - 1, pitch)
+    columns = np.arange(phase[1] * pitch, distance.shape[1] - 1, pitch)
+    down = _weights(rows, distance.shape[0], blur * pitch)
+    across = _weights(columns, distance.shape[1], blur * pitch)
+    return PlaneLattice(down @ distance @ across.T, pitch, (float(rows[0]), float(columns[0])))
+
+
+def _weights(nodes: NDArray[np.float64], count: int, sigma: float) -> NDArray[np.float32]:
+    weights = np.exp(-0.5 * ((nodes[:, None] - np.arange(count)) / sigma) ** 2)
+    return (weights / weights.sum(axis=1, keepdims=True)).astype(np.float32)
+
+
+def _heights(pitch: float, spec: SolidSpec) -> NDArray[np.float32]:
+    return np.arange(0, spec.half_thickness_px + 2 * pitch, pitch, dtype=np.float32)
+
+
+def _crossed_edges(lattice: PlaneLattice, spec: SolidSpec) -> int:
+    top = half_height(lattice.s_px, spec.half_thickness_px, spec.profile)
+    layers = np.ceil(top / np.float32(lattice.pitch_px)).astype(np.int32)
+    beside = np.abs(np.diff(layers, axis=0)).sum() + np.abs(np.diff(layers, axis=1)).sum()
+    inked = layers > 0
+    rim = np.count_nonzero(inked[1:] != inked[:-1]) + np.count_nonzero(inked[:, 1:] != inked[:, :-1])
+    return 2 * int(beside + np.count_nonzero(inked)) - rim
+
+
+def _upper_surface(
+    lattice: PlaneLattice, spec: SolidSpec
+) -> tuple[NDArray[np.float32], NDArray[np.int32]]:
+    pitch = lattice.pitch_px
+    depth = occupancy(
+        lattice.s_px[:, :, None], _heights(pitch, spec), spec.half_thickness_px, spec.profile
+    )
+    least = np.float32(NUDGE * pitch)
+    depth = np.where(np.abs(depth) < least, np.where(depth > 0, least, -least), depth)
+    vertices, faces = marching_cubes(depth, 0.0, (pitch, pitch, pitch))
+    vertices, faces = storage_order(vertices, faces)
+    moved = smooth(vertices, faces, spec.smoothing_iterations, spec.smoothing_factor, vertices[:, 2] == 0)
+    return np.asarray(moved, dtype=np.float32), faces
+
+
+def _euler_number(vertices: NDArray[np.float32], faces: NDArray[np.int32]) -> int:
+    # Every edge of a closed surface borders two triangles.
+    return len(vertices) - len(faces) // 2
+
+
+def _crop(mask: NDArray[np.bool_], margin_px: int) -> tuple[tuple[int, int], NDArray[np.bool_]]:
+    rows, columns = np.flatnonzero(mask.any(axis=1)), np.flatnonzero(mask.any(axis=0))
+    inked = mask[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1]
+    corner = (int(rows[0]) - margin_px, int(columns[0]) - margin_px)
+    return corner, np.pad(inked, margin_px)

@@ -1,0 +1,171 @@
+"""Meshes in files: STL, 3MF, PLY, OBJ and GLB, checked as they come back from disk."""
+
+from __future__ import annotations
+
+import os
+import zipfile
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+from xml.etree import ElementTree
+
+import numpy as np
+
+from dataset_store.errors import InputError, StorageError
+from mnist3d.mesh import MM_PER_M, Mesh
+from mnist3d.stl import read_stl, write_stl
+from mnist3d.threemf import read_threemf, write_threemf
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+__all__ = ["FORMATS", "merge_equal_vertices", "read_mesh", "write_mesh"]
+
+FORMATS = (".stl", ".3mf", ".ply", ".obj", ".glb")
+"""Millimetres in all of them (3MF: whatever unit the file names), except GLB, whose specification says metres."""
+
+_BROKEN = (ValueError, KeyError, IndexError, TypeError, zipfile.BadZipFile, ElementTree.ParseError, EOFError)
+
+
+def read_mesh(path: str | Path) -> Mesh:
+    """Read a mesh from a file.
+
+    Parameters
+    ----------
+    path : str or Path
+        A file with one of the endings in :data:`FORMATS`.
+
+    Returns
+    -------
+    Mesh
+        Metres, float64. Vertices at the very same place are merged, except in 3MF, whose faces have to name shared
+        corners themselves.
+
+    Raises
+    ------
+    InputError
+        The file is missing, empty, cut short or no mesh of its kind.
+    """
+    path = Path(path)
+    ending = _ending(path)
+    data = _bytes_of(path)
+    try:
+        vertices, faces = _parse(data, ending)
+    except _BROKEN as error:
+        message = f"{path}: no readable {ending[1:].upper()} file ({_story(error)}); next: export the mesh again"
+        raise InputError(message) from error
+    if not len(faces):
+        message = f"{path}: the file holds no triangle; expected a closed surface"
+        raise InputError(message)
+    return Mesh(vertices / (1.0 if ending == ".glb" else MM_PER_M), faces)
+
+
+def write_mesh(path: str | Path, mesh: Mesh) -> None:
+    """Write a mesh to a file; a file that could not be finished is not left behind.
+
+    Parameters
+    ----------
+    path : str or Path
+        A file with one of the endings in :data:`FORMATS`.
+    mesh : Mesh
+        In metres.
+
+    Raises
+    ------
+    InputError
+        The ending is unknown.
+    StorageError
+        The file cannot be written.
+    """
+    path = Path(path)
+    data = _pack(mesh, _ending(path))
+    partial = path.with_name(f".{path.name}.{os.getpid()}.part")
+    try:
+        partial.write_bytes(data)
+        partial.replace(path)
+    except OSError as error:
+        partial.unlink(missing_ok=True)
+        message = f"{path}: cannot be written ({error.strerror}); next: choose a folder with room and permission"
+        raise StorageError(message) from error
+
+
+def merge_equal_vertices(
+    vertices: NDArray[np.floating[Any]], faces: NDArray[np.integer[Any]]
+) -> tuple[NDArray[np.floating[Any]], NDArray[np.int32]]:
+    """Make one vertex of those at exactly the same place.
+
+    Parameters
+    ----------
+    vertices : ndarray, shape (V, 3)
+    faces : ndarray of int, shape (F, 3)
+
+    Returns
+    -------
+    vertices : ndarray, shape (U, 3)
+        In the order in which they first appear.
+    faces : ndarray of int32, shape (F, 3)
+    """
+    _, first, inverse = np.unique(vertices + 0.0, axis=0, return_index=True, return_inverse=True)
+    order = np.argsort(first)
+    place = np.empty(len(first), dtype=np.int32)
+    place[order] = np.arange(len(first), dtype=np.int32)
+    return vertices[first[order]], place[inverse.reshape(-1)][faces]
+
+
+def _ending(path: Path) -> str:
+    ending = path.suffix.lower()
+    if ending not in FORMATS:
+        message = f"{path}: files ending in {ending!r} are not known; expected one of {', '.join(FORMATS)}"
+        raise InputError(message)
+    return ending
+
+
+def _bytes_of(path: Path) -> bytes:
+    try:
+        data = path.read_bytes()
+    except OSError as error:
+        message = f"{path}: cannot be read ({error.strerror}); expected a mesh file"
+        raise InputError(message) from error
+    if not data:
+        message = f"{path}: the file is empty; expected a mesh; next: export or copy it again"
+        raise InputError(message)
+    return data
+
+
+def _parse(data: bytes, ending: str) -> tuple[NDArray[np.floating[Any]], NDArray[np.int32]]:
+    if ending == ".3mf":
+        return read_threemf(data)
+    if ending == ".stl":
+        vertices = read_stl(data).reshape(-1, 3)
+        return merge_equal_vertices(vertices, np.arange(len(vertices), dtype=np.int32).reshape(-1, 3))
+    return merge_equal_vertices(*_parse_with_trimesh(data, ending))
+
+
+def _parse_with_trimesh(data: bytes, ending: str) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+    import io
+
+    import trimesh
+
+    try:
+        scene = trimesh.load_scene(io.BytesIO(data), file_type=ending[1:], process=False)
+        mesh = scene.to_mesh()
+    except Exception as error:
+        # The loaders of trimesh meet damaged files with whatever their parsing runs into.
+        raise ValueError(_story(error)) from error
+    return np.asarray(mesh.vertices, dtype=np.float64), np.asarray(mesh.faces, dtype=np.int64)
+
+
+def _pack(mesh: Mesh, ending: str) -> bytes:
+    vertices_mm = np.asarray(mesh.vertices_m, dtype=np.float64) * MM_PER_M
+    if ending == ".stl":
+        return write_stl(vertices_mm[mesh.faces])
+    if ending == ".3mf":
+        return write_threemf(vertices_mm, mesh.faces)
+    import trimesh
+
+    vertices = mesh.vertices_m if ending == ".glb" else vertices_mm
+    packed = trimesh.Trimesh(vertices, mesh.faces, process=False).export(file_type=ending[1:])
+    return packed.encode() if isinstance(packed, str) else bytes(packed)
+
+
+def _story(error: BaseException) -> str:
+    return str(error) or type(error).__name__

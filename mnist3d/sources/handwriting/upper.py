@@ -1,0 +1,222 @@
+"""Pen paths of the digits 0 to 4.
+
+A shape is a function of `vary`, which gives a number its value for this writer and this digit, and of
+`pen`, the pen width as a share of the height. It returns strokes; a stroke is a list of runs that join in
+corners; a run is a list of points that a smooth curve passes through. The top of a digit is near y = 0,
+its foot near y = 1, its left edge near x = 0.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from mnist3d.sources.handwriting.curve import Point, arc
+
+__all__ = [
+    "Shape",
+    "Stroke",
+    "Vary",
+    "one_plain",
+    "one_with_flag",
+    "one_with_foot",
+    "one_with_upstroke",
+    "three_flat_topped",
+    "three_looped",
+    "three_round",
+    "four_closed",
+    "four_low_stem",
+    "four_one_stroke",
+    "four_open",
+    "two_angular",
+    "two_looped",
+    "two_round",
+    "zero_narrow",
+    "zero_overlapping",
+    "zero_round",
+]
+
+Vary = Callable[[float, float], float]
+"""(mean, spread) -> value."""
+Stroke = list[list[Point]]
+Shape = Callable[[Vary, float], list[Stroke]]
+
+_CLEAR = 0.07
+"""Half width of the paper that a ring keeps free inside, as a share of the height."""
+
+
+def _oval(vary: Vary, pen: float, half: float, start_deg: float, over_deg: float) -> list[Stroke]:
+    """Return a ring written anticlockwise that drifts while the pen goes round."""
+    half = max(half, 0.5 * pen + _CLEAR)
+    ring = arc((half, 0.5), (half, 0.5), start_deg, start_deg - 360.0 - over_deg, 15, vary(0.0, 0.07))
+    drift_x, drift_y = vary(-0.01, 0.025), vary(0.025, 0.03)
+    last = len(ring) - 1
+    return [[[(x + drift_x * i / last, y + drift_y * i / last) for i, (x, y) in enumerate(ring)]]]
+
+
+def zero_narrow(vary: Vary, pen: float) -> list[Stroke]:
+    """Draw a slim oval."""
+    return _oval(vary, pen, vary(0.27, 0.035), vary(-80.0, 18.0), vary(2.0, 10.0))
+
+
+def zero_round(vary: Vary, pen: float) -> list[Stroke]:
+    """Draw a wide oval."""
+    return _oval(vary, pen, vary(0.40, 0.05), vary(-80.0, 22.0), vary(0.0, 10.0))
+
+
+def zero_overlapping(vary: Vary, pen: float) -> list[Stroke]:
+    """Draw an oval that begins and ends with a small overlap at the top right."""
+    return _oval(vary, pen, vary(0.34, 0.05), vary(-60.0, 14.0), vary(22.0, 9.0))
+
+
+def one_plain(vary: Vary, pen: float) -> list[Stroke]:
+    """Draw a bare downstroke."""
+    lean = vary(0.07, 0.13)
+    return [[[(lean, 0.0), (vary(0.5, 0.1) * lean + vary(0.0, 0.012), 0.5), (0.0, 1.0)]]]
+
+
+def _flag(vary: Vary, reach: float, drop: float) -> list[list[Point]]:
+    return [
+        [(-reach, drop), (-0.45 * reach, 0.5 * drop + vary(0.0, 0.02)), (0.0, 0.0)],
+        [(0.0, 0.0), (vary(-0.01, 0.015), 0.5), (vary(-0.03, 0.04), 1.0)],
+    ]
+
+
+def one_with_flag(vary: Vary, pen: float) -> list[Stroke]:
+    """Draw an upstroke and a downstroke."""
+    return [_flag(vary, vary(0.26, 0.06), vary(0.34, 0.08))]
+
+
+def one_with_upstroke(vary: Vary, pen: float) -> list[Stroke]:
+    """Draw an upstroke nearly as long as the downstroke."""
+    reach = max(vary(0.40, 0.06), 1.5 * pen)
+    return [_flag(vary, reach, vary(0.74, 0.10))]
+
+
+def one_with_foot(vary: Vary, pen: float) -> list[Stroke]:
+    """Draw a short upstroke, a downstroke and a bar below."""
+    runs = _flag(vary, vary(0.18, 0.04), vary(0.18, 0.05))
+    foot_x, foot_y = runs[-1][-1]
+    half, tilt = vary(0.22, 0.04), vary(0.0, 0.015)
+    return [runs, [[(foot_x - half, foot_y + tilt), (foot_x + half, foot_y - tilt)]]]
+
+
+def _bow(vary: Vary, start_deg: float) -> list[Point]:
+    """Return the upper bow of a 2, on the way down to its base."""
+    half, deep, left = vary(0.24, 0.03), vary(0.25, 0.04), vary(0.06, 0.05)
+    turn = arc((left + half, deep), (half, deep), start_deg, vary(22.0, 12.0), 6)
+    right = left + 2.0 * half
+    return [*turn, (vary(0.72, 0.06) * right, vary(0.53, 0.03)), (vary(0.22, 0.04), vary(0.80, 0.025))]
+
+
+def _base(vary: Vary, corner: Point) -> list[Point]:
+    """Return the base of a 2, which some hands wave."""
+    end = (vary(0.68, 0.10), 1.0 + vary(-0.02, 0.045))
+    third = (end[0] - corner[0]) / 3.0
+    wave = vary(0.0, 0.02)
+    return [
+        corner,
+        (corner[0] + third, 1.0 - wave + (end[1] - 1.0) / 3.0),
+        (corner[0] + 2.0 * third, 1.0 + wave + 2.0 * (end[1] - 1.0) / 3.0),
+        end,
+    ]
+
+
+def two_round(vary: Vary, pen: float) -> list[Stroke]:
+    """Draw a bow and a flat base that meet in a corner."""
+    corner = (vary(0.02, 0.03), 1.0)
+    return [[[*_bow(vary, vary(-165.0, 15.0)), corner], _base(vary, corner)]]
+
+
+def two_angular(vary: Vary, pen: float) -> list[Stroke]:
+    """Draw a 2 with a flat top, near to a Z."""
+    right, corner = vary(0.50, 0.05), (vary(0.02, 0.03), 1.0)
+    top = [(vary(0.02, 0.03), vary(0.08, 0.03)), (0.55 * right, 0.0), (right, vary(0.14, 0.03))]
+    down = [(0.80 * right, vary(0.42, 0.03)), (0.45 * right, 0.72), corner]
+    return [[top + down, _base(vary, corner)]]
+
+
+def two_looped(vary: Vary, pen: float) -> list[Stroke]:
+    """Draw a 2 whose bow runs through a small loop into the base."""
+    bow = _bow(vary, vary(-170.0, 15.0))
+    high = max(vary(0.12, 0.025), 0.5 * pen + 0.04)
+    wide = max(vary(0.15, 0.035), 0.5 * pen + 0.06)
+    loop = arc((wide, 1.0 - high), (wide, high), 75.0, 325.0, 6)
+    reach = vary(0.30, 0.08)
+    middle = (2.0 * wide + 0.3 * reach, vary(0.97, 0.02))
+    end = (2.0 * wide + reach, vary(0.95, 0.05))
+    return [[bow[:-1] + [(wide + vary(0.16, 0.03), vary(0.80, 0.02)), *loop, middle, end]]]
+
+
+def _upper_bow(vary: Vary, start_deg: float) -> list[Point]:
+    """Return the upper bow of a 3 down to its waist."""
+    half, deep, left = vary(0.20, 0.025), vary(0.22, 0.02), vary(0.02, 0.03)
+    turn = arc((left + half, deep), (half * vary(1.1, 0.05), deep), start_deg, 62.0, 7)
+    return [*turn, (left + half + vary(-0.04, 0.04), 2.0 * deep + 0.01)]
+
+
+def _lower_bow(vary: Vary, waist: Point) -> list[Point]:
+    """Return the lower bow of a 3 from its waist on."""
+    half, deep = vary(0.26, 0.03), 0.5 * (1.0 - waist[1])
+    turn = arc((vary(0.24, 0.03), 1.0 - deep), (half, deep), -58.0, vary(150.0, 14.0), 8)
+    return [waist, *turn]
+
+
+def three_round(vary: Vary, pen: float) -> list[Stroke]:
+    """Draw two bows that meet in a corner."""
+    upper = _upper_bow(vary, vary(-155.0, 16.0))
+    return [[upper, _lower_bow(vary, upper[-1])]]
+
+
+def three_flat_topped(vary: Vary, pen: float) -> list[Stroke]:
+    """Draw a bar, a slanting stroke and a bow."""
+    waist = (vary(0.20, 0.04), vary(0.40, 0.03))
+    corner = (vary(0.48, 0.04), vary(0.01, 0.015))
+    bar = [(vary(0.02, 0.03), vary(0.03, 0.02)), (0.25, vary(0.01, 0.01)), corner]
+    return [[bar, [corner, waist], _lower_bow(vary, waist)]]
+
+
+def three_looped(vary: Vary, pen: float) -> list[Stroke]:
+    """Draw two bows joined by a small turn to the left."""
+    upper = _upper_bow(vary, vary(-160.0, 16.0))
+    x, y = upper.pop()
+    return [[[*upper, (x - 0.05, y - 0.01), (x - 0.03, y + 0.035), *_lower_bow(vary, (x, y))[1:]]]]
+
+
+def four_open(vary: Vary, pen: float) -> list[Stroke]:
+    """Draw an L with a stem through its bar, open at the top."""
+    stem, bar, arm = vary(0.44, 0.04), vary(0.56, 0.05), vary(0.09, 0.05)
+    corner = (vary(0.0, 0.02), bar)
+    down = [(arm, vary(0.06, 0.06)), (0.5 * arm + vary(-0.01, 0.015), 0.5 * bar), corner]
+    across = [corner, (stem + vary(0.17, 0.05), bar - vary(0.02, 0.035))]
+    upright = [(stem + vary(0.03, 0.04), vary(0.05, 0.07)), (stem, 0.5), (stem + vary(-0.02, 0.035), 1.0)]
+    return [[down, across], [upright]]
+
+
+def four_low_stem(vary: Vary, pen: float) -> list[Stroke]:
+    """Draw a long arm and a bar, and a short stem that begins below the top."""
+    bar, arm = vary(0.55, 0.04), vary(0.13, 0.05)
+    stem = max(vary(0.33, 0.05), 1.6 * pen + 0.03)
+    corner = (vary(0.0, 0.02), bar)
+    down = [(arm, 0.0), (0.35 * arm + vary(0.0, 0.015), 0.5 * bar), corner]
+    across = [corner, (stem + max(vary(0.17, 0.07), 0.02), bar - vary(0.04, 0.05))]
+    upright = [(stem + vary(0.04, 0.03), vary(0.24, 0.06)), (stem, 0.6), (stem + vary(-0.02, 0.035), 1.0)]
+    return [[down, across], [upright]]
+
+
+def four_closed(vary: Vary, pen: float) -> list[Stroke]:
+    """Draw a slanting stroke, a bar and a stem that close a triangle."""
+    stem, bar = vary(0.42, 0.04), max(vary(0.64, 0.04), 0.36 + 1.9 * pen)
+    corner = (vary(-0.02, 0.02) - 0.5 * pen, bar)
+    down = [(stem, 0.0), (0.5 * (stem + corner[0]) + vary(-0.01, 0.015), 0.5 * bar), corner]
+    across = [corner, (stem + vary(0.19, 0.05), bar - vary(0.01, 0.025))]
+    upright = [(stem, 0.0), (stem + vary(0.0, 0.015), 0.5), (stem + vary(-0.01, 0.025), 1.0)]
+    return [[down, across], [upright]]
+
+
+def four_one_stroke(vary: Vary, pen: float) -> list[Stroke]:
+    """Draw a rounded 4 in one go: down, across, up and down again."""
+    right, bar = vary(0.46, 0.04), vary(0.52, 0.05)
+    arm = (vary(0.07, 0.04), vary(0.04, 0.05))
+    cup = [arm, (0.02, 0.5 * bar), (0.07, bar - 0.05), (0.20, bar), (right - 0.07, bar - 0.10)]
+    top = (right + vary(0.03, 0.03), vary(0.06, 0.06))
+    return [[[*cup, top], [top, (right, 0.5), (right + vary(-0.05, 0.04), 1.0)]]]

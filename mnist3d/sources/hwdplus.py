@@ -1,0 +1,219 @@
+"""HWD+ as its authors publish it: an array of images and an array about their writers."""
+
+from __future__ import annotations
+
+import hashlib
+import re
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dataset_store.errors import InputError, ItemError
+from mnist3d.digit import NO_WRITER, DigitCatalog, DigitImage
+from mnist3d.sources.canvas import as_grey, fit
+from mnist3d.sources.npy import NpyFile, open_npy
+
+__all__ = ["HwdPlusSource"]
+
+_SCALE_SAMPLE = 16
+_FINGERPRINT_SAMPLE = 64
+_INTEGER = re.compile(r"\s*([+-]?[0-9]{1,18})(\.0*)?\s*")
+
+
+@dataclass(frozen=True, slots=True)
+class HwdPlusSource:
+    """The two ``.npy`` files of HWD+ (Beaulac & Rosenthal 2022), or of anything in the same layout.
+
+    The image array is mapped one image at a time, so memory does not grow with the file. Integers are grey
+    levels 0 to 255 whatever their width. Floats run from 0 to 1 or from 0 to 255: the file is taken to be the
+    first when the median of the largest values of 16 evenly spaced images (paper is the brightest thing on
+    each) is at most 1. That is decided once per file, never per image. Images of another size than
+    500 x 500 px are fitted into it.
+
+    Parameters
+    ----------
+    images : str
+        ``Images(500x500).npy``: shape (N, 500, 500), dark ink on light paper, any integer or float dtype.
+    writer_info : str
+        ``WriterInfo.npy``: one row per image, column 0 is the digit. Numbers, or strings of digits.
+    writer_column : int, optional
+        Column of `writer_info` that numbers the writer; by default the writer is unknown.
+
+    Notes
+    -----
+    The id of an image is its row. An array in Fortran order works but is slow to read, as the pixels of one
+    image lie all over the file.
+    """
+
+    images: str
+    writer_info: str
+    writer_column: int | None = None
+
+    @property
+    def name(self) -> str:
+        """Word that selects this source on the command line."""
+        return "hwdplus"
+
+    def catalog(self) -> DigitCatalog:
+        """Check both files and return ids, labels and writers.
+
+        Raises
+        ------
+        InputError
+            When a file is missing, damaged or of another shape or type, when the two differ in rows, or when
+            a label is not a whole number from 0 to 9.
+        """
+        stack, (labels, writers) = self._stack(), self._people()
+        if len(labels) != stack.shape[0]:
+            message = (
+                f"{self.writer_info}: found {len(labels)} rows, expected {stack.shape[0]}, one for each image "
+                f"of {self.images}; next: take both files from the same download"
+            )
+            raise InputError(message)
+        return DigitCatalog(np.arange(len(labels)), labels, writers)
+
+    def image(self, digit_id: int) -> DigitImage:
+        """Read the image of row `digit_id`, and nothing else of the file.
+
+        Raises
+        ------
+        ItemError
+            ``"unknown-id"``, ``"not-finite"`` (NaN or infinite pixels) or ``"bad-pixels"`` (values outside
+            the grey scale of the file).
+        """
+        stack, (labels, writers) = self._stack(), self._people()
+        where = f"{self.images}, row {digit_id}"
+        if not 0 <= digit_id < min(stack.shape[0], len(labels)):
+            message = f"{where}: no such image, expected rows 0 to {stack.shape[0] - 1}; next: check the id"
+            raise ItemError("unknown-id", message)
+        pixels = fit(as_grey(stack.row(digit_id), _full_scale(stack), where))
+        return DigitImage(digit_id, int(labels[digit_id]), pixels, int(writers[digit_id]))
+
+    def fingerprint(self) -> dict[str, object]:
+        """Return dtype and shape, and SHA-256 of labels, writers and 64 evenly spaced images.
+
+        A sample, because hashing gigabytes would take longer than the first shard.
+
+        Raises
+        ------
+        InputError
+            When a file cannot be used; see :meth:`catalog`.
+        """
+        stack, (labels, writers) = self._stack(), self._people()
+        sample = hashlib.sha256()
+        for row in _evenly_spaced(stack.shape[0], _FINGERPRINT_SAMPLE):
+            sample.update(np.ascontiguousarray(stack.row(row)).tobytes())
+        return {
+            "source": self.name,
+            "dtype": stack.dtype.str,
+            "shape": list(stack.shape),
+            "labels_sha256": hashlib.sha256(labels.tobytes()).hexdigest(),
+            "writers_sha256": hashlib.sha256(writers.tobytes()).hexdigest(),
+            "images_sample_sha256": sample.hexdigest(),
+        }
+
+    def _stack(self) -> NpyFile:
+        return _image_stack(open_npy(self.images))
+
+    def _people(self) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+        return _labels_and_writers(open_npy(self.writer_info), self.writer_column)
+
+
+def _image_stack(file: NpyFile) -> NpyFile:
+    shape = file.shape
+    squarish = len(shape) == 3 and min(shape) > 0 and max(shape[1:]) <= 1.5 * min(shape[1:])
+    if squarish and file.dtype.kind in "biuf":
+        return file
+    message = (
+        f"{file.path}: found shape {shape} of {file.dtype}, expected (N, 500, 500) of integers or floats; "
+        "next: give the file 'Images(500x500).npy' of HWD+"
+    )
+    raise InputError(message)
+
+
+# Keyed by the file's size and time too (both are part of NpyFile), so a replaced file is read again.
+@lru_cache(maxsize=4)
+def _full_scale(stack: NpyFile) -> float:
+    if stack.dtype.kind in "iu":
+        return 255.0
+    if stack.dtype.kind == "b":
+        return 1.0
+    brightest = [_largest(stack.row(row)) for row in _evenly_spaced(stack.shape[0], _SCALE_SAMPLE)]
+    known = [value for value in brightest if np.isfinite(value)]
+    return 1.0 if known and float(np.median(known)) <= 1 + 0.5 / 255 else 255.0
+
+
+def _largest(values: NDArray[Any]) -> float:
+    finite = values[np.isfinite(values)]
+    return float(finite.max()) if finite.size else float("nan")
+
+
+def _evenly_spaced(count: int, wanted: int) -> list[int]:
+    picks = np.linspace(0, count - 1, min(count, wanted))
+    return [int(row) for row in np.rint(picks)]
+
+
+@lru_cache(maxsize=4)
+def _labels_and_writers(
+    file: NpyFile, writer_column: int | None
+) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    columns = _columns(file)
+    labels = _whole_numbers(columns, 0, file.path)
+    wrong = np.flatnonzero((labels < 0) | (labels > 9))
+    if wrong.size:
+        raise _bad_cell(file.path, int(wrong[0]), 0, labels[wrong[0]], "a digit from 0 to 9")
+    writers = _writers(columns, writer_column, file.path)
+    for shared in (labels, writers):
+        shared.flags.writeable = False
+    return labels, writers
+
+
+def _writers(columns: NDArray[Any], writer_column: int | None, path: str) -> NDArray[np.int64]:
+    if writer_column is None:
+        return np.full(len(columns), NO_WRITER, np.int64)
+    if not 1 <= writer_column < columns.shape[1]:
+        message = (
+            f"{path}: writer column {writer_column} is not there, expected 1 to {columns.shape[1] - 1} "
+            f"(the file has {columns.shape[1]} columns, column 0 is the digit); next: change --writer-column"
+        )
+        raise InputError(message)
+    return _whole_numbers(columns, writer_column, path)
+
+
+def _columns(file: NpyFile) -> NDArray[Any]:
+    if len(file.shape) not in (1, 2) or min(file.shape) <= 0 or file.dtype.kind not in "biufUS":
+        message = (
+            f"{file.path}: found shape {file.shape} of {file.dtype}, expected one row per image with the "
+            "digit in column 0, as numbers or strings of digits; next: give the file 'WriterInfo.npy' of HWD+"
+        )
+        raise InputError(message)
+    return file.read().reshape(file.shape[0], -1)
+
+
+def _whole_numbers(table: NDArray[Any], column: int, path: str) -> NDArray[np.int64]:
+    cells = table[:, column]
+    if cells.dtype.kind in "biu":
+        return cells.astype(np.int64)
+    if cells.dtype.kind == "f":
+        whole = np.isfinite(cells) & (np.rint(cells) == cells) & (np.abs(cells) < 2.0**53)
+        numbers = np.where(whole, cells, 0).astype(np.int64)
+    else:
+        texts = cells if cells.dtype.kind == "U" else np.char.decode(cells, "ascii", "replace")
+        found = [_INTEGER.fullmatch(str(text)) for text in texts]
+        whole = np.array([match is not None for match in found])
+        numbers = np.array([int(match[1]) if match else 0 for match in found], np.int64)
+    if not whole.all():
+        row = int(np.argmin(whole))
+        raise _bad_cell(path, row, column, cells[row], "a whole number")
+    return numbers
+
+
+def _bad_cell(path: str, row: int, column: int, value: Any, expected: str) -> InputError:
+    shown = value.item() if isinstance(value, np.generic) else value
+    return InputError(
+        f"{path}: row {row}, column {column}: found {shown!r}, expected {expected}; "
+        "next: check that this file belongs to the images and is not damaged"
+    )

@@ -1,0 +1,245 @@
+"""MNIST from its IDX files, drawn large enough to print."""
+
+from __future__ import annotations
+
+import hashlib
+import socket
+import sys
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager, redirect_stdout
+from dataclasses import dataclass
+from functools import lru_cache
+from itertools import product
+from http.client import HTTPException
+from pathlib import Path
+from typing import Any
+from urllib.error import URLError
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dataset_store.errors import HubError, InputError, ItemError, MissingExtraError, StorageError
+from mnist3d.digit import NO_WRITER, DigitCatalog, DigitImage
+from mnist3d.sources.canvas import SIDE_PX, enlarge
+from mnist3d.sources.idx import IMAGES_MAGIC, LABELS_MAGIC, read_idx, unusable
+
+__all__ = ["MnistSource", "download_mnist"]
+
+_PREFIXES = {"train": "train", "test": "t10k"}
+_FOLDERS = (".", "MNIST/raw", "raw")
+_KINDS = {"images": "idx3-ubyte", "labels": "idx1-ubyte"}
+_TIMEOUT_S = 60.0
+
+Part = tuple[NDArray[np.uint8], NDArray[np.uint8]]
+"""Images of shape (N, 28, 28), white on black, and labels of shape (N,)."""
+
+
+@dataclass(frozen=True, slots=True)
+class MnistSource:
+    """The IDX files of MNIST, plain or gzipped, as LeCun names them.
+
+    The files may lie in the folder itself, in ``MNIST/raw`` (where torchvision puts them) or in ``raw``; a dot
+    instead of the hyphen before ``idx`` is fine. The 28 x 28 images are turned to dark ink on white paper and
+    enlarged to 500 x 500 px with smooth outlines. Ink comes out 44 px wide in the median, digits about
+    355 px tall.
+
+    Parameters
+    ----------
+    root : str
+        The folder.
+    part : str
+        ``"train"``, ``"test"``, or ``"auto"`` for what is there.
+
+    Notes
+    -----
+    Ids count from 0 in the order of the file. With both parts, the training digits come first (0 to 59,999)
+    and the test digits follow (60,000 to 69,999); with one part, its ids begin at 0. Writers are unknown.
+    Each process holds the small images it needs: 47 MB for training, 8 MB for test.
+    """
+
+    root: str
+    part: str = "auto"
+
+    @property
+    def name(self) -> str:
+        """Word that selects this source on the command line."""
+        return "mnist"
+
+    def catalog(self) -> DigitCatalog:
+        """Read and check the files and return ids and labels.
+
+        Raises
+        ------
+        InputError
+            When files are missing, damaged, not MNIST, or do not belong together.
+        """
+        labels = np.concatenate([labels for _, labels in self._parts()]).astype(np.int64)
+        return DigitCatalog(np.arange(len(labels)), labels, np.full_like(labels, NO_WRITER))
+
+    def image(self, digit_id: int) -> DigitImage:
+        """Draw one digit, 500 x 500 px.
+
+        Raises
+        ------
+        ItemError
+            ``"unknown-id"`` when there is no such digit.
+        """
+        index = digit_id
+        for images, labels in self._parts():
+            if 0 <= index < len(images):
+                pixels = enlarge(255 - images[index], (SIDE_PX, SIDE_PX))
+                return DigitImage(digit_id, int(labels[index]), pixels)
+            index -= len(images)
+        count = digit_id - index
+        message = f"{self.root}: no digit {digit_id}, expected 0 to {count - 1}; next: check the id and the part"
+        raise ItemError("unknown-id", message)
+
+    def fingerprint(self) -> dict[str, object]:
+        """Return count and SHA-256 of the unpacked images and labels of each part.
+
+        Raises
+        ------
+        InputError
+            See :meth:`catalog`.
+        """
+        parts = [
+            {
+                "images": len(images),
+                "images_sha256": hashlib.sha256(images.tobytes()).hexdigest(),
+                "labels_sha256": hashlib.sha256(labels.tobytes()).hexdigest(),
+            }
+            for images, labels in self._parts()
+        ]
+        return {"source": self.name, "parts": parts}
+
+    def _parts(self) -> list[Part]:
+        return [_load(*_files(self.root, prefix)) for prefix in _chosen(self.root, self.part)]
+
+
+def download_mnist(root: str) -> None:
+    """Fetch the four files of MNIST into ``root/MNIST/raw`` with torchvision, unless they are in `root`.
+
+    Only whole, checked files are put there; an interrupted download leaves nothing behind.
+
+    Parameters
+    ----------
+    root : str
+        Folder, made when it is not there.
+
+    Raises
+    ------
+    MissingExtraError
+        When torchvision is not installed.
+    HubError
+        When the servers cannot be reached or send damaged files.
+    StorageError
+        When the folder cannot be written.
+    """
+    if all(_find(root, prefix, kind) for prefix, kind in product(_PREFIXES.values(), _KINDS)):
+        return
+    try:
+        from torchvision.datasets import MNIST
+    except ImportError:
+        feature = "Downloading MNIST"
+        raise MissingExtraError(feature, "torchvision", "torch") from None
+    with _storage_errors(root):
+        Path(root).mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryDirectory(prefix=".mnist-", dir=root) as half_done:
+            _fetch(MNIST, half_done)
+            _move_files(Path(half_done, "MNIST", "raw"), Path(root, "MNIST", "raw"))
+
+
+def _fetch(dataset: Any, folder: str) -> None:
+    patience = socket.getdefaulttimeout()
+    socket.setdefaulttimeout(_TIMEOUT_S)
+    try:
+        # torchvision talks on stdout, which belongs to the results of a command.
+        with redirect_stdout(sys.stderr):
+            dataset(folder, download=True)
+    except (RuntimeError, URLError, HTTPException, TimeoutError, ConnectionError, EOFError) as error:
+        message = (
+            f"MNIST could not be downloaded ({error}), expected its four files from {list(dataset.mirrors)}; "
+            "nothing was kept; next: check the network and try again, or copy the files into the folder"
+        )
+        raise HubError(message) from error
+    finally:
+        socket.setdefaulttimeout(patience)
+
+
+def _move_files(source: Path, target: Path) -> None:
+    target.mkdir(parents=True, exist_ok=True)
+    for path in source.iterdir():
+        path.replace(target / path.name)
+
+
+@contextmanager
+def _storage_errors(root: str) -> Iterator[None]:
+    try:
+        yield
+    except OSError as error:
+        message = (
+            f"{root}: MNIST could not be stored there ({error.strerror or error}), expected a folder with 70 MB "
+            "of room that can be written; next: make room or choose another folder"
+        )
+        raise StorageError(message) from error
+
+
+def _chosen(root: str, part: str) -> list[str]:
+    if part in _PREFIXES:
+        return [_PREFIXES[part]]
+    if part != "auto":
+        message = f"part of MNIST: found {part!r}, expected 'train', 'test' or 'auto'; next: choose one of them"
+        raise InputError(message)
+    # One file of a pair is enough to choose the part: the missing one is then reported by its name.
+    there = [prefix for prefix in _PREFIXES.values() if any(_find(root, prefix, kind) for kind in _KINDS)]
+    return there or list(_PREFIXES.values())
+
+
+def _files(root: str, prefix: str) -> tuple[Path, Path]:
+    images, labels = (_find(root, prefix, kind) or _missing(root, prefix, kind) for kind in _KINDS)
+    return images, labels
+
+
+def _find(root: str, prefix: str, kind: str) -> Path | None:
+    names = [f"{prefix}-{kind}{mark}{_KINDS[kind]}{end}" for mark, end in product("-.", ("", ".gz"))]
+    # Some archives unpack each file into a folder of the file's own name.
+    paths = [Path(root, folder, name) for folder, name in product(_FOLDERS, names)]
+    paths += [Path(root, name, name) for name in names]
+    return next((path for path in paths if path.is_file()), None)
+
+
+def _missing(root: str, prefix: str, kind: str) -> Path:
+    found = sorted(path.name for path in Path(root).iterdir())[:8] if Path(root).is_dir() else "no such folder"
+    message = (
+        f"{root}: found {found}, expected {prefix}-{kind}-{_KINDS[kind]} or the same with .gz, there or in "
+        "MNIST/raw; next: check the folder, or fetch the files with --download"
+    )
+    raise InputError(message)
+
+
+def _load(images: Path, labels: Path) -> Part:
+    return _read_pair(images, labels, _stamp(images), _stamp(labels))
+
+
+def _stamp(path: Path) -> tuple[int, int]:
+    status = path.stat()
+    return status.st_size, status.st_mtime_ns
+
+
+@lru_cache(maxsize=4)
+def _read_pair(
+    images_path: Path, labels_path: Path, images_stamp: tuple[int, int], labels_stamp: tuple[int, int]
+) -> Part:
+    images = read_idx(images_path, IMAGES_MAGIC)
+    labels = read_idx(labels_path, LABELS_MAGIC)
+    if images.shape[1:] != (28, 28):
+        raise unusable(images_path, f"found images of {images.shape[1:]} pixels, expected (28, 28)")
+    if len(images) != len(labels) or not len(labels):
+        found = f"found {len(labels)} labels for {len(images)} images of {images_path.name}"
+        raise unusable(labels_path, f"{found}, expected one for each and at least one")
+    wrong = np.flatnonzero(labels > 9)
+    if wrong.size:
+        found = f"found label {labels[wrong[0]]} in row {wrong[0]}"
+        raise unusable(labels_path, f"{found}, expected digits from 0 to 9")
+    return images, labels

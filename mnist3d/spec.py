@@ -1,0 +1,134 @@
+"""Every number that turns ink into a solid."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import asdict, dataclass, fields
+from typing import Any
+
+from dataset_store.errors import InputError
+
+__all__ = ["PROFILES", "SolidSpec"]
+
+PROFILES = ("round", "linear", "flat")
+
+
+@dataclass(frozen=True, slots=True)
+class SolidSpec:
+    """How a digit image becomes a solid.
+
+    Attributes
+    ----------
+    pixel_pitch_mm : float
+        Side of a pixel. 0.2 is the published scale, five pixels to a millimetre (Tactile MNIST paper,
+        appendix on MNIST 3D).
+    half_thickness_mm : float
+        Height above the mid-plane of ink that is wide enough. 4.0 gives the heights of the published meshes.
+    profile : {"round", "linear", "flat"}
+        How the erosion radius grows with the height: along a quarter circle, along a slope of 45 degrees, or
+        not at all.
+    threshold : float or None
+        Grey level up to which a pixel is ink; None takes Otsu's threshold of each image.
+    min_speck_mm2, min_pinhole_mm2 : float
+        Smaller pieces of ink are removed, smaller spots of paper inside the ink are filled.
+    join_bodies : bool
+        Bridge separate pieces of ink, so that every digit prints in one piece.
+    bridge_width_mm : float
+        Width of these bridges.
+    lattice_pitch_mm : float or None
+        Distance of the nodes at which the fast method evaluates the solid; None takes the pitch that the
+        vertex budget needs.
+    target_vertices : int
+        Vertex budget of a mesh.
+    smoothing_iterations : int
+        Rounds of smoothing of the fast mesh.
+    literal_smoothing_iterations : int
+        Rounds of smoothing of the literal mesh, whose triangles are some four times shorter.
+    smoothing_factor : float
+        Share of the way that a vertex goes to the middle of its neighbours in one round.
+    vertex_quantum_mm : float
+        Stored vertices lie on a grid of this pitch; 0 leaves them where they are. The default is 2**-18 m,
+        which ends the binary fraction of each coordinate early and so lets Parquet pack it.
+    """
+
+    pixel_pitch_mm: float = 0.2
+    half_thickness_mm: float = 4.0
+    profile: str = "round"
+    threshold: float | None = None
+    min_speck_mm2: float = 4.0
+    min_pinhole_mm2: float = 2.0
+    join_bodies: bool = False
+    bridge_width_mm: float = 3.0
+    lattice_pitch_mm: float | None = None
+    target_vertices: int = 5000
+    smoothing_iterations: int = 2
+    literal_smoothing_iterations: int = 10
+    smoothing_factor: float = 0.5
+    vertex_quantum_mm: float = 1000.0 / 2**18
+
+    def __post_init__(self) -> None:
+        """Refuse numbers that describe no solid."""
+        self._require(self.profile in PROFILES, "profile", f"one of {', '.join(PROFILES)}")
+        for name in ("pixel_pitch_mm", "half_thickness_mm", "bridge_width_mm"):
+            self._require(_is_positive(getattr(self, name)), name, "a positive number of mm")
+        for name in ("min_speck_mm2", "min_pinhole_mm2", "vertex_quantum_mm"):
+            value = getattr(self, name)
+            self._require(value == 0 or _is_positive(value), name, "zero or a positive number")
+        self._require(self.half_thickness_px >= 1, "half_thickness_mm", "one pixel_pitch_mm or more")
+        pitch = self.lattice_pitch_mm
+        self._require(pitch is None or _is_positive(pitch), "lattice_pitch_mm", "None or a positive number of mm")
+        level = self.threshold
+        self._require(level is None or 0 <= level <= 255, "threshold", "None or a grey level from 0 to 255")
+        self._require(self.target_vertices >= 100, "target_vertices", "100 or more")
+        for name in ("smoothing_iterations", "literal_smoothing_iterations"):
+            self._require(getattr(self, name) >= 0, name, "zero or more rounds")
+        self._require(0 < self.smoothing_factor < 1, "smoothing_factor", "a share between 0 and 1")
+        limit_mm = self.pixel_pitch_mm / 10
+        self._require(self.vertex_quantum_mm <= limit_mm, "vertex_quantum_mm", f"{limit_mm:g} or less")
+
+    @property
+    def half_thickness_px(self) -> float:
+        """Half thickness in pixels."""
+        return self.half_thickness_mm / self.pixel_pitch_mm
+
+    def to_dict(self) -> dict[str, Any]:
+        """Give the numbers as plain values for a manifest.
+
+        Returns
+        -------
+        dict
+        """
+        return asdict(self)
+
+    @classmethod
+    def from_dict(cls, values: dict[str, Any]) -> SolidSpec:
+        """Rebuild a specification from :meth:`to_dict`.
+
+        Parameters
+        ----------
+        values : dict
+            Fields by name; those left out take their defaults.
+
+        Returns
+        -------
+        SolidSpec
+
+        Raises
+        ------
+        InputError
+            An unknown name or a value that describes no solid.
+        """
+        unknown = sorted(set(values) - {field.name for field in fields(cls)})
+        if unknown:
+            message = f"SolidSpec has no field {', '.join(unknown)}; expected names of its attributes"
+            raise InputError(message)
+        return cls(**values)
+
+    def _require(self, holds: bool, name: str, expected: str) -> None:
+        if not holds:
+            message = f"SolidSpec.{name} is {getattr(self, name)!r}; expected {expected}"
+            raise InputError(message)
+
+
+def _is_positive(value: float) -> bool:
+    return math.isfinite(value) and value > 0

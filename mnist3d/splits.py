@@ -1,0 +1,243 @@
+"""Which digit goes into which split: a pure function of seed and ids.
+
+The five splits and their sizes are those of MNIST 3D (Tactile MNIST paper, table of the MNIST 3D splits; the
+table prints the name of the last one as ``printed_train`` a second time).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dataset_store.errors import InputError
+from mnist3d.digit import NO_WRITER, DigitCatalog
+
+__all__ = ["PUBLISHED_SIZES", "SPLITS", "SplitPlan", "SplitSpec", "plan_splits"]
+
+SPLITS = ("train", "test", "holdout", "printed_train", "printed_test")
+"""The five splits in canonical order, which is also the order in which scarce digits are handed out."""
+
+PUBLISHED_SIZES: dict[str, int] = {
+    "train": 1148,
+    "test": 100,
+    "holdout": 50,
+    "printed_train": 50,
+    "printed_test": 10,
+}
+"""Digits per class in each published split; 1,358 in all."""
+
+_PER_CLASS = sum(PUBLISHED_SIZES.values())
+_CLASSES = 10
+
+
+@dataclass(frozen=True, slots=True)
+class SplitSpec:
+    """How digits are divided.
+
+    Attributes
+    ----------
+    seed : int
+        Seed of the division.
+    by : {"digit", "writer"}
+        ``"digit"`` draws single digits, with exact sizes per class. ``"writer"`` gives whole writers to
+        splits, so that no hand is in two of them; sizes are then as near as whole writers allow.
+    sizes : mapping of split to digits per class, or None
+        None means the published sizes, or their proportions where a class has fewer than 1,358 digits.
+    """
+
+    seed: int = 0
+    by: Literal["digit", "writer"] = "digit"
+    sizes: tuple[tuple[str, int], ...] | None = None
+
+    def __post_init__(self) -> None:
+        for split, size in self.sizes or ():
+            if split not in SPLITS:
+                message = f"unknown split {split!r} in the split sizes; expected one of {', '.join(SPLITS)}"
+                raise InputError(message)
+            if size < 0:
+                message = f"the size of split {split!r} is {size}; expected 0 or more digits per class"
+                raise InputError(message)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return JSON values."""
+        return {"seed": self.seed, "by": self.by, "sizes": dict(self.sizes) if self.sizes else None}
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SplitPlan:
+    """The division of a source's digits.
+
+    Attributes
+    ----------
+    ids : mapping of split to ndarray of int64, shape (n,)
+        Ids of each split in row order (a seeded shuffle that mixes the classes).
+    labels : mapping of split to ndarray of int64, shape (n,)
+        Label of each id.
+    """
+
+    ids: Mapping[str, NDArray[np.int64]]
+    labels: Mapping[str, NDArray[np.int64]]
+
+    def rows(self, split: str, per_class: int | None = None, limit: int | None = None) -> NDArray[np.int64]:
+        """Return the ids to make of one split.
+
+        Parameters
+        ----------
+        split : str
+            One of :data:`SPLITS`.
+        per_class : int, optional
+            Keep only the first so many of each class.
+        limit : int, optional
+            Then keep only the first so many rows.
+
+        Returns
+        -------
+        ndarray of int64, shape (n,)
+        """
+        ids, labels = self.ids[split], self.labels[split]
+        if per_class is not None:
+            ids = ids[_rank_in_class(labels) < per_class]
+        return ids if limit is None else ids[:limit]
+
+
+def plan_splits(catalog: DigitCatalog, spec: SplitSpec) -> SplitPlan:
+    """Divide the digits of a source into the five splits.
+
+    No digit is in two splits, and where a digit goes depends on the seed and the ids of its source alone.
+
+    Raises
+    ------
+    InputError
+        When a class has fewer digits than ``spec.sizes`` asks for, or writers are asked for and unknown.
+    """
+    parts = _by_writer(catalog, spec) if spec.by == "writer" else _by_digit(catalog, spec)
+    # A key of its own orders the rows, so that the rank that chose the split does not show in them.
+    order = _keys(catalog.ids, spec.seed, stream=1)
+    rows = {split: positions[np.argsort(order[positions])] for split, positions in parts.items()}
+    return SplitPlan(
+        {split: catalog.ids[positions] for split, positions in rows.items()},
+        {split: catalog.labels[positions] for split, positions in rows.items()},
+    )
+
+
+def _by_digit(catalog: DigitCatalog, spec: SplitSpec) -> dict[str, NDArray[np.int64]]:
+    """Positions in the catalog of the digits of each split."""
+    keys = _keys(catalog.ids, spec.seed, stream=0)
+    parts: dict[str, list[NDArray[np.int64]]] = {split: [] for split in SPLITS}
+    for label in range(_CLASSES):
+        members = np.flatnonzero(catalog.labels == label)
+        members = members[np.argsort(keys[members])]
+        sizes = _class_sizes(len(members), label, spec)
+        stops = np.cumsum([sizes[split] for split in SPLITS])
+        for split, stop in zip(SPLITS, stops, strict=True):
+            parts[split].append(members[stop - sizes[split] : stop])
+    return {split: np.concatenate(chunks) for split, chunks in parts.items()}
+
+
+def _class_sizes(available: int, label: int, spec: SplitSpec) -> dict[str, int]:
+    if spec.sizes is None:
+        return _published_sizes(available)
+    wanted = {split: dict(spec.sizes).get(split, 0) for split in SPLITS}
+    if sum(wanted.values()) > available:
+        message = (
+            f"the split sizes ask for {sum(wanted.values())} digits per class, the source has {available} of "
+            f"class {label}; next: ask for smaller sizes or use a larger source"
+        )
+        raise InputError(message)
+    return wanted
+
+
+def _published_sizes(available: int) -> dict[str, int]:
+    """Return the published sizes, or for a smaller class their proportions by largest remainder."""
+    if available >= _PER_CLASS:
+        return dict(PUBLISHED_SIZES)
+    quotas = {split: available * size / _PER_CLASS for split, size in PUBLISHED_SIZES.items()}
+    sizes = {split: int(quota) for split, quota in quotas.items()}
+    by_remainder = sorted(SPLITS, key=lambda split: sizes[split] - quotas[split])
+    for split in by_remainder[: available - sum(sizes.values())]:
+        sizes[split] += 1
+    return _one_each(sizes)
+
+
+def _one_each(sizes: dict[str, int]) -> dict[str, int]:
+    # A split of a tiny source is empty only when there are fewer digits than splits: then the later ones are.
+    for split in SPLITS:
+        largest = max(SPLITS, key=lambda name: sizes[name])
+        if sizes[split] == 0 and sizes[largest] > 1:
+            sizes[largest] -= 1
+            sizes[split] += 1
+    return sizes
+
+
+def _by_writer(catalog: DigitCatalog, spec: SplitSpec) -> dict[str, NDArray[np.int64]]:
+    """Positions in the catalog of the digits of each split, whole writers at a time."""
+    if len(catalog) and (catalog.writers == NO_WRITER).any():
+        message = (
+            "splits by writer need the writer of every digit, and the source does not know them; next: name "
+            "the writer column (--writer-column) or split by digit"
+        )
+        raise InputError(message)
+    writers, counts = np.unique(catalog.writers, return_counts=True)
+    chosen = _share_writers(writers, counts, _shares(spec), spec.seed)
+    return {
+        split: np.flatnonzero(np.isin(catalog.writers, writers[chosen == rank]))
+        for rank, split in enumerate(SPLITS)
+    }
+
+
+def _shares(spec: SplitSpec) -> NDArray[np.float64]:
+    sizes = PUBLISHED_SIZES if spec.sizes is None else dict(spec.sizes)
+    shares = np.array([sizes.get(split, 0) for split in SPLITS], dtype=np.float64)
+    if shares.sum() == 0:
+        message = "all split sizes are 0; expected at least one split with digits"
+        raise InputError(message)
+    return shares / shares.sum()
+
+
+def _share_writers(
+    writers: NDArray[np.int64], counts: NDArray[np.int64], shares: NDArray[np.float64], seed: int
+) -> NDArray[np.int64]:
+    """Return the rank of the split of each writer; every split with a share gets one while writers last."""
+    wanted = shares * counts.sum()
+    given = np.zeros(len(SPLITS))
+    chosen = np.full(len(writers), -1, dtype=np.int64)
+    queue = list(np.argsort(_keys(writers, seed, stream=2)))
+    for rank in np.flatnonzero(shares)[: len(queue)]:
+        _give(chosen, given, counts, queue.pop(0), int(rank))
+    for writer in queue:
+        _give(chosen, given, counts, writer, int(np.argmax(wanted - given)))
+    return chosen
+
+
+def _give(
+    chosen: NDArray[np.int64], given: NDArray[np.float64], counts: NDArray[np.int64], writer: int, rank: int
+) -> None:
+    chosen[writer] = rank
+    given[rank] += counts[writer]
+
+
+def _rank_in_class(labels: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Return for each row how many rows of its class stand before it."""
+    ranks = np.empty(len(labels), dtype=np.int64)
+    for label in range(_CLASSES):
+        members = np.flatnonzero(labels == label)
+        ranks[members] = np.arange(len(members))
+    return ranks
+
+
+def _keys(ids: Sequence[int] | NDArray[np.int64], seed: int, stream: int) -> NDArray[np.uint64]:
+    """Return a pseudo-random sort key per id.
+
+    A bijective mixer of 64 bits (SplitMix64's finaliser) has no collisions between ids, so the order never
+    depends on the sorting algorithm, and the key of an id never on which other ids there are.
+    """
+    offset = np.random.SeedSequence([seed, stream]).generate_state(1, np.uint64)[0]
+    with np.errstate(over="ignore"):
+        mixed = np.asarray(ids).astype(np.uint64) + offset
+        mixed = (mixed ^ (mixed >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
+        mixed = (mixed ^ (mixed >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
+        return np.asarray(mixed ^ (mixed >> np.uint64(31)))
