@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, cast
 import typer
 
 from cli.failures import EXIT_FAILED, reports_errors, run
-from cli.options import DryRun, Folder, Json, Limit, Out, Overwrite, Quiet, Seed, SplitName, Workers
+from cli.options import DryRun, Folder, Json, Limit, Out, Overwrite, Quiet, Seed, Workers
 from cli.output import Sink, bytes_text, duration_text
 
 if TYPE_CHECKING:
@@ -31,6 +31,17 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     add_completion=False,
 )
+
+
+class SplitName(str, Enum):
+    """Splits of MNIST 3D on the command line."""
+
+    train = "train"
+    test = "test"
+    holdout = "holdout"
+    printed_train = "printed_train"
+    printed_test = "printed_test"
+    all = "all"
 
 
 class SourceName(str, Enum):

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from enum import Enum
 from pathlib import Path
 from typing import Annotated
 
@@ -17,20 +16,8 @@ __all__ = [
     "Overwrite",
     "Quiet",
     "Seed",
-    "SplitName",
     "Workers",
 ]
-
-
-class SplitName(str, Enum):
-    """Splits of MNIST 3D on the command line."""
-
-    train = "train"
-    test = "test"
-    holdout = "holdout"
-    printed_train = "printed_train"
-    printed_test = "printed_test"
-    all = "all"
 
 
 Folder = Annotated[Path, typer.Argument(metavar="DIR", help="Folder of a generated data set.")]

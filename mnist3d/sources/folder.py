@@ -20,7 +20,9 @@ from mnist3d.sources.picture import read_picture
 
 __all__ = ["FolderSource"]
 
-_SUFFIXES = frozenset({".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".webp", ".gif", ".pgm", ".ppm", ".pbm"})
+_SUFFIXES = frozenset(
+    {".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".webp", ".gif", ".pgm", ".ppm", ".pbm"}
+)
 _INKS = ("auto", "dark", "light")
 _DIGITS = frozenset("0123456789")
 _LABEL = re.compile(r"(?<![a-z])label[_=-]?([0-9])(?![0-9])", re.IGNORECASE)
@@ -81,7 +83,9 @@ class FolderSource:
         """
         pictures = self._pictures()
         if not 0 <= digit_id < len(pictures):
-            message = f"{self.root}: no picture {digit_id}, expected 0 to {len(pictures) - 1}; next: check the id"
+            message = (
+                f"{self.root}: no picture {digit_id}, expected 0 to {len(pictures) - 1}; next: check the id"
+            )
             raise ItemError("unknown-id", message)
         picture = pictures[digit_id]
         pixels = fit(read_picture(Path(self.root, picture.name), self.ink))
@@ -136,7 +140,8 @@ def _stamps(root: str) -> tuple[int, ...]:
 def _listing(root: str, stamps: tuple[int, ...]) -> tuple[_Picture, ...]:
     folders, files = _visible(root, "")
     _refuse_others(root, folders)
-    found = [_Picture(_label_in(root, files), name, _writer(name)) for name in files]
+    labelled = zip(_labels(root, files), files, strict=True)
+    found = [_Picture(label, name, _writer(name)) for label, name in labelled]
     for folder in folders:
         inner, names = _visible(root, folder)
         if inner:
@@ -150,3 +155,66 @@ def _listing(root: str, stamps: tuple[int, ...]) -> tuple[_Picture, ...]:
         )
         raise InputError(message)
     return tuple(sorted(found, key=lambda picture: (picture.label, _natural(picture.name))))
+
+
+def _visible(root: str, folder: str) -> tuple[list[str], list[str]]:
+    """Names, relative to `root`, of the sub-folders and the pictures in one folder, hidden ones left out."""
+    folders, files = [], []
+    for entry in _entries(os.path.join(root, folder)):
+        name = f"{folder}/{entry.name}" if folder else entry.name
+        if entry.name.startswith("."):
+            continue
+        if entry.is_dir():
+            folders.append(name)
+        elif os.path.splitext(entry.name)[1].lower() in _SUFFIXES:
+            files.append(name)
+    return sorted(folders), sorted(files)
+
+
+def _entries(folder: str) -> Iterator[os.DirEntry[str]]:
+    try:
+        with os.scandir(folder) as entries:
+            yield from entries
+    except OSError as error:
+        message = (
+            f"{folder}: cannot be listed ({error.strerror}), expected a folder of pictures; "
+            "next: check the path"
+        )
+        raise InputError(message) from error
+
+
+def _refuse_others(root: str, folders: list[str]) -> None:
+    others = [name for name in folders if name not in _DIGITS]
+    if others:
+        message = (
+            f"{root}: found the folders {_some(others)}, expected only folders named 0 to 9; "
+            "next: rename them or move them away"
+        )
+        raise InputError(message)
+
+
+def _labels(root: str, names: list[str]) -> list[int]:
+    matches = [_LABEL.search(name) for name in names]
+    lost = [name for name, match in zip(names, matches, strict=True) if match is None]
+    if lost:
+        message = (
+            f"{root}: found pictures without a digit in their names: {_some(lost)}, expected names with "
+            "label<digit> such as a_label7_b.png; next: rename them or sort them into folders named 0 to 9"
+        )
+        raise InputError(message)
+    return [int(match[1]) for match in matches if match]
+
+
+def _writer(name: str) -> int:
+    match = _WRITER.search(name.rpartition("/")[2])
+    return int(match[1]) if match else NO_WRITER
+
+
+def _natural(name: str) -> tuple[list[str | int], str]:
+    pieces = re.split(r"([0-9]+)", name.casefold())
+    return [int(piece) if piece.isdecimal() and piece.isascii() else piece for piece in pieces], name
+
+
+def _some(names: list[str]) -> str:
+    shown = ", ".join(repr(name) for name in names[:5])
+    return shown if len(names) <= 5 else f"{shown} and {len(names) - 5} more"

@@ -57,7 +57,7 @@ def read_idx(path: Path, magic: int) -> NDArray[np.uint8]:
 
 def unusable(path: Path, story: str) -> InputError:
     """Say what is wrong with a file that has to be fetched again."""
-    return InputError(f"{path}: {story}; next: download or copy it again")
+    return InputError(f"{path}: {story}; next: remove it, then download or copy it again")
 
 
 def _unpacked(path: Path) -> bytes:

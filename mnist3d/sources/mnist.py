@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import socket
+import ssl
 import sys
 import tempfile
 from collections.abc import Iterator
@@ -92,7 +93,9 @@ class MnistSource:
                 return DigitImage(digit_id, int(labels[index]), pixels)
             index -= len(images)
         count = digit_id - index
-        message = f"{self.root}: no digit {digit_id}, expected 0 to {count - 1}; next: check the id and the part"
+        message = (
+            f"{self.root}: no digit {digit_id}, expected 0 to {count - 1}; next: check the id and the part"
+        )
         raise ItemError("unknown-id", message)
 
     def fingerprint(self) -> dict[str, object]:
@@ -157,7 +160,15 @@ def _fetch(dataset: Any, folder: str) -> None:
         # torchvision talks on stdout, which belongs to the results of a command.
         with redirect_stdout(sys.stderr):
             dataset(folder, download=True)
-    except (RuntimeError, URLError, HTTPException, TimeoutError, ConnectionError, EOFError) as error:
+    except (
+        RuntimeError,
+        URLError,
+        HTTPException,
+        ssl.SSLError,
+        TimeoutError,
+        ConnectionError,
+        EOFError,
+    ) as error:
         message = (
             f"MNIST could not be downloaded ({error}), expected its four files from {list(dataset.mirrors)}; "
             "nothing was kept; next: check the network and try again, or copy the files into the folder"
@@ -189,7 +200,9 @@ def _chosen(root: str, part: str) -> list[str]:
     if part in _PREFIXES:
         return [_PREFIXES[part]]
     if part != "auto":
-        message = f"part of MNIST: found {part!r}, expected 'train', 'test' or 'auto'; next: choose one of them"
+        message = (
+            f"part of MNIST: found {part!r}, expected 'train', 'test' or 'auto'; next: choose one of them"
+        )
         raise InputError(message)
     # One file of a pair is enough to choose the part: the missing one is then reported by its name.
     there = [prefix for prefix in _PREFIXES.values() if any(_find(root, prefix, kind) for kind in _KINDS)]
@@ -210,7 +223,9 @@ def _find(root: str, prefix: str, kind: str) -> Path | None:
 
 
 def _missing(root: str, prefix: str, kind: str) -> Path:
-    found = sorted(path.name for path in Path(root).iterdir())[:8] if Path(root).is_dir() else "no such folder"
+    found = (
+        sorted(path.name for path in Path(root).iterdir())[:8] if Path(root).is_dir() else "no such folder"
+    )
     message = (
         f"{root}: found {found}, expected {prefix}-{kind}-{_KINDS[kind]} or the same with .gz, there or in "
         "MNIST/raw; next: check the folder, or fetch the files with --download"

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import warnings
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -130,7 +130,7 @@ def _paper_is_dark(grey: NDArray[np.uint8], threshold: int, path: Path) -> bool:
     return light <= 1 - _CLEAR_SHARE
 
 
-def _margin[T: np.generic](values: NDArray[T]) -> NDArray[T]:
+def _margin(values: NDArray[Any]) -> NDArray[Any]:
     """Pixels of a frame along the edge, a fiftieth of the shorter side wide."""
     wide = max(1, min(values.shape) // 50)
     inside = np.zeros(values.shape, bool)

@@ -10,14 +10,14 @@ __all__ = ["ALLOGRAPHS", "Variation", "choose_allograph"]
 
 ALLOGRAPHS: tuple[tuple[tuple[Shape, float], ...], ...] = (
     ((upper.zero_narrow, 0.40), (upper.zero_round, 0.35), (upper.zero_overlapping, 0.25)),
-    ((upper.one_plain, 0.74), (upper.one_with_flag, 0.12), (upper.one_with_upstroke, 0.07), (upper.one_with_foot, 0.07)),
+    ((upper.one_plain, 0.79), (upper.one_with_flag, 0.09), (upper.one_with_upstroke, 0.06), (upper.one_with_foot, 0.06)),
     ((upper.two_round, 0.50), (upper.two_looped, 0.28), (upper.two_angular, 0.22)),
     ((upper.three_round, 0.60), (upper.three_looped, 0.25), (upper.three_flat_topped, 0.15)),
     ((upper.four_open, 0.44), (upper.four_closed, 0.20), (upper.four_one_stroke, 0.24), (upper.four_low_stem, 0.12)),
     ((lower.five_with_bar, 0.45), (lower.five_one_stroke, 0.35), (lower.five_round, 0.20)),
     ((lower.six_curved, 0.55), (lower.six_straight, 0.25), (lower.six_curled, 0.20)),
     ((lower.seven_plain, 0.52), (lower.seven_crossed, 0.26), (lower.seven_serif, 0.22)),
-    ((lower.eight_s_first, 0.55), (lower.eight_two_rings, 0.20), (lower.eight_open, 0.25)),
+    ((lower.eight_s_first, 0.60), (lower.eight_two_rings, 0.12), (lower.eight_open, 0.28)),
     ((lower.nine_straight, 0.48), (lower.nine_curved, 0.43), (lower.nine_g_shaped, 0.09)),
 )
 """For each digit the shapes and the share of writers who prefer them.

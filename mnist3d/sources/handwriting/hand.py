@@ -68,9 +68,9 @@ def hand_of(dice: Dice) -> Hand:
     tall, strokes 20 to 45 px wide.
     """
     return Hand(
-        slant=0.16 + 0.20 * dice.bell(),
+        slant=0.15 + 0.18 * dice.bell(),
         tilt=0.03 * dice.bell(),
-        aspect=1.16 + 0.13 * dice.bell(),
+        aspect=1.15 + 0.11 * dice.bell(),
         bow=0.02 * dice.bell(),
         height_px=dice.uniform(258.0, 322.0),
         pen_px=min(43.0, max(22.0, 35.0 + 5.0 * dice.bell())),

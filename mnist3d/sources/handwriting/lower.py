@@ -91,7 +91,7 @@ def six_curled(vary: Vary, pen: float) -> list[Stroke]:
 
 def _seven(vary: Vary) -> tuple[list[Point], list[Point]]:
     """Return bar and stem of a 7."""
-    corner, foot = (vary(0.54, 0.07), vary(0.02, 0.045)), (vary(0.26, 0.08), 1.0)
+    corner, foot = (vary(0.58, 0.06), vary(0.02, 0.045)), (vary(0.26, 0.08), 1.0)
     start = (vary(0.0, 0.04), vary(0.05, 0.04))
     bar = [start, (0.5 * corner[0], 0.5 * (start[1] + corner[1]) + vary(-0.005, 0.015)), corner]
     middle = (vary(0.55, 0.06), 0.5)
@@ -125,8 +125,8 @@ Ring = tuple[Point, Point]
 def _rings(vary: Vary, pen: float) -> tuple[Ring, Ring]:
     """Return the upper and the lower ring of an 8."""
     waist = vary(0.48, 0.04)
-    upper = max(vary(0.19, 0.03), 0.5 * pen + _CLEAR)
-    lower = max(vary(0.20, 0.035), 0.5 * pen + _CLEAR)
+    upper = max(vary(0.165, 0.03), 0.5 * pen + 0.8 * _CLEAR)
+    lower = max(vary(0.175, 0.035), 0.5 * pen + 0.8 * _CLEAR)
     x = vary(0.24, 0.01)
     top = ((x + vary(0.05, 0.045), 0.5 * waist), (upper, 0.5 * waist))
     return top, ((x, 0.5 * (1.0 + waist)), (lower, 0.5 * (1.0 - waist)))
@@ -137,7 +137,7 @@ def _figure_eight(vary: Vary, upper: Ring, lower: Ring, start_deg: float, stop_d
 
     The earlier the pen leaves a ring, the more its two halves cross like an X.
     """
-    cross = vary(30.0, 8.0)
+    cross = vary(36.0, 8.0)
     descent = arc(*upper, start_deg, -180.0 - cross, 7)
     bowl = arc(*lower, -cross, 180.0 + cross, 8)
     return descent + bowl + arc(*upper, cross, stop_deg, 4)

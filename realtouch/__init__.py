@@ -1,0 +1,1 @@
+"""Real touches: typed, lazy, fast loaders."""

@@ -1,0 +1,1 @@
+"""Starstruck: scenes of stars among distractors, made by rejection sampling."""
