@@ -49,6 +49,9 @@ class Sink:
         """Print a table of the result."""
         if self.as_json or self.quiet:
             return
+        if not rows:
+            sys.stdout.write(f"{title}\n" if title else "")
+            return
         from rich import box
         from rich.console import Console
         from rich.table import Table

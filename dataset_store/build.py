@@ -96,6 +96,10 @@ class BuildPlan:
     style: ParquetStyle
     report_file: str | None = None
 
+    def __post_init__(self) -> None:
+        # What is compared with a manifest has gone through JSON there: tuples became lists.
+        object.__setattr__(self, "spec", json.loads(json.dumps(self.spec)))
+
 
 @dataclass(frozen=True)
 class Progress:

@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dataset_store.columns import RaggedColumn, column_names, ragged_column
-from dataset_store.errors import IntegrityError
+from dataset_store.errors import IntegrityError, StorageError
 from dataset_store.storage import DataFolder
 
 __all__ = ["CACHE_VARIABLE", "RowGroup", "Shard", "ShardedTable", "cache_folder"]
@@ -154,14 +154,19 @@ class Shard:
             return parquet.read_row_groups(list(wanted), columns=columns, use_threads=False)
 
     def group(self, index: int) -> RowGroup:
-        """Map one row group into memory, unpacking it into the cache on its first use."""
-        return RowGroup(_mapped(self._unpacked(index)))
+        """Map one row group into memory, unpacking it into the cache on its first use.
 
-    def _unpacked(self, index: int) -> Path:
+        A cache that cannot be written (full, read-only) costs speed, never the data: the rows are then kept
+        in the memory of this process.
+        """
         place = cache_folder() / "row-groups" / f"{self._identity}-{index:05d}.arrow"
-        if not place.exists():
-            _write_arrow(place, self.read(groups=[index]))
-        return place
+        table = _mapped(place)
+        if table is None:
+            table = self.read(groups=[index])
+            with contextlib.suppress(StorageError):
+                _write_arrow(place, table)
+                table = _mapped(place) or table
+        return RowGroup(table)
 
     @cached_property
     def _identity(self) -> str:
@@ -201,11 +206,19 @@ def _named_damage(path: str) -> Any:
 
 
 def _mapped(path: Path) -> Any:
+    """Map an unpacked row group; None when it is not there, or was damaged (it is then removed)."""
     import pyarrow as pa
 
+    try:
+        table = pa.ipc.open_file(pa.memory_map(str(path))).read_all()
+    except FileNotFoundError:
+        return None
+    except (pa.ArrowInvalid, OSError):
+        path.unlink(missing_ok=True)
+        return None
     with contextlib.suppress(OSError):
         os.utime(path)  # the time of last use decides what leaves a full cache first
-    return pa.ipc.open_file(pa.memory_map(str(path))).read_all()
+    return table
 
 
 def _write_arrow(place: Path, table: Any) -> None:

@@ -20,7 +20,7 @@ from typing import IO, Any
 
 from dataset_store.errors import InputError, IntegrityError, StorageError
 
-__all__ = ["DataFolder"]
+__all__ = ["DataFolder", "atomic_file"]
 
 _TEMPORARY_PREFIX = ".writing-"
 
@@ -174,11 +174,11 @@ class DataFolder:
         if not self.is_local:
             return
         place = Path(self._root)
-        if place.exists() and not place.is_dir():
-            message = f"{self._root!r} is a file, a folder was expected; choose another place with --out"
-            raise InputError(message)
         probe = place / _temporary_name("probe")
         with _named_failures(self._root):
+            if place.exists() and not place.is_dir():
+                message = f"{self._root!r} is a file, a folder was expected; choose another place with --out"
+                raise InputError(message)
             place.mkdir(parents=True, exist_ok=True)
             probe.touch()
             probe.unlink()
@@ -191,11 +191,29 @@ class DataFolder:
 
 
 def _write_atomic(place: Path, content: bytes) -> None:
+    with atomic_file(place) as stream:
+        stream.write(content)
+
+
+@contextlib.contextmanager
+def atomic_file(place: Path) -> Iterator[IO[bytes]]:
+    """Open a local file for writing that appears under its name when all of it is on the disk, or never.
+
+    Parameters
+    ----------
+    place : Path
+        Where it is to stand; folders are made.
+
+    Raises
+    ------
+    OSError
+        As the file system raises it; nothing is left behind.
+    """
     place.parent.mkdir(parents=True, exist_ok=True)
     temporary = place.parent / _temporary_name(place.name)
     try:
         with temporary.open("xb") as stream:
-            stream.write(content)
+            yield stream
             stream.flush()
             os.fsync(stream.fileno())
         temporary.replace(place)
