@@ -139,7 +139,7 @@ def _by_digit(catalog: DigitCatalog, spec: SplitSpec) -> dict[str, NDArray[np.in
 
 
 def _class_sizes(available: int, label: int, spec: SplitSpec) -> dict[str, int]:
-    if spec.sizes is None:
+    if spec.sizes is None or available == 0:  # a class that the source does not have is in no split
         return _published_sizes(available)
     wanted = {split: dict(spec.sizes).get(split, 0) for split in SPLITS}
     if sum(wanted.values()) > available:

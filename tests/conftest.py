@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+from collections.abc import Generator
 from pathlib import Path
 
 import pytest
@@ -23,3 +25,14 @@ def shared() -> Path:
     if not SHARED.is_dir():
         pytest.skip("real input is not here: the folder ../shared beside the repository is absent")
     return SHARED
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_makereport(item: pytest.Item) -> Generator[None, pytest.TestReport, pytest.TestReport]:
+    """Fail instead of skipping for want of a package where all extras are said to be installed."""
+    report = yield
+    needs_extra = any(item.get_closest_marker(extra) for extra in ("env", "torch"))
+    if report.skipped and needs_extra and os.environ.get("REQUIRE_EXTRAS"):
+        report.outcome = "failed"
+        report.longrepr = f"skipped although REQUIRE_EXTRAS is set: {report.longrepr}"
+    return report

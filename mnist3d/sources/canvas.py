@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 from functools import lru_cache
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from dataset_store.errors import ItemError
+
+if TYPE_CHECKING:
+    from scipy.sparse import csr_array
 
 __all__ = ["SIDE_PX", "as_grey", "enlarge", "fit"]
 
@@ -103,36 +106,35 @@ def enlarge(pixels: NDArray[np.uint8], size: tuple[int, int]) -> NDArray[np.uint
     >>> enlarge(np.full((4, 4), 255, np.uint8), (40, 40)).min()
     np.uint8(255)
     """
-    ink = 1 - pixels.astype(np.float32) / _PAPER
+    ink = 1 - pixels.astype(np.float32) / np.float32(_PAPER)
     rows, columns = (_spline_matrix(count) for count in ink.shape)
-    solid = np.clip((rows @ ink @ columns.T - 0.5) * 4 + 0.5, 0, 1)
+    solid = np.clip((_both_ways(rows, columns, ink) - 0.5) * 4 + 0.5, 0, 1)
     down, across = (_blur_matrix(count, out) for count, out in zip(ink.shape, size, strict=True))
     gain = max(1.0, _BLUR_PX * size[0] / ink.shape[0])
-    drawn = np.clip((down @ solid @ across.T - 0.5) * gain + 0.5, 0, 1)
-    return np.rint(_PAPER * (1 - drawn)).astype(np.uint8)
+    return _drawn(_both_ways(down, across, solid), gain)
 
 
 def _require_finite(values: NDArray[Any], where: str) -> None:
     if values.dtype.kind != "f" or np.isfinite(values).all():
         return
-    count = int(np.count_nonzero(~np.isfinite(values)))
+    reason, count = "not-finite", int(np.count_nonzero(~np.isfinite(values)))
     message = (
         f"{where}: found {count} pixels that are NaN or infinite, expected finite grey levels; "
         "next: repair this image in the file, or leave it out"
     )
-    raise ItemError("not-finite", message)
+    raise ItemError(reason, message)
 
 
 def _require_range(values: NDArray[Any], full_scale: float, where: str) -> None:
     low, high = float(values.min()), float(values.max())
-    slack = full_scale * _HALF_LEVEL
+    reason, slack = "bad-pixels", full_scale * _HALF_LEVEL
     if low >= -slack and high <= full_scale + slack:
         return
     message = (
         f"{where}: found pixels from {low:g} to {high:g}, expected 0 to {full_scale:g}; "
         "next: rescale this image in the file, or leave it out"
     )
-    raise ItemError("bad-pixels", message)
+    raise ItemError(reason, message)
 
 
 def _shrink(pixels: NDArray[np.uint8], size: tuple[int, int]) -> NDArray[np.uint8]:
@@ -150,34 +152,60 @@ def _centred(pixels: NDArray[np.uint8]) -> NDArray[np.uint8]:
     return sheet
 
 
-def _centres(count: int, out: int) -> NDArray[np.float64]:
+def _centres(count: int, out: int) -> NDArray[np.floating[Any]]:
     """Centres of `out` pixels in the pixel coordinates of an image of `count` over the same length."""
     return (np.arange(out) + 0.5) * (count / out) - 0.5
 
 
-def _cubic_basis(count: int, at: NDArray[np.float64]) -> NDArray[np.float64]:
+def _cubic_basis(count: int, at: NDArray[np.floating[Any]]) -> NDArray[np.floating[Any]]:
     """Cubic B-splines of `count` knots at positions `at`, the outer knots repeated beyond the edge."""
     margin = 3
     t = np.abs(at[:, None] - np.arange(-margin, count + margin))
-    bumps = np.where(t < 1, 2 / 3 - t**2 + t**3 / 2, np.clip(2 - t, 0, None) ** 3 / 6)
-    basis = bumps[:, margin : margin + count].copy()
+    bumps: NDArray[np.floating[Any]] = np.where(
+        t < 1, 2 / 3 - t**2 + t**3 / 2, np.clip(2 - t, 0, None) ** 3 / 6
+    )
+    basis: NDArray[np.floating[Any]] = bumps[:, margin : margin + count].copy()
     basis[:, 0] += bumps[:, :margin].sum(axis=1)
     basis[:, -1] += bumps[:, margin + count :].sum(axis=1)
     return basis
 
 
+def _drawn(ink: NDArray[np.float32], gain: float) -> NDArray[np.uint8]:
+    """Turn shares of ink into grey levels, the edge at half ink made steeper `gain` times."""
+    ink -= np.float32(0.5)
+    ink *= np.float32(-_PAPER * gain)
+    ink += np.float32(_PAPER / 2)
+    np.clip(ink, 0, _PAPER, out=ink)
+    return np.rint(ink, out=ink).astype(np.uint8)
+
+
+def _both_ways(down: csr_array, across: csr_array, values: NDArray[Any]) -> NDArray[np.float32]:
+    return np.ascontiguousarray((down @ (across @ values.T).T), dtype=np.float32)
+
+
 # Both matrices depend on sizes alone, and a source usually has one size: building them per image would cost
 # more than using them.
 @lru_cache(maxsize=8)
-def _spline_matrix(count: int) -> NDArray[np.float32]:
+def _spline_matrix(count: int) -> csr_array:
     knots = _cubic_basis(count, np.arange(count, dtype=np.float64))
     fine = _cubic_basis(count, _centres(count, count * _MESH))
-    return np.linalg.solve(knots.T, fine.T).T.astype(np.float32)
+    return _sparse(np.linalg.solve(knots.T, fine.T).T)
 
 
 @lru_cache(maxsize=8)
-def _blur_matrix(count: int, out: int) -> NDArray[np.float32]:
+def _blur_matrix(count: int, out: int) -> csr_array:
     fine = count * _MESH
     distance = (_centres(fine, out)[:, None] - np.arange(fine)) / (_BLUR_PX * _MESH)
-    weights = np.exp(-0.5 * distance**2)
-    return (weights / weights.sum(axis=1, keepdims=True)).astype(np.float32)
+    return _sparse(np.exp(-0.5 * distance**2))
+
+
+def _sparse(weights: NDArray[np.floating[Any]]) -> csr_array:
+    """Keep the weights that matter, each row adding up to 1.
+
+    Sparse products sum in one fixed order, where those of dense matrices depend on the number of threads: the
+    same image has to give the same bytes on a busy machine.
+    """
+    from scipy.sparse import csr_array
+
+    near = np.where(np.abs(weights) > 1e-5, weights, 0)
+    return csr_array((near / near.sum(axis=1, keepdims=True)).astype(np.float32))

@@ -31,7 +31,7 @@ _WRITER = re.compile(r"(?<![a-z])writer[_=-]?([0-9]{1,18})", re.IGNORECASE)
 
 @dataclass(frozen=True, slots=True)
 class FolderSource:
-    """Pictures in ``ROOT/<label>/``, or in ``ROOT`` itself with the label in their names (``..._label7_...``).
+    """Pictures in ``ROOT/<label>/``, or in ``ROOT`` with the label in their names (``..._label7_...``).
 
     Pictures may have any size, mode and polarity; they are turned to dark ink on white paper and fitted into
     500 x 500 px. Hidden files and files of other types are left out. A name that contains ``writer12`` says
@@ -47,8 +47,8 @@ class FolderSource:
     Notes
     -----
     Ids count from 0 through the pictures sorted by label, then by name with numbers in their natural order
-    (``2.png`` before ``10.png``). So adding or removing a picture changes the ids of those after it: leave the
-    folder alone during a run.
+    (``2.png`` before ``10.png``). So adding or removing a picture changes the ids of those after it: leave
+    the folder alone during a run.
     """
 
     root: str
@@ -83,10 +83,9 @@ class FolderSource:
         """
         pictures = self._pictures()
         if not 0 <= digit_id < len(pictures):
-            message = (
-                f"{self.root}: no picture {digit_id}, expected 0 to {len(pictures) - 1}; next: check the id"
-            )
-            raise ItemError("unknown-id", message)
+            reason, last = "unknown-id", len(pictures) - 1
+            message = f"{self.root}: no picture {digit_id}, expected 0 to {last}; next: check the id"
+            raise ItemError(reason, message)
         picture = pictures[digit_id]
         pixels = fit(read_picture(Path(self.root, picture.name), self.ink))
         return DigitImage(digit_id, picture.label, pixels, picture.writer)
@@ -103,7 +102,7 @@ class FolderSource:
         total = hashlib.sha256()
         for picture in pictures:
             total.update(_digest(self.root, picture.name))
-        return {"source": self.name, "ink": self.ink, "images": len(pictures), "sha256": total.hexdigest()}
+        return {"name": self.name, "ink": self.ink, "images": len(pictures), "sha256": total.hexdigest()}
 
     def _pictures(self) -> tuple[_Picture, ...]:
         if self.ink not in _INKS:
@@ -131,7 +130,7 @@ def _digest(root: str, name: str) -> bytes:
 
 
 def _stamps(root: str) -> tuple[int, ...]:
-    """Times of change of the folders that hold pictures, so that a listing is made again when needed."""
+    """Return when each folder of pictures last changed, so that a listing is made again when needed."""
     folders = [Path(root), *(Path(root, digit) for digit in sorted(_DIGITS))]
     return tuple(folder.stat().st_mtime_ns if folder.is_dir() else 0 for folder in folders)
 
@@ -150,7 +149,7 @@ def _listing(root: str, stamps: tuple[int, ...]) -> tuple[_Picture, ...]:
         found += [_Picture(int(folder), name, _writer(name)) for name in names]
     if not found:
         message = (
-            f"{root}: found no picture, expected {root}/<digit>/*.png (or jpg, tif, ...), the digit from 0 to 9; "
+            f"{root}: found no picture, expected {root}/<digit>/*.png (or jpg, tif, ...), digits 0 to 9; "
             "next: check the path and sort the pictures into such folders"
         )
         raise InputError(message)
@@ -160,18 +159,18 @@ def _listing(root: str, stamps: tuple[int, ...]) -> tuple[_Picture, ...]:
 def _visible(root: str, folder: str) -> tuple[list[str], list[str]]:
     """Names, relative to `root`, of the sub-folders and the pictures in one folder, hidden ones left out."""
     folders, files = [], []
-    for entry in _entries(os.path.join(root, folder)):
+    for entry in _entries(Path(root, folder)):
         name = f"{folder}/{entry.name}" if folder else entry.name
         if entry.name.startswith("."):
             continue
         if entry.is_dir():
             folders.append(name)
-        elif os.path.splitext(entry.name)[1].lower() in _SUFFIXES:
+        elif Path(name).suffix.lower() in _SUFFIXES:
             files.append(name)
     return sorted(folders), sorted(files)
 
 
-def _entries(folder: str) -> Iterator[os.DirEntry[str]]:
+def _entries(folder: Path) -> Iterator[os.DirEntry[str]]:
     try:
         with os.scandir(folder) as entries:
             yield from entries

@@ -69,8 +69,8 @@ class HwdPlusSource:
         stack, (labels, writers) = self._stack(), self._people()
         if len(labels) != stack.shape[0]:
             message = (
-                f"{self.writer_info}: found {len(labels)} rows, expected {stack.shape[0]}, one for each image "
-                f"of {self.images}; next: take both files from the same download"
+                f"{self.writer_info}: found {len(labels)} rows, expected {stack.shape[0]}, one for each "
+                f"image of {self.images}; next: take both files from the same download"
             )
             raise InputError(message)
         return DigitCatalog(np.arange(len(labels)), labels, writers)
@@ -87,8 +87,9 @@ class HwdPlusSource:
         stack, (labels, writers) = self._stack(), self._people()
         where = f"{self.images}, row {digit_id}"
         if not 0 <= digit_id < min(stack.shape[0], len(labels)):
+            reason = "unknown-id"
             message = f"{where}: no such image, expected rows 0 to {stack.shape[0] - 1}; next: check the id"
-            raise ItemError("unknown-id", message)
+            raise ItemError(reason, message)
         pixels = fit(as_grey(stack.row(digit_id), _full_scale(stack), where))
         return DigitImage(digit_id, int(labels[digit_id]), pixels, int(writers[digit_id]))
 
@@ -107,7 +108,7 @@ class HwdPlusSource:
         for row in _evenly_spaced(stack.shape[0], _FINGERPRINT_SAMPLE):
             sample.update(np.ascontiguousarray(stack.row(row)).tobytes())
         return {
-            "source": self.name,
+            "name": self.name,
             "dtype": stack.dtype.str,
             "shape": list(stack.shape),
             "labels_sha256": hashlib.sha256(labels.tobytes()).hexdigest(),
@@ -174,10 +175,14 @@ def _labels_and_writers(
 def _writers(columns: NDArray[Any], writer_column: int | None, path: str) -> NDArray[np.int64]:
     if writer_column is None:
         return np.full(len(columns), NO_WRITER, np.int64)
-    if not 1 <= writer_column < columns.shape[1]:
+    width = columns.shape[1]
+    if not 1 <= writer_column < width:
+        there = (
+            f"expected 1 to {width - 1}" if width > 1 else "expected none, as there is no column of writers"
+        )
         message = (
-            f"{path}: writer column {writer_column} is not there, expected 1 to {columns.shape[1] - 1} "
-            f"(the file has {columns.shape[1]} columns, column 0 is the digit); next: change --writer-column"
+            f"{path}: writer column {writer_column} is not there, {there} (the file has {width} columns, "
+            "column 0 is the digit); next: change --writer-column"
         )
         raise InputError(message)
     return _whole_numbers(columns, writer_column, path)

@@ -11,8 +11,8 @@ from collections.abc import Iterator
 from contextlib import contextmanager, redirect_stdout
 from dataclasses import dataclass
 from functools import lru_cache
-from itertools import product
 from http.client import HTTPException
+from itertools import product
 from pathlib import Path
 from typing import Any
 from urllib.error import URLError
@@ -40,9 +40,9 @@ Part = tuple[NDArray[np.uint8], NDArray[np.uint8]]
 class MnistSource:
     """The IDX files of MNIST, plain or gzipped, as LeCun names them.
 
-    The files may lie in the folder itself, in ``MNIST/raw`` (where torchvision puts them) or in ``raw``; a dot
-    instead of the hyphen before ``idx`` is fine. The 28 x 28 images are turned to dark ink on white paper and
-    enlarged to 500 x 500 px with smooth outlines. Ink comes out 44 px wide in the median, digits about
+    The files may lie in the folder itself, in ``MNIST/raw`` (where torchvision puts them) or in ``raw``; a
+    dot instead of the hyphen before ``idx`` is fine. The 28 x 28 images are turned to dark ink on white paper
+    and enlarged to 500 x 500 px with smooth outlines. Ink comes out 44 px wide in the median, digits about
     355 px tall.
 
     Parameters
@@ -92,11 +92,11 @@ class MnistSource:
                 pixels = enlarge(255 - images[index], (SIDE_PX, SIDE_PX))
                 return DigitImage(digit_id, int(labels[index]), pixels)
             index -= len(images)
-        count = digit_id - index
+        reason, count = "unknown-id", digit_id - index
         message = (
             f"{self.root}: no digit {digit_id}, expected 0 to {count - 1}; next: check the id and the part"
         )
-        raise ItemError("unknown-id", message)
+        raise ItemError(reason, message)
 
     def fingerprint(self) -> dict[str, object]:
         """Return count and SHA-256 of the unpacked images and labels of each part.
@@ -114,7 +114,7 @@ class MnistSource:
             }
             for images, labels in self._parts()
         ]
-        return {"source": self.name, "parts": parts}
+        return {"name": self.name, "parts": parts}
 
     def _parts(self) -> list[Part]:
         return [_load(*_files(self.root, prefix)) for prefix in _chosen(self.root, self.part)]
@@ -169,9 +169,11 @@ def _fetch(dataset: Any, folder: str) -> None:
         ConnectionError,
         EOFError,
     ) as error:
+        reason = " ".join(str(error).split())
         message = (
-            f"MNIST could not be downloaded ({error}), expected its four files from {list(dataset.mirrors)}; "
-            "nothing was kept; next: check the network and try again, or copy the files into the folder"
+            f"MNIST could not be downloaded ({reason}), expected its four files from "
+            f"{list(dataset.mirrors)}; nothing was kept; next: check the network and try again, or "
+            "copy the files into the folder"
         )
         raise HubError(message) from error
     finally:
@@ -190,8 +192,8 @@ def _storage_errors(root: str) -> Iterator[None]:
         yield
     except OSError as error:
         message = (
-            f"{root}: MNIST could not be stored there ({error.strerror or error}), expected a folder with 70 MB "
-            "of room that can be written; next: make room or choose another folder"
+            f"{root}: MNIST could not be stored there ({error.strerror or error}), expected a folder that "
+            "can be written, with 70 MB of room; next: make room or choose another folder"
         )
         raise StorageError(message) from error
 

@@ -63,31 +63,34 @@ def _decoded(path: Path) -> Image:
             warnings.simplefilter("error", Image.DecompressionBombWarning)
             with Image.open(path) as picture:
                 upright = ImageOps.exif_transpose(picture)
-        return upright if _is_deep(upright) else upright.convert("RGBA" if _is_clear(upright) else "RGB")
+        return upright if _is_deep(upright) else upright.convert(_simple_mode(upright))
     # Decoders of broken files raise whatever comes: OSError, SyntaxError, ValueError, struct.error, ...
     except Exception as error:
+        reason = "unreadable"
         message = (
             f"{path}: cannot be read as a picture ({type(error).__name__}: {error}), expected a whole image "
             "file; next: replace or remove it"
         )
-        raise ItemError("unreadable", message) from error
+        raise ItemError(reason, message) from error
 
 
 def _is_deep(picture: Image) -> bool:
     return picture.mode in ("F", "I") or picture.mode.startswith("I;16")
 
 
-def _is_clear(picture: Image) -> bool:
-    return bool(picture.has_transparency_data)
+def _simple_mode(picture: Image) -> str:
+    if picture.has_transparency_data:
+        return "RGBA"
+    return "L" if picture.mode in ("1", "L") else "RGB"
 
 
 def _brightness(picture: Image, ink: str, path: Path) -> NDArray[np.uint8]:
     if picture.mode == "RGBA":
         return _over_paper(picture, ink)
-    if picture.mode == "RGB":
+    if picture.mode in ("L", "RGB"):
         return np.asarray(picture.convert("L"))
     values = np.asarray(picture)
-    white = _full_scale(picture.mode, float(np.nanmax(values, initial=0)))
+    white = _full_scale(picture.mode, float(np.fmax.reduce(values, axis=None, initial=0)))
     return as_grey(values, white, str(path))
 
 
@@ -114,7 +117,7 @@ def _otsu(grey: NDArray[np.uint8]) -> int:
     if np.ptp(grey) < _CONTRAST:
         return 127
     counts = np.bincount(grey.ravel(), minlength=256)
-    return int(threshold_otsu(hist=(counts, np.arange(256))))
+    return int(threshold_otsu(hist=(counts, np.arange(256))))  # type: ignore[no-untyped-call]
 
 
 def _paper_is_dark(grey: NDArray[np.uint8], threshold: int, path: Path) -> bool:
@@ -122,11 +125,13 @@ def _paper_is_dark(grey: NDArray[np.uint8], threshold: int, path: Path) -> bool:
         return False
     light = float((_margin(grey) > threshold).mean())
     if 1 - _CLEAR_SHARE < light < _CLEAR_SHARE:
+        reason = "unclear-ink"
         message = (
-            f"{path}: the ink cannot be told from the paper, found {light:.0%} of the margin light and the rest "
-            "dark, expected nearly all of it to be paper; next: say --ink dark or --ink light, or crop the image"
+            f"{path}: the ink cannot be told from the paper, found {light:.0%} of the margin light and the "
+            "rest dark, expected nearly all of it to be paper; next: say --ink dark or --ink light, or crop "
+            "the image"
         )
-        raise ItemError("unclear-ink", message)
+        raise ItemError(reason, message)
     return light <= 1 - _CLEAR_SHARE
 
 
@@ -146,4 +151,5 @@ def _stretched(grey: NDArray[np.uint8], threshold: int) -> NDArray[np.uint8]:
     # Ink of thin strokes is mostly edge, so its median would be too light; single dark pixels are specks.
     ink, paper = float(np.percentile(grey[dark], 10)), float(np.median(grey[~dark]))
     table = np.clip((np.arange(256) - ink) * (255 / (paper - ink)), 0, 255)
-    return np.rint(table).astype(np.uint8)[grey]
+    levels: NDArray[np.uint8] = np.rint(table).astype(np.uint8)[grey]
+    return levels

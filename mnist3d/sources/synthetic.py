@@ -13,6 +13,7 @@ from mnist3d.sources.handwriting.glyphs import ALLOGRAPHS, Variation, choose_all
 from mnist3d.sources.handwriting.hand import Hand, hand_of
 from mnist3d.sources.handwriting.pen import draw
 from mnist3d.sources.handwriting.pose import on_page
+from mnist3d.sources.handwriting.shape import Stroke
 
 __all__ = ["DRAWING_VERSION", "HWD_PLUS_COUNT", "SyntheticSource"]
 
@@ -26,6 +27,8 @@ _PER_CLASS = 14
 _PER_WRITER = 10 * _PER_CLASS
 _HAND, _FASHION, _HABIT, _DIGIT, _INK = range(5)
 """First words of the keys of the random streams."""
+_SIZE_JITTER = 0.06
+"""Relative deviation of height and pen width between the digits of a writer whose jitter is 1."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -124,15 +127,23 @@ class SyntheticSource:
                 "next: choose such an id or raise the source's count"
             )
             raise InputError(msg)
-        digit_id = int(digit_id)
         writer, label = digit_id // _PER_WRITER, digit_id % _PER_WRITER // _PER_CLASS
         hand, dice = self.hand(writer), Dice(_DIGIT, self.seed, digit_id)
-        choice = choose_allograph(label, writer, Dice(_FASHION, self.seed, label), dice, hand.fidelity)
-        vary = Variation(Dice(_HABIT, self.seed, writer, label, choice), dice, hand.jitter)
-        height_px = hand.height_px * (1.0 + 0.06 * hand.jitter * dice.bell())
-        pen_px = hand.pen_px * (1.0 + 0.06 * hand.jitter * dice.bell())
-        pen = pen_px / (height_px - pen_px) / min(hand.aspect, 1.0)
-        strokes = ALLOGRAPHS[label][choice][0](vary, pen)
+        height_px = hand.height_px * (1.0 + _SIZE_JITTER * hand.jitter * dice.bell())
+        pen_px = hand.pen_px * (1.0 + _SIZE_JITTER * hand.jitter * dice.bell())
+        strokes = self._strokes(writer, label, hand, _share(pen_px, height_px, hand.aspect), dice)
         paths = on_page(strokes, hand, height_px, pen_px, dice)
         pixels = draw(paths, pen_px, hand, Dice(_INK, self.seed, digit_id))
-        return DigitImage(digit_id, label, pixels, writer)
+        return DigitImage(int(digit_id), int(label), pixels, int(writer))
+
+    def _strokes(self, writer: int, label: int, hand: Hand, pen: float, dice: Dice) -> list[Stroke]:
+        fashion = Dice(_FASHION, self.seed, label)
+        choice = choose_allograph(label, writer, fashion, dice, hand.fidelity)
+        vary = Variation(Dice(_HABIT, self.seed, writer, label, choice), dice, hand.jitter)
+        shape, _ = ALLOGRAPHS[label][choice]
+        return shape(vary, pen)
+
+
+def _share(pen_px: float, height_px: float, aspect: float) -> float:
+    """Return the pen's width as a share of the height between middle lines, larger in narrow hands."""
+    return pen_px / (height_px - pen_px) / min(aspect, 1.0)

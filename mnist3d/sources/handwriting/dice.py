@@ -30,7 +30,8 @@ class Dice:
     __slots__ = ("_bits", "_left")
 
     def __init__(self, *key: int) -> None:
-        self._bits = np.random.PCG64(np.random.SeedSequence(key))
+        # The length goes in, because SeedSequence pads short keys with zeros.
+        self._bits = np.random.PCG64(np.random.SeedSequence((len(key), *key)))
         self._left: list[float] = []
 
     def unit(self) -> float:

@@ -2,23 +2,29 @@
 
 from __future__ import annotations
 
-from mnist3d.sources.handwriting import lower, upper
+from mnist3d.sources.handwriting import digits_0_to_4 as low
+from mnist3d.sources.handwriting import digits_5_to_9 as high
 from mnist3d.sources.handwriting.dice import Dice, index_at
-from mnist3d.sources.handwriting.upper import Shape
+from mnist3d.sources.handwriting.shape import Shape
 
 __all__ = ["ALLOGRAPHS", "Variation", "choose_allograph"]
 
 ALLOGRAPHS: tuple[tuple[tuple[Shape, float], ...], ...] = (
-    ((upper.zero_narrow, 0.40), (upper.zero_round, 0.35), (upper.zero_overlapping, 0.25)),
-    ((upper.one_plain, 0.79), (upper.one_with_flag, 0.09), (upper.one_with_upstroke, 0.06), (upper.one_with_foot, 0.06)),
-    ((upper.two_round, 0.50), (upper.two_looped, 0.28), (upper.two_angular, 0.22)),
-    ((upper.three_round, 0.60), (upper.three_looped, 0.25), (upper.three_flat_topped, 0.15)),
-    ((upper.four_open, 0.44), (upper.four_closed, 0.20), (upper.four_one_stroke, 0.24), (upper.four_low_stem, 0.12)),
-    ((lower.five_with_bar, 0.45), (lower.five_one_stroke, 0.35), (lower.five_round, 0.20)),
-    ((lower.six_curved, 0.55), (lower.six_straight, 0.25), (lower.six_curled, 0.20)),
-    ((lower.seven_plain, 0.52), (lower.seven_crossed, 0.26), (lower.seven_serif, 0.22)),
-    ((lower.eight_s_first, 0.60), (lower.eight_two_rings, 0.12), (lower.eight_open, 0.28)),
-    ((lower.nine_straight, 0.48), (lower.nine_curved, 0.43), (lower.nine_g_shaped, 0.09)),
+    ((low.zero_narrow, 0.40), (low.zero_round, 0.35), (low.zero_overlapping, 0.25)),
+    (
+        (low.one_plain, 0.77),
+        (low.one_with_flag, 0.10),
+        (low.one_with_upstroke, 0.08),
+        (low.one_with_foot, 0.05),
+    ),
+    ((low.two_round, 0.50), (low.two_looped, 0.28), (low.two_angular, 0.22)),
+    ((low.three_round, 0.60), (low.three_looped, 0.25), (low.three_flat_topped, 0.15)),
+    ((low.four_open, 0.47), (low.four_closed, 0.16), (low.four_one_stroke, 0.22), (low.four_low_stem, 0.15)),
+    ((high.five_with_bar, 0.45), (high.five_one_stroke, 0.35), (high.five_round, 0.20)),
+    ((high.six_curved, 0.55), (high.six_straight, 0.25), (high.six_curled, 0.20)),
+    ((high.seven_plain, 0.52), (high.seven_crossed, 0.26), (high.seven_serif, 0.22)),
+    ((high.eight_s_first, 0.60), (high.eight_two_rings, 0.12), (high.eight_open, 0.28)),
+    ((high.nine_straight, 0.66), (high.nine_curved, 0.24), (high.nine_g_shaped, 0.10)),
 )
 """For each digit the shapes and the share of writers who prefer them.
 
@@ -27,7 +33,18 @@ mostly bare 1s and open 4s, as North Americans write.
 """
 
 _BETWEEN_WRITERS = 1.1
-_STRIDES = (0.41421356, 0.73205081, 0.23606798, 0.64575131, 0.31662479, 0.60555128, 0.12310563, 0.35889894, 0.79583152, 0.38516481)
+_STRIDES = (
+    0.41421356,
+    0.73205081,
+    0.23606798,
+    0.64575131,
+    0.31662479,
+    0.60555128,
+    0.12310563,
+    0.35889894,
+    0.79583152,
+    0.38516481,
+)
 """Fractions of the square roots of the first ten primes: no two digits repeat in step."""
 
 

@@ -68,16 +68,16 @@ def hand_of(dice: Dice) -> Hand:
     tall, strokes 20 to 45 px wide.
     """
     return Hand(
-        slant=0.15 + 0.18 * dice.bell(),
+        slant=0.13 + 0.155 * dice.bell(),
         tilt=0.03 * dice.bell(),
-        aspect=1.15 + 0.11 * dice.bell(),
+        aspect=1.14 + 0.105 * dice.bell(),
         bow=0.02 * dice.bell(),
         height_px=dice.uniform(258.0, 322.0),
-        pen_px=min(43.0, max(22.0, 35.0 + 5.0 * dice.bell())),
+        pen_px=min(42.0, max(22.0, 33.0 + 4.8 * dice.bell())),
         nib=max(0.0, dice.uniform(-0.15, 0.20)),
         nib_lean=dice.uniform(-1.0, 1.0),
         pressure=dice.uniform(0.02, 0.09),
-        roundness=dice.pick((1.0, 1.0, 1.0, 1.0, 1.0)),
+        roundness=int(5.0 * dice.unit()),
         jitter=dice.uniform(0.3, 0.6),
         tremor_px=dice.uniform(0.3, 1.4),
         roughness_px=dice.uniform(0.5, 1.4),

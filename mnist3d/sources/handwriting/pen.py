@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -14,9 +16,16 @@ __all__ = ["draw"]
 _CELL_PX = 4
 _NODES = PAGE_PX // _CELL_PX + 1
 _COARSE = 4
+"""Cells between the nodes of the wide grain of the edge noise."""
 _BEYOND_PX = 7.0
+"""How far outside the ink the distance is right; the edge noise must stay below it."""
 _FAR_PX = 50.0
+_DOT_PX = 4
+"""Reach of a fleck or speck."""
 _EDGE_PX = 10
+"""White margin that no speck enters."""
+_DRY, _WIDE = 0.75, 1.25
+"""Bounds of the stroke width, relative to the pen's."""
 _PRESSURE_WAVE_PX = 70.0
 
 Floats = NDArray[np.float32]
@@ -62,7 +71,7 @@ def _radii(path: NDArray[np.float64], half_px: float, hand: Hand, dice: Dice) ->
     along = step[:, 0] + hand.nib_lean * step[:, 1]
     square = (step[:, 0] * step[:, 0] + step[:, 1] * step[:, 1]) * (1.0 + hand.nib_lean * hand.nib_lean)
     chisel = 1.0 + hand.nib * (0.5 - along * along / np.maximum(square, 1e-6))
-    radius = half_px * np.clip(press * chisel, 0.75, 1.25)
+    radius = half_px * np.clip(press * chisel, _DRY, _WIDE)
     return np.floor(radius * 64.0 + 0.5).astype(np.float32) / np.float32(64.0)
 
 
@@ -136,15 +145,15 @@ def _fleck(
 
 def _dot(page: NDArray[np.uint8], at: NDArray[np.float64], aside: float, light: bool, dice: Dice) -> None:
     lean_x, lean_y = dice.uniform(-1.0, 1.0), dice.uniform(-1.0, 1.0)
-    norm = (lean_x * lean_x + lean_y * lean_y + 1e-9) ** 0.5
+    norm = math.sqrt(lean_x * lean_x + lean_y * lean_y + 1e-9)
     x, y = float(at[0]) + aside * lean_x / norm, float(at[1]) + aside * lean_y / norm
     half_x, half_y = dice.uniform(0.7, 2.6), dice.uniform(0.7, 2.6)
-    low = _EDGE_PX + 4
-    column, row = (int(min(max(value, low), PAGE_PX - 1 - low)) for value in (x, y))
-    offsets = np.arange(-4, 5, dtype=np.float64)
-    across, down = (offsets / half_x) ** 2, (offsets / half_y) ** 2
-    depth = np.clip(1.5 - (across[None, :] + down[:, None]), 0.0, 1.0) * 255.0
-    part = page[row - 4 : row + 5, column - 4 : column + 5]
+    low, high = _EDGE_PX + _DOT_PX, PAGE_PX - 1 - _EDGE_PX - _DOT_PX
+    column, row = int(min(max(x, low), high)), int(min(max(y, low), high))
+    offsets = np.arange(-_DOT_PX, _DOT_PX + 1, dtype=np.float64)
+    across, down = offsets / half_x, offsets / half_y
+    depth = np.clip(1.5 - ((across * across)[None, :] + (down * down)[:, None]), 0.0, 1.0) * 255.0
+    part = page[row - _DOT_PX : row + _DOT_PX + 1, column - _DOT_PX : column + _DOT_PX + 1]
     if light:
         part[:] = np.maximum(part, depth.astype(np.uint8))
     else:

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from mnist3d.sources.handwriting.curve import resample, smooth, through
 from mnist3d.sources.handwriting.dice import Dice
 from mnist3d.sources.handwriting.hand import Hand
-from mnist3d.sources.handwriting.upper import Stroke
+from mnist3d.sources.handwriting.shape import Stroke
 
 __all__ = ["PAGE_PX", "SPACING_PX", "on_page"]
 
@@ -16,11 +16,15 @@ PAGE_PX = 500
 """Side of the square page."""
 SPACING_PX = 7.0
 """Distance of samples along a path."""
+_SLANT_JITTER, _TILT_JITTER, _ASPECT_JITTER, _BOW_JITTER = 0.10, 0.03, 0.05, 0.015
+"""Standard deviations between the digits of a writer whose jitter is 1."""
 _WIDEST_PX = 380.0
 _MARGIN_PX = 15.0
 _OFF_CENTRE_PX = 16.0
 _WAVE_PX = 45.0
+"""Wavelength of the tremor."""
 _GRID = 64.0
+"""Positions are multiples of 1/64 px."""
 
 Paths = list[NDArray[np.float64]]
 
@@ -44,18 +48,17 @@ def on_page(strokes: list[Stroke], hand: Hand, height_px: float, pen_px: float, 
     list of ndarray of float64, shape (N, 2)
         One path for each stroke: x to the right, y down, in pixels, samples about :data:`SPACING_PX` apart.
     """
-    lengths = [[through(run) for run in stroke] for stroke in strokes]
-    joined = [np.concatenate(runs) for runs in lengths]
+    joined = [np.concatenate([through(run) for run in stroke]) for stroke in strokes]
     leant = _lean(joined, hand, dice)
     sized = _fit(leant, height_px - pen_px, _WIDEST_PX - pen_px)
     return _place([_relax(path, hand, dice) for path in sized], pen_px, dice)
 
 
 def _lean(paths: Paths, hand: Hand, dice: Dice) -> Paths:
-    slant = hand.slant + 0.05 * hand.jitter * 2.0 * dice.bell()
-    tilt = hand.tilt + 0.03 * hand.jitter * dice.bell()
-    aspect = hand.aspect + 0.05 * hand.jitter * dice.bell()
-    bow = 4.0 * (hand.bow + 0.015 * hand.jitter * dice.bell())
+    slant = hand.slant + _SLANT_JITTER * hand.jitter * dice.bell()
+    tilt = hand.tilt + _TILT_JITTER * hand.jitter * dice.bell()
+    aspect = hand.aspect + _ASPECT_JITTER * hand.jitter * dice.bell()
+    bow = 4.0 * (hand.bow + _BOW_JITTER * hand.jitter * dice.bell())
     leant = []
     for path in paths:
         x, y = aspect * path[:, 0], path[:, 1]

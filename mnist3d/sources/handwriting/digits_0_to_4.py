@@ -1,21 +1,11 @@
-"""Pen paths of the digits 0 to 4.
-
-A shape is a function of `vary`, which gives a number its value for this writer and this digit, and of
-`pen`, the pen width as a share of the height. It returns strokes; a stroke is a list of runs that join in
-corners; a run is a list of points that a smooth curve passes through. The top of a digit is near y = 0,
-its foot near y = 1, its left edge near x = 0.
-"""
+"""Pen paths of the digits 0 to 4; :mod:`mnist3d.sources.handwriting.shape` has the conventions."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 from mnist3d.sources.handwriting.curve import Point, arc
+from mnist3d.sources.handwriting.shape import CLEAR, Run, Stroke, Vary
 
 __all__ = [
-    "Shape",
-    "Stroke",
-    "Vary",
     "one_plain",
     "one_with_flag",
     "one_with_foot",
@@ -35,18 +25,10 @@ __all__ = [
     "zero_round",
 ]
 
-Vary = Callable[[float, float], float]
-"""(mean, spread) -> value."""
-Stroke = list[list[Point]]
-Shape = Callable[[Vary, float], list[Stroke]]
-
-_CLEAR = 0.07
-"""Half width of the paper that a ring keeps free inside, as a share of the height."""
-
 
 def _oval(vary: Vary, pen: float, half: float, start_deg: float, over_deg: float) -> list[Stroke]:
     """Return a ring written anticlockwise that drifts while the pen goes round."""
-    half = max(half, 0.5 * pen + _CLEAR)
+    half = max(half, 0.5 * pen + CLEAR + 0.01)
     ring = arc((half, 0.5), (half, 0.5), start_deg, start_deg - 360.0 - over_deg, 15, vary(0.0, 0.07))
     drift_x, drift_y = vary(-0.01, 0.025), vary(0.025, 0.03)
     last = len(ring) - 1
@@ -74,7 +56,8 @@ def one_plain(vary: Vary, pen: float) -> list[Stroke]:
     return [[[(lean, 0.0), (vary(0.5, 0.1) * lean + vary(0.0, 0.012), 0.5), (0.0, 1.0)]]]
 
 
-def _flag(vary: Vary, reach: float, drop: float) -> list[list[Point]]:
+def _flag(vary: Vary, reach: float, drop: float) -> Stroke:
+    """Return an upstroke from `drop` below the top and `reach` beside it, and a downstroke."""
     return [
         [(-reach, drop), (-0.45 * reach, 0.5 * drop + vary(0.0, 0.02)), (0.0, 0.0)],
         [(0.0, 0.0), (vary(-0.01, 0.015), 0.5), (vary(-0.03, 0.04), 1.0)],
@@ -83,13 +66,13 @@ def _flag(vary: Vary, reach: float, drop: float) -> list[list[Point]]:
 
 def one_with_flag(vary: Vary, pen: float) -> list[Stroke]:
     """Draw an upstroke and a downstroke."""
-    return [_flag(vary, vary(0.26, 0.06), vary(0.34, 0.08))]
+    return [_flag(vary, vary(0.26, 0.06), vary(0.38, 0.09))]
 
 
 def one_with_upstroke(vary: Vary, pen: float) -> list[Stroke]:
     """Draw an upstroke nearly as long as the downstroke."""
-    reach = max(vary(0.40, 0.06), 1.5 * pen)
-    return [_flag(vary, reach, vary(0.74, 0.10))]
+    reach = max(vary(0.40, 0.07), 1.5 * pen)
+    return [_flag(vary, reach, vary(0.72, 0.14))]
 
 
 def one_with_foot(vary: Vary, pen: float) -> list[Stroke]:
@@ -100,17 +83,24 @@ def one_with_foot(vary: Vary, pen: float) -> list[Stroke]:
     return [runs, [[(foot_x - half, foot_y + tilt), (foot_x + half, foot_y - tilt)]]]
 
 
-def _bow(vary: Vary, start_deg: float) -> list[Point]:
-    """Return the upper bow of a 2, on the way down to its base."""
-    half, deep, left = vary(0.24, 0.03), vary(0.25, 0.04), vary(0.06, 0.05)
-    turn = arc((left + half, deep), (half, deep), start_deg, vary(22.0, 12.0), 6)
-    right = left + 2.0 * half
-    return [*turn, (vary(0.72, 0.06) * right, vary(0.53, 0.03)), (vary(0.22, 0.04), vary(0.80, 0.025))]
+def _bow(vary: Vary, start_deg: float) -> Run:
+    """Return the upper bow of a 2."""
+    half, deep, left = vary(0.25, 0.045), vary(0.25, 0.05), vary(0.07, 0.06)
+    return arc((left + half, deep), (half, deep), start_deg, vary(25.0, 14.0), 6)
 
 
-def _base(vary: Vary, corner: Point) -> list[Point]:
+def _slope(vary: Vary, start: Point, end: Point) -> Run:
+    """Return two points on the way down from the bow of a 2, which bulges first and hollows then."""
+    bulge, hollow = vary(0.025, 0.03), vary(-0.015, 0.025)
+    return [
+        (start[0] + share * (end[0] - start[0]) + aside, start[1] + share * (end[1] - start[1]))
+        for share, aside in ((0.34, bulge), (0.72, hollow))
+    ]
+
+
+def _base(vary: Vary, corner: Point) -> Run:
     """Return the base of a 2, which some hands wave."""
-    end = (vary(0.68, 0.10), 1.0 + vary(-0.02, 0.045))
+    end = (vary(0.70, 0.12), 1.0 + vary(-0.02, 0.05))
     third = (end[0] - corner[0]) / 3.0
     wave = vary(0.0, 0.02)
     return [
@@ -124,7 +114,8 @@ def _base(vary: Vary, corner: Point) -> list[Point]:
 def two_round(vary: Vary, pen: float) -> list[Stroke]:
     """Draw a bow and a flat base that meet in a corner."""
     corner = (vary(0.02, 0.03), 1.0)
-    return [[[*_bow(vary, vary(-165.0, 15.0)), corner], _base(vary, corner)]]
+    bow = _bow(vary, vary(-165.0, 15.0))
+    return [[[*bow, *_slope(vary, bow[-1], corner), corner], _base(vary, corner)]]
 
 
 def two_angular(vary: Vary, pen: float) -> list[Stroke]:
@@ -138,23 +129,23 @@ def two_angular(vary: Vary, pen: float) -> list[Stroke]:
 def two_looped(vary: Vary, pen: float) -> list[Stroke]:
     """Draw a 2 whose bow runs through a small loop into the base."""
     bow = _bow(vary, vary(-170.0, 15.0))
-    high = max(vary(0.12, 0.025), 0.5 * pen + 0.04)
-    wide = max(vary(0.15, 0.035), 0.5 * pen + 0.06)
+    high = max(vary(0.11, 0.03), 0.5 * pen + 0.03)
+    wide = max(vary(0.17, 0.05), 0.5 * pen + 0.06)
     loop = arc((wide, 1.0 - high), (wide, high), 75.0, 325.0, 6)
-    reach = vary(0.30, 0.08)
+    reach = vary(0.36, 0.09)
     middle = (2.0 * wide + 0.3 * reach, vary(0.97, 0.02))
     end = (2.0 * wide + reach, vary(0.95, 0.05))
-    return [[bow[:-1] + [(wide + vary(0.16, 0.03), vary(0.80, 0.02)), *loop, middle, end]]]
+    return [[bow + _slope(vary, bow[-1], loop[0]) + loop + [middle, end]]]
 
 
-def _upper_bow(vary: Vary, start_deg: float) -> list[Point]:
+def _upper_bow(vary: Vary, start_deg: float) -> Run:
     """Return the upper bow of a 3 down to its waist."""
     half, deep, left = vary(0.20, 0.025), vary(0.22, 0.02), vary(0.02, 0.03)
     turn = arc((left + half, deep), (half * vary(1.1, 0.05), deep), start_deg, 62.0, 7)
     return [*turn, (left + half + vary(-0.04, 0.04), 2.0 * deep + 0.01)]
 
 
-def _lower_bow(vary: Vary, waist: Point) -> list[Point]:
+def _lower_bow(vary: Vary, waist: Point) -> Run:
     """Return the lower bow of a 3 from its waist on."""
     half, deep = vary(0.26, 0.03), 0.5 * (1.0 - waist[1])
     turn = arc((vary(0.24, 0.03), 1.0 - deep), (half, deep), -58.0, vary(150.0, 14.0), 8)
@@ -195,7 +186,7 @@ def four_open(vary: Vary, pen: float) -> list[Stroke]:
 def four_low_stem(vary: Vary, pen: float) -> list[Stroke]:
     """Draw a long arm and a bar, and a short stem that begins below the top."""
     bar, arm = vary(0.55, 0.04), vary(0.13, 0.05)
-    stem = max(vary(0.33, 0.05), 1.6 * pen + 0.03)
+    stem = max(vary(0.28, 0.06), 1.5 * pen + 0.03)
     corner = (vary(0.0, 0.02), bar)
     down = [(arm, 0.0), (0.35 * arm + vary(0.0, 0.015), 0.5 * bar), corner]
     across = [corner, (stem + max(vary(0.17, 0.07), 0.02), bar - vary(0.04, 0.05))]

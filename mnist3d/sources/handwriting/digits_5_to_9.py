@@ -1,9 +1,9 @@
-"""Pen paths of the digits 5 to 9; see :mod:`mnist3d.sources.handwriting.upper` for the conventions."""
+"""Pen paths of the digits 5 to 9; :mod:`mnist3d.sources.handwriting.shape` has the conventions."""
 
 from __future__ import annotations
 
 from mnist3d.sources.handwriting.curve import Point, arc
-from mnist3d.sources.handwriting.upper import Stroke, Vary
+from mnist3d.sources.handwriting.shape import CLEAR, Ring, Run, Stroke, Vary, lean
 
 __all__ = [
     "five_one_stroke",
@@ -23,11 +23,8 @@ __all__ = [
     "nine_straight",
 ]
 
-_CLEAR = 0.06
-"""Half width of the paper that a ring keeps free inside, as a share of the height."""
 
-
-def _belly(vary: Vary, neck: Point) -> list[Point]:
+def _belly(vary: Vary, neck: Point) -> Run:
     """Return the bow of a 5 from its neck on."""
     half, deep = vary(0.25, 0.04), 0.5 * (1.0 - neck[1]) + vary(0.02, 0.01)
     turn = arc((vary(0.20, 0.04), 1.0 - deep), (half, deep), vary(-90.0, 14.0), vary(145.0, 20.0), 8)
@@ -58,13 +55,12 @@ def five_round(vary: Vary, pen: float) -> list[Stroke]:
     return [[[*head, neck, *_belly(vary, (neck[0], neck[1] + 0.03))[2:]]]]
 
 
-def _bowl(vary: Vary, pen: float, left: float) -> list[Point]:
+def _bowl(vary: Vary, pen: float, left: float) -> Run:
     """Return the ring of a 6, from its left round by the foot and back to the stem."""
-    half = max(vary(0.22, 0.035), 0.5 * pen + _CLEAR + 0.02)
-    deep = max(vary(0.22, 0.03), 0.5 * pen + _CLEAR + 0.01)
+    half = max(vary(0.235, 0.04), 0.5 * pen + CLEAR + 0.02)
+    deep = max(vary(0.22, 0.03), 0.5 * pen + CLEAR + 0.01)
     ring = arc((left + half, 1.0 - deep), (half, deep), 150.0, vary(-165.0, 16.0), 11)
-    lean = vary(0.12, 0.10)
-    return [(x + lean * (1.0 - deep - y), y) for x, y in ring]
+    return lean(ring, vary(0.12, 0.10), 1.0 - deep)
 
 
 def six_curved(vary: Vary, pen: float) -> list[Stroke]:
@@ -89,7 +85,7 @@ def six_curled(vary: Vary, pen: float) -> list[Stroke]:
     return [[stem + _bowl(vary, pen, left)]]
 
 
-def _seven(vary: Vary) -> tuple[list[Point], list[Point]]:
+def _seven(vary: Vary) -> tuple[Run, Run]:
     """Return bar and stem of a 7."""
     corner, foot = (vary(0.58, 0.06), vary(0.02, 0.045)), (vary(0.26, 0.08), 1.0)
     start = (vary(0.0, 0.04), vary(0.05, 0.04))
@@ -118,21 +114,17 @@ def seven_serif(vary: Vary, pen: float) -> list[Stroke]:
     return [[[start, bar[0]], bar, stem]]
 
 
-Ring = tuple[Point, Point]
-"""Middle and half axes."""
-
-
 def _rings(vary: Vary, pen: float) -> tuple[Ring, Ring]:
     """Return the upper and the lower ring of an 8."""
-    waist = vary(0.48, 0.04)
-    upper = max(vary(0.165, 0.03), 0.5 * pen + 0.8 * _CLEAR)
-    lower = max(vary(0.175, 0.035), 0.5 * pen + 0.8 * _CLEAR)
+    waist = vary(0.51, 0.04)
+    upper = max(vary(0.18, 0.028), 0.5 * pen + 0.8 * CLEAR)
+    lower = max(vary(0.165, 0.028), 0.5 * pen + 0.8 * CLEAR)
     x = vary(0.24, 0.01)
     top = ((x + vary(0.05, 0.045), 0.5 * waist), (upper, 0.5 * waist))
     return top, ((x, 0.5 * (1.0 + waist)), (lower, 0.5 * (1.0 - waist)))
 
 
-def _figure_eight(vary: Vary, upper: Ring, lower: Ring, start_deg: float, stop_deg: float) -> list[Point]:
+def _figure_eight(vary: Vary, upper: Ring, lower: Ring, start_deg: float, stop_deg: float) -> Run:
     """Return an S through both rings and the way back up to the start.
 
     The earlier the pen leaves a ring, the more its two halves cross like an X.
@@ -168,14 +160,13 @@ def eight_two_rings(vary: Vary, pen: float) -> list[Stroke]:
     ]
 
 
-def _head(vary: Vary, pen: float) -> list[Point]:
+def _head(vary: Vary, pen: float) -> Run:
     """Return the ring of a 9, from its right shoulder round to the right again."""
-    half = max(vary(0.21, 0.03), 0.5 * pen + _CLEAR)
-    deep = max(vary(0.245, 0.03), 0.5 * pen + _CLEAR)
-    lean = vary(0.20, 0.12)
+    half = max(vary(0.21, 0.03), 0.5 * pen + CLEAR)
+    deep = max(vary(0.245, 0.03), 0.5 * pen + CLEAR)
+    slant = vary(0.20, 0.12)
     ring = arc((half, deep), (half, deep), vary(-35.0, 15.0), -320.0, 9)
-    ring = [(x + lean * (deep - y), y) for x, y in ring]
-    return [*ring, (2.0 * half + vary(0.02, 0.02), vary(0.12, 0.06))]
+    return [*lean(ring, slant, deep), (2.0 * half + vary(0.02, 0.02), vary(0.12, 0.06))]
 
 
 def nine_straight(vary: Vary, pen: float) -> list[Stroke]:
@@ -190,16 +181,17 @@ def nine_curved(vary: Vary, pen: float) -> list[Stroke]:
     """Draw a ring and a stem that bends to the left."""
     ring = _head(vary, pen)
     x, _ = ring[-1]
-    return [[ring, [ring[-1], (x - vary(0.03, 0.015), 0.55), (vary(0.20, 0.06), 1.0)]]]
+    return [[ring, [ring[-1], (x - vary(0.02, 0.015), 0.55), (vary(0.24, 0.05), 1.0)]]]
 
 
 def nine_g_shaped(vary: Vary, pen: float) -> list[Stroke]:
     """Draw a slim ring and a stem that curls back below it like a g."""
-    half = max(vary(0.14, 0.025), 0.5 * pen + 0.5 * _CLEAR)
-    deep = max(vary(0.20, 0.025), 0.5 * pen + _CLEAR)
-    middle = vary(0.29, 0.03)
-    ring = arc((middle, deep), (half, deep), vary(-30.0, 15.0), -330.0, 9)
-    right = middle + half
-    belly = right + vary(0.04, 0.03)
-    hook = arc((0.5 * belly, 0.82), (0.5 * belly, 0.18), 10.0, vary(130.0, 22.0), 5)
-    return [[ring, [(right, vary(0.12, 0.05)), (right + 0.01, 0.50), *hook]]]
+    half = max(vary(0.125, 0.025), 0.5 * pen + 0.4 * CLEAR)
+    deep = max(vary(0.20, 0.03), 0.5 * pen + 0.8 * CLEAR)
+    middle, slant = vary(0.21, 0.035), vary(0.13, 0.10)
+    ring = arc((middle, deep), (half, deep), vary(-35.0, 15.0), -325.0, 9)
+    right, low = middle + half, vary(0.17, 0.03)
+    belly = right + vary(0.08, 0.045)
+    hook = arc((0.5 * belly, 1.0 - low), (0.5 * belly, low), 5.0, vary(142.0, 22.0), 6)
+    start = (right + 0.5 * slant * deep, vary(0.11, 0.05))
+    return [[lean(ring, slant, deep), [start, (right + 0.2 * (belly - right), 0.48), *hook]]]

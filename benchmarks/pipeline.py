@@ -1,0 +1,233 @@
+"""Speed, size and memory of the main job, each as a ratio measured in one run.
+
+::
+
+    python benchmarks/pipeline.py              # everything but the memory of the full run, some minutes
+    python benchmarks/pipeline.py --memory     # peak memory of 2,000 and of all 13,580 digits
+    python benchmarks/pipeline.py --digits 100 # fewer digits
+
+Loading is compared with `tactile_mnist.SimpleMeshDataset` where the extra `env` is installed.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import shutil
+import statistics
+import subprocess
+import sys
+import tempfile
+import threading
+import time
+import warnings
+from collections.abc import Callable
+from pathlib import Path
+
+os.environ.setdefault("OMP_NUM_THREADS", "1")
+
+import numpy as np
+
+from dataset_store.shards import encode_parquet
+from mnist3d.generate import GenerateSpec, generate, make_row
+from mnist3d.printability import inspect
+from mnist3d.rows import PARQUET_STYLE, MeshRow, mesh_table
+from mnist3d.solid import SolidSpec, solidify
+from mnist3d.sources.synthetic import SyntheticSource
+from mnist3d.splits import SPLITS
+
+SOURCE = SyntheticSource()
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--digits", type=int, default=60, help="digits of the comparison with the literal way")
+    parser.add_argument("--memory", action="store_true", help="measure peak memory of 2,000 and 13,580 digits")
+    options = parser.parse_args()
+    if options.memory:
+        report_memory()
+        return
+    report_written(options.digits)
+    folder = Path(tempfile.mkdtemp())
+    try:
+        report_workers(folder)
+        report_size(folder / "workers-2-0")
+        report_loading(folder / "workers-2-0")
+    finally:
+        shutil.rmtree(folder)
+    report_start()
+
+
+def median_s(work: Callable[[], object], times: int = 5) -> float:
+    seconds = []
+    for _ in range(times):
+        start_s = time.perf_counter()
+        work()
+        seconds.append(time.perf_counter() - start_s)
+    return statistics.median(seconds)
+
+
+def report_written(count: int) -> None:
+    """Validated mesh, written, against the literal algorithm, one core, per mesh."""
+    ids = list(range(0, 13_580, 13_580 // count))[:count]
+    spec = GenerateSpec(SOURCE)
+    make_row(ids[0], spec)
+    literal_row(ids[0])
+    fast_s, literal_s, bare_s = [], [], []
+    for digit_id in ids:
+        start_s = time.perf_counter()
+        row, _ = make_row(digit_id, spec)
+        encode_parquet(mesh_table([row], "synthetic"), PARQUET_STYLE)
+        fast_s.append(time.perf_counter() - start_s)
+        if len(literal_s) < max(5, count // 6):
+            start_s = time.perf_counter()
+            bare_s.append(literal_row(digit_id))
+            literal_s.append(time.perf_counter() - start_s)
+    fast, literal, bare = (1000 * statistics.median(values) for values in (fast_s, literal_s, bare_s))
+    print(f"validated mesh, drawn and written, one core: fast {fast:.1f} ms, literal {literal:.0f} ms")
+    print(f"  ratio {literal / fast:.1f} (literal mesh alone, not validated or written: {bare / fast:.1f})")
+
+
+def literal_row(digit_id: int) -> float:
+    """Make, validate and write one digit the literal way; return the seconds of the mesh alone."""
+    digit = SOURCE.image(digit_id)
+    start_s = time.perf_counter()
+    mesh = solidify(digit.pixels, SolidSpec(), method="literal")
+    seconds = time.perf_counter() - start_s
+    report = inspect(mesh)
+    row = MeshRow(digit.id, digit.label, mesh, digit.writer, report.volume_mm3 * 1e-9)
+    encode_parquet(mesh_table([row], "synthetic"), PARQUET_STYLE)
+    return seconds
+
+
+def report_workers(folder: Path) -> None:
+    """Two workers against one on the same 1,000 digits, whole runs with the start of the workers."""
+    spec = GenerateSpec(SOURCE)
+    seconds = {1: [], 2: []}
+    for turn in range(3):
+        for workers in (1, 2):
+            out = str(folder / f"workers-{workers}-{turn}")
+            start_s = time.perf_counter()
+            generate(spec, out, ("test",), workers=workers)
+            seconds[workers].append(time.perf_counter() - start_s)
+    one, two = (statistics.median(seconds[workers]) for workers in (1, 2))
+    print(f"1,000 digits: one worker {one:.1f} s, two workers {two:.1f} s, ratio {one / two:.2f}")
+
+
+def report_size(folder: Path) -> None:
+    import pyarrow.parquet as pq
+
+    files = sorted((folder / "data").glob("*.parquet"))
+    rows = sum(pq.ParquetFile(file).metadata.num_rows for file in files)
+    largest = max(
+        pq.ParquetFile(file).metadata.row_group(group).total_byte_size
+        for file in files
+        for group in range(pq.ParquetFile(file).metadata.num_row_groups)
+    )
+    size = sum(file.stat().st_size for file in files)
+    print(f"Parquet: {size / rows / 1000:.1f} kB per mesh, largest row group {largest / 1e6:.1f} MB unpacked")
+
+
+def report_loading(folder: Path) -> None:
+    """Random access to meshes: ours against the published loader on the same folder."""
+    import mnist3d
+
+    os.environ["TACTILE_TOOLKIT_CACHE"] = str(folder.parent / "cache")
+    digits = mnist3d.load(str(folder), "test")
+    first_s = median_s(lambda: digits[0].mesh, 1)
+    order = np.random.default_rng(0).permutation(len(digits)).tolist()
+    start_s = time.perf_counter()
+    for row in order:
+        _ = digits[row].mesh
+    cold_us = (time.perf_counter() - start_s) / len(order) * 1e6
+    ours_us = median_s(lambda: [digits[row].mesh for row in order], 5) / len(order) * 1e6
+    print(f"loading a mesh: first {first_s * 1000:.0f} ms, first pass {cold_us:.0f} us, then {ours_us:.0f} us")
+    theirs_us = published_us(folder, order[:40])
+    if theirs_us is not None:
+        print(f"  SimpleMeshDataset {theirs_us:.0f} us, ratio {theirs_us / ours_us:.0f} (first pass {theirs_us / cold_us:.0f})")
+
+
+def published_us(folder: Path, order: list[int]) -> float | None:
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            import datasets
+            import tactile_mnist
+    except ImportError as error:
+        print(f"  not compared with SimpleMeshDataset: {error}")
+        return None
+    theirs = tactile_mnist.SimpleMeshDataset(datasets.load_dataset(str(folder), split="test"))
+    _ = theirs[0].mesh
+    return median_s(lambda: [theirs[row].mesh for row in order], 3) / len(order) * 1e6
+
+
+def report_start() -> None:
+    """Whole-process times of the interpreter alone, of the import and of the help page."""
+    commands = {
+        "python alone": ["-c", "pass"],
+        "import mnist3d": ["-c", "import mnist3d"],
+        "mnist3d --help": ["-c", "import sys; sys.argv = ['mnist3d', '--help']; from cli.mnist3d import main; main()"],
+    }
+    for what, arguments in commands.items():
+        seconds = median_s(
+            lambda: subprocess.run([sys.executable, *arguments], check=True, stdout=subprocess.DEVNULL), 7
+        )
+        print(f"{what}: {seconds:.2f} s")
+
+
+def report_memory() -> None:
+    """Peak of the summed proportional memory of a run's processes, two workers."""
+    runs = {"2,000 digits": ["--split", "train", "--limit", "2000"], "13,580 digits": ["--split", "all"]}
+    for what, options in runs.items():
+        out = tempfile.mkdtemp()
+        command = [sys.executable, "-c", "from cli.mnist3d import main; main()", "generate", *options]
+        start_s = time.perf_counter()
+        process = subprocess.Popen([*command, "--workers", "2", "--quiet", "--out", out])
+        peak = Peak(process.pid)
+        process.wait()
+        peak.stop()
+        elapsed_s = time.perf_counter() - start_s
+        size = sum(file.stat().st_size for file in Path(out).rglob("*.parquet"))
+        shutil.rmtree(out)
+        print(f"{what}: {elapsed_s:.0f} s, peak {peak.bytes / 1e6:.0f} MB over all processes, {size / 1e6:.0f} MB written")
+        assert process.returncode == 0
+
+
+class Peak:
+    """Samples the memory of a process and its descendants ten times a second."""
+
+    def __init__(self, pid: int) -> None:
+        self.bytes = 0
+        self._pid = pid
+        self._done = threading.Event()
+        self._thread = threading.Thread(target=self._watch)
+        self._thread.start()
+
+    def stop(self) -> None:
+        self._done.set()
+        self._thread.join()
+
+    def _watch(self) -> None:
+        while not self._done.wait(0.1):
+            self.bytes = max(self.bytes, sum(map(_pss, _family(self._pid))))
+
+
+def _family(pid: int) -> list[int]:
+    try:
+        children = Path(f"/proc/{pid}/task/{pid}/children").read_text().split()
+    except OSError:
+        return []
+    return [pid, *(member for child in children for member in _family(int(child)))]
+
+
+def _pss(pid: int) -> int:
+    try:
+        lines = Path(f"/proc/{pid}/smaps_rollup").read_text().splitlines()
+    except OSError:
+        return 0
+    return next((int(line.split()[1]) * 1024 for line in lines if line.startswith("Pss:")), 0)
+
+
+if __name__ == "__main__":
+    print(f"splits: {', '.join(SPLITS)}; python {sys.version.split()[0]}, {os.cpu_count()} cores")
+    main()

@@ -1,0 +1,238 @@
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import mnist3d
+from tests.dataset_store.toy import folder_bytes
+
+SMALL = ("--split", "test", "--per-class", "1", "--vertices", "600", "--workers", "1")
+
+
+def call(*arguments: object) -> int:
+    """Run the command line in this process and return its exit code."""
+    from cli.mnist3d import main
+
+    before = sys.argv
+    sys.argv = ["mnist3d", *map(str, arguments)]
+    try:
+        main()
+    except SystemExit as leave:
+        return int(leave.code or 0)
+    finally:
+        sys.argv = before
+        os.environ.pop("TACTILE_TOOLKIT_DEBUG", None)
+    return 0
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory) -> Path:
+    path = tmp_path_factory.mktemp("cli") / "digits"
+    assert call("generate", *SMALL, "--out", path, "--quiet") == 0
+    return path
+
+
+def test_generate_ends_with_what_was_made_where_and_what_next(tmp_path, capsys):
+    out = tmp_path / "digits"
+    assert call("generate", *SMALL, "--out", out) == 0
+    printed = capsys.readouterr()
+    assert "test" in printed.out
+    assert "made 10 digits" in printed.out
+    assert str(out) in printed.out
+    assert "next: mnist3d validate" in printed.out
+    assert "making digits: 10 of 10" in printed.err
+    assert call("generate", *SMALL, "--out", out) == 0
+    assert "nothing was left to make" in capsys.readouterr().out
+
+
+def test_generate_json_is_one_document(tmp_path, capsys):
+    assert call("generate", *SMALL, "--out", tmp_path / "digits", "--json") == 0
+    document = json.loads(capsys.readouterr().out)
+    (split,) = document["splits"]
+    assert (split["split"], split["rows"], split["per_class"]) == ("test", 10, [1] * 10)
+    assert document["complete"] is True
+    assert document["spec"]["solid"]["target_vertices"] == 600
+
+
+def test_quiet_says_nothing(tmp_path, capsys):
+    assert call("generate", *SMALL, "--out", tmp_path / "digits", "--quiet") == 0
+    assert capsys.readouterr() == ("", "")
+
+
+def test_dry_run_writes_nothing(tmp_path, capsys, folder):
+    out = tmp_path / "digits"
+    assert call("generate", *SMALL, "--out", out, "--dry-run") == 0
+    printed = capsys.readouterr().out
+    assert "would make 10 digits" in printed
+    assert "nothing was written" in printed
+    assert not out.exists()
+    before = folder_bytes(folder)
+    assert call("generate", *SMALL, "--out", folder, "--dry-run", "--json") == 0
+    view = json.loads(capsys.readouterr().out)
+    assert view["digits_to_make"] == 0
+    assert view["splits"] == [{"split": "test", "digits": 10, "shards": 1, "finished": 10}]
+    assert folder_bytes(folder) == before
+
+
+def test_info(folder, capsys):
+    assert call("info", folder) == 0
+    printed = capsys.readouterr().out
+    assert "solid.target_vertices = 600" in printed
+    assert call("info", folder, "--json") == 0
+    assert json.loads(capsys.readouterr().out)["splits"][0]["rows"] == 10
+
+
+def test_verify(folder, tmp_path, capsys):
+    import shutil
+
+    assert call("verify", folder) == 0
+    assert "all as the manifest says" in capsys.readouterr().out
+    copy = tmp_path / "copy"
+    shutil.copytree(folder, copy)
+    victim = copy / "data" / "test-00000-of-00001.parquet"
+    victim.write_bytes(victim.read_bytes()[:-1])
+    assert call("verify", copy) == 3
+    printed = capsys.readouterr()
+    assert "damaged: data/test-00000-of-00001.parquet: sha256 is" in printed.err
+    assert "generate` again" in printed.err
+    assert call("generate", *SMALL, "--out", copy, "--quiet") == 0
+    assert folder_bytes(copy) == folder_bytes(folder)
+
+
+def test_validate_a_folder(folder, capsys):
+    assert call("validate", folder) == 0
+    assert "10 of 10 meshes are valid solids" in capsys.readouterr().out
+    assert call("validate", folder, "--json", "--workers", "2") == 0
+    (document,) = json.loads(capsys.readouterr().out)
+    assert (document["checked"], document["failed"]) == (10, 0)
+    assert len(document["meshes"]) == 10
+    assert document["meshes"][0]["status"] == "NoError"
+
+
+@pytest.mark.parametrize("kind", ["stl", "3mf", "ply", "obj", "glb"])
+def test_validate_files_of_anyone(tmp_path, capsys, kind):
+    import trimesh
+
+    good, bad = tmp_path / f"good.{kind}", tmp_path / f"open.{kind}"
+    scale = 0.001 if kind == "glb" else 1.0  # glTF is in metres
+    box = trimesh.creation.box((30 * scale, 20 * scale, 10 * scale))
+    write(box, good)
+    box.update_faces(np.arange(len(box.faces)) > 0)
+    write(box, bad)
+    assert call("validate", good) == 0
+    assert "30.0 x 20.0 x 10.0" in capsys.readouterr().out
+    assert call("validate", good, bad) == 1
+    printed = capsys.readouterr().out
+    assert "1 of 2 meshes are valid solids" in printed
+    assert call("validate", bad, "--json") == 1
+    (document,) = json.loads(capsys.readouterr().out)
+    assert document["meshes"][0]["is_solid"] is False
+    assert document["meshes"][0]["thinnest_wall_mm"] is None
+
+
+def write(mesh, path: Path) -> None:
+    ours = mnist3d.Mesh(np.asarray(mesh.vertices) * (1.0 if path.suffix == ".glb" else 0.001), mesh.faces.astype(np.int32))
+    if path.suffix == ".3mf":
+        mnist3d.write_mesh(str(path), ours)
+    else:
+        mesh.export(path)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "code", "words"),
+    [
+        (("generate", "--source", "hwdplus"), 2, ("--source hwdplus needs --images",)),
+        (("generate", "--source", "hwdplus", "--images", "x.npy"), 2, ("needs --writer-info",)),
+        (("generate", "--source", "mnist", "--images", "nowhere"), 2, ("nowhere",)),
+        (("generate", "--split-sizes", "train"), 2, ("--split-sizes has 'train'", "train=8,test=2")),
+        (("generate", "--split-sizes", "train=1,train=2"), 2, ("once per split",)),
+        (("generate", "--split-sizes", "validation=3"), 2, ("unknown split 'validation'",)),
+        (("generate", "--split-sizes", "train=9999"), 2, ("9999 digits per class", "1358")),
+        (("generate", "--half-thickness-mm", "-1"), 2, ("half_thickness_mm",)),
+        (("generate", "--vertices", "0"), 2, ("target_vertices",)),
+        (("info", "nowhere"), 2, ("no manifest.json in 'nowhere'",)),
+        (("verify", "nowhere"), 2, ("no manifest.json",)),
+        (("validate", "nowhere.stl"), 2, ("'nowhere.stl' does not exist",)),
+    ],
+)
+def test_bad_input_is_named_in_two_lines(tmp_path, monkeypatch, capsys, arguments, code, words):
+    monkeypatch.chdir(tmp_path)
+    assert call(*arguments) == code
+    printed = capsys.readouterr()
+    assert printed.out == ""
+    assert printed.err.startswith("error: ")
+    assert printed.err.count("\n") <= 2
+    assert "Traceback" not in printed.err
+    for word in words:
+        assert word in printed.err
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_debug_shows_the_traceback(tmp_path):
+    from dataset_store.errors import InputError
+
+    with pytest.raises(InputError):
+        call("generate", "--source", "hwdplus", "--debug")
+
+
+def test_another_spec_is_refused(folder, capsys):
+    before = folder_bytes(folder)
+    assert call("generate", *SMALL, "--seed", "1", "--out", folder) == 2
+    assert "source.seed is 0 there, 1 was asked for" in capsys.readouterr().err
+    assert folder_bytes(folder) == before
+
+
+def test_real_pictures_in_a_folder(shared, tmp_path, capsys):
+    arguments = ("generate", "--source", "folder", "--images", shared / "digits" / "png", *SMALL)
+    assert call(*arguments, "--out", tmp_path / "digits") == 0
+    digits = mnist3d.load(str(tmp_path / "digits"), "test")
+    assert np.bincount(digits.labels).tolist() == [1] * 10
+    assert set(digits.writers.tolist()) <= {1, 2, 4, 5, 6}
+
+
+def test_real_mnist(shared, tmp_path):
+    arguments = ("generate", "--source", "mnist", "--images", shared / "mnist", *SMALL)
+    assert call(*arguments, "--out", tmp_path / "digits", "--quiet") == 0
+    assert len(mnist3d.load(str(tmp_path / "digits"), "test")) == 10
+
+
+def test_join_bodies_gives_one_body_each(tmp_path, capsys):
+    from PIL import Image
+
+    two = np.full((500, 500), 255, np.uint8)
+    two[100:200, 100:400] = two[300:400, 100:400] = 0
+    place = tmp_path / "images" / "2"
+    place.mkdir(parents=True)
+    Image.fromarray(two).save(place / "a.png")
+    options = ("--source", "folder", "--images", tmp_path / "images", "--split", "train", "--quiet", "--workers", "1")
+    assert call("generate", *options, "--out", tmp_path / "apart") == 0
+    assert call("generate", *options, "--join-bodies", "--out", tmp_path / "joined") == 0
+    for name, bodies in (("apart", 2), ("joined", 1)):
+        (digit,) = mnist3d.load(str(tmp_path / name), "train")
+        assert digit.mesh.body_count == bodies
+
+
+def test_help_is_light_and_shows_every_command():
+    script = (
+        "import sys; sys.argv = ['mnist3d', '--help']\n"
+        "from cli.mnist3d import main\n"
+        "try: main()\n"
+        "except SystemExit: pass\n"
+        "heavy = {'scipy', 'skimage', 'trimesh', 'datasets', 'pyarrow', 'manifold3d', 'numpy'} & set(sys.modules)\n"
+        "sys.exit(f'imported {heavy}' if heavy else 0)"
+    )
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    for command in ("generate", "validate", "info", "verify"):
+        assert command in done.stdout
+
+
+def test_version(capsys):
+    assert call("--version") == 0
+    assert capsys.readouterr().out.startswith("tactile-toolkit ")

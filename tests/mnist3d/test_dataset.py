@@ -1,0 +1,154 @@
+from __future__ import annotations
+
+import pickle
+import subprocess
+import sys
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import mnist3d
+from dataset_store.errors import InputError
+from mnist3d.dataset import MeshStream
+from mnist3d.generate import GenerateSpec, generate
+from mnist3d.solid import SolidSpec
+from mnist3d.sources.synthetic import SyntheticSource
+
+ROWS = 40
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory) -> str:
+    path = str(tmp_path_factory.mktemp("digits") / "set")
+    spec = GenerateSpec(SyntheticSource(), SolidSpec(target_vertices=800), per_class=4)
+    generate(spec, path, ("test", "holdout"))
+    return path
+
+
+@pytest.fixture
+def digits(folder):
+    return mnist3d.load(folder, "test")
+
+
+def test_records(digits):
+    assert len(digits) == ROWS
+    assert np.bincount(digits.labels).tolist() == [4] * 10
+    source = SyntheticSource()
+    for digit in digits[::7]:
+        image = source.image(digit.id)
+        assert (digit.label, digit.writer, digit.source) == (image.label, image.writer, "synthetic")
+        assert digit.vertices_m.dtype == np.float32
+        assert digit.faces.dtype == np.int32
+        assert digit.mesh is digit.mesh
+        assert digit.mesh.is_watertight
+        assert digit.mesh.volume == pytest.approx(digit.volume_m3, rel=1e-6)
+        assert f"id={digit.id}" in repr(digit)
+
+
+def test_mesh_is_what_is_stored(digits):
+    digit = digits[0]
+    assert len(digit.mesh.vertices) == len(digit.vertices_m)
+    np.testing.assert_array_equal(digit.mesh.faces, digit.faces)
+    assert pickle.loads(pickle.dumps(digit)).mesh.volume == digit.mesh.volume
+
+
+def test_stream_gives_the_same_records(folder, digits):
+    stream = mnist3d.load(folder, "test", streaming=True)
+    assert isinstance(stream, MeshStream)
+    assert stream.label_names == digits.label_names
+    for streamed, stored in zip(stream, digits, strict=True):
+        assert streamed.id == stored.id
+        np.testing.assert_array_equal(streamed.vertices_m, stored.vertices_m)
+
+
+def test_plain_datasets_reads_the_folder(folder, digits):
+    import datasets
+
+    plain = datasets.load_dataset(folder, split="test")
+    assert plain.features["label"].names == list(digits.label_names)
+    assert plain.column_names[:4] == ["id", "label", "mesh.vertices", "mesh.faces"]
+    assert sorted(datasets.get_dataset_split_names(folder)) == ["holdout", "test"]
+    assert plain["id"][:] == digits.ids.tolist()
+    row = plain.with_format("numpy")[5]
+    np.testing.assert_array_equal(np.stack(row["mesh.vertices"]), digits[5].vertices_m)
+    np.testing.assert_array_equal(np.stack(row["mesh.faces"]), digits[5].faces)
+
+
+def test_nested_spelling_is_read_alike(digits, tmp_path):
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    row = digits[2]
+    struct = pa.array(
+        [{"vertices": row.vertices_m.tolist(), "faces": row.faces.tolist()}],
+        pa.struct(
+            [("vertices", pa.list_(pa.list_(pa.float32()))), ("faces", pa.list_(pa.list_(pa.int32())))]
+        ),
+    )
+    pq.write_table(pa.table({"id": [row.id], "label": [row.label], "mesh": struct}), tmp_path / "train.parquet")
+    nested = mnist3d.load(str(tmp_path), "train")[0]
+    np.testing.assert_array_equal(nested.vertices_m, row.vertices_m)
+    np.testing.assert_array_equal(nested.faces, row.faces)
+    assert nested.writer == -1
+    assert nested.volume_m3 == pytest.approx(row.volume_m3, rel=1e-6)
+
+
+def test_other_columns_are_refused(tmp_path):
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    pq.write_table(pa.table({"id": [1], "text": ["x"]}), tmp_path / "train.parquet")
+    with pytest.raises(InputError, match=r"no data set of meshes: column 'label' is missing \(found id, text\)"):
+        mnist3d.load(str(tmp_path))
+
+
+@pytest.mark.env
+@pytest.mark.filterwarnings("ignore")
+def test_published_loader_reads_every_row(folder):
+    reason = "needs the extra `env` (tactile-mnist, aiohttp)"
+    tactile_mnist = pytest.importorskip("tactile_mnist", reason=reason, exc_type=ImportError)
+    import datasets
+
+    for split in ("test", "holdout"):
+        ours = mnist3d.load(folder, split)
+        theirs = tactile_mnist.SimpleMeshDataset(datasets.load_dataset(folder, split=split))
+        assert len(theirs) == len(ours) == ROWS
+        for mine, point in zip(ours, theirs, strict=True):
+            assert (point.id, point.label) == (mine.id, mine.label)
+            assert point.mesh.volume == pytest.approx(mine.volume_m3, rel=1e-4)
+            np.testing.assert_allclose(point.mesh.bounds, mine.mesh.bounds, atol=1e-7)
+            np.testing.assert_allclose(point.mesh.center_mass, mine.mesh.center_mass, atol=1e-6)
+            assert len(point.mesh.faces) == len(mine.faces)
+
+
+def test_notebook_picture(digits):
+    page = digits[0]._repr_html_()
+    assert page.startswith('<figure><img src="data:image/png;base64,')
+    assert f"digit {digits[0].label}, id {digits[0].id}" in page
+
+
+def test_relief_shows_the_outline(digits):
+    from mnist3d.pictures import relief
+
+    picture = relief(digits[0].vertices_m, digits[0].faces)
+    inked_mm2 = (picture < 255).sum() * 0.04
+    solid = mnist3d.Mesh(digits[0].vertices_m, digits[0].faces).to_manifold()
+    middle_mm2 = solid.project().area()
+    assert inked_mm2 == pytest.approx(middle_mm2, rel=0.05)
+
+
+def test_import_is_light():
+    script = "import sys, mnist3d; print(*sorted({'scipy', 'skimage', 'trimesh', 'datasets'} & set(sys.modules)))"
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == ""
+
+
+def test_public_names_resolve():
+    for name in mnist3d.__all__:
+        assert getattr(mnist3d, name) is not None
+    assert all(first < second for first, second in pairwise(dir(mnist3d)))
+    with pytest.raises(AttributeError, match="no attribute 'nothing'"):
+        _ = mnist3d.nothing
+    assert (Path(mnist3d.__file__).parent / "py.typed").exists()

@@ -1,0 +1,360 @@
+from __future__ import annotations
+
+import os
+import pickle
+import re
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+from PIL import Image
+
+from dataset_store.errors import InputError, ItemError
+from mnist3d.digit import NO_WRITER
+from mnist3d.sources import DigitSource
+from mnist3d.sources.folder import FolderSource, _natural
+
+SHARED = Path(__file__).resolve().parents[2].parent / "shared"
+PICTURES = SHARED / "digits" / "png"
+needs_pictures = pytest.mark.skipif(not PICTURES.is_dir(), reason=f"no real digits in {PICTURES}")
+needs_mnist = pytest.mark.skipif(not (SHARED / "mnist").is_dir(), reason=f"no MNIST files in {SHARED}/mnist")
+
+
+def bar(height: int = 500, width: int = 500) -> NDArray[np.uint8]:
+    """A black bar in the upper left quarter of a white sheet: it tells every turn and every mirror."""
+    sheet = np.full((height, width), 255, np.uint8)
+    sheet[height // 5 : height // 2, width // 5 : width * 2 // 5] = 0
+    return sheet
+
+
+def ink_box(pixels: NDArray[np.uint8]) -> list[int]:
+    rows, columns = np.nonzero(pixels < 128)
+    return [int(rows.min()), int(rows.max()) + 1, int(columns.min()), int(columns.max()) + 1]
+
+
+BOX = ink_box(bar())
+
+
+def save(path: Path, pixels: NDArray[Any] | None = None, **options: Any) -> Path:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    Image.fromarray(bar() if pixels is None else pixels).save(path, **options)
+    return path
+
+
+def read(root: Path, ink: str = "auto") -> NDArray[np.uint8]:
+    made = FolderSource(str(root), ink)
+    assert len(made.catalog()) == 1
+    pixels = made.image(0).pixels
+    assert pixels.shape == (500, 500)
+    assert pixels.dtype == np.uint8
+    return pixels
+
+
+def refusal(made: FolderSource) -> str:
+    with pytest.raises(InputError) as caught:
+        made.catalog()
+    message = str(caught.value)
+    assert "expected" in message
+    assert "; next: " in message
+    return message
+
+
+def item_refusal(root: Path, reason: str, ink: str = "auto") -> str:
+    with pytest.raises(ItemError) as caught:
+        FolderSource(str(root), ink).image(0)
+    assert caught.value.reason == reason
+    assert "expected" in caught.value.message
+    assert "; next: " in caught.value.message
+    return caught.value.message
+
+
+def test_ids_follow_label_then_natural_name(tmp_path: Path) -> None:
+    for name in ("3/b10.png", "3/b2.png", "0/z.jpg", "x_label1_writer12.png", "3/A.PNG", "0/writer7.bmp"):
+        save(tmp_path / name)
+    for name in ("3/.hidden.png", "3/notes.txt", ".git/1.png", "README.md"):
+        (tmp_path / name).parent.mkdir(exist_ok=True)
+        (tmp_path / name).touch()
+    made: DigitSource = FolderSource(str(tmp_path))
+    catalog = made.catalog()
+    assert catalog.ids.tolist() == [0, 1, 2, 3, 4, 5]
+    assert catalog.labels.tolist() == [0, 0, 1, 3, 3, 3]
+    assert catalog.writers.tolist() == [7, NO_WRITER, 12, NO_WRITER, NO_WRITER, NO_WRITER]
+    for digit_id in range(6):
+        digit = made.image(digit_id)
+        assert (digit.id, digit.label) == (digit_id, catalog.labels[digit_id])
+        assert digit.writer == catalog.writers[digit_id]
+
+
+@given(st.lists(st.text("aB.-_109²٣", min_size=1), min_size=2, max_size=6))
+def test_every_set_of_names_has_one_order(names: list[str]) -> None:
+    backwards = names[::-1]
+    assert sorted(names, key=_natural) == sorted(backwards, key=_natural)
+    assert sorted(["p10", "P2", "p1"], key=_natural) == ["p1", "P2", "p10"]
+
+
+@pytest.mark.parametrize("digit_id", [-1, 1])
+def test_unknown_id(tmp_path: Path, digit_id: int) -> None:
+    save(tmp_path / "3" / "a.png")
+    with pytest.raises(ItemError, match=f"no picture {digit_id}, expected 0 to 0") as caught:
+        FolderSource(str(tmp_path)).image(digit_id)
+    assert caught.value.reason == "unknown-id"
+
+
+@pytest.mark.parametrize("suffix", ["png", "bmp", "tif", "tiff", "gif"])
+@pytest.mark.parametrize("light", [False, True])
+def test_black_on_white_comes_back_as_it_is(tmp_path: Path, suffix: str, light: bool) -> None:
+    save(tmp_path / "7" / f"a.{suffix}", 255 - bar() if light else bar())
+    np.testing.assert_array_equal(read(tmp_path), bar())
+    np.testing.assert_array_equal(read(tmp_path, "light" if light else "dark"), bar())
+
+
+@pytest.mark.parametrize("suffix", ["jpg", "jpeg", "webp"])
+def test_lossy_formats(tmp_path: Path, suffix: str) -> None:
+    save(tmp_path / "7" / f"a.{suffix}", quality=90)
+    assert ink_box(read(tmp_path)) == BOX
+
+
+@pytest.mark.parametrize(
+    "mode", ["1", "L", "LA", "P", "RGB", "RGBA", "CMYK", "I", "I;16", "F", "F1", "YCbCr"]
+)
+@pytest.mark.parametrize("light", [False, True])
+def test_every_mode(tmp_path: Path, mode: str, light: bool) -> None:
+    grey = 255 - bar() if light else bar()
+    if mode == "I;16":
+        picture = Image.fromarray(grey.astype(np.uint16) * 257)
+    elif mode.startswith("F"):
+        picture = Image.fromarray(grey.astype(np.float32) / (255 if mode == "F1" else 1))
+    else:
+        picture = Image.fromarray(grey).convert(mode)
+    (tmp_path / "7").mkdir()
+    picture.save(tmp_path / "7" / ("a.tif" if mode in ("CMYK", "YCbCr", "F", "F1", "I") else "a.png"))
+    np.testing.assert_array_equal(read(tmp_path), bar())
+
+
+@pytest.mark.parametrize("mode", ["RGBA", "LA", "P"])
+@pytest.mark.parametrize("ink_level", [0, 255])
+def test_transparent_paper(tmp_path: Path, mode: str, ink_level: int) -> None:
+    """Ink cut out on nothing, whatever colour hides under the transparent pixels."""
+    rgba = np.full((500, 500, 4), ink_level, np.uint8)
+    rgba[..., 3] = 255 - bar()
+    (tmp_path / "7").mkdir()
+    Image.fromarray(rgba).convert(mode).save(tmp_path / "7" / "a.png")
+    np.testing.assert_array_equal(read(tmp_path), bar())
+    np.testing.assert_array_equal(read(tmp_path, "light" if ink_level else "dark"), bar())
+
+
+def test_weak_contrast_is_stretched(tmp_path: Path) -> None:
+    save(tmp_path / "7" / "a.png", np.where(bar() > 0, 190, 120).astype(np.uint8))
+    np.testing.assert_array_equal(read(tmp_path), bar())
+
+
+@pytest.mark.parametrize(
+    ("ink", "level", "expected"), [("auto", 250, 250), ("dark", 9, 9), ("light", 9, 246)]
+)
+def test_an_empty_page_stays_empty(tmp_path: Path, ink: str, level: int, expected: int) -> None:
+    save(tmp_path / "7" / "a.png", np.full((500, 500), level, np.uint8))
+    assert np.unique(read(tmp_path, ink)).tolist() == [expected]
+
+
+def test_ink_that_cannot_be_told_from_paper(tmp_path: Path) -> None:
+    halves = np.repeat(np.array([[0] * 50 + [255] * 50], np.uint8), 100, axis=0)
+    path = save(tmp_path / "7" / "a.png", halves)
+    message = item_refusal(tmp_path, "unclear-ink")
+    assert message.startswith(f"{path}: the ink cannot be told from the paper, found 50% of the margin light")
+    assert ink_box(read(tmp_path, "dark"))[2:] == [0, 250]
+    assert ink_box(read(tmp_path, "light"))[2:] == [250, 500]
+
+
+@pytest.mark.parametrize("turn", range(1, 9))
+def test_exif_orientation_is_followed(tmp_path: Path, turn: int) -> None:
+    undo = {2: 0, 3: 3, 4: 1, 5: 5, 6: 2, 7: 6, 8: 4}
+    stored = Image.fromarray(bar())
+    if turn > 1:
+        stored = stored.transpose(Image.Transpose(undo[turn]))
+    exif = Image.Exif()
+    exif[0x0112] = turn
+    (tmp_path / "7").mkdir()
+    stored.save(tmp_path / "7" / "a.png", exif=exif)
+    np.testing.assert_array_equal(read(tmp_path), bar())
+
+
+@pytest.mark.parametrize("size", [(1000, 1000), (1500, 1500), (250, 250), (100, 100), (30, 30)])
+def test_other_sizes_are_fitted(tmp_path: Path, size: tuple[int, int]) -> None:
+    save(tmp_path / "7" / "a.png", bar(*size))
+    np.testing.assert_allclose(ink_box(read(tmp_path)), BOX, atol=max(1, 150 // size[0]))
+
+
+@pytest.mark.parametrize("size", [(1000, 600), (100, 60)])
+@pytest.mark.parametrize("upright", [True, False])
+def test_aspect_is_kept_and_paper_fills_the_rest(
+    tmp_path: Path, size: tuple[int, int], upright: bool
+) -> None:
+    small = bar(*size) if upright else bar(*size).T
+    save(tmp_path / "7" / "a.png", 255 - small)
+    pixels = read(tmp_path) if upright else read(tmp_path).T
+    assert (pixels[:, :99] == 255).all()
+    assert (pixels[:, 401:] == 255).all()
+    np.testing.assert_allclose(ink_box(pixels), [100, 250, 160, 220], atol=2)
+
+
+def test_extreme_shapes_do_not_fail(tmp_path: Path) -> None:
+    for number, shape in enumerate([(1, 1), (1, 3000), (3000, 1), (2, 2)]):
+        save(tmp_path / "7" / f"{number}.png", np.zeros(shape, np.uint8))
+    for digit_id in range(4):
+        assert FolderSource(str(tmp_path)).image(digit_id).pixels.shape == (500, 500)
+
+
+class TestUnreadable:
+    @pytest.mark.parametrize("content", [b"", b"not a picture"])
+    def test_no_picture(self, tmp_path: Path, content: bytes) -> None:
+        path = save(tmp_path / "7" / "a.png")
+        path.write_bytes(content)
+        message = item_refusal(tmp_path, "unreadable")
+        assert message.startswith(f"{path}: cannot be read as a picture (UnidentifiedImageError: ")
+        assert "cannot identify image file" in message
+
+    @pytest.mark.parametrize("suffix", ["png", "jpg", "bmp", "gif", "tif", "webp"])
+    @pytest.mark.parametrize("share", [0.3, 0.6])
+    def test_cut_off(self, tmp_path: Path, suffix: str, share: float) -> None:
+        noise = np.random.default_rng(0).integers(0, 256, (90, 90), np.uint8)
+        path = save(tmp_path / "7" / f"a.{suffix}", noise)
+        data = path.read_bytes()
+        path.write_bytes(data[: int(len(data) * share)])
+        message = item_refusal(tmp_path, "unreadable")
+        assert str(path) in message
+
+    def test_gone_since_it_was_listed(self, tmp_path: Path) -> None:
+        path = save(tmp_path / "7" / "a.png")
+        (tmp_path / "7" / "b.png").symlink_to("nowhere.png")
+        with pytest.raises(ItemError, match=r"7/b.png: cannot be read as a picture \(FileNotFoundError"):
+            FolderSource(str(tmp_path)).image(1)
+        assert FolderSource(str(tmp_path)).image(0).label == int(path.parent.name)
+
+    def test_too_large_to_be_a_digit(self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+        save(tmp_path / "7" / "a.png")
+        monkeypatch.setattr(Image, "MAX_IMAGE_PIXELS", 200_000)
+        assert "DecompressionBombWarning" in item_refusal(tmp_path, "unreadable")
+
+    def test_not_finite(self, tmp_path: Path) -> None:
+        values = bar().astype(np.float32)
+        values[3, 3] = np.nan
+        path = save(tmp_path / "7" / "a.tif", values)
+        assert item_refusal(tmp_path, "not-finite").startswith(f"{path}: found 1 pixels that are NaN")
+
+    def test_outside_the_grey_scale(self, tmp_path: Path) -> None:
+        path = save(tmp_path / "7" / "a.tif", bar().astype(np.int32) - 9)
+        assert item_refusal(tmp_path, "bad-pixels").startswith(f"{path}: found pixels from -9 to 246")
+
+
+class TestRefusals:
+    def test_no_folder(self, tmp_path: Path) -> None:
+        message = refusal(FolderSource(str(tmp_path / "no")))
+        assert message.startswith(f"{tmp_path}/no: cannot be listed (No such file or directory)")
+
+    def test_a_file(self, tmp_path: Path) -> None:
+        path = save(tmp_path / "a.png")
+        assert refusal(FolderSource(str(path))).startswith(f"{path}: cannot be listed (Not a directory)")
+
+    @pytest.mark.parametrize("folder", [".", "0"])
+    def test_no_picture(self, tmp_path: Path, folder: str) -> None:
+        (tmp_path / folder).mkdir(exist_ok=True)
+        (tmp_path / folder / "notes.txt").touch()
+        message = refusal(FolderSource(str(tmp_path)))
+        assert f"{tmp_path}: found no picture, expected {tmp_path}/<digit>/*.png" in message
+
+    def test_folders_that_are_no_digits(self, tmp_path: Path) -> None:
+        for name in ("0/a.png", "ten/a.png", "10/a.png"):
+            save(tmp_path / name)
+        message = refusal(FolderSource(str(tmp_path)))
+        assert f"{tmp_path}: found the folders '10', 'ten', expected only folders named 0 to 9" in message
+
+    def test_folders_inside_folders(self, tmp_path: Path) -> None:
+        save(tmp_path / "0" / "more" / "a.png")
+        assert f"{tmp_path}: found the folder '0/more', expected pictures only" in refusal(
+            FolderSource(str(tmp_path))
+        )
+
+    def test_names_without_a_label(self, tmp_path: Path) -> None:
+        for number in range(7):
+            save(tmp_path / f"p{number}_label1{number}.png")
+        message = refusal(FolderSource(str(tmp_path)))
+        assert "found pictures without a digit in their names: 'p0_label10.png', " in message
+        assert "'p4_label14.png' and 2 more, expected names with label<digit>" in message
+
+    def test_unknown_ink(self, tmp_path: Path) -> None:
+        save(tmp_path / "0" / "a.png")
+        message = refusal(FolderSource(str(tmp_path), "blue"))
+        assert "ink: found 'blue', expected one of auto, dark, light" in message
+
+
+def test_it_pickles_small_and_works_afterwards(tmp_path: Path) -> None:
+    save(tmp_path / "0" / "a.png")
+    made = FolderSource(str(tmp_path))
+    made.image(0)
+    data = pickle.dumps(made)
+    assert len(data) < 500
+    np.testing.assert_array_equal(pickle.loads(data).image(0).pixels, bar())
+
+
+def test_fingerprint_knows_content_names_and_no_path(tmp_path: Path) -> None:
+    for root in "abcd":
+        save(tmp_path / root / "0" / "x.png")
+        save(tmp_path / root / "1" / "y.png", 255 - bar())
+    (tmp_path / "c" / "1" / "y.png").rename(tmp_path / "c" / "1" / "z.png")
+    save(tmp_path / "d" / "1" / "y.png", bar())
+    prints = [FolderSource(str(tmp_path / root)).fingerprint() for root in "abcd"]
+    assert prints[0] == prints[1]
+    assert len({repr(value) for value in prints}) == 3
+    assert FolderSource(str(tmp_path / "a"), "dark").fingerprint() != prints[0]
+    assert str(tmp_path) not in repr(prints)
+
+
+def test_fingerprint_of_a_file_that_cannot_be_opened(tmp_path: Path) -> None:
+    save(tmp_path / "0" / "a.png")
+    (tmp_path / "0" / "b.png").symlink_to("nowhere.png")
+    with pytest.raises(InputError, match=r"0/b.png: cannot be opened \(No such file or directory\)"):
+        FolderSource(str(tmp_path)).fingerprint()
+
+
+def test_a_changed_folder_is_listed_again(tmp_path: Path) -> None:
+    save(tmp_path / "1" / "b.png")
+    made = FolderSource(str(tmp_path))
+    assert made.catalog().labels.tolist() == [1]
+    save(tmp_path / "0" / "a.png")
+    os.utime(tmp_path / "1", ns=(1, 1))
+    assert made.catalog().labels.tolist() == [0, 1]
+
+
+@needs_pictures
+def test_real_pictures_come_back_as_they_are() -> None:
+    made = FolderSource(str(PICTURES))
+    catalog = made.catalog()
+    assert np.bincount(catalog.labels).tolist() == [49, 50, 49, 47, 50, 50, 48, 49, 40, 41]
+    paths = sorted(PICTURES.glob("*.png"))
+    for digit_id in range(0, 473, 11):
+        digit = made.image(digit_id)
+        found = re.search(r"label(\d)_writer(\d)", paths[digit_id].name)
+        assert found is not None
+        assert (digit.label, digit.writer) == (int(found[1]), int(found[2]))
+        assert catalog.writers[digit_id] == digit.writer
+        with Image.open(paths[digit_id]) as picture:
+            np.testing.assert_array_equal(digit.pixels, np.asarray(picture))
+
+
+@needs_mnist
+def test_mnist_as_pictures_looks_like_mnist(tmp_path: Path) -> None:
+    from mnist3d.sources.idx import IMAGES_MAGIC, read_idx
+    from mnist3d.sources.mnist import MnistSource
+
+    source = MnistSource(str(SHARED / "mnist"))
+    images = read_idx(SHARED / "mnist" / "t10k-images-idx3-ubyte.gz", IMAGES_MAGIC)
+    for digit_id in range(40):
+        save(tmp_path / "0" / f"{digit_id}.png", images[digit_id])
+    made = FolderSource(str(tmp_path))
+    for digit_id in range(40):
+        ours, theirs = (which.image(digit_id).pixels < 128 for which in (made, source))
+        assert (ours != theirs).mean() < 0.01

@@ -1,0 +1,221 @@
+from __future__ import annotations
+
+import hashlib
+import json
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pyarrow.parquet as pq
+import pytest
+
+import mnist3d
+from dataset_store.errors import InputError, SpecMismatchError
+from dataset_store.storage import DataFolder
+from dataset_store.verify import verify
+from mnist3d.generate import GenerateSpec, generate, plan_build
+from mnist3d.rows import mesh_schema
+from mnist3d.solid import SolidSpec
+from mnist3d.sources.synthetic import SyntheticSource
+from mnist3d.splits import SPLITS, SplitSpec
+from tests.dataset_store.toy import folder_bytes
+from tests.mnist3d.sources import BLANK, FULL, UNREADABLE, FlawedSource
+
+ROOT = Path(__file__).resolve().parents[2]
+COARSE = SolidSpec(target_vertices=600)
+
+
+@pytest.fixture(scope="module")
+def flawed(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("flawed") / "set"
+    manifest = generate(GenerateSpec(FlawedSource(), COARSE), str(folder))
+    return folder, manifest
+
+
+def test_every_digit_is_a_row_or_skipped_with_its_reason(flawed):
+    folder, manifest = flawed
+    rows = {split: entry["rows"] + entry["skipped"] for split, entry in manifest.split_table().items()}
+    # Three digits per class: one each for train, test and holdout, none for the printed splits.
+    assert rows == {"train": 10, "test": 10, "holdout": 10}
+    skipped = {item.id: item for receipt in manifest.receipts for item in receipt.skipped}
+    assert {number: item.reason for number, item in skipped.items()} == {
+        BLANK: "no-ink",
+        FULL: "all-ink",
+        UNREADABLE: "unreadable",
+    }
+    assert f"digit {BLANK} of source 'flawed'" in skipped[BLANK].message
+    ids = np.concatenate([mnist3d.load(str(folder), split).ids for split in rows])
+    assert sorted(ids.tolist()) == sorted(set(range(30)) - set(skipped))
+    assert verify(DataFolder(str(folder)), mesh_schema()).ok
+    written = json.loads((folder / "manifest.json").read_text())
+    assert written["skipped"] == {"all-ink": 1, "no-ink": 1, "unreadable": 1}
+
+
+def test_failures_move_no_other_digit(flawed, tmp_path):
+    folder, _ = flawed
+    plan = plan_build(GenerateSpec(FlawedSource(), COARSE), SPLITS)
+    for split in ("train", "test", "holdout"):
+        planned = [i for task in plan.tasks if task.shard.split == split for i in task.ids]
+        made = mnist3d.load(str(folder), split).ids.tolist()
+        assert made == [i for i in planned if i not in (BLANK, FULL, UNREADABLE)]
+
+
+def test_report_has_a_row_per_digit_in_the_order_of_the_data(flawed):
+    folder, manifest = flawed
+    report = pq.read_table(folder / "reports" / "printability.parquet").to_pandas()
+    for split in manifest.splits:
+        digits = mnist3d.load(str(folder), split)
+        rows = report[report.split == split]
+        assert rows.id.tolist() == digits.ids.tolist()
+        np.testing.assert_allclose(rows.volume_mm3 * 1e-9, digits.volumes_m3, rtol=1e-12)
+        heights = [float(np.ptp(digit.vertices_m[:, 2])) * 1000 for digit in digits]
+        np.testing.assert_allclose(rows.size_z_mm, heights, rtol=1e-6)
+    assert report.is_solid.all()
+
+
+def test_rows_are_those_of_solidify(flawed):
+    folder, _ = flawed
+    for digit in mnist3d.load(str(folder), "train"):
+        expected = mnist3d.solidify(FlawedSource().image(digit.id).pixels, COARSE)
+        np.testing.assert_array_equal(digit.vertices_m, expected.vertices_m)
+        np.testing.assert_array_equal(digit.faces, expected.faces)
+        assert digit.label == digit.id // 3
+        assert digit.writer == digit.id % 3
+        assert digit.mesh.is_watertight
+        assert digit.mesh.volume == pytest.approx(digit.volume_m3, rel=1e-6)
+        assert digit.vertices_m[:, 2].min() == 0
+
+
+def test_two_workers_write_the_same_bytes(flawed, tmp_path):
+    folder, _ = flawed
+    generate(GenerateSpec(FlawedSource(), COARSE), str(tmp_path / "set"), workers=2)
+    assert folder_bytes(tmp_path / "set") == folder_bytes(folder)
+
+
+def test_split_by_split_gives_the_same_folder(flawed, tmp_path):
+    folder, _ = flawed
+    for split in ("holdout", "train", "test"):
+        generate(GenerateSpec(FlawedSource(), COARSE), str(tmp_path / "set"), (split,))
+    assert folder_bytes(tmp_path / "set") == folder_bytes(folder)
+
+
+def test_other_spec_is_refused_with_its_difference(flawed):
+    folder, _ = flawed
+    with pytest.raises(SpecMismatchError, match=r"solid\.target_vertices is 600 there, 5000 was asked for"):
+        generate(GenerateSpec(FlawedSource()), str(folder))
+
+
+def test_nothing_to_make_is_named(tmp_path):
+    with pytest.raises(InputError, match=r"no digits to make for printed_test.*--split"):
+        generate(GenerateSpec(FlawedSource(), COARSE), str(tmp_path / "set"), ("printed_test",))
+    assert not (tmp_path / "set").exists()
+    with pytest.raises(InputError, match="unknown split 'validation'"):
+        generate(GenerateSpec(FlawedSource(), COARSE), str(tmp_path / "set"), ("validation",))
+    with pytest.raises(InputError, match="--limit is 0"):
+        GenerateSpec(FlawedSource(), limit=0)
+
+
+def test_shard_sizes_follow_from_the_split_alone():
+    plan = plan_build(GenerateSpec(SyntheticSource()), SPLITS)
+    counts = {split: [t.size for t in plan.tasks if t.shard.split == split] for split in SPLITS}
+    assert {split: sum(sizes) for split, sizes in counts.items()} == {
+        "train": 11_480,
+        "test": 1_000,
+        "holdout": 500,
+        "printed_train": 500,
+        "printed_test": 100,
+    }
+    assert all(max(sizes) <= 256 for sizes in counts.values())
+    assert len(counts["train"]) == 48
+    alone = plan_build(GenerateSpec(SyntheticSource()), ("test",))
+    assert alone.tasks == tuple(task for task in plan.tasks if task.shard.split == "test")
+
+
+COMMAND = (
+    "from cli.mnist3d import main; main()",
+    "generate",
+    "--split-sizes",
+    "train=14",
+    "--split",
+    "train",
+    "--vertices",
+    "600",
+    "--quiet",
+)
+
+
+def run_command(folder: Path, workers: int) -> subprocess.Popen[bytes]:
+    arguments = [sys.executable, "-c", *COMMAND, "--workers", str(workers), "--out", str(folder)]
+    return subprocess.Popen(arguments, cwd=ROOT, stderr=subprocess.PIPE)
+
+
+def finish(process: subprocess.Popen[bytes]) -> None:
+    _, words = process.communicate(timeout=120)
+    assert process.returncode == 0, words.decode()
+
+
+@pytest.fixture(scope="module")
+def unbroken(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("unbroken") / "set"
+    finish(run_command(folder, 1))
+    return folder_bytes(folder)
+
+
+@pytest.mark.parametrize("workers", [1, 2, 4])
+@pytest.mark.parametrize("blow", [signal.SIGKILL, signal.SIGINT])
+def test_stopped_run_goes_on_to_the_same_bytes(unbroken, tmp_path, workers, blow):
+    folder = tmp_path / "set"
+    process = run_command(folder, workers)
+    while process.poll() is None and not list((folder / ".parts").glob("*.json")):
+        time.sleep(0.002)
+    process.send_signal(blow)
+    _, words = process.communicate(timeout=60)
+    if blow == signal.SIGINT:
+        assert process.returncode == 130
+        assert b"the same command goes on" in words
+        assert not list(folder.rglob(".writing-*"))
+    else:
+        assert process.returncode == -signal.SIGKILL
+    assert not json.loads((folder / "manifest.json").read_text())["complete"]
+    kept = {f: f.stat().st_mtime_ns for f in (folder / "data").glob("train-*")}
+    assert kept
+    finish(run_command(folder, workers))
+    assert folder_bytes(folder) == unbroken
+    finished = [f for f, when in kept.items() if f.stat().st_mtime_ns == when]
+    assert finished, "a finished shard was made again"
+
+
+def test_golden_row(tmp_path):
+    """One stored digit, bit for bit: vertices lie on a binary grid, so this holds on every machine."""
+    mesh = mnist3d.solidify(SyntheticSource(0).image(2_019).pixels)
+    content = mesh.vertices_m.astype("<f4").tobytes() + mesh.faces.astype("<i4").tobytes()
+    assert hashlib.sha256(content).hexdigest() == GOLDEN
+
+
+GOLDEN = ""
+
+
+def test_writer_splits_share_no_writer(tmp_path):
+    spec = GenerateSpec(SyntheticSource(count=700), COARSE, SplitSpec(by="writer"), limit=6)
+    generate(spec, str(tmp_path / "set"))
+    homes = [set(mnist3d.load(str(tmp_path / "set"), split).writers.tolist()) for split in SPLITS]
+    assert sum(map(len, homes)) == len(set().union(*homes)) > 0
+
+
+def test_real_digits_in_the_layout_of_hwd(shared, tmp_path):
+    from mnist3d.sources.hwdplus import HwdPlusSource
+
+    layout = shared / "digits" / "hwd_layout"
+    source = HwdPlusSource(str(layout / "Images(500x500).npy"), str(layout / "WriterInfo.npy"), 1)
+    manifest = generate(GenerateSpec(source), str(tmp_path / "set"), workers=2)
+    assert sum(entry["rows"] for entry in manifest.split_table().values()) == 100
+    assert manifest.skipped_reasons() == {}
+    report = pq.read_table(tmp_path / "set" / "reports" / "printability.parquet").to_pandas()
+    assert report.is_solid.all()
+    assert report.size_z_mm.between(6.0, 8.2).all()
+    assert report.vertices.between(4_000, 6_500).mean() > 0.9
+    size = sum(entry["bytes"] for entry in manifest.split_table().values())
+    assert size / 100 <= 60_000

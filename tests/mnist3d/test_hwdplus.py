@@ -1,0 +1,374 @@
+from __future__ import annotations
+
+import pickle
+import re
+import subprocess
+import sys
+import textwrap
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+
+from dataset_store.errors import InputError, ItemError
+from mnist3d.digit import NO_WRITER
+from mnist3d.sources import DigitSource
+from mnist3d.sources.hwdplus import HwdPlusSource
+
+SHARED = Path(__file__).resolve().parents[2].parent / "shared" / "digits"
+needs_shared = pytest.mark.skipif(not SHARED.is_dir(), reason=f"no real digits in {SHARED}")
+
+SIDE = 500
+
+
+def stack(count: int = 3, side: int = SIDE) -> NDArray[np.uint8]:
+    """White sheets with a black bar whose place tells the row, and one pixel of every level."""
+    images = np.full((count, side, side), 255, np.uint8)
+    for row in range(count):
+        images[row, side // 4 : side // 2, side // 5 + row : side // 3 + row] = 0
+        images[row, 0, :side] = np.arange(side) % 256
+    return images
+
+
+def source(
+    folder: Path, images: NDArray[Any] | None = None, info: NDArray[Any] | None = None, **options: Any
+) -> HwdPlusSource:
+    images = stack() if images is None else images
+    info = (
+        np.column_stack([np.arange(len(images)) % 10, np.arange(len(images)) + 40]) if info is None else info
+    )
+    np.save(folder / "Images(500x500).npy", images)
+    np.save(folder / "WriterInfo.npy", info)
+    return HwdPlusSource(str(folder / "Images(500x500).npy"), str(folder / "WriterInfo.npy"), **options)
+
+
+def refusal(made: HwdPlusSource) -> str:
+    with pytest.raises(InputError) as caught:
+        made.catalog()
+    message = str(caught.value)
+    assert "expected" in message
+    assert "; next: " in message
+    return message
+
+
+def test_rows_are_ids_and_pixels_come_back_as_they_are(tmp_path: Path) -> None:
+    images = stack(5)
+    made: DigitSource = source(tmp_path, images)
+    catalog = made.catalog()
+    assert catalog.ids.tolist() == catalog.labels.tolist() == [0, 1, 2, 3, 4]
+    assert set(catalog.writers.tolist()) == {NO_WRITER}
+    for row in range(5):
+        digit = made.image(row)
+        assert (digit.id, digit.label, digit.writer) == (row, row, NO_WRITER)
+        assert digit.pixels.dtype == np.uint8
+        np.testing.assert_array_equal(digit.pixels, images[row])
+
+
+def test_writer_column_names_the_writer(tmp_path: Path) -> None:
+    made = source(tmp_path, writer_column=1)
+    assert made.catalog().writers.tolist() == [40, 41, 42]
+    assert made.image(2).writer == 42
+
+
+@pytest.mark.parametrize("order", ["C", "F"])
+@pytest.mark.parametrize(
+    ("dtype", "scale"),
+    [
+        *((dtype, 1) for dtype in ("u1", "<i2", ">u2", "i8", "u8", "f2", "<f4", ">f8")),
+        *((dtype, 1 / 255) for dtype in ("f4", "f8")),
+    ],
+)
+def test_every_dtype_and_order_gives_the_same_pixels(
+    tmp_path: Path, dtype: str, scale: float, order: str
+) -> None:
+    images = (stack(2) * scale).astype(dtype, order=order)  # type: ignore[call-overload]
+    made = source(tmp_path, images)
+    for row in range(2):
+        np.testing.assert_array_equal(made.image(row).pixels, stack(2)[row])
+
+
+def test_booleans_are_black_and_white(tmp_path: Path) -> None:
+    images = stack(1) > 0
+    np.testing.assert_array_equal(source(tmp_path, images).image(0).pixels, images[0] * np.uint8(255))
+
+
+def test_the_grey_scale_of_floats_is_the_files_not_the_images(tmp_path: Path) -> None:
+    """A black image in a file of 0 to 255 stays black, one in a file of 0 to 1 as well."""
+    images = stack(5).astype(np.float32)
+    images[2] = 1.0
+    assert source(tmp_path, images).image(2).pixels.max() == 1
+    images /= 255
+    images[2] = 200.0
+    with pytest.raises(ItemError, match="found pixels from 200 to 200, expected 0 to 1"):
+        source(tmp_path, images).image(2)
+
+
+@settings(max_examples=20, deadline=None)
+@given(st.lists(st.integers(0, 255), min_size=16, max_size=16))
+def test_float_round_trip_is_exact(tmp_path_factory: pytest.TempPathFactory, levels: list[int]) -> None:
+    image = np.array([*levels, 255, 0] + [128] * 7, np.uint8).reshape(1, 5, 5)
+    from mnist3d.sources.canvas import as_grey
+
+    for full in (1.0, 255.0):
+        values = image[0].astype(np.float32) * np.float32(full / 255)
+        np.testing.assert_array_equal(as_grey(values, full, "here"), image[0])
+
+
+@pytest.mark.parametrize(("row", "value", "reason"), [(1, np.nan, "not-finite"), (2, np.inf, "not-finite")])
+def test_pixels_that_are_not_finite(tmp_path: Path, row: int, value: float, reason: str) -> None:
+    images = stack().astype(np.float32)
+    images[row, 7, 9] = value
+    made = source(tmp_path, images)
+    with pytest.raises(ItemError, match="found 1 pixels that are NaN or infinite") as caught:
+        made.image(row)
+    assert caught.value.reason == reason
+    assert f"Images(500x500).npy, row {row}:" in caught.value.message
+    np.testing.assert_array_equal(made.image(0).pixels, stack()[0])
+
+
+@pytest.mark.parametrize(("dtype", "value"), [("i4", -1), ("u2", 256), ("f4", 255.6), ("f8", -0.6)])
+def test_pixels_outside_the_grey_scale(tmp_path: Path, dtype: str, value: float) -> None:
+    images = stack().astype(dtype)
+    images[1, 4, 4] = value
+    with pytest.raises(ItemError, match=r"row 1: found pixels from .* expected 0 to 255") as caught:
+        source(tmp_path, images).image(1)
+    assert caught.value.reason == "bad-pixels"
+
+
+@pytest.mark.parametrize("digit_id", [-1, 3])
+def test_unknown_row(tmp_path: Path, digit_id: int) -> None:
+    with pytest.raises(ItemError, match=f"row {digit_id}: no such image, expected rows 0 to 2"):
+        source(tmp_path).image(digit_id)
+
+
+def test_other_sizes_are_fitted_onto_the_sheet(tmp_path: Path) -> None:
+    pixels = source(tmp_path, stack(1, 28) // 255 * 255).image(0).pixels
+    assert pixels.shape == (SIDE, SIDE)
+    share = float((pixels < 128).mean())
+    assert share == pytest.approx(float((stack(1, 28) < 128)[:, 1:].mean()), abs=0.05)
+
+
+@pytest.mark.parametrize(
+    "labels",
+    [
+        np.array([3, 0, 9], np.uint8),
+        np.array([3, 0, 9], ">i8"),
+        np.array([3.0, 0.0, 9.0]),
+        np.array(["3", " 0", "9.0"]),
+        np.array([b"3", b"0", b"9 "]),
+        np.array([["3", "x"], ["0", "y"], ["9", "z"]]),
+    ],
+    ids=["u1", "big-endian", "float", "str", "bytes", "str table"],
+)
+def test_labels_of_every_kind(tmp_path: Path, labels: NDArray[Any]) -> None:
+    assert source(tmp_path, info=labels).catalog().labels.tolist() == [3, 0, 9]
+
+
+@pytest.mark.parametrize(
+    ("labels", "found"),
+    [
+        (np.array([0, 10, 11]), "row 1, column 0: found 10, expected a digit from 0 to 9"),
+        (np.array([0, 1, -1]), "row 2, column 0: found -1, expected a digit from 0 to 9"),
+        (np.array([0, 1.5, 2]), "row 1, column 0: found 1.5, expected a whole number"),
+        (np.array([np.nan, 1, 2]), "row 0, column 0: found nan, expected a whole number"),
+        (np.array([1e300, 1, 2]), "row 0, column 0: found 1e+300, expected a whole number"),
+        (np.array(["1", "two", "3"]), "row 1, column 0: found 'two', expected a whole number"),
+        (np.array([b"1", b"\xff", b"3"]), r"row 1, column 0: found b'\xff', expected a whole number"),
+    ],
+)
+def test_labels_that_are_no_digits(tmp_path: Path, labels: NDArray[Any], found: str) -> None:
+    message = refusal(source(tmp_path, info=labels))
+    assert message.startswith(f"{tmp_path}/WriterInfo.npy: {found}; next:")
+
+
+@pytest.mark.parametrize("column", [-1, 0, 2, 99])
+def test_writer_column_that_is_not_there(tmp_path: Path, column: int) -> None:
+    message = refusal(source(tmp_path, writer_column=column))
+    assert f"WriterInfo.npy: writer column {column} is not there, expected 1 to 1" in message
+    assert "the file has 2 columns" in message
+
+
+def test_table_of_labels_alone_has_no_writer_column(tmp_path: Path) -> None:
+    assert "no column of writers" in refusal(source(tmp_path, info=np.arange(3), writer_column=1))
+
+
+def test_writers_that_are_no_numbers(tmp_path: Path) -> None:
+    info = np.array([["1", "7"], ["2", "Ann"], ["3", "8"]])
+    assert "row 1, column 1: found 'Ann'" in refusal(source(tmp_path, info=info, writer_column=1))
+
+
+def test_rows_must_agree(tmp_path: Path) -> None:
+    message = refusal(source(tmp_path, info=np.zeros((4, 2), int)))
+    assert "WriterInfo.npy: found 4 rows, expected 3, one for each image" in message
+    assert "Images(500x500).npy" in message
+
+
+@pytest.mark.parametrize(
+    "images",
+    [
+        np.zeros((3, 500), np.uint8),
+        np.zeros((3, 50, 50, 3), np.uint8),
+        np.zeros((3, 100, 400), np.uint8),
+        np.zeros((0, 500, 500), np.uint8),
+        np.zeros((3, 20, 20), complex),
+        np.full((3, 20, 20), "a"),
+    ],
+)
+def test_arrays_that_are_no_stack_of_images(tmp_path: Path, images: NDArray[Any]) -> None:
+    message = refusal(source(tmp_path, images, np.zeros((3, 2), int)))
+    found = f"Images(500x500).npy: found shape {images.shape} of {images.dtype}, expected (N, 500, 500)"
+    assert found in message
+
+
+@pytest.mark.parametrize("info", [np.zeros((3, 2, 2), int), np.zeros((0, 2)), np.zeros(3, complex)])
+def test_tables_that_are_none(tmp_path: Path, info: NDArray[Any]) -> None:
+    message = refusal(source(tmp_path, info=info))
+    assert f"WriterInfo.npy: found shape {info.shape} of {info.dtype}, expected one row per image" in message
+
+
+@pytest.mark.parametrize("name", ["Images(500x500).npy", "WriterInfo.npy"])
+class TestDamagedFiles:
+    def test_missing(self, tmp_path: Path, name: str) -> None:
+        made = source(tmp_path)
+        (tmp_path / name).unlink()
+        assert refusal(made).startswith(f"{tmp_path}/{name}: no such file, expected a .npy file")
+
+    def test_folder(self, tmp_path: Path, name: str) -> None:
+        made = source(tmp_path)
+        (tmp_path / name).unlink()
+        (tmp_path / name).mkdir()
+        assert "cannot be opened (Is a directory)" in refusal(made)
+
+    @pytest.mark.parametrize("content", [b"", b"PK\x03\x04 a zip archive", b"label,writer\n3,4\n"])
+    def test_something_else(self, tmp_path: Path, name: str, content: bytes) -> None:
+        made = source(tmp_path)
+        (tmp_path / name).write_bytes(content)
+        message = refusal(made)
+        assert f"{name}: is not a .npy file, found {content[:6]!r} at its start, expected" in message
+
+    def test_cut_off(self, tmp_path: Path, name: str) -> None:
+        made = source(tmp_path)
+        made.catalog()
+        whole = (tmp_path / name).stat().st_size
+        with (tmp_path / name).open("r+b") as stream:
+            stream.truncate(whole - 5)
+        message = refusal(made)
+        assert f"{name}: is cut off, found {whole - 5} bytes, expected {whole}" in message
+
+    @pytest.mark.parametrize("kept", [7, 9, 20, 60])
+    def test_cut_off_in_the_header(self, tmp_path: Path, name: str, kept: int) -> None:
+        made = source(tmp_path)
+        (tmp_path / name).write_bytes((tmp_path / name).read_bytes()[:kept])
+        assert f"{name}: the header of this .npy file is damaged" in refusal(made)
+
+    def test_pickled_objects_are_never_loaded(self, tmp_path: Path, name: str) -> None:
+        made = source(tmp_path)
+        np.save(tmp_path / name, np.array([[1, None]] * 3, object), allow_pickle=True)
+        message = refusal(made)
+        assert f"{name}: holds pickled Python objects, expected plain numbers or strings" in message
+
+
+def test_a_replaced_file_is_read_again(tmp_path: Path) -> None:
+    made = source(tmp_path)
+    assert made.catalog().labels.tolist() == [0, 1, 2]
+    source(tmp_path, info=np.array([[7, 1, 1], [8, 1, 1], [9, 1, 1]]))
+    assert made.catalog().labels.tolist() == [7, 8, 9]
+
+
+def test_it_pickles_small_and_works_afterwards(tmp_path: Path) -> None:
+    made = source(tmp_path, writer_column=1)
+    made.image(0)
+    data = pickle.dumps(made)
+    assert len(data) < 600
+    assert pickle.loads(data) == made
+    np.testing.assert_array_equal(pickle.loads(data).image(1).pixels, stack()[1])
+
+
+def test_fingerprint_knows_content_and_no_path(tmp_path: Path) -> None:
+    folders = [tmp_path / name for name in "abcd"]
+    for folder in folders:
+        folder.mkdir()
+    changed = stack()
+    changed[1, 250, 250] ^= 1
+    prints = [
+        source(folders[0]).fingerprint(),
+        source(folders[1]).fingerprint(),
+        source(folders[2], changed).fingerprint(),
+        source(folders[3], writer_column=1).fingerprint(),
+    ]
+    assert prints[0] == prints[1]
+    assert prints[0] != prints[2]
+    assert prints[0] != prints[3]
+    assert prints[0]["shape"] == [3, SIDE, SIDE]
+    assert str(tmp_path) not in repr(prints)
+
+
+def test_fortran_order_has_the_same_content(tmp_path: Path) -> None:
+    plain = source(tmp_path).fingerprint()
+    assert source(tmp_path, np.asfortranarray(stack())).fingerprint() == plain
+
+
+def _sparse_source(folder: Path, count: int, order: str) -> HwdPlusSource:
+    made = source(folder, stack(1), np.zeros((count, 1), np.uint8))
+    with Path(made.images).open("wb") as stream:
+        header = {"descr": "<f8", "fortran_order": order == "F", "shape": (count, SIDE, SIDE)}
+        np.lib.format.write_array_header_1_0(stream, header)
+        stream.truncate(stream.tell() + count * SIDE * SIDE * 8)
+    return made
+
+
+_READ_WITHIN_LIMITS = """
+    import resource, sys
+    from mnist3d.sources.hwdplus import HwdPlusSource
+    made = HwdPlusSource(*sys.argv[1:3])
+    made.catalog(), made.image(0)
+    before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    resource.setrlimit(resource.RLIMIT_AS, (2 << 30, resource.RLIM_INFINITY))
+    made.catalog(), made.fingerprint() if sys.argv[3] == "C" else None
+    for row in range(0, int(sys.argv[4]), int(sys.argv[4]) // 20 if sys.argv[3] == "C" else 99):
+        assert made.image(row).pixels.shape == (500, 500)
+    print((resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before) // 1024)
+"""
+
+
+@pytest.mark.parametrize(("order", "count"), [("C", 3000), ("F", 100)])
+def test_memory_does_not_grow_with_the_file(tmp_path: Path, order: str, count: int) -> None:
+    """6 GB of (sparse) float64 within 2 GB of address space, and within some MB of what one image takes.
+
+    In Fortran order an image touches every page of the file, so there 200 MB have to do.
+    """
+    made = _sparse_source(tmp_path, count, order)
+    command = [sys.executable, "-c", textwrap.dedent(_READ_WITHIN_LIMITS)]
+    done = subprocess.run(
+        [*command, made.images, made.writer_info, order, str(count)],
+        capture_output=True,
+        text=True,
+        check=False,
+        cwd=Path(__file__).parents[2],
+    )
+    assert done.returncode == 0, done.stderr
+    assert int(done.stdout) < 30
+
+
+@needs_shared
+def test_real_layout_equals_the_pictures_of_the_same_digits() -> None:
+    from PIL import Image
+
+    layout = SHARED / "hwd_layout"
+    made = HwdPlusSource(str(layout / "Images(500x500).npy"), str(layout / "WriterInfo.npy"), writer_column=1)
+    catalog = made.catalog()
+    assert np.bincount(catalog.labels).tolist() == [10] * 10
+    pictures = {}
+    for path in sorted((SHARED / "png").glob("*.png")):
+        found = re.fullmatch(r"\d+_label(\d)_writer(\d+)", path.stem)
+        assert found is not None
+        with Image.open(path) as picture:
+            pictures[np.asarray(picture).tobytes()] = (int(found[1]), int(found[2]))
+    for row in catalog.ids.tolist():
+        digit = made.image(row)
+        assert pictures[digit.pixels.tobytes()] == (digit.label, digit.writer)
+        assert digit.writer == catalog.writers[row]

@@ -1,0 +1,425 @@
+from __future__ import annotations
+
+import gc
+import gzip
+import hashlib
+import importlib.util
+import pickle
+import struct
+import sys
+import threading
+from collections.abc import Iterator
+from functools import partial
+from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from dataset_store.errors import HubError, InputError, ItemError, MissingExtraError, StorageError
+from mnist3d.digit import NO_WRITER
+from mnist3d.sources import DigitSource
+from mnist3d.sources.canvas import enlarge, fit
+from mnist3d.sources.mnist import MnistSource, download_mnist
+
+SHARED = Path(__file__).resolve().parents[2].parent / "shared" / "mnist"
+needs_shared = pytest.mark.skipif(not SHARED.is_dir(), reason=f"no MNIST files in {SHARED}")
+
+PREFIXES = {"train": "train", "test": "t10k"}
+
+
+def bars(count: int, seed: int = 0) -> tuple[NDArray[np.uint8], NDArray[np.uint8]]:
+    """White bars on black, of different heights, and labels in a random order."""
+    images = np.zeros((count, 28, 28), np.uint8)
+    for row in range(count):
+        images[row, 4 : 10 + row, 12:16] = 255
+    return images, np.random.default_rng(seed).integers(0, 10, count).astype(np.uint8)
+
+
+def idx(array: NDArray[np.uint8]) -> bytes:
+    return struct.pack(f">{1 + array.ndim}I", 0x800 + array.ndim, *array.shape) + array.tobytes()
+
+
+def name_of(part: str, kind: str, mark: str = "-", end: str = "") -> str:
+    return f"{PREFIXES[part]}-{kind}{mark}idx{3 if kind == 'images' else 1}-ubyte{end}"
+
+
+def write(
+    folder: Path,
+    part: str = "test",
+    images: NDArray[np.uint8] | None = None,
+    labels: NDArray[np.uint8] | None = None,
+    mark: str = "-",
+    end: str = "",
+) -> None:
+    folder.mkdir(parents=True, exist_ok=True)
+    made = bars(4, len(part))
+    contents = {
+        "images": made[0] if images is None else images,
+        "labels": made[1] if labels is None else labels,
+    }
+    for kind, array in contents.items():
+        data = gzip.compress(idx(array)) if end else idx(array)
+        (folder / name_of(part, kind, mark, end)).write_bytes(data)
+
+
+def refusal(made: MnistSource) -> str:
+    with pytest.raises(InputError) as caught:
+        made.catalog()
+    message = str(caught.value)
+    assert "expected" in message
+    assert "; next: " in message
+    return message
+
+
+@pytest.mark.parametrize("end", ["", ".gz"])
+@pytest.mark.parametrize("mark", ["-", "."])
+@pytest.mark.parametrize("folder", [".", "MNIST/raw", "raw"])
+def test_every_layout_gives_the_same_digits(tmp_path: Path, folder: str, mark: str, end: str) -> None:
+    write(tmp_path / folder, mark=mark, end=end)
+    write(tmp_path / "plain")
+    made: DigitSource = MnistSource(str(tmp_path))
+    plain = MnistSource(str(tmp_path / "plain"))
+    assert made.fingerprint() == plain.fingerprint()
+    np.testing.assert_array_equal(made.image(3).pixels, plain.image(3).pixels)
+
+
+def test_files_in_folders_of_their_own_names(tmp_path: Path) -> None:
+    for kind, array in zip(("images", "labels"), bars(2), strict=True):
+        folder = tmp_path / name_of("train", kind)
+        folder.mkdir()
+        (folder / folder.name).write_bytes(idx(array))
+    assert len(MnistSource(str(tmp_path)).catalog()) == 2
+
+
+def test_training_digits_come_before_test_digits(tmp_path: Path) -> None:
+    (first, first_labels), (then, then_labels) = bars(5, 1), bars(3, 2)
+    write(tmp_path, "train", first, first_labels)
+    write(tmp_path, "test", then, then_labels)
+    both, train, test = (MnistSource(str(tmp_path), part) for part in ("auto", "train", "test"))
+    catalog = both.catalog()
+    assert catalog.ids.tolist() == list(range(8))
+    assert catalog.labels.tolist() == [*first_labels, *then_labels]
+    assert set(catalog.writers.tolist()) == {NO_WRITER}
+    assert train.catalog().labels.tolist() == first_labels.tolist()
+    assert test.catalog().ids.tolist() == [0, 1, 2]
+    for digit_id in range(8):
+        source, index = (train, digit_id) if digit_id < 5 else (test, digit_id - 5)
+        digit, alone = both.image(digit_id), source.image(index)
+        assert (digit.id, digit.label, digit.writer) == (digit_id, alone.label, NO_WRITER)
+        np.testing.assert_array_equal(digit.pixels, alone.pixels)
+    assert both.fingerprint() != train.fingerprint() != test.fingerprint()
+
+
+def test_one_part_alone_begins_at_zero(tmp_path: Path) -> None:
+    write(tmp_path, "test")
+    assert MnistSource(str(tmp_path)).catalog().ids.tolist() == [0, 1, 2, 3]
+
+
+@pytest.mark.parametrize("digit_id", [-1, 4])
+def test_unknown_id(tmp_path: Path, digit_id: int) -> None:
+    write(tmp_path)
+    with pytest.raises(ItemError, match=f"no digit {digit_id}, expected 0 to 3") as caught:
+        MnistSource(str(tmp_path)).image(digit_id)
+    assert caught.value.reason == "unknown-id"
+
+
+def test_ink_is_dark_and_where_it_was(tmp_path: Path) -> None:
+    write(tmp_path)
+    pixels = MnistSource(str(tmp_path)).image(2).pixels
+    assert pixels.shape == (500, 500)
+    assert pixels.dtype == np.uint8
+    rows, columns = np.nonzero(pixels < 128)
+    scale = 500 / 28
+    assert pixels[0, 0] == 255
+    assert pixels[pixels < 128].mean() < 10
+    np.testing.assert_allclose([rows.min(), rows.max() + 1], [4 * scale, 12 * scale], atol=4)
+    np.testing.assert_allclose([columns.min(), columns.max() + 1], [12 * scale, 16 * scale], atol=4)
+
+
+def test_it_pickles_small_and_works_afterwards(tmp_path: Path) -> None:
+    write(tmp_path)
+    made = MnistSource(str(tmp_path))
+    before = made.image(0).pixels
+    data = pickle.dumps(made)
+    assert len(data) < 500
+    np.testing.assert_array_equal(pickle.loads(data).image(0).pixels, before)
+
+
+def test_fingerprint_knows_content_and_no_path(tmp_path: Path) -> None:
+    write(tmp_path / "a")
+    write(tmp_path / "b", end=".gz")
+    write(tmp_path / "c", labels=bars(4, 99)[1])
+    a, b, c = (MnistSource(str(tmp_path / name)).fingerprint() for name in "abc")
+    assert a == b != c
+    assert str(tmp_path) not in repr(a)
+
+
+class TestRefusals:
+    def test_no_folder(self, tmp_path: Path) -> None:
+        message = refusal(MnistSource(str(tmp_path / "no")))
+        assert message.startswith(f"{tmp_path}/no: found no such folder, expected train-images-idx3-ubyte")
+
+    def test_nothing_of_mnist(self, tmp_path: Path) -> None:
+        (tmp_path / "notes.txt").touch()
+        message = refusal(MnistSource(str(tmp_path)))
+        assert "found ['notes.txt'], expected train-images-idx3-ubyte or the same with .gz" in message
+        assert "--download" in message
+
+    @pytest.mark.parametrize("kind", ["images", "labels"])
+    def test_half_a_pair(self, tmp_path: Path, kind: str) -> None:
+        write(tmp_path)
+        (tmp_path / name_of("test", kind)).unlink()
+        assert f"expected {name_of('test', kind)} or" in refusal(MnistSource(str(tmp_path)))
+
+    def test_part_that_is_not_there(self, tmp_path: Path) -> None:
+        write(tmp_path)
+        assert "expected train-images-idx3-ubyte" in refusal(MnistSource(str(tmp_path), "train"))
+
+    def test_unknown_part(self, tmp_path: Path) -> None:
+        write(tmp_path)
+        message = refusal(MnistSource(str(tmp_path), "validation"))
+        assert "found 'validation', expected 'train', 'test' or 'auto'" in message
+
+    def test_wrong_magic(self, tmp_path: Path) -> None:
+        write(tmp_path)
+        (tmp_path / name_of("test", "images")).write_bytes(idx(bars(4)[1]) + bytes(99))
+        message = refusal(MnistSource(str(tmp_path)))
+        assert f"{name_of('test', 'images')}: found magic number 2049, expected 2051" in message
+
+    def test_labels_that_are_images(self, tmp_path: Path) -> None:
+        write(tmp_path)
+        (tmp_path / name_of("test", "labels")).write_bytes(idx(bars(4)[0]))
+        assert "found magic number 2051, expected 2049" in refusal(MnistSource(str(tmp_path)))
+
+    @pytest.mark.parametrize("change", [-1, 3])
+    def test_wrong_length(self, tmp_path: Path, change: int) -> None:
+        write(tmp_path)
+        path = tmp_path / name_of("test", "images")
+        path.write_bytes((path.read_bytes() + bytes(9))[: 16 + 4 * 784 + change])
+        message = refusal(MnistSource(str(tmp_path)))
+        assert f"{path}: found {16 + 3136 + change} bytes, expected 3152 for an array of shape" in message
+
+    def test_empty_file(self, tmp_path: Path) -> None:
+        write(tmp_path)
+        (tmp_path / name_of("test", "labels")).write_bytes(b"")
+        assert "is cut off, found 0 bytes, expected a header of 8" in refusal(MnistSource(str(tmp_path)))
+
+    @pytest.mark.parametrize("kept", [5, 40, -4])
+    def test_gzip_cut_off(self, tmp_path: Path, kept: int) -> None:
+        write(tmp_path, end=".gz")
+        path = tmp_path / name_of("test", "images", end=".gz")
+        path.write_bytes(path.read_bytes()[:kept])
+        assert f"{path}: is damaged or cut off" in refusal(MnistSource(str(tmp_path)))
+
+    def test_gzip_damaged(self, tmp_path: Path) -> None:
+        write(tmp_path, end=".gz")
+        path = tmp_path / name_of("test", "labels", end=".gz")
+        data = bytearray(path.read_bytes())
+        data[12] ^= 255
+        path.write_bytes(data)
+        assert f"{path}: is damaged or cut off" in refusal(MnistSource(str(tmp_path)))
+
+    def test_plain_file_named_gz(self, tmp_path: Path) -> None:
+        write(tmp_path, end=".gz")
+        path = tmp_path / name_of("test", "labels", end=".gz")
+        path.write_bytes(idx(bars(4)[1]))
+        assert "expected a whole gzip file" in refusal(MnistSource(str(tmp_path)))
+
+    def test_counts_differ(self, tmp_path: Path) -> None:
+        write(tmp_path, labels=bars(3)[1])
+        message = refusal(MnistSource(str(tmp_path)))
+        assert f"{name_of('test', 'labels')}: found 3 labels for 4 images" in message
+
+    def test_label_that_is_no_digit(self, tmp_path: Path) -> None:
+        write(tmp_path, labels=np.array([1, 2, 10, 11], np.uint8))
+        message = refusal(MnistSource(str(tmp_path)))
+        assert f"{name_of('test', 'labels')}: found label 10 in row 2, expected digits from 0 to 9" in message
+
+    def test_other_image_size(self, tmp_path: Path) -> None:
+        write(tmp_path, images=np.zeros((4, 32, 32), np.uint8))
+        assert "found images of (32, 32) pixels, expected (28, 28)" in refusal(MnistSource(str(tmp_path)))
+
+
+def slanted_edge(slope: float, contrast: float) -> NDArray[np.uint8]:
+    """Draw a half plane of ink, antialiased; contrast above 1 clips its greys, as MNIST's are clipped."""
+    fine = (np.arange(28 * 16) + 0.5) / 16
+    inside = fine[:, None] < 14 + slope * (fine[None, :] - 14)
+    grey = inside.reshape(28, 16, 28, 16).mean(axis=(1, 3))
+    return np.rint(255 * np.clip(0.5 - (grey - 0.5) * contrast, 0, 1)).astype(np.uint8)
+
+
+def blocks(pixels: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """Enlarge to 500 x 500 px by repeating pixels."""
+    index = np.arange(500) * 28 // 500
+    return pixels[np.ix_(index, index)]
+
+
+def edge_error_px(pixels: NDArray[np.uint8], slope: float) -> float:
+    """How far the outline strays from the straight line it should be, away from the border."""
+    from skimage.measure import find_contours
+
+    contour = max(find_contours(pixels.astype(float), 127.5), key=len) + 0.5
+    y, x = contour[(np.abs(contour - 250) < 150).all(axis=1)].T
+    return float(np.abs((y - 250) - slope * (x - 250)).max() / np.hypot(1, slope))
+
+
+@pytest.mark.parametrize("slope", [0.1, 0.25, 0.5, 0.9])
+def test_slanted_edges_have_no_stairs(slope: float) -> None:
+    small = slanted_edge(slope, contrast=1)
+    assert edge_error_px(blocks(small), slope) > 8
+    assert edge_error_px(enlarge(small, (500, 500)), slope) < 1.5
+    clipped = slanted_edge(slope, contrast=2)
+    assert edge_error_px(enlarge(clipped, (500, 500)), slope) < edge_error_px(blocks(clipped), slope) / 2
+
+
+def turns(pixels: NDArray[np.uint8]) -> float:
+    """How often the outline turns around in all, measured in steps of 6 px: 1 for a disc."""
+    from skimage.measure import find_contours
+
+    contour = max(find_contours(np.pad(pixels, 2, constant_values=255).astype(float), 127.5), key=len)
+    length = np.r_[0, np.cumsum(np.hypot(*np.diff(contour, axis=0).T))]
+    at = np.arange(0, length[-1], 6.0)
+    steps = np.diff([np.interp(at, length, contour[:, 0]), np.interp(at, length, contour[:, 1])])
+    angles = np.unwrap(np.arctan2(steps[0], steps[1]))
+    return float(np.abs(np.diff(angles)).sum() / (2 * np.pi))
+
+
+def test_a_disc_stays_a_disc() -> None:
+    y, x = np.mgrid[:28, :28] - 13.5
+    small = np.clip((np.hypot(x, y) - 8 + 0.5) * 255, 0, 255).astype(np.uint8)
+    pixels = enlarge(small, (500, 500))
+    radius = np.sqrt((pixels < 128).sum() / np.pi)
+    assert radius == pytest.approx(8 * 500 / 28, rel=0.02)
+    assert turns(pixels) < 1.25
+    np.testing.assert_array_equal(pixels, pixels.T)
+    np.testing.assert_array_equal(pixels, pixels[::-1, ::-1])
+
+
+@pytest.mark.parametrize("value", [0, 255])
+@pytest.mark.parametrize("shape", [(1, 1), (2, 3), (28, 28), (300, 499)])
+def test_flat_images_stay_flat(value: int, shape: tuple[int, int]) -> None:
+    sheet = fit(np.full(shape, value, np.uint8))
+    assert sheet.shape == (500, 500)
+    inked = int((sheet < 128).sum())
+    assert inked == (0 if value else round(500 * shape[0] / max(shape)) * round(500 * shape[1] / max(shape)))
+
+
+@needs_shared
+class TestRealFiles:
+    def test_labels_count(self) -> None:
+        catalog = MnistSource(str(SHARED)).catalog()
+        expected = [980, 1135, 1032, 1010, 982, 892, 958, 1028, 974, 1009]
+        assert np.bincount(catalog.labels).tolist() == expected
+        assert catalog.labels[:10].tolist() == [7, 2, 1, 0, 4, 1, 4, 9, 5, 9]
+
+    def test_outlines_are_smooth_and_ink_can_be_printed(self) -> None:
+        from scipy.ndimage import distance_transform_edt
+        from skimage.morphology import skeletonize
+
+        source = MnistSource(str(SHARED))
+        raw = gzip.decompress((SHARED / name_of("test", "images", end=".gz")).read_bytes())
+        small = 255 - np.frombuffer(raw, np.uint8, offset=16).reshape(-1, 28, 28)
+        widths, heights, ours, nearest = [], [], [], []
+        for digit_id in range(0, 10_000, 250):
+            pixels = source.image(digit_id).pixels
+            ink = pixels < 128
+            widths.append(np.median(2 * distance_transform_edt(ink)[skeletonize(ink)]))
+            heights.append(np.ptp(np.flatnonzero(ink.any(axis=1))) + 1)
+            ours.append(turns(pixels))
+            nearest.append(turns(blocks(small[digit_id])))
+        assert np.mean(ours) < 4.2
+        assert np.mean(nearest) > 2.5 * np.mean(ours)
+        assert 35 < np.median(widths) < 60
+        assert min(widths) > 20
+        assert max(widths) < 100
+        assert 330 < np.median(heights) < 365
+
+
+def test_download_needs_the_extra(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "torchvision", None)
+    monkeypatch.setitem(sys.modules, "torchvision.datasets", None)
+    with pytest.raises(MissingExtraError, match=r"Downloading MNIST needs .*'torchvision'.*\[torch\]"):
+        download_mnist(str(tmp_path / "new"))
+    assert not (tmp_path / "new").exists()
+
+
+def test_download_is_not_repeated(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "torchvision", None)
+    write(tmp_path, "train")
+    write(tmp_path, "test", end=".gz")
+    download_mnist(str(tmp_path))
+
+
+class _Quiet(SimpleHTTPRequestHandler):
+    def log_message(self, format: str, *args: object) -> None:
+        """Keep the server's log out of the tests' output."""
+
+
+@pytest.fixture
+def mirror(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
+    """A folder behind a web server on this machine that torchvision takes for its only mirror."""
+    from torchvision.datasets import MNIST
+
+    served = tmp_path / "served"
+    for part in PREFIXES:
+        write(served, part, end=".gz")
+    sums = [(path.name, hashlib.md5(path.read_bytes()).hexdigest()) for path in sorted(served.iterdir())]
+    server = ThreadingHTTPServer(("127.0.0.1", 0), partial(_Quiet, directory=str(served)))
+    thread = threading.Thread(target=server.serve_forever)
+    thread.start()
+    monkeypatch.setattr(MNIST, "mirrors", [f"http://127.0.0.1:{server.server_port}/"])
+    monkeypatch.setattr(MNIST, "resources", sums)
+    try:
+        yield served
+    finally:
+        server.shutdown()
+        server.server_close()
+        thread.join()
+
+
+@pytest.mark.torch
+@pytest.mark.skipif(
+    not importlib.util.find_spec("torchvision"), reason="needs torchvision, of the extra torch"
+)
+class TestDownload:
+    def test_files_arrive_where_the_source_finds_them(
+        self, tmp_path: Path, mirror: Path, capsys: pytest.CaptureFixture[str]
+    ) -> None:
+        root = tmp_path / "new" / "mnist"
+        download_mnist(str(root))
+        assert MnistSource(str(root)).fingerprint() == MnistSource(str(mirror)).fingerprint()
+        assert [path.name for path in root.iterdir()] == ["MNIST"]
+        assert capsys.readouterr().out == ""
+
+    # urllib leaves the connection of a refused request to the garbage collector, which complains.
+    @pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")
+    def test_a_missing_file_leaves_nothing_behind(self, tmp_path: Path, mirror: Path) -> None:
+        (mirror / name_of("test", "labels", end=".gz")).unlink()
+        root = tmp_path / "new"
+        with pytest.raises(HubError) as caught:
+            download_mnist(str(root))
+        message = str(caught.value)
+        assert message.startswith(
+            "MNIST could not be downloaded (Error downloading t10k-labels-idx1-ubyte.gz: "
+        )
+        assert "404" in message
+        assert "expected its four files from ['http://127.0.0.1:" in message
+        assert "next: check the network" in message
+        assert list(root.iterdir()) == []
+        del caught
+        gc.collect()
+
+    def test_a_damaged_file_leaves_nothing_behind(self, tmp_path: Path, mirror: Path) -> None:
+        path = mirror / name_of("train", "images", end=".gz")
+        path.write_bytes(path.read_bytes()[:-9])
+        with pytest.raises(HubError, match="nothing was kept"):
+            download_mnist(str(tmp_path / "new"))
+        assert list((tmp_path / "new").iterdir()) == []
+
+    def test_a_folder_that_cannot_be_made(self, tmp_path: Path, mirror: Path) -> None:
+        (tmp_path / "file").touch()
+        with pytest.raises(StorageError, match=r"file: MNIST could not be stored there .* expected a folder"):
+            download_mnist(str(tmp_path / "file"))
+        assert mirror.is_dir()
