@@ -29,7 +29,7 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 import numpy as np
 
 from dataset_store.shards import encode_parquet
-from mnist3d.generate import GenerateSpec, generate, make_row
+from mnist3d.generation import GenerateSpec, generate, make_row
 from mnist3d.printability import inspect
 from mnist3d.rows import PARQUET_STYLE, MeshRow, mesh_table
 from mnist3d.solid import SolidSpec, solidify

@@ -1,4 +1,4 @@
-"""How well a nearest-neighbour reader reads synthetic digits, and real ones after learning from synthetic ones.
+"""How well a nearest-neighbour reader reads synthetic digits, and real digits after learning from them.
 
 Run ``python benchmarks/recognition.py``. Four figures are printed, each with its confusion table:
 
@@ -231,7 +231,9 @@ def _show(reading: Reading) -> None:
 def _arguments(argv: list[str] | None) -> argparse.Namespace:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
     parser.add_argument("--mnist", type=Path, default=SHARED / "mnist", help="folder of the t10k idx files")
-    parser.add_argument("--digits", type=Path, default=SHARED / "digits", help="folder of png/NNNN_labelD_writerW.png")
+    parser.add_argument(
+        "--digits", type=Path, default=SHARED / "digits", help="folder of png/NNNN_labelD_writerW.png"
+    )
     parser.add_argument("--seed", type=int, default=0, help="seed of the synthetic source")
     parser.add_argument("--json", action="store_true", help="print one JSON document instead of tables")
     return parser.parse_args(argv)

@@ -18,7 +18,7 @@ from cli.output import Sink, bytes_text, duration_text
 if TYPE_CHECKING:
     from dataset_store.build import Progress
     from dataset_store.manifest import Manifest
-    from mnist3d.generate import GenerateSpec
+    from mnist3d.generation import GenerateSpec
     from mnist3d.sources import DigitSource
     from mnist3d.summary import SplitSummary
 
@@ -145,7 +145,7 @@ def generate(
 
     A run that was stopped goes on when the same command is given again; finished shards are never made twice.
     """
-    from mnist3d.generate import GenerateSpec
+    from mnist3d.generation import GenerateSpec
     from mnist3d.solid import SolidSpec
     from mnist3d.splits import SPLITS, SplitSpec
 
@@ -322,7 +322,7 @@ def _sizes(text: str | None) -> tuple[tuple[str, int], ...] | None:
 def _run_generate(
     sink: Sink, spec: GenerateSpec, out: Path, splits: tuple[str, ...], workers: int, overwrite: bool
 ) -> None:
-    from mnist3d.generate import generate as make
+    from mnist3d.generation import generate as make
 
     start_s = time.monotonic()
     made = 0

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from mnist3d.dataset import MeshDataset, MeshRecord, MeshStream, load
     from mnist3d.digit import DigitCatalog, DigitImage
-    from mnist3d.generate import GenerateSpec, generate
+    from mnist3d.generation import GenerateSpec, generate
     from mnist3d.mesh import Mesh
     from mnist3d.meshfile import read_mesh, write_mesh
     from mnist3d.printability import PrintProfile, PrintReport, inspect
@@ -47,7 +47,7 @@ __all__ = [
 _HOMES = {
     "dataset": ("MeshDataset", "MeshRecord", "MeshStream", "load"),
     "digit": ("DigitCatalog", "DigitImage"),
-    "generate": ("GenerateSpec", "generate"),
+    "generation": ("GenerateSpec", "generate"),
     "mesh": ("Mesh",),
     "meshfile": ("read_mesh", "write_mesh"),
     "printability": ("PrintProfile", "PrintReport", "inspect"),
@@ -58,6 +58,7 @@ _HOMES = {
 
 
 def __getattr__(name: str) -> Any:
+    # No sub-module may bear the name of something public: importing it would shadow that.
     for home, names in _HOMES.items():
         if name in names:
             return getattr(import_module(f"mnist3d.{home}"), name)

@@ -75,8 +75,8 @@ def distances_to_surface_mm(
 ) -> NDArray[np.float64]:
     """Measure from points to the nearest point of a surface.
 
-    The exact distance to the nearest of a few triangles, which a dense sample of the surface proposes; it can only err
-    upwards.
+    The exact distance to the nearest of a few triangles, which a dense sample of the surface proposes; it
+    can only err upwards.
 
     Parameters
     ----------
@@ -93,7 +93,7 @@ def distances_to_surface_mm(
         Millimetres.
     """
     from scipy.spatial import cKDTree
-    from trimesh.triangles import closest_point
+    from trimesh import triangles
 
     samples, face_of = sample_surface_mm(mesh, SAMPLES_PER_FACE * len(mesh.faces), rng)
     corners = _corners_mm(mesh)
@@ -102,7 +102,8 @@ def distances_to_surface_mm(
     _, nearest = cKDTree(samples).query(points_mm, k=CANDIDATES)
     faces = face_of[nearest.ravel()]
     targets = np.repeat(points_mm, CANDIDATES, axis=0)
-    closest: Any = closest_point(corners[faces], targets)
+    find_closest: Any = triangles.closest_point
+    closest = find_closest(corners[faces], targets)
     return np.asarray(np.linalg.norm(closest - targets, axis=1).reshape(-1, CANDIDATES).min(axis=1))
 
 

@@ -13,9 +13,7 @@ if TYPE_CHECKING:
 __all__ = ["distance_px", "signed_distance_px"]
 
 
-def signed_distance_px(
-    mask: NDArray[np.bool_], inside_px: float, outside_px: float
-) -> NDArray[np.float32]:
+def signed_distance_px(mask: NDArray[np.bool_], inside_px: float, outside_px: float) -> NDArray[np.float32]:
     """Measure how far each pixel centre lies from the outline of the ink.
 
     The outline runs between pixels, half a pixel from the centres on either side of it.
@@ -40,9 +38,9 @@ def signed_distance_px(
 def distance_px(mask: NDArray[np.bool_], reach_px: float) -> NDArray[np.float32]:
     """Measure how far each marked pixel centre lies from the nearest unmarked one.
 
-    Exact up to ``reach_px`` and that value beyond. First along the columns, then over the offsets of the rows
-    (Felzenszwalb and Huttenlocher 2012 write the transform that way); with a short reach plain passes over small
-    integers beat their lower envelope.
+    Exact up to ``reach_px`` and that value beyond. First along the columns, then over the offsets of the
+    rows (Felzenszwalb and Huttenlocher 2012 write the transform that way); with a short reach plain passes
+    over small integers beat their lower envelope.
 
     Parameters
     ----------
@@ -68,7 +66,7 @@ def distance_px(mask: NDArray[np.bool_], reach_px: float) -> NDArray[np.float32]
         np.minimum(padded[:, left : left + width], padded[:, right : right + width], out=beside)
         beside += np.int16(offset * offset)
         np.minimum(squared, beside, out=squared)
-    return np.minimum(np.sqrt(squared, dtype=np.float32), np.float32(reach_px))
+    return np.asarray(np.minimum(np.sqrt(squared, dtype=np.float32), np.float32(reach_px)))
 
 
 def _column_distance(mask: NDArray[np.bool_], reach: int) -> NDArray[np.int16]:

@@ -9,7 +9,7 @@ from typing import Any
 
 from dataset_store.errors import ItemError
 from dataset_store.shards import encode_parquet
-from mnist3d.generate import GenerateSpec, inspect_out, make_row, plan_build
+from mnist3d.generation import GenerateSpec, inspect_out, make_row, plan_build
 from mnist3d.rows import PARQUET_STYLE, mesh_table
 
 __all__ = ["Forecast", "SplitForecast", "forecast"]
@@ -64,7 +64,7 @@ def forecast(spec: GenerateSpec, out: str, splits: Sequence[str], workers: int) 
     Raises
     ------
     InputError
-        As :func:`mnist3d.generate.generate`.
+        As :func:`mnist3d.generation.generate`.
     """
     plan = plan_build(spec, splits)
     todo = {task.shard for task in inspect_out(spec, out, splits).todo}

@@ -109,7 +109,7 @@ def clean(
             break
     if not mask.any():
         message = f"no piece of ink is as large as {min_speck_mm2} mm^2 (min_speck_mm2); expected a digit"
-        raise ItemError("no-ink", message)
+        raise ItemError(reason="no-ink", message=message)
     return mask
 
 
@@ -161,29 +161,29 @@ def _as_levels(pixels: NDArray[Any]) -> NDArray[np.uint8]:
     image = np.asarray(pixels)
     if image.ndim != 2 or min(image.shape) < MIN_SIDE_PX:
         message = f"the image has shape {image.shape}; expected (H, W) with sides of {MIN_SIDE_PX} px or more"
-        raise ItemError("bad-shape", message)
+        raise ItemError(reason="bad-shape", message=message)
     if image.dtype == np.uint8:
         return image
     if image.dtype.kind not in "iuf":
         message = f"the image has dtype {image.dtype}; expected uint8 grey levels"
-        raise ItemError("bad-dtype", message)
+        raise ItemError(reason="bad-dtype", message=message)
     if not np.isfinite(image).all():
         bad = int((~np.isfinite(image)).sum())
         message = f"{bad} pixels of the image are NaN or infinite; expected grey levels from 0 to 255"
-        raise ItemError("not-finite", message)
+        raise ItemError(reason="not-finite", message=message)
     if image.min() < 0 or image.max() > 255:
         message = f"grey levels run from {image.min()} to {image.max()}; expected 0 (ink) to 255 (paper)"
-        raise ItemError("bad-range", message)
+        raise ItemError(reason="bad-range", message=message)
     return np.round(image).astype(np.uint8)
 
 
 def _refuse_blank(mask: NDArray[np.bool_]) -> None:
     if not mask.any():
         message = "no pixel is dark enough to be ink; expected a digit"
-        raise ItemError("no-ink", message)
+        raise ItemError(reason="no-ink", message=message)
     if mask.all():
         message = "every pixel is dark enough to be ink; expected a digit on lighter paper"
-        raise ItemError("all-ink", message)
+        raise ItemError(reason="all-ink", message=message)
 
 
 def _drop_small(mask: NDArray[np.bool_], min_px: float, *, keep_border: bool) -> NDArray[np.bool_]:

@@ -1,8 +1,9 @@
 """The fast way to the same solid: one distance transform, one lattice as fine as the vertex budget allows.
 
-The distance of every pixel from the outline holds all erosions at once. The solid is evaluated as a real-valued
-depth on a lattice several pixels wide, so its zero is found between the nodes. Only the upper half is made; its
-surface ends in the mid-plane and is mirrored as it is, which makes the mesh symmetric to the last bit.
+The distance of every pixel from the outline holds all erosions at once. The solid is evaluated as a
+real-valued depth on a lattice several pixels wide, so its zero is found between the nodes. Only the upper
+half is made; its surface ends in the mid-plane and is mirrored as it is, which makes the mesh symmetric to
+the last bit.
 """
 
 from __future__ import annotations
@@ -18,7 +19,7 @@ from mnist3d.distance import signed_distance_px
 from mnist3d.ink import count_bodies_and_holes, repair_corners
 from mnist3d.profile import half_height, occupancy
 from mnist3d.steps import marching_cubes, scale, smooth
-from mnist3d.storage_order import storage_order
+from mnist3d.storage_order import in_storage_order
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -28,12 +29,32 @@ if TYPE_CHECKING:
 
 __all__ = ["PlaneLattice", "fit_lattice", "lattice_solid", "mirror_surface"]
 
-BLUR_PER_PITCH = 0.35
-REFINEMENT = 0.8
-NUDGE = 0.03
 FIRST_PITCH_PX = 4.0
-PHASES = ((0.0, 0.0), (0.5, 0.5), (0.5, 0.0), (0.0, 0.5))
 LARGEST_PITCH_PX = 8.0
+REFINEMENT = 0.8
+"""A lattice that loses a gap, a neck or a hole is followed by one this much finer."""
+
+PHASES = ((0.0, 0.0), (0.5, 0.5), (0.5, 0.0), (0.0, 0.5))
+"""Offsets tried at each pitch: a gap that one lattice misses may meet the nodes of another."""
+
+BLUR_PER_PITCH = 0.25
+RIDGE_BLUR_PER_PITCH = 0.6
+RIDGE_DEPTH_PER_PITCH = 1.0
+"""Blur near the outline, blur in the depth, and where the one passes into the other.
+
+Distances grow evenly with the depth, so a blur changes nothing there but the ridge of a narrow stroke, whose
+height would otherwise go up and down with the places of the nodes.
+"""
+
+NUDGE = 0.03
+"""Least depth of a node in pitches: it keeps the vertices on the edges around a node apart."""
+
+CHORD_LOSS = 0.11
+"""How far the surface is set outward, in pitch^2 / R.
+
+Triangles with corners on a cylinder of radius R lie inside it by this much on average: 1/12 to 1/8 by geometry,
+this value as measured on 20 of the real digits against the literal solid.
+"""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -78,22 +99,21 @@ def lattice_solid(mask: NDArray[np.bool_], spec: SolidSpec) -> Mesh:
     counts = count_bodies_and_holes(crop)
     distance = signed_distance_px(crop, math.ceil(spec.half_thickness_px) + 4, 2 * LARGEST_PITCH_PX)
     for lattice in _lattices(distance, spec):
-        if count_bodies_and_holes_of(lattice) != counts:
+        if not _may_hold(lattice, counts):
             continue
-        vertices, faces = _upper_surface(lattice, spec)
-        whole_vertices, whole_faces = mirror_surface(vertices, faces)
-        if _euler_number(whole_vertices, whole_faces) == 2 * (counts[0] - counts[1]):
-            corner = np.float32([lattice.first_px[0] + top, lattice.first_px[1] + left, 0])
-            return scale(whole_vertices + corner, whole_faces, (mask.shape[0], mask.shape[1]), spec)
+        vertices, faces = mirror_surface(*_upper_surface(lattice, spec))
+        if _bodies_and_holes(vertices, faces) == counts:
+            corner = np.array([lattice.first_px[0] + top, lattice.first_px[1] + left, 0], dtype=np.float32)
+            return scale(vertices + corner, faces, (mask.shape[0], mask.shape[1]), spec)
     message = f"no lattice keeps the {counts[0]} bodies and {counts[1]} holes of the ink"
-    raise ItemError("topology", message)
+    raise ItemError(reason="topology", message=message)
 
 
 def fit_lattice(distance: NDArray[np.float32], spec: SolidSpec) -> float:
     """Find the pitch at which marching cubes will meet the vertex budget.
 
-    A vertex lies on every edge of the lattice that passes through the surface, so their number is known before the
-    surface is made, and it falls with the square of the pitch.
+    A vertex lies on every edge of the lattice that passes through the surface, so their number is known
+    before the surface is made, and it falls with the square of the pitch.
 
     Parameters
     ----------
@@ -135,16 +155,16 @@ def mirror_surface(
     off_plane = vertices[:, 2] != 0
     image = np.arange(len(vertices), dtype=np.int32)
     image[off_plane] = len(vertices) + np.arange(np.count_nonzero(off_plane), dtype=np.int32)
-    lower = vertices[off_plane] * np.float32([1, 1, -1])
-    return np.concatenate([vertices, lower]), np.concatenate([faces, image[faces][:, ::-1]])
+    lower = vertices[off_plane] * np.array([1, 1, -1], dtype=np.float32)
+    return np.concatenate([vertices, lower]), np.concatenate([faces, image[faces][:, [0, 2, 1]]])
 
 
-def count_bodies_and_holes_of(lattice: PlaneLattice) -> tuple[int, int] | None:
-    """Count what marching cubes will make of a lattice; None where a corner contact leaves it open."""
+def _may_hold(lattice: PlaneLattice, counts: tuple[int, int]) -> bool:
+    """Look at the signs in the mid-plane, which settle the matter unless inked nodes touch at a corner."""
     inside = lattice.s_px > 0
-    if not np.array_equal(repair_corners(inside), inside):
-        return None
-    return count_bodies_and_holes(inside)
+    if np.array_equal(repair_corners(inside), inside):
+        return count_bodies_and_holes(inside) == counts
+    return bool(inside.any())
 
 
 def _lattices(distance: NDArray[np.float32], spec: SolidSpec) -> Any:
@@ -166,18 +186,34 @@ def _sample(
 ) -> PlaneLattice:
     rows = np.arange(phase[0] * pitch, distance.shape[0] - 1, pitch)
     columns = np.arange(phase[1] * pitch, distance.shape[1] - 1, pitch)
-    down = _weights(rows, distance.shape[0], blur * pitch)
-    across = _weights(columns, distance.shape[1], blur * pitch)
-    return PlaneLattice(down @ distance @ across.T, pitch, (float(rows[0]), float(columns[0])))
+    s = _blurred(distance, rows, columns, blur * pitch)
+    ridge = _blurred(distance, rows, columns, RIDGE_BLUR_PER_PITCH * pitch)
+    share = np.clip(s / np.float32(RIDGE_DEPTH_PER_PITCH * pitch) - 1, 0, 1)
+    return PlaneLattice(s + share * (ridge - s), pitch, (float(rows[0]), float(columns[0])))
+
+
+def _blurred(
+    distance: NDArray[np.float32], rows: NDArray[np.float64], columns: NDArray[np.float64], sigma: float
+) -> NDArray[np.float32]:
+    down = _weights(rows, distance.shape[0], sigma)
+    across = _weights(columns, distance.shape[1], sigma)
+    return np.asarray(down @ distance @ across.T)
 
 
 def _weights(nodes: NDArray[np.float64], count: int, sigma: float) -> NDArray[np.float32]:
+    # Twice a Gaussian less a wider one: it lets the waves pass that a Gaussian wears down, so that tips,
+    # notches and ridges lose less than half as much, and still holds back what the lattice cannot carry.
+    narrow, wide = _gaussian(nodes, count, sigma), _gaussian(nodes, count, sigma * math.sqrt(2))
+    return np.asarray(2 * narrow - wide, dtype=np.float32)
+
+
+def _gaussian(nodes: NDArray[np.float64], count: int, sigma: float) -> NDArray[np.float32]:
     weights = np.exp(-0.5 * ((nodes[:, None] - np.arange(count)) / sigma) ** 2)
-    return (weights / weights.sum(axis=1, keepdims=True)).astype(np.float32)
+    return np.asarray(weights / weights.sum(axis=1, keepdims=True), dtype=np.float32)
 
 
 def _heights(pitch: float, spec: SolidSpec) -> NDArray[np.float32]:
-    return np.arange(0, spec.half_thickness_px + 2 * pitch, pitch, dtype=np.float32)
+    return np.arange(0, spec.half_thickness_px + 2 * pitch, pitch).astype(np.float32)
 
 
 def _crossed_edges(lattice: PlaneLattice, spec: SolidSpec) -> int:
@@ -186,27 +222,32 @@ def _crossed_edges(lattice: PlaneLattice, spec: SolidSpec) -> int:
     beside = np.abs(np.diff(layers, axis=0)).sum() + np.abs(np.diff(layers, axis=1)).sum()
     inked = layers > 0
     rim = np.count_nonzero(inked[1:] != inked[:-1]) + np.count_nonzero(inked[:, 1:] != inked[:, :-1])
-    return 2 * int(beside + np.count_nonzero(inked)) - rim
+    return int(2 * (beside + np.count_nonzero(inked)) - rim)
 
 
-def _upper_surface(
-    lattice: PlaneLattice, spec: SolidSpec
-) -> tuple[NDArray[np.float32], NDArray[np.int32]]:
+def _upper_surface(lattice: PlaneLattice, spec: SolidSpec) -> tuple[NDArray[np.float32], NDArray[np.int32]]:
     pitch = lattice.pitch_px
-    depth = occupancy(
-        lattice.s_px[:, :, None], _heights(pitch, spec), spec.half_thickness_px, spec.profile
-    )
+    depth = occupancy(lattice.s_px[:, :, None], _heights(pitch, spec), spec.half_thickness_px, spec.profile)
+    depth += np.float32(CHORD_LOSS * pitch**2 / spec.half_thickness_px)
     least = np.float32(NUDGE * pitch)
     depth = np.where(np.abs(depth) < least, np.where(depth > 0, least, -least), depth)
     vertices, faces = marching_cubes(depth, 0.0, (pitch, pitch, pitch))
-    vertices, faces = storage_order(vertices, faces)
+    faces = in_storage_order(faces)
     moved = smooth(vertices, faces, spec.smoothing_iterations, spec.smoothing_factor, vertices[:, 2] == 0)
     return np.asarray(moved, dtype=np.float32), faces
 
 
-def _euler_number(vertices: NDArray[np.float32], faces: NDArray[np.int32]) -> int:
-    # Every edge of a closed surface borders two triangles.
-    return len(vertices) - len(faces) // 2
+def _bodies_and_holes(vertices: NDArray[np.float32], faces: NDArray[np.int32]) -> tuple[int, int]:
+    from scipy import sparse
+    from scipy.sparse import csgraph
+
+    weights = np.ones(2 * len(faces), dtype=np.int8)
+    ends, others = faces[:, [0, 1]].ravel(), faces[:, [1, 2]].ravel()
+    links = sparse.coo_matrix((weights, (ends, others)), shape=(len(vertices), len(vertices)))
+    bodies = int(csgraph.connected_components(links, directed=False)[0])
+    # Every edge of a closed surface borders two triangles, so V - E + F is V - F / 2.
+    euler = len(vertices) - len(faces) // 2
+    return bodies, bodies - euler // 2
 
 
 def _crop(mask: NDArray[np.bool_], margin_px: int) -> tuple[tuple[int, int], NDArray[np.bool_]]:

@@ -1,7 +1,7 @@
 """The solid as the algorithm is printed: the oracle that the fast way is held to.
 
-Binary layers at full resolution, marching cubes on the binary stack, smoothing, and only then a decimation to the
-vertex budget. Slow and plain on purpose.
+Binary layers at full resolution, marching cubes on the binary stack, smoothing, and only then a decimation
+to the vertex budget. Slow and plain on purpose.
 """
 
 from __future__ import annotations

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 __all__ = ["FORMATS", "merge_equal_vertices", "read_mesh", "write_mesh"]
 
 FORMATS = (".stl", ".3mf", ".ply", ".obj", ".glb")
-"""Millimetres in all of them (3MF: whatever unit the file names), except GLB, whose specification says metres."""
+"""Millimetres in all of them (3MF: the unit that the file names), except GLB, which is metres."""
 
 _BROKEN = (ValueError, KeyError, IndexError, TypeError, zipfile.BadZipFile, ElementTree.ParseError, EOFError)
 
@@ -37,8 +37,8 @@ def read_mesh(path: str | Path) -> Mesh:
     Returns
     -------
     Mesh
-        Metres, float64. Vertices at the very same place are merged, except in 3MF, whose faces have to name shared
-        corners themselves.
+        Metres, float64. Vertices at the very same place are merged, except in 3MF, whose faces have to name
+        shared corners themselves.
 
     Raises
     ------
@@ -51,7 +51,9 @@ def read_mesh(path: str | Path) -> Mesh:
     try:
         vertices, faces = _parse(data, ending)
     except _BROKEN as error:
-        message = f"{path}: no readable {ending[1:].upper()} file ({_story(error)}); next: export the mesh again"
+        message = (
+            f"{path}: no readable {ending[1:].upper()} file ({_story(error)}); next: export the mesh again"
+        )
         raise InputError(message) from error
     if not len(faces):
         message = f"{path}: the file holds no triangle; expected a closed surface"
@@ -84,7 +86,9 @@ def write_mesh(path: str | Path, mesh: Mesh) -> None:
         partial.replace(path)
     except OSError as error:
         partial.unlink(missing_ok=True)
-        message = f"{path}: cannot be written ({error.strerror}); next: choose a folder with room and permission"
+        message = (
+            f"{path}: cannot be written ({error.strerror}); next: choose a folder with room and permission"
+        )
         raise StorageError(message) from error
 
 

@@ -115,8 +115,8 @@ class PrintReport:
     size_mm : tuple of float
         Bounding box along x, y, z.
     thinnest_wall_mm : float
-        Narrowest wall of the section at half height, at most the height. NaN for a mesh that is no solid, as the
-        next two.
+        Narrowest wall of the section at half height, at most the height. NaN for a mesh that is no solid,
+        as the next two.
     overhang_mm2 : float
         Area that leans out too far and does not rest on the bed.
     contact_mm2 : float
@@ -224,9 +224,7 @@ def _refusal(sound: Soundness, counts: dict[str, int]) -> PrintReport:
     )
 
 
-def _overhang_mm2(
-    vertices_mm: NDArray[np.float64], faces: NDArray[np.int32], profile: PrintProfile
-) -> float:
+def _overhang_mm2(vertices_mm: NDArray[np.float64], faces: NDArray[np.int32], profile: PrintProfile) -> float:
     heights = vertices_mm[:, 2]
     aloft = (heights > heights.min() + profile.layer_height_mm)[faces].any(axis=1)
     a, b, c = np.moveaxis(vertices_mm[faces[aloft]], 1, 0)

@@ -1,8 +1,8 @@
 """From a digit image to a printable solid.
 
-:func:`solidify` is all that most readers need. The steps it takes carry the names of the published algorithm and can be
-called one by one: :func:`erode`, :func:`stack`, :func:`mirror`, :func:`marching_cubes`, :func:`smooth`,
-:func:`scale`.
+:func:`solidify` is all that most readers need. The steps it takes carry the names of the published
+algorithm and can be called one by one: :func:`erode`, :func:`stack`, :func:`mirror`,
+:func:`marching_cubes`, :func:`smooth`, :func:`scale`.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """Whether triangles bound a solid: manifold3d's verdict and the questions it leaves open.
 
-manifold3d checks how triangles are joined. A mesh that is inside out, or whose bodies run into one another, passes that
-check; here such a mesh is refused too.
+manifold3d checks how triangles are joined. A mesh that is inside out, or whose bodies run into one another,
+passes that check; here such a mesh is refused too.
 """
 
 from __future__ import annotations

@@ -12,6 +12,9 @@ __all__ = ["PROFILES", "SolidSpec"]
 
 PROFILES = ("round", "linear", "flat")
 
+LARGEST_HALF_THICKNESS_PX = 100
+"""Squares of distances in pixels have to fit 16 bits."""
+
 
 @dataclass(frozen=True, slots=True)
 class SolidSpec:
@@ -62,7 +65,7 @@ class SolidSpec:
     lattice_pitch_mm: float | None = None
     target_vertices: int = 5000
     smoothing_iterations: int = 2
-    literal_smoothing_iterations: int = 10
+    literal_smoothing_iterations: int = 20
     smoothing_factor: float = 0.5
     vertex_quantum_mm: float = 1000.0 / 2**18
 
@@ -74,9 +77,12 @@ class SolidSpec:
         for name in ("min_speck_mm2", "min_pinhole_mm2", "vertex_quantum_mm"):
             value = getattr(self, name)
             self._require(value == 0 or _is_positive(value), name, "zero or a positive number")
-        self._require(self.half_thickness_px >= 1, "half_thickness_mm", "one pixel_pitch_mm or more")
+        in_reach = 1 <= self.half_thickness_px <= LARGEST_HALF_THICKNESS_PX
+        self._require(in_reach, "half_thickness_mm", f"1 to {LARGEST_HALF_THICKNESS_PX} times pixel_pitch_mm")
         pitch = self.lattice_pitch_mm
-        self._require(pitch is None or _is_positive(pitch), "lattice_pitch_mm", "None or a positive number of mm")
+        self._require(
+            pitch is None or _is_positive(pitch), "lattice_pitch_mm", "None or a positive number of mm"
+        )
         level = self.threshold
         self._require(level is None or 0 <= level <= 255, "threshold", "None or a grey level from 0 to 255")
         self._require(self.target_vertices >= 100, "target_vertices", "100 or more")

@@ -1,7 +1,8 @@
 """The published steps from ink to mesh, one function each (Tactile MNIST paper, algorithm on MNIST 3D).
 
-Arrays of pixels are (rows, columns), stacks of layers (rows, columns, height). Surfaces are pairs of vertices and
-faces; their coordinates are (row, column, height above the mid-plane) in pixels until :func:`scale`.
+Arrays of pixels are (rows, columns), stacks of layers (rows, columns, height). Surfaces are pairs of
+vertices and faces; their coordinates are (row, column, height above the mid-plane) in pixels until
+:func:`scale`.
 """
 
 from __future__ import annotations
@@ -120,7 +121,8 @@ def marching_cubes(
     """
     from skimage import measure
 
-    vertices, faces, _, _ = measure.marching_cubes(
+    extract: Any = measure.marching_cubes
+    vertices, faces, _, _ = extract(
         np.ascontiguousarray(volume, dtype=np.float32), level, spacing=spacing, gradient_direction="ascent"
     )
     return vertices.astype(np.float32, copy=False), faces.astype(np.int32, copy=False)
@@ -146,8 +148,8 @@ def smooth(
     factor : float
         Share of the way to the middle of the neighbours that the step inward goes.
     held : ndarray of bool, shape (V,), optional
-        Vertices that keep their last coordinate. With the rim of the upper half of a mirrored surface held, the
-        half moves exactly as it would within the whole.
+        Vertices that keep their last coordinate. With the rim of the upper half of a mirrored surface held,
+        the half moves exactly as it would within the whole.
 
     Returns
     -------

@@ -1,4 +1,4 @@
-"""STL, the file that every printer reads: triangles with three corners each, and no word on which corners are one."""
+"""STL, the file that every printer reads: loose triangles that share no corners."""
 
 from __future__ import annotations
 

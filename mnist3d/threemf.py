@@ -146,5 +146,8 @@ def _moved(surface: Surface, transform: str | None) -> Surface:
 def _joined(surfaces: list[Surface]) -> Surface:
     counts = np.cumsum([0] + [len(vertices) for vertices, _ in surfaces])
     vertices = [np.zeros((0, 3)), *(vertices for vertices, _ in surfaces)]
-    faces = [np.zeros((0, 3), np.int32), *(f + np.int32(n) for (_, f), n in zip(surfaces, counts, strict=False))]
+    faces = [
+        np.zeros((0, 3), np.int32),
+        *(f + np.int32(n) for (_, f), n in zip(surfaces, counts, strict=False)),
+    ]
     return np.concatenate(vertices), np.concatenate(faces).astype(np.int32)

@@ -1,9 +1,9 @@
 """The thinnest wall of a flat solid, from the medial axis of its middle section.
 
-For every point of the outline there is one largest disc that touches it from inside and crosses the outline nowhere.
-The middles of these discs are the medial axis. Where such a disc also touches the far side of a stroke, its diameter is
-the width there; where both contacts lie close together the disc only sits in a corner or behind a rough spot, and its
-diameter says nothing about a wall.
+For every point of the outline there is one largest disc that touches it from inside and crosses the outline
+nowhere. The middles of these discs are the medial axis. Where such a disc also touches the far side of a
+stroke, its diameter is the width there; where both contacts lie close together the disc only sits in a
+corner or behind a rough spot, and its diameter says nothing about a wall.
 """
 
 from __future__ import annotations
@@ -113,7 +113,8 @@ def _largest_discs(
         dx, dy = x - x[rows, None], y - y[rows, None]
         squared = dx * dx + dy * dy
         depth = dx * inward[rows, :1] + dy * inward[rows, 1:]
-        # A disc that touches here and passes through a point at distance d and depth h has the radius d^2 / 2h.
+        # A disc that touches here and passes through a point at distance d and depth h has the radius d^2 /
+        # 2h.
         disc = squared / np.maximum(2 * depth, np.float32(1e-9))
         disc[(depth <= 1e-6) | (squared == 0)] = np.inf
         nearest = disc.argmin(axis=1)[:, None]

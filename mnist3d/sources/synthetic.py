@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from operator import index
 
 import numpy as np
 
@@ -62,10 +63,13 @@ class SyntheticSource:
 
     def __post_init__(self) -> None:
         if self.seed < 0:
-            msg = f"the seed of the synthetic source is {self.seed}; expected 0 or more"
+            msg = f"the seed of the synthetic source is {self.seed}; expected 0 or more; next: choose another"
             raise InputError(msg)
         if self.count < 1:
-            msg = f"the synthetic source was asked for {self.count} digits; expected 1 or more"
+            msg = (
+                f"the synthetic source was asked for {self.count} digits; expected 1 or more; "
+                f"next: choose a count such as {HWD_PLUS_COUNT}, that of HWD+"
+            )
             raise InputError(msg)
 
     @property
@@ -77,8 +81,8 @@ class SyntheticSource:
         """Return name, seed, count and the version of the drawing."""
         return {
             "name": self.name,
-            "seed": self.seed,
-            "count": self.count,
+            "seed": int(self.seed),
+            "count": int(self.count),
             "drawing_version": DRAWING_VERSION,
         }
 
@@ -100,6 +104,11 @@ class SyntheticSource:
         ----------
         writer : int
             0 or more.
+
+        Returns
+        -------
+        Hand
+            Slant, proportions, pen and habits, the same for all digits of this writer.
         """
         return hand_of(Dice(_HAND, self.seed, writer))
 
@@ -120,7 +129,10 @@ class SyntheticSource:
         ------
         InputError
             When there is no digit of that id.
+        TypeError
+            When `digit_id` is not an integer.
         """
+        digit_id = index(digit_id)
         if not 0 <= digit_id < self.count:
             msg = (
                 f"the synthetic source has no digit {digit_id}; expected an id from 0 to {self.count - 1}; "
@@ -134,7 +146,7 @@ class SyntheticSource:
         strokes = self._strokes(writer, label, hand, _share(pen_px, height_px, hand.aspect), dice)
         paths = on_page(strokes, hand, height_px, pen_px, dice)
         pixels = draw(paths, pen_px, hand, Dice(_INK, self.seed, digit_id))
-        return DigitImage(int(digit_id), int(label), pixels, int(writer))
+        return DigitImage(digit_id, label, pixels, writer)
 
     def _strokes(self, writer: int, label: int, hand: Hand, pen: float, dice: Dice) -> list[Stroke]:
         fashion = Dice(_FASHION, self.seed, label)

@@ -12,7 +12,7 @@ import pytest
 import mnist3d
 from dataset_store.errors import InputError
 from mnist3d.dataset import MeshStream
-from mnist3d.generate import GenerateSpec, generate
+from mnist3d.generation import GenerateSpec, generate
 from mnist3d.solid import SolidSpec
 from mnist3d.sources.synthetic import SyntheticSource
 
@@ -146,8 +146,10 @@ def test_import_is_light():
 
 
 def test_public_names_resolve():
-    for name in mnist3d.__all__:
-        assert getattr(mnist3d, name) is not None
+    import types
+
+    for name in (*mnist3d.__all__, *mnist3d.__all__):  # twice: importing a sub-module must not shadow a name
+        assert not isinstance(getattr(mnist3d, name), types.ModuleType), name
     assert all(first < second for first, second in pairwise(dir(mnist3d)))
     with pytest.raises(AttributeError, match="no attribute 'nothing'"):
         _ = mnist3d.nothing

@@ -16,7 +16,7 @@ import mnist3d
 from dataset_store.errors import InputError, SpecMismatchError
 from dataset_store.storage import DataFolder
 from dataset_store.verify import verify
-from mnist3d.generate import GenerateSpec, generate, plan_build
+from mnist3d.generation import GenerateSpec, generate, plan_build
 from mnist3d.rows import mesh_schema
 from mnist3d.solid import SolidSpec
 from mnist3d.sources.synthetic import SyntheticSource

@@ -68,7 +68,7 @@ def hand_of(dice: Dice) -> Hand:
     tall, strokes 20 to 45 px wide.
     """
     return Hand(
-        slant=0.13 + 0.155 * dice.bell(),
+        slant=0.13 + 0.165 * dice.bell(),
         tilt=0.03 * dice.bell(),
         aspect=1.14 + 0.105 * dice.bell(),
         bow=0.02 * dice.bell(),

@@ -72,7 +72,7 @@ def _radii(path: NDArray[np.float64], half_px: float, hand: Hand, dice: Dice) ->
     square = (step[:, 0] * step[:, 0] + step[:, 1] * step[:, 1]) * (1.0 + hand.nib_lean * hand.nib_lean)
     chisel = 1.0 + hand.nib * (0.5 - along * along / np.maximum(square, 1e-6))
     radius = half_px * np.clip(press * chisel, _DRY, _WIDE)
-    return np.floor(radius * 64.0 + 0.5).astype(np.float32) / np.float32(64.0)
+    return np.asarray(np.floor(radius * 64.0 + 0.5) / 64.0, dtype=np.float32)
 
 
 def _stamp(field: Floats, path: Floats, radius: Floats) -> None:
