@@ -22,6 +22,7 @@ import threading
 import time
 import warnings
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")
@@ -41,8 +42,12 @@ SOURCE = SyntheticSource()
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--digits", type=int, default=60, help="digits of the comparison with the literal way")
-    parser.add_argument("--memory", action="store_true", help="measure peak memory of 2,000 and 13,580 digits")
+    parser.add_argument(
+        "--digits", type=int, default=60, help="digits of the comparison with the literal way"
+    )
+    parser.add_argument(
+        "--memory", action="store_true", help="measure peak memory of 2,000 and 13,580 digits"
+    )
     options = parser.parse_args()
     if options.memory:
         report_memory()
@@ -141,10 +146,13 @@ def report_loading(folder: Path) -> None:
         _ = digits[row].mesh
     cold_us = (time.perf_counter() - start_s) / len(order) * 1e6
     ours_us = median_s(lambda: [digits[row].mesh for row in order], 5) / len(order) * 1e6
-    print(f"loading a mesh: first {first_s * 1000:.0f} ms, first pass {cold_us:.0f} us, then {ours_us:.0f} us")
+    print(
+        f"loading a mesh: first {first_s * 1000:.0f} ms, first pass {cold_us:.0f} us, then {ours_us:.0f} us"
+    )
     theirs_us = published_us(folder, order[:40])
     if theirs_us is not None:
-        print(f"  SimpleMeshDataset {theirs_us:.0f} us, ratio {theirs_us / ours_us:.0f} (first pass {theirs_us / cold_us:.0f})")
+        ratios = f"ratio {theirs_us / ours_us:.0f} (first pass {theirs_us / cold_us:.0f})"
+        print(f"  SimpleMeshDataset {theirs_us:.0f} us, {ratios}")
 
 
 def published_us(folder: Path, order: list[int]) -> float | None:
@@ -166,13 +174,17 @@ def report_start() -> None:
     commands = {
         "python alone": ["-c", "pass"],
         "import mnist3d": ["-c", "import mnist3d"],
-        "mnist3d --help": ["-c", "import sys; sys.argv = ['mnist3d', '--help']; from cli.mnist3d import main; main()"],
+        "mnist3d --help": [
+            "-c",
+            "import sys; sys.argv = ['mnist3d', '--help']; from cli.mnist3d import main; main()",
+        ],
     }
     for what, arguments in commands.items():
-        seconds = median_s(
-            lambda: subprocess.run([sys.executable, *arguments], check=True, stdout=subprocess.DEVNULL), 7
-        )
-        print(f"{what}: {seconds:.2f} s")
+        print(f"{what}: {median_s(partial(run_python, arguments), 7):.2f} s")
+
+
+def run_python(arguments: list[str]) -> None:
+    subprocess.run([sys.executable, *arguments], check=True, stdout=subprocess.DEVNULL)
 
 
 def report_memory() -> None:
@@ -189,8 +201,9 @@ def report_memory() -> None:
         elapsed_s = time.perf_counter() - start_s
         size = sum(file.stat().st_size for file in Path(out).rglob("*.parquet"))
         shutil.rmtree(out)
-        print(f"{what}: {elapsed_s:.0f} s, peak {peak.bytes / 1e6:.0f} MB over all processes, {size / 1e6:.0f} MB written")
-        assert process.returncode == 0
+        if process.returncode:
+            sys.exit(f"{what}: the run ended with exit code {process.returncode}")
+        print(f"{what}: {elapsed_s:.0f} s, peak {peak.bytes / 1e6:.0f} MB, {size / 1e6:.0f} MB written")
 
 
 class Peak:

@@ -5,22 +5,21 @@ from __future__ import annotations
 import os
 import sys
 import time
-from enum import Enum
+from enum import StrEnum
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal, cast
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from cli.digit_source import InkName, SourceName, digit_source
+from cli.digit_tables import flat_lines, print_forecast, print_made
 from cli.failures import EXIT_FAILED, reports_errors, run
 from cli.options import DryRun, Folder, Json, Limit, Out, Overwrite, Quiet, Seed, Workers
 from cli.output import Sink, bytes_text, duration_text
 
 if TYPE_CHECKING:
     from dataset_store.build import Progress
-    from dataset_store.manifest import Manifest
     from mnist3d.generation import GenerateSpec
-    from mnist3d.sources import DigitSource
-    from mnist3d.summary import SplitSummary
 
 __all__ = ["app", "main"]
 
@@ -33,7 +32,7 @@ app = typer.Typer(
 )
 
 
-class SplitName(str, Enum):
+class SplitName(StrEnum):
     """Splits of MNIST 3D on the command line."""
 
     train = "train"
@@ -44,24 +43,7 @@ class SplitName(str, Enum):
     all = "all"
 
 
-class SourceName(str, Enum):
-    """Digit sources on the command line."""
-
-    synthetic = "synthetic"
-    hwdplus = "hwdplus"
-    mnist = "mnist"
-    folder = "folder"
-
-
-class InkName(str, Enum):
-    """Which side of an image is ink."""
-
-    auto = "auto"
-    dark = "dark"
-    light = "light"
-
-
-class ProfileName(str, Enum):
+class ProfileName(StrEnum):
     """Profiles of the rim."""
 
     round = "round"
@@ -69,7 +51,7 @@ class ProfileName(str, Enum):
     flat = "flat"
 
 
-class SplitBy(str, Enum):
+class SplitBy(StrEnum):
     """What is divided into splits."""
 
     digit = "digit"
@@ -119,7 +101,9 @@ def generate(
     split_by: Annotated[SplitBy, typer.Option(help="Divide single digits or whole writers.")] = SplitBy.digit,
     split_sizes: Annotated[
         str | None,
-        typer.Option(metavar="train=8,test=2", help="Digits per class in each split instead of the published."),
+        typer.Option(
+            metavar="train=8,test=2", help="Digits per class in each split instead of the published."
+        ),
     ] = None,
     per_class: Annotated[
         int | None, typer.Option(min=1, metavar="N", help="Only the first N digits of each class of a split.")
@@ -150,14 +134,14 @@ def generate(
     from mnist3d.splits import SPLITS, SplitSpec
 
     spec = GenerateSpec(
-        source=_source(source, images, writer_info, writer_column, download, ink, digits, seed),
+        source=digit_source(source, images, writer_info, writer_column, download, ink, digits, seed),
         solid=SolidSpec(
             profile=profile.value,
             half_thickness_mm=half_thickness_mm,
             target_vertices=vertices,
             join_bodies=join_bodies,
         ),
-        split=SplitSpec(seed, cast("Literal['digit', 'writer']", split_by.value), _sizes(split_sizes)),
+        split=SplitSpec(seed, split_by.value, _sizes(split_sizes)),
         per_class=per_class,
         limit=limit,
     )
@@ -165,7 +149,7 @@ def generate(
     sink = Sink(as_json, quiet)
     count = workers or os.cpu_count() or 1
     if dry_run:
-        _print_forecast(sink, spec, out, splits, count)
+        print_forecast(sink, spec, out, splits, count)
     else:
         _run_generate(sink, spec, out, splits, count, overwrite)
 
@@ -174,7 +158,8 @@ def generate(
 @reports_errors
 def validate(
     paths: Annotated[
-        list[Path], typer.Argument(metavar="DIR|FILE...", help="Data set folders, or STL/3MF/PLY/OBJ/GLB files.")
+        list[Path],
+        typer.Argument(metavar="DIR|FILE...", help="Data set folders, or STL/3MF/PLY/OBJ/GLB files."),
     ],
     split: Annotated[SplitName, typer.Option(help="Split of a data set folder.")] = SplitName.all,
     limit: Limit = None,
@@ -182,7 +167,7 @@ def validate(
     as_json: Json = False,
     quiet: Quiet = False,
 ) -> None:
-    """Check meshes as read back from disk: is each a solid, and will it print?
+    """Check meshes as read back from disk: whether each is a solid, and whether it will print.
 
     Example: mnist3d validate digits part.stl
 
@@ -220,9 +205,9 @@ def info(folder: Folder, as_json: Json = False) -> None:
         message = f"no {MANIFEST_FILE} in {str(folder)!r}; next: give the folder of a generated data set"
         raise InputError(message)
     sink = Sink(as_json)
-    _print_made(sink, manifest, folder)
+    print_made(sink, manifest, folder)
     sink.line(f"made by tactile-toolkit {manifest.toolkit_version}; source and spec:")
-    for line in _flat_lines(manifest.spec):
+    for line in flat_lines(manifest.spec):
         sink.line(f"  {line}")
 
 
@@ -249,8 +234,8 @@ def verify(folder: Folder, as_json: Json = False, quiet: Quiet = False) -> None:
     for finding in result.findings:
         sys.stderr.write(f"damaged: {finding.file}: {finding.problem}\n")
     message = (
-        f"{len(findings)} problems in {str(folder)!r}; next: run the same `mnist3d generate` again, it makes the "
-        "damaged shards anew"
+        f"{len(findings)} problems in {str(folder)!r}; next: run the same `mnist3d generate` again, it makes "
+        "the damaged shards anew"
     )
     raise IntegrityError(message)
 
@@ -258,49 +243,6 @@ def verify(folder: Folder, as_json: Json = False, quiet: Quiet = False) -> None:
 def main() -> None:
     """Run the command line."""
     run(app)
-
-
-def _source(
-    name: SourceName,
-    images: Path | None,
-    writer_info: Path | None,
-    writer_column: int | None,
-    download: bool,
-    ink: InkName,
-    digits: int,
-    seed: int,
-) -> DigitSource:
-    """Make the source that the options describe."""
-    from dataset_store.errors import InputError
-
-    if name is SourceName.synthetic:
-        from mnist3d.sources.synthetic import SyntheticSource
-
-        return SyntheticSource(seed=seed, count=digits)
-    if images is None:
-        message = f"--source {name.value} needs --images PATH, which was not given; see mnist3d generate --help"
-        raise InputError(message)
-    if name is SourceName.hwdplus:
-        return _hwdplus(images, writer_info, writer_column)
-    if name is SourceName.mnist:
-        from mnist3d.sources.mnist import MnistSource, download_mnist
-
-        if download:
-            download_mnist(str(images))
-        return MnistSource(str(images))
-    from mnist3d.sources.folder import FolderSource
-
-    return FolderSource(str(images), ink=ink.value)
-
-
-def _hwdplus(images: Path, writer_info: Path | None, writer_column: int | None) -> DigitSource:
-    from dataset_store.errors import InputError
-    from mnist3d.sources.hwdplus import HwdPlusSource
-
-    if writer_info is None:
-        message = "--source hwdplus needs --writer-info FILE (WriterInfo.npy), which was not given"
-        raise InputError(message)
-    return HwdPlusSource(str(images), str(writer_info), writer_column)
 
 
 def _sizes(text: str | None) -> tuple[tuple[str, int], ...] | None:
@@ -333,75 +275,9 @@ def _run_generate(
             made = progress.done
             update(progress.done, progress.total)
 
-        manifest = make(
-            spec, str(out), splits, workers=workers, overwrite=overwrite, on_progress=on_progress
-        )
+        manifest = make(spec, str(out), splits, workers=workers, overwrite=overwrite, on_progress=on_progress)
     elapsed_s = time.monotonic() - start_s
-    _print_made(sink, manifest, out, elapsed_s)
+    print_made(sink, manifest, out, elapsed_s)
     done = f"made {made:,} digits in {duration_text(elapsed_s)}" if made else "nothing was left to make"
     sink.line(f"{done}; the data set is in {out}")
     sink.line(f"next: mnist3d validate {out}   or in Python: mnist3d.load({str(out)!r}, split={splits[0]!r})")
-
-
-def _print_made(sink: Sink, manifest: Manifest, out: Path, elapsed_s: float | None = None) -> None:
-    """Print the table of what a folder holds."""
-    from dataset_store.storage import DataFolder
-    from mnist3d.summary import summarise
-
-    complete = manifest.complete
-    summaries = summarise(DataFolder(str(out)), manifest) if complete else []
-    sink.document(
-        {
-            "folder": str(out),
-            "complete": complete,
-            "toolkit_version": manifest.toolkit_version,
-            "elapsed_s": None if elapsed_s is None else round(elapsed_s, 3),
-            "splits": [summary.to_dict() for summary in summaries] or manifest.split_table(),
-            "skipped": manifest.skipped_reasons(),
-            "spec": manifest.spec,
-        }
-    )
-    if not complete:
-        sink.line(f"{out}: the run was interrupted; the same `mnist3d generate` goes on where it stopped")
-        return
-    header = ("split", "digits", "per class", "Parquet", "height mm", "thinnest wall mm", "skipped", "warnings")
-    sink.table(header, [_made_row(summary) for summary in summaries])
-    for reason, count in manifest.skipped_reasons().items():
-        sink.line(f"skipped {count:,} digits: {reason} (each is named in {out}/manifest.json)")
-
-
-def _made_row(summary: SplitSummary) -> tuple[object, ...]:
-    least, most = min(summary.per_class), max(summary.per_class)
-    return (
-        summary.split,
-        summary.rows,
-        str(most) if least == most else f"{least}-{most}",
-        bytes_text(summary.bytes),
-        _range(summary.height_mm),
-        _range(summary.thinnest_wall_mm),
-        summary.skipped,
-        ", ".join(f"{word} {count:,}" for word, count in summary.warnings.items()) or "none",
-    )
-
-
-def _range(spread: tuple[float, ...]) -> str:
-    return f"{spread[0]:.1f}-{spread[-1]:.1f}" if spread else "-"
-
-
-def _print_forecast(sink: Sink, spec: GenerateSpec, out: Path, splits: tuple[str, ...], workers: int) -> None:
-    from mnist3d.forecast import forecast
-
-    view = forecast(spec, str(out), splits, workers)
-    sink.document(view.to_dict())
-    header = ("split", "digits", "shards", "finished already")
-    sink.table(header, [(entry.split, entry.digits, entry.shards, entry.finished) for entry in view.splits])
-    sink.line(
-        f"would make {view.digits_to_make:,} digits in {out}: about {bytes_text(view.bytes)} of Parquet, about "
-        f"{duration_text(view.seconds)} with {workers} workers (measured on {view.sampled} digits); nothing was written"
-    )
-
-
-def _flat_lines(values: Any, path: str = "") -> list[str]:
-    if isinstance(values, dict) and values:
-        return [line for key, value in values.items() for line in _flat_lines(value, f"{path}.{key}".lstrip("."))]
-    return [f"{path} = {values}"]

@@ -21,6 +21,7 @@ PITCH_M = 0.0005
 
 
 def main() -> None:
+    """Write the picture beside this file."""
     source = SyntheticSource()
     rows = [[_cell(source, (row * 31 + 7) * 140 + digit * 14) for digit in range(10)] for row in range(3)]
     Image.fromarray(np.block(rows)).quantize(64).save(Path(__file__).parent / "digits.png", optimize=True)

@@ -78,7 +78,9 @@ class MeshRecord(Record):
         return trimesh.Trimesh(self.vertices_m, self.faces, process=False)
 
     def __repr__(self) -> str:
-        return f"MeshRecord(id={self.id}, label={self.label}, writer={self.writer}, {len(self.faces):,} faces)"
+        return (
+            f"MeshRecord(id={self.id}, label={self.label}, writer={self.writer}, {len(self.faces):,} faces)"
+        )
 
     def _repr_html_(self) -> str:
         """Show the digit from above in a notebook."""
@@ -184,8 +186,8 @@ def _require_meshes(table: ShardedTable, name: str) -> None:
     missing = [column for column in ("id", "label", "mesh.vertices", "mesh.faces") if column not in found]
     if missing:
         message = (
-            f"{name!r} is no data set of meshes: column {missing[0]!r} is missing (found {', '.join(found)}); "
-            "next: name a data set such as one written by `mnist3d generate`"
+            f"{name!r} is no data set of meshes: column {missing[0]!r} is missing "
+            f"(found {', '.join(found)}); next: name a data set such as one written by `mnist3d generate`"
         )
         raise InputError(message)
 

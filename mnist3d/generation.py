@@ -116,7 +116,9 @@ class DigitShard:
             rows.append(row)
             reports.append(report)
         table = mesh_table(rows, self.spec.source.name)
-        return ShardContent(table, tuple(skipped), report_table(str(self.shard), self.shard.split, rows, reports))
+        return ShardContent(
+            table, tuple(skipped), report_table(str(self.shard), self.shard.split, rows, reports)
+        )
 
 
 def make_row(digit_id: int, spec: GenerateSpec) -> tuple[MeshRow, PrintReport]:

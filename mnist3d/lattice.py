@@ -231,10 +231,31 @@ def _upper_surface(lattice: PlaneLattice, spec: SolidSpec) -> tuple[NDArray[np.f
     depth += np.float32(CHORD_LOSS * pitch**2 / spec.half_thickness_px)
     least = np.float32(NUDGE * pitch)
     depth = np.where(np.abs(depth) < least, np.where(depth > 0, least, -least), depth)
-    vertices, faces = marching_cubes(depth, 0.0, (pitch, pitch, pitch))
+    vertices, faces = marching_cubes(depth, 0.0)
     faces = in_storage_order(faces)
-    moved = smooth(vertices, faces, spec.smoothing_iterations, spec.smoothing_factor, vertices[:, 2] == 0)
-    return np.asarray(moved, dtype=np.float32), faces
+    rim = vertices[:, 2] == 0
+    moved = smooth(vertices, faces, spec.smoothing_iterations, spec.smoothing_factor, rim)
+    moved = np.where(_beside_thin_places(vertices, depth > 0)[:, None], vertices, moved)
+    moved[:, 2] = np.where(rim, 0, np.maximum(moved[:, 2], np.float32(NUDGE)))
+    return np.asarray(moved * np.float32(pitch), dtype=np.float32), faces
+
+
+def _beside_thin_places(vertices: NDArray[np.float32], inside: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Mark the vertices at walls and gaps of a single node, whose two sides smoothing might push past each other.
+
+    Vertices count in pitches; each lies on an edge of the lattice between two nodes.
+    """
+    thin = np.zeros_like(inside)
+    for down, across in ((0, 1), (1, 0), (1, 1), (1, -1)):
+        one = _shifted(inside, down, across)
+        other = _shifted(inside, -down, -across)
+        thin |= (one == other) & (one != inside)
+    low, high = np.floor(vertices).astype(np.intp), np.ceil(vertices).astype(np.intp)
+    return np.asarray(thin[tuple(low.T)] | thin[tuple(high.T)])
+
+
+def _shifted(inside: NDArray[np.bool_], down: int, across: int) -> NDArray[np.bool_]:
+    return np.roll(inside, (down, across), axis=(0, 1))
 
 
 def _bodies_and_holes(vertices: NDArray[np.float32], faces: NDArray[np.int32]) -> tuple[int, int]:

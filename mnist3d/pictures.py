@@ -67,7 +67,9 @@ def record_html(record: MeshRecord) -> str:
     picture = base64.b64encode(stream.getvalue()).decode()
     size_mm = np.ptp(record.vertices_m, axis=0) * 1000
     facts = (
-        f"digit {record.label}, id {record.id}, writer {record.writer}: {size_mm[0]:.1f} x {size_mm[1]:.1f} x "
-        f"{size_mm[2]:.1f} mm, {record.volume_m3 * 1e9:.0f} mm³, {len(record.faces):,} triangles"
+        f"digit {record.label}, id {record.id}, writer {record.writer}: "
+        f"{size_mm[0]:.1f} x {size_mm[1]:.1f} x {size_mm[2]:.1f} mm, "
+        f"{record.volume_m3 * 1e9:.0f} mm³, {len(record.faces):,} triangles"
     )
-    return f'<figure><img src="data:image/png;base64,{picture}"><figcaption>{html.escape(facts)}</figcaption></figure>'
+    caption = f"<figcaption>{html.escape(facts)}</figcaption>"
+    return f'<figure><img src="data:image/png;base64,{picture}">{caption}</figure>'

@@ -13,9 +13,7 @@ __all__ = ["REPORT_FILE", "report_table"]
 REPORT_FILE = "reports/printability.parquet"
 
 
-def report_table(
-    shard: str, split: str, rows: Sequence[MeshRow], reports: Sequence[PrintReport]
-) -> Any:
+def report_table(shard: str, split: str, rows: Sequence[MeshRow], reports: Sequence[PrintReport]) -> Any:
     """Pack the reports of one shard into an Arrow table.
 
     Parameters

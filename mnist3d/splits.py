@@ -195,7 +195,7 @@ def _shares(spec: SplitSpec) -> NDArray[np.float64]:
     if shares.sum() == 0:
         message = "all split sizes are 0; expected at least one split with digits"
         raise InputError(message)
-    return shares / shares.sum()
+    return np.asarray(shares / shares.sum(), dtype=np.float64)
 
 
 def _share_writers(

@@ -190,10 +190,12 @@ def scale(
         Lowest point at z = 0, vertices in float32 on the storage grid.
     """
     row, column, height = vertices.astype(np.float64).T
-    centred = np.stack([column - (shape[1] - 1) / 2, (shape[0] - 1) / 2 - row, height - height.min()], axis=1)
+    centred = np.stack([column - (shape[1] - 1) / 2, (shape[0] - 1) / 2 - row, height], axis=1)
     vertices_mm = centred * spec.pixel_pitch_mm
     if spec.vertex_quantum_mm > 0:
+        # Rounded about the mid-plane, where up and down round alike, and only then set on the plate.
         vertices_mm = np.round(vertices_mm / spec.vertex_quantum_mm) * spec.vertex_quantum_mm
+    vertices_mm[:, 2] -= vertices_mm[:, 2].min()
     return Mesh((vertices_mm / MM_PER_M).astype(np.float32), faces)
 
 

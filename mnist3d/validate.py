@@ -181,7 +181,9 @@ def _check_folder(
 ) -> tuple[CheckedItem, ...]:
     splits = [split] if split else available_splits(DataFolder(path))
     if not splits:
-        message = f"{path!r} holds no data set (no manifest and no Parquet files); next: name a generated folder"
+        message = (
+            f"{path!r} holds no data set (no manifest and no Parquet files); next: name a generated folder"
+        )
         raise InputError(message)
     tasks = [task for name in splits for task in _tasks(path, name, limit)]
     total = sum(task.rows for task in tasks)

@@ -16,7 +16,9 @@ BLOCKS = re.findall(r"^```(\w+)\n(.*?)^```", TEXT, flags=re.MULTILINE | re.DOTAL
 
 
 def _commands() -> list[str]:
-    lines = "\n".join(block for language, block in BLOCKS if language == "bash").replace("\\\n", " ").splitlines()
+    lines = (
+        "\n".join(block for language, block in BLOCKS if language == "bash").replace("\\\n", " ").splitlines()
+    )
     return [line for line in lines if line.strip() and not line.startswith("#")]
 
 
@@ -29,8 +31,8 @@ def test_blocks_are_of_known_kinds():
 def test_blocks_run_in_order(tmp_path, monkeypatch):
     """Shell lines and Python blocks run one after another, as a reader would type them.
 
-    The two installing lines are left to CI, which runs the second as it stands; of the first, what follows the
-    installation runs here.
+    The two installing lines are left to CI, which runs the second as it stands; of the first, what follows
+    the installation runs here.
     """
     monkeypatch.chdir(tmp_path)
     space: dict[str, object] = {"__name__": "readme"}

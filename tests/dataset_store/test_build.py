@@ -45,7 +45,7 @@ def test_folder_holds_shards_report_and_manifest_and_nothing_else(tmp_path):
     assert files == [*shards, "manifest.json", "reports/toy.parquet"]
     assert read_manifest(DataFolder(str(tmp_path / "set"))) == manifest
     report = pq.read_table(tmp_path / "set" / "reports" / "toy.parquet")
-    ids = [i for i in range(20) if i % 10 != 9] + [i for i in range(100, 109)]
+    ids = [i for i in range(20) if i % 10 != 9] + list(range(100, 109))
     assert report["id"].to_pylist() == ids
 
 
@@ -200,7 +200,7 @@ def test_no_space_hint(monkeypatch, tmp_path):
         raise OSError(errno.ENOSPC, "No space left on device")
 
     monkeypatch.setattr(os, "fsync", refuse)
-    with pytest.raises(StorageError, match="no space is left on the device.*nothing half-written"):
+    with pytest.raises(StorageError, match=r"no space is left on the device.*nothing half-written"):
         DataFolder(str(tmp_path)).write_bytes("data/file", b"1")
     assert folder_bytes(tmp_path) == {}
 

@@ -90,7 +90,10 @@ index = st.one_of(
 def test_indexing_agrees_with_numpy(folder, first, data):
     dataset = ToyDataset([ShardedTable(find_shards(str(folder), "train"))], label_names=("a", "b", "c"))
     truth = np.array(IDS)
-    view, expected = dataset[first], truth[first if isinstance(first, slice) else np.array(first, dtype=_kind(first))]
+    view, expected = (
+        dataset[first],
+        truth[first if isinstance(first, slice) else np.array(first, dtype=_kind(first))],
+    )
     assert view.ids.tolist() == expected.tolist()
     assert [record.id for record in view] == expected.tolist()
     if len(view):
@@ -111,7 +114,9 @@ def test_index_out_of_range(dataset, wrong):
         dataset[wrong]
 
 
-@pytest.mark.parametrize(("wrong", "error"), [([True] * 3, IndexError), ([0.5], TypeError), ([99], IndexError)])
+@pytest.mark.parametrize(
+    ("wrong", "error"), [([True] * 3, IndexError), ([0.5], TypeError), ([99], IndexError)]
+)
 def test_bad_selection(dataset, wrong, error):
     with pytest.raises(error):
         dataset[wrong]
@@ -236,7 +241,7 @@ def test_unfinished_split_is_refused(tmp_path):
 
 
 def test_no_such_place_or_split(folder, tmp_path):
-    with pytest.raises(InputError, match="no split 'holdout'.*it has train, test"):
+    with pytest.raises(InputError, match=r"no split 'holdout'.*it has train, test"):
         find_shards(str(folder), "holdout")
     with pytest.raises(InputError, match="neither a folder"):
         find_shards(str(tmp_path / "nowhere"), "train")

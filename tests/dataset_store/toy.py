@@ -65,7 +65,9 @@ class ToyTask:
             schema=SCHEMA,
         )
         report = pa.table({"id": kept, "shard": [str(self.shard)] * len(kept)})
-        skipped = tuple(Skipped(number, "nine", f"{number} ends with 9") for number in self.ids if number % 10 == 9)
+        skipped = tuple(
+            Skipped(number, "nine", f"{number} ends with 9") for number in self.ids if number % 10 == 9
+        )
         return ShardContent(table, skipped, report)
 
 
@@ -78,7 +80,9 @@ def toy_plan(splits: tuple[str, ...] = SPLITS, spec: dict | None = None, **task_
         for index in range(count):
             ids = tuple(range(first + index * 5, first + index * 5 + 5))
             tasks.append(ToyTask(ShardName(split, index, count), ids, **task_options))
-    return BuildPlan("toy", spec or {"seed": 1, "size": [1, 2]}, SPLITS, tuple(tasks), STYLE, "reports/toy.parquet")
+    return BuildPlan(
+        "toy", spec or {"seed": 1, "size": [1, 2]}, SPLITS, tuple(tasks), STYLE, "reports/toy.parquet"
+    )
 
 
 def folder_bytes(folder: Path) -> dict[str, bytes]:

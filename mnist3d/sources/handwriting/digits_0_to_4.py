@@ -114,7 +114,7 @@ def _base(vary: Vary, corner: Point) -> Run:
 def two_round(vary: Vary, pen: float) -> list[Stroke]:
     """Draw a bow and a flat base that meet in a corner."""
     corner = (vary(0.02, 0.03), 1.0)
-    bow = _bow(vary, vary(-165.0, 15.0))
+    bow = _bow(vary, max(vary(-165.0, 15.0), -185.0))
     return [[[*bow, *_slope(vary, bow[-1], corner), corner], _base(vary, corner)]]
 
 
@@ -128,7 +128,7 @@ def two_angular(vary: Vary, pen: float) -> list[Stroke]:
 
 def two_looped(vary: Vary, pen: float) -> list[Stroke]:
     """Draw a 2 whose bow runs through a small loop into the base."""
-    bow = _bow(vary, vary(-170.0, 15.0))
+    bow = _bow(vary, max(vary(-170.0, 15.0), -185.0))
     high = max(vary(0.11, 0.03), 0.5 * pen + 0.03)
     wide = max(vary(0.17, 0.05), 0.5 * pen + 0.06)
     loop = arc((wide, 1.0 - high), (wide, high), 75.0, 325.0, 6)
@@ -148,7 +148,7 @@ def _upper_bow(vary: Vary, start_deg: float) -> Run:
 def _lower_bow(vary: Vary, waist: Point) -> Run:
     """Return the lower bow of a 3 from its waist on."""
     half, deep = vary(0.26, 0.03), 0.5 * (1.0 - waist[1])
-    turn = arc((vary(0.24, 0.03), 1.0 - deep), (half, deep), -58.0, vary(150.0, 14.0), 8)
+    turn = arc((vary(0.24, 0.03), 1.0 - deep), (half, deep), -58.0, min(vary(150.0, 14.0), 170.0), 8)
     return [waist, *turn]
 
 

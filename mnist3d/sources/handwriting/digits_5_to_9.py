@@ -27,7 +27,9 @@ __all__ = [
 def _belly(vary: Vary, neck: Point) -> Run:
     """Return the bow of a 5 from its neck on."""
     half, deep = vary(0.25, 0.04), 0.5 * (1.0 - neck[1]) + vary(0.02, 0.01)
-    turn = arc((vary(0.20, 0.04), 1.0 - deep), (half, deep), vary(-90.0, 14.0), vary(145.0, 20.0), 8)
+    # Further round, the end would close on the neck and the 5 would be a 6.
+    start_deg, end_deg = vary(-90.0, 14.0), min(vary(145.0, 18.0), 162.0)
+    turn = arc((vary(0.20, 0.04), 1.0 - deep), (half, deep), start_deg, end_deg, 8)
     return [neck, *turn]
 
 

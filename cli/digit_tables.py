@@ -1,0 +1,93 @@
+"""What ``mnist3d`` prints about data sets of digits."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from cli.output import Sink, bytes_text, duration_text
+
+if TYPE_CHECKING:
+    from dataset_store.manifest import Manifest
+    from mnist3d.generation import GenerateSpec
+    from mnist3d.summary import SplitSummary
+
+__all__ = ["flat_lines", "print_forecast", "print_made"]
+
+
+def print_made(sink: Sink, manifest: Manifest, out: Path, elapsed_s: float | None = None) -> None:
+    """Print the table of what a folder holds."""
+    from dataset_store.storage import DataFolder
+    from mnist3d.summary import summarise
+
+    complete = manifest.complete
+    summaries = summarise(DataFolder(str(out)), manifest) if complete else []
+    sink.document(
+        {
+            "folder": str(out),
+            "complete": complete,
+            "toolkit_version": manifest.toolkit_version,
+            "elapsed_s": None if elapsed_s is None else round(elapsed_s, 3),
+            "splits": [summary.to_dict() for summary in summaries] or manifest.split_table(),
+            "skipped": manifest.skipped_reasons(),
+            "spec": manifest.spec,
+        }
+    )
+    if not complete:
+        sink.line(f"{out}: the run was interrupted; the same `mnist3d generate` goes on where it stopped")
+        return
+    header = (
+        "split",
+        "digits",
+        "per class",
+        "Parquet",
+        "height mm",
+        "thinnest wall mm",
+        "skipped",
+        "warnings",
+    )
+    sink.table(header, [_made_row(summary) for summary in summaries])
+    for reason, count in manifest.skipped_reasons().items():
+        sink.line(f"skipped {count:,} digits: {reason} (each is named in {out}/manifest.json)")
+
+
+def _made_row(summary: SplitSummary) -> tuple[object, ...]:
+    least, most = min(summary.per_class), max(summary.per_class)
+    return (
+        summary.split,
+        summary.rows,
+        str(most) if least == most else f"{least}-{most}",
+        bytes_text(summary.bytes),
+        _range(summary.height_mm),
+        _range(summary.thinnest_wall_mm),
+        summary.skipped,
+        ", ".join(f"{word} {count:,}" for word, count in summary.warnings.items()) or "none",
+    )
+
+
+def _range(spread: tuple[float, ...]) -> str:
+    return f"{spread[0]:.1f}-{spread[-1]:.1f}" if spread else "-"
+
+
+def print_forecast(sink: Sink, spec: GenerateSpec, out: Path, splits: tuple[str, ...], workers: int) -> None:
+    """Print what a run would make."""
+    from mnist3d.forecast import forecast
+
+    view = forecast(spec, str(out), splits, workers)
+    sink.document(view.to_dict())
+    header = ("split", "digits", "shards", "finished already")
+    sink.table(header, [(entry.split, entry.digits, entry.shards, entry.finished) for entry in view.splits])
+    sink.line(
+        f"would make {view.digits_to_make:,} digits in {out}: about {bytes_text(view.bytes)} of Parquet, "
+        f"about {duration_text(view.seconds)} with {workers} workers (measured on {view.sampled} digits); "
+        "nothing was written"
+    )
+
+
+def flat_lines(values: Any, path: str = "") -> list[str]:
+    """Lay out nested values as lines of dotted names."""
+    if isinstance(values, dict) and values:
+        return [
+            line for key, value in values.items() for line in flat_lines(value, f"{path}.{key}".lstrip("."))
+        ]
+    return [f"{path} = {values}"]
