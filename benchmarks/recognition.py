@@ -105,13 +105,16 @@ def normalise(pixels: NDArray[np.uint8]) -> NDArray[np.float32]:
     """
     from PIL import Image
 
-    body = _largest_body(pixels < INK_BELOW)
-    rows, columns = np.flatnonzero(body.any(axis=1)), np.flatnonzero(body.any(axis=0))
-    ink = body[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1]
+    ink = _cut_out(_largest_body(_cut_out(pixels < INK_BELOW)))
     scale = BOX_PX / max(ink.shape)
     size = (max(1, round(ink.shape[1] * scale)), max(1, round(ink.shape[0] * scale)))
     small = np.asarray(Image.fromarray(ink.astype(np.uint8) * 255).resize(size, Image.Resampling.BOX))
     return _centred(small.astype(np.float32))
+
+
+def _cut_out(ink: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    rows, columns = np.flatnonzero(ink.any(axis=1)), np.flatnonzero(ink.any(axis=0))
+    return ink[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1]
 
 
 def _largest_body(ink: NDArray[np.bool_]) -> NDArray[np.bool_]:

@@ -46,6 +46,26 @@ class Row:
         """Tell whether the data set has a column."""
         return name in self._group.names
 
+    @property
+    def group(self) -> RowGroup:
+        """Rows it belongs to."""
+        return self._group
+
+    @property
+    def index(self) -> int:
+        """Its place among them."""
+        return self._index
+
+    @property
+    def path(self) -> str:
+        """File that it is stored in."""
+        return self._group.path
+
+    @property
+    def number(self) -> int:
+        """Its row number in that file."""
+        return self._group.first_row + self._index
+
     def __reduce__(self) -> tuple[Any, ...]:
         """Pickle as a table of this one row, not as its whole row group."""
         import pyarrow as pa
@@ -54,13 +74,13 @@ class Row:
         sink = pa.BufferOutputStream()
         with pa.ipc.new_stream(sink, table.schema) as writer:
             writer.write_table(table)
-        return (_row_from_ipc, (sink.getvalue().to_pybytes(),))
+        return (_row_from_ipc, (sink.getvalue().to_pybytes(), self.path, self.number))
 
 
-def _row_from_ipc(content: bytes) -> Row:
+def _row_from_ipc(content: bytes, path: str, number: int) -> Row:
     import pyarrow as pa
 
-    return Row(RowGroup(pa.ipc.open_stream(content).read_all()), 0)
+    return Row(RowGroup(pa.ipc.open_stream(content).read_all(), path, number), 0)
 
 
 class Record:
@@ -113,7 +133,7 @@ class RecordDataset(Sequence[T], Generic[T]):
         Name of each class.
     """
 
-    record: ClassVar[Callable[[Row], Any]] = Record
+    record: ClassVar[Any] = Record
 
     def __init__(
         self,
@@ -221,7 +241,9 @@ class RecordDataset(Sequence[T], Generic[T]):
             yield self._record_at(position)
 
     def __repr__(self) -> str:
-        return f"{type(self).__name__}({len(self):,} rows, classes {', '.join(self._label_names) or 'unknown'})"
+        return (
+            f"{type(self).__name__}({len(self):,} rows, classes {', '.join(self._label_names) or 'unknown'})"
+        )
 
     def _record_at(self, position: int) -> T:
         length = len(self._rows)
@@ -261,7 +283,9 @@ def _positions(index: Any, length: int) -> NDArray[Any]:
     if positions.size == 0:
         return positions.astype(np.int64)
     if positions.dtype.kind not in "iu" or positions.ndim != 1:
-        message = f"rows are chosen by ints or booleans in one dimension, not {positions.dtype} {positions.shape}"
+        message = (
+            f"rows are chosen by ints or booleans in one dimension, not {positions.dtype} {positions.shape}"
+        )
         raise TypeError(message)
     return positions
 

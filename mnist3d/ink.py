@@ -100,13 +100,13 @@ def clean(
         ``no-ink`` when nothing but specks was there.
     """
     pixel_mm2 = pixel_pitch_mm**2
-    while True:
-        filled = ~_drop_small(~mask, min_pinhole_mm2 / pixel_mm2, keep_border=True)
-        kept = _drop_small(filled, min_speck_mm2 / pixel_mm2, keep_border=False)
-        mask = repair_corners(kept)
-        # A repaired corner may close a new pinhole; without one there is nothing left to find.
-        if np.array_equal(kept, mask):
-            break
+    cleaned = np.zeros_like(mask)
+    window = _inked_window(mask)
+    # Corners first: whole pieces that go later cannot leave a new contact at a corner behind.
+    inked = repair_corners(np.pad(mask[window], 1))
+    inked = ~_without_small(~inked, min_pinhole_mm2 / pixel_mm2, always=(0, 0))
+    cleaned[window] = _without_small(inked, min_speck_mm2 / pixel_mm2)[1:-1, 1:-1]
+    mask = cleaned
     if not mask.any():
         message = f"no piece of ink is as large as {min_speck_mm2} mm^2 (min_speck_mm2); expected a digit"
         raise ItemError(reason="no-ink", message=message)
@@ -186,14 +186,22 @@ def _refuse_blank(mask: NDArray[np.bool_]) -> None:
         raise ItemError(reason="all-ink", message=message)
 
 
-def _drop_small(mask: NDArray[np.bool_], min_px: float, *, keep_border: bool) -> NDArray[np.bool_]:
+def _inked_window(mask: NDArray[np.bool_]) -> tuple[slice, slice]:
+    rows, columns = np.flatnonzero(mask.any(axis=1)), np.flatnonzero(mask.any(axis=0))
+    if not len(rows):
+        return slice(0, 0), slice(0, 0)
+    return slice(rows[0], rows[-1] + 1), slice(columns[0], columns[-1] + 1)
+
+
+def _without_small(
+    mask: NDArray[np.bool_], min_px: float, always: tuple[int, int] | None = None
+) -> NDArray[np.bool_]:
+    """Drop the pieces smaller than a limit; the piece at the pixel ``always`` stays whatever its size."""
     from scipy import ndimage
 
     labels, _ = ndimage.label(mask)
     keep = np.bincount(labels.ravel()) >= min_px
+    if always is not None:
+        keep[labels[always]] = True
     keep[0] = False
-    if keep_border:
-        for edge in (labels[0], labels[-1], labels[:, 0], labels[:, -1]):
-            keep[edge] = True
-        keep[0] = False
     return np.asarray(keep[labels])

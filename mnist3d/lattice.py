@@ -52,8 +52,8 @@ NUDGE = 0.03
 CHORD_LOSS = 0.11
 """How far the surface is set outward, in pitch^2 / R.
 
-Triangles with corners on a cylinder of radius R lie inside it by this much on average: 1/12 to 1/8 by geometry,
-this value as measured on 20 of the real digits against the literal solid.
+Triangles with corners on a cylinder of radius R lie inside it by this much on average: 1/12 to 1/8 by
+geometry, this value as measured on 20 of the real digits against the literal solid.
 """
 
 
@@ -129,7 +129,8 @@ def fit_lattice(distance: NDArray[np.float32], spec: SolidSpec) -> float:
     """
     pitch = FIRST_PITCH_PX
     for _ in range(2):
-        crossed = _crossed_edges(_sample(distance, pitch, (0.0, 0.0), BLUR_PER_PITCH), spec)
+        rows, columns = (np.arange(0, side - 1, pitch).round().astype(np.intp) for side in distance.shape)
+        crossed = _crossed_edges(PlaneLattice(distance[np.ix_(rows, columns)], pitch, (0.0, 0.0)), spec)
         pitch = float(np.clip(pitch * math.sqrt(crossed / spec.target_vertices), 1.0, LARGEST_PITCH_PX))
     return pitch
 
@@ -203,13 +204,11 @@ def _blurred(
 def _weights(nodes: NDArray[np.float64], count: int, sigma: float) -> NDArray[np.float32]:
     # Twice a Gaussian less a wider one: it lets the waves pass that a Gaussian wears down, so that tips,
     # notches and ridges lose less than half as much, and still holds back what the lattice cannot carry.
-    narrow, wide = _gaussian(nodes, count, sigma), _gaussian(nodes, count, sigma * math.sqrt(2))
-    return np.asarray(2 * narrow - wide, dtype=np.float32)
-
-
-def _gaussian(nodes: NDArray[np.float64], count: int, sigma: float) -> NDArray[np.float32]:
-    weights = np.exp(-0.5 * ((nodes[:, None] - np.arange(count)) / sigma) ** 2)
-    return np.asarray(weights / weights.sum(axis=1, keepdims=True), dtype=np.float32)
+    away = (nodes.astype(np.float32)[:, None] - np.arange(count, dtype=np.float32)) / np.float32(2 * sigma)
+    wide = np.exp(-away * away)
+    narrow = wide * wide
+    weights = narrow * (2 / narrow.sum(axis=1, keepdims=True)) - wide / wide.sum(axis=1, keepdims=True)
+    return np.asarray(weights, dtype=np.float32)
 
 
 def _heights(pitch: float, spec: SolidSpec) -> NDArray[np.float32]:
@@ -241,7 +240,7 @@ def _upper_surface(lattice: PlaneLattice, spec: SolidSpec) -> tuple[NDArray[np.f
 
 
 def _beside_thin_places(vertices: NDArray[np.float32], inside: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Mark the vertices at walls and gaps of a single node, whose two sides smoothing might push past each other.
+    """Mark the vertices at walls and gaps of one node, whose sides smoothing might push past each other.
 
     Vertices count in pitches; each lies on an edge of the lattice between two nodes.
     """

@@ -11,7 +11,7 @@ import numpy as np
 from dataset_store.errors import InputError
 from mnist3d.mesh import MM_PER_M
 from mnist3d.soundness import Soundness, judge
-from mnist3d.walls import thinnest_width_mm
+from mnist3d.walls import section_area_mm2, thinnest_width_mm
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -63,9 +63,10 @@ class PrintProfile:
     overhang_deg : float
         Slopes that lean out further than this from the vertical need support.
     max_overhang_share : float
-        Overhanging area over the area of the middle section from which on it is warned of.
+        Overhanging area over the area of the middle section above which it is warned of. The round undersides of
+        the digits overhang by design, by 0.47 to 0.71 of it (99 % of 473 real ones below 0.70).
     min_contact_mm2 : float
-        Smaller first layers are warned of.
+        Smaller first layers are warned of. Digits with ink 28 px wide have 10 mm^2, with 35 px 100 mm^2 or more.
     density_g_cm3 : float
         Of the material; 1.24 is PLA.
     """
@@ -76,8 +77,8 @@ class PrintProfile:
     max_height_mm: float = 256.0
     min_wall_mm: float = 0.8
     overhang_deg: float = 45.0
-    max_overhang_share: float = 0.9
-    min_contact_mm2: float = 20.0
+    max_overhang_share: float = 0.7
+    min_contact_mm2: float = 10.0
     density_g_cm3: float = 1.24
 
     def __post_init__(self) -> None:
@@ -182,6 +183,7 @@ def inspect(mesh: Mesh, profile: PrintProfile | None = None) -> PrintReport:
     overhang_mm2 = _overhang_mm2(vertices_mm, mesh.faces, profile)
     contact_mm2 = float(sound.manifold.slice(low[2] + profile.layer_height_mm).area())
     wall_mm = min(thinnest_width_mm(middle), size_mm[2])
+    area_mm2 = max(section_area_mm2(middle), 1e-9)
     return PrintReport(
         is_solid=True,
         status=sound.status,
@@ -196,7 +198,7 @@ def inspect(mesh: Mesh, profile: PrintProfile | None = None) -> PrintReport:
         thinnest_wall_mm=wall_mm,
         overhang_mm2=overhang_mm2,
         contact_mm2=contact_mm2,
-        warnings=_warnings(profile, sound, size_mm, wall_mm, overhang_mm2, contact_mm2),
+        warnings=_warnings(profile, sound, size_mm, wall_mm, overhang_mm2 / area_mm2, contact_mm2),
     )
 
 
@@ -227,11 +229,16 @@ def _refusal(sound: Soundness, counts: dict[str, int]) -> PrintReport:
 def _overhang_mm2(vertices_mm: NDArray[np.float64], faces: NDArray[np.int32], profile: PrintProfile) -> float:
     heights = vertices_mm[:, 2]
     aloft = (heights > heights.min() + profile.layer_height_mm)[faces].any(axis=1)
-    a, b, c = np.moveaxis(vertices_mm[faces[aloft]], 1, 0)
-    twice_normal = np.cross(b - a, c - a)
-    twice_area = np.linalg.norm(twice_normal, axis=1)
-    steep = twice_normal[:, 2] < -math.sin(math.radians(profile.overhang_deg)) * twice_area
+    x, y, z = (vertices_mm[:, axis][faces[aloft]] for axis in range(3))
+    normal_x, normal_y, normal_z = (_minor(*pair) for pair in ((y, z), (z, x), (x, y)))
+    twice_area = np.sqrt(normal_x**2 + normal_y**2 + normal_z**2)
+    steep = normal_z < -math.sin(math.radians(profile.overhang_deg)) * twice_area
     return float(twice_area[steep].sum() / 2)
+
+
+def _minor(u: NDArray[np.float64], v: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Cross two sides of each triangle: one component, from two coordinates of the corners."""
+    return np.asarray((u[:, 1] - u[:, 0]) * (v[:, 2] - v[:, 0]) - (u[:, 2] - u[:, 0]) * (v[:, 1] - v[:, 0]))
 
 
 def _warnings(
@@ -239,14 +246,13 @@ def _warnings(
     sound: Soundness,
     size_mm: tuple[float, float, float],
     wall_mm: float,
-    overhang_mm2: float,
+    overhang_share: float,
     contact_mm2: float,
 ) -> tuple[str, ...]:
-    footprint_mm2 = size_mm[0] * size_mm[1]
     found = {
         "thin-wall": wall_mm < profile.min_wall_mm,
         "separate-bodies": sound.bodies > 1,
-        "overhang": overhang_mm2 > profile.max_overhang_share * footprint_mm2,
+        "overhang": overhang_share > profile.max_overhang_share,
         "small-contact": contact_mm2 < profile.min_contact_mm2,
         "larger-than-plate": _exceeds(size_mm[:2], profile.plate_mm),
         "too-tall": size_mm[2] > profile.max_height_mm,

@@ -30,6 +30,7 @@ LEAST_CONTACT_SINE = 0.9
 
 MAX_POINTS = 6000
 _BLOCK = 512
+_LEAST_SQUARED_MM2 = np.float32(1e-3)
 
 
 def thinnest_width_mm(outlines_mm: Sequence[NDArray[np.float64]]) -> float:
@@ -105,19 +106,23 @@ def _largest_discs(
     points: NDArray[np.float32], inward: NDArray[np.float32]
 ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
     """Radius of the disc inside at every point, and how far away it touches the outline again."""
-    radii = np.empty(len(points), dtype=np.float32)
+    bends = np.empty(len(points), dtype=np.float32)
     contacts = np.empty(len(points), dtype=np.float32)
-    x, y = np.ascontiguousarray(points.T)
+    lengths = np.einsum("ij,ij->i", points, points)
     for start in range(0, len(points), _BLOCK):
-        rows = slice(start, start + _BLOCK)
-        dx, dy = x - x[rows, None], y - y[rows, None]
-        squared = dx * dx + dy * dy
-        depth = dx * inward[rows, :1] + dy * inward[rows, 1:]
-        # A disc that touches here and passes through a point at distance d and depth h has the radius d^2 /
-        # 2h.
-        disc = squared / np.maximum(2 * depth, np.float32(1e-9))
-        disc[(depth <= 1e-6) | (squared == 0)] = np.inf
-        nearest = disc.argmin(axis=1)[:, None]
-        radii[rows] = np.take_along_axis(disc, nearest, axis=1)[:, 0]
-        contacts[rows] = np.sqrt(np.take_along_axis(squared, nearest, axis=1)[:, 0])
+        rows = np.arange(start, min(start + _BLOCK, len(points)))
+        squared = points[rows] @ (-2 * points.T)
+        squared += lengths
+        squared += lengths[rows, None]
+        depth = inward[rows] @ points.T
+        depth -= np.einsum("ij,ij->i", inward[rows], points[rows])[:, None]
+        depth[np.arange(len(rows)), rows] = 0
+        np.maximum(squared, _LEAST_SQUARED_MM2, out=squared)
+        # A disc that touches here and passes through a point at distance d and depth h has the curvature 2
+        # h / d^2.
+        depth /= squared
+        sharpest = depth.argmax(axis=1)[:, None]
+        bends[rows] = np.take_along_axis(depth, sharpest, axis=1)[:, 0]
+        contacts[rows] = np.sqrt(np.take_along_axis(squared, sharpest, axis=1)[:, 0])
+    radii = np.asarray(0.5 / np.maximum(bends, 1e-9), dtype=np.float32)
     return radii, contacts

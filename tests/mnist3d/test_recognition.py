@@ -1,0 +1,96 @@
+"""Digits of the synthetic source can be read, and teach to read: smaller samples of the benchmark."""
+
+from __future__ import annotations
+
+import importlib.util
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from types import ModuleType
+
+import numpy as np
+import pytest
+
+from mnist3d.sources.synthetic import SyntheticSource
+
+ROOT = Path(__file__).resolve().parents[2]
+SHARED = ROOT.parent / "shared"
+TRAIN_COUNT = 1_940
+"""Even over writers and classes; the benchmark has the full sizes."""
+
+
+@pytest.fixture(scope="module")
+def recognition() -> Iterator[ModuleType]:
+    spec = importlib.util.spec_from_file_location("recognition", ROOT / "benchmarks" / "recognition.py")
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    sys.modules["recognition"] = module
+    spec.loader.exec_module(module)
+    yield module
+    del sys.modules["recognition"]
+
+
+@pytest.fixture(scope="module")
+def synthetic(recognition: ModuleType) -> object:
+    source = SyntheticSource()
+    return recognition.synthetic_images(source, recognition.evenly(source.count, TRAIN_COUNT, 0.5))
+
+
+@pytest.fixture(scope="module")
+def mnist(recognition: ModuleType) -> object:
+    if not (SHARED / "mnist" / "t10k-images-idx3-ubyte.gz").is_file():
+        pytest.skip("the MNIST test images are not in ../shared/mnist")
+    return recognition.load_mnist(SHARED / "mnist")
+
+
+@pytest.fixture(scope="module")
+def digits(recognition: ModuleType) -> object:
+    if not (SHARED / "digits" / "png").is_dir():
+        pytest.skip("the real high-resolution digits are not in ../shared/digits")
+    return recognition.load_digits(SHARED / "digits")
+
+
+def test_mnist_reads_synthetic_digits(recognition: ModuleType, mnist: object, synthetic: object) -> None:
+    part = recognition.Images(synthetic.pixels[::2], synthetic.labels[::2])  # type: ignore[attr-defined]
+    reading = recognition.read("a", mnist, part)
+    assert reading.accuracy > 0.92
+    assert min(reading.per_class) > 0.83
+
+
+def test_synthetic_digits_teach_to_read_real_ones(
+    recognition: ModuleType, synthetic: object, digits: object
+) -> None:
+    assert recognition.read("b", synthetic, digits).accuracy > 0.85
+
+
+def test_synthetic_digits_teach_to_read_mnist(
+    recognition: ModuleType, synthetic: object, mnist: object
+) -> None:
+    part = recognition.Images(mnist.pixels[:3000], mnist.labels[:3000])  # type: ignore[attr-defined]
+    assert recognition.read("c", synthetic, part).accuracy > 0.74
+
+
+def test_normalised_images_are_centred_boxes(recognition: ModuleType) -> None:
+    page = np.full((500, 500), 255, dtype=np.uint8)
+    page[100:400, 30:130] = 0
+    page[2:5, 490:495] = 0
+    frame = recognition.normalise(page)
+    assert np.flatnonzero(frame.any(axis=1)).tolist() == list(range(4, 24))
+    assert frame.any(axis=0).sum() == 7
+    assert frame.max() == 255.0
+
+
+def test_reader_votes_and_breaks_ties_by_the_nearest(recognition: ModuleType) -> None:
+    pixels = np.array([[0.0], [1.0], [2.0], [10.0], [11.0], [12.5]], dtype=np.float32)
+    known = recognition.Images(pixels, np.array([1, 2, 2, 3, 4, 5]))
+    unknown = recognition.Images(np.array([[0.1], [9.9]], dtype=np.float32), np.array([2, 3]))
+    table = recognition.read("votes", known, unknown).table
+    assert table[2, 2] == 1
+    assert table[3, 3] == 1
+
+
+def test_evenly_spaced_ids_are_distinct_and_cover_writers(recognition: ModuleType) -> None:
+    ids = recognition.evenly(13_580, 1_940, 0.5)
+    assert len(set(ids)) == 1_940
+    assert len({digit_id // 14 for digit_id in ids}) == 970

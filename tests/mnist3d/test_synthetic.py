@@ -1,0 +1,217 @@
+"""The synthetic source: pure, laid out like HWD+, and as varied as people."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import pickle
+from concurrent.futures import ProcessPoolExecutor
+from multiprocessing import get_context
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy import ndimage
+
+from dataset_store.errors import InputError
+from mnist3d.digit import DigitImage
+from mnist3d.sources.handwriting.dice import Dice
+from mnist3d.sources.handwriting.glyphs import ALLOGRAPHS, choose_allograph
+from mnist3d.sources.synthetic import DRAWING_VERSION, SyntheticSource
+
+MARGIN_PX = 8
+INK_BELOW = 128
+MANY = 10**9
+FOUR, EIGHT, TWO = 4, 8, 2
+
+
+def sha256(digit: DigitImage) -> str:
+    return hashlib.sha256(digit.pixels.tobytes()).hexdigest()
+
+
+def id_of(writer: int, label: int, repetition: int) -> int:
+    return writer * 140 + label * 14 + repetition
+
+
+def ink_of(digit: DigitImage) -> np.ndarray:
+    return digit.pixels < INK_BELOW
+
+
+def holes(digit: DigitImage) -> int:
+    """Count rings: patches of paper inside the ink that are larger than any fleck."""
+    paper, _ = ndimage.label(~ink_of(digit))
+    return int((np.bincount(paper.ravel())[1:] > 100).sum()) - 1
+
+
+GOLDEN = {
+    (0, 0): "5070dbdececbe4c5f7b55da5904d7267e55e6b00178628f3ad36fc4912e89534",
+    (0, 4711): "fd10aaad361ca9618321abb63e35bd6745b98e7271cf6ad8dad4942862b50bc8",
+    (7, 13_579): "56000b22fd62a303df6a2854934981018adf09998a52a8376ed99a4f8837fe79",
+}
+
+
+@pytest.mark.parametrize(("seed", "digit_id"), GOLDEN)
+def test_pixels_are_those_of_this_drawing_version(seed: int, digit_id: int) -> None:
+    """When this fails on purpose, raise DRAWING_VERSION and renew the hashes."""
+    assert DRAWING_VERSION == 1
+    assert sha256(SyntheticSource(seed).image(digit_id)) == GOLDEN[seed, digit_id]
+
+
+def test_same_bytes_in_another_order_and_process() -> None:
+    source, ids = SyntheticSource(3), [0, 13_579, 5_000, 5_001, 77]
+    here = [sha256(source.image(digit_id)) for digit_id in ids]
+    again = [sha256(source.image(digit_id)) for digit_id in reversed(ids)]
+    with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as pool:
+        there = [sha256(digit) for digit in pool.map(pickle.loads(pickle.dumps(source)).image, ids)]
+    assert here == again[::-1] == there
+    assert len(set(here)) == len(ids)
+
+
+@settings(max_examples=60, deadline=None)
+@given(seed=st.integers(0, 2**70), digit_id=st.integers(0, MANY - 1))
+def test_every_digit_is_well_placed_ink(seed: int, digit_id: int) -> None:
+    digit = SyntheticSource(seed, MANY).image(digit_id)
+    assert (digit.id, digit.label, digit.writer) == (digit_id, digit_id % 140 // 14, digit_id // 140)
+    assert digit.pixels.shape == (500, 500)
+    assert digit.pixels.dtype == np.uint8
+    inside = digit.pixels[MARGIN_PX:-MARGIN_PX, MARGIN_PX:-MARGIN_PX]
+    assert (255 - digit.pixels.astype(int)).sum() == (255 - inside.astype(int)).sum()
+    assert 0.01 < ink_of(digit).mean() < 0.20
+    assert np.ptp(np.flatnonzero(ink_of(digit).any(axis=1))) >= 80
+
+
+@settings(max_examples=10, deadline=None)
+@given(digit_id=st.integers(0, 13_579))
+def test_a_larger_count_keeps_the_first_digits(digit_id: int) -> None:
+    assert sha256(SyntheticSource().image(digit_id)) == sha256(SyntheticSource(0, MANY).image(digit_id))
+
+
+def test_seeds_differ() -> None:
+    assert sha256(SyntheticSource(0).image(5)) != sha256(SyntheticSource(1).image(5))
+
+
+def test_catalog_is_laid_out_like_hwd_plus() -> None:
+    catalog = SyntheticSource().catalog()
+    assert len(catalog) == 13_580
+    assert np.array_equal(catalog.ids, np.arange(13_580))
+    table = np.zeros((97, 10), dtype=int)
+    np.add.at(table, (catalog.writers, catalog.labels), 1)
+    assert (table == 14).all()
+    for digit_id in (0, 139, 140, 13_579):
+        digit = SyntheticSource().image(digit_id)
+        assert (digit.label, digit.writer) == (catalog.labels[digit_id], catalog.writers[digit_id])
+
+
+def test_fingerprint_is_json_and_tells_sources_apart() -> None:
+    assert SyntheticSource(4, 10).fingerprint() == {
+        "name": "synthetic",
+        "seed": 4,
+        "count": 10,
+        "drawing_version": DRAWING_VERSION,
+    }
+    assert json.dumps(SyntheticSource(np.int64(4), 10).fingerprint()) == json.dumps(
+        SyntheticSource(4, 10).fingerprint()
+    )
+
+
+@pytest.mark.parametrize("digit_id", [-1, 20, 10**12])
+def test_unknown_ids_name_id_and_range(digit_id: int) -> None:
+    with pytest.raises(InputError, match=rf"no digit {digit_id}; expected an id from 0 to 19"):
+        SyntheticSource(0, 20).image(digit_id)
+
+
+def test_a_fractional_id_is_refused() -> None:
+    with pytest.raises(TypeError):
+        SyntheticSource().image(1.5)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(("seed", "count", "words"), [(-1, 5, "seed .* is -1"), (0, 0, "asked for 0 digits")])
+def test_bad_options_are_named(seed: int, count: int, words: str) -> None:
+    with pytest.raises(InputError, match=words):
+        SyntheticSource(seed, count)
+
+
+def test_sources_are_small_and_immutable() -> None:
+    assert len(pickle.dumps(SyntheticSource())) < 300
+    with pytest.raises(AttributeError):
+        SyntheticSource().seed = 1  # type: ignore[misc]
+
+
+@pytest.mark.parametrize("label", [0, 3, 5, 8])
+def test_writers_resemble_themselves_more_than_others(label: int) -> None:
+    source, writers, repetitions = SyntheticSource(), range(0, 96, 6), range(4)
+    rows = [_small(source.image(id_of(w, label, r))) for w in writers for r in repetitions]
+    pixels = np.stack(rows)
+    apart = np.sqrt(((pixels[:, None] - pixels[None]) ** 2).sum(axis=2))
+    writer = np.repeat(np.arange(len(writers)), len(repetitions))
+    same = writer[:, None] == writer[None]
+    other = apart[~same].mean()
+    own = apart[same & ~np.eye(len(writer), dtype=bool)].mean()
+    assert 0.2 * other < own < 0.8 * other
+
+
+def _small(digit: DigitImage) -> np.ndarray:
+    """Return the ink's bounding box, shrunk to 20 x 20, as a flat float array."""
+    ink = ink_of(digit)
+    rows, columns = np.flatnonzero(ink.any(axis=1)), np.flatnonzero(ink.any(axis=0))
+    box = ink[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1].astype(float)
+    zoomed = ndimage.zoom(ndimage.gaussian_filter(box, 5.0), (20 / box.shape[0], 20 / box.shape[1]), order=1)
+    return zoomed[:20, :20].ravel()
+
+
+def test_pens_and_sizes_are_those_of_hwd_plus() -> None:
+    source = SyntheticSource()
+    digits = [source.image(id_of(writer, 1, 3)) for writer in range(0, 97, 2)]
+    widths = [2.0 * ndimage.distance_transform_edt(ink_of(digit)).max() for digit in digits]
+    heights = [np.ptp(np.flatnonzero(ink_of(digit).any(axis=1))) + 1 for digit in digits]
+    assert 20.0 <= np.median(widths) <= 45.0
+    assert np.std(widths) > 3.0
+    assert 250.0 <= np.median(heights) <= 330.0
+
+
+def test_bodies_of_ink_are_whole() -> None:
+    source = SyntheticSource()
+    bodies = []
+    for digit_id in range(5, 13_580, 67):
+        areas = np.bincount(ndimage.label(ink_of(source.image(digit_id)), np.ones((3, 3)))[0].ravel())[1:]
+        bodies.append(int((areas > 100).sum()))
+    assert np.mean(np.array(bodies) == 1) > 0.98
+    assert max(bodies) <= 2
+
+
+def test_every_shape_has_its_share_of_writers() -> None:
+    for label, shapes in enumerate(ALLOGRAPHS):
+        total = sum(weight for _, weight in shapes)
+        assert total == pytest.approx(1.0)
+        chosen = [choose_allograph(label, w, Dice(1, label), Dice(2, w), 1.0) for w in range(97)]
+        for index, (_, weight) in enumerate(shapes):
+            assert np.mean(np.array(chosen) == index) == pytest.approx(weight, abs=0.04)
+
+
+@pytest.mark.parametrize(("label", "seen"), [(TWO, {0, 1}), (FOUR, {0, 1})])
+def test_both_open_and_closed_shapes_occur(label: int, seen: set[int]) -> None:
+    source = SyntheticSource()
+    assert {holes(source.image(id_of(writer, label, 0))) for writer in range(40)} >= seen
+
+
+def test_rings_stay_open_under_thick_pens() -> None:
+    source = SyntheticSource()
+    thick = sorted(range(97), key=lambda writer: source.hand(writer).pen_px)[-25:]
+    open_rings = [holes(source.image(id_of(writer, EIGHT, 1))) == 2 for writer in thick]
+    assert np.mean(open_rings) > 0.6
+    assert all(holes(source.image(id_of(writer, 0, 1))) == 1 for writer in thick[:20])
+
+
+def test_dice_are_pinned_to_the_raw_stream() -> None:
+    words = np.random.PCG64(np.random.SeedSequence((2, 5, 6))).random_raw(64)
+    assert Dice(5, 6).units(64).tolist() == [float(word >> np.uint64(11)) / 2**53 for word in words]
+    assert Dice(5).unit() != Dice(5, 0).unit()
+
+
+@given(key=st.integers(0, 2**64), low=st.floats(-5, 0), high=st.floats(0, 5))
+def test_dice_stay_in_bounds(key: int, low: float, high: float) -> None:
+    dice = Dice(key)
+    assert low <= dice.uniform(low, high) <= high
+    assert abs(dice.bell()) < 3.5
+    assert dice.pick((0.0, 1.0, 0.0)) == 1
