@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from cli.output import Sink, bytes_text, duration_text
 
@@ -12,7 +12,7 @@ if TYPE_CHECKING:
     from mnist3d.generation import GenerateSpec
     from mnist3d.summary import SplitSummary
 
-__all__ = ["flat_lines", "print_forecast", "print_made"]
+__all__ = ["print_forecast", "print_made"]
 
 
 def print_made(sink: Sink, manifest: Manifest, out: Path, elapsed_s: float | None = None) -> None:
@@ -82,12 +82,3 @@ def print_forecast(sink: Sink, spec: GenerateSpec, out: Path, splits: tuple[str,
         f"about {duration_text(view.seconds)} with {workers} workers (measured on {view.sampled} digits); "
         "nothing was written"
     )
-
-
-def flat_lines(values: Any, path: str = "") -> list[str]:
-    """Lay out nested values as lines of dotted names."""
-    if isinstance(values, dict) and values:
-        return [
-            line for key, value in values.items() for line in flat_lines(value, f"{path}.{key}".lstrip("."))
-        ]
-    return [f"{path} = {values}"]

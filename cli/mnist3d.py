@@ -12,10 +12,11 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from cli.digit_source import InkName, SourceName, digit_source
-from cli.digit_tables import flat_lines, print_forecast, print_made
+from cli.digit_tables import print_forecast, print_made
 from cli.failures import EXIT_FAILED, reports_errors, run
 from cli.options import DryRun, Folder, Json, Limit, Out, Overwrite, Quiet, Seed, Workers
-from cli.output import Sink, bytes_text, duration_text
+from cli.output import Sink, duration_text, flat_lines
+from cli.verification import verify_folder
 
 if TYPE_CHECKING:
     from dataset_store.build import Progress
@@ -218,26 +219,9 @@ def verify(folder: Folder, as_json: Json = False, quiet: Quiet = False) -> None:
 
     Exit code 3 when something is damaged; each damaged file is named.
     """
-    from dataset_store.errors import IntegrityError
-    from dataset_store.storage import DataFolder
-    from dataset_store.verify import verify as verify_folder
     from mnist3d.rows import mesh_schema
 
-    sink = Sink(as_json, quiet)
-    result = verify_folder(DataFolder(str(folder)), mesh_schema())
-    findings = [{"file": finding.file, "problem": finding.problem} for finding in result.findings]
-    sink.document({"ok": result.ok, "files": result.files, "rows": result.rows, "findings": findings})
-    if result.ok:
-        size = bytes_text(result.bytes)
-        sink.line(f"{folder}: {result.files:,} files, {result.rows:,} rows, {size}: all as the manifest says")
-        return
-    for finding in result.findings:
-        sys.stderr.write(f"damaged: {finding.file}: {finding.problem}\n")
-    message = (
-        f"{len(findings)} problems in {str(folder)!r}; next: run the same `mnist3d generate` again, it makes "
-        "the damaged shards anew"
-    )
-    raise IntegrityError(message)
+    verify_folder(Sink(as_json, quiet), str(folder), mesh_schema(), "mnist3d generate")
 
 
 def main() -> None:

@@ -10,7 +10,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any
 
-__all__ = ["Sink", "bytes_text", "duration_text"]
+__all__ = ["Sink", "bytes_text", "duration_text", "flat_lines"]
 
 _PLAIN_INTERVAL_S = 5.0
 
@@ -143,3 +143,12 @@ def duration_text(seconds: float) -> str:
     if minutes < 60:
         return f"{minutes} min {rest} s"
     return f"{minutes // 60} h {minutes % 60} min"
+
+
+def flat_lines(values: Any, path: str = "") -> list[str]:
+    """Lay out nested values as lines of dotted names."""
+    if isinstance(values, dict) and values:
+        return [
+            line for key, value in values.items() for line in flat_lines(value, f"{path}.{key}".lstrip("."))
+        ]
+    return [f"{path} = {values}"]

@@ -44,11 +44,14 @@ class ShardContent:
         Items that gave no row.
     report : pyarrow.Table or None
         Report rows that go with them; merged over all shards into the plan's ``report_file``.
+    statistics : dict or None
+        Counts as JSON values, added up over the shards of a split in the manifest.
     """
 
     table: Any
     skipped: tuple[Skipped, ...] = ()
     report: Any = None
+    statistics: Mapping[str, Any] | None = None
 
 
 class ShardTask(Protocol):
@@ -150,7 +153,13 @@ class _WriteShard:
             self.folder.write_bytes(task.shard.report_path, report)
             report_sha256 = sha256_hex(report)
         receipt = Receipt(
-            task.shard, content.table.num_rows, len(data), sha256_hex(data), report_sha256, content.skipped
+            task.shard,
+            content.table.num_rows,
+            len(data),
+            sha256_hex(data),
+            report_sha256,
+            content.skipped,
+            content.statistics,
         )
         self.folder.write_bytes(task.shard.receipt_path, _receipt_text(receipt))
         return receipt

@@ -96,13 +96,13 @@ def list_array(rows: list[NDArray[Any]], value_type: Any, width: int = 3) -> Any
 
 
 def column_names(schema: Any) -> tuple[str, ...]:
-    """List columns by dotted name: a struct ``a<b, c>`` and flat ``a.b``, ``a.c`` read alike."""
+    """List columns by dotted name, at any depth; struct ``a<b, c>`` and flat ``a.b``, ``a.c`` read alike."""
+    return tuple(name for column in schema for name in _leaf_names(column.name, column.type))
+
+
+def _leaf_names(name: str, data_type: Any) -> list[str]:
     import pyarrow as pa
 
-    names: list[str] = []
-    for column in schema:
-        if pa.types.is_struct(column.type):
-            names.extend(f"{column.name}.{child.name}" for child in column.type)
-        else:
-            names.append(column.name)
-    return tuple(names)
+    if not pa.types.is_struct(data_type):
+        return [name]
+    return [leaf for child in data_type for leaf in _leaf_names(f"{name}.{child.name}", child.type)]

@@ -43,7 +43,9 @@ class HubRepository:
 
         with self._named_failures():
             if not HF_HUB_OFFLINE:
-                return list(HfApi().list_repo_files(self.repo_id, revision=self.revision, repo_type="dataset"))
+                return list(
+                    HfApi().list_repo_files(self.repo_id, revision=self.revision, repo_type="dataset")
+                )
             cached = snapshot_download(
                 self.repo_id, revision=self.revision, repo_type="dataset", local_files_only=True
             )
@@ -74,12 +76,14 @@ class HubRepository:
         try:
             yield
         except errors.GatedRepoError as error:
-            raise self._failure("is gated; next: accept its terms on its page and log in") from error
+            hint = "is gated; next: accept its terms on its page and log in"
+            raise self._failure(hint) from error
         except errors.RepositoryNotFoundError as error:
             hint = "was not found, or is private; next: check the name, or log in with `hf auth login`"
             raise self._failure(hint) from error
         except errors.RevisionNotFoundError as error:
-            raise self._failure(f"has no revision {self.revision!r}") from error
+            hint = f"has no revision {self.revision!r}"
+            raise self._failure(hint) from error
         except errors.LocalEntryNotFoundError as error:
             hint = "cannot be fetched now (no network, or offline mode) and is not in the cache"
             raise self._failure(hint) from error

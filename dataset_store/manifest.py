@@ -10,6 +10,7 @@ from typing import Any
 
 from dataset_store.errors import IntegrityError
 from dataset_store.shards import Receipt
+from dataset_store.statistics import add_up
 from dataset_store.storage import DataFolder
 
 __all__ = ["MANIFEST_FILE", "SCHEMA_VERSION", "Manifest", "read_manifest", "write_manifest"]
@@ -80,15 +81,26 @@ class Manifest:
         reasons = Counter(item.reason for receipt in self.receipts for item in receipt.skipped)
         return dict(sorted(reasons.items()))
 
+    def statistics(self) -> dict[str, dict[str, Any]]:
+        """Add up the statistics of each split's shards; splits without any are left out."""
+        counted: dict[str, list[Mapping[str, Any]]] = {}
+        for receipt in self.receipts:
+            if receipt.statistics is not None:
+                counted.setdefault(receipt.shard.split, []).append(receipt.statistics)
+        return {split: add_up(parts) for split, parts in counted.items()}
+
     def with_receipts(self, receipts: Iterable[Receipt]) -> Manifest:
         """Return a manifest that holds these receipts beside its own, each shard once, in order."""
         merged = {receipt.shard: receipt for receipt in (*self.receipts, *receipts)}
         order = {split: rank for rank, split in enumerate(self.split_order)}
-        ordered = sorted(merged.values(), key=lambda receipt: (order[receipt.shard.split], receipt.shard.index))
+        ordered = sorted(
+            merged.values(), key=lambda receipt: (order[receipt.shard.split], receipt.shard.index)
+        )
         return replace(self, receipts=tuple(ordered))
 
     def to_json(self) -> str:
         """Return the text of ``manifest.json``; the same content gives the same text."""
+        statistics = self.statistics()
         values = {
             "schema_version": self.schema_version,
             "toolkit_version": self.toolkit_version,
@@ -98,6 +110,7 @@ class Manifest:
             "split_order": list(self.split_order),
             "splits": self.split_table(),
             "skipped": self.skipped_reasons(),
+            **({"statistics": statistics} if statistics else {}),
             "files": dict(sorted((self.files or {}).items())),
             "shards": [receipt.to_dict() for receipt in self.receipts],
         }

@@ -97,8 +97,9 @@ def _refuse_unfinished(folder: DataFolder, split: str, shards: list[ShardName], 
     there = [file.path for file in _folder_files(folder) if file.split == split]
     if there or not shards:
         message = (
-            f"the run that makes {folder.address()!r} is not finished ({len(there)} shards of split {split!r} "
-            f"are there, {MANIFEST_FILE} is not complete); next: run the same `generate` again, it goes on"
+            f"the run that makes {folder.address()!r} is not finished ({len(there)} shards of split "
+            f"{split!r} are there, {MANIFEST_FILE} is not complete); next: run the same `generate` again, "
+            "it goes on"
         )
         raise IntegrityError(message)
 

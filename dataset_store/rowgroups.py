@@ -2,7 +2,8 @@
 
 Parquet must decode a whole row group to give one row. Each row group is therefore decoded on its first use
 into an Arrow file in the cache folder and mapped into memory; from then on a row costs microseconds, in this
-process and in every other one on the machine. Nothing is unpacked that nobody asked for.
+process and in every other one on the machine. Nothing is unpacked that nobody asked for. Large row groups are
+unpacked in blocks of some rows, so that memory stays bounded and no Arrow array outgrows its 32-bit offsets.
 """
 
 from __future__ import annotations
@@ -11,9 +12,10 @@ import contextlib
 import hashlib
 import os
 from bisect import bisect_right
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
@@ -22,7 +24,7 @@ from numpy.typing import NDArray
 
 from dataset_store.columns import RaggedColumn, column_names, ragged_column
 from dataset_store.errors import IntegrityError, StorageError
-from dataset_store.storage import DataFolder
+from dataset_store.storage import DataFolder, atomic_file, named_failures
 
 __all__ = ["CACHE_VARIABLE", "RowGroup", "Shard", "ShardedTable", "cache_folder"]
 
@@ -30,6 +32,7 @@ CACHE_VARIABLE = "TACTILE_TOOLKIT_CACHE"
 """Environment variable that names the folder of unpacked row groups."""
 
 _CACHE_LIMIT_BYTES = 32 << 30
+_BLOCK_BYTES = 64 << 20
 
 
 def cache_folder() -> Path:
@@ -43,22 +46,34 @@ def cache_folder() -> Path:
 
 @dataclass(frozen=True, eq=False)
 class RowGroup:
-    """One unpacked row group: columns as numpy views of mapped memory.
+    """One unpacked row group, or a block of a large one: columns as numpy views of mapped memory.
 
     Parameters
     ----------
     table : pyarrow.Table
         The rows, one chunk per column.
+    path : str
+        File that the rows come from, for messages.
+    first_row : int
+        Number of the first row in that file.
     """
 
     table: Any
+    path: str = ""
+    first_row: int = 0
     _ragged: dict[str, RaggedColumn] = field(default_factory=dict, repr=False)
     _flat: dict[str, NDArray[Any]] = field(default_factory=dict, repr=False)
+    _views: dict[str, Any] = field(default_factory=dict, repr=False)
 
     @cached_property
     def names(self) -> tuple[str, ...]:
         """Columns by dotted name."""
         return column_names(self.table.schema)
+
+    def once(self, key: str, build: Callable[[], Any]) -> Any:
+        """Build a view of the rows on its first use and keep it with them."""
+        view = self._views.get(key)
+        return self._views.setdefault(key, build()) if view is None else view
 
     def ragged(self, name: str) -> RaggedColumn:
         """Return a column of arrays of shape (n_i, width), by dotted name."""
@@ -82,16 +97,29 @@ class RowGroup:
         KeyError
             When there is no such column.
         """
-        import pyarrow as pa
+        outer, *inner = _split_name(name, self.table.column_names)
+        array = _one_chunk(self.table.column(outer))
+        for part in inner:
+            array = _struct_field(array, part, name)
+        return array
 
-        if name in self.table.column_names:
-            return _one_chunk(self.table.column(name))
-        outer, _, inner = name.partition(".")
-        if outer in self.table.column_names:
-            struct = _one_chunk(self.table.column(outer))
-            if pa.types.is_struct(struct.type) and struct.type.get_field_index(inner) >= 0:
-                return struct.flatten()[struct.type.get_field_index(inner)]
+
+def _split_name(name: str, columns: Sequence[str]) -> list[str]:
+    """Split ``a.b.c`` into the stored column, which may hold dots itself, and the fields inside it."""
+    parts = name.split(".")
+    for count in range(len(parts), 0, -1):
+        outer = ".".join(parts[:count])
+        if outer in columns:
+            return [outer, *parts[count:]]
+    raise KeyError(name)
+
+
+def _struct_field(array: Any, part: str, name: str) -> Any:
+    import pyarrow as pa
+
+    if not pa.types.is_struct(array.type) or array.type.get_field_index(part) < 0:
         raise KeyError(name)
+    return array.flatten()[array.type.get_field_index(part)]
 
 
 def _one_chunk(column: Any) -> Any:
@@ -153,20 +181,52 @@ class Shard:
         with _named_damage(self.path):
             return parquet.read_row_groups(list(wanted), columns=columns, use_threads=False)
 
-    def group(self, index: int) -> RowGroup:
-        """Map one row group into memory, unpacking it into the cache on its first use.
+    @cached_property
+    def block_rows(self) -> list[int]:
+        """How many rows of each row group are unpacked together; follows from the file alone."""
+        groups = [self.metadata.row_group(index) for index in range(self.metadata.num_row_groups)]
+        fitting = [_BLOCK_BYTES * group.num_rows // max(group.total_byte_size, 1) for group in groups]
+        return [max(1, min(group.num_rows, rows)) for group, rows in zip(groups, fitting, strict=True)]
+
+    def block(self, index: int, block: int) -> RowGroup:
+        """Map one block of a row group into memory, unpacking the row group into the cache on its first use.
 
         A cache that cannot be written (full, read-only) costs speed, never the data: the rows are then kept
         in the memory of this process.
         """
-        place = cache_folder() / "row-groups" / f"{self._identity}-{index:05d}.arrow"
-        table = _mapped(place)
+        place = cache_folder() / "blocks" / f"{self._identity}-{index:05d}.arrow"
+        table = _mapped(place, block)
         if table is None:
-            table = self.read(groups=[index])
             with contextlib.suppress(StorageError):
-                _write_arrow(place, table)
-                table = _mapped(place) or table
-        return RowGroup(table)
+                _make_room(place.parent, int(self.metadata.row_group(index).total_byte_size))
+                _write_arrow(place, self.schema, self.blocks(index))
+                table = _mapped(place, block)
+        if table is None:
+            return next(islice(self.blocks(index), block, None))
+        return RowGroup(table, self.path, self.group_starts[index] + block * self.block_rows[index])
+
+    def blocks(self, index: int, columns: Sequence[str] | None = None) -> Iterator[RowGroup]:
+        """Decode the blocks of a row group one after another, keeping none; all columns or those named."""
+        first_row = self.group_starts[index]
+        for table in self._block_tables(index, columns):
+            yield RowGroup(table, self.path, first_row)
+            first_row += len(table)
+
+    def _block_tables(self, index: int, columns: Sequence[str] | None) -> Iterator[Any]:
+        import pyarrow as pa
+
+        rows = self.block_rows[index]
+        waiting = None
+        with _named_damage(self.path):
+            for batch in self._parquet().iter_batches(rows, [index], columns, use_threads=False):
+                # The reader may give less than asked for; blocks have to be whole to be found again.
+                table = pa.Table.from_batches([batch])
+                waiting = table if waiting is None else pa.concat_tables([waiting, table])
+                while len(waiting) >= rows:
+                    yield waiting.slice(0, rows).combine_chunks()
+                    waiting = waiting.slice(rows)
+        if waiting is not None and len(waiting):
+            yield waiting.combine_chunks()
 
     @cached_property
     def _identity(self) -> str:
@@ -205,43 +265,47 @@ def _named_damage(path: str) -> Any:
         raise IntegrityError(message) from error
 
 
-def _mapped(path: Path) -> Any:
-    """Map an unpacked row group; None when it is not there, or was damaged (it is then removed)."""
+def _mapped(path: Path, block: int) -> Any:
+    """Map an unpacked block; None when it is not there, or was damaged (the file is then removed)."""
     import pyarrow as pa
 
     try:
-        table = pa.ipc.open_file(pa.memory_map(str(path))).read_all()
+        batch = pa.ipc.open_file(pa.memory_map(str(path))).get_batch(block)
     except FileNotFoundError:
         return None
-    except (pa.ArrowInvalid, OSError):
+    except (pa.ArrowInvalid, IndexError, OSError):
         path.unlink(missing_ok=True)
         return None
     with contextlib.suppress(OSError):
         os.utime(path)  # the time of last use decides what leaves a full cache first
-    return table
+    return pa.Table.from_batches([batch])
 
 
-def _write_arrow(place: Path, table: Any) -> None:
+def _write_arrow(place: Path, schema: Any, blocks: Iterator[RowGroup]) -> None:
     import pyarrow as pa
 
-    stream = pa.BufferOutputStream()
-    with pa.ipc.new_file(stream, table.schema) as writer:
-        writer.write_table(table.combine_chunks())
-    _make_room(place.parent, len(stream.getvalue()))
-    DataFolder(str(place.parent)).write_bytes(place.name, stream.getvalue())
+    with named_failures(str(place)), atomic_file(place) as stream, pa.ipc.new_file(stream, schema) as writer:
+        for block in blocks:
+            writer.write_table(block.table)
 
 
 def _make_room(folder: Path, needed_bytes: int) -> None:
     """Drop the files used longest ago when the cache would pass its limit; open maps stay valid."""
-    if not folder.is_dir():
-        return
-    files = sorted(((f.stat().st_mtime_ns, f.stat().st_size, f) for f in folder.glob("*.arrow")), key=lambda f: f[0])
+    files = sorted(_cached_files(folder))
     excess = sum(size for _, size, _ in files) + needed_bytes - _CACHE_LIMIT_BYTES
     for _, size, file in files:
         if excess <= 0:
             return
         file.unlink(missing_ok=True)
         excess -= size
+
+
+def _cached_files(folder: Path) -> Iterator[tuple[int, int, Path]]:
+    """Yield time of last use, size and place of finished files; other processes may remove some meanwhile."""
+    for file in folder.glob("[!.]*.arrow"):
+        with contextlib.suppress(FileNotFoundError):
+            facts = file.stat()
+            yield facts.st_mtime_ns, facts.st_size, file
 
 
 @dataclass(frozen=True)
@@ -261,7 +325,7 @@ class ShardedTable:
         return [0, *np.cumsum([len(shard) for shard in self.shards]).tolist()]
 
     @cached_property
-    def _groups(self) -> dict[tuple[int, int], RowGroup]:
+    def _groups(self) -> dict[tuple[int, int, int], RowGroup]:
         return {}
 
     @cached_property
@@ -284,15 +348,46 @@ class ShardedTable:
         return self.shards[0].schema if self.shards else None
 
     def locate(self, row: int) -> tuple[RowGroup, int]:
-        """Return the row group that holds a row, and the row's place in it."""
+        """Return the row group (or block of one) that holds a row, and the row's place in it."""
         shard_index = bisect_right(self._starts, row) - 1
         shard = self.shards[shard_index]
         inner = row - self._starts[shard_index]
         group_index = bisect_right(shard.group_starts, inner) - 1
-        group = self._groups.get((shard_index, group_index))
+        block, place = divmod(inner - shard.group_starts[group_index], shard.block_rows[group_index])
+        group = self._groups.get((shard_index, group_index, block))
         if group is None:
-            group = self._groups.setdefault((shard_index, group_index), shard.group(group_index))
-        return group, inner - shard.group_starts[group_index]
+            group = self._groups.setdefault(
+                (shard_index, group_index, block), shard.block(group_index, block)
+            )
+        return group, place
+
+    def derive(
+        self, key: str, columns: Sequence[str], compute: Callable[[RowGroup], NDArray[Any]]
+    ) -> NDArray[Any]:
+        """Compute something small of a few columns, reading no other; kept for the next call.
+
+        Parameters
+        ----------
+        key : str
+            Name under which the result is kept.
+        columns : sequence of str
+            Columns to read.
+        compute : callable
+            Gives the values of some rows; joined along the first axis.
+        """
+        values = self._columns.get(key)
+        if values is None:
+            groups = (
+                group
+                for shard in self.shards
+                for index in range(shard.metadata.num_row_groups)
+                for group in shard.blocks(index, columns)
+            )
+            parts = [compute(group) for group in groups]
+            values = np.concatenate(parts) if parts else np.zeros(0)
+            values.setflags(write=False)
+            values = self._columns.setdefault(key, values)
+        return values
 
     def column(self, name: str) -> NDArray[Any]:
         """Read one plain column of all rows, and only that column; kept for the next call."""

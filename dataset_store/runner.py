@@ -107,8 +107,8 @@ class ProcessRunner:
         for task, attempt in running.values():
             if attempt >= self.attempts:
                 message = (
-                    f"the worker process died {attempt} times while it made {task}; out of memory is the usual "
-                    "cause; next: run the same command with fewer --workers (finished shards are kept)"
+                    f"the worker process died {attempt} times while it made {task}; out of memory is the "
+                    "usual cause; next: run the same command with fewer --workers (finished shards are kept)"
                 )
                 raise ToolkitError(message)
             waiting.appendleft((task, attempt + 1))
@@ -137,8 +137,8 @@ def _needs_no_main(function: object, task: object) -> bool:
 def _main_hidden() -> Iterator[None]:
     """Start workers without running the caller's script again.
 
-    Spawned processes import the main script; one without an ``if __name__ == "__main__"`` guard, or typed into
-    an interpreter, would fail or start the work anew in each of them. Nothing of ours lives there.
+    Spawned processes import the main script; one without an ``if __name__ == "__main__"`` guard, or typed
+    into an interpreter, would fail or start the work anew in each of them. Nothing of ours lives there.
     """
     main = sys.modules["__main__"]
     hidden = {name: vars(main)[name] for name in ("__spec__", "__file__") if name in vars(main)}

@@ -109,6 +109,8 @@ class Receipt:
         Checksum of its report rows, where there are any.
     skipped : tuple of Skipped
         Items that gave no row.
+    statistics : dict or None
+        Counts over the shard's rows that add up over shards; see :mod:`dataset_store.statistics`.
     """
 
     shard: ShardName
@@ -117,9 +119,11 @@ class Receipt:
     sha256: str
     report_sha256: str | None = None
     skipped: tuple[Skipped, ...] = field(default=())
+    statistics: Mapping[str, Any] | None = None
 
     def to_dict(self) -> dict[str, Any]:
         """Return JSON values; ``file`` is the shard's path in the folder."""
+        counted = {} if self.statistics is None else {"statistics": self.statistics}
         return {
             "file": self.shard.data_path,
             "split": self.shard.split,
@@ -128,6 +132,7 @@ class Receipt:
             "sha256": self.sha256,
             "report_sha256": self.report_sha256,
             "skipped": [asdict(item) for item in self.skipped],
+            **counted,
         }
 
     @classmethod
@@ -143,12 +148,21 @@ class Receipt:
             shard = ShardName.parse(str(values["file"]).rpartition("/")[2])
             skipped = tuple(Skipped(**item) for item in values["skipped"])
             if shard is None:
-                raise KeyError("file")
+                name = "file"
+                raise KeyError(name)
             return cls(
-                shard, values["rows"], values["bytes"], values["sha256"], values["report_sha256"], skipped
+                shard,
+                values["rows"],
+                values["bytes"],
+                values["sha256"],
+                values["report_sha256"],
+                skipped,
+                values.get("statistics"),
             )
         except (KeyError, TypeError) as error:
-            message = f"damaged shard receipt: {error} is missing or wrong in {json.dumps(dict(values))[:200]}"
+            message = (
+                f"damaged shard receipt: {error} is missing or wrong in {json.dumps(dict(values))[:200]}"
+            )
             raise IntegrityError(message) from error
 
 
@@ -219,5 +233,8 @@ def sha256_hex(content: bytes) -> str:
 
 def file_sha256(folder: DataFolder, path: str) -> str:
     """Return the SHA-256 of a stored file, read in pieces."""
+    digest = hashlib.sha256()
     with folder.open(path) as stream:
-        return hashlib.file_digest(stream, "sha256").hexdigest()
+        while piece := stream.read(1 << 20):
+            digest.update(piece)
+    return digest.hexdigest()

@@ -20,7 +20,7 @@ from typing import IO, Any
 
 from dataset_store.errors import InputError, IntegrityError, StorageError
 
-__all__ = ["DataFolder", "atomic_file"]
+__all__ = ["DataFolder", "atomic_file", "named_failures"]
 
 _TEMPORARY_PREFIX = ".writing-"
 
@@ -138,7 +138,7 @@ class DataFolder:
         StorageError
             No space, no permission, a read-only place. Nothing is left behind under any name.
         """
-        with _named_failures(self.address(path)):
+        with named_failures(self.address(path)):
             if self.is_local:
                 _write_atomic(Path(self.address(path)), content)
             else:
@@ -148,7 +148,7 @@ class DataFolder:
 
     def remove(self, path: str) -> None:
         """Remove a file; an absent one is no error."""
-        with _named_failures(self.address(path)):
+        with named_failures(self.address(path)):
             if self.is_local:
                 Path(self.address(path)).unlink(missing_ok=True)
             elif self.exists(path):
@@ -175,7 +175,7 @@ class DataFolder:
             return
         place = Path(self._root)
         probe = place / _temporary_name("probe")
-        with _named_failures(self._root):
+        with named_failures(self._root):
             if place.exists() and not place.is_dir():
                 message = f"{self._root!r} is a file, a folder was expected; choose another place with --out"
                 raise InputError(message)
@@ -246,7 +246,8 @@ def _writer_is_gone(name: str) -> bool:
 
 
 @contextlib.contextmanager
-def _named_failures(address: str) -> Iterator[None]:
+def named_failures(address: str) -> Iterator[None]:
+    """Turn the file system's errors about a place into a :class:`StorageError` that says what to do."""
     try:
         yield
     except OSError as error:

@@ -138,7 +138,9 @@ def _check_schema(shard: Shard, schema: Any, path: str) -> list[Finding]:
         return []
     found, expected = set(map(str, shard.schema)), set(map(str, schema))
     return [
-        Finding(path, f"schema differs: {sorted(found - expected)} there, {sorted(expected - found)} expected")
+        Finding(
+            path, f"schema differs: {sorted(found - expected)} there, {sorted(expected - found)} expected"
+        )
     ]
 
 
@@ -149,4 +151,8 @@ def _check_ids(shard: Shard, path: str, seen: dict[object, str]) -> list[Finding
     seen.update(dict.fromkeys(ids, path))
     if not repeated:
         return []
-    return [Finding(path, f"id {repeated[0]!r} is not unique, it also stands in {first} ({len(repeated)} such ids)")]
+    return [
+        Finding(
+            path, f"id {repeated[0]!r} is not unique, it also stands in {first} ({len(repeated)} such ids)"
+        )
+    ]

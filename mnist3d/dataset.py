@@ -2,43 +2,30 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from typing import TYPE_CHECKING, Any, Literal, cast, overload
+from typing import Literal, overload
 
 import numpy as np
 from numpy.typing import NDArray
 
-from dataset_store.errors import InputError
+from dataset_store.mesh_columns import class_names, require_mesh_columns
+from dataset_store.mesh_records import RecordStream, SolidRecord
 from dataset_store.places import find_shards
-from dataset_store.records import Record, RecordDataset, Row
-from dataset_store.rowgroups import Shard, ShardedTable
+from dataset_store.records import RecordDataset
+from dataset_store.rowgroups import ShardedTable
 from mnist3d.digit import NO_WRITER
 from mnist3d.rows import CLASS_NAMES
-
-if TYPE_CHECKING:
-    import trimesh
 
 __all__ = ["MeshDataset", "MeshRecord", "MeshStream", "load"]
 
 
-class MeshRecord(Record):
-    """One 3D digit; fields are loaded on first use.
+class MeshRecord(SolidRecord):
+    """One 3D digit: ``id``, ``label``, ``vertices_m``, ``faces``, ``mesh`` and what follows.
 
     Frame of the mesh: origin at the image centre, x right and y up as the digit is read, z out of the plate,
     lowest point at z = 0; metres.
     """
 
     __slots__ = ()
-
-    @property
-    def id(self) -> int:
-        """Number of the digit in its source."""
-        return int(self._row.value("id"))
-
-    @property
-    def label(self) -> int:
-        """The digit, 0 to 9."""
-        return int(self._row.value("label"))
 
     @property
     def writer(self) -> int:
@@ -51,31 +38,11 @@ class MeshRecord(Record):
         return str(self._row.value("source")) if self._row.has("source") else ""
 
     @property
-    def vertices_m(self) -> NDArray[np.float32]:
-        """Vertices, shape (V, 3), float32, metres; a read-only view of the stored values."""
-        return self._row.array("mesh.vertices")
-
-    @property
-    def faces(self) -> NDArray[np.int32]:
-        """Triangles, shape (F, 3), int32, counter-clockwise seen from outside; a read-only view."""
-        return self._row.array("mesh.faces")
-
-    @property
-    def mesh(self) -> trimesh.Trimesh:
-        """The mesh, metres. Vertices stay as they are stored: none is merged, dropped or moved."""
-        return self._once("mesh", self._build_mesh)
-
-    @property
     def volume_m3(self) -> float:
         """Volume in cubic metres: the stored one, or that of the mesh where none is stored."""
         if self._row.has("volume_m3"):
             return float(self._row.value("volume_m3"))
         return float(self.mesh.volume)
-
-    def _build_mesh(self) -> trimesh.Trimesh:
-        import trimesh
-
-        return trimesh.Trimesh(self.vertices_m, self.faces, process=False)
 
     def __repr__(self) -> str:
         return (
@@ -105,31 +72,8 @@ class MeshDataset(RecordDataset[MeshRecord]):
         return self.column("writer")
 
 
-class MeshStream:
-    """Records one after another, read from the address piece by piece; nothing is stored locally.
-
-    Parameters
-    ----------
-    shards : tuple of Shard
-        Shards to read in turn.
-    """
-
-    def __init__(self, shards: tuple[Shard, ...]) -> None:
-        self._shards = shards
-
-    @property
-    def label_names(self) -> tuple[str, ...]:
-        """Name of each class."""
-        return _class_names(self._shards[0].schema)
-
-    def __iter__(self) -> Iterator[MeshRecord]:
-        """Decode one row group at a time."""
-        from dataset_store.rowgroups import RowGroup
-
-        for shard in self._shards:
-            for index in range(shard.metadata.num_row_groups):
-                group = RowGroup(shard.read(groups=[index]))
-                yield from (MeshRecord(Row(group, row)) for row in range(len(group.table)))
+MeshStream = RecordStream[MeshRecord]
+"""Digits one after another, read as they are asked for."""
 
 
 @overload
@@ -173,30 +117,7 @@ def load(
     """
     shards = find_shards(name, split, revision=revision, streaming=streaming)
     table = ShardedTable(shards)
-    _require_meshes(table, name)
+    require_mesh_columns(table.schema, name, "mnist3d generate")
     if streaming:
-        return MeshStream(shards)
-    return MeshDataset([table], label_names=_class_names(table.schema))
-
-
-def _require_meshes(table: ShardedTable, name: str) -> None:
-    from dataset_store.columns import column_names
-
-    found = column_names(table.schema)
-    missing = [column for column in ("id", "label", "mesh.vertices", "mesh.faces") if column not in found]
-    if missing:
-        message = (
-            f"{name!r} is no data set of meshes: column {missing[0]!r} is missing "
-            f"(found {', '.join(found)}); next: name a data set such as one written by `mnist3d generate`"
-        )
-        raise InputError(message)
-
-
-def _class_names(schema: Any) -> tuple[str, ...]:
-    import json
-
-    metadata = (schema.metadata or {}).get(b"huggingface")
-    if metadata is None:
-        return CLASS_NAMES
-    features = json.loads(metadata)["info"]["features"]
-    return tuple(cast("list[str]", features.get("label", {}).get("names", CLASS_NAMES)))
+        return MeshStream(shards, MeshRecord, CLASS_NAMES)
+    return MeshDataset([table], label_names=class_names(table.schema, CLASS_NAMES))

@@ -46,6 +46,9 @@ Distances grow evenly with the depth, so a blur changes nothing there but the ri
 height would otherwise go up and down with the places of the nodes.
 """
 
+GRAIN_PX = 2.0**-12
+"""Sampled distances are rounded to this, so that no processor's way of adding up shows in a mesh."""
+
 NUDGE = 0.03
 """Least depth of a node in pitches: it keeps the vertices on the edges around a node apart."""
 
@@ -198,17 +201,18 @@ def _blurred(
 ) -> NDArray[np.float32]:
     down = _weights(rows, distance.shape[0], sigma)
     across = _weights(columns, distance.shape[1], sigma)
-    return np.asarray(down @ distance @ across.T)
+    sampled = down @ distance.astype(np.float64) @ across.T
+    return np.asarray(np.round(sampled / GRAIN_PX) * GRAIN_PX, dtype=np.float32)
 
 
-def _weights(nodes: NDArray[np.float64], count: int, sigma: float) -> NDArray[np.float32]:
+def _weights(nodes: NDArray[np.float64], count: int, sigma: float) -> NDArray[np.float64]:
     # Twice a Gaussian less a wider one: it lets the waves pass that a Gaussian wears down, so that tips,
     # notches and ridges lose less than half as much, and still holds back what the lattice cannot carry.
-    away = (nodes.astype(np.float32)[:, None] - np.arange(count, dtype=np.float32)) / np.float32(2 * sigma)
+    away = (nodes[:, None] - np.arange(count)) / (2 * sigma)
     wide = np.exp(-away * away)
     narrow = wide * wide
     weights = narrow * (2 / narrow.sum(axis=1, keepdims=True)) - wide / wide.sum(axis=1, keepdims=True)
-    return np.asarray(weights, dtype=np.float32)
+    return np.asarray(weights, dtype=np.float64)
 
 
 def _heights(pitch: float, spec: SolidSpec) -> NDArray[np.float32]:
@@ -244,12 +248,13 @@ def _beside_thin_places(vertices: NDArray[np.float32], inside: NDArray[np.bool_]
 
     Vertices count in pitches; each lies on an edge of the lattice between two nodes.
     """
-    thin = np.zeros_like(inside)
+    # Higher up there is always a wider layer below, so a ridge of one node is safe and may be smoothed.
+    plane = inside[:, :, 0]
+    thin = np.zeros_like(plane)
     for down, across in ((0, 1), (1, 0), (1, 1), (1, -1)):
-        one = _shifted(inside, down, across)
-        other = _shifted(inside, -down, -across)
-        thin |= (one == other) & (one != inside)
-    low, high = np.floor(vertices).astype(np.intp), np.ceil(vertices).astype(np.intp)
+        one, other = _shifted(plane, down, across), _shifted(plane, -down, -across)
+        thin |= (one == other) & (one != plane)
+    low, high = np.floor(vertices[:, :2]).astype(np.intp), np.ceil(vertices[:, :2]).astype(np.intp)
     return np.asarray(thin[tuple(low.T)] | thin[tuple(high.T)])
 
 

@@ -76,4 +76,5 @@ def decimate(mesh: Mesh, target_vertices: int) -> Mesh:
 def _from_manifold(solid: Any) -> Mesh:
     mesh = solid.to_mesh64()
     vertices_m = np.asarray(mesh.vert_properties)[:, :3] / MM_PER_M
+    vertices_m[:, 2] -= vertices_m[:, 2].min()
     return Mesh(vertices_m.astype(np.float32), np.asarray(mesh.tri_verts).astype(np.int32))

@@ -63,10 +63,12 @@ class PrintProfile:
     overhang_deg : float
         Slopes that lean out further than this from the vertical need support.
     max_overhang_share : float
-        Overhanging area over the area of the middle section above which it is warned of. The round undersides of
-        the digits overhang by design, by 0.47 to 0.71 of it (99 % of 473 real ones below 0.70).
+        Overhanging area over the area of the middle section above which it is warned of. The round
+        undersides of the digits overhang by design, by 0.47 to 0.71 of it (99 % of 473 real ones below
+        0.70).
     min_contact_mm2 : float
-        Smaller first layers are warned of. Digits with ink 28 px wide have 10 mm^2, with 35 px 100 mm^2 or more.
+        Smaller first layers are warned of. Digits with ink 28 px wide have 10 mm^2, with 35 px 100 mm^2 or
+        more.
     density_g_cm3 : float
         Of the material; 1.24 is PLA.
     """

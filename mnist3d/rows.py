@@ -2,13 +2,21 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache
 from typing import Any
 
 from dataset_store.columns import list_array
+from dataset_store.mesh_columns import (
+    FACES,
+    VERTICES,
+    feature_metadata,
+    label_feature,
+    value_feature,
+    vectors_feature,
+    vectors_type,
+)
 from dataset_store.shards import ParquetStyle
 from mnist3d.mesh import Mesh
 
@@ -19,13 +27,17 @@ CLASS_NAMES = tuple(str(digit) for digit in range(10))
 PARQUET_STYLE = ParquetStyle(
     rows_per_group=32,
     compression="zstd",
-    compression_level=9,
+    compression_level=3,
     encodings=(
-        ("mesh.vertices.list.element.list.element", "BYTE_STREAM_SPLIT"),
-        ("mesh.faces.list.element.list.element", "DELTA_BINARY_PACKED"),
+        (f"{VERTICES}.list.element.list.element", "BYTE_STREAM_SPLIT"),
+        (f"{FACES}.list.element.list.element", "DELTA_BINARY_PACKED"),
     ),
 )
-"""32 meshes are about 6 MB unpacked: small enough to unpack for one row, large enough to compress well."""
+"""32 meshes are about 6 MB unpacked: small enough to unpack for one row, large enough to compress well.
+
+Level 3 of zstd takes 1.0 ms and 52.6 kB a mesh, level 9 takes 1.7 ms and 51.1 kB; without the encodings
+level 3 would give 65.8 kB.
+"""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -57,32 +69,22 @@ def mesh_schema() -> Any:
     fields = [
         pa.field("id", pa.int64()),
         pa.field("label", pa.int64()),
-        pa.field("mesh.vertices", pa.list_(pa.list_(pa.float32(), 3))),
-        pa.field("mesh.faces", pa.list_(pa.list_(pa.int32(), 3))),
+        pa.field(VERTICES, vectors_type(pa.float32())),
+        pa.field(FACES, vectors_type(pa.int32())),
         pa.field("writer", pa.int64()),
         pa.field("volume_m3", pa.float64()),
         pa.field("source", pa.string()),
     ]
     features = {
-        "id": _value("int64"),
-        "label": {"names": list(CLASS_NAMES), "_type": "ClassLabel"},
-        "mesh.vertices": _vectors("float32"),
-        "mesh.faces": _vectors("int32"),
-        "writer": _value("int64"),
-        "volume_m3": _value("float64"),
-        "source": _value("string"),
+        "id": value_feature("int64"),
+        "label": label_feature(CLASS_NAMES),
+        VERTICES: vectors_feature("float32"),
+        FACES: vectors_feature("int32"),
+        "writer": value_feature("int64"),
+        "volume_m3": value_feature("float64"),
+        "source": value_feature("string"),
     }
-    return pa.schema(fields, metadata={"huggingface": json.dumps({"info": {"features": features}})})
-
-
-def _value(dtype: str) -> dict[str, Any]:
-    return {"dtype": dtype, "_type": "Value"}
-
-
-def _vectors(dtype: str) -> dict[str, Any]:
-    # "Sequence" is the spelling that both old and new releases of `datasets` read as a list.
-    inner = {"feature": _value(dtype), "length": 3, "_type": "Sequence"}
-    return {"feature": inner, "_type": "Sequence"}
+    return pa.schema(fields, metadata=feature_metadata(features))
 
 
 def mesh_table(rows: Sequence[MeshRow], source: str) -> Any:

@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from mnist3d.distance import distance_px
 from mnist3d.mesh import MM_PER_M, Mesh
 from mnist3d.profile import erosion_radius
 
@@ -63,8 +62,10 @@ def erode(mask: NDArray[np.bool_], radius_px: float) -> NDArray[np.bool_]:
     -------
     ndarray of bool, shape (H, W)
     """
-    distance = distance_px(np.pad(mask, 1), radius_px + 1.0)[1:-1, 1:-1]
-    return np.asarray(mask & (distance >= radius_px + 0.5))
+    from scipy import ndimage
+
+    distance: Any = ndimage.distance_transform_edt(np.pad(mask, 1))
+    return np.asarray(mask & (distance[1:-1, 1:-1] >= radius_px + 0.5))
 
 
 def stack(layers: Sequence[NDArray[Any]]) -> NDArray[Any]:

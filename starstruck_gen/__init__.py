@@ -1,1 +1,72 @@
-"""Starstruck: scenes of stars among distractors, made by rejection sampling."""
+"""Starstruck: scenes of stars among distractors, made by rejection sampling.
+
+``starstruck_gen.load`` opens a data set, ``starstruck_gen.generate`` makes one,
+``starstruck_gen.SceneDataset`` gives the same records without any files, and ``starstruck_gen.sample_scene``
+makes a single scene. Names are imported on first use, so that ``import starstruck_gen`` costs nothing.
+"""
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from starstruck_gen.dataset import SceneMeshDataset, SceneRecord, load
+    from starstruck_gen.endless import SceneDataset
+    from starstruck_gen.errors import SamplingExhausted
+    from starstruck_gen.generation import GenerateSpec, generate
+    from starstruck_gen.placement import Placement
+    from starstruck_gen.sampling import sample_scene, sample_scenes
+    from starstruck_gen.scene import Scene
+    from starstruck_gen.shapes import OUTLINES, Shape
+    from starstruck_gen.spec import SceneSpec
+    from starstruck_gen.stamping import SceneMeshes, stamp
+    from starstruck_gen.streams import SPLITS, scene_rng, scene_seed
+
+__all__ = [
+    "OUTLINES",
+    "SPLITS",
+    "GenerateSpec",
+    "Placement",
+    "SamplingExhausted",
+    "Scene",
+    "SceneDataset",
+    "SceneMeshDataset",
+    "SceneMeshes",
+    "SceneRecord",
+    "SceneSpec",
+    "Shape",
+    "generate",
+    "load",
+    "sample_scene",
+    "sample_scenes",
+    "scene_rng",
+    "scene_seed",
+    "stamp",
+]
+
+_HOMES = {
+    "dataset": ("SceneMeshDataset", "SceneRecord", "load"),
+    "endless": ("SceneDataset",),
+    "errors": ("SamplingExhausted",),
+    "generation": ("GenerateSpec", "generate"),
+    "placement": ("Placement",),
+    "sampling": ("sample_scene", "sample_scenes"),
+    "scene": ("Scene",),
+    "shapes": ("OUTLINES", "Shape"),
+    "spec": ("SceneSpec",),
+    "stamping": ("SceneMeshes", "stamp"),
+    "streams": ("SPLITS", "scene_rng", "scene_seed"),
+}
+
+
+def __getattr__(name: str) -> Any:
+    for home, names in _HOMES.items():
+        if name in names:
+            return getattr(import_module(f"starstruck_gen.{home}"), name)
+    message = f"module 'starstruck_gen' has no attribute {name!r}"
+    raise AttributeError(message)
+
+
+def __dir__() -> list[str]:
+    return sorted(__all__)

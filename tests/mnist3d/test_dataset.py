@@ -11,7 +11,7 @@ import pytest
 
 import mnist3d
 from dataset_store.errors import InputError
-from mnist3d.dataset import MeshStream
+from dataset_store.mesh_records import RecordStream
 from mnist3d.generation import GenerateSpec, generate
 from mnist3d.solid import SolidSpec
 from mnist3d.sources.synthetic import SyntheticSource
@@ -56,7 +56,7 @@ def test_mesh_is_what_is_stored(digits):
 
 def test_stream_gives_the_same_records(folder, digits):
     stream = mnist3d.load(folder, "test", streaming=True)
-    assert isinstance(stream, MeshStream)
+    assert isinstance(stream, RecordStream)
     assert stream.label_names == digits.label_names
     for streamed, stored in zip(stream, digits, strict=True):
         assert streamed.id == stored.id
@@ -87,7 +87,9 @@ def test_nested_spelling_is_read_alike(digits, tmp_path):
             [("vertices", pa.list_(pa.list_(pa.float32()))), ("faces", pa.list_(pa.list_(pa.int32())))]
         ),
     )
-    pq.write_table(pa.table({"id": [row.id], "label": [row.label], "mesh": struct}), tmp_path / "train.parquet")
+    pq.write_table(
+        pa.table({"id": [row.id], "label": [row.label], "mesh": struct}), tmp_path / "train.parquet"
+    )
     nested = mnist3d.load(str(tmp_path), "train")[0]
     np.testing.assert_array_equal(nested.vertices_m, row.vertices_m)
     np.testing.assert_array_equal(nested.faces, row.faces)
@@ -100,7 +102,9 @@ def test_other_columns_are_refused(tmp_path):
     import pyarrow.parquet as pq
 
     pq.write_table(pa.table({"id": [1], "text": ["x"]}), tmp_path / "train.parquet")
-    with pytest.raises(InputError, match=r"no data set of meshes: column 'label' is missing \(found id, text\)"):
+    with pytest.raises(
+        InputError, match=r"no data set of meshes: column 'label' is missing \(found id, text\)"
+    ):
         mnist3d.load(str(tmp_path))
 
 
@@ -140,7 +144,9 @@ def test_relief_shows_the_outline(digits):
 
 
 def test_import_is_light():
-    script = "import sys, mnist3d; print(*sorted({'scipy', 'skimage', 'trimesh', 'datasets'} & set(sys.modules)))"
+    script = (
+        "import sys, mnist3d; print(*sorted({'scipy', 'skimage', 'trimesh', 'datasets'} & set(sys.modules)))"
+    )
     done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == ""
 

@@ -147,5 +147,5 @@ def test_writer_splits_are_as_near_as_whole_writers_allow():
 
 
 def test_unknown_writers_cannot_be_split():
-    with pytest.raises(InputError, match="need the writer of every digit.*--writer-column"):
+    with pytest.raises(InputError, match=r"need the writer of every digit.*--writer-column"):
         plan_splits(catalog([1, 2, 3]), SplitSpec(by="writer"))

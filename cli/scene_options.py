@@ -1,0 +1,89 @@
+"""How the options of ``starstruck generate`` describe scenes."""
+
+from __future__ import annotations
+
+from enum import StrEnum
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from starstruck_gen.spec import SceneSpec
+
+__all__ = ["CollisionName", "scene_spec", "split_sizes"]
+
+
+class CollisionName(StrEnum):
+    """Collision rules on the command line."""
+
+    circles = "circles"
+    exact = "exact"
+
+
+def scene_spec(
+    stars: str,
+    distractors: str,
+    shapes: str,
+    radius_mm: float,
+    heights_mm: str,
+    cell_mm: str,
+    collision: CollisionName,
+    clearance_mm: float,
+) -> SceneSpec:
+    """Make the specification that the options describe."""
+    from starstruck_gen.shapes import STAR, Shape
+    from starstruck_gen.spec import SceneSpec
+
+    least, *rest = _counts("--distractors", distractors)
+    sides_m = _lengths_m("--cell-mm", cell_mm.replace("x", ","))
+    radius_m = radius_mm / 1e3
+    return SceneSpec(
+        cell_m=(sides_m[0], sides_m[-1]),
+        stars=_counts("--stars", stars),
+        distractors=(least, rest[-1] if rest else least),
+        star=Shape(STAR, radius_m),
+        distractor_shapes=tuple(Shape(name.strip(), radius_m) for name in shapes.split(",") if name.strip()),
+        heights_m=_lengths_m("--heights-mm", heights_mm),
+        collision=collision.value,
+        clearance_m=clearance_mm / 1e3,
+    )
+
+
+def _counts(option: str, text: str) -> tuple[int, ...]:
+    """Read ``1-3`` or ``1,2,5``."""
+    from dataset_store.errors import InputError
+
+    least, dash, most = (part.strip() for part in text.partition("-"))
+    if dash and least.isdigit() and most.isdigit() and int(least) <= int(most) < 10_000:
+        return tuple(range(int(least), int(most) + 1))
+    parts = [part.strip() for part in text.split(",")]
+    if all(part.isdigit() for part in parts):
+        return tuple(int(part) for part in parts)
+    message = f"{option} is {text!r}; expected a range such as 1-3, or numbers such as 1,2,5"
+    raise InputError(message)
+
+
+def _lengths_m(option: str, text: str) -> tuple[float, ...]:
+    """Read lengths in millimetres, separated by commas."""
+    from dataset_store.errors import InputError
+
+    try:
+        return tuple(float(part) / 1e3 for part in text.split(","))
+    except ValueError:
+        message = f"{option} is {text!r}; expected millimetres such as 120, or several of them"
+        raise InputError(message) from None
+
+
+def split_sizes(text: str) -> tuple[tuple[str, int], ...]:
+    """Read ``5000`` or ``train=5000,test=500``."""
+    from dataset_store.errors import InputError
+    from starstruck_gen.streams import SPLITS
+
+    if text.strip().isdigit():
+        return tuple((split, int(text)) for split in SPLITS)
+    sizes = []
+    for part in text.split(","):
+        split, _, count = (piece.strip() for piece in part.partition("="))
+        if not count.isdigit():
+            message = f"--scenes has {part!r}; expected a number, or SPLIT=N such as train=3000,test=300"
+            raise InputError(message)
+        sizes.append((split, int(count)))
+    return tuple(sizes)

@@ -1,0 +1,82 @@
+"""What ``starstruck`` prints about a data set: tables on a terminal, one document with ``--json``."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from cli.output import Sink, bytes_text, duration_text
+
+if TYPE_CHECKING:
+    from dataset_store.manifest import Manifest
+    from starstruck_gen.generation import GenerateSpec
+    from starstruck_gen.summary import SplitSummary
+
+__all__ = ["print_acceptance", "print_forecast", "print_made"]
+
+
+def print_made(sink: Sink, manifest: Manifest, out: Path, elapsed_s: float | None = None) -> None:
+    """Print the table of what a folder holds."""
+    from starstruck_gen.summary import summarise
+
+    summaries = summarise(manifest)
+    sink.document(
+        {
+            "folder": str(out),
+            "complete": manifest.complete,
+            "toolkit_version": manifest.toolkit_version,
+            "elapsed_s": None if elapsed_s is None else round(elapsed_s, 3),
+            "splits": [summary.to_dict() for summary in summaries],
+            "spec": manifest.spec,
+        }
+    )
+    if not manifest.complete:
+        sink.line(f"{out}: the run was interrupted; the same `starstruck generate` goes on where it stopped")
+        return
+    header = ("split", "scenes", "per class", "Parquet", "bytes per scene", "accepted", "started over")
+    sink.table(header, [_made_row(summary) for summary in summaries])
+
+
+def _made_row(summary: SplitSummary) -> tuple[object, ...]:
+    classes = summary.acceptance.classes
+    return (
+        summary.split,
+        summary.rows,
+        str(classes[0]) if min(classes) == max(classes) else f"{min(classes)}-{max(classes)}",
+        bytes_text(summary.bytes),
+        round(summary.bytes_per_scene),
+        f"{100 * summary.acceptance.accepted:.1f} %",
+        summary.acceptance.restarts,
+    )
+
+
+def print_acceptance(sink: Sink, manifest: Manifest) -> None:
+    """Print how many positions were drawn, by the number of the object in its scene."""
+    from starstruck_gen.summary import summarise
+
+    for summary in summarise(manifest):
+        counts = summary.acceptance
+        rows = [
+            (number, placed, tried, f"{tried / placed:.3f}")
+            for number, (placed, tried) in enumerate(
+                zip(counts.objects, counts.attempts, strict=True), start=1
+            )
+            if placed
+        ]
+        header = ("object", "placed", "positions drawn", "per object")
+        sink.table(header, rows, f"{summary.split}: positions drawn by object of a scene")
+
+
+def print_forecast(sink: Sink, spec: GenerateSpec, out: Path, splits: tuple[str, ...], workers: int) -> None:
+    """Print what a run would make, how large and how long."""
+    from starstruck_gen.forecast import forecast
+
+    view = forecast(spec, str(out), splits, workers)
+    sink.document(view.to_dict())
+    header = ("split", "scenes", "shards", "finished already")
+    sink.table(header, [(entry.split, entry.scenes, entry.shards, entry.finished) for entry in view.splits])
+    sink.line(
+        f"would make {view.scenes_to_make:,} scenes in {out}: about {bytes_text(view.bytes)} of Parquet, "
+        f"about {duration_text(view.seconds)} with {workers} workers (measured on {view.sampled} scenes); "
+        "nothing was written"
+    )

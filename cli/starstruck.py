@@ -1,0 +1,236 @@
+"""``starstruck``: make, check and look into data sets of scenes of stars among other objects."""
+
+from __future__ import annotations
+
+import os
+import sys
+import time
+from enum import StrEnum
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from cli.failures import EXIT_FAILED, reports_errors, run
+from cli.options import DryRun, Folder, Json, Limit, Out, Overwrite, Quiet, Seed, Workers
+from cli.output import Sink, duration_text, flat_lines
+from cli.scene_options import CollisionName, scene_spec, split_sizes
+from cli.scene_tables import print_acceptance, print_forecast, print_made
+from cli.verification import verify_folder
+
+if TYPE_CHECKING:
+    from dataset_store.build import Progress
+    from dataset_store.manifest import Manifest
+    from starstruck_gen.generation import GenerateSpec
+
+__all__ = ["app", "main"]
+
+app = typer.Typer(
+    name="starstruck",
+    help="Starstruck: scenes of stars among other objects, as validated data sets of meshes.",
+    no_args_is_help=True,
+    pretty_exceptions_enable=False,
+    add_completion=False,
+)
+
+
+class SplitName(StrEnum):
+    """Splits of Starstruck on the command line."""
+
+    train = "train"
+    test = "test"
+    all = "all"
+
+
+@app.callback(invoke_without_command=True)
+def _global(
+    version: Annotated[bool, typer.Option("--version", help="Print the version and leave.")] = False,
+    debug: Annotated[bool, typer.Option("--debug", help="Show the traceback of an error.")] = False,
+) -> None:
+    if version:
+        from dataset_store.versions import toolkit_version
+
+        sys.stdout.write(f"tactile-toolkit {toolkit_version()}\n")
+        raise typer.Exit
+
+
+@app.command()
+@reports_errors
+def generate(
+    split: Annotated[SplitName, typer.Option(help="Split to make.")] = SplitName.all,
+    out: Out = Path("starstruck-data"),
+    scenes: Annotated[
+        str | None,
+        typer.Option(
+            metavar="N|train=N,test=N", help="Scenes of each split instead of the published 3,000 and 300."
+        ),
+    ] = None,
+    stars: Annotated[
+        str, typer.Option(metavar="1-3|1,2,5", help="Number of stars of each class; a class for each number.")
+    ] = "1-3",
+    distractors: Annotated[
+        str, typer.Option(metavar="0-5", help="Least and most objects of a scene that are no stars.")
+    ] = "0-5",
+    shapes: Annotated[
+        str,
+        typer.Option(
+            metavar="box,disc",
+            help="Shapes of distractors: box, disc, triangle, hexagon, ring, cross, crescent.",
+        ),
+    ] = "box,disc",
+    radius_mm: Annotated[
+        float, typer.Option(metavar="MM", help="Radius of the circle around every object.")
+    ] = 10.0,
+    heights_mm: Annotated[
+        str, typer.Option(metavar="5|4,6", help="Heights of objects, each with equal chance.")
+    ] = "5",
+    cell_mm: Annotated[
+        str, typer.Option(metavar="120|120x120", help="Size of the cell along x and y.")
+    ] = "120",
+    collision: Annotated[
+        CollisionName,
+        typer.Option(help="What must not meet: circles around objects, or their exact outlines."),
+    ] = CollisionName.circles,
+    clearance_mm: Annotated[
+        float, typer.Option(metavar="MM", help="Least distance kept between those.")
+    ] = 0.0,
+    seed: Seed = 0,
+    limit: Limit = None,
+    workers: Workers = 0,
+    overwrite: Overwrite = False,
+    dry_run: DryRun = False,
+    as_json: Json = False,
+    quiet: Quiet = False,
+) -> None:
+    """Make a data set of scenes.
+
+    Example: starstruck generate --stars 1-5 --scenes 10000 --out scenes
+
+    A run that was stopped goes on when the same command is given again; finished shards are never made twice.
+    """
+    from starstruck_gen.generation import PUBLISHED_SIZES, GenerateSpec
+    from starstruck_gen.streams import SPLITS
+
+    scene = scene_spec(stars, distractors, shapes, radius_mm, heights_mm, cell_mm, collision, clearance_mm)
+    sizes = PUBLISHED_SIZES if scenes is None else split_sizes(scenes)
+    spec = GenerateSpec(scene, sizes, seed, limit)
+    splits = SPLITS if split is SplitName.all else (split.value,)
+    sink = Sink(as_json, quiet)
+    count = workers or os.cpu_count() or 1
+    if dry_run:
+        print_forecast(sink, spec, out, splits, count)
+    else:
+        _run_generate(sink, spec, out, splits, count, overwrite)
+
+
+@app.command()
+@reports_errors
+def validate(
+    paths: Annotated[
+        list[Path],
+        typer.Argument(metavar="DIR|FILE...", help="Data set folders, or Parquet files of scenes."),
+    ],
+    split: Annotated[SplitName, typer.Option(help="Split of a data set folder.")] = SplitName.all,
+    limit: Limit = None,
+    workers: Workers = 1,
+    as_json: Json = False,
+    quiet: Quiet = False,
+) -> None:
+    """Prove scenes as read back from disk: solids that never overlap, and as many stars as the label says.
+
+    Example: starstruck validate scenes --workers 0
+
+    Exit code 1 when a scene breaks a promise.
+    """
+    from starstruck_gen.validate import validate_folder
+
+    sink = Sink(as_json, quiet)
+    chosen = None if split is SplitName.all else split.value
+    count = workers or os.cpu_count() or 1
+    with sink.progress("checking", "scenes") as update:
+        results = [validate_folder(str(path), chosen, limit, count, on_progress=update) for path in paths]
+    sink.document([result.to_dict() for result in results])
+    for result in results:
+        if result.failed:
+            sink.table(*result.table())
+    failed = sum(result.failed for result in results)
+    checked = sum(result.checked for result in results)
+    bodies = sum(result.bodies for result in results)
+    stars = sum(result.stars for result in results)
+    sink.line(
+        f"{checked - failed:,} of {checked:,} scenes are valid: {bodies:,} solids, {stars:,} of them stars"
+    )
+    if failed:
+        raise typer.Exit(EXIT_FAILED)
+
+
+@app.command()
+@reports_errors
+def info(folder: Folder, as_json: Json = False) -> None:
+    """Show what a data set folder holds, how it was made, and how hard it was to place objects."""
+    from dataset_store.errors import InputError
+    from dataset_store.manifest import MANIFEST_FILE, read_manifest
+    from dataset_store.storage import DataFolder
+
+    manifest = read_manifest(DataFolder(str(folder)))
+    if manifest is None:
+        message = f"no {MANIFEST_FILE} in {str(folder)!r}; next: give the folder of a generated data set"
+        raise InputError(message)
+    _require_scenes(manifest, folder)
+    sink = Sink(as_json)
+    print_made(sink, manifest, folder)
+    print_acceptance(sink, manifest)
+    sink.line(f"made by tactile-toolkit {manifest.toolkit_version}; spec:")
+    for line in flat_lines(manifest.spec):
+        sink.line(f"  {line}")
+
+
+@app.command()
+@reports_errors
+def verify(folder: Folder, as_json: Json = False, quiet: Quiet = False) -> None:
+    """Check every checksum, row count, schema and id of a data set folder.
+
+    Exit code 3 when something is damaged; each damaged file is named.
+    """
+    from starstruck_gen.rows import scene_schema
+
+    verify_folder(Sink(as_json, quiet), str(folder), scene_schema(), "starstruck generate")
+
+
+def main() -> None:
+    """Run the command line."""
+    run(app)
+
+
+def _run_generate(
+    sink: Sink, spec: GenerateSpec, out: Path, splits: tuple[str, ...], workers: int, overwrite: bool
+) -> None:
+    from starstruck_gen.generation import generate as make
+
+    start_s = time.monotonic()
+    made = 0
+    with sink.progress("making scenes", "scenes") as update:
+
+        def on_progress(progress: Progress) -> None:
+            nonlocal made
+            made = progress.done
+            update(progress.done, progress.total)
+
+        manifest = make(spec, str(out), splits, workers=workers, overwrite=overwrite, on_progress=on_progress)
+    elapsed_s = time.monotonic() - start_s
+    print_made(sink, manifest, out, elapsed_s)
+    done = f"made {made:,} scenes in {duration_text(elapsed_s)}" if made else "nothing was left to make"
+    sink.line(f"{done}; the data set is in {out}")
+    sink.line(
+        f"next: starstruck validate {out}   or in Python: "
+        f"starstruck_gen.load({str(out)!r}, split={manifest.splits[0]!r})"
+    )
+
+
+def _require_scenes(manifest: Manifest, folder: Path) -> None:
+    from dataset_store.errors import InputError
+    from starstruck_gen.generation import KIND
+
+    if manifest.kind != KIND:
+        message = f"{str(folder)!r} holds a data set of kind {manifest.kind!r}; expected one of {KIND!r}"
+        raise InputError(message)

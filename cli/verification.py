@@ -1,0 +1,52 @@
+"""``verify`` as all command lines do it."""
+
+from __future__ import annotations
+
+import sys
+from typing import Any
+
+from cli.output import Sink, bytes_text
+
+__all__ = ["verify_folder"]
+
+
+def verify_folder(sink: Sink, folder: str, schema: Any, generate: str) -> None:
+    """Check a data set folder and print what was found.
+
+    Parameters
+    ----------
+    sink : Sink
+        Where to print.
+    folder : str
+        The folder.
+    schema : pyarrow.Schema
+        Schema of its rows.
+    generate : str
+        Command that makes damaged shards anew.
+
+    Raises
+    ------
+    IntegrityError
+        When something is damaged; each damaged file is named on stderr.
+    InputError
+        When the folder holds no data set.
+    """
+    from dataset_store.errors import IntegrityError
+    from dataset_store.storage import DataFolder
+    from dataset_store.verify import verify
+
+    result = verify(DataFolder(folder), schema)
+    findings = [{"file": finding.file, "problem": finding.problem} for finding in result.findings]
+    sink.document({"ok": result.ok, "files": result.files, "rows": result.rows, "findings": findings})
+    if result.ok:
+        size = bytes_text(result.bytes)
+        counts = f"{result.files:,} files, {result.rows:,} rows, {size}"
+        sink.line(f"{folder}: {counts}: all as the manifest says")
+        return
+    for finding in result.findings:
+        sys.stderr.write(f"damaged: {finding.file}: {finding.problem}\n")
+    message = (
+        f"{len(findings)} problems in {folder!r}; next: run the same `{generate}` again, it makes the "
+        "damaged shards anew"
+    )
+    raise IntegrityError(message)

@@ -1,0 +1,168 @@
+"""Loading Starstruck: typed, lazy, without copies."""
+
+from __future__ import annotations
+
+from typing import Any, Literal, overload
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dataset_store.errors import InputError
+from dataset_store.mesh_columns import class_names, require_mesh_columns
+from dataset_store.mesh_records import RecordStream, SolidRecord
+from dataset_store.places import find_shards
+from dataset_store.records import RecordDataset
+from dataset_store.rowgroups import ShardedTable
+from starstruck_gen.placement import Placement
+from starstruck_gen.rows import CLASS_NAMES
+from starstruck_gen.scene import Scene
+
+__all__ = ["SceneMeshDataset", "SceneRecord", "load"]
+
+
+class SceneRecord(SolidRecord):
+    """One scene; fields are loaded on first use.
+
+    Frame of the mesh: origin at the cell's centre, x right, y away from the robot, z up, objects standing on
+    z = 0; metres. Data sets without our columns (the published one) give ``id``, ``label``, ``star_count``
+    and the mesh.
+    """
+
+    __slots__ = ()
+
+    @property
+    def star_count(self) -> int:
+        """Number of stars; in data sets that do not store it, that of the published class."""
+        return int(self._row.value("star_count")) if self._row.has("star_count") else self.label + 1
+
+    @property
+    def distractor_count(self) -> int:
+        """Number of objects that are no stars.
+
+        Raises
+        ------
+        InputError
+            When the data set does not store it.
+        """
+        return int(self._stored("distractor_count"))
+
+    @property
+    def has_placements(self) -> bool:
+        """Whether the data set stores what stands where; the published one does not."""
+        return self._row.has("placements")
+
+    @property
+    def placements(self) -> tuple[Placement, ...]:
+        """Objects in the order of placing, stars first.
+
+        Raises
+        ------
+        InputError
+            When the data set does not store them.
+        """
+        return self._once(
+            "placements", lambda: tuple(Placement(**entry) for entry in self._stored("placements"))
+        )
+
+    @property
+    def seed(self) -> int:
+        """Seed of the scene: with the specification and the star count it makes the scene again.
+
+        Raises
+        ------
+        InputError
+            When the data set does not store it.
+        """
+        return int(self._stored("seed"))
+
+    @property
+    def scene(self) -> Scene:
+        """The scene: what stands where, and what it took to place it.
+
+        Raises
+        ------
+        InputError
+            When the data set does not store it.
+        """
+        attempts = tuple(int(count) for count in self._stored("attempts"))
+        return Scene(self.star_count, self.placements, attempts, int(self._stored("restarts")))
+
+    def _read_placements(self) -> tuple[Placement, ...]:
+        return tuple(Placement(**entry) for entry in self._stored("placements"))
+
+    def _stored(self, name: str) -> Any:
+        if not self._row.has(name):
+            message = f"this data set stores no {name!r}; next: use one written by `starstruck generate`"
+            raise InputError(message)
+        return self._row.value(name)
+
+    def __repr__(self) -> str:
+        return f"SceneRecord(id={self.id}, label={self.label}, star_count={self.star_count})"
+
+    def _repr_html_(self) -> str:
+        """Show the scene from above in a notebook; without stored placements, its name alone."""
+        if not self.has_placements:
+            return repr(self)
+        from starstruck_gen.picture import scene_html
+
+        return scene_html(
+            self.scene, f"scene {self.id}: {self.star_count} stars, {self.distractor_count} distractors"
+        )
+
+
+class SceneMeshDataset(RecordDataset[SceneRecord]):
+    """A lazy sequence of :class:`SceneRecord`; see :class:`dataset_store.records.RecordDataset`."""
+
+    record = SceneRecord
+
+    @property
+    def star_counts(self) -> NDArray[np.int64]:
+        """Number of stars of each row, shape (len,); loads no mesh."""
+        return self.column("star_count")
+
+
+@overload
+def load(
+    name: str, split: str = "train", *, streaming: Literal[False] = False, revision: str | None = None
+) -> SceneMeshDataset: ...
+@overload
+def load(
+    name: str, split: str = "train", *, streaming: Literal[True], revision: str | None = None
+) -> RecordStream[SceneRecord]: ...
+def load(
+    name: str, split: str = "train", *, streaming: bool = False, revision: str | None = None
+) -> SceneMeshDataset | RecordStream[SceneRecord]:
+    """Open a data set of scenes.
+
+    Parameters
+    ----------
+    name : str
+        A folder written by ``starstruck generate``, a Parquet file, or a repository of the Hub
+        (``USER/NAME``) with the columns of Starstruck.
+    split : str
+        Split to open; only its shards are fetched.
+    streaming : bool
+        Give an iterable that reads as it goes and keeps nothing, instead of a data set with random access.
+    revision : str, optional
+        Branch, tag or commit of a Hub repository.
+
+    Returns
+    -------
+    SceneMeshDataset or RecordStream
+        No row is read until it is asked for.
+
+    Raises
+    ------
+    InputError
+        No such folder or split, or the columns are not those of Starstruck.
+    IntegrityError
+        The data set is damaged or unfinished.
+    HubError
+        The repository cannot be reached or does not exist.
+    """
+    shards = find_shards(name, split, revision=revision, streaming=streaming)
+    table = ShardedTable(shards)
+    require_mesh_columns(table.schema, name, "starstruck generate")
+    if streaming:
+        return RecordStream(shards, SceneRecord, CLASS_NAMES)
+    return SceneMeshDataset([table], label_names=class_names(table.schema, CLASS_NAMES))

@@ -1,0 +1,206 @@
+"""Scenes on the fly: the records of a data set that was never written."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import cached_property
+from typing import Any, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dataset_store.columns import RaggedColumn, column_names
+from dataset_store.errors import InputError
+from dataset_store.mesh_columns import FACES, VERTICES
+from dataset_store.records import RecordDataset
+from dataset_store.rowgroups import RowGroup, ShardedTable
+from starstruck_gen.dataset import SceneRecord
+from starstruck_gen.rows import SceneRows, make_rows, scene_schema, scene_table
+from starstruck_gen.sampling import sample_scenes
+from starstruck_gen.scene import Scene
+from starstruck_gen.spec import SceneSpec
+from starstruck_gen.stamping import SceneMeshes
+from starstruck_gen.streams import MOST_SCENES, SPLITS, scene_id, scene_seed
+
+__all__ = ["DEFAULT_SIZE", "SceneDataset", "SceneTable"]
+
+DEFAULT_SIZE = 300_000
+"""Scenes of a split on the fly, where no size is given (package tactile-mnist 0.13.0)."""
+
+_CHUNK = 1_000
+
+
+class SceneTable(ShardedTable):
+    """The rows of a split, each made when it is asked for.
+
+    Parameters
+    ----------
+    spec : SceneSpec
+        How scenes are made.
+    split : str
+        Split.
+    size : int
+        Number of rows.
+    seed : int
+        Seed of the data set.
+    """
+
+    def __init__(self, spec: SceneSpec, split: str, size: int, seed: int) -> None:
+        super().__init__(())
+        self.__setstate__({"spec": spec, "split": split, "size": size, "seed": seed})
+
+    spec: SceneSpec
+    split: str
+    size: int
+    seed: int
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Pickle as four values."""
+        return {"spec": self.spec, "split": self.split, "size": self.size, "seed": self.seed}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        self.__dict__.update(state)
+
+    def __len__(self) -> int:
+        return self.size
+
+    @property
+    def schema(self) -> Any:
+        """Arrow schema of the rows."""
+        return scene_schema(self.spec.class_names)
+
+    def locate(self, row: int) -> tuple[RowGroup, int]:
+        """Return a row as a group of its own; nothing of it is made yet."""
+        return _MadeRow(self, row), 0
+
+    def rows(self, start: int, count: int) -> SceneRows:
+        """Make some rows at once."""
+        return make_rows(self.spec, self.split, self.seed, start, count)
+
+    def scene(self, row: int) -> Scene:
+        """Make one scene."""
+        return sample_scenes(self.spec, self.split, self.seed, row, 1)[0]
+
+    def column(self, name: str) -> NDArray[Any]:
+        """Return one plain column of all rows; labels, star counts and ids without making any scene."""
+        classes = np.arange(self.size, dtype=np.int64) % len(self.spec.stars)
+        if name == "id":
+            return np.arange(self.size, dtype=np.int64) + scene_id(self.split, 0)
+        if name == "label":
+            return classes
+        if name == "star_count":
+            return np.array(self.spec.stars, dtype=np.int64)[classes]
+        if name == "seed":
+            return np.array(
+                [scene_seed(self.seed, self.split, row) for row in range(self.size)], dtype=np.int64
+            )
+        starts = range(0, self.size, _CHUNK)
+        tables = [scene_table(self.rows(start, min(_CHUNK, self.size - start))) for start in starts]
+        return np.concatenate([table.column(name).to_numpy() for table in tables])
+
+
+class _MadeRow(RowGroup):
+    """One row that looks like a stored one; scene and mesh are made on first use."""
+
+    _origin: SceneTable
+
+    def __init__(self, origin: SceneTable, row: int) -> None:
+        # The base's fields would be set through its frozen constructor, which wants the table at once.
+        self.__dict__.update(_origin=origin, path="", first_row=row)
+
+    @cached_property
+    def table(self) -> Any:
+        """The row as an Arrow table, for pickling."""
+        return scene_table(self._origin.rows(self.first_row, 1))
+
+    @cached_property
+    def names(self) -> tuple[str, ...]:
+        """Columns by dotted name."""
+        return column_names(self._origin.schema)
+
+    @cached_property
+    def _scene(self) -> Scene:
+        return self._origin.scene(self.first_row)
+
+    @cached_property
+    def _meshes(self) -> SceneMeshes:
+        from starstruck_gen.stamping import stamp
+
+        meshes = stamp([self._scene.placements])
+        for column in (meshes.vertices_m, meshes.faces):
+            column.values.setflags(write=False)
+        return meshes
+
+    def ragged(self, name: str) -> RaggedColumn:
+        """Return the vertices or the faces."""
+        columns = {VERTICES: self._meshes.vertices_m, FACES: self._meshes.faces}
+        return columns[name] if name in columns else super().ragged(name)
+
+    def flat(self, name: str) -> NDArray[Any]:
+        """Return a plain column of one value."""
+        values = np.empty(1, dtype=object)
+        values[0] = self._value(name)
+        return values
+
+    def _value(self, name: str) -> Any:
+        origin, row = self._origin, self.first_row
+        if name == "id":
+            return scene_id(origin.split, row)
+        if name == "label":
+            return row % len(origin.spec.stars)
+        if name == "star_count":
+            return origin.spec.stars[row % len(origin.spec.stars)]
+        if name == "seed":
+            return scene_seed(origin.seed, origin.split, row)
+        if name == "placements":
+            return [placement._asdict() for placement in self._scene.placements]
+        return getattr(self._scene, name)
+
+
+class SceneDataset(RecordDataset[SceneRecord]):
+    """Scenes on the fly: the records that ``starstruck generate`` writes, index by index, without any files.
+
+    Parameters
+    ----------
+    spec : SceneSpec, optional
+        How scenes are made; as published by default.
+    split : str
+        One of :data:`starstruck_gen.SPLITS`. Splits never share a scene.
+    size : int
+        Number of scenes; scene i does not depend on it.
+    seed : int
+        Seed of the data set.
+
+    Raises
+    ------
+    InputError
+        Unknown split, a size outside 0 to 1,000,000,000, or a negative seed.
+
+    Examples
+    --------
+    >>> scenes = SceneDataset(size=1_000_000, seed=3)
+    >>> scenes[123_456].star_count
+    1
+    >>> scenes[123_456].mesh.is_watertight
+    True
+    """
+
+    record = SceneRecord
+
+    def __init__(
+        self, spec: SceneSpec | None = None, split: str = "train", size: int = DEFAULT_SIZE, seed: int = 0
+    ) -> None:
+        spec = spec or SceneSpec()
+        if split not in SPLITS:
+            message = f"unknown split {split!r}; expected one of {', '.join(SPLITS)}"
+            raise InputError(message)
+        if not 0 <= size <= MOST_SCENES or seed < 0:
+            found = f"size is {size} and seed is {seed}"
+            message = f"{found}; expected a size of 0 to {MOST_SCENES:,} and a seed from 0"
+            raise InputError(message)
+        super().__init__([SceneTable(spec, split, size, seed)], label_names=spec.class_names)
+
+    def _view(self, tables: Sequence[ShardedTable], rows: range | NDArray[np.int64]) -> Self:
+        view = type(self).__new__(type(self))
+        RecordDataset.__init__(view, tables, rows, self._label_names)
+        return view

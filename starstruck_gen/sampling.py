@@ -1,0 +1,174 @@
+"""Scenes by rejection sampling, in the published order (Tactile MNIST paper, section Starstruck)."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable
+from dataclasses import replace
+from typing import TypeVar
+
+import numpy as np
+
+from dataset_store.errors import InputError
+from starstruck_gen.collision import CLEAR
+from starstruck_gen.errors import SamplingExhausted
+from starstruck_gen.placement import Placement
+from starstruck_gen.scene import Scene
+from starstruck_gen.shapes import Shape
+from starstruck_gen.spec import SceneSpec
+from starstruck_gen.streams import SceneStreams, scene_rng, scene_seed
+
+__all__ = ["require_room", "sample_scene", "sample_scenes"]
+
+T = TypeVar("T")
+
+_LOCAL = threading.local()
+
+Uniform = Callable[[], float]
+
+
+def sample_scene(spec: SceneSpec, rng: np.random.Generator, star_count: int | None = None) -> Scene:
+    """Make one scene.
+
+    Draws the number of distractors and their shapes, then places the stars, then the distractors, each at a
+    uniform position and rotation; a position that collides is drawn anew, and a scene in which one object
+    found no place starts over.
+
+    Parameters
+    ----------
+    spec : SceneSpec
+        How.
+    rng : numpy.random.Generator
+        Where numbers come from; only ``rng.random()`` is called.
+    star_count : int, optional
+        How many stars; drawn from ``spec.stars`` with equal chance when not given.
+
+    Returns
+    -------
+    Scene
+
+    Raises
+    ------
+    SamplingExhausted
+        When an object found no place in any of ``spec.restarts + 1`` layouts.
+    InputError
+        When ``star_count`` is none of ``spec.stars``.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> scene = sample_scene(SceneSpec(), np.random.default_rng(0), star_count=2)
+    >>> scene.star_count
+    2
+    """
+    if star_count is not None and star_count not in spec.stars:
+        message = f"star_count is {star_count}; expected one of stars {spec.stars} of the specification"
+        raise InputError(message)
+    return _scene(spec, rng.random, star_count)
+
+
+def sample_scenes(spec: SceneSpec, split: str, seed: int, start: int, count: int) -> list[Scene]:
+    """Make scenes ``start`` to ``start + count - 1`` of a split.
+
+    Scene i has ``spec.stars[i % classes]`` stars and is what :func:`sample_scene` makes from
+    ``scene_rng(scene_seed(seed, split, i))``, whatever range it is asked for in.
+
+    Parameters
+    ----------
+    spec : SceneSpec
+        How.
+    split : str
+        Split.
+    seed : int
+        Seed of the data set.
+    start, count : int
+        Which scenes.
+
+    Raises
+    ------
+    SamplingExhausted
+        When a scene cannot be made.
+    InputError
+        Unknown split or negative seed.
+    """
+    streams = _streams_of_thread()
+    classes = len(spec.stars)
+    return [
+        _scene(spec, streams.uniform(scene_seed(seed, split, index)), spec.stars[index % classes])
+        for index in range(start, start + count)
+    ]
+
+
+def require_room(spec: SceneSpec, seed: int) -> None:
+    """Try the fullest scene of a specification, so that an impossible one is refused before any work.
+
+    Raises
+    ------
+    SamplingExhausted
+        When the fullest scene cannot be made.
+    """
+    fullest = replace(spec, stars=spec.stars[-1:], distractors=spec.distractors[-1:] * 2)
+    sample_scene(fullest, scene_rng(seed))
+
+
+def _streams_of_thread() -> SceneStreams:
+    # Setting one up costs as much as a scene; scenes asked for one by one share it.
+    if not hasattr(_LOCAL, "streams"):
+        _LOCAL.streams = SceneStreams()
+    streams: SceneStreams = _LOCAL.streams
+    return streams
+
+
+def _scene(spec: SceneSpec, uniform: Uniform, star_count: int | None) -> Scene:
+    if star_count is None:
+        star_count = _choice(spec.stars, uniform)
+    least, most = spec.distractors
+    distractor_count = least + int(uniform() * (most - least + 1))
+    shapes = [spec.star] * star_count
+    shapes += [_choice(spec.distractor_shapes, uniform) for _ in range(distractor_count)]
+    attempts = [0] * len(shapes)
+    for restarts in range(spec.restarts + 1):
+        placements = _layout(spec, shapes, uniform, attempts)
+        if len(placements) == len(shapes):
+            return Scene(star_count, tuple(placements), tuple(attempts), restarts)
+    failed = len(placements)
+    area_mm = (2e3 * spec.half_area_m[0], 2e3 * spec.half_area_m[1])
+    raise SamplingExhausted(
+        shapes[failed].name, failed + 1, len(shapes), spec.attempts, spec.restarts, area_mm
+    )
+
+
+def _layout(spec: SceneSpec, shapes: list[Shape], uniform: Uniform, attempts: list[int]) -> list[Placement]:
+    """Place objects one after another until all stand or one finds no place; count the positions drawn."""
+    placed: list[Placement] = []
+    for number, shape in enumerate(shapes):
+        placement, tried = _place(spec, shape, placed, uniform)
+        attempts[number] += tried
+        if placement is None:
+            break
+        placed.append(placement)
+    return placed
+
+
+def _place(
+    spec: SceneSpec, shape: Shape, placed: list[Placement], uniform: Uniform
+) -> tuple[Placement | None, int]:
+    clear, clearance_m = CLEAR[spec.collision], spec.clearance_m
+    half_x_m, half_y_m = spec.half_area_m
+    height_m = _choice(spec.heights_m, uniform)
+    for attempt in range(1, spec.attempts + 1):
+        x_m = (2.0 * uniform() - 1.0) * half_x_m
+        y_m = (2.0 * uniform() - 1.0) * half_y_m
+        angle_rad = uniform() * spec.rotation_rad
+        candidate = Placement(shape.name, x_m, y_m, angle_rad, shape.radius_m, height_m)
+        for other in placed:
+            if not clear(candidate, other, clearance_m):
+                break
+        else:
+            return candidate, attempt
+    return None, spec.attempts
+
+
+def _choice(options: tuple[T, ...], uniform: Uniform) -> T:
+    """Take one of several with equal chance; a single one costs no number."""
+    return options[0] if len(options) == 1 else options[int(uniform() * len(options))]

@@ -1,0 +1,144 @@
+"""A scene: what stands where."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+from dataset_store.errors import InputError
+from dataset_store.mesh import Mesh
+from starstruck_gen.placement import Placement
+from starstruck_gen.shapes import outline
+
+if TYPE_CHECKING:
+    from PIL.Image import Image
+
+__all__ = ["Scene"]
+
+
+@dataclass(frozen=True, slots=True)
+class Scene:
+    """Stars and distractors on a cell, and what it took to place them.
+
+    Attributes
+    ----------
+    star_count : int
+        Number of stars.
+    placements : tuple of Placement
+        Objects in the order of placing: stars first. Frame: origin at the cell's centre, z = 0 on the plate.
+    attempts : tuple of int
+        Positions drawn for each object, over all layouts of the scene.
+    restarts : int
+        How often the scene was started over.
+    """
+
+    star_count: int
+    placements: tuple[Placement, ...]
+    attempts: tuple[int, ...]
+    restarts: int
+
+    @property
+    def distractor_count(self) -> int:
+        """Number of objects that are no stars."""
+        return len(self.placements) - self.star_count
+
+    def mesh(self) -> Mesh:
+        """Return the mesh, metres: one watertight solid per object, float32 vertices as they are stored."""
+        from starstruck_gen.stamping import stamp
+
+        return stamp([self.placements])[0]
+
+    def draw(self, cell_m: tuple[float, float] = (0.12, 0.12), px_per_mm: float = 4.0) -> Image:
+        """Draw the scene from above, x right and y up, stars in their own colour.
+
+        Parameters
+        ----------
+        cell_m : tuple of float
+            Size of the cell, metres.
+        px_per_mm : float
+            Scale of the picture.
+
+        Returns
+        -------
+        PIL.Image.Image
+            RGB.
+
+        Raises
+        ------
+        InputError
+            When the picture would have no pixel, or more than 100 million.
+        """
+        from starstruck_gen.picture import draw_scene
+
+        return draw_scene(self, cell_m, px_per_mm)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return JSON values."""
+        return {
+            "star_count": self.star_count,
+            "placements": [placement._asdict() for placement in self.placements],
+            "attempts": list(self.attempts),
+            "restarts": self.restarts,
+        }
+
+    def to_json(self) -> str:
+        """Return the scene as JSON; numbers come back exactly."""
+        return json.dumps(self.to_dict(), indent=1)
+
+    @classmethod
+    def from_dict(cls, values: Mapping[str, Any]) -> Scene:
+        """Rebuild a scene from :meth:`to_dict`.
+
+        Raises
+        ------
+        InputError
+            When a field is missing or wrong, or the stars are not as many as declared.
+        """
+        try:
+            placements = tuple(_placement(entry) for entry in values["placements"])
+            attempts = tuple(int(count) for count in values["attempts"])
+            scene = cls(int(values["star_count"]), placements, attempts, int(values["restarts"]))
+        except (KeyError, TypeError, ValueError) as error:
+            message = f"no scene: field {error} is missing or wrong; expected what Scene.to_json writes"
+            raise InputError(message) from error
+        _require_consistent(scene)
+        return scene
+
+    @classmethod
+    def from_json(cls, text: str) -> Scene:
+        """Rebuild a scene from :meth:`to_json`.
+
+        Raises
+        ------
+        InputError
+            When the text is no JSON or no scene.
+        """
+        try:
+            values = json.loads(text)
+        except ValueError as error:
+            message = f"a scene must be JSON: {error}"
+            raise InputError(message) from error
+        return cls.from_dict(values)
+
+
+def _placement(values: Mapping[str, Any]) -> Placement:
+    name = str(values["shape"])
+    outline(name)
+    numbers = {key: float(values[key]) for key in Placement._fields if key != "shape"}
+    return Placement(shape=name, **numbers)
+
+
+def _require_consistent(scene: Scene) -> None:
+    stars = [placement.is_star for placement in scene.placements]
+    if sum(stars) != scene.star_count or not all(stars[: scene.star_count]):
+        message = (
+            f"a scene declares star_count {scene.star_count} and places {sum(stars)}; expected as many stars "
+            "as declared, before all distractors"
+        )
+        raise InputError(message)
+    if len(scene.attempts) != len(scene.placements):
+        found = f"{len(scene.attempts)} attempts for {len(scene.placements)} placements"
+        message = f"a scene has {found}; expected one each"
+        raise InputError(message)

@@ -1,0 +1,119 @@
+"""Shapes as solids: prisms whose caps are triangulated once and proved once."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cache
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dataset_store.errors import InputError
+from dataset_store.mesh import Mesh
+from dataset_store.soundness import judge
+from starstruck_gen.shapes import PUBLISHED_RADIUS_M, outline
+
+__all__ = ["Prism", "prism", "prism_solid"]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Prism:
+    """The solid of a shape, up to its size.
+
+    Attributes
+    ----------
+    corners : ndarray of float64, shape (n, 2)
+        All rings of the outline one after another; unit: the circumscribed radius.
+    cap : ndarray of int32, shape (T, 3)
+        Triangles over ``corners``, counter-clockwise; every corner is used, none lies on another's edge.
+    faces : ndarray of int32, shape (F, 3)
+        Triangles of the solid, outward. Vertex 2i is corner i on the plate, vertex 2i + 1 the one above it.
+    area : float
+        Area of the outline; unit: squared circumscribed radius.
+    """
+
+    corners: NDArray[np.float64]
+    cap: NDArray[np.int32]
+    faces: NDArray[np.int32]
+    area: float
+
+    @property
+    def vertex_count(self) -> int:
+        """Vertices of the solid."""
+        return 2 * len(self.corners)
+
+    def vertices(self, height: float) -> NDArray[np.float64]:
+        """Return the vertices of an unturned prism of radius 1, shape (V, 3)."""
+        standing = np.zeros((self.vertex_count, 3))
+        standing[:, :2] = np.repeat(self.corners, 2, axis=0)
+        standing[1::2, 2] = height
+        return standing
+
+
+@cache
+def prism(name: str) -> Prism:
+    """Return the solid of a shape; made and proved on first use.
+
+    Raises
+    ------
+    InputError
+        Unknown shape, or an outline that bounds no area (turned the wrong way, or crossing itself).
+    """
+    import manifold3d
+
+    rings = outline(name)
+    corners = np.concatenate(rings)
+    cap = np.asarray(manifold3d.triangulate(list(rings)), dtype=np.int32)
+    made = Prism(
+        corners,
+        cap,
+        _faces([len(ring) for ring in rings], cap),
+        float(_doubled_areas(corners, cap).sum() / 2),
+    )
+    for array in (made.corners, made.cap, made.faces):
+        array.setflags(write=False)
+    _require_sound(name, made)
+    return made
+
+
+@cache
+def prism_solid(name: str, radius_m: float) -> Any:
+    """Return the solid of a shape for manifold3d: millimetres, 1 mm high, unturned, centre at the origin."""
+    made = prism(name)
+    vertices_m = made.vertices(0.0) * radius_m
+    vertices_m[1::2, 2] = 1e-3
+    return Mesh(vertices_m, made.faces).to_manifold()
+
+
+def _faces(ring_sizes: list[int], cap: NDArray[np.int32]) -> NDArray[np.int32]:
+    """Join the two caps by walls that follow each ring; a hole runs clockwise, so its walls face inwards."""
+    starts = np.cumsum([0, *ring_sizes])
+    here = np.arange(starts[-1])
+    following = np.concatenate([np.roll(here[a:b], -1) for a, b in pairwise(starts)])
+    walls = [
+        np.stack([2 * here, 2 * following, 2 * following + 1], axis=1),
+        np.stack([2 * here, 2 * following + 1, 2 * here + 1], axis=1),
+    ]
+    return np.concatenate([2 * cap + 1, 2 * cap[:, ::-1], *walls]).astype(np.int32)
+
+
+def _doubled_areas(corners: NDArray[np.float64], cap: NDArray[np.int32]) -> NDArray[np.float64]:
+    a, b, c = (corners[cap[:, place]] for place in range(3))
+    doubled = (b - a)[:, 0] * (c - a)[:, 1] - (b - a)[:, 1] * (c - a)[:, 0]
+    return np.asarray(doubled)
+
+
+def _require_sound(name: str, made: Prism) -> None:
+    mesh = Mesh(made.vertices(0.5) * PUBLISHED_RADIUS_M, made.faces)
+    verdict = judge(mesh)
+    wrong = verdict.problem or ("in pieces" if verdict.bodies != 1 else None)
+    if wrong is None and (_doubled_areas(made.corners, made.cap) <= 0).any():
+        wrong = "crossing itself"
+    if wrong is not None:
+        message = (
+            f"the outline of shape {name!r} bounds no area ({wrong}); expected one outer ring "
+            "counter-clockwise, then holes clockwise, none touching another"
+        )
+        raise InputError(message)

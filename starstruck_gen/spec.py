@@ -1,0 +1,202 @@
+"""Every number that decides how scenes are made."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import asdict, dataclass, fields
+from functools import cached_property
+from itertools import pairwise
+from typing import Any
+
+from dataset_store.errors import InputError
+from starstruck_gen.shapes import STAR, Shape
+
+__all__ = ["COLLISION_RULES", "SceneSpec"]
+
+COLLISION_RULES = ("circles", "exact")
+"""``circles``: circumscribed circles must not meet (published); ``exact``: outlines must not touch."""
+
+_SENSOR_OUTER_M = (0.032, 0.028)
+_PADDING_M = (0.003 + _SENSOR_OUTER_M[0] / 2 + 0.005 / 2, 0.003 + _SENSOR_OUTER_M[1] / 2 + 0.005 / 2)
+_PUBLISHED_STAR = Shape(STAR)
+_PUBLISHED_DISTRACTORS = (Shape("box"), Shape("disc"))
+_LARGEST_CELL_M = 2.0
+_MOST_OBJECTS = 1_000
+
+
+@dataclass(frozen=True)
+class SceneSpec:
+    """How scenes are made. The defaults are those of the published data set.
+
+    Parameters
+    ----------
+    cell_m : tuple of float
+        Size of the cell along x and y, metres (package tactile-mnist 0.13.0).
+    padding_m : tuple of float
+        What the cell loses along x and y before objects are placed, metres: 3 mm, half the outer size of the
+        sensor and half the border of the grid (package tactile-mnist 0.13.0).
+    stars : tuple of int
+        Number of stars of each class (Tactile MNIST paper, section Starstruck: 1 to 3).
+    distractors : tuple of int
+        Least and most distractors of a scene (Tactile MNIST paper, section Starstruck: 0 to 5).
+    star : Shape
+        What is counted; its name is always ``"star"``.
+    distractor_shapes : tuple of Shape
+        Shapes of distractors, each with equal chance (Tactile MNIST paper, section Starstruck).
+    heights_m : tuple of float
+        Heights of objects, each with equal chance, metres (package tactile-mnist 0.13.0: 5 mm).
+    rotation_rad : float
+        Objects are turned about z by an angle uniform between 0 and this; 0 turns none.
+    collision : str
+        One of :data:`COLLISION_RULES`.
+    clearance_m : float
+        Least distance between circles (or outlines) of two objects, metres.
+    attempts : int
+        Failed positions of one object after which a scene starts over (Tactile MNIST paper: 100).
+    restarts : int
+        How often a scene starts over before sampling gives up.
+
+    Raises
+    ------
+    InputError
+        When a value cannot be used; the message names the field, what was found and what was expected.
+    """
+
+    cell_m: tuple[float, float] = (0.12, 0.12)
+    padding_m: tuple[float, float] = _PADDING_M
+    stars: tuple[int, ...] = (1, 2, 3)
+    distractors: tuple[int, int] = (0, 5)
+    star: Shape = _PUBLISHED_STAR
+    distractor_shapes: tuple[Shape, ...] = _PUBLISHED_DISTRACTORS
+    heights_m: tuple[float, ...] = (0.005,)
+    rotation_rad: float = math.tau
+    collision: str = "circles"
+    clearance_m: float = 0.0
+    attempts: int = 100
+    restarts: int = 1_000
+
+    def __post_init__(self) -> None:
+        _check(self)
+
+    @cached_property
+    def half_area_m(self) -> tuple[float, float]:
+        """Farthest a centre may lie from the middle along x and y, metres.
+
+        Objects in any rotation then stay inside the padded cell.
+        """
+        widest_m = 2 * self.largest_radius_m
+        return (
+            (self.cell_m[0] - self.padding_m[0] - widest_m) / 2,
+            (self.cell_m[1] - self.padding_m[1] - widest_m) / 2,
+        )
+
+    @property
+    def largest_radius_m(self) -> float:
+        """Circumscribed radius of the largest shape, metres."""
+        return max(shape.radius_m for shape in (self.star, *self.distractor_shapes))
+
+    @property
+    def class_names(self) -> tuple[str, ...]:
+        """Name of each class: its number of stars."""
+        return tuple(str(count) for count in self.stars)
+
+    @property
+    def most_objects(self) -> int:
+        """Objects of the fullest scene."""
+        return max(self.stars) + self.distractors[1]
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return JSON values; equal specifications give equal values and, with equal seeds, equal scenes."""
+        values = {name: list(v) if isinstance(v, tuple) else v for name, v in asdict(self).items()}
+        return {**values, "star": self.star.to_dict(), "distractor_shapes": self._distractor_dicts()}
+
+    @classmethod
+    def from_dict(cls, values: Mapping[str, Any]) -> SceneSpec:
+        """Rebuild a specification from :meth:`to_dict`.
+
+        Raises
+        ------
+        InputError
+            When a field is unknown or its value cannot be used.
+        """
+        unknown = sorted(set(values) - {entry.name for entry in fields(cls)})
+        if unknown:
+            message = f"unknown field {unknown[0]!r} in a scene specification; see starstruck_gen.SceneSpec"
+            raise InputError(message)
+        try:
+            plain: dict[str, Any] = {
+                name: tuple(v) if isinstance(v, list) else v for name, v in values.items()
+            }
+            if "star" in values:
+                plain["star"] = Shape(**values["star"])
+            if "distractor_shapes" in values:
+                plain["distractor_shapes"] = tuple(Shape(**entry) for entry in values["distractor_shapes"])
+            return cls(**plain)
+        except TypeError as error:
+            message = f"a scene specification has a value of a wrong type: {error}"
+            raise InputError(message) from error
+
+    def _distractor_dicts(self) -> list[dict[str, Any]]:
+        return [shape.to_dict() for shape in self.distractor_shapes]
+
+
+def _pair(values: tuple[float, ...], most: float = _LARGEST_CELL_M) -> bool:
+    return len(values) == 2 and all(0 <= value <= most for value in values)
+
+
+def _whole(*values: object) -> bool:
+    return all(isinstance(value, int) and not isinstance(value, bool) for value in values)
+
+
+def _rising(values: tuple[int, ...]) -> bool:
+    return all(before < after for before, after in pairwise(values))
+
+
+_Rule = tuple[str, Callable[[SceneSpec], bool], str]
+
+_RULES: tuple[_Rule, ...] = (
+    ("cell_m", lambda s: _pair(s.cell_m), f"two lengths up to {_LARGEST_CELL_M} m"),
+    ("padding_m", lambda s: _pair(s.padding_m), "two lengths from 0 m"),
+    ("stars", lambda s: len(s.stars) > 0 and _whole(*s.stars) and s.stars[0] >= 0, "whole numbers from 0"),
+    ("stars", lambda s: _rising(s.stars), "each number larger than the one before"),
+    ("distractors", lambda s: _pair(s.distractors, _MOST_OBJECTS), "the least and the most, from 0"),
+    ("distractors", lambda s: _whole(*s.distractors), "two whole numbers"),
+    ("distractors", lambda s: s.distractors[0] <= s.distractors[1], "the least first, then the most"),
+    ("stars", lambda s: s.stars[0] + s.distractors[0] > 0, "at least 1, or distractors: no scene is empty"),
+    ("stars", lambda s: s.most_objects <= _MOST_OBJECTS, f"with distractors up to {_MOST_OBJECTS} objects"),
+    ("star", lambda s: s.star.name == STAR, f"a shape named {STAR!r}"),
+    (
+        "distractor_shapes",
+        lambda s: all(shape.name != STAR for shape in s.distractor_shapes),
+        f"no {STAR!r}: stars are what is counted",
+    ),
+    (
+        "distractor_shapes",
+        lambda s: len(s.distractor_shapes) > 0 or s.distractors[1] == 0,
+        "at least one shape where there are distractors",
+    ),
+    (
+        "heights_m",
+        lambda s: len(s.heights_m) > 0 and all(1e-4 <= height <= 1.0 for height in s.heights_m),
+        "one or more heights from 0.0001 to 1 m",
+    ),
+    ("rotation_rad", lambda s: 0 <= s.rotation_rad <= math.tau, "0 to 2 pi"),
+    ("collision", lambda s: s.collision in COLLISION_RULES, " or ".join(COLLISION_RULES)),
+    ("clearance_m", lambda s: 0 <= s.clearance_m <= _LARGEST_CELL_M, "a length from 0 m"),
+    ("attempts", lambda s: _whole(s.attempts) and s.attempts >= 1, "a whole number from 1"),
+    ("restarts", lambda s: _whole(s.restarts) and s.restarts >= 0, "a whole number from 0"),
+    ("cell_m", lambda s: min(s.half_area_m) >= 0, "room for the padding and one object side by side"),
+)
+"""What every field must keep to, in the order of asking; later rules rely on earlier ones."""
+
+
+def _check(spec: SceneSpec) -> None:
+    for name, holds, expected in _RULES:
+        try:
+            fine = holds(spec)
+        except (TypeError, AttributeError):
+            fine = False
+        if not fine:
+            message = f"{name} of the scene specification is {getattr(spec, name)!r}; expected {expected}"
+            raise InputError(message)

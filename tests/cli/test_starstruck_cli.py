@@ -1,0 +1,172 @@
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+
+import pytest
+from typer.testing import CliRunner
+
+import starstruck_gen
+from cli.starstruck import app
+
+
+def run(*words):
+    return CliRunner().invoke(app, list(map(str, words)))
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("cli") / "scenes"
+    result = run("generate", "--out", folder, "--scenes", "train=60,test=6", "--workers", 1, "--json")
+    assert result.exit_code == 0
+    return folder, json.loads(result.stdout)
+
+
+def test_generate_prints_one_document(made):
+    _, document = made
+    assert document["complete"]
+    assert [(entry["split"], entry["rows"]) for entry in document["splits"]] == [("train", 60), ("test", 6)]
+    assert document["splits"][0]["acceptance"]["classes"] == [20, 20, 20]
+
+
+def test_generate_again_makes_nothing(made):
+    folder, _ = made
+    result = run("generate", "--out", folder, "--scenes", "train=60,test=6", "--workers", 1)
+    assert result.exit_code == 0
+    assert "nothing was left to make" in result.stdout
+    assert "bytes per scene" in result.stdout
+
+
+def test_other_options_are_refused_without_a_traceback(made):
+    folder, _ = made
+    result = run("generate", "--out", folder, "--stars", "1-5")
+    assert result.exit_code == 2
+    assert "another specification: scene.stars is [1, 2, 3] there" in result.stderr
+    assert "--overwrite" in result.stderr
+    assert "Traceback" not in result.stderr
+
+
+def test_every_option_reaches_the_specification(tmp_path):
+    result = run(
+        *("generate", "--out", tmp_path / "set", "--quiet", "--workers", 1, "--split", "test"),
+        *("--scenes", 12, "--stars", "2,4", "--distractors", "1-2", "--shapes", "ring,crescent"),
+        *("--radius-mm", 6, "--heights-mm", "4,6", "--cell-mm", "150x120", "--collision", "exact"),
+        *("--clearance-mm", 0.5, "--seed", 3, "--limit", 8),
+    )
+    assert result.exit_code == 0
+    assert result.stdout == ""
+    scenes = starstruck_gen.load(str(tmp_path / "set"), "test")
+    assert len(scenes) == 8
+    assert scenes.label_names == ("2", "4")
+    shapes = {p.shape for record in scenes for p in record.placements}
+    assert shapes == {"star", "ring", "crescent"}
+    assert {p.height_m for record in scenes for p in record.placements} == {0.004, 0.006}
+    assert {record.distractor_count for record in scenes} == {1, 2}
+    manifest = json.loads((tmp_path / "set" / "manifest.json").read_text())
+    scene = manifest["spec"]["scene"]
+    assert scene["cell_m"] == [0.15, 0.12]
+    assert (scene["collision"], scene["clearance_m"], scene["star"]["radius_m"]) == ("exact", 0.0005, 0.006)
+    assert manifest["spec"]["seed"] == 3
+    assert run("validate", tmp_path / "set").exit_code == 0
+
+
+def test_five_classes_are_named_by_their_stars(tmp_path):
+    assert (
+        run("generate", "--out", tmp_path / "s", "--stars", "1-5", "--scenes", 10, "-q", "-w", 1).exit_code
+        == 0
+    )
+    scenes = starstruck_gen.load(str(tmp_path / "s"))
+    assert scenes.label_names == ("1", "2", "3", "4", "5")
+    assert [record.label for record in scenes] == [record.star_count - 1 for record in scenes]
+
+
+def test_dry_run_writes_nothing(tmp_path):
+    result = run("generate", "--out", tmp_path / "set", "--scenes", 1_000_000, "--dry-run", "--workers", 2)
+    assert result.exit_code == 0
+    assert "would make 2,000,000 scenes" in result.stdout
+    assert not (tmp_path / "set").exists()
+
+
+def test_info_shows_acceptance_by_object(made):
+    folder, _ = made
+    text = run("info", folder).stdout
+    assert "positions drawn by object" in text
+    assert "scene.collision = circles" in text
+    document = json.loads(run("info", folder, "--json").stdout)
+    acceptance = document["splits"][0]["acceptance"]
+    assert acceptance["attempts"][0] == 60
+    assert acceptance["attempts_per_object"][0] == 1.0
+    assert acceptance["restarts"] == 0
+
+
+def test_validate_and_verify_pass(made):
+    folder, _ = made
+    result = run("validate", folder)
+    assert result.exit_code == 0
+    assert "66 of 66 scenes are valid" in result.stdout
+    document = json.loads(run("validate", folder, "--json", "--limit", 3).stdout)
+    assert document[0]["checked"] == 6
+    result = run("verify", folder)
+    assert result.exit_code == 0
+    assert "66 rows" in result.stdout
+
+
+def test_damage_is_named_and_mended(made, tmp_path):
+    folder, _ = made
+    shard = folder / "data" / "test-00000-of-00001.parquet"
+    whole = shard.read_bytes()
+    try:
+        shard.write_bytes(whole[:-9])
+        result = run("verify", folder)
+        assert result.exit_code == 3
+        assert "damaged: data/test-00000-of-00001.parquet" in result.stderr
+        assert "starstruck generate" in result.stderr
+        assert run("generate", "--out", folder, "--scenes", "train=60,test=6", "-q", "-w", 1).exit_code == 0
+        assert shard.read_bytes() == whole
+    finally:
+        shard.write_bytes(whole)
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (("--stars", "3-1"), "--stars is '3-1'; expected a range"),
+        (("--stars", "many"), "--stars is 'many'"),
+        (("--distractors", "-1"), "--distractors is '-1'"),
+        (("--cell-mm", "large"), "--cell-mm is 'large'; expected millimetres"),
+        (("--cell-mm", "30"), "cell_m of the scene specification is (0.03, 0.03)"),
+        (("--shapes", "box,sun"), "unknown shape 'sun'"),
+        (("--shapes", "star"), "stars are what is counted"),
+        (("--scenes", "some"), "--scenes has 'some'"),
+        (("--scenes", "dev=4"), "unknown split 'dev'"),
+        (("--scenes", "0"), "no scenes to make"),
+        (("--heights-mm", "0"), "heights_m"),
+        (("--stars", "12", "--clearance-mm", "5"), "no place for object"),
+    ],
+)
+def test_unusable_option_is_told_in_one_line_with_exit_code_2(tmp_path, words, message):
+    result = run("generate", "--out", tmp_path / "set", *words)
+    assert result.exit_code == 2
+    assert message in result.stderr
+    assert result.stderr.count("\n") <= 2
+    assert not (tmp_path / "set").exists()
+
+
+@pytest.mark.parametrize("command", ["info", "verify", "validate"])
+def test_folder_without_a_data_set_is_refused(tmp_path, command):
+    result = run(command, tmp_path)
+    assert result.exit_code == 2
+    assert "error: " in result.stderr
+
+
+@pytest.mark.parametrize("words", [["--help"], ["generate", "--help"], ["--version"]])
+def test_help_and_version_import_no_heavy_library(words):
+    code = (
+        "import sys\n"
+        "from cli.starstruck import app\n"
+        f"try:\n    app({words!r})\nexcept SystemExit:\n    pass\n"
+        "assert not {'numpy', 'pyarrow', 'manifold3d', 'trimesh', 'datasets'} & set(sys.modules)"
+    )
+    shown = subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, text=True).stdout
+    assert "tactile-toolkit" in shown or "Usage" in shown

@@ -1,0 +1,172 @@
+"""Ink: what counts as ink, and that the cleaned mask has one meaning only."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as hnp
+from scipy import ndimage
+
+from dataset_store.errors import ItemError
+from mnist3d.bridges import join_bodies
+from mnist3d.ink import binarise, clean, count_bodies_and_holes, otsu_threshold, repair_corners
+
+MASKS = hnp.arrays(bool, st.tuples(st.integers(8, 40), st.integers(8, 40)))
+
+
+def paper(side: int = 60) -> np.ndarray:
+    return np.full((side, side), 255, dtype=np.uint8)
+
+
+def reason_of(pixels: np.ndarray, threshold: float | None = None) -> str:
+    with pytest.raises(ItemError) as caught:
+        binarise(pixels, threshold)
+    return caught.value.reason
+
+
+def cleaned(mask: np.ndarray, speck_px: float = 20, pinhole_px: float = 10) -> np.ndarray:
+    return clean(mask, pixel_pitch_mm=1.0, min_speck_mm2=speck_px, min_pinhole_mm2=pinhole_px)
+
+
+def test_binarise_takes_dark_pixels_as_ink() -> None:
+    pixels = paper()
+    pixels[20:40, 10:50] = 30
+    assert np.array_equal(binarise(pixels), pixels == 30)
+
+
+def test_binarise_gives_the_same_mask_for_any_number_type() -> None:
+    pixels = paper()
+    pixels[20:40, 10:50] = 30
+    for dtype in (np.uint8, np.int32, np.uint16, np.float32, np.float64):
+        assert np.array_equal(binarise(pixels.astype(dtype)), pixels == 30)
+
+
+def test_binarise_obeys_a_given_threshold() -> None:
+    pixels = np.tile(np.arange(256, dtype=np.uint8), (8, 1))
+    assert binarise(pixels, 99).sum() == 8 * 100
+
+
+@pytest.mark.parametrize(
+    ("pixels", "reason"),
+    [
+        (np.full((60, 60), 255, np.uint8), "no-ink"),
+        (np.zeros((60, 60), np.uint8), "all-ink"),
+        (np.zeros((60, 60, 3), np.uint8), "bad-shape"),
+        (np.zeros((5, 60), np.uint8), "bad-shape"),
+        (np.zeros((60, 60), complex), "bad-dtype"),
+        (np.full((60, 60), np.nan), "not-finite"),
+        (np.full((60, 60), 256), "bad-range"),
+        (np.full((60, 60), -1), "bad-range"),
+    ],
+)
+def test_unusable_images_are_refused_by_name(pixels: np.ndarray, reason: str) -> None:
+    assert reason_of(pixels) == reason
+
+
+def test_one_nan_is_enough_to_refuse() -> None:
+    pixels = paper().astype(np.float32)
+    pixels[20:40, 20:40] = 0
+    pixels[3, 3] = np.nan
+    assert reason_of(pixels) == "not-finite"
+
+
+def test_a_threshold_that_leaves_no_paper_or_no_ink_is_named() -> None:
+    pixels = paper()
+    pixels[20:40, 20:40] = 100
+    assert reason_of(pixels, 50) == "no-ink"
+    assert reason_of(pixels, 255) == "all-ink"
+
+
+@given(hnp.arrays(np.uint8, (12, 12)).filter(lambda levels: levels.min() < levels.max()))
+def test_otsu_agrees_with_scikit_image(levels: np.ndarray) -> None:
+    from skimage.filters import threshold_otsu
+
+    counts = np.bincount(levels.ravel(), minlength=256)
+
+    def spread(threshold: int) -> float:
+        low, high = counts[: threshold + 1], counts[threshold + 1 :]
+        gap = np.average(np.arange(threshold + 1), weights=low) - np.average(
+            np.arange(threshold + 1, 256), weights=high
+        )
+        return float(low.sum() * high.sum() * gap**2)
+
+    assert spread(otsu_threshold(levels)) == pytest.approx(spread(int(threshold_otsu(levels))))
+
+
+def test_clean_drops_specks_and_fills_pinholes_below_the_limit_only() -> None:
+    mask = np.zeros((80, 80), bool)
+    mask[20:60, 20:60] = True
+    mask[30:33, 30:33] = False
+    mask[40:44, 40:44] = False
+    mask[5:9, 5:9] = True
+    mask[70:75, 70:75] = True
+    result = cleaned(mask, speck_px=20, pinhole_px=10)
+    assert result[31, 31]
+    assert not result[41, 41]
+    assert not result[6, 6]
+    assert result[72, 72]
+    assert count_bodies_and_holes(result) == (2, 1)
+
+
+def test_a_bay_of_paper_at_the_edge_of_the_image_is_no_pinhole() -> None:
+    mask = np.ones((30, 30), bool)
+    mask[10, 0] = False
+    assert np.array_equal(cleaned(mask), mask)
+
+
+def test_nothing_but_specks_is_no_ink() -> None:
+    mask = np.zeros((40, 40), bool)
+    mask[::8, ::8] = True
+    with pytest.raises(ItemError) as caught:
+        cleaned(mask)
+    assert caught.value.reason == "no-ink"
+
+
+@given(MASKS)
+def test_repaired_masks_have_no_contact_at_a_corner_alone(mask: np.ndarray) -> None:
+    repaired = repair_corners(mask)
+    assert (repaired | mask == repaired).all()
+    corners = repaired[:-1, :-1] + 2 * repaired[:-1, 1:] + 4 * repaired[1:, :-1] + 8 * repaired[1:, 1:]
+    assert not np.isin(corners, (0b1001, 0b0110)).any()
+
+
+@given(MASKS)
+def test_connectivity_does_not_matter_on_a_clean_mask(mask: np.ndarray) -> None:
+    try:
+        result = cleaned(mask, 3, 3)
+    except ItemError:
+        assert not mask.any() or np.bincount(ndimage.label(repair_corners(mask))[0].ravel())[1:].max() < 3
+        return
+    assert ndimage.label(result)[1] == ndimage.label(result, np.ones((3, 3)))[1]
+    outside = np.pad(~result, 1, constant_values=True)
+    assert ndimage.label(outside)[1] == ndimage.label(outside, np.ones((3, 3)))[1]
+    assert np.bincount(ndimage.label(result)[0].ravel())[1:].min() >= 3
+    assert np.array_equal(cleaned(result, 3, 3), result)
+
+
+@settings(max_examples=40, deadline=None)
+@given(MASKS, st.floats(1, 8))
+def test_joined_masks_are_in_one_piece_and_keep_their_ink(mask: np.ndarray, width_px: float) -> None:
+    if not mask.any():
+        return
+    joined = join_bodies(repair_corners(mask), width_px)
+    assert count_bodies_and_holes(joined)[0] == 1
+    assert (joined | mask == joined).all()
+
+
+def test_a_bridge_takes_the_shortest_way_and_has_the_width_asked_for() -> None:
+    mask = np.zeros((100, 100), bool)
+    mask[10:90, 10:30] = True
+    mask[40:60, 60:90] = True
+    bridge = join_bodies(mask, 11) & ~mask
+    columns = np.flatnonzero(bridge.any(axis=0))
+    assert (columns[0], columns[-1]) == (30, 59)
+    assert (bridge[:, 30:60].sum(axis=0) == 11).all()
+
+
+def test_one_piece_needs_no_bridge() -> None:
+    mask = np.zeros((40, 40), bool)
+    mask[10:30, 10:30] = True
+    assert join_bodies(mask, 5) is mask

@@ -1,0 +1,276 @@
+"""Printability: what is a solid and what is not, and measures of shapes whose numbers are known."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import manifold3d
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from dataset_store.errors import InputError
+from mnist3d.mesh import Mesh
+from mnist3d.printability import REPORT_COLUMNS, WARNINGS, PrintProfile, inspect
+from mnist3d.soundness import PROBLEMS
+from mnist3d.walls import section_area_mm2, thinnest_width_mm
+
+ANGLES = st.floats(0, 2 * math.pi)
+
+
+def mesh_of(solid: Any) -> Mesh:
+    arrays = solid.to_mesh64()
+    return Mesh(
+        np.asarray(arrays.vert_properties)[:, :3] / 1000, np.asarray(arrays.tri_verts).astype(np.int32)
+    )
+
+
+def cube(side_mm: float = 10, at: tuple[float, float, float] = (0, 0, 0)) -> Any:
+    return manifold3d.Manifold.cube((side_mm, side_mm, side_mm)).translate(at)
+
+
+def pile(*meshes: Mesh) -> Mesh:
+    counts = np.cumsum([0] + [len(m.vertices_m) for m in meshes])
+    faces = [m.faces + n for m, n in zip(meshes, counts, strict=False)]
+    return Mesh(np.concatenate([m.vertices_m for m in meshes]), np.concatenate(faces).astype(np.int32))
+
+
+def turned(mesh: Mesh) -> Mesh:
+    return Mesh(mesh.vertices_m, np.ascontiguousarray(mesh.faces[:, ::-1]))
+
+
+# --- measures -------------------------------------------------------------------------------------
+
+
+def test_a_cube_in_numbers() -> None:
+    report = inspect(mesh_of(cube()))
+    assert (report.is_solid, report.status, report.problem) == (True, "NoError", None)
+    assert (report.vertices, report.faces, report.bodies, report.genus) == (8, 12, 1, 0)
+    assert report.volume_mm3 == pytest.approx(1000)
+    assert report.mass_g == pytest.approx(1.24)
+    assert report.size_mm == pytest.approx((10, 10, 10))
+    assert report.thinnest_wall_mm == pytest.approx(10, abs=0.05)
+    assert report.contact_mm2 == pytest.approx(100)
+    assert report.overhang_mm2 == 0
+    assert report.warnings == ()
+
+
+@given(st.floats(5, 85))
+@settings(deadline=None)
+def test_overhang_begins_at_the_angle_of_the_profile(lean_deg: float) -> None:
+    if abs(lean_deg - 45) < 0.01:
+        return
+    top = 10 + 10 * math.tan(math.radians(lean_deg))
+    section = manifold3d.CrossSection([[(0, 0), (10, 0), (top, 10), (0, 10)]])
+    wedge = section.extrude(20).rotate((90, 0, 0))
+    slope_mm2 = 20 * 10 / math.cos(math.radians(lean_deg))
+    expected = slope_mm2 if lean_deg > 45 else 0
+    assert inspect(mesh_of(wedge)).overhang_mm2 == pytest.approx(expected)
+
+
+def test_a_ball_touches_the_bed_with_its_cap_only() -> None:
+    ball = manifold3d.Manifold.sphere(10, 256)
+    report = inspect(mesh_of(ball))
+    assert report.contact_mm2 == pytest.approx(math.pi * (10**2 - 9.8**2), rel=0.02)
+    # The cap under 45 degrees, less the part in the first layer.
+    below = 2 * math.pi * 10 * (10 - 10 / math.sqrt(2))
+    assert report.overhang_mm2 == pytest.approx(below - 2 * math.pi * 10 * 0.2, rel=0.03)
+
+
+def test_bodies_and_holes_are_counted_over_all_bodies() -> None:
+    torus = manifold3d.CrossSection.circle(2, 32).translate((8, 0)).revolve(48)
+    solid = manifold3d.Manifold.compose([torus, torus.translate((30, 0, 0)), cube(5, (50, 0, 0))])
+    report = inspect(mesh_of(solid))
+    assert (report.is_solid, report.bodies, report.genus) == (True, 3, 2)
+    assert "separate-bodies" in report.warnings
+
+
+def test_a_cavity_is_no_body() -> None:
+    shell = cube(20) - cube(10, (5, 5, 5))
+    report = inspect(mesh_of(shell))
+    assert (report.is_solid, report.bodies) == (True, 1)
+    assert report.volume_mm3 == pytest.approx(7000)
+
+
+@pytest.mark.parametrize(
+    ("size_mm", "warning"),
+    [
+        ((300, 20, 5), "larger-than-plate"),
+        ((20, 300, 5), "larger-than-plate"),
+        ((20, 20, 300), "too-tall"),
+        ((20, 0.5, 10), "thin-wall"),
+        ((20, 20, 0.5), "thin-wall"),
+        ((3, 3, 5), "small-contact"),
+    ],
+)
+def test_each_limit_has_its_warning(size_mm: tuple[float, float, float], warning: str) -> None:
+    assert warning in inspect(mesh_of(manifold3d.Manifold.cube(size_mm))).warnings
+
+
+def test_a_plate_on_a_foot_overhangs() -> None:
+    table = cube(4) + manifold3d.Manifold.cube((40, 40, 2)).translate((-18, -18, 4))
+    report = inspect(mesh_of(table))
+    assert report.overhang_mm2 == pytest.approx(1600 - 16)
+    assert inspect(mesh_of(table), PrintProfile(max_overhang_share=1e4)).warnings == ()
+
+
+# --- thinnest wall --------------------------------------------------------------------------------
+
+
+def turned_outline(points: np.ndarray, angle: float) -> np.ndarray:
+    cosine, sine = math.cos(angle), math.sin(angle)
+    return points @ np.array([[cosine, sine], [-sine, cosine]])
+
+
+def circle(radius: float, count: int = 200) -> np.ndarray:
+    way = np.arange(count) * 2 * math.pi / count
+    return radius * np.stack([np.cos(way), np.sin(way)], axis=1)
+
+
+@given(st.floats(0.4, 10), ANGLES, st.booleans())
+@settings(deadline=None)
+def test_wall_of_a_bar_with_square_or_round_ends(width: float, angle: float, is_round: bool) -> None:
+    half = width / 2
+    if is_round:
+        way = np.linspace(-math.pi / 2, math.pi / 2, 40)
+        cap = half * np.stack([np.cos(way), np.sin(way)], axis=1)
+        end = np.array([15.0, 0.0])
+        outline = np.concatenate([cap + end, -cap - end])
+    else:
+        outline = np.array([[-15, -half], [15, -half], [15, half], [-15, half]])
+    assert thinnest_width_mm([turned_outline(outline, angle)]) == pytest.approx(width, abs=0.2)
+
+
+@given(st.floats(4, 20), st.floats(0.4, 3), ANGLES)
+@settings(deadline=None)
+def test_wall_of_a_ring_is_narrowest_where_its_hole_is_nearest(
+    outer: float, wall: float, angle: float
+) -> None:
+    inner = outer - 1.5 * wall - 0.5
+    if inner < 1:
+        return
+    shift = outer - inner - wall
+    hole = circle(inner)[::-1] + [shift * math.cos(angle), shift * math.sin(angle)]
+    assert thinnest_width_mm([circle(outer), hole]) == pytest.approx(wall, abs=0.2)
+
+
+@given(st.floats(0.4, 6), st.floats(2, 12), ANGLES)
+@settings(deadline=None)
+def test_wall_of_a_neck(width: float, radius: float, angle: float) -> None:
+    """Two round notches of one radius leave a neck between them."""
+    way = np.linspace(0, math.pi, 60)
+    notch = radius * np.stack([np.cos(way), -np.sin(way)], axis=1) + [0, width / 2 + radius]
+    side, high = 2 * radius + 6, width / 2 + radius
+    upper = np.array([[side, -high], [side, high], *notch, [-side, high], [-side, -high]])
+    outline = np.array([*upper, *(notch * [1, -1])[::-1]])
+    assert thinnest_width_mm([turned_outline(outline, angle)]) == pytest.approx(width, abs=0.2)
+
+
+@given(st.integers(0, 1000), ANGLES)
+@settings(deadline=None)
+def test_rough_edges_are_no_thin_walls(seed: int, angle: float) -> None:
+    rng = np.random.default_rng(seed)
+    x = np.arange(-15, 15, 0.4)
+    rough = [np.convolve(rng.normal(size=len(x) + 4), np.ones(5) / 5, "valid") * 0.15 for _ in range(2)]
+    lower = np.stack([x, -3 + rough[0]], axis=1)
+    upper = np.stack([x, 3 + rough[1]], axis=1)[::-1]
+    found = thinnest_width_mm([turned_outline(np.concatenate([lower, upper]), angle)])
+    assert found == pytest.approx((rough[1] - rough[0]).min() + 6, abs=0.5)
+
+
+def test_a_thin_tail_on_a_thick_body_is_found() -> None:
+    outline = np.array([[0, -5], [10, -5], [10, -0.3], [30, -0.3], [30, 0.3], [10, 0.3], [10, 5], [0, 5]])
+    assert thinnest_width_mm([outline]) == pytest.approx(0.6, abs=0.1)
+
+
+def test_the_area_of_a_section() -> None:
+    assert section_area_mm2([circle(5, 2000), circle(2, 2000)[::-1]]) == pytest.approx(math.pi * 21, rel=1e-4)
+    assert thinnest_width_mm([]) == 0
+
+
+# --- broken meshes --------------------------------------------------------------------------------
+
+
+def box() -> Mesh:
+    return mesh_of(cube())
+
+
+def with_vertex(value: float) -> Mesh:
+    vertices = box().vertices_m.copy()
+    vertices[3, 1] = value
+    return Mesh(vertices, box().faces)
+
+
+def with_index(index: int) -> Mesh:
+    faces = box().faces.copy()
+    faces[0, 0] = index
+    return Mesh(box().vertices_m, faces)
+
+
+def one_face_turned() -> Mesh:
+    faces = box().faces.copy()
+    faces[0] = faces[0, ::-1]
+    return Mesh(box().vertices_m, faces)
+
+
+BROKEN = {
+    "inside out": (turned(box()), "inside-out"),
+    "hole": (Mesh(box().vertices_m, box().faces[1:]), "not-manifold"),
+    "one face turned": (one_face_turned(), "not-manifold"),
+    "a face twice": (Mesh(box().vertices_m, np.concatenate([box().faces, box().faces[:1]])), "not-manifold"),
+    "overlapping bodies": (pile(box(), mesh_of(cube(10, (5, 5, 5)))), "overlap"),
+    "the same body twice": (pile(box(), box()), "overlap"),
+    "a body in a body": (pile(mesh_of(cube(20)), mesh_of(cube(5, (5, 5, 5)))), "overlap"),
+    "one body inside out": (pile(mesh_of(cube(20)), turned(mesh_of(cube(5, (40, 0, 0))))), "inside-out"),
+    "flat": (Mesh(box().vertices_m * [1, 1, 0], box().faces), "no-volume"),
+    "two faces back to back": (Mesh(np.eye(3), np.array([[0, 1, 2], [0, 2, 1]], np.int32)), "not-manifold"),
+    "NaN": (with_vertex(math.nan), "not-finite"),
+    "infinite": (with_vertex(math.inf), "not-finite"),
+    "index too large": (with_index(8), "index-out-of-range"),
+    "index negative": (with_index(-1), "index-out-of-range"),
+    "no vertices": (Mesh(np.zeros((0, 3)), np.zeros((0, 3), np.int32)), "empty"),
+    "no faces": (Mesh(box().vertices_m, np.zeros((0, 3), np.int32)), "empty"),
+    "flat array": (Mesh(np.zeros(9), np.zeros(3, np.int32)), "bad-shape"),
+}
+
+
+@pytest.mark.parametrize("name", BROKEN)
+def test_broken_meshes_are_reported_by_name(name: str) -> None:
+    mesh, problem = BROKEN[name]
+    report = inspect(mesh)
+    assert (report.is_solid, report.problem) == (False, problem)
+    assert problem in PROBLEMS
+    assert report.detail
+    assert report.warnings == ()
+
+
+def test_the_story_of_a_hole_counts_its_edges() -> None:
+    assert "3 edges" in str(inspect(BROKEN["hole"][0]).detail)
+
+
+# --- rows -----------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("mesh", [box(), BROKEN["hole"][0]], ids=["solid", "broken"])
+def test_a_row_has_the_columns_and_types_it_promises(mesh: Mesh) -> None:
+    row = inspect(mesh).to_row()
+    assert list(row) == list(REPORT_COLUMNS)
+    for name, kind in REPORT_COLUMNS.items():
+        assert type(row[name]) is kind or (kind is str and row[name] is None), name
+
+
+def test_warnings_of_a_row_are_words() -> None:
+    row = inspect(mesh_of(manifold3d.Manifold.cube((300, 0.5, 300)))).to_row()
+    assert set(row["warnings"].split()) <= set(WARNINGS)
+    assert len(row["warnings"].split()) >= 2
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [{"nozzle_mm": 0.0}, {"plate_mm": (256.0, -1.0)}, {"overhang_deg": 90.0}, {"min_wall_mm": math.nan}],
+)
+def test_a_profile_of_no_printer_is_refused(wrong: dict[str, Any]) -> None:
+    with pytest.raises(InputError, match=next(iter(wrong))):
+        PrintProfile(**wrong)

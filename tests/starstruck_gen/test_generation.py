@@ -1,0 +1,294 @@
+from __future__ import annotations
+
+import hashlib
+import json
+import signal
+import subprocess
+import sys
+import time
+from dataclasses import replace
+from pathlib import Path
+
+import pyarrow.parquet as pq
+import pytest
+
+from dataset_store.errors import InputError, IntegrityError, SpecMismatchError
+from dataset_store.manifest import read_manifest
+from dataset_store.runner import ProcessRunner
+from dataset_store.storage import DataFolder
+from dataset_store.verify import verify
+from starstruck_gen.acceptance import count_scenes
+from starstruck_gen.errors import SamplingExhausted
+from starstruck_gen.generation import GenerateSpec, generate, inspect_out, plan_build
+from starstruck_gen.placement import Placement
+from starstruck_gen.proof import require_sound
+from starstruck_gen.rows import make_rows, scene_schema
+from starstruck_gen.spec import SceneSpec
+from starstruck_gen.stamping import stamp
+from starstruck_gen.summary import summarise
+from starstruck_gen.validate import validate_folder
+
+SMALL = GenerateSpec(scenes=(("train", 2_100), ("test", 30)))
+
+
+def folder_hashes(path: Path) -> dict[str, str]:
+    files = (file for file in Path(path).rglob("*") if file.is_file())
+    return {str(f.relative_to(path)): hashlib.sha256(f.read_bytes()).hexdigest() for f in files}
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory) -> Path:
+    folder = tmp_path_factory.mktemp("whole")
+    generate(SMALL, str(folder))
+    return folder
+
+
+def test_folder_holds_what_is_promised(whole):
+    manifest = read_manifest(DataFolder(str(whole)))
+    assert manifest.complete
+    assert manifest.kind == "starstruck"
+    assert {split: entry["rows"] for split, entry in manifest.split_table().items()} == {
+        "train": 2_100,
+        "test": 30,
+    }
+    assert sorted(folder_hashes(whole)) == [
+        "README.md",
+        "data/test-00000-of-00001.parquet",
+        *(f"data/train-{index:05d}-of-00003.parquet" for index in range(3)),
+        "manifest.json",
+    ]
+    assert verify(DataFolder(str(whole)), scene_schema()).ok
+    shard = pq.ParquetFile(whole / "data" / "train-00000-of-00003.parquet")
+    assert shard.schema_arrow.names[:4] == ["id", "label", "mesh.vertices", "mesh.faces"]
+    assert [
+        name for name in shard.schema_arrow.names if name.startswith("mesh.")
+    ] == shard.schema_arrow.names[2:4]
+
+
+def test_published_size_is_3000_and_300_balanced():
+    spec = GenerateSpec()
+    assert (spec.rows("train"), spec.rows("test")) == (3_000, 300)
+    sizes = {task.shard.split: 0 for task in plan_build(spec, ("train", "test")).tasks}
+    for task in plan_build(spec, ("train", "test")).tasks:
+        sizes[task.shard.split] += task.size
+    assert sizes == {"train": 3_000, "test": 300}
+
+
+def test_statistics_are_those_of_all_scenes(whole):
+    summaries = {summary.split: summary for summary in summarise(read_manifest(DataFolder(str(whole))))}
+    assert summaries["train"].acceptance.classes == (700, 700, 700)
+    rows = make_rows(SceneSpec(), "train", 0, 0, 2_100)
+    assert summaries["train"].acceptance == count_scenes(SceneSpec(), rows.scenes)
+    per_object = summaries["train"].acceptance.attempts_per_object
+    assert per_object[0] == 1.0
+    assert list(per_object) == sorted(per_object)
+    stored = json.loads((whole / "manifest.json").read_text())["statistics"]["train"]
+    assert sum(stored["distractors"]) == stored["objects"][0] == 2_100
+
+
+def test_scenes_are_small(whole):
+    for summary in summarise(read_manifest(DataFolder(str(whole)))):
+        limit = 1_500 if summary.rows > 100 else 2_500
+        assert summary.bytes_per_scene < limit
+
+
+def test_bytes_do_not_depend_on_workers_or_order(whole, tmp_path):
+    generate(SMALL, str(tmp_path / "parts"), ("test",))
+    generate(SMALL, str(tmp_path / "parts"), ("train",), workers=ProcessRunner(2))
+    assert folder_hashes(tmp_path / "parts") == folder_hashes(whole)
+
+
+def test_limit_gives_the_first_rows(whole, tmp_path):
+    generate(replace(SMALL, limit=10), str(tmp_path / "few"))
+    few = pq.read_table(tmp_path / "few" / "data" / "train-00000-of-00001.parquet")
+    many = pq.read_table(whole / "data" / "train-00000-of-00003.parquet").slice(0, 10)
+    assert few.equals(many)
+
+
+def test_another_seed_or_specification_is_refused_and_named(whole):
+    before = folder_hashes(whole)
+    with pytest.raises(SpecMismatchError, match="seed is 0 there, 1 was asked for"):
+        generate(replace(SMALL, seed=1), str(whole))
+    with pytest.raises(SpecMismatchError, match=r"scene.stars is \[1, 2, 3\] there"):
+        generate(replace(SMALL, scene=SceneSpec(stars=(1, 2))), str(whole))
+    assert folder_hashes(whole) == before
+
+
+def test_second_run_makes_nothing(whole):
+    state = inspect_out(SMALL, str(whole))
+    assert state.todo == ()
+    calls = []
+    generate(SMALL, str(whole), on_progress=calls.append)
+    assert [(call.done, call.total) for call in calls] == [(0, 0)]
+
+
+def test_killed_run_resumes_to_the_same_bytes(tmp_path):
+    spec = GenerateSpec(scenes=(("train", 7_000), ("test", 10)))
+    command = [sys.executable, "-c", "from cli.starstruck import main; main()", "generate", "--quiet"]
+    command += ["--scenes", "train=7000,test=10", "--workers", "1", "--out", str(tmp_path / "killed")]
+    process = subprocess.Popen(command)
+    deadline_s = time.monotonic() + 60
+    while len(list((tmp_path / "killed" / ".parts").glob("train-*.json"))) < 2:
+        assert process.poll() is None
+        assert time.monotonic() < deadline_s
+        time.sleep(0.01)
+    process.send_signal(signal.SIGKILL)
+    process.wait()
+    state = inspect_out(spec, str(tmp_path / "killed"))
+    assert 2 <= len(state.kept) < len(state.kept) + len(state.todo) == 8
+    generate(spec, str(tmp_path / "killed"))
+    generate(spec, str(tmp_path / "whole"), workers=1)
+    assert folder_hashes(tmp_path / "killed") == folder_hashes(tmp_path / "whole")
+
+
+def test_impossible_specification_leaves_nothing_behind(tmp_path):
+    crowded = GenerateSpec(scene=SceneSpec(stars=(1, 40), restarts=5))
+    with pytest.raises(SamplingExhausted, match="a star"):
+        generate(crowded, str(tmp_path / "set"))
+    assert not (tmp_path / "set").exists()
+
+
+def test_exhausted_worker_says_so(tmp_path):
+    """The error of a worker process reaches the caller as what it is."""
+    nearly = SceneSpec(stars=(8,), distractors=(0, 0), attempts=4, restarts=3)
+    spec = GenerateSpec(scene=nearly, scenes=(("train", 2_000),), seed=1)
+    with pytest.raises(SamplingExhausted, match="of 8"):
+        generate(spec, str(tmp_path / "set"), ("train",), workers=2)
+
+
+@pytest.mark.parametrize(
+    ("values", "message"),
+    [
+        ({"scenes": (("train", -1),)}, "--scenes of split 'train' is -1"),
+        ({"scenes": (("train", 1), ("train", 2))}, "names a split twice"),
+        ({"scenes": (("validation", 5),)}, "unknown split 'validation'"),
+        ({"seed": -3}, "seed is -3"),
+        ({"limit": 0}, "--limit is 0"),
+    ],
+)
+def test_unusable_values_are_refused(values, message):
+    with pytest.raises(InputError, match=message):
+        GenerateSpec(**values)
+
+
+@pytest.mark.parametrize("splits", [("holdout",), ("test",)])
+def test_nothing_to_make_is_refused(tmp_path, splits):
+    with pytest.raises(InputError, match=r"unknown split 'holdout'|no scenes to make for test"):
+        generate(GenerateSpec(scenes=(("train", 5),)), str(tmp_path / "set"), splits)
+
+
+def _rows_with(change):
+    spec = SceneSpec()
+    rows = make_rows(spec, "train", 0, 0, 6)
+    scene = rows.scenes[2]
+    changed = replace(scene, placements=change(scene.placements))
+    scenes = [*rows.scenes[:2], changed, *rows.scenes[3:]]
+    return spec, replace(rows, scenes=scenes, meshes=stamp([scene.placements for scene in scenes]))
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (
+            lambda objects: (objects[0]._replace(shape="box"), *objects[1:]),
+            "2 stars stand there, 3 are declared",
+        ),
+        (lambda objects: (objects[1], *objects[1:]), "a star and a star collide"),
+        (lambda objects: (objects[0]._replace(x_m=0.05), *objects[1:]), "outside the valid area"),
+    ],
+)
+def test_scene_that_breaks_a_promise_is_never_written(change, message):
+    with pytest.raises(IntegrityError, match=rf"scene 2 must not be written: .*{message}"):
+        require_sound(*_rows_with(change))
+
+
+def test_triangle_turned_by_rounding_is_found():
+    spec, rows = _rows_with(lambda objects: objects)
+    require_sound(spec, rows)
+    rows.meshes.vertices_m.values[rows.meshes.vertices_m.offsets[4]] += 0.03
+    with pytest.raises(IntegrityError, match=r"scene 4 .* rounding"):
+        require_sound(spec, rows)
+
+
+def test_validate_proves_the_written_scenes(whole):
+    checked = validate_folder(str(whole), limit=60)
+    assert (checked.checked, checked.failed, checked.stars) == (90, 0, 180)
+    both = validate_folder(str(whole), "test", workers=2)
+    assert both.failed == 0
+    assert both.bodies == sum(
+        len(scene.placements) for scene in make_rows(SceneSpec(), "test", 0, 0, 30).scenes
+    )
+
+
+def _rewritten(whole, tmp_path, change) -> str:
+    """A Parquet file of some scenes, one of them changed."""
+    table = pq.read_table(whole / "data" / "test-00000-of-00001.parquet")
+    rows = table.to_pylist()
+    change(rows[4])
+    import pyarrow as pa
+
+    path = tmp_path / "train-00000-of-00001.parquet"
+    pq.write_table(pa.Table.from_pylist(rows, schema=table.schema), path)
+    return str(path)
+
+
+def _flip(row):
+    row["mesh.faces"] = [face[::-1] for face in row["mesh.faces"]]
+
+
+def _open(row):
+    row["mesh.faces"] = row["mesh.faces"][:-1]
+
+
+def _onto_one_another(row):
+    first = row["placements"][0]
+    objects = [Placement(**first), Placement(**{**first, "x_m": first["x_m"] + 0.004})]
+    mesh = stamp([objects])[0]
+    row["mesh.vertices"], row["mesh.faces"] = mesh.vertices_m.tolist(), mesh.faces.tolist()
+
+
+def _lift(row):
+    row["mesh.vertices"] = [[x, y, z + 0.001] for x, y, z in row["mesh.vertices"]]
+
+
+def _relabel(row):
+    row["label"] = (row["label"] + 1) % 3
+
+
+def _undeclare(row):
+    row["placements"] = row["placements"][:-1]
+
+
+def _misdeclare(row):
+    row["distractor_count"] += 1
+
+
+def _move(row):
+    row["placements"][0]["x_m"] += 0.001
+
+
+@pytest.mark.parametrize(
+    ("change", "finding"),
+    [
+        (_flip, "inside-out"),
+        (_open, "not-manifold"),
+        (_onto_one_another, "overlap"),
+        (_lift, "lowest point"),
+        (_relabel, "the class is"),
+        (_undeclare, "objects are declared"),
+        (_misdeclare, "others stand there"),
+        (_move, "not that of the declared objects"),
+    ],
+)
+def test_validate_finds_what_is_wrong(whole, tmp_path, change, finding):
+    checked = validate_folder(_rewritten(whole, tmp_path, change))
+    assert checked.checked == 30
+    assert [failure.id for failure in checked.failures] == [1_000_000_004]
+    assert finding in checked.failures[0].problem
+
+
+def test_validate_refuses_what_holds_no_scenes(tmp_path):
+    with pytest.raises(InputError, match="does not exist"):
+        validate_folder(str(tmp_path / "nowhere"))
+    with pytest.raises(InputError, match="holds no data set"):
+        validate_folder(str(tmp_path))

@@ -1,0 +1,34 @@
+from __future__ import annotations
+
+import subprocess
+import sys
+
+import pytest
+
+import starstruck_gen
+
+
+def test_every_public_name_is_there():
+    for name in starstruck_gen.__all__:
+        assert getattr(starstruck_gen, name) is not None
+    assert dir(starstruck_gen) == sorted(starstruck_gen.__all__)
+    with pytest.raises(AttributeError, match="no attribute 'nothing'"):
+        _ = starstruck_gen.nothing
+
+
+def test_no_public_name_is_hidden_by_a_module():
+    """A submodule of the same name would take the place of a function once something imports it."""
+    code = (
+        "import starstruck_gen, pkgutil, importlib\n"
+        "for module in pkgutil.iter_modules(starstruck_gen.__path__):\n"
+        "    importlib.import_module('starstruck_gen.' + module.name)\n"
+        "public = [getattr(starstruck_gen, name) for name in starstruck_gen.__all__]\n"
+        "assert 'module' not in {type(value).__name__ for value in public}"
+    )
+    subprocess.run([sys.executable, "-c", code], check=True)
+
+
+def test_import_brings_no_heavy_library():
+    heavy = "{'numpy', 'pyarrow', 'manifold3d', 'trimesh', 'datasets', 'scipy', 'PIL'}"
+    code = f"import sys, starstruck_gen; assert not {heavy} & set(sys.modules)"
+    subprocess.run([sys.executable, "-c", code], check=True)

@@ -1,0 +1,217 @@
+from __future__ import annotations
+
+import math
+import pickle
+import threading
+from dataclasses import replace
+from itertools import combinations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy import stats
+
+from dataset_store.errors import InputError
+from starstruck_gen.collision import circles_clear, outlines_clear
+from starstruck_gen.errors import SamplingExhausted
+from starstruck_gen.placement import Placement
+from starstruck_gen.sampling import require_room, sample_scene, sample_scenes
+from starstruck_gen.shapes import OUTLINES, Shape
+from starstruck_gen.spec import SceneSpec
+from starstruck_gen.streams import SPLITS, SceneStreams, scene_id, scene_rng, scene_seed
+from tests.starstruck_gen.strategies import specs
+
+FEW = settings(max_examples=80, deadline=None)
+
+
+@FEW
+@given(specs(), st.integers(0, 2**40), st.sampled_from(SPLITS), st.integers(0, 10**6))
+def test_scene_keeps_what_its_specification_promises(spec, seed, split, start):
+    for index, scene in enumerate(sample_scenes(spec, split, seed, start, 3), start):
+        stars = [placement.is_star for placement in scene.placements]
+        assert scene.star_count == sum(stars) == spec.stars[index % len(spec.stars)]
+        assert all(stars[: scene.star_count])
+        assert spec.distractors[0] <= scene.distractor_count <= spec.distractors[1]
+        known = {(shape.name, shape.radius_m) for shape in (spec.star, *spec.distractor_shapes)}
+        half_x_m, half_y_m = spec.half_area_m
+        for placement in scene.placements:
+            assert (placement.shape, placement.radius_m) in known
+            assert placement.height_m in spec.heights_m
+            assert abs(placement.x_m) <= half_x_m
+            assert abs(placement.y_m) <= half_y_m
+            assert 0 <= placement.angle_rad <= spec.rotation_rad
+        assert len(scene.attempts) == len(scene.placements)
+        assert min(scene.attempts) >= 1
+        if spec.collision == "circles":
+            for a, b in combinations(scene.placements, 2):
+                gap_m = math.hypot(a.x_m - b.x_m, a.y_m - b.y_m) - a.radius_m - b.radius_m
+                assert gap_m > spec.clearance_m
+
+
+@FEW
+@given(
+    specs(),
+    st.integers(0, 2**40),
+    st.sampled_from(SPLITS),
+    st.integers(0, 10**6),
+    st.lists(st.integers(0, 3), min_size=1, max_size=3),
+)
+def test_any_partition_gives_the_scenes_of_the_reference(spec, seed, split, start, sizes):
+    parts, first = [], start
+    for size in sizes:
+        parts += sample_scenes(spec, split, seed, first, size)
+        first += size
+    assert parts == sample_scenes(spec, split, seed, start, sum(sizes))
+    for index, scene in enumerate(parts, start):
+        rng = scene_rng(scene_seed(seed, split, index))
+        assert scene == sample_scene(spec, rng, spec.stars[index % len(spec.stars)])
+
+
+@settings(deadline=None)
+@given(st.lists(st.tuples(st.integers(0, 2**63 - 1), st.integers(0, 130)), min_size=1, max_size=5))
+def test_shared_generator_gives_the_numbers_of_each_scene(wanted):
+    streams = SceneStreams()
+    for seed, count in wanted:
+        uniform = streams.uniform(seed)
+        reference = scene_rng(seed)
+        assert [uniform() for _ in range(count)] == [reference.random() for _ in range(count)]
+
+
+def test_threads_do_not_disturb_one_another():
+    expected = sample_scenes(SceneSpec(), "train", 0, 0, 400)
+    found = {}
+
+    def work(number):
+        found[number] = sample_scenes(SceneSpec(), "train", 0, 0, 400)
+
+    threads = [threading.Thread(target=work, args=(number,)) for number in range(4)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert all(found[number] == expected for number in range(4))
+
+
+def test_seeds_and_ids_differ_over_seeds_splits_and_scenes():
+    seeds = [scene_seed(s, split, i) for s in (0, 1, 2**40) for split in SPLITS for i in range(20_000)]
+    assert len(set(seeds)) == len(seeds)
+    assert min(seeds) >= 0
+    assert max(seeds) < 2**63
+    assert stats.kstest(np.array(seeds) / 2**63, "uniform").pvalue > 0.01
+    ids = {scene_id(split, i) for split in SPLITS for i in range(1_000)}
+    assert len(ids) == 2_000
+
+
+def test_seeds_stay_what_they_are():
+    """Data sets in the world depend on these."""
+    assert scene_seed(0, "train", 0) == 1588843498829269705
+    assert scene_seed(7, "test", 123_456) == 1128125805858447187
+
+
+def test_given_generator_may_be_any_and_stars_are_drawn_when_not_given():
+    rng = np.random.default_rng(5)
+    counts = [sample_scene(SceneSpec(), rng).star_count for _ in range(600)]
+    assert stats.chisquare(np.bincount(counts, minlength=4)[1:]).pvalue > 0.01
+
+
+def test_star_count_outside_the_specification_is_refused():
+    with pytest.raises(InputError, match="star_count is 4; expected one of stars"):
+        sample_scene(SceneSpec(), np.random.default_rng(0), star_count=4)
+
+
+@pytest.mark.parametrize(("seed", "split"), [(-1, "train"), (0, "validation")])
+def test_unusable_seed_or_split_is_refused(seed, split):
+    with pytest.raises(InputError, match=r"seed is -1|unknown split 'validation'"):
+        sample_scenes(SceneSpec(), split, seed, 0, 1)
+
+
+def test_numbers_are_uniform():
+    """Kolmogorov-Smirnov at 1 %, fixed seed: the first object of a scene meets no obstacle."""
+    scenes = sample_scenes(SceneSpec(), "train", 11, 0, 4_000)
+    first = [scene.placements[0] for scene in scenes]
+    half_x_m, half_y_m = SceneSpec().half_area_m
+    for values, half in (([p.x_m for p in first], half_x_m), ([p.y_m for p in first], half_y_m)):
+        assert stats.kstest(values, stats.uniform(-half, 2 * half).cdf).pvalue > 0.01
+    angles = [p.angle_rad for scene in scenes for p in scene.placements]
+    assert stats.kstest(angles, stats.uniform(0, math.tau).cdf).pvalue > 0.01
+    counts = np.bincount([scene.distractor_count for scene in scenes])
+    assert stats.chisquare(counts).pvalue > 0.01
+    discs = [p.shape == "disc" for scene in scenes for p in scene.placements if not p.is_star]
+    assert stats.binomtest(sum(discs), len(discs)).pvalue > 0.01
+
+
+def test_several_heights_are_drawn_alike():
+    spec = SceneSpec(heights_m=(0.003, 0.006))
+    heights = [p.height_m for scene in sample_scenes(spec, "train", 0, 0, 500) for p in scene.placements]
+    assert stats.binomtest(heights.count(0.003), len(heights)).pvalue > 0.01
+
+
+def test_exact_rule_lets_objects_stand_closer_than_circles_do():
+    shapes = tuple(Shape(name) for name in OUTLINES if name != "star")
+    exact = SceneSpec(collision="exact", distractors=(5, 5), distractor_shapes=shapes)
+    scenes = sample_scenes(exact, "train", 0, 0, 40)
+    gaps = [
+        math.hypot(a.x_m - b.x_m, a.y_m - b.y_m)
+        for scene in scenes
+        for a, b in combinations(scene.placements, 2)
+    ]
+    assert min(gaps) < 0.019
+
+
+@pytest.mark.parametrize(
+    ("one", "other", "clearance_m", "clear"),
+    [
+        # two boxes side by side: outlines 0.1 mm apart, circles far into one another
+        (("box", 0.0, math.pi / 4), ("box", 0.02 / math.sqrt(2) + 1e-4, math.pi / 4), 0.0, None),
+        (("box", 0.0, 0.0), ("box", 0.02 / math.sqrt(2) + 1e-4, 0.0), 0.0, True),
+        (("box", 0.0, 0.0), ("box", 0.02 / math.sqrt(2) + 1e-4, 0.0), 2e-4, False),
+        (("box", 0.0, 0.0), ("box", 0.02 / math.sqrt(2) - 1e-4, 0.0), 0.0, False),
+        (("box", 0.0, 0.0), ("box", 0.02 / math.sqrt(2), 0.0), 0.0, False),  # touching
+        (("disc", 0.0, 0.0), ("disc", 0.0199, 0.0), 0.0, None),
+    ],
+)
+def test_exact_rule_on_known_pairs(one, other, clearance_m, clear):
+    a, b = (Placement(name, x, 0.0, angle, 0.01, 0.005) for name, x, angle in (one, other))
+    found = outlines_clear(a, b, clearance_m)
+    assert found == outlines_clear(b, a, clearance_m)
+    assert not circles_clear(a, b, clearance_m)
+    if clear is not None:
+        assert found is clear
+
+
+def test_object_inside_a_hole_is_clear_and_inside_a_solid_is_not():
+    small = Placement("disc", 0.0, 0.0, 0.0, 0.002, 0.005)
+    assert outlines_clear(small, Placement("ring", 0.0, 0.0, 0.0, 0.01, 0.005), 0.001)
+    assert not outlines_clear(small, Placement("disc", 0.0, 0.0, 0.0, 0.01, 0.005), 0.0)
+    assert not outlines_clear(Placement("disc", 0.0, 0.0, 0.0, 0.01, 0.005), small, 0.0)
+
+
+def test_impossible_specification_ends_with_what_failed_and_what_to_change():
+    spec = replace(SceneSpec(), stars=(30,), restarts=3, attempts=20)
+    with pytest.raises(SamplingExhausted) as caught:
+        sample_scenes(spec, "train", 0, 0, 1)
+    error = caught.value
+    assert isinstance(error, InputError)
+    assert (error.shape, error.attempts, error.restarts) == ("star", 20, 3)
+    assert 8 < error.number < 20
+    assert 30 <= error.objects <= 35
+    text = str(error)
+    for part in (f"object {error.number} of {error.objects} (a star)", "20 attempts", "3 times", "--cell-mm"):
+        assert part in text
+    assert str(pickle.loads(pickle.dumps(error))) == text
+
+
+def test_fullest_scene_is_tried_first():
+    require_room(SceneSpec(), 0)
+    with pytest.raises(SamplingExhausted):
+        require_room(replace(SceneSpec(), stars=(1, 40), restarts=2), 0)
+
+
+def test_starting_over_is_counted():
+    crowded = replace(SceneSpec(), stars=(9,), distractors=(0, 0), attempts=15)
+    scenes = sample_scenes(crowded, "train", 0, 0, 60)
+    again = [scene for scene in scenes if scene.restarts]
+    assert again
+    assert all(sum(scene.attempts) >= 9 + 15 * scene.restarts for scene in again)
+    assert all(scene.attempts[0] == 1 + scene.restarts for scene in scenes)

@@ -1,0 +1,138 @@
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from dataset_store.errors import InputError
+from dataset_store.soundness import judge
+from starstruck_gen.sampling import sample_scenes
+from starstruck_gen.scene import Scene
+from starstruck_gen.solid import prism
+from starstruck_gen.spec import SceneSpec
+from starstruck_gen.stamping import stamp
+from tests.starstruck_gen.strategies import placements, specs
+
+FEW = settings(max_examples=80, deadline=None)
+
+
+@FEW
+@given(specs(), st.integers(0, 1_000))
+def test_mesh_is_one_solid_per_object_and_none_overlap(spec, index):
+    scene = sample_scenes(spec, "train", 3, index, 1)[0]
+    mesh = scene.mesh()
+    assert mesh.vertices_m.dtype == np.float32
+    assert mesh.faces.dtype == np.int32
+    verdict = judge(mesh)
+    assert verdict.problem is None
+    assert verdict.bodies == len(scene.placements)
+    expected_m3 = sum(prism(p.shape).area * p.radius_m**2 * p.height_m for p in scene.placements)
+    assert mesh.volume_m3 == pytest.approx(expected_m3, rel=1e-4)
+    assert mesh.bounds_m[0, 2] == 0.0
+    assert mesh.bounds_m[1, 2] == pytest.approx(max(p.height_m for p in scene.placements))
+
+
+@FEW
+@given(placements())
+def test_single_object_is_a_solid_wherever_it_stands(placement):
+    """Up to a metre from the origin, where float32 has steps of 60 nm."""
+    verdict = judge(stamp([[placement]])[0])
+    assert verdict.problem is None
+    assert verdict.bodies == 1
+
+
+@FEW
+@given(st.lists(st.lists(placements(), max_size=4), max_size=4))
+def test_mesh_does_not_depend_on_its_batch(layouts):
+    batch = stamp(layouts)
+    assert len(batch) == len(layouts)
+    for index, layout in enumerate(layouts):
+        alone, among = stamp([layout])[0], batch[index]
+        assert alone.vertices_m.tobytes() == among.vertices_m.tobytes()
+        assert np.array_equal(alone.faces, among.faces)
+
+
+@settings(deadline=None)
+@given(placements())
+def test_vertices_are_the_turned_scaled_moved_outline(placement):
+    vertices = stamp([[placement]])[0].vertices_m
+    turn = np.exp(1j * placement.angle_rad)
+    corners = prism(placement.shape).corners @ [1, 1j] * turn * placement.radius_m
+    expected = corners + placement.x_m + 1j * placement.y_m
+    assert np.allclose(vertices[::2, :2] @ [1, 1j], expected, atol=1e-7)
+    assert np.array_equal(vertices[::2, :2], vertices[1::2, :2])
+    assert not vertices[::2, 2].any()
+    assert (vertices[1::2, 2] == np.float32(placement.height_m)).all()
+
+
+@FEW
+@given(specs(("circles",)), st.integers(0, 1_000))
+def test_json_and_back_is_exact(spec, index):
+    scene = sample_scenes(spec, "test", 0, index, 1)[0]
+    assert Scene.from_json(scene.to_json()) == scene
+
+
+def _changed(**changes):
+    values = sample_scenes(SceneSpec(), "train", 0, 2, 1)[0].to_dict()
+    return json.dumps({**values, **changes})
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("{", "must be JSON"),
+        ("{}", "no scene: field 'placements'"),
+        ("[]", "no scene"),
+        (_changed(star_count=2), "declares star_count 2 and places 3"),
+        (_changed(attempts=[1]), "1 attempts for"),
+        (_changed(placements=[{"shape": "sun"}]), "unknown shape 'sun'"),
+        (_changed(placements=[{"shape": "box"}]), "no scene: field 'x_m'"),
+        (_changed(restarts="many"), "no scene"),
+    ],
+)
+def test_wrong_json_is_refused(text, message):
+    with pytest.raises(InputError, match=message):
+        Scene.from_json(text)
+
+
+def test_picture_shows_every_object_where_it_stands():
+    scene = sample_scenes(SceneSpec(), "train", 0, 2, 1)[0]
+    picture = scene.draw(px_per_mm=4.0)
+    assert picture.size == (480, 480)
+    pixels = np.asarray(picture)
+    for placement in scene.placements:
+        column = round(240 + 4_000 * placement.x_m)
+        row = round(240 - 4_000 * placement.y_m)
+        red, _, blue = pixels[row, column].tolist()
+        assert (red > blue) == placement.is_star
+    assert pixels[0, 0].tolist() == pixels[-1, -1].tolist()
+
+
+def test_hole_of_a_ring_shows_the_plate():
+    values = {"shape": "ring", "x_m": 0, "y_m": 0, "angle_rad": 0, "radius_m": 0.01, "height_m": 0.005}
+    ring = Scene.from_dict({"star_count": 0, "placements": [values], "attempts": [1], "restarts": 0})
+    pixels = np.asarray(ring.draw(cell_m=(0.03, 0.02), px_per_mm=2.0))
+    assert pixels.shape == (40, 60, 3)
+    assert pixels[20, 30].tolist() == pixels[0, 0].tolist()
+    assert pixels[20, 30 + 15].tolist() != pixels[0, 0].tolist()
+
+
+def test_object_inside_a_hole_stays_visible():
+    sizes = {"disc": 0.003, "ring": 0.01}
+    values = [
+        {"shape": shape, "x_m": 0, "y_m": 0, "angle_rad": 0, "radius_m": radius_m, "height_m": 0.005}
+        for shape, radius_m in sizes.items()
+    ]
+    scene = Scene.from_dict({"star_count": 0, "placements": values, "attempts": [1, 1], "restarts": 0})
+    pixels = np.asarray(scene.draw(cell_m=(0.03, 0.03), px_per_mm=6.0))
+    plate, disc, hole = (pixels[place].tolist() for place in ((0, 0), (90, 90), (90, 90 + 24)))
+    assert disc != plate == hole
+
+
+@pytest.mark.parametrize("px_per_mm", [0.0, 1e3])
+def test_picture_of_impossible_size_is_refused(px_per_mm):
+    with pytest.raises(InputError, match="a picture of"):
+        sample_scenes(SceneSpec(), "train", 0, 0, 1)[0].draw(px_per_mm=px_per_mm)

@@ -1,0 +1,73 @@
+from __future__ import annotations
+
+import json
+import math
+
+import pytest
+from hypothesis import given, settings
+
+from dataset_store.errors import InputError
+from starstruck_gen.shapes import Shape
+from starstruck_gen.spec import SceneSpec
+from tests.starstruck_gen.strategies import specs
+
+
+def test_defaults_are_the_published_numbers():
+    spec = SceneSpec()
+    assert spec.padding_m == pytest.approx((0.003 + 0.016 + 0.0025, 0.003 + 0.014 + 0.0025))
+    assert spec.half_area_m == pytest.approx((0.0785 / 2, 0.0805 / 2))
+    assert spec.class_names == ("1", "2", "3")
+    assert spec.most_objects == 8
+    assert {spec.star.radius_m, *(shape.radius_m for shape in spec.distractor_shapes)} == {0.010}
+
+
+@settings(deadline=None)
+@given(specs())
+def test_json_and_back(spec):
+    values = json.loads(json.dumps(spec.to_dict()))
+    assert values == spec.to_dict()
+    assert SceneSpec.from_dict(values) == spec
+
+
+@pytest.mark.parametrize(
+    ("values", "message"),
+    [
+        ({"cell_m": (0.03, 0.12)}, r"cell_m .* \(0.03, 0.12\); expected room for the padding and one object"),
+        ({"cell_m": (0.12,)}, "cell_m .* expected two lengths"),
+        ({"cell_m": (math.nan, 0.12)}, r"cell_m .* \(nan, 0.12\)"),
+        ({"cell_m": "ab"}, "cell_m .* 'ab'"),
+        ({"padding_m": (-0.1, 0.0)}, r"padding_m .* \(-0.1, 0.0\)"),
+        ({"stars": ()}, "stars .* expected whole numbers from 0"),
+        ({"stars": (1, 2.5)}, "stars .* 2.5"),
+        ({"stars": (3, 1)}, "stars .* larger than the one before"),
+        ({"stars": (0, 1)}, "stars .* no scene is empty"),
+        ({"stars": (5_000,)}, "stars .* up to 1000 objects"),
+        ({"distractors": (3, 1)}, r"distractors .* \(3, 1\); expected the least first"),
+        ({"distractors": (0, 1.5)}, "distractors .* two whole numbers"),
+        ({"distractors": 5}, "distractors .* 5"),
+        ({"star": Shape("box")}, "star .* expected a shape named 'star'"),
+        ({"distractor_shapes": (Shape("star"),)}, "distractor_shapes .* stars are what is counted"),
+        ({"distractor_shapes": ()}, "distractor_shapes .* at least one shape"),
+        ({"heights_m": ()}, "heights_m .* one or more heights"),
+        ({"heights_m": (0.005, 0.0)}, "heights_m .* 0.0"),
+        ({"rotation_rad": 7.0}, "rotation_rad .* 0 to 2 pi"),
+        ({"collision": "boxes"}, "collision .* 'boxes'; expected circles or exact"),
+        ({"clearance_m": -0.001}, "clearance_m .* -0.001"),
+        ({"attempts": 0}, "attempts .* from 1"),
+        ({"attempts": True}, "attempts .* True"),
+        ({"restarts": -1}, "restarts .* -1"),
+    ],
+)
+def test_unusable_value_is_named_with_what_was_expected(values, message):
+    with pytest.raises(InputError, match=message):
+        SceneSpec(**values)
+
+
+def test_scenes_without_distractors_need_no_shapes():
+    assert SceneSpec(distractors=(0, 0), distractor_shapes=()).most_objects == 3
+
+
+@pytest.mark.parametrize("values", [{"colour": 1}, {"star": {"nme": "star"}}, {"star": 3}])
+def test_wrong_json_is_refused(values):
+    with pytest.raises(InputError, match="scene specification"):
+        SceneSpec.from_dict(values)
