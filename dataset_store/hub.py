@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 from collections.abc import Iterator
 from dataclasses import dataclass
+from pathlib import Path
 
 from dataset_store.errors import HubError
 
@@ -38,18 +39,30 @@ class HubRepository:
         HubError
             The repository is unknown, private or gated, or the Hub cannot be reached and it is not cached.
         """
-        from huggingface_hub import HfApi, snapshot_download
+        from huggingface_hub import HfApi
         from huggingface_hub.constants import HF_HUB_OFFLINE
 
         with self._named_failures():
-            if not HF_HUB_OFFLINE:
+            if HF_HUB_OFFLINE:
+                return self._cached_files()
+            try:
                 return list(
                     HfApi().list_repo_files(self.repo_id, revision=self.revision, repo_type="dataset")
                 )
-            cached = snapshot_download(
+            except Exception as error:
+                if not _is_connection_failure(error):
+                    raise
+                return self._cached_files()
+
+    def _cached_files(self) -> list[str]:
+        from huggingface_hub import snapshot_download
+
+        root = Path(
+            snapshot_download(
                 self.repo_id, revision=self.revision, repo_type="dataset", local_files_only=True
             )
-        return _files_below(cached)
+        )
+        return sorted(str(file.relative_to(root)) for file in root.rglob("*") if file.is_file())
 
     def fetch(self, path: str) -> str:
         """Download one file into the Hub's cache (or find it there) and return its local path.
@@ -87,7 +100,10 @@ class HubRepository:
         except errors.LocalEntryNotFoundError as error:
             hint = "cannot be fetched now (no network, or offline mode) and is not in the cache"
             raise self._failure(hint) from error
-        except (errors.HfHubHTTPError, OSError) as error:
+        except Exception as error:
+            known = isinstance(error, (errors.HfHubHTTPError, OSError)) or _is_connection_failure(error)
+            if not known:
+                raise
             hint = f"could not be read: {type(error).__name__}: {error}; next: check the network, try again"
             raise self._failure(hint) from error
 
@@ -95,8 +111,8 @@ class HubRepository:
         return HubError(f"Hub data set {self.repo_id!r} {hint}")
 
 
-def _files_below(folder: str) -> list[str]:
-    from pathlib import Path
-
-    root = Path(folder)
-    return sorted(str(file.relative_to(root)) for file in root.rglob("*") if file.is_file())
+def _is_connection_failure(error: Exception) -> bool:
+    """Tell an error of the HTTP library, which is another one in each major release of huggingface_hub."""
+    roots = {kind.__module__.partition(".")[0] for kind in type(error).__mro__}
+    answered = getattr(error, "response", None) is not None
+    return not answered and bool(roots & {"httpx", "httpx2", "httpcore", "requests", "urllib3"})

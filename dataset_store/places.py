@@ -125,7 +125,20 @@ def _of_split(files: list[ShardFile], split: str, where: str) -> list[ShardFile]
     chosen = [file for file in files if file.split == split]
     if not chosen:
         raise _no_split(split, tuple(dict.fromkeys(file.split for file in files)), where)
+    _refuse_missing_shards(chosen, where)
     return chosen
+
+
+def _refuse_missing_shards(files: list[ShardFile], where: str) -> None:
+    """Refuse a split of which some shards are absent: fewer rows than there should be must not pass."""
+    names = [ShardName.parse(PurePosixPath(file.path).name) for file in files]
+    counts = {name.count for name in names if name is not None}
+    if len(counts) == 1 and None not in names and len(files) < max(counts):
+        message = (
+            f"{len(files)} of {max(counts)} shards of split {files[0].split!r} are in {where!r}, all were "
+            "expected; next: download or generate the data set again (with a network, if it is on the Hub)"
+        )
+        raise IntegrityError(message)
 
 
 def _no_split(split: str, known: tuple[str, ...], where: str) -> InputError:

@@ -47,8 +47,13 @@ class InlineRunner:
 
     def run(self, function: Callable[[T], R], tasks: Iterable[T]) -> Iterator[R]:
         """Yield the result of each task in order."""
+        from threadpoolctl import threadpool_limits
+
         for task in tasks:
-            yield function(task)
+            # As in a worker: small matrix products lose more to threads that wait than they gain.
+            with threadpool_limits(limits=1, user_api="blas"):
+                result = function(task)
+            yield result
 
 
 @dataclass(frozen=True)

@@ -257,6 +257,9 @@ def test_folder_without_manifest_is_found_by_names(folder, tmp_path):
         name = f"test-{index:05d}-of-00002.parquet"
         (data / name).write_bytes((folder / "data" / name).read_bytes())
     assert sum(len(shard) for shard in find_shards(str(tmp_path), "test")) == 9
+    (data / "test-00001-of-00002.parquet").unlink()
+    with pytest.raises(IntegrityError, match="1 of 2 shards of split 'test'"):
+        find_shards(str(tmp_path), "test")
 
 
 @given(
