@@ -115,23 +115,27 @@ def _volume_problem(volume_mm3: float, parts: list[Any]) -> tuple[str, str] | No
 
 def _overlap_problem(parts: list[Any]) -> tuple[str, str] | None:
     outer = [part for part in parts if part.volume() > 0]
-    for place, part in enumerate(outer):
-        for other in outer[place + 1 :]:
-            if _boxes_meet(part, other) and (part ^ other).volume() > OVERLAP_MM3:
-                return "overlap", f"two of {len(outer)} bodies overlap by {(part ^ other).volume():.3f} mm^3"
+    for one, other in _pairs_with_meeting_boxes(outer):
+        shared_mm3 = (outer[one] ^ outer[other]).volume()
+        if shared_mm3 > OVERLAP_MM3:
+            return "overlap", f"two of {len(outer)} bodies overlap by {shared_mm3:.3g} mm^3"
     for cavity in (part for part in parts if part.volume() < 0):
         if not any(_encloses(part, cavity) for part in outer):
             return "inside-out", f"one of {len(parts)} bodies faces inwards without lying inside another one"
     return None
 
 
-def _boxes_meet(one: Any, other: Any) -> bool:
-    a, b = np.array(one.bounding_box()), np.array(other.bounding_box())
-    return bool((a[:3] < b[3:]).all() and (b[:3] < a[3:]).all())
+def _pairs_with_meeting_boxes(parts: list[Any]) -> list[tuple[int, int]]:
+    boxes = np.array([part.bounding_box() for part in parts]).reshape(-1, 6)
+    pairs = []
+    for place, box in enumerate(boxes[:-1]):
+        meets = (boxes[place + 1 :, :3] < box[3:]) & (box[:3] < boxes[place + 1 :, 3:])
+        pairs += [(place, place + 1 + int(other)) for other in np.flatnonzero(meets.all(axis=1))]
+    return pairs
 
 
 def _encloses(body: Any, cavity: Any) -> bool:
-    if not _boxes_meet(body, cavity):
+    if not _pairs_with_meeting_boxes([body, cavity]):
         return False
     filling = _turned(cavity)
     return bool((filling ^ body).volume() >= filling.volume() - OVERLAP_MM3)
@@ -141,8 +145,10 @@ def _turned(part: Any) -> Any:
     import manifold3d
 
     mesh = part.to_mesh64()
-    faces = np.ascontiguousarray(np.asarray(mesh.tri_verts)[:, ::-1])
-    return manifold3d.Manifold(manifold3d.Mesh64(np.asarray(mesh.vert_properties)[:, :3], faces))
+    # manifold3d hands out arrays that cannot be written, and takes none.
+    faces = np.array(mesh.tri_verts[:, ::-1], dtype=np.uint64, order="C")
+    vertices = np.array(mesh.vert_properties[:, :3], dtype=np.float64, order="C")
+    return manifold3d.Manifold(manifold3d.Mesh64(vertices, faces))
 
 
 def _edge_story(mesh: Mesh) -> str:

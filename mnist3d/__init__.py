@@ -11,10 +11,10 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from dataset_store.mesh import Mesh
     from mnist3d.dataset import MeshDataset, MeshRecord, MeshStream, load
     from mnist3d.digit import DigitCatalog, DigitImage
     from mnist3d.generation import GenerateSpec, generate
-    from mnist3d.mesh import Mesh
     from mnist3d.meshfile import read_mesh, write_mesh
     from mnist3d.printability import PrintProfile, PrintReport, inspect
     from mnist3d.solid import SolidSpec, solidify
@@ -48,7 +48,6 @@ _HOMES = {
     "dataset": ("MeshDataset", "MeshRecord", "MeshStream", "load"),
     "digit": ("DigitCatalog", "DigitImage"),
     "generation": ("GenerateSpec", "generate"),
-    "mesh": ("Mesh",),
     "meshfile": ("read_mesh", "write_mesh"),
     "printability": ("PrintProfile", "PrintReport", "inspect"),
     "solid": ("SolidSpec", "solidify"),
@@ -62,6 +61,8 @@ def __getattr__(name: str) -> Any:
     for home, names in _HOMES.items():
         if name in names:
             return getattr(import_module(f"mnist3d.{home}"), name)
+    if name == "Mesh":
+        return import_module("dataset_store.mesh").Mesh
     message = f"module 'mnist3d' has no attribute {name!r}"
     raise AttributeError(message)
 

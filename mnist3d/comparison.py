@@ -6,17 +6,18 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from mnist3d.mesh import MM_PER_M
+from dataset_store.mesh import MM_PER_M
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from mnist3d.mesh import Mesh
+    from dataset_store.mesh import Mesh
 
 __all__ = ["distances_to_surface_mm", "sample_surface_mm", "symmetric_distances_mm"]
 
 CANDIDATES = 8
 SAMPLES_PER_FACE = 8
+MOST_SAMPLES = 100_000
 
 
 def symmetric_distances_mm(one: Mesh, other: Mesh, count: int = 10_000, seed: int = 0) -> NDArray[np.float64]:
@@ -95,7 +96,8 @@ def distances_to_surface_mm(
     from scipy.spatial import cKDTree
     from trimesh import triangles
 
-    samples, face_of = sample_surface_mm(mesh, SAMPLES_PER_FACE * len(mesh.faces), rng)
+    count = min(SAMPLES_PER_FACE * len(mesh.faces), MOST_SAMPLES)
+    samples, face_of = sample_surface_mm(mesh, count, rng)
     corners = _corners_mm(mesh)
     samples = np.concatenate([samples, corners.mean(axis=1)])
     face_of = np.concatenate([face_of, np.arange(len(corners))])

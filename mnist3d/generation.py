@@ -128,7 +128,7 @@ def make_row(digit_id: int, spec: GenerateSpec) -> tuple[MeshRow, PrintReport]:
     ------
     ItemError
         When the image cannot be used, or the mesh does not bound a solid (the reason is one of
-        :data:`mnist3d.soundness.PROBLEMS`).
+        :data:`dataset_store.soundness.PROBLEMS`).
     """
     digit = spec.source.image(digit_id)
     try:

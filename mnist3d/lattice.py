@@ -24,7 +24,7 @@ from mnist3d.storage_order import in_storage_order
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from mnist3d.mesh import Mesh
+    from dataset_store.mesh import Mesh
     from mnist3d.spec import SolidSpec
 
 __all__ = ["PlaneLattice", "fit_lattice", "lattice_solid", "mirror_surface"]
@@ -211,8 +211,9 @@ def _weights(nodes: NDArray[np.float64], count: int, sigma: float) -> NDArray[np
     away = (nodes[:, None] - np.arange(count)) / (2 * sigma)
     wide = np.exp(-away * away)
     narrow = wide * wide
-    weights = narrow * (2 / narrow.sum(axis=1, keepdims=True)) - wide / wide.sum(axis=1, keepdims=True)
-    return np.asarray(weights, dtype=np.float64)
+    return np.asarray(
+        narrow * (2 / narrow.sum(axis=1, keepdims=True)) - wide / wide.sum(axis=1, keepdims=True)
+    )
 
 
 def _heights(pitch: float, spec: SolidSpec) -> NDArray[np.float32]:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from mnist3d.mesh import MM_PER_M, Mesh
+from dataset_store.mesh import MM_PER_M, Mesh
 from mnist3d.steps import erode, erosion_radii_px, marching_cubes, mirror, scale, smooth, stack
 
 if TYPE_CHECKING:

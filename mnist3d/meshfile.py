@@ -11,7 +11,7 @@ from xml.etree import ElementTree
 import numpy as np
 
 from dataset_store.errors import InputError, StorageError
-from mnist3d.mesh import MM_PER_M, Mesh
+from dataset_store.mesh import MM_PER_M, Mesh
 from mnist3d.stl import read_stl, write_stl
 from mnist3d.threemf import read_threemf, write_threemf
 

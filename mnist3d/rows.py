@@ -8,6 +8,7 @@ from functools import cache
 from typing import Any
 
 from dataset_store.columns import list_array
+from dataset_store.mesh import Mesh
 from dataset_store.mesh_columns import (
     FACES,
     VERTICES,
@@ -18,7 +19,6 @@ from dataset_store.mesh_columns import (
     vectors_type,
 )
 from dataset_store.shards import ParquetStyle
-from mnist3d.mesh import Mesh
 
 __all__ = ["CLASS_NAMES", "PARQUET_STYLE", "MeshRow", "mesh_schema", "mesh_table"]
 

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
-    from mnist3d.mesh import Mesh
+    from dataset_store.mesh import Mesh
 
 __all__ = [
     "PROFILES",

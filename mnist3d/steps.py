@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from mnist3d.mesh import MM_PER_M, Mesh
+from dataset_store.mesh import MM_PER_M, Mesh
 from mnist3d.profile import erosion_radius
 
 if TYPE_CHECKING:

@@ -9,11 +9,11 @@ from pathlib import Path
 from typing import Any
 
 from dataset_store.errors import InputError
+from dataset_store.mesh import Mesh
 from dataset_store.places import available_splits, find_shards
 from dataset_store.rowgroups import RowGroup, Shard
 from dataset_store.runner import runner_for
 from dataset_store.storage import DataFolder
-from mnist3d.mesh import Mesh
 from mnist3d.printability import PrintProfile, PrintReport, inspect
 
 __all__ = ["Checked", "CheckedItem", "validate_paths"]

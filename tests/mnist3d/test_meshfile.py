@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from dataset_store.errors import InputError, StorageError
-from mnist3d.mesh import Mesh
+from dataset_store.mesh import Mesh
 from mnist3d.meshfile import FORMATS, merge_equal_vertices, read_mesh, write_mesh
 from mnist3d.printability import inspect
 from mnist3d.threemf import write_threemf

@@ -12,9 +12,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from dataset_store.errors import InputError
-from mnist3d.mesh import Mesh
+from dataset_store.mesh import Mesh
+from dataset_store.soundness import PROBLEMS
 from mnist3d.printability import REPORT_COLUMNS, WARNINGS, PrintProfile, inspect
-from mnist3d.soundness import PROBLEMS
 from mnist3d.walls import section_area_mm2, thinnest_width_mm
 
 ANGLES = st.floats(0, 2 * math.pi)
@@ -151,8 +151,8 @@ def test_wall_of_a_ring_is_narrowest_where_its_hole_is_nearest(
     inner = outer - 1.5 * wall - 0.5
     if inner < 1:
         return
-    shift = outer - inner - wall
-    hole = circle(inner)[::-1] + [shift * math.cos(angle), shift * math.sin(angle)]
+    shift = (outer - inner - wall) * np.array([math.cos(angle), math.sin(angle)])
+    hole = circle(inner)[::-1] + shift
     assert thinnest_width_mm([circle(outer), hole]) == pytest.approx(wall, abs=0.2)
 
 

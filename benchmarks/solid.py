@@ -1,0 +1,154 @@
+"""How fast, how true and how small the solids are: the fast way against the literal one, measured in one run.
+
+python benchmarks/solid.py [--digits ../shared/digits/png] [--count 24 | --all] [--repeats 3]
+"""
+
+from __future__ import annotations
+
+import argparse
+import io
+import statistics
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+
+from dataset_store.mesh import MM_PER_M, Mesh
+from mnist3d.comparison import symmetric_distances_mm
+from mnist3d.ink import count_bodies_and_holes
+from mnist3d.printability import PrintReport, inspect
+from mnist3d.solid import SolidSpec, ink_mask, literal_solid, solidify
+
+DIGITS = Path(__file__).resolve().parents[2] / "shared" / "digits" / "png"
+
+
+def main() -> None:
+    """Measure and print three tables: time, accuracy, size."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--digits", type=Path, default=DIGITS)
+    parser.add_argument("--count", type=int, default=24)
+    parser.add_argument("--all", action="store_true")
+    parser.add_argument("--repeats", type=int, default=3)
+    parser.add_argument("--points", type=int, default=5000)
+    options = parser.parse_args()
+    paths = sorted(options.digits.glob("*.png"))
+    if not options.all:
+        paths = paths[:: max(1, len(paths) // options.count)]
+    images = [read_grey(path) for path in paths]
+    print(f"{len(images)} digits of {options.digits}\n")
+    time_table(images[:: max(1, len(images) // 24)], options.repeats)
+    accuracy_table(images, options.points)
+
+
+def read_grey(path: Path) -> np.ndarray:
+    """Read an image file as grey levels, shape (H, W) uint8."""
+    from PIL import Image
+
+    with Image.open(path) as image:
+        return np.asarray(image.convert("L"))
+
+
+def time_table(images: list[np.ndarray], repeats: int) -> None:
+    """Print milliseconds per validated mesh, median over digits of the best repeat."""
+    spec = SolidSpec()
+    fast = [best_ms(lambda p=p: solidify(p, spec), repeats) for p in images]
+    meshes = [solidify(p, spec) for p in images]
+    checked = [best_ms(lambda m=m: inspect(m), repeats) for m in meshes]
+    literal = [best_ms(lambda p=p: solidify(p, spec, method="literal"), 1) for p in images]
+    masks = [ink_mask(p, spec) for p in images]
+    undecimated = [best_ms(lambda m=m: literal_solid(m, spec, decimated=False), 1) for m in masks]
+    check, quick = statistics.median(checked), statistics.median(fast)
+    print("ms per digit (median)           make   check   total")
+    for name, times in (("fast", fast), ("literal", literal), ("literal, not decimated", undecimated)):
+        made = statistics.median(times)
+        ratio = (made + check) / (quick + check)
+        print(f"{name:28s} {made:8.1f} {check:7.1f} {made + check:7.1f}   {ratio:6.1f} x")
+    print()
+
+
+def best_ms(action: Callable[[], object], repeats: int) -> float:
+    """Run an action a few times and return the shortest time in milliseconds."""
+    times = []
+    for _ in range(repeats):
+        start = time.perf_counter()
+        action()
+        times.append(time.perf_counter() - start)
+    return min(times) * 1000
+
+
+def accuracy_table(images: list[np.ndarray], points: int) -> None:
+    """Print how far the fast surface lies from the literal one before its decimation."""
+    rows, reports, distances, packed, same = [], [], [], [], 0
+    for pixels in images:
+        spec = SolidSpec()
+        mask = ink_mask(pixels, spec)
+        fast, literal = solidify(pixels, spec), literal_solid(mask, spec, decimated=False)
+        report, oracle = inspect(fast), inspect(literal)
+        counts = count_bodies_and_holes(mask)
+        same += counts == (report.bodies, report.genus) == (oracle.bodies, oracle.genus)
+        found = symmetric_distances_mm(fast, literal, points)
+        distances.append(found)
+        rows.append((found.mean(), np.percentile(found, 99.9), fast.volume_m3 / literal.volume_m3 - 1))
+        reports.append(report)
+        packed.append(fast)
+    print_accuracy(np.array(rows), np.concatenate(distances), same, len(images))
+    print_sizes(reports, packed)
+
+
+def print_accuracy(rows: np.ndarray, distances: np.ndarray, same: int, count: int) -> None:
+    """Print the distances in mm over all digits, and of the worst digit."""
+    means, tails, volumes = rows[:, 0], rows[:, 1], 100 * rows[:, 2]
+    within = int(((means <= 0.05) & (tails <= 0.4)).sum())
+    print("fast against literal             all digits   worst digit   bound")
+    print(f"mean distance, mm              {distances.mean():12.3f} {means.max():13.3f}    0.05")
+    print(f"99.9th percentile, mm          {np.percentile(distances, 99.9):12.3f} {tails.max():13.3f}    0.4")
+    print(f"digits within both bounds      {within:12d} of {count}")
+    print(f"volume, %                      {volumes.mean():+12.2f} {np.abs(volumes).max():13.2f}    1.5")
+    print(f"same bodies and holes          {same:12d} of {count}\n")
+
+
+def print_sizes(reports: list[PrintReport], meshes: list[Mesh]) -> None:
+    """Print how the measures of the solids spread over the digits."""
+    columns = {
+        "vertices": [r.vertices for r in reports],
+        "height, mm": [r.size_mm[2] for r in reports],
+        "thinnest wall, mm": [r.thinnest_wall_mm for r in reports],
+        "overhang, mm^2": [r.overhang_mm2 for r in reports],
+        "overhang per footprint": [r.overhang_mm2 * r.size_mm[2] / r.volume_mm3 for r in reports],
+        "contact, mm^2": [r.contact_mm2 for r in reports],
+        "volume, mm^3": [r.volume_mm3 for r in reports],
+    }
+    print("over the digits                   min       5%      50%      95%      max")
+    for name, values in columns.items():
+        print(f"{name:28s}" + " ".join(f"{v:8.2f}" for v in np.percentile(values, [0, 5, 50, 95, 100])))
+    print(f"\nParquet: {parquet_bytes(meshes) / len(meshes) / 1000:.1f} kB per mesh")
+    print(f"warnings: {sum(len(r.warnings) for r in reports)}, solids: {sum(r.is_solid for r in reports)}")
+    print(f"largest side: {max(max(r.size_mm) for r in reports) / MM_PER_M:.3f} m")
+
+
+def parquet_bytes(meshes: list[Mesh]) -> int:
+    """Pack the numbers of the meshes as a data set does, and count the bytes."""
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    def column(arrays: list[np.ndarray], kind: pa.DataType) -> pa.Array:
+        starts = np.concatenate([[0], np.cumsum([len(a) for a in arrays])]).astype(np.int32)
+        numbers = pa.array(np.concatenate(arrays).ravel(), kind)
+        return pa.ListArray.from_arrays(starts, pa.FixedSizeListArray.from_arrays(numbers, 3))
+
+    vertices = column([m.vertices_m for m in meshes], pa.float32())
+    faces = column([m.faces for m in meshes], pa.int32())
+    names = ("vertices", "faces")
+    encodings = ("BYTE_STREAM_SPLIT", "DELTA_BINARY_PACKED")
+    packing = {f"{n}.list.element.list.element": code for n, code in zip(names, encodings, strict=True)}
+    buffer = io.BytesIO()
+    table = pa.table(dict(zip(names, (vertices, faces), strict=True)))
+    pq.write_table(
+        table, buffer, compression="zstd", compression_level=9, use_dictionary=False, column_encoding=packing
+    )
+    return len(buffer.getvalue())
+
+
+if __name__ == "__main__":
+    main()
