@@ -1,1 +1,72 @@
-"""Real touches: typed, lazy, fast loaders."""
+"""Real touches: typed, lazy, fast loaders, and the work that every user of them does by hand.
+
+``realtouch.load`` opens a data set; ``dataset[0]`` is a round of touches, ``dataset.touches()`` the flat view
+of single touches with its filters. ``to_single``, ``resize``, ``select`` and ``frames`` write new ones. Names
+are imported on first use, so that ``import realtouch`` costs nothing.
+"""
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from realtouch.checks import verify
+    from realtouch.clips import TouchClip
+    from realtouch.convert import frames, resize, select, to_single
+    from realtouch.dataset import TouchDataset, TouchSeqDataset, TouchSingleDataset, TouchStream
+    from realtouch.names import SHORT_NAMES
+    from realtouch.opening import load
+    from realtouch.poses import Poses, PoseSequences
+    from realtouch.rounds import TouchRound, TouchSeqRound, TouchSingleRound
+    from realtouch.summary import Summary, summarise
+    from realtouch.touches import Touch, Touches
+
+__all__ = [
+    "SHORT_NAMES",
+    "PoseSequences",
+    "Poses",
+    "Summary",
+    "Touch",
+    "TouchClip",
+    "TouchDataset",
+    "TouchRound",
+    "TouchSeqDataset",
+    "TouchSeqRound",
+    "TouchSingleDataset",
+    "TouchSingleRound",
+    "TouchStream",
+    "Touches",
+    "frames",
+    "load",
+    "resize",
+    "select",
+    "summarise",
+    "to_single",
+    "verify",
+]
+
+_HOMES = {
+    "clips": ("TouchClip",),
+    "convert": ("frames", "resize", "select", "to_single"),
+    "dataset": ("TouchDataset", "TouchSeqDataset", "TouchSingleDataset", "TouchStream"),
+    "opening": ("load",),
+    "names": ("SHORT_NAMES",),
+    "poses": ("PoseSequences", "Poses"),
+    "rounds": ("TouchRound", "TouchSeqRound", "TouchSingleRound"),
+    "summary": ("Summary", "summarise"),
+    "touches": ("Touch", "Touches"),
+    "checks": ("verify",),
+}
+
+
+def __getattr__(name: str) -> Any:
+    for home, names in _HOMES.items():
+        if name in names:
+            return getattr(import_module(f"realtouch.{home}"), name)
+    message = f"module 'realtouch' has no attribute {name!r}"
+    raise AttributeError(message)
+
+
+def __dir__() -> list[str]:
+    return sorted(__all__)

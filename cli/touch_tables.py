@@ -1,0 +1,73 @@
+"""What ``realtouch`` prints of data sets, conversions and damage."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from cli.output import Sink, bytes_text
+
+if TYPE_CHECKING:
+    from dataset_store.manifest import Manifest
+    from realtouch.checks import TouchVerification
+    from realtouch.summary import Summary
+
+__all__ = ["print_made", "print_summary", "raise_findings"]
+
+
+def print_made(sink: Sink, manifest: Manifest, out: Path) -> None:
+    """Print what a conversion wrote."""
+    table = manifest.split_table()
+    sink.document({"folder": str(out), "splits": table, "spec": manifest.spec})
+    rows = [
+        (split, e["rows"], e["shards"], bytes_text(e["bytes"]), e["skipped"]) for split, e in table.items()
+    ]
+    sink.table(("split", "rows", "shards", "Parquet", "left out"), rows)
+    for reason, count in manifest.skipped_reasons().items():
+        sink.line(f"left out {count:,} rounds: {reason} (each is named in {out}/manifest.json)")
+    sink.line(f"the data set is in {out}")
+
+
+def raise_findings(result: TouchVerification, name: str) -> None:
+    """Name all damage on stderr.
+
+    Raises
+    ------
+    IntegrityError
+        When there is any.
+    """
+    from dataset_store.errors import IntegrityError
+
+    if result.ok:
+        return
+    for finding in result.findings:
+        sys.stderr.write(f"damaged: {finding}\n")
+    message = (
+        f"{len(result.findings)} problems in {name!r}; next: download or convert it again, or open it with "
+        "on_error='skip' to leave them out"
+    )
+    raise IntegrityError(message)
+
+
+def print_summary(sink: Sink, split: str, summary: Summary) -> None:
+    """Print the figures of one split."""
+    least, most = summary.touches_per_round
+    each = str(most) if least == most else f"{least}-{most}"
+    width, height = summary.image_size
+    rows: list[tuple[str, Any]] = [
+        ("rounds", summary.rounds),
+        ("touches", f"{summary.touches:,} ({each} per round)"),
+        ("objects", summary.objects),
+        ("with contact", "unknown" if summary.contact_share is None else f"{summary.contact_share:.1%}"),
+        ("labels", ", ".join(f"{name}: {count}" for name, count in summary.labels.items())),
+        ("picture", f"{width} x {height} pixels"),
+        ("gels", ", ".join(f"{gel}: {count} rounds" for gel, count in summary.gel_ids.items()) or "unknown"),
+    ]
+    if summary.clip_frames is not None:
+        least, median, most = summary.clip_frames
+        rows.append(("clips", f"{least} to {most} frames, median {median}, {summary.fps:g} per second"))
+    sink.table(
+        (split, summary.kind),
+        [(name, f"{value:,}" if isinstance(value, int) else value) for name, value in rows],
+    )

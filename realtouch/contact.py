@@ -1,0 +1,186 @@
+"""Which frame of a clip shows the contact: by time, by pose, or by the picture.
+
+Every choice here states what happens on a tie: the earlier frame wins.
+"""
+
+from __future__ import annotations
+
+from typing import Literal, get_args
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dataset_store.errors import InputError
+
+__all__ = [
+    "CONTACT_METHODS",
+    "DEFAULT_MIN_AREA",
+    "DEFAULT_MIN_CHANGE",
+    "MIN_CONTACT_HEIGHT_M",
+    "ContactMethod",
+    "changed_area",
+    "contact_heights_m",
+    "contact_window",
+    "deepest_frame",
+    "is_contact",
+    "most_changed_frame",
+    "require_method",
+]
+
+ContactMethod = Literal["contact_start", "contact_end", "peak", "median"]
+CONTACT_METHODS: tuple[ContactMethod, ...] = get_args(ContactMethod)
+"""Names of the ways to choose one frame: see :meth:`realtouch.clips.TouchClip.contact_index`."""
+
+MIN_CONTACT_HEIGHT_M = 0.006
+"""A gel that stops so far above the plate touched an object: the publisher's own threshold, metres."""
+
+DEFAULT_MIN_CHANGE = 12.0
+"""Grey levels by which a pixel must differ from the clip's median to count as changed."""
+
+DEFAULT_MIN_AREA = 0.005
+"""Share of changed pixels from which a frame counts as contact."""
+
+_MEDIAN_FRAMES = 15
+
+
+def contact_window(time_s: NDArray[np.float64], start_s: float, end_s: float) -> slice:
+    """Return the frames between the first and the last registered contact, both included.
+
+    Parameters
+    ----------
+    time_s : ndarray, shape (N,), float64
+        Time stamp of each frame, seconds, rising.
+    start_s, end_s : float
+        Times of first and last contact, seconds, on the same clock.
+
+    Returns
+    -------
+    slice
+        ``start`` is the first frame at or after ``start_s``, ``stop`` one more than the last frame at or
+        before ``end_s``. Where no frame lies between them, the one frame nearest to ``end_s`` (the earlier of
+        two equally near) is returned, so that a window always holds a frame of a clip that has any.
+    """
+    start = int(np.searchsorted(time_s, start_s, side="left"))
+    stop = int(np.searchsorted(time_s, end_s, side="right"))
+    if start < stop:
+        return slice(start, stop)
+    nearest = int(np.argmin(np.abs(time_s - end_s))) if len(time_s) else 0
+    return slice(nearest, min(nearest + 1, len(time_s)))
+
+
+def deepest_frame(z_m: NDArray[np.floating]) -> int:
+    """Return the frame of the deepest press: the lowest gel.
+
+    Parameters
+    ----------
+    z_m : ndarray, shape (N,)
+        Height of the gel in each frame, metres, cell frame.
+
+    Returns
+    -------
+    int
+        The earliest of equally low frames.
+    """
+    return int(np.argmin(z_m))
+
+
+def changed_area(
+    frames: NDArray[np.uint8], min_change: float = DEFAULT_MIN_CHANGE
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Compare each frame of a clip with the clip's median.
+
+    Parameters
+    ----------
+    frames : ndarray, shape (N, H, W, 3), uint8
+        A clip. The median of each pixel and channel is taken over up to 15 frames, evenly spaced from first
+        to last.
+    min_change : float
+        Grey levels, averaged over the channels, by which a pixel must differ to count as changed.
+
+    Returns
+    -------
+    area : ndarray, shape (N,), float64
+        Share of changed pixels, 0 to 1.
+    change : ndarray, shape (N,), float64
+        Mean difference of all pixels, grey levels.
+    """
+    chosen = np.unique(np.linspace(0, len(frames) - 1, _MEDIAN_FRAMES).round().astype(int))
+    median = np.median(frames[chosen], axis=0).astype(np.int16)
+    # Summed over the channels: a third of the threshold's work, and whole numbers throughout.
+    differences = [np.abs(frame - median).sum(axis=-1, dtype=np.int32) for frame in frames]
+    area = np.array([np.count_nonzero(each > 3 * min_change) / each.size for each in differences])
+    return area, np.array([each.mean() / 3 for each in differences])
+
+
+def most_changed_frame(
+    frames: NDArray[np.uint8],
+    *,
+    min_change: float = DEFAULT_MIN_CHANGE,
+    min_area: float = DEFAULT_MIN_AREA,
+) -> int | None:
+    """Return the frame that differs most from the clip's median.
+
+    Parameters
+    ----------
+    frames : ndarray, shape (N, H, W, 3), uint8
+        A clip.
+    min_change : float
+        See :func:`changed_area`; grey levels.
+    min_area : float
+        Share of changed pixels, 0 to 1, that the frame must reach.
+
+    Returns
+    -------
+    int or None
+        The frame with the largest changed area; among equal ones that of the largest mean difference, then
+        the earliest. None when no frame reaches ``min_area``: the clip shows no contact.
+    """
+    if len(frames) == 0:
+        return None
+    area, change = changed_area(frames, min_change)
+    best = int(np.lexsort((np.arange(len(frames)), -change, -area))[0])
+    return best if area[best] >= min_area else None
+
+
+def contact_heights_m(z_m: NDArray[np.floating], recalibrate_z: bool = True) -> NDArray[np.float64]:
+    """Return how high above the plate the gel stopped in each touch of one round.
+
+    Parameters
+    ----------
+    z_m : ndarray, shape (T,)
+        Height of the gel at the deepest press of each touch, metres, cell frame.
+    recalibrate_z : bool
+        The zero of z drifts by up to 3 mm between rounds: take the deepest touch of the round as the plate.
+
+    Returns
+    -------
+    ndarray, shape (T,), float64
+        Metres.
+    """
+    heights = np.asarray(z_m, np.float64)
+    return heights - heights.min() if recalibrate_z and len(heights) else heights
+
+
+def is_contact(
+    z_m: NDArray[np.floating], min_height_m: float = MIN_CONTACT_HEIGHT_M, recalibrate_z: bool = True
+) -> NDArray[np.bool_]:
+    """Tell for each touch of one round, shape (T,), whether the gel stopped on an object.
+
+    A height of exactly ``min_height_m`` counts as contact. See :func:`contact_heights_m`.
+    """
+    return contact_heights_m(z_m, recalibrate_z) >= min_height_m
+
+
+def require_method(method: str) -> ContactMethod:
+    """Return the method when there is one of that name.
+
+    Raises
+    ------
+    InputError
+        When there is none.
+    """
+    for known in CONTACT_METHODS:
+        if known == method:
+            return known
+    message = f"no way {method!r} to choose a frame; expected one of {', '.join(CONTACT_METHODS)}"
+    raise InputError(message)

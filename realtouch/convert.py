@@ -1,0 +1,285 @@
+"""The conversions: from clips to images, to another size, to plain files, to a selection.
+
+Each writes a data set folder with a manifest. An interrupted one goes on where it stopped; the same source
+and options give byte-identical Parquet, whatever the number of workers.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from dataclasses import asdict
+from typing import Any, Literal
+
+from dataset_store.build import Progress
+from dataset_store.errors import InputError
+from dataset_store.manifest import Manifest
+from dataset_store.runner import Runner
+from dataset_store.storage import DataFolder
+from realtouch.card import write_card
+from realtouch.contact import MIN_CONTACT_HEIGHT_M, require_method
+from realtouch.conversion import Conversion, RowChoice, Source, convert, plan_conversion
+from realtouch.jpeg import MAX_IMAGE_PIXELS
+from realtouch.picture_files import IMAGE_FOLDER, WritePictures, write_index
+from realtouch.resizing import ResizeMedia
+from realtouch.selection import KeepTouches, Selection, choose_rows
+from realtouch.snapshots import TakeSnapshots
+
+__all__ = ["frames", "resize", "select", "to_single"]
+
+_SNAPSHOT_ROWS = 16
+_INDEX_ROWS = 16
+
+
+def to_single(
+    source: str,
+    out: str,
+    frame: str = "contact_end",
+    *,
+    limit: int | None = None,
+    workers: int | Runner = 1,
+    overwrite: bool = False,
+    on_progress: Callable[[Progress], None] = lambda _: None,
+) -> Manifest:
+    """Make a ``single`` data set of a ``seq`` one: one frame of each clip, with the pose at that moment.
+
+    Parameters
+    ----------
+    source : str
+        What :func:`realtouch.load` opens; all its splits are converted.
+    out : str
+        Folder to write.
+    frame : str
+        ``"contact_end"``, ``"contact_start"``, ``"peak"`` or ``"median"``; see
+        :meth:`realtouch.clips.TouchClip.contact_index`. A clip in which ``"median"`` sees no contact gives
+        its last frame of registered contact.
+    limit : int, optional
+        Only the first so many rounds of each split.
+    workers : int or Runner
+        Number of local processes, or a runner of another kind.
+    overwrite : bool
+        Start again in a folder that holds another data set of this toolkit.
+    on_progress : callable
+        Told after each shard.
+
+    Returns
+    -------
+    Manifest
+        What the folder holds now; rounds that are damaged are left out and listed in it.
+
+    Raises
+    ------
+    InputError
+        The source or an option cannot be used.
+    SpecMismatchError
+        The folder holds a data set of another specification.
+    StorageError
+        The folder cannot be written. What was finished stays.
+    """
+    method = require_method(frame)
+    opened = Source.open(source)
+    _require_clips(opened)
+    conversion = Conversion(
+        opened,
+        "to-single",
+        {"frame": method, "limit": limit},
+        TakeSnapshots(method),
+        _first_rows(opened, limit),
+        rows_per_shard=_SNAPSHOT_ROWS,
+        rows_per_group=_SNAPSHOT_ROWS // 2,
+    )
+    return _finish(conversion, out, workers, overwrite, on_progress)
+
+
+def resize(
+    source: str,
+    out: str,
+    width: int,
+    height: int,
+    *,
+    quality: int = 95,
+    limit: int | None = None,
+    workers: int | Runner = 1,
+    overwrite: bool = False,
+    on_progress: Callable[[Progress], None] = lambda _: None,
+) -> Manifest:
+    """Write the same data set with images or clips of another size.
+
+    Parameters
+    ----------
+    source, out, limit, workers, overwrite, on_progress
+        As for :func:`to_single`.
+    width, height : int
+        Size wanted, pixels. What has it already passes through byte for byte.
+    quality : int
+        JPEG quality of what is encoded again, 1 to 100.
+
+    Returns
+    -------
+    Manifest
+
+    Raises
+    ------
+    InputError, SpecMismatchError, StorageError
+        As :func:`to_single`.
+    """
+    if width < 1 or height < 1 or width * height > MAX_IMAGE_PIXELS or not 1 <= quality <= 100:
+        message = f"size {width} x {height} at quality {quality}; expected at least 1 x 1 and 1 to 100"
+        raise InputError(message)
+    opened = Source.open(source)
+    conversion = Conversion(
+        opened,
+        "resize",
+        {"width": width, "height": height, "quality": quality, "limit": limit},
+        ResizeMedia(width, height, quality),
+        _first_rows(opened, limit),
+    )
+    return _finish(conversion, out, workers, overwrite, on_progress)
+
+
+def select(
+    source: str,
+    out: str,
+    *,
+    contact: bool = False,
+    min_height_m: float = MIN_CONTACT_HEIGHT_M,
+    recalibrate_z: bool = True,
+    labels: Iterable[int | str] = (),
+    objects: Iterable[int] = (),
+    limit: int | None = None,
+    workers: int | Runner = 1,
+    overwrite: bool = False,
+    on_progress: Callable[[Progress], None] = lambda _: None,
+) -> Manifest:
+    """Write some rounds and touches of a data set; images and clips pass through byte for byte.
+
+    Parameters
+    ----------
+    source, out, workers, overwrite, on_progress
+        As for :func:`to_single`.
+    contact : bool
+        Only touches in which the gel stopped on an object; rounds then differ in their number of touches.
+    min_height_m : float
+        Height above the plate from which a touch counts as contact, metres.
+    recalibrate_z : bool
+        Take the deepest touch of each round as the plate.
+    labels : iterable of int or str
+        Only these classes.
+    objects : iterable of int
+        Only these objects, by ``object_id``.
+    limit : int, optional
+        Then only the first so many rounds of each split.
+
+    Returns
+    -------
+    Manifest
+
+    Raises
+    ------
+    InputError, SpecMismatchError, StorageError
+        As :func:`to_single`.
+    """
+    wanted = Selection(contact, min_height_m, recalibrate_z, tuple(map(str, labels)), tuple(objects), limit)
+    opened = Source.open(source)
+    options: dict[str, Any] = {
+        **asdict(wanted),
+        "labels": list(wanted.labels),
+        "objects": list(wanted.objects),
+    }
+    conversion = Conversion(opened, "select", options, KeepTouches(contact), choose_rows(opened, wanted))
+    return _finish(conversion, out, workers, overwrite, on_progress)
+
+
+def frames(
+    source: str,
+    out: str,
+    kind: Literal["png", "jpeg"] = "png",
+    frame: str = "contact_end",
+    *,
+    limit: int | None = None,
+    workers: int | Runner = 1,
+    overwrite: bool = False,
+    on_progress: Callable[[Progress], None] = lambda _: None,
+) -> Manifest:
+    """Write touches as plain image files with an index in CSV and Parquet.
+
+    Parameters
+    ----------
+    source, out, limit, workers, overwrite, on_progress
+        As for :func:`to_single`.
+    kind : "png" or "jpeg"
+        Format of the files ``images/SPLIT/ROUND/TOUCH.png``. Stored JPEGs pass through byte for byte.
+    frame : str
+        Which frame of a clip; as for :func:`to_single`.
+
+    Returns
+    -------
+    Manifest
+        Each file is named in ``index.csv`` with its checksum, label, position and pose.
+
+    Raises
+    ------
+    InputError, SpecMismatchError, StorageError
+        As :func:`to_single`.
+    """
+    if kind not in ("png", "jpeg"):
+        message = f"no picture format {kind!r}; expected png or jpeg"
+        raise InputError(message)
+    method = require_method(frame)
+    opened = Source.open(source)
+    folder = DataFolder(out)
+    conversion = Conversion(
+        opened,
+        "frames",
+        {"kind": kind, "frame": method if opened.kind == "seq" else None, "limit": limit},
+        WritePictures(folder, kind, method),
+        _first_rows(opened, limit),
+        rows_per_shard=_INDEX_ROWS,
+        rows_per_group=1 << 16,
+    )
+    plan_conversion(conversion)  # refuse before anything is removed
+    if overwrite:
+        _remove_pictures(folder)
+    manifest = convert(conversion, out, workers=workers, overwrite=overwrite, on_progress=on_progress)
+    write_card(folder, manifest, "frames")
+    return write_index(folder, manifest)
+
+
+def _finish(
+    conversion: Conversion,
+    out: str,
+    workers: int | Runner,
+    overwrite: bool,
+    on_progress: Callable[[Progress], None],
+) -> Manifest:
+    manifest = convert(conversion, out, workers=workers, overwrite=overwrite, on_progress=on_progress)
+    kind = "single" if conversion.operation == "to-single" else conversion.source.kind
+    write_card(DataFolder(out), manifest, kind)
+    return manifest
+
+
+def _first_rows(source: Source, limit: int | None) -> dict[str, list[RowChoice]]:
+    if limit is not None and limit < 1:
+        message = f"the limit is {limit}; expected a whole number of at least 1"
+        raise InputError(message)
+    return {
+        split: [RowChoice(row) for row in range(sum(map(len, shards)))][:limit]
+        for split, shards in source.shards.items()
+    }
+
+
+def _require_clips(source: Source) -> None:
+    if source.kind != "seq":
+        message = f"{source.name!r} holds single images already; expected a data set of clips (seq)"
+        raise InputError(message)
+
+
+def _remove_pictures(folder: DataFolder) -> None:
+    for split in folder.names(IMAGE_FOLDER):
+        for round_id in folder.names(f"{IMAGE_FOLDER}/{split}"):
+            place = f"{IMAGE_FOLDER}/{split}/{round_id}"
+            for name in folder.names(place):
+                folder.remove(f"{place}/{name}")
+            folder.remove_empty(place)
+        folder.remove_empty(f"{IMAGE_FOLDER}/{split}")
+    folder.remove_empty(IMAGE_FOLDER)
+    folder.remove("index.csv")

@@ -1,0 +1,167 @@
+"""The images of a round, decoded one at a time and only when asked for."""
+
+from __future__ import annotations
+
+import operator
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from typing import Any, TypeVar
+
+import numpy as np
+
+from dataset_store.records import Row
+from realtouch.damage import damaged
+from realtouch.jpeg import Pixels, decode_image, image_size
+from realtouch.nested import BytesColumn, nested_column
+
+__all__ = ["SensorImages", "in_parallel", "positions_of"]
+
+T = TypeVar("T")
+
+
+class SensorImages(Sequence[Pixels]):
+    """The images of one round; each is decoded when it is asked for, none is kept.
+
+    ``images[i]`` gives (H, W, 3) uint8; a slice, list or array of ints, or boolean mask gives (n, H, W, 3).
+    Safe to share between threads and to pickle.
+
+    Parameters
+    ----------
+    row : Row
+        The round.
+    name : str
+        Its column of images.
+    """
+
+    __slots__ = ("_blobs", "_count", "_name", "_row", "_start")
+
+    def __init__(self, row: Row, name: str = "sensor_image") -> None:
+        column = nested_column(row.group, name)
+        start, stop = column.inside(0, row.index, row.index + 1)
+        self._row, self._name = row, name
+        self._blobs: BytesColumn = column.values
+        self._start, self._count = start, stop - start
+
+    def __len__(self) -> int:
+        return self._count
+
+    def __getitem__(self, index: Any) -> Pixels:  # type: ignore[override]
+        """Decode one image, or some into one array.
+
+        Raises
+        ------
+        IntegrityError
+            An image is damaged, or differs in size from the others asked for; names file, row and touch.
+        """
+        if isinstance(index, (slice, list, tuple, np.ndarray)):
+            return self.batch(index)
+        return self._decode(self._position(operator.index(index)))
+
+    def __iter__(self) -> Iterator[Pixels]:
+        return (self._decode(touch) for touch in range(self._count))
+
+    def batch(self, index: Any = slice(None), *, threads: int = 1, out: Pixels | None = None) -> Pixels:
+        """Decode several images into one array.
+
+        Parameters
+        ----------
+        index : slice, sequence of int, or boolean mask
+            Which touches; all by default.
+        threads : int
+            How many to decode at a time.
+        out : ndarray, shape (n, H, W, 3), uint8, optional
+            Where to put them, to spare the memory of a new array per batch.
+
+        Returns
+        -------
+        ndarray, shape (n, H, W, 3), uint8
+        """
+        touches = positions_of(index, self._count)
+        pixels = self._room(touches) if out is None else out
+
+        in_parallel(lambda place: self._decode(touches[place], pixels[place]), len(touches), threads)
+        return pixels
+
+    def encoded(self, touch: int) -> memoryview:
+        """Return the stored bytes of one image, without a copy.
+
+        Raises
+        ------
+        IntegrityError
+            When none are stored.
+        """
+        position = self._position(touch)
+        blob = self._blobs[self._start + position]
+        if blob is None or len(blob) == 0:
+            raise damaged(self._row, self._name, "no bytes are stored; expected a JPEG", position)
+        return blob
+
+    def size(self, touch: int = 0) -> tuple[int, int]:
+        """Return height and width of one image from its header."""
+        return self._named(touch, lambda: image_size(self.encoded(touch)))
+
+    def _room(self, touches: Sequence[int]) -> Pixels:
+        height, width = self.size(touches[0]) if len(touches) else (0, 0)
+        return np.empty((len(touches), height, width, 3), np.uint8)
+
+    def _decode(self, touch: int, out: Pixels | None = None) -> Pixels:
+        return self._named(touch, lambda: decode_image(self.encoded(touch), out))
+
+    def _named(self, touch: int, work: Callable[[], T]) -> T:
+        try:
+            return work()
+        except ValueError as error:
+            raise damaged(self._row, self._name, str(error), touch) from error
+
+    def _position(self, touch: int) -> int:
+        if not -self._count <= touch < self._count:
+            message = f"touch {touch} is out of range for {self._count} touches"
+            raise IndexError(message)
+        return touch + self._count if touch < 0 else touch
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return (SensorImages, (self._row, self._name))
+
+    def __repr__(self) -> str:
+        return f"SensorImages({self._count} touches)"
+
+
+def in_parallel(work: Callable[[int], object], count: int, threads: int) -> None:
+    """Do ``count`` pieces of work, numbered from 0, in some threads; each takes every so-manieth piece."""
+
+    def share(first: int) -> None:
+        for piece in range(first, count, threads):
+            work(piece)
+
+    if threads == 1:
+        share(0)
+        return
+    with ThreadPoolExecutor(threads) as pool:
+        list(pool.map(share, range(threads)))
+
+
+def positions_of(index: Any, count: int) -> Sequence[int]:
+    """Turn a slice, ints or a boolean mask into places below ``count``.
+
+    Raises
+    ------
+    IndexError
+        A place out of range, or a mask of another length.
+    TypeError
+        Anything else.
+    """
+    if isinstance(index, slice):
+        return range(*index.indices(count))
+    places = np.asarray(index)
+    if places.dtype == bool:
+        if places.shape != (count,):
+            message = f"a boolean mask of shape {places.shape} for {count} items"
+            raise IndexError(message)
+        return np.flatnonzero(places).tolist()
+    if places.ndim != 1 or (places.size and places.dtype.kind not in "iu"):
+        message = f"items are chosen by a slice, ints or booleans, not {places.dtype} of shape {places.shape}"
+        raise TypeError(message)
+    if places.size and not -count <= places.min() <= places.max() < count:
+        message = f"index {places.min()} to {places.max()} is out of range for {count} items"
+        raise IndexError(message)
+    return [int(place) % count for place in places]

@@ -1,0 +1,96 @@
+"""Touches as pictures: contact sheets for notebooks and files."""
+
+from __future__ import annotations
+
+import base64
+import html
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from realtouch.jpeg import Pixels, encode_image
+from realtouch.resizing import resized
+
+if TYPE_CHECKING:
+    from realtouch.rounds import TouchRound
+    from realtouch.touches import Touch
+
+__all__ = ["contact_sheet", "round_html", "round_sheet", "touch_html"]
+
+_COLUMNS = 8
+_MOST_TILES = 32
+_TILE_WIDTH = 120
+_GAP = 4
+_BACKGROUND = 255
+
+
+def contact_sheet(images: Sequence[Pixels], columns: int = _COLUMNS, tile_width: int = _TILE_WIDTH) -> Pixels:
+    """Lay images out in rows.
+
+    Parameters
+    ----------
+    images : sequence of ndarray, shapes (H, W, 3), uint8
+        RGB.
+    columns : int
+        Images in a row.
+    tile_width : int
+        Width of each, pixels; heights keep the proportions of the first.
+
+    Returns
+    -------
+    ndarray, shape (height, width, 3), uint8
+    """
+    height, width = images[0].shape[:2]
+    tile_height = max(1, round(tile_width * height / width))
+    columns = min(columns, len(images))
+    rows = -(-len(images) // columns)
+    size = (rows * (tile_height + _GAP) + _GAP, columns * (tile_width + _GAP) + _GAP, 3)
+    sheet = np.full(size, _BACKGROUND, np.uint8)
+    for place, image in enumerate(images):
+        y, x = (
+            _GAP + n * (step + _GAP)
+            for n, step in zip(divmod(place, columns), (tile_height, tile_width), strict=True)
+        )
+        sheet[y : y + tile_height, x : x + tile_width] = resized(image, tile_width, tile_height)
+    return sheet
+
+
+def round_sheet(record: TouchRound, most: int = _MOST_TILES) -> Pixels:
+    """Show up to ``most`` touches of a round, evenly spaced, as one picture; of clips, the contact frames."""
+    return contact_sheet([touch.image for touch in _shown(record, most)])
+
+
+def round_html(record: TouchRound) -> str:
+    """Return a notebook's view of a round: a caption and a grid of touches with their numbers."""
+    tiles = "".join(_figure(touch, f"{touch.touch_index}") for touch in _shown(record, _MOST_TILES))
+    caption = (
+        f"<b>{html.escape(record.id)}</b>: label {record.label}, object {record.object_id}, "
+        f"{record.touch_count} touches"
+    )
+    return f'<div>{caption}<div style="display:flex;flex-wrap:wrap;gap:{_GAP}px">{tiles}</div></div>'
+
+
+def touch_html(touch: Touch) -> str:
+    """Return a notebook's view of a touch: its picture and where it is from."""
+    x, y = (1000.0 * float(value) for value in touch.pos_in_cell_m)
+    text = f"label {touch.label}, touch {touch.touch_index}, x {x:.1f} mm, y {y:.1f} mm"
+    return f"<div>{_figure(touch, text)}</div>"
+
+
+def _shown(record: TouchRound, most: int) -> list[Touch]:
+    from realtouch.touches import Touch
+
+    count = record.touch_count
+    chosen = np.unique(np.linspace(0, count - 1, min(count, most)).round().astype(int))
+    return [Touch(record, int(touch)) for touch in chosen]
+
+
+def _figure(touch: Touch, caption: str) -> str:
+    picture = touch.image
+    tile = resized(picture, _TILE_WIDTH, max(1, round(_TILE_WIDTH * picture.shape[0] / picture.shape[1])))
+    source = base64.b64encode(encode_image(tile, "png")).decode("ascii")
+    return (
+        f'<figure style="margin:0;text-align:center;font-size:smaller"><img width="{_TILE_WIDTH}" '
+        f'src="data:image/png;base64,{source}"><figcaption>{html.escape(caption)}</figcaption></figure>'
+    )

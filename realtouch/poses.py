@@ -1,0 +1,143 @@
+"""Poses of the gel: numpy views for speed, rigid transforms for geometry."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, overload
+
+import numpy as np
+from numpy.typing import NDArray
+
+if TYPE_CHECKING:
+    from scipy.spatial.transform import RigidTransform, Rotation
+
+__all__ = ["Poses", "PoseSequences", "bad_pose", "rigid_transform"]
+
+_SHORTEST_QUATERNION = 1e-6
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Poses(Sequence["RigidTransform"]):
+    """Poses of one frame in another: a sequence of rigid transforms, stored as arrays.
+
+    Frame of the gel poses: metres in the cell frame, origin at the cell centre, x right of the robot, y away
+    from it, z up.
+
+    Attributes
+    ----------
+    position_m : ndarray, shape (n, 3)
+        Positions, metres; a read-only view of the stored values in their stored precision.
+    quaternion : ndarray, shape (n, 4)
+        Orientations x, y, z, w, of length one up to rounding; a view likewise.
+    """
+
+    position_m: NDArray[np.floating]
+    quaternion: NDArray[np.floating]
+
+    def __len__(self) -> int:
+        return len(self.position_m)
+
+    @overload
+    def __getitem__(self, index: int) -> RigidTransform: ...
+    @overload
+    def __getitem__(self, index: slice | Sequence[int] | NDArray[Any]) -> Poses: ...
+    def __getitem__(self, index: Any) -> RigidTransform | Poses:
+        """Return one rigid transform (int), or some poses (slice, ints, mask)."""
+        if isinstance(index, (int, np.integer)):
+            return rigid_transform(self.position_m[index], self.quaternion[index])
+        return Poses(self.position_m[index], self.quaternion[index])
+
+    def __iter__(self) -> Iterator[RigidTransform]:
+        return (self[index] for index in range(len(self)))
+
+    @property
+    def transform(self) -> RigidTransform:
+        """All poses as one rigid transform of length n, for vectorised geometry."""
+        return rigid_transform(self.position_m, self.quaternion)
+
+    @property
+    def translation(self) -> NDArray[np.floating]:
+        """Positions, shape (n, 3), metres; the name that rigid transforms use."""
+        return self.position_m
+
+    @property
+    def rotation(self) -> Rotation:
+        """All orientations as one rotation of length n."""
+        from scipy.spatial.transform import Rotation
+
+        return Rotation.from_quat(self.quaternion)
+
+    def __repr__(self) -> str:
+        return f"Poses({len(self)})"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PoseSequences(Sequence[Poses]):
+    """Poses over time: one :class:`Poses` per touch, as long as its clip.
+
+    Attributes
+    ----------
+    position_m : tuple of T ndarrays, shapes (N_i, 3)
+        Positions, metres, cell frame; read-only views.
+    quaternion : tuple of T ndarrays, shapes (N_i, 4)
+        Orientations x, y, z, w; views likewise.
+    """
+
+    position_m: tuple[NDArray[np.floating], ...]
+    quaternion: tuple[NDArray[np.floating], ...]
+
+    def __len__(self) -> int:
+        return len(self.position_m)
+
+    @overload
+    def __getitem__(self, index: int) -> Poses: ...
+    @overload
+    def __getitem__(self, index: slice) -> PoseSequences: ...
+    def __getitem__(self, index: int | slice) -> Poses | PoseSequences:
+        """Return the poses of one touch (int) or of some (slice)."""
+        if isinstance(index, slice):
+            return PoseSequences(self.position_m[index], self.quaternion[index])
+        return Poses(self.position_m[index], self.quaternion[index])
+
+    def __repr__(self) -> str:
+        return f"PoseSequences({len(self)} touches, {sum(map(len, self.position_m)):,} poses)"
+
+
+def rigid_transform(position_m: NDArray[Any], quaternion: NDArray[Any]) -> RigidTransform:
+    """Make rigid transforms of positions (..., 3) in metres and quaternions (..., 4) x, y, z, w."""
+    from scipy.spatial.transform import RigidTransform, Rotation
+
+    return RigidTransform.from_components(position_m, Rotation.from_quat(quaternion))
+
+
+def bad_pose(position_m: NDArray[Any], quaternion: NDArray[Any]) -> tuple[int, str] | None:
+    """Find the first pose that is none.
+
+    Parameters
+    ----------
+    position_m : ndarray, shape (n, 3)
+        Positions.
+    quaternion : ndarray, shape (n, 4)
+        Orientations.
+
+    Returns
+    -------
+    tuple of int and str, or None
+        Its number and what is wrong with it; None when all are poses.
+    """
+    norms = np.einsum("ij,ij->i", quaternion, quaternion)
+    # One sum tells of any value that is not finite, and costs a tenth of looking at each.
+    if np.isfinite(position_m.sum()) and np.isfinite(norms.sum()) and (norms > _SHORTEST_QUATERNION**2).all():
+        return None
+    finite = np.isfinite(position_m).all(axis=1) & np.isfinite(norms)
+    wrong = np.flatnonzero(~finite | ~(norms > _SHORTEST_QUATERNION**2))
+    if len(wrong) == 0:
+        return None
+    index = int(wrong[0])
+    if not finite[index]:
+        return (
+            index,
+            f"a pose that is not finite: position {position_m[index]}, quaternion {quaternion[index]}",
+        )
+    return index, f"a quaternion of length {float(np.sqrt(norms[index])):.3g}; expected length one"

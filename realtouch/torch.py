@@ -1,0 +1,200 @@
+"""Touches as torch tensors: map-style and streaming data sets for ``DataLoader`` (extra ``torch``).
+
+Images come as ``torchvision.tv_tensors.Image``, clips as ``tv_tensors.Video``, so that pipelines of
+``torchvision.transforms.v2`` apply. Everything pickles, so that workers start by fork, spawn or forkserver.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from itertools import islice
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from dataset_store.errors import InputError, MissingExtraError
+from realtouch.dataset import TouchDataset, TouchStream
+from realtouch.rounds import TouchSingleRound
+from realtouch.touches import Touch, Touches
+
+if TYPE_CHECKING:
+    import torch
+else:
+    try:
+        import torch
+    except ImportError as error:
+        feature = "realtouch.torch"
+        raise MissingExtraError(feature, "torch", "torch") from error
+
+__all__ = ["TARGETS", "TouchStreamTensors", "TouchTensors"]
+
+Transform = Callable[[Any], Any]
+Target = str | Callable[[Touch], Any] | None
+
+TARGETS: dict[str, Callable[[Touch], Any]] = {
+    "label": lambda touch: touch.label,
+    "object_id": lambda touch: touch.object_id,
+    "pos_in_cell": lambda touch: torch.tensor(np.asarray(touch.pos_in_cell_m), dtype=torch.float32),
+    "gel_position": lambda touch: torch.tensor(touch.gel_pose.translation, dtype=torch.float32),
+    "round_id": lambda touch: touch.round_id,
+}
+"""What may stand beside an image; positions are metres in the cell frame, float32."""
+
+
+class TouchTensors(torch.utils.data.Dataset):  # type: ignore[misc]
+    """A map-style data set of touches.
+
+    Item i is ``(image, target)``: a ``tv_tensors.Image`` (3, H, W) uint8, or a ``tv_tensors.Video``
+    (N, 3, H, W) uint8 of a ``seq`` set; without a target it is the image alone.
+
+    Parameters
+    ----------
+    dataset : TouchDataset or Touches
+        What to give; of a data set, all its touches.
+    transform : callable, optional
+        Applied to each image or clip, such as a pipeline of ``torchvision.transforms.v2``.
+    target : str, callable or None
+        One of :data:`TARGETS`, or a function of a :class:`realtouch.Touch`.
+    frames : str or None
+        Of clips, give one contact frame as an image, chosen by this method (see
+        :meth:`realtouch.TouchClip.contact_index`), instead of the whole clip.
+    """
+
+    def __init__(
+        self,
+        dataset: TouchDataset[Any] | Touches[Any],
+        transform: Transform | None = None,
+        target: Target = "label",
+        frames: str | None = None,
+    ) -> None:
+        self.touches = dataset if isinstance(dataset, Touches) else dataset.touches()
+        self.transform = transform
+        self.target = _require_target(target)
+        self.frames = frames
+
+    def __len__(self) -> int:
+        return len(self.touches)
+
+    def __getitem__(self, index: int) -> Any:
+        """Return one item."""
+        touch = self.touches[index]
+        return _item(touch, _tensor(touch, self.frames), self.transform, self.target)
+
+    def __getitems__(self, indices: Sequence[int]) -> list[Any]:
+        """Return the items of a batch; images are decoded into one array."""
+        if self.touches.dataset.kind != "single":
+            return [self[index] for index in indices]
+        pixels = self.touches.images(list(indices))
+        batch = torch.from_numpy(pixels).permute(0, 3, 1, 2)
+        images = _tv_tensors().Image(batch)
+        return [
+            _item(self.touches[index], _tv_tensors().Image(images[place]), self.transform, self.target)
+            for place, index in enumerate(indices)
+        ]
+
+
+class TouchStreamTensors(torch.utils.data.IterableDataset):  # type: ignore[misc]
+    """Touches streamed from the Hub or a folder: nothing is stored, shards are shared between workers.
+
+    Parameters
+    ----------
+    stream : TouchStream
+        ``realtouch.load(..., streaming=True)``.
+    transform, target, frames
+        As for :class:`TouchTensors`.
+    shuffle_buffer : int
+        Touches held at a time to be drawn from at random; 0 keeps the stored order. Only their stored bytes
+        are held: they are decoded when drawn.
+    seed : int
+        Seed of the draws; :meth:`set_epoch` gives another order.
+    """
+
+    def __init__(
+        self,
+        stream: TouchStream,
+        transform: Transform | None = None,
+        target: Target = "label",
+        frames: str | None = None,
+        *,
+        shuffle_buffer: int = 0,
+        seed: int = 0,
+    ) -> None:
+        self.stream = stream
+        self.transform = transform
+        self.target = _require_target(target)
+        self.frames = frames
+        self.shuffle_buffer = shuffle_buffer
+        self.seed = seed
+        self.epoch = 0
+
+    def set_epoch(self, epoch: int) -> None:
+        """Choose the order of an epoch."""
+        self.epoch = epoch
+
+    def __iter__(self) -> Iterator[Any]:
+        """Yield items; each worker reads its own shards, or its own touches where there are fewer shards."""
+        worker = torch.utils.data.get_worker_info()
+        index, count = (worker.id, worker.num_workers) if worker is not None else (0, 1)
+        touches = self._touches(index, count)
+        random = np.random.default_rng([self.seed, self.epoch, index])
+        for touch in _shuffled(touches, self.shuffle_buffer, random) if self.shuffle_buffer else touches:
+            yield _item(touch, _tensor(touch, self.frames), self.transform, self.target)
+
+    def _touches(self, index: int, count: int) -> Iterator[Touch]:
+        if len(self.stream.shards) >= count:
+            return _all_touches(self.stream.part(index, count))
+        return islice(_all_touches(self.stream), index, None, count)
+
+
+def _all_touches(stream: TouchStream) -> Iterator[Touch]:
+    for record in stream:
+        for touch in range(record.touch_count):
+            yield Touch(record, touch)
+
+
+def _shuffled(touches: Iterator[Touch], size: int, random: np.random.Generator) -> Iterator[Touch]:
+    buffer: list[Touch] = []
+    for touch in touches:
+        if len(buffer) < size:
+            buffer.append(touch.alone())
+            continue
+        place = int(random.integers(size))
+        drawn, buffer[place] = buffer[place], touch.alone()
+        yield drawn
+    for place in random.permutation(len(buffer)):
+        yield buffer[place]
+
+
+def _tensor(touch: Touch, frames: str | None) -> Any:
+    if isinstance(touch.round, TouchSingleRound):
+        return _tv_tensors().Image(torch.from_numpy(touch.image).permute(2, 0, 1))
+    clip = touch.clip
+    if frames is not None:
+        return _tv_tensors().Image(torch.from_numpy(clip.contact_frame(frames)).permute(2, 0, 1))
+    return _tv_tensors().Video(torch.from_numpy(clip.frames()).permute(0, 3, 1, 2))
+
+
+def _item(touch: Touch, tensor: Any, transform: Transform | None, target: Target) -> Any:
+    given = tensor if transform is None else transform(tensor)
+    if target is None:
+        return given
+    # Names are looked up here and not kept as functions: a function without a name does not pickle.
+    return given, (TARGETS[target] if isinstance(target, str) else target)(touch)
+
+
+def _require_target(target: Target) -> Target:
+    if isinstance(target, str) and target not in TARGETS:
+        message = (
+            f"no target {target!r}; expected one of {', '.join(TARGETS)}, a function of a touch, or None"
+        )
+        raise InputError(message)
+    return target
+
+
+def _tv_tensors() -> Any:
+    try:
+        from torchvision import tv_tensors
+    except ImportError as error:
+        feature = "realtouch.torch"
+        raise MissingExtraError(feature, "torchvision", "torch") from error
+    return tv_tensors

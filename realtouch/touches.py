@@ -1,0 +1,329 @@
+"""Touches, not only rounds: the flat view with random access, and its filters."""
+
+from __future__ import annotations
+
+import operator
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from typing import TYPE_CHECKING, Any, Generic, TypeVar, overload
+
+import numpy as np
+from numpy.typing import NDArray
+
+from realtouch.clips import TouchClip
+from realtouch.contact import MIN_CONTACT_HEIGHT_M, contact_heights_m
+from realtouch.images import positions_of
+from realtouch.jpeg import Pixels
+from realtouch.rounds import TouchRound, TouchSeqRound, TouchSingleRound
+
+if TYPE_CHECKING:
+    from scipy.spatial.transform import RigidTransform
+
+    from realtouch.dataset import TouchDataset
+
+__all__ = ["Touch", "Touches"]
+
+R = TypeVar("R", bound=TouchRound)
+
+
+class Touch:
+    """One touch of a round; frozen, fields are read when asked for.
+
+    Attributes
+    ----------
+    round : TouchRound
+        The round it belongs to.
+    touch_index : int
+        Its number in the round, from 0.
+
+    Notes
+    -----
+    Pickles with its own image or clip only: the ``round`` of a touch that came back from another process
+    holds this one touch.
+    """
+
+    __slots__ = ("_place", "round", "touch_index")
+    round: TouchRound
+    touch_index: int
+    _place: int
+
+    def __init__(self, round: TouchRound, touch_index: int, place: int | None = None) -> None:
+        object.__setattr__(self, "round", round)
+        object.__setattr__(self, "touch_index", touch_index)
+        object.__setattr__(self, "_place", touch_index if place is None else place)
+
+    def __setattr__(self, name: str, value: object) -> None:
+        message = f"Touch is frozen; {name!r} cannot be set"
+        raise AttributeError(message)
+
+    @property
+    def round_id(self) -> str:
+        """Id of the round."""
+        return self.round.id
+
+    @property
+    def label(self) -> int:
+        """Class of the object."""
+        return self.round.label
+
+    @property
+    def object_id(self) -> int:
+        """Id of the touched mesh."""
+        return self.round.object_id
+
+    @property
+    def pos_in_cell_m(self) -> NDArray[np.floating]:
+        """Intended position, shape (2,), metres, cell frame."""
+        position: NDArray[np.floating] = self.round.pos_in_cell_m[self._place]
+        return position
+
+    @property
+    def gel_pose(self) -> RigidTransform:
+        """Pose of the gel at contact, metres, cell frame; of a clip, that of the last frame of contact."""
+        if isinstance(self.round, TouchSingleRound):
+            return self.round.gel_pose_cell_frame[self._place]
+        clip = self.clip
+        return clip.poses[clip.contact_index("contact_end")]
+
+    @property
+    def image(self) -> Pixels:
+        """Picture of the contact, shape (H, W, 3), uint8; of a clip, its last frame of contact."""
+        if isinstance(self.round, TouchSingleRound):
+            return self.round.sensor_image[self._place]
+        return self.clip.contact_frame("contact_end")
+
+    @property
+    def clip(self) -> TouchClip:
+        """The clip of a touch of a ``seq`` set.
+
+        Raises
+        ------
+        InputError
+            The data set holds images.
+        """
+        if not isinstance(self.round, TouchSeqRound):
+            from realtouch.damage import missing_column
+
+            raise missing_column(self.round._row, "sensor_video")
+        return self.round.sensor_video[self._place]
+
+    def alone(self) -> Touch:
+        """Return the touch with a copy of its own bytes, which keeps no other touch in memory."""
+        return Touch(self.round.with_touches([self._place]), self.touch_index, 0)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        alone = self.alone()
+        return (Touch, (alone.round, alone.touch_index, 0))
+
+    def __repr__(self) -> str:
+        return f"Touch(round_id={self.round_id!r}, touch_index={self.touch_index}, label={self.label})"
+
+    def _repr_html_(self) -> str:
+        """Show the picture of the contact in a notebook."""
+        from realtouch.pictures import touch_html
+
+        return touch_html(self)
+
+
+class Touches(Sequence[Touch], Generic[R]):
+    """All touches of some rounds, or a selection of them; a view that copies nothing.
+
+    ``touches[i]`` gives a :class:`Touch`; a slice, ints or a boolean mask give a view. Filters give views too
+    and read only the columns that they need.
+
+    Parameters
+    ----------
+    dataset : TouchDataset
+        The rounds.
+    chosen : ndarray of int64, optional
+        Which touches, counted through all rounds of the data set; all by default.
+    """
+
+    def __init__(self, dataset: TouchDataset[R], chosen: NDArray[np.int64] | None = None) -> None:
+        self.dataset = dataset
+        self._starts = np.concatenate([[0], np.cumsum(dataset.touch_counts)])
+        self._chosen = chosen
+        counts = dataset.touch_counts
+        # Rounds of one length, the common case, are found by a division.
+        self._per_round = int(counts[0]) if len(counts) and (counts == counts[0]).all() else 0
+
+    def __len__(self) -> int:
+        return int(self._starts[-1]) if self._chosen is None else len(self._chosen)
+
+    @overload
+    def __getitem__(self, index: int) -> Touch: ...
+    @overload
+    def __getitem__(self, index: slice | Sequence[int] | NDArray[Any]) -> Touches[R]: ...
+    def __getitem__(self, index: Any) -> Touch | Touches[R]:
+        """Return a touch (int) or a view (slice, ints, boolean mask)."""
+        if isinstance(index, (slice, list, tuple, np.ndarray)):
+            places = np.asarray(positions_of(index, len(self)), np.int64)
+            return Touches(self.dataset, places if self._chosen is None else self._chosen[places])
+        position, touch = self.locate(operator.index(index))
+        return Touch(self.dataset[position], touch)
+
+    def __iter__(self) -> Iterator[Touch]:
+        last, current = -1, None
+        for place in range(len(self)):
+            position, touch = self.locate(place)
+            if position != last or current is None:
+                last, current = position, self.dataset[position]
+            yield Touch(current, touch)
+
+    def locate(self, index: int) -> tuple[int, int]:
+        """Return the place of a touch: number of its round in the data set, and of the touch in the round.
+
+        Raises
+        ------
+        IndexError
+            There is no such touch.
+        """
+        length = len(self)
+        if not -length <= index < length:
+            message = f"index {index} is out of range for {length} touches"
+            raise IndexError(message)
+        place = index + length if index < 0 else index
+        flat = place if self._chosen is None else int(self._chosen[place])
+        if self._per_round:
+            return divmod(flat, self._per_round)
+        position = int(np.searchsorted(self._starts, flat, side="right")) - 1
+        return position, flat - int(self._starts[position])
+
+    @property
+    def round_positions(self) -> NDArray[np.int64]:
+        """Number of the round of each touch in the data set, shape (len,), int64."""
+        return np.searchsorted(self._starts, self._flat, side="right") - 1
+
+    @property
+    def touch_indices(self) -> NDArray[np.int64]:
+        """Number of each touch in its round, shape (len,), int64."""
+        indices: NDArray[np.int64] = self._flat - self._starts[self.round_positions]
+        return indices
+
+    @property
+    def label_array(self) -> NDArray[np.int64]:
+        """Label of each touch, shape (len,), int64; reads the label column only."""
+        return self.dataset.labels[self.round_positions]
+
+    @property
+    def object_ids(self) -> NDArray[np.int64]:
+        """Object of each touch, shape (len,), int64; reads that column only."""
+        return self.dataset.column("object_id").astype(np.int64, copy=False)[self.round_positions]
+
+    def heights_m(self, recalibrate_z: bool = True) -> NDArray[np.float64]:
+        """Return how high above the plate the gel stopped in each touch, shape (len,), metres.
+
+        Reads the poses only. See :func:`realtouch.contact.contact_heights_m`; all touches of a round take
+        part in finding its plate, whatever was selected.
+        """
+        z_m, starts = self.dataset.contact_z_m()
+        rows = self.dataset.row_numbers
+        heights = np.empty(int(self._starts[-1]))
+        for position, row in enumerate(rows):
+            place = slice(int(self._starts[position]), int(self._starts[position + 1]))
+            heights[place] = contact_heights_m(z_m[starts[row] : starts[row + 1]], recalibrate_z)
+        return heights[self._flat]
+
+    def with_contact(
+        self, min_height_m: float = MIN_CONTACT_HEIGHT_M, recalibrate_z: bool = True
+    ) -> Touches[R]:
+        """Return the touches in which the gel stopped on an object.
+
+        Parameters
+        ----------
+        min_height_m : float
+            Height above the plate from which a touch counts, metres.
+        recalibrate_z : bool
+            Take the deepest touch of each round as the plate; the zero of z drifts by up to 3 mm.
+        """
+        return self[self.heights_m(recalibrate_z) >= min_height_m]
+
+    def labels(self, *wanted: int | str) -> Touches[R]:
+        """Return the touches of some classes, given as numbers or names.
+
+        Raises
+        ------
+        InputError
+            There is no such class.
+        """
+        kept = self.dataset.filter_labels(wanted).row_numbers
+        return self[np.isin(self.dataset.row_numbers[self.round_positions], kept)]
+
+    def objects(self, *wanted: int) -> Touches[R]:
+        """Return the touches of some objects, by ``object_id``."""
+        return self[np.isin(self.object_ids, wanted)]
+
+    def where(self, predicate: Callable[[Touch], bool]) -> Touches[R]:
+        """Return the touches for which a function is true.
+
+        Images and clips are read only when the function asks for them.
+        """
+        order = self.dataset.row_numbers
+        keep = np.zeros(len(self), bool)
+        positions, touches = self.round_positions, self.touch_indices
+        by_row: dict[int, list[int]] = {}
+        for place, row in enumerate(order[positions].tolist()):
+            by_row.setdefault(row, []).append(place)
+        for row, record in self.dataset.light_rounds():
+            for place in by_row.get(row, ()):
+                keep[place] = bool(predicate(Touch(record, int(touches[place]))))
+        return self[keep]
+
+    def without(self, lost: Iterable[tuple[int, int | None]]) -> Touches[R]:
+        """Return the touches but some, given as stored row and number in the round."""
+        rows = self.dataset.row_numbers[self.round_positions].tolist()
+        gone = set(lost)
+        pairs = zip(rows, self.touch_indices.tolist(), strict=True)
+        return self[np.array([pair not in gone for pair in pairs], bool)]
+
+    def images(self, index: Any = slice(None), *, threads: int = 1, out: Pixels | None = None) -> Pixels:
+        """Decode the images of several touches of a ``single`` set into one array.
+
+        Parameters
+        ----------
+        index : slice, sequence of int, or boolean mask
+            Which touches, in any order.
+        threads : int
+            How many images to decode at a time.
+        out : ndarray, shape (n, H, W, 3), uint8, optional
+            Where to put them.
+
+        Returns
+        -------
+        ndarray, shape (n, H, W, 3), uint8
+
+        Raises
+        ------
+        IntegrityError
+            An image is damaged or of another size; names file, row and touch.
+        """
+        places = [self.locate(place) for place in positions_of(index, len(self))]
+        if not places:
+            return np.empty((0, 0, 0, 3), np.uint8) if out is None else out
+        if out is None:
+            height, width = self._images_of(places[0][0]).size(places[0][1])
+            out = np.empty((len(places), height, width, 3), np.uint8)
+        start = 0
+        while start < len(places):
+            position = places[start][0]
+            stop = start + 1
+            while stop < len(places) and places[stop][0] == position:
+                stop += 1
+            wanted = [touch for _, touch in places[start:stop]]
+            self._images_of(position).batch(wanted, threads=threads, out=out[start:stop])
+            start = stop
+        return out
+
+    def _images_of(self, position: int) -> Any:
+        record = self.dataset[position]
+        if isinstance(record, TouchSingleRound):
+            return record.sensor_image
+        from realtouch.damage import missing_column
+
+        raise missing_column(record._row, "sensor_image")
+
+    @property
+    def _flat(self) -> NDArray[np.int64]:
+        return np.arange(len(self)) if self._chosen is None else self._chosen
+
+    def __repr__(self) -> str:
+        return f"Touches({len(self):,} of {len(self.dataset):,} rounds)"

@@ -1,0 +1,178 @@
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+import realtouch
+from tests.realtouch import factories
+
+
+def call(*arguments: object) -> int:
+    """Run the command line in this process and return its exit code."""
+    from cli.realtouch import main
+
+    before = sys.argv
+    sys.argv = ["realtouch", *map(str, arguments)]
+    try:
+        main()
+    except SystemExit as leave:
+        return int(leave.code or 0)
+    finally:
+        sys.argv = before
+        os.environ.pop("TACTILE_TOOLKIT_DEBUG", None)
+    return 0
+
+
+@pytest.fixture(scope="module")
+def clips(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    rows = factories.seq_rows([factories.make_round(index, 3, (64, 48)) for index in range(3)])
+    return factories.write_set(tmp_path_factory.mktemp("clips"), {"train": rows[:2], "test": rows[2:]}, "seq")
+
+
+@pytest.fixture(scope="module")
+def images(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    rows = factories.single_rows([factories.make_round(index, 3, (64, 48)) for index in range(3)])
+    folder = tmp_path_factory.mktemp("images")
+    return factories.write_set(folder, {"train": rows[:2], "test": rows[2:]}, "single")
+
+
+def test_load_checks_and_prints_what_there_is(clips, capsys):
+    assert call("load", clips, "--split", "test") == 0
+    printed = capsys.readouterr()
+    for words in (
+        "rounds",
+        "3 (3 per round)",
+        "66.7%",
+        "2: 1",
+        "64 x 48 pixels",
+        "25 per second",
+        "1: 1 rounds",
+    ):
+        assert words in printed.out
+    assert "realtouch.load(" in printed.out
+    assert call("load", clips, "--split", "test", "--json", "--quiet") == 0
+    document = json.loads(capsys.readouterr().out)
+    assert (document["kind"], document["rounds"], document["touches"], document["checked"]) == (
+        "seq",
+        1,
+        3,
+        True,
+    )
+
+
+def test_info_shows_every_split_and_how_it_was_made(clips, tmp_path, capsys):
+    out = tmp_path / "single"
+    assert call("to-single", clips, out, "--frame", "peak", "--workers", 1) == 0
+    assert str(out) in capsys.readouterr().out
+    assert call("info", out) == 0
+    printed = capsys.readouterr().out
+    assert "to-single" in printed
+    assert "frame peak" in printed
+    assert call("info", out, "--json") == 0
+    assert set(json.loads(capsys.readouterr().out)["splits"]) == {"train", "test"}
+
+
+@pytest.mark.parametrize(
+    ("command", "check"),
+    [
+        (
+            ("resize", "--size", "32x24"),
+            lambda out: realtouch.load(out)[0].sensor_image[0].shape == (24, 32, 3),
+        ),
+        (("select", "--contact", "--labels", "0,1"), lambda out: len(realtouch.load(out).touches()) == 4),
+        (("select", "--objects", "4001"), lambda out: realtouch.load(out)[0].object_id == 4001),
+        (("select", "--limit", 1), lambda out: len(realtouch.load(out)) == 1),
+        (("frames", "--jpeg"), lambda out: len(list((out / "images").rglob("*.jpg"))) == 9),
+        (("frames",), lambda out: len(list((out / "images").rglob("*.png"))) == 9),
+    ],
+)
+def test_conversions(command, check, images, tmp_path, capsys):
+    name, *options = command
+    out = tmp_path / "out"
+    assert call(name, images, out, *options, "--workers", 1) == 0
+    assert "the data set is in" in capsys.readouterr().out
+    assert check(out)
+    before = (out / "manifest.json").stat().st_mtime_ns
+    assert call(name, images, out, *options, "--workers", 1, "--quiet") == 0
+    assert (out / "manifest.json").stat().st_mtime_ns == before
+    assert capsys.readouterr().out == ""
+
+
+def test_verify_names_all_damage_and_leaves_with_3(images, tmp_path, capsys):
+    assert call("verify", images) == 0
+    assert "3 rounds, 9 touches: nothing is wrong" in capsys.readouterr().out
+
+    def cut(row, index):
+        if index == 1:
+            row["sensor_image"] = [{**blob, "bytes": blob["bytes"][:-300]} for blob in row["sensor_image"]]
+
+    rows = factories.single_rows([factories.make_round(index, 3, (64, 48)) for index in range(2)])
+    folder = factories.write_set(tmp_path / "bad", {"train": rows}, "single", factories.Layout(edit=cut))
+    assert call("verify", folder, "--json") == 3
+    printed = capsys.readouterr()
+    document = json.loads(printed.out)
+    assert [(f["row"], f["touch"], f["field"]) for f in document["findings"]] == [
+        (1, touch, "sensor_image") for touch in range(3)
+    ]
+    assert printed.err.count("damaged: ") == 3
+    assert "error: 3 problems" in printed.err
+    assert "Traceback" not in printed.err
+
+
+def test_preview_writes_a_picture(clips, tmp_path, capsys):
+    assert call("preview", clips, "--round", 1, "--out", tmp_path / "sheet.png") == 0
+    assert (tmp_path / "sheet.png").read_bytes().startswith(b"\x89PNG")
+    assert call("preview", clips, "--round", 9) == 2
+    assert "rounds 0 to 1" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (("load", "nowhere/"), "neither a folder"),
+        (("load", "{images}", "--split", "holdout"), "no split 'holdout'"),
+        (("resize", "{images}", "{out}", "--size", "64"), "expected WIDTHxHEIGHT"),
+        (("resize", "{images}", "{out}", "--size", "0x9"), "expected at least 1 x 1"),
+        (("frames", "{images}", "{out}", "--png", "--jpeg"), "expected one of them"),
+        (("select", "{images}", "{out}", "--labels", "cat"), "no class 'cat'"),
+        (("select", "{images}", "{out}", "--objects", "x"), "expected whole numbers"),
+        (("to-single", "{images}", "{out}"), "holds single images already"),
+        (("verify", "{out}/nothing"), "neither a folder"),
+    ],
+)
+def test_bad_input_is_said_in_a_line_with_exit_code_2(arguments, words, images, tmp_path, capsys):
+    filled = [str(each).format(images=images, out=tmp_path / "out") for each in arguments]
+    assert call(*filled) == 2
+    printed = capsys.readouterr()
+    assert printed.err.startswith("error: ")
+    assert words in printed.err
+    assert "Traceback" not in printed.err
+    assert not (tmp_path / "out").exists()
+
+
+def test_help_is_quick_and_imports_nothing_heavy():
+    code = (
+        "import sys; sys.argv = ['realtouch', '--help']\n"
+        "from cli.realtouch import app\n"
+        "try: app()\n"
+        "except SystemExit: pass\n"
+        "heavy = ('numpy', 'pyarrow', 'torch', 'av', 'datasets')\n"
+        "print([name for name in heavy if name in sys.modules], file=sys.stderr)"
+    )
+    start_s = time.monotonic()
+    run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert time.monotonic() - start_s < 5
+    assert run.stderr.strip() == "[]"
+    for command in ("load", "info", "verify", "to-single", "resize", "frames", "select", "preview"):
+        assert command in run.stdout
+
+
+def test_version(capsys):
+    assert call("--version") == 0
+    assert "tactile-toolkit" in capsys.readouterr().out

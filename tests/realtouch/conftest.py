@@ -1,0 +1,55 @@
+"""Small sets in the published schema, made once for all tests."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from tests.realtouch import factories
+from tests.realtouch.factories import Layout, RoundTruth
+
+SIZE = (96, 72)
+TOUCHES = 5
+
+
+@pytest.fixture(scope="session")
+def truth() -> list[RoundTruth]:
+    """Three rounds of five touches in small pictures; touch 2 of each round misses the digit."""
+    return [factories.make_round(index, TOUCHES, SIZE) for index in range(3)]
+
+
+@pytest.fixture(scope="session")
+def held_out() -> list[RoundTruth]:
+    """Round of the test split."""
+    return [factories.make_round(3, TOUCHES, SIZE)]
+
+
+@pytest.fixture(scope="session")
+def seq_rows(truth: list[RoundTruth]) -> list[dict]:
+    return factories.seq_rows(truth)
+
+
+@pytest.fixture(scope="session")
+def single_rows(truth: list[RoundTruth]) -> list[dict]:
+    return factories.single_rows(truth)
+
+
+@pytest.fixture(scope="session")
+def seq_folder(
+    seq_rows: list[dict], held_out: list[RoundTruth], tmp_path_factory: pytest.TempPathFactory
+) -> Path:
+    """Train and test split of clips."""
+    folder = tmp_path_factory.mktemp("seq")
+    return factories.write_set(folder, {"train": seq_rows, "test": factories.seq_rows(held_out)}, "seq")
+
+
+@pytest.fixture(scope="session")
+def single_folder(
+    single_rows: list[dict], held_out: list[RoundTruth], tmp_path_factory: pytest.TempPathFactory
+) -> Path:
+    """Train and test split of images, train in two shards of row groups of one row."""
+    folder = tmp_path_factory.mktemp("single")
+    layout = Layout(shards=2, group_rows=1)
+    factories.write_set(folder, {"train": single_rows}, "single", layout)
+    return factories.write_set(folder, {"test": factories.single_rows(held_out)}, "single")

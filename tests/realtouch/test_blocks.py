@@ -1,0 +1,85 @@
+"""Large row groups: unpacked in blocks, found again in every process, streamed from anywhere."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import fsspec
+import numpy as np
+import pytest
+
+import realtouch
+from dataset_store import rowgroups
+from dataset_store.rowgroups import Shard, ShardedTable
+from realtouch.dataset import TouchStream
+from tests.realtouch import factories
+from tests.realtouch.factories import Layout
+
+
+@pytest.fixture
+def one_group(single_rows: list[dict], tmp_path: Path) -> Path:
+    """Six rounds in one row group."""
+    rows = [{**row, "id": f"{row['id']}{copy}"} for copy in "ab" for row in single_rows]
+    return factories.write_set(tmp_path / "set", {"train": rows}, "single", Layout(group_rows=100))
+
+
+@pytest.mark.parametrize("rows_per_block", [1, 2, 4, 6])
+def test_blocks_read_as_one(rows_per_block: int, one_group: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    whole = [(record.id, record.sensor_image[:]) for record in realtouch.load(one_group)]
+    shard = Shard(str(next((one_group / "data").glob("*.parquet"))))
+    size = shard.metadata.row_group(0).total_byte_size
+    monkeypatch.setattr(rowgroups, "_BLOCK_BYTES", size * rows_per_block // 6 + 1)
+    monkeypatch.setenv(rowgroups.CACHE_VARIABLE, str(one_group / "cache"))
+    dataset = realtouch.load(one_group)
+    assert dataset._tables[0].shards[0].block_rows == [rows_per_block]
+    for row in (5, 0, 3, 1, 4, 2):  # in any order
+        record = dataset[row]
+        assert (record.id, record._row.number) == (whole[row][0], row)
+        np.testing.assert_array_equal(record.sensor_image[:], whole[row][1])
+    assert [record.id for record in realtouch.load(one_group, streaming=True)] == [name for name, _ in whole]
+    assert len(list((one_group / "cache" / "blocks").glob("*.arrow"))) == 1
+    assert len(dataset.touches().with_contact()) == 24
+
+
+def test_a_cache_that_cannot_be_written_costs_speed_only(
+    one_group: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(rowgroups, "_BLOCK_BYTES", 1)
+    (one_group / "a file").write_text("")
+    monkeypatch.setenv(rowgroups.CACHE_VARIABLE, str(one_group / "a file"))
+    dataset = realtouch.load(one_group)
+    assert [record._row.number for record in dataset] == list(range(6))
+    assert dataset[4].sensor_image[0].shape == (72, 96, 3)
+
+
+def test_a_damaged_cache_is_made_again(one_group: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv(rowgroups.CACHE_VARIABLE, str(one_group / "cache"))
+    expected = realtouch.load(one_group)[0].id
+    cached = next((one_group / "cache" / "blocks").glob("*.arrow"))
+    cached.write_bytes(cached.read_bytes()[:100])
+    assert realtouch.load(one_group)[0].id == expected
+
+
+def test_streams_read_remote_files_piece_by_piece(one_group: Path) -> None:
+    file = next((one_group / "data").glob("*.parquet"))
+    memory = fsspec.filesystem("memory")
+    memory.pipe_file("/touches/train.parquet", file.read_bytes())
+    stream = TouchStream((Shard("memory://touches/train.parquet"),), "single")
+    local = realtouch.load(one_group)
+    for ours, theirs in zip(stream, local, strict=True):
+        assert ours.id == theirs.id
+        np.testing.assert_array_equal(ours.sensor_image[2], theirs.sensor_image[2])
+    assert stream.label_names == local.label_names
+
+
+def test_derived_values_are_kept(one_group: Path) -> None:
+    table = ShardedTable((Shard(str(next((one_group / "data").glob("*.parquet")))),))
+    calls = []
+
+    def count(group: rowgroups.RowGroup) -> np.ndarray:
+        calls.append(group.names)
+        return np.ones(len(group.table))
+
+    for _ in range(2):
+        assert table.derive("ones", ["label"], count).tolist() == [1.0] * 6
+    assert calls == [("label",)]

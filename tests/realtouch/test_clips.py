@@ -1,0 +1,321 @@
+from __future__ import annotations
+
+import struct
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+import realtouch
+from dataset_store.errors import InputError, IntegrityError, ItemError, MissingExtraError
+from realtouch.avi import MAX_CLIP_FRAMES, NoIndexError, read_index, write_avi
+from realtouch.clips import TouchClip
+from realtouch.contact import (
+    contact_heights_m,
+    contact_window,
+    deepest_frame,
+    is_contact,
+    most_changed_frame,
+)
+from realtouch.jpeg import decode_image, encode_image
+from tests.realtouch import factories
+from tests.realtouch.factories import Layout, RoundTruth
+
+FRAMES = np.stack([np.full((16, 24, 3), 20 * index, np.uint8) for index in range(10)])
+AVI = factories.encode_avi(FRAMES)
+
+
+@pytest.fixture(scope="module")
+def clip(seq_folder: Path) -> TouchClip:
+    return realtouch.load(seq_folder)[0].sensor_video[0]
+
+
+def test_frames_show_what_was_encoded(clip: TouchClip, truth: list[RoundTruth]) -> None:
+    made = truth[0].touches[0]
+    assert (len(clip), clip.size, clip.fps, clip.decoder) == (made.frames, (72, 96), 25.0, "libjpeg")
+    frames = clip.frames()
+    assert frames.shape == made.pixels.shape
+    assert np.abs(frames.astype(int) - made.pixels).mean() < 3
+    np.testing.assert_array_equal(clip[5], frames[5])
+    np.testing.assert_array_equal(clip[-1], frames[-1])
+    for index in (slice(3, 9), slice(None, None, 7), [4, 1], np.arange(made.frames) == 6):
+        np.testing.assert_array_equal(clip[index], frames[index])
+    np.testing.assert_array_equal(clip.frames(threads=2), frames)
+    with pytest.raises(IndexError, match="out of range"):
+        clip[made.frames]
+
+
+def test_both_decoders_agree_within_a_few_levels(clip: TouchClip) -> None:
+    other = clip.with_decoder("ffmpeg")
+    assert other.decoder == "ffmpeg"
+    difference = np.abs(other.frames().astype(int) - clip.frames())
+    assert difference.max() <= 24
+    assert difference.mean() < 1
+    np.testing.assert_array_equal(other[7], other.frames()[7])
+    np.testing.assert_array_equal(other[[9, 2]], other.frames()[[9, 2]])
+    with pytest.raises(InputError, match="no decoder 'magic'"):
+        clip.with_decoder("magic")
+
+
+def test_the_first_frames_offfmpeg_are_those_of_the_index(clip: TouchClip) -> None:
+    reference = clip.with_decoder("ffmpeg").frames()
+    ours = clip.frames()
+    for frame in range(0, len(clip), 11):
+        distance = np.abs(reference.astype(int) - ours[frame]).mean(axis=(1, 2, 3))
+        assert distance[frame] <= distance.min() + 1e-9
+
+
+def test_old_scripts_iterate_data_and_pts(clip: TouchClip) -> None:
+    items = list(clip)
+    assert [set(item) for item in items] == [{"data", "pts"}] * len(clip)
+    np.testing.assert_allclose([item["pts"] for item in items], np.arange(len(clip)) / 25)
+    np.testing.assert_array_equal(np.asarray(items[3]["data"]), clip[3].transpose(2, 0, 1))
+
+
+def test_times(clip: TouchClip, truth: list[RoundTruth]) -> None:
+    made = truth[0].touches[0]
+    np.testing.assert_allclose(clip.timestamps_s, made.time_s)
+    np.testing.assert_array_equal(clip.at(0.0), clip[0])
+    np.testing.assert_array_equal(clip.at(0.999), clip[24])
+    np.testing.assert_array_equal(clip.at(1.0), clip[25])
+    for outside in (-0.01, 99.0):
+        with pytest.raises(InputError, match="expected a time within the clip"):
+            clip.at(outside)
+
+
+def test_contact_frames_are_the_true_ones(seq_folder: Path, truth: list[RoundTruth]) -> None:
+    for record, expected in zip(realtouch.load(seq_folder), truth, strict=True):
+        for clip, made in zip(record.sensor_video, expected.touches, strict=True):
+            assert clip.contact_index("contact_start") == made.contact_start
+            assert clip.contact_index("contact_end") == made.contact_end
+            assert clip.contact_index("peak") == made.peak
+            # The deepest press shows most; its neighbour may look the same after JPEG.
+            assert abs(clip.contact_index("median") - made.peak) <= 1
+            np.testing.assert_array_equal(clip.contact_frame("peak"), clip[made.peak])
+            assert clip[clip.contact_window].shape[0] == made.contact_end - made.contact_start + 1
+
+
+def test_contact_frames_of_a_round(seq_folder: Path) -> None:
+    record = realtouch.load(seq_folder)[1]
+    for method in ("contact_end", "peak"):
+        expected = np.stack([clip.contact_frame(method) for clip in record.sensor_video])
+        np.testing.assert_array_equal(record.contact_frames(method), expected)
+        out = np.zeros_like(expected)
+        assert record.contact_frames(method, threads=2, out=out) is out
+        np.testing.assert_array_equal(out, expected)
+
+
+def test_a_clip_without_contact_has_no_median_frame(seq_folder: Path) -> None:
+    clip = realtouch.load(seq_folder)[0].sensor_video[0]
+    with pytest.raises(ItemError, match="shows no contact") as caught:
+        clip.contact_index("median", min_area=0.99)
+    assert caught.value.reason == "no-contact"
+    with pytest.raises(InputError, match="expected one of contact_start, contact_end, peak, median"):
+        clip.contact_index("best")
+
+
+@given(st.lists(st.floats(0, 10), min_size=1, max_size=30), st.floats(-1, 11), st.floats(0, 5))
+@settings(deadline=None)
+def test_a_window_holds_a_frame_and_only_frames_of_contact(
+    times: list[float], start: float, span: float
+) -> None:
+    stamps = np.sort(times)
+    window = contact_window(stamps, start, start + span)
+    inside = np.flatnonzero((stamps >= start) & (stamps <= start + span))
+    assert 0 <= window.start < window.stop <= len(stamps)
+    if len(inside):
+        assert (window.start, window.stop - 1) == (inside[0], inside[-1])
+    else:
+        assert window.stop - window.start == 1
+        assert window.start == int(np.argmin(np.abs(stamps - (start + span))))
+
+
+def test_ties_go_to_the_earlier_frame() -> None:
+    assert deepest_frame(np.array([3.0, 1.0, 2.0, 1.0])) == 1
+    frames = np.zeros((9, 4, 4, 3), np.uint8)
+    frames[3] = frames[6] = 200
+    assert most_changed_frame(frames) == 3
+    frames[6, 0, 0] = 210
+    assert most_changed_frame(frames) == 6
+    assert most_changed_frame(np.zeros((5, 4, 4, 3), np.uint8)) is None
+    assert most_changed_frame(np.zeros((0, 4, 4, 3), np.uint8)) is None
+
+
+def test_thresholds_decide_what_counts_as_changed() -> None:
+    frames = np.full((7, 10, 10, 3), 100, np.uint8)
+    frames[5, :2] = 130  # a fifth of the picture by thirty levels
+    assert most_changed_frame(frames, min_change=29, min_area=0.2) == 5
+    assert most_changed_frame(frames, min_change=30, min_area=0.2) is None
+    assert most_changed_frame(frames, min_change=29, min_area=0.21) is None
+
+
+@given(st.lists(st.floats(-0.01, 0.02), min_size=1, max_size=20), st.floats(-0.003, 0.003))
+@settings(deadline=None)
+def test_recalibrated_contact_does_not_depend_on_the_drift(heights: list[float], drift: float) -> None:
+    z_m = np.round(np.asarray(heights), 4)
+    clear = np.abs(z_m - z_m.min() - 0.006) > 1e-6
+    np.testing.assert_array_equal(is_contact(z_m)[clear], is_contact(z_m + drift)[clear])
+    assert contact_heights_m(z_m).min() == 0
+    np.testing.assert_array_equal(contact_heights_m(z_m, recalibrate_z=False), z_m)
+
+
+def test_heights_and_contact_of_touches(
+    seq_folder: Path, single_folder: Path, truth: list[RoundTruth]
+) -> None:
+    on_digit = [touch.on_digit for expected in truth for touch in expected.touches]
+    drift = np.repeat([expected.z_drift_m for expected in truth], 5)
+    for folder in (seq_folder, single_folder):
+        touches = realtouch.load(folder).touches()
+        np.testing.assert_allclose(touches.heights_m(), np.where(on_digit, 0.007, 0.0), atol=1e-9)
+        np.testing.assert_allclose(
+            touches.heights_m(False), np.where(on_digit, 0.007, 0.0) + drift, atol=1e-9
+        )
+        kept = touches.with_contact()
+        assert [(t.round_id, t.touch_index) for t in kept] == [
+            (t.round_id, t.touch_index) for t, wanted in zip(touches, on_digit, strict=True) if wanted
+        ]
+        # The plate is found among all touches of a round, whatever was selected before.
+        assert len(touches[np.array(on_digit)].with_contact()) == sum(on_digit)
+        assert len(touches.with_contact(min_height_m=0.008)) == 0
+
+
+def test_index_of_an_avi() -> None:
+    data = memoryview(AVI)
+    index = read_index(data)
+    assert (len(index), index.fps) == (10, 25.0)
+    for frame in range(10):
+        pixels = decode_image(index.frame(data, frame))
+        assert np.abs(pixels.astype(int) - FRAMES[frame]).max() <= 6
+
+
+def test_an_avi_of_ours_reads_back_and_in_ffmpeg() -> None:
+    jpegs = [encode_image(frame) for frame in FRAMES]
+    data = write_avi(jpegs, 24, 16, 25.0)
+    assert data == write_avi(jpegs, 24, 16, 25.0)
+    index = read_index(memoryview(data))
+    assert [bytes(index.frame(memoryview(data), frame)) for frame in range(10)] == jpegs
+    from realtouch.ffmpeg import ffmpeg_count, ffmpeg_fps, ffmpeg_frames
+
+    assert (ffmpeg_count(memoryview(data)), ffmpeg_fps(memoryview(data))) == (10, 25.0)
+    pixels = ffmpeg_frames(memoryview(data), range(10), 10)
+    assert np.abs(pixels.astype(int) - FRAMES).max() <= 6
+
+
+def test_repeated_frames_take_a_slot_without_bytes() -> None:
+    jpegs = [encode_image(frame) for frame in FRAMES[:4]]
+    index = read_index(memoryview(write_avi([jpegs[0], b"", jpegs[1], jpegs[2]], 24, 16, 25.0)))
+    assert len(index) == 3
+    assert index.slots is not None
+    assert index.slots.tolist() == [0, 2, 3]
+
+
+@pytest.mark.parametrize("keep", [0, 5, 20, 300, len(AVI) // 2, len(AVI) - 1])
+def test_a_cut_avi_is_refused(keep: int) -> None:
+    with pytest.raises(ValueError, match=r"cut short|expected an AVI"):
+        read_index(memoryview(AVI[:keep]))
+
+
+@given(st.data())
+@settings(max_examples=200, deadline=None)
+def test_a_damaged_avi_raises_or_keeps_to_its_bounds(data: st.DataObject) -> None:
+    changed = bytearray(AVI)
+    for _ in range(data.draw(st.integers(1, 6))):
+        header = data.draw(st.sampled_from([260, len(changed)]))
+        changed[data.draw(st.integers(0, header - 1))] = data.draw(st.integers(0, 255))
+    view = memoryview(bytes(changed))
+    try:
+        index = read_index(view)
+    except ValueError:
+        return
+    assert (index.starts >= 0).all()
+    assert (index.starts + index.sizes <= len(view)).all()
+
+
+def test_hostile_counts_are_refused() -> None:
+    declared = bytearray(AVI)
+    place = declared.find(b"strh") + 8 + 32
+    declared[place : place + 4] = struct.pack("<I", 2**31)
+    with pytest.raises(ValueError, match="declares 2,147,483,648 frames; the limit is 10,000"):
+        read_index(memoryview(bytes(declared)))
+    with pytest.raises(ValueError, match="the limit is"):
+        read_index(memoryview(write_avi([b"x"] * (MAX_CLIP_FRAMES + 1), 24, 16, 25.0)))
+
+
+def test_without_an_indexffmpeg_decodes(seq_rows: list[dict], tmp_path: Path) -> None:
+    def strip(row: dict, _: int) -> None:
+        for blob in row["sensor_video"]:
+            blob["bytes"] = blob["bytes"].replace(b"idx1", b"JUNK")
+
+    factories.write_set(tmp_path, {"train": [_copy(seq_rows[0])]}, "seq", Layout(edit=strip))
+    clip = realtouch.load(tmp_path)[0].sensor_video[1]
+    with pytest.raises(NoIndexError):
+        read_index(clip.data)
+    assert clip.decoder == "ffmpeg"
+    assert not clip.has_index
+    frames = clip.frames()
+    assert frames.shape == (len(clip), 72, 96, 3)
+    np.testing.assert_array_equal(clip[7], frames[7])
+    assert clip.contact_frame("contact_end").shape == (72, 96, 3)
+    with pytest.raises(InputError, match="no indexed AVI"):
+        clip.encoded(0)
+
+
+def test_other_containers_go_through_ffmpeg(
+    truth: list[RoundTruth], seq_rows: list[dict], tmp_path: Path
+) -> None:
+    def other(row: dict, _: int) -> None:
+        for blob, touch in zip(row["sensor_video"], truth[0].touches, strict=True):
+            blob["bytes"] = factories.encode_avi(touch.pixels, "mpeg4", "matroska")
+
+    factories.write_set(tmp_path, {"train": [_copy(seq_rows[0])]}, "seq", Layout(edit=other))
+    clip = realtouch.load(tmp_path)[0].sensor_video[0]
+    assert (clip.decoder, clip.fps) == ("ffmpeg", 25.0)
+    assert np.abs(clip.frames().astype(int) - truth[0].touches[0].pixels).mean() < 6
+
+
+def test_torchcodec_is_an_extra(clip: TouchClip, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(__import__("sys").modules, "torchcodec.decoders", None)
+    with pytest.raises(MissingExtraError, match=r"tactile-toolkit\[torch\]"):
+        clip.to_torchcodec()
+
+
+def test_a_clip_of_another_length_is_named(seq_rows: list[dict], tmp_path: Path) -> None:
+    def lengthen(row: dict, _: int) -> None:
+        row["video_length_frames"] = [
+            length - (index == 2) for index, length in enumerate(row["video_length_frames"])
+        ]
+
+    factories.write_set(tmp_path, {"train": [_copy(seq_rows[0])]}, "seq", Layout(edit=lengthen))
+    record = realtouch.load(tmp_path)[0]
+    length = len(record.sensor_video[1])
+    assert length
+    with pytest.raises(
+        IntegrityError, match=r"row 0, touch 2, field 'sensor_video': a clip of \d+ frames; expected"
+    ):
+        record.sensor_video[2]
+
+
+def _copy(row: dict) -> dict:
+    return {**row, "sensor_video": [dict(blob) for blob in row["sensor_video"]]}
+
+
+@pytest.mark.parametrize("index", [True, False])
+def test_ffmpeg_hands_on_no_damaged_frame(index: bool, seq_rows: list[dict], tmp_path: Path) -> None:
+    """FFmpeg fills damaged parts of a frame with what it guesses; libjpeg is asked first."""
+
+    def damage(row: dict, _: int) -> None:
+        data = bytearray(row["sensor_video"][0]["bytes"])
+        found = read_index(memoryview(bytes(data)))
+        end = int(found.starts[6] + found.sizes[6])
+        data[end - 60 : end - 2] = bytes(58)
+        row["sensor_video"][0]["bytes"] = bytes(data) if index else bytes(data).replace(b"idx1", b"JUNK")
+
+    factories.write_set(tmp_path, {"train": [_copy(seq_rows[0])]}, "seq", Layout(edit=damage))
+    clip = realtouch.load(tmp_path)[0].sensor_video[0].with_decoder("ffmpeg")
+    assert clip.has_index is index
+    assert clip[5].shape == clip[7].shape == (72, 96, 3)
+    for ask in (lambda: clip[6], clip.frames, lambda: clip[5:8]):
+        with pytest.raises(IntegrityError, match=r"row 0, touch 0, field 'sensor_video'"):
+            ask()

@@ -1,0 +1,299 @@
+"""Conversions: what comes out, that pixels pass through, that runs resume and repeat byte for byte."""
+
+from __future__ import annotations
+
+import csv
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow.parquet as pq
+import pytest
+from datasets import Features, Image, List, Video
+from PIL import Image as Pictures
+
+import realtouch
+from dataset_store.errors import InputError, SpecMismatchError
+from dataset_store.runner import ProcessRunner
+from dataset_store.shards import sha256_hex
+from realtouch.conversion import Source
+from realtouch.jpeg import decode_image
+from realtouch.resizing import resized
+from tests.dataset_store.toy import folder_bytes
+from tests.realtouch import factories
+from tests.realtouch.factories import Layout, RoundTruth
+
+
+def features_of(folder: Path) -> Features:
+    schema = pq.read_schema(next((folder / "data").glob("*.parquet")))
+    return Features.from_arrow_schema(schema)
+
+
+def test_single_images_of_clips(seq_folder: Path, truth: list[RoundTruth], tmp_path: Path) -> None:
+    for method in ("contact_end", "contact_start", "peak"):
+        out = tmp_path / method
+        manifest = realtouch.to_single(str(seq_folder), str(out), method)
+        assert manifest.complete
+        assert {split: entry["rows"] for split, entry in manifest.split_table().items()} == {
+            "train": 3,
+            "test": 1,
+        }
+        source, made = realtouch.load(seq_folder), realtouch.load(out)
+        assert isinstance(made, realtouch.TouchSingleDataset)
+        for before, record, expected in zip(source, made, truth, strict=True):
+            assert (record.id, record.label, record.object_id) == (before.id, before.label, before.object_id)
+            np.testing.assert_array_equal(record.pos_in_cell_m, before.pos_in_cell_m)
+            assert dict(record.info)["gel_id"] == expected.gel_id
+            for touch, truth_of_touch in enumerate(expected.touches):
+                frame = getattr(truth_of_touch, method)
+                clip = before.sensor_video[touch]
+                assert bytes(record.sensor_image.encoded(touch)) == bytes(clip.encoded(frame))
+                np.testing.assert_array_equal(
+                    record.gel_pose_cell_frame.position_m[touch], truth_of_touch.position_m[frame]
+                )
+                np.testing.assert_array_equal(
+                    record.gel_pose_cell_frame.quaternion[touch], truth_of_touch.quaternion[frame]
+                )
+    features = features_of(out)
+    assert features["sensor_image"] == List(Image(), length=5)
+    assert features["pos_in_cell"].length == 5
+    assert features["label"].names == factories.LABELS
+    assert realtouch.verify(str(out)).ok
+
+
+def test_nested_and_ragged_sources_give_the_same_images(
+    seq_folder: Path, truth: list[RoundTruth], tmp_path: Path
+) -> None:
+    layout = Layout(nested=True, seconds=True, padded=False, fixed=False, shards=2)
+    other = factories.write_set(
+        tmp_path / "other", {"train": factories.seq_rows(truth, layout)}, "seq", layout
+    )
+    realtouch.to_single(str(seq_folder), str(tmp_path / "a"), "peak")
+    realtouch.to_single(str(other), str(tmp_path / "b"), "peak")
+    for one, two in zip(realtouch.load(tmp_path / "a"), realtouch.load(tmp_path / "b"), strict=True):
+        np.testing.assert_array_equal(one.gel_pose_cell_frame.position_m, two.gel_pose_cell_frame.position_m)
+        np.testing.assert_array_equal(one.sensor_image[:], two.sensor_image[:])
+        assert one.info.keys() == two.info.keys()
+
+
+def test_resized_images(single_folder: Path, tmp_path: Path) -> None:
+    out = tmp_path / "small"
+    realtouch.resize(str(single_folder), str(out), 32, 24)
+    before, after = realtouch.load(single_folder), realtouch.load(out)
+    for one, two in zip(before, after, strict=True):
+        assert two.sensor_image[:].shape == (5, 24, 32, 3)
+        expected = resized(one.sensor_image[2], 32, 24)
+        assert np.abs(two.sensor_image[2].astype(int) - expected).mean() < 2
+        np.testing.assert_array_equal(one.gel_pose_cell_frame.position_m, two.gel_pose_cell_frame.position_m)
+    assert pq.read_schema(next((out / "data").glob("*.parquet"))).names == before._tables[0].schema.names
+
+
+def test_the_mean_of_an_image_survives_shrinking() -> None:
+    pixels = np.random.default_rng(0).integers(0, 255, (40, 60, 3), dtype=np.uint8)
+    small = resized(pixels, 6, 4)
+    blocks = pixels.reshape(4, 10, 6, 10, 3).mean(axis=(1, 3))
+    assert np.abs(small - blocks).max() <= 1
+
+
+def test_images_of_the_wanted_size_pass_through(single_folder: Path, tmp_path: Path) -> None:
+    realtouch.resize(str(single_folder), str(tmp_path / "same"), 96, 72)
+    for one, two in zip(realtouch.load(single_folder), realtouch.load(tmp_path / "same"), strict=True):
+        for touch in range(5):
+            assert bytes(one.sensor_image.encoded(touch)) == bytes(two.sensor_image.encoded(touch))
+
+
+def test_resized_clips(seq_folder: Path, tmp_path: Path) -> None:
+    out = tmp_path / "small"
+    realtouch.resize(str(seq_folder), str(out), 48, 36, limit=1)
+    before, after = realtouch.load(seq_folder)[0], realtouch.load(out)[0]
+    for one, two in zip(before.sensor_video, after.sensor_video, strict=True):
+        assert (len(one), one.fps, two.size, two.has_index) == (len(two), two.fps, (36, 48), True)
+        assert one.contact_window == two.contact_window
+        expected = np.stack([resized(frame, 48, 36) for frame in one.frames()])
+        assert np.abs(two.frames().astype(int) - expected).mean() < 2
+    assert features_of(out)["sensor_video"].feature == Video()
+    assert realtouch.verify(str(out)).ok
+
+
+@pytest.mark.parametrize("kind", ["seq", "single"])
+def test_selected_touches(kind: str, seq_folder: Path, single_folder: Path, tmp_path: Path) -> None:
+    source = seq_folder if kind == "seq" else single_folder
+    out = tmp_path / "some"
+    realtouch.select(str(source), str(out), contact=True, labels=["0", 2], limit=2)
+    before, after = realtouch.load(source), realtouch.load(out)
+    assert [record.label for record in after] == [0, 2]
+    assert after.touch_counts.tolist() == [4, 4]
+    kept = [0, 1, 3, 4]
+    for one, two in zip(before[[0, 2]], after, strict=True):
+        np.testing.assert_array_equal(one.pos_in_cell_m[kept], two.pos_in_cell_m)
+        for place, touch in enumerate(kept):
+            if kind == "single":
+                assert bytes(one.sensor_image.encoded(touch)) == bytes(two.sensor_image.encoded(place))
+                continue
+            assert bytes(one.sensor_video[touch].data) == bytes(two.sensor_video[place].data)
+            np.testing.assert_array_equal(
+                one.gel_pose_cell_frame_seq[touch].position_m, two.gel_pose_cell_frame_seq[place].position_m
+            )
+            np.testing.assert_array_equal(one.time_stamp_rel_seq[touch], two.time_stamp_rel_seq[place])
+    assert realtouch.verify(str(out)).ok
+    assert features_of(out)["pos_in_cell"].length == -1
+
+
+def test_selected_rounds_pass_through_whole(single_folder: Path, tmp_path: Path) -> None:
+    realtouch.select(str(single_folder), str(tmp_path / "some"), objects=[4001, 4003])
+    made = realtouch.load(tmp_path / "some")
+    assert [record.object_id for record in made] == [4001]
+    assert [record.object_id for record in realtouch.load(tmp_path / "some", "test")] == [4003]
+    assert features_of(tmp_path / "some")["pos_in_cell"].length == 5
+    with pytest.raises(InputError, match="nothing is left"):
+        realtouch.select(str(single_folder), str(tmp_path / "none"), objects=[1])
+    with pytest.raises(InputError, match="no class 'cat'"):
+        realtouch.select(str(single_folder), str(tmp_path / "none"), labels=["cat"])
+
+
+@pytest.mark.parametrize("kind", ["png", "jpeg"])
+def test_plain_pictures(kind: Any, single_folder: Path, seq_folder: Path, tmp_path: Path) -> None:
+    for source in (single_folder, seq_folder):
+        out = tmp_path / source.name
+        realtouch.frames(str(source), str(out), kind, "peak")
+        with (out / "index.csv").open() as stream:
+            lines = list(csv.DictReader(stream))
+        assert len(lines) == 20
+        table = pq.read_table(sorted((out / "data").glob("train-*"))[0]).to_pylist()
+        assert [entry["file"] for entry in table] == [
+            line["file"] for line in lines if line["split"] == "train"
+        ]
+        records = {
+            record.id: record for split in ("train", "test") for record in realtouch.load(source, split)
+        }
+        for line in lines:
+            content = (out / line["file"]).read_bytes()
+            assert sha256_hex(content) == line["sha256"]
+            record, touch = records[line["round_id"]], int(line["touch"])
+            assert int(line["label"]) == record.label
+            assert float(line["pos_in_cell_x_m"]) == record.pos_in_cell_m[touch, 0]
+            if isinstance(record, realtouch.TouchSingleRound):
+                stored, image = record.sensor_image.encoded(touch), record.sensor_image[touch]
+                z_m = record.gel_pose_cell_frame.position_m[touch, 2]
+            else:
+                clip = record.sensor_video[touch]
+                frame = int(line["frame"])
+                assert frame == clip.contact_index("peak")
+                stored, image, z_m = clip.encoded(frame), clip[frame], clip.poses.position_m[frame, 2]
+            assert float(line["gel_z_m"]) == z_m
+            np.testing.assert_array_equal(decode_image(content), image)
+            np.testing.assert_array_equal(np.asarray(Pictures.open(out / line["file"])), image)
+            assert (kind == "png") or content == bytes(stored)
+
+
+def test_pictures_are_verified_against_their_index(single_folder: Path, tmp_path: Path) -> None:
+    out = tmp_path / "pictures"
+    realtouch.frames(str(single_folder), str(out), "jpeg")
+    result = realtouch.verify(str(out))
+    assert (result.findings, result.rounds, result.touches) == ((), 4, 20)
+    first, second = sorted((out / "images" / "train").rglob("*.jpg"))[:2]
+    first.unlink()
+    second.write_bytes(b"other")
+    assert [finding.file for finding in realtouch.verify(str(out)).findings] == [
+        str(file.relative_to(out)) for file in (first, second)
+    ]
+
+
+def test_pictures_are_resumed_and_started_again(single_folder: Path, tmp_path: Path) -> None:
+    out = tmp_path / "pictures"
+    realtouch.frames(str(single_folder), str(out))
+    first = folder_bytes(out)
+    realtouch.frames(str(single_folder), str(out))
+    assert folder_bytes(out) == first
+    with pytest.raises(SpecMismatchError, match="kind is 'png' there, 'jpeg' was asked for"):
+        realtouch.frames(str(single_folder), str(out), "jpeg")
+    realtouch.frames(str(single_folder), str(out), "jpeg", overwrite=True)
+    assert not list(out.rglob("*.png"))
+    assert len(list(out.rglob("*.jpg"))) == 20
+
+
+def conversions(source: str, out: str, runner: Any) -> None:
+    realtouch.to_single(source, out, workers=runner)
+
+
+def test_workers_and_interruptions_change_no_byte(
+    seq_folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("realtouch.convert._SNAPSHOT_ROWS", 1)
+    conversions(str(seq_folder), str(tmp_path / "a"), 1)
+    conversions(str(seq_folder), str(tmp_path / "b"), ProcessRunner(2))
+    assert folder_bytes(tmp_path / "a") == folder_bytes(tmp_path / "b")
+
+    class StoppedError(Exception):
+        pass
+
+    def stop(progress: Any) -> None:
+        if progress.done == 2:
+            raise StoppedError
+
+    with pytest.raises(StoppedError):
+        realtouch.to_single(str(seq_folder), str(tmp_path / "c"), on_progress=stop)
+    assert not json.loads((tmp_path / "c" / "manifest.json").read_text())["complete"]
+    done: list[int] = []
+    realtouch.to_single(str(seq_folder), str(tmp_path / "c"), on_progress=lambda p: done.append(p.total))
+    assert done[0] == 2  # two of four rounds were kept
+    assert folder_bytes(tmp_path / "a") == folder_bytes(tmp_path / "c")
+
+
+def test_another_option_is_refused(seq_folder: Path, tmp_path: Path) -> None:
+    realtouch.to_single(str(seq_folder), str(tmp_path / "a"), limit=1)
+    with pytest.raises(SpecMismatchError, match="frame is 'contact_end' there, 'peak' was asked for"):
+        realtouch.to_single(str(seq_folder), str(tmp_path / "a"), "peak", limit=1)
+    realtouch.to_single(str(seq_folder), str(tmp_path / "a"), "peak", limit=1, overwrite=True)
+    assert len(realtouch.load(tmp_path / "a")) == 1
+
+
+def test_what_cannot_be_converted_is_said(seq_folder: Path, single_folder: Path, tmp_path: Path) -> None:
+    out = str(tmp_path / "out")
+    with pytest.raises(InputError, match="holds single images already"):
+        realtouch.to_single(str(single_folder), out)
+    with pytest.raises(InputError, match="no way 'best'"):
+        realtouch.to_single(str(seq_folder), out, "best")
+    with pytest.raises(InputError, match="size 0 x 64"):
+        realtouch.resize(str(single_folder), out, 0, 64)
+    with pytest.raises(InputError, match="no picture format 'gif'"):
+        realtouch.frames(str(single_folder), out, "gif")
+    with pytest.raises(InputError, match="the limit is 0"):
+        realtouch.frames(str(single_folder), out, limit=0)
+    with pytest.raises(InputError, match="holds no Parquet files"):
+        realtouch.frames(str(tmp_path), out)
+    assert not Path(out).exists()
+
+
+def test_damaged_rounds_are_left_out_and_listed(seq_rows: list[dict], tmp_path: Path) -> None:
+    def cut(row: dict[str, Any], index: int) -> None:
+        if index == 1:
+            row["sensor_video"] = [{**blob, "bytes": blob["bytes"][:-9]} for blob in row["sensor_video"]]
+
+    source = factories.write_set(tmp_path / "source", {"train": seq_rows}, "seq", Layout(edit=cut))
+    manifest = realtouch.to_single(str(source), str(tmp_path / "out"))
+    assert manifest.skipped_reasons() == {"damaged": 1}
+    skipped = manifest.receipts[0].skipped[0]
+    assert skipped.id == 1
+    assert "row 1, touch 0, field 'sensor_video': an AVI cut short" in skipped.message
+    assert [record.label for record in realtouch.load(tmp_path / "out")] == [0, 2]
+
+
+def test_the_fingerprint_names_no_place(single_folder: Path) -> None:
+    fingerprint = Source.open(str(single_folder)).fingerprint()
+    assert [entry["file"] for entry in fingerprint["train"]] == [
+        "train-00000-of-00002.parquet",
+        "train-00001-of-00002.parquet",
+    ]
+    assert str(single_folder.parent) not in json.dumps(fingerprint)
+
+
+def test_the_card_lets_datasets_find_the_splits(seq_folder: Path, tmp_path: Path) -> None:
+    realtouch.to_single(str(seq_folder), str(tmp_path / "single"), "peak")
+    realtouch.resize(str(seq_folder), str(tmp_path / "seq"), 48, 36, limit=1)
+    for name in ("single", "seq"):
+        card = (tmp_path / name / "README.md").read_text()
+        assert "path: data/train-*" in card
+        assert "license: cc-by-2.0" in card
+        assert "$" not in card

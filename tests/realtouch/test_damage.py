@@ -1,0 +1,308 @@
+"""Bad input: each kind names file, row, touch and field; verify lists them all; skip leaves them out."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+
+import realtouch
+from dataset_store.errors import InputError, IntegrityError
+from realtouch.avi import read_index
+from tests.realtouch import factories
+from tests.realtouch.factories import Layout
+
+Edit = Callable[[dict[str, Any]], None]
+
+
+def cut_image(row: dict[str, Any]) -> None:
+    row["sensor_image"][3]["bytes"] = row["sensor_image"][3]["bytes"][:-400]
+
+
+def no_jpeg(row: dict[str, Any]) -> None:
+    row["sensor_image"][1]["bytes"] = b"this is no picture"
+
+
+def no_bytes(row: dict[str, Any]) -> None:
+    row["sensor_image"][4] = {"bytes": None, "path": "/etc/passwd"}
+
+
+def bomb(row: dict[str, Any]) -> None:
+    data = bytearray(row["sensor_image"][2]["bytes"])
+    place = data.find(b"\xff\xc0")
+    data[place + 5 : place + 9] = b"\xff\xff\xff\xff"
+    row["sensor_image"][2]["bytes"] = bytes(data)
+
+
+def flat_quaternion(row: dict[str, Any]) -> None:
+    row["gel_pose_cell_frame.quaternion"][2] = np.zeros(4)
+
+
+def endless_position(row: dict[str, Any]) -> None:
+    row["gel_pose_cell_frame.position"][0] = np.array([0.0, np.inf, 0.0])
+
+
+def one_image_less(row: dict[str, Any]) -> None:
+    del row["sensor_image"][-1]
+
+
+def one_touch_less(row: dict[str, Any]) -> None:
+    for name in (
+        "pos_in_cell",
+        "gel_pose_cell_frame.position",
+        "gel_pose_cell_frame.quaternion",
+        "sensor_image",
+    ):
+        row[name] = row[name][:-1]
+
+
+def wild_object(row: dict[str, Any]) -> None:
+    row["object_id"] = -7
+
+
+def no_label(row: dict[str, Any]) -> None:
+    row["label"] = None
+
+
+SINGLE: dict[str, tuple[Edit, int | None, str, str]] = {
+    "cut image": (cut_image, 3, "sensor_image", "cannot be decoded"),
+    "no JPEG": (no_jpeg, 1, "sensor_image", "expected a JPEG"),
+    "no bytes": (no_bytes, 4, "sensor_image", "no bytes are stored"),
+    "bomb": (bomb, 2, "sensor_image", "65535 x 65535 pixels; the limit is"),
+    "flat quaternion": (
+        flat_quaternion,
+        2,
+        "gel_pose_cell_frame",
+        "quaternion of length 0; expected length one",
+    ),
+    "endless position": (endless_position, 0, "gel_pose_cell_frame", "not finite"),
+    "one image less": (one_image_less, None, "sensor_image", "4 touches; expected 5"),
+    "one touch less": (one_touch_less, None, "pos_in_cell", "4 touches; expected 5"),
+    "wild object": (wild_object, None, "object_id", "-7; expected a whole number of 0 or more"),
+    "no label": (no_label, None, "label", "nan; expected a whole number"),
+}
+
+
+def cut_avi(row: dict[str, Any]) -> None:
+    row["sensor_video"][2]["bytes"] = row["sensor_video"][2]["bytes"][:-700]
+
+
+def no_avi(row: dict[str, Any]) -> None:
+    row["sensor_video"][0]["bytes"] = b"RIFF no film"
+
+
+def bad_frame(row: dict[str, Any]) -> None:
+    data = bytearray(row["sensor_video"][1]["bytes"])
+    index = read_index(memoryview(bytes(data)))
+    start = int(index.starts[6])
+    data[start : start + int(index.sizes[6])] = bytes(int(index.sizes[6]))
+    row["sensor_video"][1]["bytes"] = bytes(data)
+
+
+def many_frames(row: dict[str, Any]) -> None:
+    row["video_length_frames"] = [2_000_000_000, *row["video_length_frames"][1:]]
+
+
+def end_before_start(row: dict[str, Any]) -> None:
+    row["touch_end_time_rel"] = row["touch_start_time_rel"] - np.timedelta64(80, "ms")
+
+
+def short_poses(row: dict[str, Any]) -> None:
+    poses = list(row["gel_pose_cell_frame_seq.position"])
+    poses[4] = poses[4][:20]
+    row["gel_pose_cell_frame_seq.position"] = poses
+
+
+def flat_frame(row: dict[str, Any]) -> None:
+    poses = [list(touch) for touch in row["gel_pose_cell_frame_seq.quaternion"]]
+    poses[1][5] = np.zeros(4)
+    row["gel_pose_cell_frame_seq.quaternion"] = poses
+
+
+def one_clip_less(row: dict[str, Any]) -> None:
+    row["sensor_video"] = row["sensor_video"][:-1]
+
+
+SEQ: dict[str, tuple[Edit, int | None, str, str]] = {
+    "cut AVI": (cut_avi, 2, "sensor_video", "an AVI cut short"),
+    "no AVI": (no_avi, 0, "sensor_video", "expected an AVI"),
+    "bad frame": (bad_frame, 1, "sensor_video", "frame 6"),
+    "many frames": (many_frames, 0, "video_length_frames", "2,000,000,000 frames; the limit is 10,000"),
+    "end before start": (end_before_start, 0, "touch_end_time_rel", "expected an end not before the start"),
+    "short poses": (short_poses, 4, "gel_pose_cell_frame_seq.position", "20 frames; expected at least"),
+    "flat frame": (flat_frame, 1, "gel_pose_cell_frame_seq", "frame 5: a quaternion of length 0"),
+    "one clip less": (one_clip_less, None, "sensor_video", "4 touches; expected 5"),
+}
+
+
+def damaged_set(folder: Path, rows: list[dict], kind: str, edit: Edit, row: int = 1) -> Path:
+    """Write three rounds of which one is damaged."""
+
+    def change(values: dict[str, Any], index: int) -> None:
+        if index == row:
+            for name in ("sensor_image", "sensor_video"):
+                if name in values:
+                    values[name] = [dict(blob) for blob in values[name]]
+            for name, value in values.items():
+                if isinstance(value, np.ndarray):
+                    values[name] = value.copy()
+                elif isinstance(value, list) and name not in ("sensor_image", "sensor_video"):
+                    values[name] = list(value)
+            edit(values)
+
+    return factories.write_set(folder, {"train": rows}, kind, Layout(edit=change, fixed=False))
+
+
+def everything(record: Any, kind: str) -> None:
+    """Ask for every field of a round."""
+    _ = record.id, record.label, record.object_id, record.info, record.pos_in_cell_m
+    if kind == "single":
+        _ = record.gel_pose_cell_frame, record.sensor_image[:]
+        return
+    _ = record.gel_pose_cell_frame_seq, record.time_stamp_rel_seq, record.video_length_frames
+    for touch in range(record.touch_count):
+        clip = record.sensor_video[touch]
+        _ = clip.frames(), clip.contact_window, clip.poses
+
+
+CASES = [("single", name, *case) for name, case in SINGLE.items()] + [
+    ("seq", name, *case) for name, case in SEQ.items()
+]
+
+
+@pytest.mark.parametrize(
+    ("kind", "name", "edit", "touch", "field", "words"), CASES, ids=[case[1] for case in CASES]
+)
+def test_damage_is_named_listed_and_left_out(
+    kind: str,
+    name: str,
+    edit: Edit,
+    touch: int | None,
+    field: str,
+    words: str,
+    single_rows: list[dict],
+    seq_rows: list[dict],
+    tmp_path: Path,
+) -> None:
+    rows = single_rows if kind == "single" else seq_rows
+    folder = damaged_set(tmp_path, rows, kind, edit)
+    dataset = realtouch.load(folder)
+    everything(dataset[0], kind)
+    everything(dataset[2], kind)
+    if name != "one touch less":  # a round that is whole in itself
+        with pytest.raises(IntegrityError) as caught:
+            everything(dataset[1], kind)
+        message = str(caught.value)
+        assert "train-00000-of-00001.parquet', row 1" in message
+        assert f"field '{field}'" in message
+        assert words in message
+        assert "next: run `realtouch verify`" in message
+        if touch is not None:
+            assert f"touch {touch}," in message
+
+    result = realtouch.verify(str(folder))
+    assert (result.ok, result.rounds) == (False, 3)
+    assert {finding.row for finding in result.findings} == {1}
+    found = [finding for finding in result.findings if finding.field == field and words in finding.problem]
+    assert [finding.touch for finding in found][:1] == [touch]
+    assert len(result.findings) <= (5 if name == "end before start" else 2)
+
+    rest = realtouch.load(folder, on_error="skip")
+    assert len(rest.skipped) == len(result.findings)
+    if touch is None:
+        assert [record.label for record in rest] == [0, 2]
+        assert len(rest.touches()) == 10
+    else:
+        lost = {finding.touch for finding in result.findings}
+        kept = [(item.label, item.touch_index) for item in rest.touches()]
+        assert kept == [(row, each) for row in range(3) for each in range(5) if row != 1 or each not in lost]
+        for item in rest.touches():
+            if kind == "single" or item.label != 1:
+                _ = item.image
+
+
+def test_streams_leave_damage_out_as_they_go(single_rows: list[dict], tmp_path: Path) -> None:
+    for edit, expected in ((no_jpeg, [5, 4, 5]), (one_image_less, [5, 5])):
+        folder = damaged_set(tmp_path / edit.__name__, single_rows, "single", edit)
+        stream = realtouch.load(folder, streaming=True, on_error="skip")
+        assert [record.touch_count for record in stream] == expected
+        assert len(stream.skipped) == 1
+
+
+def test_verify_lists_all_damage_of_all_files(single_rows: list[dict], tmp_path: Path) -> None:
+    def edit(row: dict[str, Any]) -> None:
+        for change in (cut_image, no_jpeg, no_bytes, flat_quaternion, wild_object):
+            change(row)
+
+    folder = damaged_set(tmp_path, single_rows, "single", edit)
+    broken = folder / "data" / "test-00000-of-00001.parquet"
+    broken.write_bytes(b"PAR1 and nothing more")
+    result = realtouch.verify(str(folder))
+    assert result.rounds == 3
+    assert any(finding.file == str(broken) and finding.row is None for finding in result.findings)
+    assert {(finding.field, finding.touch) for finding in result.findings if finding.row == 1} == {
+        ("sensor_image", 3),
+        ("sensor_image", 1),
+        ("sensor_image", 4),
+        ("gel_pose_cell_frame", 2),
+        ("object_id", None),
+    }
+
+
+def test_quick_verification_decodes_nothing(
+    single_rows: list[dict], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    folder = damaged_set(tmp_path, single_rows, "single", no_jpeg)
+    monkeypatch.setattr("realtouch.images.decode_image", lambda *_: pytest.fail("a picture was decoded"))
+    assert [finding.touch for finding in realtouch.verify(str(folder), quick=True).findings] == [1]
+
+
+def test_a_whole_set_has_no_findings(single_folder: Path, seq_folder: Path) -> None:
+    for folder in (single_folder, seq_folder):
+        told: list[tuple[int, int]] = []
+        result = realtouch.verify(str(folder), on_progress=lambda *now, told=told: told.append(now))
+        assert (result.findings, result.rounds, result.touches) == ((), 4, 20)
+        assert told[-1] == (4, 4)
+        assert realtouch.load(folder, on_error="skip").skipped == ()
+
+
+def test_repeated_ids_are_found(single_rows: list[dict], tmp_path: Path) -> None:
+    factories.write_set(tmp_path, {"train": [single_rows[0], single_rows[0]]}, "single")
+    findings = realtouch.verify(str(tmp_path)).findings
+    assert [(finding.row, finding.field) for finding in findings] == [(1, "id")]
+    assert "not unique" in findings[0].problem
+
+
+@pytest.mark.parametrize(
+    ("column", "values", "expected"),
+    [
+        ("label", pa.array(["a", "b", "c"]), "a whole number"),
+        ("object_id", pa.array([1.5, 2.5, 3.5]), "a whole number"),
+        ("pos_in_cell", pa.array([[1.0], [2.0], [3.0]]), "two floats per touch"),
+        ("sensor_image", pa.array([["x"], ["y"], ["z"]]), "a struct of bytes and path"),
+        ("gel_pose_cell_frame.position", pa.array([[["x"]]] * 3), "three floats per touch"),
+    ],
+)
+def test_a_wrong_column_type_is_named(
+    column: str, values: pa.Array, expected: str, single_rows: list[dict], tmp_path: Path
+) -> None:
+    factories.write_set(tmp_path, {"train": single_rows}, "single")
+    place = tmp_path / "data" / "train-00000-of-00001.parquet"
+    table = pq.read_table(place)
+    table = table.set_column(table.column_names.index(column), column, values)
+    pq.write_table(table, place)
+    with pytest.raises(
+        IntegrityError, match=f"field '{column}': the column has the type .*; expected {expected}"
+    ):
+        realtouch.load(tmp_path)
+    assert not realtouch.verify(str(tmp_path)).ok
+
+
+def test_verify_needs_a_data_set(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="holds no Parquet files"):
+        realtouch.verify(str(tmp_path))

@@ -1,0 +1,191 @@
+from __future__ import annotations
+
+import gc
+import io
+import threading
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from PIL import Image
+
+import realtouch
+from realtouch import jpeg as module
+from realtouch.images import positions_of
+from realtouch.jpeg import MAX_IMAGE_BYTES, decode_image, encode_image, image_size
+from tests.realtouch.factories import encode_jpeg
+
+PICTURES = np.random.default_rng(0).integers(0, 255, (24, 32, 3), dtype=np.uint8)
+
+
+def smooth(height: int, width: int) -> np.ndarray:
+    y, x = np.mgrid[0:height, 0:width]
+    return np.stack([x * 255 // width, y * 255 // height, (x + y) % 256], axis=-1).astype(np.uint8)
+
+
+def pillow(data: bytes) -> np.ndarray:
+    return np.asarray(Image.open(io.BytesIO(data)).convert("RGB"))
+
+
+@given(st.integers(1, 70), st.integers(1, 70), st.integers(10, 100), st.sampled_from([0, 1, 2]))
+@settings(max_examples=60, deadline=None)
+def test_pixels_are_those_of_pillow_bit_for_bit(height: int, width: int, quality: int, sampling: int) -> None:
+    stream = io.BytesIO()
+    Image.fromarray(smooth(height, width)).save(stream, "JPEG", quality=quality, subsampling=sampling)
+    data = stream.getvalue()
+    np.testing.assert_array_equal(decode_image(data), pillow(data))
+    out = np.zeros((height, width, 3), np.uint8)
+    assert decode_image(memoryview(data), out) is out
+    np.testing.assert_array_equal(out, pillow(data))
+    assert image_size(data) == (height, width)
+
+
+def test_grey_and_progressive_jpegs_are_rgb() -> None:
+    for options in ({"progressive": True}, {"optimize": True}):
+        stream = io.BytesIO()
+        Image.fromarray(smooth(20, 30)).save(stream, "JPEG", **options)
+        np.testing.assert_array_equal(decode_image(stream.getvalue()), pillow(stream.getvalue()))
+    stream = io.BytesIO()
+    Image.fromarray(smooth(20, 30)[..., 0]).save(stream, "JPEG")
+    np.testing.assert_array_equal(decode_image(stream.getvalue()), pillow(stream.getvalue()))
+
+
+def test_without_simplejpeg_pillow_decodes(monkeypatch: pytest.MonkeyPatch) -> None:
+    data = encode_jpeg(PICTURES)
+    reference = decode_image(data).copy()
+    monkeypatch.setitem(__import__("sys").modules, "simplejpeg", None)
+    monkeypatch.setattr(module, "_JPEG", [module._first_jpeg_decoder])
+    np.testing.assert_array_equal(decode_image(data), reference)
+    with pytest.raises(ValueError, match="cannot be decoded"):
+        decode_image(data[: len(data) // 2])
+
+
+@pytest.mark.parametrize("kind", ["PNG", "WEBP"])
+def test_lossless_formats_keep_their_pixels(kind: str) -> None:
+    stream = io.BytesIO()
+    Image.fromarray(PICTURES).save(stream, kind, lossless=True)
+    np.testing.assert_array_equal(decode_image(stream.getvalue()), PICTURES)
+    np.testing.assert_array_equal(decode_image(encode_image(PICTURES, "png")), PICTURES)
+
+
+def test_same_pixels_give_the_same_bytes() -> None:
+    assert encode_image(PICTURES) == encode_image(PICTURES.copy())
+    assert np.abs(decode_image(encode_image(smooth(40, 40))).astype(int) - smooth(40, 40)).mean() < 4
+
+
+@given(st.data())
+@settings(max_examples=150, deadline=None)
+def test_damaged_jpegs_raise_or_give_whole_pictures(data: st.DataObject) -> None:
+    """Whatever bytes are flipped or lost, nothing half-decoded and nothing but ValueError comes out."""
+    whole = bytearray(encode_jpeg(smooth(24, 32)))
+    for _ in range(data.draw(st.integers(0, 4))):
+        whole[data.draw(st.integers(0, len(whole) - 1))] = data.draw(st.integers(0, 255))
+    cut = bytes(whole[: data.draw(st.integers(0, len(whole)))])
+    try:
+        pixels = decode_image(cut)
+    except ValueError:
+        return
+    assert pixels.dtype == np.uint8
+    assert pixels.ndim == 3
+    assert pixels.shape[2] == 3
+
+
+@pytest.mark.parametrize("keep", [0.3, 0.6, 0.9, 0.99])
+def test_a_cut_jpeg_is_never_decoded(keep: float) -> None:
+    data = encode_jpeg(smooth(60, 80))
+    with pytest.raises(ValueError, match="cannot be decoded"):
+        decode_image(data[: int(keep * len(data))])
+
+
+def test_bombs_are_refused_before_decoding() -> None:
+    data = bytearray(encode_jpeg(PICTURES))
+    start = data.find(b"\xff\xc0")
+    data[start + 5 : start + 9] = b"\xff\xff\xff\xff"
+    with pytest.raises(ValueError, match="65535 x 65535 pixels; the limit is 16,777,216"):
+        decode_image(bytes(data))
+    with pytest.raises(ValueError, match="the limit is"):
+        image_size(b"\xff\xd8\xff" + bytes(MAX_IMAGE_BYTES))
+
+
+def test_other_bytes_are_named() -> None:
+    for data in (b"", b"GIF89a..", b"\xff\xd8\xff", b"RIFFxxxx"):
+        with pytest.raises(ValueError, match="expected a"):
+            decode_image(data)
+
+
+def test_batches(single_folder: Path) -> None:
+    images = realtouch.load(single_folder)[0].sensor_image
+    every = images[:]
+    assert every.shape == (5, 72, 96, 3)
+    for index in (slice(1, 4), slice(None, None, -2), [0, -1], np.array([3, 3]), np.arange(5) % 2 == 0):
+        np.testing.assert_array_equal(images[index], every[index])
+    np.testing.assert_array_equal(images[-1], every[4])
+    np.testing.assert_array_equal(np.stack(list(images)), every)
+    out = np.empty_like(every)
+    assert images.batch(threads=2, out=out) is out
+    np.testing.assert_array_equal(out, every)
+    assert images[0:0].shape == (0, 0, 0, 3)
+    with pytest.raises(IndexError, match="touch 5 is out of range for 5 touches"):
+        images[5]
+    with pytest.raises(IndexError, match="out of range"):
+        images[[0, 5]]
+    with pytest.raises(TypeError):
+        images["0"]
+    assert bytes(images.encoded(0))[:2] == b"\xff\xd8"
+
+
+def test_touches_of_many_rounds_in_one_batch(single_folder: Path) -> None:
+    touches = realtouch.load(single_folder).touches()
+    order = [14, 0, 3, 2, 7, 7, 1]
+    batch = touches.images(order, threads=2)
+    np.testing.assert_array_equal(batch, np.stack([touches[index].image for index in order]))
+
+
+@given(st.integers(0, 9), st.lists(st.integers(-9, 8), max_size=12))
+@settings(deadline=None)
+def test_positions_agree_with_numpy(count: int, index: list[int]) -> None:
+    reference = np.arange(count)
+    try:
+        expected = reference[np.asarray(index, int)]
+    except IndexError:
+        with pytest.raises(IndexError):
+            positions_of(index, count)
+    else:
+        assert list(positions_of(index, count)) == expected.tolist()
+
+
+def test_threads_share_a_round(single_folder: Path) -> None:
+    images = realtouch.load(single_folder)[0].sensor_image
+    expected, wrong = images[:], []
+
+    def read() -> None:
+        for touch in range(5):
+            if not np.array_equal(images[touch], expected[touch]):
+                wrong.append(touch)
+
+    threads = [threading.Thread(target=read) for _ in range(4)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert not wrong
+
+
+def test_records_are_no_reference_cycles(single_folder: Path, seq_folder: Path) -> None:
+    for folder in (single_folder, seq_folder):
+        touches = realtouch.load(folder).touches()
+        _ = touches[0].image
+        gc.collect()
+        gc.disable()
+        try:
+            for index in range(len(touches)):
+                touch = touches[index]
+                _ = touch.image, touch.gel_pose, touch.round.info, touch.pos_in_cell_m
+            del touch
+            kinds = ("TouchSingleRound", "TouchSeqRound", "SensorImages", "SensorClips", "TouchClip")
+            alive = [thing for thing in gc.get_objects() if type(thing).__name__ in kinds]
+            assert alive == []
+        finally:
+            gc.enable()

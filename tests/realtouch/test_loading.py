@@ -1,0 +1,265 @@
+"""Opening sets: all the ways in which they may be stored read alike."""
+
+from __future__ import annotations
+
+import os
+import pickle
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pyarrow.parquet as pq
+import pytest
+
+import realtouch
+from dataset_store.errors import InputError, IntegrityError
+from realtouch.fields import contact_z_m
+from tests.realtouch import factories
+from tests.realtouch.factories import Layout, RoundTruth
+
+LAYOUTS = {
+    "flat": Layout(),
+    "nested": Layout(nested=True),
+    "seconds": Layout(seconds=True),
+    "ragged": Layout(padded=False),
+    "unfixed": Layout(fixed=False),
+    "shards": Layout(shards=3, group_rows=1),
+    "null padding": Layout(pad_null=True),
+    "all at once": Layout(nested=True, seconds=True, padded=False, fixed=False, shards=2),
+    "nested null padding": Layout(nested=True, pad_null=True, fixed=False, seconds=True),
+}
+
+
+def assert_common(record: realtouch.TouchRound, truth: RoundTruth) -> None:
+    assert (record.id, record.label, record.object_id) == (truth.id, truth.label, truth.object_id)
+    assert record.touch_count == len(truth.touches)
+    np.testing.assert_array_equal(record.pos_in_cell_m, truth.pos_in_cell_m)
+    np.testing.assert_array_equal(record.pos_in_cell, truth.pos_in_cell_m)
+    assert record.info["gel_id"] == truth.gel_id
+    np.testing.assert_allclose(record.info["object_pose"].translation, [0, 0.001 * truth.label, 0])
+
+
+@pytest.mark.parametrize("layout", LAYOUTS.values(), ids=LAYOUTS.keys())
+def test_every_field_of_clips(layout: Layout, truth: list[RoundTruth], tmp_path: Path) -> None:
+    factories.write_set(tmp_path, {"train": factories.seq_rows(truth, layout)}, "seq", layout)
+    dataset = realtouch.load(tmp_path)
+    assert isinstance(dataset, realtouch.TouchSeqDataset)
+    assert len(dataset) == len(truth)
+    for record, expected in zip(dataset, truth, strict=True):
+        assert_common(record, expected)
+        lengths = [touch.frames for touch in expected.touches]
+        assert record.video_length_frames.tolist() == lengths
+        for touch, made in enumerate(expected.touches):
+            poses = record.gel_pose_cell_frame_seq[touch]
+            np.testing.assert_array_equal(poses.position_m, made.position_m)
+            np.testing.assert_array_equal(poses.quaternion, made.quaternion)
+            stamps = record.time_stamp_rel_seq[touch] / np.timedelta64(1, "s")
+            np.testing.assert_allclose(stamps, made.time_s, atol=1e-9)
+            clip = record.sensor_video[touch]
+            assert len(clip) == made.frames
+            assert (clip.contact_window.start, clip.contact_window.stop - 1) == (
+                made.contact_start,
+                made.contact_end,
+            )
+        starts = record.touch_start_time_rel / np.timedelta64(1, "s")
+        np.testing.assert_allclose(starts, [t.time_s[t.contact_start] for t in expected.touches], atol=1e-9)
+        np.testing.assert_allclose(
+            contact_z_m(record._row, "seq"), [t.position_m[:, 2].min() for t in expected.touches]
+        )
+
+
+@pytest.mark.parametrize("layout", [Layout(), Layout(nested=True, fixed=False, shards=2)])
+def test_every_field_of_images(
+    layout: Layout, truth: list[RoundTruth], single_rows: list[dict], tmp_path: Path
+) -> None:
+    factories.write_set(tmp_path, {"train": single_rows}, "single", layout)
+    dataset = realtouch.load(tmp_path)
+    assert isinstance(dataset, realtouch.TouchSingleDataset)
+    for record, expected in zip(dataset, truth, strict=True):
+        assert_common(record, expected)
+        positions = [touch.position_m[touch.peak] for touch in expected.touches]
+        np.testing.assert_array_equal(record.gel_pose_cell_frame.position_m, positions)
+        for touch, made in enumerate(expected.touches):
+            image = record.sensor_image[touch]
+            assert image.dtype == np.uint8
+            assert np.abs(image.astype(int) - made.pixels[made.peak]).mean() < 3
+            matrix = record.gel_pose_cell_frame[touch].as_matrix()
+            np.testing.assert_allclose(matrix[:3, 3], made.position_m[made.peak])
+            np.testing.assert_allclose(matrix[:3, :3].T @ matrix[:3, :3], np.eye(3), atol=1e-12)
+
+
+def test_one_file_several_files_and_a_folder_read_alike(single_folder: Path) -> None:
+    files = sorted((single_folder / "data").glob("train-*.parquet"))
+    ids = [record.id for record in realtouch.load(single_folder)]
+    assert [record.id for record in realtouch.load(files)] == ids
+    assert [record.id for file in files for record in realtouch.load(str(file))] == ids
+    assert [record.id for record in realtouch.load(single_folder, streaming=True)] == ids
+    assert len(realtouch.load(single_folder, "test")) == 1
+
+
+def test_opening_reads_no_row(single_folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def refuse(*_: object, **__: object) -> None:
+        pytest.fail("a row was read")
+
+    for reader in ("read_row_groups", "iter_batches", "read", "read_row_group"):
+        monkeypatch.setattr(pq.ParquetFile, reader, refuse)
+    dataset = realtouch.load(single_folder)
+    assert len(dataset) == 3
+    assert len(dataset.touches()) == 15  # the lists have a fixed length in the schema
+
+
+def test_filters_never_read_images(seq_folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    asked: list[str] = []
+    original = pq.ParquetFile.iter_batches
+
+    def spy(self: pq.ParquetFile, size: int, groups: list[int], columns: list[str], **options: object):
+        asked.extend(columns or ["everything"])
+        return original(self, size, groups, columns, **options)
+
+    monkeypatch.setattr(pq.ParquetFile, "iter_batches", spy)
+    dataset = realtouch.load(seq_folder)
+    touches = dataset.touches().with_contact().labels(0, "1").objects(4000, 4001)
+    assert len(touches.where(lambda touch: touch.pos_in_cell_m[0] > 0)) <= len(touches) == 8
+    assert asked
+    assert not {"sensor_video", "everything"} & set(asked)
+
+
+def test_where_may_look_at_the_picture(single_folder: Path) -> None:
+    touches = realtouch.load(single_folder).touches()
+    bright = [touch.image.mean() > 120 for touch in touches]
+    assert [touch.round_id for touch in touches.where(lambda touch: touch.image.mean() > 120)] == [
+        touch.round_id for touch, wanted in zip(touches, bright, strict=True) if wanted
+    ]
+
+
+def test_rounds_are_chosen_joined_and_filtered(single_folder: Path) -> None:
+    dataset = realtouch.load(single_folder)
+    assert [record.label for record in dataset[1:]] == [1, 2]
+    assert [record.label for record in dataset[[2, 0]]] == [2, 0]
+    assert [record.label for record in dataset[np.array([True, False, True])]] == [0, 2]
+    assert [record.label for record in dataset.filter_labels(["1", 2])] == [1, 2]
+    both = dataset + dataset[::-1]
+    assert [record.label for record in both] == [0, 1, 2, 2, 1, 0]
+    assert [touch.label for touch in both.touches()][-5:] == [0] * 5
+    assert len(both.touches().with_contact()) == 24
+    assert dataset.by_label()["1"][0].id == dataset[1].id
+
+
+def test_records_are_frozen_and_pickle(seq_folder: Path, single_folder: Path) -> None:
+    for folder in (seq_folder, single_folder):
+        record = realtouch.load(folder)[1]
+        with pytest.raises(AttributeError, match="frozen"):
+            record.id = "other"
+        again = pickle.loads(pickle.dumps(record))
+        assert (again.id, again.label) == (record.id, record.label)
+        np.testing.assert_array_equal(again.pos_in_cell_m, record.pos_in_cell_m)
+        touch = pickle.loads(pickle.dumps(realtouch.load(folder).touches()[6]))
+        np.testing.assert_array_equal(touch.image, realtouch.load(folder).touches()[6].image)
+    images = pickle.loads(pickle.dumps(realtouch.load(single_folder)[1].sensor_image))
+    np.testing.assert_array_equal(images[3], realtouch.load(single_folder)[1].sensor_image[3])
+    clip = pickle.loads(pickle.dumps(realtouch.load(seq_folder)[1].sensor_video[2]))
+    np.testing.assert_array_equal(clip[9], realtouch.load(seq_folder)[1].sensor_video[2][9])
+    with pytest.raises(AttributeError, match="frozen"):
+        touch.round = record
+
+
+def test_a_pickled_touch_carries_its_own_bytes_only(single_folder: Path) -> None:
+    dataset = realtouch.load(single_folder)
+    touch = dataset.touches()[3]
+    assert len(pickle.dumps(touch)) < 0.6 * len(pickle.dumps(dataset[0]))
+
+
+def test_data_sets_pickle_as_their_paths(single_folder: Path) -> None:
+    dataset = realtouch.load(single_folder)
+    dataset.touches().with_contact()
+    content = pickle.dumps(dataset.touches())
+    assert len(content) < 2000
+    assert pickle.loads(content)[4].round_id == dataset[0].id
+
+
+def test_missing_columns_are_named_when_asked_for(seq_rows: list[dict], tmp_path: Path) -> None:
+    layout = Layout(leave_out=("object_id", "touch_start_time_rel", "gel_pose_cell_frame_seq.position"))
+    factories.write_set(tmp_path, {"train": seq_rows[:1]}, "seq", layout)
+    dataset = realtouch.load(tmp_path)
+    record = dataset[0]
+    assert record.label == 0
+    assert record.sensor_video[0][0].shape == (72, 96, 3)
+    for ask, column in (
+        (lambda: record.object_id, "object_id"),
+        (lambda: record.touch_start_time_rel, "touch_start_time_rel"),
+        (lambda: record.sensor_video[0].contact_window, "touch_start_time_rel"),
+        (lambda: record.gel_pose_cell_frame_seq, "gel_pose_cell_frame_seq.position"),
+        (lambda: dataset.touches().with_contact(), "gel_pose_cell_frame_seq.position"),
+    ):
+        with pytest.raises(InputError, match=f"no column '{column}'"):
+            ask()
+
+
+def test_a_set_of_neither_kind_is_refused(single_rows: list[dict], tmp_path: Path) -> None:
+    layout = Layout(leave_out=("sensor_image",))
+    factories.write_set(tmp_path, {"train": single_rows}, "single", layout)
+    with pytest.raises(InputError, match="expected a column 'sensor_video' or 'sensor_image'"):
+        realtouch.load(tmp_path)
+
+
+def test_what_is_not_there_is_named(tmp_path: Path, single_folder: Path) -> None:
+    with pytest.raises(InputError, match="neither a folder"):
+        realtouch.load(str(tmp_path / "nowhere"))
+    with pytest.raises(InputError, match="no split 'holdout'"):
+        realtouch.load(single_folder, "holdout")
+    with pytest.raises(InputError, match="no file"):
+        realtouch.load([tmp_path / "a.parquet"])
+    with pytest.raises(InputError, match="on_error"):
+        realtouch.load(single_folder, on_error="ignore")
+
+
+def test_a_file_cut_in_the_middle_is_named(single_folder: Path, tmp_path: Path) -> None:
+    whole = next((single_folder / "data").glob("test-*.parquet")).read_bytes()
+    cut = tmp_path / "test-00000-of-00001.parquet"
+    cut.write_bytes(whole[: len(whole) // 2])
+    with pytest.raises(
+        IntegrityError, match=r"test-00000-of-00001\.parquet.*whole Parquet file was expected"
+    ):
+        realtouch.load(cut)
+
+
+def test_short_names_reach_the_published_repositories(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    asked = []
+
+    def find(name: str, split: str, **options: object) -> tuple[()]:
+        asked.append((name, split, options))
+        raise InputError(name)
+
+    monkeypatch.setattr("realtouch.opening.find_shards", find)
+    with pytest.raises(InputError, match="touch-real-seq"):
+        realtouch.load("real-seq", revision="main", streaming=True)
+    assert asked == [
+        (
+            "TimSchneider42/tactile-mnist-touch-real-seq-t256-320x240",
+            "train",
+            {"revision": "main", "streaming": True},
+        )
+    ]
+
+
+def test_import_is_quick_and_light() -> None:
+    code = (
+        "import sys, realtouch; print(*(n for n in sys.modules if n in ('numpy', 'pyarrow', 'torch', 'av')))"
+    )
+    environment = {**os.environ, "PYTHONDONTWRITEBYTECODE": "1"}
+    run = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=True, env=environment
+    )
+    assert run.stdout.strip() == ""
+
+
+def test_public_names_exist() -> None:
+    for name in realtouch.__all__:
+        for _ in range(2):  # a module of the same name must not take the place of a function
+            assert not isinstance(getattr(realtouch, name), type(sys)), name
+    assert dir(realtouch) == sorted(realtouch.__all__)
+    with pytest.raises(AttributeError, match="no attribute 'nothing'"):
+        realtouch.nothing  # noqa: B018

@@ -1,0 +1,153 @@
+"""Tensors, in this process and in workers of every start method."""
+
+from __future__ import annotations
+
+import pickle
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import realtouch
+from dataset_store.errors import InputError, MissingExtraError
+
+torch = pytest.importorskip("torch", reason="torch (extra `torch`) is not installed")
+pytest.importorskip("torchvision", reason="torchvision (extra `torch`) is not installed")
+
+pytestmark = [pytest.mark.torch, pytest.mark.filterwarnings("ignore")]
+
+
+def squared(touch: realtouch.Touch) -> int:
+    """A target of one's own; top-level, so that it pickles."""
+    return touch.label**2
+
+
+@pytest.fixture
+def images(single_folder: Path) -> Any:
+    from realtouch.torch import TouchTensors
+
+    return TouchTensors(realtouch.load(single_folder))
+
+
+def test_items_are_tv_tensors(images: Any, single_folder: Path, seq_folder: Path) -> None:
+    from torchvision.tv_tensors import Image, Video
+
+    from realtouch.torch import TouchTensors
+
+    touches = realtouch.load(single_folder).touches()
+    image, label = images[7]
+    assert isinstance(image, Image)
+    assert (tuple(image.shape), image.dtype, label) == ((3, 72, 96), torch.uint8, 1)
+    np.testing.assert_array_equal(image.numpy().transpose(1, 2, 0), touches[7].image)
+
+    clips = TouchTensors(realtouch.load(seq_folder).touches().with_contact(), target="object_id")
+    clip, object_id = clips[5]
+    assert isinstance(clip, Video)
+    expected = clips.touches[5]
+    assert object_id == expected.object_id
+    np.testing.assert_array_equal(clip.numpy().transpose(0, 2, 3, 1), expected.clip.frames())
+    frame = TouchTensors(realtouch.load(seq_folder), target=None, frames="peak")[3]
+    assert isinstance(frame, Image)
+    np.testing.assert_array_equal(
+        frame.numpy().transpose(1, 2, 0), realtouch.load(seq_folder)[0].sensor_video[3].contact_frame("peak")
+    )
+
+
+def test_targets(single_folder: Path) -> None:
+    from realtouch.torch import TouchTensors
+
+    dataset = realtouch.load(single_folder)
+    touch = dataset.touches()[6]
+    assert TouchTensors(dataset, target="round_id")[6][1] == touch.round_id
+    np.testing.assert_allclose(
+        TouchTensors(dataset, target="pos_in_cell")[6][1], touch.pos_in_cell_m, rtol=1e-6
+    )
+    np.testing.assert_allclose(
+        TouchTensors(dataset, target="gel_position")[6][1], touch.gel_pose.translation, rtol=1e-6
+    )
+    assert TouchTensors(dataset, target=squared)[12][1] == 4
+    with pytest.raises(InputError, match="no target 'taste'"):
+        TouchTensors(dataset, target="taste")
+
+
+def test_batches_equal_items(images: Any) -> None:
+    order = [14, 3, 3, 0]
+    for (one, label), index in zip(images.__getitems__(order), order, strict=True):
+        assert torch.equal(one, images[index][0])
+        assert type(one) is type(images[index][0])
+        assert label == images[index][1]
+
+
+def test_transforms_apply(single_folder: Path) -> None:
+    from torchvision.transforms import v2
+
+    from realtouch.torch import TouchTensors
+
+    pipeline = v2.Compose([v2.Resize((32, 32)), v2.ToDtype(torch.float32, scale=True)])
+    data = TouchTensors(realtouch.load(single_folder), pipeline)
+    for image, _ in (data[2], data.__getitems__([2])[0]):
+        assert (tuple(image.shape), image.dtype) == ((3, 32, 32), torch.float32)
+        assert 0 <= float(image.min()) <= float(image.max()) <= 1
+
+
+@pytest.mark.parametrize("method", ["fork", "spawn", "forkserver"])
+def test_workers_of_every_start_method(images: Any, method: str) -> None:
+    _ = images[0]  # opened in the parent, too
+    loader = torch.utils.data.DataLoader(
+        images, batch_size=4, shuffle=False, num_workers=2, multiprocessing_context=method, timeout=120
+    )
+    batches = list(loader)
+    pixels = torch.cat([batch for batch, _ in batches])
+    labels = torch.cat([label for _, label in batches])
+    assert labels.tolist() == [0] * 5 + [1] * 5 + [2] * 5
+    np.testing.assert_array_equal(pixels.numpy().transpose(0, 2, 3, 1), images.touches.images())
+
+
+def test_streams_give_every_touch_once(single_folder: Path) -> None:
+    from realtouch.torch import TouchStreamTensors
+
+    expected = [(touch.label, touch.touch_index) for touch in realtouch.load(single_folder).touches()]
+    stream = realtouch.load(single_folder, streaming=True)
+    data = TouchStreamTensors(stream, target=identity)
+    assert [where for _, where in data] == expected
+    shuffled = TouchStreamTensors(stream, target=identity, shuffle_buffer=6, seed=1)
+    first = [where for _, where in shuffled]
+    assert first == [where for _, where in shuffled]
+    assert sorted(first) == expected
+    assert first != expected
+    shuffled.set_epoch(1)
+    assert [where for _, where in shuffled] != first
+    for workers in (2, 3):  # as many as shards, and more
+        loader = torch.utils.data.DataLoader(data, batch_size=None, num_workers=workers, timeout=120)
+        assert sorted(tuple(where) for _, where in loader) == expected
+
+
+def test_drawn_touches_keep_their_own_picture(single_folder: Path) -> None:
+    from realtouch.torch import TouchStreamTensors
+
+    touches = realtouch.load(single_folder).touches()
+    data = TouchStreamTensors(
+        realtouch.load(single_folder, streaming=True), target=identity, shuffle_buffer=4
+    )
+    for image, (label, touch_index) in data:
+        np.testing.assert_array_equal(
+            image.numpy().transpose(1, 2, 0), touches[label * 5 + touch_index].image
+        )
+
+
+def identity(touch: realtouch.Touch) -> tuple[int, int]:
+    return touch.label, touch.touch_index
+
+
+def test_data_sets_pickle_small(images: Any) -> None:
+    _ = images[0]
+    assert len(pickle.dumps(images)) < 3000
+
+
+def test_without_torch_the_extra_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "torch", None)
+    monkeypatch.delitem(sys.modules, "realtouch.torch", raising=False)
+    with pytest.raises(MissingExtraError, match=r"tactile-toolkit\[torch\]"):
+        __import__("realtouch.torch")
