@@ -248,8 +248,10 @@ def _sizes(text: str | None) -> tuple[tuple[str, int], ...] | None:
 def _run_generate(
     sink: Sink, spec: GenerateSpec, out: Path, splits: tuple[str, ...], workers: int, overwrite: bool
 ) -> None:
+    from dataset_store.lean import stay_on_one_core
     from mnist3d.generation import generate as make
 
+    stay_on_one_core()
     start_s = time.monotonic()
     made = 0
     with sink.progress("making digits", "digits") as update:

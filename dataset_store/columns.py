@@ -90,8 +90,9 @@ def list_array(rows: list[NDArray[Any]], value_type: Any, width: int = 3) -> Any
 
     offsets = np.zeros(len(rows) + 1, dtype=np.int32)
     np.cumsum([len(row) for row in rows], out=offsets[1:])
-    flat = np.concatenate([row.reshape(-1) for row in rows]) if rows else np.zeros(0)
-    inner = pa.FixedSizeListArray.from_arrays(pa.array(flat.astype(value_type.to_pandas_dtype())), width)
+    flat: Any = np.concatenate([row.reshape(-1) for row in rows]) if rows else []
+    # Not value_type.to_pandas_dtype(): it imports pandas, which takes a second.
+    inner = pa.FixedSizeListArray.from_arrays(pa.array(flat, value_type), width)
     return pa.ListArray.from_arrays(pa.array(offsets), inner, type=pa.list_(pa.list_(value_type, width)))
 
 

@@ -274,7 +274,8 @@ def _mapped(path: Path, block: int) -> Any:
     except FileNotFoundError:
         return None
     except (pa.ArrowInvalid, IndexError, OSError):
-        path.unlink(missing_ok=True)
+        with contextlib.suppress(OSError):  # a cache that cannot be written must not stop a reader
+            path.unlink(missing_ok=True)
         return None
     with contextlib.suppress(OSError):
         os.utime(path)  # the time of last use decides what leaves a full cache first

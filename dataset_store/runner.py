@@ -21,13 +21,12 @@ from dataclasses import dataclass
 from typing import Protocol, TypeVar
 
 from dataset_store.errors import ToolkitError
+from dataset_store.lean import become_worker
 
 __all__ = ["InlineRunner", "ProcessRunner", "Runner", "runner_for"]
 
 T = TypeVar("T")
 R = TypeVar("R")
-
-_ONE_THREAD = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMEXPR_NUM_THREADS")
 
 
 class Runner(Protocol):
@@ -125,9 +124,6 @@ def runner_for(workers: int) -> Runner:
 
 
 def _new_pool(workers: int) -> ProcessPoolExecutor:
-    # Processes are the unit of parallelism; threads inside them would only compete.
-    for name in _ONE_THREAD:
-        os.environ.setdefault(name, "1")
     # spawn: workers start clean whatever threads and file handles the caller's notebook holds.
     context = multiprocessing.get_context("spawn")
     return ProcessPoolExecutor(workers, mp_context=context, initializer=_prepare_worker)
@@ -159,6 +155,7 @@ def _main_hidden() -> Iterator[None]:
 def _prepare_worker() -> None:
     # Ctrl-C goes to the whole process group: the parent alone decides what happens to the work.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
+    become_worker()
     parent = multiprocessing.parent_process()
     if parent is not None:
         threading.Thread(target=_leave_with, args=(parent,), daemon=True).start()

@@ -64,8 +64,8 @@ class PrintProfile:
         Slopes that lean out further than this from the vertical need support.
     max_overhang_share : float
         Overhanging area over the area of the middle section above which it is warned of. The round
-        undersides of the digits overhang by design, by 0.47 to 0.71 of it (99 % of 119 real ones, every fourth, below
-        0.70).
+        undersides of the digits overhang by design, by 0.47 to 0.71 of it (99 % of 119 real ones, every
+        fourth, below 0.70).
     min_contact_mm2 : float
         Smaller first layers are warned of. Digits with ink 28 px wide have 10 mm^2, with 35 px 100 mm^2 or
         more.

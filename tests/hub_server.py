@@ -1,7 +1,7 @@
 """A Hub on 127.0.0.1 that serves data set repositories from a folder: enough of it to list, head and fetch.
 
-``ROOT/USER/NAME/...`` are the files of repository ``USER/NAME``. Every file sent is noted, so that tests can say
-what was fetched and what was not.
+``ROOT/USER/NAME/...`` are the files of repository ``USER/NAME``. Every file sent is noted, so that tests can
+say what was fetched and what was not.
 """
 
 from __future__ import annotations
