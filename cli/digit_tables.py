@@ -5,14 +5,13 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from cli.output import Sink, bytes_text, duration_text
+from cli.output import Sink, bytes_text
 
 if TYPE_CHECKING:
     from dataset_store.manifest import Manifest
-    from mnist3d.generation import GenerateSpec
     from mnist3d.summary import SplitSummary
 
-__all__ = ["print_forecast", "print_made"]
+__all__ = ["print_made"]
 
 
 def print_made(sink: Sink, manifest: Manifest, out: Path, elapsed_s: float | None = None) -> None:
@@ -67,18 +66,3 @@ def _made_row(summary: SplitSummary) -> tuple[object, ...]:
 
 def _range(spread: tuple[float, ...]) -> str:
     return f"{spread[0]:.1f}-{spread[-1]:.1f}" if spread else "-"
-
-
-def print_forecast(sink: Sink, spec: GenerateSpec, out: Path, splits: tuple[str, ...], workers: int) -> None:
-    """Print what a run would make."""
-    from mnist3d.forecast import forecast
-
-    view = forecast(spec, str(out), splits, workers)
-    sink.document(view.to_dict())
-    header = ("split", "digits", "shards", "finished already")
-    sink.table(header, [(entry.split, entry.digits, entry.shards, entry.finished) for entry in view.splits])
-    sink.line(
-        f"would make {view.digits_to_make:,} digits in {out}: about {bytes_text(view.bytes)} of Parquet, "
-        f"about {duration_text(view.seconds)} with {workers} workers (measured on {view.sampled} digits); "
-        "nothing was written"
-    )

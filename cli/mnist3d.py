@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 import sys
-import time
 from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -12,14 +11,14 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from cli.digit_source import InkName, SourceName, digit_source
-from cli.digit_tables import print_forecast, print_made
+from cli.digit_tables import print_made
 from cli.failures import EXIT_FAILED, reports_errors, run
+from cli.making import make_with_progress, print_forecast
 from cli.options import DryRun, Folder, Json, Limit, Out, Overwrite, Quiet, Seed, Workers
-from cli.output import Sink, duration_text, flat_lines
+from cli.output import Sink, flat_lines
 from cli.verification import verify_folder
 
 if TYPE_CHECKING:
-    from dataset_store.build import Progress
     from mnist3d.generation import GenerateSpec
 
 __all__ = ["app", "main"]
@@ -150,7 +149,9 @@ def generate(
     sink = Sink(as_json, quiet)
     count = workers or os.cpu_count() or 1
     if dry_run:
-        print_forecast(sink, spec, out, splits, count)
+        from mnist3d.forecast import forecast
+
+        print_forecast(sink, forecast(spec, str(out), splits, count), "digits", out, count)
     else:
         _run_generate(sink, spec, out, splits, count, overwrite)
 
@@ -252,18 +253,12 @@ def _run_generate(
     from mnist3d.generation import generate as make
 
     stay_on_one_core()
-    start_s = time.monotonic()
-    made = 0
-    with sink.progress("making digits", "digits") as update:
-
-        def on_progress(progress: Progress) -> None:
-            nonlocal made
-            made = progress.done
-            update(progress.done, progress.total)
-
-        manifest = make(spec, str(out), splits, workers=workers, overwrite=overwrite, on_progress=on_progress)
-    elapsed_s = time.monotonic() - start_s
-    print_made(sink, manifest, out, elapsed_s)
-    done = f"made {made:,} digits in {duration_text(elapsed_s)}" if made else "nothing was left to make"
-    sink.line(f"{done}; the data set is in {out}")
+    made = make_with_progress(
+        sink,
+        "making digits",
+        "digits",
+        lambda tell: make(spec, str(out), splits, workers=workers, overwrite=overwrite, on_progress=tell),
+    )
+    print_made(sink, made.manifest, out, made.elapsed_s)
+    sink.line(made.sentence("digits", out))
     sink.line(f"next: mnist3d validate {out}   or in Python: mnist3d.load({str(out)!r}, split={splits[0]!r})")

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import typer
 
 from cli.failures import reports_errors, run
+from cli.making import make_with_progress
 from cli.options import Json, Limit, Overwrite, Quiet, Workers
 from cli.output import Sink
 from cli.touch_tables import print_made, print_summary, raise_findings
@@ -354,9 +355,7 @@ def main() -> None:
 
 def _run(sink: Sink, make: Callable[[Callable[[Progress], None]], Manifest], out: Path) -> None:
     """Run a conversion with a progress bar and say what it made."""
-    with sink.progress("converting", "rounds") as update:
-        manifest = make(lambda progress: update(progress.done, progress.total))
-    print_made(sink, manifest, out)
+    print_made(sink, make_with_progress(sink, "converting", "rounds", make).manifest, out)
 
 
 def _verified(

@@ -5,14 +5,13 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from cli.output import Sink, bytes_text, duration_text
+from cli.output import Sink, bytes_text
 
 if TYPE_CHECKING:
     from dataset_store.manifest import Manifest
-    from starstruck_gen.generation import GenerateSpec
     from starstruck_gen.summary import SplitSummary
 
-__all__ = ["print_acceptance", "print_forecast", "print_made"]
+__all__ = ["print_acceptance", "print_made"]
 
 
 def print_made(sink: Sink, manifest: Manifest, out: Path, elapsed_s: float | None = None) -> None:
@@ -65,18 +64,3 @@ def print_acceptance(sink: Sink, manifest: Manifest) -> None:
         ]
         header = ("object", "placed", "positions drawn", "per object")
         sink.table(header, rows, f"{summary.split}: positions drawn by object of a scene")
-
-
-def print_forecast(sink: Sink, spec: GenerateSpec, out: Path, splits: tuple[str, ...], workers: int) -> None:
-    """Print what a run would make, how large and how long."""
-    from starstruck_gen.forecast import forecast
-
-    view = forecast(spec, str(out), splits, workers)
-    sink.document(view.to_dict())
-    header = ("split", "scenes", "shards", "finished already")
-    sink.table(header, [(entry.split, entry.scenes, entry.shards, entry.finished) for entry in view.splits])
-    sink.line(
-        f"would make {view.scenes_to_make:,} scenes in {out}: about {bytes_text(view.bytes)} of Parquet, "
-        f"about {duration_text(view.seconds)} with {workers} workers (measured on {view.sampled} scenes); "
-        "nothing was written"
-    )

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 import sys
-import time
 from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -12,14 +11,14 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from cli.failures import EXIT_FAILED, reports_errors, run
+from cli.making import make_with_progress, print_forecast
 from cli.options import DryRun, Folder, Json, Limit, Out, Overwrite, Quiet, Seed, Workers
-from cli.output import Sink, duration_text, flat_lines
+from cli.output import Sink, flat_lines
 from cli.scene_options import CollisionName, scene_spec, split_sizes
-from cli.scene_tables import print_acceptance, print_forecast, print_made
+from cli.scene_tables import print_acceptance, print_made
 from cli.verification import verify_folder
 
 if TYPE_CHECKING:
-    from dataset_store.build import Progress
     from dataset_store.manifest import Manifest
     from starstruck_gen.generation import GenerateSpec
 
@@ -118,7 +117,9 @@ def generate(
     sink = Sink(as_json, quiet)
     count = workers or os.cpu_count() or 1
     if dry_run:
-        print_forecast(sink, spec, out, splits, count)
+        from starstruck_gen.forecast import forecast
+
+        print_forecast(sink, forecast(spec, str(out), splits, count), "scenes", out, count)
     else:
         _run_generate(sink, spec, out, splits, count, overwrite)
 
@@ -207,23 +208,17 @@ def _run_generate(
 ) -> None:
     from starstruck_gen.generation import generate as make
 
-    start_s = time.monotonic()
-    made = 0
-    with sink.progress("making scenes", "scenes") as update:
-
-        def on_progress(progress: Progress) -> None:
-            nonlocal made
-            made = progress.done
-            update(progress.done, progress.total)
-
-        manifest = make(spec, str(out), splits, workers=workers, overwrite=overwrite, on_progress=on_progress)
-    elapsed_s = time.monotonic() - start_s
-    print_made(sink, manifest, out, elapsed_s)
-    done = f"made {made:,} scenes in {duration_text(elapsed_s)}" if made else "nothing was left to make"
-    sink.line(f"{done}; the data set is in {out}")
+    made = make_with_progress(
+        sink,
+        "making scenes",
+        "scenes",
+        lambda tell: make(spec, str(out), splits, workers=workers, overwrite=overwrite, on_progress=tell),
+    )
+    print_made(sink, made.manifest, out, made.elapsed_s)
+    sink.line(made.sentence("scenes", out))
     sink.line(
         f"next: starstruck validate {out}   or in Python: "
-        f"starstruck_gen.load({str(out)!r}, split={manifest.splits[0]!r})"
+        f"starstruck_gen.load({str(out)!r}, split={made.manifest.splits[0]!r})"
     )
 
 

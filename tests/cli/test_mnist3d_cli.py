@@ -75,8 +75,8 @@ def test_dry_run_writes_nothing(tmp_path, capsys, folder):
     before = folder_bytes(folder)
     assert call("generate", *SMALL, "--out", folder, "--dry-run", "--json") == 0
     view = json.loads(capsys.readouterr().out)
-    assert view["digits_to_make"] == 0
-    assert view["splits"] == [{"split": "test", "digits": 10, "shards": 1, "finished": 10}]
+    assert view["rows_to_make"] == 0
+    assert view["splits"] == [{"split": "test", "rows": 10, "shards": 1, "finished": 10}]
     assert folder_bytes(folder) == before
 
 
