@@ -189,7 +189,11 @@ def build(
         _clear(folder)
     state = inspect_folder(folder, plan)
     _prepare(folder, state)
-    receipts = [*state.kept, *_run(folder, plan, runner, state, on_progress)]
+    try:
+        receipts = [*state.kept, *_run(folder, plan, runner, state, on_progress)]
+    except BaseException:
+        _remove_leavings(folder)  # of workers that were stopped in the middle of a file
+        raise
     return _finish(folder, plan, state.manifest.with_receipts(receipts))
 
 
@@ -223,13 +227,17 @@ def inspect_folder(folder: DataFolder, plan: BuildPlan) -> BuildState:
 
 
 def _prepare(folder: DataFolder, state: BuildState) -> None:
-    for place in ("", DATA_FOLDER, PARTS_FOLDER, "reports"):
-        folder.remove_stale_temporaries(place)
+    _remove_leavings(folder)
     if state.todo:
         # Named before the first shard, so that an interrupted folder knows what it was to become.
         redone = {task.shard for task in state.todo}
         receipts = tuple(entry for entry in state.manifest.receipts if entry.shard not in redone)
         write_manifest(folder, replace(state.manifest, receipts=receipts, complete=False))
+
+
+def _remove_leavings(folder: DataFolder) -> None:
+    for place in ("", DATA_FOLDER, PARTS_FOLDER, "reports"):
+        folder.remove_stale_temporaries(place)
 
 
 def _run(
@@ -284,7 +292,8 @@ def _report_check(folder: DataFolder, plan: BuildPlan) -> Callable[[Receipt], bo
 
 
 def _part_receipts(folder: DataFolder) -> list[Receipt]:
-    names = [name for name in folder.names(PARTS_FOLDER) if name.endswith(".json")]
+    # Names with a dot in front are receipts that a writer has not finished, or never will.
+    names = [n for n in folder.names(PARTS_FOLDER) if n.endswith(".json") and not n.startswith(".")]
     texts = [folder.read_bytes(f"{PARTS_FOLDER}/{name}") for name in names]
     return [Receipt.from_dict(json.loads(text)) for text in texts]
 

@@ -14,7 +14,7 @@ from dataset_store.rowgroups import Shard
 from dataset_store.shards import DATA_FOLDER, ShardName
 from dataset_store.storage import DataFolder
 
-__all__ = ["ShardFile", "available_splits", "find_shards"]
+__all__ = ["ShardFile", "available_splits", "find_shards", "splits_of"]
 
 _HUB_NAME = re.compile(r"(?:hf://datasets/)?(?P<repo>[\w.-]+/[\w.-]+)")
 
@@ -57,6 +57,13 @@ def find_shards(
         return (Shard(str(place)),)
     if place.is_dir():
         return _local_shards(DataFolder(str(place)), split)
+    repository = _repository(name, revision)
+    files = _of_split(_shard_files(repository.files()), split, name)
+    addresses = [repository.address(f.path) if streaming else repository.fetch(f.path) for f in files]
+    return tuple(Shard(address) for address in addresses)
+
+
+def _repository(name: str, revision: str | None) -> HubRepository:
     match = _HUB_NAME.fullmatch(name)
     if match is None or name.startswith((".", "/", "~")):
         message = (
@@ -64,10 +71,38 @@ def find_shards(
             "next: check the path, or make a data set with `generate --out`"
         )
         raise InputError(message)
-    repository = HubRepository(match["repo"], revision)
-    files = _of_split(_shard_files(repository.files()), split, name)
-    addresses = [repository.address(f.path) if streaming else repository.fetch(f.path) for f in files]
-    return tuple(Shard(address) for address in addresses)
+    return HubRepository(match["repo"], revision)
+
+
+def splits_of(name: str, *, revision: str | None = None) -> tuple[str, ...]:
+    """List the splits of a data set by its name.
+
+    Parameters
+    ----------
+    name : str
+        Local folder, Parquet file (which counts as ``train``), or repository of the Hub.
+    revision : str, optional
+        Branch, tag or commit of the repository.
+
+    Raises
+    ------
+    InputError
+        When the name is none of these, or holds no Parquet files.
+    HubError
+        The repository cannot be reached or does not exist.
+    """
+    place = Path(name).expanduser()
+    if place.is_file():
+        return ("train",)
+    if place.is_dir():
+        splits = available_splits(DataFolder(str(place)))
+    else:
+        files = _shard_files(_repository(name, revision).files())
+        splits = tuple(dict.fromkeys(file.split for file in files))
+    if not splits:
+        message = f"{name!r} holds no Parquet files; next: name the folder or repository of a data set"
+        raise InputError(message)
+    return splits
 
 
 def available_splits(folder: DataFolder) -> tuple[str, ...]:

@@ -12,7 +12,7 @@ import numpy as np
 
 from dataset_store.errors import InputError, IntegrityError
 from dataset_store.manifest import read_manifest
-from dataset_store.places import available_splits
+from dataset_store.places import splits_of
 from dataset_store.records import Row
 from dataset_store.rowgroups import Shard, ShardedTable
 from dataset_store.shards import file_sha256
@@ -32,6 +32,7 @@ from realtouch.fields import (
 )
 from realtouch.images import SensorImages
 from realtouch.jpeg import decode_image, image_size
+from realtouch.names import repository_of
 from realtouch.opening import open_shards
 from realtouch.rounds import TouchRound, TouchSeqRound, TouchSingleRound
 from realtouch.schema import MEDIA_COLUMN, kind_of, require_types
@@ -204,9 +205,8 @@ def _readable_shards(
 ) -> list[Shard]:
     """Open the shards; those that cannot be opened become findings."""
     readable = []
-    for shard in (
-        shard for part in _splits(name, split) for shard in open_shards(name, part, revision=revision)
-    ):
+    splits = (split,) if split is not None else splits_of(repository_of(name), revision=revision)
+    for shard in (shard for part in splits for shard in open_shards(name, part, revision=revision)):
         try:
             require_types(shard.schema, shard.path)
             readable.append(Shard(shard.path))
@@ -215,19 +215,6 @@ def _readable_shards(
     if readable:
         kind_of(readable[0].schema, name)
     return readable
-
-
-def _splits(name: str, split: str | None) -> tuple[str, ...]:
-    if split is not None:
-        return (split,)
-    place = Path(name).expanduser()
-    if place.is_dir():
-        splits = available_splits(DataFolder(name))
-        if not splits:
-            message = f"{name!r} holds no Parquet files; next: give the folder of a data set of touches"
-            raise InputError(message)
-        return splits
-    return ("train",) if place.is_file() else ("train", "test")
 
 
 def _usual_touch_count(name: str, shards: list[Shard]) -> int | None:

@@ -15,12 +15,13 @@ from typing import Any, Protocol
 from dataset_store.build import BuildPlan, Progress, ShardContent, build
 from dataset_store.errors import InputError, IntegrityError, ItemError
 from dataset_store.manifest import Manifest
-from dataset_store.places import available_splits
+from dataset_store.places import splits_of
 from dataset_store.records import Row
 from dataset_store.rowgroups import Shard
 from dataset_store.runner import Runner, runner_for
 from dataset_store.shards import ParquetStyle, ShardName, Skipped
 from dataset_store.storage import DataFolder
+from realtouch.names import repository_of
 from realtouch.opening import open_shards
 from realtouch.published import with_features
 from realtouch.schema import Kind, class_names, kind_of, require_types
@@ -29,7 +30,6 @@ __all__ = ["KIND", "Conversion", "RowChoice", "Source", "Step", "convert", "plan
 
 KIND = "realtouch"
 
-_PUBLISHED_SPLITS = ("train", "test")
 _SHARD_BYTES = 256 << 20
 _GROUP_BYTES = 32 << 20
 _MOST_ROWS_PER_SHARD = 64
@@ -62,13 +62,7 @@ class Source:
         InputError, IntegrityError, HubError
             As :func:`realtouch.load`.
         """
-        place = Path(name).expanduser()
-        splits = available_splits(DataFolder(name)) if place.is_dir() else _PUBLISHED_SPLITS
-        if place.is_file():
-            splits = _PUBLISHED_SPLITS[:1]
-        if not splits:
-            message = f"{name!r} holds no Parquet files; next: give the folder of a data set of touches"
-            raise InputError(message)
+        splits = splits_of(repository_of(name), revision=revision)
         shards = {split: open_shards(name, split, revision=revision) for split in splits}
         for shard in (shard for found in shards.values() for shard in found):
             require_types(shard.schema, shard.path)

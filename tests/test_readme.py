@@ -1,25 +1,53 @@
-"""Everything in README runs, in a folder of its own."""
+"""Everything in README runs, in a folder of its own and against a Hub on 127.0.0.1."""
 
 from __future__ import annotations
 
+import os
 import re
 import shlex
 import subprocess
 import sys
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 
+from tests.hub_server import hub
+from tests.realtouch.factories import make_round, single_rows, write_set
+
 ROOT = Path(__file__).resolve().parents[1]
 TEXT = (ROOT / "README.md").read_text(encoding="utf-8")
 BLOCKS = re.findall(r"^```(\w+)\n(.*?)^```", TEXT, flags=re.MULTILINE | re.DOTALL)
+PUBLISHED = "TimSchneider42/tactile-mnist-touch-real-single-t256-64x64"
+
+
+def _text(language: str) -> str:
+    return "\n".join(block for kind, block in BLOCKS if kind == language)
 
 
 def _commands() -> list[str]:
-    lines = (
-        "\n".join(block for language, block in BLOCKS if language == "bash").replace("\\\n", " ").splitlines()
-    )
+    lines = _text("bash").replace("\\\n", " ").splitlines()
     return [line for line in lines if line.strip() and not line.startswith("#")]
+
+
+@pytest.fixture(scope="module")
+def surroundings(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Path, dict[str, str]]]:
+    """Give a folder to work in, and settings for a Hub that holds a small set by its published name."""
+    base = tmp_path_factory.mktemp("readme")
+    rounds = [make_round(index, 256, (64, 64)) for index in range(4)]
+    write_set(base / "hub" / PUBLISHED, {"test": single_rows(rounds)}, "single")
+    folder = base / "work"
+    folder.mkdir()
+    with hub(base / "hub") as server:
+        yield (
+            folder,
+            {
+                "HF_ENDPOINT": server.endpoint,
+                "HF_HOME": str(base / "hf"),
+                "HF_HUB_DISABLE_XET": "1",
+                "TACTILE_TOOLKIT_CACHE": str(base / "cache"),
+            },
+        )
 
 
 def test_blocks_are_of_known_kinds():
@@ -27,37 +55,31 @@ def test_blocks_are_of_known_kinds():
     assert sum("pip install" in command for command in _commands()) == 2
 
 
-@pytest.mark.filterwarnings("ignore::DeprecationWarning")
-def test_blocks_run_in_order(tmp_path, monkeypatch):
-    """Shell lines and Python blocks run one after another, as a reader would type them.
+def test_blocks_run(surroundings):
+    """Shell lines one after another, then the Python blocks as one script, as a reader would type them.
 
-    The two installing lines are left to CI, which runs the second as it stands; of the first, what follows
-    the installation runs here.
+    The installing halves of the first two lines are left to CI, which runs the second as it stands.
     """
-    monkeypatch.chdir(tmp_path)
-    space: dict[str, object] = {"__name__": "readme"}
-    for language, block in BLOCKS:
-        if language == "bash":
-            for line in block.replace("\\\n", " ").splitlines():
-                _run_line(line, tmp_path)
-        elif language == "python":
-            exec(compile(block, "README.md", "exec"), space)
+    folder, settings = surroundings
+    for command in _commands():
+        if "pytest" not in command:
+            _run(_program(command), folder, settings, command)
+    _run([sys.executable, "-c", _text("python")], folder, settings, "the Python blocks")
 
 
-def _run_line(line: str, folder: Path) -> None:
-    if not line.strip() or line.startswith("#") or "pytest" in line:
-        return
-    command = line.rpartition("&&")[2].strip()
-    name, *arguments = shlex.split(command.removeprefix(".venv/bin/"), comments=True)
+def _program(command: str) -> list[str]:
+    """Translate ``mnist3d ...`` into this interpreter running that command line."""
+    bare = command.rpartition("&&")[2].strip().removeprefix(".venv/bin/")
+    name, *arguments = shlex.split(bare, comments=True)
     script = f"import sys; sys.argv[0] = {name!r}; from cli.{name.replace('-', '_')} import main; main()"
+    return [sys.executable, "-c", script, *arguments]
+
+
+def _run(program: list[str], folder: Path, settings: dict[str, str], what: str) -> None:
     done = subprocess.run(
-        [sys.executable, "-c", script, *arguments],
-        cwd=folder,
-        capture_output=True,
-        text=True,
-        check=False,
+        program, cwd=folder, env=os.environ | settings, capture_output=True, text=True, check=False
     )
-    assert done.returncode == 0, f"{line}\n{done.stdout}{done.stderr}"
+    assert done.returncode == 0, f"{what}\n{done.stdout}{done.stderr}"
 
 
 def test_files_that_readme_names_exist():

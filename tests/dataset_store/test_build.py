@@ -246,15 +246,15 @@ def test_killed_run_resumes_to_the_same_bytes(tmp_path, workers):
         build(DataFolder(sys.argv[1]), toy_plan(pause_s=0.15), runner_for({workers}))
     """
     target = tmp_path / "set"
-    for _ in range(2):
+    for _ in range(2 if workers == 1 else 1):  # of six shards some must be left to make
         process = subprocess.Popen(
             [sys.executable, "-c", textwrap.dedent(script), str(target)],
             cwd=Path(__file__).resolve().parents[2],
         )
-        seen = len(list((target / ".parts").glob("*.json"))) if target.exists() else 0
+        seen = len(list((target / ".parts").glob("t*.json"))) if target.exists() else 0
         deadline_s = time.monotonic() + 30
         while process.poll() is None and time.monotonic() < deadline_s:
-            if len(list((target / ".parts").glob("*.json"))) > seen:
+            if len(list((target / ".parts").glob("t*.json"))) > seen:
                 process.send_signal(signal.SIGKILL)
                 break
             time.sleep(0.005)
@@ -323,3 +323,18 @@ def test_leavings_of_dead_writers_are_removed_and_those_of_living_ones_kept(tmp_
     assert not dead.exists()
     assert living.exists()
     assert elsewhere.exists()
+
+
+def test_half_written_receipt_of_a_killed_writer_is_no_receipt(tmp_path):
+    import socket
+
+    make(tmp_path / "whole")
+    plan = toy_plan()
+    broken = replace(plan.tasks[1], error=StorageError("stop"))
+    with pytest.raises(StorageError):
+        make(tmp_path / "set", replace(plan, tasks=(plan.tasks[0], broken)))
+    parts = tmp_path / "set" / ".parts"
+    name = f".writing-{socket.gethostname()}-999999999-abc-train-00001-of-00004.json"
+    (parts / name).write_text('{"file": "data/tr')
+    make(tmp_path / "set")
+    assert folder_bytes(tmp_path / "set") == folder_bytes(tmp_path / "whole")

@@ -169,7 +169,7 @@ def unbroken(tmp_path_factory):
 def test_stopped_run_goes_on_to_the_same_bytes(unbroken, tmp_path, workers, blow):
     folder = tmp_path / "set"
     process = run_command(folder, workers)
-    while process.poll() is None and not list((folder / ".parts").glob("*.json")):
+    while process.poll() is None and not list((folder / ".parts").glob("train-*.json")):
         time.sleep(0.002)
     process.send_signal(blow)
     _, words = process.communicate(timeout=60)
