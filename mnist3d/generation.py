@@ -24,9 +24,9 @@ __all__ = ["KIND", "DigitShard", "GenerateSpec", "generate", "inspect_out", "mak
 
 KIND = "mnist3d"
 
-_LARGEST_SHARD = 256
+_LARGEST_SHARD = 128
 _SMALLEST_SHARD = 50
-_SHARDS_WANTED = 48
+_SHARDS_WANTED = 16
 
 
 @dataclass(frozen=True)
@@ -242,6 +242,9 @@ def _split_tasks(spec: GenerateSpec, plan: SplitPlan, split: str) -> list[DigitS
 
 
 def _rows_per_shard(rows: int) -> int:
-    """Return a shard size that follows from the split alone, so that any number of workers agrees on it."""
+    """Return a shard size that follows from the split alone, so that any number of workers agrees on it.
+
+    A shard is what a worker holds in memory and what a kill loses; a small run still has some for each worker.
+    """
     wanted = -(-rows // _SHARDS_WANTED)
     return min(_LARGEST_SHARD, max(_SMALLEST_SHARD, wanted))
