@@ -244,7 +244,8 @@ def _split_tasks(spec: GenerateSpec, plan: SplitPlan, split: str) -> list[DigitS
 def _rows_per_shard(rows: int) -> int:
     """Return a shard size that follows from the split alone, so that any number of workers agrees on it.
 
-    A shard is what a worker holds in memory and what a kill loses; a small run still has some for each worker.
+    A shard is what a worker holds in memory and what a kill loses; a small run still has some for each
+    worker.
     """
     wanted = -(-rows // _SHARDS_WANTED)
     return min(_LARGEST_SHARD, max(_SMALLEST_SHARD, wanted))
