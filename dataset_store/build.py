@@ -264,6 +264,7 @@ def _finish(folder: DataFolder, plan: BuildPlan, manifest: Manifest) -> Manifest
     finished = replace(manifest, files=files, complete=True)
     if read_manifest(folder) != finished:
         write_manifest(folder, finished)
+    _remove_leavings(folder)  # once more: workers of a killed run may have lived on for a moment
     _remove_parts(folder)
     return finished
 

@@ -255,11 +255,13 @@ def test_killed_run_resumes_to_the_same_bytes(tmp_path, workers):
         deadline_s = time.monotonic() + 30
         while process.poll() is None and time.monotonic() < deadline_s:
             if len(list((target / ".parts").glob("t*.json"))) > seen:
+                children = _children(process.pid)
                 process.send_signal(signal.SIGKILL)
                 break
             time.sleep(0.005)
         process.wait()
         assert process.returncode == -signal.SIGKILL
+        _wait_until_gone(children)
     state = inspect_folder(DataFolder(str(target)), toy_plan())
     assert state.kept
     assert state.todo
@@ -288,10 +290,15 @@ def test_workers_leave_with_a_killed_parent(tmp_path):
     assert len(workers) >= 2
     process.kill()
     process.wait()
+    _wait_until_gone(workers)
+
+
+def _wait_until_gone(processes: list[int]) -> None:
+    """Processes whose parent was killed must leave by themselves, and soon."""
     deadline_s = time.monotonic() + 10
-    while any(_alive(pid) for pid in workers) and time.monotonic() < deadline_s:
-        time.sleep(0.05)
-    assert not [pid for pid in workers if _alive(pid)]
+    while any(_alive(pid) for pid in processes) and time.monotonic() < deadline_s:
+        time.sleep(0.02)
+    assert not [pid for pid in processes if _alive(pid)]
 
 
 def _children(pid: int) -> list[int]:
