@@ -203,6 +203,13 @@ def bench_clips(folder: Path) -> None:
         8,
     )
 
+    bench_contact(ours, published)
+    bench_poses(ours, published)
+
+
+def bench_contact(ours: Any, published: Any) -> None:
+    """Contact frames of one round: one of each touch, and all of each touch."""
+
     def our_contact_frames() -> Any:
         return ours[0].contact_frames("contact_end", threads=1)
 
@@ -220,7 +227,11 @@ def bench_clips(folder: Path) -> None:
     threaded = median_s(lambda: ours[0].contact_frames("contact_end"), 15)
     line("the same, as many threads as cores (default)", threaded, theirs, None, 5)
     times = median_s(our_windows, 9), median_s(their_windows, 3)
-    line("every frame of contact of a round (7 each)", *times, None, 1)
+    line("every frame of contact of a round (7 each)", *times, None, 5)
+
+
+def bench_poses(ours: Any, published: Any) -> None:
+    """All poses of one round."""
 
     def our_poses() -> Any:
         poses = ours[0].gel_pose_cell_frame_seq
