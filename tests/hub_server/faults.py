@@ -1,0 +1,124 @@
+"""What the server is told to do wrong, and what it was asked."""
+
+from __future__ import annotations
+
+import threading
+from dataclasses import dataclass, field
+from fnmatch import fnmatchcase
+
+
+@dataclass
+class Request:
+    """One request as it went over the wire."""
+
+    method: str
+    path: str
+    query: str
+    range: str | None
+    user: str | None
+    """Whose token came with it; ``"?"`` for a token that nobody has."""
+    received: int = 0
+    """Bytes of the body that arrived."""
+    status: int = 0
+    """Status of the answer; 0 while there is none."""
+    sent: int = 0
+    """Bytes of the answer's body that were sent."""
+
+    @property
+    def is_content(self) -> bool:
+        """Whether it asks for the content of a file, wherever that lies."""
+        return "/resolve/" in self.path or self.path.startswith("/cdn/")
+
+
+@dataclass
+class Fault:
+    """Something that goes wrong with requests whose path matches a pattern, a number of times."""
+
+    pattern: str
+    times: int = 1
+    method: str | None = None
+    skip: int = 0
+    """How many matching requests pass before the first one is hit."""
+    status: int | None = None
+    headers: dict[str, str] = field(default_factory=dict)
+    refuse_body_after: int | None = None
+    drop_after: int | None = None
+    reset: bool = False
+    corrupt_at: int | None = None
+    truncate_at: int | None = None
+    stall_after: int | None = None
+    lose_reply: bool = False
+
+    @property
+    def touches_content(self) -> bool:
+        """Whether it shows only where the bytes of a file are sent."""
+        spans = (self.drop_after, self.corrupt_at, self.truncate_at, self.stall_after)
+        return any(span is not None for span in spans)
+
+
+class Faults:
+    """The faults still to come; each call adds one."""
+
+    def __init__(self) -> None:
+        self._faults: list[Fault] = []
+        self._lock = threading.Lock()
+        self.stalled = threading.Event()
+        """Set when an answer stands still; see :meth:`stall`."""
+        self.released = threading.Event()
+        """Set it to let answers that stand still go on."""
+
+    def add(self, fault: Fault) -> None:
+        """Add a fault."""
+        with self._lock:
+            self._faults.append(fault)
+
+    def clear(self) -> None:
+        """Forget the faults still to come."""
+        with self._lock:
+            self._faults.clear()
+
+    def fail(self, pattern: str, status: int = 503, times: int = 1, **more: object) -> None:
+        """Answer with an error, before anything is done."""
+        self.add(Fault(pattern, times, status=status, **more))  # type: ignore[arg-type]
+
+    def drop(self, pattern: str, after: int, times: int = 1, *, reset: bool = False, skip: int = 0) -> None:
+        """Close the connection after some bytes of an answer, politely or with a reset."""
+        self.add(Fault(pattern, times, drop_after=after, reset=reset, skip=skip))
+
+    def corrupt(self, pattern: str, at: int, times: int = 1) -> None:
+        """Flip the bits of one byte of a file."""
+        self.add(Fault(pattern, times, corrupt_at=at))
+
+    def truncate(self, pattern: str, at: int, times: int = 1) -> None:
+        """Send only the beginning of a file and call it all."""
+        self.add(Fault(pattern, times, truncate_at=at))
+
+    def stall(self, pattern: str, after: int, times: int = 1) -> None:
+        """Stand still after some bytes of a file, until ``released`` is set."""
+        self.add(Fault(pattern, times, stall_after=after))
+
+    def lose_reply(self, pattern: str, times: int = 1) -> None:
+        """Do what is asked and close the connection without an answer."""
+        self.add(Fault(pattern, times, lose_reply=True))
+
+    def refuse_body(self, pattern: str, after: int, times: int = 1) -> None:
+        """Close the connection after some bytes of the request's body; nothing is done."""
+        self.add(Fault(pattern, times, refuse_body_after=after))
+
+    def take(self, method: str, path: str, *, content: bool) -> Fault | None:
+        """Return the first fault that hits this request and count it."""
+        with self._lock:
+            for fault in self._faults:
+                if fault.times and self._hits(fault, method, path, content):
+                    if fault.skip:
+                        fault.skip -= 1
+                        continue
+                    fault.times -= 1
+                    return fault
+        return None
+
+    @staticmethod
+    def _hits(fault: Fault, method: str, path: str, content: bool) -> bool:
+        if fault.method not in (None, method) or not fnmatchcase(path, fault.pattern):
+            return False
+        return content or not fault.touches_content
