@@ -14,7 +14,16 @@ from dataset_store.rowgroups import Shard
 from dataset_store.shards import DATA_FOLDER, ShardName
 from dataset_store.storage import DataFolder
 
-__all__ = ["ShardFile", "available_splits", "find_shards", "splits_of"]
+__all__ = [
+    "ShardFile",
+    "available_splits",
+    "files_of_split",
+    "find_shards",
+    "repository_named",
+    "repository_shards",
+    "shard_files",
+    "splits_of",
+]
 
 _HUB_NAME = re.compile(r"(?:hf://datasets/)?(?P<repo>[\w.-]+/[\w.-]+)")
 
@@ -57,13 +66,21 @@ def find_shards(
         return (Shard(str(place)),)
     if place.is_dir():
         return _local_shards(DataFolder(str(place)), split)
-    repository = _repository(name, revision)
-    files = _of_split(_shard_files(repository.files()), split, name)
+    repository = repository_named(name, revision)
+    with repository.told_apart(f"split {split!r}"):
+        files = files_of_split(repository_shards(repository), split, name)
     addresses = [repository.address(f.path) if streaming else repository.fetch(f.path) for f in files]
     return tuple(Shard(address) for address in addresses)
 
 
-def _repository(name: str, revision: str | None) -> HubRepository:
+def repository_named(name: str, revision: str | None = None) -> HubRepository:
+    """Return the repository that a name means.
+
+    Raises
+    ------
+    InputError
+        It is no name of one.
+    """
     match = _HUB_NAME.fullmatch(name)
     if match is None or name.startswith((".", "/", "~")):
         message = (
@@ -97,7 +114,7 @@ def splits_of(name: str, *, revision: str | None = None) -> tuple[str, ...]:
     if place.is_dir():
         splits = available_splits(DataFolder(str(place)))
     else:
-        files = _shard_files(_repository(name, revision).files())
+        files = repository_shards(repository_named(name, revision))
         splits = tuple(dict.fromkeys(file.split for file in files))
     if not splits:
         message = f"{name!r} holds no Parquet files; next: name the folder or repository of a data set"
@@ -116,7 +133,7 @@ def available_splits(folder: DataFolder) -> tuple[str, ...]:
 def _local_shards(folder: DataFolder, split: str) -> tuple[Shard, ...]:
     manifest = read_manifest(folder)
     if manifest is None:
-        files = _of_split(_folder_files(folder), split, folder.address())
+        files = files_of_split(_folder_files(folder), split, folder.address())
         return tuple(Shard(folder.address(file.path)) for file in files)
     receipts = manifest.receipts_of(split)
     _refuse_unfinished(folder, split, [receipt.shard for receipt in receipts], manifest.complete)
@@ -133,18 +150,18 @@ def _refuse_unfinished(folder: DataFolder, split: str, shards: list[ShardName], 
     if there or not shards:
         message = (
             f"the run that makes {folder.address()!r} is not finished ({len(there)} shards of split "
-            f"{split!r} are there, {MANIFEST_FILE} is not complete); next: run the same `generate` again, "
-            "it goes on"
+            f"{split!r} are there, {MANIFEST_FILE} is not complete); next: run the same `generate` or "
+            "`download` again, it goes on"
         )
         raise IntegrityError(message)
 
 
 def _folder_files(folder: DataFolder) -> list[ShardFile]:
     nested = [f"{DATA_FOLDER}/{name}" for name in folder.names(DATA_FOLDER)]
-    return _shard_files([*nested, *folder.names()])
+    return shard_files([*nested, *folder.names()])
 
 
-def _shard_files(paths: Iterable[str]) -> list[ShardFile]:
+def shard_files(paths: Iterable[str]) -> list[ShardFile]:
     """Sort Parquet files by split: ``train-00000-of-00002.parquet``, or a split's bare name."""
     files = []
     for path in paths:
@@ -156,7 +173,36 @@ def _shard_files(paths: Iterable[str]) -> list[ShardFile]:
     return sorted(files)
 
 
-def _of_split(files: list[ShardFile], split: str, where: str) -> list[ShardFile]:
+def repository_shards(repository: HubRepository) -> list[ShardFile]:
+    """Sort the Parquet files of a repository by split.
+
+    A manifest tells which files belong to the data set: shards of an older layout may lie beside them,
+    because an upload removes nothing that it was not told to remove.
+
+    Raises
+    ------
+    IntegrityError
+        The manifest is damaged.
+    HubError
+        The repository cannot be read.
+    """
+    files = shard_files(repository.files())
+    if repository.manifest is None:
+        return files
+    listed = {receipt.shard.data_path for receipt in repository.manifest.receipts}
+    return [file for file in files if file.path in listed]
+
+
+def files_of_split(files: list[ShardFile], split: str, where: str) -> list[ShardFile]:
+    """Return the files of one split.
+
+    Raises
+    ------
+    InputError
+        There is no such split.
+    IntegrityError
+        Some of its shards are absent.
+    """
     chosen = [file for file in files if file.split == split]
     if not chosen:
         raise _no_split(split, tuple(dict.fromkeys(file.split for file in files)), where)

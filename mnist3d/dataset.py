@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from dataset_store.mesh_columns import class_names, require_mesh_columns
 from dataset_store.mesh_records import RecordStream, SolidRecord
 from dataset_store.places import find_shards
+from dataset_store.published import place_of
 from dataset_store.records import RecordDataset
 from dataset_store.rowgroups import ShardedTable
 from mnist3d.digit import NO_WRITER
@@ -92,8 +93,8 @@ def load(
     Parameters
     ----------
     name : str
-        A folder written by ``mnist3d generate``, a Parquet file, or a repository of the Hub (``USER/NAME``)
-        with the columns of MNIST 3D.
+        A folder written by ``mnist3d generate``, a Parquet file, or a repository of the Hub with the columns
+        of MNIST 3D: ``USER/NAME``, or ``mnist3d`` for the published one.
     split : str
         Split to open; only its shards are fetched.
     streaming : bool
@@ -115,7 +116,7 @@ def load(
     HubError
         The repository cannot be reached or does not exist.
     """
-    shards = find_shards(name, split, revision=revision, streaming=streaming)
+    shards = find_shards(place_of(name), split, revision=revision, streaming=streaming)
     table = ShardedTable(shards)
     require_mesh_columns(table.schema, name, "mnist3d generate")
     if streaming:

@@ -11,6 +11,7 @@ from dataset_store.errors import InputError
 from dataset_store.mesh_columns import class_names, require_mesh_columns
 from dataset_store.mesh_records import RecordStream, SolidRecord
 from dataset_store.places import find_shards
+from dataset_store.published import place_of
 from dataset_store.records import RecordDataset
 from dataset_store.rowgroups import ShardedTable
 from starstruck_gen.placement import Placement
@@ -137,8 +138,8 @@ def load(
     Parameters
     ----------
     name : str
-        A folder written by ``starstruck generate``, a Parquet file, or a repository of the Hub
-        (``USER/NAME``) with the columns of Starstruck.
+        A folder written by ``starstruck generate``, a Parquet file, or a repository of the Hub with the
+        columns of Starstruck: ``USER/NAME``, or ``starstruck`` for the published one.
     split : str
         Split to open; only its shards are fetched.
     streaming : bool
@@ -160,7 +161,7 @@ def load(
     HubError
         The repository cannot be reached or does not exist.
     """
-    shards = find_shards(name, split, revision=revision, streaming=streaming)
+    shards = find_shards(place_of(name), split, revision=revision, streaming=streaming)
     table = ShardedTable(shards)
     require_mesh_columns(table.schema, name, "starstruck generate")
     if streaming:

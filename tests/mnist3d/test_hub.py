@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -23,7 +24,9 @@ def repositories(tmp_path_factory) -> Path:
     return root
 
 
-def ask(script: str, endpoint: str, home: Path, **more: str) -> subprocess.CompletedProcess[str]:
+def ask(
+    script: str, endpoint: str, home: Path, cwd: Path | None = None, **more: str
+) -> subprocess.CompletedProcess[str]:
     """Run a script against the server: the endpoint is read when the client is imported."""
     environment = {
         **os.environ,
@@ -38,6 +41,7 @@ def ask(script: str, endpoint: str, home: Path, **more: str) -> subprocess.Compl
         text=True,
         check=False,
         env=environment,
+        cwd=cwd,
         timeout=120,
     )
 
@@ -54,10 +58,10 @@ def test_only_the_shards_of_the_split_are_fetched(repositories, tmp_path):
         done = ask(LOAD.format(arguments="'test'"), server.endpoint, tmp_path)
         assert done.returncode == 0, done.stderr
         assert done.stdout.startswith("10 ")
-        assert server.fetched == ["data/test-00000-of-00001.parquet"]
+        assert server.fetched == ["manifest.json", "data/test-00000-of-00001.parquet"]
         again = ask(LOAD.format(arguments="'test', revision='main'"), server.endpoint, tmp_path)
         assert again.stdout == done.stdout
-        assert len(server.fetched) == 1, "a file in the cache was fetched again"
+        assert len(server.fetched) == 2, "a file in the cache was fetched again"
         endpoint = server.endpoint
     offline = ask(LOAD.format(arguments="'test'"), endpoint, tmp_path, HF_HUB_OFFLINE="1")
     assert offline.stdout == done.stdout, offline.stderr
@@ -106,3 +110,17 @@ def test_no_network_is_named(tmp_path):
     )
     assert "4 HubError" in offline.stdout
     assert "not in the cache" in offline.stdout
+
+
+def test_the_published_set_by_its_short_name(repositories, tmp_path):
+    published = tmp_path / "root" / "TimSchneider42" / "tactile-mnist-mnist3d"
+    shutil.copytree(repositories / "someone" / "digits", published)
+    script = LOAD.replace("someone/digits", "mnist3d").format(arguments="'test'")
+    with hub(tmp_path / "root") as server:
+        from_hub = ask(script, server.endpoint, tmp_path / "hf", cwd=tmp_path)
+        assert from_hub.stdout.startswith("10 "), from_hub.stderr
+        fetched = len(server.fetched)
+        shutil.copytree(published, tmp_path / "mnist3d")
+        local = ask(script, server.endpoint, tmp_path / "hf", cwd=tmp_path)
+        assert local.stdout == from_hub.stdout
+        assert len(server.fetched) == fetched, "a folder of that name comes first"

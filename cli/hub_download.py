@@ -1,0 +1,202 @@
+"""``download`` and ``list``: data sets of the Hub, by name."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from cli.failures import reports_errors
+from cli.options import Json, Quiet
+from cli.output import Sink, bytes_text
+from cli.rooms import Room
+
+if TYPE_CHECKING:
+    from dataset_store.download_plan import DownloadPlan
+    from dataset_store.published import SetState
+
+__all__ = ["add_download"]
+
+_LARGE_BYTES = 1_000_000_000
+
+Name = Annotated[
+    str, typer.Argument(metavar="NAME", help="Short name (see `list`), or USER/NAME on the Hugging Face Hub.")
+]
+Splits = Annotated[
+    list[str] | None, typer.Option("--split", metavar="SPLIT", help="Only this split; may be given again.")
+]
+Revision = Annotated[str | None, typer.Option("--revision", metavar="REV", help="Branch, tag or commit.")]
+OutFolder = Annotated[
+    Path | None,
+    typer.Option("--out", "-o", metavar="DIR", help="Folder to fill; default: the Hub's own cache."),
+]
+DryRun = Annotated[bool, typer.Option("--dry-run", help="Say what would be fetched; fetch nothing.")]
+Yes = Annotated[bool, typer.Option("--yes", "-y", help="Do not ask before a large download.")]
+
+
+def add_download(app: typer.Typer, room: Room) -> None:
+    """Add ``download`` and ``list`` to a command line.
+
+    Parameters
+    ----------
+    app : typer.Typer
+        The command line.
+    room : Room
+        The kind of data set that it is for.
+    """
+
+    @app.command()
+    @reports_errors
+    def download(
+        name: Name,
+        split: Splits = None,
+        revision: Revision = None,
+        out: OutFolder = None,
+        dry_run: DryRun = False,
+        yes: Yes = False,
+        as_json: Json = False,
+        quiet: Quiet = False,
+    ) -> None:
+        """Fetch a data set of the Hub, or some of its splits, and check every file.
+
+        A download that broke off goes on where it stopped when the same command is given again. `list` shows
+        the names of the published sets.
+        """
+        from dataset_store.download_plan import plan_download
+
+        sink = Sink(as_json, quiet)
+        plan = plan_download(name, split or (), revision=revision, out=None if out is None else str(out))
+        _introduce(sink, name, plan)
+        if not dry_run:
+            _require_consent(plan, yes=yes)
+        place = "" if dry_run else _fetch(sink, plan)
+        sink.document({**_facts(plan), "dry_run": dry_run, "folder": place or None})
+        _conclude(sink, plan, place, room)
+
+    @app.command("list")
+    @reports_errors
+    def list_sets(as_json: Json = False) -> None:
+        """List the published data sets: what they hold, their terms, what is here, and how large they are."""
+        _print_sets(Sink(as_json), room.command)
+
+
+def _introduce(sink: Sink, name: str, plan: DownloadPlan) -> None:
+    """Say what is fetched, how large it is, and under which terms it stands."""
+    from dataset_store.published import published_set
+
+    snapshot_licence = None if plan.is_done else plan.repository.snapshot.licence
+    known = published_set(name)
+    licence = (known.licence if known else None) or snapshot_licence
+    splits = ", ".join(plan.splits)
+    sink.talk(
+        f"{plan.repository.repo_id} at {plan.commit[:12]}: {splits}; {len(plan.files):,} files, "
+        f"{bytes_text(plan.bytes)}, of which {bytes_text(plan.missing_bytes)} are to be fetched"
+    )
+    if known is not None and plan.missing:
+        sink.talk(f"licence: {licence or 'see its card on the Hub'}; please cite: {known.citation}")
+
+
+def _require_consent(plan: DownloadPlan, *, yes: bool) -> None:
+    """Ask before a large download; where nobody can answer, refuse.
+
+    Raises
+    ------
+    InputError
+        Nobody said yes.
+    """
+    from dataset_store.errors import InputError
+
+    if yes or plan.missing_bytes <= _LARGE_BYTES:
+        return
+    size = bytes_text(plan.missing_bytes)
+    if not (sys.stdin.isatty() and sys.stderr.isatty()):
+        message = f"{size} would be fetched, and nobody can be asked; next: add --yes, or name a --split"
+        raise InputError(message)
+    if not typer.confirm(f"fetch {size}?", err=True):
+        message = "nothing was fetched, as you wished; next: name a --split to fetch less"
+        raise InputError(message)
+
+
+def _fetch(sink: Sink, plan: DownloadPlan) -> str:
+    from dataset_store.download import download as carry_out
+
+    with sink.progress("fetching, kB", "kB") as update:
+        return carry_out(
+            plan, lambda done, total: update(done // 1000, max(total // 1000, 1)), on_wait=sink.talk
+        )
+
+
+def _facts(plan: DownloadPlan) -> dict[str, object]:
+    missing = {file.path for file in plan.missing}
+    return {
+        "repository": plan.repository.repo_id,
+        "commit": plan.commit,
+        "splits": list(plan.splits),
+        "bytes": plan.bytes,
+        "missing_bytes": plan.missing_bytes,
+        "files": [
+            {"path": file.path, "bytes": file.size_bytes, "was_here": file.path not in missing}
+            for file in plan.files
+        ],
+        "removed": list(plan.leftover),
+    }
+
+
+def _conclude(sink: Sink, plan: DownloadPlan, place: str, room: Room) -> None:
+    if not place:
+        sink.line(
+            f"would fetch {len(plan.missing):,} files, {bytes_text(plan.missing_bytes)}; nothing was fetched"
+        )
+        return
+    if plan.is_done:
+        sink.line(f"nothing was left to fetch; all {len(plan.files):,} files are whole, in {place}")
+    else:
+        gone = f", removed {len(plan.leftover):,} that the Hub has no more" if plan.leftover else ""
+        sink.line(f"fetched {len(plan.missing):,} files{gone}; all {len(plan.files):,} are whole, in {place}")
+    name = place if plan.folder is not None else plan.repository.repo_id
+    sink.line(f"next in Python: {room.python_name}.load({name!r}, {plan.splits[0]!r})")
+
+
+def _here(state: SetState) -> str:
+    if not state.local_bytes:
+        return "-"
+    return f"{bytes_text(state.local_bytes)} ({', '.join(state.local_splits)})"
+
+
+def _print_sets(sink: Sink, room: str) -> None:
+    from dataset_store.published import published_sets, states
+
+    found = states(published_sets(room))
+    sink.document(
+        [
+            {
+                "name": state.published.name,
+                "repository": state.published.repo_id,
+                "content": state.published.content,
+                "licence": state.licence,
+                "citation": state.published.citation,
+                "hub_bytes": state.hub_bytes,
+                "local_bytes": state.local_bytes,
+                "local_splits": list(state.local_splits),
+            }
+            for state in found
+        ]
+    )
+    rows = [
+        (
+            state.published.name,
+            state.published.content,
+            state.licence or "see its card",
+            "?" if state.hub_bytes is None else bytes_text(state.hub_bytes),
+            f"{bytes_text(state.local_bytes)} ({', '.join(state.local_splits)})"
+            if state.local_bytes
+            else "-",
+        )
+        for state in found
+    ]
+    sink.table(("name", "holds", "licence", "on the Hub", "here"), rows)
+    if any(state.hub_bytes is None for state in found):
+        sink.talk("?: the Hub gave no answer for this one (no network, or no access)")
+    sink.line(f"next: {room} download NAME [--split SPLIT] [--out DIR]")

@@ -1,0 +1,230 @@
+"""``download`` and ``list`` of all three command lines, against a Hub on 127.0.0.1."""
+
+from __future__ import annotations
+
+import json
+import os
+import pty
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from dataset_store.published import PUBLISHED, published_set, published_sets
+from mnist3d.generation import GenerateSpec, generate
+from mnist3d.solid import SolidSpec
+from mnist3d.sources.synthetic import SyntheticSource
+from realtouch.names import SHORT_NAMES, repository_of
+from tests.dataset_store.hub_client import run_here, run_python, settings
+from tests.hub_server import HubServer, hub
+from tests.realtouch.factories import make_round, single_rows, write_set
+
+DIGITS = "someone/digits"
+TOUCHES = "TimSchneider42/tactile-mnist-touch-real-single-t256-64x64"
+
+
+@pytest.fixture(scope="module")
+def root(tmp_path_factory) -> Path:
+    place = tmp_path_factory.mktemp("hub")
+    spec = GenerateSpec(SyntheticSource(), SolidSpec(target_vertices=500), per_class=1)
+    generate(spec, str(place / DIGITS), ("test", "holdout"))
+    rounds = [make_round(index, 4, (64, 64)) for index in range(2)]
+    write_set(place / TOUCHES, {"train": single_rows(rounds), "test": single_rows(rounds[:1])}, "single")
+    return place
+
+
+@pytest.fixture
+def server(root) -> Iterator[HubServer]:
+    with hub(root) as running:
+        yield running
+
+
+RUN = """
+import sys
+import cli.hub_download
+cli.hub_download._LARGE_BYTES = {large}
+from cli.{command} import main
+sys.argv = [{command!r}, *{arguments!r}]
+code = 0
+try:
+    main()
+except SystemExit as leave:
+    code = leave.code or 0
+print('exit', code, file=sys.stderr)
+"""
+
+
+class Said:
+    """What a command printed."""
+
+    def __init__(self, done: subprocess.CompletedProcess[str]) -> None:
+        assert done.returncode == 0, done.stderr
+        *talk, last = done.stderr.strip().splitlines()
+        self.code = int(last.removeprefix("exit "))
+        self.err, self.out = "\n".join(talk), done.stdout
+
+
+def call(
+    server: HubServer | str, home: Path, command: str, *arguments: object, large: int = 1 << 40, **more: str
+) -> Said:
+    script = RUN.format(command=command, arguments=[str(part) for part in arguments], large=large)
+    return Said(run_here(script, settings(server, home, **more), home))
+
+
+def test_a_part_is_a_data_set_that_verifies_and_that_datasets_loads(server, tmp_path):
+    out = tmp_path / "part"
+    said = call(server, tmp_path, "mnist3d", "download", DIGITS, "--split", "test", "--out", out)
+    assert said.code == 0
+    assert "someone/digits at " in said.err
+    assert f"next in Python: mnist3d.load({str(out)!r}, 'test')" in said.out
+    assert not any("holdout" in path for path in server.fetched)
+    verified = call(server, tmp_path, "mnist3d", "verify", out)
+    assert verified.code == 0, verified.err
+    assert "10 rows" in verified.out
+    script = (
+        f"import datasets, mnist3d\nrows = datasets.load_dataset({str(out)!r}, split='test')\n"
+        f"digits = mnist3d.load({str(out)!r}, 'test')\n"
+        "print([row['id'] for row in rows] == [digit.id for digit in digits], len(rows))"
+    )
+    loaded = run_python(script, settings("http://127.0.0.1:9", tmp_path, HF_HUB_OFFLINE="1"), tmp_path)
+    assert loaded.stdout.strip() == "True 10", loaded.stderr
+
+
+def test_dry_run_fetches_no_data(server, tmp_path):
+    said = call(server, tmp_path, "mnist3d", "download", DIGITS, "--out", tmp_path / "out", "--dry-run")
+    assert said.code == 0
+    assert "nothing was fetched" in said.out
+    assert not (tmp_path / "out").exists()
+    assert server.fetched == ["manifest.json"]
+
+
+def test_json_is_one_document_and_again_nothing_is_left(server, tmp_path):
+    first = json.loads(call(server, tmp_path, "mnist3d", "download", DIGITS, "--json").out)
+    assert first["splits"] == ["test", "holdout"]
+    assert first["commit"] == server.repository(DIGITS).head.sha
+    assert sum(file["bytes"] for file in first["files"]) == first["bytes"]
+    assert (Path(first["folder"]) / "data" / "test-00000-of-00001.parquet").is_file()
+    before = len(server.fetched)
+    again = call(server, tmp_path, "mnist3d", "download", DIGITS, "--json")
+    assert json.loads(again.out)["missing_bytes"] == 0
+    assert len(server.fetched) == before
+    quiet = call(server, tmp_path, "mnist3d", "download", DIGITS, "--quiet")
+    assert (quiet.out, quiet.err, quiet.code) == ("", "", 0)
+
+
+def test_short_names_show_licence_and_citation(server, tmp_path):
+    said = call(server, tmp_path, "realtouch", "download", "real-single-64x64", "--split", "test")
+    assert said.code == 0, said.err
+    assert "licence: CC BY 2.0; please cite: Schneider et al., Tactile MNIST" in said.err
+    assert f"realtouch.load({TOUCHES!r}, 'test')" in said.out
+    assert not any("train" in path for path in server.fetched)
+    loaded = call("http://127.0.0.1:9", tmp_path, "realtouch", "info", "real-single-64x64")
+    assert loaded.code == 0, loaded.err
+    assert "test" in loaded.out
+
+
+def test_large_downloads_are_not_begun_unasked(server, tmp_path):
+    said = call(server, tmp_path, "mnist3d", "download", DIGITS, large=1000)
+    assert said.code == 2
+    assert "would be fetched, and nobody can be asked; next: add --yes, or name a --split" in said.err
+    assert server.fetched == ["manifest.json"]
+    assert call(server, tmp_path, "mnist3d", "download", DIGITS, "--yes", large=1000).code == 0
+
+
+@pytest.mark.parametrize(("reply", "code"), [(b"y\n", 0), (b"n\n", 2)])
+def test_someone_at_a_terminal_is_asked(server, tmp_path, reply, code):
+    script = RUN.format(command="mnist3d", arguments=["download", DIGITS], large=1000)
+    ours, theirs = pty.openpty()
+    try:
+        process = subprocess.Popen(
+            [sys.executable, "-c", script],
+            cwd=tmp_path,
+            env=settings(server, tmp_path),
+            stdin=theirs,
+            stdout=subprocess.DEVNULL,
+            stderr=theirs,
+        )
+        os.close(theirs)
+        os.write(ours, reply)
+        seen = b""
+        while f"exit {code}".encode() not in seen:
+            seen += os.read(ours, 4096)
+        process.wait(60)
+    finally:
+        os.close(ours)
+    assert b"fetch " in seen
+    assert any(path.endswith(".parquet") for path in server.fetched) == (code == 0)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "code", "words"),
+    [
+        (("someone/nothing",), 4, "'someone/nothing' was not found, or is private"),
+        ((DIGITS, "--split", "train"), 2, "no split 'train' in 'someone/digits': it has holdout, test"),
+        ((DIGITS, "--revision", "v9"), 4, "has no revision 'v9'"),
+        (("mnist4d",), 2, "'mnist4d' is neither"),
+        ((DIGITS, "--out", "file"), 2, "a file"),
+    ],
+)
+def test_failures_are_told_in_a_line(server, tmp_path, arguments, code, words):
+    (tmp_path / "file").write_text("")
+    said = call(server, tmp_path, "mnist3d", "download", *arguments)
+    assert said.code == code
+    (line,) = [line for line in said.err.splitlines() if line.startswith("error: ")]
+    assert words in line
+    assert "next: " in line or "choose" in line
+
+
+def test_offline_says_what_is_missing(server, tmp_path):
+    call(server, tmp_path, "mnist3d", "download", DIGITS, "--split", "test")
+    for more in ({}, {"HF_HUB_OFFLINE": "1"}):
+        said = call("http://127.0.0.1:9", tmp_path, "mnist3d", "download", DIGITS, "--split", "test", **more)
+        assert said.code == 0, said.err
+        said = call("http://127.0.0.1:9", tmp_path, "mnist3d", "download", DIGITS, **more)
+        assert said.code == 4
+        assert "'data/holdout-00000-of-00001.parquet' of Hub data set 'someone/digits' is not" in said.err
+
+
+def test_list(server, tmp_path):
+    call(server, tmp_path, "realtouch", "download", "real-single-64x64", "--split", "test")
+    said = call(server, tmp_path, "realtouch", "list", "--json")
+    found = {entry["name"]: entry for entry in json.loads(said.out)}
+    assert set(found) == {entry.name for entry in published_sets("realtouch")}
+    here = found["real-single-64x64"]
+    files = server.repository(TOUCHES).head.files
+    assert here["hub_bytes"] == sum(len(blob.content) for blob in files.values())
+    assert here["local_splits"] == ["test"]
+    assert 0 < here["local_bytes"] < here["hub_bytes"]
+    assert here["licence"] == "CC BY 2.0"
+    other = found["real-seq"]
+    assert (other["hub_bytes"], other["local_bytes"]) == (None, 0), "a size was invented"
+    table = call(server, tmp_path, "realtouch", "list")
+    assert "real-single-64x64" in table.out
+    assert "?: the Hub gave no answer" in table.err
+    alone = call("http://127.0.0.1:9", tmp_path, "realtouch", "list", "--json", HF_HUB_OFFLINE="1")
+    entry = next(entry for entry in json.loads(alone.out) if entry["name"] == "real-single-64x64")
+    assert (entry["hub_bytes"], entry["local_bytes"]) == (None, here["local_bytes"])
+
+
+def test_short_names():
+    assert len({entry.name for entry in PUBLISHED}) == len({entry.repo_id for entry in PUBLISHED})
+    for entry in PUBLISHED:
+        assert published_set(entry.name) == published_set(entry.repo_id) == entry
+        assert entry.citation.startswith("Schneider")
+    assert published_set("someone/digits") is None
+    assert repository_of("real-single") == repository_of("real-single-320x240")
+    assert {repository_of(name) for name in SHORT_NAMES} == {e.repo_id for e in published_sets("realtouch")}
+
+
+@pytest.mark.parametrize("command", ["mnist3d", "starstruck", "realtouch"])
+def test_help_is_light(command, tmp_path):
+    script = (
+        f"import sys; from cli.{command} import app; from typer.testing import CliRunner\n"
+        "result = CliRunner().invoke(app, ['download', '--help'])\n"
+        "heavy = {'huggingface_hub', 'pyarrow', 'numpy', 'httpx2', 'yaml'} & set(sys.modules)\n"
+        "print(result.exit_code, sorted(heavy), all(w in result.output for w in ('--split', '--dry-run')))"
+    )
+    done = run_python(script, settings("http://127.0.0.1:9", tmp_path, COLUMNS="120"), tmp_path)
+    assert done.stdout.strip() == "0 [] True", done.stdout + done.stderr
