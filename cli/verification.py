@@ -35,7 +35,7 @@ def verify_folder(sink: Sink, folder: str, schema: Any, generate: str) -> None:
     from dataset_store.storage import DataFolder
     from dataset_store.verify import verify
 
-    result = verify(DataFolder(folder), schema)
+    result = verify(DataFolder(folder), schema, card=True)
     findings = [{"file": finding.file, "problem": finding.problem} for finding in result.findings]
     sink.document({"ok": result.ok, "files": result.files, "rows": result.rows, "findings": findings})
     if result.ok:

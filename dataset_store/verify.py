@@ -7,29 +7,15 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
+from dataset_store.card_checks import check_card
 from dataset_store.errors import InputError, IntegrityError
+from dataset_store.findings import Finding
 from dataset_store.manifest import MANIFEST_FILE, Manifest, read_manifest
 from dataset_store.rowgroups import Shard
 from dataset_store.shards import DATA_FOLDER, Receipt, file_sha256
 from dataset_store.storage import DataFolder
 
 __all__ = ["Finding", "Verification", "verify"]
-
-
-@dataclass(frozen=True, slots=True)
-class Finding:
-    """One thing that is wrong.
-
-    Attributes
-    ----------
-    file : str
-        Path inside the folder.
-    problem : str
-        What was found and what was expected.
-    """
-
-    file: str
-    problem: str
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,7 +34,11 @@ class Verification:
 
 
 def verify(
-    folder: DataFolder, schema: Any = None, on_file: Callable[[str], None] = lambda _: None
+    folder: DataFolder,
+    schema: Any = None,
+    on_file: Callable[[str], None] = lambda _: None,
+    *,
+    card: bool = False,
 ) -> Verification:
     """Check every checksum, row count, schema and the uniqueness of ids over all splits.
 
@@ -60,6 +50,8 @@ def verify(
         Schema that every shard must have.
     on_file : callable
         Told each file before it is read.
+    card : bool
+        Compare the data card with the data too.
 
     Raises
     ------
@@ -80,6 +72,8 @@ def verify(
     for path, checksum in (manifest.files or {}).items():
         on_file(path)
         findings += _check_file(folder, path, checksum)
+    if card and not findings:  # what is damaged is named already, and cannot be compared with
+        findings += check_card(folder)
     rows = sum(receipt.rows for receipt in manifest.receipts)
     size = sum(receipt.bytes for receipt in manifest.receipts)
     return Verification(len(manifest.receipts) + len(manifest.files or {}), rows, size, tuple(findings))

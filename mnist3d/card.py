@@ -2,74 +2,182 @@
 
 from __future__ import annotations
 
-import json
+from collections.abc import Mapping
+from typing import Any
 
-from dataset_store.cards import front_matter, markdown_table, render_card, write_card_text
+from dataset_store.card_citations import HWD_PLUS, MNIST, TACTILE_MNIST, bibtex
+from dataset_store.card_facts import FolderFacts, folder_facts
+from dataset_store.card_head import card_head, head_text
+from dataset_store.card_parts import Column, field_table, json_block, markdown_table, megabytes, picture
+from dataset_store.card_pictures import write_previews
+from dataset_store.cards import render_card, write_card_text
 from dataset_store.manifest import Manifest
+from dataset_store.mesh_columns import FACES, VERTICES
 from dataset_store.storage import DataFolder
+from mnist3d.card_picture import PREVIEW_FILE, digit_sheet
+from mnist3d.card_sources import SourceWords, words_of
+from mnist3d.report import REPORT_FILE
 from mnist3d.summary import SplitSummary, summarise
 
 __all__ = ["write_card"]
 
-_LICENCES = {"synthetic": "mit", "hwdplus": "other", "mnist": "cc-by-sa-3.0", "folder": "other"}
+_COLUMNS: dict[str, Column] = {
+    "id": ("", "number of the digit in its source, unique over all splits"),
+    "label": ("", "the digit"),
+    VERTICES: ("V x 3, m, frame below", "corner positions"),
+    FACES: ("F x 3", "triangles: rows of the corners, counter-clockwise seen from outside"),
+    "writer": ("", "number of the writer in the source, -1 where unknown"),
+    "volume_m3": ("m³", "enclosed volume"),
+    "source": ("", "digit source"),
+}
 
 
 def write_card(folder: DataFolder, manifest: Manifest) -> None:
-    """Write ``README.md`` of a data set folder from its manifest and report.
+    """Write ``README.md`` of a data set folder and the picture that it shows.
 
     Raises
     ------
+    IntegrityError
+        When a shard or the report is missing or damaged.
     StorageError
         When the folder cannot be written.
     """
-    source = str(manifest.spec["source"]["name"])
-    summaries = summarise(folder, manifest)
-    head = front_matter(
-        manifest,
-        license=_LICENCES.get(source, "other"),
+    facts = folder_facts(folder)
+    sheet = digit_sheet(facts)
+    if sheet is not None:
+        write_previews(folder, {PREVIEW_FILE: sheet})
+    words = words_of(str(manifest.spec["source"]["name"]))
+    head = card_head(
+        facts,
+        license=words.licence,
         pretty_name="MNIST 3D",
         task_categories=["robotics", "reinforcement-learning"],
-        tags=["tactile", "3d", "mesh", "mnist"],
+        task_ids=["task-planning"],
+        tags=["tactile", "active-perception", "3d", "mesh", "mnist", "digits", "3d-printing"],
     )
-    values = {
-        "rows": f"{sum(summary.rows for summary in summaries):,}",
-        "source": source,
+    body = render_card("mnist3d.md", _values(folder, manifest, facts, words, sheet is not None))
+    write_card_text(folder, head_text(head) + "\n" + body)
+
+
+def _values(
+    folder: DataFolder, manifest: Manifest, facts: FolderFacts, words: SourceWords, drawn: bool
+) -> dict[str, str]:
+    summaries = summarise(folder, manifest)
+    profile = manifest.spec["print_profile"]
+    return {
+        "rows": f"{facts.rows:,}",
+        "picture": picture(PREVIEW_FILE if drawn else None, "One digit of each class, seen from above"),
         "version": manifest.toolkit_version,
-        "split_table": _split_table(summaries),
-        "print_table": _print_table(summaries),
+        "schema_version": str(manifest.schema_version),
+        "source_text": words.describe(manifest.spec["source"]),
+        "split_rule": _split_rule(manifest.spec),
+        "solid_text": _solid_text(manifest.spec["solid"]),
         "skipped": _skipped(manifest),
-        "spec": json.dumps(manifest.spec, indent=2),
-        "first_split": manifest.splits[0] if manifest.splits else "train",
+        "spec": json_block(manifest.spec),
+        "split_table": _split_table(summaries, facts),
+        "field_table": field_table(facts, _COLUMNS, {}),
+        "print_table": _print_table(summaries),
+        "report_columns": _report_columns(folder),
+        "nozzle_mm": f"{profile['nozzle_mm']:g}",
+        "min_wall_mm": f"{profile['min_wall_mm']:g}",
+        "overhang_deg": f"{profile['overhang_deg']:g}",
+        "limits": _limits(manifest, summaries, words),
+        "first_split": facts.splits[0].split,
+        "licence_text": words.licence_text,
+        "citation_text": words.citation_text,
+        "bibtex": bibtex(TACTILE_MNIST, *((MNIST,) if words.name == "mnist" else ()), HWD_PLUS),
     }
-    write_card_text(folder, head + "\n" + render_card("mnist3d.md", values))
 
 
-def _split_table(summaries: list[SplitSummary]) -> str:
-    rows = [(s.split, s.rows, s.shards, f"{s.bytes / 1e6:.1f} MB", s.skipped) for s in summaries]
-    return markdown_table(("split", "rows", "shards", "Parquet", "skipped"), rows)
+def _split_rule(spec: Mapping[str, Any]) -> str:
+    split = spec["split"]
+    whole = {"digit": "digit by digit", "writer": "whole writers"}[split["by"]]
+    cuts = [
+        f"the first {spec[name]:,} {unit} only"
+        for name, unit in (("per_class", "of each class of a split"), ("limit", "rows of a split"))
+        if spec[name] is not None
+    ]
+    sizes = "published sizes" if split["sizes"] is None else f"digits per class: {dict(split['sizes'])}"
+    return ", ".join([whole, f"seed {split['seed']}", sizes, *cuts])
+
+
+def _solid_text(solid: Mapping[str, Any]) -> str:
+    joined = ", separate pieces bridged" if solid["join_bodies"] else ""
+    return (
+        f"{solid['profile']} profile, {solid['half_thickness_mm']:g} mm half thickness, "
+        f"{solid['pixel_pitch_mm']:g} mm per pixel, about {solid['target_vertices']:,} vertices, "
+        f"{solid['smoothing_iterations']} rounds of smoothing{joined}"
+    )
+
+
+def _skipped(manifest: Manifest) -> str:
+    reasons = manifest.skipped_reasons()
+    if not reasons:
+        return "none"
+    listed = ", ".join(f"{count:,} for {reason}" for reason, count in reasons.items())
+    return f"{listed}; `manifest.json` names each"
+
+
+def _split_table(summaries: list[SplitSummary], facts: FolderFacts) -> str:
+    header = ("split", "digits", "per class", "shards", "Parquet", "unpacked", "left out")
+    rows = [
+        (
+            s.split,
+            f"{s.rows:,}",
+            _between(s.per_class),
+            s.shards,
+            megabytes(s.bytes),
+            megabytes(split.unpacked_bytes),
+            s.skipped,
+        )
+        for s, split in zip(summaries, facts.splits, strict=True)
+    ]
+    return markdown_table(header, rows)
+
+
+def _between(counts: tuple[int, ...]) -> str:
+    least, most = min(counts), max(counts)
+    return f"{most:,}" if least == most else f"{least:,} to {most:,}"
 
 
 def _print_table(summaries: list[SplitSummary]) -> str:
+    header = ("split", "height, mm", "volume, mm³", "thinnest wall, mm", "digits x bodies", "print warnings")
     rows = [
         (
             s.split,
             _range(s.height_mm),
             _range(s.volume_mm3),
             _range(s.thinnest_wall_mm),
-            ", ".join(f"{count} with {word}" for word, count in s.warnings.items()) or "none",
+            ", ".join(f"{count:,} x {bodies}" for bodies, count in s.bodies.items()) or "-",
+            ", ".join(f"{count:,} {word}" for word, count in s.warnings.items()) or "none",
         )
         for s in summaries
     ]
-    return markdown_table(("split", "height, mm", "volume, mm³", "thinnest wall, mm", "print warnings"), rows)
+    return markdown_table(header, rows)
 
 
 def _range(spread: tuple[float, ...]) -> str:
-    return f"{spread[0]:.1f} to {spread[2]:.1f} (median {spread[1]:.1f})" if spread else "-"
+    return f"{spread[0]:,.1f} to {spread[2]:,.1f} (median {spread[1]:,.1f})" if spread else "-"
 
 
-def _skipped(manifest: Manifest) -> str:
-    reasons = manifest.skipped_reasons()
-    if not reasons:
-        return "No digit of the splits was skipped."
-    listed = ", ".join(f"{count} for {reason!r}" for reason, count in reasons.items())
-    return f"Digits that gave no valid solid were left out: {listed}. `manifest.json` names each."
+def _report_columns(folder: DataFolder) -> str:
+    from dataset_store.rowgroups import Shard
+
+    return ", ".join(f"`{name}`" for name in Shard(folder.address(REPORT_FILE)).schema.names)
+
+
+def _limits(manifest: Manifest, summaries: list[SplitSummary], words: SourceWords) -> str:
+    rows = sum(s.rows for s in summaries)
+    pieces = sum(count for s in summaries for bodies, count in s.bodies.items() if bodies > 1)
+    warned = sum(count for s in summaries for count in s.warnings.values())
+    in_one = "None of the digits is in several pieces"
+    told = f"{pieces:,} of {rows:,} digits are in several pieces that print apart" if pieces else in_one
+    cut = manifest.spec["per_class"] is not None or manifest.spec["limit"] is not None
+    lines = [
+        words.limit,
+        f"{told}; `--join-bodies` makes bridges.",
+        f"The print profile raises {warned:,} warnings; one says what to look at, not that it fails.",
+        "Heights and shoulders are inferred from the published meshes: the erosion sizes were not published.",
+        *(["This is a cut of the full splits; it is not meant for comparing results."] if cut else []),
+    ]
+    return "\n".join(f"- {line}" for line in lines)

@@ -1,47 +1,218 @@
-"""The data card of a converted data set of touches."""
+"""The data card of a data set of touches, converted or published."""
 
 from __future__ import annotations
 
-import json
-from typing import Literal
+from collections.abc import Mapping
+from typing import Any, Literal
 
-from dataset_store.cards import front_matter, markdown_table, render_card, write_card_text
+from dataset_store.card_citations import HWD_PLUS, TACTILE_MNIST, bibtex
+from dataset_store.card_facts import FolderFacts, folder_facts
+from dataset_store.card_head import card_head, head_text
+from dataset_store.card_parts import field_table, json_block, markdown_table, megabytes, picture
+from dataset_store.card_pictures import write_previews
+from dataset_store.cards import render_card, write_card_text
 from dataset_store.manifest import Manifest
 from dataset_store.storage import DataFolder
+from realtouch.card_figures import (
+    PREVIEW_FILE,
+    SplitFigures,
+    index_sheet,
+    picture_size,
+    split_figures,
+    touch_sheet,
+)
+from realtouch.card_words import COLUMNS, FAMILIES, FRAMES, INDEX_COLUMNS, LIMITS
+from realtouch.contact import MIN_CONTACT_HEIGHT_M
+from realtouch.nested import list_depth
+from realtouch.schema import column_type, kind_of
 
-__all__ = ["write_card"]
+__all__ = ["CardKind", "card_kind", "write_card"]
 
-_TEMPLATES = {"single": "touch_single.md", "seq": "touch_seq.md", "frames": "touch_frames.md"}
+CardKind = Literal["seq", "single", "synthetic", "frames"]
+
+_TITLES: dict[CardKind, str] = {
+    "seq": "Real touches: clips",
+    "single": "Real touches: single images",
+    "synthetic": "Synthetic touches: single images",
+    "frames": "Touches as plain pictures",
+}
+_LICENCE = (
+    "cc-by-2.0",
+    "CC BY 2.0, as the published touches: name their authors, and say what was changed.",
+)
+_SYNTHETIC_LICENCE = (
+    "other",
+    "The terms of the published set that the touches come from; see its page on the Hub.",
+)
 
 
-def write_card(folder: DataFolder, manifest: Manifest, kind: Literal["seq", "single", "frames"]) -> None:
-    """Write ``README.md`` of a converted data set from its manifest.
+def write_card(
+    folder: DataFolder,
+    manifest: Manifest | None = None,
+    kind: Literal["seq", "single", "frames"] | None = None,
+) -> None:
+    """Write ``README.md`` of a folder of touches and the picture that it shows.
+
+    Parameters
+    ----------
+    folder : DataFolder
+        A converted data set, or a copy of a published one.
+    manifest : Manifest, optional
+        Its manifest; a copy of a published set has none, and its card says so.
+    kind : "seq", "single", "frames" or None
+        What it holds; told from manifest and columns where None.
 
     Raises
     ------
+    InputError
+        When the folder holds no touches.
+    IntegrityError
+        When a file is missing or damaged.
     StorageError
         When the folder cannot be written.
     """
-    head = front_matter(
-        manifest,
-        license="cc-by-2.0",
-        pretty_name=f"Real touches, {manifest.spec['operation']}",
-        task_categories=["robotics"],
-        tags=["tactile", "gelsight", "touch"],
+    facts = folder_facts(folder)
+    told = card_kind(facts, manifest, folder.address(), kind)
+    sheet = index_sheet(facts, folder) if told == "frames" else touch_sheet(facts, _stored_kind(told))
+    if sheet is not None:
+        write_previews(folder, {PREVIEW_FILE: sheet})
+    values = _values(facts, manifest, told, sheet is not None)
+    head = card_head(
+        facts,
+        license=_licence(told)[0],
+        pretty_name=values["title"],
+        task_categories=["robotics", "image-classification"],
+        task_ids=["multi-class-image-classification"],
+        tags=["tactile", "active-perception", "gelsight", "touch", *_tags(told)],
     )
-    table = manifest.split_table()
-    rows = [
-        (split, e["rows"], e["shards"], f"{e['bytes'] / 1e6:.1f} MB", e["skipped"])
-        for split, e in table.items()
-    ]
-    files = {split: [entry["file"] for entry in listed] for split, listed in manifest.spec["source"].items()}
-    values = {
-        "rows": f"{sum(entry['rows'] for entry in table.values()):,}",
-        "version": manifest.toolkit_version,
-        "operation": str(manifest.spec["operation"]),
-        "options": json.dumps(manifest.spec["options"], indent=2),
-        "split_table": markdown_table(("split", "rows", "shards", "Parquet", "left out"), rows),
-        "source_files": ", ".join(f"{split}: {len(names)} files" for split, names in files.items()),
-        "first_split": manifest.splits[0] if manifest.splits else "train",
+    write_card_text(folder, head_text(head) + "\n" + render_card(f"touch_{told}.md", values))
+
+
+def card_kind(facts: FolderFacts, manifest: Manifest | None, where: str, kind: str | None = None) -> CardKind:
+    """Tell which card a folder gets; poses of the object for each touch mark a synthetic set.
+
+    Raises
+    ------
+    InputError
+        When the folder holds no touches.
+    """
+    if kind == "frames" or (manifest is not None and manifest.spec.get("operation") == "frames"):
+        return "frames"
+    stored = kind_of(facts.schema, where)
+    pose = column_type(facts.schema, "info.object_pose.position")
+    if stored == "single" and pose is not None and list_depth(pose)[0] == 2:
+        return "synthetic"
+    return stored
+
+
+def _stored_kind(kind: CardKind) -> Literal["seq", "single"]:
+    return "seq" if kind == "seq" else "single"
+
+
+def _values(facts: FolderFacts, manifest: Manifest | None, kind: CardKind, drawn: bool) -> dict[str, str]:
+    figures = [] if kind == "frames" else [split_figures(split, _stored_kind(kind)) for split in facts.splits]
+    size = None if kind == "frames" else picture_size(facts, _stored_kind(kind))
+    columns = INDEX_COLUMNS if kind == "frames" else COLUMNS
+    return {
+        "title": _TITLES[kind],
+        "rows": f"{facts.rows:,}",
+        "rounds": f"{facts.rows:,}",
+        "touches": _total([figure.touches for figure in figures]),
+        "size_text": f", {size[0]} x {size[1]} pixels" if size else "",
+        "picture": picture(PREVIEW_FILE if drawn else None, "Some touches, each at contact"),
+        "made": _made(manifest),
+        "split_table": _split_table(facts, figures, manifest),
+        "contact_mm": f"{1e3 * MIN_CONTACT_HEIGHT_M:g}",
+        "field_table": field_table(facts, columns, FAMILIES),
+        "frames": FRAMES,
+        "limits": "\n".join(f"- {line}" for line in LIMITS[kind]),
+        "first_split": facts.splits[0].split,
+        "licence_text": _licence(kind)[1],
+        "citation_text": _citation_text(kind),
+        "bibtex": bibtex(TACTILE_MNIST, *(() if kind == "synthetic" else (HWD_PLUS,))),
     }
-    write_card_text(folder, head + "\n" + render_card(_TEMPLATES[kind], values))
+
+
+def _licence(kind: CardKind) -> tuple[str, str]:
+    if kind == "frames":
+        return _LICENCE[0], "That of the touches: CC BY 2.0 for the published real ones; name their authors."
+    return _SYNTHETIC_LICENCE if kind == "synthetic" else _LICENCE
+
+
+def _tags(kind: CardKind) -> list[str]:
+    if kind == "synthetic":
+        return ["synthetic"]
+    return ["mnist", "digits", "video"] if kind == "seq" else ["mnist", "digits"]
+
+
+def _total(counts: list[int | None]) -> str:
+    known = [count for count in counts if count is not None]
+    return f"{sum(known):,}" if len(known) == len(counts) else "an unknown number of"
+
+
+def _made(manifest: Manifest | None) -> str:
+    if manifest is None:
+        return (
+            "Not made by this toolkit: the folder has no `manifest.json`, and its files are described as "
+            "they are. The schema is that of the data sets that the authors of the paper published."
+        )
+    source = manifest.spec["source"]
+    files = ", ".join(f"{split}: {len(names)}" for split, names in source.items())
+    rows = ", ".join(f"{split}: {sum(file['rows'] for file in names):,}" for split, names in source.items())
+    lines = [
+        ("made by", f"tactile-toolkit {manifest.toolkit_version} (schema {manifest.schema_version})"),
+        ("command", f"`realtouch {manifest.spec['operation']}`"),
+        ("source", f"files {files}; rounds {rows}; `manifest.json` names and fingerprints each file"),
+        ("rounds left out", _skipped(manifest)),
+    ]
+    return markdown_table(("", ""), lines) + "\n\nOptions:\n\n" + json_block(manifest.spec["options"])
+
+
+def _skipped(manifest: Manifest) -> str:
+    reasons = manifest.skipped_reasons()
+    listed = ", ".join(f"{count:,} {reason}" for reason, count in reasons.items())
+    return f"{listed}; `manifest.json` names each" if reasons else "none"
+
+
+def _split_table(facts: FolderFacts, figures: list[SplitFigures], manifest: Manifest | None) -> str:
+    left_out = {} if manifest is None else manifest.split_table()
+    sizes = [
+        (len(split.paths), megabytes(split.file_bytes), megabytes(split.unpacked_bytes))
+        for split in facts.splits
+    ]
+    if not figures:
+        rows = [(s.split, f"{s.rows:,}", *size) for s, size in zip(facts.splits, sizes, strict=True)]
+        return markdown_table(("split", "pictures", "shards", "Parquet", "unpacked"), rows)
+    header = ("split", "rounds", "touches", "per round", "objects", "contact", "left out")
+    counted = [
+        (s.split, f"{s.rows:,}", *_figures(figure), _left_out(left_out, s.split), *size)
+        for s, figure, size in zip(facts.splits, figures, sizes, strict=True)
+    ]
+    return markdown_table((*header, "shards", "Parquet", "unpacked"), counted)
+
+
+def _left_out(table: Mapping[str, Mapping[str, Any]], split: str) -> str:
+    return str(table[split]["skipped"]) if split in table else "-"
+
+
+def _figures(figures: SplitFigures) -> tuple[str, str, str, str]:
+    least, most = figures.per_round or (0, 0)
+    return (
+        _counted(figures.touches),
+        "-" if figures.per_round is None else f"{most:,}" if least == most else f"{least:,} to {most:,}",
+        _counted(figures.objects),
+        "-" if figures.contact_share is None else f"{100 * figures.contact_share:.1f} %",
+    )
+
+
+def _counted(count: int | None) -> str:
+    return "-" if count is None else f"{count:,}"
+
+
+def _citation_text(kind: CardKind) -> str:
+    if kind == "synthetic":
+        return "The touches: Schneider et al. 2025."
+    return (
+        "The touches and the digits: Schneider et al. 2025. The digits were made from the handwriting of "
+        "HWD+ (Beaulac and Rosenthal 2022)."
+    )

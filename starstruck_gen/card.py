@@ -2,53 +2,102 @@
 
 from __future__ import annotations
 
-import json
+import math
 
-from dataset_store.cards import front_matter, markdown_table, render_card, write_card_text
+from dataset_store.card_citations import TACTILE_MNIST, bibtex
+from dataset_store.card_facts import FolderFacts, folder_facts
+from dataset_store.card_head import card_head, head_text
+from dataset_store.card_parts import Column, field_table, json_block, markdown_table, megabytes, picture
+from dataset_store.card_pictures import write_previews
+from dataset_store.cards import render_card, write_card_text
 from dataset_store.manifest import Manifest
+from dataset_store.mesh_columns import FACES, VERTICES
 from dataset_store.storage import DataFolder
+from starstruck_gen.card_picture import PREVIEW_FILE, scene_sheet
 from starstruck_gen.spec import SceneSpec
+from starstruck_gen.streams import SPLITS, scene_id
 from starstruck_gen.summary import SplitSummary, summarise
 
 __all__ = ["write_card"]
 
 _RULES = {
-    "circles": "the circumscribed circles of two objects never meet",
-    "exact": "the outlines of two objects never touch",
+    "circles": "the circumscribed circles of two objects do not meet",
+    "exact": "the outlines of two objects do not touch",
+}
+
+_COLUMNS: dict[str, Column] = {
+    "id": ("", f"number of the scene: from 0 in train, from {scene_id(SPLITS[1], 0):,} in test"),
+    "label": ("", "the class, named by the number of stars"),
+    VERTICES: ("V x 3, m, frame below", "corner positions"),
+    FACES: ("F x 3", "triangles: rows of the corners, counter-clockwise seen from outside"),
+    "star_count": ("", "number of stars"),
+    "distractor_count": ("", "number of objects that are no stars"),
+    "placements": (
+        "one per object: m, rad, frame below",
+        "each object in the order of placing, stars first: `shape`, centre `x_m` and `y_m`, `angle_rad` "
+        "about z, `radius_m` of the circumscribed circle, `height_m`",
+    ),
+    "seed": ("", "seed of the scene: with the specification and the star count it makes the scene again"),
+    "attempts": ("one per object", "positions drawn for it"),
+    "restarts": ("", "how often the scene was started over"),
 }
 
 
 def write_card(folder: DataFolder, manifest: Manifest) -> None:
-    """Write ``README.md`` of a data set folder from its manifest.
+    """Write ``README.md`` of a data set folder and the picture that it shows.
 
     Raises
     ------
+    IntegrityError
+        When a shard is missing or damaged.
     StorageError
         When the folder cannot be written.
     """
     spec = SceneSpec.from_dict(manifest.spec["scene"])
-    summaries = summarise(manifest)
-    head = front_matter(
-        manifest,
+    facts = folder_facts(folder)
+    sheet = scene_sheet(facts, spec.cell_m)
+    if sheet is not None:
+        write_previews(folder, {PREVIEW_FILE: sheet})
+    head = card_head(
+        facts,
         license="mit",
         pretty_name="Starstruck",
         task_categories=["robotics", "reinforcement-learning"],
-        tags=["tactile", "3d", "mesh", "counting"],
+        task_ids=["task-planning"],
+        tags=["tactile", "active-perception", "3d", "mesh", "counting"],
     )
-    values = {
-        "rows": f"{sum(summary.rows for summary in summaries):,}",
+    body = render_card("starstruck.md", _values(manifest, spec, facts, sheet is not None))
+    write_card_text(folder, head_text(head) + "\n" + body)
+
+
+def _values(manifest: Manifest, spec: SceneSpec, facts: FolderFacts, drawn: bool) -> dict[str, str]:
+    summaries = summarise(manifest)
+    return {
+        "rows": f"{facts.rows:,}",
+        "picture": picture(PREVIEW_FILE if drawn else None, "The first scenes from above; stars are orange"),
         "version": manifest.toolkit_version,
-        "classes": ", ".join(spec.class_names),
-        "shapes": _listed([shape.name for shape in spec.distractor_shapes]),
-        "distractors": f"{spec.distractors[0]} to {spec.distractors[1]}",
-        "rule": _rule(spec),
-        "split_table": _split_table(summaries),
-        "acceptance_table": _acceptance_table(summaries),
-        "spec": json.dumps(manifest.spec, indent=2),
+        "schema_version": str(manifest.schema_version),
         "seed": str(manifest.spec["seed"]),
-        "first_split": manifest.splits[0] if manifest.splits else "train",
+        "cell_mm": " x ".join(f"{1e3 * side:g}" for side in spec.cell_m),
+        "reach_x_mm": f"{1e3 * spec.half_area_m[0]:g}",
+        "reach_y_mm": f"{1e3 * spec.half_area_m[1]:g}",
+        "classes": ", ".join(spec.class_names),
+        "class_count": str(len(spec.class_names)),
+        "distractors": f"{spec.distractors[0]} to {spec.distractors[1]}",
+        "shapes": _shapes(spec),
+        "rotation": _rotation(spec),
+        "heights": " or ".join(f"{1e3 * height:g}" for height in spec.heights_m) + " mm",
+        "rule": _rule(spec),
+        "attempts": f"{spec.attempts:,}",
+        "spec": json_block(manifest.spec),
+        "split_table": _split_table(summaries, facts),
+        "field_table": field_table(facts, _COLUMNS, {}),
+        "acceptance_table": _acceptance_table(summaries),
+        "print_text": _print_text(spec),
+        "limits": _limits(manifest, spec),
+        "first_split": facts.splits[0].split,
+        "bibtex": bibtex(TACTILE_MNIST),
     }
-    write_card_text(folder, head + "\n" + render_card("starstruck.md", values))
 
 
 def _rule(spec: SceneSpec) -> str:
@@ -56,22 +105,28 @@ def _rule(spec: SceneSpec) -> str:
     return _RULES[spec.collision] + apart
 
 
-def _listed(names: list[str]) -> str:
-    return ", ".join(dict.fromkeys(names)) or "none"
+def _shapes(spec: SceneSpec) -> str:
+    return ", ".join(dict.fromkeys(shape.key for shape in spec.distractor_shapes)) or "none"
 
 
-def _split_table(summaries: list[SplitSummary]) -> str:
-    header = ("split", "scenes", "per class", "shards", "Parquet", "bytes per scene")
+def _rotation(spec: SceneSpec) -> str:
+    turned = math.degrees(spec.rotation_rad)
+    return f" by 0 to {turned:g} degrees about z" if turned else " by 0 degrees"
+
+
+def _split_table(summaries: list[SplitSummary], facts: FolderFacts) -> str:
+    header = ("split", "scenes", "per class", "shards", "Parquet", "bytes per scene", "unpacked")
     rows = [
         (
             s.split,
             f"{s.rows:,}",
             ", ".join(f"{count:,}" for count in s.acceptance.classes),
             s.shards,
-            f"{s.bytes / 1e6:.2f} MB",
-            f"{s.bytes_per_scene:.0f}",
+            megabytes(s.bytes),
+            f"{s.bytes_per_scene:,.0f}",
+            megabytes(split.unpacked_bytes),
         )
-        for s in summaries
+        for s, split in zip(summaries, facts.splits, strict=True)
     ]
     return markdown_table(header, rows)
 
@@ -83,8 +138,26 @@ def _acceptance_table(summaries: list[SplitSummary]) -> str:
             s.split,
             ", ".join(f"{mean:.2f}" for mean in s.acceptance.attempts_per_object),
             f"{100 * s.acceptance.accepted:.1f} %",
-            s.acceptance.restarts,
+            f"{s.acceptance.restarts:,}",
         )
         for s in summaries
     ]
     return markdown_table(header, rows)
+
+
+def _print_text(spec: SceneSpec) -> str:
+    radii = sorted({shape.radius_m for shape in (spec.star, *spec.distractor_shapes)})
+    sizes = " to ".join(dict.fromkeys(f"{2e3 * radius:g}" for radius in (radii[0], radii[-1])))
+    return f"The circles around them are {sizes} mm wide; a scene prints as loose objects."
+
+
+def _limits(manifest: Manifest, spec: SceneSpec) -> str:
+    lines = [
+        "Objects lie flat and are of one height each; nothing is stacked.",
+        "Scenes are drawn anew from the seed: they are not the published scenes, only made by the same rule.",
+    ]
+    if spec.to_dict() != SceneSpec().to_dict():
+        lines.append("The specification is not the published one; results do not compare with the paper's.")
+    if manifest.spec["limit"] is not None:
+        lines.append(f"Splits are cut to their first {manifest.spec['limit']:,} scenes.")
+    return "\n".join(f"- {line}" for line in lines)

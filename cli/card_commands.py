@@ -1,0 +1,42 @@
+"""``card``: write the data card of a folder and the picture that it shows."""
+
+from __future__ import annotations
+
+import typer
+
+from cli.failures import reports_errors
+from cli.options import Folder, Json, Quiet
+from cli.output import Sink
+from cli.rooms import Room
+
+__all__ = ["add_card"]
+
+
+def add_card(app: typer.Typer, room: Room) -> None:
+    """Add the command ``card`` to a command line."""
+
+    @app.command()
+    @reports_errors
+    def card(folder: Folder, as_json: Json = False, quiet: Quiet = False) -> None:
+        """Write the data card (README.md) of a folder anew, with the picture that it shows, and check it.
+
+        All numbers are those of the data; loading lines say FOLDER until the folder is uploaded.
+        """
+        from dataset_store.card_checks import check_card
+        from dataset_store.card_pictures import PREVIEW_FOLDER
+        from dataset_store.cards import CARD_FILE
+        from dataset_store.errors import IntegrityError
+        from dataset_store.storage import DataFolder
+
+        sink = Sink(as_json, quiet)
+        place = DataFolder(str(folder))
+        room.write_card(place)
+        findings = check_card(place)
+        if findings:
+            message = f"{findings[0].file} of {str(folder)!r}: {findings[0].problem}"
+            raise IntegrityError(message)
+        pictures = [
+            f"{PREVIEW_FOLDER}/{name}" for name in place.names(PREVIEW_FOLDER) if name.endswith(".png")
+        ]
+        sink.document({"folder": str(folder), "card": CARD_FILE, "previews": pictures})
+        sink.line(f"{folder}: wrote {', '.join([CARD_FILE, *pictures])}; all of it matches the data")

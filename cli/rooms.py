@@ -1,0 +1,137 @@
+"""What commands that all command lines share ask of the room that they stand for."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from dataset_store.findings import Finding
+    from dataset_store.manifest import Manifest
+    from dataset_store.storage import DataFolder
+
+__all__ = ["Room"]
+
+
+@dataclass(frozen=True, slots=True)
+class Room:
+    """A kind of data set, its modules imported when they are needed.
+
+    Parameters
+    ----------
+    command : str
+        Name of the command line: ``mnist3d``, ``starstruck`` or ``realtouch``.
+    """
+
+    command: str
+
+    @property
+    def python_name(self) -> str:
+        """Package whose ``load`` opens such data sets."""
+        return "starstruck_gen" if self.command == "starstruck" else self.command
+
+    @property
+    def makes(self) -> str:
+        """Commands that make such folders, for messages."""
+        return "realtouch select" if self.command == "realtouch" else f"{self.command} generate"
+
+    def write_card(self, folder: DataFolder) -> None:
+        """Write card and picture of a folder.
+
+        Raises
+        ------
+        InputError
+            When the folder holds no data set of this kind, or one that is not finished.
+        """
+        manifest = self.manifest_of(folder)
+        if self.command == "realtouch":
+            from realtouch.card import write_card as write_touch_card
+
+            write_touch_card(folder, manifest)
+            return
+        required = self.required(manifest, folder)
+        if self.command == "mnist3d":
+            from mnist3d.card import write_card as write_digit_card
+
+            write_digit_card(folder, required)
+        else:
+            from starstruck_gen.card import write_card as write_scene_card
+
+            write_scene_card(folder, required)
+
+    def manifest_of(self, folder: DataFolder) -> Manifest | None:
+        """Read the manifest of a folder; None where it has none.
+
+        Raises
+        ------
+        InputError
+            When it is of another kind, or its run is not finished.
+        IntegrityError
+            When the manifest is damaged.
+        """
+        from dataset_store.errors import InputError
+        from dataset_store.manifest import read_manifest
+
+        manifest = read_manifest(folder)
+        if manifest is not None and manifest.kind != self.command:
+            message = (
+                f"{folder.address()!r} holds a data set of kind {manifest.kind!r}; expected one of "
+                f"{self.command!r}; next: use the command of that kind"
+            )
+            raise InputError(message)
+        if manifest is not None and not manifest.complete:
+            message = (
+                f"the run that makes {folder.address()!r} is not finished; next: give the same command "
+                "again, it goes on"
+            )
+            raise InputError(message)
+        return manifest
+
+    def required(self, manifest: Manifest | None, folder: DataFolder) -> Manifest:
+        """Return a manifest that has to be there.
+
+        Raises
+        ------
+        InputError
+            When there is none.
+        """
+        from dataset_store.errors import InputError
+        from dataset_store.manifest import MANIFEST_FILE
+
+        if manifest is None:
+            message = (
+                f"no {MANIFEST_FILE} in {folder.address()!r}; next: give the folder of a data set, such as "
+                f"one made by `{self.makes}`"
+            )
+            raise InputError(message)
+        return manifest
+
+    def check(self, folder: DataFolder) -> Iterable[Finding]:
+        """List everything that is wrong with a folder: files, rows, columns, ids, pictures, card."""
+        from dataset_store.card_checks import check_card
+        from dataset_store.findings import Finding
+        from dataset_store.verify import verify
+
+        if self.command == "realtouch":
+            from realtouch.checks import verify as verify_touches
+
+            found = verify_touches(folder.address(), quick=True).findings
+            if found:
+                return [Finding(damage.file, f"({damage})") for damage in found]
+            return check_card(folder)
+        manifest = self.required(self.manifest_of(folder), folder)
+        return verify(folder, self.schema(manifest), card=True).findings
+
+    def schema(self, manifest: Manifest) -> Any:
+        """Return the Arrow schema that every shard must have; None where it follows from a source."""
+        if self.command == "mnist3d":
+            from mnist3d.rows import mesh_schema
+
+            return mesh_schema()
+        if self.command == "starstruck":
+            from starstruck_gen.rows import scene_schema
+
+            names = tuple(str(count) for count in manifest.spec["scene"]["stars"])
+            return scene_schema(names)
+        return None

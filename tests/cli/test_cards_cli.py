@@ -1,0 +1,241 @@
+"""``card`` of all command lines, and that every line of code in a card works."""
+
+from __future__ import annotations
+
+import os
+import re
+import shutil
+import sys
+from pathlib import Path
+
+import datasets
+import pytest
+from huggingface_hub import DatasetCard
+
+import realtouch
+from dataset_store.card_checks import check_card
+from dataset_store.storage import DataFolder
+from tests.dataset_store.toy import folder_bytes
+from tests.realtouch import factories
+from tests.realtouch.factories import Layout
+
+KINDS = ("mnist3d", "starstruck", "single", "seq", "synthetic", "frames")
+
+
+def call(command: str, *arguments: object) -> int:
+    """Run a command line in this process and return its exit code."""
+    from importlib import import_module
+
+    before = sys.argv
+    sys.argv = [command, *map(str, arguments)]
+    try:
+        import_module(f"cli.{command}").main()
+    except SystemExit as leave:
+        return int(leave.code or 0)
+    finally:
+        sys.argv = before
+        os.environ.pop("TACTILE_TOOLKIT_DEBUG", None)
+    return 0
+
+
+def command_of(kind: str) -> str:
+    return kind if kind in ("mnist3d", "starstruck") else "realtouch"
+
+
+def _per_touch_poses(row: dict, index: int) -> None:
+    count = len(row["pos_in_cell"])
+    for part in ("position", "quaternion"):
+        row[f"info.object_pose.{part}"] = [row[f"info.object_pose.{part}"]] * count
+
+
+@pytest.fixture(scope="module")
+def folders(tmp_path_factory) -> dict[str, Path]:
+    """A small data set of each kind."""
+    root = tmp_path_factory.mktemp("kinds")
+    small = ("--split", "test", "--per-class", "1", "--vertices", "300")
+    assert call("mnist3d", "generate", *small, "--workers", 1, "--quiet", "--out", root / "mnist3d") == 0
+    scenes = ("generate", "--scenes", "train=30,test=9", "--workers", 1, "--quiet")
+    assert call("starstruck", *scenes, "--out", root / "starstruck") == 0
+    truth = [factories.make_round(index, 4, (64, 48)) for index in range(3)]
+    single, seq = root / "from-single", root / "from-seq"
+    factories.write_set(single, {"train": factories.single_rows(truth)}, "single")
+    factories.write_set(seq, {"train": factories.seq_rows(truth[:1])}, "seq", Layout())
+    realtouch.select(str(single), str(root / "single"))
+    realtouch.select(str(seq), str(root / "seq"))
+    realtouch.frames(str(single), str(root / "frames"), "jpeg")
+    _write_synthetic(root / "synthetic", factories.single_rows(truth))
+    assert call("realtouch", "card", root / "synthetic", "--quiet") == 0
+    return {kind: root / kind for kind in KINDS}
+
+
+def _write_synthetic(folder: Path, rows: list[dict]) -> None:
+    """Write a copy of a synthetic set: no manifest, and the pose of the object in each touch."""
+    vector = {"position": 3, "quaternion": 4}
+    features = factories.features("single", 4)
+    for part, width in vector.items():
+        features[f"info.object_pose.{part}"] = datasets.List(
+            datasets.List(datasets.Value("float64"), length=width), length=4
+        )
+    for index, row in enumerate(rows):
+        _per_touch_poses(row, index)
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    (folder / "data").mkdir(parents=True)
+    table = pa.Table.from_pylist([factories._plain(row) for row in rows], schema=features.arrow_schema)
+    pq.write_table(table, folder / "data" / "test-00000-of-00001.parquet")
+
+
+@pytest.fixture(params=KINDS)
+def kind(request) -> str:
+    return request.param
+
+
+def card_of(folder: Path) -> str:
+    return (folder / "README.md").read_text()
+
+
+def blocks(folder: Path) -> list[str]:
+    return re.findall(r"```python\n(.*?)```", card_of(folder), flags=re.DOTALL)
+
+
+def test_the_card_was_written_with_the_data_and_is_written_the_same_again(folders, kind, tmp_path, capsys):
+    folder = Path(shutil.copytree(folders[kind], tmp_path / kind))
+    before = folder_bytes(folder)
+    (folder / "README.md").write_text("spoilt")
+    shutil.rmtree(folder / "previews")
+    assert call(command_of(kind), "card", folder) == 0
+    assert re.search(r"wrote README.md, previews/\w+\.png; all of it matches", capsys.readouterr().out)
+    assert folder_bytes(folder) == before
+
+
+def test_the_card_is_true_and_has_every_part(folders, kind):
+    folder = folders[kind]
+    assert check_card(DataFolder(str(folder))) == []
+    text = card_of(folder)
+    assert not re.search(r"more information needed|\$\w|TODO", text, flags=re.IGNORECASE)
+    parts = ("What it is", "How it was made", "Splits", "Fields", "Printability", "Known limits", "Loading")
+    for part in (*parts, "Licence", "Citation"):
+        assert f"\n## {part}\n" in text
+    assert re.search(r"\n## Coordinate frames?\n\n```\n.*\^", text, flags=re.DOTALL)
+    assert "schneider2025tactilemnist" in text
+    data = DatasetCard(text).data
+    assert data.language is None
+    assert data.license
+    assert data.task_ids
+    assert data.tags
+    picture = next((folder / "previews").iterdir())
+    assert picture.stat().st_size < 150_000
+
+
+def test_datasets_follows_the_card(folders, kind):
+    loaded = datasets.load_dataset(str(folders[kind]))
+    told = DatasetCard(card_of(folders[kind])).data.dataset_info
+    assert {split["name"]: split["num_examples"] for split in told["splits"]} == {
+        name: len(rows) for name, rows in loaded.items()
+    }
+    assert told["features"] == next(iter(loaded.values())).info._to_yaml_dict()["features"]
+    streamed = datasets.load_dataset(str(folders[kind]), streaming=True)
+    assert set(streamed) == set(loaded)
+
+
+def test_every_column_is_explained(folders, kind):
+    text = card_of(folders[kind])
+    columns = [entry["name"] for entry in DatasetCard(text).data.dataset_info["features"]]
+    table = text.split("\n## Fields\n")[1].split("\n## ")[0]
+    listed = re.findall(r"^\| `([^`]+)` \| [^|]+ \|[^|]*\| [^|]+ \|$", table, flags=re.MULTILINE)
+    assert listed == columns
+    assert "a column of this copy" not in table
+
+
+def test_numbers_are_those_of_the_data(folders):
+    assert "10 handwritten digits" in card_of(folders["mnist3d"])
+    assert "| test | 10 | 1 | 1 |" in card_of(folders["mnist3d"])
+    assert "39 scenes" in card_of(folders["starstruck"])
+    assert "| train | 30 | 10, 10, 10 | 1 |" in card_of(folders["starstruck"])
+    assert "3 rounds, 12 touches" in card_of(folders["single"])
+    assert "one image per\ntouch, 64 x 48 pixels" in card_of(folders["single"])
+    assert "| train | 3 | 12 | 4 | 3 | 75.0 % | 0 | 1 |" in card_of(folders["single"])
+    assert "12 pictures of touches" in card_of(folders["frames"])
+    assert "no `manifest.json`" in card_of(folders["synthetic"])
+    assert "Synthetic touches" in card_of(folders["synthetic"])
+
+
+def run_block(block: str, folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(folder)
+    exec(compile(block.replace('"FOLDER"', repr(str(folder))), "card", "exec"), {})
+
+
+def test_the_lines_that_load_it_work(folders, kind, monkeypatch, capsys):
+    with_datasets, with_toolkit, *with_others = blocks(folders[kind])
+    assert "tactile_mnist" in (with_others or [card_of(folders[kind])])[0]
+    for block in (with_datasets, with_toolkit):
+        run_block(block, folders[kind], monkeypatch)
+    assert capsys.readouterr().out.strip()
+
+
+@pytest.mark.env
+@pytest.mark.parametrize("name", ["mnist3d", "starstruck", "single", "synthetic", "seq"])
+def test_the_lines_with_tactile_mnist_work(folders, name, monkeypatch, capsys):
+    pytest.importorskip("tactile_mnist", reason="the package tactile-mnist is not installed")
+    run_block(blocks(folders[name])[2], folders[name], monkeypatch)
+    assert capsys.readouterr().out.strip()
+
+
+def test_verify_reads_the_card_too(folders, tmp_path, capsys):
+    folder = Path(shutil.copytree(folders["starstruck"], tmp_path / "stars"))
+    card = folder / "README.md"
+    card.write_text(card.read_text().replace("num_examples: 30", "num_examples: 31"))
+    assert call("starstruck", "verify", folder) == 3
+    assert "README.md: num_examples of split 'train' is 31, expected 30" in capsys.readouterr().err
+    assert call("starstruck", "card", folder, "--quiet") == 0
+    assert call("starstruck", "verify", folder) == 0
+
+
+@pytest.mark.parametrize(
+    ("command", "kind", "words"),
+    [
+        ("mnist3d", "starstruck", "holds a data set of kind 'starstruck'; expected one of 'mnist3d'"),
+        ("realtouch", "mnist3d", "holds a data set of kind 'mnist3d'; expected one of 'realtouch'"),
+        ("starstruck", "synthetic", "no manifest.json in"),
+    ],
+)
+def test_a_folder_of_another_kind_is_refused(folders, tmp_path, capsys, command, kind, words):
+    before = folder_bytes(folders[kind])
+    assert call(command, "card", folders[kind]) == 2
+    assert words in capsys.readouterr().err
+    assert folder_bytes(folders[kind]) == before
+
+
+def test_an_empty_folder_is_refused(tmp_path, capsys):
+    for command in ("mnist3d", "starstruck", "realtouch"):
+        assert call(command, "card", tmp_path) == 2
+        assert "; next: " in capsys.readouterr().err
+    assert list(tmp_path.iterdir()) == []
+
+
+FINGERPRINTS = {
+    "synthetic": {"seed": 3, "count": 1_400, "drawing_version": 1},
+    "hwdplus": {"shape": [13580, 500, 500], "dtype": "|u1", "images_sample_sha256": "ab" * 32},
+    "mnist": {"parts": [{"images": 10_000, "images_sha256": "cd" * 32}]},
+    "folder": {"images": 70, "ink": "dark", "sha256": "ef" * 32},
+    "mine": {"anything": 1},
+}
+
+
+@pytest.mark.parametrize(
+    ("name", "licence", "words"),
+    [
+        ("synthetic", "mit", "seed 3, 1,400 digits"),
+        ("hwdplus", "other", "shape [13580, 500, 500], dtype `|u1`, fingerprint `abababababab`"),
+        ("mnist", "cc-by-sa-3.0", "10,000 images of 28 x 28 pixels, fingerprint `cdcdcdcdcdcd`"),
+        ("folder", "other", "70 pictures of a folder, ink dark, fingerprint `efefefefefef`"),
+        ("mine", "other", "`mine`: a source of its maker's own"),
+    ],
+)
+def test_sources_of_digits_are_named_with_their_terms(name, licence, words):
+    from mnist3d.card_sources import words_of
+
+    source = words_of(name)
+    assert source.licence == licence
+    assert words in source.describe({"name": name, **FINGERPRINTS[name]})
