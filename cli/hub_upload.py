@@ -1,0 +1,216 @@
+"""``upload``: bring a data set folder to the Hugging Face Hub."""
+
+from __future__ import annotations
+
+import sys
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from cli.failures import EXIT_FAILED, reports_errors
+from cli.options import Folder, Json, Quiet
+from cli.output import Sink, bytes_text
+from cli.rooms import Room
+
+if TYPE_CHECKING:
+    from dataset_store.upload import PreparedUpload, UploadResult
+
+__all__ = ["add_upload"]
+
+_SHOWN = 8
+
+Repository = Annotated[str, typer.Argument(metavar="USER/NAME", help="Repository of the Hub.")]
+Private = Annotated[bool, typer.Option("--private", help="Create the repository for your eyes only.")]
+Revision = Annotated[
+    str | None,
+    typer.Option("--revision", metavar="BRANCH", help="Branch to write to; made if it is not there."),
+]
+CreatePr = Annotated[
+    bool, typer.Option("--create-pr", help="Open a pull request instead of writing to main.")
+]
+Message = Annotated[str | None, typer.Option("--message", metavar="TEXT", help="First line of the commit.")]
+Tag = Annotated[
+    str | None,
+    typer.Option("--tag", metavar="NAME", help="Name of this state, beside the schema's, such as v1."),
+]
+Delete = Annotated[
+    bool, typer.Option("--delete", help="Remove files from the repository that the folder does not have.")
+]
+DryRun = Annotated[bool, typer.Option("--dry-run", help="Say what would be sent; send nothing.")]
+Yes = Annotated[bool, typer.Option("--yes", "-y", help="Send without asking.")]
+
+
+def add_upload(app: typer.Typer, room: Room) -> None:
+    """Add the command ``upload`` to a command line."""
+
+    @app.command()
+    @reports_errors
+    def upload(
+        folder: Folder,
+        repository: Repository,
+        private: Private = False,
+        revision: Revision = None,
+        create_pr: CreatePr = False,
+        message: Message = None,
+        tag: Tag = None,
+        delete: Delete = False,
+        dry_run: DryRun = False,
+        yes: Yes = False,
+        as_json: Json = False,
+        quiet: Quiet = False,
+    ) -> None:
+        """Verify a data set folder and bring it to the Hugging Face Hub; only what is missing there is sent.
+
+        Run again after an interruption, it goes on; run again after success, it sends nothing and says so.
+        """
+        from dataset_store.storage import DataFolder
+        from dataset_store.upload import UploadOptions, prepare_upload, run_upload
+
+        sink = Sink(as_json, quiet)
+        options = UploadOptions(private, revision, create_pr, message, tag, delete)
+        room.required(room.manifest_of(DataFolder(str(folder))), DataFolder(str(folder)))
+        sink.talk(f"checking {folder}")
+        prepared = prepare_upload(
+            str(folder), repository, options, check=room.check, dry_run=dry_run, on_wait=sink.talk
+        )
+        _print_plan(sink, prepared)
+        if dry_run:
+            sink.document(_document(room, prepared, None))
+            sink.line("nothing was sent")
+            return
+        if not prepared.is_done and not yes:
+            _ask(prepared)
+        _show_bars(sink)
+        result = run_upload(prepared)
+        sink.document(_document(room, prepared, result))
+        _print_result(sink, room, prepared, result)
+
+
+def _ask(prepared: PreparedUpload) -> None:
+    from dataset_store.errors import InputError
+
+    if not (sys.stdin.isatty() and sys.stderr.isatty()):
+        message = (
+            "upload asks before it sends, and there is no terminal to ask on; nothing was sent; next: add "
+            "--yes, or look first with --dry-run"
+        )
+        raise InputError(message)
+    if not typer.confirm(f"Send this to {prepared.target.page}?", err=True):
+        sys.stderr.write("nothing was sent\n")
+        raise typer.Exit(EXIT_FAILED)
+
+
+def _show_bars(sink: Sink) -> None:
+    """Let the Hub's client show its progress bars on a terminal only."""
+    if sink.quiet or not sys.stderr.isatty():
+        from huggingface_hub.utils.tqdm import disable_progress_bars
+
+        disable_progress_bars()
+
+
+def _print_plan(sink: Sink, prepared: PreparedUpload) -> None:
+    plan, payload = prepared.plan, prepared.payload
+    if payload.left_out:
+        sink.talk(f"left out, no part of the data set: {_some(payload.left_out)}")
+    if prepared.kept:
+        sink.talk(
+            f"kept on the Hub, though the folder lacks it: {_some(prepared.kept)} (--delete removes it)"
+        )
+    if prepared.mixed:
+        sink.talk(
+            f"{_some(prepared.mixed)}: named like shards of this data set, but not of it; the card leaves "
+            "them out, other readers may not; --delete removes them"
+        )
+    if prepared.is_done:
+        return
+    if not prepared.state.exists:
+        sink.line(
+            f"{'private' if prepared.options.private else 'public'} repository to create: {_where(prepared)}"
+        )
+    new = {file.path for file in plan.new}
+    rows = [
+        (file.path, bytes_text(file.size), "new" if file.path in new else "changed") for file in plan.to_send
+    ]
+    sink.table(("file", "size", "on the Hub"), rows[:_SHOWN])
+    if len(rows) > _SHOWN:
+        sink.line(f"  and {len(rows) - _SHOWN:,} more")
+    for path in prepared.removed[:_SHOWN]:
+        sink.line(f"  to remove: {path}")
+    sink.line(
+        f"{len(plan.to_send):,} of {len(payload.files):,} files to send, {bytes_text(plan.send_bytes)} of "
+        f"{bytes_text(payload.size)}, {len(prepared.removed):,} to remove, to {_where(prepared)}"
+    )
+
+
+def _print_result(sink: Sink, room: Room, prepared: PreparedUpload, result: UploadResult) -> None:
+    where = _where(prepared)
+    if not result.sent and not result.removed:
+        held = f"{result.pull} of {where}" if result.pull else where
+        sink.line(f"{held} holds all of it already, compared by checksum; nothing was sent")
+    else:
+        sink.line(
+            f"sent {len(result.sent):,} files, removed {len(result.removed):,}; all "
+            f"{len(prepared.payload.files):,} compared by checksum"
+        )
+    if result.tags:
+        sink.line(f"tags set: {', '.join(result.tags)}")
+    sink.line(_address(prepared, result))
+    for line in _python_lines(room, prepared, result):
+        sink.line(f"  {line}")
+
+
+def _document(room: Room, prepared: PreparedUpload, result: UploadResult | None) -> dict[str, Any]:
+    plan, options = prepared.plan, prepared.options
+    return {
+        "repository": prepared.target.repo_id,
+        "revision": prepared.target.branch,
+        "address": _address(prepared, result),
+        "dry_run": result is None,
+        "exists": prepared.state.exists,
+        "private": prepared.state.private if prepared.state.exists else options.private,
+        "files": len(prepared.payload.files),
+        "bytes": prepared.payload.size,
+        "to_send": [file.path for file in plan.to_send] if not prepared.is_done else [],
+        "bytes_to_send": plan.send_bytes if not prepared.is_done else 0,
+        "to_remove": list(prepared.removed),
+        "kept": list(prepared.kept),
+        "mixed": list(prepared.mixed),
+        "left_out": list(prepared.payload.left_out),
+        "tags": list(prepared.tags),
+        "commit": result.commit if result else None,
+        "pull_request": result.pull if result else None,
+        "sent": list(result.sent) if result else [],
+        "removed": list(result.removed) if result else [],
+        "python": _python_lines(room, prepared, result),
+    }
+
+
+def _where(prepared: PreparedUpload) -> str:
+    from dataset_store.upload_target import MAIN
+
+    branch = prepared.target.branch
+    return prepared.target.repo_id if branch == MAIN else f"{prepared.target.repo_id} ({branch})"
+
+
+def _address(prepared: PreparedUpload, result: UploadResult | None) -> str:
+    from dataset_store.upload_target import MAIN
+
+    page, branch = prepared.target.page, prepared.target.branch
+    if result is not None and result.pull is not None:
+        return f"{page}/discussions/{result.pull.rpartition('/')[2]}"
+    return page if branch == MAIN else f"{page}/tree/{branch}"
+
+
+def _python_lines(room: Room, prepared: PreparedUpload, result: UploadResult | None) -> list[str]:
+    from dataset_store.upload_target import MAIN
+
+    branch = result.pull if result is not None and result.pull else prepared.target.branch
+    revision = "" if branch == MAIN else f', revision="{branch}"'
+    split = prepared.manifest.splits[0]
+    call = f'{room.python_name}.load("{prepared.target.repo_id}", split="{split}"{revision})'
+    return [f"import {room.python_name}", f"data = {call}"]
+
+
+def _some(paths: tuple[str, ...]) -> str:
+    more = f" and {len(paths) - _SHOWN:,} more" if len(paths) > _SHOWN else ""
+    return ", ".join(paths[:_SHOWN]) + more

@@ -1,0 +1,298 @@
+"""``upload`` against a real server, and the way back through `datasets` and the toolkit."""
+
+from __future__ import annotations
+
+import json
+import os
+import pty
+import re
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+import realtouch
+from starstruck_gen.generation import GenerateSpec, generate
+from tests.dataset_store.hub_client import run_python, settings
+from tests.dataset_store.hub_upload_client import logged_in
+from tests.hub_server import HubServer, hub
+from tests.realtouch import factories
+
+NAME = "someone/stars"
+
+pytestmark = pytest.mark.filterwarnings(
+    "ignore:Use 'content=<...>':DeprecationWarning"  # of the client's own making, in every PUT
+)
+
+
+def call(command: str, *arguments: object) -> int:
+    """Run a command line in this process and return its exit code."""
+    from importlib import import_module
+
+    before = sys.argv
+    sys.argv = [command, *map(str, arguments)]
+    try:
+        import_module(f"cli.{command}").main()
+    except SystemExit as leave:
+        return int(leave.code or 0)
+    finally:
+        sys.argv = before
+        os.environ.pop("TACTILE_TOOLKIT_DEBUG", None)
+    return 0
+
+
+def run(command: str, *arguments: object, environment: dict[str, str]) -> subprocess.CompletedProcess[str]:
+    """Run a command line in a process of its own."""
+    program = [sys.executable, "-c", f"from cli.{command} import main; main()", *map(str, arguments)]
+    environment = {**environment, "PYTHONPATH": str(Path.cwd())}
+    return subprocess.run(program, env=environment, capture_output=True, text=True, check=False, timeout=120)
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory) -> Path:
+    """Two splits of scenes."""
+    place = tmp_path_factory.mktemp("upload") / "stars"
+    generate(GenerateSpec(scenes=(("train", 30), ("test", 9))), str(place))
+    return place
+
+
+@pytest.fixture
+def server(monkeypatch) -> Iterator[HubServer]:
+    with hub() as running, logged_in(running, running.account("someone"), monkeypatch):
+        yield running
+
+
+THERE_AND_BACK = """
+import datasets, hashlib, {package}
+datasets.disable_progress_bars()
+def digest(columns):
+    return hashlib.sha256(b''.join(
+        bytes(memoryview(__import__('numpy').asarray(value, dtype).tobytes())) for value, dtype in columns
+    )).hexdigest()
+def of_rows(rows):
+    return digest([
+        pair for row in rows
+        for pair in ((row['mesh.vertices'], 'float32'), (row['mesh.faces'], 'int32'))
+    ])
+held = datasets.load_dataset('{name}', split='{split}')
+print(len(held), of_rows(held))
+streamed = list(datasets.load_dataset('{name}', split='{split}', streaming=True))
+print(len(streamed), of_rows(streamed))
+ours = list({package}.load('{name}', split='{split}'))
+print(len(ours), digest([
+    pair for record in ours for pair in ((record.vertices_m, 'float32'), (record.faces, 'int32'))
+]))
+here = list({package}.load({folder!r}, split='{split}'))
+print(len(here), digest([
+    pair for record in here for pair in ((record.vertices_m, 'float32'), (record.faces, 'int32'))
+]))
+"""
+
+
+def there_and_back(
+    server: HubServer, home: Path, folder: Path, name: str, package: str, split: str
+) -> set[str]:
+    """Load a split from the Hub in three ways, and from the folder; return what each gave."""
+    script = THERE_AND_BACK.format(name=name, package=package, split=split, folder=str(folder))
+    environment = settings(server, home, next(iter(server.accounts)), PYTHONPATH=str(Path.cwd()))
+    done = run_python(script, environment, home)
+    assert done.returncode == 0, done.stderr
+    return set(done.stdout.split("\n")[:4])
+
+
+def test_the_whole_way_of_digits(tmp_path):
+    """Generate, upload, load: real processes, nothing but HF_ENDPOINT set; the same meshes, byte for byte."""
+    folder = tmp_path / "digits"
+    with hub() as server:
+        token = server.account("someone")
+        environment = settings(server, tmp_path, token)
+        small = ("--split", "test", "--per-class", "1", "--vertices", "400", "--workers", "1", "--quiet")
+        made = run("mnist3d", "generate", *small, "--out", folder, environment=environment)
+        assert made.returncode == 0, made.stderr
+        sent = run("mnist3d", "upload", folder, "someone/digits", "--yes", environment=environment)
+        assert sent.returncode == 0, sent.stderr
+        assert token not in sent.stdout + sent.stderr
+        lines = [line.strip() for line in sent.stdout.splitlines()]
+        assert f"{server.endpoint}/datasets/someone/digits" in lines
+        assert lines[-2:] == ["import mnist3d", 'data = mnist3d.load("someone/digits", split="test")']
+        ways = there_and_back(server, tmp_path, folder, "someone/digits", "mnist3d", "test")
+        (way,) = ways
+        assert way.startswith("10 ")
+
+
+def test_the_whole_way_of_scenes(server, folder, tmp_path):
+    assert call("starstruck", "upload", folder, NAME, "--yes", "--quiet") == 0
+    (way,) = there_and_back(server, tmp_path, folder, NAME, "starstruck_gen", "train")
+    assert way.startswith("30 ")
+    card = server.repository(NAME).head.files["README.md"].content.decode()
+    with_datasets, with_toolkit, _ = re.findall(r"```python\n(.*?)```", card, flags=re.DOTALL)
+    environment = settings(server, tmp_path, PYTHONPATH=str(Path.cwd()))
+    done = run_python(with_datasets + with_toolkit, environment, tmp_path)
+    assert done.returncode == 0, done.stderr
+    assert len(done.stdout.splitlines()) == 2
+
+
+def test_touches_and_plain_pictures_go_the_same_way(server, tmp_path, capsys):
+    truth = [factories.make_round(index, 3, (64, 48)) for index in range(2)]
+    source = factories.write_set(tmp_path / "source", {"train": factories.single_rows(truth)}, "single")
+    realtouch.select(str(source), str(tmp_path / "touches"))
+    realtouch.frames(str(source), str(tmp_path / "pictures"), "jpeg")
+    assert call("realtouch", "upload", tmp_path / "touches", "someone/touches", "--yes") == 0
+    assert 'realtouch.load("someone/touches", split="train")' in capsys.readouterr().out
+    assert call("realtouch", "upload", tmp_path / "pictures", "someone/pictures", "--yes", "--quiet") == 0
+    held = server.repository("someone/pictures").head.files
+    stored = {f.relative_to(tmp_path / "pictures").as_posix() for f in (tmp_path / "pictures").rglob("*.jpg")}
+    assert stored
+    assert {"index.csv", *stored} <= set(held)
+    picture = next(iter((tmp_path / "pictures").rglob("*.jpg")))
+    picture.write_bytes(picture.read_bytes()[:-9])
+    assert call("realtouch", "upload", tmp_path / "pictures", "someone/pictures", "--yes") == 3
+    assert picture.name in capsys.readouterr().err
+    assert call("realtouch", "upload", source, "someone/source", "--yes") == 2
+    assert "no manifest.json" in capsys.readouterr().err
+
+
+def test_it_shows_what_it_sends_and_sends_nothing_twice(server, folder, capsys):
+    (folder / "notes.txt").write_text("mine")
+    assert call("starstruck", "upload", folder, NAME, "--yes", "--tag", "v1") == 0
+    printed = capsys.readouterr()
+    assert "public repository to create: someone/stars" in printed.out
+    for path in ("README.md", "data/train-00000-of-00001.parquet", "manifest.json", "previews/scenes.png"):
+        assert re.search(rf"{path} .*[kM]?B +new", printed.out)
+    assert re.search(r"5 of 5 files to send, [\d.]+ kB of [\d.]+ kB, 0 to remove", printed.out)
+    assert "sent 5 files, removed 0; all 5 compared by checksum" in printed.out
+    assert "tags set: schema-1, v1" in printed.out
+    assert "left out, no part of the data set: notes.txt" in printed.err
+    assert call("starstruck", "upload", folder, NAME, "--yes") == 0
+    assert "someone/stars holds all of it already, compared by checksum; nothing was sent" in (
+        capsys.readouterr().out
+    )
+    (folder / "notes.txt").unlink()
+
+
+def test_dry_run_sends_nothing_and_needs_no_login(server, folder, capsys, monkeypatch):
+    monkeypatch.delenv("HF_TOKEN")
+    assert call("starstruck", "upload", folder, NAME, "--dry-run", "--private", "--revision", "next") == 0
+    printed = capsys.readouterr().out
+    assert "private repository to create: someone/stars (next)" in printed
+    assert "5 of 5 files to send" in printed
+    assert printed.endswith("nothing was sent\n")
+    assert {request.method for request in server.requests} == {"GET"}
+    server.create(NAME, {"old.txt": b"x"})
+    assert call("starstruck", "upload", folder, NAME, "--dry-run", "--delete", "--json") == 0
+    told = json.loads(capsys.readouterr().out)
+    assert (told["dry_run"], told["to_remove"], told["sent"], told["commit"]) == (True, ["old.txt"], [], None)
+    assert len(told["to_send"]) == told["files"] == 5
+    assert {request.method for request in server.requests} == {"GET"}
+
+
+def test_json_is_one_document(server, folder, capsys):
+    assert call("starstruck", "upload", folder, NAME, "--yes", "--json", "--private") == 0
+    told = json.loads(capsys.readouterr().out)
+    assert told["commit"] == server.repository(NAME).head.sha
+    assert sorted(told["sent"]) == sorted(server.repository(NAME).head.files)
+    assert (told["private"], told["exists"], told["tags"]) == (True, False, ["schema-1"])
+    assert told["python"] == ["import starstruck_gen", f'data = starstruck_gen.load("{NAME}", split="train")']
+
+
+def test_branches_and_pull_requests_say_where_they_are(server, folder, capsys):
+    assert call("starstruck", "upload", folder, NAME, "--yes", "--revision", "next") == 0
+    printed = capsys.readouterr().out
+    assert f"{server.endpoint}/datasets/{NAME}/tree/next" in printed
+    assert 'split="train", revision="next")' in printed
+    assert call("starstruck", "upload", folder, NAME, "--yes", "--create-pr", "--message", "Please") == 0
+    printed = capsys.readouterr().out
+    assert f"{server.endpoint}/datasets/{NAME}/discussions/1" in printed
+    assert 'revision="refs/pr/1")' in printed
+    assert server.repository(NAME).find("refs/pr/1").title == "Please"
+    assert call("starstruck", "upload", folder, NAME, "--yes", "--create-pr") == 0
+    assert "refs/pr/1 of someone/stars holds all of it already" in capsys.readouterr().out
+
+
+def test_without_a_terminal_it_does_not_send_unasked(server, folder, capsys):
+    assert call("starstruck", "upload", folder, NAME) == 2
+    printed = capsys.readouterr().err
+    assert "no terminal to ask on; nothing was sent; next: add --yes, or look first with --dry-run" in printed
+    assert server.repositories == {}
+
+
+@pytest.mark.parametrize(("answer", "code"), [("y", 0), ("n", 1)])
+def test_on_a_terminal_it_asks(server, folder, tmp_path, answer, code):
+    environment = settings(server, tmp_path, next(iter(server.accounts)), PYTHONPATH=str(Path.cwd()))
+    ours, theirs = pty.openpty()
+    program = [sys.executable, "-c", "from cli.starstruck import main; main()", "upload", str(folder), NAME]
+    process = subprocess.Popen(
+        program, env=environment, stdin=theirs, stderr=theirs, stdout=subprocess.DEVNULL
+    )
+    os.close(theirs)
+    os.write(ours, f"{answer}\n".encode())
+    said = b""
+    while piece := _read(ours):
+        said += piece
+    os.close(ours)
+    assert process.wait(60) == code, said.decode()
+    assert f"Send this to {server.endpoint}/datasets/{NAME}?".encode() in said
+    assert (NAME in [name for _, name in server.repositories]) == (code == 0)
+
+
+def _read(terminal: int) -> bytes:
+    """Read from a terminal; nothing when the other side has closed it."""
+    try:
+        return os.read(terminal, 4096)
+    except OSError:
+        return b""
+
+
+@pytest.mark.parametrize(
+    ("account", "name", "words"),
+    [
+        (None, NAME, "needs a login, and there is no token here; next: log in with `hf auth login`"),
+        (("someone", "read"), NAME, "the token of 'someone' has no write access"),
+        (
+            ("stranger", "write"),
+            NAME,
+            "'stranger' may not write under the name 'someone', which is someone else's",
+        ),
+        (("someone", "write"), "a/b/c", "'a/b/c' is no name of a repository; next: give USER/NAME"),
+    ],
+)
+def test_refusals_are_told_in_one_line(server, folder, capsys, monkeypatch, account, name, words):
+    token = server.account(*account) if account else None
+    monkeypatch.setenv("HF_TOKEN", token or "")
+    code = call("starstruck", "upload", folder, name, "--yes")
+    printed = capsys.readouterr()
+    assert code == (2 if "no name" in words else 4)
+    (line,) = [line for line in printed.err.splitlines() if line.startswith("error: ")]
+    assert words in line
+    assert not token or token not in printed.out + printed.err
+    assert not any(request.method == "PUT" for request in server.requests)
+
+
+def test_an_unknown_token_is_named_and_not_shown(server, folder, capsys, monkeypatch):
+    monkeypatch.setenv("HF_TOKEN", "hf_oldoldoldold")
+    assert call("starstruck", "upload", folder, NAME, "--yes") == 4
+    printed = capsys.readouterr()
+    assert "the Hub does not know the token (HF_TOKEN)" in printed.err
+    assert "oldold" not in printed.out + printed.err
+
+
+def test_no_network_is_told(folder, tmp_path):
+    environment = settings("http://127.0.0.1:9", tmp_path, "hf_abcdefgh")
+    done = run("starstruck", "upload", folder, NAME, "--yes", environment=environment)
+    assert done.returncode == 4
+    assert "http://127.0.0.1:9 cannot be reached" in done.stderr
+    assert "hf_abcdefgh" not in done.stdout + done.stderr
+
+
+def test_a_damaged_folder_is_not_sent(server, folder, tmp_path, capsys):
+    import shutil
+
+    copy = Path(shutil.copytree(folder, tmp_path / "copy"))
+    (copy / "data" / "test-00000-of-00001.parquet").unlink()
+    assert call("starstruck", "upload", copy, NAME, "--yes") == 3
+    assert "data/test-00000-of-00001.parquet is missing" in capsys.readouterr().err
+    assert call("mnist3d", "upload", folder, NAME, "--yes") == 2
+    assert "expected one of 'mnist3d'" in capsys.readouterr().err
+    assert server.requests == []

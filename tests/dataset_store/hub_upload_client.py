@@ -1,0 +1,33 @@
+"""Uploads in this process, through the client library as it is, to the server on 127.0.0.1."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+import huggingface_hub
+import pytest
+from huggingface_hub import constants
+from huggingface_hub.utils.tqdm import disable_progress_bars, enable_progress_bars
+
+from tests.hub_server import HubServer
+
+__all__ = ["logged_in"]
+
+
+@contextmanager
+def logged_in(server: HubServer, token: str, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    """Let the client library talk to the server, as if HF_ENDPOINT had been set when it was imported."""
+    monkeypatch.setattr(constants, "ENDPOINT", server.endpoint)
+    template = server.endpoint + "/{repo_id}/resolve/{revision}/{filename}"
+    monkeypatch.setattr(constants, "HUGGINGFACE_CO_URL_TEMPLATE", template)
+    monkeypatch.setattr(constants, "HF_HUB_DISABLE_XET", True)
+    monkeypatch.setenv("HF_TOKEN", token)
+    monkeypatch.setenv("TACTILE_TOOLKIT_HUB_WAITS", "0.01,0.02")
+    huggingface_hub.close_session()
+    disable_progress_bars()
+    try:
+        yield
+    finally:
+        enable_progress_bars()
+        huggingface_hub.close_session()
