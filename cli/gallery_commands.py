@@ -1,0 +1,199 @@
+"""``mnist3d gallery``, ``starstruck gallery`` and ``realtouch gallery``."""
+
+from __future__ import annotations
+
+import os
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from cli.failures import EXIT_INTERRUPTED, reports_errors
+from cli.options import DryRun, Json, Limit, Quiet, Workers
+from cli.output import Sink, bytes_text, duration_text
+
+if TYPE_CHECKING:
+    from dataset_store.gallery.forecast import SiteForecast
+    from dataset_store.gallery.site import Site
+
+__all__ = ["add_digit_gallery", "add_scene_gallery", "add_touch_gallery"]
+
+_TOUCHES = 64
+
+Name = Annotated[
+    str, typer.Argument(metavar="DIR", help="Data set folder, Parquet file, or Hub data set (USER/NAME).")
+]
+SiteOut = Annotated[
+    Path,
+    typer.Option("--out", "-o", metavar="SITE", help="Folder of the page; it appears whole or not at all."),
+]
+Split = Annotated[str | None, typer.Option("--split", metavar="NAME", help="Only this split.")]
+PerClass = Annotated[
+    int | None,
+    typer.Option("--per-class", min=1, metavar="N", help="Only the first N items of each class of a split."),
+]
+Replace = Annotated[
+    bool, typer.Option("--overwrite", help="Replace a gallery that stands there; nothing else ever is.")
+]
+
+
+def add_digit_gallery(app: typer.Typer) -> None:
+    """Add ``gallery`` to the command line of digits."""
+    app.command("gallery")(_digits)
+
+
+def add_scene_gallery(app: typer.Typer) -> None:
+    """Add ``gallery`` to the command line of scenes."""
+    app.command("gallery")(_scenes)
+
+
+def add_touch_gallery(app: typer.Typer) -> None:
+    """Add ``gallery`` to the command line of touches."""
+    app.command("gallery")(_touches)
+
+
+@reports_errors
+def _digits(
+    name: Name,
+    out: SiteOut = Path("gallery"),
+    split: Split = None,
+    per_class: PerClass = None,
+    limit: Limit = None,
+    workers: Workers = 0,
+    overwrite: Replace = False,
+    dry_run: DryRun = False,
+    as_json: Json = False,
+    quiet: Quiet = False,
+) -> None:
+    """Make a page of thumbnails, filters and 3D views that opens without a network or a server.
+
+    Takes about 40 kB per digit; at most 20,000 digits and 2 GB.
+
+    Example: mnist3d gallery digits --out site --split test
+    """
+    from mnist3d.gallery import DigitChoice, forecast_gallery, make_gallery
+
+    choice = DigitChoice(name, split, limit, per_class)
+    run = _Run(Sink(as_json, quiet), "digits", out, workers or os.cpu_count() or 1, overwrite)
+    if dry_run:
+        run.forecast(lambda: forecast_gallery(choice, str(out), workers=run.workers, overwrite=overwrite))
+    else:
+        run.make(lambda tell: make_gallery(choice, on_progress=tell, **run.options))
+
+
+@reports_errors
+def _scenes(
+    name: Name,
+    out: SiteOut = Path("gallery"),
+    split: Split = None,
+    per_class: PerClass = None,
+    limit: Limit = None,
+    workers: Workers = 0,
+    overwrite: Replace = False,
+    dry_run: DryRun = False,
+    as_json: Json = False,
+    quiet: Quiet = False,
+) -> None:
+    """Make a page of thumbnails, filters and 3D views that opens without a network or a server.
+
+    Takes about 8 kB per scene; at most 20,000 scenes and 2 GB.
+
+    Example: starstruck gallery stars --out site --split test
+    """
+    from starstruck_gen.gallery import SceneChoice, forecast_gallery, make_gallery
+
+    choice = SceneChoice(name, split, limit, per_class)
+    run = _Run(Sink(as_json, quiet), "scenes", out, workers or os.cpu_count() or 1, overwrite)
+    if dry_run:
+        run.forecast(lambda: forecast_gallery(choice, str(out), workers=run.workers, overwrite=overwrite))
+    else:
+        run.make(lambda tell: make_gallery(choice, on_progress=tell, **run.options))
+
+
+@reports_errors
+def _touches(
+    name: Annotated[
+        str,
+        typer.Argument(metavar="NAME|DIR", help="Short name (real-single-64x64), Hub id, folder or file."),
+    ],
+    out: SiteOut = Path("gallery"),
+    split: Split = None,
+    per_class: PerClass = None,
+    limit: Limit = None,
+    touches: Annotated[
+        int, typer.Option("--touches", min=1, metavar="N", help="Most touches of a round, evenly spaced.")
+    ] = _TOUCHES,
+    workers: Workers = 0,
+    overwrite: Replace = False,
+    dry_run: DryRun = False,
+    as_json: Json = False,
+    quiet: Quiet = False,
+) -> None:
+    """Make a page of rounds: touches as a grid, clips frame by frame; no network or server is needed.
+
+    At most 20,000 rounds and 2 GB.
+
+    Example: realtouch gallery real-single-64x64 --out site --split test
+    """
+    from realtouch.gallery import RoundChoice, forecast_gallery, make_gallery
+
+    choice = RoundChoice(name, split, limit, per_class, touches)
+    run = _Run(Sink(as_json, quiet), "rounds", out, workers or os.cpu_count() or 1, overwrite)
+    if dry_run:
+        run.forecast(lambda: forecast_gallery(choice, str(out), workers=run.workers, overwrite=overwrite))
+    else:
+        run.make(lambda tell: make_gallery(choice, on_progress=tell, **run.options))
+
+
+class _Run:
+    """What the three commands share: progress while a site is made, then what was made."""
+
+    def __init__(self, sink: Sink, nouns: str, out: Path, workers: int, overwrite: bool) -> None:
+        self.sink, self.nouns, self.out, self.workers = sink, nouns, out, workers
+        self.options: dict[str, Any] = {"out": str(out), "workers": workers, "overwrite": overwrite}
+
+    def forecast(self, look: Callable[[], SiteForecast]) -> None:
+        """Print what would be made."""
+        view = look()
+        self.sink.document(view.to_dict())
+        self._table(view.splits)
+        self.sink.line(
+            f"would make {self.out}: {view.files:,} files, about {bytes_text(view.bytes)}, about "
+            f"{duration_text(view.seconds)} with {self.workers} workers (measured on {view.sampled} "
+            f"{self.nouns}); nothing was written"
+        )
+        if not view.fits:
+            self.sink.talk("that is too large and would be refused; choose fewer with --limit or --split")
+
+    def make(self, build: Callable[[Callable[[int, int], None]], Site]) -> None:
+        """Make the site and print what it holds."""
+        start_s = time.monotonic()
+        try:
+            with self.sink.progress("making the gallery", self.nouns) as update:
+                site = build(update)
+        except KeyboardInterrupt as error:
+            sys.stderr.write(f"interrupted; nothing was left behind, {self.out} is as it was before\n")
+            raise typer.Exit(EXIT_INTERRUPTED) from error
+        page = str(Path(site.path) / "index.html")
+        self.sink.document(
+            {
+                "page": page,
+                "items": site.items,
+                "files": site.files,
+                "bytes": site.bytes,
+                "splits": site.splits,
+            }
+        )
+        self._table(site.splits)
+        took = duration_text(time.monotonic() - start_s)
+        self.sink.line(
+            f"made {self.out} in {took}: {site.items:,} {self.nouns}, {site.files:,} files, "
+            f"{bytes_text(site.bytes)}"
+        )
+        self.sink.line(f"next: open {page} in a browser")
+
+    def _table(self, splits: dict[str, int]) -> None:
+        self.sink.table(("split", self.nouns), list(splits.items()))

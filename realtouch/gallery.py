@@ -1,0 +1,260 @@
+"""Real touches as a gallery: rounds with all their touches, clips frame by frame."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dataset_store.errors import InputError
+from dataset_store.gallery.forecast import SiteForecast, forecast_site
+from dataset_store.gallery.items import Facet, Gallery, Item, Measure
+from dataset_store.gallery.pictures import thumbnail
+from dataset_store.gallery.selection import chosen_rows, portions, short_name, splits_to_show
+from dataset_store.gallery.site import Site, build_site
+from dataset_store.mesh import MM_PER_M
+from dataset_store.runner import runner_for
+from realtouch.contact import MIN_CONTACT_HEIGHT_M
+from realtouch.dataset import TouchDataset
+from realtouch.gallery_films import film_of, sheet_of
+from realtouch.names import repository_of
+from realtouch.opening import load
+from realtouch.rounds import TouchRound, TouchSeqRound
+from realtouch.touches import Touch
+
+__all__ = ["DEFAULT_TOUCHES", "RoundChoice", "forecast_gallery", "make_gallery", "plan_gallery"]
+
+DEFAULT_TOUCHES = 64
+"""Touches shown of a round: of 256 every fourth, about 4 MB of clips."""
+
+_SHARES = ("all touches", "more than half", "half or fewer", "none", "unknown")
+_FACETS = (
+    Facet("label", "Class"),
+    Facet("split", "Split"),
+    Facet("contact", "Touches with contact", _SHARES),
+    Facet("gel", "Gel"),
+    Facet("object", "Object"),
+)
+_MEASURES = (
+    Measure("touches", "Touches"),
+    Measure("in_contact", "With contact"),
+    Measure("highest_mm", "Highest contact", "mm", 1),
+)
+
+
+@dataclass(frozen=True, slots=True)
+class RoundChoice:
+    """Which rounds of a data set to show.
+
+    Attributes
+    ----------
+    name : str
+        Short name, folder, Parquet file or repository of the Hub, as for :func:`realtouch.load`.
+    split : str or None
+        Only this split.
+    limit, per_class : int or None
+        Only the first so many rounds of each split, and of each class of a split.
+    touches : int
+        At most so many touches of each round, evenly spaced.
+    """
+
+    name: str
+    split: str | None = None
+    limit: int | None = None
+    per_class: int | None = None
+    touches: int = DEFAULT_TOUCHES
+
+    def __post_init__(self) -> None:
+        """Refuse a gallery of rounds without touches."""
+        if self.touches < 1:
+            message = f"--touches is {self.touches}; expected 1 or more"
+            raise InputError(message)
+
+
+@dataclass(frozen=True)
+class _RoundTask:
+    """Makes the item of one round.
+
+    Attributes
+    ----------
+    dataset : TouchDataset
+        The round alone.
+    split : str
+        Its split.
+    touches : int
+        Most touches shown.
+    heights_m : ndarray of float64 or None
+        Height of each touch of the round above the plate; None where the data set has no poses.
+    """
+
+    dataset: TouchDataset[Any]
+    split: str
+    touches: int
+    heights_m: NDArray[np.float64] | None = field(repr=False)
+
+    @property
+    def size(self) -> int:
+        return len(self.dataset)
+
+    def make(self) -> list[Item]:
+        names = self.dataset.label_names
+        return [_item(record, self.split, names, self.touches, self.heights_m) for record in self.dataset]
+
+
+def plan_gallery(choice: RoundChoice) -> Gallery:
+    """Say what a gallery of rounds shows; reads labels and poses, no image and no clip.
+
+    Raises
+    ------
+    InputError
+        No such data set or split, or it is none of touches.
+    IntegrityError
+        The data set is damaged or unfinished.
+    HubError
+        The repository cannot be reached or does not exist.
+    """
+    tasks, splits = [], {}
+    for split in splits_to_show(repository_of(choice.name), choice.split):
+        dataset = load(choice.name, split)
+        rows = chosen_rows(dataset.labels, choice.limit, choice.per_class)
+        splits[split] = len(rows)
+        shown = dataset[rows]
+        heights = _heights_m(shown)
+        for portion in portions(np.arange(len(rows)), 1):
+            known = None if heights is None else heights[int(portion[0])]
+            tasks.append(_RoundTask(shown[portion], split, choice.touches, known))
+    title = f"Real touches · {short_name(choice.name)}"
+    return Gallery("realtouch", title, ("round", "rounds"), _FACETS, _MEASURES, tuple(tasks), splits)
+
+
+def make_gallery(
+    choice: RoundChoice,
+    out: str,
+    *,
+    workers: int = 1,
+    overwrite: bool = False,
+    on_progress: Callable[[int, int], None] = lambda _done, _total: None,
+) -> Site:
+    """Make a gallery of rounds in the folder ``out``.
+
+    Raises
+    ------
+    InputError
+        As :func:`plan_gallery` and :func:`dataset_store.gallery.site.build_site`.
+    IntegrityError
+        An image or clip is damaged.
+    StorageError
+        The folder cannot be written.
+    """
+    gallery = plan_gallery(choice)
+    return build_site(gallery, out, runner_for(workers), overwrite=overwrite, on_progress=on_progress)
+
+
+def forecast_gallery(
+    choice: RoundChoice, out: str, *, workers: int = 1, overwrite: bool = False
+) -> SiteForecast:
+    """Tell what :func:`make_gallery` would make; writes nothing.
+
+    Raises
+    ------
+    InputError
+        As :func:`make_gallery`.
+    """
+    return forecast_site(plan_gallery(choice), out, workers, overwrite=overwrite)
+
+
+def _heights_m(dataset: TouchDataset[Any]) -> list[NDArray[np.float64]] | None:
+    """Return the heights of all touches, round by round; None where the data set has no poses."""
+    if not len(dataset):
+        return []
+    try:
+        heights = dataset.touches().heights_m()
+    except InputError:
+        return None
+    return np.split(heights, np.cumsum(dataset.touch_counts)[:-1])
+
+
+def _item(
+    record: TouchRound,
+    split: str,
+    names: tuple[str, ...],
+    most: int,
+    heights_m: NDArray[np.float64] | None,
+) -> Item:
+    count = record.touch_count
+    chosen = np.unique(np.linspace(0, count - 1, min(count, most)).round().astype(int)).tolist()
+    touches = [Touch(record, number) for number in chosen]
+    stills = sheet_of([touch.image for touch in touches])
+    media = {"stills.jpg": stills.jpeg}
+    listed = []
+    for touch in touches:
+        entry = _touch_entry(touch, heights_m)
+        if isinstance(record, TouchSeqRound):
+            film = film_of(touch.clip, f"{touch.touch_index:03d}.jpg")
+            media[film.name] = film.jpeg
+            entry["film"] = film.to_dict()
+        listed.append(entry)
+    label = names[record.label] if 0 <= record.label < len(names) else str(record.label)
+    met = None if heights_m is None else heights_m >= MIN_CONTACT_HEIGHT_M
+    return Item(
+        id=record.id,
+        title=f"class {label}, object {record.object_id}",
+        facets={
+            "label": (label,),
+            "split": (split,),
+            "contact": (_share(met),),
+            "gel": (_gel(record.info),),
+            "object": (str(record.object_id),),
+        },
+        measures={
+            "touches": count,
+            "in_contact": None if met is None else int(met.sum()),
+            "highest_mm": None if heights_m is None else float(heights_m.max()) * MM_PER_M,
+        },
+        thumbnail=thumbnail(_cover(touches, heights_m)),
+        content={
+            "notes": _notes(record, len(touches)),
+            "touches": {"tile": list(stills.tile_px), "columns": stills.columns, "list": listed},
+        },
+        media=media,
+    )
+
+
+def _touch_entry(touch: Touch, heights_m: NDArray[np.float64] | None) -> dict[str, Any]:
+    height_m = None if heights_m is None else float(heights_m[touch.touch_index])
+    return {
+        "number": touch.touch_index,
+        "contact": None if height_m is None else height_m >= MIN_CONTACT_HEIGHT_M,
+        "height_mm": None if height_m is None else round(height_m * MM_PER_M, 2),
+        "film": None,
+    }
+
+
+def _cover(touches: list[Touch], heights_m: NDArray[np.float64] | None) -> NDArray[np.uint8]:
+    """Choose the picture of a round: its highest touch, which shows the object best; else its first."""
+    if heights_m is None:
+        return touches[0].image
+    return max(touches, key=lambda touch: heights_m[touch.touch_index]).image
+
+
+def _share(met: NDArray[np.bool_] | None) -> str:
+    if met is None:
+        return "unknown"
+    if met.all() or not met.any():
+        return "all touches" if met.any() else "none"
+    return "more than half" if met.mean() > 0.5 else "half or fewer"
+
+
+def _gel(info: Mapping[str, Any]) -> str:
+    gel = info.get("gel_id")
+    return "unknown" if gel is None else str(gel)
+
+
+def _notes(record: TouchRound, shown: int) -> list[tuple[str, str]]:
+    """Say how many touches are shown, and what is stored about the round in plain words."""
+    notes = [("Touches shown", f"{shown} of {record.touch_count}")]
+    words = record.info.get("notes")
+    return [*notes, ("Notes", str(words))] if words else notes

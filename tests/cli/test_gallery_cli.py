@@ -1,0 +1,145 @@
+from __future__ import annotations
+
+import importlib
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from tests.dataset_store.toy import folder_bytes
+from tests.realtouch import factories
+
+DIGITS = ("--split", "test", "--per-class", "1", "--vertices", "600", "--workers", "1", "--quiet")
+
+
+def call(program: str, *arguments: object) -> int:
+    """Run a command line in this process and return its exit code."""
+    main = importlib.import_module(f"cli.{program}").main
+    before = sys.argv
+    sys.argv = [program, *map(str, arguments)]
+    try:
+        main()
+    except SystemExit as leave:
+        return int(leave.code or 0)
+    finally:
+        sys.argv = before
+        os.environ.pop("TACTILE_TOOLKIT_DEBUG", None)
+    return 0
+
+
+@pytest.fixture(scope="module")
+def folders(tmp_path_factory) -> dict[str, Path]:
+    base = tmp_path_factory.mktemp("cli")
+    assert call("mnist3d", "generate", *DIGITS, "--out", base / "mnist3d") == 0
+    stars = ("--split", "test", "--scenes", "6", "--workers", "1", "--quiet")
+    assert call("starstruck", "generate", *stars, "--out", base / "starstruck") == 0
+    rows = factories.seq_rows([factories.make_round(0, 3, (48, 36))])
+    factories.write_set(base / "realtouch", {"train": rows}, "seq")
+    return {name: base / name for name in ("mnist3d", "starstruck", "realtouch")}
+
+
+ITEMS = {"mnist3d": (10, "digits"), "starstruck": (6, "scenes"), "realtouch": (1, "rounds")}
+
+
+@pytest.mark.parametrize("program", ITEMS)
+def test_gallery_says_what_was_made_and_what_next(program, folders, tmp_path, capsys):
+    count, nouns = ITEMS[program]
+    out = tmp_path / "site"
+    assert call(program, "gallery", folders[program], "--out", out, "--workers", 1) == 0
+    printed = capsys.readouterr()
+    assert f"{count} {nouns}, " in printed.out
+    assert f"next: open {out / 'index.html'} in a browser" in printed.out
+    assert f"making the gallery: {count} of {count}" in printed.err
+    assert (out / "index.html").is_file()
+
+
+@pytest.mark.parametrize("program", ITEMS)
+def test_dry_run_says_files_and_bytes_and_writes_nothing(program, folders, tmp_path, capsys):
+    out = tmp_path / "site"
+    arguments = ("gallery", folders[program], "--out", out, "--workers", 1)
+    assert call(program, *arguments, "--dry-run", "--json") == 0
+    view = json.loads(capsys.readouterr().out)
+    assert not out.exists()
+    assert call(program, *arguments, "--dry-run") == 0
+    assert f"{view['files']} files" in capsys.readouterr().out
+    assert call(program, *arguments, "--json", "--quiet") == 0
+    printed = capsys.readouterr()
+    made = json.loads(printed.out)
+    assert printed.err == ""
+    files = folder_bytes(out)
+    assert (made["files"], made["bytes"]) == (len(files), sum(map(len, files.values())))
+    assert (view["files"], view["items"]) == (made["files"], made["items"])
+    assert made["page"] == str(out / "index.html")
+
+
+def test_quiet_says_nothing(folders, tmp_path, capsys):
+    assert call("starstruck", "gallery", folders["starstruck"], "-o", tmp_path / "site", "-q", "-w", "1") == 0
+    assert capsys.readouterr() == ("", "")
+
+
+def test_refusals_and_overwrite(folders, tmp_path, capsys):
+    out = tmp_path / "site"
+    arguments = ("starstruck", "gallery", folders["starstruck"], "--out", out, "--quiet", "--workers", "1")
+    assert call(*arguments) == 0
+    before = folder_bytes(out)
+    assert call(*arguments) == 2
+    assert "holds a gallery already" in capsys.readouterr().err
+    assert call(*arguments, "--overwrite") == 0
+    assert folder_bytes(out) == before
+    assert (
+        call("starstruck", "gallery", folders["starstruck"], "--out", folders["mnist3d"], "--overwrite") == 2
+    )
+    assert "is no part of a gallery; nothing was changed" in capsys.readouterr().err
+    assert call("mnist3d", "gallery", tmp_path / "absent", "--out", tmp_path / "new") == 2
+    assert call("mnist3d", "gallery", folders["realtouch"], "--out", tmp_path / "new") == 2
+    assert "no data set of meshes" in capsys.readouterr().err
+    assert not (tmp_path / "new").exists()
+
+
+def test_ctrl_c_leaves_nothing_and_says_so(folders, tmp_path):
+    code = (
+        "import pathlib, sys, time\n"
+        "import starstruck_gen.gallery as gallery\n"
+        "from cli.starstruck import main\n"
+        "alive = sys.argv.pop()\n"
+        "def wait(task):\n"
+        "    pathlib.Path(alive).touch()\n"
+        "    time.sleep(600)\n"
+        "gallery._SceneTask.make = wait\n"
+        "main()\n"
+    )
+    alive, place = tmp_path / "alive", tmp_path / "place"
+    place.mkdir()
+    command = [sys.executable, "-c", code, "gallery", str(folders["starstruck"])]
+    options = ["--out", str(place / "site"), "--workers", "1", str(alive)]
+    environment = {**os.environ, "PYTHONPATH": str(Path(__file__).resolve().parents[2])}
+    with subprocess.Popen(
+        [*command, *options], stderr=subprocess.PIPE, stdout=subprocess.PIPE, text=True, env=environment
+    ) as process:
+        deadline = time.monotonic() + 60
+        while not alive.exists():
+            assert process.poll() is None
+            assert time.monotonic() < deadline
+            time.sleep(0.02)
+        process.send_signal(signal.SIGINT)
+        _, words = process.communicate()
+    assert process.returncode == 130
+    assert "interrupted; nothing was left behind" in words
+    assert "Traceback" not in words
+    assert list(place.iterdir()) == []
+
+
+def test_help_loads_no_heavy_library():
+    code = (
+        "import sys\nfrom cli.mnist3d import main\nsys.argv = ['mnist3d', 'gallery', '--help']\n"
+        "try:\n    main()\nexcept SystemExit:\n    pass\n"
+        "print(sorted({'numpy', 'pyarrow', 'trimesh', 'PIL'} & set(sys.modules)))"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.rstrip().endswith("[]")
+    assert "opens without a network" in done.stdout

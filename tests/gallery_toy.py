@@ -1,0 +1,79 @@
+"""A tiny gallery, so that the pages are tested without any room of the toolkit."""
+
+from __future__ import annotations
+
+import os
+import signal
+import time
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from dataset_store.gallery.items import Facet, Gallery, Item, Measure
+from dataset_store.gallery.meshes import packed_mesh
+from dataset_store.gallery.pictures import thumbnail
+
+_OWN = "document.title='owned'"
+HOSTILE = f"""<script>{_OWN}</script>"><img src=x onerror="{_OWN}">'`${{1}}&amp;\u2028"""
+CORNERS_M = np.array([[0, 0, 0], [0.03, 0, 0], [0, 0.02, 0], [0, 0, 0.01]])
+FACES = np.array([[0, 2, 1], [0, 1, 3], [1, 2, 3], [0, 3, 2]])
+FACETS = (Facet("label", "Class"), Facet("parity", "Parity", ("odd", "even")), Facet("writer", "Writer"))
+MEASURES = (Measure("volume", "Volume", "mm³", 1), Measure("unknown", "Never measured"))
+
+
+@dataclass(frozen=True)
+class ToyTask:
+    """Makes items ``start`` to ``stop - 1``. ``alive`` names a file that is touched when the work begins."""
+
+    start: int
+    stop: int
+    hostile: bool = False
+    pause_s: float = 0.0
+    alive: str | None = None
+    die: bool = False
+    error: Exception | None = None
+    bulk_bytes: int = 0
+
+    @property
+    def size(self) -> int:
+        return self.stop - self.start
+
+    def make(self) -> list[Item]:
+        if self.alive is not None:
+            Path(self.alive).touch()
+        if self.error is not None:
+            raise self.error
+        if self.die:
+            os.kill(os.getpid(), signal.SIGKILL)
+        time.sleep(self.pause_s)
+        return [self._item(number) for number in range(self.start, self.stop)]
+
+    def _item(self, number: int) -> Item:
+        evil = HOSTILE if self.hostile else ""
+        shade = np.full((12, 12), 255, np.uint8)
+        shade[3:9, 3:9] = 40 + number % 160
+        return Item(
+            id=f"{number}{evil}",
+            title=f"toy {number % 10}{evil}",
+            facets={
+                "label": (f"{number % 10}{evil}",),
+                "parity": ("even" if number % 2 == 0 else "odd",),
+                "writer": (str(number % 31),),
+            },
+            measures={"volume": (number * 37 % 1000) / 10 if number % 7 else None},
+            thumbnail=thumbnail(shade, opaque_from=1),
+            content={
+                "notes": [(f"Note{evil}", f"of {number}{evil}")],
+                "mesh": packed_mesh(CORNERS_M * (1 + number % 3), FACES),
+            },
+            media={"bulk.bin": bytes(self.bulk_bytes)} if self.bulk_bytes else {},
+        )
+
+
+def toy_gallery(count: int = 20, portion: int = 8, **options: object) -> Gallery:
+    """Return a gallery of so many items."""
+    starts = range(0, count, portion)
+    tasks = tuple(ToyTask(start, min(start + portion, count), **options) for start in starts)  # type: ignore[arg-type]
+    title = f"Toys {HOSTILE}" if options.get("hostile") else "Toys"
+    return Gallery("toy", title, ("toy", "toys"), FACETS, MEASURES, tasks, {"train": count})

@@ -1,0 +1,128 @@
+from __future__ import annotations
+
+import json
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import mnist3d
+from dataset_store.errors import InputError, IntegrityError
+from dataset_store.reports import read_report
+from dataset_store.storage import DataFolder
+from mnist3d.gallery import DigitChoice, forecast_gallery, make_gallery, plan_gallery
+from mnist3d.report import REPORT_FILE
+from mnist3d.solid import SolidSpec
+from mnist3d.sources.synthetic import SyntheticSource
+from mnist3d.splits import SplitSpec
+from tests.dataset_store.toy import folder_bytes
+from tests.gallery_browser import browser, opened
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory) -> Path:
+    out = tmp_path_factory.mktemp("gallery") / "digits"
+    spec = mnist3d.GenerateSpec(
+        source=SyntheticSource(count=200, seed=3),
+        solid=SolidSpec(target_vertices=600),
+        split=SplitSpec(0, "digit", (("train", 2), ("test", 1))),
+    )
+    mnist3d.generate(spec, str(out), ("train", "test"), workers=1)
+    return out
+
+
+def index_of(site: Path) -> dict:
+    text = (site / "items.js").read_text()
+    return json.loads(text.removeprefix("gallery.start(").removesuffix(");\n"))
+
+
+def column(index: dict, title: str) -> list[list[str]]:
+    facet = next(facet for facet in index["facets"] if facet["title"] == title)
+    return [[facet["values"][value] for value in row] for row in facet["rows"]]
+
+
+def measure(index: dict, title: str) -> list[float | None]:
+    return next(entry for entry in index["measures"] if entry["title"] == title)["values"]
+
+
+def test_the_page_shows_every_digit_with_what_the_report_says(folder, tmp_path):
+    site = make_gallery(DigitChoice(str(folder)), str(tmp_path / "site"))
+    assert (site.items, site.splits) == (30, {"train": 20, "test": 10})
+    index = index_of(tmp_path / "site")
+    assert index["title"] == "3D digits · digits"
+    expected = [(split, record) for split in ("train", "test") for record in mnist3d.load(str(folder), split)]
+    assert index["ids"] == [str(record.id) for _, record in expected]
+    assert column(index, "Split") == [[split] for split, _ in expected]
+    assert column(index, "Class") == [[str(record.label)] for _, record in expected]
+    assert column(index, "Writer") == [[str(record.writer)] for _, record in expected]
+    report = read_report(DataFolder(str(folder)), REPORT_FILE).to_pylist()
+    found = {(row["split"], row["id"]): row for row in report}
+    rows = [found[split, record.id] for split, record in expected]
+    assert column(index, "Print warnings") == [row["warnings"] or ["none"] for row in rows]
+    assert measure(index, "Thinnest wall") == [round(row["thinnest_wall_mm"], 2) for row in rows]
+    assert measure(index, "Volume") == [round(row["volume_mm3"]) for row in rows]
+    content = (tmp_path / "site" / "items" / "000000.js").read_text()
+    notes = dict(json.loads(content.partition(",")[2].removesuffix(");\n"))["notes"])
+    size_mm = np.ptp(expected[0][1].vertices_m, axis=0) * 1000
+    assert notes["Size"] == " x ".join(f"{side:.1f}" for side in size_mm) + " mm"
+
+
+def test_a_set_without_a_report_is_inspected(folder, tmp_path):
+    bare = tmp_path / "bare"
+    shutil.copytree(folder / "data", bare / "data")
+    make_gallery(DigitChoice(str(folder), "test"), str(tmp_path / "a"))
+    make_gallery(DigitChoice(str(bare), "test"), str(tmp_path / "b"))
+    of_report, inspected = index_of(tmp_path / "a"), index_of(tmp_path / "b")
+    assert inspected["facets"] == of_report["facets"]
+    for told, seen in zip(of_report["measures"], inspected["measures"], strict=True):
+        assert seen["values"] == pytest.approx(told["values"], rel=1e-3, abs=0.02)
+
+
+def test_workers_do_not_show_and_a_choice_is_kept(folder, tmp_path):
+    choice = DigitChoice(str(folder), limit=5, per_class=1)
+    one = make_gallery(choice, str(tmp_path / "a"), workers=1)
+    make_gallery(choice, str(tmp_path / "b"), workers=2)
+    assert folder_bytes(tmp_path / "a") == folder_bytes(tmp_path / "b")
+    assert one.splits == {"train": 5, "test": 5}
+    labels = column(index_of(tmp_path / "a"), "Class")
+    assert len({row[0] for row in labels[:5]}) == 5
+
+
+def test_forecast_agrees_with_the_run(folder, tmp_path):
+    choice = DigitChoice(str(folder), "test")
+    view = forecast_gallery(choice, str(tmp_path / "site"))
+    site = make_gallery(choice, str(tmp_path / "site"))
+    assert (view.items, view.files, view.bytes) == (site.items, site.files, site.bytes)
+
+
+def test_what_cannot_be_shown_is_named(folder, tmp_path):
+    with pytest.raises(InputError, match="no split 'holdout'"):
+        plan_gallery(DigitChoice(str(folder), "holdout"))
+    with pytest.raises(InputError, match="neither a folder"):
+        plan_gallery(DigitChoice(str(tmp_path / "absent")))
+    copy = Path(shutil.copytree(folder, tmp_path / "copy"))
+    (copy / "data" / "test-00000-of-00001.parquet").unlink()
+    with pytest.raises(IntegrityError):
+        make_gallery(DigitChoice(str(copy), "test"), str(tmp_path / "site"))
+    assert not (tmp_path / "site").exists()
+
+
+@pytest.mark.browser
+def test_a_digit_in_the_browser_is_that_digit(folder, tmp_path):
+    with browser() as chromium:
+        make_gallery(DigitChoice(str(folder), "test"), str(tmp_path / "site"))
+        records = mnist3d.load(str(folder), "test")
+        place = int(np.flatnonzero(records.labels == 1)[0])
+        with opened(chromium, tmp_path / "site", width=900, height=620, link=f"#item-{place}") as found:
+            found.stage()
+            found.page.get_by_role("button", name="From above").click()
+            seen = found.stage()
+            rows, columns = np.nonzero((seen[..., 0] - seen[..., 2]) > 40)
+            width_mm, height_mm, _ = np.ptp(records[place].vertices_m, axis=0) * 1000
+            shape = (np.ptp(columns) + 1) / (np.ptp(rows) + 1)
+            assert shape == pytest.approx(width_mm / height_mm, rel=0.08)
+            facts = found.page.locator("#facts").inner_text()
+            assert f"{records[place].volume_m3 * 1e9:,.0f} mm³" in facts
+            assert "Thinnest wall" in facts
+            assert f"{width_mm:.1f} x {height_mm:.1f}" in facts

@@ -1,0 +1,157 @@
+from __future__ import annotations
+
+import io
+import json
+import pickle
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+import realtouch
+from dataset_store.errors import InputError, IntegrityError
+from realtouch.gallery import RoundChoice, forecast_gallery, make_gallery, plan_gallery
+from tests.gallery_browser import browser, opened
+from tests.realtouch import factories
+from tests.realtouch.factories import Layout
+
+
+def index_of(site: Path) -> dict:
+    text = (site / "items.js").read_text()
+    return json.loads(text.removeprefix("gallery.start(").removesuffix(");\n"))
+
+
+def column(index: dict, title: str) -> list[str]:
+    facet = next(facet for facet in index["facets"] if facet["title"] == title)
+    return [facet["values"][row[0]] for row in facet["rows"]]
+
+
+def touches_of(site: Path, number: int) -> dict:
+    text = (site / "items" / f"{number:06d}.js").read_text()
+    return json.loads(text.partition(",")[2].removesuffix(");\n"))["touches"]
+
+
+def tile(site: Path, name: str, size: list[int], columns: int, place: int) -> np.ndarray:
+    pixels = np.asarray(Image.open(io.BytesIO((site / "media" / name).read_bytes()))).astype(int)
+    width, height = size
+    row, col = divmod(place, columns)
+    return pixels[row * height : (row + 1) * height, col * width : (col + 1) * width]
+
+
+@pytest.mark.parametrize("kind", ["seq", "single"])
+def test_rounds_are_filtered_by_class_gel_and_contact(kind, truth, tmp_path, request):
+    folder = request.getfixturevalue(f"{kind}_folder")
+    site = make_gallery(RoundChoice(str(folder)), str(tmp_path / "site"))
+    assert site.splits == {"test": 1, "train": 3}
+    index = index_of(tmp_path / "site")
+    split = column(index, "Split")
+    train = [number for number, name in enumerate(split) if name == "train"]
+    assert [index["ids"][number] for number in train] == [round_.id for round_ in truth]
+    assert [column(index, "Class")[number] for number in train] == [str(round_.label) for round_ in truth]
+    assert [column(index, "Gel")[number] for number in train] == [str(round_.gel_id) for round_ in truth]
+    objects = [column(index, "Object")[number] for number in train]
+    assert objects == [str(round_.object_id) for round_ in truth]
+    assert [column(index, "Touches with contact")[number] for number in train] == ["more than half"] * 3
+    for number, round_ in zip(train, truth, strict=True):
+        shown = touches_of(tmp_path / "site", number)
+        assert [entry["contact"] for entry in shown["list"]] == [touch.on_digit for touch in round_.touches]
+        assert [entry["number"] for entry in shown["list"]] == list(range(len(round_.touches)))
+
+
+def test_stills_are_the_touches(single_folder, tmp_path):
+    make_gallery(RoundChoice(str(single_folder), "train"), str(tmp_path / "site"))
+    for number, record in enumerate(realtouch.load(str(single_folder), "train")):
+        shown = touches_of(tmp_path / "site", number)
+        assert shown["tile"] == [96, 72]
+        for touch in range(record.touch_count):
+            still = tile(tmp_path / "site", f"{number:06d}-stills.jpg", [96, 72], shown["columns"], touch)
+            assert np.abs(still - record.sensor_image[touch]).mean() < 4
+        assert all(entry["film"] is None for entry in shown["list"])
+
+
+def test_films_are_frames_of_the_clips_with_their_contact(seq_folder, tmp_path):
+    make_gallery(RoundChoice(str(seq_folder), "train"), str(tmp_path / "site"))
+    for number, record in enumerate(realtouch.load(str(seq_folder), "train")):
+        for touch, entry in enumerate(touches_of(tmp_path / "site", number)["list"]):
+            clip, film = record.sensor_video[touch], entry["film"]
+            assert film["numbers"][0] == 0
+            assert film["numbers"][-1] == len(clip) - 1
+            assert film["frames"] == len(film["numbers"]) == len(film["times_s"]) <= 26
+            window = clip.contact_window
+            assert film["numbers"][film["first"]] == window.start
+            assert film["numbers"][film["last"]] == window.stop - 1
+            assert film["times_s"] == pytest.approx(clip.timestamps_s[film["numbers"]], abs=6e-4)
+            for place in (0, film["last"], film["frames"] - 1):
+                name = f"{number:06d}-{film['name']}"
+                picture = tile(tmp_path / "site", name, [96, 72], film["columns"], place)
+                assert np.abs(picture - clip[film["numbers"][place]]).mean() < 4
+
+
+def test_touches_are_chosen_evenly_and_tasks_travel(seq_folder, tmp_path):
+    choice = RoundChoice(str(seq_folder), limit=2, touches=3)
+    view = forecast_gallery(choice, str(tmp_path / "a"))
+    site = make_gallery(choice, str(tmp_path / "a"))
+    for task in plan_gallery(choice).tasks:
+        assert pickle.loads(pickle.dumps(task)).make() == task.make()
+    assert (view.items, view.files, view.bytes) == (3, site.files, site.bytes)
+    assert [entry["number"] for entry in touches_of(tmp_path / "a", 0)["list"]] == [0, 2, 4]
+
+
+def test_a_set_without_poses_is_shown_without_contact(single_rows, tmp_path):
+    layout = Layout(leave_out=("gel_pose_cell_frame.position", "gel_pose_cell_frame.quaternion"))
+    factories.write_set(tmp_path / "bare", {"train": single_rows}, "single", layout)
+    make_gallery(RoundChoice(str(tmp_path / "bare")), str(tmp_path / "site"))
+    assert column(index_of(tmp_path / "site"), "Touches with contact") == ["unknown"] * 3
+    assert {entry["contact"] for entry in touches_of(tmp_path / "site", 0)["list"]} == {None}
+
+
+def test_a_damaged_picture_is_named_and_nothing_is_left(single_rows, tmp_path):
+    def cut(row: dict, _index: int) -> None:
+        row["sensor_image"] = [{"bytes": b"\xff\xd8 no jpeg", "path": "0.jpg"}, *row["sensor_image"][1:]]
+
+    factories.write_set(tmp_path / "cut", {"train": single_rows}, "single", Layout(edit=cut))
+    with pytest.raises(IntegrityError, match="touch 0"):
+        make_gallery(RoundChoice(str(tmp_path / "cut")), str(tmp_path / "site"))
+    assert [entry.name for entry in tmp_path.iterdir()] == ["cut"]
+
+
+def test_no_touches_are_refused(seq_folder):
+    with pytest.raises(InputError, match="--touches is 0; expected 1 or more"):
+        RoundChoice(str(seq_folder), touches=0)
+
+
+@pytest.mark.browser
+def test_a_round_in_the_browser(seq_folder, truth, tmp_path):
+    with browser() as chromium:
+        make_gallery(RoundChoice(str(seq_folder), "train"), str(tmp_path / "site"))
+        with opened(chromium, tmp_path / "site", width=900, height=700, link="#item-1") as found:
+            page = found.page
+            touches = page.locator(".touch")
+            touches.first.wait_for()
+            assert touches.count() == 5
+            met = sum(touch.on_digit for touch in truth[1].touches)
+            page.get_by_role("button", name=f"no contact {5 - met}").click()
+            assert page.locator(".touch:visible").count() == 5 - met
+            page.get_by_role("button", name="all 5").click()
+            touches.nth(1).click()
+            assert touches.nth(1).get_attribute("aria-pressed") == "true"
+            page.keyboard.press("ArrowRight")
+            assert touches.nth(2).get_attribute("aria-pressed") == "true"
+            assert page.evaluate("document.activeElement.getAttribute('aria-label')").startswith("touch 2, ")
+            slider = page.get_by_label("Frame of the clip")
+            film = touches_of(tmp_path / "site", 1)["list"][2]["film"]
+            assert slider.input_value() == str(film["last"])
+            before = page.locator(".film").screenshot()
+            slider.focus()
+            page.keyboard.press("Home")
+            assert page.locator(".caption").inner_text().endswith("frame 0, 0.00 s")
+            assert page.locator(".film").screenshot() != before
+            page.get_by_role("button", name="Play").click()
+            page.wait_for_function("document.querySelector('.track input').value > 2")
+            page.get_by_role("button", name="Pause").click()
+            held = slider.input_value()
+            page.evaluate("new Promise(done => setTimeout(done, 250))")
+            assert slider.input_value() == held
+            page.keyboard.press("Escape")
+            assert page.evaluate("document.activeElement.id") == "grid"

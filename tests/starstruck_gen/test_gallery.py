@@ -1,0 +1,120 @@
+from __future__ import annotations
+
+import io
+import json
+import pickle
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+import starstruck_gen
+from dataset_store.errors import InputError
+from starstruck_gen.gallery import SceneChoice, forecast_gallery, make_gallery, plan_gallery
+from tests.gallery_browser import browser, opened
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory) -> Path:
+    out = tmp_path_factory.mktemp("gallery") / "stars"
+    spec = starstruck_gen.GenerateSpec(scenes=(("train", 12), ("test", 6)))
+    starstruck_gen.generate(spec, str(out), ("train", "test"), workers=1)
+    return out
+
+
+def index_of(site: Path) -> dict:
+    text = (site / "items.js").read_text()
+    return json.loads(text.removeprefix("gallery.start(").removesuffix(");\n"))
+
+
+def column(index: dict, title: str) -> list[list[str]]:
+    facet = next(facet for facet in index["facets"] if facet["title"] == title)
+    return [[facet["values"][value] for value in row] for row in facet["rows"]]
+
+
+def content_of(site: Path, number: int) -> dict:
+    text = (site / "items" / f"{number:06d}.js").read_text()
+    return json.loads(text.partition(",")[2].removesuffix(");\n"))
+
+
+def test_scenes_are_filtered_by_what_stands_in_them(folder, tmp_path):
+    site = make_gallery(SceneChoice(str(folder)), str(tmp_path / "site"))
+    assert (site.items, site.splits) == (18, {"train": 12, "test": 6})
+    index = index_of(tmp_path / "site")
+    expected = [record for split in ("train", "test") for record in starstruck_gen.load(str(folder), split)]
+    assert index["ids"] == [str(record.id) for record in expected]
+    assert column(index, "Stars") == [[str(record.star_count)] for record in expected]
+    assert column(index, "Distractors") == [[str(record.distractor_count)] for record in expected]
+    shapes = [sorted({placement.shape for placement in record.placements}) for record in expected]
+    assert column(index, "Shapes") == shapes
+    for number, record in enumerate(expected):
+        parts = content_of(tmp_path / "site", number)["mesh"]["parts"]
+        assert [paint for _, paint in parts].count("main") == record.star_count
+        assert sum(faces for faces, _ in parts) == len(record.faces)
+
+
+def test_thumbnails_show_stars_on_clear_paper(folder, tmp_path):
+    make_gallery(SceneChoice(str(folder), "test"), str(tmp_path / "site"))
+    for number, record in enumerate(starstruck_gen.load(str(folder), "test")):
+        content = (tmp_path / "site" / "thumbs" / f"{number:06d}.png").read_bytes()
+        pixels = np.asarray(Image.open(io.BytesIO(content))).astype(int)
+        assert pixels.shape == (144, 144, 4)
+        clear = (pixels[..., 3] == 0).mean()
+        assert 0.5 < clear < 0.99
+        star = record.placements[0]
+        x, y = round(72 + 1200 * star.x_m), round(72 - 1200 * star.y_m)
+        red, _, blue, opaque = pixels[y, x]
+        assert (red - blue > 60, opaque) == (True, 255)
+        # No light rim of the plate around the objects.
+        half = pixels[(pixels[..., 3] > 40) & (pixels[..., 3] < 200)]
+        assert np.median(half[:, :3].mean(axis=1)) < 150
+
+
+def test_the_published_set_has_no_placements_and_is_shown_too(folder, tmp_path):
+    import pyarrow.parquet as pq
+
+    (tmp_path / "bare").mkdir()
+    (source,) = (folder / "data").glob("test-*.parquet")
+    table = pq.ParquetFile(source).read(use_threads=False)
+    pq.write_table(
+        table.select(["id", "label", "mesh.vertices", "mesh.faces"]), tmp_path / "bare" / "test.parquet"
+    )
+    site = make_gallery(SceneChoice(str(tmp_path / "bare")), str(tmp_path / "site"))
+    assert site.splits == {"test": 6}
+    index = index_of(tmp_path / "site")
+    assert column(index, "Distractors") == [["unknown"]] * 6
+    assert column(index, "Stars") == [[str(number % 3 + 1)] for number in range(6)]
+    mesh = content_of(tmp_path / "site", 0)["mesh"]
+    assert mesh["parts"] == [[mesh["face_count"], "main"]]
+    assert (tmp_path / "site" / "thumbs" / "000005.png").stat().st_size > 200
+
+
+def test_tasks_travel_and_forecasts_agree(folder, tmp_path):
+    choice = SceneChoice(str(folder), per_class=2)
+    view = forecast_gallery(choice, str(tmp_path / "a"))
+    site = make_gallery(choice, str(tmp_path / "a"))
+    for task in plan_gallery(choice).tasks:
+        assert pickle.loads(pickle.dumps(task)).make() == task.make()
+    assert (view.items, view.files, view.bytes) == (12, site.files, site.bytes)
+
+
+def test_a_split_that_is_not_there_is_named(folder):
+    with pytest.raises(InputError, match="no split 'holdout'"):
+        plan_gallery(replace(SceneChoice(str(folder)), split="holdout"))
+
+
+@pytest.mark.browser
+def test_stars_and_others_have_their_own_paint(folder, tmp_path):
+    with browser() as chromium:
+        make_gallery(SceneChoice(str(folder), "test"), str(tmp_path / "site"))
+        scenes = list(starstruck_gen.load(str(folder), "test"))
+        place = max(range(6), key=lambda number: scenes[number].distractor_count)
+        with opened(chromium, tmp_path / "site", width=900, height=620, link=f"#item-{place}") as found:
+            seen = found.stage()
+            assert ((seen[..., 0] - seen[..., 2]) > 40).mean() > 0.005  # amber
+            assert ((seen[..., 2] - seen[..., 0]) > 20).mean() > 0.005  # slate
+            stars = found.page.get_by_role("group", name="Stars", include_hidden=True)
+            counts = stars.locator(".number").all_text_contents()
+            assert counts == ["2", "2", "2"]
