@@ -4,18 +4,17 @@ from __future__ import annotations
 
 import base64
 import html
-import io
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 if TYPE_CHECKING:
+    from dataset_store.mesh import Mesh
     from mnist3d.dataset import MeshRecord
 
-__all__ = ["record_html", "relief"]
+__all__ = ["record_html", "relief", "relief_of"]
 
-_LIGHT = np.array([-0.45, 0.55, 0.70])
 _PITCH_M = 0.0002
 
 
@@ -40,12 +39,12 @@ def relief(
     """
     from PIL import Image, ImageDraw
 
-    corners = np.asarray(vertices_m, np.float64)[np.asarray(faces)]
-    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    lengths = np.linalg.norm(normals, axis=1)
-    seen = (normals[:, 2] > 0) & (lengths > 0)
-    corners, normals = corners[seen], normals[seen] / lengths[seen, None]
-    shades = (60 + 180 * np.clip(normals @ _LIGHT, 0, 1)).astype(int)
+    from dataset_store.shading import doubled_areas, shades
+
+    vertices = np.asarray(vertices_m, np.float64)
+    corners = vertices[np.asarray(faces)]
+    seen = doubled_areas(corners) > 0
+    levels, corners = shades(vertices, np.asarray(faces)[seen]), corners[seen]
     low, high = vertices_m[:, :2].min(axis=0), vertices_m[:, :2].max(axis=0)
     width, height = (np.ceil((high - low) / pitch_m).astype(int) + 9).tolist()
     picture = Image.new("L", (width, height), 255)
@@ -54,17 +53,37 @@ def relief(
     points[:, :, 1] = height - 1 - points[:, :, 1]
     # Painter's order: what lies higher is drawn last.
     for index in np.argsort(corners[:, :, 2].mean(axis=1)):
-        draw.polygon([tuple(point) for point in points[index].tolist()], fill=int(shades[index]))
+        draw.polygon([tuple(point) for point in points[index].tolist()], fill=int(levels[index]))
     return np.asarray(picture)
+
+
+def relief_of(mesh: Mesh, px_per_mm: float, smoothing: int = 3) -> NDArray[np.uint8]:
+    """Draw a mesh from above with smooth edges: larger first, then averaged.
+
+    Parameters
+    ----------
+    mesh : Mesh
+        Metres.
+    px_per_mm : float
+        Scale of the picture.
+    smoothing : int
+        How many times larger it is drawn.
+
+    Returns
+    -------
+    ndarray of uint8, shape (H, W)
+        As :func:`relief`, with a margin of one to two pixels.
+    """
+    from dataset_store.shading import averaged
+
+    return averaged(relief(mesh.vertices_m, mesh.faces, 1e-3 / (px_per_mm * smoothing)), smoothing)
 
 
 def record_html(record: MeshRecord) -> str:
     """Return what a notebook shows of a digit: its relief and its figures."""
-    from PIL import Image
+    from dataset_store.pictures import png_bytes
 
-    stream = io.BytesIO()
-    Image.fromarray(relief(record.vertices_m, record.faces)).save(stream, format="PNG")
-    picture = base64.b64encode(stream.getvalue()).decode()
+    picture = base64.b64encode(png_bytes(relief(record.vertices_m, record.faces))).decode()
     size_mm = np.ptp(record.vertices_m, axis=0) * 1000
     facts = (
         f"digit {record.label}, id {record.id}, writer {record.writer}: "

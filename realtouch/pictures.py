@@ -9,7 +9,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from realtouch.jpeg import Pixels, encode_image
+from dataset_store.pictures import png_bytes
+from dataset_store.sheets import Sheet, Tile, sheet
+from realtouch.jpeg import Pixels
 from realtouch.resizing import resized
 
 if TYPE_CHECKING:
@@ -22,7 +24,6 @@ _COLUMNS = 8
 _MOST_TILES = 32
 _TILE_WIDTH = 120
 _GAP = 4
-_BACKGROUND = 255
 
 
 def contact_sheet(images: Sequence[Pixels], columns: int = _COLUMNS, tile_width: int = _TILE_WIDTH) -> Pixels:
@@ -43,17 +44,8 @@ def contact_sheet(images: Sequence[Pixels], columns: int = _COLUMNS, tile_width:
     """
     height, width = images[0].shape[:2]
     tile_height = max(1, round(tile_width * height / width))
-    columns = min(columns, len(images))
-    rows = -(-len(images) // columns)
-    size = (rows * (tile_height + _GAP) + _GAP, columns * (tile_width + _GAP) + _GAP, 3)
-    sheet = np.full(size, _BACKGROUND, np.uint8)
-    for place, image in enumerate(images):
-        y, x = (
-            _GAP + n * (step + _GAP)
-            for n, step in zip(divmod(place, columns), (tile_height, tile_width), strict=True)
-        )
-        sheet[y : y + tile_height, x : x + tile_width] = resized(image, tile_width, tile_height)
-    return sheet
+    tiles = [Tile(resized(image, tile_width, tile_height)) for image in images]
+    return sheet(tiles, Sheet(min(columns, len(images)), gap_px=_GAP, margin_px=_GAP))
 
 
 def round_sheet(record: TouchRound, most: int = _MOST_TILES) -> Pixels:
@@ -89,7 +81,7 @@ def _shown(record: TouchRound, most: int) -> list[Touch]:
 def _figure(touch: Touch, caption: str) -> str:
     picture = touch.image
     tile = resized(picture, _TILE_WIDTH, max(1, round(_TILE_WIDTH * picture.shape[0] / picture.shape[1])))
-    source = base64.b64encode(encode_image(tile, "png")).decode("ascii")
+    source = base64.b64encode(png_bytes(tile)).decode("ascii")
     return (
         f'<figure style="margin:0;text-align:center;font-size:smaller"><img width="{_TILE_WIDTH}" '
         f'src="data:image/png;base64,{source}"><figcaption>{html.escape(caption)}</figcaption></figure>'

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import base64
-import io
 import math
 from typing import TYPE_CHECKING
 
@@ -11,21 +10,28 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dataset_store.errors import InputError
+from dataset_store.pictures import png_bytes
 from starstruck_gen.placement import Placement
 from starstruck_gen.shapes import outline
 
 if TYPE_CHECKING:
     from PIL.Image import Image
 
+    from starstruck_gen.sampling import SceneTrace
     from starstruck_gen.scene import Scene
+    from starstruck_gen.spec import SceneSpec
 
-__all__ = ["draw_scene", "scene_html"]
+__all__ = ["DISTRACTOR", "REJECTED", "STAR", "centre_px", "draw_scene", "draw_trace", "scene_html"]
 
 _PLATE = (245, 243, 238)
-_STAR = (214, 140, 20)
-_DISTRACTOR = (92, 110, 132)
+STAR = (214, 140, 20)
+DISTRACTOR = (92, 110, 132)
 _EDGE = (40, 40, 40)
+_AREA = (150, 156, 164)
+REJECTED = (213, 94, 0)
 _SUPERSAMPLING = 4
+_DASH = 6.0 * _SUPERSAMPLING
+_CROSS = 4.0 * _SUPERSAMPLING
 _MOST_PIXELS = 100_000_000
 
 
@@ -37,6 +43,45 @@ def draw_scene(scene: Scene, cell_m: tuple[float, float], px_per_mm: float) -> I
     InputError
         When the picture would have no pixel, or too many.
     """
+    picture = _plate(cell_m, px_per_mm)
+    for placement in scene.placements:
+        _draw_object(picture, placement, px_per_mm * 1e3 * _SUPERSAMPLING)
+    return _reduced(picture)
+
+
+def draw_trace(trace: SceneTrace, spec: SceneSpec, px_per_mm: float) -> Image:
+    """Draw a scene with the room that collision takes around each object, and the positions not taken.
+
+    Objects that were not placed are outlined in red where they would have stood, with a cross at their
+    centre; those of layouts that were given up have a grey cross only. The dashed frame holds all centres.
+
+    Parameters
+    ----------
+    trace : SceneTrace
+        Scene and rejected positions.
+    spec : SceneSpec
+        How it was made.
+    px_per_mm : float
+        Scale of the picture.
+
+    Raises
+    ------
+    InputError
+        As :func:`draw_scene`.
+    """
+    picture = _plate(spec.cell_m, px_per_mm)
+    scale = px_per_mm * 1e3 * _SUPERSAMPLING
+    _draw_area(picture, spec, scale)
+    for placement in trace.scene.placements:
+        _draw_object(picture, placement, scale)
+        if spec.collision == "circles":
+            _draw_circle(picture, placement, spec.clearance_m, scale)
+    for lost in sorted(trace.rejected, key=lambda each: not each.given_up):
+        _draw_rejected(picture, lost.candidate, lost.given_up, scale)
+    return _reduced(picture)
+
+
+def _plate(cell_m: tuple[float, float], px_per_mm: float) -> Image:
     from PIL import Image
 
     size_px = (round(cell_m[0] * 1e3 * px_per_mm), round(cell_m[1] * 1e3 * px_per_mm))
@@ -46,9 +91,13 @@ def draw_scene(scene: Scene, cell_m: tuple[float, float], px_per_mm: float) -> I
             f"a picture of {size_px[0]} x {size_px[1]} pixels; expected 1 to {_MOST_PIXELS // 16:,} pixels"
         )
         raise InputError(message)
-    picture = Image.new("RGB", large_px, _PLATE)
-    for placement in scene.placements:
-        _draw_object(picture, placement, px_per_mm * 1e3 * _SUPERSAMPLING)
+    return Image.new("RGB", large_px, _PLATE)
+
+
+def _reduced(picture: Image) -> Image:
+    from PIL import Image
+
+    size_px = (picture.width // _SUPERSAMPLING, picture.height // _SUPERSAMPLING)
     return picture.resize(size_px, Image.Resampling.LANCZOS)
 
 
@@ -60,9 +109,58 @@ def _draw_object(picture: Image, placement: Placement, px_per_m: float) -> None:
     mask = Image.new("L", picture.size)
     for number, ring in enumerate(rings):
         ImageDraw.Draw(mask).polygon(ring, fill=0 if number else 255)
-    picture.paste(_STAR if placement.is_star else _DISTRACTOR, mask=mask)
+    picture.paste(STAR if placement.is_star else DISTRACTOR, mask=mask)
     for ring in rings:
         ImageDraw.Draw(picture).polygon(ring, outline=_EDGE, width=_SUPERSAMPLING)
+
+
+def _draw_area(picture: Image, spec: SceneSpec, px_per_m: float) -> None:
+    from PIL import ImageDraw
+
+    half_x, half_y = (side * px_per_m for side in spec.half_area_m)
+    x, y = picture.width / 2, picture.height / 2
+    corners = [
+        (x - half_x, y - half_y),
+        (x + half_x, y - half_y),
+        (x + half_x, y + half_y),
+        (x - half_x, y + half_y),
+    ]
+    pen = ImageDraw.Draw(picture)
+    for start, end in zip(corners, [*corners[1:], corners[0]], strict=True):
+        length = math.dist(start, end)
+        for begin in np.arange(0.0, length, 2 * _DASH).tolist():
+            share, stop = begin / length, min(begin + _DASH, length) / length
+            line = [(a + part * (b - a)) for part in (share, stop) for a, b in zip(start, end, strict=True)]
+            pen.line(line, fill=_AREA, width=_SUPERSAMPLING)
+
+
+def _draw_circle(picture: Image, placement: Placement, clearance_m: float, px_per_m: float) -> None:
+    from PIL import ImageDraw
+
+    x, y = centre_px(placement, picture.size, px_per_m)
+    radius = (placement.radius_m + clearance_m / 2) * px_per_m
+    box = (x - radius, y - radius, x + radius, y + radius)
+    ImageDraw.Draw(picture).ellipse(box, outline=_AREA, width=_SUPERSAMPLING)
+
+
+def _draw_rejected(picture: Image, placement: Placement, given_up: bool, px_per_m: float) -> None:
+    from PIL import ImageDraw
+
+    pen = ImageDraw.Draw(picture)
+    colour = _AREA if given_up else REJECTED
+    if not given_up:
+        for ring in outline(placement.shape):
+            corners = _corners_px(ring, placement, picture.size, px_per_m)
+            pen.line([*corners, corners[0]], fill=colour, width=_SUPERSAMPLING)
+    x, y = centre_px(placement, picture.size, px_per_m)
+    for slope in (1, -1):
+        line = (x - _CROSS, y - slope * _CROSS, x + _CROSS, y + slope * _CROSS)
+        pen.line(line, fill=colour, width=2 * _SUPERSAMPLING)
+
+
+def centre_px(placement: Placement, size_px: tuple[int, int], px_per_m: float) -> tuple[float, float]:
+    """Return where the centre of an object lies in a picture: column and row, 0 at the outer edge."""
+    return size_px[0] / 2 + placement.x_m * px_per_m, size_px[1] / 2 - placement.y_m * px_per_m
 
 
 def _corners_px(
@@ -80,7 +178,6 @@ def _standing_m(ring: NDArray[np.float64], placement: Placement) -> NDArray[np.f
 
 def scene_html(scene: Scene, caption: str) -> str:
     """Show a scene in a notebook."""
-    content = io.BytesIO()
-    scene.draw(px_per_mm=2.0).save(content, format="PNG")
-    picture = base64.b64encode(content.getvalue()).decode("ascii")
+    content = png_bytes(np.asarray(scene.draw(px_per_mm=2.0)))
+    picture = base64.b64encode(content).decode("ascii")
     return f'<figure><img src="data:image/png;base64,{picture}"><figcaption>{caption}</figcaption></figure>'

@@ -1,0 +1,236 @@
+"""The steps of the algorithm side by side: image, eroded layers, stack, raw and smooth surface."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dataset_store.errors import InputError
+from dataset_store.mesh import MM_PER_M, Mesh
+from dataset_store.oblique import Body, Picture3d, Studio
+from dataset_store.pictures import Drawing
+from dataset_store.shading import OBLIQUE, averaged
+from dataset_store.sheets import Sheet, Tile, sheet, with_scale_bar
+from mnist3d.preview_object import CLAY
+from mnist3d.solid import ink_mask
+from mnist3d.steps import erode, erosion_radii_px, marching_cubes, mirror, scale, smooth, stack
+
+if TYPE_CHECKING:
+    from mnist3d.sources import DigitSource
+    from mnist3d.spec import SolidSpec
+
+__all__ = ["draw_steps", "rebuilt_source", "shown_layers", "source_option"]
+
+_PANEL_PX = 380
+_LAYERS_SHOWN = 6
+_MARGIN_PX = 12
+_LIGHTEST, _DARKEST = (214, 230, 241), (8, 64, 112)
+_SAMPLING = 2
+_SPREAD = 2.5
+"""How many times their thickness the layers of the stack are drawn apart."""
+
+_WRITERS = "writers_sha256"
+
+
+def draw_steps(studio: Studio, pixels: NDArray[Any], spec: SolidSpec, title: str) -> Drawing:
+    """Draw the published steps from an image to a surface.
+
+    Parameters
+    ----------
+    studio : Studio
+        Where the oblique views are made.
+    pixels : ndarray, shape (H, W)
+        Grey levels, 0 is ink and 255 paper.
+    spec : SolidSpec
+        The numbers of the algorithm.
+    title : str
+        Heading.
+
+    Raises
+    ------
+    ItemError
+        The image is no usable digit.
+    """
+    window = _window(ink_mask(pixels, spec))
+    mask = ink_mask(pixels, spec)[window]
+    radii = erosion_radii_px(spec)
+    layers = [erode(mask, radius) for radius in radii]
+    raw, smoothed = _surfaces(layers, spec)
+    px_per_mm = _PANEL_PX / (max(mask.shape) * spec.pixel_pitch_mm)
+    size_px = (_PANEL_PX, _PANEL_PX)
+    views = [
+        studio.draw(Picture3d((Body(mesh, CLAY),), size_px, px_per_mm * MM_PER_M)) for mesh in (raw, smoothed)
+    ]
+    shown = shown_layers(radii)
+    tiles = (
+        Tile(_square(np.asarray(pixels)[window].astype(np.uint8)), "1  image"),
+        Tile(_square(layer_map(layers, shown)), f"2  eroded layers, {len(shown)} of {len(layers)}"),
+        Tile(_stack_view(layers, spec, px_per_mm), f"3  stack of {2 * len(layers)} layers, drawn apart"),
+        Tile(views[0][0], f"4  marching cubes: {len(raw.faces):,} triangles"),
+        Tile(with_scale_bar(views[1][0], px_per_mm), "5  smoothed"),
+    )
+    sizes = ", ".join(f"{radii[number]:.1f}" for number in shown)
+    words = (
+        f"erosion radii of the layers shown, from the mid-plane up: {sizes} px of {spec.pixel_pitch_mm:g} mm",
+    )
+    return Drawing(sheet(tiles, Sheet(5, title, words)), views[0][1])
+
+
+def shown_layers(radii_px: NDArray[np.float64]) -> tuple[int, ...]:
+    """Choose the layers that are shown: first, last, and some between at equal steps of the radius."""
+    wanted = np.linspace(radii_px[0], radii_px[-1], _LAYERS_SHOWN)
+    nearest = np.abs(radii_px[:, None] - wanted).argmin(axis=0)
+    return tuple(np.unique(nearest).tolist())
+
+
+def layer_map(layers: Sequence[NDArray[np.bool_]], shown: Sequence[int]) -> NDArray[np.uint8]:
+    """Draw layers one on top of the other, the higher the darker: shape (H, W, 3)."""
+    picture = np.full((*layers[0].shape, 3), 255, np.uint8)
+    for place, number in enumerate(shown):
+        picture[layers[number]] = _tint(place / max(1, len(shown) - 1))
+    return picture
+
+
+def source_option(described: dict[str, Any], images: Path | None, writer_info: Path | None) -> DigitSource:
+    """Return the source from which a data set was made.
+
+    Parameters
+    ----------
+    described : dict
+        Its fingerprint, from the manifest.
+    images, writer_info : Path or None
+        Where its files are now; the synthetic source needs none.
+
+    Raises
+    ------
+    InputError
+        Files are needed and not given, or are others than those the data set was made from.
+    """
+    name = described.get("name")
+    if name == "synthetic":
+        from mnist3d.sources.synthetic import SyntheticSource
+
+        source: DigitSource = SyntheticSource(int(described["seed"]), int(described["count"]))
+    else:
+        source = rebuilt_source(str(name), images, writer_info, str(described.get("ink", "auto")))
+    found = {key: value for key, value in source.fingerprint().items() if key != _WRITERS}
+    wanted = {key: value for key, value in described.items() if key != _WRITERS}
+    if found != wanted:
+        differs = next(key for key in {**wanted, **found} if found.get(key) != wanted.get(key))
+        message = (
+            f"--images {str(images)!r} holds other images than the data set was made from: {differs} is "
+            f"{found.get(differs)!r}, expected {wanted.get(differs)!r}"
+        )
+        raise InputError(message)
+    return source
+
+
+def rebuilt_source(name: str, images: Path | None, writer_info: Path | None, ink: str) -> DigitSource:
+    """Return a source that reads files.
+
+    Raises
+    ------
+    InputError
+        The files are not given, or there is no such source.
+    """
+    if images is None or (name == "hwdplus" and writer_info is None):
+        option = "--images PATH" if images is None else "--writer-info FILE"
+        message = (
+            f"the steps need the images of source {name!r}; next: give {option}, or a picture of a digit"
+        )
+        raise InputError(message)
+    if name == "hwdplus":
+        from mnist3d.sources.hwdplus import HwdPlusSource
+
+        return HwdPlusSource(str(images), str(writer_info))
+    if name == "mnist":
+        from mnist3d.sources.mnist import MnistSource
+
+        return MnistSource(str(images))
+    if name == "folder":
+        from mnist3d.sources.folder import FolderSource
+
+        return FolderSource(str(images), ink=ink)
+    message = (
+        f"the data set was made from source {name!r}, which is not known; next: give a picture of a digit"
+    )
+    raise InputError(message)
+
+
+def _window(mask: NDArray[np.bool_]) -> tuple[slice, slice]:
+    """Return the square around the ink, with a margin; cut at the edges of the image."""
+    rows, columns = np.flatnonzero(mask.any(axis=1)), np.flatnonzero(mask.any(axis=0))
+    half = (max(np.ptp(rows), np.ptp(columns)) + 1) // 2 + _MARGIN_PX
+    spans = []
+    for places, side in ((rows, mask.shape[0]), (columns, mask.shape[1])):
+        middle = (int(places[0]) + int(places[-1]) + 1) // 2
+        spans.append(slice(max(0, middle - half), min(side, middle + half)))
+    return spans[0], spans[1]
+
+
+def _surfaces(layers: Sequence[NDArray[np.bool_]], spec: SolidSpec) -> tuple[Mesh, Mesh]:
+    vertices, faces = marching_cubes(np.pad(mirror(stack(layers)), 1), 0.5)
+    even = smooth(vertices, faces, spec.literal_smoothing_iterations, spec.smoothing_factor)
+    shape = (layers[0].shape[0], layers[0].shape[1])
+    first, last = (scale(each - np.float32(1), faces, shape, spec) for each in (vertices, even))
+    return first, last
+
+
+def _stack_view(layers: Sequence[NDArray[np.bool_]], spec: SolidSpec, px_per_mm: float) -> NDArray[np.uint8]:
+    """Draw the mirrored stack obliquely, its layers apart."""
+    from PIL import Image
+
+    side = _PANEL_PX * _SAMPLING
+    picture = Image.new("RGB", (side, side), (255, 255, 255))
+    px = px_per_mm * spec.pixel_pitch_mm * _SAMPLING
+    heights = np.arange(len(layers)) + 0.5
+    order = [
+        *((-z, layer) for z, layer in zip(heights[::-1], layers[::-1], strict=True)),
+        *zip(heights, layers, strict=True),
+    ]
+    for z, layer in order:
+        share = abs(z) / len(layers)
+        mask = Image.fromarray(layer.astype(np.uint8) * 255)
+        for drop_px, colour in ((_SAMPLING, (70, 80, 92)), (0, _tint(share))):
+            data = _back_to_layer(layer.shape, side, px, _SPREAD * z, drop_px)
+            seen = mask.transform((side, side), Image.Transform.AFFINE, data, Image.Resampling.BILINEAR)
+            picture.paste(colour, mask=seen)
+    return averaged(np.asarray(picture), _SAMPLING)
+
+
+def _back_to_layer(
+    shape: tuple[int, ...], side_px: int, px: float, height: float, drop_px: int
+) -> tuple[float, ...]:
+    """Return the map from pixels of the view to those of a layer, as Pillow takes it."""
+    right, up, _ = OBLIQUE.axes
+    # Rows of a layer grow along -y, those of the picture along -up.
+    to_view = px * np.array([[right[0], -right[1]], [-up[0], up[1]]])
+    back = np.linalg.inv(to_view)
+    middle = np.array([side_px / 2, side_px / 2 - px * up[2] * height + drop_px])
+    shift = np.array([shape[1] / 2, shape[0] / 2]) - back @ middle
+    return (back[0, 0], back[0, 1], shift[0], back[1, 0], back[1, 1], shift[1])
+
+
+def _tint(share: float) -> tuple[int, int, int]:
+    """Return the colour of a height: 0 at the mid-plane, 1 at the top."""
+    red, green, blue = (
+        round(low + share * (high - low)) for low, high in zip(_LIGHTEST, _DARKEST, strict=True)
+    )
+    return red, green, blue
+
+
+def _square(pixels: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """Return a picture in the size of a panel, its pixels kept square, on paper."""
+    from PIL import Image
+
+    picture = Image.fromarray(pixels).convert("RGB")
+    factor = _PANEL_PX / max(picture.size)
+    size = (max(1, round(picture.width * factor)), max(1, round(picture.height * factor)))
+    fitted = picture.resize(size, Image.Resampling.LANCZOS if factor < 1 else Image.Resampling.BICUBIC)
+    canvas = Image.new("RGB", (_PANEL_PX, _PANEL_PX), (255, 255, 255))
+    canvas.paste(fitted, ((_PANEL_PX - size[0]) // 2, (_PANEL_PX - size[1]) // 2))
+    return np.asarray(canvas)

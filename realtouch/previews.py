@@ -1,0 +1,273 @@
+"""Pictures of real touches: a round as a grid or on a map of the cell, a clip as a strip, the gel's drift."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import partial
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dataset_store.errors import InputError
+from dataset_store.lettering import ACCENTS, PAPER
+from dataset_store.oblique import Studio
+from dataset_store.pictures import (
+    Drawing,
+    PicturePlan,
+    PlannedPicture,
+    chosen_kinds,
+    file_stem,
+    plan_kinds,
+)
+from dataset_store.plots import Points, plot_points, require_plots
+from dataset_store.sheets import Sheet, Tile, sheet, with_scale_bar
+from realtouch.contact import MIN_CONTACT_HEIGHT_M, contact_heights_m
+from realtouch.dataset import TouchDataset
+from realtouch.fields import contact_z_m
+from realtouch.opening import load
+from realtouch.preview_overlay import cell_map, overlay, placed_touches
+from realtouch.preview_strip import draw_strip
+from realtouch.resizing import resized
+from realtouch.rounds import TouchRound, TouchSeqRound
+from realtouch.schema import Kind, column_type
+from realtouch.touches import Touch
+
+__all__ = [
+    "CONTACT",
+    "KINDS",
+    "PreviewSpec",
+    "draw_drift",
+    "draw_grid",
+    "draw_overlay",
+    "gel_drift",
+    "plan_previews",
+]
+
+KINDS = ("grid", "overlay", "strip", "drift")
+CONTACT = ACCENTS[0]
+"""Colour of the frame around touches in which the gel stopped on an object."""
+
+_COLUMNS = 8
+_TILE_PX = 160
+_PX_PER_MM = 7.0
+
+
+@dataclass(frozen=True, slots=True)
+class PreviewSpec:
+    """What to draw.
+
+    Attributes
+    ----------
+    kinds : tuple of str
+        Some of :data:`KINDS`, or ``"all"``; the grid when empty.
+    round_number : int
+        Which round of the split, from 0.
+    touches : int
+        Touches of a grid, evenly spaced over the round.
+    touch : int
+        Which touch of the round is drawn as a strip, from 0.
+    """
+
+    kinds: tuple[str, ...] = ()
+    round_number: int = 0
+    touches: int = 32
+    touch: int = 0
+
+
+def plan_previews(name: str, split: str, spec: PreviewSpec, *, revision: str | None = None) -> PicturePlan:
+    """Decide which pictures of a data set of touches to draw; draws none.
+
+    Parameters
+    ----------
+    name : str
+        Whatever :func:`realtouch.load` opens.
+    split : str
+        Which split.
+    spec : PreviewSpec
+        What to draw.
+    revision : str, optional
+        Branch, tag or commit of a Hub repository.
+
+    Returns
+    -------
+    PicturePlan
+
+    Raises
+    ------
+    InputError
+        No such place, split, round, touch or kind; an empty set; a strip of a set without clips.
+    MissingExtraError
+        The plot was asked for by name and matplotlib is not installed.
+    IntegrityError, HubError
+        As :func:`realtouch.load`.
+    """
+    dataset = load(name, split, revision=revision)
+    if not len(dataset):
+        message = f"split {split!r} of {name!r} holds no round; next: choose another split"
+        raise InputError(message)
+    if not 0 <= spec.round_number < len(dataset):
+        message = f"--round is {spec.round_number}; split {split!r} has rounds 0 to {len(dataset) - 1}"
+        raise InputError(message)
+    kinds, by_name = chosen_kinds(spec.kinds, KINDS, ("grid",))
+    stem = f"{file_stem(name)}-{split}"
+    return plan_kinds(kinds, by_name, lambda kind: [_PLANS[kind](dataset, stem, spec)])
+
+
+def draw_grid(record: TouchRound, most: int) -> Drawing:
+    """Draw touches of a round with their numbers; those that met an object are framed.
+
+    Parameters
+    ----------
+    record : TouchRound
+        The round.
+    most : int
+        How many touches, evenly spaced.
+    """
+    heights_m = _heights_m(record)
+    tiles = [_tile(record, touch, heights_m) for touch in _evenly(record.touch_count, most)]
+    words = [f"{len(tiles)} of {record.touch_count} touches of object {record.object_id}"]
+    if heights_m is not None:
+        mm = MIN_CONTACT_HEIGHT_M * 1e3
+        words += [
+            f"framed: the gel stopped {mm:g} mm or more above the deepest touch; its height beside the number"
+        ]
+    return Drawing(sheet(tiles, Sheet(_COLUMNS, _title(record), ("; ".join(words),))))
+
+
+def draw_overlay(record: TouchRound) -> Drawing:
+    """Draw all touches of a round at their positions on a map of the cell."""
+    touches = placed_touches(record, range(record.touch_count))
+    cell = cell_map(touches, _PX_PER_MM)
+    pixels = with_scale_bar(overlay(touches, cell), _PX_PER_MM)
+    x_mm, y_mm = (side / _PX_PER_MM for side in cell.size_px)
+    words = (
+        f"{len(touches)} touches of object {record.object_id} at their positions",
+        f"{x_mm:.0f} x {y_mm:.0f} mm around the middle of the cell, x right, y up",
+    )
+    return Drawing(sheet([Tile(pixels, frame=(205, 210, 215))], Sheet(1, _title(record), words)))
+
+
+def gel_drift(dataset: TouchDataset[Any]) -> tuple[NDArray[np.float64], tuple[str, ...]]:
+    """Return the height of the deepest touch of each round, and the gel it was made with; opens no picture.
+
+    Returns
+    -------
+    z_m : ndarray of float64, shape (len(dataset),)
+        Metres, cell frame: the plate, up to the drift of z.
+    gels : tuple of str
+        ``info.gel_id`` of each round; empty words where the data set does not say.
+
+    Raises
+    ------
+    InputError
+        The data set stores no poses.
+    """
+    suffix = "" if dataset.kind == "single" else "_seq"
+    if column_type(dataset._tables[0].schema, f"gel_pose_cell_frame{suffix}.position") is None:
+        message = "the drift of the gel needs its poses, which this data set does not store"
+        raise InputError(message)
+    z_m, starts = dataset.contact_z_m()
+    rows = dataset.row_numbers
+    deepest = np.array([z_m[starts[row] : starts[row + 1]].min() for row in rows])
+    return deepest, _gels(dataset)
+
+
+def draw_drift(dataset: TouchDataset[Any], title: str) -> Drawing:
+    """Draw the height of the deepest touch of every round, in the colours of the gels."""
+    z_m, gels = gel_drift(dataset)
+    z_mm = z_m * 1e3
+    spread = (
+        f"{len(z_mm):,} rounds; from {z_mm.min():.2f} to {z_mm.max():.2f} mm, median {np.median(z_mm):.2f} mm"
+    )
+    points = Points(title, "round", "deepest touch, z in mm", np.arange(len(z_mm)), z_mm, gels)
+    return Drawing(plot_points(points, spread))
+
+
+def _plan_grid(dataset: TouchDataset[Any], stem: str, spec: PreviewSpec) -> PlannedPicture:
+    record = dataset[spec.round_number]
+    what = f"touches of {record!r}"
+    return PlannedPicture(
+        f"{stem}-round-{spec.round_number}-grid.png", what, partial(_grid, record, spec.touches)
+    )
+
+
+def _plan_overlay(dataset: TouchDataset[Any], stem: str, spec: PreviewSpec) -> PlannedPicture:
+    record = dataset[spec.round_number]
+    what = f"all touches of {record!r} at their positions"
+    return PlannedPicture(f"{stem}-round-{spec.round_number}-overlay.png", what, partial(_overlay, record))
+
+
+def _plan_strip(dataset: TouchDataset[Any], stem: str, spec: PreviewSpec) -> PlannedPicture:
+    record = dataset[spec.round_number]
+    if not isinstance(record, TouchSeqRound):
+        message = "a film strip needs clips, and this data set holds images; next: give a seq set"
+        raise InputError(message)
+    if not 0 <= spec.touch < record.touch_count:
+        message = (
+            f"--touch is {spec.touch}; round {spec.round_number} has touches 0 to {record.touch_count - 1}"
+        )
+        raise InputError(message)
+    name = f"{stem}-round-{spec.round_number}-touch-{spec.touch}-strip.png"
+    what = f"the clip of touch {spec.touch} of {record!r}"
+    return PlannedPicture(name, what, partial(_strip, record, spec.touch))
+
+
+def _plan_drift(dataset: TouchDataset[Any], stem: str, spec: PreviewSpec) -> PlannedPicture:
+    require_plots("the picture of the gel's drift")
+    what = f"drift of the gel over {len(dataset):,} rounds"
+    return PlannedPicture(f"{stem}-drift.png", what, partial(_drift, dataset, f"{stem}: drift of the gel"))
+
+
+_PLANS = {"grid": _plan_grid, "overlay": _plan_overlay, "strip": _plan_strip, "drift": _plan_drift}
+
+
+def _grid(record: TouchRound, most: int, _: Studio) -> Drawing:
+    return draw_grid(record, most)
+
+
+def _overlay(record: TouchRound, _: Studio) -> Drawing:
+    return draw_overlay(record)
+
+
+def _strip(record: TouchSeqRound, touch: int, _: Studio) -> Drawing:
+    return draw_strip(record.sensor_video[touch], f"{_title(record)}, touch {touch}")
+
+
+def _drift(dataset: TouchDataset[Any], title: str, _: Studio) -> Drawing:
+    return draw_drift(dataset, title)
+
+
+def _tile(record: TouchRound, touch: int, heights_m: NDArray[np.float64] | None) -> Tile:
+    picture = Touch(record, touch).image
+    tile = resized(picture, _TILE_PX, max(1, round(_TILE_PX * picture.shape[0] / picture.shape[1])))
+    if heights_m is None:
+        return Tile(tile, f"{touch}")
+    met = heights_m[touch] >= MIN_CONTACT_HEIGHT_M
+    return Tile(tile, f"{touch}: {heights_m[touch] * 1e3:.1f} mm", CONTACT if met else PAPER)
+
+
+def _heights_m(record: TouchRound) -> NDArray[np.float64] | None:
+    """Return how high above the deepest touch the gel stopped, shape (T,); None without poses."""
+    kind: Kind = "seq" if isinstance(record, TouchSeqRound) else "single"
+    name = "gel_pose_cell_frame_seq" if kind == "seq" else "gel_pose_cell_frame"
+    if not record._row.has(f"{name}.position"):
+        return None
+    return contact_heights_m(contact_z_m(record._row, kind))
+
+
+def _gels(dataset: TouchDataset[Any]) -> tuple[str, ...]:
+    if column_type(dataset._tables[0].schema, "info.gel_id") is None:
+        return ("",) * len(dataset)
+    by_row = {row: f"gel {record.info['gel_id']}" for row, record in dataset.light_rounds()}
+    return tuple(by_row[row] for row in dataset.row_numbers.tolist())
+
+
+def _evenly(count: int, most: int) -> Sequence[int]:
+    chosen: list[int] = np.unique(np.linspace(0, count - 1, min(count, most)).round().astype(int)).tolist()
+    return chosen
+
+
+def _title(record: TouchRound) -> str:
+    return f"Round {record.id}, label {record.label}"

@@ -1,0 +1,207 @@
+"""``preview`` of the three command lines, as processes of their own."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+from collections.abc import Callable
+from dataclasses import dataclass
+from importlib import import_module
+from importlib.util import find_spec
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from dataset_store.mesh import Mesh
+from dataset_store.meshfile import write_mesh
+from mnist3d.generation import GenerateSpec as DigitSpec
+from mnist3d.generation import generate as generate_digits
+from mnist3d.solid import SolidSpec
+from mnist3d.sources.synthetic import SyntheticSource
+from mnist3d.splits import SplitSpec
+from starstruck_gen.generation import GenerateSpec as SceneSetSpec
+from starstruck_gen.generation import generate as generate_scenes
+from starstruck_gen.spec import SceneSpec
+from tests.realtouch import factories
+
+NO_PLOTS = find_spec("matplotlib") is None
+
+
+@pytest.fixture(scope="module")
+def digits(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    out = tmp_path_factory.mktemp("cli") / "digits"
+    solid, split = SolidSpec(target_vertices=400), SplitSpec(sizes=(("test", 1),))
+    generate_digits(DigitSpec(SyntheticSource(count=140), solid, split), str(out), ("test",))
+    return out
+
+
+@pytest.fixture(scope="module")
+def scenes(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    out = tmp_path_factory.mktemp("cli") / "scenes"
+    generate_scenes(SceneSetSpec(SceneSpec(), (("train", 6),)), str(out), ("train",))
+    return out
+
+
+@pytest.fixture(scope="module")
+def clips(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    rows = factories.seq_rows([factories.make_round(index, 3, (64, 48)) for index in range(2)])
+    return factories.write_set(tmp_path_factory.mktemp("clips"), {"train": rows}, "seq")
+
+
+def process(room: str, *arguments: object, cwd: Path, **environment: str) -> subprocess.CompletedProcess[str]:
+    """Run a command line as a user does, without a screen."""
+    command = f"import sys; sys.argv[0] = {room!r}; from cli.{room} import main; main()"
+    outer = {name: value for name, value in os.environ.items() if name != "DISPLAY"}
+    return subprocess.run(
+        [sys.executable, "-c", command, "preview", *map(str, arguments)],
+        cwd=cwd,
+        env={**outer, **environment},
+        capture_output=True,
+        text=True,
+    )
+
+
+@dataclass(frozen=True)
+class Done:
+    returncode: int
+    stdout: str
+    stderr: str
+
+
+@pytest.fixture
+def run(tmp_path, monkeypatch, capsys) -> Callable[..., Done]:
+    """Run a command line in this process, in a folder of its own."""
+
+    def run(room: str, *arguments: object) -> Done:
+        monkeypatch.chdir(tmp_path)
+        monkeypatch.setattr(sys, "argv", [room, "preview", *map(str, arguments)])
+        with pytest.raises(SystemExit) as leave:
+            import_module(f"cli.{room}").main()
+        printed = capsys.readouterr()
+        return Done(int(leave.value.code or 0), printed.out, printed.err)
+
+    return run
+
+
+def contents(folder: Path) -> dict[str, bytes]:
+    return {path.name: path.read_bytes() for path in sorted(folder.iterdir())}
+
+
+def test_every_process_writes_the_same_bytes(digits, scenes, clips, tmp_path, run):
+    printed = ""
+    (tmp_path / "apart").mkdir()
+    for room, arguments in (
+        ("mnist3d", (digits, "--kind", "sheet")),
+        ("starstruck", (scenes, "--kind", "sheet", "--kind", "scene")),
+        ("realtouch", (clips, "--kind", "grid", "--kind", "overlay", "--kind", "strip")),
+    ):
+        here = run(room, *arguments)
+        apart = process(room, *arguments, cwd=tmp_path / "apart", PYTHONHASHSEED="2")
+        assert (here.returncode, apart.returncode) == (0, 0), apart.stderr
+        assert here.stdout == apart.stdout
+        printed += apart.stdout
+    written = contents(tmp_path / "previews")
+    assert len(written) == 6
+    assert written == contents(tmp_path / "apart" / "previews")
+    for name, content in written.items():
+        assert f"previews/{name}: " in printed
+        assert content.startswith(b"\x89PNG")
+
+
+@pytest.mark.pictures
+@pytest.mark.skipif(NO_PLOTS, reason="needs the extra `pictures` (matplotlib, pyvista)")
+def test_with_the_extra_too(digits, tmp_path, run):
+    arguments = (digits, "--kind", "all", "--per-class", 1)
+    for place, done in (
+        ("one", run("mnist3d", *arguments, "--out", "one")),
+        ("other", process("mnist3d", *arguments, "--out", "other", cwd=tmp_path)),
+    ):
+        assert done.returncode == 0, done.stderr
+        assert "note:" not in done.stderr, place
+        assert "left out" not in done.stderr
+    written = contents(tmp_path / "one")
+    assert len(written) == 5
+    assert written == contents(tmp_path / "other")
+
+
+@pytest.mark.skipif(not NO_PLOTS, reason="matplotlib is installed")
+def test_without_the_extra_what_is_missing_is_said(digits, tmp_path, run):
+    done = run("mnist3d", digits)
+    assert done.returncode == 0
+    assert list(contents(tmp_path / "previews")) == ["digits-test-sheet.png"]
+    assert done.stderr.count("left out: ") == 2
+    assert "pip install 'tactile-toolkit[pictures]'" in done.stderr
+    refused = run("mnist3d", digits, "--kind", "histogram", "--out", "plots")
+    assert refused.returncode == 2
+    assert "pip install 'tactile-toolkit[pictures]'" in refused.stderr
+    assert not (tmp_path / "plots").exists()
+
+
+def test_one_picture_goes_into_the_file_that_is_named(digits, scenes, clips, tmp_path, run):
+    corners = np.array([(0, 0, 0), (0.01, 0, 0), (0, 0.01, 0), (0, 0, 0.01)])
+    faces = np.array([(0, 2, 1), (0, 1, 3), (1, 2, 3), (0, 3, 2)], np.int32)
+    write_mesh(tmp_path / "part.stl", Mesh(corners, faces))
+    done = run("mnist3d", "part.stl", "--out", "a.png", "--json")
+    assert done.returncode == 0, done.stderr
+    (picture,) = json.loads(done.stdout)["pictures"]
+    with Image.open(tmp_path / "a.png") as image:
+        assert image.size == (picture["width"], picture["height"])
+    assert picture["file"] == "a.png"
+    assert picture["bytes"] == (tmp_path / "a.png").stat().st_size
+    assert run("starstruck", scenes, "--ids", 3, "--out", "b.png", "--quiet").stdout == ""
+    assert run("realtouch", clips).returncode == 0
+    assert {path.name for path in tmp_path.iterdir()} == {"part.stl", "a.png", "b.png", "touches.png"}
+    several = run("starstruck", scenes, "--ids", "3,4", "--out", "c.png")
+    assert several.returncode == 2
+    assert "2 pictures; next: give a folder" in several.stderr
+
+
+def test_a_dry_run_writes_nothing_and_tells_all(digits, scenes, clips, tmp_path, run):
+    for room, arguments, names in (
+        ("mnist3d", (digits, "--kind", "sheet"), ["digits-test-sheet.png"]),
+        ("starstruck", (scenes, "--ids", "0,5"), ["scenes-train-0-scene.png", "scenes-train-5-scene.png"]),
+        ("realtouch", (clips, "--kind", "grid"), [f"{clips.name}-train-round-0-grid.png"]),
+    ):
+        done = run(room, *arguments, "--dry-run", "--json")
+        assert done.returncode == 0, done.stderr
+        document = json.loads(done.stdout)
+        assert [picture["file"] for picture in document["pictures"]] == names
+        assert document["folder"] == "previews"
+        assert "would write" in run(room, *arguments, "--dry-run").stdout
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize(
+    ("room", "arguments", "words"),
+    [
+        ("mnist3d", ("{digits}", "--ids", "4,x"), "--ids has 'x'"),
+        ("mnist3d", ("{digits}", "--ids", "99999"), "no digit of id 99999"),
+        ("mnist3d", ("{digits}", "--split", "train"), "no split 'train'"),
+        ("mnist3d", ("absent",), "does not exist"),
+        ("mnist3d", ("{digits}", "--kind", "steps", "--ids", "99999"), "no digit of id 99999"),
+        ("starstruck", ("{scenes}", "--ids", "99999"), "no scene of id 99999"),
+        ("starstruck", ("absent",), "no folder and no Parquet file"),
+        ("realtouch", ("{clips}", "--round", "9"), "--round is 9"),
+        ("realtouch", ("{clips}", "--kind", "strip", "--touch", "9"), "--touch is 9"),
+        ("realtouch", ("{digits}",), "digits"),
+    ],
+)
+def test_bad_input_ends_with_a_line_and_code_2(room, arguments, words, digits, scenes, clips, tmp_path, run):
+    places = {"{digits}": digits, "{scenes}": scenes, "{clips}": clips}
+    done = run(room, *(places.get(each, each) for each in arguments))
+    assert (done.returncode, done.stdout) == (2, "")
+    assert words in done.stderr
+    assert "Traceback" not in done.stderr
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_place_that_cannot_be_written_is_named(digits, tmp_path, run):
+    (tmp_path / "file").touch()
+    done = run("mnist3d", digits, "--kind", "sheet", "--out", "file/inside")
+    assert done.returncode == 2
+    assert "a part of the path is a file" in done.stderr
+    assert [path.name for path in tmp_path.iterdir()] == ["file"]

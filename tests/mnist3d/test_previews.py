@@ -1,0 +1,339 @@
+"""Pictures of digits: every digit where the sheet says, at the scale the bar says, counts as in the data."""
+
+from __future__ import annotations
+
+from importlib.util import find_spec
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+import mnist3d
+from dataset_store.errors import InputError, IntegrityError, MissingExtraError
+from dataset_store.lettering import INK
+from dataset_store.mesh import Mesh
+from dataset_store.meshfile import write_mesh
+from dataset_store.oblique import Studio
+from dataset_store.pictures import as_rgb
+from dataset_store.sheets import ScaleBar
+from dataset_store.storage import DataFolder
+from mnist3d.generation import GenerateSpec, generate
+from mnist3d.pictures import relief, relief_of
+from mnist3d.preview_figures import class_counts, measures
+from mnist3d.preview_object import object_facts
+from mnist3d.preview_steps import draw_steps, layer_map, shown_layers
+from mnist3d.previews import PreviewSpec, plan_previews
+from mnist3d.solid import SolidSpec, ink_mask
+from mnist3d.sources.folder import FolderSource
+from mnist3d.sources.synthetic import SyntheticSource
+from mnist3d.splits import SplitSpec
+from mnist3d.steps import erode, erosion_radii_px
+
+THIN = SolidSpec(target_vertices=500, half_thickness_mm=1.2)
+"""Few layers: the steps at full resolution stay quick."""
+
+RELIEF_ONLY = Studio(renderer=False)
+NO_PLOTS = find_spec("matplotlib") is None
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Thirty digits in train, ten in test."""
+    out = tmp_path_factory.mktemp("previews") / "digits"
+    spec = GenerateSpec(
+        SyntheticSource(count=280),
+        THIN,
+        SplitSpec(sizes=(("train", 3), ("test", 1))),
+    )
+    generate(spec, str(out), ("train", "test"))
+    return out
+
+
+def drawn(name: object, **options: object) -> dict[str, np.ndarray]:
+    plan = plan_previews(str(name), PreviewSpec(**options))
+    return {picture.name: picture.draw(RELIEF_ONLY).pixels for picture in plan.pictures}
+
+
+def find(pixels: np.ndarray, part: np.ndarray) -> list[tuple[int, int]]:
+    """Return the corners at which a picture holds another one exactly."""
+    height, width = part.shape[:2]
+    wanted, places = part[height // 2].tobytes(), []
+    for top in range(pixels.shape[0] - height + 1):
+        left = pixels[top + height // 2].tobytes().find(wanted) // 3
+        if left >= 0 and np.array_equal(pixels[top : top + height, left : left + width], part):
+            places.append((top, left))
+    return places
+
+
+def relief_tiles(records: list) -> list[np.ndarray]:
+    """Draw digits as a sheet of just these holds them."""
+    largest_mm = max(1e3 * np.ptp(record.vertices_m[:, :2], axis=0).max() for record in records)
+    return [as_rgb(relief_of(Mesh(each.vertices_m, each.faces), 132 / largest_mm)) for each in records]
+
+
+def test_relief_has_the_size_of_the_mesh_and_keeps_paper_white():
+    record = SolidSpec(target_vertices=500)
+    mesh = mnist3d.solidify(SyntheticSource().image(0).pixels, record)
+    pixels = relief(mesh.vertices_m, mesh.faces, 1e-4)
+    size_px = np.ptp(mesh.vertices_m, axis=0)[:2] / 1e-4
+    rows, columns = np.nonzero(pixels < 255)
+    assert (np.ptp(columns) + 1, np.ptp(rows) + 1) == pytest.approx(tuple(size_px), abs=2.5)
+    assert (pixels[:3] == 255).all()
+    assert pixels[rows, columns].min() >= 60
+    assert pixels[rows, columns].max() <= 240
+    smooth = relief_of(mesh, 5.0)
+    assert smooth.shape == pytest.approx((size_px[1] / 2, size_px[0] / 2), abs=5)
+
+
+def test_a_sheet_shows_the_first_of_each_class_in_the_row_of_the_class(folder):
+    pictures = drawn(folder, kinds=("sheet",), per_class=2)
+    assert sorted(pictures) == ["digits-test-sheet.png", "digits-train-sheet.png"]
+    dataset = mnist3d.load(str(folder), "train")
+    shown = [dataset[int(row)] for label in range(10) for row in np.flatnonzero(dataset.labels == label)[:2]]
+    places = {}
+    for record, tile in zip(shown, relief_tiles(shown), strict=True):
+        ((top, left),) = find(pictures["digits-train-sheet.png"], tile)
+        places[record.id] = (record.label, top + tile.shape[0] / 2, left + tile.shape[1] / 2)
+    for label in range(10):
+        ((top, left), (other_top, other_left)) = [place[1:] for place in places.values() if place[0] == label]
+        assert abs(top - other_top) <= 1
+        assert other_left - left == pytest.approx(places_step(places), abs=1.5)
+    rows = [min(place[1] for place in places.values() if place[0] == label) for label in range(10)]
+    assert rows == sorted(rows)
+
+
+def places_step(places: dict[int, tuple[int, float, float]]) -> float:
+    lefts = sorted(place[2] for place in places.values())
+    return float(np.median(lefts[len(lefts) // 2 :]) - np.median(lefts[: len(lefts) // 2]))
+
+
+def test_a_sheet_holds_the_ids_asked_for_and_no_others(folder):
+    dataset = mnist3d.load(str(folder), "train")
+    ids = tuple(int(number) for number in dataset.ids[[0, 5, 9]])
+    plan = plan_previews(str(folder), PreviewSpec(("sheet",), ids=ids))
+    (picture,) = plan.pictures
+    assert picture.what == "3 digits of train from above"
+    pixels = picture.draw(RELIEF_ONLY).pixels
+    asked = [dataset[0], dataset[5], dataset[9]]
+    *tiles, other = relief_tiles([*asked, dataset[1]])
+    if other.shape[0] > max(tile.shape[0] for tile in tiles):
+        tiles = relief_tiles(asked)
+    assert [len(find(pixels, tile)) for tile in tiles] == [1, 1, 1]
+    assert find(pixels, other) == []
+
+
+@pytest.mark.parametrize("ending", ["stl", "3mf", "ply", "obj", "glb"])
+def test_a_box_of_known_size_is_as_wide_as_the_bar_says(ending, tmp_path):
+    import trimesh
+
+    made = trimesh.creation.box((0.030, 0.020, 0.008))
+    path = tmp_path / f"my box.{ending}"
+    write_mesh(path, Mesh(np.asarray(made.vertices), np.asarray(made.faces, np.int32)))
+    ((name, pixels),) = drawn(path).items()
+    assert name == "my-box-object.png"
+    left = pixels[90:600, 16:576].astype(int)
+    bar_px = int((left[-12:] == INK).all(axis=2).sum(axis=1).max())
+    block = (left[:-60] < 250).any(axis=2)
+    width_px = int(block.sum(axis=1).max())
+    scale = width_px / 30.0
+    bar = ScaleBar.fitting(560, scale)
+    assert bar_px == pytest.approx(bar.length_mm * scale, abs=1.5)
+    assert block.sum(axis=0).max() == pytest.approx(20 * scale, abs=2)
+
+
+def test_an_object_that_is_no_solid_says_so(tmp_path):
+    corners = np.array([(0, 0, 0), (0.01, 0, 0), (0, 0.01, 0.002)])
+    write_mesh(tmp_path / "open.stl", Mesh(corners, np.array([(0, 1, 2)], np.int32)))
+    facts = object_facts(mnist3d.read_mesh(tmp_path / "open.stl"))
+    assert facts[0].startswith("10.0 x 10.0 x 2.0 mm; 3 vertices, 1 triangles")
+    assert "no solid" in facts[1]
+    assert "border one triangle only" in facts[1]
+    assert len(drawn(tmp_path / "open.stl")) == 1
+
+
+def test_ids_draw_single_objects_from_whatever_split_they_are_in(folder):
+    train, test = (mnist3d.load(str(folder), split) for split in ("train", "test"))
+    ids = (int(test.ids[3]), int(train.ids[0]), int(test.ids[3]))
+    plan = plan_previews(str(folder), PreviewSpec(ids=ids))
+    assert [picture.name for picture in plan.pictures] == [
+        f"digits-test-{ids[0]}-object.png",
+        f"digits-train-{ids[1]}-object.png",
+    ]
+    with pytest.raises(InputError, match=f"no digit of id {ids[0]} in train"):
+        plan_previews(str(folder), PreviewSpec(ids=ids, split="train"))
+
+
+# ---------------------------------------------------------------- steps
+
+
+def test_layers_lie_within_one_another_the_higher_the_darker():
+    spec = SolidSpec()
+    mask = ink_mask(SyntheticSource().image(0).pixels, spec)
+    radii = erosion_radii_px(spec)
+    layers = [erode(mask, radius) for radius in radii]
+    shown = shown_layers(radii)
+    assert (shown[0], shown[-1], len(shown)) == (0, len(layers) - 1, 6)
+    assert (np.diff(radii[list(shown)]) > 0).all()
+    drawn_map = layer_map(layers, shown)
+    assert (drawn_map[~layers[0]] == 255).all()
+    levels = [drawn_map[layers[number]][:, 0].max() for number in shown]
+    assert levels == sorted(levels, reverse=True)
+    assert len(np.unique(drawn_map[mask][:, 0])) == len(shown)
+    assert shown_layers(np.zeros(20)) == (0,)
+
+
+def test_steps_begin_with_the_image_and_end_with_the_surface(tmp_path):
+    pixels = SyntheticSource().image(0).pixels
+    Image.fromarray(pixels).save(tmp_path / "digit.png")
+    (planned,) = plan_previews(str(tmp_path / "digit.png"), PreviewSpec()).pictures
+    assert (planned.name, planned.what) == ("digit-steps.png", "digit.png")
+    small = np.asarray(Image.fromarray(pixels).resize((250, 250)))
+    coarse = SolidSpec(pixel_pitch_mm=0.4)
+    picture = draw_steps(RELIEF_ONLY, small, coarse, "digit.png").pixels
+    panels = [picture[70:-40, 16 + n * 388 : 16 + n * 388 + 380] for n in range(5)]
+    assert set(np.unique(panels[0].reshape(-1, 3) // 86)) <= {0, 1, 2}
+    grey = [bool((panel[:, :, 0] == panel[:, :, 2]).all()) for panel in panels]
+    assert grey == [True, False, False, False, False]
+    blue = [(panel[:, :, 2].astype(int) > panel[:, :, 0].astype(int) + 20).sum() for panel in panels]
+    assert blue[1] > 1000
+    assert blue[2] > 1000
+    assert max(blue[3:]) == 0
+    raw, smoothed = (_roughness(panel) for panel in panels[3:])
+    assert smoothed < 0.9 * raw
+
+
+def _roughness(panel: np.ndarray) -> float:
+    levels = panel[:, :, 0].astype(float)
+    inside = (panel != 255).any(axis=2)
+    inner = inside[2:-2, 2:-2] & inside[:-4, 2:-2] & inside[4:, 2:-2]
+    bend = levels[1:-3, 2:-2] - 2 * levels[2:-2, 2:-2] + levels[3:-1, 2:-2]
+    return float(np.abs(bend[inner]).mean())
+
+
+def test_steps_of_a_data_set_take_the_image_that_the_digit_was_made_from(folder):
+    record = mnist3d.load(str(folder), "train")[4]
+    ((name, pixels),) = drawn(folder, kinds=("steps",), ids=(record.id,)).items()
+    assert name == f"digits-train-{record.id}-steps.png"
+    image = SyntheticSource(count=280).image(record.id).pixels
+    title = f"Digit {record.label}, id {record.id} (digits, train)"
+    assert np.array_equal(pixels, draw_steps(RELIEF_ONLY, image, THIN, title).pixels)
+
+
+def test_steps_refuse_other_images_than_those_of_the_data_set(tmp_path):
+    for name, ids in (("one", (0, 14)), ("other", (28, 42))):
+        for label, digit in enumerate(ids):
+            (tmp_path / name / str(label)).mkdir(parents=True)
+            Image.fromarray(SyntheticSource().image(digit).pixels).save(
+                tmp_path / name / str(label) / "1.png"
+            )
+    spec = GenerateSpec(
+        FolderSource(str(tmp_path / "one")), SolidSpec(target_vertices=400), SplitSpec(sizes=(("train", 1),))
+    )
+    spec = GenerateSpec(spec.source, spec.solid, spec.split, limit=2)
+    with pytest.raises(InputError):
+        plan_previews(str(tmp_path / "one"), PreviewSpec(("steps",)))
+    try:
+        generate(spec, str(tmp_path / "set"), ("train",))
+    except InputError as error:
+        pytest.skip(f"a source of two classes makes no split: {error}")
+    where = str(tmp_path / "set")
+    with pytest.raises(InputError, match="next: give --images PATH"):
+        plan_previews(where, PreviewSpec(("steps",)))
+    with pytest.raises(InputError, match="holds other images"):
+        plan_previews(where, PreviewSpec(("steps",), images=tmp_path / "other"))
+    assert len(plan_previews(where, PreviewSpec(("steps",), images=tmp_path / "one")).pictures) == 1
+
+
+# ---------------------------------------------------------------- figures
+
+
+def test_counts_and_measures_are_those_of_the_data(folder):
+    train = mnist3d.load(str(folder), "train")
+    assert class_counts(train) == (3,) * 10
+    tables = measures(DataFolder(str(folder)), ("train", "test"))
+    assert {split: len(table) for split, table in tables.items()} == {"train": 30, "test": 10}
+    by_id = dict(zip(tables["train"]["id"].to_pylist(), tables["train"]["vertices"].to_pylist(), strict=True))
+    assert by_id == {record.id: len(record.vertices_m) for record in train}
+
+
+@pytest.mark.skipif(not NO_PLOTS, reason="matplotlib is installed")
+def test_without_the_extra_plots_are_refused_by_name_and_left_out_otherwise(folder):
+    plan = plan_previews(str(folder), PreviewSpec())
+    assert [picture.name for picture in plan.pictures] == ["digits-train-sheet.png", "digits-test-sheet.png"]
+    assert len(plan.left_out) == 2
+    for kind in ("histogram", "distributions"):
+        with pytest.raises(MissingExtraError, match=r"pip install 'tactile-toolkit\[pictures\]'"):
+            plan_previews(str(folder), PreviewSpec((kind,)))
+
+
+@pytest.mark.pictures
+@pytest.mark.skipif(NO_PLOTS, reason="needs the extra `pictures` (matplotlib)")
+def test_the_usual_pictures_of_a_data_set(folder):
+    plan = plan_previews(str(folder), PreviewSpec(per_class=1))
+    assert plan.left_out == ()
+    names = [picture.name for picture in plan.pictures]
+    assert names[2:] == ["digits-histogram.png", "digits-distributions.png"]
+    for picture in plan.pictures:
+        pixels = picture.draw(RELIEF_ONLY).pixels
+        assert pixels.dtype == np.uint8
+        assert pixels.std() > 5
+        assert np.array_equal(pixels, picture.draw(RELIEF_ONLY).pixels)
+    everything = plan_previews(str(folder), PreviewSpec(("all",)))
+    assert len(everything.pictures) == 6
+
+
+@pytest.mark.pictures
+@pytest.mark.skipif(NO_PLOTS, reason="needs the extra `pictures` (matplotlib)")
+def test_distributions_need_the_report(folder, tmp_path):
+    shard = next((folder / "data").glob("test-*.parquet"))
+    with pytest.raises(InputError, match=r"reports/printability\.parquet"):
+        plan_previews(str(shard), PreviewSpec(("distributions",)))
+    plan = plan_previews(str(shard), PreviewSpec())
+    assert len(plan.pictures) == 2
+    assert "reports/printability.parquet" in plan.left_out[0]
+
+
+# ---------------------------------------------------------------- bad input
+
+
+def test_bad_input_is_named(folder, tmp_path):
+    (tmp_path / "cut.stl").write_bytes(b"solid")
+    (tmp_path / "empty.glb").touch()
+    (tmp_path / "note.txt").write_text("hello")
+    (tmp_path / "bad.png").write_bytes(b"\x89PNG nothing")
+    (tmp_path / "bad.parquet").write_bytes(b"PAR1 nothing")
+    (tmp_path / "nothing").mkdir()
+    for name, words in {
+        "absent": "does not exist",
+        "cut.stl": "cut.stl",
+        "empty.glb": "empty",
+        "note.txt": "ends in '.txt'",
+        "bad.png": "bad.png",
+        "nothing": "no Parquet files",
+    }.items():
+        with pytest.raises(InputError, match=words):
+            plan_previews(str(tmp_path / name), PreviewSpec())
+    with pytest.raises((InputError, IntegrityError), match=r"bad\.parquet"):
+        plan_previews(str(tmp_path / "bad.parquet"), PreviewSpec())
+    with pytest.raises(InputError, match="no split 'holdout'"):
+        plan_previews(str(folder), PreviewSpec(split="holdout"))
+    with pytest.raises(InputError, match="no digit of id 999999"):
+        plan_previews(str(folder), PreviewSpec(ids=(999999,)))
+    with pytest.raises(InputError, match="no pictures of kind"):
+        plan_previews(str(folder), PreviewSpec(("shoe",)))
+    with pytest.raises(InputError, match="--per-class is 0"):
+        PreviewSpec(per_class=0)
+
+
+def test_options_of_a_data_set_are_refused_for_a_single_file(tmp_path):
+    corners = np.array([(0, 0, 0), (0.01, 0, 0), (0, 0.01, 0), (0, 0, 0.01)])
+    faces = np.array([(0, 2, 1), (0, 1, 3), (1, 2, 3), (0, 3, 2)], np.int32)
+    write_mesh(tmp_path / "part.stl", Mesh(corners, faces))
+    for options, words in (
+        ({"kinds": ("sheet",)}, "--kind sheet needs a data set"),
+        ({"split": "train"}, "--split chooses"),
+        ({"ids": (3,)}, "--ids chooses"),
+    ):
+        with pytest.raises(InputError, match=words):
+            plan_previews(str(tmp_path / "part.stl"), PreviewSpec(**options))

@@ -1,0 +1,283 @@
+"""Pictures of touches: each pixel of a touch lands where the gel felt it, contact is marked where it was."""
+
+from __future__ import annotations
+
+from importlib.util import find_spec
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
+
+import realtouch
+from dataset_store.errors import InputError
+from dataset_store.oblique import Studio
+from realtouch.preview_overlay import (
+    CELL_M,
+    SENSING_AREA_M,
+    CellMap,
+    Placed,
+    cell_map,
+    overlay,
+    placed_touches,
+)
+from realtouch.preview_strip import IN_CONTACT, draw_strip, frames_shown, timeline
+from realtouch.previews import (
+    CONTACT,
+    PreviewSpec,
+    draw_grid,
+    draw_overlay,
+    gel_drift,
+    plan_previews,
+)
+from realtouch.touches import Touch
+from tests.realtouch import factories
+from tests.realtouch.conftest import SIZE, TOUCHES
+from tests.realtouch.factories import Layout, RoundTruth
+
+RELIEF_ONLY = Studio(renderer=False)
+NO_PLOTS = find_spec("matplotlib") is None
+GREY = 128
+
+
+def gel(angle_deg: float, flipped: bool) -> Rotation:
+    """Return the pose of a gel that looks down (flipped) or up, turned about z."""
+    down = Rotation.from_euler("x", 180, degrees=True) if flipped else Rotation.identity()
+    return Rotation.from_euler("z", angle_deg, degrees=True) * down
+
+
+def placed(pixels: np.ndarray, centre_m: tuple[float, float], pose: Rotation) -> Placed:
+    axes = pose.apply([[1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])[:, :2]
+    return Placed(pixels, np.array(centre_m), axes)
+
+
+def felt_at_m(
+    pose: Rotation, centre_m: tuple[float, float], column: float, row: float, size: tuple[int, int]
+) -> np.ndarray:
+    """Return where the gel felt a place of its picture: columns along its +x, rows along its -y."""
+    width, height = size
+    x = (column / width - 0.5) * SENSING_AREA_M[0]
+    y = -(row / height - 0.5) * SENSING_AREA_M[1]
+    return np.array(centre_m) + pose.apply([x, y, 0.0])[:2]
+
+
+@settings(max_examples=20, deadline=None)
+@given(
+    st.floats(-180, 180),
+    st.booleans(),
+    st.tuples(st.floats(-0.05, 0.05), st.floats(-0.05, 0.05)),
+    st.tuples(st.integers(20, 290), st.integers(20, 210)),
+)
+def test_what_was_felt_lands_where_it_was_felt(angle, flipped, centre_m, mark):
+    column, row = mark
+    pixels = np.full((240, 320, 3), GREY, np.uint8)
+    pixels[row : row + 12, column : column + 12] = (255, 0, 0)
+    pose = gel(angle, flipped)
+    touch = placed(pixels, centre_m, pose)
+    cell = cell_map([touch], 8.0)
+    drawn = overlay([touch], cell)
+    x, y = cell.place_px(felt_at_m(pose, centre_m, column + 6, row + 6, (320, 240)))
+    assert drawn[int(y), int(x)].tolist() == [255, 0, 0]
+    rows, columns = np.nonzero((drawn == (255, 0, 0)).all(axis=2))
+    assert (columns.mean() + 0.5, rows.mean() + 0.5) == pytest.approx((x, y), abs=0.5)
+    covered = (drawn != 255).any(axis=2).sum()
+    assert covered == pytest.approx(SENSING_AREA_M[0] * SENSING_AREA_M[1] * 8000.0**2, rel=0.02)
+
+
+def test_touches_side_by_side_give_back_the_world_that_they_felt():
+    cell = CellMap((480, 480), 4_000.0)
+    y, x = np.mgrid[0:480, 0:480]
+    world = np.stack([128 + 100 * np.sin(x / 40), 128 + 100 * np.cos(y / 30), 0 * x + 90], axis=2)
+    random = np.random.default_rng(0)
+    touches = []
+    for _ in range(90):
+        pose, centre_m = gel(random.uniform(-30, 30), True), tuple(random.uniform(-0.045, 0.045, 2))
+        rows, columns = np.mgrid[0:48, 0:64] + 0.5
+        corner, right, down = (
+            np.array(cell.place_px(felt_at_m(pose, centre_m, *place, (64, 48))))
+            for place in ((0, 0), (1, 0), (0, 1))
+        )
+        felt = corner + columns.reshape(-1, 1) * (right - corner) + rows.reshape(-1, 1) * (down - corner)
+        places = np.clip(felt.astype(int), 0, 479)
+        pixels = world[places[:, 1], places[:, 0]].reshape(48, 64, 3).astype(np.uint8)
+        touches.append(placed(pixels, centre_m, pose))
+    drawn = overlay(touches, cell).astype(float)
+    seen = (drawn != 255).any(axis=2)
+    assert seen.mean() > 0.6
+    assert np.abs(drawn - world)[seen].mean() < 3.0
+    assert np.quantile(np.abs(drawn - world)[seen], 0.99) < 12.0
+
+
+def test_what_was_felt_stays_visible_beneath_touches_of_bare_plate():
+    bare = np.full((60, 80, 3), GREY, np.uint8)
+    felt = bare.copy()
+    felt[20:40, 30:50] = (255, 40, 40)
+    touches = [placed(bare, (0.001 * n, 0.0), gel(0, False)) for n in range(6)]
+    touches.insert(2, placed(felt, (0.0, 0.0), gel(0, False)))
+    drawn = overlay(touches, cell_map(touches, 5.0))
+    middle = drawn[drawn.shape[0] // 2, drawn.shape[1] // 2].astype(int)
+    assert middle[0] > 240
+    assert middle[1] < 60
+
+
+@given(st.lists(st.tuples(st.floats(-0.08, 0.08), st.floats(-0.08, 0.08)), min_size=1, max_size=4))
+def test_the_map_holds_the_cell_and_every_touch_whole(centres):
+    touches = [placed(np.zeros((3, 4, 3), np.uint8), centre, gel(30, True)) for centre in centres]
+    cell = cell_map(touches, 5.0)
+    assert cell.size_px[0] >= CELL_M[0] * 5000 - 1e-3
+    for touch, centre in zip(touches, centres, strict=True):
+        for column, row in ((0, 0), (4, 0), (0, 3), (4, 3)):
+            x, y = cell.place_px(felt_at_m(gel(30, True), centre, column, row, (4, 3)))
+            assert -0.01 <= x <= cell.size_px[0] + 0.01
+            assert -0.01 <= y <= cell.size_px[1] + 0.01
+        assert touch.pixels.shape == (3, 4, 3)
+
+
+@pytest.mark.parametrize("kind", ["seq", "single"])
+def test_stored_touches_are_placed_by_the_measured_pose(
+    kind: str, seq_folder: Path, single_folder: Path, truth: list[RoundTruth]
+) -> None:
+    record = realtouch.load(str(seq_folder if kind == "seq" else single_folder))[1]
+    for touch, one in enumerate(placed_touches(record, range(TOUCHES))):
+        known = truth[1].touches[touch]
+        frame = known.contact_end if kind == "seq" else known.peak
+        assert one.centre_m == pytest.approx(known.position_m[frame, :2])
+        assert np.array_equal(one.pixels, Touch(record, touch).image)
+        # The gel looks down: rows of the picture grow along +y of the cell.
+        assert one.axes == pytest.approx(np.eye(2), abs=0.02)
+    drawing = draw_overlay(record)
+    assert drawing.pixels.shape[0] > 120 * 7
+
+
+def test_without_poses_the_intended_position_is_taken(tmp_path: Path, truth: list[RoundTruth]) -> None:
+    layout = Layout(leave_out=("gel_pose_cell_frame.position", "gel_pose_cell_frame.quaternion"))
+    folder = factories.write_set(tmp_path, {"train": factories.single_rows(truth)}, "single", layout)
+    record = realtouch.load(str(folder))[0]
+    for touch, one in enumerate(placed_touches(record, range(TOUCHES))):
+        assert one.centre_m == pytest.approx(truth[0].pos_in_cell_m[touch])
+        assert one.axes.tolist() == [[1, 0], [0, -1]]
+    assert (draw_grid(record, 5).pixels == CONTACT).all(axis=2).sum() == 0
+    with pytest.raises(InputError, match="needs its poses"):
+        gel_drift(realtouch.load(str(folder)))
+
+
+# ---------------------------------------------------------------- clips
+
+
+@given(st.integers(1, 120), st.data())
+def test_frames_shown_hold_contact_and_what_is_beside_it(count, data):
+    start = data.draw(st.integers(0, count - 1))
+    stop = data.draw(st.integers(start + 1, count))
+    most = data.draw(st.integers(2, 40))
+    shown = frames_shown(count, slice(start, stop), most)
+    assert list(shown) == sorted(set(shown))
+    assert set(shown) <= set(range(count))
+    assert len(shown) <= most
+    if stop - start + 4 <= most:
+        assert {*range(max(start - 1, 0), min(stop + 1, count))} <= set(shown)
+        assert shown[0] == 0
+        assert count - shown[-1] == 1
+        assert len(shown) == min(most, count)
+
+
+@given(st.integers(2, 90), st.data())
+def test_the_bar_of_time_marks_exactly_the_frames_of_contact(count, data):
+    start = data.draw(st.integers(0, count - 1))
+    stop = data.draw(st.integers(start + 1, count))
+    bar = timeline(count, slice(start, stop), (0, count - 1), 1480)
+    step = (1480 - 32) / count
+    for frame in range(count):
+        colour = tuple(bar[10, int(16 + (frame + 0.4) * step)])
+        assert (colour == IN_CONTACT) == (start <= frame < stop)
+
+
+def test_frames_of_contact_are_framed_in_the_strip(seq_folder: Path, truth: list[RoundTruth]) -> None:
+    record = realtouch.load(str(seq_folder))[0]
+    for touch in range(2):
+        known, clip = truth[0].touches[touch], record.sensor_video[touch]
+        assert clip.contact_window == slice(known.contact_start, known.contact_end + 1)
+        pixels = draw_strip(clip, "title").pixels
+        shown = frames_shown(len(clip), clip.contact_window)
+        step = (pixels.shape[1] - 32 + 8) / 8
+        for column in range(8):
+            # Below one another in a column: each frame drawn around a picture is one run of its colour.
+            edge = pixels[:-60, round(16 + column * step) + 1]
+            runs = np.flatnonzero((edge == IN_CONTACT).all(axis=1))
+            framed = len(np.flatnonzero(np.diff(runs) > 1)) + 1 if len(runs) else 0
+            assert framed == sum(_within(clip.contact_window, frame) for frame in shown[column::8])
+        assert sum(_within(clip.contact_window, frame) for frame in shown) == (
+            known.contact_end + 1 - known.contact_start
+        )
+
+
+def _within(window: slice, frame: int) -> bool:
+    return bool(window.start <= frame < window.stop)
+
+
+# ---------------------------------------------------------------- rounds
+
+
+@pytest.mark.parametrize("kind", ["seq", "single"])
+def test_touches_that_met_the_digit_are_framed_in_the_grid(
+    kind: str, seq_folder: Path, single_folder: Path, truth: list[RoundTruth]
+) -> None:
+    record = realtouch.load(str(seq_folder if kind == "seq" else single_folder))[0]
+    pixels = draw_grid(record, 32).pixels
+    step = 160 + 6 + 8
+    for touch, known in enumerate(truth[0].touches):
+        column = pixels[:, 16 + touch * step + 1]
+        framed = bool((column == CONTACT).all(axis=1).sum() >= 120)
+        assert framed == known.on_digit
+    fewer = draw_grid(record, 2).pixels
+    assert (fewer == CONTACT).all(axis=2).any()
+    assert fewer.shape[1] != 0
+
+
+def test_drift_is_that_of_the_recordings(seq_folder: Path, truth: list[RoundTruth]) -> None:
+    dataset = realtouch.load(str(seq_folder))
+    z_m, gels = gel_drift(dataset)
+    assert z_m == pytest.approx([min(t.position_m[:, 2].min() for t in each.touches) for each in truth])
+    assert z_m == pytest.approx([each.z_drift_m for each in truth], abs=1e-4)
+    assert gels == tuple(f"gel {each.gel_id}" for each in truth)
+    backwards, _ = gel_drift(dataset[::-1])
+    assert backwards == pytest.approx(z_m[::-1])
+
+
+def test_plans_name_round_and_touch(seq_folder: Path, single_folder: Path) -> None:
+    plan = plan_previews(str(seq_folder), "train", PreviewSpec(("grid", "strip", "overlay"), 2, touch=3))
+    stem = f"{seq_folder.name}-train"
+    assert [picture.name for picture in plan.pictures] == [
+        f"{stem}-round-2-grid.png",
+        f"{stem}-round-2-overlay.png",
+        f"{stem}-round-2-touch-3-strip.png",
+    ]
+    for picture in plan.pictures:
+        assert np.array_equal(picture.draw(RELIEF_ONLY).pixels, picture.draw(RELIEF_ONLY).pixels)
+    everything = plan_previews(str(single_folder), "train", PreviewSpec(("all",)))
+    assert any("film strip needs clips" in reason for reason in everything.left_out)
+    for kinds, spec, words in (
+        (("strip",), {}, "film strip needs clips"),
+        (("grid",), {"round_number": 3}, "--round is 3; split 'train' has rounds 0 to 2"),
+        (("hat",), {}, "no pictures of kind 'hat'"),
+    ):
+        with pytest.raises(InputError, match=words):
+            plan_previews(str(single_folder), "train", PreviewSpec(kinds, **spec))
+    with pytest.raises(InputError, match="--touch is 5; round 0 has touches 0 to 4"):
+        plan_previews(str(seq_folder), "train", PreviewSpec(("strip",), touch=5))
+    assert SIZE == (96, 72)
+
+
+@pytest.mark.pictures
+@pytest.mark.skipif(NO_PLOTS, reason="needs the extra `pictures` (matplotlib)")
+def test_the_drift_is_plotted(seq_folder: Path) -> None:
+    plan = plan_previews(str(seq_folder), "train", PreviewSpec(("all",)))
+    assert plan.left_out == ()
+    assert [picture.name.rpartition("-")[2] for picture in plan.pictures] == [
+        "grid.png",
+        "overlay.png",
+        "strip.png",
+        "drift.png",
+    ]
+    assert plan.pictures[-1].draw(RELIEF_ONLY).pixels.std() > 5

@@ -1,0 +1,218 @@
+"""Pictures of scenes: the rejected positions are those of the sampler, drawn where they were."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from importlib.util import find_spec
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import assume, given, settings
+from hypothesis import strategies as st
+
+import starstruck_gen
+from dataset_store.errors import InputError
+from dataset_store.oblique import Studio
+from starstruck_gen import SamplingExhausted, SceneSpec, sample_scene, scene_rng
+from starstruck_gen.collision import CLEAR
+from starstruck_gen.generation import GenerateSpec, generate
+from starstruck_gen.picture import REJECTED, centre_px, draw_scene, draw_trace
+from starstruck_gen.preview_scene import draw_one, traced
+from starstruck_gen.previews import PreviewSpec, plan_previews
+from starstruck_gen.sampling import SceneTrace, trace_scene
+from tests.starstruck_gen.strategies import specs
+
+RELIEF_ONLY = Studio(renderer=False)
+NO_PLOTS = find_spec("matplotlib") is None
+CROWDED = SceneSpec(stars=(3,), distractors=(5, 5), attempts=12)
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    out = tmp_path_factory.mktemp("previews") / "scenes"
+    generate(GenerateSpec(CROWDED, (("train", 9), ("test", 2)), seed=4), str(out))
+    return out
+
+
+def rejected_scene(seed: int = 0) -> SceneTrace:
+    return next(
+        trace
+        for number in range(seed, seed + 100)
+        if (trace := trace_scene(CROWDED, scene_rng(number))).scene.restarts and len(trace.rejected) > 5
+    )
+
+
+def red_px(pixels: np.ndarray) -> int:
+    """Count pixels in the colour of rejected positions; edges of stars come near it by chance."""
+    return int((np.abs(pixels.astype(int) - REJECTED).max(axis=2) < 30).sum())
+
+
+@settings(max_examples=60, deadline=None)
+@given(specs(), st.integers(0, 2**62))
+def test_tracing_changes_nothing_and_tells_every_rejected_position(spec, seed):
+    spec = replace(spec, attempts=20, restarts=20)
+    try:
+        scene = sample_scene(spec, scene_rng(seed))
+    except SamplingExhausted:
+        assume(False)
+    trace = trace_scene(spec, scene_rng(seed))
+    assert trace.scene == scene
+    clear = CLEAR[spec.collision]
+    standing = set(scene.placements)
+    for lost in trace.rejected:
+        assert not clear(lost.candidate, lost.blocker, spec.clearance_m)
+        assert lost.given_up == (lost.blocker not in standing)
+        assert abs(lost.candidate.x_m) <= spec.half_area_m[0]
+        assert abs(lost.candidate.y_m) <= spec.half_area_m[1]
+    taken = sum(scene.attempts) - len(trace.rejected)
+    # Every position drawn was taken or rejected; layouts that were given up took some, too.
+    assert taken >= len(scene.placements)
+    if not scene.restarts:
+        assert taken == len(scene.placements)
+        assert not any(lost.given_up for lost in trace.rejected)
+        order = {placement: number for number, placement in enumerate(scene.placements)}
+        blockers = [order[lost.blocker] for lost in trace.rejected]
+        per_object = [tried - 1 for tried in scene.attempts]
+        owners = [number for number, lost in enumerate(per_object) for _ in range(lost)]
+        assert all(blocker < owner for blocker, owner in zip(blockers, owners, strict=True))
+        for owner, lost in zip(owners, trace.rejected, strict=True):
+            assert lost.candidate.shape == scene.placements[owner].shape
+
+
+def test_an_unknown_class_cannot_be_traced():
+    with pytest.raises(InputError, match="star_count is 9"):
+        trace_scene(SceneSpec(), scene_rng(0), 9)
+
+
+@pytest.mark.parametrize("px_per_mm", [4.0, 6.5])
+def test_crosses_mark_the_rejected_positions_and_nothing_else_changes(px_per_mm):
+    trace = rejected_scene()
+    drawn = np.asarray(draw_trace(trace, CROWDED, px_per_mm)).astype(int)
+    bare = np.asarray(draw_trace(SceneTrace(trace.scene, ()), CROWDED, px_per_mm)).astype(int)
+    size = (drawn.shape[1], drawn.shape[0])
+    changed = np.abs(drawn - bare).max(axis=2) > 40
+    near = np.zeros_like(changed)
+    for lost in trace.rejected:
+        column, row = centre_px(lost.candidate, size, px_per_mm * 1e3)
+        if not lost.given_up:
+            assert np.abs(drawn[int(row), int(column)] - REJECTED).max() < 60
+        assert changed[int(row) - 1 : int(row) + 2, int(column) - 1 : int(column) + 2].any()
+        reach = px_per_mm * 11
+        rows, columns = np.ogrid[: size[1], : size[0]]
+        near |= np.hypot(rows - row, columns - column) <= reach
+    assert changed.any()
+    assert not (changed & ~near).any()
+
+
+def test_only_positions_of_the_scene_itself_are_red():
+    trace = rejected_scene()
+    given_up = SceneTrace(trace.scene, tuple(replace(lost, given_up=True) for lost in trace.rejected))
+    bare = red_px(np.asarray(draw_trace(SceneTrace(trace.scene, ()), CROWDED, 5.0)))
+    assert red_px(np.asarray(draw_trace(given_up, CROWDED, 5.0))) <= bare
+    assert red_px(np.asarray(draw_trace(trace, CROWDED, 5.0))) > bare + 50
+
+
+def test_the_plain_picture_is_as_before():
+    scene = sample_scene(SceneSpec(), scene_rng(5))
+    picture = np.asarray(draw_scene(scene, (0.12, 0.12), 4.0))
+    assert picture.shape == (480, 480, 3)
+    assert np.array_equal(picture, np.asarray(scene.draw()))
+    for placement in scene.placements:
+        column, row = centre_px(placement, (480, 480), 4000.0)
+        colour = (214, 140, 20) if placement.is_star else (92, 110, 132)
+        assert tuple(picture[int(row), int(column)]) == colour
+
+
+def test_a_stored_scene_tells_what_was_rejected_while_it_was_made(folder):
+    for record in starstruck_gen.load(str(folder), "train"):
+        trace = traced(record, CROWDED)
+        assert trace is not None
+        assert trace.scene == record.scene
+        assert traced(record, None) is None
+        assert traced(record, replace(CROWDED, cell_m=(0.13, 0.12))) is None
+        assert traced(record, replace(CROWDED, stars=(1,))) is None
+
+
+def test_without_a_specification_the_scene_is_drawn_all_the_same(folder):
+    record = starstruck_gen.load(str(folder), "train")[0]
+    with_spec = draw_one(RELIEF_ONLY, record, CROWDED, "t").pixels
+    without = draw_one(RELIEF_ONLY, record, None, "t").pixels
+    assert red_px(with_spec) > red_px(without) + 50
+    shard = next((folder / "data").glob("train-*.parquet"))
+    (planned,) = plan_previews(str(shard), PreviewSpec(("scene",))).pictures
+    assert planned.draw(RELIEF_ONLY).pixels.shape == with_spec.shape
+
+
+def test_the_oblique_view_shows_every_object_in_its_colour(folder):
+    record = starstruck_gen.load(str(folder), "train")[0]
+    right = draw_one(RELIEF_ONLY, record, CROWDED, "t").pixels[:, 630:].astype(int)
+    tops = {}
+    for name, colour in (("star", (214, 140, 20)), ("other", (92, 110, 132))):
+        share = right / np.array(colour)
+        tops[name] = ((np.ptp(share, axis=2) < 0.06) & (share.mean(axis=2) > 0.6)).sum()
+    stars, others = record.star_count, record.distractor_count
+    assert tops["star"] > 300 * stars
+    assert tops["other"] > 300 * others
+
+
+def test_a_published_set_without_placements_is_drawn_from_its_meshes(folder, tmp_path):
+    import pyarrow.parquet as pq
+
+    shard = next((folder / "data").glob("train-*.parquet"))
+    table = pq.ParquetFile(shard).read(use_threads=False)
+    kept = [name for name in table.column_names if name in ("id", "label") or name.startswith("mesh")]
+    pq.write_table(table.select(kept), tmp_path / "train.parquet")
+    record = starstruck_gen.load(str(tmp_path / "train.parquet"))[0]
+    assert not record.has_placements
+    for planned in plan_previews(str(tmp_path / "train.parquet"), PreviewSpec(("sheet", "scene"))).pictures:
+        assert planned.draw(RELIEF_ONLY).pixels.std() > 10
+
+
+def test_sheets_show_each_scene_in_the_row_of_its_class(tmp_path):
+    out = tmp_path / "mixed"
+    generate(GenerateSpec(SceneSpec(), (("train", 12),), seed=1), str(out), ("train",))
+    (planned,) = plan_previews(str(out), PreviewSpec(("sheet",), per_class=3)).pictures
+    assert (planned.name, planned.what) == ("mixed-train-sheet.png", "9 scenes of train from above")
+    pixels = planned.draw(RELIEF_ONLY).pixels
+    places = []
+    for record in list(starstruck_gen.load(str(out)))[:9]:
+        tile = np.asarray(draw_scene(record.scene, (0.12, 0.12), 1.25))
+        windows = np.lib.stride_tricks.sliding_window_view(pixels, (150,), axis=1)
+        rows, columns = np.nonzero((windows[75:] == tile[75].T).all(axis=(2, 3))[: pixels.shape[0] - 150 + 1])
+        (place,) = [
+            (row, column)
+            for row, column in zip(rows, columns, strict=True)
+            if np.array_equal(pixels[row : row + 150, column : column + 150], tile)
+        ]
+        places.append((record.star_count, place))
+    tops = {count: {row for each, (row, _) in places if each == count} for count in (1, 2, 3)}
+    assert all(len(rows) == 1 for rows in tops.values())
+    assert max(tops[1]) < max(tops[2]) < max(tops[3])
+
+
+@pytest.mark.pictures
+@pytest.mark.skipif(NO_PLOTS, reason="needs the extra `pictures` (matplotlib)")
+def test_histogram_of_all_splits(folder):
+    plan = plan_previews(str(folder), PreviewSpec())
+    assert [picture.name for picture in plan.pictures] == [
+        "scenes-train-sheet.png",
+        "scenes-test-sheet.png",
+        "scenes-histogram.png",
+    ]
+    pixels = plan.pictures[-1].draw(RELIEF_ONLY).pixels
+    assert np.array_equal(pixels, plan.pictures[-1].draw(RELIEF_ONLY).pixels)
+    assert len(plan_previews(str(folder), PreviewSpec(("all",))).pictures) == 4
+
+
+def test_bad_input_is_named(folder, tmp_path):
+    with pytest.raises(InputError, match="no folder and no Parquet file"):
+        plan_previews(str(tmp_path / "absent"), PreviewSpec())
+    with pytest.raises(InputError, match="no Parquet files"):
+        plan_previews(str(tmp_path), PreviewSpec())
+    with pytest.raises(InputError, match="no split 'holdout'"):
+        plan_previews(str(folder), PreviewSpec(split="holdout"))
+    with pytest.raises(InputError, match="no scene of id 77"):
+        plan_previews(str(folder), PreviewSpec(ids=(1, 77)))
+    with pytest.raises(InputError, match="--per-class is 0"):
+        PreviewSpec(per_class=0)
