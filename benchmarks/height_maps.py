@@ -1,0 +1,122 @@
+"""How fast environments get their assets: height maps of digits, made and from disk, measured in one run.
+
+python benchmarks/height_maps.py [--assets DIR] [--count 40] [--repeats 7] [--pitch-mm 0.2]
+
+Without --assets, digits are made from the embedded source first. How fast the published environments fetch
+meshes through the adapter is in env_adapter.py.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import statistics
+import tempfile
+import time
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+# One core, whatever the machine has.
+for variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
+    os.environ.setdefault(variable, "1")
+
+import numpy as np
+
+import env_assets
+from env_assets.height_cache import HeightCache, content_key
+from env_assets.height_map import HeightMap, top_surface
+from mnist3d.dataset import MeshRecord
+
+TARGET_MS = 5.0
+
+
+def main() -> None:
+    """Measure and print."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--assets", type=Path)
+    parser.add_argument("--count", type=int, default=40)
+    parser.add_argument("--repeats", type=int, default=7)
+    parser.add_argument("--pitch-mm", type=float, default=0.2)
+    options = parser.parse_args()
+    if hasattr(os, "sched_setaffinity"):
+        os.sched_setaffinity(0, {min(os.sched_getaffinity(0))})
+    with tempfile.TemporaryDirectory() as folder:
+        os.environ["TACTILE_TOOLKIT_CACHE"] = f"{folder}/cache"
+        per_class = -(-options.count // 10)
+        provider = env_assets.AssetProvider(options.assets or folder, generate=True, per_class=per_class)
+        digits = list(provider.meshes("mnist3d", "test")[: options.count])
+        describe(digits, options.pitch_mm / 1000)
+        height_table(digits, options.pitch_mm / 1000, options.repeats, Path(folder))
+
+
+def describe(digits: Sequence[MeshRecord], pitch_m: float) -> None:
+    """Print what is measured."""
+    faces = statistics.median(len(digit.faces) for digit in digits)
+    vertices = statistics.median(len(digit.vertices_m) for digit in digits)
+    maps = [top_surface(digit, pitch_m) for digit in digits]
+    rows, columns = (statistics.median(size) for size in zip(*(m.heights_m.shape for m in maps), strict=True))
+    print(
+        f"{len(digits)} digits, medians: {vertices:,.0f} vertices, {faces:,.0f} faces, "
+        f"{rows:.0f} x {columns:.0f} pixels of {1000 * pitch_m:g} mm; one core\n"
+    )
+
+
+def height_table(digits: Sequence[MeshRecord], pitch_m: float, repeats: int, folder: Path) -> None:
+    """Print milliseconds per map: made, made and stored, found on disk, and by every-triangle search."""
+    cache = HeightCache(folder / "heights")
+    made = [best_ms(lambda d=digit: top_surface(d, pitch_m), repeats) for digit in digits]
+    stored = [best_ms(lambda d=digit: cache.get(d, pitch_m), 1) for digit in digits]
+    found = [best_ms(lambda d=digit: cache.get(d, pitch_m), repeats) for digit in digits]
+    named = [best_ms(lambda d=digit: content_key(d, pitch_m), repeats) for digit in digits]
+    boxes = [best_ms(lambda d=digit: by_boxes(d, top_surface(d, pitch_m)), 1) for digit in digits[:8]]
+    base = statistics.median(made)
+    print("ms per height map         median     90 %    worst   against made")
+    for name, times in (
+        ("made", made),
+        ("made and stored", stored),
+        ("found on disk", found),
+        ("  of it, naming the mesh", named),
+        ("triangle by triangle", boxes),
+    ):
+        ninety = float(np.percentile(times, 90))
+        middle = statistics.median(times)
+        print(f"{name:24s} {middle:8.2f} {ninety:8.2f} {max(times):8.2f}   {middle / base:8.2f} x")
+    verdict = "met" if base < TARGET_MS else "missed"
+    print(f"\ntarget: a digit made in under {TARGET_MS:g} ms: {verdict} ({base:.2f} ms)")
+
+
+def by_boxes(digit: MeshRecord, expected: HeightMap) -> None:
+    """The plain way, for comparison: each triangle tried at the pixels of its bounding box, in a loop."""
+    window = expected.window
+    heights = np.full((window.rows, window.columns), -np.inf)
+    places = digit.vertices_m.astype(np.float64) / [window.pitch_m, window.pitch_m, 1]
+    places[:, :2] -= [window.first_column + 0.5, window.first_row + 0.5]
+    for a, b, c in places[digit.faces]:
+        area = (b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0])
+        if area <= 0:
+            continue
+        low, high = np.ceil(np.min([a, b, c], axis=0)), np.floor(np.max([a, b, c], axis=0))
+        columns, rows = np.arange(low[0], high[0] + 1), np.arange(low[1], high[1] + 1)
+        x, y = np.meshgrid(columns, rows)
+        v = ((x - a[0]) * (c[1] - a[1]) - (y - a[1]) * (c[0] - a[0])) / area
+        w = ((b[0] - a[0]) * (y - a[1]) - (b[1] - a[1]) * (x - a[0])) / area
+        inside = (v >= -1e-9) & (w >= -1e-9) & (v + w <= 1 + 1e-9)
+        place = y[inside].astype(int), x[inside].astype(int)
+        heights[place] = np.maximum(heights[place], (a[2] + v * (b[2] - a[2]) + w * (c[2] - a[2]))[inside])
+    np.testing.assert_allclose(
+        np.where(np.isneginf(heights), np.nan, heights), expected.heights_m, rtol=0, atol=1e-7
+    )
+
+
+def best_ms(action: Callable[[], object], repeats: int) -> float:
+    """Run an action a few times and return the shortest time in milliseconds."""
+    times = []
+    for _ in range(repeats):
+        start = time.perf_counter()
+        action()
+        times.append(time.perf_counter() - start)
+    return min(times) * 1000
+
+
+if __name__ == "__main__":
+    main()

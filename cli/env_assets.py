@@ -1,0 +1,169 @@
+"""``env-assets``: what environments consume."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from cli.failures import reports_errors, run
+from cli.options import DryRun, Folder, Json, Out, Overwrite, Quiet
+from cli.output import Sink
+from cli.verification import verify_folder
+
+if TYPE_CHECKING:
+    from env_assets.wrench_facts import WrenchFacts
+
+__all__ = ["app", "main"]
+
+app = typer.Typer(
+    name="env-assets",
+    help="Assets of environments: the wrench, and what a folder of assets holds.",
+    no_args_is_help=True,
+    pretty_exceptions_enable=False,
+    add_completion=False,
+)
+
+Length = Annotated[float | None, typer.Option(metavar="MM", help="Instead of the usual proportion.")]
+
+
+@app.callback(invoke_without_command=True)
+def _global(
+    version: Annotated[bool, typer.Option("--version", help="Print the version and leave.")] = False,
+    debug: Annotated[bool, typer.Option("--debug", help="Show the traceback of an error.")] = False,
+) -> None:
+    if version:
+        from dataset_store.versions import toolkit_version
+
+        sys.stdout.write(f"tactile-toolkit {toolkit_version()}\n")
+        raise typer.Exit
+
+
+@app.command()
+@reports_errors
+def wrench(
+    size: Annotated[
+        str, typer.Option(metavar="MM|M8", help="Nut of the first jaw: width across flats, or its thread.")
+    ] = "13",
+    second_size: Annotated[
+        str | None,
+        typer.Option(metavar="MM|M6", help="Nut of the second jaw instead of the next smaller one."),
+    ] = None,
+    single: Annotated[bool, typer.Option("--single", help="Make no second jaw.")] = False,
+    length_mm: Length = None,
+    thickness_mm: Length = None,
+    handle_mm: Length = None,
+    jaw_angle_deg: Annotated[
+        float, typer.Option(metavar="DEGREES", help="Between the handle and the jaws.")
+    ] = 15.0,
+    clearance_mm: Annotated[
+        float, typer.Option(metavar="MM", help="What a jaw is wider than its nut.")
+    ] = 0.2,
+    chamfer_mm: Annotated[float, typer.Option(metavar="MM", help="Slope around top and bottom.")] = 0.6,
+    out: Out = Path("wrench-data"),
+    stl: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE", help="Write the mesh for a printer, too: .stl, .3mf, .ply, .obj, .glb."),
+    ] = None,
+    overwrite: Overwrite = False,
+    dry_run: DryRun = False,
+    as_json: Json = False,
+    quiet: Quiet = False,
+) -> None:
+    """Make a printable open-end wrench, as a data set of one row.
+
+    Example: env-assets wrench --size 13 --out assets/wrench --stl wrench.stl
+    """
+    from env_assets.wrench import WrenchSpec
+    from env_assets.wrench_facts import wrench_facts
+    from env_assets.wrench_files import write_wrench
+
+    asked = {"length_mm": length_mm, "thickness_mm": thickness_mm, "handle_mm": handle_mm}
+    lengths = {name: value for name, value in asked.items() if value is not None}
+    spec = WrenchSpec.for_size(
+        size,
+        second_size,
+        single=single,
+        jaw_angle_deg=jaw_angle_deg,
+        clearance_mm=clearance_mm,
+        chamfer_mm=chamfer_mm,
+        **lengths,
+    )
+    facts = wrench_facts(spec)
+    if not dry_run:
+        write_wrench(spec, str(out), mesh_file=stl, overwrite=overwrite)
+    _print_wrench(Sink(as_json, quiet), facts, out, stl, written=not dry_run)
+
+
+@app.command()
+@reports_errors
+def info(
+    root: Annotated[Path, typer.Argument(metavar="DIR", help="Folder of an AssetProvider.")] = Path(
+        "tactile-assets"
+    ),
+    as_json: Json = False,
+) -> None:
+    """Show which data sets a folder of assets holds, and how large their meshes are.
+
+    Example: env-assets info assets
+    """
+    from env_assets.inventory import inventory
+
+    summaries = inventory(root)
+    sink = Sink(as_json)
+    sink.document([summary.to_dict() for summary in summaries])
+    if not summaries:
+        sink.line(f"{root} holds no data sets")
+    header = ("name", "split", "kind", "rows", "classes", "largest mm", "volume mm^3")
+    rows = [
+        (
+            summary.name,
+            summary.split,
+            summary.kind or "-",
+            summary.rows,
+            " ".join(summary.classes) or "-",
+            " x ".join(f"{side:.1f}" for side in summary.largest_mm or ()) or "-",
+            " to ".join(f"{volume:,.0f}" for volume in summary.volume_mm3 or ()) or "-",
+        )
+        for summary in summaries
+        if summary.problem is None
+    ]
+    sink.table(header, rows)
+    for summary in summaries:
+        if summary.problem is not None:
+            sink.line(f"{summary.name} {summary.split}: {summary.problem}")
+
+
+@app.command()
+@reports_errors
+def verify(folder: Folder, as_json: Json = False, quiet: Quiet = False) -> None:
+    """Check every checksum, row count, schema and id of the folder of a wrench.
+
+    Exit code 3 when something is damaged; each damaged file is named.
+    """
+    from env_assets.wrench_files import wrench_schema
+
+    verify_folder(Sink(as_json, quiet), str(folder), wrench_schema(), "env-assets wrench")
+
+
+def main() -> None:
+    """Run the command line."""
+    run(app)
+
+
+def _print_wrench(sink: Sink, facts: WrenchFacts, out: Path, stl: Path | None, *, written: bool) -> None:
+    spec, report = facts.spec, facts.report
+    places = {"folder": str(out), "mesh_file": None if stl is None else str(stl), "written": written}
+    sink.document({**places, **facts.to_dict()})
+    second = f" and {spec.second_opening_mm:g}" if spec.second_opening_mm else ""
+    size = " x ".join(f"{side:.1f}" for side in report.size_mm)
+    sink.line(
+        f"wrench for {spec.opening_mm:g}{second} mm across flats: {size} mm, {report.mass_g:.1f} g of PLA, "
+        f"thinnest wall {report.thinnest_wall_mm:.1f} mm, {report.faces:,} triangles"
+    )
+    for warning in report.warnings:
+        sink.line(f"warning: {warning}")
+    files = f"{out}" if stl is None else f"{out} and {stl}"
+    sink.line(f"written to {files}" if written else f"would be written to {files}; nothing was written")

@@ -1,0 +1,62 @@
+"""What environments consume: meshes, touches, volumes and height maps, from files, from the Hub or made here.
+
+``env_assets.AssetProvider`` hands them out, ``env_assets.AssetSource`` is the shape that an environment may
+depend on instead, ``env_assets.make`` builds the published environments on them, ``env_assets.top_surface``
+turns a mesh into a height map and ``env_assets.write_wrench`` makes the wrench. Names are imported on first
+use, so that ``import env_assets`` costs nothing.
+"""
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from env_assets.environments import make
+    from env_assets.height_map import HeightMap, top_surface
+    from env_assets.mesh_sets import SolidDataset, WrenchDataset, WrenchRecord
+    from env_assets.provider import AssetProvider
+    from env_assets.source import AssetSource
+    from env_assets.tactile_mnist import as_mesh_dataset, as_touch_dataset
+    from env_assets.wrench import WrenchSpec, wrench_mesh
+    from env_assets.wrench_files import write_wrench
+
+__all__ = [
+    "AssetProvider",
+    "AssetSource",
+    "HeightMap",
+    "SolidDataset",
+    "WrenchDataset",
+    "WrenchRecord",
+    "WrenchSpec",
+    "as_mesh_dataset",
+    "as_touch_dataset",
+    "make",
+    "top_surface",
+    "wrench_mesh",
+    "write_wrench",
+]
+
+_HOMES = {
+    "environments": ("make",),
+    "height_map": ("HeightMap", "top_surface"),
+    "mesh_sets": ("SolidDataset", "WrenchDataset", "WrenchRecord"),
+    "provider": ("AssetProvider",),
+    "source": ("AssetSource",),
+    "tactile_mnist": ("as_mesh_dataset", "as_touch_dataset"),
+    "wrench": ("WrenchSpec", "wrench_mesh"),
+    "wrench_files": ("write_wrench",),
+}
+
+
+def __getattr__(name: str) -> Any:
+    # No sub-module may bear the name of something public: importing it would shadow that.
+    for home, names in _HOMES.items():
+        if name in names:
+            return getattr(import_module(f"env_assets.{home}"), name)
+    message = f"module 'env_assets' has no attribute {name!r}"
+    raise AttributeError(message)
+
+
+def __dir__() -> list[str]:
+    return sorted(__all__)

@@ -1,0 +1,139 @@
+"""Whether assets are what they were taken for: found out before anything is made of them."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from dataset_store.errors import InputError
+from dataset_store.mesh import MM_PER_M
+from env_assets.measures import bounds_m, volumes_m3
+from env_assets.mesh_memory import Remembering
+from env_assets.mesh_sets import DigitMeshes, SceneMeshes, WrenchMeshes
+
+__all__ = ["require_classes", "require_fitting", "require_kind", "require_outward", "require_scene"]
+
+_EXPECTED: dict[str, tuple[type, str]] = {
+    "mnist3d": (DigitMeshes, "digits"),
+    "starstruck": (SceneMeshes, "scenes of stars"),
+    "wrench": (WrenchMeshes, "a wrench"),
+}
+
+
+def require_kind(meshes: Any, name: str) -> None:
+    """Refuse meshes of another kind than their name promises.
+
+    Raises
+    ------
+    InputError
+        ``name`` is that of a kind and the data set is of another one.
+    """
+    if name not in _EXPECTED or isinstance(meshes, _EXPECTED[name][0]):
+        return
+    expected = _EXPECTED[name][1]
+    classes = ", ".join(meshes.label_names) or "without names"
+    message = (
+        f"{name!r} was expected to hold {expected}, found {_what(meshes)} (classes {classes}); next: give "
+        f"the data set by another name, or put one of {expected} in its place"
+    )
+    raise InputError(message)
+
+
+def require_scene(record: Any) -> None:
+    """Refuse a record that is no scene.
+
+    Raises
+    ------
+    InputError
+        It cannot say what stands where.
+    """
+    if not hasattr(type(record), "placements"):
+        message = (
+            f"only scenes have placements, found a {type(record).__name__}; next: give a record of "
+            "`meshes('starstruck')`"
+        )
+        raise InputError(message)
+
+
+def require_classes(meshes: Any, names: tuple[str, ...], where: str) -> None:
+    """Refuse meshes whose classes are not those expected.
+
+    Parameters
+    ----------
+    meshes : RecordDataset
+        The meshes.
+    names : tuple of str
+        Classes expected, in order.
+    where : str
+        The data set, in the user's words.
+
+    Raises
+    ------
+    InputError
+        Other names, or another order.
+    """
+    if tuple(meshes.label_names) != names:
+        found = ", ".join(meshes.label_names) or "without names"
+        message = (
+            f"{where} has classes {found}; expected {', '.join(names)}; next: give a data set with those "
+            "classes"
+        )
+        raise InputError(message)
+
+
+def require_fitting(meshes: Remembering, cell_m: tuple[float, float], where: str) -> None:
+    """Refuse meshes that are larger than the cell they are to lie in.
+
+    Parameters
+    ----------
+    meshes : data set of a provider
+        The meshes.
+    cell_m : (float, float)
+        Width and depth of the cell, metres.
+    where : str
+        The data set, in the user's words.
+
+    Raises
+    ------
+    InputError
+        Names the first that is too large.
+    """
+    corners_m = bounds_m(meshes)
+    size_m = (corners_m[:, 1] - corners_m[:, 0])[:, :2]
+    wrong = np.flatnonzero((size_m > np.asarray(cell_m)).any(axis=1))
+    if len(wrong):
+        width_mm, depth_mm = MM_PER_M * size_m[wrong[0]]
+        cell = " x ".join(f"{MM_PER_M * side:.0f}" for side in cell_m)
+        message = (
+            f"mesh {meshes.ids[wrong[0]]} of {where} is {width_mm:.1f} x {depth_mm:.1f} mm, larger than the "
+            f"cell of {cell} mm ({len(wrong):,} of {len(meshes):,} are); next: see that vertices are metres, "
+            "or choose a larger cell"
+        )
+        raise InputError(message)
+
+
+def require_outward(meshes: Remembering, where: str) -> None:
+    """Refuse meshes that enclose no positive volume: nothing can be touched or measured of them.
+
+    Raises
+    ------
+    InputError
+        Names the first.
+    """
+    volumes = volumes_m3(meshes)
+    wrong = np.flatnonzero(~(volumes > 0))
+    if len(wrong):
+        message = (
+            f"mesh {meshes.ids[wrong[0]]} of {where} has a volume of {volumes[wrong[0]]:.3g} m^3, expected "
+            f"more than 0 ({len(wrong):,} of {len(meshes):,} have not): its triangles face inwards, or it is "
+            "not closed; next: run `validate` on the data set and generate it again"
+        )
+        raise InputError(message)
+
+
+def _what(meshes: Any) -> str:
+    for kind, words in _EXPECTED.values():
+        if isinstance(meshes, kind):
+            return words
+    return "other meshes"

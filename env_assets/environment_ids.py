@@ -1,0 +1,136 @@
+"""The published environments: what each id stands for, and which classes of the package run it.
+
+Settings (step limit, cell, sensor) are not repeated here: they are read from the package's own registration.
+"""
+
+from __future__ import annotations
+
+import difflib
+from dataclasses import dataclass
+from typing import Any, Literal
+
+from dataset_store.errors import InputError
+from env_assets.environment_packages import published_package
+
+__all__ = ["FAMILIES", "Family", "PublishedEnvironment", "published_environment"]
+
+Assets = Literal["mnist3d", "starstruck", "wrench"]
+Task = Literal["classification", "volume", "pose"]
+
+_PACKAGE_PREFIX = "tactile_mnist:"
+_SPARSE = "-sparse"
+
+
+@dataclass(frozen=True, slots=True)
+class Family:
+    """Environments that share assets and task; the rest of an id is sensor, split and variant.
+
+    Attributes
+    ----------
+    assets : str
+        Data set of meshes.
+    task : str
+        What is asked of the agent.
+    recorded : bool
+        Whether touches are recorded ones (of the real sensor) instead of simulated ones.
+    """
+
+    assets: Assets
+    task: Task
+    recorded: bool = False
+
+    @property
+    def environment(self) -> str:
+        """Name in ``tactile_mnist`` of the class of one environment; of several with ``Vector`` in it."""
+        kinds = {"classification": "Classification", "volume": "VolumeEstimation", "pose": "PoseEstimation"}
+        return f"Tactile{'RealSnap' if self.recorded else ''}{kinds[self.task]}{{}}Env"
+
+    @property
+    def log_wrapper(self) -> str:
+        """Name in ``ap_gym`` of the wrapper that the registration puts around it."""
+        kind = "Classification" if self.task == "classification" else "Regression"
+        return f"Active{kind}{{}}LogWrapper"
+
+    @property
+    def config(self) -> str:
+        """Name in ``tactile_mnist`` of the class of its settings."""
+        return "TactileRealSnapConfig" if self.recorded else "TactilePerceptionConfig"
+
+
+FAMILIES: dict[str, Family] = {
+    "TactileMNIST": Family("mnist3d", "classification"),
+    "TactileMNISTSnap": Family("mnist3d", "classification"),
+    "TactileMNISTVolume": Family("mnist3d", "volume"),
+    "TactileMNISTVolumeSnap": Family("mnist3d", "volume"),
+    "TactileMNISTCenterOfMass": Family("mnist3d", "pose"),
+    "TactileMNISTCenterOfMassSnap": Family("mnist3d", "pose"),
+    "TactileMNISTRealSnap": Family("mnist3d", "classification", recorded=True),
+    "TactileMNISTVolumeRealSnap": Family("mnist3d", "volume", recorded=True),
+    "Starstruck": Family("starstruck", "classification"),
+    "Toolbox": Family("wrench", "pose"),
+}
+"""Families of tactile-mnist 0.13.0 whose assets this toolkit provides, by the first word of an id."""
+
+
+@dataclass(frozen=True)
+class PublishedEnvironment:
+    """One registered id.
+
+    Attributes
+    ----------
+    family : Family
+        Assets and task.
+    split : str
+        ``"train"`` or ``"test"``.
+    sparse : bool
+        Whether the reward is withheld until the episode ends.
+    spec : gymnasium.envs.registration.EnvSpec
+        Its registration, settings included.
+    """
+
+    family: Family
+    split: str
+    sparse: bool
+    spec: Any
+
+    @property
+    def settings(self) -> dict[str, Any]:
+        """Settings of the registration, by the names of the package's config class."""
+        return dict(self.spec.kwargs["default_config"])
+
+
+def published_environment(env_id: str) -> PublishedEnvironment:
+    """Look up an environment by the id under which the package registers it.
+
+    Parameters
+    ----------
+    env_id : str
+        Such as ``"TactileMNIST-Depth-train-v0"``, with or without ``tactile_mnist:`` in front.
+
+    Raises
+    ------
+    InputError
+        No such environment, or one whose assets this toolkit does not provide.
+    MissingExtraError
+        The packages are not installed.
+    """
+    published_package("tactile_mnist")
+    name = env_id.removeprefix(_PACKAGE_PREFIX)
+    registry = published_package("gymnasium").registry
+    words = name.split("-")
+    if name not in registry:
+        raise _unknown(env_id, name, registry)
+    if words[0] not in FAMILIES:
+        message = (
+            f"the assets of {env_id!r} are not among those of this toolkit (environments of "
+            f"{', '.join(FAMILIES)}); next: make it with `ap_gym.make`, which fetches them from the Hub"
+        )
+        raise InputError(message)
+    split = "test" if "test" in words else "train"
+    return PublishedEnvironment(FAMILIES[words[0]], split, _SPARSE in name, registry[name])
+
+
+def _unknown(env_id: str, name: str, registry: Any) -> InputError:
+    ours = [known for known in registry if known.split("-")[0] in FAMILIES]
+    close = difflib.get_close_matches(name, ours, n=3) or ["TactileMNIST-Depth-train-v0"]
+    return InputError(f"no environment {env_id!r} is registered; next: choose one such as {', '.join(close)}")

@@ -1,0 +1,181 @@
+"""Height maps: the top surface of a mesh on a grid of pixels, exact at their centres.
+
+Where a map lies and what it means stands here; how triangles become pixels in :mod:`env_assets.scan_lines`.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dataset_store.errors import InputError
+from env_assets.scan_lines import raise_pixels, spans_of
+
+__all__ = ["MOST_PIXELS", "HeightMap", "Window", "top_surface", "window_of"]
+
+MOST_PIXELS = 1 << 27
+"""Largest grid, 512 MiB: a finer pitch is refused instead of filling the memory."""
+
+
+@dataclass(frozen=True, slots=True)
+class Window:
+    """Which pixels of the endless grid a map has.
+
+    The pixels of a pitch are the same for all meshes: pixel (i, j) is the square from ``i * pitch`` to
+    ``(i + 1) * pitch`` along x and from ``j * pitch`` to ``(j + 1) * pitch`` along y.
+
+    Attributes
+    ----------
+    first_column, first_row : int
+        Least i and j.
+    columns, rows : int
+        How many there are along x and y.
+    pitch_m : float
+        Side of a pixel, metres.
+    """
+
+    first_column: int
+    first_row: int
+    columns: int
+    rows: int
+    pitch_m: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class HeightMap:
+    """The top surface of a mesh, in the frame of the mesh.
+
+    Row 0 has the least y and column 0 the least x: ``heights_m[row, column]`` is the surface above the point
+    ``(x_m[column], y_m[row])``, the centre of that pixel. (Pictures put row 0 on top: show
+    ``heights_m[::-1]``, or tell matplotlib ``origin="lower"``.) Above pixels whose centre lies outside the
+    mesh, as seen from above, the height is NaN.
+
+    Attributes
+    ----------
+    heights_m : ndarray of float32, shape (rows, columns)
+        z of the highest point of the mesh above each pixel centre, metres; read-only.
+    window : Window
+        Where the pixels lie.
+    """
+
+    heights_m: NDArray[np.float32]
+    window: Window
+
+    @property
+    def pitch_m(self) -> float:
+        """Side of a pixel, metres."""
+        return self.window.pitch_m
+
+    @property
+    def x_m(self) -> NDArray[np.float64]:
+        """Centre of each column along x, shape (columns,), metres."""
+        return _centres_m(self.window.first_column, self.window.columns, self.pitch_m)
+
+    @property
+    def y_m(self) -> NDArray[np.float64]:
+        """Centre of each row along y, shape (rows,), metres."""
+        return _centres_m(self.window.first_row, self.window.rows, self.pitch_m)
+
+    @property
+    def covered(self) -> NDArray[np.bool_]:
+        """Which pixel centres lie under the mesh, shape (rows, columns)."""
+        return ~np.isnan(self.heights_m)
+
+    def filled(self, outside_m: float = 0.0) -> NDArray[np.float32]:
+        """Return the heights with a number in place of NaN, such as the plate's; a new array."""
+        return np.where(self.covered, self.heights_m, np.float32(outside_m))
+
+
+def top_surface(mesh: Any, pitch_m: float) -> HeightMap:
+    """Turn a mesh into a height map.
+
+    Exact at pixel centres: the height is that of the plane of the triangle above the centre, the highest
+    where several are. Triangles are closed: a centre on an edge or corner is covered. Vertical triangles
+    cover nothing, and those that face downwards are never on top of a solid; so the mesh has to be one, with
+    triangles counter-clockwise seen from outside.
+
+    Parameters
+    ----------
+    mesh : Mesh or record
+        Anything with ``vertices_m`` (V, 3) and ``faces`` (F, 3).
+    pitch_m : float
+        Side of a pixel, metres.
+
+    Returns
+    -------
+    HeightMap
+        As many pixels as touch the bounding box of the mesh.
+
+    Raises
+    ------
+    InputError
+        A pitch that is not positive or makes the grid too large; a mesh without vertices, or with some that
+        are not finite.
+
+    Examples
+    --------
+    >>> from dataset_store.mesh import Mesh
+    >>> corners = np.array([[0, 0, 0], [4, 0, 0], [0, 4, 0], [0, 0, 4]], np.float32)
+    >>> faces = np.array([[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]], np.int32)
+    >>> top_surface(Mesh(corners, faces), 1.0).heights_m[0]
+    array([3., 2., 1., 0.], dtype=float32)
+    """
+    vertices_m = np.asarray(mesh.vertices_m)
+    window = window_of(vertices_m, pitch_m)
+    highest = np.full(window.rows * window.columns, -np.inf, np.float32)
+    for spans in spans_of(_in_pixels(vertices_m, window), np.asarray(mesh.faces)):
+        raise_pixels(highest, spans, window.columns)
+    highest[np.isneginf(highest)] = np.nan
+    heights_m = highest.reshape(window.rows, window.columns)
+    heights_m.setflags(write=False)
+    return HeightMap(heights_m, window)
+
+
+def window_of(vertices_m: NDArray[np.floating[Any]], pitch_m: float) -> Window:
+    """Return the pixels that touch the bounding box of some vertices.
+
+    Raises
+    ------
+    InputError
+        As :func:`top_surface`.
+    """
+    if not (np.isfinite(pitch_m) and pitch_m > 0):
+        message = f"the pitch of a height map is {pitch_m!r} m; expected a positive length such as 0.0002"
+        raise InputError(message)
+    if not len(vertices_m):
+        message = "a mesh without vertices has no height map"
+        raise InputError(message)
+    # Column by column: numpy reduces short rows slowly.
+    low, high = (
+        np.array([reduce(column) for column in vertices_m.T[:2]], np.float64) for reduce in (np.min, np.max)
+    )
+    if not np.isfinite([low, high]).all():
+        message = "a mesh with vertices that are NaN or infinite has no height map; next: make it again"
+        raise InputError(message)
+    first, stop = np.floor(low / float(pitch_m)), np.ceil(high / float(pitch_m))
+    columns, rows = np.maximum(stop - first, 1)
+    if columns * rows > MOST_PIXELS:
+        message = (
+            f"a height map of {columns:.0f} x {rows:.0f} pixels of {pitch_m:g} m was asked for, at most "
+            f"{MOST_PIXELS:,} are made; next: choose a larger pitch"
+        )
+        raise InputError(message)
+    return Window(int(first[0]), int(first[1]), int(columns), int(rows), float(pitch_m))
+
+
+def _in_pixels(vertices_m: NDArray[Any], window: Window) -> NDArray[np.float64]:
+    """Return column, row and height of each vertex, shape (3, V).
+
+    The centre of pixel (i, j) of the window is at column i, row j; heights stay metres.
+    """
+    x_m, y_m, heights_m = vertices_m.T.astype(np.float64)
+    columns = x_m / window.pitch_m - (window.first_column + 0.5)
+    rows = y_m / window.pitch_m - (window.first_row + 0.5)
+    return np.stack([columns, rows, heights_m])
+
+
+def _centres_m(first: int, count: int, pitch_m: float) -> NDArray[np.float64]:
+    return np.asarray((np.arange(first, first + count) + 0.5) * pitch_m)

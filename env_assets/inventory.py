@@ -1,0 +1,109 @@
+"""What a provider's folder holds, as its environments would find it."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from dataset_store.errors import InputError, ToolkitError
+from dataset_store.mesh import MM_PER_M
+from dataset_store.places import find_shards, splits_of
+from dataset_store.rowgroups import ShardedTable
+from env_assets.measures import bounds_m, volumes_m3
+from env_assets.mesh_memory import MeshMemory
+from env_assets.mesh_sets import kind_of, open_meshes
+
+__all__ = ["AssetSummary", "inventory"]
+
+
+@dataclass(frozen=True, slots=True)
+class AssetSummary:
+    """One split of one data set.
+
+    Attributes
+    ----------
+    name, split : str
+        By which a provider gives it.
+    kind : str
+        ``"mnist3d"``, ``"starstruck"``, ``"wrench"``, ``"meshes"``, ``"touches"``, or ``""`` where unknown.
+    rows : int
+        Meshes, or rounds of touches.
+    classes : tuple of str
+        Names of the classes.
+    largest_mm : tuple of float or None
+        Largest extent of a mesh along x, y and z.
+    volume_mm3 : tuple of float or None
+        Least and greatest volume of a mesh.
+    problem : str or None
+        Why it cannot be used.
+    """
+
+    name: str
+    split: str
+    kind: str = ""
+    rows: int = 0
+    classes: tuple[str, ...] = ()
+    largest_mm: tuple[float, ...] | None = None
+    volume_mm3: tuple[float, ...] | None = None
+    problem: str | None = None
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return JSON values."""
+        return asdict(self)
+
+
+def inventory(root: Path) -> list[AssetSummary]:
+    """Look into every data set folder of a provider's folder, reading the vertices of all meshes.
+
+    Parameters
+    ----------
+    root : Path
+        The provider's folder.
+
+    Returns
+    -------
+    list of AssetSummary
+        By name; splits in the order of the data set. A data set that cannot be used is named with the reason.
+
+    Raises
+    ------
+    InputError
+        When there is no such folder.
+    """
+    if not root.is_dir():
+        message = f"no folder {str(root)!r}; next: give the folder of an AssetProvider"
+        raise InputError(message)
+    places = sorted(place for place in root.iterdir() if place.is_dir() and not place.name.startswith("."))
+    return [summary for place in places for summary in _summaries(place)]
+
+
+def _summaries(place: Path) -> list[AssetSummary]:
+    try:
+        splits = splits_of(str(place))
+    except InputError:  # some other folder: there are no Parquet files in it
+        return []
+    except ToolkitError as error:
+        return [AssetSummary(place.name, "", problem=str(error))]
+    return [_summary(place, split) for split in splits]
+
+
+def _summary(place: Path, split: str) -> AssetSummary:
+    try:
+        shards = find_shards(str(place), split)
+        schema = ShardedTable(shards).schema
+        if "pos_in_cell" in schema.names:
+            return AssetSummary(place.name, split, "touches", sum(len(shard) for shard in shards))
+        meshes = open_meshes(shards, place.name, MeshMemory(0))
+        if not len(meshes):
+            return AssetSummary(place.name, split, kind_of(schema), 0, meshes.label_names)
+        corners_mm, volumes_mm3 = bounds_m(meshes) * MM_PER_M, volumes_m3(meshes) * MM_PER_M**3
+    except ToolkitError as error:
+        return AssetSummary(place.name, split, problem=str(error))
+    largest_mm = tuple(np.max(corners_mm[:, 1] - corners_mm[:, 0], axis=0).round(3).tolist())
+    volume_mm3 = (round(float(volumes_mm3.min()), 3), round(float(volumes_mm3.max()), 3))
+    return AssetSummary(
+        place.name, split, kind_of(schema), len(meshes), meshes.label_names, largest_mm, volume_mm3
+    )

@@ -1,0 +1,259 @@
+"""The provider: assets by name, from a folder, from the Hub, or made on first use."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from os import PathLike, fspath
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal, overload
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dataset_store.errors import InputError, IntegrityError
+from dataset_store.places import find_shards
+from dataset_store.rowgroups import Shard
+from env_assets.checks import require_kind, require_scene
+from env_assets.height_cache import HeightCache
+from env_assets.height_map import HeightMap
+from env_assets.measures import mesh_bounds_m, volumes_m3
+from env_assets.mesh_memory import MeshMemory
+from env_assets.mesh_sets import DigitMeshes, MeshSet, SceneMeshes, WrenchMeshes, open_meshes
+from env_assets.missing import KINDS, AssetMaker
+from env_assets.pinning import Pins
+
+if TYPE_CHECKING:
+    from realtouch.dataset import TouchSeqDataset, TouchSingleDataset
+    from starstruck_gen.placement import Placement
+
+__all__ = ["AssetProvider"]
+
+
+class AssetProvider:
+    """Hands assets to environments; an :class:`env_assets.AssetSource`.
+
+    A name is looked for in this order: in ``places``; as a folder in ``root``; and as what it says, a folder,
+    a Parquet file or a repository of the Hub (``USER/NAME``). The names ``"mnist3d"``, ``"starstruck"`` and
+    ``"wrench"`` are only ever looked for in the first two.
+
+    Parameters
+    ----------
+    root : path
+        Folder of data set folders.
+    places : mapping of str to str, optional
+        What names stand for, such as ``{"mnist3d": "TimSchneider42/tactile-mnist-mnist3d"}``.
+    revision : str, optional
+        Branch, tag or commit of the repositories of the Hub. Each is looked up on first use and stays at the
+        commit that it named then, in copies of the provider in other processes too.
+    cache_meshes : int
+        How many records are kept with the meshes that they have built; the least recently used leave first.
+    generate : bool
+        Make digits, scenes and the wrench in ``root`` where they are missing, from the embedded sources.
+    seed : int
+        Seed of what is made.
+    per_class : int, optional
+        Make only so many of each class of a split, instead of the published numbers.
+    workers : int
+        Number of processes that make it.
+
+    Notes
+    -----
+    Order and length of a data set do not change for as long as the provider lives and nobody rewrites its
+    folder. A provider may be shared between threads, be pickled, and be used after a fork.
+
+    Raises
+    ------
+    InputError
+        A number that cannot be used.
+
+    Examples
+    --------
+    >>> provider = AssetProvider("assets", generate=True, per_class=10)  # doctest: +SKIP
+    >>> digit = provider.meshes("mnist3d", "test")[0]  # doctest: +SKIP
+    >>> provider.height_map(digit, pitch_m=0.0002).heights_m.shape  # doctest: +SKIP
+    (310, 232)
+    """
+
+    def __init__(
+        self,
+        root: str | PathLike[str] = "tactile-assets",
+        *,
+        places: Mapping[str, str | PathLike[str]] | None = None,
+        revision: str | None = None,
+        cache_meshes: int = 64,
+        generate: bool = False,
+        seed: int = 0,
+        per_class: int | None = None,
+        workers: int = 1,
+    ) -> None:
+        self._maker = AssetMaker(Path(fspath(root)).expanduser().absolute(), seed, per_class, workers)
+        self._places = {name: fspath(place) for name, place in (places or {}).items()}
+        self._pins = Pins(revision)
+        self._generate = generate
+        self._memory = MeshMemory(cache_meshes)
+        self._heights = HeightCache()
+        self._opened: dict[tuple[str, str, str], Any] = {}
+
+    @property
+    def root(self) -> Path:
+        """Folder of data set folders."""
+        return self._maker.root
+
+    @overload
+    def meshes(self, name: Literal["mnist3d"], split: str = "train") -> DigitMeshes: ...
+    @overload
+    def meshes(self, name: Literal["starstruck"], split: str = "train") -> SceneMeshes: ...
+    @overload
+    def meshes(self, name: Literal["wrench"], split: str = "train") -> WrenchMeshes: ...
+    @overload
+    def meshes(self, name: str, split: str = "train") -> MeshSet: ...
+    def meshes(self, name: str, split: str = "train") -> MeshSet:
+        """Return the meshes of a split, as a lazy sequence of records.
+
+        Parameters
+        ----------
+        name : str
+            ``"mnist3d"``, ``"starstruck"``, ``"wrench"``, or any data set of meshes.
+        split : str
+            Split of it.
+
+        Returns
+        -------
+        mnist3d.MeshDataset, starstruck_gen.SceneMeshDataset, WrenchDataset or SolidDataset
+            By what the data set holds.
+
+        Raises
+        ------
+        InputError
+            No such data set or split, or one of another kind than its name says.
+        IntegrityError
+            It is damaged or unfinished.
+        HubError
+            The repository cannot be reached or does not exist.
+        """
+        opened = self._opened.get(("meshes", name, split))
+        if opened is None:
+            opened = open_meshes(self._shards(name, split), name, self._memory)
+            require_kind(opened, name)
+            # The first to have opened it gives it to all: records are shared between threads.
+            opened = self._opened.setdefault(("meshes", name, split), opened)
+        found: MeshSet = opened
+        return found
+
+    def touches(self, name: str, split: str = "train") -> TouchSeqDataset | TouchSingleDataset:
+        """Return the rounds of real touches of a split, as a lazy sequence of records.
+
+        Parameters
+        ----------
+        name : str
+            A short name of :data:`realtouch.SHORT_NAMES` such as ``"real-single"``, or any data set of
+            touches.
+        split : str
+            Split of it.
+
+        Raises
+        ------
+        InputError, IntegrityError, HubError
+            As :meth:`meshes`.
+        """
+        from realtouch.names import repository_of
+        from realtouch.opening import load
+
+        opened = self._opened.get(("touches", name, split))
+        if opened is None:
+            place = repository_of(self._place(name))
+            opened = load(place, split, revision=self._pins.commit_of(place))
+            opened = self._opened.setdefault(("touches", name, split), opened)
+        found: TouchSeqDataset | TouchSingleDataset = opened
+        return found
+
+    def volumes_m3(self, name: str, split: str = "train") -> NDArray[np.float64]:
+        """Return the volume of each mesh of a split, in the order of :meth:`meshes`; makes no record.
+
+        Returns
+        -------
+        ndarray of float64, shape (n,)
+            Cubic metres. Data sets that store no volumes have them computed once.
+
+        Raises
+        ------
+        InputError, IntegrityError, HubError
+            As :meth:`meshes`.
+        """
+        return volumes_m3(self.meshes(name, split))
+
+    def height_map(self, record: Any, pitch_m: float = 0.0002) -> HeightMap:
+        """Return the top surface of a mesh as a grid, kept on disk for the next time.
+
+        Parameters
+        ----------
+        record : record or Mesh
+            Anything with ``vertices_m`` and ``faces``.
+        pitch_m : float
+            Side of a pixel, metres.
+
+        Raises
+        ------
+        InputError
+            A pitch that is not positive or makes the grid too large.
+        """
+        return self._heights.get(record, pitch_m)
+
+    def bounds(self, record: Any) -> NDArray[np.float64]:
+        """Return lowest and highest corner of a mesh, shape (2, 3), metres, in its own frame."""
+        return mesh_bounds_m(record.vertices_m)
+
+    def placements(self, record: Any) -> tuple[Placement, ...]:
+        """Return what stands where in a Starstruck scene, stars first; metres and radians, cell frame.
+
+        Raises
+        ------
+        InputError
+            The record is no scene, or its data set does not store what stands where.
+        """
+        require_scene(record)
+        found: tuple[Placement, ...] = record.placements
+        return found
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Leave open data sets behind; commits of the Hub go along."""
+        return {**self.__dict__, "_opened": {}}
+
+    def __repr__(self) -> str:
+        return f"AssetProvider({str(self.root)!r})"
+
+    def _place(self, name: str) -> str:
+        """Return folder, file or repository that a name stands for."""
+        if name in self._places:
+            return self._places[name]
+        inside = self.root / name
+        return str(inside) if name in KINDS or inside.is_dir() else name
+
+    def _shards(self, name: str, split: str) -> tuple[Shard, ...]:
+        place = self._place(name)
+        made_here = name in KINDS and name not in self._places
+        try:
+            return find_shards(place, split, revision=self._pins.commit_of(place))
+        except (InputError, IntegrityError) as error:
+            if not made_here:
+                raise
+            if not self._generate:
+                raise self._named(error, name, split) from error
+        with self._maker.alone(name):
+            try:
+                # Somebody else may have made it while this waited.
+                return find_shards(place, split)
+            except (InputError, IntegrityError):
+                self._maker.make(name, split)
+        return find_shards(place, split)
+
+    def _named(self, error: InputError | IntegrityError, name: str, split: str) -> Exception:
+        """Name the command that makes what is missing; damaged data keeps its own message."""
+        if isinstance(error, IntegrityError):
+            return error
+        found = str(error).partition("; next: ")[0] if self._maker.place(name).is_dir() else "it is not there"
+        message = (
+            f"no split {split!r} of {name!r} in {str(self.root)!r}: {found}; next: run "
+            f"`{self._maker.command(name, split)}`, or make the AssetProvider with generate=True"
+        )
+        return InputError(message)

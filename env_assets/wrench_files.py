@@ -1,0 +1,163 @@
+"""A wrench as a data set of one row: rows, build and card."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+from dataset_store.build import BuildPlan, ShardContent, build
+from dataset_store.columns import list_array
+from dataset_store.errors import InputError
+from dataset_store.manifest import Manifest
+from dataset_store.mesh import Mesh
+from dataset_store.mesh_columns import (
+    FACES,
+    VERTICES,
+    feature_metadata,
+    label_feature,
+    value_feature,
+    vectors_feature,
+    vectors_type,
+)
+from dataset_store.meshfile import FORMATS, write_mesh
+from dataset_store.runner import InlineRunner
+from dataset_store.shards import ParquetStyle, ShardName
+from dataset_store.storage import DataFolder
+from env_assets.wrench import WrenchSpec, wrench_mesh
+
+__all__ = ["CLASS_NAMES", "KIND", "LENGTHS", "SPLIT", "plan_build", "wrench_schema", "write_wrench"]
+
+KIND = "wrench"
+SPLIT = "train"
+"""The one split, as that of the published wrench."""
+
+CLASS_NAMES = ("wrench",)
+
+LENGTHS = ("opening_mm", "second_opening_mm", "length_mm", "thickness_mm", "jaw_angle_deg")
+"""Fields of :class:`WrenchSpec` that are columns."""
+
+_PARQUET_STYLE = ParquetStyle(rows_per_group=32, compression="zstd", compression_level=9)
+
+
+@dataclass(frozen=True)
+class WrenchShard:
+    """The task of the one shard.
+
+    Attributes
+    ----------
+    spec : WrenchSpec
+        Lengths of the wrench.
+    shard : ShardName
+        Its only shard.
+    """
+
+    spec: WrenchSpec
+    shard: ShardName = field(default=ShardName(SPLIT, 0, 1))
+    size: int = 1
+
+    def make(self) -> ShardContent:
+        """Make the row."""
+        return ShardContent(_table(self.spec, wrench_mesh(self.spec)))
+
+
+def plan_build(spec: WrenchSpec) -> BuildPlan:
+    """Return what the folder of a wrench holds."""
+    return BuildPlan(KIND, spec.to_dict(), (SPLIT,), (WrenchShard(spec),), _PARQUET_STYLE)
+
+
+def write_wrench(
+    spec: WrenchSpec, out: str, *, mesh_file: str | Path | None = None, overwrite: bool = False
+) -> Manifest:
+    """Write a data set of one wrench.
+
+    Parameters
+    ----------
+    spec : WrenchSpec
+        Its lengths.
+    out : str
+        Folder to write; a folder that holds the same wrench is left as it is.
+    mesh_file : path, optional
+        Write the mesh alone too, for a printer: a file with one of the endings of
+        :data:`dataset_store.meshfile.FORMATS`.
+    overwrite : bool
+        Start again in a folder that holds another data set of this toolkit.
+
+    Returns
+    -------
+    Manifest
+        What the folder holds now.
+
+    Raises
+    ------
+    InputError
+        The chamfer does not fit, the folder holds something else, or the ending of the file is unknown.
+    SpecMismatchError
+        The folder holds another wrench.
+    StorageError
+        The folder or the file cannot be written.
+
+    Notes
+    -----
+    Equal lengths give byte-identical Parquet.
+    """
+    from env_assets.wrench_card import write_card
+
+    # What cannot be made is refused before the folder is touched.
+    mesh = wrench_mesh(spec)
+    if mesh_file is not None:
+        _require_ending(Path(mesh_file))
+    folder = DataFolder(out)
+    manifest = build(folder, plan_build(spec), InlineRunner(), overwrite=overwrite)
+    write_card(folder, manifest)
+    if mesh_file is not None:
+        write_mesh(mesh_file, mesh)
+    return manifest
+
+
+@cache
+def wrench_schema() -> Any:
+    """Return the Arrow schema: the published flat columns first, then ours."""
+    import pyarrow as pa
+
+    fields = [
+        pa.field("id", pa.int64()),
+        pa.field("label", pa.int64()),
+        pa.field(VERTICES, vectors_type(pa.float32())),
+        pa.field(FACES, vectors_type(pa.int32())),
+        pa.field("volume_m3", pa.float64()),
+        *(pa.field(name, pa.float64()) for name in LENGTHS),
+    ]
+    features = {
+        "id": value_feature("int64"),
+        "label": label_feature(CLASS_NAMES),
+        VERTICES: vectors_feature("float32"),
+        FACES: vectors_feature("int32"),
+        "volume_m3": value_feature("float64"),
+        **{name: value_feature("float64") for name in LENGTHS},
+    }
+    return pa.schema(fields, metadata=feature_metadata(features))
+
+
+def _require_ending(mesh_file: Path) -> None:
+    if mesh_file.suffix.lower() not in FORMATS:
+        message = (
+            f"{mesh_file}: files ending in {mesh_file.suffix!r} are not known; expected one of "
+            f"{', '.join(FORMATS)}; nothing was written"
+        )
+        raise InputError(message)
+
+
+def _table(spec: WrenchSpec, mesh: Mesh) -> Any:
+    import pyarrow as pa
+
+    columns = [
+        pa.array([0], pa.int64()),
+        pa.array([0], pa.int64()),
+        list_array([mesh.vertices_m], pa.float32()),
+        list_array([mesh.faces], pa.int32()),
+        pa.array([mesh.volume_m3], pa.float64()),
+        *(pa.array([getattr(spec, name)], pa.float64()) for name in LENGTHS),
+    ]
+    return pa.Table.from_arrays(columns, schema=wrench_schema())

@@ -1,0 +1,123 @@
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+
+import pytest
+from typer.testing import CliRunner
+
+import mnist3d
+import starstruck_gen
+from cli.env_assets import app
+
+
+def run(*words):
+    return CliRunner().invoke(app, list(map(str, words)))
+
+
+def test_a_wrench_is_made_as_data_set_and_file(tmp_path):
+    made = run("wrench", "--size", "M10", "--out", tmp_path / "wrench", "--stl", tmp_path / "wrench.stl")
+    assert made.exit_code == 0, made.output
+    assert made.stdout.startswith("wrench for 16 and 13 mm across flats: ")
+    assert mnist3d.inspect(mnist3d.read_mesh(tmp_path / "wrench.stl")).warnings == ()
+    verified = run("verify", tmp_path / "wrench")
+    assert "1 rows" in verified.stdout
+    again = run("wrench", "--size", "M10", "--out", tmp_path / "wrench", "--quiet")
+    assert (again.exit_code, again.stdout) == (0, "")
+    other = run("wrench", "--size", "13", "--out", tmp_path / "wrench")
+    assert other.exit_code == 2
+    assert "another specification" in other.stderr
+    assert run("wrench", "--out", tmp_path / "wrench", "--overwrite").exit_code == 0
+
+
+def test_a_dry_run_says_the_same_and_writes_nothing(tmp_path):
+    words = ("wrench", "--size", 13, "--out", tmp_path / "wrench", "--stl", tmp_path / "wrench.stl", "--json")
+    tried = run(*words, "--dry-run")
+    assert tried.exit_code == 0, tried.output
+    assert list(tmp_path.iterdir()) == []
+    made = run(*words)
+    before, after = json.loads(tried.stdout), json.loads(made.stdout)
+    assert (before.pop("written"), after.pop("written")) == (False, True)
+    assert before == after
+    assert after["spec"]["second_opening_mm"] == 10
+    assert after["warnings"] == []
+    assert (tmp_path / "wrench.stl").is_file()
+
+
+def test_every_length_reaches_the_wrench(tmp_path):
+    made = run(
+        *("wrench", "--size", "M8", "--second-size", 11, "--length-mm", 140, "--thickness-mm", 7),
+        *("--handle-mm", 9, "--jaw-angle-deg", 30, "--clearance-mm", 0.1, "--chamfer-mm", 0.4),
+        *("--out", tmp_path / "wrench", "--json"),
+    )
+    expected = {
+        "opening_mm": 13.0,
+        "second_opening_mm": 11.0,
+        "length_mm": 140.0,
+        "thickness_mm": 7.0,
+        "handle_mm": 9.0,
+        "jaw_angle_deg": 30.0,
+        "clearance_mm": 0.1,
+        "chamfer_mm": 0.4,
+    }
+    spec = json.loads(made.stdout)["spec"]
+    assert {name: spec[name] for name in expected} == expected
+    single = run("wrench", "--single", "--dry-run")
+    assert single.stdout.startswith("wrench for 13 mm across flats: ")
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (("--size", "M7"), "no wrench of size 'M7' is made"),
+        (("--chamfer-mm", "3"), "chamfer_mm of the wrench is 3"),
+        (("--single", "--second-size", "10"), "a wrench with a single jaw"),
+        (("--stl", "wrench.step"), "files ending in '.step' are not known"),
+    ],
+)
+def test_bad_input_is_one_line_and_writes_nothing(tmp_path, monkeypatch, words, message):
+    monkeypatch.chdir(tmp_path)
+    failed = run("wrench", *words)
+    assert failed.exit_code == 2
+    assert message in failed.stderr
+    assert failed.stderr.count("\n") == 1
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_info_lists_what_a_provider_would_give(tmp_path):
+    run("wrench", "--out", tmp_path / "wrench")
+    scenes = starstruck_gen.GenerateSpec(scenes=(("train", 6), ("test", 3)))
+    starstruck_gen.generate(scenes, str(tmp_path / "stars"))
+    (tmp_path / "notes").mkdir()
+    (tmp_path / "damaged").mkdir()
+    (tmp_path / "damaged" / "manifest.json").write_text("{")
+    shown = run("info", tmp_path, "--json")
+    found = {(entry["name"], entry["split"]): entry for entry in json.loads(shown.stdout)}
+    assert set(found) == {("damaged", ""), ("stars", "train"), ("stars", "test"), ("wrench", "train")}
+    assert "is not a manifest" in found["damaged", ""]["problem"]
+    stars = found["stars", "train"]
+    assert (stars["kind"], stars["rows"], stars["classes"]) == ("starstruck", 6, ["1", "2", "3"])
+    assert max(stars["largest_mm"]) <= 120
+    wrench = found["wrench", "train"]
+    assert wrench["largest_mm"][2] == pytest.approx(5.9)
+    assert wrench["volume_mm3"][0] == wrench["volume_mm3"][1]
+    assert "stars" in run("info", tmp_path).stdout
+    assert run("info", tmp_path / "nowhere").exit_code == 2
+
+
+def test_help_needs_no_heavy_library():
+    code = (
+        "import sys\n"
+        "from typer.testing import CliRunner\n"
+        "from cli.env_assets import app\n"
+        "for words in (['--help'], ['wrench', '--help'], ['info', '--help'], ['verify', '--help']):\n"
+        "    assert CliRunner().invoke(app, words).exit_code == 0\n"
+        "heavy = {'numpy', 'pyarrow', 'manifold3d', 'trimesh', 'datasets', 'scipy'}\n"
+        "assert not heavy & set(sys.modules), heavy & set(sys.modules)"
+    )
+    subprocess.run([sys.executable, "-c", code], check=True)
+
+
+def test_version_is_that_of_the_toolkit():
+    assert run("--version").stdout.startswith("tactile-toolkit ")

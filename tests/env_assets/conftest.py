@@ -1,0 +1,45 @@
+"""Data sets for environments, made once for all tests."""
+
+from __future__ import annotations
+
+import os
+import warnings
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from tests.env_assets import factories
+from tests.realtouch.conftest import held_out, seq_folder, seq_rows, truth  # noqa: F401
+
+# OpenGL reads this once, when it is first imported, which tests elsewhere do before an environment is made.
+os.environ.setdefault("PYOPENGL_PLATFORM", "egl")
+
+
+@pytest.fixture(scope="session")
+def assets(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Folder of a provider: ``mnist3d``, ``starstruck``, ``wrench``, ``real-single``."""
+    import mnist3d
+
+    root = tmp_path_factory.mktemp("assets")
+    factories.write_digits(root / "mnist3d")
+    factories.write_scenes(root / "starstruck")
+    factories.write_wrench(root / "wrench")
+    factories.write_touches(root / "real-single", mnist3d.load(str(root / "mnist3d"), "printed_train"))
+    return root
+
+
+@pytest.fixture(scope="session")
+def packages() -> Any:
+    """The published package; what it warns of while it is imported is not ours."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        return pytest.importorskip("tactile_mnist", reason="tactile-mnist (extra `env`) is not installed")
+
+
+@pytest.fixture
+def provider(assets: Path) -> Any:
+    """A provider of these assets."""
+    import env_assets
+
+    return env_assets.AssetProvider(assets)

@@ -1,0 +1,96 @@
+"""Small data sets to build environments on: digits, scenes, a wrench, rounds of touches."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from dataset_store.columns import list_array
+from dataset_store.mesh_columns import (
+    FACES,
+    VERTICES,
+    feature_metadata,
+    label_feature,
+    value_feature,
+    vectors_feature,
+    vectors_type,
+)
+from tests.realtouch import factories
+
+TOUCHES_PER_ROUND = 24
+DIGITS = tuple(str(digit) for digit in range(10))
+
+
+def write_digits(folder: Path) -> None:
+    """Ten digits for each of three splits."""
+    from mnist3d.generation import GenerateSpec, generate
+    from mnist3d.sources.synthetic import SyntheticSource
+
+    spec = GenerateSpec(SyntheticSource(), per_class=1)
+    generate(spec, str(folder), ("train", "test", "printed_train"))
+
+
+def write_scenes(folder: Path) -> None:
+    """Six scenes to train with, three to test."""
+    import starstruck_gen
+
+    starstruck_gen.generate(starstruck_gen.GenerateSpec(scenes=(("train", 6), ("test", 3))), str(folder))
+
+
+def write_wrench(folder: Path) -> None:
+    """One wrench."""
+    import env_assets
+
+    env_assets.write_wrench(env_assets.WrenchSpec.for_size(), str(folder))
+
+
+def write_touches(folder: Path, digits: Sequence[Any]) -> None:
+    """Rounds of touches of three of the printed digits."""
+    rounds = [factories.make_round(index, TOUCHES_PER_ROUND, (96, 72), frames=(6, 9)) for index in range(3)]
+    rows = factories.single_rows(rounds)
+    for row, digit in zip(rows, digits, strict=False):
+        row |= {"object_id": digit.id, "label": digit.label}
+    factories.write_set(folder, {"train": rows}, "single")
+
+
+def write_meshes(folder: Path, meshes: Sequence[Any], names: tuple[str, ...] = DIGITS) -> Path:
+    """Write meshes with the published columns alone, mesh i as row i with label i; returns the folder.
+
+    Parameters
+    ----------
+    folder : Path
+        Where; the file becomes split ``train``.
+    meshes : sequence
+        Anything with ``vertices`` in metres and ``faces``.
+    names : tuple of str
+        Class names.
+    """
+    features = {
+        "id": value_feature("int64"),
+        "label": label_feature(names),
+        VERTICES: vectors_feature("float32"),
+        FACES: vectors_feature("int32"),
+    }
+    fields = [
+        pa.field("id", pa.int64()),
+        pa.field("label", pa.int64()),
+        pa.field(VERTICES, vectors_type(pa.float32())),
+        pa.field(FACES, vectors_type(pa.int32())),
+    ]
+    numbers = pa.array(range(len(meshes)), pa.int64())
+    columns = [
+        numbers,
+        numbers,
+        list_array([mesh.vertices for mesh in meshes], pa.float32()),
+        list_array([mesh.faces for mesh in meshes], pa.int32()),
+    ]
+    schema = pa.schema(fields, metadata=feature_metadata(features))
+    (folder / "data").mkdir(parents=True)
+    pq.write_table(
+        pa.Table.from_arrays(columns, schema=schema), folder / "data" / "train-00000-of-00001.parquet"
+    )
+    return folder

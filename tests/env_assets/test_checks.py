@@ -1,0 +1,57 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import env_assets
+from dataset_store.errors import InputError
+from dataset_store.mesh import Mesh
+from env_assets.checks import require_classes, require_fitting, require_outward
+from env_assets.measures import bounds_m, volumes_m3
+from tests.env_assets.factories import write_meshes
+from tests.env_assets.shapes import box
+
+SMALL = box((0, 0, 0), (0.01, 0.02, 0.005))
+WIDE = box((-0.1, 0, 0), (0.1, 0.02, 0.005))
+INSIDE_OUT = Mesh(SMALL.vertices_m, SMALL.faces[:, ::-1])
+FLAT = Mesh(SMALL.vertices_m[:4], SMALL.faces[:2])
+
+
+def opened(folder, *solids):
+    write_meshes(folder / "solids", [solid.to_trimesh() for solid in solids], ("a", "b", "c"))
+    return env_assets.AssetProvider(folder).meshes("solids")
+
+
+def test_measures_are_those_of_the_meshes_in_the_order_of_the_rows(tmp_path):
+    meshes = opened(tmp_path, SMALL, WIDE, INSIDE_OUT)
+    np.testing.assert_allclose(volumes_m3(meshes), [1e-6, 2e-5, -1e-6], rtol=1e-5)
+    np.testing.assert_allclose(volumes_m3(meshes[[2, 0]]), [-1e-6, 1e-6], rtol=1e-5)
+    expected = [[solid.vertices_m.min(axis=0), solid.vertices_m.max(axis=0)] for solid in (SMALL, WIDE)]
+    np.testing.assert_allclose(bounds_m(meshes[:2]), expected, rtol=1e-6)
+
+
+def test_what_fits_passes_and_what_does_not_is_named(tmp_path):
+    meshes = opened(tmp_path, SMALL, WIDE, WIDE)
+    require_fitting(meshes, (0.2001, 0.12), "solids")
+    require_fitting(meshes[:1], (0.0101, 0.0201), "solids")
+    words = r"mesh 1 of solids is 200.0 x 20.0 mm, larger than the cell of 120 x 120 mm \(2 of 3 are\)"
+    with pytest.raises(InputError, match=words):
+        require_fitting(meshes, (0.12, 0.12), "solids")
+    with pytest.raises(InputError, match=r"mesh 0 of solids is 10.0 x 20.0 mm"):
+        require_fitting(meshes, (1.0, 0.0199), "solids")
+
+
+@pytest.mark.parametrize("wrong", [INSIDE_OUT, FLAT])
+def test_what_encloses_nothing_is_named(tmp_path, wrong):
+    meshes = opened(tmp_path, SMALL, WIDE, wrong)
+    require_outward(meshes[:2], "solids")
+    with pytest.raises(InputError, match=r"mesh 2 of solids has a volume of .*\(1 of 3 have not\)"):
+        require_outward(meshes, "solids")
+
+
+def test_classes_have_names_and_an_order(tmp_path):
+    meshes = opened(tmp_path, SMALL)
+    require_classes(meshes, ("a", "b", "c"), "solids")
+    for names in (("a", "b"), ("b", "a", "c"), ()):
+        with pytest.raises(InputError, match="solids has classes a, b, c; expected"):
+            require_classes(meshes, names, "solids")

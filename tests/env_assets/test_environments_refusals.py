@@ -1,0 +1,183 @@
+"""Assets and settings that do not fit are refused before an environment starts."""
+
+from __future__ import annotations
+
+import re
+import shutil
+from pathlib import Path
+from typing import Any
+
+import pytest
+import trimesh
+
+import env_assets
+import realtouch
+from dataset_store.errors import InputError, MissingExtraError
+from env_assets.environment_sensors import BACKENDS, require_sensor
+from tests.env_assets.factories import write_meshes
+
+pytestmark = [pytest.mark.env, pytest.mark.filterwarnings("ignore")]
+
+ENV = "TactileMNIST-Depth-train-v0"
+
+
+@pytest.fixture(autouse=True)
+def _published(packages: Any) -> None:
+    """All of these need the package."""
+
+
+def box(size_m: tuple[float, float, float]) -> Any:
+    return trimesh.creation.box(size_m)
+
+
+def refused(env_id: str, provider: Any, words: str, config: dict[str, Any] | None = None) -> str:
+    with pytest.raises(InputError, match=words) as caught:
+        env_assets.make(env_id, provider=provider, num_envs=2, config=config)
+    assert "next: " in str(caught.value) or "expected" in str(caught.value)
+    return str(caught.value)
+
+
+def with_place(assets: Path, name: str, folder: Path) -> Any:
+    return env_assets.AssetProvider(assets, places={name: folder})
+
+
+def test_unknown_environment(provider):
+    message = refused("TactileMNIST-Depht-train-v0", provider, "no environment 'TactileMNIST-Depht-train-v0'")
+    assert "TactileMNIST-Depth-train-v0" in message
+
+
+@pytest.mark.parametrize("env_id", ["ABCVolume-Depth-train-v0", "Minecraft-Depth-v0", "LightDark-v0"])
+def test_environment_on_other_assets(provider, env_id):
+    refused(env_id, provider, f"the assets of '{env_id}' are not among those of this toolkit")
+
+
+def test_no_such_split(assets, provider):
+    refused("TactileMNISTRealSnap-test-v0", provider, "no split 'test' in .*it has train")
+
+
+def test_no_such_data_set(tmp_path):
+    message = refused(ENV, env_assets.AssetProvider(tmp_path), "mnist3d")
+    assert "mnist3d generate" in message
+
+
+@pytest.mark.parametrize(
+    ("env_id", "name", "instead"),
+    [
+        (ENV, "mnist3d", "starstruck"),
+        ("TactileMNISTVolume-Depth-train-v0", "mnist3d", "wrench"),
+        ("Starstruck-Depth-train-v0", "starstruck", "mnist3d"),
+        ("Toolbox-Depth-v0", "wrench", "mnist3d"),
+        (ENV, "mnist3d", "real-single"),
+        ("TactileMNISTRealSnap-train-v0", "real-single", "mnist3d"),
+    ],
+)
+def test_another_kind_of_data_set(assets, env_id, name, instead):
+    refused(env_id, with_place(assets, name, assets / instead), "next:")
+
+
+def test_clips_instead_of_images(assets, seq_folder):
+    refused(
+        "TactileMNISTRealSnap-train-v0",
+        with_place(assets, "real-single", seq_folder),
+        "touches with one image each was expected, found TouchSeqDataset",
+    )
+
+
+def test_other_label_names(assets, tmp_path):
+    folder = write_meshes(tmp_path / "set", [box((0.03, 0.03, 0.01))] * 3, ("a", "b", "c"))
+    message = refused(ENV, with_place(assets, "mnist3d", folder), "")
+    assert "a, b, c" in message
+
+
+def test_meshes_larger_than_the_cell(assets, tmp_path):
+    """Such as millimetres taken for metres."""
+    folder = write_meshes(tmp_path / "set", [box((0.03, 0.03, 0.01)), box((30.0, 0.05, 0.01))])
+    message = refused(ENV, with_place(assets, "mnist3d", folder), "mesh 1 of")
+    assert "30000.0 x 50.0 mm" in message
+    assert "120 x 120 mm" in message
+    refused(ENV, with_place(assets, "mnist3d", folder), "100 x 120 mm", {"cell_size": (0.1, 0.12)})
+
+
+def test_negative_volume(assets, tmp_path):
+    inside_out = box((0.03, 0.03, 0.01))
+    inside_out.invert()
+    folder = write_meshes(tmp_path / "set", [box((0.03, 0.03, 0.01)), inside_out])
+    refused(ENV, with_place(assets, "mnist3d", folder), r"mesh 1 of .* volume of -9e-06")
+
+
+def test_a_source_of_plain_records_is_checked_too(tmp_path):
+    """An environment depends on the shape of a source, not on our provider."""
+    import mnist3d
+
+    folder = write_meshes(tmp_path / "set", [box((0.5, 0.03, 0.01))])
+
+    class Source:
+        def meshes(self, name: str, split: str = "train") -> Any:
+            return mnist3d.load(str(folder), split)
+
+    refused(ENV, Source(), "mesh 0 of")
+
+
+def test_rounds_shorter_than_an_episode(provider):
+    words = "rounds of 24 touches, an episode of 23 steps needs 25"
+    refused("TactileMNISTRealSnap-train-v0", provider, words, {"step_limit": 23})
+
+
+def test_touched_objects_without_a_mesh(assets, tmp_path):
+    folder = tmp_path / "assets"
+    shutil.copytree(assets, folder)
+    shutil.rmtree(folder / "mnist3d")
+    printed = write_meshes(folder / "mnist3d", [box((0.03, 0.03, 0.01))]) / "data"
+    (printed / "train-00000-of-00001.parquet").rename(printed / "printed_train-00000-of-00001.parquet")
+    provider = env_assets.AssetProvider(folder)
+    wanted = realtouch.load(str(folder / "real-single")).column("object_id").tolist()
+    words = f"touches of 3 objects without a mesh, such as object {min(wanted)}"
+    refused("TactileMNISTVolumeRealSnap-train-v0", provider, words)
+
+
+@pytest.mark.parametrize("name", ["step_limits", "dataset"])
+def test_unknown_setting(provider, name):
+    message = refused(ENV, provider, f"no setting '{name}' in `config`", {name: 3})
+    assert "step_limit," in message
+
+
+@pytest.mark.parametrize(
+    "config", [{"sensor_type": "camera"}, {"sensor_type": "taxim", "sensor_backend": "numpy"}]
+)
+def test_unknown_sensor(provider, config):
+    refused(ENV, provider, "no sensor .* expected one of these", config)
+
+
+class NotLoaded:
+    """What the package puts in its table where an import failed."""
+
+    def __init__(self, missing_module: str) -> None:
+        self.missing_module = missing_module
+
+
+@pytest.mark.parametrize("sensor", ["taxim", "cycle_gan"])
+def test_sensor_without_any_of_its_packages(sensor):
+    words = re.escape(
+        "needs the package 'jax', which is not installed; next: pip install 'tactile-toolkit[env]'"
+    )
+    with pytest.raises(MissingExtraError, match=words):
+        require_sensor(sensor, "auto", {"depth": {"numpy": object()}})
+
+
+def test_sensor_without_one_of_its_packages():
+    table = {"taxim": {"jax": NotLoaded("taxim"), "torch": NotLoaded("torch_scatter")}}
+    with pytest.raises(MissingExtraError, match=r"'taxim', which .*tactile-toolkit\[env\]"):
+        require_sensor("taxim", "auto", table)
+    with pytest.raises(InputError, match="'torch_scatter', which is not installed and which no extra"):
+        require_sensor("taxim", "torch", table)
+    with pytest.raises(MissingExtraError, match=r"'torch', which .*tactile-toolkit\[torch\]"):
+        require_sensor("cycle_gan", "torch", {"cycle_gan": {"jax": object()}})
+    require_sensor("taxim", "auto", {"taxim": {"jax": NotLoaded("taxim"), "torch": object()}})
+
+
+def test_the_package_has_the_sensors_that_we_know(packages):
+    from tactile_mnist.tactile_renderer.factory import TACTILE_RENDERER_FACTORIES
+
+    assert set(TACTILE_RENDERER_FACTORIES) == set(BACKENDS)
+    for sensor, makers in TACTILE_RENDERER_FACTORIES.items():
+        assert set(makers) <= set(BACKENDS[sensor])

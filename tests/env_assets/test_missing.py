@@ -1,0 +1,168 @@
+from __future__ import annotations
+
+import re
+import shlex
+import signal
+import subprocess
+import sys
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+
+import pytest
+
+import env_assets
+from dataset_store.errors import InputError, IntegrityError, SpecMismatchError
+from dataset_store.manifest import read_manifest
+from dataset_store.storage import DataFolder
+
+COMMANDS = {"mnist3d": "cli.mnist3d", "starstruck": "cli.starstruck", "env-assets": "cli.env_assets"}
+
+
+def named_command(message: str) -> list[str]:
+    """The command in a message, as the interpreter runs it."""
+    command = re.search(r"next: run `([^`]+)`", message)
+    assert command, message
+    program, *words = shlex.split(command[1])
+    return [sys.executable, "-c", f"from {COMMANDS[program]} import main; main()", *words, "--quiet"]
+
+
+def parquet(folder: Path) -> dict[str, bytes]:
+    return {file.name: file.read_bytes() for file in sorted((folder / "data").glob("*.parquet"))}
+
+
+@pytest.mark.parametrize(
+    ("kind", "split", "rows"), [("mnist3d", "holdout", 10), ("starstruck", "test", 3), ("wrench", "train", 1)]
+)
+def test_the_command_that_is_named_makes_what_is_missing(tmp_path, kind, split, rows):
+    """And generate=True makes the very same, byte for byte."""
+    root = tmp_path / "some assets"
+    options = {"per_class": 1, "seed": 3}
+    with pytest.raises(InputError, match=f"no split '{split}' of '{kind}' in .*: it is not there") as caught:
+        env_assets.AssetProvider(root, **options).meshes(kind, split)
+    assert not root.exists()
+    subprocess.run(named_command(str(caught.value)), check=True, capture_output=True)
+    assert len(env_assets.AssetProvider(root, **options).meshes(kind, split)) == rows
+    made = env_assets.AssetProvider(tmp_path / "made", generate=True, **options)
+    assert len(made.meshes(kind, split)) == rows
+    assert parquet(tmp_path / "made" / kind) == parquet(root / kind)
+
+
+def test_splits_are_added_one_by_one_and_named_where_one_is_missing(tmp_path):
+    made = env_assets.AssetProvider(tmp_path, generate=True, per_class=2)
+    assert len(made.meshes("starstruck", "test")) == 6
+    with pytest.raises(
+        InputError, match=r"no split 'train' in .*: it has test; next: run `starstruck generate"
+    ):
+        env_assets.AssetProvider(tmp_path, per_class=2).meshes("starstruck", "train")
+    assert len(made.meshes("starstruck", "train")) == 6
+    manifest = read_manifest(DataFolder(str(tmp_path / "starstruck")))
+    assert (manifest.splits, manifest.complete) == (("train", "test"), True)
+
+
+def test_a_split_that_no_kind_has_is_refused_and_nothing_is_made(tmp_path):
+    provider = env_assets.AssetProvider(tmp_path, generate=True, per_class=1)
+    for kind, split in (("mnist3d", "trian"), ("starstruck", "holdout"), ("wrench", "test")):
+        with pytest.raises(InputError, match=f"unknown split '{split}'"):
+            provider.meshes(kind, split)
+        assert not (tmp_path / kind).exists()
+
+
+def test_a_set_made_otherwise_is_left_alone(tmp_path):
+    env_assets.AssetProvider(tmp_path, generate=True, per_class=1).meshes("starstruck", "test")
+    before = parquet(tmp_path / "starstruck")
+    with pytest.raises(SpecMismatchError, match=r"scenes\.train is 3 there, 6 was asked for"):
+        env_assets.AssetProvider(tmp_path, generate=True, per_class=2).meshes("starstruck", "train")
+    assert parquet(tmp_path / "starstruck") == before
+
+
+def test_a_damaged_set_is_not_made_up_for(tmp_path):
+    made = env_assets.AssetProvider(tmp_path, generate=True, per_class=1)
+    made.meshes("starstruck", "test")
+    (tmp_path / "starstruck" / "manifest.json").write_text("{")
+    for generate in (False, True):
+        with pytest.raises(IntegrityError, match="is not a manifest of this toolkit"):
+            env_assets.AssetProvider(tmp_path, generate=generate, per_class=1).meshes("starstruck", "test")
+
+
+def test_nothing_but_the_kinds_is_made(tmp_path):
+    with pytest.raises(InputError, match="neither a folder, nor a Parquet file"):
+        env_assets.AssetProvider(tmp_path, generate=True).meshes("screwdriver")
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("options", [{"seed": -1}, {"per_class": 0}, {"workers": 0}])
+def test_numbers_that_make_nothing_are_refused_at_once(tmp_path, options):
+    (name,) = options
+    with pytest.raises(InputError, match=f"{name} of the AssetProvider is"):
+        env_assets.AssetProvider(tmp_path, **options)
+
+
+MAKE = """
+import sys
+import env_assets, starstruck_gen
+starstruck_gen.generate  # imported before the start, so that all begin at once
+provider = env_assets.AssetProvider(sys.argv[1], generate=True, per_class=300)
+print("ready", flush=True)
+sys.stdin.readline()
+print(provider.meshes("starstruck", sys.argv[2]).ids.tolist())
+"""
+
+
+def test_processes_that_start_at_once_do_not_harm_each_other(tmp_path):
+    """Two want the same split and one another; without taking turns the last to end would lose a split."""
+    splits = ("test", "train", "train")
+    running = [
+        subprocess.Popen(
+            [sys.executable, "-c", MAKE, str(tmp_path), split],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+        )
+        for split in splits
+    ]
+    for process in running:
+        assert process.stdout.readline() == "ready\n"
+    for process in running:
+        process.stdin.write("go\n")
+        process.stdin.flush()
+    said = [process.communicate(timeout=300) for process in running]
+    assert [process.returncode for process in running] == [0] * 3, said
+    again = env_assets.AssetProvider(tmp_path)
+    for split, (out, _) in zip(splits, said, strict=True):
+        assert str(again.meshes("starstruck", split).ids.tolist()) in out
+    manifest = read_manifest(DataFolder(str(tmp_path / "starstruck")))
+    assert (manifest.splits, manifest.complete) == (("train", "test"), True)
+    assert not list((tmp_path / "starstruck").rglob(".writing-*"))
+
+
+DIE = """
+import os, signal, sys
+import dataset_store.build, env_assets
+write_receipt = dataset_store.build.write_receipt
+def write_and_die(*arguments):
+    write_receipt(*arguments)
+    os.kill(os.getpid(), signal.SIGKILL)
+dataset_store.build.write_receipt = write_and_die
+env_assets.AssetProvider(sys.argv[1], generate=True).meshes("starstruck", "train")
+"""
+
+
+def test_a_killed_process_lets_the_next_one_go_on(tmp_path):
+    """Of three shards one is finished; the next process waits for nobody and keeps it."""
+    died = subprocess.run([sys.executable, "-c", DIE, str(tmp_path)], capture_output=True, check=False)
+    assert died.returncode == -signal.SIGKILL, died.stderr
+    (shard,) = (tmp_path / "starstruck" / "data").glob("train-*")
+    before = shard.stat()
+    with pytest.raises(IntegrityError, match="is not finished"):
+        env_assets.AssetProvider(tmp_path).meshes("starstruck")
+    scenes = env_assets.AssetProvider(tmp_path, generate=True).meshes("starstruck")
+    assert len(scenes) == 3_000
+    assert (shard.stat().st_ino, shard.stat().st_mtime_ns) == (before.st_ino, before.st_mtime_ns)
+
+
+def test_threads_make_it_once(tmp_path):
+    provider = env_assets.AssetProvider(tmp_path, generate=True, per_class=2)
+    with ThreadPoolExecutor(4) as pool:
+        found = list(pool.map(lambda _: provider.meshes("starstruck", "test"), range(4)))
+    assert all(one is found[0] for one in found)

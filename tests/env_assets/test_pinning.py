@@ -1,0 +1,115 @@
+"""A branch of the Hub is held at the commit it named first: a real server, the real client."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+import starstruck_gen
+from env_assets.pinning import repository_id
+from tests.hub_server import hub
+
+
+def write(folder: Path, seed: int, scenes: int) -> None:
+    shutil.rmtree(folder, ignore_errors=True)
+    spec = starstruck_gen.GenerateSpec(scenes=(("train", scenes), ("test", scenes)), seed=seed)
+    starstruck_gen.generate(spec, str(folder))
+
+
+LOOK = """
+import json, pickle, sys
+import env_assets
+
+def seeds(provider, split):
+    return [int(scene.seed) for scene in provider.meshes("someone/scenes", split)]
+
+provider = env_assets.AssetProvider()
+by_name = env_assets.AssetProvider(places={"starstruck": "hf://datasets/someone/scenes"})
+first = seeds(provider, "train")
+assert len(by_name.meshes("starstruck")) == len(first)
+print("opened", flush=True)
+sys.stdin.readline()
+copy = pickle.loads(pickle.dumps(provider))
+print(json.dumps({
+    "first": first,
+    "again": seeds(provider, "train"),
+    "other split": seeds(provider, "test"),
+    "copy": seeds(copy, "test"),
+    "by name": len(by_name.meshes("starstruck", "test")),
+    "new": seeds(env_assets.AssetProvider(), "test"),
+}))
+"""
+
+
+@pytest.fixture(scope="module")
+def found(tmp_path_factory) -> dict[str, list[int]]:
+    """What a process sees that opens one split before a commit and the other one after it."""
+    root, home = tmp_path_factory.mktemp("hub"), tmp_path_factory.mktemp("home")
+    write(root / "someone" / "scenes", seed=1, scenes=6)
+    with hub(root) as server:
+        environment = {
+            **os.environ,
+            "HF_ENDPOINT": server.endpoint,
+            "HF_HOME": str(home),
+            "HF_HUB_DISABLE_XET": "1",
+            "TACTILE_TOOLKIT_CACHE": str(home / "toolkit"),
+        }
+        process = subprocess.Popen(
+            [sys.executable, "-c", LOOK],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+            env=environment,
+        )
+        opened = process.stdout.readline()
+        if opened:
+            write(root / "someone" / "scenes", seed=2, scenes=9)
+        out, err = process.communicate("go\n", timeout=120)
+    assert opened == "opened\n", err
+    assert process.returncode == 0, err
+    return json.loads(out)
+
+
+def test_all_splits_are_of_the_commit_that_was_seen_first(found):
+    assert (len(found["first"]), len(found["other split"])) == (6, 6)
+    assert found["again"] == found["first"]
+    assert found["by name"] == 6
+
+
+def test_a_copy_in_another_process_stays_at_that_commit(found):
+    assert found["copy"] == found["other split"]
+
+
+def test_a_new_provider_sees_the_new_commit(found):
+    assert len(found["new"]) == 9
+    assert found["new"][:6] != found["other split"]
+
+
+@pytest.mark.parametrize(
+    ("place", "repository"),
+    [
+        ("someone/scenes", "someone/scenes"),
+        ("hf://datasets/someone/scenes", "someone/scenes"),
+        ("./someone/scenes", None),
+        ("/someone/scenes", None),
+        ("~/scenes/set", None),
+        ("scenes", None),
+        ("a/b/c", None),
+    ],
+)
+def test_what_is_a_repository(place, repository, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    assert repository_id(place) == repository
+
+
+def test_a_folder_that_is_there_is_no_repository(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "someone" / "scenes").mkdir(parents=True)
+    assert repository_id("someone/scenes") is None

@@ -1,0 +1,207 @@
+from __future__ import annotations
+
+import multiprocessing
+import pickle
+import shutil
+import threading
+from concurrent.futures import ThreadPoolExecutor
+
+import numpy as np
+import pytest
+
+import env_assets
+import mnist3d
+import realtouch
+import starstruck_gen
+from dataset_store.errors import InputError, IntegrityError
+from tests.env_assets.factories import write_meshes
+from tests.env_assets.processes import answer, fingerprint
+from tests.env_assets.shapes import box
+
+
+def test_it_has_the_shape_that_environments_depend_on(provider):
+    assert isinstance(provider, env_assets.AssetSource)
+    assert not isinstance(object(), env_assets.AssetSource)
+
+
+@pytest.mark.parametrize(
+    ("name", "split", "kind", "loader"),
+    [
+        ("mnist3d", "test", mnist3d.MeshDataset, mnist3d.load),
+        ("starstruck", "train", starstruck_gen.SceneMeshDataset, starstruck_gen.load),
+    ],
+)
+def test_meshes_are_those_of_the_loader(provider, assets, name, split, kind, loader):
+    found, expected = provider.meshes(name, split), loader(str(assets / name), split)
+    assert isinstance(found, kind)
+    assert (len(found), found.label_names) == (len(expected), expected.label_names)
+    for ours, theirs in zip(found, expected, strict=True):
+        assert (ours.id, ours.label) == (theirs.id, theirs.label)
+        np.testing.assert_array_equal(ours.vertices_m, theirs.vertices_m)
+        np.testing.assert_array_equal(ours.faces, theirs.faces)
+    assert found[1:3].ids.tolist() == expected[1:3].ids.tolist()
+    assert found.filter_labels(0).ids.tolist() == expected.filter_labels(0).ids.tolist()
+
+
+def test_a_folder_may_be_anywhere_and_names_may_be_given(assets, tmp_path):
+    elsewhere = env_assets.AssetProvider(tmp_path, places={"mnist3d": assets / "mnist3d"})
+    by_name, by_path = elsewhere.meshes("mnist3d", "test"), elsewhere.meshes(str(assets / "mnist3d"), "test")
+    assert by_name.ids.tolist() == by_path.ids.tolist()
+    (file,) = (assets / "mnist3d" / "data").glob("test-*")
+    assert elsewhere.meshes(str(file)).ids.tolist() == by_name.ids.tolist()
+
+
+def test_the_kind_is_told_from_the_columns_and_else_from_the_classes(tmp_path):
+    solids = [box((0, 0, 0), (0.01, 0.01, 0.005)).to_trimesh()] * 3
+    provider = env_assets.AssetProvider(tmp_path)
+    for names, kind in (
+        (tuple("0123456789"), mnist3d.MeshDataset),
+        (("1", "2", "3"), starstruck_gen.SceneMeshDataset),
+        (("nut", "bolt", "cog"), env_assets.SolidDataset),
+    ):
+        write_meshes(tmp_path / names[0], solids, names)
+        meshes = provider.meshes(names[0])
+        assert isinstance(meshes, kind)
+        assert meshes[1].mesh.volume == pytest.approx(5e-7)
+
+
+def test_touches_come_from_a_folder_of_the_root_first(provider, assets):
+    found = provider.touches("real-single")
+    expected = realtouch.load(str(assets / "real-single"))
+    assert found.ids.tolist() == expected.ids.tolist()
+    assert found is provider.touches("real-single")
+
+
+def test_volumes_are_those_of_the_meshes(provider, assets, tmp_path):
+    for name, split in (("mnist3d", "test"), ("starstruck", "train"), ("wrench", "train")):
+        volumes = provider.volumes_m3(name, split)
+        expected = [record.mesh.volume for record in provider.meshes(name, split)]
+        assert volumes.dtype == np.float64
+        np.testing.assert_allclose(volumes, expected, rtol=1e-6)
+
+
+def test_stored_volumes_are_read_without_the_meshes(assets, tmp_path):
+    """The bytes of the meshes are spoiled: volumes can be read all the same, meshes not."""
+    import pyarrow.parquet as pq
+
+    shutil.copytree(assets / "mnist3d", tmp_path / "mnist3d")
+    (file,) = (tmp_path / "mnist3d" / "data").glob("test-*")
+    column = next(
+        pq.ParquetFile(file).metadata.row_group(0).column(place)
+        for place in range(8)
+        if "vertices" in pq.ParquetFile(file).metadata.row_group(0).column(place).path_in_schema
+    )
+    start = column.dictionary_page_offset or column.data_page_offset
+    content = bytearray(file.read_bytes())
+    content[start : start + column.total_compressed_size] = bytes(column.total_compressed_size)
+    file.write_bytes(content)
+    spoiled = env_assets.AssetProvider(tmp_path)
+    whole = env_assets.AssetProvider(assets)
+    np.testing.assert_array_equal(spoiled.volumes_m3("mnist3d", "test"), whole.volumes_m3("mnist3d", "test"))
+    with pytest.raises(IntegrityError, match="damaged"):
+        _ = spoiled.meshes("mnist3d", "test")[0].vertices_m
+
+
+def test_computed_volumes_are_computed_once(provider, monkeypatch):
+    first = provider.volumes_m3("starstruck")
+    monkeypatch.setattr("env_assets.measures._volumes_m3", lambda group: pytest.fail("computed again"))
+    np.testing.assert_array_equal(provider.volumes_m3("starstruck"), first)
+
+
+def test_bounds_and_height_map_are_in_the_frame_of_the_mesh(provider):
+    record = provider.meshes("starstruck")[0]
+    bounds, heights = provider.bounds(record), provider.height_map(record, 0.001)
+    np.testing.assert_array_equal(bounds, record.mesh.bounds)
+    assert (np.abs(heights.x_m[[0, -1]] - bounds[:, 0]) <= 0.001).all()
+    assert (np.abs(heights.y_m[[0, -1]] - bounds[:, 1]) <= 0.001).all()
+    for placement in provider.placements(record):
+        row = np.abs(heights.y_m - placement.y_m).argmin()
+        column = np.abs(heights.x_m - placement.x_m).argmin()
+        assert heights.heights_m[row, column] == pytest.approx(placement.height_m)
+
+
+def test_placements_of_what_is_no_scene_are_refused(provider):
+    with pytest.raises(InputError, match="only scenes have placements, found a MeshRecord"):
+        provider.placements(provider.meshes("mnist3d", "test")[0])
+
+
+def test_the_memory_of_meshes_is_bounded_and_keeps_the_last_used(assets):
+    provider = env_assets.AssetProvider(assets, cache_meshes=3)
+    digits = provider.meshes("mnist3d", "test")
+    meshes = {place: digits[place].mesh for place in (0, 1, 2)}
+    assert all(digits[place].mesh is mesh for place, mesh in meshes.items())
+    assert digits[1:][0].mesh is meshes[1], "views share it"
+    assert digits[0].mesh is meshes[0]  # the one used longest ago is now number 2
+    _ = digits[5].mesh
+    assert digits[0].mesh is meshes[0]
+    assert digits[1].mesh is meshes[1]
+    assert digits[2].mesh is not meshes[2]
+    assert len(provider._memory) == 3
+    # One memory for all data sets of the provider.
+    _ = [record.mesh for record in provider.meshes("starstruck")]
+    assert len(provider._memory) == 3
+
+
+def test_no_memory_keeps_nothing(assets):
+    digits = env_assets.AssetProvider(assets, cache_meshes=0).meshes("mnist3d", "test")
+    assert digits[0].mesh is not digits[0].mesh
+
+
+@pytest.mark.parametrize("method", ["fork", "spawn"])
+@pytest.mark.filterwarnings("ignore:This process .* is multi-threaded:DeprecationWarning")
+def test_processes_see_the_same(provider, method):
+    """Made, used, and with a thread that holds its lock at the moment of the fork."""
+    expected = fingerprint(provider)
+    context = multiprocessing.get_context(method)
+    queue = context.Queue()
+    held, leave = threading.Event(), threading.Event()
+
+    def hold() -> None:
+        with provider._memory._lock:
+            held.set()
+            leave.wait(60)
+
+    holder = threading.Thread(target=hold)
+    holder.start()
+    held.wait(60)
+    process = context.Process(target=answer, args=(provider, queue))
+    process.start()
+    leave.set()
+    holder.join()
+    assert queue.get(timeout=60) == expected
+    process.join(60)
+    assert process.exitcode == 0
+    queue.close()
+    queue.join_thread()
+
+
+def test_threads_see_the_same(assets):
+    expected = fingerprint(env_assets.AssetProvider(assets))
+    provider = env_assets.AssetProvider(assets, cache_meshes=2)  # opened, read and pushed out by all at once
+    with ThreadPoolExecutor(8) as pool:
+        found = list(pool.map(lambda _: fingerprint(provider), range(16)))
+    assert all(one == expected for one in found)
+    assert len(provider._memory) <= 2
+
+
+def test_a_copy_is_light_and_opens_again(provider):
+    provider.meshes("mnist3d", "test")[0].mesh  # noqa: B018
+    packed = pickle.dumps(provider)
+    assert len(packed) < 2_000
+    copy = pickle.loads(packed)
+    assert copy.meshes("mnist3d", "test").ids.tolist() == provider.meshes("mnist3d", "test").ids.tolist()
+
+
+def test_what_is_no_data_set_is_named(provider, assets, tmp_path):
+    with pytest.raises(InputError, match="neither a folder, nor a Parquet file, nor a repository"):
+        provider.meshes("nothing-of-that-name")
+    with pytest.raises(InputError, match=r"no split 'tset' .*it has train, test, printed_train"):
+        provider.meshes(str(assets / "mnist3d"), "tset")
+    with pytest.raises(InputError, match=r"is no data set of meshes: column 'mesh\.vertices' is missing"):
+        provider.meshes("real-single")
+
+
+def test_another_kind_under_the_name_of_a_kind_is_refused(assets, tmp_path):
+    provider = env_assets.AssetProvider(tmp_path, places={"starstruck": assets / "mnist3d"})
+    with pytest.raises(InputError, match="'starstruck' was expected to hold scenes of stars, found digits"):
+        provider.meshes("starstruck", "test")
