@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from cli.output import Sink, bytes_text
+from cli.unfinished import print_unfinished, shards_of_plan
 
 if TYPE_CHECKING:
     from dataset_store.manifest import Manifest
@@ -27,13 +28,14 @@ def print_made(sink: Sink, manifest: Manifest, out: Path, elapsed_s: float | Non
             "complete": complete,
             "toolkit_version": manifest.toolkit_version,
             "elapsed_s": None if elapsed_s is None else round(elapsed_s, 3),
+            "shards_planned": shards_of_plan(manifest),
             "splits": [summary.to_dict() for summary in summaries] or manifest.split_table(),
             "skipped": manifest.skipped_reasons(),
             "spec": manifest.spec,
         }
     )
     if not complete:
-        sink.line(f"{out}: the run was interrupted; the same `mnist3d generate` goes on where it stopped")
+        print_unfinished(sink, manifest, out, "digits", "mnist3d generate")
         return
     header = (
         "split",

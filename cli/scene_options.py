@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
+import re
 from enum import StrEnum
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
+    from starstruck_gen.shapes import Shape
     from starstruck_gen.spec import SceneSpec
 
 __all__ = ["CollisionName", "scene_spec", "split_sizes"]
+
+
+_BETWEEN_SHAPES = re.compile(r",(?![^(]*\))")  # a comma within brackets belongs to a shape
 
 
 class CollisionName(StrEnum):
@@ -21,6 +26,8 @@ class CollisionName(StrEnum):
 def scene_spec(
     stars: str,
     distractors: str,
+    star_points: int | None,
+    star_inner_mm: float | None,
     shapes: str,
     radius_mm: float,
     heights_mm: str,
@@ -29,7 +36,7 @@ def scene_spec(
     clearance_mm: float,
 ) -> SceneSpec:
     """Make the specification that the options describe."""
-    from starstruck_gen.shapes import STAR, Shape
+    from starstruck_gen.shapes import Shape
     from starstruck_gen.spec import SceneSpec
 
     least, *rest = _counts("--distractors", distractors)
@@ -39,12 +46,24 @@ def scene_spec(
         cell_m=(sides_m[0], sides_m[-1]),
         stars=_counts("--stars", stars),
         distractors=(least, rest[-1] if rest else least),
-        star=Shape(STAR, radius_m),
-        distractor_shapes=tuple(Shape(name.strip(), radius_m) for name in shapes.split(",") if name.strip()),
+        star=_star(star_points, star_inner_mm, radius_mm),
+        distractor_shapes=tuple(
+            Shape.parse(text, radius_m) for text in _BETWEEN_SHAPES.split(shapes) if text.strip()
+        ),
         heights_m=_lengths_m("--heights-mm", heights_mm),
         collision=collision.value,
         clearance_m=clearance_mm / 1e3,
     )
+
+
+def _star(points: int | None, inner_mm: float | None, radius_mm: float) -> Shape:
+    from starstruck_gen.proportions import Star
+    from starstruck_gen.shapes import STAR, Shape
+
+    numbers: dict[str, float] = {} if points is None else {"points": points}
+    if inner_mm is not None:
+        numbers["inner_ratio"] = inner_mm / radius_mm if radius_mm else 0.0
+    return Shape(STAR, radius_mm / 1e3, Star.from_dict(numbers))
 
 
 def _counts(option: str, text: str) -> tuple[int, ...]:

@@ -6,102 +6,29 @@ behaviour: interrupted work goes on, finished work is never made twice, another 
 
 from __future__ import annotations
 
-import json
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field, replace
-from typing import Any, Protocol
+from itertools import chain
 
-from dataset_store.errors import InputError, SpecMismatchError
 from dataset_store.manifest import MANIFEST_FILE, Manifest, read_manifest, write_manifest
-from dataset_store.reports import merge_reports, report_rows_per_shard
+from dataset_store.parts import parts_beside, remove_parts, write_receipt
+from dataset_store.plan import BuildPlan, ShardContent, ShardTask
+from dataset_store.reports import merge_reports
+from dataset_store.resume import BuildState, inspect_folder, refuse_strangers
 from dataset_store.runner import Runner
 from dataset_store.shards import (
     DATA_FOLDER,
     PARTS_FOLDER,
     ParquetStyle,
     Receipt,
-    ShardName,
-    Skipped,
     encode_parquet,
-    file_sha256,
     sha256_hex,
 )
-from dataset_store.storage import DataFolder
-from dataset_store.versions import toolkit_version
+from dataset_store.storage import DataFolder, named_failures
+from dataset_store.trees import folders_below, remove_tree
+from dataset_store.undo import Before
 
 __all__ = ["BuildPlan", "BuildState", "Progress", "ShardContent", "ShardTask", "build", "inspect_folder"]
-
-
-@dataclass(frozen=True)
-class ShardContent:
-    """The rows of one shard.
-
-    Attributes
-    ----------
-    table : pyarrow.Table
-        Rows.
-    skipped : tuple of Skipped
-        Items that gave no row.
-    report : pyarrow.Table or None
-        Report rows that go with them; merged over all shards into the plan's ``report_file``.
-    statistics : dict or None
-        Counts as JSON values, added up over the shards of a split in the manifest.
-    """
-
-    table: Any
-    skipped: tuple[Skipped, ...] = ()
-    report: Any = None
-    statistics: Mapping[str, Any] | None = None
-
-
-class ShardTask(Protocol):
-    """The unit of work: a small picklable value from which any process makes the same rows."""
-
-    @property
-    def shard(self) -> ShardName:
-        """Which shard it makes."""
-        ...
-
-    @property
-    def size(self) -> int:
-        """How many items it works on, for the progress bar."""
-        ...
-
-    def make(self) -> ShardContent:
-        """Make the rows. Touches no file of the data set folder."""
-        ...
-
-
-@dataclass(frozen=True)
-class BuildPlan:
-    """What a folder is to hold.
-
-    Attributes
-    ----------
-    kind : str
-        Kind of data set, such as ``"mnist3d"``.
-    spec : mapping
-        Full specification as JSON values. Two plans with equal ``spec`` agree on every row.
-    split_order : tuple of str
-        Canonical order of the splits of this kind.
-    tasks : tuple of ShardTask
-        One per shard of the splits asked for.
-    style : ParquetStyle
-        Layout of the shards.
-    report_file : str or None
-        Path of the merged report, where shards have one.
-    """
-
-    kind: str
-    spec: Mapping[str, Any]
-    split_order: tuple[str, ...]
-    tasks: tuple[ShardTask, ...]
-    style: ParquetStyle
-    report_file: str | None = None
-
-    def __post_init__(self) -> None:
-        # What is compared with a manifest has gone through JSON there: tuples became lists.
-        object.__setattr__(self, "spec", json.loads(json.dumps(self.spec)))
 
 
 @dataclass(frozen=True)
@@ -111,28 +38,6 @@ class Progress:
     done: int
     total: int
     receipt: Receipt | None = None
-
-
-@dataclass(frozen=True)
-class BuildState:
-    """What a folder holds already of a plan.
-
-    Attributes
-    ----------
-    manifest : Manifest
-        Manifest of the folder, or a new one.
-    kept : tuple of Receipt
-        Finished shards of the plan whose files still match.
-    todo : tuple of ShardTask
-        Tasks left.
-    damaged : tuple of str
-        Files that do not match their receipts any more and will be made again.
-    """
-
-    manifest: Manifest
-    kept: tuple[Receipt, ...]
-    todo: tuple[ShardTask, ...]
-    damaged: tuple[str, ...]
 
 
 @dataclass(frozen=True)
@@ -161,7 +66,7 @@ class _WriteShard:
             content.skipped,
             content.statistics,
         )
-        self.folder.write_bytes(task.shard.receipt_path, _receipt_text(receipt))
+        write_receipt(self.folder, receipt)
         return receipt
 
 
@@ -173,7 +78,10 @@ def build(
     overwrite: bool = False,
     on_progress: Callable[[Progress], None] = lambda _: None,
 ) -> Manifest:
-    """Make what the folder lacks of the plan and return the finished manifest.
+    """Make what the folder lacks of the plan and return the manifest.
+
+    A run that fails keeps the shards that it finished; one that finished none leaves the folder as it was.
+    The manifest is complete when nothing that any run began is left to do.
 
     Raises
     ------
@@ -184,50 +92,25 @@ def build(
     StorageError
         The folder cannot be written, or the disk is full. Finished shards stay.
     """
+    with named_failures(folder.address()):
+        there = folder.exists()
     folder.require_folder()
     if overwrite:
-        _clear(folder)
+        _clear(folder, plan)
     state = inspect_folder(folder, plan)
-    _prepare(folder, state)
+    before = Before.of(folder, there)
     try:
+        _prepare(folder, plan, state)
         receipts = [*state.kept, *_run(folder, plan, runner, state, on_progress)]
     except BaseException:
-        _remove_leavings(folder)  # of workers that were stopped in the middle of a file
+        _remove_leavings(folder, plan)  # of workers that were stopped in the middle of a file
+        before.restore_unless_finished(folder, plan, state)
         raise
     return _finish(folder, plan, state.manifest.with_receipts(receipts))
 
 
-def inspect_folder(folder: DataFolder, plan: BuildPlan) -> BuildState:
-    """Compare a folder with a plan, changing nothing.
-
-    Raises
-    ------
-    SpecMismatchError
-        The folder was made by another specification; the message says what differs.
-    InputError
-        The folder holds something else.
-    """
-    manifest = read_manifest(folder)
-    if manifest is None:
-        _refuse_strangers(folder)
-        manifest = Manifest(plan.kind, toolkit_version(), plan.spec, plan.split_order)
-    _refuse_other_spec(folder, manifest, plan)
-    reported = _report_check(folder, plan)
-    known = {receipt.shard: receipt for receipt in (*manifest.receipts, *_part_receipts(folder))}
-    kept, todo, damaged = [], [], []
-    for task in plan.tasks:
-        receipt = known.get(task.shard)
-        if receipt is not None and _matches(folder, receipt) and reported(receipt):
-            kept.append(receipt)
-            continue
-        todo.append(task)
-        if receipt is not None:
-            damaged.append(task.shard.data_path)
-    return BuildState(manifest, tuple(kept), tuple(todo), tuple(damaged))
-
-
-def _prepare(folder: DataFolder, state: BuildState) -> None:
-    _remove_leavings(folder)
+def _prepare(folder: DataFolder, plan: BuildPlan, state: BuildState) -> None:
+    _remove_leavings(folder, plan)
     if state.todo:
         # Named before the first shard, so that an interrupted folder knows what it was to become.
         redone = {task.shard for task in state.todo}
@@ -235,8 +118,9 @@ def _prepare(folder: DataFolder, state: BuildState) -> None:
         write_manifest(folder, replace(state.manifest, receipts=receipts, complete=False))
 
 
-def _remove_leavings(folder: DataFolder) -> None:
-    for place in ("", DATA_FOLDER, PARTS_FOLDER, "reports"):
+def _remove_leavings(folder: DataFolder, plan: BuildPlan) -> None:
+    below = chain.from_iterable(folders_below(folder, tree) for tree in plan.trees)
+    for place in ("", DATA_FOLDER, PARTS_FOLDER, "reports", *below):
         folder.remove_stale_temporaries(place)
 
 
@@ -261,97 +145,26 @@ def _finish(folder: DataFolder, plan: BuildPlan, manifest: Manifest) -> Manifest
     files = dict(manifest.files or {})
     if plan.report_file is not None:
         files[plan.report_file] = merge_reports(folder, plan.report_file, manifest)
-    finished = replace(manifest, files=files, complete=True)
+    # Shards of a split that another run began stay its own until that run is given again.
+    begun = parts_beside(folder, manifest)
+    finished = replace(manifest, files=files, complete=not begun)
     if read_manifest(folder) != finished:
         write_manifest(folder, finished)
-    _remove_leavings(folder)  # once more: workers of a killed run may have lived on for a moment
-    _remove_parts(folder)
+    _remove_leavings(folder, plan)  # once more: workers of a killed run may have lived on for a moment
+    remove_parts(folder, keep=begun)
     return finished
 
 
-def _matches(folder: DataFolder, receipt: Receipt) -> bool:
-    """Tell whether the file of a shard is there, whole and unchanged."""
-    path = receipt.shard.data_path
-    if not folder.exists(path) or folder.size_bytes(path) != receipt.bytes:
-        return False
-    return file_sha256(folder, path) == receipt.sha256
-
-
-def _report_check(folder: DataFolder, plan: BuildPlan) -> Callable[[Receipt], bool]:
-    """Return a test whether the report rows of a shard exist, in its own part or in the merged report."""
-    merged = report_rows_per_shard(folder, plan.report_file) if plan.report_file else {}
-
-    def reported(receipt: Receipt) -> bool:
-        if receipt.report_sha256 is None:
-            return True
-        part = receipt.shard.report_path
-        if folder.exists(part):
-            return file_sha256(folder, part) == receipt.report_sha256
-        return receipt.rows == 0 or merged.get(str(receipt.shard)) == receipt.rows
-
-    return reported
-
-
-def _part_receipts(folder: DataFolder) -> list[Receipt]:
-    # Names with a dot in front are receipts that a writer has not finished, or never will.
-    names = [n for n in folder.names(PARTS_FOLDER) if n.endswith(".json") and not n.startswith(".")]
-    texts = [folder.read_bytes(f"{PARTS_FOLDER}/{name}") for name in names]
-    return [Receipt.from_dict(json.loads(text)) for text in texts]
-
-
-def _receipt_text(receipt: Receipt) -> bytes:
-    return json.dumps(receipt.to_dict(), indent=1).encode()
-
-
-def _refuse_strangers(folder: DataFolder) -> None:
-    """Refuse a folder that holds somebody's files: a run must never mix with them or delete them."""
-    strangers = [name for name in folder.names() if not name.startswith(".")]
-    if strangers:
-        message = (
-            f"{folder.address()!r} is not empty and holds no {MANIFEST_FILE} (found {strangers[0]!r}); "
-            "nothing was changed; next: choose an empty or new folder with --out"
-        )
-        raise InputError(message)
-
-
-def _refuse_other_spec(folder: DataFolder, manifest: Manifest, plan: BuildPlan) -> None:
-    differences = _differences(
-        {"kind": manifest.kind, "toolkit_version": manifest.toolkit_version, **manifest.spec},
-        {"kind": plan.kind, "toolkit_version": toolkit_version(), **plan.spec},
-    )
-    if differences:
-        message = (
-            f"{folder.address()!r} holds a data set of another specification: {'; '.join(differences)}; "
-            "nothing was changed; next: choose another --out, or start again there with --overwrite"
-        )
-        raise SpecMismatchError(message)
-
-
-def _differences(there: Any, wanted: Any, path: str = "") -> list[str]:
-    if isinstance(there, Mapping) and isinstance(wanted, Mapping):
-        keys = [*there, *(key for key in wanted if key not in there)]
-        return [
-            line
-            for key in keys
-            for line in _differences(there.get(key), wanted.get(key), f"{path}.{key}".lstrip("."))
-        ]
-    return [] if there == wanted else [f"{path} is {there!r} there, {wanted!r} was asked for"]
-
-
-def _clear(folder: DataFolder) -> None:
+def _clear(folder: DataFolder, plan: BuildPlan) -> None:
     """Remove a data set of ours; anything else is refused."""
-    manifest_there = folder.exists(MANIFEST_FILE)
-    if not manifest_there:
-        _refuse_strangers(folder)
+    if folder.exists(MANIFEST_FILE):
+        for tree in plan.trees:
+            remove_tree(folder, tree)
+    else:
+        refuse_strangers(folder)
     for place in (DATA_FOLDER, PARTS_FOLDER, "reports", "previews"):
         for name in folder.names(place):
             folder.remove(f"{place}/{name}")
         folder.remove_empty(place)
     for name in ("README.md", MANIFEST_FILE):
         folder.remove(name)
-
-
-def _remove_parts(folder: DataFolder) -> None:
-    for name in folder.names(PARTS_FOLDER):
-        folder.remove(f"{PARTS_FOLDER}/{name}")
-    folder.remove_empty(PARTS_FOLDER)

@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from starstruck_gen.errors import SamplingExhausted
     from starstruck_gen.generation import GenerateSpec, generate
     from starstruck_gen.placement import Placement
+    from starstruck_gen.proportions import Crescent, Cross, Disc, Proportions, Ring, Star
     from starstruck_gen.sampling import sample_scene, sample_scenes
     from starstruck_gen.scene import Scene
     from starstruck_gen.shapes import OUTLINES, Shape
@@ -26,8 +27,13 @@ if TYPE_CHECKING:
 __all__ = [
     "OUTLINES",
     "SPLITS",
+    "Crescent",
+    "Cross",
+    "Disc",
     "GenerateSpec",
     "Placement",
+    "Proportions",
+    "Ring",
     "SamplingExhausted",
     "Scene",
     "SceneDataset",
@@ -36,6 +42,7 @@ __all__ = [
     "SceneRecord",
     "SceneSpec",
     "Shape",
+    "Star",
     "generate",
     "load",
     "sample_scene",
@@ -51,6 +58,7 @@ _HOMES = {
     "errors": ("SamplingExhausted",),
     "generation": ("GenerateSpec", "generate"),
     "placement": ("Placement",),
+    "proportions": ("Crescent", "Cross", "Disc", "Proportions", "Ring", "Star"),
     "sampling": ("sample_scene", "sample_scenes"),
     "scene": ("Scene",),
     "shapes": ("OUTLINES", "Shape"),

@@ -3,17 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 from dataset_store.build import BuildPlan, BuildState, Progress, ShardContent, build, inspect_folder
 from dataset_store.errors import InputError
 from dataset_store.manifest import Manifest
+from dataset_store.parts import manifest_so_far
 from dataset_store.runner import Runner, runner_for
 from dataset_store.shards import ShardName
 from dataset_store.storage import DataFolder
 from starstruck_gen.acceptance import count_scenes
 from starstruck_gen.card import write_card
+from starstruck_gen.errors import SamplingExhausted
 from starstruck_gen.proof import require_sound
 from starstruck_gen.rows import PARQUET_STYLE, make_rows, scene_table
 from starstruck_gen.sampling import require_room
@@ -188,7 +190,7 @@ def generate(
     InputError
         An option cannot be used.
     SamplingExhausted
-        The specification cannot be satisfied.
+        The specification cannot be satisfied. The folder stays as it was, unless shards were finished before.
     SpecMismatchError
         The folder holds a data set of another specification.
     StorageError
@@ -198,7 +200,13 @@ def generate(
     plan = plan_build(spec, splits)
     require_room(spec.scene, spec.seed)
     runner = runner_for(workers) if isinstance(workers, int) else workers
-    manifest = build(folder, plan, runner, overwrite=overwrite, on_progress=on_progress)
+    try:
+        manifest = build(folder, plan, runner, overwrite=overwrite, on_progress=on_progress)
+    except SamplingExhausted as error:
+        so_far = manifest_so_far(folder)
+        if so_far is None or not so_far.receipts:
+            raise
+        raise replace(error, kept_in=out) from error
     write_card(folder, manifest)
     return manifest
 

@@ -17,7 +17,8 @@ class Placement(NamedTuple):
     Attributes
     ----------
     shape : str
-        Name of the shape.
+        Name of the shape, with the proportions that are not its kind's own in brackets: ``star``,
+        ``star(points=6)``; see :func:`starstruck_gen.shapes.shape_key`.
     x_m, y_m : float
         Centre of its circumscribed circle, metres.
     angle_rad : float
@@ -38,4 +39,4 @@ class Placement(NamedTuple):
     @property
     def is_star(self) -> bool:
         """Whether the object counts."""
-        return self.shape == STAR
+        return self.shape.partition("(")[0] == STAR

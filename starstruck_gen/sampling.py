@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import TypeVar
 
 import numpy as np
 
 from dataset_store.errors import InputError
-from starstruck_gen.collision import CLEAR
+from starstruck_gen.collision import CLEAR, Clear
 from starstruck_gen.errors import SamplingExhausted
 from starstruck_gen.placement import Placement
 from starstruck_gen.scene import Scene
@@ -18,7 +18,7 @@ from starstruck_gen.shapes import Shape
 from starstruck_gen.spec import SceneSpec
 from starstruck_gen.streams import SceneStreams, scene_rng, scene_seed
 
-__all__ = ["require_room", "sample_scene", "sample_scenes"]
+__all__ = ["Rejected", "SceneTrace", "require_room", "sample_scene", "sample_scenes", "trace_scene"]
 
 T = TypeVar("T")
 
@@ -61,9 +61,7 @@ def sample_scene(spec: SceneSpec, rng: np.random.Generator, star_count: int | No
     >>> scene.star_count
     2
     """
-    if star_count is not None and star_count not in spec.stars:
-        message = f"star_count is {star_count}; expected one of stars {spec.stars} of the specification"
-        raise InputError(message)
+    _require_class(spec, star_count)
     return _scene(spec, rng.random, star_count)
 
 
@@ -99,6 +97,74 @@ def sample_scenes(spec: SceneSpec, split: str, seed: int, start: int, count: int
     ]
 
 
+@dataclass(frozen=True, slots=True)
+class Rejected:
+    """A position that was drawn and not taken.
+
+    Attributes
+    ----------
+    candidate : Placement
+        What would have stood there.
+    blocker : Placement
+        The object that it would have come too close to, the first found.
+    given_up : bool
+        Whether the layout it belongs to was given up, so that the blocker is not part of the scene.
+    """
+
+    candidate: Placement
+    blocker: Placement
+    given_up: bool
+
+
+@dataclass(frozen=True, slots=True)
+class SceneTrace:
+    """A scene and how it came about.
+
+    Attributes
+    ----------
+    scene : Scene
+        The scene.
+    rejected : tuple of Rejected
+        Positions not taken, in the order in which they were drawn.
+    """
+
+    scene: Scene
+    rejected: tuple[Rejected, ...]
+
+
+def trace_scene(spec: SceneSpec, rng: np.random.Generator, star_count: int | None = None) -> SceneTrace:
+    """Make one scene as :func:`sample_scene` does, and keep the positions that were rejected.
+
+    Parameters
+    ----------
+    spec, rng, star_count
+        As for :func:`sample_scene`; equal ones give an equal scene.
+
+    Returns
+    -------
+    SceneTrace
+
+    Raises
+    ------
+    SamplingExhausted, InputError
+        As :func:`sample_scene`.
+    """
+    rule = CLEAR[spec.collision]
+    met: list[tuple[Placement, Placement]] = []
+
+    # The collision rule is where a position is rejected: watching it there costs nothing elsewhere.
+    def watched(one: Placement, other: Placement, clearance_m: float) -> bool:
+        if rule(one, other, clearance_m):
+            return True
+        met.append((one, other))
+        return False
+
+    _require_class(spec, star_count)
+    scene = _scene(spec, rng.random, star_count, watched)
+    standing = set(scene.placements)
+    return SceneTrace(scene, tuple(Rejected(one, other, other not in standing) for one, other in met))
+
+
 def require_room(spec: SceneSpec, seed: int) -> None:
     """Try the fullest scene of a specification, so that an impossible one is refused before any work.
 
@@ -119,7 +185,14 @@ def _streams_of_thread() -> SceneStreams:
     return streams
 
 
-def _scene(spec: SceneSpec, uniform: Uniform, star_count: int | None) -> Scene:
+def _require_class(spec: SceneSpec, star_count: int | None) -> None:
+    if star_count is not None and star_count not in spec.stars:
+        message = f"star_count is {star_count}; expected one of stars {spec.stars} of the specification"
+        raise InputError(message)
+
+
+def _scene(spec: SceneSpec, uniform: Uniform, star_count: int | None, clear: Clear | None = None) -> Scene:
+    clear = clear or CLEAR[spec.collision]
     if star_count is None:
         star_count = _choice(spec.stars, uniform)
     least, most = spec.distractors
@@ -128,7 +201,7 @@ def _scene(spec: SceneSpec, uniform: Uniform, star_count: int | None) -> Scene:
     shapes += [_choice(spec.distractor_shapes, uniform) for _ in range(distractor_count)]
     attempts = [0] * len(shapes)
     for restarts in range(spec.restarts + 1):
-        placements = _layout(spec, shapes, uniform, attempts)
+        placements = _layout(spec, shapes, uniform, attempts, clear)
         if len(placements) == len(shapes):
             return Scene(star_count, tuple(placements), tuple(attempts), restarts)
     failed = len(placements)
@@ -138,11 +211,13 @@ def _scene(spec: SceneSpec, uniform: Uniform, star_count: int | None) -> Scene:
     )
 
 
-def _layout(spec: SceneSpec, shapes: list[Shape], uniform: Uniform, attempts: list[int]) -> list[Placement]:
+def _layout(
+    spec: SceneSpec, shapes: list[Shape], uniform: Uniform, attempts: list[int], clear: Clear
+) -> list[Placement]:
     """Place objects one after another until all stand or one finds no place; count the positions drawn."""
     placed: list[Placement] = []
     for number, shape in enumerate(shapes):
-        placement, tried = _place(spec, shape, placed, uniform)
+        placement, tried = _place(spec, shape, placed, uniform, clear)
         attempts[number] += tried
         if placement is None:
             break
@@ -151,16 +226,16 @@ def _layout(spec: SceneSpec, shapes: list[Shape], uniform: Uniform, attempts: li
 
 
 def _place(
-    spec: SceneSpec, shape: Shape, placed: list[Placement], uniform: Uniform
+    spec: SceneSpec, shape: Shape, placed: list[Placement], uniform: Uniform, clear: Clear
 ) -> tuple[Placement | None, int]:
-    clear, clearance_m = CLEAR[spec.collision], spec.clearance_m
+    clearance_m = spec.clearance_m
     half_x_m, half_y_m = spec.half_area_m
     height_m = _choice(spec.heights_m, uniform)
     for attempt in range(1, spec.attempts + 1):
         x_m = (2.0 * uniform() - 1.0) * half_x_m
         y_m = (2.0 * uniform() - 1.0) * half_y_m
         angle_rad = uniform() * spec.rotation_rad
-        candidate = Placement(shape.name, x_m, y_m, angle_rad, shape.radius_m, height_m)
+        candidate = Placement(shape.key, x_m, y_m, angle_rad, shape.radius_m, height_m)
         for other in placed:
             if not clear(candidate, other, clearance_m):
                 break

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cache
+from functools import lru_cache
 from itertools import pairwise
 from typing import Any
 
@@ -16,6 +16,8 @@ from dataset_store.soundness import judge
 from starstruck_gen.shapes import PUBLISHED_RADIUS_M, outline
 
 __all__ = ["Prism", "prism", "prism_solid"]
+
+_MOST_KEPT = 1_024
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -52,9 +54,14 @@ class Prism:
         return standing
 
 
-@cache
-def prism(name: str) -> Prism:
+@lru_cache(_MOST_KEPT)
+def prism(key: str) -> Prism:
     """Return the solid of a shape; made and proved on first use.
+
+    Parameters
+    ----------
+    key : str
+        What names its outline; see :func:`starstruck_gen.shapes.shape_key`.
 
     Raises
     ------
@@ -63,7 +70,7 @@ def prism(name: str) -> Prism:
     """
     import manifold3d
 
-    rings = outline(name)
+    rings = outline(key)
     corners = np.concatenate(rings)
     cap = np.asarray(manifold3d.triangulate(list(rings)), dtype=np.int32)
     made = Prism(
@@ -74,14 +81,14 @@ def prism(name: str) -> Prism:
     )
     for array in (made.corners, made.cap, made.faces):
         array.setflags(write=False)
-    _require_sound(name, made)
+    _require_sound(key, made)
     return made
 
 
-@cache
-def prism_solid(name: str, radius_m: float) -> Any:
+@lru_cache(_MOST_KEPT)
+def prism_solid(key: str, radius_m: float) -> Any:
     """Return the solid of a shape for manifold3d: millimetres, 1 mm high, unturned, centre at the origin."""
-    made = prism(name)
+    made = prism(key)
     vertices_m = made.vertices(0.0) * radius_m
     vertices_m[1::2, 2] = 1e-3
     return Mesh(vertices_m, made.faces).to_manifold()
@@ -105,7 +112,7 @@ def _doubled_areas(corners: NDArray[np.float64], cap: NDArray[np.int32]) -> NDAr
     return np.asarray(doubled)
 
 
-def _require_sound(name: str, made: Prism) -> None:
+def _require_sound(key: str, made: Prism) -> None:
     mesh = Mesh(made.vertices(0.5) * PUBLISHED_RADIUS_M, made.faces)
     verdict = judge(mesh)
     wrong = verdict.problem or ("in pieces" if verdict.bodies != 1 else None)
@@ -113,7 +120,7 @@ def _require_sound(name: str, made: Prism) -> None:
         wrong = "crossing itself"
     if wrong is not None:
         message = (
-            f"the outline of shape {name!r} bounds no area ({wrong}); expected one outer ring "
+            f"the outline of shape {key!r} bounds no area ({wrong}); expected one outer ring "
             "counter-clockwise, then holes clockwise, none touching another"
         )
         raise InputError(message)

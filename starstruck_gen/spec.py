@@ -41,7 +41,7 @@ class SceneSpec:
     distractors : tuple of int
         Least and most distractors of a scene (Tactile MNIST paper, section Starstruck: 0 to 5).
     star : Shape
-        What is counted; its name is always ``"star"``.
+        What is counted; its name is always ``"star"``. Size and proportions are part of a shape.
     distractor_shapes : tuple of Shape
         Shapes of distractors, each with equal chance (Tactile MNIST paper, section Starstruck).
     heights_m : tuple of float
@@ -129,11 +129,12 @@ class SceneSpec:
                 name: tuple(v) if isinstance(v, list) else v for name, v in values.items()
             }
             if "star" in values:
-                plain["star"] = Shape(**values["star"])
+                plain["star"] = Shape.from_dict(values["star"])
             if "distractor_shapes" in values:
-                plain["distractor_shapes"] = tuple(Shape(**entry) for entry in values["distractor_shapes"])
+                shapes = values["distractor_shapes"]
+                plain["distractor_shapes"] = tuple(Shape.from_dict(entry) for entry in shapes)
             return cls(**plain)
-        except TypeError as error:
+        except (TypeError, ValueError) as error:
             message = f"a scene specification has a value of a wrong type: {error}"
             raise InputError(message) from error
 

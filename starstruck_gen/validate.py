@@ -21,6 +21,7 @@ from dataset_store.soundness import judge
 from dataset_store.storage import DataFolder
 from starstruck_gen.dataset import SceneRecord
 from starstruck_gen.rows import CLASS_NAMES
+from starstruck_gen.shapes import outline
 from starstruck_gen.stamping import stamp
 
 __all__ = ["Checked", "Failure", "check_scene", "validate_folder"]
@@ -195,6 +196,9 @@ def _afloat(mesh: Mesh) -> str | None:
 def _undeclared(mesh: Mesh, bodies: int, record: SceneRecord) -> str | None:
     if not record.has_placements:
         return None
+    strange = _strange(record)
+    if strange is not None:
+        return strange
     if bodies != len(record.placements):
         return f"{bodies} bodies stand there, {len(record.placements)} objects are declared"
     declared = stamp([record.placements])[0]
@@ -202,6 +206,16 @@ def _undeclared(mesh: Mesh, bodies: int, record: SceneRecord) -> str | None:
     if same and np.abs(declared.vertices_m - mesh.vertices_m).max() <= _PLACE_TOLERANCE_M:
         return None
     return "the mesh is not that of the declared objects"
+
+
+def _strange(record: SceneRecord) -> str | None:
+    """Return what is wrong with a declared shape that nobody can draw."""
+    try:
+        for placement in record.placements:
+            outline(placement.shape)
+    except InputError as error:
+        return f"an object is declared that cannot be: {error}"
+    return None
 
 
 def _miscounted(record: SceneRecord, names: Sequence[str]) -> str | None:

@@ -3,6 +3,7 @@ from __future__ import annotations
 import json
 import subprocess
 import sys
+import time
 
 import pytest
 from typer.testing import CliRunner
@@ -69,6 +70,46 @@ def test_every_option_reaches_the_specification(tmp_path):
     assert (scene["collision"], scene["clearance_m"], scene["star"]["radius_m"]) == ("exact", 0.0005, 0.006)
     assert manifest["spec"]["seed"] == 3
     assert run("validate", tmp_path / "set").exit_code == 0
+
+
+def test_proportions_reach_the_specification_and_info(tmp_path):
+    made = run(
+        *("generate", "--out", tmp_path / "set", "--quiet", "--workers", 1, "--scenes", 6, "--radius-mm", 8),
+        *("--star-points", 6, "--star-inner-mm", 2, "--distractors", "1-2"),
+        *("--shapes", "box, ring(hole_ratio=0.7,segments=64),crescent(bite_ratio=0.5)"),
+    )
+    assert (made.exit_code, made.stderr) == (0, "")
+    scene = json.loads(run("info", tmp_path / "set", "--json").stdout)["spec"]["scene"]
+    assert scene["star"]["proportions"] == {"points": 6, "inner_ratio": 0.25}
+    assert [entry["name"] for entry in scene["distractor_shapes"]] == ["box", "ring", "crescent"]
+    assert scene["distractor_shapes"][1]["proportions"] == {"hole_ratio": 0.7, "segments": 64}
+    assert scene["distractor_shapes"][2]["proportions"]["bite_ratio"] == 0.5
+    assert "scene.star.proportions.inner_ratio = 0.25" in run("info", tmp_path / "set").stdout
+    assert run("validate", tmp_path / "set").exit_code == 0
+    refused = run("generate", "--out", tmp_path / "set", "--star-inner-mm", 9.5)
+    assert refused.exit_code == 2
+    assert "inner_ratio of shape 'star' is 0.95; expected at most 0.8009 with 5 points" in refused.stderr
+
+
+def test_info_of_a_stopped_run_counts_what_is_finished(tmp_path):
+    out = tmp_path / "set"
+    command = [sys.executable, "-c", "from cli.starstruck import main; main()"]
+    command += ["generate", "-q", "-w", "1", "--scenes", "train=9000,test=3", "--out", str(out)]
+    process = subprocess.Popen(command)
+    while len(list((out / ".parts").glob("train-*.json"))) < 2:
+        assert process.poll() is None
+        time.sleep(0.01)
+    process.kill()
+    process.wait()
+    document = json.loads(run("info", out, "--json").stdout)
+    (train,) = document["splits"]
+    finished = len(list((out / ".parts").glob("train-*.json")))
+    assert (document["complete"], document["shards_planned"]) == (False, {"train": 9})
+    assert (train["shards"], train["rows"]) == (finished, 1_000 * finished)
+    shown = run("info", out).stdout
+    assert "unfinished" in shown
+    assert f"{finished} of 9" in shown
+    assert "positions drawn by object" in shown
 
 
 def test_five_classes_are_named_by_their_stars(tmp_path):

@@ -14,6 +14,7 @@ import pytest
 
 from dataset_store.errors import InputError, IntegrityError, SpecMismatchError
 from dataset_store.manifest import read_manifest
+from dataset_store.parts import manifest_so_far
 from dataset_store.runner import ProcessRunner
 from dataset_store.storage import DataFolder
 from dataset_store.verify import verify
@@ -22,7 +23,9 @@ from starstruck_gen.errors import SamplingExhausted
 from starstruck_gen.generation import GenerateSpec, generate, inspect_out, plan_build
 from starstruck_gen.placement import Placement
 from starstruck_gen.proof import require_sound
+from starstruck_gen.proportions import Disc, Star
 from starstruck_gen.rows import make_rows, scene_schema
+from starstruck_gen.shapes import Shape
 from starstruck_gen.spec import SceneSpec
 from starstruck_gen.stamping import stamp
 from starstruck_gen.summary import summarise
@@ -56,6 +59,7 @@ def test_folder_holds_what_is_promised(whole):
         "data/test-00000-of-00001.parquet",
         *(f"data/train-{index:05d}-of-00003.parquet" for index in range(3)),
         "manifest.json",
+        "previews/scenes.png",
     ]
     assert verify(DataFolder(str(whole)), scene_schema()).ok
     shard = pq.ParquetFile(whole / "data" / "train-00000-of-00003.parquet")
@@ -111,6 +115,15 @@ def test_another_seed_or_specification_is_refused_and_named(whole):
         generate(replace(SMALL, seed=1), str(whole))
     with pytest.raises(SpecMismatchError, match=r"scene.stars is \[1, 2, 3\] there"):
         generate(replace(SMALL, scene=SceneSpec(stars=(1, 2))), str(whole))
+    six = Shape("star", 0.010, Star(points=6))
+    with pytest.raises(
+        SpecMismatchError, match=r": scene.star.proportions.points is 5 there, 6 was asked for;"
+    ):
+        generate(replace(SMALL, scene=SceneSpec(star=six)), str(whole))
+    others = (Shape("box"), Shape("disc", 0.010, Disc(segments=64)))
+    found = r": scene.distractor_shapes\[1\].proportions.segments is 32 there, 64 was asked for;"
+    with pytest.raises(SpecMismatchError, match=found):
+        generate(replace(SMALL, scene=SceneSpec(distractor_shapes=others)), str(whole))
     assert folder_hashes(whole) == before
 
 
@@ -154,6 +167,29 @@ def test_exhausted_worker_says_so(tmp_path):
     spec = GenerateSpec(scene=nearly, scenes=(("train", 2_000),), seed=1)
     with pytest.raises(SamplingExhausted, match="of 8"):
         generate(spec, str(tmp_path / "set"), ("train",), workers=2)
+    assert not (tmp_path / "set").exists()
+
+
+def test_scene_that_cannot_be_made_late_leaves_the_folder_free_for_another_specification(tmp_path):
+    nearly = SceneSpec(stars=(8,), distractors=(0, 0), attempts=4, restarts=3)
+    with pytest.raises(SamplingExhausted, match=r"raise --cell-mm$"):
+        generate(GenerateSpec(nearly, (("train", 100),), seed=1), str(tmp_path), ("train",))
+    assert list(tmp_path.iterdir()) == []
+    assert generate(GenerateSpec(scenes=(("train", 3),)), str(tmp_path), ("train",)).complete
+
+
+def test_shards_finished_before_a_scene_that_cannot_be_made_are_kept_and_named(tmp_path):
+    """Scene 2,304 of this split is the first that needs more restarts than are allowed."""
+    nearly = SceneSpec(stars=(8,), distractors=(0, 0), attempts=10, restarts=4)
+    spec = GenerateSpec(nearly, (("train", 3_000),))
+    with pytest.raises(
+        SamplingExhausted, match=r"shards finished before stay in '.*set'; next: .*--overwrite"
+    ):
+        generate(spec, str(tmp_path / "set"), ("train",))
+    so_far = manifest_so_far(DataFolder(str(tmp_path / "set")))
+    assert not so_far.complete
+    assert [receipt.shard.index for receipt in so_far.receipts] == [0, 1]
+    assert summarise(so_far)[0].acceptance.classes == (2_000,)
 
 
 @pytest.mark.parametrize(

@@ -33,7 +33,7 @@ def test_scene_keeps_what_its_specification_promises(spec, seed, split, start):
         assert scene.star_count == sum(stars) == spec.stars[index % len(spec.stars)]
         assert all(stars[: scene.star_count])
         assert spec.distractors[0] <= scene.distractor_count <= spec.distractors[1]
-        known = {(shape.name, shape.radius_m) for shape in (spec.star, *spec.distractor_shapes)}
+        known = {(shape.key, shape.radius_m) for shape in (spec.star, *spec.distractor_shapes)}
         half_x_m, half_y_m = spec.half_area_m
         for placement in scene.placements:
             assert (placement.shape, placement.radius_m) in known

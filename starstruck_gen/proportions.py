@@ -1,0 +1,300 @@
+"""Proportions of each kind of shape, and the outline they give.
+
+A further shape is one class here and one entry of :data:`KINDS`: everything else (collision, solids,
+drawing, the specification, the command line) follows from it. Lengths are in units of the circumscribed
+radius, so that every outline reaches distance 1 from the origin and not beyond.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field, fields
+from types import MappingProxyType
+from typing import Any, ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dataset_store.errors import InputError
+
+__all__ = [
+    "KINDS",
+    "STAR",
+    "Box",
+    "Crescent",
+    "Cross",
+    "Disc",
+    "Hexagon",
+    "Outline",
+    "Proportions",
+    "Ring",
+    "Star",
+    "Triangle",
+]
+
+Outline = tuple[NDArray[np.float64], ...]
+"""Rings of corners, each of shape (n, 2): the outer one counter-clockwise, holes clockwise."""
+
+STAR = "star"
+"""The shape that is counted."""
+
+_PUBLISHED_SEGMENTS = 32  # of the published disc (package tactile-mnist 0.13.0)
+_DEEPEST_NOTCH_SHARE = 0.99
+
+
+def _within(published: float, least: float, most: float) -> Any:
+    """Declare a number with its default and the range it must keep to."""
+    return field(default=published, metadata={"least": least, "most": most})
+
+
+def _segments() -> Any:
+    return _within(_PUBLISHED_SEGMENTS, 8, 256)
+
+
+@dataclass(frozen=True, slots=True)
+class Proportions:
+    """What a kind of shape looks like, its size aside. The defaults are those of the kind.
+
+    Raises
+    ------
+    InputError
+        When a number is outside its range; the message names shape, field, what was found and expected.
+    """
+
+    name: ClassVar[str] = ""
+
+    def __post_init__(self) -> None:
+        for entry in fields(self):
+            value = _number(self.name, entry.name, getattr(self, entry.name), entry)
+            # Whole and plain numbers have one spelling, so that equal proportions have equal JSON and keys.
+            object.__setattr__(self, entry.name, value)
+
+    def rings(self) -> Outline:
+        """Return the rings of the outline, read-only; unit: the circumscribed radius."""
+        raise NotImplementedError
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return JSON values."""
+        return {entry.name: getattr(self, entry.name) for entry in fields(self)}
+
+    def changed(self) -> dict[str, Any]:
+        """Return the numbers that are not the defaults of the kind."""
+        return {
+            entry.name: value
+            for entry in fields(self)
+            if (value := getattr(self, entry.name)) != entry.default
+        }
+
+    @classmethod
+    def from_dict(cls, values: Mapping[str, Any]) -> Proportions:
+        """Rebuild proportions from :meth:`to_dict`; what is missing takes its default.
+
+        Raises
+        ------
+        InputError
+            Unknown field, or a value that cannot be used.
+        """
+        known = [entry.name for entry in fields(cls)]
+        unknown = [name for name in values if name not in known]
+        if unknown:
+            expected = f"one of {', '.join(known)}" if known else "none"
+            message = f"unknown proportion {unknown[0]!r} of shape {cls.name!r}; expected {expected}"
+            raise InputError(message)
+        return cls(**values)
+
+
+def _number(shape: str, name: str, value: Any, entry: Any) -> float:
+    kind: type[float] = type(entry.default)
+    least, most = entry.metadata["least"], entry.metadata["most"]
+    try:
+        fine = not isinstance(value, (bool, str)) and least <= value <= most and kind(value) == value
+    except (TypeError, ValueError):
+        fine = False
+    if not fine:
+        what = "a whole number from " if kind is int else ""
+        message = f"{name} of shape {shape!r} is {value!r}; expected {what}{least:g} to {most:g}"
+        raise InputError(message)
+    return kind(value)
+
+
+def _arc(
+    radius: float, start_rad: float, sweep_rad: float, corners: int, centre_x: float = 0.0
+) -> list[tuple[float, float]]:
+    """Return corners at equal steps of an arc, its end left out."""
+    angles = [start_rad + sweep_rad * step / corners for step in range(corners)]
+    return [(centre_x + radius * math.cos(angle), radius * math.sin(angle)) for angle in angles]
+
+
+def _ring_of(corners: list[tuple[float, float]]) -> NDArray[np.float64]:
+    ring = np.array(corners, dtype=np.float64)
+    ring.setflags(write=False)
+    return ring
+
+
+def _regular(corners: int, start_rad: float = 0.0) -> Outline:
+    return (_ring_of(_arc(1.0, start_rad, math.tau, corners)),)
+
+
+@dataclass(frozen=True, slots=True)
+class Star(Proportions):
+    """A star, its first tip on +x.
+
+    Attributes
+    ----------
+    points : int
+        Number of tips (package tactile-mnist 0.13.0: 5).
+    inner_ratio : float
+        Radius of the notches over that of the tips (package tactile-mnist 0.13.0: 5 mm and 10 mm).
+    """
+
+    name: ClassVar[str] = STAR
+    points: int = _within(5, 3, 64)
+    inner_ratio: float = _within(0.5, 0.05, 0.95)
+
+    def __post_init__(self) -> None:
+        # super() without arguments knows the class before it got its slots.
+        Proportions.__post_init__(self)
+        deepest = _DEEPEST_NOTCH_SHARE * math.cos(math.pi / self.points)
+        if self.inner_ratio > deepest:
+            message = (
+                f"inner_ratio of shape {STAR!r} is {self.inner_ratio!r}; expected at most {deepest:.4g} with "
+                f"{self.points} points, so that notches lie between the tips"
+            )
+            raise InputError(message)
+
+    def rings(self) -> Outline:
+        """Return one ring: tip, notch, tip, ..."""
+        tips = _arc(1.0, 0.0, math.tau, self.points)
+        notches = _arc(self.inner_ratio, math.pi / self.points, math.tau, self.points)
+        return (_ring_of([corner for pair in zip(tips, notches, strict=True) for corner in pair]),)
+
+
+@dataclass(frozen=True, slots=True)
+class Box(Proportions):
+    """A square, its sides along x and y."""
+
+    name: ClassVar[str] = "box"
+
+    def rings(self) -> Outline:
+        """Return one ring of four corners."""
+        return _regular(4, math.pi / 4)
+
+
+@dataclass(frozen=True, slots=True)
+class Disc(Proportions):
+    """A disc.
+
+    Attributes
+    ----------
+    segments : int
+        Corners of its rim.
+    """
+
+    name: ClassVar[str] = "disc"
+    segments: int = _segments()
+
+    def rings(self) -> Outline:
+        """Return one ring."""
+        return _regular(self.segments)
+
+
+@dataclass(frozen=True, slots=True)
+class Triangle(Proportions):
+    """An equilateral triangle, one corner on +x."""
+
+    name: ClassVar[str] = "triangle"
+
+    def rings(self) -> Outline:
+        """Return one ring of three corners."""
+        return _regular(3)
+
+
+@dataclass(frozen=True, slots=True)
+class Hexagon(Proportions):
+    """A regular hexagon, one corner on +x."""
+
+    name: ClassVar[str] = "hexagon"
+
+    def rings(self) -> Outline:
+        """Return one ring of six corners."""
+        return _regular(6)
+
+
+@dataclass(frozen=True, slots=True)
+class Ring(Proportions):
+    """A disc with a round hole.
+
+    Attributes
+    ----------
+    hole_ratio : float
+        Radius of the hole.
+    segments : int
+        Corners of the rim and of the hole.
+    """
+
+    name: ClassVar[str] = "ring"
+    hole_ratio: float = _within(0.5, 0.05, 0.95)
+    segments: int = _segments()
+
+    def rings(self) -> Outline:
+        """Return the rim, then the hole."""
+        hole = _ring_of(_arc(self.hole_ratio, 0.0, -math.tau, self.segments))
+        return (*_regular(self.segments), hole)
+
+
+@dataclass(frozen=True, slots=True)
+class Cross(Proportions):
+    """Two bars across each other, along x and y.
+
+    Attributes
+    ----------
+    arm_ratio : float
+        Half the width of a bar.
+    """
+
+    name: ClassVar[str] = "cross"
+    arm_ratio: float = _within(0.3, 0.05, 0.65)
+
+    def rings(self) -> Outline:
+        """Return one ring of twelve corners."""
+        side = self.arm_ratio
+        far = math.sqrt(1.0 - side**2)
+        arm = [(far, -side), (far, side), (side, side)]
+        turned = [arm, [(-y, x) for x, y in arm], [(-x, -y) for x, y in arm], [(y, -x) for x, y in arm]]
+        return (_ring_of([corner for quarter in turned for corner in quarter]),)
+
+
+@dataclass(frozen=True, slots=True)
+class Crescent(Proportions):
+    """A disc with a round bite from +x.
+
+    Attributes
+    ----------
+    horn_rad : float
+        Angle of the two horns, where rim and bite meet, from +x.
+    bite_ratio : float
+        Distance of the bite's centre from that of the disc.
+    segments : int
+        Corners of the rim; the bite has half as many.
+    """
+
+    name: ClassVar[str] = "crescent"
+    horn_rad: float = _within(math.pi / 3, 0.25, 1.5)
+    bite_ratio: float = _within(0.6, 0.2, 0.9)
+    segments: int = _segments()
+
+    def rings(self) -> Outline:
+        """Return one ring: the rim from horn to horn, then the bite back."""
+        horn_x, horn_y = math.cos(self.horn_rad), math.sin(self.horn_rad)
+        bite_rad = math.atan2(horn_y, horn_x - self.bite_ratio)
+        bite_radius = math.hypot(horn_x - self.bite_ratio, horn_y)
+        back = _arc(1.0, self.horn_rad, math.tau - 2 * self.horn_rad, self.segments)
+        bite = _arc(bite_radius, -bite_rad, 2 * bite_rad - math.tau, self.segments // 2, self.bite_ratio)
+        return (_ring_of(back + bite),)
+
+
+KINDS: Mapping[str, type[Proportions]] = MappingProxyType(
+    {kind.name: kind for kind in (Star, Box, Disc, Triangle, Hexagon, Ring, Cross, Crescent)}
+)
+"""Kinds of shapes by name. The published scenes have star, box and disc (package tactile-mnist 0.13.0)."""

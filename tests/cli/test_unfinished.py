@@ -1,0 +1,52 @@
+"""``info`` of folders whose run did not come to its end."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+
+import pytest
+from typer.testing import CliRunner
+
+from cli.mnist3d import app
+from dataset_store.build import build
+from dataset_store.errors import StorageError
+from dataset_store.manifest import Manifest, write_manifest
+from dataset_store.runner import InlineRunner
+from dataset_store.storage import DataFolder
+from dataset_store.versions import toolkit_version
+from tests.dataset_store.toy import SPLITS, toy_plan
+
+
+def info(folder, *options):
+    result = CliRunner().invoke(app, ["info", str(folder), *options])
+    assert result.exit_code == 0, result.output
+    return result.stdout
+
+
+@pytest.fixture
+def stopped(tmp_path):
+    """Three of four shards of train are finished, none of test."""
+    plan = replace(toy_plan(), kind="mnist3d", report_file=None)
+    broken = replace(plan.tasks[3], error=StorageError("stop"))
+    with pytest.raises(StorageError, match="stop"):
+        build(DataFolder(str(tmp_path)), replace(plan, tasks=(*plan.tasks[:3], broken)), InlineRunner())
+    return tmp_path
+
+
+def test_digits_finished_so_far_are_counted(stopped):
+    document = json.loads(info(stopped, "--json"))
+    assert not document["complete"]
+    assert document["shards_planned"] == {"train": 4}
+    assert (document["splits"]["train"]["rows"], document["splits"]["train"]["shards"]) == (14, 3)
+    assert document["skipped"] == {"nine": 1}
+    shown = info(stopped)
+    assert "unfinished" in shown
+    assert "3 of 4" in shown
+    assert "the same `mnist3d generate` goes on where it stopped" in shown
+
+
+def test_a_run_without_a_finished_shard_says_so(tmp_path):
+    write_manifest(DataFolder(str(tmp_path)), Manifest("mnist3d", toolkit_version(), {"seed": 1}, SPLITS))
+    assert json.loads(info(tmp_path, "--json"))["shards_planned"] == {}
+    assert "no shard is finished yet" in info(tmp_path)
