@@ -21,6 +21,7 @@ __all__ = [
     "changed_area",
     "contact_heights_m",
     "contact_window",
+    "contact_windows",
     "deepest_frame",
     "is_contact",
     "most_changed_frame",
@@ -66,6 +67,37 @@ def contact_window(time_s: NDArray[np.float64], start_s: float, end_s: float) ->
         return slice(start, stop)
     nearest = int(np.argmin(np.abs(time_s - end_s))) if len(time_s) else 0
     return slice(nearest, min(nearest + 1, len(time_s)))
+
+
+def contact_windows(
+    time_s: NDArray[np.float64],
+    lengths: NDArray[np.int64],
+    start_s: NDArray[np.float64],
+    end_s: NDArray[np.float64],
+) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Return :func:`contact_window` of several clips at once.
+
+    Parameters
+    ----------
+    time_s : ndarray, shape (T, N), float64
+        Time stamps of each clip, seconds, rising; what lies behind its length is not looked at.
+    lengths : ndarray, shape (T,), int64
+        Number of frames of each clip, at most N.
+    start_s, end_s : ndarray, shape (T,), float64
+        Times of first and last contact, seconds.
+
+    Returns
+    -------
+    starts, stops : ndarray, shape (T,), int64
+        First frame of each window, and one more than the last.
+    """
+    stored = np.arange(time_s.shape[1]) < lengths[:, None]
+    starts = (stored & (time_s < start_s[:, None])).sum(axis=1)
+    stops = (stored & (time_s <= end_s[:, None])).sum(axis=1)
+    for touch in np.flatnonzero(starts >= stops).tolist():
+        window = contact_window(time_s[touch, : lengths[touch]], start_s[touch], end_s[touch])
+        starts[touch], stops[touch] = window.start, window.stop
+    return starts, stops
 
 
 def deepest_frame(z_m: NDArray[np.floating]) -> int:

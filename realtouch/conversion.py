@@ -155,6 +155,8 @@ class Conversion:
         Rows of each split, in order.
     rows_per_shard, rows_per_group : int or None
         Layout; by the size of the source's rows where None.
+    trees : tuple of str
+        What the step writes beside the rows; see :class:`dataset_store.plan.BuildPlan`.
     """
 
     source: Source
@@ -164,6 +166,7 @@ class Conversion:
     choices: Mapping[str, Sequence[RowChoice]]
     rows_per_shard: int | None = None
     rows_per_group: int | None = None
+    trees: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -246,7 +249,7 @@ def plan_conversion(conversion: Conversion) -> BuildPlan:
         "source": source.fingerprint(),
     }
     style = ParquetStyle(per_group, compression_level=3, encodings=_plain_media(schema))
-    return BuildPlan(KIND, spec, tuple(source.shards), tuple(tasks), style)
+    return BuildPlan(KIND, spec, tuple(source.shards), tuple(tasks), style, trees=conversion.trees)
 
 
 def _plain_media(schema: Any) -> tuple[tuple[str, str], ...]:

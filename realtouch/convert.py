@@ -17,9 +17,9 @@ from dataset_store.runner import Runner
 from dataset_store.storage import DataFolder
 from realtouch.card import write_card
 from realtouch.contact import MIN_CONTACT_HEIGHT_M, require_method
-from realtouch.conversion import Conversion, RowChoice, Source, convert, plan_conversion
+from realtouch.conversion import Conversion, RowChoice, Source, convert
 from realtouch.jpeg import MAX_IMAGE_PIXELS
-from realtouch.picture_files import IMAGE_FOLDER, WritePictures, write_index
+from realtouch.picture_files import IMAGE_FOLDER, INDEX_FILE, WritePictures, write_index
 from realtouch.resizing import ResizeMedia
 from realtouch.selection import KeepTouches, Selection, choose_rows
 from realtouch.snapshots import TakeSnapshots
@@ -235,10 +235,8 @@ def frames(
         _first_rows(opened, limit),
         rows_per_shard=_INDEX_ROWS,
         rows_per_group=1 << 16,
+        trees=(IMAGE_FOLDER, INDEX_FILE),
     )
-    plan_conversion(conversion)  # refuse before anything is removed
-    if overwrite:
-        _remove_pictures(folder)
     manifest = convert(conversion, out, workers=workers, overwrite=overwrite, on_progress=on_progress)
     write_card(folder, manifest, "frames")
     return write_index(folder, manifest)
@@ -271,15 +269,3 @@ def _require_clips(source: Source) -> None:
     if source.kind != "seq":
         message = f"{source.name!r} holds single images already; expected a data set of clips (seq)"
         raise InputError(message)
-
-
-def _remove_pictures(folder: DataFolder) -> None:
-    for split in folder.names(IMAGE_FOLDER):
-        for round_id in folder.names(f"{IMAGE_FOLDER}/{split}"):
-            place = f"{IMAGE_FOLDER}/{split}/{round_id}"
-            for name in folder.names(place):
-                folder.remove(f"{place}/{name}")
-            folder.remove_empty(place)
-        folder.remove_empty(f"{IMAGE_FOLDER}/{split}")
-    folder.remove_empty(IMAGE_FOLDER)
-    folder.remove("index.csv")

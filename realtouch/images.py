@@ -5,6 +5,7 @@ from __future__ import annotations
 import operator
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from threading import Lock
 from typing import Any, TypeVar
 
 import numpy as np
@@ -17,6 +18,8 @@ from realtouch.nested import BytesColumn, nested_column
 __all__ = ["SensorImages", "in_parallel", "positions_of"]
 
 T = TypeVar("T")
+
+_LONGEST_RUN = 16
 
 
 class SensorImages(Sequence[Pixels]):
@@ -127,17 +130,42 @@ class SensorImages(Sequence[Pixels]):
 
 
 def in_parallel(work: Callable[[int], object], count: int, threads: int) -> None:
-    """Do ``count`` pieces of work, numbered from 0, in some threads; each takes every so-manieth piece."""
+    """Do ``count`` pieces of work, numbered from 0, in some threads, the calling one among them.
 
-    def share(first: int) -> None:
-        for piece in range(first, count, threads):
+    Each takes a run of pieces at a time: neighbours share pages of the array that they are written to, and a
+    thread that is held up leaves the rest to the others. The first error ends all of them.
+    """
+    threads = min(threads, count)
+    if threads <= 1:
+        for piece in range(count):
             work(piece)
-
-    if threads == 1:
-        share(0)
         return
-    with ThreadPoolExecutor(threads) as pool:
-        list(pool.map(share, range(threads)))
+    runs, one_at_a_time = iter(_runs(count, threads)), Lock()
+
+    def taken() -> range:
+        with one_at_a_time:
+            return next(runs, range(0))
+
+    def share() -> None:
+        try:
+            while run := taken():
+                for piece in run:
+                    work(piece)
+        except BaseException:
+            while taken():
+                pass
+            raise
+
+    with ThreadPoolExecutor(threads - 1) as pool:
+        others = [pool.submit(share) for _ in range(threads - 1)]
+        share()
+        for other in others:
+            other.result()
+
+
+def _runs(count: int, threads: int) -> list[range]:
+    length = max(1, min(_LONGEST_RUN, count // (4 * threads)))
+    return [range(start, min(start + length, count)) for start in range(0, count, length)]
 
 
 def positions_of(index: Any, count: int) -> Sequence[int]:

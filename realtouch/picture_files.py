@@ -65,21 +65,25 @@ class WritePictures:
         )
 
     def apply(self, row: Row, choice: RowChoice, split: str) -> Any:
-        """Write the pictures of a row, each whole or not at all, then return its lines of the index."""
+        """Write the pictures of a row and return its lines of the index.
+
+        A row with a damaged touch is left out as a whole: none of its pictures is written.
+        """
         import pyarrow as pa
 
-        lines = [self._line(row, touch, split) for touch in range(touch_total(row))]
-        return pa.Table.from_pylist(lines, schema=self.schema(None))
+        made = [self._picture(row, touch, split) for touch in range(touch_total(row))]
+        for line, encoded in made:
+            self.folder.write_bytes(line["file"], encoded)
+        return pa.Table.from_pylist([line for line, _ in made], schema=self.schema(None))
 
-    def _line(self, row: Row, touch: int, split: str) -> dict[str, Any]:
+    def _picture(self, row: Row, touch: int, split: str) -> tuple[dict[str, Any], bytes]:
         record = TouchSingleRound(row) if row.has("sensor_image") else TouchSeqRound(row)
         encoded, frame, pose = self._single(row, touch) if row.has("sensor_image") else self._seq(row, touch)
         suffix = "png" if self.kind == "png" else "jpg"
         file = f"{IMAGE_FOLDER}/{split}/{record.id}/{touch:03d}.{suffix}"
-        self.folder.write_bytes(file, encoded)
         position = vectors(row, "pos_in_cell", 2)[touch] if row.has("pos_in_cell") else [None, None]
         numbers = dict(zip(_NUMBER_COLUMNS, [*position, *pose], strict=True))
-        return {
+        line = {
             "id": f"{record.id}/{touch:03d}",
             "file": file,
             "sha256": sha256_hex(encoded),
@@ -90,6 +94,7 @@ class WritePictures:
             "object_id": record.object_id,
             **numbers,
         }
+        return line, encoded
 
     def _single(self, row: Row, touch: int) -> tuple[bytes, int, list[Any]]:
         encoded = self._encoded(SensorImages(row).encoded(touch))

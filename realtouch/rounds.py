@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from dataset_store.records import Record, Row
 from dataset_store.rowgroups import RowGroup
 from realtouch.clips import SensorClips
+from realtouch.contact import require_method
 from realtouch.damage import damaged, missing_column
 from realtouch.fields import (
     clip_lengths,
@@ -24,10 +25,11 @@ from realtouch.fields import (
     touch_total,
     vectors,
 )
-from realtouch.images import SensorImages, in_parallel
+from realtouch.images import SensorImages, in_parallel, positions_of
 from realtouch.jpeg import Pixels
 from realtouch.poses import Poses, PoseSequences, bad_pose, rigid_transform
 from realtouch.published import flat_table, take_touches
+from realtouch.round_frames import contact_frames_of, contact_windows_of, decode_frames
 
 __all__ = ["TouchRound", "TouchSeqRound", "TouchSingleRound"]
 
@@ -214,18 +216,49 @@ class TouchSeqRound(TouchRound):
         -------
         ndarray, shape (T, H, W, 3), uint8
         """
-        clips = self.sensor_video
-        if out is None:
-            height, width = clips[0].size if len(clips) else (0, 0)
-            out = np.empty((len(clips), height, width, 3), np.uint8)
-        pixels = out
-
-        def decode(touch: int) -> None:
-            clip = clips[touch]
-            clip.decode_into(pixels[touch], clip.contact_index(method))
-
-        in_parallel(decode, len(clips), threads or min(os.cpu_count() or 1, _MOST_THREADS))
+        clips, chosen = self.sensor_video, require_method(method)
+        pixels = clips.room(len(clips)) if out is None else out
+        if chosen == "median":
+            # Chosen by the pictures: each clip is decoded whole.
+            in_parallel(
+                lambda touch: clips[touch].contact_into(pixels[touch], chosen), len(clips), _cores(threads)
+            )
+        else:
+            frames = contact_frames_of(clips, chosen)
+            decode_frames(clips, range(len(clips)), frames, pixels, _cores(threads))
         return pixels
+
+    def contact_windows(
+        self, touches: Any = slice(None), *, threads: int | None = None
+    ) -> tuple[Pixels, ...]:
+        """Decode every frame of contact of several touches.
+
+        Parameters
+        ----------
+        touches : slice, sequence of int, or boolean mask
+            Which touches; all by default, which at 320x240 takes 1.6 MB for each of them.
+        threads : int, optional
+            How many frames to decode at a time; as many as there are processor cores, up to 4, by default.
+
+        Returns
+        -------
+        tuple of ndarray, shapes (n_i, H, W, 3), uint8
+            The frames of :attr:`realtouch.TouchClip.contact_window` of each touch; views of one array.
+        """
+        clips = self.sensor_video
+        wanted = np.asarray(positions_of(touches, len(clips)), np.int64)
+        starts, stops = (ends[wanted] for ends in contact_windows_of(clips))
+        counts = stops - starts
+        ends = np.cumsum(counts)
+        pixels = clips.room(int(counts.sum()))
+        frames = np.arange(len(pixels)) + np.repeat(starts - (ends - counts), counts)
+        owners = np.repeat(wanted, counts)
+        decode_frames(clips, owners.tolist(), frames.tolist(), pixels, _cores(threads))
+        return tuple(np.split(pixels, ends[:-1])) if len(wanted) else ()
+
+
+def _cores(threads: int | None) -> int:
+    return threads or min(os.cpu_count() or 1, _MOST_THREADS)
 
 
 def _images(row: Row) -> SensorImages:

@@ -209,7 +209,7 @@ def test_pictures_are_resumed_and_started_again(single_folder: Path, tmp_path: P
     with pytest.raises(SpecMismatchError, match="kind is 'png' there, 'jpeg' was asked for"):
         realtouch.frames(str(single_folder), str(out), "jpeg")
     realtouch.frames(str(single_folder), str(out), "jpeg", overwrite=True)
-    assert not list(out.rglob("*.png"))
+    assert not list((out / "images").rglob("*.png"))
     assert len(list(out.rglob("*.jpg"))) == 20
 
 

@@ -1,0 +1,243 @@
+"""Columns of a stored ``seq`` round with one entry per frame, cut to the lengths of the clips.
+
+T is the number of touches of the round, N_i the number of frames of touch i.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dataset_store.records import Row
+from realtouch.avi import MAX_CLIP_FRAMES
+from realtouch.damage import damaged
+from realtouch.durations import as_seconds, as_timedelta
+from realtouch.nested import NestedColumn
+from realtouch.touch_columns import column_of, per_touch, require_count, value_of
+
+__all__ = [
+    "clip_length",
+    "clip_lengths",
+    "clip_times",
+    "cut",
+    "cut_touch",
+    "frame_times",
+    "padded_times",
+    "times_of_touches",
+    "touch_durations",
+    "touch_times",
+]
+
+
+def clip_lengths(row: Row) -> NDArray[np.int64] | None:
+    """Return the number of frames of each clip, shape (T,), int64; None in data sets that do not say.
+
+    Raises
+    ------
+    IntegrityError
+        A length is missing or negative.
+    """
+    if not row.has("video_length_frames"):
+        return None
+    values = per_touch(row, "video_length_frames")
+    if not (values.min(initial=0) >= 0 and values.max(initial=0) <= MAX_CLIP_FRAMES):
+        touch = int(np.flatnonzero(~((values >= 0) & (values <= MAX_CLIP_FRAMES)))[0])
+        raise _impossible_length(row, touch, values[touch])
+    return values.astype(np.int64, copy=False)
+
+
+def clip_length(row: Row, touch: int) -> int | None:
+    """Return the number of frames of one clip, as :func:`clip_lengths`; None where it is not said."""
+    if not row.has("video_length_frames"):
+        return None
+    length = value_of(row, "video_length_frames", touch)
+    if not 0 <= length <= MAX_CLIP_FRAMES:
+        raise _impossible_length(row, touch, length)
+    return int(length)
+
+
+def frame_times(row: Row) -> tuple[NDArray[np.timedelta64], ...]:
+    """Return the time stamps of the frames of each touch: T arrays of ``timedelta64``, shapes (N_i,)."""
+    return tuple(as_timedelta(times) for times in cut(row, "time_stamp_rel_seq", 0))
+
+
+def clip_times(row: Row, touch: int) -> NDArray[np.float64] | None:
+    """Return the time stamps of one touch, shape (N_i,), float64, seconds; None in data sets without.
+
+    Raises
+    ------
+    IntegrityError
+        Stamps are missing or run backwards.
+    """
+    if not row.has("time_stamp_rel_seq"):
+        return None
+    times = as_seconds(cut_touch(row, "time_stamp_rel_seq", touch, clip_length(row, touch), 0))
+    # A comparison with what is not a number is false, so this finds missing times too.
+    if not (times[1:] >= times[:-1]).all() or not math.isfinite(times[:1].sum()):
+        raise _unordered(row, touch)
+    return times
+
+
+def padded_times(row: Row) -> tuple[NDArray[np.float64], NDArray[np.int64]] | None:
+    """Return the time stamps of all touches at once, where they are stored padded to one length.
+
+    Returns
+    -------
+    times_s : ndarray, shape (T, N), float64
+        Seconds; of touch i the first N_i count.
+    lengths : ndarray, shape (T,), int64
+        N_i.
+    None
+        In data sets without stamps or lengths, and where clips are not padded to one length.
+
+    Raises
+    ------
+    IntegrityError
+        As :func:`clip_times`.
+    """
+    if not row.has("time_stamp_rel_seq"):
+        return None
+    lengths = clip_lengths(row)
+    column = column_of(row, "time_stamp_rel_seq")
+    first, last = column.inside(0, row.index, row.index + 1)
+    require_count(row, "time_stamp_rel_seq", last - first)
+    padded = _padded(column, first, last, 0)
+    if lengths is None or padded is None or padded.shape[1] < lengths.max(initial=0):
+        return None
+    times = as_seconds(padded)
+    rising = np.ones(times.shape, bool)
+    # A comparison with what is not a number is false, so this finds missing times too.
+    rising[:, 1:] = times[:, 1:] >= times[:, :-1]
+    rising[:, :1] = np.isfinite(times[:, :1])
+    rising |= np.arange(times.shape[1]) >= lengths[:, None]
+    for touch in np.flatnonzero(~rising.all(axis=1)).tolist():
+        raise _unordered(row, touch)
+    return times, lengths
+
+
+def touch_durations(row: Row, name: str) -> NDArray[np.timedelta64]:
+    """Return one time per touch, shape (T,), ``timedelta64``."""
+    return as_timedelta(per_touch(row, name))
+
+
+def touch_times(row: Row, touch: int) -> tuple[float, float]:
+    """Return the times of first and last contact of one touch, seconds.
+
+    Raises
+    ------
+    IntegrityError
+        A time is missing, or the end lies before the start.
+    """
+    start_s, end_s = (
+        float(as_seconds(value_of(row, name, touch)))
+        for name in ("touch_start_time_rel", "touch_end_time_rel")
+    )
+    if not start_s <= end_s:
+        raise _reversed(row, touch, start_s, end_s)
+    return start_s, end_s
+
+
+def times_of_touches(row: Row) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return the times of first and last contact of all touches, each of shape (T,), float64, seconds.
+
+    Raises
+    ------
+    IntegrityError
+        As :func:`touch_times`.
+    """
+    start_s, end_s = (
+        as_seconds(per_touch(row, name)) for name in ("touch_start_time_rel", "touch_end_time_rel")
+    )
+    for touch in np.flatnonzero(~(start_s <= end_s)).tolist():
+        raise _reversed(row, touch, float(start_s[touch]), float(end_s[touch]))
+    return start_s, end_s
+
+
+def _unordered(row: Row, touch: int) -> Exception:
+    return damaged(row, "time_stamp_rel_seq", "times that are missing or run backwards", touch)
+
+
+def _reversed(row: Row, touch: int, start_s: float, end_s: float) -> Exception:
+    problem = f"contact from {start_s} s to {end_s} s; expected an end not before the start"
+    return damaged(row, "touch_end_time_rel", problem, touch)
+
+
+def cut(row: Row, name: str, width: int) -> tuple[NDArray[Any], ...]:
+    """Return a sequence per touch, cut to the length of its clip.
+
+    Parameters
+    ----------
+    row : Row
+        The round.
+    name : str
+        Column.
+    width : int
+        Values of each entry; 0 means scalars.
+
+    Returns
+    -------
+    tuple of ndarray
+        T arrays of shape (N_i, width) or (N_i,).
+
+    Raises
+    ------
+    IntegrityError
+        There are not T sequences, or one is too short.
+    """
+    column = column_of(row, name)
+    lengths = clip_lengths(row)
+    first, last = column.inside(0, row.index, row.index + 1)
+    require_count(row, name, last - first)
+    padded = _padded(column, first, last, width)
+    if padded is not None and lengths is not None and padded.shape[1] >= lengths.max(initial=0):
+        return tuple(map(_head, padded, lengths.tolist()))
+    return tuple(
+        cut_touch(row, name, touch, None if lengths is None else int(lengths[touch]), width)
+        for touch in range(last - first)
+    )
+
+
+def cut_touch(row: Row, name: str, touch: int, length: int | None, width: int) -> NDArray[Any]:
+    """Return the sequence of one touch: ``length`` entries, or all that are stored; see :func:`cut`.
+
+    Raises
+    ------
+    IntegrityError
+        Fewer are stored, or they are not ``width`` values each.
+    """
+    column = column_of(row, name)
+    first = column.inside(0, row.index, row.index + 1)[0] + touch
+    start, stop = column.inside(1, first, first + 1)
+    wanted = stop - start if length is None else length
+    if wanted > stop - start:
+        raise damaged(row, name, f"{stop - start} frames; expected at least {wanted}", touch)
+    values = column.flat(2, start, start + wanted) if width else column.values[start : start + wanted]
+    if len(values) != wanted * max(width, 1):
+        problem = f"{len(values)} values for {wanted} frames; expected {max(width, 1)} each"
+        raise damaged(row, name, problem, touch)
+    return values.reshape(wanted, width) if width else values
+
+
+def _head(values: NDArray[Any], length: int) -> NDArray[Any]:
+    return values[:length]
+
+
+def _padded(column: NestedColumn, first: int, last: int, width: int) -> NDArray[Any] | None:
+    """View all touches as one array (T, N, width), where they all have N frames of ``width`` values."""
+    touches = last - first
+    start, stop = column.inside(1, first, last)
+    frames, rest = divmod(stop - start, max(touches, 1))
+    flat = column.flat(1, first, last)
+    starts = column.levels[1]
+    even = isinstance(starts, int) or bool((np.diff(starts[first : last + 1]) == frames).all())
+    if rest or not even or len(flat) != touches * frames * max(width, 1):
+        return None
+    return flat.reshape((touches, frames, width) if width else (touches, frames))
+
+
+def _impossible_length(row: Row, touch: int, length: Any) -> Exception:
+    problem = f"a clip of {length:,} frames; the limit is {MAX_CLIP_FRAMES:,}"
+    return damaged(row, "video_length_frames", problem, touch)

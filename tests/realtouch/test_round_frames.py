@@ -1,0 +1,205 @@
+from __future__ import annotations
+
+import threading
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+import realtouch
+from dataset_store.errors import IntegrityError
+from realtouch.avi import read_index, write_avi
+from realtouch.avi_frame import find_frame
+from realtouch.contact import contact_window, contact_windows
+from realtouch.images import in_parallel
+from tests.realtouch import factories
+from tests.realtouch.factories import Layout, RoundTruth
+
+FRAMES = np.stack([np.full((16, 24, 3), 20 * index, np.uint8) for index in range(10)])
+JPEGS = [factories.encode_jpeg(frame) for frame in FRAMES]
+AVIS = {"FFmpeg": factories.encode_avi(FRAMES), "ours": write_avi(JPEGS, 24, 16, 25.0)}
+
+
+@pytest.mark.parametrize("writer", AVIS)
+def test_a_frame_is_found_where_the_index_has_it(writer: str) -> None:
+    data = memoryview(AVIS[writer])
+    index = read_index(data)
+    for frame in range(10):
+        assert find_frame(data, frame, 10) == index.frame(data, frame)
+    for frame, count in ((10, 10), (-1, 10), (3, 9), (3, 11), (0, 0)):
+        assert find_frame(data, frame, count) is None
+
+
+@given(
+    st.sampled_from(sorted(AVIS)),
+    st.lists(st.tuples(st.floats(0, 1, exclude_max=True), st.integers(0, 255)), min_size=1, max_size=8),
+    st.integers(0, 9),
+    st.floats(0, 1),
+)
+@settings(deadline=None, max_examples=400)
+def test_a_damaged_file_gives_the_frame_of_its_index_or_none(
+    writer: str, changes: list[tuple[float, int]], frame: int, kept: float
+) -> None:
+    """Nothing is taken from outside of the file, and no other frame than the one the whole index names."""
+    data = bytearray(AVIS[writer])
+    for place, value in changes:
+        # Headers and index are where damage matters; most of the file is pictures.
+        data[int(place * 400) * (1 if value % 2 else -1)] = value
+    for view in (memoryview(bytes(data)), memoryview(bytes(data[: int(kept * len(data))]))):
+        found = find_frame(view, frame, 10)
+        try:
+            index = read_index(view)
+        except ValueError:
+            assert found is None or len(found) > 0
+            continue
+        if found is not None and len(index) == 10:
+            assert found == index.frame(view, frame)
+
+
+@pytest.mark.parametrize("codec", ["mpeg4", "libx264"])
+def test_other_codecs_in_an_avi_are_left_to_ffmpeg(
+    codec: str, truth: list[RoundTruth], seq_rows: list[dict], tmp_path: Path
+) -> None:
+    import av
+
+    if codec not in av.codecs_available:
+        pytest.skip(f"this build of PyAV has no encoder {codec}")
+
+    def other(row: dict, _: int) -> None:
+        for blob, touch in zip(row["sensor_video"], truth[0].touches, strict=True):
+            blob["bytes"] = factories.encode_avi(touch.pixels, codec)
+
+    row = {**seq_rows[0], "sensor_video": [dict(blob) for blob in seq_rows[0]["sensor_video"]]}
+    factories.write_set(tmp_path, {"train": [row]}, "seq", Layout(edit=other))
+    record = realtouch.load(tmp_path)[0]
+    assert {clip.decoder for clip in record.sensor_video} == {"ffmpeg"}
+    expected = np.stack([clip.contact_frame() for clip in record.sensor_video])
+    np.testing.assert_array_equal(record.contact_frames(), expected)
+
+
+@pytest.mark.parametrize(
+    "layout",
+    [
+        Layout(),
+        Layout(padded=False),
+        Layout(seconds=True, fixed=False),
+        Layout(pad_null=True, seconds=True),
+        Layout(leave_out=("time_stamp_rel_seq",)),
+        Layout(leave_out=("video_length_frames",), padded=False),
+    ],
+    ids=["published", "ragged", "seconds", "null padding", "no stamps", "no lengths"],
+)
+def test_frames_of_a_round_are_those_of_its_clips(
+    layout: Layout, truth: list[RoundTruth], tmp_path: Path
+) -> None:
+    rows = factories.seq_rows(truth[:2], layout)
+    factories.write_set(tmp_path, {"train": rows}, "seq", layout)
+    record = realtouch.load(tmp_path)[1]
+    clips = list(record.sensor_video)
+    for method in ("contact_start", "contact_end", "peak", "median"):
+        expected = np.stack([clip.contact_frame(method) for clip in clips])
+        np.testing.assert_array_equal(record.contact_frames(method), expected)
+        out = np.zeros_like(expected)
+        assert record.contact_frames(method, threads=3, out=out) is out
+        np.testing.assert_array_equal(out, expected)
+    for threads in (1, 2):
+        windows = record.contact_windows(threads=threads)
+        for window, clip in zip(windows, clips, strict=True):
+            np.testing.assert_array_equal(window, clip[clip.contact_window])
+
+
+def test_windows_of_some_touches(seq_folder: Path) -> None:
+    record = realtouch.load(seq_folder)[0]
+    every = record.contact_windows()
+    for wanted in ([3, 0], slice(1, None, 2), np.array([False, True, False, False, True])):
+        places = np.arange(5)[wanted]
+        chosen = record.contact_windows(wanted)
+        assert len(chosen) == len(places)
+        for window, place in zip(chosen, places, strict=True):
+            np.testing.assert_array_equal(window, every[place])
+    assert record.contact_windows([]) == ()
+    with pytest.raises(IndexError, match="out of range"):
+        record.contact_windows([5])
+
+
+@given(st.data())
+@settings(deadline=None)
+def test_windows_of_many_clips_are_those_of_each(data: st.DataObject) -> None:
+    touches, frames = data.draw(st.integers(1, 4)), data.draw(st.integers(1, 8))
+    number = st.floats(0, 3).map(lambda value: round(value, 1))
+    times = np.sort([data.draw(st.lists(number, min_size=frames, max_size=frames)) for _ in range(touches)])
+    lengths = np.array(data.draw(st.lists(st.integers(1, frames), min_size=touches, max_size=touches)))
+    start = np.array(data.draw(st.lists(number, min_size=touches, max_size=touches)))
+    end = start + np.array(data.draw(st.lists(number, min_size=touches, max_size=touches)))
+    times[np.arange(frames) >= lengths[:, None]] = data.draw(st.sampled_from([0.0, np.nan, 99.0]))
+    starts, stops = contact_windows(times, lengths, start, end)
+    each = [
+        contact_window(times[touch, : lengths[touch]], start[touch], end[touch]) for touch in range(touches)
+    ]
+    assert [slice(*ends) for ends in zip(starts.tolist(), stops.tolist(), strict=True)] == each
+
+
+def _broken(row: dict, place: int) -> None:
+    blob = bytearray(row["sensor_video"][2]["bytes"])
+    if place == 0:
+        found = read_index(memoryview(bytes(blob)))
+        row["sensor_video"][2]["bytes"] = bytes(blob[: int(found.starts[0])]) + bytes(
+            len(blob) - int(found.starts[0])
+        )
+    elif place == 1:
+        row["sensor_video"][2]["bytes"] = bytes(blob[: len(blob) // 2])
+    elif place == 2:
+        row["time_stamp_rel_seq"][2] = row["time_stamp_rel_seq"][2][::-1]
+    elif place == 3:
+        row["touch_end_time_rel"][2] = np.timedelta64(0, "us")
+    else:
+        row["sensor_video"][2]["bytes"] = b""
+
+
+@pytest.mark.parametrize(
+    ("place", "message"),
+    [
+        (0, r"touch 2, field 'sensor_video'"),
+        (1, r"touch 2, field 'sensor_video': an AVI cut short"),
+        (2, r"touch 2, field 'time_stamp_rel_seq': times that are missing or run backwards"),
+        (3, r"touch 2, field 'touch_end_time_rel': contact from .* expected an end not before the start"),
+        (4, r"touch 2, field 'sensor_video': no bytes are stored"),
+    ],
+)
+def test_damage_is_named_with_its_touch(
+    place: int, message: str, truth: list[RoundTruth], tmp_path: Path
+) -> None:
+    rows = factories.seq_rows(truth[:1])
+    factories.write_set(tmp_path, {"train": rows}, "seq", Layout(edit=lambda row, _: _broken(row, place)))
+    record = realtouch.load(tmp_path)[0]
+    for threads in (1, 2):
+        for ask in (record.contact_frames, record.contact_windows):
+            with pytest.raises(IntegrityError, match=rf"row 0, {message}"):
+                ask(threads=threads)
+
+
+@pytest.mark.parametrize("threads", [1, 2, 5])
+@pytest.mark.parametrize("count", [0, 1, 3, 100, 1_000])
+def test_every_piece_is_done_once(count: int, threads: int) -> None:
+    done: list[int] = []
+    in_parallel(done.append, count, threads)
+    assert sorted(done) == list(range(count))
+
+
+@pytest.mark.parametrize("wrong", [0, 57, 999])
+def test_an_error_ends_the_work_of_all_threads(wrong: int) -> None:
+    """Whichever thread meets it; what the others were about to do is left."""
+    done: list[int] = []
+
+    def work(piece: int) -> None:
+        if piece == wrong:
+            raise IndexError(piece)
+        done.append(piece)
+
+    before = threading.active_count()
+    with pytest.raises(IndexError, match=str(wrong)):
+        in_parallel(work, 1_000, 3)
+    assert threading.active_count() == before
+    assert wrong not in done
