@@ -10,120 +10,25 @@ from __future__ import annotations
 
 import contextlib
 import hashlib
-import os
 from bisect import bisect_right
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cached_property
-from itertools import islice
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from dataset_store.columns import RaggedColumn, column_names, ragged_column
-from dataset_store.errors import IntegrityError, StorageError
-from dataset_store.storage import DataFolder, atomic_file, named_failures
+from dataset_store.cachefiles import CACHE_VARIABLE, cache_folder, mapped_batch, store_batches
+from dataset_store.errors import IntegrityError
+from dataset_store.memory_blocks import MEMORY
+from dataset_store.rowgroup import RowGroup
+from dataset_store.storage import DataFolder
 
 __all__ = ["CACHE_VARIABLE", "RowGroup", "Shard", "ShardedTable", "cache_folder"]
 
-CACHE_VARIABLE = "TACTILE_TOOLKIT_CACHE"
-"""Environment variable that names the folder of unpacked row groups."""
-
-_CACHE_LIMIT_BYTES = 32 << 30
 _BLOCK_BYTES = 64 << 20
-
-
-def cache_folder() -> Path:
-    """Return the folder of unpacked row groups: ``$TACTILE_TOOLKIT_CACHE`` or the user's cache folder."""
-    named = os.environ.get(CACHE_VARIABLE)
-    if named:
-        return Path(named).expanduser()
-    base = os.environ.get("XDG_CACHE_HOME") or "~/.cache"
-    return Path(base).expanduser() / "tactile-toolkit"
-
-
-@dataclass(frozen=True, eq=False)
-class RowGroup:
-    """One unpacked row group, or a block of a large one: columns as numpy views of mapped memory.
-
-    Parameters
-    ----------
-    table : pyarrow.Table
-        The rows, one chunk per column.
-    path : str
-        File that the rows come from, for messages.
-    first_row : int
-        Number of the first row in that file.
-    """
-
-    table: Any
-    path: str = ""
-    first_row: int = 0
-    _ragged: dict[str, RaggedColumn] = field(default_factory=dict, repr=False)
-    _flat: dict[str, NDArray[Any]] = field(default_factory=dict, repr=False)
-    _views: dict[str, Any] = field(default_factory=dict, repr=False)
-
-    @cached_property
-    def names(self) -> tuple[str, ...]:
-        """Columns by dotted name."""
-        return column_names(self.table.schema)
-
-    def once(self, key: str, build: Callable[[], Any]) -> Any:
-        """Build a view of the rows on its first use and keep it with them."""
-        view = self._views.get(key)
-        return self._views.setdefault(key, build()) if view is None else view
-
-    def ragged(self, name: str) -> RaggedColumn:
-        """Return a column of arrays of shape (n_i, width), by dotted name."""
-        column = self._ragged.get(name)
-        if column is None:
-            column = self._ragged.setdefault(name, ragged_column(self.arrow(name)))
-        return column
-
-    def flat(self, name: str) -> NDArray[Any]:
-        """Return a column of plain values as a numpy array."""
-        column = self._flat.get(name)
-        if column is None:
-            column = self._flat.setdefault(name, self.arrow(name).to_numpy(zero_copy_only=False))
-        return column
-
-    def arrow(self, name: str) -> Any:
-        """Return a column as an Arrow array, by dotted name, whether stored flat or as a struct's field.
-
-        Raises
-        ------
-        KeyError
-            When there is no such column.
-        """
-        outer, *inner = _split_name(name, self.table.column_names)
-        array = _one_chunk(self.table.column(outer))
-        for part in inner:
-            array = _struct_field(array, part, name)
-        return array
-
-
-def _split_name(name: str, columns: Sequence[str]) -> list[str]:
-    """Split ``a.b.c`` into the stored column, which may hold dots itself, and the fields inside it."""
-    parts = name.split(".")
-    for count in range(len(parts), 0, -1):
-        outer = ".".join(parts[:count])
-        if outer in columns:
-            return [outer, *parts[count:]]
-    raise KeyError(name)
-
-
-def _struct_field(array: Any, part: str, name: str) -> Any:
-    import pyarrow as pa
-
-    if not pa.types.is_struct(array.type) or array.type.get_field_index(part) < 0:
-        raise KeyError(name)
-    return array.flatten()[array.type.get_field_index(part)]
-
-
-def _one_chunk(column: Any) -> Any:
-    return column.chunk(0) if column.num_chunks == 1 else column.combine_chunks()
 
 
 @dataclass(frozen=True)
@@ -191,19 +96,24 @@ class Shard:
     def block(self, index: int, block: int) -> RowGroup:
         """Map one block of a row group into memory, unpacking the row group into the cache on its first use.
 
-        A cache that cannot be written (full, read-only) costs speed, never the data: the rows are then kept
-        in the memory of this process.
+        A cache that cannot be written (full, read-only) costs speed, never the data: the blocks used last are
+        then kept in the memory of this process, see :mod:`dataset_store.memory_blocks`.
         """
-        place = cache_folder() / "blocks" / f"{self._identity}-{index:05d}.arrow"
-        table = _mapped(place, block)
-        if table is None:
-            with contextlib.suppress(StorageError):
-                _make_room(place.parent, int(self.metadata.row_group(index).total_byte_size))
-                _write_arrow(place, self.schema, self.blocks(index))
-                table = _mapped(place, block)
-        if table is None:
-            return next(islice(self.blocks(index), block, None))
-        return RowGroup(table, self.path, self.group_starts[index] + block * self.block_rows[index])
+        name = f"{self._identity}-{index:05d}"
+        kept = MEMORY.find(name, block)
+        if kept is not None:
+            return kept
+        batch = mapped_batch(name, block)
+        if batch is None and self._unpack(name, index):
+            batch = mapped_batch(name, block)
+        if batch is None:
+            return MEMORY.block(name, block, lambda: self.blocks(index))
+        first_row = self.group_starts[index] + block * self.block_rows[index]
+        return RowGroup(_table_of(batch), self.path, first_row, mapped=True)
+
+    def _unpack(self, name: str, index: int) -> bool:
+        size_bytes = int(self.metadata.row_group(index).total_byte_size)
+        return store_batches(name, self.schema, size_bytes, (group.table for group in self.blocks(index)))
 
     def blocks(self, index: int, columns: Sequence[str] | None = None) -> Iterator[RowGroup]:
         """Decode the blocks of a row group one after another, keeping none; all columns or those named."""
@@ -248,6 +158,12 @@ class Shard:
             return pq.ParquetFile(self.path, memory_map=True)
 
 
+def _table_of(batch: Any) -> Any:
+    import pyarrow as pa
+
+    return pa.Table.from_batches([batch])
+
+
 @contextlib.contextmanager
 def _named_damage(path: str) -> Any:
     import pyarrow as pa
@@ -263,50 +179,6 @@ def _named_damage(path: str) -> Any:
             "data set, then generate or download it again"
         )
         raise IntegrityError(message) from error
-
-
-def _mapped(path: Path, block: int) -> Any:
-    """Map an unpacked block; None when it is not there, or was damaged (the file is then removed)."""
-    import pyarrow as pa
-
-    try:
-        batch = pa.ipc.open_file(pa.memory_map(str(path))).get_batch(block)
-    except FileNotFoundError:
-        return None
-    except (pa.ArrowInvalid, IndexError, OSError):
-        with contextlib.suppress(OSError):  # a cache that cannot be written must not stop a reader
-            path.unlink(missing_ok=True)
-        return None
-    with contextlib.suppress(OSError):
-        os.utime(path)  # the time of last use decides what leaves a full cache first
-    return pa.Table.from_batches([batch])
-
-
-def _write_arrow(place: Path, schema: Any, blocks: Iterator[RowGroup]) -> None:
-    import pyarrow as pa
-
-    with named_failures(str(place)), atomic_file(place) as stream, pa.ipc.new_file(stream, schema) as writer:
-        for block in blocks:
-            writer.write_table(block.table)
-
-
-def _make_room(folder: Path, needed_bytes: int) -> None:
-    """Drop the files used longest ago when the cache would pass its limit; open maps stay valid."""
-    files = sorted(_cached_files(folder))
-    excess = sum(size for _, size, _ in files) + needed_bytes - _CACHE_LIMIT_BYTES
-    for _, size, file in files:
-        if excess <= 0:
-            return
-        file.unlink(missing_ok=True)
-        excess -= size
-
-
-def _cached_files(folder: Path) -> Iterator[tuple[int, int, Path]]:
-    """Yield time of last use, size and place of finished files; other processes may remove some meanwhile."""
-    for file in folder.glob("[!.]*.arrow"):
-        with contextlib.suppress(FileNotFoundError):
-            facts = file.stat()
-            yield facts.st_mtime_ns, facts.st_size, file
 
 
 @dataclass(frozen=True)
@@ -355,11 +227,12 @@ class ShardedTable:
         inner = row - self._starts[shard_index]
         group_index = bisect_right(shard.group_starts, inner) - 1
         block, place = divmod(inner - shard.group_starts[group_index], shard.block_rows[group_index])
-        group = self._groups.get((shard_index, group_index, block))
+        key = (shard_index, group_index, block)
+        group = self._groups.get(key)
         if group is None:
-            group = self._groups.setdefault(
-                (shard_index, group_index, block), shard.block(group_index, block)
-            )
+            group = shard.block(group_index, block)
+            if group.mapped:  # what lies in memory is kept by one place that knows a limit
+                group = self._groups.setdefault(key, group)
         return group, place
 
     def derive(
