@@ -10,12 +10,19 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from cli.card_commands import add_card
+from cli.digit_preview import add_preview
 from cli.digit_source import InkName, SourceName, digit_source
 from cli.digit_tables import print_made
+from cli.export_commands import add_export
 from cli.failures import EXIT_FAILED, reports_errors, run
+from cli.gallery_commands import add_digit_gallery
+from cli.hub_download import add_download
+from cli.hub_upload import add_upload
 from cli.making import make_with_progress, print_forecast
 from cli.options import DryRun, Folder, Json, Limit, Out, Overwrite, Quiet, Seed, Workers
 from cli.output import Sink, flat_lines
+from cli.rooms import Room
 from cli.verification import verify_folder
 
 if TYPE_CHECKING:
@@ -198,11 +205,12 @@ def validate(
 def info(folder: Folder, as_json: Json = False) -> None:
     """Show what a data set folder holds and how it was made."""
     from dataset_store.errors import InputError
-    from dataset_store.manifest import MANIFEST_FILE, read_manifest
+    from dataset_store.manifest import MANIFEST_FILE
+    from dataset_store.parts import manifest_so_far
     from dataset_store.storage import DataFolder
 
     place = DataFolder(str(folder))
-    manifest = read_manifest(place)
+    manifest = manifest_so_far(place)
     if manifest is None:
         message = f"no {MANIFEST_FILE} in {str(folder)!r}; next: give the folder of a generated data set"
         raise InputError(message)
@@ -223,6 +231,14 @@ def verify(folder: Folder, as_json: Json = False, quiet: Quiet = False) -> None:
     from mnist3d.rows import mesh_schema
 
     verify_folder(Sink(as_json, quiet), str(folder), mesh_schema(), "mnist3d generate")
+
+
+add_preview(app)
+add_card(app, Room("mnist3d"))
+add_upload(app, Room("mnist3d"))
+add_download(app, Room("mnist3d"))
+add_digit_gallery(app)
+add_export(app, "mnist3d")
 
 
 def main() -> None:

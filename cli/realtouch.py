@@ -12,10 +12,16 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
+from cli.card_commands import add_card
 from cli.failures import reports_errors, run
+from cli.gallery_commands import add_touch_gallery
+from cli.hub_download import add_download
+from cli.hub_upload import add_upload
 from cli.making import make_with_progress
 from cli.options import Json, Limit, Overwrite, Quiet, Workers
 from cli.output import Sink
+from cli.rooms import Room
+from cli.touch_preview import add_preview
 from cli.touch_tables import print_made, print_summary, raise_findings
 
 if TYPE_CHECKING:
@@ -318,34 +324,11 @@ def select(
     _run(Sink(as_json, quiet), make, out)
 
 
-@app.command()
-@reports_errors
-def preview(
-    name: Name,
-    out: Annotated[Path, typer.Option("--out", "-o", metavar="FILE", help="PNG file to write.")] = Path(
-        "touches.png"
-    ),
-    split: Annotated[str, typer.Option("--split", metavar="NAME", help="Split to open.")] = "train",
-    row: Annotated[int, typer.Option("--round", min=0, metavar="N", help="Which round.")] = 0,
-    touches: Annotated[int, typer.Option(min=1, metavar="N", help="How many touches to show.")] = 32,
-) -> None:
-    """Write a picture of the touches of one round.
-
-    Example: realtouch preview real-single-64x64 --round 3 --out round.png
-    """
-    from dataset_store.errors import InputError
-    from dataset_store.storage import DataFolder
-    from realtouch.jpeg import encode_image
-    from realtouch.opening import load as open_set
-    from realtouch.pictures import round_sheet
-
-    dataset = open_set(name, split)
-    if row >= len(dataset):
-        message = f"--round is {row}; split {split!r} has rounds 0 to {len(dataset) - 1}"
-        raise InputError(message)
-    sheet = round_sheet(dataset[row], touches)
-    DataFolder(str(out.absolute().parent)).write_bytes(out.name, encode_image(sheet, "png"))
-    sys.stdout.write(f"{out}: {dataset[row]!r}\n")
+add_preview(app)
+add_card(app, Room("realtouch"))
+add_upload(app, Room("realtouch"))
+add_download(app, Room("realtouch"))
+add_touch_gallery(app)
 
 
 def main() -> None:

@@ -12,10 +12,10 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from dataset_store.mesh import Mesh
+    from dataset_store.meshfile import read_mesh, write_mesh
     from mnist3d.dataset import MeshDataset, MeshRecord, MeshStream, load
     from mnist3d.digit import DigitCatalog, DigitImage
     from mnist3d.generation import GenerateSpec, generate
-    from mnist3d.meshfile import read_mesh, write_mesh
     from mnist3d.printability import PrintProfile, PrintReport, inspect
     from mnist3d.solid import SolidSpec, solidify
     from mnist3d.sources import DigitSource
@@ -44,11 +44,11 @@ __all__ = [
     "write_mesh",
 ]
 
+_STORE = {"Mesh": "mesh", "read_mesh": "meshfile", "write_mesh": "meshfile"}
 _HOMES = {
     "dataset": ("MeshDataset", "MeshRecord", "MeshStream", "load"),
     "digit": ("DigitCatalog", "DigitImage"),
     "generation": ("GenerateSpec", "generate"),
-    "meshfile": ("read_mesh", "write_mesh"),
     "printability": ("PrintProfile", "PrintReport", "inspect"),
     "solid": ("SolidSpec", "solidify"),
     "sources": ("DigitSource",),
@@ -61,8 +61,8 @@ def __getattr__(name: str) -> Any:
     for home, names in _HOMES.items():
         if name in names:
             return getattr(import_module(f"mnist3d.{home}"), name)
-    if name == "Mesh":
-        return import_module("dataset_store.mesh").Mesh
+    if name in _STORE:
+        return getattr(import_module(f"dataset_store.{_STORE[name]}"), name)
     message = f"module 'mnist3d' has no attribute {name!r}"
     raise AttributeError(message)
 

@@ -166,7 +166,7 @@ def validate_paths(
 
 
 def _check_file(path: str, profile: PrintProfile) -> CheckedItem:
-    from mnist3d.meshfile import read_mesh
+    from dataset_store.meshfile import read_mesh
 
     return CheckedItem(Path(path).name, inspect(read_mesh(path), profile))
 

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import pytest
 
+_EXTRAS = ("browser", "env", "pictures", "slicer", "torch")
 SHARED = Path(__file__).resolve().parents[1].parent / "shared"
 
 
@@ -31,7 +32,7 @@ def shared() -> Path:
 def pytest_runtest_makereport(item: pytest.Item) -> Generator[None, pytest.TestReport, pytest.TestReport]:
     """Fail instead of skipping for want of a package where all extras are said to be installed."""
     report = yield
-    needs_extra = any(item.get_closest_marker(extra) for extra in ("env", "torch"))
+    needs_extra = any(item.get_closest_marker(extra) for extra in _EXTRAS)
     if report.skipped and needs_extra and os.environ.get("REQUIRE_EXTRAS"):
         report.outcome = "failed"
         report.longrepr = f"skipped although REQUIRE_EXTRAS is set: {report.longrepr}"

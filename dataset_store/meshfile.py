@@ -12,18 +12,22 @@ import numpy as np
 
 from dataset_store.errors import InputError, StorageError
 from dataset_store.mesh import MM_PER_M, Mesh
-from mnist3d.stl import read_stl, write_stl
-from mnist3d.threemf import read_threemf, write_threemf
+from dataset_store.stl import read_stl, write_stl
+from dataset_store.threemf import read_threemf, write_threemf
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-__all__ = ["FORMATS", "merge_equal_vertices", "read_mesh", "write_mesh"]
+__all__ = ["BROKEN_FILE", "FORMATS", "merge_equal_vertices", "pack_mesh", "read_mesh", "write_mesh"]
 
 FORMATS = (".stl", ".3mf", ".ply", ".obj", ".glb")
 """Millimetres in all of them (3MF: the unit that the file names), except GLB, which is metres."""
 
-_BROKEN = (ValueError, KeyError, IndexError, TypeError, zipfile.BadZipFile, ElementTree.ParseError, EOFError)
+BROKEN_FILE = (
+    *(ValueError, KeyError, IndexError, TypeError, EOFError),
+    *(zipfile.BadZipFile, ElementTree.ParseError),
+)
+"""What parsing a damaged file raises."""
 
 
 def read_mesh(path: str | Path) -> Mesh:
@@ -50,7 +54,7 @@ def read_mesh(path: str | Path) -> Mesh:
     data = _bytes_of(path)
     try:
         vertices, faces = _parse(data, ending)
-    except _BROKEN as error:
+    except BROKEN_FILE as error:
         message = (
             f"{path}: no readable {ending[1:].upper()} file ({_story(error)}); next: export the mesh again"
         )
@@ -79,7 +83,7 @@ def write_mesh(path: str | Path, mesh: Mesh) -> None:
         The file cannot be written.
     """
     path = Path(path)
-    data = _pack(mesh, _ending(path))
+    data = pack_mesh(mesh, _ending(path))
     partial = path.with_name(f".{path.name}.{os.getpid()}.part")
     try:
         partial.write_bytes(data)
@@ -90,6 +94,34 @@ def write_mesh(path: str | Path, mesh: Mesh) -> None:
             f"{path}: cannot be written ({error.strerror}); next: choose a folder with room and permission"
         )
         raise StorageError(message) from error
+
+
+def pack_mesh(mesh: Mesh, ending: str, name: str = "") -> bytes:
+    """Make the content of a mesh file; the same mesh always gives the same bytes.
+
+    Parameters
+    ----------
+    mesh : Mesh
+        In metres.
+    ending : str
+        One of :data:`FORMATS`.
+    name : str
+        What slicers call the object, where the format holds names (3MF).
+
+    Returns
+    -------
+    bytes
+    """
+    vertices_mm = np.asarray(mesh.vertices_m, dtype=np.float64) * MM_PER_M
+    if ending == ".stl":
+        return write_stl(vertices_mm[mesh.faces])
+    if ending == ".3mf":
+        return write_threemf(vertices_mm, mesh.faces, name)
+    import trimesh
+
+    vertices = mesh.vertices_m if ending == ".glb" else vertices_mm
+    packed = trimesh.Trimesh(vertices, mesh.faces, process=False).export(file_type=ending[1:])
+    return packed.encode() if isinstance(packed, str) else bytes(packed)
 
 
 def merge_equal_vertices(
@@ -156,19 +188,6 @@ def _parse_with_trimesh(data: bytes, ending: str) -> tuple[NDArray[np.float64], 
         # The loaders of trimesh meet damaged files with whatever their parsing runs into.
         raise ValueError(_story(error)) from error
     return np.asarray(mesh.vertices, dtype=np.float64), np.asarray(mesh.faces, dtype=np.int64)
-
-
-def _pack(mesh: Mesh, ending: str) -> bytes:
-    vertices_mm = np.asarray(mesh.vertices_m, dtype=np.float64) * MM_PER_M
-    if ending == ".stl":
-        return write_stl(vertices_mm[mesh.faces])
-    if ending == ".3mf":
-        return write_threemf(vertices_mm, mesh.faces)
-    import trimesh
-
-    vertices = mesh.vertices_m if ending == ".glb" else vertices_mm
-    packed = trimesh.Trimesh(vertices, mesh.faces, process=False).export(file_type=ending[1:])
-    return packed.encode() if isinstance(packed, str) else bytes(packed)
 
 
 def _story(error: BaseException) -> str:

@@ -11,9 +11,9 @@ import pytest
 
 from dataset_store.errors import InputError, StorageError
 from dataset_store.mesh import Mesh
-from mnist3d.meshfile import FORMATS, merge_equal_vertices, read_mesh, write_mesh
+from dataset_store.meshfile import FORMATS, merge_equal_vertices, read_mesh, write_mesh
 from mnist3d.printability import inspect
-from mnist3d.threemf import write_threemf
+from dataset_store.threemf import write_threemf
 
 CORE = "http://schemas.microsoft.com/3dmanufacturing/core/2015/02"
 

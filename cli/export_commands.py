@@ -1,0 +1,234 @@
+"""``export``: files for printers, alike for every kind of data set that holds meshes."""
+
+from __future__ import annotations
+
+import sys
+from enum import StrEnum
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from cli.failures import EXIT_FAILED, reports_errors
+from cli.options import DryRun, Json, Limit, Out, Quiet, Workers
+from cli.output import Sink, bytes_text
+
+if TYPE_CHECKING:
+    from dataset_store.printing.checked import Failure
+    from dataset_store.printing.objects import PrintObject
+    from dataset_store.printing.plate_spec import PlateSpec
+    from dataset_store.printing.plates import PlateExport
+
+__all__ = ["add_export"]
+
+_ROWS_SHOWN = 20
+
+
+class MeshFormat(StrEnum):
+    """Formats of mesh files on the command line."""
+
+    stl = "stl"
+    threemf = "3mf"
+    ply = "ply"
+    obj = "obj"
+    glb = "glb"
+
+
+def add_export(app: typer.Typer, room: str) -> None:
+    """Add the command to a room's command line.
+
+    Parameters
+    ----------
+    app : typer.Typer
+        The room's commands.
+    room : str
+        Package whose ``load(name, split)`` opens a data set of meshes; imported when the command runs.
+    """
+
+    @app.command()
+    @reports_errors
+    def export(
+        name: Annotated[
+            str, typer.Argument(metavar="DIR", help="Data set: a folder, a Parquet file or a Hub repository.")
+        ],
+        split: Annotated[str, typer.Option(metavar="NAME", help="Split to export, or all.")] = "all",
+        file_format: Annotated[
+            MeshFormat | None,
+            typer.Option(
+                "--format", help="Format of the files, mm (glb: m). Default stl; plates are always 3mf."
+            ),
+        ] = None,
+        ids: Annotated[
+            str | None, typer.Option(metavar="3,17,40-60", help="Only the objects with these ids.")
+        ] = None,
+        labels: Annotated[
+            str | None, typer.Option(metavar="3,7", help="Only the objects of these classes.")
+        ] = None,
+        limit: Limit = None,
+        scale: Annotated[float, typer.Option(metavar="FACTOR", help="Factor on all lengths.")] = 1.0,
+        plate: Annotated[
+            str | None,
+            typer.Option(metavar="256x256", help="Pack the objects on build plates of this size, in mm."),
+        ] = None,
+        gap: Annotated[
+            float | None,
+            typer.Option(metavar="MM", help="Distance between objects on a plate.  [default: 3]"),
+        ] = None,
+        label: Annotated[
+            bool, typer.Option("--label", help="Print a small tag with the id beside each object on a plate.")
+        ] = False,
+        out: Out = Path("prints"),
+        workers: Workers = 1,
+        overwrite: Annotated[
+            bool, typer.Option("--overwrite", help="Replace files of an earlier export that differ.")
+        ] = False,
+        dry_run: DryRun = False,
+        as_json: Json = False,
+        quiet: Quiet = False,
+    ) -> None:
+        """Write files for printing: one per object, or packed on build plates.
+
+        Objects keep the pose that they have, their lowest point at z = 0.
+
+        Every file is read back and has to be the same solid, or it is removed and named.
+
+        A stopped export goes on when the same command is given again; what is there already is kept.
+
+        Exit code 1 when an object or plate could not be written as a solid.
+        """
+        spec = _plate_spec(plate, gap, label, file_format)
+        objects = _chosen(room, name, split, ids, labels, limit)
+        sink = Sink(as_json, quiet)
+        if spec is None:
+            kind = (file_format or MeshFormat.stl).value
+            failures = _export_files(sink, objects, out, kind, scale, overwrite, workers, dry_run)
+        else:
+            failures = _export_plates(sink, objects, out, spec, scale, overwrite, dry_run)
+        for failure in failures:
+            # Errors are said even to those who want to hear nothing else.
+            sys.stderr.write(f"failed: {failure.name}: {failure.detail}\n")
+        if failures:
+            raise typer.Exit(EXIT_FAILED)
+
+
+def _plate_spec(
+    plate: str | None, gap: float | None, label: bool, file_format: MeshFormat | None
+) -> PlateSpec | None:
+    from dataset_store.errors import InputError
+    from dataset_store.printing.plate_spec import PlateSpec
+
+    if plate is None:
+        if gap is not None or label:
+            message = f"{'--label' if label else '--gap'} is about build plates; next: add --plate 256x256"
+            raise InputError(message)
+        return None
+    if file_format not in (None, MeshFormat.threemf):
+        message = f"--plate writes 3mf, which holds named objects; --format {file_format} does not"
+        raise InputError(message)
+    return PlateSpec.parse(plate, 3.0 if gap is None else gap, label)
+
+
+def _chosen(
+    room: str, name: str, split: str, ids: str | None, labels: str | None, limit: int | None
+) -> list[PrintObject]:
+    from importlib import import_module
+
+    from dataset_store.places import splits_of
+    from dataset_store.printing.objects import choose, parse_ids
+
+    load = import_module(room).load
+    splits = splits_of(name) if split == "all" else (split,)
+    classes = None if labels is None else [word.strip() for word in labels.split(",")]
+    numbers = None if ids is None else parse_ids(ids)
+    return choose(((each, load(name, each)) for each in splits), ids=numbers, labels=classes, limit=limit)
+
+
+def _export_files(
+    sink: Sink,
+    objects: list[PrintObject],
+    out: Path,
+    kind: str,
+    scale: float,
+    overwrite: bool,
+    workers: int,
+    dry_run: bool,
+) -> tuple[Failure, ...]:
+    import os
+
+    from dataset_store.printing.singles import export_files, forecast_files
+
+    if dry_run:
+        view = forecast_files(objects, kind, scale)
+        sink.document({"out": str(out), **view.to_dict()})
+        sink.line(
+            f"would write {view.files:,} {kind} files to {out}, about {bytes_text(view.bytes)} (measured on "
+            f"{view.sampled}); nothing was written"
+        )
+        return ()
+    with sink.progress("writing", "files") as update:
+        count = workers or os.cpu_count() or 1
+        made = export_files(
+            objects, str(out), kind, scale=scale, overwrite=overwrite, workers=count, on_progress=update
+        )
+    sink.document({"out": str(out), **made.to_dict()})
+    if made.files and len(made.files) <= _ROWS_SHOWN:
+        sink.table(("file", "size mm", "volume mm³", "bytes", ""), [_file_row(file) for file in made.files])
+    kept = sum(file.state == "kept" for file in made.files)
+    size = bytes_text(sum(file.bytes for file in made.files))
+    sink.line(f"{len(made.files):,} files in {out} ({size}), each read back as a solid{_kept(kept)}")
+    return made.failures
+
+
+def _export_plates(
+    sink: Sink,
+    objects: list[PrintObject],
+    out: Path,
+    spec: PlateSpec,
+    scale: float,
+    overwrite: bool,
+    dry_run: bool,
+) -> tuple[Failure, ...]:
+    from dataset_store.printing.layout import arrange, measure
+    from dataset_store.printing.plates import forecast_plates, write_plates
+
+    with sink.progress("measuring", "objects") as update:
+        measured = measure(objects, spec, scale, update)
+    with sink.progress("packing", "objects") as update:
+        layout = arrange(measured, update)
+    if dry_run:
+        made = forecast_plates(layout)
+    else:
+        with sink.progress("writing", "plates") as update:
+            made = write_plates(layout, str(out), overwrite=overwrite, on_progress=update)
+    sink.document({"out": str(out), **made.to_dict()})
+    _print_plates(sink, made, out, spec, dry_run)
+    return made.failures
+
+
+def _print_plates(sink: Sink, made: PlateExport, out: Path, spec: PlateSpec, dry_run: bool) -> None:
+    from dataset_store.printing.plates import TABLE_FILE
+
+    rows = [
+        (plate.file, plate.objects, f"{plate.share:.0%}", bytes_text(plate.bytes)) for plate in made.plates
+    ]
+    sink.table(("plate", "objects", "needed of the plate", "size"), rows)
+    verb = "would write" if dry_run else "wrote"
+    ending = (
+        "nothing was written"
+        if dry_run
+        else f"maps beside them, and {TABLE_FILE} says which object lies where"
+    )
+    kept = sum(plate.state == "kept" for plate in made.plates)
+    sink.line(
+        f"{verb} {len(made.rows):,} objects on {len(made.plates)} plates of {spec.text} to {out} (no packing "
+        f"needs fewer than {made.least_plates}){_kept(kept)}; {ending}"
+    )
+
+
+def _file_row(file: Any) -> tuple[object, ...]:
+    size = " x ".join(f"{side:.1f}" for side in file.size_mm)
+    return file.file, size, f"{file.volume_mm3:.0f}", file.bytes, file.state
+
+
+def _kept(count: int) -> str:
+    return f"; {count:,} were there already" if count else ""

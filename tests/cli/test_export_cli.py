@@ -1,0 +1,199 @@
+"""``export`` as it is typed."""
+
+from __future__ import annotations
+
+import csv
+import json
+import os
+import sys
+from importlib import import_module
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from dataset_store.meshfile import read_mesh
+from dataset_store.soundness import judge
+from tests.dataset_store.toy import folder_bytes
+
+
+def call(*arguments: object, program: str = "mnist3d") -> int:
+    """Run the command line in this process and return its exit code."""
+    main = import_module(f"cli.{program}").main
+    before = sys.argv
+    sys.argv = [program, *map(str, arguments)]
+    try:
+        main()
+    except SystemExit as leave:
+        return int(leave.code or 0)
+    finally:
+        sys.argv = before
+        os.environ.pop("TACTILE_TOOLKIT_DEBUG", None)
+    return 0
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("export") / "digits"
+    for split in ("printed_test", "printed_train"):
+        options = ("--split", split, "--per-class", "1", "--vertices", "500", "--workers", "1", "--quiet")
+        assert call("generate", *options, "--out", path) == 0
+    return path
+
+
+def test_one_file_per_object(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert call("export", folder, "--split", "printed_test", "--out", tmp_path / "out") == 0
+    printed = capsys.readouterr()
+    assert f"10 files in {tmp_path / 'out'}" in printed.out
+    assert "each read back as a solid" in printed.out
+    assert "writing: 10 of 10" in printed.err
+    files = sorted((tmp_path / "out").iterdir())
+    assert [path.name.split("-")[:2] for path in files] == [["printed_test", label] for label in "0123456789"]
+    assert all(judge(read_mesh(path)).problem is None for path in files)
+
+
+@pytest.mark.parametrize("kind", ["3mf", "ply", "obj", "glb"])
+def test_other_formats_and_scales(kind: str, folder: Path, tmp_path: Path) -> None:
+    choice = ("--split", "printed_test", "--labels", "3", "--quiet")
+    assert call("export", folder, *choice, "--out", tmp_path / "one") == 0
+    options = ("--format", kind, "--scale", "1.5", "--out", tmp_path / "other")
+    assert call("export", folder, *choice, *options) == 0
+    (one,), (other,) = (list((tmp_path / name).iterdir()) for name in ("one", "other"))
+    assert other.suffix == f".{kind}"
+    sizes = [np.ptp(read_mesh(path).bounds_m, axis=0) for path in (one, other)]
+    assert sizes[1] == pytest.approx(sizes[0] * 1.5, rel=1e-4)
+
+
+def test_all_splits_ids_and_json(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert call("export", folder, "--out", tmp_path, "--json", "--quiet") == 0
+    document = json.loads(capsys.readouterr().out)
+    assert {file["split"] for file in document["files"]} == {"printed_test", "printed_train"}
+    assert {file["file"] for file in document["files"]} == {path.name for path in tmp_path.iterdir()}
+    assert document["failed"] == []
+    some = document["files"][3]["id"]
+    assert call("export", folder, "--ids", some, "--out", tmp_path, "--json", "--quiet") == 0
+    (file,) = json.loads(capsys.readouterr().out)["files"]
+    assert (file["id"], file["state"]) == (some, "kept")
+
+
+def test_plates(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    options = ("--split", "printed_test", "--plate", "130x130", "--gap", "2", "--label", "--out", tmp_path)
+    assert call("export", folder, *options) == 0
+    printed = capsys.readouterr()
+    assert "wrote 10 objects on" in printed.out
+    assert "no packing needs fewer than" in printed.out
+    assert "plates.csv says which object lies where" in printed.out
+    for stage in ("measuring: 10 of 10", "packing:", "writing:"):
+        assert stage in printed.err
+    with (tmp_path / "plates.csv").open(newline="") as stream:
+        rows = list(csv.DictReader(stream))
+    assert sorted(row["label"] for row in rows) == list("0123456789")
+    assert {row["file"] for row in rows} == {path.name for path in tmp_path.glob("*.3mf")}
+    before = folder_bytes(tmp_path)
+    assert call("export", folder, *options, "--json", "--quiet") == 0
+    document = json.loads(capsys.readouterr().out)
+    assert {plate["state"] for plate in document["plates"]} == {"kept"}
+    assert [row["name"] for row in document["objects"]] == [row["name"] for row in rows]
+    assert folder_bytes(tmp_path) == before
+
+
+@pytest.mark.parametrize("plate", [(), ("--plate", "200x200")])
+def test_dry_run_writes_nothing(
+    plate: tuple[str, ...], folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "out"
+    assert call("export", folder, *plate, "--limit", "2", "--out", out, "--dry-run") == 0
+    printed = capsys.readouterr().out
+    assert "would write 4" in printed
+    assert "nothing was written" in printed
+    assert not out.exists()
+
+
+def test_quiet_says_nothing(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert call("export", folder, "--limit", "1", "--out", tmp_path, "--quiet") == 0
+    assert call("export", folder, "--limit", "1", "--plate", "90x90", "--out", tmp_path, "-q") == 0
+    assert capsys.readouterr() == ("", "")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (("--split", "validation"), ("validation",)),
+        (("--ids", "9999999"), ("no object with id 9999999",)),
+        (("--ids", "x"), ("--ids has 'x'",)),
+        (("--labels", "11"), ("no class '11'",)),
+        (("--scale", "0"), ("--scale is 0",)),
+        (("--plate", "256"), ("--plate is '256'", "256x256")),
+        (("--plate", "20x20"), ("does not fit on the plate", "printed_", "20 x 20 mm")),
+        (("--plate", "256x256", "--gap", "-1"), ("the gap between objects is -1",)),
+        (("--plate", "256x256", "--format", "stl"), ("--plate writes 3mf",)),
+        (("--label",), ("--label is about build plates",)),
+        (("--gap", "3"), ("--gap is about build plates",)),
+    ],
+)
+def test_bad_input_is_named_and_writes_nothing(
+    arguments: tuple[str, ...],
+    words: tuple[str, ...],
+    folder: Path,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    assert call("export", folder, *arguments, "--out", tmp_path / "out", "--quiet") == 2
+    printed = capsys.readouterr()
+    assert printed.out == ""
+    assert printed.err.startswith("error: ")
+    assert printed.err.count("\n") <= 2
+    for word in words:
+        assert word in printed.err
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_other_files_are_refused_unless_overwritten(
+    folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    options = ("export", folder, "--limit", "1", "--out", tmp_path, "--quiet")
+    assert call(*options) == 0
+    before = folder_bytes(tmp_path)
+    assert call(*options, "--scale", "2") == 2
+    assert "--overwrite" in capsys.readouterr().err
+    assert folder_bytes(tmp_path) == before
+    assert call(*options, "--scale", "2", "--overwrite") == 0
+    assert folder_bytes(tmp_path) != before
+
+
+def test_what_is_no_solid_is_named_and_the_rest_is_written(
+    folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A data set of other people's, one of whose meshes has a hole."""
+    import pyarrow as pa
+    from pyarrow import parquet
+
+    (source,) = (folder / "data").glob("printed_test-*.parquet")
+    table = parquet.ParquetFile(source).read(use_threads=False)
+    faces = table.column("mesh.faces").to_pylist()
+    faces[4] = faces[4][3:]
+    place = table.schema.get_field_index("mesh.faces")
+    kind = table.schema.field(place)
+    broken = table.set_column(place, kind, pa.array(faces, kind.type))
+    parquet.write_table(broken, tmp_path / "broken.parquet")
+    name = f"train-{table['label'][4].as_py()}-{table['id'][4].as_py():05d}"
+    for plate in ((), ("--plate", "250x250")):
+        out = tmp_path / f"out{len(plate)}"
+        assert call("export", tmp_path / "broken.parquet", *plate, "--out", out) == 1
+        printed = capsys.readouterr()
+        assert "not-manifold" in printed.err
+        assert "9 files" in printed.out if not plate else "wrote 9 objects" in printed.out
+        assert f"failed: {name}" in printed.err
+
+
+def test_starstruck_exports_alike(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    options = ("--scenes", "test=2,train=0", "--split", "test", "--workers", "1", "--quiet")
+    assert call("generate", *options, "--out", tmp_path / "scenes", program="starstruck") == 0
+    out = tmp_path / "out"
+    assert call("export", tmp_path / "scenes", "--out", out, program="starstruck") == 0
+    files = sorted(out.iterdir())
+    assert [path.name for path in files] == ["test-1-1000000000.stl", "test-2-1000000001.stl"]
+    assert all(judge(read_mesh(path)).problem is None for path in files)
+    plate = ("--plate", "130x250", "--label", "--out", tmp_path / "plates")
+    assert call("export", tmp_path / "scenes", *plate, program="starstruck") == 0
+    assert "wrote 2 objects" in capsys.readouterr().out
