@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from cli.failures import reports_errors, run
+from cli.application import new_app, run
+from cli.failures import reports_errors
 from cli.options import DryRun, Folder, Json, Out, Overwrite, Quiet
 from cli.output import Sink
 from cli.verification import verify_folder
@@ -18,27 +18,9 @@ if TYPE_CHECKING:
 
 __all__ = ["app", "main"]
 
-app = typer.Typer(
-    name="env-assets",
-    help="Assets of environments: the wrench, and what a folder of assets holds.",
-    no_args_is_help=True,
-    pretty_exceptions_enable=False,
-    add_completion=False,
-)
+app = new_app("env-assets", "Assets of environments: the wrench, and what a folder of assets holds.")
 
 Length = Annotated[float | None, typer.Option(metavar="MM", help="Instead of the usual proportion.")]
-
-
-@app.callback(invoke_without_command=True)
-def _global(
-    version: Annotated[bool, typer.Option("--version", help="Print the version and leave.")] = False,
-    debug: Annotated[bool, typer.Option("--debug", help="Show the traceback of an error.")] = False,
-) -> None:
-    if version:
-        from dataset_store.versions import toolkit_version
-
-        sys.stdout.write(f"tactile-toolkit {toolkit_version()}\n")
-        raise typer.Exit
 
 
 @app.command()

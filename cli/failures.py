@@ -12,7 +12,7 @@ import typer
 
 from dataset_store.errors import ToolkitError
 
-__all__ = ["DEBUG_VARIABLE", "EXIT_FAILED", "EXIT_INTERRUPTED", "reports_errors", "run"]
+__all__ = ["DEBUG_VARIABLE", "EXIT_FAILED", "EXIT_INTERRUPTED", "reports_errors"]
 
 DEBUG_VARIABLE = "TACTILE_TOOLKIT_DEBUG"
 EXIT_FAILED = 1
@@ -43,11 +43,3 @@ def reports_errors(command: Callable[P, R]) -> Callable[P, R]:
             raise typer.Exit(EXIT_FAILED) from error
 
     return guarded
-
-
-def run(app: typer.Typer) -> None:
-    """Run a command line; ``--debug`` is understood at any place."""
-    if "--debug" in sys.argv[1:]:
-        os.environ[DEBUG_VARIABLE] = "1"
-        sys.argv = [argument for argument in sys.argv if argument != "--debug"]
-    app()

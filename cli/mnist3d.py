@@ -3,19 +3,19 @@
 from __future__ import annotations
 
 import os
-import sys
 from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from cli.application import new_app, run
 from cli.card_commands import add_card
 from cli.digit_preview import add_preview
 from cli.digit_source import InkName, SourceName, digit_source
 from cli.digit_tables import print_made
 from cli.export_commands import add_export
-from cli.failures import EXIT_FAILED, reports_errors, run
+from cli.failures import EXIT_FAILED, reports_errors
 from cli.gallery_commands import add_digit_gallery
 from cli.hub_download import add_download
 from cli.hub_upload import add_upload
@@ -30,13 +30,7 @@ if TYPE_CHECKING:
 
 __all__ = ["app", "main"]
 
-app = typer.Typer(
-    name="mnist3d",
-    help="Printable 3D digits: from images of handwriting to validated data sets of meshes.",
-    no_args_is_help=True,
-    pretty_exceptions_enable=False,
-    add_completion=False,
-)
+app = new_app("mnist3d", "Printable 3D digits: from images of handwriting to validated data sets of meshes.")
 
 
 class SplitName(StrEnum):
@@ -63,18 +57,6 @@ class SplitBy(StrEnum):
 
     digit = "digit"
     writer = "writer"
-
-
-@app.callback(invoke_without_command=True)
-def _global(
-    version: Annotated[bool, typer.Option("--version", help="Print the version and leave.")] = False,
-    debug: Annotated[bool, typer.Option("--debug", help="Show the traceback of an error.")] = False,
-) -> None:
-    if version:
-        from dataset_store.versions import toolkit_version
-
-        sys.stdout.write(f"tactile-toolkit {toolkit_version()}\n")
-        raise typer.Exit
 
 
 @app.command()

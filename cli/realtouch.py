@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 import re
-import sys
 from collections.abc import Callable
 from enum import StrEnum
 from pathlib import Path
@@ -12,8 +11,9 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
+from cli.application import new_app, run
 from cli.card_commands import add_card
-from cli.failures import reports_errors, run
+from cli.failures import reports_errors
 from cli.gallery_commands import add_touch_gallery
 from cli.hub_download import add_download
 from cli.hub_upload import add_upload
@@ -31,13 +31,7 @@ if TYPE_CHECKING:
 
 __all__ = ["app", "main"]
 
-app = typer.Typer(
-    name="realtouch",
-    help="Real touches: load, check, filter and convert the recordings of a GelSight Mini.",
-    no_args_is_help=True,
-    pretty_exceptions_enable=False,
-    add_completion=False,
-)
+app = new_app("realtouch", "Real touches: load, check, filter and convert the recordings of a GelSight Mini.")
 
 
 class FrameName(StrEnum):
@@ -64,18 +58,6 @@ Frame = Annotated[
         help="Frame of a clip: last or first of contact, of the deepest press, or most unlike the median.",
     ),
 ]
-
-
-@app.callback(invoke_without_command=True)
-def _global(
-    version: Annotated[bool, typer.Option("--version", help="Print the version and leave.")] = False,
-    debug: Annotated[bool, typer.Option("--debug", help="Show the traceback of an error.")] = False,
-) -> None:
-    if version:
-        from dataset_store.versions import toolkit_version
-
-        sys.stdout.write(f"tactile-toolkit {toolkit_version()}\n")
-        raise typer.Exit
 
 
 @app.command()

@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 import os
-import sys
 from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from cli.application import new_app, run
 from cli.card_commands import add_card
 from cli.export_commands import add_export
-from cli.failures import EXIT_FAILED, reports_errors, run
+from cli.failures import EXIT_FAILED, reports_errors
 from cli.gallery_commands import add_scene_gallery
 from cli.hub_download import add_download
 from cli.hub_upload import add_upload
@@ -31,12 +31,8 @@ if TYPE_CHECKING:
 
 __all__ = ["app", "main"]
 
-app = typer.Typer(
-    name="starstruck",
-    help="Starstruck: scenes of stars among other objects, as validated data sets of meshes.",
-    no_args_is_help=True,
-    pretty_exceptions_enable=False,
-    add_completion=False,
+app = new_app(
+    "starstruck", "Starstruck: scenes of stars among other objects, as validated data sets of meshes."
 )
 
 
@@ -46,18 +42,6 @@ class SplitName(StrEnum):
     train = "train"
     test = "test"
     all = "all"
-
-
-@app.callback(invoke_without_command=True)
-def _global(
-    version: Annotated[bool, typer.Option("--version", help="Print the version and leave.")] = False,
-    debug: Annotated[bool, typer.Option("--debug", help="Show the traceback of an error.")] = False,
-) -> None:
-    if version:
-        from dataset_store.versions import toolkit_version
-
-        sys.stdout.write(f"tactile-toolkit {toolkit_version()}\n")
-        raise typer.Exit
 
 
 @app.command()

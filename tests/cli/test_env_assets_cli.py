@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import importlib.metadata
 import json
 import subprocess
 import sys
@@ -9,7 +10,7 @@ from typer.testing import CliRunner
 
 import mnist3d
 import starstruck_gen
-from cli.env_assets import app
+from cli.env_assets import app, main
 
 
 def run(*words):
@@ -110,7 +111,7 @@ def test_help_needs_no_heavy_library():
     code = (
         "import sys\n"
         "from typer.testing import CliRunner\n"
-        "from cli.env_assets import app\n"
+        "from cli.env_assets import app, main\n"
         "for words in (['--help'], ['wrench', '--help'], ['info', '--help'], ['verify', '--help']):\n"
         "    assert CliRunner().invoke(app, words).exit_code == 0\n"
         "heavy = {'numpy', 'pyarrow', 'manifold3d', 'trimesh', 'datasets', 'scipy'}\n"
@@ -119,5 +120,9 @@ def test_help_needs_no_heavy_library():
     subprocess.run([sys.executable, "-c", code], check=True)
 
 
-def test_version_is_that_of_the_toolkit():
-    assert run("--version").stdout.startswith("tactile-toolkit ")
+def test_version_is_that_of_the_toolkit(capsys, monkeypatch):
+    monkeypatch.setattr(sys, "argv", ["env-assets", "--version"])
+    with pytest.raises(SystemExit) as leave:
+        main()
+    assert not leave.value.code
+    assert capsys.readouterr().out == f"tactile-toolkit {importlib.metadata.version('tactile-toolkit')}\n"
