@@ -22,9 +22,9 @@ def add_card(app: typer.Typer, room: Room) -> None:
 
         All numbers are those of the data; loading lines say FOLDER until the folder is uploaded.
         """
-        from dataset_store.card_checks import check_card
-        from dataset_store.card_pictures import PREVIEW_FOLDER
-        from dataset_store.cards import CARD_FILE
+        from dataset_store.cards.card import CARD_FILE
+        from dataset_store.cards.checks import check_card
+        from dataset_store.cards.pictures import PREVIEW_FOLDER
         from dataset_store.errors import IntegrityError
         from dataset_store.storage import DataFolder
 

@@ -75,7 +75,7 @@ def preview(
 
     Plots and smooth oblique views need the extra `pictures`.
     """
-    from dataset_store.pictures import whole_numbers
+    from dataset_store.pictures.writing import whole_numbers
     from mnist3d.previews import PreviewSpec, plan_previews
 
     kinds = tuple(each.value for each in kind or ())

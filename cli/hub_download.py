@@ -14,8 +14,8 @@ from cli.output import Sink, bytes_text
 from cli.rooms import Room
 
 if TYPE_CHECKING:
-    from dataset_store.download_plan import DownloadPlan
-    from dataset_store.published import SetState
+    from dataset_store.hub.download_plan import DownloadPlan
+    from dataset_store.hub.published import SetState
 
 __all__ = ["add_download"]
 
@@ -64,7 +64,7 @@ def add_download(app: typer.Typer, room: Room) -> None:
         A download that broke off goes on where it stopped when the same command is given again. `list` shows
         the names of the published sets.
         """
-        from dataset_store.download_plan import plan_download
+        from dataset_store.hub.download_plan import plan_download
 
         sink = Sink(as_json, quiet)
         plan = plan_download(name, split or (), revision=revision, out=None if out is None else str(out))
@@ -84,7 +84,7 @@ def add_download(app: typer.Typer, room: Room) -> None:
 
 def _introduce(sink: Sink, name: str, plan: DownloadPlan) -> None:
     """Say what is fetched, how large it is, and under which terms it stands."""
-    from dataset_store.published import published_set
+    from dataset_store.hub.published import published_set
 
     snapshot_licence = None if plan.is_done else plan.repository.snapshot.licence
     known = published_set(name)
@@ -120,7 +120,7 @@ def _require_consent(plan: DownloadPlan, *, yes: bool) -> None:
 
 
 def _fetch(sink: Sink, plan: DownloadPlan) -> str:
-    from dataset_store.download import download as carry_out
+    from dataset_store.hub.download import download as carry_out
 
     with sink.progress("fetching, kB", "kB") as update:
         return carry_out(
@@ -166,7 +166,7 @@ def _here(state: SetState) -> str:
 
 
 def _print_sets(sink: Sink, room: str) -> None:
-    from dataset_store.published import published_sets, states
+    from dataset_store.hub.published import published_sets, states
 
     found = states(published_sets(room))
     sink.document(

@@ -13,7 +13,7 @@ from cli.output import Sink, bytes_text
 from cli.rooms import Room
 
 if TYPE_CHECKING:
-    from dataset_store.upload import PreparedUpload, UploadResult
+    from dataset_store.hub.upload import PreparedUpload, UploadResult
 
 __all__ = ["add_upload"]
 
@@ -63,8 +63,8 @@ def add_upload(app: typer.Typer, room: Room) -> None:
 
         Run again after an interruption, it goes on; run again after success, it sends nothing and says so.
         """
+        from dataset_store.hub.upload import UploadOptions, prepare_upload, run_upload
         from dataset_store.storage import DataFolder
-        from dataset_store.upload import UploadOptions, prepare_upload, run_upload
 
         sink = Sink(as_json, quiet)
         options = UploadOptions(private, revision, create_pr, message, tag, delete)
@@ -186,14 +186,14 @@ def _document(room: Room, prepared: PreparedUpload, result: UploadResult | None)
 
 
 def _where(prepared: PreparedUpload) -> str:
-    from dataset_store.upload_target import MAIN
+    from dataset_store.hub.upload_target import MAIN
 
     branch = prepared.target.branch
     return prepared.target.repo_id if branch == MAIN else f"{prepared.target.repo_id} ({branch})"
 
 
 def _address(prepared: PreparedUpload, result: UploadResult | None) -> str:
-    from dataset_store.upload_target import MAIN
+    from dataset_store.hub.upload_target import MAIN
 
     page, branch = prepared.target.page, prepared.target.branch
     if result is not None and result.pull is not None:
@@ -202,7 +202,7 @@ def _address(prepared: PreparedUpload, result: UploadResult | None) -> str:
 
 
 def _python_lines(room: Room, prepared: PreparedUpload, result: UploadResult | None) -> list[str]:
-    from dataset_store.upload_target import MAIN
+    from dataset_store.hub.upload_target import MAIN
 
     branch = result.pull if result is not None and result.pull else prepared.target.branch
     revision = "" if branch == MAIN else f', revision="{branch}"'

@@ -10,7 +10,7 @@ import typer
 from cli.output import Sink, bytes_text
 
 if TYPE_CHECKING:
-    from dataset_store.pictures import PicturePlan
+    from dataset_store.pictures.writing import PicturePlan
 
 __all__ = ["PREVIEW_FOLDER", "PictureDryRun", "PictureOut", "write_previews"]
 
@@ -33,7 +33,7 @@ PictureDryRun = Annotated[
 
 def write_previews(sink: Sink, plan: PicturePlan, out: Path, dry_run: bool) -> None:
     """Draw planned pictures and print where they are, or print only what would be drawn."""
-    from dataset_store.pictures import renamed, write_pictures
+    from dataset_store.pictures.writing import renamed, write_pictures
     from dataset_store.storage import DataFolder
 
     folder, pictures = renamed(plan.pictures, out)

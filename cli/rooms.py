@@ -109,7 +109,7 @@ class Room:
 
     def check(self, folder: DataFolder) -> Iterable[Finding]:
         """List everything that is wrong with a folder: files, rows, columns, ids, pictures, card."""
-        from dataset_store.card_checks import check_card
+        from dataset_store.cards.checks import check_card
         from dataset_store.findings import Finding
         from dataset_store.verify import verify
 

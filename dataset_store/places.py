@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 
 from dataset_store.errors import InputError, IntegrityError
-from dataset_store.hub import HubRepository
+from dataset_store.hub.repository import HubRepository
 from dataset_store.manifest import MANIFEST_FILE, read_manifest
 from dataset_store.rowgroups import Shard
 from dataset_store.shards import DATA_FOLDER, ShardName

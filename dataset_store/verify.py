@@ -7,7 +7,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
-from dataset_store.card_checks import check_card
+from dataset_store.cards.checks import check_card
 from dataset_store.errors import InputError, IntegrityError
 from dataset_store.findings import Finding
 from dataset_store.manifest import MANIFEST_FILE, Manifest, read_manifest

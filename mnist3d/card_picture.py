@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from itertools import islice
 from typing import TYPE_CHECKING
 
-from dataset_store.card_pictures import PREVIEW_FOLDER, png_bytes, tile_sheet
+from dataset_store.cards.pictures import PREVIEW_FOLDER, png_bytes, tile_sheet
 from dataset_store.mesh_columns import FACES, VERTICES
 from dataset_store.records import Row
 from mnist3d.pictures import relief
@@ -15,7 +15,7 @@ from mnist3d.rows import CLASS_NAMES
 if TYPE_CHECKING:
     from PIL.Image import Image
 
-    from dataset_store.card_facts import FolderFacts, SplitFacts
+    from dataset_store.cards.facts import FolderFacts, SplitFacts
 
 __all__ = ["PREVIEW_FILE", "digit_sheet"]
 

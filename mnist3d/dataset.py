@@ -7,10 +7,10 @@ from typing import Literal, overload
 import numpy as np
 from numpy.typing import NDArray
 
+from dataset_store.hub.published import place_of
 from dataset_store.mesh_columns import class_names, require_mesh_columns
 from dataset_store.mesh_records import RecordStream, SolidRecord
 from dataset_store.places import find_shards
-from dataset_store.published import place_of
 from dataset_store.records import RecordDataset
 from dataset_store.rowgroups import ShardedTable
 from mnist3d.digit import NO_WRITER

@@ -39,7 +39,7 @@ def relief(
     """
     from PIL import Image, ImageDraw
 
-    from dataset_store.shading import doubled_areas, shades
+    from dataset_store.pictures.shading import doubled_areas, shades
 
     vertices = np.asarray(vertices_m, np.float64)
     corners = vertices[np.asarray(faces)]
@@ -74,14 +74,14 @@ def relief_of(mesh: Mesh, px_per_mm: float, smoothing: int = 3) -> NDArray[np.ui
     ndarray of uint8, shape (H, W)
         As :func:`relief`, with a margin of one to two pixels.
     """
-    from dataset_store.shading import averaged
+    from dataset_store.pictures.shading import averaged
 
     return averaged(relief(mesh.vertices_m, mesh.faces, 1e-3 / (px_per_mm * smoothing)), smoothing)
 
 
 def record_html(record: MeshRecord) -> str:
     """Return what a notebook shows of a digit: its relief and its figures."""
-    from dataset_store.pictures import png_bytes
+    from dataset_store.pictures.writing import png_bytes
 
     picture = base64.b64encode(png_bytes(relief(record.vertices_m, record.faces))).decode()
     size_mm = np.ptp(record.vertices_m, axis=0) * 1000

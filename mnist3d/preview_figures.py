@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 
 from dataset_store.errors import InputError
-from dataset_store.pictures import Drawing
-from dataset_store.plots import Bars, Spread, plot_bars, plot_spreads
+from dataset_store.pictures.plots import Bars, Spread, plot_bars, plot_spreads
+from dataset_store.pictures.writing import Drawing
 from dataset_store.reports import read_report
 from dataset_store.storage import DataFolder
 from mnist3d.dataset import MeshDataset

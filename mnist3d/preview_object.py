@@ -8,10 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dataset_store.mesh import MM_PER_M
-from dataset_store.oblique import Body, Picture3d, Studio, fitting_scale
-from dataset_store.pictures import Drawing
-from dataset_store.shading import TOP
-from dataset_store.sheets import Sheet, Tile, sheet, with_scale_bar
+from dataset_store.pictures.oblique import Body, Picture3d, Studio, fitting_scale
+from dataset_store.pictures.shading import TOP
+from dataset_store.pictures.sheets import Sheet, Tile, sheet, with_scale_bar
+from dataset_store.pictures.writing import Drawing
 from dataset_store.soundness import judge
 from mnist3d.pictures import relief_of
 

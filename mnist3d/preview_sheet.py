@@ -7,8 +7,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from dataset_store.mesh import MM_PER_M, Mesh
-from dataset_store.pictures import Drawing
-from dataset_store.sheets import ScaleBar, Sheet, Tile, in_rows, sheet, with_scale_bar
+from dataset_store.pictures.sheets import ScaleBar, Sheet, Tile, in_rows, sheet, with_scale_bar
+from dataset_store.pictures.writing import Drawing
 from mnist3d.dataset import MeshRecord
 from mnist3d.pictures import relief_of
 

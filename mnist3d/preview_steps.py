@@ -11,10 +11,10 @@ from numpy.typing import NDArray
 
 from dataset_store.errors import InputError
 from dataset_store.mesh import MM_PER_M, Mesh
-from dataset_store.oblique import Body, Picture3d, Studio
-from dataset_store.pictures import Drawing
-from dataset_store.shading import OBLIQUE, averaged
-from dataset_store.sheets import Sheet, Tile, sheet, with_scale_bar
+from dataset_store.pictures.oblique import Body, Picture3d, Studio
+from dataset_store.pictures.shading import OBLIQUE, averaged
+from dataset_store.pictures.sheets import Sheet, Tile, sheet, with_scale_bar
+from dataset_store.pictures.writing import Drawing
 from mnist3d.preview_object import CLAY
 from mnist3d.solid import ink_mask
 from mnist3d.steps import erode, erosion_radii_px, marching_cubes, mirror, scale, smooth, stack

@@ -13,8 +13,9 @@ from dataset_store.errors import InputError
 from dataset_store.manifest import read_manifest
 from dataset_store.mesh import Mesh
 from dataset_store.meshfile import FORMATS, read_mesh
-from dataset_store.oblique import Studio
-from dataset_store.pictures import (
+from dataset_store.pictures.oblique import Studio
+from dataset_store.pictures.plots import require_plots
+from dataset_store.pictures.writing import (
     Drawing,
     PicturePlan,
     PlannedPicture,
@@ -22,7 +23,6 @@ from dataset_store.pictures import (
     file_stem,
     plan_kinds,
 )
-from dataset_store.plots import require_plots
 from dataset_store.storage import DataFolder
 from mnist3d.dataset import MeshDataset, MeshRecord, load
 from mnist3d.preview_figures import distributions, histogram, require_report

@@ -5,12 +5,12 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any, Literal
 
-from dataset_store.card_citations import HWD_PLUS, TACTILE_MNIST, bibtex
-from dataset_store.card_facts import FolderFacts, folder_facts
-from dataset_store.card_head import card_head, head_text
-from dataset_store.card_parts import field_table, json_block, markdown_table, megabytes, picture
-from dataset_store.card_pictures import write_previews
-from dataset_store.cards import render_card, write_card_text
+from dataset_store.cards.card import render_card, write_card_text
+from dataset_store.cards.citations import HWD_PLUS, TACTILE_MNIST, bibtex
+from dataset_store.cards.facts import FolderFacts, folder_facts
+from dataset_store.cards.head import card_head, head_text
+from dataset_store.cards.parts import field_table, json_block, markdown_table, megabytes, picture
+from dataset_store.cards.pictures import write_previews
 from dataset_store.manifest import Manifest
 from dataset_store.storage import DataFolder
 from realtouch.card_figures import (

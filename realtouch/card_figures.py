@@ -12,8 +12,8 @@ from typing import TypeVar
 
 import numpy as np
 
-from dataset_store.card_facts import FolderFacts, SplitFacts
-from dataset_store.card_pictures import PREVIEW_FOLDER
+from dataset_store.cards.facts import FolderFacts, SplitFacts
+from dataset_store.cards.pictures import PREVIEW_FOLDER
 from dataset_store.errors import ToolkitError
 from dataset_store.records import Row
 from dataset_store.storage import DataFolder

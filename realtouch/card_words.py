@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataset_store.card_parts import Column
+from dataset_store.cards.parts import Column
 
 __all__ = ["COLUMNS", "FAMILIES", "FRAMES", "INDEX_COLUMNS", "LIMITS"]
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataset_store.published import published_set, published_sets
+from dataset_store.hub.published import published_set, published_sets
 
 __all__ = ["SHORT_NAMES", "repository_of"]
 

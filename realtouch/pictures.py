@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from dataset_store.pictures import png_bytes
-from dataset_store.sheets import Sheet, Tile, sheet
+from dataset_store.pictures.sheets import Sheet, Tile, sheet
+from dataset_store.pictures.writing import png_bytes
 from realtouch.jpeg import Pixels
 from realtouch.resizing import resized
 

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from dataset_store.lettering import ACCENTS, INK, MUTED, PAPER, draw_text
-from dataset_store.pictures import Drawing
-from dataset_store.sheets import Sheet, Tile, sheet
+from dataset_store.pictures.lettering import ACCENTS, INK, MUTED, PAPER, draw_text
+from dataset_store.pictures.sheets import Sheet, Tile, sheet
+from dataset_store.pictures.writing import Drawing
 from realtouch.clips import TouchClip
 from realtouch.resizing import resized
 

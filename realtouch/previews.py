@@ -11,9 +11,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dataset_store.errors import InputError
-from dataset_store.lettering import ACCENTS, PAPER
-from dataset_store.oblique import Studio
-from dataset_store.pictures import (
+from dataset_store.pictures.lettering import ACCENTS, PAPER
+from dataset_store.pictures.oblique import Studio
+from dataset_store.pictures.plots import Points, plot_points, require_plots
+from dataset_store.pictures.sheets import Sheet, Tile, sheet, with_scale_bar
+from dataset_store.pictures.writing import (
     Drawing,
     PicturePlan,
     PlannedPicture,
@@ -21,8 +23,6 @@ from dataset_store.pictures import (
     file_stem,
     plan_kinds,
 )
-from dataset_store.plots import Points, plot_points, require_plots
-from dataset_store.sheets import Sheet, Tile, sheet, with_scale_bar
 from realtouch.contact import MIN_CONTACT_HEIGHT_M, contact_heights_m
 from realtouch.dataset import TouchDataset
 from realtouch.fields import contact_z_m

@@ -8,10 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dataset_store.errors import InputError
+from dataset_store.hub.published import place_of
 from dataset_store.mesh_columns import class_names, require_mesh_columns
 from dataset_store.mesh_records import RecordStream, SolidRecord
 from dataset_store.places import find_shards
-from dataset_store.published import place_of
 from dataset_store.records import RecordDataset
 from dataset_store.rowgroups import ShardedTable
 from starstruck_gen.placement import Placement

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dataset_store.errors import InputError
-from dataset_store.pictures import png_bytes
+from dataset_store.pictures.writing import png_bytes
 from starstruck_gen.placement import Placement
 from starstruck_gen.shapes import outline
 

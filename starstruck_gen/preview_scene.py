@@ -8,10 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dataset_store.mesh import MM_PER_M, Mesh
-from dataset_store.oblique import Body, Picture3d, Studio, fitting_scale, shaded
-from dataset_store.pictures import Drawing
-from dataset_store.shading import TOP
-from dataset_store.sheets import ScaleBar, Sheet, Tile, in_rows, sheet, with_scale_bar
+from dataset_store.pictures.oblique import Body, Picture3d, Studio, fitting_scale, shaded
+from dataset_store.pictures.shading import TOP
+from dataset_store.pictures.sheets import ScaleBar, Sheet, Tile, in_rows, sheet, with_scale_bar
+from dataset_store.pictures.writing import Drawing
 from starstruck_gen.dataset import SceneRecord
 from starstruck_gen.picture import DISTRACTOR, STAR, draw_scene, draw_trace
 from starstruck_gen.sampling import SceneTrace, trace_scene

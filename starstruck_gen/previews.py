@@ -12,8 +12,9 @@ import numpy as np
 from dataset_store.choices import chosen_records, class_by_class, open_splits
 from dataset_store.errors import InputError
 from dataset_store.manifest import read_manifest
-from dataset_store.oblique import Studio
-from dataset_store.pictures import (
+from dataset_store.pictures.oblique import Studio
+from dataset_store.pictures.plots import Bars, plot_bars, require_plots
+from dataset_store.pictures.writing import (
     Drawing,
     PicturePlan,
     PlannedPicture,
@@ -21,7 +22,6 @@ from dataset_store.pictures import (
     file_stem,
     plan_kinds,
 )
-from dataset_store.plots import Bars, plot_bars, require_plots
 from dataset_store.storage import DataFolder
 from starstruck_gen.dataset import SceneMeshDataset, SceneRecord, load
 from starstruck_gen.preview_scene import draw_one, draw_sheet

@@ -16,7 +16,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
-from tests.dataset_store.hub_client import run_here, run_python, settings
+from tests.dataset_store.hub.client import run_here, run_python, settings
 from tests.hub_server import HubServer, hub
 from tests.hub_server.repositories import git_blob_oid
 

@@ -13,7 +13,7 @@ import pytest
 from huggingface_hub import DatasetCard
 
 import realtouch
-from dataset_store.card_checks import check_card
+from dataset_store.cards.checks import check_card
 from dataset_store.storage import DataFolder
 from tests.dataset_store.toy import folder_bytes
 from tests.realtouch import factories

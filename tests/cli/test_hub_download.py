@@ -12,12 +12,12 @@ from pathlib import Path
 
 import pytest
 
-from dataset_store.published import PUBLISHED, published_set, published_sets
+from dataset_store.hub.published import PUBLISHED, published_set, published_sets
 from mnist3d.generation import GenerateSpec, generate
 from mnist3d.solid import SolidSpec
 from mnist3d.sources.synthetic import SyntheticSource
 from realtouch.names import SHORT_NAMES, repository_of
-from tests.dataset_store.hub_client import run_here, run_python, settings
+from tests.dataset_store.hub.client import run_here, run_python, settings
 from tests.hub_server import HubServer, hub
 from tests.realtouch.factories import make_round, single_rows, write_set
 

@@ -15,8 +15,8 @@ import pytest
 
 import realtouch
 from starstruck_gen.generation import GenerateSpec, generate
-from tests.dataset_store.hub_client import run_python, settings
-from tests.dataset_store.hub_upload_client import logged_in
+from tests.dataset_store.hub.client import run_python, settings
+from tests.dataset_store.hub.upload_client import logged_in
 from tests.hub_server import HubServer, hub
 from tests.realtouch import factories
 

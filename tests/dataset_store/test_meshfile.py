@@ -12,8 +12,8 @@ import pytest
 from dataset_store.errors import InputError, StorageError
 from dataset_store.mesh import Mesh
 from dataset_store.meshfile import FORMATS, merge_equal_vertices, read_mesh, write_mesh
-from mnist3d.printability import inspect
 from dataset_store.threemf import write_threemf
+from mnist3d.printability import inspect
 
 CORE = "http://schemas.microsoft.com/3dmanufacturing/core/2015/02"
 

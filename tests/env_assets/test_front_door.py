@@ -13,7 +13,7 @@ from typing import Any
 
 import pytest
 
-from tests.dataset_store.hub_client import settings, start_python
+from tests.dataset_store.hub.client import settings, start_python
 from tests.hub_server import hub
 
 pytestmark = [pytest.mark.env, pytest.mark.filterwarnings("ignore")]

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 import env_assets
 import mnist3d
-from dataset_store.card_checks import check_card
+from dataset_store.cards.checks import check_card
 from dataset_store.errors import InputError, SpecMismatchError
 from dataset_store.storage import DataFolder
 from dataset_store.verify import verify

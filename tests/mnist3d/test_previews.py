@@ -11,12 +11,12 @@ from PIL import Image
 
 import mnist3d
 from dataset_store.errors import InputError, IntegrityError, MissingExtraError
-from dataset_store.lettering import INK
 from dataset_store.mesh import Mesh
 from dataset_store.meshfile import write_mesh
-from dataset_store.oblique import Studio
-from dataset_store.pictures import as_rgb
-from dataset_store.sheets import ScaleBar
+from dataset_store.pictures.lettering import INK
+from dataset_store.pictures.oblique import Studio
+from dataset_store.pictures.sheets import ScaleBar
+from dataset_store.pictures.writing import as_rgb
 from dataset_store.storage import DataFolder
 from mnist3d.generation import GenerateSpec, generate
 from mnist3d.pictures import relief, relief_of

@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 
 import realtouch
 from dataset_store.errors import InputError
-from dataset_store.oblique import Studio
+from dataset_store.pictures.oblique import Studio
 from realtouch.preview_overlay import (
     CELL_M,
     SENSING_AREA_M,

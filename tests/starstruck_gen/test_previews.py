@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 
 import starstruck_gen
 from dataset_store.errors import InputError
-from dataset_store.oblique import Studio
+from dataset_store.pictures.oblique import Studio
 from starstruck_gen import SamplingExhausted, SceneSpec, sample_scene, scene_rng
 from starstruck_gen.collision import CLEAR
 from starstruck_gen.generation import GenerateSpec, generate

@@ -1,0 +1,1 @@
+"""To the Hugging Face Hub and back: reading, downloads, uploads, and the published data sets by name."""

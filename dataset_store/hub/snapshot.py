@@ -1,0 +1,132 @@
+"""One commit of a repository of the Hub: what it holds, as the Hub or the cache says."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from dataset_store.errors import HubError
+from dataset_store.hub.cache import RepositoryCache
+from dataset_store.hub.checks import Digest
+from dataset_store.hub.failures import failure_of, shown_cause
+from dataset_store.hub.retries import ask, could_not_ask
+
+__all__ = ["HubFile", "HubSnapshot", "look_at"]
+
+_PROBE_TIMEOUT_S = 5.0
+_MAIN = "main"
+_DIGEST_OF_LENGTH = {64: "sha256", 40: "git-sha1"}
+
+
+@dataclass(frozen=True, slots=True)
+class HubFile:
+    """A file of a repository.
+
+    Attributes
+    ----------
+    path : str
+        Its place.
+    size_bytes : int
+        Its size.
+    digest : Digest or None
+        What the Hub says it is; None where only a cached copy is known that does not tell.
+    """
+
+    path: str
+    size_bytes: int
+    digest: Digest | None
+
+
+@dataclass(frozen=True, slots=True)
+class HubSnapshot:
+    """What a commit holds.
+
+    Attributes
+    ----------
+    repo_id, commit : str
+        Repository and full commit.
+    files : dict of str to HubFile
+        By path. Of a snapshot that was read from the cache, only those in the cache.
+    is_cache : bool
+        Whether the cache answered because the Hub could not be asked.
+    licence : str or None
+        What its card says, if it says so.
+    """
+
+    repo_id: str
+    commit: str
+    files: Mapping[str, HubFile]
+    is_cache: bool = False
+    licence: str | None = None
+
+
+def look_at(repo_id: str, revision: str | None = None, *, patient: bool = True) -> HubSnapshot:
+    """Ask the Hub, once and quickly, what a revision holds; without an answer, ask the cache.
+
+    Parameters
+    ----------
+    repo_id, revision : str
+        Repository and what to look at; default ``main``.
+    patient : bool
+        Wait for a Hub in trouble when nothing of the revision is in the cache.
+
+    Raises
+    ------
+    HubError
+        The Hub refused; or it cannot be reached and the revision is not in the cache.
+    InputError
+        ``repo_id`` is no name of a repository.
+    """
+    cache = RepositoryCache(repo_id)
+    cached = cache.commit_of(revision or _MAIN)
+    try:
+        if not patient or (cached is not None and cache.files(cached)):
+            info = _info(repo_id, revision, _PROBE_TIMEOUT_S)
+        else:
+            info = ask(lambda: _info(repo_id, revision), repo_id, revision)
+    except Exception as error:
+        failure = failure_of(error, repo_id, revision)
+        if failure is None:
+            raise
+        if (
+            not isinstance(failure, HubError)
+            or not could_not_ask(error)
+            or not cached
+            or not cache.files(cached)
+        ):
+            raise failure from shown_cause(error)
+        return _from_cache(cache, cached)
+    snapshot = _from_info(repo_id, info)
+    cache.remember_commit(revision or _MAIN, snapshot.commit)
+    return snapshot
+
+
+def _info(repo_id: str, revision: str | None, timeout_s: float | None = None) -> Any:
+    from huggingface_hub import HfApi, constants
+
+    timeout_s = timeout_s or constants.HF_HUB_ETAG_TIMEOUT
+    return HfApi().dataset_info(repo_id, revision=revision, files_metadata=True, timeout=timeout_s)
+
+
+def _from_info(repo_id: str, info: Any) -> HubSnapshot:
+    files = {}
+    for entry in info.siblings or ():
+        large = entry.lfs
+        digest = Digest("sha256", large.sha256) if large else Digest("git-sha1", entry.blob_id)
+        files[entry.rfilename] = HubFile(entry.rfilename, int(entry.size), digest)
+    licence = getattr(info.card_data, "license", None)
+    return HubSnapshot(repo_id, info.sha, files, licence=licence if isinstance(licence, str) else None)
+
+
+def _from_cache(cache: RepositoryCache, commit: str) -> HubSnapshot:
+    files = {}
+    for path, place in cache.files(commit).items():
+        # The name of a blob tells what it holds; a cache without links has none.
+        name = Path(os.path.realpath(place)).name
+        kind = _DIGEST_OF_LENGTH.get(len(name)) if place.is_symlink() else None
+        digest = Digest(kind, name) if kind else None
+        files[path] = HubFile(path, place.stat().st_size, digest)
+    return HubSnapshot(cache.repo_id, commit, files, is_cache=True)

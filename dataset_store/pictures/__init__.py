@@ -1,0 +1,1 @@
+"""Pictures without a screen: sheets, lettering, plots, shaded and oblique views, written whole."""
