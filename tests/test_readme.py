@@ -21,8 +21,13 @@ BLOCKS = re.findall(r"^```(\w+)\n(.*?)^```", TEXT, flags=re.MULTILINE | re.DOTAL
 PUBLISHED = "TimSchneider42/tactile-mnist-touch-real-single-t256-64x64"
 
 
-def _text(language: str) -> str:
-    return "\n".join(block for kind, block in BLOCKS if kind == language)
+_EXTRA = "# with the extra `env`\n"
+
+
+def _text(language: str, *, extra: bool = False) -> str:
+    chosen = [block for kind, block in BLOCKS if kind == language and block.startswith(_EXTRA) == extra]
+    assert chosen, f"README has no such block: {language}, extra {extra}"
+    return "\n".join(chosen)
 
 
 def _commands() -> list[str]:
@@ -44,6 +49,7 @@ def surroundings(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Pat
             {
                 "HF_ENDPOINT": server.endpoint,
                 "HF_HOME": str(base / "hf"),
+                "HF_TOKEN": server.account("YOU"),
                 "HF_HUB_DISABLE_XET": "1",
                 "TACTILE_TOOLKIT_CACHE": str(base / "cache"),
             },
@@ -65,6 +71,13 @@ def test_blocks_run(surroundings):
         if "pytest" not in command:
             _run(_program(command), folder, settings, command)
     _run([sys.executable, "-c", _text("python")], folder, settings, "the Python blocks")
+
+
+@pytest.mark.env
+def test_the_block_with_environments_runs(surroundings):
+    pytest.importorskip("tactile_mnist", reason="needs tactile-mnist, of the extra env")
+    folder, settings = surroundings
+    _run([sys.executable, "-c", _text("python", extra=True)], folder, settings, "environments")
 
 
 def _program(command: str) -> list[str]:
