@@ -23,6 +23,7 @@ from cli.output import Sink
 from cli.rooms import Room
 from cli.touch_preview import add_preview
 from cli.touch_tables import print_made, print_summary, raise_findings
+from cli.unfinished import print_unfinished
 
 if TYPE_CHECKING:
     from dataset_store.build import Progress
@@ -94,14 +95,18 @@ def info(name: Name, revision: Revision = None, as_json: Json = False) -> None:
 
     Example: realtouch info touches-64x64
     """
-    from dataset_store.manifest import read_manifest
+    from dataset_store.parts import manifest_so_far
     from dataset_store.storage import DataFolder
     from realtouch.conversion import Source
     from realtouch.opening import dataset_of
     from realtouch.summary import summarise
 
     sink = Sink(as_json)
-    manifest = read_manifest(DataFolder(name)) if Path(name).is_dir() else None
+    manifest = manifest_so_far(DataFolder(name)) if Path(name).is_dir() else None
+    if manifest is not None and not manifest.complete:
+        sink.document({"name": name, "complete": False, "splits": manifest.split_table()})
+        print_unfinished(sink, manifest, Path(name), "rounds", f"realtouch {manifest.spec['operation']}")
+        return
     if manifest is not None and manifest.spec.get("operation") == "frames":
         print_made(sink, manifest, Path(name))
         return

@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 
 from dataset_store.cachefiles import CACHE_VARIABLE, cache_folder, mapped_batch, store_batches
 from dataset_store.errors import IntegrityError
+from dataset_store.hub.streaming import named_streaming
 from dataset_store.memory_blocks import MEMORY
 from dataset_store.rowgroup import RowGroup
 from dataset_store.storage import DataFolder
@@ -169,7 +170,8 @@ def _named_damage(path: str) -> Any:
     import pyarrow as pa
 
     try:
-        yield
+        with named_streaming(path):
+            yield
     except FileNotFoundError as error:
         message = f"{path!r} is missing; next: generate or download the data set again"
         raise IntegrityError(message) from error

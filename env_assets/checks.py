@@ -17,6 +17,7 @@ __all__ = ["require_classes", "require_fitting", "require_kind", "require_outwar
 _EXPECTED: dict[str, tuple[type, str]] = {
     "mnist3d": (DigitMeshes, "digits"),
     "starstruck": (SceneMeshes, "scenes of stars"),
+    # The published wrench has none of our columns: anything that is not known to be something else will do.
     "wrench": (WrenchMeshes, "a wrench"),
 }
 
@@ -30,6 +31,8 @@ def require_kind(meshes: Any, name: str) -> None:
         ``name`` is that of a kind and the data set is of another one.
     """
     if name not in _EXPECTED or isinstance(meshes, _EXPECTED[name][0]):
+        return
+    if name == "wrench" and not isinstance(meshes, (DigitMeshes, SceneMeshes)):
         return
     expected = _EXPECTED[name][1]
     classes = ", ".join(meshes.label_names) or "without names"

@@ -125,12 +125,12 @@ def _is_uniform(counts: Any) -> bool:
 
 
 def _manifest_findings(name: str) -> list[Damage]:
-    """Check the files of a folder of ours against its manifest."""
+    """Check the files of a folder of ours against its manifest, and its card."""
     if not Path(name).is_dir() or read_manifest(DataFolder(name)) is None:
         return []
     return [
         Damage(finding.file, None, None, "", finding.problem)
-        for finding in verify_files(DataFolder(name)).findings
+        for finding in verify_files(DataFolder(name), card=True).findings
     ]
 
 

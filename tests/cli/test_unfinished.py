@@ -9,6 +9,7 @@ import pytest
 from typer.testing import CliRunner
 
 from cli.mnist3d import app
+from cli.realtouch import app as touches
 from dataset_store.build import build
 from dataset_store.errors import StorageError
 from dataset_store.manifest import Manifest, write_manifest
@@ -50,3 +51,11 @@ def test_a_run_without_a_finished_shard_says_so(tmp_path):
     write_manifest(DataFolder(str(tmp_path)), Manifest("mnist3d", toolkit_version(), {"seed": 1}, SPLITS))
     assert json.loads(info(tmp_path, "--json"))["shards_planned"] == {}
     assert "no shard is finished yet" in info(tmp_path)
+
+
+def test_conversions_of_touches_name_themselves(tmp_path):
+    manifest = Manifest("touch-single", toolkit_version(), {"operation": "resize"}, SPLITS)
+    write_manifest(DataFolder(str(tmp_path)), manifest)
+    result = CliRunner().invoke(touches, ["info", str(tmp_path)])
+    assert result.exit_code == 0, result.output
+    assert "no shard is finished yet; the same `realtouch resize` goes on" in result.stdout

@@ -55,3 +55,14 @@ def test_classes_have_names_and_an_order(tmp_path):
     for names in (("a", "b"), ("b", "a", "c"), ()):
         with pytest.raises(InputError, match="solids has classes a, b, c; expected"):
             require_classes(meshes, names, "solids")
+
+
+def test_a_published_wrench_has_none_of_our_columns(tmp_path):
+    write_meshes(tmp_path / "wrench", [SMALL.to_trimesh()], ("open-end",))
+    assert len(env_assets.AssetProvider(tmp_path).meshes("wrench")) == 1
+
+
+def test_digits_are_no_wrench(tmp_path):
+    write_meshes(tmp_path / "wrench", [SMALL.to_trimesh()], tuple("0123456789"))
+    with pytest.raises(InputError, match="expected to hold a wrench, found digits"):
+        env_assets.AssetProvider(tmp_path).meshes("wrench")

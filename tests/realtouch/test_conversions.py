@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import json
+import re
 from pathlib import Path
 from typing import Any
 
@@ -198,6 +199,15 @@ def test_pictures_are_verified_against_their_index(single_folder: Path, tmp_path
     assert [finding.file for finding in realtouch.verify(str(out)).findings] == [
         str(file.relative_to(out)) for file in (first, second)
     ]
+
+
+def test_a_card_that_lies_is_found(single_folder: Path, tmp_path: Path) -> None:
+    out = tmp_path / "small"
+    realtouch.resize(str(single_folder), str(out), 32, 24)
+    assert realtouch.verify(str(out)).findings == ()
+    card = out / "README.md"
+    card.write_text(re.sub(r"num_examples: \d+", "num_examples: 5000", card.read_text()))
+    assert {finding.file for finding in realtouch.verify(str(out)).findings} == {"README.md"}
 
 
 def test_pictures_are_resumed_and_started_again(single_folder: Path, tmp_path: Path) -> None:
