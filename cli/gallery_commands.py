@@ -5,9 +5,8 @@ from __future__ import annotations
 import os
 import sys
 import time
-from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -16,8 +15,7 @@ from cli.options import DryRun, Json, Limit, Quiet, Workers
 from cli.output import Sink, bytes_text, duration_text
 
 if TYPE_CHECKING:
-    from dataset_store.gallery.forecast import SiteForecast
-    from dataset_store.gallery.site import Site
+    from dataset_store.gallery.items import Gallery
 
 __all__ = ["add_digit_gallery", "add_scene_gallery", "add_touch_gallery"]
 
@@ -74,14 +72,11 @@ def _digits(
 
     Example: mnist3d gallery digits --out site --split test
     """
-    from mnist3d.gallery import DigitChoice, forecast_gallery, make_gallery
+    from dataset_store.gallery.selection import Choice
+    from mnist3d.gallery import plan_gallery
 
-    choice = DigitChoice(name, split, limit, per_class)
     run = _Run(Sink(as_json, quiet), "digits", out, workers or os.cpu_count() or 1, overwrite)
-    if dry_run:
-        run.forecast(lambda: forecast_gallery(choice, str(out), workers=run.workers, overwrite=overwrite))
-    else:
-        run.make(lambda tell: make_gallery(choice, on_progress=tell, **run.options))
+    run.go(plan_gallery(Choice(name, split, limit, per_class)), dry_run)
 
 
 @reports_errors
@@ -103,14 +98,11 @@ def _scenes(
 
     Example: starstruck gallery stars --out site --split test
     """
-    from starstruck_gen.gallery import SceneChoice, forecast_gallery, make_gallery
+    from dataset_store.gallery.selection import Choice
+    from starstruck_gen.gallery import plan_gallery
 
-    choice = SceneChoice(name, split, limit, per_class)
     run = _Run(Sink(as_json, quiet), "scenes", out, workers or os.cpu_count() or 1, overwrite)
-    if dry_run:
-        run.forecast(lambda: forecast_gallery(choice, str(out), workers=run.workers, overwrite=overwrite))
-    else:
-        run.make(lambda tell: make_gallery(choice, on_progress=tell, **run.options))
+    run.go(plan_gallery(Choice(name, split, limit, per_class)), dry_run)
 
 
 @reports_errors
@@ -138,14 +130,10 @@ def _touches(
 
     Example: realtouch gallery real-single-64x64 --out site --split test
     """
-    from realtouch.gallery import RoundChoice, forecast_gallery, make_gallery
+    from realtouch.gallery import RoundChoice, plan_gallery
 
-    choice = RoundChoice(name, split, limit, per_class, touches)
     run = _Run(Sink(as_json, quiet), "rounds", out, workers or os.cpu_count() or 1, overwrite)
-    if dry_run:
-        run.forecast(lambda: forecast_gallery(choice, str(out), workers=run.workers, overwrite=overwrite))
-    else:
-        run.make(lambda tell: make_gallery(choice, on_progress=tell, **run.options))
+    run.go(plan_gallery(RoundChoice(name, split, limit, per_class, touches)), dry_run)
 
 
 class _Run:
@@ -153,11 +141,19 @@ class _Run:
 
     def __init__(self, sink: Sink, nouns: str, out: Path, workers: int, overwrite: bool) -> None:
         self.sink, self.nouns, self.out, self.workers = sink, nouns, out, workers
-        self.options: dict[str, Any] = {"out": str(out), "workers": workers, "overwrite": overwrite}
+        self.overwrite = overwrite
 
-    def forecast(self, look: Callable[[], SiteForecast]) -> None:
-        """Print what would be made."""
-        view = look()
+    def go(self, gallery: Gallery, dry_run: bool) -> None:
+        """Make the gallery, or only say what would be made."""
+        if dry_run:
+            self._forecast(gallery)
+        else:
+            self._make(gallery)
+
+    def _forecast(self, gallery: Gallery) -> None:
+        from dataset_store.gallery.forecast import forecast_site
+
+        view = forecast_site(gallery, str(self.out), self.workers, overwrite=self.overwrite)
         self.sink.document(view.to_dict())
         self._table(view.splits)
         self.sink.line(
@@ -168,12 +164,15 @@ class _Run:
         if not view.fits:
             self.sink.talk("that is too large and would be refused; choose fewer with --limit or --split")
 
-    def make(self, build: Callable[[Callable[[int, int], None]], Site]) -> None:
-        """Make the site and print what it holds."""
+    def _make(self, gallery: Gallery) -> None:
+        from dataset_store.gallery.site import build_site
+
         start_s = time.monotonic()
         try:
             with self.sink.progress("making the gallery", self.nouns) as update:
-                site = build(update)
+                site = build_site(
+                    gallery, str(self.out), self.workers, overwrite=self.overwrite, on_progress=update
+                )
         except KeyboardInterrupt as error:
             sys.stderr.write(f"interrupted; nothing was left behind, {self.out} is as it was before\n")
             raise typer.Exit(EXIT_INTERRUPTED) from error

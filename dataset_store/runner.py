@@ -118,8 +118,10 @@ class ProcessRunner:
             waiting.appendleft((task, attempt + 1))
 
 
-def runner_for(workers: int) -> Runner:
-    """Return the runner for a number of local workers; one worker means the calling process itself."""
+def runner_for(workers: int | Runner) -> Runner:
+    """Return a runner as it is, or that for a number of workers; one means the calling process itself."""
+    if not isinstance(workers, int):
+        return workers
     return InlineRunner() if workers == 1 else ProcessRunner(workers)
 
 

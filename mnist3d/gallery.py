@@ -2,22 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from dataset_store.gallery.forecast import SiteForecast, forecast_site
 from dataset_store.gallery.items import NONE, Facet, Gallery, Item, Measure
 from dataset_store.gallery.meshes import packed_mesh, require_mesh, size_text
 from dataset_store.gallery.pictures import THUMBNAIL_PX, thumbnail
-from dataset_store.gallery.selection import chosen_rows, portions, short_name, splits_to_show
-from dataset_store.gallery.site import Site, build_site
+from dataset_store.gallery.selection import Choice, chosen_rows, portions, short_name, splits_to_show
 from dataset_store.mesh import MM_PER_M, Mesh
 from dataset_store.reports import read_report
-from dataset_store.runner import runner_for
 from dataset_store.storage import DataFolder
 from mnist3d.dataset import MeshDataset, MeshRecord, load
 from mnist3d.digit import NO_WRITER
@@ -25,7 +22,7 @@ from mnist3d.pictures import relief
 from mnist3d.printability import WARNINGS, inspect
 from mnist3d.report import REPORT_FILE
 
-__all__ = ["DigitChoice", "forecast_gallery", "make_gallery", "plan_gallery"]
+__all__ = ["plan_gallery"]
 
 _ROWS_PER_TASK = 8
 _OVERSAMPLING = 2
@@ -50,26 +47,6 @@ _MEASURES = (
 )
 
 Findings = Mapping[str, Any]
-
-
-@dataclass(frozen=True, slots=True)
-class DigitChoice:
-    """Which digits of a data set to show.
-
-    Attributes
-    ----------
-    name : str
-        Folder, Parquet file or repository of the Hub, as for :func:`mnist3d.load`.
-    split : str or None
-        Only this split.
-    limit, per_class : int or None
-        Only the first so many digits of each split, and of each class of a split.
-    """
-
-    name: str
-    split: str | None = None
-    limit: int | None = None
-    per_class: int | None = None
 
 
 @dataclass(frozen=True)
@@ -101,7 +78,7 @@ class _DigitTask:
         ]
 
 
-def plan_gallery(choice: DigitChoice) -> Gallery:
+def plan_gallery(choice: Choice) -> Gallery:
     """Say what a gallery of digits shows; reads ids and labels, no mesh.
 
     Raises
@@ -125,40 +102,6 @@ def plan_gallery(choice: DigitChoice) -> Gallery:
             tasks.append(_DigitTask(dataset[portion], split, known))
     title = f"3D digits · {short_name(choice.name)}"
     return Gallery("mnist3d", title, ("digit", "digits"), _FACETS, _MEASURES, tuple(tasks), splits)
-
-
-def make_gallery(
-    choice: DigitChoice,
-    out: str,
-    *,
-    workers: int = 1,
-    overwrite: bool = False,
-    on_progress: Callable[[int, int], None] = lambda _done, _total: None,
-) -> Site:
-    """Make a gallery of digits in the folder ``out``.
-
-    Raises
-    ------
-    InputError
-        As :func:`plan_gallery` and :func:`dataset_store.gallery.site.build_site`.
-    StorageError
-        The folder cannot be written.
-    """
-    gallery = plan_gallery(choice)
-    return build_site(gallery, out, runner_for(workers), overwrite=overwrite, on_progress=on_progress)
-
-
-def forecast_gallery(
-    choice: DigitChoice, out: str, *, workers: int = 1, overwrite: bool = False
-) -> SiteForecast:
-    """Tell what :func:`make_gallery` would make; writes nothing.
-
-    Raises
-    ------
-    InputError
-        As :func:`make_gallery`.
-    """
-    return forecast_site(plan_gallery(choice), out, workers, overwrite=overwrite)
 
 
 def _stored_reports(name: str) -> dict[tuple[str, int], Findings]:

@@ -220,7 +220,7 @@ def generate(
     """
     folder = DataFolder(out)
     plan = plan_build(spec, splits)
-    runner = runner_for(workers) if isinstance(workers, int) else workers
+    runner = runner_for(workers)
     manifest = build(folder, plan, runner, overwrite=overwrite, on_progress=on_progress)
     write_card(folder, manifest)
     return manifest

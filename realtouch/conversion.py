@@ -287,5 +287,5 @@ def convert(
         The folder cannot be written. What was finished stays.
     """
     folder = DataFolder(out)
-    runner = runner_for(workers) if isinstance(workers, int) else workers
+    runner = runner_for(workers)
     return build(folder, plan_conversion(conversion), runner, overwrite=overwrite, on_progress=on_progress)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -10,13 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dataset_store.errors import InputError
-from dataset_store.gallery.forecast import SiteForecast, forecast_site
 from dataset_store.gallery.items import Facet, Gallery, Item, Measure
 from dataset_store.gallery.pictures import thumbnail
-from dataset_store.gallery.selection import chosen_rows, portions, short_name, splits_to_show
-from dataset_store.gallery.site import Site, build_site
+from dataset_store.gallery.selection import Choice, chosen_rows, portions, short_name, splits_to_show
 from dataset_store.mesh import MM_PER_M
-from dataset_store.runner import runner_for
 from realtouch.contact import MIN_CONTACT_HEIGHT_M
 from realtouch.dataset import TouchDataset
 from realtouch.gallery_films import film_of, sheet_of
@@ -25,7 +22,7 @@ from realtouch.opening import load
 from realtouch.rounds import TouchRound, TouchSeqRound
 from realtouch.touches import Touch
 
-__all__ = ["DEFAULT_TOUCHES", "RoundChoice", "forecast_gallery", "make_gallery", "plan_gallery"]
+__all__ = ["DEFAULT_TOUCHES", "RoundChoice", "plan_gallery"]
 
 DEFAULT_TOUCHES = 64
 """Touches shown of a round: of 256 every fourth, about 4 MB of clips."""
@@ -46,25 +43,15 @@ _MEASURES = (
 
 
 @dataclass(frozen=True, slots=True)
-class RoundChoice:
-    """Which rounds of a data set to show.
+class RoundChoice(Choice):
+    """Which rounds of a data set to show, and which of their touches.
 
     Attributes
     ----------
-    name : str
-        Short name, folder, Parquet file or repository of the Hub, as for :func:`realtouch.load`.
-    split : str or None
-        Only this split.
-    limit, per_class : int or None
-        Only the first so many rounds of each split, and of each class of a split.
     touches : int
         At most so many touches of each round, evenly spaced.
     """
 
-    name: str
-    split: str | None = None
-    limit: int | None = None
-    per_class: int | None = None
     touches: int = DEFAULT_TOUCHES
 
     def __post_init__(self) -> None:
@@ -128,42 +115,6 @@ def plan_gallery(choice: RoundChoice) -> Gallery:
             tasks.append(_RoundTask(shown[portion], split, choice.touches, known))
     title = f"Real touches · {short_name(choice.name)}"
     return Gallery("realtouch", title, ("round", "rounds"), _FACETS, _MEASURES, tuple(tasks), splits)
-
-
-def make_gallery(
-    choice: RoundChoice,
-    out: str,
-    *,
-    workers: int = 1,
-    overwrite: bool = False,
-    on_progress: Callable[[int, int], None] = lambda _done, _total: None,
-) -> Site:
-    """Make a gallery of rounds in the folder ``out``.
-
-    Raises
-    ------
-    InputError
-        As :func:`plan_gallery` and :func:`dataset_store.gallery.site.build_site`.
-    IntegrityError
-        An image or clip is damaged.
-    StorageError
-        The folder cannot be written.
-    """
-    gallery = plan_gallery(choice)
-    return build_site(gallery, out, runner_for(workers), overwrite=overwrite, on_progress=on_progress)
-
-
-def forecast_gallery(
-    choice: RoundChoice, out: str, *, workers: int = 1, overwrite: bool = False
-) -> SiteForecast:
-    """Tell what :func:`make_gallery` would make; writes nothing.
-
-    Raises
-    ------
-    InputError
-        As :func:`make_gallery`.
-    """
-    return forecast_site(plan_gallery(choice), out, workers, overwrite=overwrite)
 
 
 def _heights_m(dataset: TouchDataset[Any]) -> list[NDArray[np.float64]] | None:

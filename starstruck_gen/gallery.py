@@ -2,24 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 
-from dataset_store.gallery.forecast import SiteForecast, forecast_site
 from dataset_store.gallery.items import Facet, Gallery, Item, Measure
 from dataset_store.gallery.meshes import packed_mesh, require_mesh, size_text
 from dataset_store.gallery.pictures import THUMBNAIL_PX, thumbnail, top_view
-from dataset_store.gallery.selection import chosen_rows, portions, short_name, splits_to_show
-from dataset_store.gallery.site import Site, build_site
+from dataset_store.gallery.selection import Choice, chosen_rows, portions, short_name, splits_to_show
 from dataset_store.mesh import MM_PER_M, Mesh
-from dataset_store.runner import runner_for
 from starstruck_gen.dataset import SceneMeshDataset, SceneRecord, load
 from starstruck_gen.solid import prism
 from starstruck_gen.spec import SceneSpec
 
-__all__ = ["SceneChoice", "forecast_gallery", "make_gallery", "plan_gallery"]
+__all__ = ["plan_gallery"]
 
 _ROWS_PER_TASK = 32
 _OPAQUE_FROM = 150  # levels darker than the plate, as the fill of every object is
@@ -41,26 +37,6 @@ _MEASURES = (
 )
 
 
-@dataclass(frozen=True, slots=True)
-class SceneChoice:
-    """Which scenes of a data set to show.
-
-    Attributes
-    ----------
-    name : str
-        Folder, Parquet file or repository of the Hub, as for :func:`starstruck_gen.load`.
-    split : str or None
-        Only this split.
-    limit, per_class : int or None
-        Only the first so many scenes of each split, and of each class of a split.
-    """
-
-    name: str
-    split: str | None = None
-    limit: int | None = None
-    per_class: int | None = None
-
-
 @dataclass(frozen=True)
 class _SceneTask:
     """Makes the items of some scenes of one split."""
@@ -76,7 +52,7 @@ class _SceneTask:
         return [_item(record, self.split) for record in self.dataset]
 
 
-def plan_gallery(choice: SceneChoice) -> Gallery:
+def plan_gallery(choice: Choice) -> Gallery:
     """Say what a gallery of scenes shows; reads labels, no mesh.
 
     Raises
@@ -96,40 +72,6 @@ def plan_gallery(choice: SceneChoice) -> Gallery:
         tasks += [_SceneTask(dataset[portion], split) for portion in portions(rows, _ROWS_PER_TASK)]
     title = f"Starstruck scenes · {short_name(choice.name)}"
     return Gallery("starstruck", title, ("scene", "scenes"), _FACETS, _MEASURES, tuple(tasks), splits)
-
-
-def make_gallery(
-    choice: SceneChoice,
-    out: str,
-    *,
-    workers: int = 1,
-    overwrite: bool = False,
-    on_progress: Callable[[int, int], None] = lambda _done, _total: None,
-) -> Site:
-    """Make a gallery of scenes in the folder ``out``.
-
-    Raises
-    ------
-    InputError
-        As :func:`plan_gallery` and :func:`dataset_store.gallery.site.build_site`.
-    StorageError
-        The folder cannot be written.
-    """
-    gallery = plan_gallery(choice)
-    return build_site(gallery, out, runner_for(workers), overwrite=overwrite, on_progress=on_progress)
-
-
-def forecast_gallery(
-    choice: SceneChoice, out: str, *, workers: int = 1, overwrite: bool = False
-) -> SiteForecast:
-    """Tell what :func:`make_gallery` would make; writes nothing.
-
-    Raises
-    ------
-    InputError
-        As :func:`make_gallery`.
-    """
-    return forecast_site(plan_gallery(choice), out, workers, overwrite=overwrite)
 
 
 def _item(record: SceneRecord, split: str) -> Item:

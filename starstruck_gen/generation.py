@@ -199,7 +199,7 @@ def generate(
     folder = DataFolder(out)
     plan = plan_build(spec, splits)
     require_room(spec.scene, spec.seed)
-    runner = runner_for(workers) if isinstance(workers, int) else workers
+    runner = runner_for(workers)
     try:
         manifest = build(folder, plan, runner, overwrite=overwrite, on_progress=on_progress)
     except SamplingExhausted as error:

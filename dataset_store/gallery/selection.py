@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -10,7 +11,27 @@ from numpy.typing import NDArray
 
 from dataset_store.places import splits_of
 
-__all__ = ["chosen_rows", "portions", "short_name", "splits_to_show"]
+__all__ = ["Choice", "chosen_rows", "portions", "short_name", "splits_to_show"]
+
+
+@dataclass(frozen=True, slots=True)
+class Choice:
+    """Which rows of a data set to show.
+
+    Attributes
+    ----------
+    name : str
+        Short name, folder, Parquet file or repository of the Hub, as the room's ``load`` takes it.
+    split : str or None
+        Only this split.
+    limit, per_class : int or None
+        Only the first so many rows of each split, and of each class of a split.
+    """
+
+    name: str
+    split: str | None = None
+    limit: int | None = None
+    per_class: int | None = None
 
 
 def chosen_rows(labels: NDArray[np.int64], limit: int | None, per_class: int | None) -> NDArray[np.int64]:

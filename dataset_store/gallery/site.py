@@ -16,7 +16,7 @@ from dataset_store.gallery.items import Gallery, Item, ItemTask
 from dataset_store.gallery.library import viewer_library
 from dataset_store.gallery.staging import staged_folder
 from dataset_store.gallery.texts import ASSETS, asset, content_script, index_script, page
-from dataset_store.runner import Runner
+from dataset_store.runner import Runner, runner_for
 from dataset_store.storage import named_failures
 from dataset_store.versions import toolkit_version
 
@@ -72,7 +72,7 @@ class Site:
 def build_site(
     gallery: Gallery,
     out: str,
-    runner: Runner,
+    runner: Runner | int = 1,
     *,
     overwrite: bool = False,
     on_progress: Callable[[int, int], None] = lambda _done, _total: None,
@@ -85,8 +85,8 @@ def build_site(
         What to show.
     out : str
         Folder to make. It appears whole or not at all.
-    runner : Runner
-        Who makes the items.
+    runner : Runner or int
+        Who makes the items, or how many worker processes do.
     overwrite : bool
         Replace a gallery that stands there. Anything else is never touched.
     on_progress : callable
@@ -107,7 +107,7 @@ def build_site(
         for name, content in fixed_files(gallery).items():
             writer.write(name, content)
         on_progress(0, gallery.size)
-        for items in _in_order(runner, gallery.tasks):
+        for items in _in_order(runner_for(runner), gallery.tasks):
             for item in items:
                 for name, content in item_files(index.add(item), item).items():
                     writer.write(name, content)

@@ -9,9 +9,12 @@ import pytest
 
 import mnist3d
 from dataset_store.errors import InputError, IntegrityError
+from dataset_store.gallery.forecast import forecast_site
+from dataset_store.gallery.selection import Choice
+from dataset_store.gallery.site import build_site
 from dataset_store.reports import read_report
 from dataset_store.storage import DataFolder
-from mnist3d.gallery import DigitChoice, forecast_gallery, make_gallery, plan_gallery
+from mnist3d.gallery import plan_gallery
 from mnist3d.report import REPORT_FILE
 from mnist3d.solid import SolidSpec
 from mnist3d.sources.synthetic import SyntheticSource
@@ -47,7 +50,7 @@ def measure(index: dict, title: str) -> list[float | None]:
 
 
 def test_the_page_shows_every_digit_with_what_the_report_says(folder, tmp_path):
-    site = make_gallery(DigitChoice(str(folder)), str(tmp_path / "site"))
+    site = build_site(plan_gallery(Choice(str(folder))), str(tmp_path / "site"))
     assert (site.items, site.splits) == (30, {"train": 20, "test": 10})
     index = index_of(tmp_path / "site")
     assert index["title"] == "3D digits · digits"
@@ -71,8 +74,8 @@ def test_the_page_shows_every_digit_with_what_the_report_says(folder, tmp_path):
 def test_a_set_without_a_report_is_inspected(folder, tmp_path):
     bare = tmp_path / "bare"
     shutil.copytree(folder / "data", bare / "data")
-    make_gallery(DigitChoice(str(folder), "test"), str(tmp_path / "a"))
-    make_gallery(DigitChoice(str(bare), "test"), str(tmp_path / "b"))
+    build_site(plan_gallery(Choice(str(folder), "test")), str(tmp_path / "a"))
+    build_site(plan_gallery(Choice(str(bare), "test")), str(tmp_path / "b"))
     of_report, inspected = index_of(tmp_path / "a"), index_of(tmp_path / "b")
     assert inspected["facets"] == of_report["facets"]
     for told, seen in zip(of_report["measures"], inspected["measures"], strict=True):
@@ -80,9 +83,9 @@ def test_a_set_without_a_report_is_inspected(folder, tmp_path):
 
 
 def test_workers_do_not_show_and_a_choice_is_kept(folder, tmp_path):
-    choice = DigitChoice(str(folder), limit=5, per_class=1)
-    one = make_gallery(choice, str(tmp_path / "a"), workers=1)
-    make_gallery(choice, str(tmp_path / "b"), workers=2)
+    choice = Choice(str(folder), limit=5, per_class=1)
+    one = build_site(plan_gallery(choice), str(tmp_path / "a"), 1)
+    build_site(plan_gallery(choice), str(tmp_path / "b"), 2)
     assert folder_bytes(tmp_path / "a") == folder_bytes(tmp_path / "b")
     assert one.splits == {"train": 5, "test": 5}
     labels = column(index_of(tmp_path / "a"), "Class")
@@ -90,28 +93,28 @@ def test_workers_do_not_show_and_a_choice_is_kept(folder, tmp_path):
 
 
 def test_forecast_agrees_with_the_run(folder, tmp_path):
-    choice = DigitChoice(str(folder), "test")
-    view = forecast_gallery(choice, str(tmp_path / "site"))
-    site = make_gallery(choice, str(tmp_path / "site"))
+    choice = Choice(str(folder), "test")
+    view = forecast_site(plan_gallery(choice), str(tmp_path / "site"), 1)
+    site = build_site(plan_gallery(choice), str(tmp_path / "site"))
     assert (view.items, view.files, view.bytes) == (site.items, site.files, site.bytes)
 
 
 def test_what_cannot_be_shown_is_named(folder, tmp_path):
     with pytest.raises(InputError, match="no split 'holdout'"):
-        plan_gallery(DigitChoice(str(folder), "holdout"))
+        plan_gallery(Choice(str(folder), "holdout"))
     with pytest.raises(InputError, match="neither a folder"):
-        plan_gallery(DigitChoice(str(tmp_path / "absent")))
+        plan_gallery(Choice(str(tmp_path / "absent")))
     copy = Path(shutil.copytree(folder, tmp_path / "copy"))
     (copy / "data" / "test-00000-of-00001.parquet").unlink()
     with pytest.raises(IntegrityError):
-        make_gallery(DigitChoice(str(copy), "test"), str(tmp_path / "site"))
+        build_site(plan_gallery(Choice(str(copy), "test")), str(tmp_path / "site"))
     assert not (tmp_path / "site").exists()
 
 
 @pytest.mark.browser
 def test_a_digit_in_the_browser_is_that_digit(folder, tmp_path):
     with browser() as chromium:
-        make_gallery(DigitChoice(str(folder), "test"), str(tmp_path / "site"))
+        build_site(plan_gallery(Choice(str(folder), "test")), str(tmp_path / "site"))
         records = mnist3d.load(str(folder), "test")
         place = int(np.flatnonzero(records.labels == 1)[0])
         with opened(chromium, tmp_path / "site", width=900, height=620, link=f"#item-{place}") as found:

@@ -11,7 +11,9 @@ from PIL import Image
 
 import realtouch
 from dataset_store.errors import InputError, IntegrityError
-from realtouch.gallery import RoundChoice, forecast_gallery, make_gallery, plan_gallery
+from dataset_store.gallery.forecast import forecast_site
+from dataset_store.gallery.site import build_site
+from realtouch.gallery import RoundChoice, plan_gallery
 from tests.gallery_browser import browser, opened
 from tests.realtouch import factories
 from tests.realtouch.factories import Layout
@@ -42,7 +44,7 @@ def tile(site: Path, name: str, size: list[int], columns: int, place: int) -> np
 @pytest.mark.parametrize("kind", ["seq", "single"])
 def test_rounds_are_filtered_by_class_gel_and_contact(kind, truth, tmp_path, request):
     folder = request.getfixturevalue(f"{kind}_folder")
-    site = make_gallery(RoundChoice(str(folder)), str(tmp_path / "site"))
+    site = build_site(plan_gallery(RoundChoice(str(folder))), str(tmp_path / "site"))
     assert site.splits == {"test": 1, "train": 3}
     index = index_of(tmp_path / "site")
     split = column(index, "Split")
@@ -60,7 +62,7 @@ def test_rounds_are_filtered_by_class_gel_and_contact(kind, truth, tmp_path, req
 
 
 def test_stills_are_the_touches(single_folder, tmp_path):
-    make_gallery(RoundChoice(str(single_folder), "train"), str(tmp_path / "site"))
+    build_site(plan_gallery(RoundChoice(str(single_folder), "train")), str(tmp_path / "site"))
     for number, record in enumerate(realtouch.load(str(single_folder), "train")):
         shown = touches_of(tmp_path / "site", number)
         assert shown["tile"] == [96, 72]
@@ -71,7 +73,7 @@ def test_stills_are_the_touches(single_folder, tmp_path):
 
 
 def test_films_are_frames_of_the_clips_with_their_contact(seq_folder, tmp_path):
-    make_gallery(RoundChoice(str(seq_folder), "train"), str(tmp_path / "site"))
+    build_site(plan_gallery(RoundChoice(str(seq_folder), "train")), str(tmp_path / "site"))
     for number, record in enumerate(realtouch.load(str(seq_folder), "train")):
         for touch, entry in enumerate(touches_of(tmp_path / "site", number)["list"]):
             clip, film = record.sensor_video[touch], entry["film"]
@@ -90,8 +92,8 @@ def test_films_are_frames_of_the_clips_with_their_contact(seq_folder, tmp_path):
 
 def test_touches_are_chosen_evenly_and_tasks_travel(seq_folder, tmp_path):
     choice = RoundChoice(str(seq_folder), limit=2, touches=3)
-    view = forecast_gallery(choice, str(tmp_path / "a"))
-    site = make_gallery(choice, str(tmp_path / "a"))
+    view = forecast_site(plan_gallery(choice), str(tmp_path / "a"), 1)
+    site = build_site(plan_gallery(choice), str(tmp_path / "a"))
     for task in plan_gallery(choice).tasks:
         assert pickle.loads(pickle.dumps(task)).make() == task.make()
     assert (view.items, view.files, view.bytes) == (3, site.files, site.bytes)
@@ -101,7 +103,7 @@ def test_touches_are_chosen_evenly_and_tasks_travel(seq_folder, tmp_path):
 def test_a_set_without_poses_is_shown_without_contact(single_rows, tmp_path):
     layout = Layout(leave_out=("gel_pose_cell_frame.position", "gel_pose_cell_frame.quaternion"))
     factories.write_set(tmp_path / "bare", {"train": single_rows}, "single", layout)
-    make_gallery(RoundChoice(str(tmp_path / "bare")), str(tmp_path / "site"))
+    build_site(plan_gallery(RoundChoice(str(tmp_path / "bare"))), str(tmp_path / "site"))
     assert column(index_of(tmp_path / "site"), "Touches with contact") == ["unknown"] * 3
     assert {entry["contact"] for entry in touches_of(tmp_path / "site", 0)["list"]} == {None}
 
@@ -112,7 +114,7 @@ def test_a_damaged_picture_is_named_and_nothing_is_left(single_rows, tmp_path):
 
     factories.write_set(tmp_path / "cut", {"train": single_rows}, "single", Layout(edit=cut))
     with pytest.raises(IntegrityError, match="touch 0"):
-        make_gallery(RoundChoice(str(tmp_path / "cut")), str(tmp_path / "site"))
+        build_site(plan_gallery(RoundChoice(str(tmp_path / "cut"))), str(tmp_path / "site"))
     assert [entry.name for entry in tmp_path.iterdir()] == ["cut"]
 
 
@@ -124,7 +126,7 @@ def test_no_touches_are_refused(seq_folder):
 @pytest.mark.browser
 def test_a_round_in_the_browser(seq_folder, truth, tmp_path):
     with browser() as chromium:
-        make_gallery(RoundChoice(str(seq_folder), "train"), str(tmp_path / "site"))
+        build_site(plan_gallery(RoundChoice(str(seq_folder), "train")), str(tmp_path / "site"))
         with opened(chromium, tmp_path / "site", width=900, height=700, link="#item-1") as found:
             page = found.page
             touches = page.locator(".touch")

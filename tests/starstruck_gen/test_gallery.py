@@ -12,7 +12,10 @@ from PIL import Image
 
 import starstruck_gen
 from dataset_store.errors import InputError
-from starstruck_gen.gallery import SceneChoice, forecast_gallery, make_gallery, plan_gallery
+from dataset_store.gallery.forecast import forecast_site
+from dataset_store.gallery.selection import Choice
+from dataset_store.gallery.site import build_site
+from starstruck_gen.gallery import plan_gallery
 from tests.gallery_browser import browser, opened
 
 
@@ -40,7 +43,7 @@ def content_of(site: Path, number: int) -> dict:
 
 
 def test_scenes_are_filtered_by_what_stands_in_them(folder, tmp_path):
-    site = make_gallery(SceneChoice(str(folder)), str(tmp_path / "site"))
+    site = build_site(plan_gallery(Choice(str(folder))), str(tmp_path / "site"))
     assert (site.items, site.splits) == (18, {"train": 12, "test": 6})
     index = index_of(tmp_path / "site")
     expected = [record for split in ("train", "test") for record in starstruck_gen.load(str(folder), split)]
@@ -56,7 +59,7 @@ def test_scenes_are_filtered_by_what_stands_in_them(folder, tmp_path):
 
 
 def test_thumbnails_show_stars_on_clear_paper(folder, tmp_path):
-    make_gallery(SceneChoice(str(folder), "test"), str(tmp_path / "site"))
+    build_site(plan_gallery(Choice(str(folder), "test")), str(tmp_path / "site"))
     for number, record in enumerate(starstruck_gen.load(str(folder), "test")):
         content = (tmp_path / "site" / "thumbs" / f"{number:06d}.png").read_bytes()
         pixels = np.asarray(Image.open(io.BytesIO(content))).astype(int)
@@ -81,7 +84,7 @@ def test_the_published_set_has_no_placements_and_is_shown_too(folder, tmp_path):
     pq.write_table(
         table.select(["id", "label", "mesh.vertices", "mesh.faces"]), tmp_path / "bare" / "test.parquet"
     )
-    site = make_gallery(SceneChoice(str(tmp_path / "bare")), str(tmp_path / "site"))
+    site = build_site(plan_gallery(Choice(str(tmp_path / "bare"))), str(tmp_path / "site"))
     assert site.splits == {"test": 6}
     index = index_of(tmp_path / "site")
     assert column(index, "Distractors") == [["unknown"]] * 6
@@ -92,9 +95,9 @@ def test_the_published_set_has_no_placements_and_is_shown_too(folder, tmp_path):
 
 
 def test_tasks_travel_and_forecasts_agree(folder, tmp_path):
-    choice = SceneChoice(str(folder), per_class=2)
-    view = forecast_gallery(choice, str(tmp_path / "a"))
-    site = make_gallery(choice, str(tmp_path / "a"))
+    choice = Choice(str(folder), per_class=2)
+    view = forecast_site(plan_gallery(choice), str(tmp_path / "a"), 1)
+    site = build_site(plan_gallery(choice), str(tmp_path / "a"))
     for task in plan_gallery(choice).tasks:
         assert pickle.loads(pickle.dumps(task)).make() == task.make()
     assert (view.items, view.files, view.bytes) == (12, site.files, site.bytes)
@@ -102,13 +105,13 @@ def test_tasks_travel_and_forecasts_agree(folder, tmp_path):
 
 def test_a_split_that_is_not_there_is_named(folder):
     with pytest.raises(InputError, match="no split 'holdout'"):
-        plan_gallery(replace(SceneChoice(str(folder)), split="holdout"))
+        plan_gallery(replace(Choice(str(folder)), split="holdout"))
 
 
 @pytest.mark.browser
 def test_stars_and_others_have_their_own_paint(folder, tmp_path):
     with browser() as chromium:
-        make_gallery(SceneChoice(str(folder), "test"), str(tmp_path / "site"))
+        build_site(plan_gallery(Choice(str(folder), "test")), str(tmp_path / "site"))
         scenes = list(starstruck_gen.load(str(folder), "test"))
         place = max(range(6), key=lambda number: scenes[number].distractor_count)
         with opened(chromium, tmp_path / "site", width=900, height=620, link=f"#item-{place}") as found:
