@@ -41,7 +41,8 @@ def mapped_batch(name: str, number: int) -> Any:
 
     path = _place(name)
     try:
-        batch = pa.ipc.open_file(pa.memory_map(str(path))).get_batch(number)
+        # From the map's own buffer, still without a copy: from the map, Arrow would read in its own threads.
+        batch = pa.ipc.open_file(pa.memory_map(str(path)).read_buffer()).get_batch(number)
     except FileNotFoundError:
         return None
     except (pa.ArrowInvalid, IndexError, OSError):

@@ -27,8 +27,8 @@ def read_report(folder: DataFolder, path: str) -> Any:
     import pyarrow.parquet as pq
 
     try:
-        # Not pq.read_table: its scanner's threads can outlive the interpreter's end and abort the process.
-        return pq.ParquetFile(io.BytesIO(folder.read_bytes(path))).read(use_threads=False)
+        # Neither pq.read_table nor buffering ahead: threads of Arrow's can abort the process at its end.
+        return pq.ParquetFile(io.BytesIO(folder.read_bytes(path)), pre_buffer=False).read(use_threads=False)
     except pa.ArrowInvalid as error:
         message = f"{folder.address(path)!r} is not a whole Parquet file: {error}"
         raise IntegrityError(message) from error
