@@ -247,10 +247,10 @@ def _sizes(text: str | None) -> tuple[tuple[str, int], ...] | None:
 def _run_generate(
     sink: Sink, spec: GenerateSpec, out: Path, splits: tuple[str, ...], workers: int, overwrite: bool
 ) -> None:
-    from dataset_store.lean import stay_on_one_core
+    from dataset_store.lean import become_worker
     from mnist3d.generation import generate as make
 
-    stay_on_one_core()
+    become_worker()
     made = make_with_progress(
         sink,
         "making digits",

@@ -7,7 +7,7 @@ import sys
 import warnings
 from types import ModuleType
 
-__all__ = ["become_worker", "stay_on_one_core"]
+__all__ = ["become_worker", "leave_pandas_out", "stay_on_one_core"]
 
 _ONE_THREAD = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMEXPR_NUM_THREADS")
 
@@ -15,7 +15,7 @@ _ONE_THREAD = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NU
 def become_worker() -> None:
     """Set up a process that only works off tasks: one thread of work, a quick start."""
     stay_on_one_core()
-    _pyarrow_without_pandas()
+    leave_pandas_out()
 
 
 def stay_on_one_core() -> None:
@@ -44,9 +44,13 @@ def _manifold3d_on_one_core() -> None:
         os.sched_setaffinity(0, allowed)
 
 
-def _pyarrow_without_pandas() -> None:
-    # pyarrow imports pandas at its first array, to see whether it was given a Series: 0.9 s and 60 MB in
-    # every worker. It looks once, and does without a pandas that is too old.
+def leave_pandas_out() -> None:
+    """Keep pyarrow from importing pandas at its first array, to see whether it was given a Series.
+
+    That takes 0.9 s and 60 MB in every process. For processes that end with their work: pyarrow knows no
+    pandas in this one afterwards, unless it was imported before.
+    """
+    # pyarrow looks once, and does without a pandas that is too old.
     if "pandas" in sys.modules:
         return
     import pyarrow as pa
