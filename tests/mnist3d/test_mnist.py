@@ -1,76 +1,19 @@
 from __future__ import annotations
 
-import gc
 import gzip
-import hashlib
-import importlib.util
 import pickle
-import struct
-import sys
-import threading
-from collections.abc import Iterator
-from functools import partial
-from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from dataset_store.errors import HubError, InputError, ItemError, MissingExtraError, StorageError
+from dataset_store.errors import ItemError
 from mnist3d.digit import NO_WRITER
 from mnist3d.sources import DigitSource
 from mnist3d.sources.canvas import enlarge, fit
-from mnist3d.sources.mnist import MnistSource, download_mnist
-
-SHARED = Path(__file__).resolve().parents[2].parent / "shared" / "mnist"
-needs_shared = pytest.mark.skipif(not SHARED.is_dir(), reason=f"no MNIST files in {SHARED}")
-
-PREFIXES = {"train": "train", "test": "t10k"}
-
-
-def bars(count: int, seed: int = 0) -> tuple[NDArray[np.uint8], NDArray[np.uint8]]:
-    """White bars on black, of different heights, and labels in a random order."""
-    images = np.zeros((count, 28, 28), np.uint8)
-    for row in range(count):
-        images[row, 4 : 10 + row, 12:16] = 255
-    return images, np.random.default_rng(seed).integers(0, 10, count).astype(np.uint8)
-
-
-def idx(array: NDArray[np.uint8]) -> bytes:
-    return struct.pack(f">{1 + array.ndim}I", 0x800 + array.ndim, *array.shape) + array.tobytes()
-
-
-def name_of(part: str, kind: str, mark: str = "-", end: str = "") -> str:
-    return f"{PREFIXES[part]}-{kind}{mark}idx{3 if kind == 'images' else 1}-ubyte{end}"
-
-
-def write(
-    folder: Path,
-    part: str = "test",
-    images: NDArray[np.uint8] | None = None,
-    labels: NDArray[np.uint8] | None = None,
-    mark: str = "-",
-    end: str = "",
-) -> None:
-    folder.mkdir(parents=True, exist_ok=True)
-    made = bars(4, len(part))
-    contents = {
-        "images": made[0] if images is None else images,
-        "labels": made[1] if labels is None else labels,
-    }
-    for kind, array in contents.items():
-        data = gzip.compress(idx(array)) if end else idx(array)
-        (folder / name_of(part, kind, mark, end)).write_bytes(data)
-
-
-def refusal(made: MnistSource) -> str:
-    with pytest.raises(InputError) as caught:
-        made.catalog()
-    message = str(caught.value)
-    assert "expected" in message
-    assert "; next: " in message
-    return message
+from mnist3d.sources.mnist import MnistSource
+from tests.mnist3d.mnist_files import SHARED, bars, idx, name_of, needs_shared, refusal, write
 
 
 @pytest.mark.parametrize("end", ["", ".gz"])
@@ -335,91 +278,3 @@ class TestRealFiles:
         assert min(widths) > 20
         assert max(widths) < 100
         assert 330 < np.median(heights) < 365
-
-
-def test_download_needs_the_extra(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(sys.modules, "torchvision", None)
-    monkeypatch.setitem(sys.modules, "torchvision.datasets", None)
-    with pytest.raises(MissingExtraError, match=r"Downloading MNIST needs .*'torchvision'.*\[torch\]"):
-        download_mnist(str(tmp_path / "new"))
-    assert not (tmp_path / "new").exists()
-
-
-def test_download_is_not_repeated(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(sys.modules, "torchvision", None)
-    write(tmp_path, "train")
-    write(tmp_path, "test", end=".gz")
-    download_mnist(str(tmp_path))
-
-
-class _Quiet(SimpleHTTPRequestHandler):
-    def log_message(self, format: str, *args: object) -> None:
-        """Keep the server's log out of the tests' output."""
-
-
-@pytest.fixture
-def mirror(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
-    """A folder behind a web server on this machine that torchvision takes for its only mirror."""
-    from torchvision.datasets import MNIST
-
-    served = tmp_path / "served"
-    for part in PREFIXES:
-        write(served, part, end=".gz")
-    sums = [(path.name, hashlib.md5(path.read_bytes()).hexdigest()) for path in sorted(served.iterdir())]
-    server = ThreadingHTTPServer(("127.0.0.1", 0), partial(_Quiet, directory=str(served)))
-    thread = threading.Thread(target=server.serve_forever)
-    thread.start()
-    monkeypatch.setattr(MNIST, "mirrors", [f"http://127.0.0.1:{server.server_port}/"])
-    monkeypatch.setattr(MNIST, "resources", sums)
-    try:
-        yield served
-    finally:
-        server.shutdown()
-        server.server_close()
-        thread.join()
-
-
-@pytest.mark.torch
-@pytest.mark.skipif(
-    not importlib.util.find_spec("torchvision"), reason="needs torchvision, of the extra torch"
-)
-class TestDownload:
-    def test_files_arrive_where_the_source_finds_them(
-        self, tmp_path: Path, mirror: Path, capsys: pytest.CaptureFixture[str]
-    ) -> None:
-        root = tmp_path / "new" / "mnist"
-        download_mnist(str(root))
-        assert MnistSource(str(root)).fingerprint() == MnistSource(str(mirror)).fingerprint()
-        assert [path.name for path in root.iterdir()] == ["MNIST"]
-        assert capsys.readouterr().out == ""
-
-    # urllib leaves the connection of a refused request to the garbage collector, which complains.
-    @pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")
-    def test_a_missing_file_leaves_nothing_behind(self, tmp_path: Path, mirror: Path) -> None:
-        (mirror / name_of("test", "labels", end=".gz")).unlink()
-        root = tmp_path / "new"
-        with pytest.raises(HubError) as caught:
-            download_mnist(str(root))
-        message = str(caught.value)
-        assert message.startswith(
-            "MNIST could not be downloaded (Error downloading t10k-labels-idx1-ubyte.gz: "
-        )
-        assert "404" in message
-        assert "expected its four files from ['http://127.0.0.1:" in message
-        assert "next: check the network" in message
-        assert list(root.iterdir()) == []
-        del caught
-        gc.collect()
-
-    def test_a_damaged_file_leaves_nothing_behind(self, tmp_path: Path, mirror: Path) -> None:
-        path = mirror / name_of("train", "images", end=".gz")
-        path.write_bytes(path.read_bytes()[:-9])
-        with pytest.raises(HubError, match="nothing was kept"):
-            download_mnist(str(tmp_path / "new"))
-        assert list((tmp_path / "new").iterdir()) == []
-
-    def test_a_folder_that_cannot_be_made(self, tmp_path: Path, mirror: Path) -> None:
-        (tmp_path / "file").touch()
-        with pytest.raises(StorageError, match=r"file: MNIST could not be stored there .* expected a folder"):
-            download_mnist(str(tmp_path / "file"))
-        assert mirror.is_dir()

@@ -6,160 +6,25 @@ import hashlib
 import math
 import pickle
 from dataclasses import replace
-from itertools import pairwise
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
-from hypothesis.extra import numpy as hnp
 from scipy import ndimage
 
 from dataset_store.errors import InputError, ItemError
-from dataset_store.mesh import Mesh
 from mnist3d.comparison import symmetric_distances_mm
-from mnist3d.distance import distance_px, signed_distance_px
 from mnist3d.ink import count_bodies_and_holes
 from mnist3d.printability import inspect
 from mnist3d.solid import (
     SolidSpec,
-    decimate,
-    erode,
-    erosion_radii_px,
     ink_mask,
     literal_solid,
-    marching_cubes,
-    mirror,
-    scale,
-    smooth,
     solidify,
-    stack,
 )
-
-DIGITS = Path(__file__).resolve().parents[2].parent / "shared" / "digits" / "png"
-ROWS, COLUMNS = np.mgrid[:500, :500]
-
-
-def drawn(mask: np.ndarray) -> np.ndarray:
-    return np.where(mask, 20, 250).astype(np.uint8)
-
-
-def disc(radius: float, row: float = 249.5, column: float = 249.5) -> np.ndarray:
-    return np.hypot(ROWS - row, COLUMNS - column) <= radius
-
-
-def stroke(points: list[tuple[float, float]], width: float) -> np.ndarray:
-    """A line of round pen through (row, column) points."""
-    path = np.concatenate([np.linspace(a, b, 60) for a, b in pairwise(points)])
-    mask = np.zeros((500, 500), bool)
-    mask[tuple(np.round(path).astype(int).T)] = True
-    return ndimage.distance_transform_edt(~mask) <= width / 2
-
-
-def seven(width: float = 30) -> np.ndarray:
-    rough = ndimage.gaussian_filter(np.random.default_rng(7).normal(size=(500, 500)), 2)
-    mask = stroke([(120, 150), (120, 330), (380, 220)], width)
-    edge = signed_distance_px(mask, 3, 3) + 8 * rough
-    return drawn((edge > 0) & (ndimage.distance_transform_edt(~mask) < 3))
-
-
-def six(width: float = 34) -> np.ndarray:
-    way = np.linspace(0, 2 * np.pi, 30)
-    loop = [(320 + 60 * math.sin(t), 240 + 60 * math.cos(t)) for t in way]
-    return drawn(stroke(loop, width) | stroke([(110, 280), (220, 190), (320, 180)], width))
-
-
-def volume_mm3(mesh: Mesh) -> float:
-    return mesh.volume_m3 * 1e9
-
-
-def size_mm(mesh: Mesh) -> np.ndarray:
-    return np.ptp(mesh.bounds_m, axis=0) * 1000
-
-
-# --- steps ----------------------------------------------------------------------------------------
-
-
-@given(hnp.arrays(bool, st.tuples(st.integers(1, 25), st.integers(1, 25))), st.floats(1, 12))
-def test_distance_is_exact_up_to_its_reach(mask: np.ndarray, reach: float) -> None:
-    padded = np.pad(mask, 1)
-    expected = np.minimum(ndimage.distance_transform_edt(padded), reach)
-    assert np.allclose(distance_px(padded, reach), expected, atol=1e-5)
-
-
-@given(hnp.arrays(bool, st.tuples(st.integers(3, 25), st.integers(3, 25))), st.floats(0, 8))
-def test_erosion_is_binary_erosion_with_a_disc(mask: np.ndarray, radius: float) -> None:
-    reach = math.ceil(radius) + 1
-    y, x = np.mgrid[-reach : reach + 1, -reach : reach + 1]
-    squared = y * y + x * x
-    if np.isclose(np.sqrt(squared), radius + 0.5, atol=1e-5).any():
-        return
-    expected = ndimage.binary_erosion(mask, squared < (radius + 0.5) ** 2)
-    assert np.array_equal(erode(mask, radius), expected)
-
-
-def test_erosion_radii_follow_a_quarter_circle() -> None:
-    radii = erosion_radii_px(SolidSpec())
-    heights = np.arange(20) + 0.5
-    assert np.allclose((20 - radii) ** 2 + heights**2, 20**2)
-    assert (np.diff(radii) > 0).all()
-
-
-def test_erosion_radii_of_the_other_profiles() -> None:
-    assert np.array_equal(erosion_radii_px(SolidSpec(profile="linear")), np.arange(20) + 0.5)
-    assert np.array_equal(erosion_radii_px(SolidSpec(profile="flat")), np.zeros(20))
-
-
-def test_stack_and_mirror_order_the_layers() -> None:
-    layers = [np.full((2, 3), k) for k in range(3)]
-    assert stack(layers).shape == (2, 3, 3)
-    assert mirror(stack(layers))[0, 0].tolist() == [2, 1, 0, 0, 1, 2]
-
-
-def test_marching_cubes_faces_outwards() -> None:
-    volume = np.zeros((6, 7, 8))
-    volume[2:4, 2:5, 2:6] = 1
-    vertices, faces = marching_cubes(volume, 0.5)
-    assert vertices.dtype == np.float32
-    assert faces.dtype == np.int32
-    # A box of 2 x 3 x 4 nodes is cut at its twelve edges and eight corners.
-    assert 20 < Mesh(vertices, faces).volume_m3 < 24
-
-
-def test_smoothing_evens_out_and_keeps_the_volume() -> None:
-    grid = np.mgrid[-12:13, -12:13, -12:13]
-    vertices, faces = marching_cubes((np.sqrt((grid**2).sum(axis=0)) < 9.3).astype(float), 0.5)
-    smoothed = smooth(vertices, faces, 20, 0.5)
-    radii = [np.linalg.norm(v - 12, axis=1) for v in (vertices, smoothed)]
-    assert radii[1].std() < 0.5 * radii[0].std()
-    assert Mesh(smoothed, faces).volume_m3 == pytest.approx(Mesh(vertices, faces).volume_m3, rel=0.01)
-
-
-def test_no_rounds_of_smoothing_move_nothing() -> None:
-    vertices, faces = marching_cubes(np.pad(np.ones((3, 3, 3)), 1), 0.5)
-    assert np.array_equal(smooth(vertices, faces, 0, 0.5), vertices)
-
-
-def test_scale_puts_the_image_centre_at_the_origin_and_the_lowest_point_on_the_plate() -> None:
-    corners = np.array([[0, 0, -3], [9, 0, 0], [0, 19, 2]], dtype=np.float32)
-    mesh = scale(corners, np.array([[0, 1, 2]], np.int32), (10, 20), SolidSpec(vertex_quantum_mm=0))
-    expected_mm = [[-1.9, 0.9, 0], [-1.9, -0.9, 0.6], [1.9, 0.9, 1.0]]
-    assert np.allclose(mesh.vertices_m * 1000, expected_mm, atol=1e-6)
-    assert mesh.vertices_m.dtype == np.float32
-
-
-def test_decimation_keeps_to_the_budget_and_to_the_solid() -> None:
-    spec = SolidSpec()
-    fine = literal_solid(ink_mask(six(), spec), spec, decimated=False)
-    coarse = decimate(fine, 3000)
-    report = inspect(coarse)
-    assert 1500 < len(coarse.vertices_m) <= 3000
-    assert (report.is_solid, report.bodies, report.genus) == (True, 1, 1)
-    assert coarse.volume_m3 == pytest.approx(fine.volume_m3, rel=0.03)
-    assert decimate(coarse, 5000) is coarse
-
+from tests.mnist3d.drawings import DIGITS, disc, drawn, seven, six, size_mm, stroke, volume_mm3
 
 # --- the whole way --------------------------------------------------------------------------------
 

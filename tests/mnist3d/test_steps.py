@@ -1,0 +1,109 @@
+"""Each published step of the solid on its own."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as hnp
+from scipy import ndimage
+
+from dataset_store.mesh import Mesh
+from mnist3d.distance import distance_px
+from mnist3d.printability import inspect
+from mnist3d.solid import (
+    SolidSpec,
+    decimate,
+    erode,
+    erosion_radii_px,
+    ink_mask,
+    literal_solid,
+    marching_cubes,
+    mirror,
+    scale,
+    smooth,
+    stack,
+)
+from tests.mnist3d.drawings import six
+
+
+@given(hnp.arrays(bool, st.tuples(st.integers(1, 25), st.integers(1, 25))), st.floats(1, 12))
+def test_distance_is_exact_up_to_its_reach(mask: np.ndarray, reach: float) -> None:
+    padded = np.pad(mask, 1)
+    expected = np.minimum(ndimage.distance_transform_edt(padded), reach)
+    assert np.allclose(distance_px(padded, reach), expected, atol=1e-5)
+
+
+@given(hnp.arrays(bool, st.tuples(st.integers(3, 25), st.integers(3, 25))), st.floats(0, 8))
+def test_erosion_is_binary_erosion_with_a_disc(mask: np.ndarray, radius: float) -> None:
+    reach = math.ceil(radius) + 1
+    y, x = np.mgrid[-reach : reach + 1, -reach : reach + 1]
+    squared = y * y + x * x
+    if np.isclose(np.sqrt(squared), radius + 0.5, atol=1e-5).any():
+        return
+    expected = ndimage.binary_erosion(mask, squared < (radius + 0.5) ** 2)
+    assert np.array_equal(erode(mask, radius), expected)
+
+
+def test_erosion_radii_follow_a_quarter_circle() -> None:
+    radii = erosion_radii_px(SolidSpec())
+    heights = np.arange(20) + 0.5
+    assert np.allclose((20 - radii) ** 2 + heights**2, 20**2)
+    assert (np.diff(radii) > 0).all()
+
+
+def test_erosion_radii_of_the_other_profiles() -> None:
+    assert np.array_equal(erosion_radii_px(SolidSpec(profile="linear")), np.arange(20) + 0.5)
+    assert np.array_equal(erosion_radii_px(SolidSpec(profile="flat")), np.zeros(20))
+
+
+def test_stack_and_mirror_order_the_layers() -> None:
+    layers = [np.full((2, 3), k) for k in range(3)]
+    assert stack(layers).shape == (2, 3, 3)
+    assert mirror(stack(layers))[0, 0].tolist() == [2, 1, 0, 0, 1, 2]
+
+
+def test_marching_cubes_faces_outwards() -> None:
+    volume = np.zeros((6, 7, 8))
+    volume[2:4, 2:5, 2:6] = 1
+    vertices, faces = marching_cubes(volume, 0.5)
+    assert vertices.dtype == np.float32
+    assert faces.dtype == np.int32
+    # A box of 2 x 3 x 4 nodes is cut at its twelve edges and eight corners.
+    assert 20 < Mesh(vertices, faces).volume_m3 < 24
+
+
+def test_smoothing_evens_out_and_keeps_the_volume() -> None:
+    grid = np.mgrid[-12:13, -12:13, -12:13]
+    vertices, faces = marching_cubes((np.sqrt((grid**2).sum(axis=0)) < 9.3).astype(float), 0.5)
+    smoothed = smooth(vertices, faces, 20, 0.5)
+    radii = [np.linalg.norm(v - 12, axis=1) for v in (vertices, smoothed)]
+    assert radii[1].std() < 0.5 * radii[0].std()
+    assert Mesh(smoothed, faces).volume_m3 == pytest.approx(Mesh(vertices, faces).volume_m3, rel=0.01)
+
+
+def test_no_rounds_of_smoothing_move_nothing() -> None:
+    vertices, faces = marching_cubes(np.pad(np.ones((3, 3, 3)), 1), 0.5)
+    assert np.array_equal(smooth(vertices, faces, 0, 0.5), vertices)
+
+
+def test_scale_puts_the_image_centre_at_the_origin_and_the_lowest_point_on_the_plate() -> None:
+    corners = np.array([[0, 0, -3], [9, 0, 0], [0, 19, 2]], dtype=np.float32)
+    mesh = scale(corners, np.array([[0, 1, 2]], np.int32), (10, 20), SolidSpec(vertex_quantum_mm=0))
+    expected_mm = [[-1.9, 0.9, 0], [-1.9, -0.9, 0.6], [1.9, 0.9, 1.0]]
+    assert np.allclose(mesh.vertices_m * 1000, expected_mm, atol=1e-6)
+    assert mesh.vertices_m.dtype == np.float32
+
+
+def test_decimation_keeps_to_the_budget_and_to_the_solid() -> None:
+    spec = SolidSpec()
+    fine = literal_solid(ink_mask(six(), spec), spec, decimated=False)
+    coarse = decimate(fine, 3000)
+    report = inspect(coarse)
+    assert 1500 < len(coarse.vertices_m) <= 3000
+    assert (report.is_solid, report.bodies, report.genus) == (True, 1, 1)
+    assert coarse.volume_m3 == pytest.approx(fine.volume_m3, rel=0.03)
+    assert decimate(coarse, 5000) is coarse
