@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import sys
 import time
+from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -17,7 +18,7 @@ from cli.output import Sink, bytes_text, duration_text
 if TYPE_CHECKING:
     from dataset_store.gallery.items import Gallery
 
-__all__ = ["add_digit_gallery", "add_scene_gallery", "add_touch_gallery"]
+__all__ = ["add_mesh_gallery", "add_touch_gallery"]
 
 _TOUCHES = 64
 
@@ -38,71 +39,49 @@ Replace = Annotated[
 ]
 
 
-def add_digit_gallery(app: typer.Typer) -> None:
-    """Add ``gallery`` to the command line of digits."""
-    app.command("gallery")(_digits)
+def add_mesh_gallery(app: typer.Typer, room: str, nouns: str) -> None:
+    """Add ``gallery`` to the command line of a room of meshes.
 
+    Parameters
+    ----------
+    app : typer.Typer
+        The room's commands.
+    room : str
+        Package whose ``gallery.plan_gallery`` says what is shown; imported when the command runs.
+    nouns : str
+        What its rows are called.
+    """
 
-def add_scene_gallery(app: typer.Typer) -> None:
-    """Add ``gallery`` to the command line of scenes."""
-    app.command("gallery")(_scenes)
+    @app.command()
+    @reports_errors
+    def gallery(
+        name: Name,
+        out: SiteOut = Path("gallery"),
+        split: Split = None,
+        per_class: PerClass = None,
+        limit: Limit = None,
+        workers: Workers = 0,
+        overwrite: Replace = False,
+        dry_run: DryRun = False,
+        as_json: Json = False,
+        quiet: Quiet = False,
+    ) -> None:
+        """Make a page of thumbnails, filters and 3D views that opens without a network or a server.
+
+        Takes about 40 kB per digit, 8 kB per scene; at most 20,000 items and 2 GB.
+
+        Example: gallery DIR --out site --split test
+        """
+        from dataset_store.gallery.selection import Choice
+
+        run = _Run(Sink(as_json, quiet), nouns, out, workers or os.cpu_count() or 1, overwrite)
+        plan_gallery = import_module(f"{room}.gallery").plan_gallery
+        run.go(plan_gallery(Choice(name, split, limit, per_class)), dry_run)
 
 
 def add_touch_gallery(app: typer.Typer) -> None:
     """Add ``gallery`` to the command line of touches."""
     app.command("gallery")(_touches)
-
-
-@reports_errors
-def _digits(
-    name: Name,
-    out: SiteOut = Path("gallery"),
-    split: Split = None,
-    per_class: PerClass = None,
-    limit: Limit = None,
-    workers: Workers = 0,
-    overwrite: Replace = False,
-    dry_run: DryRun = False,
-    as_json: Json = False,
-    quiet: Quiet = False,
-) -> None:
-    """Make a page of thumbnails, filters and 3D views that opens without a network or a server.
-
-    Takes about 40 kB per digit; at most 20,000 digits and 2 GB.
-
-    Example: mnist3d gallery digits --out site --split test
-    """
-    from dataset_store.gallery.selection import Choice
-    from mnist3d.gallery import plan_gallery
-
-    run = _Run(Sink(as_json, quiet), "digits", out, workers or os.cpu_count() or 1, overwrite)
-    run.go(plan_gallery(Choice(name, split, limit, per_class)), dry_run)
-
-
-@reports_errors
-def _scenes(
-    name: Name,
-    out: SiteOut = Path("gallery"),
-    split: Split = None,
-    per_class: PerClass = None,
-    limit: Limit = None,
-    workers: Workers = 0,
-    overwrite: Replace = False,
-    dry_run: DryRun = False,
-    as_json: Json = False,
-    quiet: Quiet = False,
-) -> None:
-    """Make a page of thumbnails, filters and 3D views that opens without a network or a server.
-
-    Takes about 8 kB per scene; at most 20,000 scenes and 2 GB.
-
-    Example: starstruck gallery stars --out site --split test
-    """
-    from dataset_store.gallery.selection import Choice
-    from starstruck_gen.gallery import plan_gallery
-
-    run = _Run(Sink(as_json, quiet), "scenes", out, workers or os.cpu_count() or 1, overwrite)
-    run.go(plan_gallery(Choice(name, split, limit, per_class)), dry_run)
 
 
 @reports_errors

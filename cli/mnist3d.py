@@ -16,7 +16,7 @@ from cli.digit_source import InkName, SourceName, digit_source
 from cli.digit_tables import print_made
 from cli.export_commands import add_export
 from cli.failures import EXIT_FAILED, reports_errors
-from cli.gallery_commands import add_digit_gallery
+from cli.gallery_commands import add_mesh_gallery
 from cli.hub_download import add_download
 from cli.hub_upload import add_upload
 from cli.making import make_with_progress, print_forecast
@@ -219,7 +219,7 @@ add_preview(app)
 add_card(app, Room("mnist3d"))
 add_upload(app, Room("mnist3d"))
 add_download(app, Room("mnist3d"))
-add_digit_gallery(app)
+add_mesh_gallery(app, "mnist3d", "digits")
 add_export(app, "mnist3d")
 
 

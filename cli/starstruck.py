@@ -13,7 +13,7 @@ from cli.application import new_app, run
 from cli.card_commands import add_card
 from cli.export_commands import add_export
 from cli.failures import EXIT_FAILED, reports_errors
-from cli.gallery_commands import add_scene_gallery
+from cli.gallery_commands import add_mesh_gallery
 from cli.hub_download import add_download
 from cli.hub_upload import add_upload
 from cli.making import make_with_progress, print_forecast
@@ -213,7 +213,7 @@ add_preview(app)
 add_card(app, Room("starstruck"))
 add_upload(app, Room("starstruck"))
 add_download(app, Room("starstruck"))
-add_scene_gallery(app)
+add_mesh_gallery(app, "starstruck_gen", "scenes")
 add_export(app, "starstruck_gen")
 
 
