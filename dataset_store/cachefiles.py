@@ -9,6 +9,7 @@ from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any
 
+from dataset_store.leavings import leavings
 from dataset_store.storage import atomic_file
 
 __all__ = ["CACHE_VARIABLE", "cache_folder", "mapped_batch", "store_batches"]
@@ -111,6 +112,8 @@ def _write_arrow(place: Path, schema: Any, tables: Iterable[Any]) -> None:
 
 def _make_room(folder: Path, needed_bytes: int) -> None:
     """Drop the files used longest ago when the cache would pass its limit; open maps stay valid."""
+    for left in leavings(folder):
+        left.unlink(missing_ok=True)
     files = sorted(_cached_files(folder))
     excess = sum(size for _, size, _ in files) + needed_bytes - _CACHE_LIMIT_BYTES
     for _, size, file in files:

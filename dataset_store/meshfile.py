@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import zipfile
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -11,6 +10,7 @@ from xml.etree import ElementTree
 import numpy as np
 
 from dataset_store.errors import InputError, StorageError
+from dataset_store.leavings import unfinished_name
 from dataset_store.mesh import MM_PER_M, Mesh
 from dataset_store.stl import read_stl, write_stl
 from dataset_store.threemf import read_threemf, write_threemf
@@ -84,7 +84,7 @@ def write_mesh(path: str | Path, mesh: Mesh) -> None:
     """
     path = Path(path)
     data = pack_mesh(mesh, _ending(path))
-    partial = path.with_name(f".{path.name}.{os.getpid()}.part")
+    partial = path.with_name(unfinished_name(path.name))
     try:
         partial.write_bytes(data)
         partial.replace(path)

@@ -10,8 +10,6 @@ from __future__ import annotations
 import contextlib
 import errno
 import os
-import socket
-import uuid
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -19,10 +17,9 @@ from pathlib import Path, PurePosixPath
 from typing import IO, Any
 
 from dataset_store.errors import InputError, IntegrityError, StorageError
+from dataset_store.leavings import left_by_the_dead, unfinished_name
 
 __all__ = ["DataFolder", "atomic_file", "named_failures"]
-
-_TEMPORARY_PREFIX = ".writing-"
 
 _HINTS = {
     errno.ENOSPC: "no space is left on the device; free some and run the same command again",
@@ -174,7 +171,7 @@ class DataFolder:
         if not self.is_local:
             return
         place = Path(self._root)
-        probe = place / _temporary_name("probe")
+        probe = place / unfinished_name("probe")
         with named_failures(self._root):
             if place.exists() and not place.is_dir():
                 message = f"{self._root!r} is a file, a folder was expected; choose another place with --out"
@@ -186,7 +183,7 @@ class DataFolder:
     def remove_stale_temporaries(self, folder: str) -> None:
         """Remove what killed writers of this machine left half-written in a sub-folder."""
         for name in self.names(folder):
-            if name.startswith(_TEMPORARY_PREFIX) and _writer_is_gone(name):
+            if left_by_the_dead(name):
                 self.remove(f"{folder}/{name}" if folder else name)
 
 
@@ -210,7 +207,7 @@ def atomic_file(place: Path) -> Iterator[IO[bytes]]:
         As the file system raises it; nothing is left behind.
     """
     place.parent.mkdir(parents=True, exist_ok=True)
-    temporary = place.parent / _temporary_name(place.name)
+    temporary = place.parent / unfinished_name(place.name)
     try:
         with temporary.open("xb") as stream:
             yield stream
@@ -230,19 +227,6 @@ def _flush_folder(folder: Path) -> None:
         os.fsync(handle)
     finally:
         os.close(handle)
-
-
-def _temporary_name(name: str) -> str:
-    # The writer's host and process let a later run tell a dead writer's leavings from a living one's.
-    return f"{_TEMPORARY_PREFIX}{socket.gethostname()}-{os.getpid()}-{uuid.uuid4().hex[:8]}-{name}"
-
-
-def _writer_is_gone(name: str) -> bool:
-    prefix = f"{_TEMPORARY_PREFIX}{socket.gethostname()}-"
-    if not name.startswith(prefix):
-        return False
-    process = name.removeprefix(prefix).split("-", 1)[0]
-    return process.isdigit() and not Path(f"/proc/{process}").exists()
 
 
 @contextlib.contextmanager

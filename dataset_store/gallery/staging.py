@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import contextlib
-import os
 import shutil
-import socket
-import uuid
 from collections.abc import Iterator
 from pathlib import Path
+
+from dataset_store.leavings import leavings, unfinished_name
 
 __all__ = ["staged_folder"]
 
@@ -28,8 +27,9 @@ def staged_folder(place: Path) -> Iterator[Path]:
         As the file system raises it.
     """
     place.parent.mkdir(parents=True, exist_ok=True)
-    _remove_leavings(place.parent)
-    staging = place.parent / _temporary_name(place.name)
+    for left in leavings(place.parent, _PREFIX):
+        shutil.rmtree(left, ignore_errors=True)
+    staging = place.parent / unfinished_name(place.name, _PREFIX)
     staging.mkdir()
     try:
         yield staging
@@ -44,7 +44,7 @@ def _put_in_place(staging: Path, place: Path) -> None:
     if not place.exists() or not any(place.iterdir()):
         staging.rename(place)
         return
-    former = place.parent / _temporary_name(place.name)
+    former = place.parent / unfinished_name(place.name, _PREFIX)
     place.rename(former)
     try:
         staging.rename(place)
@@ -52,17 +52,3 @@ def _put_in_place(staging: Path, place: Path) -> None:
         former.rename(place)
         raise
     shutil.rmtree(former, ignore_errors=True)
-
-
-def _temporary_name(name: str) -> str:
-    # Host and process let a later run tell a dead writer's leavings from a living one's.
-    return f"{_PREFIX}{socket.gethostname()}-{os.getpid()}-{uuid.uuid4().hex[:8]}-{name}"
-
-
-def _remove_leavings(folder: Path) -> None:
-    start = f"{_PREFIX}{socket.gethostname()}-"
-    for entry in folder.glob(f"{_PREFIX}*"):
-        process = entry.name.removeprefix(start).split("-", 1)[0]
-        gone = process.isdigit() and not Path(f"/proc/{process}").exists()
-        if entry.name.startswith(start) and gone:
-            shutil.rmtree(entry, ignore_errors=True)

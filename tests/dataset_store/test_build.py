@@ -23,6 +23,7 @@ from dataset_store.runner import InlineRunner, ProcessRunner
 from dataset_store.storage import DataFolder
 from dataset_store.verify import verify
 from tests.dataset_store.toy import SCHEMA, folder_bytes, toy_plan
+from tests.processes import children, wait_until_gone
 
 
 def make(path: Path, plan=None, runner=None, **options):
@@ -254,13 +255,13 @@ def test_killed_run_resumes_to_the_same_bytes(tmp_path, workers):
         deadline_s = time.monotonic() + 30
         while process.poll() is None and time.monotonic() < deadline_s:
             if len(list((target / ".parts").glob("t*.json"))) > seen:
-                children = _children(process.pid)
+                workers_left = children(process.pid)
                 process.send_signal(signal.SIGKILL)
                 break
             time.sleep(0.005)
         process.wait()
         assert process.returncode == -signal.SIGKILL
-        _wait_until_gone(children)
+        wait_until_gone(workers_left)
     state = inspect_folder(DataFolder(str(target)), toy_plan())
     assert state.kept
     assert state.todo
@@ -283,52 +284,13 @@ def test_workers_leave_with_a_killed_parent(tmp_path):
         cwd=Path(__file__).resolve().parents[2],
     )
     deadline_s = time.monotonic() + 20
-    while len(_children(process.pid)) < 3 and time.monotonic() < deadline_s:
+    while len(children(process.pid)) < 3 and time.monotonic() < deadline_s:
         time.sleep(0.02)  # two workers and multiprocessing's resource tracker
-    workers = _children(process.pid)
+    workers = children(process.pid)
     assert len(workers) >= 2
     process.kill()
     process.wait()
-    _wait_until_gone(workers)
-
-
-def _wait_until_gone(processes: list[int]) -> None:
-    """Processes whose parent was killed must leave by themselves, and soon."""
-    deadline_s = time.monotonic() + 10
-    while any(_alive(pid) for pid in processes) and time.monotonic() < deadline_s:
-        time.sleep(0.02)
-    assert not [pid for pid in processes if _alive(pid)]
-
-
-def _children(pid: int) -> list[int]:
-    file = Path(f"/proc/{pid}/task/{pid}/children")
-    try:
-        return [int(child) for child in file.read_text().split()]
-    except FileNotFoundError:
-        return []
-
-
-def _alive(pid: int) -> bool:
-    try:
-        return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
-    except FileNotFoundError:
-        return False
-
-
-def test_leavings_of_dead_writers_are_removed_and_those_of_living_ones_kept(tmp_path):
-    import socket
-
-    make(tmp_path / "set")
-    data = tmp_path / "set" / "data"
-    dead = data / f".writing-{socket.gethostname()}-999999999-abc-train.parquet"
-    living = data / f".writing-{socket.gethostname()}-{os.getpid()}-abc-train.parquet"
-    elsewhere = data / ".writing-otherhost-1-abc-train.parquet"
-    for file in (dead, living, elsewhere):
-        file.touch()
-    make(tmp_path / "set")
-    assert not dead.exists()
-    assert living.exists()
-    assert elsewhere.exists()
+    wait_until_gone(workers)
 
 
 def test_half_written_receipt_of_a_killed_writer_is_no_receipt(tmp_path):

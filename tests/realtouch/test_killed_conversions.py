@@ -14,6 +14,7 @@ import pytest
 import realtouch
 from dataset_store.errors import InputError
 from tests.dataset_store.toy import folder_bytes
+from tests.processes import children, wait_until_gone
 
 REPOSITORY = Path(__file__).resolve().parents[2]
 
@@ -120,23 +121,13 @@ def test_killed_with_its_workers_at_work(
     while not list(out.glob(".parts/*.json")) and process.poll() is None:
         assert time.monotonic() < deadline_s
         time.sleep(0.002)
-    workers = _children(process.pid)
+    workers = children(process.pid)
     process.kill()
     process.wait()
-    while any(Path(f"/proc/{worker}").exists() for worker in workers):
-        assert time.monotonic() < deadline_s
-        time.sleep(0.01)
+    wait_until_gone(workers)
     convert("resize", seq_folder, out)
     assert temporaries(out) == []
     assert folder_bytes(out) == undisturbed["resize"]
-
-
-def _children(pid: int) -> list[int]:
-    file = Path(f"/proc/{pid}/task/{pid}/children")
-    try:
-        return [int(child) for child in file.read_text().split()]
-    except FileNotFoundError:
-        return []
 
 
 def test_pictures_of_somebody_else_are_never_removed(single_folder: Path, tmp_path: Path) -> None:
