@@ -3,10 +3,22 @@
 from __future__ import annotations
 
 import os
+import signal
 from collections.abc import Generator
 from pathlib import Path
 
 import pytest
+from hypothesis import HealthCheck, settings
+
+# A slow or busy machine must not fail a property; on a server the same examples are drawn every time, so that
+# what lands does not depend on luck (hypothesis looks for new ones on every other machine).
+settings.register_profile("anywhere", deadline=None, suppress_health_check=[HealthCheck.too_slow])
+settings.register_profile("server", parent=settings.get_profile("anywhere"), derandomize=True)
+settings.load_profile("server" if os.environ.get("CI") else "anywhere")
+
+# A shell that starts a job in the background has it ignore Ctrl-C, and so would all that tests interrupt.
+if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
+    signal.signal(signal.SIGINT, signal.default_int_handler)
 
 _EXTRAS = ("browser", "env", "pictures", "slicer", "torch")
 SHARED = Path(__file__).resolve().parents[1].parent / "shared"

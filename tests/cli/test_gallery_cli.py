@@ -121,7 +121,7 @@ def test_ctrl_c_leaves_nothing_and_says_so(folders, tmp_path):
     with subprocess.Popen(
         [*command, *options], stderr=subprocess.PIPE, stdout=subprocess.PIPE, text=True, env=environment
     ) as process:
-        deadline = time.monotonic() + 60
+        deadline = time.monotonic() + 120
         while not alive.exists():
             assert process.poll() is None
             assert time.monotonic() < deadline

@@ -47,7 +47,7 @@ def run(command: str, *arguments: object, environment: dict[str, str]) -> subpro
     """Run a command line in a process of its own."""
     program = [sys.executable, "-c", f"from cli.{command} import main; main()", *map(str, arguments)]
     environment = {**environment, "PYTHONPATH": str(Path.cwd())}
-    return subprocess.run(program, env=environment, capture_output=True, text=True, check=False, timeout=120)
+    return subprocess.run(program, env=environment, capture_output=True, text=True, check=False, timeout=300)
 
 
 @pytest.fixture(scope="module")

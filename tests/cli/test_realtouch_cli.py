@@ -4,7 +4,6 @@ import json
 import os
 import subprocess
 import sys
-import time
 from pathlib import Path
 
 import pytest
@@ -156,7 +155,7 @@ def test_bad_input_is_said_in_a_line_with_exit_code_2(arguments, words, images, 
     assert not (tmp_path / "out").exists()
 
 
-def test_help_is_quick_and_imports_nothing_heavy():
+def test_help_imports_nothing_heavy():
     code = (
         "import sys; sys.argv = ['realtouch', '--help']\n"
         "from cli.realtouch import app\n"
@@ -165,9 +164,7 @@ def test_help_is_quick_and_imports_nothing_heavy():
         "heavy = ('numpy', 'pyarrow', 'torch', 'av', 'datasets')\n"
         "print([name for name in heavy if name in sys.modules], file=sys.stderr)"
     )
-    start_s = time.monotonic()
     run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert time.monotonic() - start_s < 5
     assert run.stderr.strip() == "[]"
     for command in ("load", "info", "verify", "to-single", "resize", "frames", "select", "preview"):
         assert command in run.stdout

@@ -239,20 +239,23 @@ def test_killed_run_resumes_to_the_same_bytes(tmp_path, workers):
     make(tmp_path / "whole")
     script = f"""
         import sys
+        from dataclasses import replace
         from dataset_store.build import build
         from dataset_store.runner import runner_for
         from dataset_store.storage import DataFolder
         from tests.dataset_store.toy import toy_plan
-        build(DataFolder(sys.argv[1]), toy_plan(pause_s=0.15), runner_for({workers}))
+        plan = toy_plan(pause_s=0.15)
+        endless = replace(plan.tasks[-1], pause_s=600.0)  # some shards must be left to make
+        build(DataFolder(sys.argv[1]), replace(plan, tasks=(*plan.tasks[:-1], endless)), runner_for({workers}))
     """
     target = tmp_path / "set"
-    for _ in range(2 if workers == 1 else 1):  # of six shards some must be left to make
+    for _ in range(2 if workers == 1 else 1):
         process = subprocess.Popen(
             [sys.executable, "-c", textwrap.dedent(script), str(target)],
             cwd=Path(__file__).resolve().parents[2],
         )
         seen = len(list((target / ".parts").glob("t*.json"))) if target.exists() else 0
-        deadline_s = time.monotonic() + 30
+        deadline_s = time.monotonic() + 120
         while process.poll() is None and time.monotonic() < deadline_s:
             if len(list((target / ".parts").glob("t*.json"))) > seen:
                 workers_left = children(process.pid)
@@ -283,7 +286,7 @@ def test_workers_leave_with_a_killed_parent(tmp_path):
         [sys.executable, "-c", textwrap.dedent(script), str(tmp_path / "set")],
         cwd=Path(__file__).resolve().parents[2],
     )
-    deadline_s = time.monotonic() + 20
+    deadline_s = time.monotonic() + 120
     while len(children(process.pid)) < 3 and time.monotonic() < deadline_s:
         time.sleep(0.02)  # two workers and multiprocessing's resource tracker
     workers = children(process.pid)

@@ -221,5 +221,5 @@ def test_a_forked_process_starts_anew() -> None:
         [sys.executable, "-c", textwrap.dedent(code)],
         cwd=Path(__file__).resolve().parents[2],
         check=True,
-        timeout=60,
+        timeout=300,
     )

@@ -5,7 +5,7 @@ from itertools import pairwise
 import numpy as np
 import pyarrow as pa
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from dataset_store.columns import RaggedColumn, list_array, ragged_column
@@ -21,7 +21,6 @@ from dataset_store.mesh_columns import (
 lengths = st.lists(st.integers(0, 5), max_size=6)
 
 
-@settings(deadline=None)
 @given(lengths)
 def test_ragged_columns_and_back(counts):
     offsets = np.cumsum([0, *counts])

@@ -71,7 +71,7 @@ def found(tmp_path_factory) -> dict[str, list[int]]:
         opened = process.stdout.readline()
         if opened:
             write(root / "someone" / "scenes", seed=2, scenes=9)
-        out, err = process.communicate("go\n", timeout=120)
+        out, err = process.communicate("go\n", timeout=300)
     assert opened == "opened\n", err
     assert process.returncode == 0, err
     return json.loads(out)

@@ -168,7 +168,7 @@ def test_processes_see_the_same(provider, method):
     process.start()
     leave.set()
     holder.join()
-    assert queue.get(timeout=60) == expected
+    assert queue.get(timeout=300) == expected
     process.join(60)
     assert process.exitcode == 0
     queue.close()

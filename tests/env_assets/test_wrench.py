@@ -110,7 +110,7 @@ def test_top_and_bottom_are_alike_and_edges_are_cut():
     assert sharp.volume_m3 * 1e9 == pytest.approx(outline * spec.thickness_mm, rel=1e-5)
 
 
-@settings(max_examples=15, deadline=None)
+@settings(max_examples=15)
 @given(
     size=st.floats(SMALLEST_MM, LARGEST_MM),
     second=st.one_of(st.none(), st.floats(SMALLEST_MM, LARGEST_MM)),

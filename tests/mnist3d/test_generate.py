@@ -153,7 +153,7 @@ def run_command(folder: Path, workers: int) -> subprocess.Popen[bytes]:
 
 
 def finish(process: subprocess.Popen[bytes]) -> None:
-    _, words = process.communicate(timeout=120)
+    _, words = process.communicate(timeout=300)
     assert process.returncode == 0, words.decode()
 
 
@@ -172,7 +172,7 @@ def test_stopped_run_goes_on_to_the_same_bytes(unbroken, tmp_path, workers, blow
     while process.poll() is None and not list((folder / ".parts").glob("train-*.json")):
         time.sleep(0.002)
     process.send_signal(blow)
-    _, words = process.communicate(timeout=60)
+    _, words = process.communicate(timeout=300)
     if blow == signal.SIGINT:
         assert process.returncode == 130
         assert b"the same command goes on" in words

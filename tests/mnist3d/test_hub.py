@@ -42,7 +42,7 @@ def ask(
         check=False,
         env=environment,
         cwd=cwd,
-        timeout=120,
+        timeout=300,
     )
 
 

@@ -107,7 +107,7 @@ def test_the_grey_scale_of_floats_is_the_files_not_the_images(tmp_path: Path) ->
         source(tmp_path, images).image(2)
 
 
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=20)
 @given(st.lists(st.integers(0, 255), min_size=16, max_size=16))
 def test_float_round_trip_is_exact(tmp_path_factory: pytest.TempPathFactory, levels: list[int]) -> None:
     image = np.array([*levels, 255, 0] + [128] * 7, np.uint8).reshape(1, 5, 5)

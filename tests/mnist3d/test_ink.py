@@ -146,7 +146,7 @@ def test_connectivity_does_not_matter_on_a_clean_mask(mask: np.ndarray) -> None:
     assert np.array_equal(cleaned(result, 3, 3), result)
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 @given(MASKS, st.floats(1, 8))
 def test_joined_masks_are_in_one_piece_and_keep_their_ink(mask: np.ndarray, width_px: float) -> None:
     if not mask.any():

@@ -8,7 +8,7 @@ from typing import Any
 import manifold3d
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from dataset_store.errors import InputError
@@ -58,7 +58,6 @@ def test_a_cube_in_numbers() -> None:
 
 
 @given(st.floats(5, 85))
-@settings(deadline=None)
 def test_overhang_begins_at_the_angle_of_the_profile(lean_deg: float) -> None:
     if abs(lean_deg - 45) < 0.01:
         return
@@ -130,7 +129,6 @@ def circle(radius: float, count: int = 200) -> np.ndarray:
 
 
 @given(st.floats(0.4, 10), ANGLES, st.booleans())
-@settings(deadline=None)
 def test_wall_of_a_bar_with_square_or_round_ends(width: float, angle: float, is_round: bool) -> None:
     half = width / 2
     if is_round:
@@ -144,7 +142,6 @@ def test_wall_of_a_bar_with_square_or_round_ends(width: float, angle: float, is_
 
 
 @given(st.floats(4, 20), st.floats(0.4, 3), ANGLES)
-@settings(deadline=None)
 def test_wall_of_a_ring_is_narrowest_where_its_hole_is_nearest(
     outer: float, wall: float, angle: float
 ) -> None:
@@ -157,7 +154,6 @@ def test_wall_of_a_ring_is_narrowest_where_its_hole_is_nearest(
 
 
 @given(st.floats(0.4, 6), st.floats(2, 12), ANGLES)
-@settings(deadline=None)
 def test_wall_of_a_neck(width: float, radius: float, angle: float) -> None:
     """Two round notches of one radius leave a neck between them."""
     way = np.linspace(0, math.pi, 60)
@@ -169,7 +165,6 @@ def test_wall_of_a_neck(width: float, radius: float, angle: float) -> None:
 
 
 @given(st.integers(0, 1000), ANGLES)
-@settings(deadline=None)
 def test_rough_edges_are_no_thin_walls(seed: int, angle: float) -> None:
     rng = np.random.default_rng(seed)
     x = np.arange(-15, 15, 0.4)

@@ -43,7 +43,7 @@ PRINT = (
 
 def slicer(*arguments: object) -> str:
     done = subprocess.run(
-        [SLICER, *map(str, arguments)], capture_output=True, text=True, timeout=120, check=False
+        [SLICER, *map(str, arguments)], capture_output=True, text=True, timeout=300, check=False
     )
     assert done.returncode == 0, done.stderr
     return done.stdout + done.stderr

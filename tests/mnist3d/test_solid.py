@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import HealthCheck, given, settings
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import ndimage
 
@@ -211,7 +211,7 @@ def checkerboard(rng: np.random.Generator, side: int) -> np.ndarray:
     return (np.add.outer(np.arange(side) // step, np.arange(side) // step) % 2).astype(bool)
 
 
-@settings(max_examples=30, deadline=None, suppress_health_check=[HealthCheck.too_slow], derandomize=True)
+@settings(max_examples=30, derandomize=True)
 @given(
     st.sampled_from([blobs, strokes, noise, checkerboard]),
     st.integers(0, 10_000),

@@ -2,7 +2,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from dataset_store.errors import InputError
@@ -43,7 +43,6 @@ catalogs = st.builds(
 )
 
 
-@settings(deadline=None)
 @given(source=catalogs, seed=st.integers(0, 2**32))
 def test_plans_partition_the_ids(source, seed):
     plan = plan_splits(source, SplitSpec(seed))
@@ -69,7 +68,6 @@ def test_small_sources_keep_the_proportions(count):
         assert min(sizes) >= 1
 
 
-@settings(deadline=None)
 @given(
     source=catalogs,
     seed=st.integers(0, 99),
@@ -124,7 +122,6 @@ def test_sizes_of_ones_own():
         SplitSpec(sizes=(("test", -1),))
 
 
-@settings(deadline=None)
 @given(
     counts=st.lists(st.integers(1, 40), min_size=5, max_size=60),
     seed=st.integers(0, 1000),

@@ -68,7 +68,7 @@ def test_same_bytes_in_another_order_and_process() -> None:
     assert len(set(here)) == len(ids)
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(seed=st.integers(0, 2**70), digit_id=st.integers(0, MANY - 1))
 def test_every_digit_is_well_placed_ink(seed: int, digit_id: int) -> None:
     digit = SyntheticSource(seed, MANY).image(digit_id)
@@ -81,7 +81,7 @@ def test_every_digit_is_well_placed_ink(seed: int, digit_id: int) -> None:
     assert np.ptp(np.flatnonzero(ink_of(digit).any(axis=1))) >= 80
 
 
-@settings(max_examples=10, deadline=None)
+@settings(max_examples=10)
 @given(digit_id=st.integers(0, 13_579))
 def test_a_larger_count_keeps_the_first_digits(digit_id: int) -> None:
     assert sha256(SyntheticSource().image(digit_id)) == sha256(SyntheticSource(0, MANY).image(digit_id))

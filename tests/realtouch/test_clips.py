@@ -117,7 +117,6 @@ def test_a_clip_without_contact_has_no_median_frame(seq_folder: Path) -> None:
 
 
 @given(st.lists(st.floats(0, 10), min_size=1, max_size=30), st.floats(-1, 11), st.floats(0, 5))
-@settings(deadline=None)
 def test_a_window_holds_a_frame_and_only_frames_of_contact(
     times: list[float], start: float, span: float
 ) -> None:
@@ -152,7 +151,6 @@ def test_thresholds_decide_what_counts_as_changed() -> None:
 
 
 @given(st.lists(st.floats(-0.01, 0.02), min_size=1, max_size=20), st.floats(-0.003, 0.003))
-@settings(deadline=None)
 def test_recalibrated_contact_does_not_depend_on_the_drift(heights: list[float], drift: float) -> None:
     z_m = np.round(np.asarray(heights), 4)
     clear = np.abs(z_m - z_m.min() - 0.006) > 1e-6
@@ -218,7 +216,7 @@ def test_a_cut_avi_is_refused(keep: int) -> None:
 
 
 @given(st.data())
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=200)
 def test_a_damaged_avi_raises_or_keeps_to_its_bounds(data: st.DataObject) -> None:
     changed = bytearray(AVI)
     for _ in range(data.draw(st.integers(1, 6))):

@@ -30,7 +30,7 @@ def pillow(data: bytes) -> np.ndarray:
 
 
 @given(st.integers(1, 70), st.integers(1, 70), st.integers(10, 100), st.sampled_from([0, 1, 2]))
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 def test_pixels_are_those_of_pillow_bit_for_bit(height: int, width: int, quality: int, sampling: int) -> None:
     stream = io.BytesIO()
     Image.fromarray(smooth(height, width)).save(stream, "JPEG", quality=quality, subsampling=sampling)
@@ -76,7 +76,7 @@ def test_same_pixels_give_the_same_bytes() -> None:
 
 
 @given(st.data())
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=150)
 def test_damaged_jpegs_raise_or_give_whole_pictures(data: st.DataObject) -> None:
     """Whatever bytes are flipped or lost, nothing half-decoded and nothing but ValueError comes out."""
     whole = bytearray(encode_jpeg(smooth(24, 32)))
@@ -144,7 +144,6 @@ def test_touches_of_many_rounds_in_one_batch(single_folder: Path) -> None:
 
 
 @given(st.integers(0, 9), st.lists(st.integers(-9, 8), max_size=12))
-@settings(deadline=None)
 def test_positions_agree_with_numpy(count: int, index: list[int]) -> None:
     reference = np.arange(count)
     try:

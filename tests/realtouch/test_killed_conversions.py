@@ -117,7 +117,7 @@ def test_killed_with_its_workers_at_work(
     out = tmp_path / "out"
     code = "import sys, realtouch; realtouch.resize(sys.argv[1], sys.argv[2], 48, 36, workers=2)"
     process = subprocess.Popen([sys.executable, "-c", code, str(seq_folder), str(out)], cwd=REPOSITORY)
-    deadline_s = time.monotonic() + 60
+    deadline_s = time.monotonic() + 120
     while not list(out.glob(".parts/*.json")) and process.poll() is None:
         assert time.monotonic() < deadline_s
         time.sleep(0.002)

@@ -63,7 +63,7 @@ def felt_at_m(
     return np.array(centre_m) + pose.apply([x, y, 0.0])[:2]
 
 
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=20)
 @given(
     st.floats(-180, 180),
     st.booleans(),

@@ -38,7 +38,7 @@ def test_a_frame_is_found_where_the_index_has_it(writer: str) -> None:
     st.integers(0, 9),
     st.floats(0, 1),
 )
-@settings(deadline=None, max_examples=400)
+@settings(max_examples=400)
 def test_a_damaged_file_gives_the_frame_of_its_index_or_none(
     writer: str, changes: list[tuple[float, int]], frame: int, kept: float
 ) -> None:
@@ -125,7 +125,6 @@ def test_windows_of_some_touches(seq_folder: Path) -> None:
 
 
 @given(st.data())
-@settings(deadline=None)
 def test_windows_of_many_clips_are_those_of_each(data: st.DataObject) -> None:
     touches, frames = data.draw(st.integers(1, 4)), data.draw(st.integers(1, 8))
     number = st.floats(0, 3).map(lambda value: round(value, 1))

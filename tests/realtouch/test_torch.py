@@ -96,7 +96,7 @@ def test_transforms_apply(single_folder: Path) -> None:
 def test_workers_of_every_start_method(images: Any, method: str) -> None:
     _ = images[0]  # opened in the parent, too
     loader = torch.utils.data.DataLoader(
-        images, batch_size=4, shuffle=False, num_workers=2, multiprocessing_context=method, timeout=120
+        images, batch_size=4, shuffle=False, num_workers=2, multiprocessing_context=method, timeout=300
     )
     batches = list(loader)
     pixels = torch.cat([batch for batch, _ in batches])
@@ -120,7 +120,7 @@ def test_streams_give_every_touch_once(single_folder: Path) -> None:
     shuffled.set_epoch(1)
     assert [where for _, where in shuffled] != first
     for workers in (2, 3):  # as many as shards, and more
-        loader = torch.utils.data.DataLoader(data, batch_size=None, num_workers=workers, timeout=120)
+        loader = torch.utils.data.DataLoader(data, batch_size=None, num_workers=workers, timeout=300)
         assert sorted(tuple(where) for _, where in loader) == expected
 
 

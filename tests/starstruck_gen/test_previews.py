@@ -48,7 +48,7 @@ def red_px(pixels: np.ndarray) -> int:
     return int((np.abs(pixels.astype(int) - REJECTED).max(axis=2) < 30).sum())
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(specs(), st.integers(0, 2**62))
 def test_tracing_changes_nothing_and_tells_every_rejected_position(spec, seed):
     spec = replace(spec, attempts=20, restarts=20)

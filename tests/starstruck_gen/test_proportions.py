@@ -8,7 +8,7 @@ from dataclasses import FrozenInstanceError
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from dataset_store.errors import InputError
@@ -51,7 +51,6 @@ def test_published_outlines_are_bit_for_bit_what_they_were():
     }
 
 
-@settings(deadline=None)
 @given(shapes())
 def test_key_names_the_outline_and_comes_back(shape):
     again = Shape.parse(shape.key, shape.radius_m)
@@ -63,7 +62,6 @@ def test_key_names_the_outline_and_comes_back(shape):
     assert pickle.loads(pickle.dumps(shape)).key == shape.key
 
 
-@settings(deadline=None)
 @given(st.one_of(*DRAWN.values()))
 def test_every_allowed_shape_is_one_solid_of_radius_one(proportions):
     shape = Shape(proportions.name, 0.01, proportions)

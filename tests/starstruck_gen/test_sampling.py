@@ -22,7 +22,7 @@ from starstruck_gen.spec import SceneSpec
 from starstruck_gen.streams import SPLITS, SceneStreams, scene_id, scene_rng, scene_seed
 from tests.starstruck_gen.strategies import specs
 
-FEW = settings(max_examples=80, deadline=None)
+FEW = settings(max_examples=80)
 
 
 @FEW
@@ -68,7 +68,6 @@ def test_any_partition_gives_the_scenes_of_the_reference(spec, seed, split, star
         assert scene == sample_scene(spec, rng, spec.stars[index % len(spec.stars)])
 
 
-@settings(deadline=None)
 @given(st.lists(st.tuples(st.integers(0, 2**63 - 1), st.integers(0, 130)), min_size=1, max_size=5))
 def test_shared_generator_gives_the_numbers_of_each_scene(wanted):
     streams = SceneStreams()

@@ -16,7 +16,7 @@ from starstruck_gen.spec import SceneSpec
 from starstruck_gen.stamping import stamp
 from tests.starstruck_gen.strategies import placements, specs
 
-FEW = settings(max_examples=80, deadline=None)
+FEW = settings(max_examples=80)
 
 
 @FEW
@@ -55,7 +55,6 @@ def test_mesh_does_not_depend_on_its_batch(layouts):
         assert np.array_equal(alone.faces, among.faces)
 
 
-@settings(deadline=None)
 @given(placements())
 def test_vertices_are_the_turned_scaled_moved_outline(placement):
     vertices = stamp([[placement]])[0].vertices_m

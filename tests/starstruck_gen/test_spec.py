@@ -4,7 +4,7 @@ import json
 import math
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 
 from dataset_store.errors import InputError
 from starstruck_gen.shapes import Shape
@@ -21,7 +21,6 @@ def test_defaults_are_the_published_numbers():
     assert {spec.star.radius_m, *(shape.radius_m for shape in spec.distractor_shapes)} == {0.010}
 
 
-@settings(deadline=None)
 @given(specs())
 def test_json_and_back(spec):
     values = json.loads(json.dumps(spec.to_dict()))

@@ -200,7 +200,7 @@ def test_a_killed_run_leaves_no_site_and_the_next_one_clears_up(tmp_path, how):
     with subprocess.Popen(
         [sys.executable, "-c", KILLED, str(out)], stderr=subprocess.PIPE, env=environment
     ) as process:
-        deadline = time.monotonic() + 60
+        deadline = time.monotonic() + 120
         while not (tmp_path / "alive").exists():
             assert process.poll() is None, process.stderr and process.stderr.read().decode()
             assert time.monotonic() < deadline

@@ -44,7 +44,7 @@ def start_python(script: str, environment: dict[str, str], home: Path) -> subpro
 def run_python(script: str, environment: dict[str, str], home: Path) -> subprocess.CompletedProcess[str]:
     """Run a script to its end in a process of its own."""
     with start_python(script, environment, home) as process:
-        out, err = process.communicate(timeout=100)
+        out, err = process.communicate(timeout=300)
     return subprocess.CompletedProcess(script, process.returncode, out, err)
 
 

@@ -155,7 +155,7 @@ def test_a_killed_download_goes_on_where_it_stopped(server, tmp_path, to_folder)
 
 def _settled(home: Path) -> int:
     """Return the size of the stage file once all that was sent has arrived."""
-    deadline = time.monotonic() + 30
+    deadline = time.monotonic() + 120
     size = -1
     while time.monotonic() < deadline and size < 1_500_000:
         size = max((file.stat().st_size for file in stages(home)), default=-1)

@@ -74,7 +74,7 @@ def test_two_processes_fetch_a_file_once(server, tmp_path):
     ):
         assert server.faults.stalled.wait(60)
         server.faults.released.set()
-        found = {process.communicate(timeout=60)[0] for process in (first, second)}
+        found = {process.communicate(timeout=300)[0] for process in (first, second)}
     assert len(found) == 1
     assert Path(found.pop().strip().removeprefix("path ")).read_bytes() == CONTENT
     assert [request.sent for request in server.content_requests(SHARD)] == [len(CONTENT)]

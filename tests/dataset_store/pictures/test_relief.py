@@ -45,7 +45,7 @@ def test_a_view_has_three_directions_at_right_angles(azimuth, elevation):
     assert np.allclose(TOP.axes, np.eye(3), atol=1e-12)
 
 
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=100)
 @given(st.integers(0, 2**32 - 1))
 def test_the_depth_buffer_sees_what_looking_at_each_pixel_sees(seed):
     random = np.random.default_rng(seed)

@@ -25,7 +25,7 @@ def exact_cells(section: manifold3d.CrossSection, shape: tuple[int, int]) -> np.
     )
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 @given(
     corners=st.integers(3, 9),
     seed=st.integers(0, 2**32),

@@ -36,7 +36,7 @@ def taken(plate: list[Spot], given_shapes: list[np.ndarray]) -> np.ndarray:
     return cells
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 @given(given_shapes=shapes())
 def test_no_cell_is_used_twice_and_every_shape_is_placed_once(given_shapes: list[np.ndarray]) -> None:
     plates = pack(given_shapes, PLATE)
@@ -45,7 +45,7 @@ def test_no_cell_is_used_twice_and_every_shape_is_placed_once(given_shapes: list
     assert pack(given_shapes, PLATE) == plates
 
 
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=20)
 @given(given_shapes=shapes())
 def test_no_plate_is_opened_while_a_shape_fits_on_an_earlier_one(given_shapes: list[np.ndarray]) -> None:
     plates = pack(given_shapes, PLATE)

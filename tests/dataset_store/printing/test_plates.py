@@ -64,7 +64,7 @@ def meshes(draw: st.DrawFn) -> list[Mesh]:
     return draw(st.lists(one, min_size=1, max_size=9))
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=25)
 @given(shapes=meshes(), gap_mm=st.sampled_from([0.0, 0.7, 3.0, 5.5]), label=st.booleans())
 def test_objects_keep_the_gap_the_pose_and_to_the_plate(
     shapes: list[Mesh], gap_mm: float, label: bool
