@@ -190,9 +190,7 @@ def _print_sets(sink: Sink, room: str) -> None:
             state.published.content,
             state.licence or "see its card",
             "?" if state.hub_bytes is None else bytes_text(state.hub_bytes),
-            f"{bytes_text(state.local_bytes)} ({', '.join(state.local_splits)})"
-            if state.local_bytes
-            else "-",
+            _here(state),
         )
         for state in found
     ]

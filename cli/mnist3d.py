@@ -11,6 +11,7 @@ import typer
 
 from cli.application import new_app, run
 from cli.card_commands import add_card
+from cli.copies import print_copy
 from cli.digit_preview import add_preview
 from cli.digit_source import InkName, SourceName, digit_source
 from cli.digit_tables import print_made
@@ -186,17 +187,15 @@ def validate(
 @reports_errors
 def info(folder: Folder, as_json: Json = False) -> None:
     """Show what a data set folder holds and how it was made."""
-    from dataset_store.errors import InputError
-    from dataset_store.manifest import MANIFEST_FILE
     from dataset_store.parts import manifest_so_far
     from dataset_store.storage import DataFolder
 
     place = DataFolder(str(folder))
     manifest = manifest_so_far(place)
-    if manifest is None:
-        message = f"no {MANIFEST_FILE} in {str(folder)!r}; next: give the folder of a generated data set"
-        raise InputError(message)
     sink = Sink(as_json)
+    if manifest is None:
+        print_copy(sink, folder, Room("mnist3d"), "digits")
+        return
     print_made(sink, manifest, folder)
     sink.line(f"made by tactile-toolkit {manifest.toolkit_version}; source and spec:")
     for line in flat_lines(manifest.spec):

@@ -11,6 +11,7 @@ import typer
 
 from cli.application import new_app, run
 from cli.card_commands import add_card
+from cli.copies import print_copy
 from cli.export_commands import add_export
 from cli.failures import EXIT_FAILED, reports_errors
 from cli.gallery_commands import add_mesh_gallery
@@ -168,9 +169,8 @@ def validate(
     checked = sum(result.checked for result in results)
     bodies = sum(result.bodies for result in results)
     stars = sum(result.stars for result in results)
-    sink.line(
-        f"{checked - failed:,} of {checked:,} scenes are valid: {bodies:,} solids, {stars:,} of them stars"
-    )
+    which = f", {stars:,} of them stars" if stars else "; which of them are stars is not declared"
+    sink.line(f"{checked - failed:,} of {checked:,} scenes are valid: {bodies:,} solids{which}")
     if failed:
         raise typer.Exit(EXIT_FAILED)
 
@@ -179,17 +179,15 @@ def validate(
 @reports_errors
 def info(folder: Folder, as_json: Json = False) -> None:
     """Show what a data set folder holds, how it was made, and how hard it was to place objects."""
-    from dataset_store.errors import InputError
-    from dataset_store.manifest import MANIFEST_FILE
     from dataset_store.parts import manifest_so_far
     from dataset_store.storage import DataFolder
 
     manifest = manifest_so_far(DataFolder(str(folder)))
-    if manifest is None:
-        message = f"no {MANIFEST_FILE} in {str(folder)!r}; next: give the folder of a generated data set"
-        raise InputError(message)
-    _require_scenes(manifest, folder)
     sink = Sink(as_json)
+    if manifest is None:
+        print_copy(sink, folder, Room("starstruck"), "scenes")
+        return
+    _require_scenes(manifest, folder)
     print_made(sink, manifest, folder)
     print_acceptance(sink, manifest)
     sink.line(f"made by tactile-toolkit {manifest.toolkit_version}; spec:")

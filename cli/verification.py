@@ -22,7 +22,7 @@ def verify_folder(sink: Sink, folder: str, schema: Any, generate: str) -> None:
     schema : pyarrow.Schema
         Schema of its rows.
     generate : str
-        Command that makes damaged shards anew.
+        Command that makes damaged shards anew, where the folder was not downloaded.
 
     Raises
     ------
@@ -32,21 +32,26 @@ def verify_folder(sink: Sink, folder: str, schema: Any, generate: str) -> None:
         When the folder holds no data set.
     """
     from dataset_store.errors import IntegrityError
+    from dataset_store.hub.download_record import read_record
     from dataset_store.storage import DataFolder
     from dataset_store.verify import verify
 
-    result = verify(DataFolder(folder), schema, card=True)
+    place = DataFolder(folder)
+    result = verify(place, schema, card=True)
     findings = [{"file": finding.file, "problem": finding.problem} for finding in result.findings]
-    sink.document({"ok": result.ok, "files": result.files, "rows": result.rows, "findings": findings})
+    counts_of = {"files": result.files, "rows": result.rows}
+    sink.document({"ok": result.ok, "witness": result.witness, **counts_of, "findings": findings})
     if result.ok:
         size = bytes_text(result.bytes)
         counts = f"{result.files:,} files, {result.rows:,} rows, {size}"
-        sink.line(f"{folder}: {counts}: all as the manifest says")
+        sink.line(f"{folder}: {counts}: all as {result.witness} says")
         return
     for finding in result.findings:
         sys.stderr.write(f"damaged: {finding.file}: {finding.problem}\n")
-    message = (
-        f"{len(findings)} problems in {folder!r}; next: run the same `{generate}` again, it makes the "
-        "damaged shards anew"
-    )
+    record = read_record(place)
+    if record is None:
+        cure = f"run the same `{generate}` again, it makes the damaged shards anew"
+    else:
+        cure = f"download {record.repo_id} there again, only what is damaged is fetched"
+    message = f"{len(findings)} problems in {folder!r}; next: {cure}"
     raise IntegrityError(message)

@@ -1,15 +1,18 @@
-"""Proving that a data set folder is what its manifest says."""
+"""Proving that a data set folder is what its manifest says, or what the Hub said that it was fetched from."""
 
 from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 from dataset_store.cards.checks import check_card
 from dataset_store.errors import InputError, IntegrityError
 from dataset_store.findings import Finding
+from dataset_store.hub.download_record import RECORD_FILE, DownloadRecord, read_record
+from dataset_store.hub.snapshot import HubFile
 from dataset_store.manifest import MANIFEST_FILE, Manifest, read_manifest
 from dataset_store.rowgroups import Shard
 from dataset_store.shards import DATA_FOLDER, Receipt, file_sha256
@@ -20,12 +23,23 @@ __all__ = ["Finding", "Verification", "verify"]
 
 @dataclass(frozen=True, slots=True)
 class Verification:
-    """Result of :func:`verify`: an empty ``findings`` means that everything matches."""
+    """Result of :func:`verify`: an empty ``findings`` means that everything matches.
+
+    Attributes
+    ----------
+    files, rows, bytes : int
+        How much was checked.
+    findings : tuple of Finding
+        All that is wrong.
+    witness : str
+        What the folder was held against: its manifest, or a commit of the Hub.
+    """
 
     files: int
     rows: int
     bytes: int
     findings: tuple[Finding, ...]
+    witness: str = MANIFEST_FILE
 
     @property
     def ok(self) -> bool:
@@ -42,12 +56,15 @@ def verify(
 ) -> Verification:
     """Check every checksum, row count, schema and the uniqueness of ids over all splits.
 
+    A folder without a manifest that was downloaded, such as a copy of a published data set, is held against
+    the sizes and checksums that the Hub gave for its files.
+
     Parameters
     ----------
     folder : DataFolder
         Folder of a finished data set.
     schema : pyarrow.Schema, optional
-        Schema that every shard must have.
+        Schema that every shard must have; not asked of copies of other people's data sets.
     on_file : callable
         Told each file before it is read.
     card : bool
@@ -56,14 +73,13 @@ def verify(
     Raises
     ------
     InputError
-        When the folder holds no manifest.
+        When the folder holds no manifest and was not downloaded.
     IntegrityError
-        When the manifest itself is damaged.
+        When the manifest, or the record of the download, is itself damaged.
     """
     manifest = read_manifest(folder)
     if manifest is None:
-        message = f"no {MANIFEST_FILE} in {folder.address()!r}; next: give the folder of a generated data set"
-        raise InputError(message)
+        return _verify_copy(folder, _record_of(folder), on_file)
     findings = [*_unfinished(manifest), *_strangers(folder, manifest)]
     seen: dict[object, str] = {}
     for receipt in manifest.receipts:
@@ -77,6 +93,46 @@ def verify(
     rows = sum(receipt.rows for receipt in manifest.receipts)
     size = sum(receipt.bytes for receipt in manifest.receipts)
     return Verification(len(manifest.receipts) + len(manifest.files or {}), rows, size, tuple(findings))
+
+
+def _record_of(folder: DataFolder) -> DownloadRecord:
+    record = read_record(folder)
+    if record is None:
+        message = (
+            f"no {MANIFEST_FILE} in {folder.address()!r}, and no `download` filled it, so that nothing says "
+            "what its files should be; next: give the folder of a generated or downloaded data set"
+        )
+        raise InputError(message)
+    return record
+
+
+def _verify_copy(folder: DataFolder, record: DownloadRecord, on_file: Callable[[str], None]) -> Verification:
+    findings: list[Finding] = []
+    rows = 0
+    for path, file in record.files.items():
+        on_file(path)
+        damage = _check_copied(folder, file)
+        findings += damage
+        if not damage and path.endswith(".parquet"):
+            # Ids are the publisher's own: nothing says that they differ between splits.
+            rows += len(Shard(folder.address(path)))
+    findings += [
+        Finding(f"{DATA_FOLDER}/{name}", f"is not listed in {RECORD_FILE}")
+        for name in folder.names(DATA_FOLDER)
+        if f"{DATA_FOLDER}/{name}" not in record.files
+    ]
+    size = sum(file.size_bytes for file in record.files.values())
+    witness = f"{record.repo_id} at {record.commit[:12]}"
+    return Verification(len(record.files), rows, size, tuple(findings), witness)
+
+
+def _check_copied(folder: DataFolder, file: HubFile) -> list[Finding]:
+    if not folder.exists(file.path):
+        return [Finding(file.path, "is missing")]
+    if file.digest is None:
+        return []
+    found = file.digest.of(Path(folder.address(file.path)))
+    return [] if found == file.digest else [Finding(file.path, f"{found}, expected {file.digest.value}")]
 
 
 def _unfinished(manifest: Manifest) -> list[Finding]:

@@ -11,6 +11,7 @@ from typing import Any, TypeVar
 import numpy as np
 
 from dataset_store.errors import InputError, IntegrityError
+from dataset_store.hub.download_record import read_record
 from dataset_store.manifest import read_manifest
 from dataset_store.places import splits_of
 from dataset_store.records import Row
@@ -81,7 +82,7 @@ def verify(
     InputError
         Nothing of that name, or no data set of touches.
     """
-    findings = [*_manifest_findings(name)]
+    findings = [*_file_findings(name)]
     if _holds_pictures(name):
         return _verify_pictures(DataFolder(name), findings, on_progress)
     shards = _readable_shards(name, split, revision, findings)
@@ -124,13 +125,14 @@ def _is_uniform(counts: Any) -> bool:
     return bool(Counter(counts.tolist()).most_common(1)[0][1] > 0.5 * len(counts))
 
 
-def _manifest_findings(name: str) -> list[Damage]:
-    """Check the files of a folder of ours against its manifest, and its card."""
-    if not Path(name).is_dir() or read_manifest(DataFolder(name)) is None:
+def _file_findings(name: str) -> list[Damage]:
+    """Check files against the manifest of a folder of ours, with its card, or against what the Hub said."""
+    folder = DataFolder(name)
+    if not Path(name).is_dir() or (read_manifest(folder) is None and read_record(folder) is None):
         return []
     return [
         Damage(finding.file, None, None, "", finding.problem)
-        for finding in verify_files(DataFolder(name), card=True).findings
+        for finding in verify_files(folder, card=True).findings
     ]
 
 

@@ -62,8 +62,11 @@ class Checked:
     ----------
     path : str
         As given.
-    checked, bodies, stars : int
-        How many scenes were checked, and how many bodies and stars stand in the sound ones.
+    checked : int
+        How many scenes were checked.
+    bodies, stars : int
+        How many bodies stand in the sound ones, and how many of them are declared stars; the published data
+        set declares none.
     failures : tuple of Failure
         Scenes that break a promise.
     """
@@ -116,16 +119,22 @@ def check_scene(record: SceneRecord, names: Sequence[str] = CLASS_NAMES) -> str 
     str or None
         What is wrong; None when all holds.
     """
+    return _check(record, names)[0]
+
+
+def _check(record: SceneRecord, names: Sequence[str]) -> tuple[str | None, int]:
+    """Return what is wrong with a scene and how many bodies it has."""
     mesh = Mesh(record.vertices_m, record.faces)
     verdict = judge(mesh)
     if verdict.problem is not None:
-        return f"{verdict.problem}: {verdict.detail}"
-    return (
+        return f"{verdict.problem}: {verdict.detail}", verdict.bodies
+    problem = (
         _overlapping(verdict.manifold)
         or _afloat(mesh)
         or _undeclared(mesh, verdict.bodies, record)
         or _miscounted(record, names)
     )
+    return problem, verdict.bodies
 
 
 def validate_folder(
@@ -254,12 +263,12 @@ def _check_part(part: _Part) -> tuple[_Part, _Found]:
     bodies = stars = 0
     failures = []
     for record in islice(_records(part), part.rows):
-        problem = check_scene(record, names)
+        problem, found = _check(record, names)
         if problem is not None:
             failures.append(Failure(part.split, record.id, problem))
             continue
-        bodies += len(record.placements) if record.has_placements else 0
-        stars += record.star_count
+        bodies += found
+        stars += record.star_count if record.has_placements else 0
     return part, _Found(bodies, stars, tuple(failures))
 
 

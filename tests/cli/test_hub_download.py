@@ -9,19 +9,25 @@ import subprocess
 import sys
 from collections.abc import Iterator
 from pathlib import Path
+from shutil import rmtree
 
+import pyarrow.parquet as pq
 import pytest
 
+import starstruck_gen as starstruck
 from dataset_store.hub.published import PUBLISHED, published_set, published_sets
 from mnist3d.generation import GenerateSpec, generate
 from mnist3d.solid import SolidSpec
 from mnist3d.sources.synthetic import SyntheticSource
 from realtouch.names import SHORT_NAMES, repository_of
+from starstruck_gen.generation import GenerateSpec as StarstruckSpec
 from tests.dataset_store.hub.client import run_here, run_python, settings
 from tests.hub_server import HubServer, hub
 from tests.realtouch.factories import make_round, single_rows, write_set
 
 DIGITS = "someone/digits"
+BARE = "someone/published"
+SCENES = "someone/scenes"
 TOUCHES = "TimSchneider42/tactile-mnist-touch-real-single-t256-64x64"
 
 
@@ -30,9 +36,21 @@ def root(tmp_path_factory) -> Path:
     place = tmp_path_factory.mktemp("hub")
     spec = GenerateSpec(SyntheticSource(), SolidSpec(target_vertices=500), per_class=1)
     generate(spec, str(place / DIGITS), ("test", "holdout"))
-    rounds = [make_round(index, 4, (64, 64)) for index in range(2)]
-    write_set(place / TOUCHES, {"train": single_rows(rounds), "test": single_rows(rounds[:1])}, "single")
+    starstruck.generate(StarstruckSpec(scenes=(("train", 6),)), str(place / "scenes"))
+    for name, ours in ((BARE, place / DIGITS), (SCENES, place / "scenes")):
+        _publish(ours, place / name)
+    rmtree(place / "scenes")
+    rounds = [make_round(index, 4, (64, 64)) for index in range(3)]
+    write_set(place / TOUCHES, {"train": single_rows(rounds[1:]), "test": single_rows(rounds[:1])}, "single")
     return place
+
+
+def _publish(ours: Path, there: Path) -> None:
+    """Write what the published repositories hold: the published columns, no manifest, no reports."""
+    (there / "data").mkdir(parents=True)
+    for shard in sorted(ours.glob("data/*.parquet")):
+        rows = pq.ParquetFile(shard).read(["id", "label", "mesh.vertices", "mesh.faces"])
+        pq.write_table(rows, there / "data" / shard.name)
 
 
 @pytest.fixture
@@ -90,6 +108,68 @@ def test_a_part_is_a_data_set_that_verifies_and_that_datasets_loads(server, tmp_
     )
     loaded = run_python(script, settings("http://127.0.0.1:9", tmp_path, HF_HUB_OFFLINE="1"), tmp_path)
     assert loaded.stdout.strip() == "True 10", loaded.stderr
+
+
+def test_a_copy_of_a_published_set_is_shown_and_verified(server, root, tmp_path):
+    """The published repositories hold no manifest: what the Hub said of its files is what counts."""
+    commit = server.repository(BARE).head.sha[:12]
+    out = tmp_path / "copy"
+    assert call(server, tmp_path, "mnist3d", "download", BARE, "--out", out).code == 0
+    shown = call(server, tmp_path, "mnist3d", "info", out)
+    assert shown.code == 0, shown.err
+    assert f"downloaded from {BARE} at {commit}: how it was made is not told here" in shown.out
+    document = json.loads(call(server, tmp_path, "mnist3d", "info", out, "--json").out)
+    assert [(entry["split"], entry["rows"], entry["shards"]) for entry in document["splits"]] == [
+        ("holdout", 10, 1),
+        ("test", 10, 1),
+    ]
+    assert document["splits"][0]["per_class"] == {str(digit): 1 for digit in range(10)}
+    verified = call(server, tmp_path, "mnist3d", "verify", out)
+    assert verified.code == 0, verified.err
+    assert "20 rows" in verified.out
+    assert f"all as {BARE} at {commit} says" in verified.out
+
+    shard = out / "data" / "test-00000-of-00001.parquet"
+    content = bytearray(shard.read_bytes())
+    content[len(content) // 2] ^= 1
+    shard.write_bytes(content)
+    (out / "data" / "mine.parquet").write_bytes(b"x")
+    (out / "data" / "holdout-00000-of-00001.parquet").unlink()
+    damaged = call(server, tmp_path, "mnist3d", "verify", out)
+    assert damaged.code == 3
+    lines = damaged.err.splitlines()
+    assert lines[0] == "damaged: data/holdout-00000-of-00001.parquet: is missing"
+    assert lines[1].startswith("damaged: data/test-00000-of-00001.parquet: sha256 ")
+    assert lines[2] == "damaged: data/mine.parquet: is not listed in .download.json"
+    assert f"next: download {BARE} there again, only what is damaged is fetched" in lines[3]
+    assert call(server, tmp_path, "mnist3d", "download", BARE, "--out", out).code == 0
+    (out / "data" / "mine.parquet").unlink()
+    assert call(server, tmp_path, "mnist3d", "verify", out).code == 0
+
+
+def test_copies_of_scenes_and_touches_are_verified_too(server, tmp_path):
+    scenes, touches = tmp_path / "scenes", tmp_path / "touches"
+    assert call(server, tmp_path, "starstruck", "download", SCENES, "--out", scenes).code == 0
+    shown = call(server, tmp_path, "starstruck", "info", scenes)
+    assert "1: 2, 2: 2, 3: 2" in shown.out, shown.err
+    assert "6 rows" in call(server, tmp_path, "starstruck", "verify", scenes).out
+    checked = call(server, tmp_path, "starstruck", "validate", scenes)
+    assert "6 of 6 scenes are valid" in checked.out
+    assert "solids; which of them are stars is not declared" in checked.out
+
+    assert call(server, tmp_path, "realtouch", "download", TOUCHES, "--out", touches).code == 0
+    verified = call(server, tmp_path, "realtouch", "verify", touches)
+    assert verified.code == 0, verified.err
+    # A byte that no decoder minds: only the checksum tells.
+    shard = touches / "data" / "test-00000-of-00001.parquet"
+    content = shard.read_bytes()
+    assert content.count(b"JFIF") > 0
+    shard.write_bytes(content.replace(b"JFIF\0\1\1", b"JFIF\0\1\2", 1))
+    assert shard.read_bytes() != content
+    damaged = call(server, tmp_path, "realtouch", "verify", touches)
+    assert damaged.code == 3
+    assert "test-00000-of-00001.parquet" in damaged.err
+    assert "sha256" in damaged.err
 
 
 def test_dry_run_fetches_no_data(server, tmp_path):

@@ -92,7 +92,7 @@ def test_verify(folder, tmp_path, capsys):
     import shutil
 
     assert call("verify", folder) == 0
-    assert "all as the manifest says" in capsys.readouterr().out
+    assert "all as manifest.json says" in capsys.readouterr().out
     copy = tmp_path / "copy"
     shutil.copytree(folder, copy)
     victim = copy / "data" / "test-00000-of-00001.parquet"
@@ -158,7 +158,7 @@ def write(mesh, path: Path) -> None:
         (("generate", "--split-sizes", "train=9999"), 2, ("9999 digits per class", "1358")),
         (("generate", "--half-thickness-mm", "-1"), 2, ("half_thickness_mm",)),
         (("generate", "--vertices", "0"), 2, ("target_vertices",)),
-        (("info", "nowhere"), 2, ("no manifest.json in 'nowhere'",)),
+        (("info", "nowhere"), 2, ("'nowhere' is no folder", "next: give the folder")),
         (("verify", "nowhere"), 2, ("no manifest.json",)),
         (("validate", "nowhere.stl"), 2, ("'nowhere.stl' does not exist",)),
     ],

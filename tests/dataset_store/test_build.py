@@ -246,7 +246,8 @@ def test_killed_run_resumes_to_the_same_bytes(tmp_path, workers):
         from tests.dataset_store.toy import toy_plan
         plan = toy_plan(pause_s=0.15)
         endless = replace(plan.tasks[-1], pause_s=600.0)  # some shards must be left to make
-        build(DataFolder(sys.argv[1]), replace(plan, tasks=(*plan.tasks[:-1], endless)), runner_for({workers}))
+        plan = replace(plan, tasks=(*plan.tasks[:-1], endless))
+        build(DataFolder(sys.argv[1]), plan, runner_for({workers}))
     """
     target = tmp_path / "set"
     for _ in range(2 if workers == 1 else 1):

@@ -1,0 +1,78 @@
+"""What ``info`` says of copies of data sets that this toolkit did not make, such as the published ones."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+from importlib import import_module
+from pathlib import Path
+
+from cli.output import Sink, bytes_text
+from cli.rooms import Room
+
+__all__ = ["print_copy"]
+
+
+def print_copy(sink: Sink, folder: Path, room: Room, things: str) -> None:
+    """Print what the splits of a folder without a manifest hold, and where they were downloaded from.
+
+    Parameters
+    ----------
+    sink : Sink
+        Where to print.
+    folder : Path
+        The folder.
+    room : Room
+        The kind of data set that it is read as.
+    things : str
+        What its rows are, such as ``"digits"``.
+
+    Raises
+    ------
+    InputError
+        When it holds no Parquet files, or other ones.
+    IntegrityError
+        When a file is damaged or missing.
+    """
+    from dataset_store.choices import open_splits
+    from dataset_store.errors import InputError
+    from dataset_store.hub.download_record import read_record
+    from dataset_store.places import find_shards
+    from dataset_store.storage import DataFolder
+
+    if not folder.is_dir():
+        message = f"{str(folder)!r} is no folder; next: give the folder of a generated or downloaded data set"
+        raise InputError(message)
+    record = read_record(DataFolder(str(folder)))
+    entries = []
+    for split, dataset in open_splits(
+        str(folder), None, import_module(room.python_name).load, things
+    ).items():
+        paths = [Path(shard.path) for shard in find_shards(str(folder), split)]
+        size = sum(path.stat().st_size for path in paths)
+        labels = dataset.labels.tolist()
+        per_class = {name: labels.count(index) for index, name in enumerate(dataset.label_names)}
+        entries.append(_Split(split, len(dataset), len(paths), size, per_class))
+    sink.document(
+        {
+            "folder": str(folder),
+            "repository": record.repo_id if record else None,
+            "commit": record.commit if record else None,
+            "splits": [asdict(entry) for entry in entries],
+        }
+    )
+    sink.table(("split", things, "shards", "Parquet", "per class"), [entry.row() for entry in entries])
+    origin = f"downloaded from {record.repo_id} at {record.commit[:12]}" if record else "no manifest"
+    sink.line(f"{origin}: how it was made is not told here")
+
+
+@dataclass(frozen=True, slots=True)
+class _Split:
+    split: str
+    rows: int
+    shards: int
+    bytes: int
+    per_class: dict[str, int]
+
+    def row(self) -> tuple[object, ...]:
+        classes = ", ".join(f"{name}: {count:,}" for name, count in self.per_class.items())
+        return self.split, self.rows, self.shards, bytes_text(self.bytes), classes
