@@ -9,7 +9,7 @@ from typing import Annotated
 import typer
 
 from cli.failures import reports_errors
-from cli.options import Json, Quiet
+from cli.options import Json, Quiet, Split
 from cli.output import Sink
 from cli.preview_output import PREVIEW_FOLDER, PictureDryRun, PictureOut, write_previews
 
@@ -48,9 +48,7 @@ def preview(
             help="What to draw; may be repeated. Of a data set: sheet, histogram and distributions.",
         ),
     ] = None,
-    split: Annotated[
-        str | None, typer.Option("--split", metavar="NAME", help="Only this split; all by default.")
-    ] = None,
+    split: Split = None,
     ids: Annotated[
         str | None, typer.Option("--ids", metavar="ID,ID", help="These digits; draws each one by default.")
     ] = None,

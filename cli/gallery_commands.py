@@ -12,8 +12,9 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from cli.failures import EXIT_INTERRUPTED, reports_errors
-from cli.options import DryRun, Json, Limit, Quiet, Workers
+from cli.options import DryRun, Json, Limit, Quiet, Split, Workers
 from cli.output import Sink, bytes_text, duration_text
+from cli.touch_options import TouchSet
 
 if TYPE_CHECKING:
     from dataset_store.gallery.items import Gallery
@@ -29,7 +30,6 @@ SiteOut = Annotated[
     Path,
     typer.Option("--out", "-o", metavar="SITE", help="Folder of the page; it appears whole or not at all."),
 ]
-Split = Annotated[str | None, typer.Option("--split", metavar="NAME", help="Only this split.")]
 PerClass = Annotated[
     int | None,
     typer.Option("--per-class", min=1, metavar="N", help="Only the first N items of each class of a split."),
@@ -86,10 +86,7 @@ def add_touch_gallery(app: typer.Typer) -> None:
 
 @reports_errors
 def _touches(
-    name: Annotated[
-        str,
-        typer.Argument(metavar="NAME|DIR", help="Short name (real-single-64x64), Hub id, folder or file."),
-    ],
+    name: TouchSet,
     out: SiteOut = Path("gallery"),
     split: Split = None,
     per_class: PerClass = None,

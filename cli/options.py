@@ -16,12 +16,16 @@ __all__ = [
     "Overwrite",
     "Quiet",
     "Seed",
+    "Split",
     "Workers",
 ]
 
 
 Folder = Annotated[Path, typer.Argument(metavar="DIR", help="Folder of a generated data set.")]
 Out = Annotated[Path, typer.Option("--out", "-o", metavar="DIR", help="Folder to write.", show_default=True)]
+Split = Annotated[
+    str | None, typer.Option("--split", metavar="NAME", help="Only this split; all by default.")
+]
 Seed = Annotated[int, typer.Option("--seed", min=0, help="Seed of everything that is drawn at random.")]
 Workers = Annotated[
     int, typer.Option("--workers", "-w", min=0, help="Worker processes; 0 means one per processor core.")

@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from cli.failures import reports_errors
-from cli.options import Json, Quiet
+from cli.options import Json, Quiet, Split
 from cli.output import Sink
 from cli.preview_output import PREVIEW_FOLDER, PictureDryRun, PictureOut, write_previews
 
@@ -38,9 +38,7 @@ def preview(
         list[PictureKind] | None,
         typer.Option("--kind", help="What to draw; may be repeated. By default sheet and histogram."),
     ] = None,
-    split: Annotated[
-        str | None, typer.Option("--split", metavar="NAME", help="Only this split; all by default.")
-    ] = None,
+    split: Split = None,
     ids: Annotated[
         str | None, typer.Option("--ids", metavar="ID,ID", help="These scenes; draws each one by default.")
     ] = None,

@@ -12,6 +12,7 @@ from cli.failures import reports_errors
 from cli.options import Json, Quiet
 from cli.output import Sink
 from cli.preview_output import PREVIEW_FOLDER, PictureDryRun, write_previews
+from cli.touch_options import Revision, TouchSet
 
 __all__ = ["add_preview"]
 
@@ -33,10 +34,7 @@ def add_preview(app: typer.Typer) -> None:
 
 @reports_errors
 def preview(
-    name: Annotated[
-        str,
-        typer.Argument(metavar="NAME|DIR", help="Short name (real-single-64x64), Hub id, folder or file."),
-    ],
+    name: TouchSet,
     kind: Annotated[
         list[PictureKind] | None,
         typer.Option(
@@ -59,9 +57,7 @@ def preview(
             "folder previews. Pictures of the same name are replaced.",
         ),
     ] = None,
-    revision: Annotated[
-        str | None, typer.Option("--revision", metavar="REV", help="Branch, tag or commit of a Hub data set.")
-    ] = None,
+    revision: Revision = None,
     dry_run: PictureDryRun = False,
     as_json: Json = False,
     quiet: Quiet = False,

@@ -1,0 +1,199 @@
+"""``realtouch to-single | resize | frames | select``: a data set of touches becomes another one."""
+
+from __future__ import annotations
+
+import os
+import re
+from collections.abc import Callable
+from enum import StrEnum
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Literal
+
+import typer
+
+from cli.failures import reports_errors
+from cli.making import make_with_progress
+from cli.options import Json, Limit, Overwrite, Quiet, Workers
+from cli.output import Sink
+from cli.touch_options import TouchSet
+from cli.touch_tables import print_made
+
+if TYPE_CHECKING:
+    from dataset_store.manifest import Manifest
+
+__all__ = ["add_conversions"]
+
+
+class FrameName(StrEnum):
+    """Ways to choose the frame of a clip that shows the contact."""
+
+    contact_end = "contact_end"
+    contact_start = "contact_start"
+    peak = "peak"
+    median = "median"
+
+
+Target = Annotated[Path, typer.Argument(metavar="OUT", help="Folder to write.")]
+Frame = Annotated[
+    FrameName,
+    typer.Option(
+        "--frame",
+        help="Frame of a clip: last or first of contact, of the deepest press, or most unlike the median.",
+    ),
+]
+
+
+def add_conversions(app: typer.Typer) -> None:
+    """Add the commands to a command line."""
+    app.command("to-single")(to_single)
+    for command in (resize, frames, select):
+        app.command()(command)
+
+
+@reports_errors
+def to_single(
+    source: TouchSet,
+    out: Target,
+    frame: Frame = FrameName.contact_end,
+    limit: Limit = None,
+    workers: Workers = 0,
+    overwrite: Overwrite = False,
+    as_json: Json = False,
+    quiet: Quiet = False,
+) -> None:
+    """Make a data set of single images of one of clips: a frame of each, with the pose at that moment.
+
+    Example: realtouch to-single real-seq touches --frame peak
+    """
+    from realtouch.convert import to_single as convert
+
+    convert_to = partial(convert, source, str(out), frame.value, limit=limit)
+    _run(Sink(as_json, quiet), convert_to, out, workers, overwrite)
+
+
+@reports_errors
+def resize(
+    source: TouchSet,
+    out: Target,
+    size: Annotated[str, typer.Option("--size", metavar="WIDTHxHEIGHT", help="Size wanted, pixels.")],
+    quality: Annotated[int, typer.Option(min=1, max=100, help="JPEG quality of what is encoded again.")] = 95,
+    limit: Limit = None,
+    workers: Workers = 0,
+    overwrite: Overwrite = False,
+    as_json: Json = False,
+    quiet: Quiet = False,
+) -> None:
+    """Write the same data set with pictures or clips of another size.
+
+    Example: realtouch resize real-single-320x240 small --size 64x64
+    """
+    from realtouch.convert import resize as convert
+
+    convert_to = partial(convert, source, str(out), *_size(size), quality=quality, limit=limit)
+    _run(Sink(as_json, quiet), convert_to, out, workers, overwrite)
+
+
+@reports_errors
+def frames(
+    source: TouchSet,
+    out: Target,
+    png: Annotated[bool, typer.Option("--png", help="Write PNG (the default); pixels stay exact.")] = False,
+    jpeg: Annotated[bool, typer.Option("--jpeg", help="Write the stored JPEGs as they are.")] = False,
+    frame: Frame = FrameName.contact_end,
+    limit: Limit = None,
+    workers: Workers = 0,
+    overwrite: Overwrite = False,
+    as_json: Json = False,
+    quiet: Quiet = False,
+) -> None:
+    """Write touches as plain image files with an index in CSV and Parquet.
+
+    Example: realtouch frames real-single-64x64 pictures --jpeg
+    """
+    from dataset_store.errors import InputError
+    from realtouch.convert import frames as convert
+
+    if png and jpeg:
+        message = "--png and --jpeg were both given; expected one of them"
+        raise InputError(message)
+    kind: Literal["png", "jpeg"] = "jpeg" if jpeg else "png"
+    convert_to = partial(convert, source, str(out), kind, frame.value, limit=limit)
+    _run(Sink(as_json, quiet), convert_to, out, workers, overwrite)
+
+
+@reports_errors
+def select(
+    source: TouchSet,
+    out: Target,
+    contact: Annotated[bool, typer.Option("--contact", help="Only touches that met an object.")] = False,
+    min_height_mm: Annotated[
+        float, typer.Option(metavar="MM", help="Height above the plate from which a touch counts.")
+    ] = 6.0,
+    recalibrate: Annotated[
+        bool,
+        typer.Option("--recalibrate/--as-recorded", help="Take each round's deepest touch as the plate."),
+    ] = True,
+    labels: Annotated[str | None, typer.Option(metavar="3,5", help="Only these classes.")] = None,
+    objects: Annotated[str | None, typer.Option(metavar="ID,ID", help="Only these objects.")] = None,
+    limit: Limit = None,
+    workers: Workers = 0,
+    overwrite: Overwrite = False,
+    as_json: Json = False,
+    quiet: Quiet = False,
+) -> None:
+    """Write some rounds and touches of a data set; pictures pass through byte for byte.
+
+    Example: realtouch select real-single-64x64 touched --contact --labels 3,5
+    """
+    from realtouch.convert import select as convert
+
+    convert_to = partial(
+        convert,
+        source,
+        str(out),
+        contact=contact,
+        min_height_m=min_height_mm / 1000,
+        recalibrate_z=recalibrate,
+        labels=_listed(labels),
+        objects=[_whole(text) for text in _listed(objects)],
+        limit=limit,
+    )
+    _run(Sink(as_json, quiet), convert_to, out, workers, overwrite)
+
+
+def _run(sink: Sink, convert_to: Callable[..., Manifest], out: Path, workers: int, overwrite: bool) -> None:
+    """Run a conversion with a progress bar and say what it made."""
+    made = make_with_progress(
+        sink,
+        "converting",
+        "rounds",
+        lambda tell: convert_to(
+            workers=workers or os.cpu_count() or 1, overwrite=overwrite, on_progress=tell
+        ),
+    )
+    print_made(sink, made.manifest, out)
+
+
+def _size(text: str) -> tuple[int, int]:
+    """Parse ``64x64``."""
+    from dataset_store.errors import InputError
+
+    match = re.fullmatch(r"(\d{1,5})x(\d{1,5})", text.strip().lower())
+    if match is None:
+        message = f"--size is {text!r}; expected WIDTHxHEIGHT in pixels, such as 64x64"
+        raise InputError(message)
+    return int(match[1]), int(match[2])
+
+
+def _listed(text: str | None) -> list[str]:
+    return [part.strip() for part in text.split(",") if part.strip()] if text else []
+
+
+def _whole(text: str) -> int:
+    from dataset_store.errors import InputError
+
+    if not text.isdigit():
+        message = f"--objects has {text!r}; expected whole numbers, such as 12,408"
+        raise InputError(message)
+    return int(text)
