@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from cli.output import Sink, bytes_text
+from cli.output import Sink, bytes_text, counted
 from cli.unfinished import print_unfinished, shards_of_plan
 
 if TYPE_CHECKING:
@@ -49,7 +49,7 @@ def print_made(sink: Sink, manifest: Manifest, out: Path, elapsed_s: float | Non
     )
     sink.table(header, [_made_row(summary) for summary in summaries])
     for reason, count in manifest.skipped_reasons().items():
-        sink.line(f"skipped {count:,} digits: {reason} (each is named in {out}/manifest.json)")
+        sink.line(f"skipped {counted(count, 'digits')}: {reason} (each is named in {out}/manifest.json)")
 
 
 def _made_row(summary: SplitSummary) -> tuple[object, ...]:

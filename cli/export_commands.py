@@ -11,7 +11,7 @@ import typer
 
 from cli.failures import EXIT_FAILED, reports_errors
 from cli.options import DryRun, Json, Limit, Out, Quiet, Workers
-from cli.output import Sink, bytes_text
+from cli.output import Sink, bytes_text, counted
 
 if TYPE_CHECKING:
     from dataset_store.printing.checked import Failure
@@ -175,7 +175,9 @@ def _export_files(
         sink.table(("file", "size mm", "volume mm³", "bytes", ""), [_file_row(file) for file in made.files])
     kept = sum(file.state == "kept" for file in made.files)
     size = bytes_text(sum(file.bytes for file in made.files))
-    sink.line(f"{len(made.files):,} files in {out} ({size}), each read back as a solid{_kept(kept)}")
+    sink.line(
+        f"{counted(len(made.files), 'files')} in {out} ({size}), each read back as a solid{_kept(kept)}"
+    )
     return made.failures
 
 
@@ -219,8 +221,9 @@ def _print_plates(sink: Sink, made: PlateExport, out: Path, spec: PlateSpec, dry
         else f"maps beside them, and {TABLE_FILE} says which object lies where"
     )
     kept = sum(plate.state == "kept" for plate in made.plates)
+    objects, plates = counted(len(made.rows), "objects"), counted(len(made.plates), "plates")
     sink.line(
-        f"{verb} {len(made.rows):,} objects on {len(made.plates)} plates of {spec.text} to {out} (no packing "
+        f"{verb} {objects} on {plates} of {spec.text} to {out} (no packing "
         f"needs fewer than {made.least_plates}){_kept(kept)}; {ending}"
     )
 

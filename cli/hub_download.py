@@ -10,7 +10,7 @@ import typer
 
 from cli.failures import reports_errors
 from cli.options import Json, Quiet
-from cli.output import Sink, bytes_text
+from cli.output import Sink, bytes_text, counted
 from cli.rooms import Room
 
 if TYPE_CHECKING:
@@ -91,7 +91,7 @@ def _introduce(sink: Sink, name: str, plan: DownloadPlan) -> None:
     licence = (known.licence if known else None) or snapshot_licence
     splits = ", ".join(plan.splits)
     sink.talk(
-        f"{plan.repository.repo_id} at {plan.commit[:12]}: {splits}; {len(plan.files):,} files, "
+        f"{plan.repository.repo_id} at {plan.commit[:12]}: {splits}; {counted(len(plan.files), 'files')}, "
         f"{bytes_text(plan.bytes)}, of which {bytes_text(plan.missing_bytes)} are to be fetched"
     )
     if known is not None and plan.missing:
@@ -145,16 +145,15 @@ def _facts(plan: DownloadPlan) -> dict[str, object]:
 
 
 def _conclude(sink: Sink, plan: DownloadPlan, place: str, room: Room) -> None:
+    missing = counted(len(plan.missing), "files")
     if not place:
-        sink.line(
-            f"would fetch {len(plan.missing):,} files, {bytes_text(plan.missing_bytes)}; nothing was fetched"
-        )
+        sink.line(f"would fetch {missing}, {bytes_text(plan.missing_bytes)}; nothing was fetched")
         return
     if plan.is_done:
         sink.line(f"nothing was left to fetch; all {len(plan.files):,} files are whole, in {place}")
     else:
         gone = f", removed {len(plan.leftover):,} that the Hub has no more" if plan.leftover else ""
-        sink.line(f"fetched {len(plan.missing):,} files{gone}; all {len(plan.files):,} are whole, in {place}")
+        sink.line(f"fetched {missing}{gone}; all {len(plan.files):,} are whole, in {place}")
     name = place if plan.folder is not None else plan.repository.repo_id
     sink.line(f"next in Python: {room.python_name}.load({name!r}, {plan.splits[0]!r})")
 

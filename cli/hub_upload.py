@@ -9,7 +9,7 @@ import typer
 
 from cli.failures import EXIT_FAILED, reports_errors
 from cli.options import Folder, Json, Quiet
-from cli.output import Sink, bytes_text
+from cli.output import Sink, bytes_text, counted
 from cli.rooms import Room
 
 if TYPE_CHECKING:
@@ -149,7 +149,7 @@ def _print_result(sink: Sink, room: Room, prepared: PreparedUpload, result: Uplo
         sink.line(f"{held} holds all of it already, compared by checksum; nothing was sent")
     else:
         sink.line(
-            f"sent {len(result.sent):,} files, removed {len(result.removed):,}; all "
+            f"sent {counted(len(result.sent), 'files')}, removed {len(result.removed):,}; all "
             f"{len(prepared.payload.files):,} compared by checksum"
         )
     if result.tags:

@@ -14,7 +14,7 @@ from cli.gallery_commands import add_touch_gallery
 from cli.hub_download import add_download
 from cli.hub_upload import add_upload
 from cli.options import Json, Quiet, Split
-from cli.output import Sink
+from cli.output import Sink, counted
 from cli.rooms import Room
 from cli.touch_conversions import add_conversions
 from cli.touch_options import Revision, TouchSet
@@ -122,7 +122,8 @@ def verify(
     sink.document({"ok": result.ok, "rounds": result.rounds, "touches": result.touches, "findings": findings})
     raise_findings(result, name)
     how = "every header was read" if quick else "every picture was decoded"
-    sink.line(f"{name}: {result.rounds:,} rounds, {result.touches:,} touches: nothing is wrong; {how}")
+    counts = f"{counted(result.rounds, 'rounds')}, {counted(result.touches, 'touches')}"
+    sink.line(f"{name}: {counts}: nothing is wrong; {how}")
 
 
 add_conversions(app)

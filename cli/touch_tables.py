@@ -6,7 +6,7 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from cli.output import Sink, bytes_text
+from cli.output import Sink, bytes_text, counted
 
 if TYPE_CHECKING:
     from dataset_store.manifest import Manifest
@@ -25,7 +25,7 @@ def print_made(sink: Sink, manifest: Manifest, out: Path) -> None:
     ]
     sink.table(("split", "rows", "shards", "Parquet", "left out"), rows)
     for reason, count in manifest.skipped_reasons().items():
-        sink.line(f"left out {count:,} rounds: {reason} (each is named in {out}/manifest.json)")
+        sink.line(f"left out {counted(count, 'rounds')}: {reason} (each is named in {out}/manifest.json)")
     sink.line(f"the data set is in {out}")
 
 
@@ -44,8 +44,8 @@ def raise_findings(result: TouchVerification, name: str) -> None:
     for finding in result.findings:
         sys.stderr.write(f"damaged: {finding}\n")
     message = (
-        f"{len(result.findings)} problems in {name!r}; next: download or convert it again, or open it with "
-        "on_error='skip' to leave them out"
+        f"{counted(len(result.findings), 'problems')} in {name!r}; next: download or convert it again, or "
+        "open it with on_error='skip' to leave them out"
     )
     raise IntegrityError(message)
 

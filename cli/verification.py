@@ -5,7 +5,7 @@ from __future__ import annotations
 import sys
 from typing import Any
 
-from cli.output import Sink, bytes_text
+from cli.output import Sink, bytes_text, counted
 
 __all__ = ["verify_folder"]
 
@@ -43,7 +43,7 @@ def verify_folder(sink: Sink, folder: str, schema: Any, generate: str) -> None:
     sink.document({"ok": result.ok, "witness": result.witness, **counts_of, "findings": findings})
     if result.ok:
         size = bytes_text(result.bytes)
-        counts = f"{result.files:,} files, {result.rows:,} rows, {size}"
+        counts = f"{counted(result.files, 'files')}, {counted(result.rows, 'rows')}, {size}"
         sink.line(f"{folder}: {counts}: all as {result.witness} says")
         return
     for finding in result.findings:
@@ -53,5 +53,5 @@ def verify_folder(sink: Sink, folder: str, schema: Any, generate: str) -> None:
         cure = f"run the same `{generate}` again, it makes the damaged shards anew"
     else:
         cure = f"download {record.repo_id} there again, only what is damaged is fetched"
-    message = f"{len(findings)} problems in {folder!r}; next: {cure}"
+    message = f"{counted(len(findings), 'problems')} in {folder!r}; next: {cure}"
     raise IntegrityError(message)

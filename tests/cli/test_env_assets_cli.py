@@ -23,7 +23,7 @@ def test_a_wrench_is_made_as_data_set_and_file(tmp_path):
     assert made.stdout.startswith("wrench for 16 and 13 mm across flats: ")
     assert mnist3d.inspect(mnist3d.read_mesh(tmp_path / "wrench.stl")).warnings == ()
     verified = run("verify", tmp_path / "wrench")
-    assert "1 rows" in verified.stdout
+    assert "1 row," in verified.stdout
     again = run("wrench", "--size", "M10", "--out", tmp_path / "wrench", "--quiet")
     assert (again.exit_code, again.stdout) == (0, "")
     other = run("wrench", "--size", "13", "--out", tmp_path / "wrench")
