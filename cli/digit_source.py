@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from mnist3d.sources import DigitSource
 
-__all__ = ["InkName", "SourceName", "digit_source"]
+__all__ = ["SYNTHETIC_DIGITS", "InkName", "SourceName", "digit_source"]
 
 
 class SourceName(StrEnum):
@@ -19,6 +19,18 @@ class SourceName(StrEnum):
     hwdplus = "hwdplus"
     mnist = "mnist"
     folder = "folder"
+
+
+_SOURCES_OF = {
+    "--images": (SourceName.hwdplus, SourceName.mnist, SourceName.folder),
+    "--writer-info": (SourceName.hwdplus,),
+    "--writer-column": (SourceName.hwdplus,),
+    "--download": (SourceName.mnist,),
+    "--ink": (SourceName.folder,),
+    "--digits": (SourceName.synthetic,),
+}
+
+SYNTHETIC_DIGITS = 13_580
 
 
 class InkName(StrEnum):
@@ -35,17 +47,23 @@ def digit_source(
     writer_info: Path | None,
     writer_column: int | None,
     download: bool,
-    ink: InkName,
-    digits: int,
+    ink: InkName | None,
+    digits: int | None,
     seed: int,
 ) -> DigitSource:
-    """Make the source that the options describe."""
+    """Make the source that the options describe; an option that was not given is None or False."""
     from dataset_store.errors import InputError
 
+    given = {
+        **{"--images": images is not None, "--writer-info": writer_info is not None},
+        **{"--writer-column": writer_column is not None, "--download": download},
+        **{"--ink": ink is not None, "--digits": digits is not None},
+    }
+    _refuse_foreign(name, [option for option, is_given in given.items() if is_given])
     if name is SourceName.synthetic:
         from mnist3d.sources.synthetic import SyntheticSource
 
-        return SyntheticSource(seed=seed, count=digits)
+        return SyntheticSource(seed=seed, count=SYNTHETIC_DIGITS if digits is None else digits)
     if images is None:
         message = (
             f"--source {name.value} needs --images PATH, which was not given; see mnist3d generate --help"
@@ -61,7 +79,21 @@ def digit_source(
         return MnistSource(str(images))
     from mnist3d.sources.folder import FolderSource
 
-    return FolderSource(str(images), ink=ink.value)
+    return FolderSource(str(images), ink=(ink or InkName.auto).value)
+
+
+def _refuse_foreign(name: SourceName, given: list[str]) -> None:
+    """Refuse options of other sources: without a word, another data set would be made than was meant."""
+    from dataset_store.errors import InputError
+
+    for option in given:
+        if name not in _SOURCES_OF[option]:
+            sources = " or ".join(source.value for source in _SOURCES_OF[option])
+            message = (
+                f"{option} does not belong to --source {name.value}; next: leave it away, or name its source "
+                f"(--source {sources})"
+            )
+            raise InputError(message)
 
 
 def _hwdplus(images: Path, writer_info: Path | None, writer_column: int | None) -> DigitSource:

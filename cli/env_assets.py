@@ -34,7 +34,14 @@ def wrench(
         typer.Option(metavar="MM|M6", help="Nut of the second jaw instead of the next smaller one."),
     ] = None,
     single: Annotated[bool, typer.Option("--single", help="Make no second jaw.")] = False,
-    length_mm: Length = None,
+    length_mm: Annotated[
+        float | None,
+        typer.Option(
+            metavar="MM",
+            help="Between the outermost points of the circles of both ends; jaws cut into those, so that the "
+            "solid is a little shorter.",
+        ),
+    ] = None,
     thickness_mm: Length = None,
     handle_mm: Length = None,
     jaw_angle_deg: Annotated[
@@ -60,8 +67,9 @@ def wrench(
     """
     from env_assets.wrench import WrenchSpec
     from env_assets.wrench_facts import wrench_facts
-    from env_assets.wrench_files import write_wrench
+    from env_assets.wrench_files import mesh_file_at, write_wrench
 
+    stl = None if stl is None else mesh_file_at(stl)
     asked = {"length_mm": length_mm, "thickness_mm": thickness_mm, "handle_mm": handle_mm}
     lengths = {name: value for name, value in asked.items() if value is not None}
     spec = WrenchSpec.for_size(

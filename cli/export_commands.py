@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from cli.failures import EXIT_FAILED, reports_errors
-from cli.options import DryRun, Json, Limit, Out, Quiet, Workers
+from cli.options import Json, Limit, Out, Quiet, Workers
 from cli.output import Sink, bytes_text, counted
 
 if TYPE_CHECKING:
@@ -72,7 +72,7 @@ def add_export(app: typer.Typer, room: str) -> None:
         ] = None,
         gap: Annotated[
             float | None,
-            typer.Option(metavar="MM", help="Distance between objects on a plate.  [default: 3]"),
+            typer.Option(metavar="MM", help="Distance between objects on a plate.", show_default="3"),
         ] = None,
         label: Annotated[
             bool, typer.Option("--label", help="Print a small tag with the id beside each object on a plate.")
@@ -82,7 +82,10 @@ def add_export(app: typer.Typer, room: str) -> None:
         overwrite: Annotated[
             bool, typer.Option("--overwrite", help="Replace files of an earlier export that differ.")
         ] = False,
-        dry_run: DryRun = False,
+        dry_run: Annotated[
+            bool,
+            typer.Option("--dry-run", help="Say which files would be made and how large; write nothing."),
+        ] = False,
         as_json: Json = False,
         quiet: Quiet = False,
     ) -> None:
@@ -158,13 +161,13 @@ def _export_files(
     from dataset_store.printing.singles import export_files, forecast_files
 
     if dry_run:
-        view = forecast_files(objects, kind, scale)
+        view = forecast_files(objects, kind, scale, out=str(out), overwrite=overwrite)
         sink.document({"out": str(out), **view.to_dict()})
         sink.line(
-            f"would write {view.files:,} {kind} files to {out}, about {bytes_text(view.bytes)} (measured on "
-            f"{view.sampled}); nothing was written"
+            f"would write {counted(view.files, f'{kind} files')} to {out}, about {bytes_text(view.bytes)} "
+            f"(measured on {view.sampled}); nothing was written"
         )
-        return ()
+        return view.failures
     with sink.progress("writing", "files") as update:
         count = workers or os.cpu_count() or 1
         made = export_files(
@@ -198,11 +201,14 @@ def _export_plates(
     with sink.progress("packing", "objects") as update:
         layout = arrange(measured, update)
     if dry_run:
-        made = forecast_plates(layout)
+        made = forecast_plates(layout, str(out), overwrite=overwrite)
     else:
         with sink.progress("writing", "plates") as update:
             made = write_plates(layout, str(out), overwrite=overwrite, on_progress=update)
     sink.document({"out": str(out), **made.to_dict()})
+    if made.removed:
+        verb = "would remove" if dry_run else "removed"
+        sink.talk(f"{verb} plates of the export that was there before: {', '.join(made.removed)}")
     _print_plates(sink, made, out, spec, dry_run)
     return made.failures
 

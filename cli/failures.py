@@ -28,6 +28,10 @@ def reports_errors(command: Callable[P, R]) -> Callable[P, R]:
     @wraps(command)
     def guarded(*args: P.args, **kwargs: P.kwargs) -> R:
         try:
+            # Besides taking a second, pyarrow's import of pandas swallows a Ctrl-C that comes during it.
+            from dataset_store.lean import leave_pandas_out
+
+            leave_pandas_out()
             return command(*args, **kwargs)
         except ToolkitError as error:
             if os.environ.get(DEBUG_VARIABLE):

@@ -12,9 +12,9 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from cli.failures import EXIT_INTERRUPTED, reports_errors
-from cli.options import DryRun, Json, Limit, Quiet, Split, Workers
-from cli.output import Sink, bytes_text, duration_text
-from cli.touch_options import TouchSet
+from cli.options import DryRun, Json, Limit, Quiet, Split, Workers, local_place
+from cli.output import Sink, bytes_text, counted, duration_text
+from cli.touch_options import Revision, TouchSet
 
 if TYPE_CHECKING:
     from dataset_store.gallery.items import Gallery
@@ -28,7 +28,13 @@ Name = Annotated[
 ]
 SiteOut = Annotated[
     Path,
-    typer.Option("--out", "-o", metavar="SITE", help="Folder of the page; it appears whole or not at all."),
+    typer.Option(
+        "--out",
+        "-o",
+        metavar="SITE",
+        help="Folder of the page; it appears whole or not at all.",
+        parser=local_place,
+    ),
 ]
 PerClass = Annotated[
     int | None,
@@ -94,6 +100,7 @@ def _touches(
     touches: Annotated[
         int, typer.Option("--touches", min=1, metavar="N", help="Most touches of a round, evenly spaced.")
     ] = _TOUCHES,
+    revision: Revision = None,
     workers: Workers = 0,
     overwrite: Replace = False,
     dry_run: DryRun = False,
@@ -109,7 +116,7 @@ def _touches(
     from realtouch.gallery import RoundChoice, plan_gallery
 
     run = _Run(Sink(as_json, quiet), "rounds", out, workers or os.cpu_count() or 1, overwrite)
-    run.go(plan_gallery(RoundChoice(name, split, limit, per_class, touches)), dry_run)
+    run.go(plan_gallery(RoundChoice(name, split, limit, per_class, touches, revision)), dry_run)
 
 
 class _Run:
@@ -133,9 +140,9 @@ class _Run:
         self.sink.document(view.to_dict())
         self._table(view.splits)
         self.sink.line(
-            f"would make {self.out}: {view.files:,} files, about {bytes_text(view.bytes)}, about "
-            f"{duration_text(view.seconds)} with {self.workers} workers (measured on {view.sampled} "
-            f"{self.nouns}); nothing was written"
+            f"would make {self.out}: {counted(view.files, 'files')}, about {bytes_text(view.bytes)}, about "
+            f"{duration_text(view.seconds)} with {counted(self.workers, 'workers')} (measured on "
+            f"{counted(view.sampled, self.nouns)}); nothing was written"
         )
         if not view.fits:
             self.sink.talk("that is too large and would be refused; choose fewer with --limit or --split")
@@ -165,7 +172,7 @@ class _Run:
         self._table(site.splits)
         took = duration_text(time.monotonic() - start_s)
         self.sink.line(
-            f"made {self.out} in {took}: {site.items:,} {self.nouns}, {site.files:,} files, "
+            f"made {self.out} in {took}: {counted(site.items, self.nouns)}, {counted(site.files, 'files')}, "
             f"{bytes_text(site.bytes)}"
         )
         self.sink.line(f"next: open {page} in a browser")

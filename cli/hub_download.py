@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from cli.failures import reports_errors
-from cli.options import Json, Quiet
+from cli.hub_words import listed
+from cli.options import Json, Quiet, local_place
 from cli.output import Sink, bytes_text, counted
 from cli.rooms import Room
 
@@ -30,7 +31,13 @@ Splits = Annotated[
 Revision = Annotated[str | None, typer.Option("--revision", metavar="REV", help="Branch, tag or commit.")]
 OutFolder = Annotated[
     Path | None,
-    typer.Option("--out", "-o", metavar="DIR", help="Folder to fill; default: the Hub's own cache."),
+    typer.Option(
+        "--out",
+        "-o",
+        metavar="DIR",
+        help="Folder to fill; default: the Hub's own cache.",
+        parser=local_place,
+    ),
 ]
 DryRun = Annotated[bool, typer.Option("--dry-run", help="Say what would be fetched; fetch nothing.")]
 Yes = Annotated[bool, typer.Option("--yes", "-y", help="Do not ask before a large download.")]
@@ -67,7 +74,15 @@ def add_download(app: typer.Typer, room: Room) -> None:
         from dataset_store.hub.download_plan import plan_download
 
         sink = Sink(as_json, quiet)
-        plan = plan_download(name, split or (), revision=revision, out=None if out is None else str(out))
+        _refuse_other_room(name, room)
+        plan = plan_download(
+            name,
+            split or (),
+            revision=revision,
+            out=None if out is None else str(out),
+            on_wait=sink.talk,
+        )
+        room.refuse_other_kind(plan.manifest, plan.repository.repo_id)
         _introduce(sink, name, plan)
         if not dry_run:
             _require_consent(plan, yes=yes)
@@ -82,6 +97,23 @@ def add_download(app: typer.Typer, room: Room) -> None:
         _print_sets(Sink(as_json), room.command)
 
 
+def _refuse_other_room(name: str, room: Room) -> None:
+    """Refuse a published set that belongs to another command line: its repository holds no manifest.
+
+    Raises
+    ------
+    InputError
+        It does.
+    """
+    from dataset_store.errors import InputError
+    from dataset_store.hub.published import published_set
+
+    known = published_set(name)
+    if known is not None and known.room != room.command:
+        message = f"{name!r} is a data set of `{known.room}`; next: {known.room} download {name}"
+        raise InputError(message)
+
+
 def _introduce(sink: Sink, name: str, plan: DownloadPlan) -> None:
     """Say what is fetched, how large it is, and under which terms it stands."""
     from dataset_store.hub.published import published_set
@@ -94,6 +126,10 @@ def _introduce(sink: Sink, name: str, plan: DownloadPlan) -> None:
         f"{plan.repository.repo_id} at {plan.commit[:12]}: {splits}; {counted(len(plan.files), 'files')}, "
         f"{bytes_text(plan.bytes)}, of which {bytes_text(plan.missing_bytes)} are to be fetched"
     )
+    if plan.leftover:
+        sink.talk(f"to remove, the Hub has them no more: {listed(plan.leftover)}")
+    if not plan.repository.has_answered:
+        sink.talk("the Hub gives no answer: what is known here of the data set is taken for all of it")
     if known is not None and plan.missing:
         sink.talk(f"licence: {licence or 'see its card on the Hub'}; please cite: {known.citation}")
 
@@ -147,7 +183,9 @@ def _facts(plan: DownloadPlan) -> dict[str, object]:
 def _conclude(sink: Sink, plan: DownloadPlan, place: str, room: Room) -> None:
     missing = counted(len(plan.missing), "files")
     if not place:
-        sink.line(f"would fetch {missing}, {bytes_text(plan.missing_bytes)}; nothing was fetched")
+        gone = f" and remove {len(plan.leftover):,}" if plan.leftover else ""
+        size = bytes_text(plan.missing_bytes)
+        sink.line(f"would fetch {missing}, {size}{gone}; nothing was fetched, nothing removed")
         return
     if plan.is_done:
         sink.line(f"nothing was left to fetch; all {len(plan.files):,} files are whole, in {place}")
@@ -155,7 +193,9 @@ def _conclude(sink: Sink, plan: DownloadPlan, place: str, room: Room) -> None:
         gone = f", removed {len(plan.leftover):,} that the Hub has no more" if plan.leftover else ""
         sink.line(f"fetched {missing}{gone}; all {len(plan.files):,} are whole, in {place}")
     name = place if plan.folder is not None else plan.repository.repo_id
-    sink.line(f"next in Python: {room.python_name}.load({name!r}, {plan.splits[0]!r})")
+    revision = plan.repository.revision if plan.folder is None else None
+    line = room.loading_lines(plan.manifest, name, plan.splits[0], revision)[1]
+    sink.line(f"next in Python: {line}")
 
 
 def _here(state: SetState) -> str:

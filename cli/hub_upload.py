@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from cli.failures import EXIT_FAILED, reports_errors
+from cli.hub_words import SHOWN, listed
 from cli.options import Folder, Json, Quiet
 from cli.output import Sink, bytes_text, counted
 from cli.rooms import Room
@@ -16,8 +17,6 @@ if TYPE_CHECKING:
     from dataset_store.hub.upload import PreparedUpload, UploadResult
 
 __all__ = ["add_upload"]
-
-_SHOWN = 8
 
 Repository = Annotated[str, typer.Argument(metavar="USER/NAME", help="Repository of the Hub.")]
 Private = Annotated[bool, typer.Option("--private", help="Create the repository for your eyes only.")]
@@ -76,9 +75,10 @@ def add_upload(app: typer.Typer, room: Room) -> None:
         _print_plan(sink, prepared)
         if dry_run:
             sink.document(_document(room, prepared, None))
-            sink.line("nothing was sent")
+            there = f"{_held(prepared, prepared.pull)}; " if prepared.is_done else ""
+            sink.line(f"{there}nothing was sent")
             return
-        if not prepared.is_done and not yes:
+        if not (prepared.is_done and prepared.state.has_branch) and not yes:
             _ask(prepared)
         _show_bars(sink)
         result = run_upload(prepared)
@@ -111,16 +111,18 @@ def _show_bars(sink: Sink) -> None:
 def _print_plan(sink: Sink, prepared: PreparedUpload) -> None:
     plan, payload = prepared.plan, prepared.payload
     if payload.left_out:
-        sink.talk(f"left out, no part of the data set: {_some(payload.left_out)}")
+        sink.talk(f"left out, no part of the data set: {listed(payload.left_out)}")
     if prepared.kept:
         sink.talk(
-            f"kept on the Hub, though the folder lacks it: {_some(prepared.kept)} (--delete removes it)"
+            f"kept on the Hub, though the folder lacks it: {listed(prepared.kept)} (--delete removes it)"
         )
     if prepared.mixed:
         sink.talk(
-            f"{_some(prepared.mixed)}: named like shards of this data set, but not of it; the card leaves "
+            f"{listed(prepared.mixed)}: named like shards of this data set, but not of it; the card leaves "
             "them out, other readers may not; --delete removes them"
         )
+    if prepared.state.exists and not prepared.state.has_branch:
+        sink.line(f"branch to create at the head of main: {prepared.target.branch}")
     if prepared.is_done:
         return
     if not prepared.state.exists:
@@ -131,10 +133,10 @@ def _print_plan(sink: Sink, prepared: PreparedUpload) -> None:
     rows = [
         (file.path, bytes_text(file.size), "new" if file.path in new else "changed") for file in plan.to_send
     ]
-    sink.table(("file", "size", "on the Hub"), rows[:_SHOWN])
-    if len(rows) > _SHOWN:
-        sink.line(f"  and {len(rows) - _SHOWN:,} more")
-    for path in prepared.removed[:_SHOWN]:
+    sink.table(("file", "size", "on the Hub"), rows[:SHOWN])
+    if len(rows) > SHOWN:
+        sink.line(f"  and {len(rows) - SHOWN:,} more")
+    for path in prepared.removed[:SHOWN]:
         sink.line(f"  to remove: {path}")
     sink.line(
         f"{len(plan.to_send):,} of {len(payload.files):,} files to send, {bytes_text(plan.send_bytes)} of "
@@ -143,10 +145,8 @@ def _print_plan(sink: Sink, prepared: PreparedUpload) -> None:
 
 
 def _print_result(sink: Sink, room: Room, prepared: PreparedUpload, result: UploadResult) -> None:
-    where = _where(prepared)
     if not result.sent and not result.removed:
-        held = f"{result.pull} of {where}" if result.pull else where
-        sink.line(f"{held} holds all of it already, compared by checksum; nothing was sent")
+        sink.line(f"{_held(prepared, result.pull)}; nothing was sent")
     else:
         sink.line(
             f"sent {counted(len(result.sent), 'files')}, removed {len(result.removed):,}; all "
@@ -185,6 +185,11 @@ def _document(room: Room, prepared: PreparedUpload, result: UploadResult | None)
     }
 
 
+def _held(prepared: PreparedUpload, pull: str | None) -> str:
+    where = f"{pull} of {_where(prepared)}" if pull else _where(prepared)
+    return f"{where} holds all of it already, compared by checksum"
+
+
 def _where(prepared: PreparedUpload) -> str:
     from dataset_store.hub.upload_target import MAIN
 
@@ -205,12 +210,7 @@ def _python_lines(room: Room, prepared: PreparedUpload, result: UploadResult | N
     from dataset_store.hub.upload_target import MAIN
 
     branch = result.pull if result is not None and result.pull else prepared.target.branch
-    revision = "" if branch == MAIN else f', revision="{branch}"'
+    revision = None if branch == MAIN else branch
     split = prepared.manifest.splits[0]
-    call = f'{room.python_name}.load("{prepared.target.repo_id}", split="{split}"{revision})'
-    return [f"import {room.python_name}", f"data = {call}"]
-
-
-def _some(paths: tuple[str, ...]) -> str:
-    more = f" and {len(paths) - _SHOWN:,} more" if len(paths) > _SHOWN else ""
-    return ", ".join(paths[:_SHOWN]) + more
+    first, call = room.loading_lines(prepared.manifest, prepared.target.repo_id, split, revision)
+    return [first, f"data = {call}"]

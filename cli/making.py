@@ -55,6 +55,10 @@ def print_forecast(sink: Sink, view: Forecast, unit: str, out: Path, workers: in
     sink.document(view.to_dict())
     header = ("split", unit, "shards", "finished already")
     sink.table(header, [(entry.split, entry.rows, entry.shards, entry.finished) for entry in view.splits])
+    if view.replaced is not None:
+        parts = ", ".join(f"{split} {rows:,}" for split, rows in view.replaced.items())
+        held = f"{sum(view.replaced.values()):,} rows ({parts})" if parts else "no rows"
+        sink.line(f"would replace the data set in {out}: {held}")
     sink.line(
         f"would make {view.rows_to_make:,} {unit} in {out}: about {bytes_text(view.bytes)} of Parquet, about "
         f"{duration_text(view.seconds)} with {workers} workers (measured on {view.sampled} {unit}); nothing "

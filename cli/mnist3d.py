@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import sys
 from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -13,7 +14,7 @@ from cli.application import new_app, run
 from cli.card_commands import add_card
 from cli.copies import print_copy
 from cli.digit_preview import add_preview
-from cli.digit_source import InkName, SourceName, digit_source
+from cli.digit_source import SYNTHETIC_DIGITS, InkName, SourceName, digit_source
 from cli.digit_tables import print_made
 from cli.export_commands import add_export
 from cli.failures import EXIT_FAILED, reports_errors
@@ -83,10 +84,18 @@ def generate(
     download: Annotated[
         bool, typer.Option("--download", help="Fetch MNIST into --images first (extra `torch`).")
     ] = False,
-    ink: Annotated[InkName, typer.Option(help="Ink of pictures in a folder.")] = InkName.auto,
+    ink: Annotated[
+        InkName | None, typer.Option(help="Ink of pictures in a folder.", show_default="auto")
+    ] = None,
     digits: Annotated[
-        int, typer.Option(min=1, metavar="N", help="How many digits the synthetic source holds.")
-    ] = 13_580,
+        int | None,
+        typer.Option(
+            min=1,
+            metavar="N",
+            help="How many digits the synthetic source holds.",
+            show_default=str(SYNTHETIC_DIGITS),
+        ),
+    ] = None,
     seed: Seed = 0,
     split_by: Annotated[SplitBy, typer.Option(help="Divide single digits or whole writers.")] = SplitBy.digit,
     split_sizes: Annotated[
@@ -141,7 +150,8 @@ def generate(
     if dry_run:
         from mnist3d.forecast import forecast
 
-        print_forecast(sink, forecast(spec, str(out), splits, count), "digits", out, count)
+        view = forecast(spec, str(out), splits, count, overwrite=overwrite)
+        print_forecast(sink, view, "digits", out, count)
     else:
         _run_generate(sink, spec, out, splits, count, overwrite)
 
@@ -174,6 +184,9 @@ def validate(
             [str(path) for path in paths], chosen, limit, workers or os.cpu_count() or 1, on_progress=update
         )
     sink.document([result.to_dict() for result in results])
+    for item in (item for result in results for item in result.unreadable):
+        # Errors are said even to those who want to hear nothing else; they name the file.
+        sys.stderr.write(f"unreadable: {item.report.detail}\n")
     for result in results:
         sink.table(*result.table())
     failed = sum(result.failed for result in results)
@@ -236,7 +249,7 @@ def _sizes(text: str | None) -> tuple[tuple[str, int], ...] | None:
     sizes: dict[str, int] = {}
     for part in text.split(","):
         split, equals, size = part.strip().partition("=")
-        if not equals or not size.strip().isdigit() or split in sizes:
+        if not equals or not size.strip().isdecimal() or split in sizes:
             message = f"--split-sizes has {part!r}; expected SPLIT=N once per split, such as train=8,test=2"
             raise InputError(message)
         sizes[split] = int(size)
@@ -247,6 +260,8 @@ def _run_generate(
     sink: Sink, spec: GenerateSpec, out: Path, splits: tuple[str, ...], workers: int, overwrite: bool
 ) -> None:
     from dataset_store.lean import become_worker
+    from dataset_store.parts import manifest_so_far
+    from dataset_store.storage import DataFolder
     from mnist3d.generation import generate as make
 
     become_worker()
@@ -256,6 +271,9 @@ def _run_generate(
         "digits",
         lambda tell: make(spec, str(out), splits, workers=workers, overwrite=overwrite, on_progress=tell),
     )
-    print_made(sink, made.manifest, out, made.elapsed_s)
+    # Another split may be unfinished: what is finished of it stays and is told, as `info` tells it.
+    print_made(sink, manifest_so_far(DataFolder(str(out))) or made.manifest, out, made.elapsed_s)
     sink.line(made.sentence("digits", out))
-    sink.line(f"next: mnist3d validate {out}   or in Python: mnist3d.load({str(out)!r}, split={splits[0]!r})")
+    table = made.manifest.split_table()
+    split = next((name for name in splits if name in table and table[name]["rows"]), splits[0])
+    sink.line(f"next: mnist3d validate {out}   or in Python: mnist3d.load({str(out)!r}, split={split!r})")

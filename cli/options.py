@@ -18,11 +18,28 @@ __all__ = [
     "Seed",
     "Split",
     "Workers",
+    "local_place",
 ]
 
 
+def local_place(text: str | Path) -> Path:
+    """Read a path to write to: ``~`` is the home folder, addresses such as ``s3://...`` are refused.
+
+    Paths of the type ``Path`` would come with ``//`` folded, so that such an address became a folder here.
+    """
+    if "://" in str(text):
+        message = f"{str(text)!r} is a remote address; expected a local path; next: write there, then copy it"
+        raise typer.BadParameter(message)
+    return Path(text).expanduser()
+
+
 Folder = Annotated[Path, typer.Argument(metavar="DIR", help="Folder of a generated data set.")]
-Out = Annotated[Path, typer.Option("--out", "-o", metavar="DIR", help="Folder to write.", show_default=True)]
+Out = Annotated[
+    Path,
+    typer.Option(
+        "--out", "-o", metavar="DIR", help="Folder to write.", show_default=True, parser=local_place
+    ),
+]
 Split = Annotated[
     str | None, typer.Option("--split", metavar="NAME", help="Only this split; all by default.")
 ]

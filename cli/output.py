@@ -10,6 +10,8 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any
 
+from dataset_store.counting import counted
+
 __all__ = ["Sink", "bytes_text", "counted", "duration_text", "flat_lines"]
 
 _PLAIN_INTERVAL_S = 5.0
@@ -124,13 +126,6 @@ def _plain_lines(talk: Callable[[str], None], what: str, unit: str) -> Callable[
 
 def _rate(done: int, elapsed_s: float, unit: str) -> str:
     return f"{done / elapsed_s:.1f} {unit}/s" if elapsed_s > 0 else ""
-
-
-def counted(count: int, things: str) -> str:
-    """Write a number with what it counts: ``1 file``, ``2,000 files``, ``1 touch``."""
-    if count == 1:
-        things = things.removesuffix("es" if things.endswith(("ches", "shes")) else "s")
-    return f"{count:,} {things}"
 
 
 def bytes_text(size: float) -> str:

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from cli.options import local_place
 from cli.output import Sink, bytes_text
 
 if TYPE_CHECKING:
@@ -23,6 +24,7 @@ PictureOut = Annotated[
         "-o",
         metavar="DIR|FILE.png",
         help="Folder to write, or the file of a single picture; pictures of the same name are replaced.",
+        parser=local_place,
     ),
 ]
 

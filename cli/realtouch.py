@@ -19,7 +19,7 @@ from cli.rooms import Room
 from cli.touch_conversions import add_conversions
 from cli.touch_options import Revision, TouchSet
 from cli.touch_preview import add_preview
-from cli.touch_tables import print_made, print_summary, raise_findings
+from cli.touch_tables import print_made, print_summary, raise_findings, tell_fetching
 from cli.unfinished import print_unfinished
 
 if TYPE_CHECKING:
@@ -59,15 +59,15 @@ def load(
 
 @app.command()
 @reports_errors
-def info(name: TouchSet, revision: Revision = None, as_json: Json = False) -> None:
+def info(name: TouchSet, split: Split = None, revision: Revision = None, as_json: Json = False) -> None:
     """Show what each split of a data set holds and, for one of ours, how it was made.
 
     Example: realtouch info touches-64x64
     """
     from dataset_store.parts import manifest_so_far
     from dataset_store.storage import DataFolder
-    from realtouch.conversion import Source
     from realtouch.opening import dataset_of
+    from realtouch.source import Source
     from realtouch.summary import summarise
 
     sink = Sink(as_json)
@@ -79,17 +79,18 @@ def info(name: TouchSet, revision: Revision = None, as_json: Json = False) -> No
     if manifest is not None and manifest.spec.get("operation") == "frames":
         print_made(sink, manifest, Path(name))
         return
-    source = Source.open(name, revision)
-    summaries = {split: summarise(dataset_of(shards, source.kind)) for split, shards in source.shards.items()}
+    tell_fetching(sink, name, split)
+    source = Source.open(name, revision, split)
+    summaries = {each: summarise(dataset_of(shards, source.kind)) for each, shards in source.shards.items()}
     sink.document(
         {
             "name": name,
-            "splits": {split: summary.to_dict() for split, summary in summaries.items()},
+            "splits": {each: summary.to_dict() for each, summary in summaries.items()},
             "spec": manifest.spec if manifest else None,
         }
     )
-    for split, summary in summaries.items():
-        print_summary(sink, split, summary)
+    for each, summary in summaries.items():
+        print_summary(sink, each, summary)
     if manifest is not None:
         options = ", ".join(f"{key} {value}" for key, value in manifest.spec.get("options", {}).items())
         sink.line(

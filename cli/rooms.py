@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
@@ -70,23 +71,53 @@ class Room:
         IntegrityError
             When the manifest is damaged.
         """
+        from cli.unfinished import unfinished_words
         from dataset_store.errors import InputError
         from dataset_store.manifest import read_manifest
 
         manifest = read_manifest(folder)
-        if manifest is not None and manifest.kind != self.command:
-            message = (
-                f"{folder.address()!r} holds a data set of kind {manifest.kind!r}; expected one of "
-                f"{self.command!r}; next: use the command of that kind"
-            )
-            raise InputError(message)
+        self.refuse_other_kind(manifest, folder.address())
         if manifest is not None and not manifest.complete:
-            message = (
-                f"the run that makes {folder.address()!r} is not finished; next: give the same command "
-                "again, it goes on"
-            )
+            what, next_step = unfinished_words(folder, "the same command")
+            message = f"{what} {folder.address()!r} is not finished; next: {next_step}"
             raise InputError(message)
         return manifest
+
+    def refuse_other_kind(self, manifest: Manifest | None, where: str) -> None:
+        """Refuse a data set that another room made; one without a manifest is nobody's.
+
+        Raises
+        ------
+        InputError
+            It is of another kind.
+        """
+        from dataset_store.errors import InputError
+
+        if manifest is None or manifest.kind == self.command:
+            return
+        message = (
+            f"{where!r} holds a data set of kind {manifest.kind!r}; expected one of {self.command!r}; next: "
+            "use the command of that kind"
+        )
+        raise InputError(message)
+
+    def loading_lines(
+        self, manifest: Manifest | None, name: str, split: str, revision: str | None = None
+    ) -> tuple[str, str]:
+        """Return an import and a call that open a split of a data set of this kind.
+
+        Parameters
+        ----------
+        manifest : Manifest or None
+            Its manifest; plain pictures have an index only, which `datasets` opens.
+        name, split, revision : str
+            What to open.
+        """
+        further = f", revision={_quoted(revision)}" if revision else ""
+        given = f"{_quoted(name)}, split={_quoted(split)}{further}"
+        if manifest is not None and manifest.spec.get("operation") == "frames":
+            return "import datasets", f"datasets.load_dataset({given})"
+        return f"import {self.python_name}", f"{self.python_name}.load({given})"
 
     def required(self, manifest: Manifest | None, folder: DataFolder) -> Manifest:
         """Return a manifest that has to be there.
@@ -135,3 +166,8 @@ class Room:
             names = tuple(str(count) for count in manifest.spec["scene"]["stars"])
             return scene_schema(names)
         return None
+
+
+def _quoted(text: str) -> str:
+    # A JSON string is one of Python too.
+    return json.dumps(text, ensure_ascii=False)

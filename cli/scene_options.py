@@ -13,6 +13,11 @@ if TYPE_CHECKING:
 __all__ = ["CollisionName", "scene_spec", "split_sizes"]
 
 
+# Notches at half the radius, as published, are no notches between 3 tips.
+_FEWEST_POINTS, _RATIO_OF_FEWEST = 3, 0.25
+
+_LONGEST_COUNT = 18
+
 _BETWEEN_SHAPES = re.compile(r",(?![^(]*\))")  # a comma within brackets belongs to a shape
 
 
@@ -36,16 +41,19 @@ def scene_spec(
     clearance_mm: float,
 ) -> SceneSpec:
     """Make the specification that the options describe."""
+    from dataset_store.errors import InputError
     from starstruck_gen.shapes import Shape
     from starstruck_gen.spec import SceneSpec
 
-    least, *rest = _counts("--distractors", distractors)
     sides_m = _lengths_m("--cell-mm", cell_mm.replace("x", ","))
+    if len(sides_m) > 2:
+        message = f"--cell-mm is {cell_mm!r}; expected one length such as 120, or two such as 120x130"
+        raise InputError(message)
     radius_m = radius_mm / 1e3
     return SceneSpec(
         cell_m=(sides_m[0], sides_m[-1]),
         stars=_counts("--stars", stars),
-        distractors=(least, rest[-1] if rest else least),
+        distractors=_least_and_most("--distractors", distractors),
         star=_star(star_points, star_inner_mm, radius_mm),
         distractor_shapes=tuple(
             Shape.parse(text, radius_m) for text in _BETWEEN_SHAPES.split(shapes) if text.strip()
@@ -60,10 +68,13 @@ def _star(points: int | None, inner_mm: float | None, radius_mm: float) -> Shape
     from starstruck_gen.proportions import Star
     from starstruck_gen.shapes import STAR, Shape
 
+    plain = Shape(STAR, radius_mm / 1e3)  # a radius that cannot be is told first, not a ratio that follows
     numbers: dict[str, float] = {} if points is None else {"points": points}
     if inner_mm is not None:
-        numbers["inner_ratio"] = inner_mm / radius_mm if radius_mm else 0.0
-    return Shape(STAR, radius_mm / 1e3, Star.from_dict(numbers))
+        numbers["inner_ratio"] = inner_mm / radius_mm
+    elif points == _FEWEST_POINTS:
+        numbers["inner_ratio"] = _RATIO_OF_FEWEST
+    return Shape(STAR, plain.radius_m, Star.from_dict(numbers))
 
 
 def _counts(option: str, text: str) -> tuple[int, ...]:
@@ -71,13 +82,29 @@ def _counts(option: str, text: str) -> tuple[int, ...]:
     from dataset_store.errors import InputError
 
     least, dash, most = (part.strip() for part in text.partition("-"))
-    if dash and least.isdigit() and most.isdigit() and int(least) <= int(most) < 10_000:
+    if dash and _is_count(least) and _is_count(most) and int(least) <= int(most) < 10_000:
         return tuple(range(int(least), int(most) + 1))
     parts = [part.strip() for part in text.split(",")]
-    if all(part.isdigit() for part in parts):
+    if all(_is_count(part) for part in parts):
         return tuple(int(part) for part in parts)
     message = f"{option} is {text!r}; expected a range such as 1-3, or numbers such as 1,2,5"
     raise InputError(message)
+
+
+def _least_and_most(option: str, text: str) -> tuple[int, int]:
+    """Read ``0-5``, ``0,5`` or ``5``."""
+    from dataset_store.errors import InputError
+
+    parts = [part.strip() for part in (text.split("-") if "-" in text else text.split(","))]
+    if len(parts) > 2 or not all(_is_count(part) for part in parts):
+        message = f"{option} is {text!r}; expected the least and the most such as 0-5, or one number"
+        raise InputError(message)
+    return int(parts[0]), int(parts[-1])
+
+
+def _is_count(text: str) -> bool:
+    """Tell whether a text is a whole number of sensible length; a superscript is a digit, but no number."""
+    return text.isdecimal() and len(text) <= _LONGEST_COUNT
 
 
 def _lengths_m(option: str, text: str) -> tuple[float, ...]:
@@ -96,12 +123,12 @@ def split_sizes(text: str) -> tuple[tuple[str, int], ...]:
     from dataset_store.errors import InputError
     from starstruck_gen.streams import SPLITS
 
-    if text.strip().isdigit():
+    if _is_count(text.strip()):
         return tuple((split, int(text)) for split in SPLITS)
     sizes = []
     for part in text.split(","):
         split, _, count = (piece.strip() for piece in part.partition("="))
-        if not count.isdigit():
+        if not _is_count(count):
             message = f"--scenes has {part!r}; expected a number, or SPLIT=N such as train=3000,test=300"
             raise InputError(message)
         sizes.append((split, int(count)))

@@ -23,6 +23,7 @@ from cli.output import Sink, flat_lines
 from cli.rooms import Room
 from cli.scene_options import CollisionName, scene_spec, split_sizes
 from cli.scene_preview import add_preview
+from cli.scene_room import tells_of_failures
 from cli.scene_tables import print_acceptance, print_made
 from cli.verification import verify_folder
 
@@ -67,7 +68,10 @@ def generate(
     ] = None,
     star_inner_mm: Annotated[
         float | None,
-        typer.Option(metavar="MM", help="Radius of a star's notches; half of --radius-mm as published."),
+        typer.Option(
+            metavar="MM",
+            help="Radius of a star's notches; half of --radius-mm as published, a quarter with 3 points.",
+        ),
     ] = None,
     shapes: Annotated[
         str,
@@ -130,7 +134,10 @@ def generate(
     if dry_run:
         from starstruck_gen.forecast import forecast
 
-        print_forecast(sink, forecast(spec, str(out), splits, count), "scenes", out, count)
+        view = forecast(
+            spec, str(out), splits, count, overwrite=overwrite, on_failure=tells_of_failures(sink)
+        )
+        print_forecast(sink, view, "scenes", out, count)
     else:
         _run_generate(sink, spec, out, splits, count, overwrite)
 
@@ -169,7 +176,8 @@ def validate(
     checked = sum(result.checked for result in results)
     bodies = sum(result.bodies for result in results)
     stars = sum(result.stars for result in results)
-    which = f", {stars:,} of them stars" if stars else "; which of them are stars is not declared"
+    declared = any(result.declared for result in results)
+    which = f", {stars:,} of them stars" if declared else "; which of them are stars is not declared"
     sink.line(f"{checked - failed:,} of {checked:,} scenes are valid: {bodies:,} solids{which}")
     if failed:
         raise typer.Exit(EXIT_FAILED)
@@ -224,6 +232,8 @@ def _run_generate(
     sink: Sink, spec: GenerateSpec, out: Path, splits: tuple[str, ...], workers: int, overwrite: bool
 ) -> None:
     from dataset_store.lean import leave_pandas_out, stay_on_one_core
+    from dataset_store.parts import manifest_so_far
+    from dataset_store.storage import DataFolder
     from starstruck_gen.generation import generate as make
 
     leave_pandas_out()
@@ -235,9 +245,18 @@ def _run_generate(
         sink,
         "making scenes",
         "scenes",
-        lambda tell: make(spec, str(out), splits, workers=workers, overwrite=overwrite, on_progress=tell),
+        lambda tell: make(
+            spec,
+            str(out),
+            splits,
+            workers=workers,
+            overwrite=overwrite,
+            on_progress=tell,
+            on_failure=tells_of_failures(sink),
+        ),
     )
-    print_made(sink, made.manifest, out, made.elapsed_s)
+    # Another split may be unfinished: what is finished of it stays and is told, as `info` tells it.
+    print_made(sink, manifest_so_far(DataFolder(str(out))) or made.manifest, out, made.elapsed_s)
     sink.line(made.sentence("scenes", out))
     sink.line(
         f"next: starstruck validate {out}   or in Python: "

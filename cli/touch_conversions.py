@@ -14,10 +14,10 @@ import typer
 
 from cli.failures import reports_errors
 from cli.making import make_with_progress
-from cli.options import Json, Limit, Overwrite, Quiet, Workers
+from cli.options import Json, Limit, Overwrite, Quiet, Split, Workers, local_place
 from cli.output import Sink
 from cli.touch_options import TouchSet
-from cli.touch_tables import print_made
+from cli.touch_tables import print_made, tell_fetching
 
 if TYPE_CHECKING:
     from dataset_store.manifest import Manifest
@@ -34,7 +34,7 @@ class FrameName(StrEnum):
     median = "median"
 
 
-Target = Annotated[Path, typer.Argument(metavar="OUT", help="Folder to write.")]
+Target = Annotated[Path, typer.Argument(metavar="OUT", help="Folder to write.", parser=local_place)]
 Frame = Annotated[
     FrameName,
     typer.Option(
@@ -56,6 +56,7 @@ def to_single(
     source: TouchSet,
     out: Target,
     frame: Frame = FrameName.contact_end,
+    split: Split = None,
     limit: Limit = None,
     workers: Workers = 0,
     overwrite: Overwrite = False,
@@ -68,8 +69,8 @@ def to_single(
     """
     from realtouch.convert import to_single as convert
 
-    convert_to = partial(convert, source, str(out), frame.value, limit=limit)
-    _run(Sink(as_json, quiet), convert_to, out, workers, overwrite)
+    convert_to = partial(convert, source, str(out), frame.value, split=split, limit=limit)
+    _run(_sink(source, split, as_json, quiet), convert_to, out, workers, overwrite)
 
 
 @reports_errors
@@ -78,6 +79,7 @@ def resize(
     out: Target,
     size: Annotated[str, typer.Option("--size", metavar="WIDTHxHEIGHT", help="Size wanted, pixels.")],
     quality: Annotated[int, typer.Option(min=1, max=100, help="JPEG quality of what is encoded again.")] = 95,
+    split: Split = None,
     limit: Limit = None,
     workers: Workers = 0,
     overwrite: Overwrite = False,
@@ -90,8 +92,8 @@ def resize(
     """
     from realtouch.convert import resize as convert
 
-    convert_to = partial(convert, source, str(out), *_size(size), quality=quality, limit=limit)
-    _run(Sink(as_json, quiet), convert_to, out, workers, overwrite)
+    convert_to = partial(convert, source, str(out), *_size(size), quality=quality, split=split, limit=limit)
+    _run(_sink(source, split, as_json, quiet), convert_to, out, workers, overwrite)
 
 
 @reports_errors
@@ -101,6 +103,7 @@ def frames(
     png: Annotated[bool, typer.Option("--png", help="Write PNG (the default); pixels stay exact.")] = False,
     jpeg: Annotated[bool, typer.Option("--jpeg", help="Write the stored JPEGs as they are.")] = False,
     frame: Frame = FrameName.contact_end,
+    split: Split = None,
     limit: Limit = None,
     workers: Workers = 0,
     overwrite: Overwrite = False,
@@ -118,8 +121,8 @@ def frames(
         message = "--png and --jpeg were both given; expected one of them"
         raise InputError(message)
     kind: Literal["png", "jpeg"] = "jpeg" if jpeg else "png"
-    convert_to = partial(convert, source, str(out), kind, frame.value, limit=limit)
-    _run(Sink(as_json, quiet), convert_to, out, workers, overwrite)
+    convert_to = partial(convert, source, str(out), kind, frame.value, split=split, limit=limit)
+    _run(_sink(source, split, as_json, quiet), convert_to, out, workers, overwrite)
 
 
 @reports_errors
@@ -136,6 +139,7 @@ def select(
     ] = True,
     labels: Annotated[str | None, typer.Option(metavar="3,5", help="Only these classes.")] = None,
     objects: Annotated[str | None, typer.Option(metavar="ID,ID", help="Only these objects.")] = None,
+    split: Split = None,
     limit: Limit = None,
     workers: Workers = 0,
     overwrite: Overwrite = False,
@@ -157,9 +161,17 @@ def select(
         recalibrate_z=recalibrate,
         labels=_listed(labels),
         objects=[_whole(text) for text in _listed(objects)],
+        split=split,
         limit=limit,
     )
-    _run(Sink(as_json, quiet), convert_to, out, workers, overwrite)
+    _run(_sink(source, split, as_json, quiet), convert_to, out, workers, overwrite)
+
+
+def _sink(source: str, split: str | None, as_json: bool, quiet: bool) -> Sink:
+    """Return what a conversion prints with, once it has said what it will fetch."""
+    sink = Sink(as_json, quiet)
+    tell_fetching(sink, source, split)
+    return sink
 
 
 def _run(sink: Sink, convert_to: Callable[..., Manifest], out: Path, workers: int, overwrite: bool) -> None:
@@ -193,7 +205,7 @@ def _listed(text: str | None) -> list[str]:
 def _whole(text: str) -> int:
     from dataset_store.errors import InputError
 
-    if not text.isdigit():
+    if not text.isdecimal():
         message = f"--objects has {text!r}; expected whole numbers, such as 12,408"
         raise InputError(message)
     return int(text)

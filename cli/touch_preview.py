@@ -9,7 +9,7 @@ from typing import Annotated
 import typer
 
 from cli.failures import reports_errors
-from cli.options import Json, Quiet
+from cli.options import Json, Quiet, local_place
 from cli.output import Sink
 from cli.preview_output import PREVIEW_FOLDER, PictureDryRun, write_previews
 from cli.touch_options import Revision, TouchSet
@@ -55,6 +55,7 @@ def preview(
             metavar="DIR|FILE.png",
             help="Folder to write, or the file of a single picture; touches.png for the grid alone, else the "
             "folder previews. Pictures of the same name are replaced.",
+            parser=local_place,
         ),
     ] = None,
     revision: Revision = None,

@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from realtouch.checks import TouchVerification
     from realtouch.summary import Summary
 
-__all__ = ["print_made", "print_summary", "raise_findings"]
+__all__ = ["print_made", "print_summary", "raise_findings", "tell_fetching"]
 
 
 def print_made(sink: Sink, manifest: Manifest, out: Path) -> None:
@@ -27,6 +27,18 @@ def print_made(sink: Sink, manifest: Manifest, out: Path) -> None:
     for reason, count in manifest.skipped_reasons().items():
         sink.line(f"left out {counted(count, 'rounds')}: {reason} (each is named in {out}/manifest.json)")
     sink.line(f"the data set is in {out}")
+
+
+def tell_fetching(sink: Sink, name: str, split: str | None) -> None:
+    """Say what of a data set on the Hub is about to be fetched: a published one may have many gigabytes."""
+    from dataset_store.hub.names import hub_name
+    from realtouch.names import repository_of
+
+    place = repository_of(name)
+    if hub_name(place) is None or Path(place).expanduser().exists():
+        return
+    part = f"the files of split {split!r}" if split else "the files of all splits (--split takes one)"
+    sink.talk(f"{place}: fetching from the Hub what is not here yet of {part}")
 
 
 def raise_findings(result: TouchVerification, name: str) -> None:
@@ -62,7 +74,10 @@ def print_summary(sink: Sink, split: str, summary: Summary) -> None:
         ("with contact", "unknown" if summary.contact_share is None else f"{summary.contact_share:.1%}"),
         ("labels", ", ".join(f"{name}: {count}" for name, count in summary.labels.items())),
         ("picture", f"{width} x {height} pixels"),
-        ("gels", ", ".join(f"{gel}: {count} rounds" for gel, count in summary.gel_ids.items()) or "unknown"),
+        (
+            "gels",
+            ", ".join(f"{gel}: {counted(n, 'rounds')}" for gel, n in summary.gel_ids.items()) or "unknown",
+        ),
     ]
     if summary.clip_frames is not None:
         least, median, most = summary.clip_frames

@@ -9,8 +9,34 @@ from cli.output import Sink, bytes_text
 
 if TYPE_CHECKING:
     from dataset_store.manifest import Manifest
+    from dataset_store.storage import DataFolder
 
-__all__ = ["print_unfinished", "shards_of_plan"]
+__all__ = ["print_unfinished", "shards_of_plan", "unfinished_words"]
+
+_RUN = "the run that makes"
+
+
+def unfinished_words(folder: DataFolder, command: str) -> tuple[str, str]:
+    """Say what fills an unfinished folder, a download or a run, and how it goes on.
+
+    Parameters
+    ----------
+    folder : DataFolder
+        The folder.
+    command : str
+        What goes on with it where it was not downloaded.
+
+    Returns
+    -------
+    tuple of str
+        ``"the download into"`` or ``"the run that makes"`` (the folder), and the next step.
+    """
+    from dataset_store.hub.download_record import read_record
+
+    record = read_record(folder)
+    if record is None:
+        return _RUN, f"{command} goes on where it stopped"
+    return "the download into", f"download {record.repo_id} there again, it goes on where it stopped"
 
 
 def shards_of_plan(manifest: Manifest) -> dict[str, int]:
@@ -20,10 +46,14 @@ def shards_of_plan(manifest: Manifest) -> dict[str, int]:
 
 def print_unfinished(sink: Sink, manifest: Manifest, out: Path, unit: str, command: str) -> None:
     """Say that a folder is unfinished, what it holds so far, and how to go on."""
-    again = f"the same `{command}` goes on where it stopped"
+    from dataset_store.storage import DataFolder
+
+    what, again = unfinished_words(DataFolder(str(out)), f"the same `{command}`")
     table = manifest.split_table()
     if not table:
-        sink.line(f"{out}: unfinished, no shard is finished yet; {again}")
+        is_run = what == _RUN
+        found = "no shard is finished yet" if is_run else "the download is under way or was interrupted"
+        sink.line(f"{out}: unfinished, {found}; {again}")
         return
     sink.line(f"{out}: unfinished, the run is under way or was interrupted; {again}")
     rows = [

@@ -6,6 +6,7 @@ import sys
 from typing import Any
 
 from cli.output import Sink, bytes_text, counted
+from cli.rooms import Room
 
 __all__ = ["verify_folder"]
 
@@ -29,14 +30,17 @@ def verify_folder(sink: Sink, folder: str, schema: Any, generate: str) -> None:
     IntegrityError
         When something is damaged; each damaged file is named on stderr.
     InputError
-        When the folder holds no data set.
+        When the folder holds no data set, or one of another kind.
     """
     from dataset_store.errors import IntegrityError
     from dataset_store.hub.download_record import read_record
+    from dataset_store.manifest import read_manifest
     from dataset_store.storage import DataFolder
     from dataset_store.verify import verify
 
     place = DataFolder(folder)
+    command, made = generate.split()
+    Room(command if made == "generate" else made).refuse_other_kind(read_manifest(place), place.address())
     result = verify(place, schema, card=True)
     findings = [{"file": finding.file, "problem": finding.problem} for finding in result.findings]
     counts_of = {"files": result.files, "rows": result.rows}

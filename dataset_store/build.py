@@ -10,11 +10,13 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field, replace
 from itertools import chain
 
-from dataset_store.manifest import MANIFEST_FILE, Manifest, read_manifest, write_manifest
+from dataset_store.errors import IntegrityError
+from dataset_store.manifest import Manifest, read_manifest, write_manifest
 from dataset_store.parts import parts_beside, remove_parts, write_receipt
 from dataset_store.plan import BuildPlan, ShardContent, ShardTask
+from dataset_store.replacing import FormerSet, recover
 from dataset_store.reports import merge_reports
-from dataset_store.resume import BuildState, inspect_folder, refuse_strangers
+from dataset_store.resume import BuildState, inspect_folder
 from dataset_store.runner import Runner
 from dataset_store.shards import (
     DATA_FOLDER,
@@ -25,7 +27,7 @@ from dataset_store.shards import (
     sha256_hex,
 )
 from dataset_store.storage import DataFolder, named_failures
-from dataset_store.trees import folders_below, remove_tree
+from dataset_store.trees import folders_below
 from dataset_store.undo import Before
 
 __all__ = ["BuildPlan", "BuildState", "Progress", "ShardContent", "ShardTask", "build", "inspect_folder"]
@@ -80,8 +82,8 @@ def build(
 ) -> Manifest:
     """Make what the folder lacks of the plan and return the manifest.
 
-    A run that fails keeps the shards that it finished; one that finished none leaves the folder as it was.
-    The manifest is complete when nothing that any run began is left to do.
+    A run that fails keeps the shards that it finished; one that finished none leaves the folder as it was,
+    with ``overwrite`` too. The manifest is complete when nothing that any run began is left to do.
 
     Raises
     ------
@@ -89,24 +91,53 @@ def build(
         The folder holds a data set of another specification, and ``overwrite`` is False.
     InputError
         The folder holds files that are not a data set of this toolkit.
+    IntegrityError
+        The plan needs rows, and every item was left out; the folder is as it was.
     StorageError
         The folder cannot be written, or the disk is full. Finished shards stay.
     """
     with named_failures(folder.address()):
         there = folder.exists()
     folder.require_folder()
-    if overwrite:
-        _clear(folder, plan)
+    recover(folder)
+    former = FormerSet.set_aside(folder, plan.trees) if overwrite else None
     state = inspect_folder(folder, plan)
-    before = Before.of(folder, there)
+    before = Before.of(folder, there, former)
     try:
         _prepare(folder, plan, state)
-        receipts = [*state.kept, *_run(folder, plan, runner, state, on_progress)]
+        receipts = [*state.kept, *_run(folder, plan, runner, state, _told(on_progress, former))]
+        manifest = state.manifest.with_receipts(receipts)
+        _require_rows(plan, manifest)
     except BaseException:
         _remove_leavings(folder, plan)  # of workers that were stopped in the middle of a file
         before.restore_unless_finished(folder, plan, state)
         raise
-    return _finish(folder, plan, state.manifest.with_receipts(receipts))
+    if former is not None:
+        former.give_up()
+    return _finish(folder, plan, manifest)
+
+
+def _told(on_progress: Callable[[Progress], None], former: FormerSet | None) -> Callable[[Progress], None]:
+    """Let the former set go once there are rows of the new one."""
+    if former is None:
+        return on_progress
+
+    def tell(progress: Progress) -> None:
+        if progress.receipt is not None and progress.receipt.rows:
+            former.give_up()
+        on_progress(progress)
+
+    return tell
+
+
+def _require_rows(plan: BuildPlan, manifest: Manifest) -> None:
+    skipped = [item for receipt in manifest.receipts for item in receipt.skipped]
+    if plan.needs_rows and skipped and not any(receipt.rows for receipt in manifest.receipts):
+        message = (
+            f"no row is left: all {len(skipped):,} were left out, nothing was written; the first: "
+            f"{skipped[0].message}"
+        )
+        raise IntegrityError(message)
 
 
 def _prepare(folder: DataFolder, plan: BuildPlan, state: BuildState) -> None:
@@ -153,18 +184,3 @@ def _finish(folder: DataFolder, plan: BuildPlan, manifest: Manifest) -> Manifest
     _remove_leavings(folder, plan)  # once more: workers of a killed run may have lived on for a moment
     remove_parts(folder, keep=begun)
     return finished
-
-
-def _clear(folder: DataFolder, plan: BuildPlan) -> None:
-    """Remove a data set of ours; anything else is refused."""
-    if folder.exists(MANIFEST_FILE):
-        for tree in plan.trees:
-            remove_tree(folder, tree)
-    else:
-        refuse_strangers(folder)
-    for place in (DATA_FOLDER, PARTS_FOLDER, "reports", "previews"):
-        for name in folder.names(place):
-            folder.remove(f"{place}/{name}")
-        folder.remove_empty(place)
-    for name in ("README.md", MANIFEST_FILE):
-        folder.remove(name)

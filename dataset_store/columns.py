@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["RaggedColumn", "column_names", "list_array", "ragged_column"]
+from dataset_store.errors import IntegrityError
+
+__all__ = ["RaggedColumn", "column_names", "list_array", "ragged_column", "stored_class_names"]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -107,3 +110,42 @@ def _leaf_names(name: str, data_type: Any) -> list[str]:
     if not pa.types.is_struct(data_type):
         return [name]
     return [leaf for child in data_type for leaf in _leaf_names(f"{name}.{child.name}", child.type)]
+
+
+def stored_class_names(schema: Any, where: str) -> tuple[str, ...] | None:
+    """Return the names of the classes that `datasets` stored in a schema; None where it stored none.
+
+    Parameters
+    ----------
+    schema : pyarrow.Schema
+        Schema of a file.
+    where : str
+        The file, for messages.
+
+    Raises
+    ------
+    IntegrityError
+        What is stored there is no description of features.
+    """
+    text = (schema.metadata or {}).get(b"huggingface")
+    if text is None:
+        return None
+    try:
+        found = json.loads(text)
+        for part in ("info", "features", "label", "names"):
+            found = None if found is None else found.get(part)
+    except (ValueError, AttributeError, RecursionError) as error:
+        raise _no_features(where, text) from error
+    if found is None:
+        return None
+    if not isinstance(found, list) or not all(isinstance(name, str) for name in found):
+        raise _no_features(where, text)
+    return tuple(found)
+
+
+def _no_features(where: str, text: bytes) -> IntegrityError:
+    found = text[:80].decode(errors="replace")
+    return IntegrityError(
+        f"{where!r}, field 'label': the metadata 'huggingface' begins with {found!r}; expected the features "
+        "of the data set, class names among them, in JSON; next: download or convert the data set again"
+    )

@@ -6,7 +6,7 @@
     +-- InputError               mend what you gave: a path, an option, a file        (2)
     |   +-- SpecMismatchError    the folder belongs to another specification
     |   +-- MissingExtraError    install an optional package
-    |   +-- StorageError         make room, or choose a folder that can be written
+    |   +-- StorageError         make room, or choose a folder that can be written (4: in a download)
     |   +-- ItemError            one image or mesh cannot be used; a run lists it and goes on
     +-- IntegrityError           stored data is damaged: fetch or make it again       (3)
     +-- HubError                 the Hub or the network did not do what was asked     (4)

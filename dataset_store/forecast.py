@@ -6,7 +6,13 @@ from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from typing import Any
 
-from dataset_store.build import BuildPlan, BuildState
+from dataset_store.build import BuildPlan, BuildState, inspect_folder
+from dataset_store.errors import IntegrityError
+from dataset_store.manifest import Manifest
+from dataset_store.parts import manifest_so_far
+from dataset_store.replacing import require_replaceable
+from dataset_store.storage import DataFolder
+from dataset_store.versions import toolkit_version
 
 __all__ = ["Forecast", "Sample", "SplitForecast", "forecast_build"]
 
@@ -49,6 +55,8 @@ class Forecast:
         Time, from the same sample.
     sampled : int
         How many rows were made for the estimate.
+    replaced : dict of str to int, or None
+        Rows of each split of the data set that the run would replace; None where it would replace none.
     """
 
     splits: tuple[SplitForecast, ...]
@@ -56,6 +64,7 @@ class Forecast:
     bytes: int
     seconds: float
     sampled: int
+    replaced: dict[str, int] | None = None
 
     def to_dict(self) -> dict[str, Any]:
         """Return JSON values."""
@@ -63,21 +72,34 @@ class Forecast:
 
 
 def forecast_build(
-    plan: BuildPlan, state: BuildState, workers: int, measure: Callable[[], Sample]
+    folder: DataFolder,
+    plan: BuildPlan,
+    workers: int,
+    measure: Callable[[], Sample],
+    *,
+    overwrite: bool = False,
 ) -> Forecast:
     """Estimate a run from what a folder holds of its plan and from a few rows; writes nothing.
 
     Parameters
     ----------
+    folder : DataFolder
+        Where the run would write.
     plan : BuildPlan
         What is to be made.
-    state : BuildState
-        What the folder holds of it.
     workers : int
         Processes that will work.
     measure : callable
         Makes a few rows.
+    overwrite : bool
+        The run would start again where the folder holds another data set.
+
+    Raises
+    ------
+    InputError
+        The run would be refused there.
     """
+    state = _started_again(folder, plan) if overwrite else inspect_folder(folder, plan)
     todo = {task.shard for task in state.todo}
     entries = []
     for split in dict.fromkeys(task.shard.split for task in plan.tasks):
@@ -87,4 +109,21 @@ def forecast_build(
     left = sum(entry.rows - entry.finished for entry in entries)
     sample = measure()
     seconds = left * sample.row_s / workers + (_START_S if left else 0)
-    return Forecast(tuple(entries), left, round(left * sample.row_bytes), round(seconds, 1), sample.rows)
+    replaced = _rows_there(folder) if overwrite else None
+    size = round(left * sample.row_bytes)
+    return Forecast(tuple(entries), left, size, round(seconds, 1), sample.rows, replaced)
+
+
+def _started_again(folder: DataFolder, plan: BuildPlan) -> BuildState:
+    require_replaceable(folder, plan.trees)
+    manifest = Manifest(plan.kind, toolkit_version(), plan.spec, plan.split_order)
+    return BuildState(manifest, (), tuple(plan.tasks), ())
+
+
+def _rows_there(folder: DataFolder) -> dict[str, int] | None:
+    """Return the rows of each split of a data set; empty where its manifest cannot be read, None without."""
+    try:
+        manifest = manifest_so_far(folder)
+    except IntegrityError:
+        return {}
+    return None if manifest is None else {name: row["rows"] for name, row in manifest.split_table().items()}

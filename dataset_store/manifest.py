@@ -42,6 +42,9 @@ class Manifest:
         See :data:`SCHEMA_VERSION`.
     complete : bool
         False while a run is under way or after it was interrupted.
+    trees : tuple of str
+        Sub-folders and files beside the rows that belong to the data set; see
+        :class:`dataset_store.plan.BuildPlan`.
     """
 
     kind: str
@@ -52,6 +55,7 @@ class Manifest:
     files: Mapping[str, str] | None = None
     schema_version: int = SCHEMA_VERSION
     complete: bool = False
+    trees: tuple[str, ...] = ()
 
     @property
     def splits(self) -> tuple[str, ...]:
@@ -112,6 +116,7 @@ class Manifest:
             "skipped": self.skipped_reasons(),
             **({"statistics": statistics} if statistics else {}),
             "files": dict(sorted((self.files or {}).items())),
+            **({"trees": list(self.trees)} if self.trees else {}),
             "shards": [receipt.to_dict() for receipt in self.receipts],
         }
         return json.dumps(values, indent=1, ensure_ascii=False) + "\n"
@@ -137,6 +142,7 @@ class Manifest:
                 files=values["files"],
                 schema_version=version,
                 complete=values["complete"],
+                trees=tuple(map(str, values.get("trees", ()))),
             )
         except (ValueError, KeyError, TypeError, AttributeError) as error:
             message = f"{where!r} is not a manifest of this toolkit ({type(error).__name__}: {error})"

@@ -3,16 +3,24 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeAlias, cast
 
 import numpy as np
 
+from dataset_store.errors import InputError
+
 if TYPE_CHECKING:
+    import trimesh
     from numpy.typing import NDArray
 
-__all__ = ["Mesh", "MM_PER_M"]
+    from dataset_store.mesh_records import SolidRecord
+
+__all__ = ["Mesh", "MeshLike", "MM_PER_M", "as_mesh"]
 
 MM_PER_M = 1000.0
+
+MeshLike: TypeAlias = "Mesh | SolidRecord | trimesh.Trimesh"
+"""Whatever :func:`as_mesh` takes."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -59,6 +67,22 @@ class Mesh:
 
         return trimesh.Trimesh(vertices=self.vertices_m, faces=self.faces, process=False)
 
+    @classmethod
+    def from_trimesh(cls, mesh: trimesh.Trimesh) -> Mesh:
+        """Take over a mesh of trimesh as it is: no vertex merged, moved or dropped.
+
+        Parameters
+        ----------
+        mesh : trimesh.Trimesh
+            In metres.
+
+        Returns
+        -------
+        Mesh
+            Float64.
+        """
+        return cls(np.asarray(mesh.vertices, np.float64), np.asarray(mesh.faces, np.int32))
+
     def to_manifold(self) -> Any:
         """Hand the mesh to manifold3d in double precision.
 
@@ -78,3 +102,35 @@ class Mesh:
     def _signed_volumes_m3(self) -> NDArray[np.float64]:
         a, b, c = np.moveaxis(self._corners_m(), 1, 0)
         return np.asarray(np.einsum("ij,ij->i", a, np.cross(b, c)) / 6.0)
+
+
+def as_mesh(thing: MeshLike) -> Mesh:
+    """Return the triangles of whatever holds some.
+
+    Parameters
+    ----------
+    thing : Mesh, record of a data set, or trimesh.Trimesh
+        In metres, all of them.
+
+    Returns
+    -------
+    Mesh
+        A mesh as it is; of the others, a mesh of the same arrays.
+
+    Raises
+    ------
+    InputError
+        It is something else.
+    """
+    if isinstance(thing, Mesh):
+        return thing
+    if hasattr(thing, "vertices_m") and hasattr(thing, "faces"):
+        return Mesh(thing.vertices_m, thing.faces)
+    # Known by what it has: importing trimesh to look at its class would take longer than most uses of this.
+    if hasattr(thing, "vertices") and hasattr(thing, "faces"):
+        return Mesh.from_trimesh(cast("trimesh.Trimesh", thing))
+    message = (
+        f"a {type(thing).__name__} holds no triangles; expected a Mesh, a record of a data set or a "
+        "trimesh.Trimesh, in metres"
+    )
+    raise InputError(message)

@@ -8,9 +8,9 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
-from typing import Any, cast
+from typing import Any
 
-from dataset_store.columns import RaggedColumn
+from dataset_store.columns import RaggedColumn, stored_class_names
 from dataset_store.errors import InputError
 
 __all__ = [
@@ -86,13 +86,16 @@ def feature_metadata(features: Mapping[str, Any]) -> dict[str, str]:
     return {"huggingface": json.dumps({"info": {"features": dict(features)}})}
 
 
-def class_names(schema: Any, default: tuple[str, ...]) -> tuple[str, ...]:
-    """Read the names of the classes from a schema; ``default`` where it names none."""
-    metadata = (schema.metadata or {}).get(b"huggingface")
-    if metadata is None:
-        return default
-    label = json.loads(metadata)["info"]["features"].get("label", {})
-    return tuple(cast("list[str]", label.get("names", default)))
+def class_names(schema: Any, default: tuple[str, ...], where: str = "") -> tuple[str, ...]:
+    """Read the names of the classes from a schema; ``default`` where it names none.
+
+    Raises
+    ------
+    IntegrityError
+        What is stored there is no description of features; names the data set, ``where``.
+    """
+    found = stored_class_names(schema, where)
+    return default if found is None else found
 
 
 def require_mesh_columns(schema: Any, name: str, made_by: str) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import zipfile
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -11,12 +12,14 @@ import numpy as np
 
 from dataset_store.errors import InputError, StorageError
 from dataset_store.leavings import unfinished_name
-from dataset_store.mesh import MM_PER_M, Mesh
+from dataset_store.mesh import MM_PER_M, Mesh, as_mesh
 from dataset_store.stl import read_stl, write_stl
 from dataset_store.threemf import read_threemf, write_threemf
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
+
+    from dataset_store.mesh import MeshLike
 
 __all__ = ["BROKEN_FILE", "FORMATS", "merge_equal_vertices", "pack_mesh", "read_mesh", "write_mesh"]
 
@@ -65,31 +68,32 @@ def read_mesh(path: str | Path) -> Mesh:
     return Mesh(vertices / (1.0 if ending == ".glb" else MM_PER_M), faces)
 
 
-def write_mesh(path: str | Path, mesh: Mesh) -> None:
+def write_mesh(path: str | Path, mesh: MeshLike) -> None:
     """Write a mesh to a file; a file that could not be finished is not left behind.
 
     Parameters
     ----------
     path : str or Path
         A file with one of the endings in :data:`FORMATS`.
-    mesh : Mesh
+    mesh : Mesh, record of a data set, or trimesh.Trimesh
         In metres.
 
     Raises
     ------
     InputError
-        The ending is unknown.
+        The ending is unknown, or the mesh is none.
     StorageError
         The file cannot be written.
     """
     path = Path(path)
-    data = pack_mesh(mesh, _ending(path))
+    data = pack_mesh(as_mesh(mesh), _ending(path))
     partial = path.with_name(unfinished_name(path.name))
     try:
         partial.write_bytes(data)
         partial.replace(path)
     except OSError as error:
-        partial.unlink(missing_ok=True)
+        with contextlib.suppress(OSError):  # where a folder of the path is none, there is nothing to remove
+            partial.unlink(missing_ok=True)
         message = (
             f"{path}: cannot be written ({error.strerror}); next: choose a folder with room and permission"
         )

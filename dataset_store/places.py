@@ -2,22 +2,23 @@
 
 from __future__ import annotations
 
-import re
-from collections.abc import Iterable
-from dataclasses import dataclass
-from pathlib import Path, PurePosixPath
+from collections.abc import Sequence
+from pathlib import Path
 
 from dataset_store.errors import InputError, IntegrityError
+from dataset_store.hub.names import HubName, hub_name
 from dataset_store.hub.repository import HubRepository
 from dataset_store.manifest import MANIFEST_FILE, read_manifest
 from dataset_store.rowgroups import Shard
 from dataset_store.shards import DATA_FOLDER, ShardName
+from dataset_store.split_files import ShardFile, files_of_split, no_split, shard_files
 from dataset_store.storage import DataFolder
 
 __all__ = [
     "ShardFile",
     "available_splits",
     "files_of_split",
+    "find_files",
     "find_shards",
     "repository_named",
     "repository_shards",
@@ -25,15 +26,8 @@ __all__ = [
     "splits_of",
 ]
 
-_HUB_NAME = re.compile(r"(?:hf://datasets/)?(?P<repo>[\w.-]+/[\w.-]+)")
-
-
-@dataclass(frozen=True, slots=True, order=True)
-class ShardFile:
-    """A Parquet file and the split that it belongs to by its name."""
-
-    split: str
-    path: str
+_LONGEST_SHOWN = 200
+_USUAL_SPLIT = "train"
 
 
 def find_shards(
@@ -44,9 +38,11 @@ def find_shards(
     Parameters
     ----------
     name : str
-        Local folder, Parquet file, or repository of the Hub (``USER/NAME``).
+        Local folder, Parquet file, or repository of the Hub: ``USER/NAME[@REVISION]``, or the address of it,
+        or of a folder or file in it, ``hf://datasets/USER/NAME[@REVISION][/PATH]``.
     split : str
-        Split wanted; only its shards are fetched.
+        Split wanted; only its shards are fetched. A single file whose name tells no split is taken for
+        whatever split, and any file for ``train``.
     revision : str, optional
         Branch, tag or commit of the repository.
     streaming : bool
@@ -61,16 +57,59 @@ def find_shards(
     HubError
         The repository cannot be reached or does not exist.
     """
-    place = Path(name).expanduser()
-    if place.is_file():
+    place = _local_place(name)
+    if place is not None and place.is_file():
+        _require_split(str(place), split)
         return (Shard(str(place)),)
-    if place.is_dir():
+    if place is not None:
         return _local_shards(DataFolder(str(place)), split)
-    repository = repository_named(name, revision)
+    named = _named_on_hub(name, revision)
+    repository = HubRepository(named.repo_id, named.revision)
+    if _is_file(named):
+        _require_split(named.path, split)
+        return (_hub_shard(repository, named.path, streaming),)
     with repository.told_apart(f"split {split!r}"):
-        files = files_of_split(repository_shards(repository), split, name)
-    addresses = [repository.address(f.path) if streaming else repository.fetch(f.path) for f in files]
-    return tuple(Shard(address) for address in addresses)
+        files = files_of_split(_shards_below(repository, named.path), split, name)
+    return tuple(_hub_shard(repository, file.path, streaming) for file in files)
+
+
+def find_files(
+    names: Sequence[str], *, revision: str | None = None, streaming: bool = False
+) -> tuple[Shard, ...]:
+    """Find Parquet files that belong together, fetching first those on the Hub.
+
+    Parameters
+    ----------
+    names : sequence of str
+        Local files, or addresses ``hf://datasets/USER/NAME[@REVISION]/PATH``.
+    revision, streaming
+        As for :func:`find_shards`.
+
+    Raises
+    ------
+    InputError
+        No files are given, or one of them is not there.
+    HubError
+        As for :func:`find_shards`.
+    """
+    shards: list[Shard] = []
+    repositories: dict[HubName, HubRepository] = {}  # one each, so that its files are of one commit
+    for name in names:
+        place = _local_place(name)
+        named = hub_name(name, revision) if place is None else None
+        if named is not None and _is_file(named):
+            key = HubName(named.repo_id, named.revision, "")
+            repository = repositories.setdefault(key, HubRepository(named.repo_id, named.revision))
+            shards.append(_hub_shard(repository, named.path, streaming))
+        elif place is not None and place.is_file():
+            shards.append(Shard(str(place)))
+        else:
+            message = f"no file {_shown(name)}; expected Parquet files of one data set"
+            raise InputError(message)
+    if not shards:
+        message = "no files given; expected Parquet files of one data set"
+        raise InputError(message)
+    return tuple(shards)
 
 
 def repository_named(name: str, revision: str | None = None) -> HubRepository:
@@ -79,16 +118,68 @@ def repository_named(name: str, revision: str | None = None) -> HubRepository:
     Raises
     ------
     InputError
-        It is no name of one.
+        It is no name of one, or names a file or folder in it.
     """
-    match = _HUB_NAME.fullmatch(name)
-    if match is None or name.startswith((".", "/", "~")):
+    named = _named_on_hub(name, revision)
+    if named.path:
+        message = f"{name!r} is a part of a repository; expected all of it; next: leave {named.path!r} away"
+        raise InputError(message)
+    return HubRepository(named.repo_id, named.revision)
+
+
+def _named_on_hub(name: str, revision: str | None) -> HubName:
+    named = hub_name(name, revision)
+    if named is None:
         message = (
-            f"{name!r} is neither a folder, nor a Parquet file, nor a repository of the Hub (USER/NAME); "
-            "next: check the path, or make a data set with `generate --out`"
+            f"{_shown(name)} is neither a folder, nor a Parquet file, nor a repository of the Hub "
+            "(USER/NAME); next: check the path, or make a data set with `generate --out`"
         )
         raise InputError(message)
-    return HubRepository(match["repo"], revision)
+    return named
+
+
+def _local_place(name: str) -> Path | None:
+    """Return the file or folder of that name; None where there is none, or can be none."""
+    try:
+        place = Path(name).expanduser()
+        return place if place.exists() else None
+    except (OSError, RuntimeError, ValueError):  # too long a name, an unknown user's home, a null byte
+        return None
+
+
+def _shown(name: str) -> str:
+    return repr(name if len(name) <= _LONGEST_SHOWN else f"{name[:_LONGEST_SHOWN]}...")
+
+
+def _is_file(named: HubName) -> bool:
+    return named.path.endswith(".parquet")
+
+
+def _told_split(path: str) -> str | None:
+    """Return the split that the name of a file tells, such as ``test-00000-of-00002.parquet``."""
+    shard = ShardName.parse(Path(path).name)
+    return None if shard is None else shard.split
+
+
+def _require_split(path: str, split: str) -> None:
+    """Refuse to take a file of one split for another that was asked for.
+
+    ``train`` is what every ``load`` asks for when nobody says anything: a file named alone is opened then,
+    whatever its split.
+    """
+    told = _told_split(path)
+    if told not in (None, split) and split != _USUAL_SPLIT:
+        raise no_split(split, (str(told),), path)
+
+
+def _hub_shard(repository: HubRepository, path: str, streaming: bool) -> Shard:
+    repository.expected(path)  # a file that is not there is told now, not when it is read
+    return Shard(repository.address(path) if streaming else repository.fetch(path))
+
+
+def _shards_below(repository: HubRepository, folder: str) -> list[ShardFile]:
+    inside = f"{folder}/" if folder else ""
+    return [file for file in repository_shards(repository) if file.path.startswith(inside)]
 
 
 def splits_of(name: str, *, revision: str | None = None) -> tuple[str, ...]:
@@ -97,7 +188,8 @@ def splits_of(name: str, *, revision: str | None = None) -> tuple[str, ...]:
     Parameters
     ----------
     name : str
-        Local folder, Parquet file (which counts as ``train``), or repository of the Hub.
+        Local folder, Parquet file (of the split that its name tells, or else ``train``), or repository of the
+        Hub.
     revision : str, optional
         Branch, tag or commit of the repository.
 
@@ -108,13 +200,16 @@ def splits_of(name: str, *, revision: str | None = None) -> tuple[str, ...]:
     HubError
         The repository cannot be reached or does not exist.
     """
-    place = Path(name).expanduser()
-    if place.is_file():
-        return ("train",)
-    if place.is_dir():
+    place = _local_place(name)
+    named = _named_on_hub(name, revision) if place is None else None
+    if place is not None and place.is_file():
+        return (_told_split(str(place)) or "train",)
+    if named is not None and _is_file(named):
+        return (_told_split(named.path) or "train",)
+    if named is None:
         splits = available_splits(DataFolder(str(place)))
     else:
-        files = repository_shards(repository_named(name, revision))
+        files = _shards_below(HubRepository(named.repo_id, named.revision), named.path)
         splits = tuple(dict.fromkeys(file.split for file in files))
     if not splits:
         message = f"{name!r} holds no Parquet files; next: name the folder or repository of a data set"
@@ -138,39 +233,36 @@ def _local_shards(folder: DataFolder, split: str) -> tuple[Shard, ...]:
     receipts = manifest.receipts_of(split)
     _refuse_unfinished(folder, split, [receipt.shard for receipt in receipts], manifest.complete)
     if not receipts:
-        raise _no_split(split, manifest.splits, folder.address())
+        raise no_split(split, manifest.splits, folder.address())
     return tuple(Shard(folder.address(receipt.shard.data_path), receipt.rows) for receipt in receipts)
 
 
 def _refuse_unfinished(folder: DataFolder, split: str, shards: list[ShardName], complete: bool) -> None:
-    """Refuse a split of which a running or interrupted `generate` has made only some shards."""
+    """Refuse a split of which a running or interrupted command has made only some shards."""
     if complete or (shards and len(shards) == shards[0].count):
         return
     there = [file.path for file in _folder_files(folder) if file.split == split]
     if there or not shards:
         message = (
             f"the run that makes {folder.address()!r} is not finished ({len(there)} shards of split "
-            f"{split!r} are there, {MANIFEST_FILE} is not complete); next: run the same `generate` or "
-            "`download` again, it goes on"
+            f"{split!r} are there, {MANIFEST_FILE} is not complete); next: run the same command again, it "
+            "goes on"
         )
         raise IntegrityError(message)
 
 
 def _folder_files(folder: DataFolder) -> list[ShardFile]:
     nested = [f"{DATA_FOLDER}/{name}" for name in folder.names(DATA_FOLDER)]
-    return shard_files([*nested, *folder.names()])
+    return shard_files([*nested, *folder.names()]) or shard_files(_numbered(folder))
 
 
-def shard_files(paths: Iterable[str]) -> list[ShardFile]:
-    """Sort Parquet files by split: ``train-00000-of-00002.parquet``, or a split's bare name."""
-    files = []
-    for path in paths:
-        file = PurePosixPath(path)
-        if file.suffix != ".parquet" or file.name.startswith(".") or file.parts[0] == "reports":
-            continue
-        shard = ShardName.parse(file.name)
-        files.append(ShardFile(shard.split if shard else re.split(r"[-.]", file.name)[0], path))
-    return sorted(files)
+def _numbered(folder: DataFolder) -> list[str]:
+    """List the numbered Parquet files of folders that are called as their split."""
+    if not folder.is_local:
+        return []
+    root = Path(folder.address())
+    found = [file for pattern in ("[!.]*/*.parquet", "[!.]*/[!.]*/*.parquet") for file in root.glob(pattern)]
+    return [file.relative_to(root).as_posix() for file in found if file.stem.isdigit()]
 
 
 def repository_shards(repository: HubRepository) -> list[ShardFile]:
@@ -191,37 +283,3 @@ def repository_shards(repository: HubRepository) -> list[ShardFile]:
         return files
     listed = {receipt.shard.data_path for receipt in repository.manifest.receipts}
     return [file for file in files if file.path in listed]
-
-
-def files_of_split(files: list[ShardFile], split: str, where: str) -> list[ShardFile]:
-    """Return the files of one split.
-
-    Raises
-    ------
-    InputError
-        There is no such split.
-    IntegrityError
-        Some of its shards are absent.
-    """
-    chosen = [file for file in files if file.split == split]
-    if not chosen:
-        raise _no_split(split, tuple(dict.fromkeys(file.split for file in files)), where)
-    _refuse_missing_shards(chosen, where)
-    return chosen
-
-
-def _refuse_missing_shards(files: list[ShardFile], where: str) -> None:
-    """Refuse a split of which some shards are absent: fewer rows than there should be must not pass."""
-    names = [ShardName.parse(PurePosixPath(file.path).name) for file in files]
-    counts = {name.count for name in names if name is not None}
-    if len(counts) == 1 and None not in names and len(files) < max(counts):
-        message = (
-            f"{len(files)} of {max(counts)} shards of split {files[0].split!r} are in {where!r}, all were "
-            "expected; next: download or generate the data set again (with a network, if it is on the Hub)"
-        )
-        raise IntegrityError(message)
-
-
-def _no_split(split: str, known: tuple[str, ...], where: str) -> InputError:
-    found = f"it has {', '.join(known)}" if known else "it holds no Parquet files"
-    return InputError(f"no split {split!r} in {where!r}: {found}; next: choose one of them, or generate it")

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
 from typing import Any, Protocol
 
-from dataset_store.shards import ParquetStyle, ShardName, Skipped
+from dataset_store.shards import ParquetStyle, Receipt, ShardName, Skipped
 
 __all__ = ["BuildPlan", "ShardContent", "ShardTask"]
 
@@ -73,6 +73,10 @@ class BuildPlan:
     trees : tuple of str
         Sub-folders (or files) beside the rows that belong to the data set: tasks fill them with files of
         their own.
+    proves : callable
+        Tells whether all that a finished shard wrote into ``trees`` is still whole.
+    needs_rows : bool
+        Whether a run that leaves every item out has failed: its source, not its items, is what is wrong.
     """
 
     kind: str
@@ -82,6 +86,8 @@ class BuildPlan:
     style: ParquetStyle
     report_file: str | None = None
     trees: tuple[str, ...] = ()
+    proves: Callable[[Receipt], bool] = field(default=lambda _: True, repr=False)
+    needs_rows: bool = False
 
     def __post_init__(self) -> None:
         # What is compared with a manifest has gone through JSON there: tuples became lists.

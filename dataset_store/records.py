@@ -10,7 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dataset_store.errors import InputError
+from dataset_store.row_selection import as_slice, positions
 from dataset_store.rowgroups import RowGroup, ShardedTable
+from dataset_store.whole_numbers import whole_numbers
 
 __all__ = ["Record", "RecordDataset", "Row"]
 
@@ -153,8 +155,14 @@ class RecordDataset(Sequence[T], Generic[T]):
 
     @property
     def labels(self) -> NDArray[np.int64]:
-        """Label of each row, shape (len,), int64; reads the label column only."""
-        return self.column("label").astype(np.int64, copy=False)
+        """Label of each row, shape (len,), int64; reads the label column only.
+
+        Raises
+        ------
+        IntegrityError
+            As :meth:`whole_numbers`.
+        """
+        return self.whole_numbers("label")
 
     @property
     def ids(self) -> NDArray[Any]:
@@ -175,7 +183,27 @@ class RecordDataset(Sequence[T], Generic[T]):
             message = f"no column {name!r} in this data set"
             raise InputError(message) from error
         joined = parts[0] if len(parts) == 1 else np.concatenate(parts) if parts else np.zeros(0)
-        return joined[self._rows if isinstance(self._rows, np.ndarray) else _as_slice(self._rows)]
+        return joined[self._selection]
+
+    def whole_numbers(self, name: str) -> NDArray[np.int64]:
+        """Read one column of whole numbers, shape (len,), int64, without touching any other.
+
+        Raises
+        ------
+        InputError
+            When the data set has no such column.
+        IntegrityError
+            A value is missing or does not fit into 64 bits; names file and row.
+        """
+        try:
+            return whole_numbers(self._tables, name, self._selection)
+        except KeyError as error:
+            message = f"no column {name!r} in this data set"
+            raise InputError(message) from error
+
+    @property
+    def _selection(self) -> slice | NDArray[np.int64]:
+        return self._rows if isinstance(self._rows, np.ndarray) else as_slice(self._rows)
 
     def filter_labels(self, labels: int | str | Iterable[int | str]) -> Self:
         """Return the rows of some classes, given as numbers or names.
@@ -233,7 +261,7 @@ class RecordDataset(Sequence[T], Generic[T]):
         if isinstance(index, slice):
             return self._view(self._tables, self._rows[index])
         if isinstance(index, (list, tuple, np.ndarray)) and np.ndim(index) > 0:
-            return self._view(self._tables, np.asarray(self._rows, np.int64)[_positions(index, len(self))])
+            return self._view(self._tables, np.asarray(self._rows, np.int64)[positions(index, len(self))])
         return self._record_at(operator.index(index))
 
     def __iter__(self) -> Iterator[T]:
@@ -271,25 +299,3 @@ class RecordDataset(Sequence[T], Generic[T]):
             return int(label)
         message = f"no class {label!r}; expected a number below {len(known)} or one of {', '.join(known)}"
         raise InputError(message)
-
-
-def _positions(index: Any, length: int) -> NDArray[Any]:
-    positions = np.asarray(index)
-    if positions.dtype == bool:
-        if positions.shape != (length,):
-            message = f"a boolean mask of shape {positions.shape} for {length} rows"
-            raise IndexError(message)
-        return np.flatnonzero(positions)
-    if positions.size == 0:
-        return positions.astype(np.int64)
-    if positions.dtype.kind not in "iu" or positions.ndim != 1:
-        message = (
-            f"rows are chosen by ints or booleans in one dimension, not {positions.dtype} {positions.shape}"
-        )
-        raise TypeError(message)
-    return positions
-
-
-def _as_slice(rows: range) -> slice:
-    stop = rows.stop if rows.stop >= 0 else None
-    return slice(rows.start, stop, rows.step)

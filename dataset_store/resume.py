@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+import json
+from collections.abc import Callable, Collection, Mapping
+from dataclasses import dataclass, replace
 from typing import Any
 
 from dataset_store.errors import InputError, SpecMismatchError
@@ -11,11 +12,13 @@ from dataset_store.manifest import MANIFEST_FILE, Manifest, read_manifest
 from dataset_store.parts import part_receipts
 from dataset_store.plan import BuildPlan, ShardTask
 from dataset_store.reports import report_rows_per_shard
-from dataset_store.shards import Receipt, file_sha256
+from dataset_store.shards import Receipt, file_sha256, sha256_hex
 from dataset_store.storage import DataFolder
 from dataset_store.versions import toolkit_version
 
 __all__ = ["BuildState", "inspect_folder", "refuse_strangers"]
+
+_LONGEST_SHOWN = 200
 
 
 @dataclass(frozen=True)
@@ -55,12 +58,13 @@ def inspect_folder(folder: DataFolder, plan: BuildPlan) -> BuildState:
         refuse_strangers(folder)
         manifest = Manifest(plan.kind, toolkit_version(), plan.spec, plan.split_order)
     _refuse_other_spec(folder, manifest, plan)
+    manifest = replace(manifest, trees=plan.trees)
     reported = _report_check(folder, plan)
     known = {receipt.shard: receipt for receipt in (*manifest.receipts, *part_receipts(folder))}
     kept, todo, damaged = [], [], []
     for task in plan.tasks:
         receipt = known.get(task.shard)
-        if receipt is not None and _matches(folder, receipt) and reported(receipt):
+        if receipt is not None and _matches(folder, receipt) and reported(receipt) and plan.proves(receipt):
             kept.append(receipt)
             continue
         todo.append(task)
@@ -92,19 +96,27 @@ def _report_check(folder: DataFolder, plan: BuildPlan) -> Callable[[Receipt], bo
     return reported
 
 
-def refuse_strangers(folder: DataFolder) -> None:
+def refuse_strangers(folder: DataFolder, ours: Collection[str] = ()) -> None:
     """Refuse a folder that holds somebody's files: a run must never mix with them or delete them.
+
+    Parameters
+    ----------
+    folder : DataFolder
+        Where a run is to write.
+    ours : collection of str
+        Names that belong to a data set of ours; empty where there is none.
 
     Raises
     ------
     InputError
-        When there is a file without a manifest; hidden files do not count.
+        When there is anything else; hidden files do not count.
     """
-    strangers = [name for name in folder.names() if not name.startswith(".")]
+    strangers = [name for name in folder.names() if not name.startswith(".") and name not in ours]
     if strangers:
+        found = f"is not empty and holds no {MANIFEST_FILE}" if not ours else "holds more than a data set"
         message = (
-            f"{folder.address()!r} is not empty and holds no {MANIFEST_FILE} (found {strangers[0]!r}); "
-            "nothing was changed; next: choose an empty or new folder with --out"
+            f"{folder.address()!r} {found} (found {strangers[0]!r}); nothing was changed; next: choose an "
+            "empty or new folder (--out or OUT)"
         )
         raise InputError(message)
 
@@ -117,7 +129,8 @@ def _refuse_other_spec(folder: DataFolder, manifest: Manifest, plan: BuildPlan) 
     if differences:
         message = (
             f"{folder.address()!r} holds a data set of another specification: {'; '.join(differences)}; "
-            "nothing was changed; next: choose another --out, or start again there with --overwrite"
+            "nothing was changed; next: choose another folder (--out or OUT), or start again there with "
+            "--overwrite"
         )
         raise SpecMismatchError(message)
 
@@ -133,12 +146,35 @@ def _differences(there: Any, wanted: Any, path: str = "") -> list[str]:
     if _like_lists(there, wanted):
         pairs = enumerate(zip(there, wanted, strict=True))
         return [line for place, pair in pairs for line in _differences(*pair, f"{path}[{place}]")]
-    return [] if there == wanted else [f"{path} is {there!r} there, {wanted!r} was asked for"]
+    if there == wanted:
+        return []
+    if _are_files(there) or _are_files(wanted):
+        return [f"{path} is {_files_text(there)} there, {_files_text(wanted)} asked for"]
+    return [f"{path} is {_short(there)} there, {_short(wanted)} was asked for"]
+
+
+def _are_files(values: Any) -> bool:
+    """Tell whether a value is a list of files with their fingerprints, which nobody wants to read."""
+    return isinstance(values, list) and all(isinstance(each, Mapping) and "file" in each for each in values)
+
+
+def _files_text(values: Any) -> str:
+    if not _are_files(values):
+        return "none" if values is None else _short(values)
+    digest = sha256_hex(json.dumps(values, sort_keys=True).encode())[:8]
+    return f"{len(values):,} {'file' if len(values) == 1 else 'files'} (fingerprint {digest})"
+
+
+def _short(value: Any) -> str:
+    text = repr(value)
+    return text if len(text) <= _LONGEST_SHOWN else f"{text[:_LONGEST_SHOWN]}..."
 
 
 def _like_lists(there: Any, wanted: Any) -> bool:
     """Tell whether two lists hold the same items, by their names, so that single numbers may differ."""
     if not isinstance(there, list) or not isinstance(wanted, list):
+        return False
+    if _are_files(there) or _are_files(wanted):
         return False
     names = [[item.get("name") for item in items if isinstance(item, Mapping)] for items in (there, wanted)]
     return names[0] == names[1] and len(names[0]) == len(there) == len(wanted)

@@ -24,6 +24,7 @@ from dataset_store.cachefiles import CACHE_VARIABLE, cache_folder, mapped_batch,
 from dataset_store.errors import IntegrityError
 from dataset_store.hub.streaming import named_streaming
 from dataset_store.memory_blocks import MEMORY
+from dataset_store.plain_types import plain_schema, plain_table
 from dataset_store.rowgroup import RowGroup
 from dataset_store.storage import DataFolder
 
@@ -60,8 +61,8 @@ class Shard:
 
     @cached_property
     def schema(self) -> Any:
-        """The Arrow schema."""
-        return self.metadata.schema.to_arrow_schema()
+        """The Arrow schema, extension types as what they are stored as."""
+        return plain_schema(self.metadata.schema.to_arrow_schema())
 
     @cached_property
     def group_starts(self) -> list[int]:
@@ -85,7 +86,18 @@ class Shard:
         parquet = self._parquet()
         wanted = range(self.metadata.num_row_groups) if groups is None else groups
         with _named_damage(self.path):
-            return parquet.read_row_groups(list(wanted), columns=columns, use_threads=False)
+            table = parquet.read_row_groups(list(wanted), columns=columns, use_threads=False)
+        return plain_table(table)
+
+    def column(self, name: str) -> Any:
+        """Read one column of all rows as an Arrow array, by dotted name, stored flat or as a struct's field.
+
+        Raises
+        ------
+        KeyError
+            There is no such column.
+        """
+        return RowGroup(self.read(columns=[name]), self.path).arrow(name)
 
     @cached_property
     def block_rows(self) -> list[int]:
@@ -122,6 +134,13 @@ class Shard:
         for table in self._block_tables(index, columns):
             yield RowGroup(table, self.path, first_row)
             first_row += len(table)
+        if first_row != self.group_starts[index + 1]:  # a damaged page may end early without a word
+            found, expected = first_row - self.group_starts[index], self.metadata.row_group(index).num_rows
+            message = (
+                f"{self.path!r} is damaged, row group {index} holds {found} rows; expected {expected} by its "
+                "footer; next: run `verify` on the data set, then generate or download it again"
+            )
+            raise IntegrityError(message)
 
     def _block_tables(self, index: int, columns: Sequence[str] | None) -> Iterator[Any]:
         import pyarrow as pa
@@ -131,7 +150,7 @@ class Shard:
         with _named_damage(self.path):
             for batch in self._parquet().iter_batches(rows, [index], columns, use_threads=False):
                 # The reader may give less than asked for; blocks have to be whole to be found again.
-                table = pa.Table.from_batches([batch])
+                table = _table_of(batch)
                 waiting = table if waiting is None else pa.concat_tables([waiting, table])
                 while len(waiting) >= rows:
                     yield waiting.slice(0, rows).combine_chunks()
@@ -145,7 +164,8 @@ class Shard:
         parts: list[object] = [self.path]
         if "://" not in self.path:
             real = Path(self.path).resolve()
-            facts = real.stat()
+            with _named_damage(self.path):
+                facts = real.stat()
             parts = [str(real), facts.st_size, facts.st_mtime_ns, facts.st_ino]
         return hashlib.sha256(repr(parts).encode()).hexdigest()[:32]
 
@@ -163,7 +183,7 @@ class Shard:
 def _table_of(batch: Any) -> Any:
     import pyarrow as pa
 
-    return pa.Table.from_batches([batch])
+    return plain_table(pa.Table.from_batches([batch]))
 
 
 @contextlib.contextmanager
@@ -252,26 +272,25 @@ class ShardedTable:
         compute : callable
             Gives the values of some rows; joined along the first axis.
         """
-        values = self._columns.get(key)
-        if values is None:
-            groups = (
-                group
-                for shard in self.shards
+        return self.per_shard(
+            key,
+            lambda shard: [
+                compute(group)
                 for index in range(shard.metadata.num_row_groups)
                 for group in shard.blocks(index, columns)
-            )
-            parts = [compute(group) for group in groups]
+            ],
+        )
+
+    def column(self, name: str) -> NDArray[Any]:
+        """Read one plain column of all rows by dotted name, and only that column; kept for the next call."""
+        return self.per_shard(name, lambda shard: [shard.column(name).to_numpy(zero_copy_only=False)])
+
+    def per_shard(self, key: str, compute: Callable[[Shard], Sequence[NDArray[Any]]]) -> NDArray[Any]:
+        """Join along the first axis what is computed of each shard; kept under ``key`` for the next call."""
+        values = self._columns.get(key)
+        if values is None:
+            parts = [part for shard in self.shards for part in compute(shard)]
             values = np.concatenate(parts) if parts else np.zeros(0)
             values.setflags(write=False)
             values = self._columns.setdefault(key, values)
-        return values
-
-    def column(self, name: str) -> NDArray[Any]:
-        """Read one plain column of all rows, and only that column; kept for the next call."""
-        values = self._columns.get(name)
-        if values is None:
-            parts = [shard.read(columns=[name]).column(0).to_numpy() for shard in self.shards]
-            values = np.concatenate(parts) if parts else np.zeros(0)
-            values.setflags(write=False)
-            values = self._columns.setdefault(name, values)
         return values

@@ -24,11 +24,11 @@ __all__ = ["DataFolder", "atomic_file", "named_failures"]
 _HINTS = {
     errno.ENOSPC: "no space is left on the device; free some and run the same command again",
     errno.EDQUOT: "the disk quota is used up; free some space and run the same command again",
-    errno.EROFS: "the file system is read-only; choose another folder with --out",
-    errno.EACCES: "permission denied; choose another folder with --out or change its permissions",
-    errno.EPERM: "the operation is not permitted; choose another folder with --out",
-    errno.ENOTDIR: "a part of the path is a file, not a folder; choose another folder with --out",
-    errno.EEXIST: "a file of that name stands where a folder is needed; choose another folder with --out",
+    errno.EROFS: "the file system is read-only; choose another folder (--out or OUT)",
+    errno.EACCES: "permission denied; choose another folder (--out or OUT) or change its permissions",
+    errno.EPERM: "the operation is not permitted; choose another folder (--out or OUT)",
+    errno.ENOTDIR: "a part of the path is a file, not a folder; choose another folder (--out or OUT)",
+    errno.EEXIST: "a file of that name stands where a folder is needed; choose another folder (--out or OUT)",
     errno.EFBIG: "the file would be larger than allowed here (ulimit -f, or the file system's own limit)",
 }
 
@@ -133,8 +133,10 @@ class DataFolder:
         Raises
         ------
         StorageError
-            No space, no permission, a read-only place. Nothing is left behind under any name.
+            No space, no permission, a read-only place, or a path that leads out of the folder. Nothing is
+            left behind under any name.
         """
+        _refuse_escape(path, self._root)
         with named_failures(self.address(path)):
             if self.is_local:
                 _write_atomic(Path(self.address(path)), content)
@@ -154,9 +156,14 @@ class DataFolder:
 
     def remove_empty(self, folder: str) -> None:
         """Remove a sub-folder when nothing is left in it."""
-        if self.is_local and not self.names(folder):
-            with contextlib.suppress(OSError):
+        if self.names(folder):
+            return
+        with contextlib.suppress(OSError, NotImplementedError):
+            if self.is_local:
                 Path(self.address(folder)).rmdir()
+            elif folder:  # never the root, which may be a bucket; most object stores know no folders at all
+                file_system, root = self._remote
+                file_system.rmdir(f"{root}/{folder}")
 
     def require_folder(self) -> None:
         """Create the folder, or say why it cannot hold a data set.
@@ -174,7 +181,9 @@ class DataFolder:
         probe = place / unfinished_name("probe")
         with named_failures(self._root):
             if place.exists() and not place.is_dir():
-                message = f"{self._root!r} is a file, a folder was expected; choose another place with --out"
+                message = (
+                    f"{self._root!r} is a file, a folder was expected; choose another place (--out or OUT)"
+                )
                 raise InputError(message)
             place.mkdir(parents=True, exist_ok=True)
             probe.touch()
@@ -185,6 +194,14 @@ class DataFolder:
         for name in self.names(folder):
             if left_by_the_dead(name):
                 self.remove(f"{folder}/{name}" if folder else name)
+
+
+def _refuse_escape(path: str, root: str) -> None:
+    """Refuse a path that leads out of the folder: names in stored data may be anybody's."""
+    parts = PurePosixPath(path)
+    if parts.is_absolute() or ".." in parts.parts or "\0" in path:
+        message = f"{path!r} leads out of {root!r} or is no path; expected a path inside; nothing was written"
+        raise StorageError(message)
 
 
 def _write_atomic(place: Path, content: bytes) -> None:

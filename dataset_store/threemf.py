@@ -11,28 +11,17 @@ import zipfile
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
-from xml.etree import ElementTree
 from xml.sax.saxutils import quoteattr
 
 import numpy as np
+
+from dataset_store.threemf_package import CORE, MM_PER_UNIT, MODEL_PATH, Package, Part
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 __all__ = ["MM_PER_UNIT", "BuildItem", "Part", "read_build", "read_threemf", "write_build", "write_threemf"]
 
-MM_PER_UNIT = {
-    "micron": 0.001,
-    "millimeter": 1.0,
-    "centimeter": 10.0,
-    "inch": 25.4,
-    "foot": 304.8,
-    "meter": 1000.0,
-}
-
-_CORE = "http://schemas.microsoft.com/3dmanufacturing/core/2015/02"
-_NS = {"m": _CORE}
-_MODEL_PATH = "3D/3dmodel.model"
 _CONTENT_TYPES = (
     '<?xml version="1.0" encoding="UTF-8"?>'
     '<Types xmlns="http://schemas.openxmlformats.org/package/2006/content-types">'
@@ -49,25 +38,6 @@ _RELATIONS = (
 _EPOCH = (1980, 1, 1, 0, 0, 0)
 
 Surface = tuple["NDArray[np.float64]", "NDArray[np.int32]"]
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Part:
-    """One closed surface with a name.
-
-    Attributes
-    ----------
-    name : str
-        What slicers list.
-    vertices_mm : ndarray of float, shape (V, 3)
-        Corners in mm, in the frame of its item.
-    faces : ndarray of int32, shape (F, 3)
-        Rows of ``vertices_mm``, counter-clockwise seen from outside.
-    """
-
-    name: str
-    vertices_mm: NDArray[np.float64]
-    faces: NDArray[np.int32]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -128,16 +98,8 @@ def read_build(data: bytes) -> list[BuildItem]:
     ValueError, KeyError, zipfile.BadZipFile, xml.etree.ElementTree.ParseError
         The archive, the model or a number in it is damaged.
     """
-    root = _model_of(data)
-    mm_per_unit = MM_PER_UNIT[root.get("unit", "millimeter")]
-    objects = {str(element.get("id")): element for element in root.iterfind("m:resources/m:object", _NS)}
-    items = []
-    for element in root.iterfind("m:build/m:item", _NS):
-        identity = str(element.get("objectid"))
-        parts = _parts_of(identity, objects)
-        placed = tuple(_placed(part, element.get("transform"), mm_per_unit) for part in parts)
-        items.append(BuildItem(objects[identity].get("name", ""), placed))
-    return items
+    with zipfile.ZipFile(io.BytesIO(data)) as archive:
+        return [BuildItem(name, parts) for name, parts in Package(archive).built()]
 
 
 def write_threemf(vertices_mm: NDArray[np.float64], faces: NDArray[np.int32], name: str = "") -> bytes:
@@ -177,10 +139,10 @@ def write_build(items: Sequence[BuildItem]) -> bytes:
         resources += texts
         build.append(f'<item objectid="{count}"{_transform(item.offset_mm)}/>')
     model = (
-        f'<?xml version="1.0" encoding="UTF-8"?><model unit="millimeter" xml:lang="en-US" xmlns="{_CORE}">'
+        f'<?xml version="1.0" encoding="UTF-8"?><model unit="millimeter" xml:lang="en-US" xmlns="{CORE}">'
         f"<resources>{''.join(resources)}</resources><build>{''.join(build)}</build></model>"
     )
-    return _archive({"[Content_Types].xml": _CONTENT_TYPES, "_rels/.rels": _RELATIONS, _MODEL_PATH: model})
+    return _archive({"[Content_Types].xml": _CONTENT_TYPES, "_rels/.rels": _RELATIONS, MODEL_PATH: model})
 
 
 def _resources_of(item: BuildItem, used: int) -> list[str]:
@@ -222,55 +184,6 @@ def _archive(files: dict[str, str]) -> bytes:
         for name, text in files.items():
             archive.writestr(zipfile.ZipInfo(name, _EPOCH), text, zipfile.ZIP_DEFLATED)
     return buffer.getvalue()
-
-
-def _model_of(data: bytes) -> ElementTree.Element:
-    with zipfile.ZipFile(io.BytesIO(data)) as archive:
-        models = [name for name in archive.namelist() if name.lower().endswith(".model")]
-        if not models:
-            message = "the archive holds no .model file"
-            raise ValueError(message)
-        path = _MODEL_PATH if _MODEL_PATH in models else models[0]
-        return ElementTree.fromstring(archive.read(path))
-
-
-def _parts_of(identity: str, objects: dict[str, ElementTree.Element], depth: int = 0) -> list[Part]:
-    if identity not in objects or depth > 32:
-        message = f"object {identity!r} is missing or holds itself"
-        raise ValueError(message)
-    element = objects[identity]
-    mesh = element.find("m:mesh", _NS)
-    if mesh is not None:
-        return [Part(element.get("name", ""), *_surface_of(mesh))]
-    return [
-        _placed(part, component.get("transform"))
-        for component in element.iterfind("m:components/m:component", _NS)
-        for part in _parts_of(str(component.get("objectid")), objects, depth + 1)
-    ]
-
-
-def _placed(part: Part, transform: str | None, mm_per_unit: float = 1.0) -> Part:
-    vertices, faces = _moved((part.vertices_mm, part.faces), transform)
-    return Part(part.name, vertices * mm_per_unit, faces)
-
-
-def _surface_of(mesh: ElementTree.Element) -> Surface:
-    corners = [[float(v.attrib[axis]) for axis in "xyz"] for v in mesh.iterfind("m:vertices/m:vertex", _NS)]
-    triangles = [
-        [int(t.attrib[corner]) for corner in ("v1", "v2", "v3")]
-        for t in mesh.iterfind("m:triangles/m:triangle", _NS)
-    ]
-    return np.array(corners, dtype=np.float64).reshape(-1, 3), np.array(triangles, np.int32).reshape(-1, 3)
-
-
-def _moved(surface: Surface, transform: str | None) -> Surface:
-    if transform is None:
-        return surface
-    matrix = np.array([float(number) for number in transform.split()]).reshape(4, 3)
-    vertices, faces = surface
-    if np.linalg.det(matrix[:3]) < 0:
-        faces = faces[:, ::-1]
-    return vertices @ matrix[:3] + matrix[3], faces
 
 
 def _joined(surfaces: list[Surface]) -> Surface:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterator
+from pathlib import Path
 
 from dataset_store.storage import DataFolder
 
@@ -22,11 +23,16 @@ def folders_below(folder: DataFolder, place: str) -> Iterator[str]:
 def remove_tree(folder: DataFolder, place: str) -> None:
     """Remove a sub-folder with all that it holds; an absent one is no error.
 
+    Links are removed, and nothing that they lead to.
+
     Raises
     ------
     StorageError
         When something cannot be removed.
     """
+    if folder.is_local and Path(folder.address(place)).is_symlink():
+        folder.remove(place)
+        return
     for name in folder.names(place):
         remove_tree(folder, f"{place}/{name}")
     folder.remove_empty(place)

@@ -138,7 +138,7 @@ def _check_copied(folder: DataFolder, file: HubFile) -> list[Finding]:
 def _unfinished(manifest: Manifest) -> list[Finding]:
     findings = []
     if not manifest.complete:
-        findings.append(Finding(MANIFEST_FILE, "the run was interrupted; the same `generate` goes on"))
+        findings.append(Finding(MANIFEST_FILE, "the run was interrupted; the same command goes on"))
     for split in manifest.splits:
         receipts = manifest.receipts_of(split)
         missing = set(range(receipts[0].shard.count)) - {receipt.shard.index for receipt in receipts}

@@ -8,11 +8,21 @@ import numpy as np
 
 from dataset_store.errors import InputError
 from dataset_store.mesh import MM_PER_M
-from env_assets.measures import bounds_m, volumes_m3
-from env_assets.mesh_memory import Remembering
+from env_assets.measures import Measurable, bounds_m, volumes_m3
 from env_assets.mesh_sets import DigitMeshes, SceneMeshes, WrenchMeshes
 
-__all__ = ["require_classes", "require_fitting", "require_kind", "require_outward", "require_scene"]
+__all__ = [
+    "require_classes",
+    "require_fitting",
+    "require_inside",
+    "require_kind",
+    "require_labels",
+    "require_outward",
+    "require_scene",
+]
+
+_SLACK_M = 1e-3
+"""What a scene may stand out of its cell: less than the sensor's gel gives."""
 
 _EXPECTED: dict[str, tuple[type, str]] = {
     "mnist3d": (DigitMeshes, "digits"),
@@ -85,7 +95,7 @@ def require_classes(meshes: Any, names: tuple[str, ...], where: str) -> None:
         raise InputError(message)
 
 
-def require_fitting(meshes: Remembering, cell_m: tuple[float, float], where: str) -> None:
+def require_fitting(meshes: Measurable, cell_m: tuple[float, float], where: str) -> None:
     """Refuse meshes that are larger than the cell they are to lie in.
 
     Parameters
@@ -104,7 +114,7 @@ def require_fitting(meshes: Remembering, cell_m: tuple[float, float], where: str
     """
     corners_m = bounds_m(meshes)
     size_m = (corners_m[:, 1] - corners_m[:, 0])[:, :2]
-    wrong = np.flatnonzero((size_m > np.asarray(cell_m)).any(axis=1))
+    wrong = np.flatnonzero(~(size_m <= np.asarray(cell_m)).all(axis=1))
     if len(wrong):
         width_mm, depth_mm = MM_PER_M * size_m[wrong[0]]
         cell = " x ".join(f"{MM_PER_M * side:.0f}" for side in cell_m)
@@ -116,7 +126,48 @@ def require_fitting(meshes: Remembering, cell_m: tuple[float, float], where: str
         raise InputError(message)
 
 
-def require_outward(meshes: Remembering, where: str) -> None:
+def require_inside(meshes: Measurable, cell_m: tuple[float, float], where: str) -> None:
+    """Refuse scenes that reach out of the cell: their frame is that of the cell, its middle the origin.
+
+    Raises
+    ------
+    InputError
+        Names the first.
+    """
+    corners_m = bounds_m(meshes)
+    reach_m = np.abs(corners_m[:, :, :2]).max(axis=1)
+    wrong = np.flatnonzero(~(reach_m <= np.asarray(cell_m) / 2 + _SLACK_M).all(axis=1))
+    if len(wrong):
+        (low_x, low_y, _), (high_x, high_y, _) = MM_PER_M * corners_m[wrong[0]]
+        half = " and ".join(f"+-{MM_PER_M * side / 2:.0f}" for side in cell_m)
+        message = (
+            f"scene {meshes.ids[wrong[0]]} of {where} lies at x = {low_x:.1f} to {high_x:.1f} mm, y = "
+            f"{low_y:.1f} to {high_y:.1f} mm, out of the cell of {half} mm ({len(wrong):,} of "
+            f"{len(meshes):,} do); next: give scenes whose origin is the middle of the cell"
+        )
+        raise InputError(message)
+
+
+def require_labels(meshes: Any, where: str) -> None:
+    """Refuse labels that are no class.
+
+    Raises
+    ------
+    InputError
+        Names the first.
+    """
+    labels, classes = np.asarray(meshes.labels), len(meshes.label_names)
+    wrong = np.flatnonzero((labels < 0) | (labels >= classes))
+    if len(wrong):
+        message = (
+            f"mesh {meshes.ids[wrong[0]]} of {where} has label {labels[wrong[0]]}, expected 0 to "
+            f"{classes - 1} ({len(wrong):,} of {len(meshes):,} have no class); next: give a data set whose "
+            "labels are numbers of its classes"
+        )
+        raise InputError(message)
+
+
+def require_outward(meshes: Measurable, where: str) -> None:
     """Refuse meshes that enclose no positive volume: nothing can be touched or measured of them.
 
     Raises

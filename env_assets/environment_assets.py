@@ -4,11 +4,20 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Mapping
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from env_assets.environment_checks import refuse_strangers, refuse_unfit_meshes, refuse_unfit_rounds
+from dataset_store.errors import InputError
+from dataset_store.records import RecordDataset
+from env_assets.environment_checks import (
+    CLASS_NAMES,
+    refuse_strangers,
+    refuse_unfit_meshes,
+    refuse_unfit_noise,
+    refuse_unfit_rounds,
+)
 from env_assets.environment_ids import PublishedEnvironment
+from env_assets.linked_files import folder_of_links
+from env_assets.plain_meshes import as_records
 
 if TYPE_CHECKING:
     from env_assets.source import AssetSource
@@ -80,20 +89,35 @@ def _meshes(
 
     family = environment.family
     name = family.assets
-    meshes = provider.meshes(name, split)
+    where = f"{name!r}, split {split!r},"
+    meshes = _data_set(provider.meshes(name, split), name, where)
     # The registration keeps the one mesh of a tool; digits and scenes are read anew each episode.
     points = as_mesh_dataset(meshes, cache_size="full" if family.assets == "wrench" else 0)
     width, depth = settings.get("cell_size", CELL_SIZE_M)
-    refuse_unfit_meshes(meshes, family.assets, f"{name!r}, split {split!r},", (width, depth))
+    refuse_unfit_meshes(meshes, family.assets, where, (width, depth))
     return points
+
+
+def _data_set(meshes: Any, name: str, where: str) -> Any:
+    """Return what a source gave as a data set; a plain sequence of records becomes one."""
+    if isinstance(meshes, RecordDataset):
+        return meshes
+    plain = as_records(meshes, CLASS_NAMES[name])
+    if plain is None:
+        message = (
+            f"the provider's meshes of {where} are a {type(meshes).__name__}; expected a sequence of records "
+            "with id, label, vertices_m, faces and mesh; next: see `env_assets.AssetSource`"
+        )
+        raise InputError(message)
+    return plain
 
 
 def _noise_from(provider: AssetSource, noise: Any) -> Any:
     """Let the noise of a ``-DR`` environment come from the provider's touches.
 
-    The package takes a name that ``datasets.load_dataset`` knows; the folder of the files is one.
+    The package takes a name that ``datasets.load_dataset`` knows; a folder of Parquet files is one.
     """
     rounds: Any = provider.touches(TOUCHES, "train")
-    file = Path(rounds._tables[0].shards[0].path)
-    folder = file.parent.parent if file.parent.name == "data" else file.parent
-    return dataclasses.replace(noise, real_base_depth_dataset=str(folder))
+    files = [shard.path for table in rounds._tables for shard in table.shards]
+    refuse_unfit_noise(rounds, files, f"{TOUCHES!r}, split 'train',")
+    return dataclasses.replace(noise, real_base_depth_dataset=str(folder_of_links(files)))

@@ -2,22 +2,41 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
 
 from dataset_store.errors import InputError
-from env_assets.checks import require_classes, require_fitting, require_kind, require_outward
+from env_assets.checks import (
+    require_classes,
+    require_fitting,
+    require_inside,
+    require_kind,
+    require_labels,
+    require_outward,
+)
 from env_assets.environment_ids import Assets
-from env_assets.mesh_memory import Remembering
-from env_assets.mesh_sets import DigitMeshes, SceneMeshes, SolidMeshes
+from env_assets.mesh_sets import DigitMeshes, SceneMeshes, measurable
+from env_assets.wrench_files import CLASS_NAMES as WRENCH_NAMES
 from mnist3d.rows import CLASS_NAMES as DIGIT_NAMES
 from starstruck_gen.rows import CLASS_NAMES as STAR_NAMES
 
-__all__ = ["refuse_strangers", "refuse_unfit_meshes", "refuse_unfit_rounds", "refuse_unknown_settings"]
+__all__ = [
+    "CLASS_NAMES",
+    "refuse_strangers",
+    "refuse_unfit_meshes",
+    "refuse_unfit_noise",
+    "refuse_unfit_rounds",
+    "refuse_unknown_settings",
+]
 
-_LABEL_NAMES = {"mnist3d": DIGIT_NAMES, "starstruck": STAR_NAMES}
+CLASS_NAMES: dict[str, tuple[str, ...]] = {
+    "mnist3d": DIGIT_NAMES,
+    "starstruck": STAR_NAMES,
+    "wrench": WRENCH_NAMES,
+}
+"""Classes of each kind of assets; those of a tool may be called otherwise."""
 
 
 def refuse_unfit_meshes(meshes: Any, assets: Assets, where: str, cell_size_m: tuple[float, float]) -> None:
@@ -39,25 +58,22 @@ def refuse_unfit_meshes(meshes: Any, assets: Assets, where: str, cell_size_m: tu
     Raises
     ------
     InputError
-        No mesh, other classes, a mesh wider than the cell, or a volume that is not positive.
+        No mesh, other classes, a label that is no class, a mesh wider than the cell, a scene outside of it,
+        or a volume that is not positive.
     """
     if not len(meshes):
         message = f"{where} holds no mesh; next: choose another split, or generate it"
         raise InputError(message)
-    if assets in _LABEL_NAMES:
-        require_classes(meshes, _LABEL_NAMES[assets], where)
+    if assets != "wrench":
+        require_classes(meshes, CLASS_NAMES[assets], where)
+        require_labels(meshes, where)
     elif isinstance(meshes, (DigitMeshes, SceneMeshes)):
         require_kind(meshes, assets)
-    measurable = _measurable(meshes)
-    require_fitting(measurable, cell_size_m, where)
-    require_outward(measurable, where)
-
-
-def _measurable(meshes: Any) -> Remembering:
-    """Return meshes that can be measured all at once; a source other than our provider may give others."""
-    if isinstance(meshes, Remembering):
-        return meshes
-    return SolidMeshes(meshes._tables, meshes._rows, meshes.label_names)
+    solids = measurable(meshes)
+    require_fitting(solids, cell_size_m, where)
+    if assets == "starstruck":
+        require_inside(solids, cell_size_m, where)
+    require_outward(solids, where)
 
 
 def refuse_unfit_rounds(rounds: Any, step_limit: int, where: str) -> None:
@@ -77,6 +93,27 @@ def refuse_unfit_rounds(rounds: Any, step_limit: int, where: str) -> None:
         message = (
             f"{where} has rounds of {fewest} touches, an episode of {step_limit} steps needs "
             f"{step_limit + 2}; next: give a smaller `step_limit` in `config`, or another data set"
+        )
+        raise InputError(message)
+
+
+def refuse_unfit_noise(rounds: Any, files: Sequence[str], where: str) -> None:
+    """Refuse touches from which the package cannot take the noise of a ``-DR`` environment.
+
+    Raises
+    ------
+    InputError
+        No round, no images, or files that are read from the Hub piece by piece.
+    """
+    if not len(rounds) or not hasattr(rounds.record, "sensor_image"):
+        found = "no round" if not len(rounds) else "clips"
+        message = f"{where} holds {found}; the noise of a -DR environment needs touches with one image each"
+        raise InputError(message)
+    remote = [file for file in files if "://" in file]
+    if remote:
+        message = (
+            f"{where} is read from {remote[0]!r}; the noise of a -DR environment needs files on this "
+            "machine; next: download the data set and give its folder"
         )
         raise InputError(message)
 
@@ -112,3 +149,9 @@ def refuse_unknown_settings(config: Mapping[str, Any], known: tuple[str, ...]) -
             choice = ", ".join(sorted(set(known) - {"dataset"}))
             message = f"no setting {name!r} in `config`; expected one of {choice}"
             raise InputError(message)
+    if config.get("mesh_dataset", ...) is None:
+        message = (
+            "mesh_dataset in `config` is None; expected a `tactile_mnist.MeshDataset` of what was touched; "
+            "next: leave it away, the provider's meshes are taken then"
+        )
+        raise InputError(message)

@@ -11,9 +11,8 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from dataset_store.records import RecordDataset
 from env_assets.environment_packages import published_package
-from env_assets.environment_rows import Reader, StoredRows, label_feature
+from env_assets.environment_rows import Reader, Records, StoredRows, label_feature
 
 if TYPE_CHECKING:
     import tactile_mnist
@@ -71,18 +70,18 @@ class StoredMeshDataset(tactile_mnist.HuggingfaceMeshDataset):  # type: ignore[m
 
     Parameters
     ----------
-    meshes : RecordDataset of SolidRecord
+    meshes : RecordDataset or PlainMeshes
         What it holds.
     cache_size : int or "full"
         How many points are kept once read, as for every data set of the package.
     """
 
-    def __init__(self, meshes: RecordDataset[Any], cache_size: CacheSize = 0) -> None:
+    def __init__(self, meshes: Records, cache_size: CacheSize = 0) -> None:
         super().__init__(_mesh_rows(meshes), cache_size=cache_size)
         self._meshes = meshes
 
     @property
-    def meshes(self) -> RecordDataset[Any]:
+    def meshes(self) -> Records:
         """The records behind the points."""
         return self._meshes
 
@@ -120,6 +119,6 @@ def has_equal_rows(vertices_m: NDArray[np.float32]) -> bool:
     return bool((mixed[1:] == mixed[:-1]).any())
 
 
-def _mesh_rows(meshes: RecordDataset[Any]) -> StoredRows:
+def _mesh_rows(meshes: Records) -> StoredRows:
     readers: dict[str, Reader] = {"id": attrgetter("id"), "label": attrgetter("label"), "mesh": mesh_keywords}
     return StoredRows(meshes, readers, label_feature(meshes))

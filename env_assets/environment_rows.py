@@ -18,10 +18,14 @@ import numpy as np
 
 from dataset_store.errors import InputError
 from dataset_store.records import RecordDataset
+from env_assets.measures import bounds_m, volumes_m3
+from env_assets.mesh_sets import measurable
+from env_assets.plain_meshes import PlainMeshes
 
-__all__ = ["Reader", "StoredRows", "fingerprint_of", "label_feature"]
+__all__ = ["Reader", "Records", "StoredRows", "fingerprint_of", "label_feature"]
 
 Reader = Callable[[Any], Any]
+Records = RecordDataset[Any] | PlainMeshes
 _PLAIN = ("id", "label")
 
 
@@ -39,7 +43,7 @@ class StoredRows(Sequence[dict[str, Any]]):
         What ``datasets`` would say of a column; entries are needed for those that somebody asks about.
     """
 
-    records: RecordDataset[Any]
+    records: Records
     readers: Mapping[str, Reader]
     features: Mapping[str, Any]
 
@@ -98,24 +102,29 @@ class StoredRows(Sequence[dict[str, Any]]):
         return self.readers[name]
 
 
-def fingerprint_of(records: RecordDataset[Any]) -> str:
+def fingerprint_of(records: Records) -> str:
     """Name the content of a data set: rows with one fingerprint have the same values, whatever their place.
 
-    Ids, labels and volumes of the rows and the sizes of their files go into it; no mesh is read.
+    Ids and labels of the rows and the sizes of their files go into it, and of meshes volume and bounds:
+    without those, data sets of other meshes could pass for one. An environment has had both computed before,
+    to check them.
     """
     digest = hashlib.sha256(repr((type(records).__name__, records.label_names)).encode())
-    for name in (*_PLAIN, "volume_m3"):
-        try:
-            digest.update(repr(records.column(name).tolist()).encode())
-        except InputError:  # the published data sets store no volumes
-            digest.update(b"-")
-    for table in records._tables:
+    for name in _PLAIN:
+        digest.update(repr(records.column(name).tolist()).encode())
+    # What is made while it is read has no shards; how it is made names it, see below.
+    made = any(not table.shards for table in getattr(records, "_tables", ()))
+    if isinstance(records, PlainMeshes) or (hasattr(records.record, "vertices_m") and not made):
+        solids = measurable(records)
+        for values in (volumes_m3(solids), bounds_m(solids)):
+            digest.update(np.ascontiguousarray(values, "<f8").tobytes())
+    for table in getattr(records, "_tables", ()):
         facts = [Path(s.path).stat().st_size for s in table.shards if "://" not in s.path]
         digest.update(repr((facts, table.__getstate__() if not table.shards else "")).encode())
     return digest.hexdigest()[:32]
 
 
-def label_feature(records: RecordDataset[Any]) -> dict[str, Any]:
+def label_feature(records: Records) -> dict[str, Any]:
     """Return what ``datasets`` would say of the label column."""
     from datasets import ClassLabel
 

@@ -83,6 +83,8 @@ class StoredTouchDataset(tactile_mnist.TouchSingleDataset):  # type: ignore[misc
         What it holds.
     cache_size : int or "full"
         How many rounds are kept once read, as for every data set of the package.
+    touches_per_round : int, optional
+        How many touches each round has; counted by default.
 
     Raises
     ------
@@ -90,9 +92,14 @@ class StoredTouchDataset(tactile_mnist.TouchSingleDataset):  # type: ignore[misc
         Clips instead of images, or rounds of unlike length.
     """
 
-    def __init__(self, rounds: RecordDataset[Any], cache_size: CacheSize = 0) -> None:
-        super().__init__(_touch_rows(rounds), cache_size=cache_size)
+    def __init__(
+        self, rounds: RecordDataset[Any], cache_size: CacheSize = 0, touches_per_round: int | None = None
+    ) -> None:
+        if touches_per_round is None:
+            touches_per_round = _touches_per_round(rounds)
+        super().__init__(_touch_rows(rounds, touches_per_round), cache_size=cache_size)
         self._rounds = rounds
+        self._touches_per_round = touches_per_round
 
     @property
     def rounds(self) -> RecordDataset[Any]:
@@ -103,7 +110,7 @@ class StoredTouchDataset(tactile_mnist.TouchSingleDataset):  # type: ignore[misc
         return (self[index] for index in range(len(self)))
 
     def __reduce__(self) -> tuple[Any, ...]:
-        return (type(self), (self._rounds, self.cache_size))
+        return (type(self), (self._rounds, self.cache_size, self._touches_per_round))
 
     def _get_data_point_type(self) -> type[TouchPoint]:
         return TouchPoint
@@ -112,26 +119,26 @@ class StoredTouchDataset(tactile_mnist.TouchSingleDataset):  # type: ignore[misc
         return TouchPoint(self._rounds[index])
 
     def _select(self, indices: NDArray[np.int64]) -> StoredTouchDataset:
-        return StoredTouchDataset(self._rounds[indices], self.cache_size)
+        # Handed on, for a selection of no rounds has no number of touches of its own.
+        return StoredTouchDataset(self._rounds[indices], self.cache_size, self._touches_per_round)
 
 
-def _touch_rows(rounds: RecordDataset[Any]) -> StoredRows:
+def _touch_rows(rounds: RecordDataset[Any], touches_per_round: int) -> StoredRows:
     from datasets import List, Value
 
     names = ("id", "label", "object_id", "info", "pos_in_cell", "gel_pose_cell_frame", "sensor_image")
-    positions = List(List(Value("float64"), length=2), length=_touches_per_round(rounds))
+    positions = List(List(Value("float64"), length=2), length=touches_per_round)
     features = {**label_feature(rounds), "pos_in_cell": positions}
     return StoredRows(rounds, {name: attrgetter(name) for name in names}, features)
 
 
 def _touches_per_round(rounds: Any) -> int:
     counts = np.unique(rounds.touch_counts)
-    if len(counts) == 1:
-        return int(counts[0])
-    found = f"{counts[0]} to {counts[-1]} touches" if len(counts) else "no rounds at all"
+    if len(counts) <= 1:
+        return int(counts[0]) if len(counts) else 0
     message = (
-        f"the rounds of this data set have {found}; the environments need the same number in every round; "
-        "next: use a data set before touches were selected from it"
+        f"the rounds of this data set have {counts[0]} to {counts[-1]} touches; the environments need "
+        "the same number in every round; next: use a data set before touches were selected from it"
     )
     raise InputError(message)
 

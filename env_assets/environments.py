@@ -8,8 +8,12 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Callable, Mapping
+from importlib.metadata import version
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
+from dataset_store.errors import InputError
 from env_assets.environment_assets import assets_for
 from env_assets.environment_checks import refuse_unknown_settings
 from env_assets.environment_ids import PublishedEnvironment, published_environment
@@ -20,6 +24,9 @@ if TYPE_CHECKING:
     from env_assets.source import AssetSource
 
 __all__ = ["make"]
+
+_SPARSE_SINGLE_BROKEN = ("0.7.1",)
+"""Versions of ap-gym whose own wrapper for sparse rewards fails with a single environment."""
 
 
 def make(
@@ -42,7 +49,8 @@ def make(
         Gives ``"mnist3d"``, ``"starstruck"``, ``"wrench"`` and, for recorded touches, ``"real-single"``; the
         ``places`` of an :class:`env_assets.AssetProvider` say what these names stand for.
     num_envs : int, optional
-        How many to run side by side as one vector environment; a single environment by default.
+        How many to run side by side as one vector environment; a single environment by default, which ids
+        with ``-sparse-`` do not have in ap-gym 0.7.1 (its wrapper fails at the first reset): give 1.
     config : mapping, optional
         Settings that differ from those of the registration, by the names of ``TactilePerceptionConfig`` or
         ``TactileRealSnapConfig``, such as ``{"perturb_object_pose": False}``.
@@ -57,7 +65,7 @@ def make(
     Raises
     ------
     InputError
-        No such environment or setting; assets that are absent or do not fit it.
+        No such environment, number of them or setting; assets that are absent or do not fit it.
     MissingExtraError
         The packages of the extra ``env``, or those of the sensor asked for, are not installed.
     IntegrityError
@@ -70,6 +78,7 @@ def make(
     >>> observation, info = env.reset(seed=0)  # doctest: +SKIP
     """
     environment = published_environment(env_id)
+    _require_number(environment, num_envs)
     own = dict(config or {})
     settings = {**environment.settings, **own}
     _require_fitting_place(environment, own, settings)
@@ -85,6 +94,20 @@ def make(
     return ap_gym.make_vec(spec, num_envs=num_envs, config=own, **options)
 
 
+def _require_number(environment: PublishedEnvironment, num_envs: int | None) -> None:
+    """Refuse a number of environments that cannot be run."""
+    if num_envs is not None:
+        if not isinstance(num_envs, (int, np.integer)) or num_envs < 1:
+            message = f"num_envs is {num_envs!r}; expected a whole number from 1 on, or None for a single one"
+            raise InputError(message)
+    elif environment.sparse and version("ap_gym") in _SPARSE_SINGLE_BROKEN:
+        message = (
+            f"a single environment {environment.spec.id!r} cannot be reset: the wrapper of ap-gym "
+            f"{version('ap_gym')} around it asks for a prediction that is not there; next: give num_envs=1"
+        )
+        raise InputError(message)
+
+
 def _require_fitting_place(
     environment: PublishedEnvironment, own: Mapping[str, Any], settings: Mapping[str, Any]
 ) -> None:
@@ -93,7 +116,8 @@ def _require_fitting_place(
     kind = getattr(published_package("tactile_mnist"), environment.family.config)
     refuse_unknown_settings(own, tuple(field.name for field in dataclasses.fields(kind)))
     sensor = settings.get("sensor_type", kind.sensor_type)
-    if sensor != "direct":
+    # Recorded touches need no sensor; there is nothing else to be had directly.
+    if not (environment.family.recorded and sensor == "direct"):
         require_sensor(sensor, settings.get("sensor_backend", "auto"), sensor_factories())
 
 

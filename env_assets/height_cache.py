@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from dataset_store.mesh import as_mesh
 from dataset_store.rowgroups import cache_folder
 from env_assets.height_map import HeightMap, Window, top_surface, window_of
 
@@ -58,6 +59,7 @@ class HeightCache:
         InputError
             As :func:`env_assets.top_surface`.
         """
+        mesh = as_mesh(mesh)
         window = window_of(mesh.vertices_m, pitch_m)
         place = self._folder() / f"{content_key(mesh, pitch_m)}.heights"
         heights_m = _read(place, window)

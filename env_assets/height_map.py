@@ -6,12 +6,14 @@ Where a map lies and what it means stands here; how triangles become pixels in :
 from __future__ import annotations
 
 from dataclasses import dataclass
+from numbers import Real
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from dataset_store.errors import InputError
+from dataset_store.mesh import as_mesh
 from env_assets.scan_lines import raise_pixels, spans_of
 
 __all__ = ["MOST_PIXELS", "HeightMap", "Window", "top_surface", "window_of"]
@@ -99,8 +101,8 @@ def top_surface(mesh: Any, pitch_m: float) -> HeightMap:
 
     Parameters
     ----------
-    mesh : Mesh or record
-        Anything with ``vertices_m`` (V, 3) and ``faces`` (F, 3).
+    mesh : Mesh, record or trimesh.Trimesh
+        In metres.
     pitch_m : float
         Side of a pixel, metres.
 
@@ -112,8 +114,8 @@ def top_surface(mesh: Any, pitch_m: float) -> HeightMap:
     Raises
     ------
     InputError
-        A pitch that is not positive or makes the grid too large; a mesh without vertices, or with some that
-        are not finite.
+        No mesh; a pitch that is not positive or makes the grid too large; a mesh without vertices, or with
+        some that are not finite.
 
     Examples
     --------
@@ -123,6 +125,7 @@ def top_surface(mesh: Any, pitch_m: float) -> HeightMap:
     >>> top_surface(Mesh(corners, faces), 1.0).heights_m[0]
     array([3., 2., 1., 0.], dtype=float32)
     """
+    mesh = as_mesh(mesh)
     vertices_m = np.asarray(mesh.vertices_m)
     window = window_of(vertices_m, pitch_m)
     highest = np.full(window.rows * window.columns, -np.inf, np.float32)
@@ -142,7 +145,7 @@ def window_of(vertices_m: NDArray[np.floating[Any]], pitch_m: float) -> Window:
     InputError
         As :func:`top_surface`.
     """
-    if not (np.isfinite(pitch_m) and pitch_m > 0):
+    if not _is_length(pitch_m):
         message = f"the pitch of a height map is {pitch_m!r} m; expected a positive length such as 0.0002"
         raise InputError(message)
     if not len(vertices_m):
@@ -155,15 +158,20 @@ def window_of(vertices_m: NDArray[np.floating[Any]], pitch_m: float) -> Window:
     if not np.isfinite([low, high]).all():
         message = "a mesh with vertices that are NaN or infinite has no height map; next: make it again"
         raise InputError(message)
-    first, stop = np.floor(low / float(pitch_m)), np.ceil(high / float(pitch_m))
-    columns, rows = np.maximum(stop - first, 1)
-    if columns * rows > MOST_PIXELS:
+    with np.errstate(over="ignore", invalid="ignore"):  # of a tiny pitch, which is refused below
+        first, stop = np.floor(low / float(pitch_m)), np.ceil(high / float(pitch_m))
+        columns, rows = np.maximum(stop - first, 1).tolist()
+    if not columns * rows <= MOST_PIXELS:
         message = (
-            f"a height map of {columns:.0f} x {rows:.0f} pixels of {pitch_m:g} m was asked for, at most "
+            f"a height map of {columns:.7g} x {rows:.7g} pixels of {pitch_m:g} m was asked for, at most "
             f"{MOST_PIXELS:,} are made; next: choose a larger pitch"
         )
         raise InputError(message)
     return Window(int(first[0]), int(first[1]), int(columns), int(rows), float(pitch_m))
+
+
+def _is_length(value: object) -> bool:
+    return isinstance(value, (Real, np.number)) and 0 < float(value) < np.inf
 
 
 def _in_pixels(vertices_m: NDArray[Any], window: Window) -> NDArray[np.float64]:

@@ -12,25 +12,45 @@ from dataset_store.mesh import Mesh
 from dataset_store.mesh_columns import FACES, VERTICES
 from dataset_store.rowgroups import RowGroup
 from env_assets.mesh_memory import Remembering
+from env_assets.plain_meshes import PlainMeshes
 
-__all__ = ["bounds_m", "mesh_bounds_m", "volumes_m3"]
+__all__ = ["Measurable", "bounds_m", "mesh_bounds_m", "volumes_m3"]
 
 
-def volumes_m3(meshes: Remembering) -> NDArray[np.float64]:
+Measurable = Remembering[Any] | PlainMeshes
+"""Data sets of meshes that are measured all at once."""
+
+
+def volumes_m3(meshes: Measurable) -> NDArray[np.float64]:
     """Return the volume of each mesh, shape (n,), cubic metres; negative where the triangles face inwards.
 
     Reads the column of volumes alone where there is one, and else vertices and faces, once for each data set
     that was opened.
+
+    Raises
+    ------
+    InputError
+        A mesh whose triangles name vertices that it does not have.
     """
+    if isinstance(meshes, PlainMeshes):
+        return np.array([_volume_m3(mesh.vertices_m, mesh.faces, f"mesh {mesh.id}") for mesh in meshes])
     try:
         return np.asarray(meshes.column("volume_m3"), np.float64)
     except InputError:  # the published data sets store no volumes
-        return meshes.measured("volumes of the meshes", [VERTICES, FACES], _volumes_m3)
+        return meshes.measured("volumes of the meshes", ["id", VERTICES, FACES], _volumes_m3)
 
 
-def bounds_m(meshes: Remembering) -> NDArray[np.float64]:
-    """Return lowest and highest corner of each mesh, shape (n, 2, 3), metres; reads vertices alone."""
-    return meshes.measured("bounds of the meshes", [VERTICES], _bounds_m)
+def bounds_m(meshes: Measurable) -> NDArray[np.float64]:
+    """Return lowest and highest corner of each mesh, shape (n, 2, 3), metres; reads vertices alone.
+
+    Raises
+    ------
+    InputError
+        A mesh without vertices.
+    """
+    if isinstance(meshes, PlainMeshes):
+        return np.array([_some_bounds_m(mesh.vertices_m, f"mesh {mesh.id}") for mesh in meshes])
+    return meshes.measured("bounds of the meshes", ["id", VERTICES], _bounds_m)
 
 
 def mesh_bounds_m(vertices_m: NDArray[np.floating[Any]]) -> NDArray[np.float64]:
@@ -42,9 +62,35 @@ def mesh_bounds_m(vertices_m: NDArray[np.floating[Any]]) -> NDArray[np.float64]:
 def _volumes_m3(group: RowGroup) -> NDArray[np.float64]:
     vertices, faces = group.ragged(VERTICES), group.ragged(FACES)
     rows = range(len(vertices))
-    return np.array([Mesh(vertices[row], faces[row]).volume_m3 for row in rows], np.float64)
+    return np.array([_volume_m3(vertices[row], faces[row], _row_of(group, row)) for row in rows], np.float64)
 
 
 def _bounds_m(group: RowGroup) -> NDArray[np.float64]:
     vertices = group.ragged(VERTICES)
-    return np.array([mesh_bounds_m(vertices[row]) for row in range(len(vertices))]).reshape(-1, 2, 3)
+    rows = range(len(vertices))
+    return np.array([_some_bounds_m(vertices[row], _row_of(group, row)) for row in rows]).reshape(-1, 2, 3)
+
+
+def _row_of(group: RowGroup, row: int) -> str:
+    return f"mesh {group.flat('id')[row]} (row {group.first_row + row} of {group.path!r})"
+
+
+def _volume_m3(vertices_m: NDArray[Any], faces: NDArray[Any], where: str) -> float:
+    if len(faces) and not (faces.min() >= 0 and faces.max() < len(vertices_m)):
+        message = (
+            f"{where} has triangles that name vertex {_stranger(faces, len(vertices_m))}, but only "
+            f"{len(vertices_m):,} vertices; next: run `validate` on the data set and generate it again"
+        )
+        raise InputError(message)
+    return float(Mesh(vertices_m, faces).volume_m3)
+
+
+def _stranger(faces: NDArray[Any], count: int) -> int:
+    return int(faces[(faces < 0) | (faces >= count)][0])
+
+
+def _some_bounds_m(vertices_m: NDArray[Any], where: str) -> NDArray[np.float64]:
+    if not len(vertices_m):
+        message = f"{where} has no vertices; next: run `validate` on the data set and generate it again"
+        raise InputError(message)
+    return mesh_bounds_m(vertices_m)

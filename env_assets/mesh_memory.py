@@ -17,6 +17,7 @@ from dataset_store.rowgroups import RowGroup
 __all__ = ["MeshMemory", "Remembering"]
 
 T = TypeVar("T")
+R = TypeVar("R")
 
 
 class MeshMemory:
@@ -68,7 +69,7 @@ class MeshMemory:
         return (MeshMemory, (self.size,))
 
 
-class Remembering(RecordDataset[Any]):
+class Remembering(RecordDataset[R]):
     """Mixin of the data sets of a provider.
 
     Records, and so the meshes that they have built, come from a memory, and all rows can be measured at once.
@@ -102,7 +103,7 @@ class Remembering(RecordDataset[Any]):
         parts = [table.derive(key, columns, measure) for table in self._tables]
         return np.concatenate(parts)[np.asarray(self._rows, np.int64)]
 
-    def _make(self, row: Row) -> Any:
+    def _make(self, row: Row) -> R:
         if self.memory is None:
             return super()._make(row)
         make = super()._make

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import html
+from base64 import b64encode
+from importlib import import_module
 from typing import Any
 
 import numpy as np
@@ -12,9 +15,10 @@ from dataset_store.mesh_records import SolidRecord
 from dataset_store.records import RecordDataset
 from dataset_store.rowgroups import Shard, ShardedTable
 from env_assets.mesh_memory import MeshMemory, Remembering
-from mnist3d.dataset import MeshDataset
+from env_assets.plain_meshes import PlainMeshes
+from mnist3d.dataset import MeshDataset, MeshRecord
 from mnist3d.rows import CLASS_NAMES as DIGIT_NAMES
-from starstruck_gen.dataset import SceneMeshDataset
+from starstruck_gen.dataset import SceneMeshDataset, SceneRecord
 from starstruck_gen.rows import CLASS_NAMES as STAR_NAMES
 
 __all__ = [
@@ -27,6 +31,7 @@ __all__ = [
     "WrenchMeshes",
     "WrenchRecord",
     "kind_of",
+    "measurable",
     "open_meshes",
 ]
 
@@ -64,6 +69,15 @@ class WrenchRecord(SolidRecord):
     def __repr__(self) -> str:
         return f"WrenchRecord(id={self.id}, {self.opening_mm:g} mm, {len(self.faces):,} faces)"
 
+    def _repr_html_(self) -> str:
+        """Show the wrench from above in a notebook."""
+        from dataset_store.pictures.writing import png_bytes
+        from mnist3d.pictures import relief
+
+        picture = b64encode(png_bytes(relief(self.vertices_m, self.faces))).decode()
+        caption = f"<figcaption>{html.escape(repr(self))}</figcaption>"
+        return f'<figure><img src="data:image/png;base64,{picture}">{caption}</figure>'
+
 
 class WrenchDataset(RecordDataset[WrenchRecord]):
     """A lazy sequence of :class:`WrenchRecord`."""
@@ -76,19 +90,19 @@ class WrenchDataset(RecordDataset[WrenchRecord]):
         return self.column("volume_m3")
 
 
-class DigitMeshes(Remembering, MeshDataset):
+class DigitMeshes(Remembering[MeshRecord], MeshDataset):
     """Digits of a provider."""
 
 
-class SceneMeshes(Remembering, SceneMeshDataset):
+class SceneMeshes(Remembering[SceneRecord], SceneMeshDataset):
     """Scenes of a provider."""
 
 
-class WrenchMeshes(Remembering, WrenchDataset):
+class WrenchMeshes(Remembering[WrenchRecord], WrenchDataset):
     """Wrenches of a provider."""
 
 
-class SolidMeshes(Remembering, SolidDataset):
+class SolidMeshes(Remembering[SolidRecord], SolidDataset):
     """Meshes of a provider that are of no kind of their own."""
 
 
@@ -136,8 +150,27 @@ def open_meshes(shards: tuple[Shard, ...], name: str, memory: MeshMemory) -> Mes
     InputError
         When these are no meshes.
     """
+    _import_readers()
     table = ShardedTable(shards)
     require_mesh_columns(table.schema, name, "mnist3d generate")
     dataset, names = _KINDS[kind_of(table.schema)]
     opened: MeshSet = dataset([table], label_names=class_names(table.schema, names)).with_memory(memory)
     return opened
+
+
+def measurable(meshes: Any) -> Remembering[Any] | PlainMeshes:
+    """Return meshes that can be measured all at once; a source other than our provider may give others."""
+    if isinstance(meshes, (Remembering, PlainMeshes)):
+        return meshes
+    return SolidMeshes(meshes._tables, meshes._rows, meshes.label_names)
+
+
+def _import_readers() -> None:
+    """Import now what reading imports.
+
+    A process that is forked while another thread imports something waits for ever for that import's lock.
+    """
+    for module in ("pyarrow.parquet", "pyarrow.compute", "trimesh"):
+        import_module(module)
+    # The first time that Arrow makes an array of numpy, it looks for pandas.
+    import_module("pyarrow").array([0]).to_numpy()

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dataset_store.errors import InputError, IntegrityError
+from dataset_store.mesh import as_mesh
 from dataset_store.places import find_shards
 from dataset_store.rowgroups import Shard
 from env_assets.checks import require_kind, require_scene
@@ -19,7 +20,7 @@ from env_assets.height_map import HeightMap
 from env_assets.measures import mesh_bounds_m, volumes_m3
 from env_assets.mesh_memory import MeshMemory
 from env_assets.mesh_sets import DigitMeshes, MeshSet, SceneMeshes, WrenchMeshes, open_meshes
-from env_assets.missing import KINDS, AssetMaker
+from env_assets.missing import KINDS, AssetMaker, require_whole
 from env_assets.pinning import Pins
 
 if TYPE_CHECKING:
@@ -47,6 +48,7 @@ class AssetProvider:
         commit that it named then, in copies of the provider in other processes too.
     cache_meshes : int
         How many records are kept with the meshes that they have built; the least recently used leave first.
+        Whoever asks for a kept one gets the same ``mesh``: copy it before you move it.
     generate : bool
         Make digits, scenes and the wrench in ``root`` where they are missing, from the embedded sources.
     seed : int
@@ -87,9 +89,10 @@ class AssetProvider:
         workers: int = 1,
     ) -> None:
         self._maker = AssetMaker(Path(fspath(root)).expanduser().absolute(), seed, per_class, workers)
-        self._places = {name: fspath(place) for name, place in (places or {}).items()}
+        self._places = {name: _held(fspath(place)) for name, place in (places or {}).items()}
         self._pins = Pins(revision)
         self._generate = generate
+        require_whole("cache_meshes", cache_meshes, 0)
         self._memory = MeshMemory(cache_meshes)
         self._heights = HeightCache()
         self._opened: dict[tuple[str, str, str], Any] = {}
@@ -106,13 +109,13 @@ class AssetProvider:
     @overload
     def meshes(self, name: Literal["wrench"], split: str = "train") -> WrenchMeshes: ...
     @overload
-    def meshes(self, name: str, split: str = "train") -> MeshSet: ...
-    def meshes(self, name: str, split: str = "train") -> MeshSet:
+    def meshes(self, name: str | PathLike[str], split: str = "train") -> MeshSet: ...
+    def meshes(self, name: str | PathLike[str], split: str = "train") -> MeshSet:
         """Return the meshes of a split, as a lazy sequence of records.
 
         Parameters
         ----------
-        name : str
+        name : str or path
             ``"mnist3d"``, ``"starstruck"``, ``"wrench"``, or any data set of meshes.
         split : str
             Split of it.
@@ -131,6 +134,7 @@ class AssetProvider:
         HubError
             The repository cannot be reached or does not exist.
         """
+        name = fspath(name)
         opened = self._opened.get(("meshes", name, split))
         if opened is None:
             opened = open_meshes(self._shards(name, split), name, self._memory)
@@ -140,7 +144,9 @@ class AssetProvider:
         found: MeshSet = opened
         return found
 
-    def touches(self, name: str, split: str = "train") -> TouchSeqDataset | TouchSingleDataset:
+    def touches(
+        self, name: str | PathLike[str], split: str = "train"
+    ) -> TouchSeqDataset | TouchSingleDataset:
         """Return the rounds of real touches of a split, as a lazy sequence of records.
 
         Parameters
@@ -159,6 +165,7 @@ class AssetProvider:
         from realtouch.names import repository_of
         from realtouch.opening import load
 
+        name = fspath(name)
         opened = self._opened.get(("touches", name, split))
         if opened is None:
             place = repository_of(self._place(name))
@@ -187,21 +194,27 @@ class AssetProvider:
 
         Parameters
         ----------
-        record : record or Mesh
-            Anything with ``vertices_m`` and ``faces``.
+        record : record, Mesh or trimesh.Trimesh
+            In metres.
         pitch_m : float
             Side of a pixel, metres.
 
         Raises
         ------
         InputError
-            A pitch that is not positive or makes the grid too large.
+            No mesh, or a pitch that is not positive or makes the grid too large.
         """
         return self._heights.get(record, pitch_m)
 
     def bounds(self, record: Any) -> NDArray[np.float64]:
-        """Return lowest and highest corner of a mesh, shape (2, 3), metres, in its own frame."""
-        return mesh_bounds_m(record.vertices_m)
+        """Return lowest and highest corner of a mesh, shape (2, 3), metres, in its own frame.
+
+        Raises
+        ------
+        InputError
+            No mesh.
+        """
+        return mesh_bounds_m(as_mesh(record).vertices_m)
 
     def placements(self, record: Any) -> tuple[Placement, ...]:
         """Return what stands where in a Starstruck scene, stars first; metres and radians, cell frame.
@@ -237,6 +250,8 @@ class AssetProvider:
         except (InputError, IntegrityError) as error:
             if not made_here:
                 raise
+            if isinstance(error, InputError):
+                self._maker.require_split(name, split)
             if not self._generate:
                 raise self._named(error, name, split) from error
         with self._maker.alone(name):
@@ -253,7 +268,16 @@ class AssetProvider:
             return error
         found = str(error).partition("; next: ")[0] if self._maker.place(name).is_dir() else "it is not there"
         message = (
-            f"no split {split!r} of {name!r} in {str(self.root)!r}: {found}; next: run "
-            f"`{self._maker.command(name, split)}`, or make the AssetProvider with generate=True"
+            f"no split {split!r} of {name!r} in {str(self.root)!r}: {found}; next: "
+            f"{self._maker.next_step(name, split)}"
         )
         return InputError(message)
+
+
+def _held(place: str) -> str:
+    """Return a local place in full, so that it follows the current folder as little as the root does."""
+    try:
+        local = Path(place).expanduser()
+        return str(local.absolute()) if local.exists() else place
+    except (OSError, RuntimeError, ValueError):  # too long a name, an unknown user's home, a null byte
+        return place

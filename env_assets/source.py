@@ -11,6 +11,7 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from env_assets.height_map import HeightMap
+    from realtouch.dataset import TouchSeqDataset, TouchSingleDataset
 
 __all__ = ["AssetSource"]
 
@@ -26,12 +27,14 @@ class AssetSource(Protocol):
     def meshes(self, name: str, split: str = "train") -> Sequence[Any]:
         """Return the meshes of a split: records with ``id``, ``label``, ``vertices_m``, ``faces``, ``mesh``.
 
-        Vertices are (V, 3) float32 in metres, faces (F, 3) int32, counter-clockwise seen from outside.
+        Vertices are (V, 3) float32 in metres, faces (F, 3) int32, counter-clockwise seen from outside,
+        ``mesh`` is a ``trimesh.Trimesh``. A plain list of such records will do: their classes are then those
+        of the name.
         """
         ...
 
-    def touches(self, name: str, split: str = "train") -> Sequence[Any]:
-        """Return the rounds of real touches of a split."""
+    def touches(self, name: str, split: str = "train") -> TouchSeqDataset | TouchSingleDataset:
+        """Return the rounds of real touches of a split, such as ``realtouch.load`` opens them."""
         ...
 
     def volumes_m3(self, name: str, split: str = "train") -> NDArray[np.float64]:

@@ -14,6 +14,7 @@ from dataset_store.errors import InputError
 from dataset_store.records import RecordDataset
 from env_assets.environment_meshes import CacheSize, MeshPoint, StoredMeshDataset
 from env_assets.environment_touches import StoredTouchDataset, TouchPoint
+from env_assets.plain_meshes import as_records
 
 __all__ = [
     "MeshPoint",
@@ -30,8 +31,9 @@ def as_mesh_dataset(meshes: Sequence[Any], *, cache_size: CacheSize = 0) -> Stor
 
     Parameters
     ----------
-    meshes : RecordDataset of SolidRecord
-        Such as ``provider.meshes("mnist3d", "train")`` or ``mnist3d.load(...)``.
+    meshes : RecordDataset of SolidRecord, or sequence
+        Such as ``provider.meshes("mnist3d", "train")`` or ``mnist3d.load(...)``; or any sequence of records
+        as :meth:`env_assets.AssetSource.meshes` describes them.
     cache_size : int or "full"
         How many points are kept once read; the environments read each mesh once per episode.
 
@@ -46,7 +48,9 @@ def as_mesh_dataset(meshes: Sequence[Any], *, cache_size: CacheSize = 0) -> Stor
     InputError
         No data set of meshes.
     """
-    return StoredMeshDataset(_of_kind(meshes, "vertices_m", "meshes", "mnist3d.load"), cache_size)
+    plain = None if isinstance(meshes, RecordDataset) else as_records(meshes)
+    stored = plain or _of_kind(meshes, "vertices_m", "meshes", "mnist3d.load")
+    return StoredMeshDataset(stored, cache_size)
 
 
 def as_touch_dataset(rounds: Sequence[Any], *, cache_size: CacheSize = 0) -> StoredTouchDataset:

@@ -196,3 +196,11 @@ def _require_proportions(spec: WrenchSpec) -> None:
             f"({spec.thickness_mm:g}) leaves a side to hold"
         )
         raise InputError(message)
+    # The rounding of the corners takes away what is narrower than twice its radius.
+    least_mm = max(2.0, 4 * spec.chamfer_mm)
+    if spec.handle_mm <= least_mm:
+        message = (
+            f"handle_mm of the wrench is {spec.handle_mm:g}; expected more than {least_mm:g} with a chamfer "
+            f"of {spec.chamfer_mm:g}; next: choose a wider handle_mm or a smaller chamfer_mm"
+        )
+        raise InputError(message)

@@ -65,7 +65,8 @@ def _values(wrench: WrenchFacts, manifest: Manifest, facts: FolderFacts) -> dict
         "openings": _openings(spec),
         "clearance_mm": f"{spec.clearance_mm:g}",
         "jaw_angle_deg": f"{spec.jaw_angle_deg:g}",
-        "length_mm": f"{spec.length_mm:g}",
+        # Of the solid: jaws cut away the outermost points between which the specified length is measured.
+        "length_mm": f"{report.size_mm[0]:.1f}",
         "thickness_mm": f"{spec.thickness_mm:g}",
         "chamfer_mm": f"{spec.chamfer_mm:g}",
         "spec": json_block(manifest.spec),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from dataclasses import dataclass, field
 from functools import cache
 from pathlib import Path
@@ -9,7 +10,7 @@ from typing import Any
 
 from dataset_store.build import BuildPlan, ShardContent, build
 from dataset_store.columns import list_array
-from dataset_store.errors import InputError
+from dataset_store.errors import InputError, StorageError
 from dataset_store.manifest import Manifest
 from dataset_store.mesh import Mesh
 from dataset_store.mesh_columns import (
@@ -27,7 +28,16 @@ from dataset_store.shards import ParquetStyle, ShardName
 from dataset_store.storage import DataFolder
 from env_assets.wrench import WrenchSpec, wrench_mesh
 
-__all__ = ["CLASS_NAMES", "KIND", "LENGTHS", "SPLIT", "plan_build", "wrench_schema", "write_wrench"]
+__all__ = [
+    "CLASS_NAMES",
+    "KIND",
+    "LENGTHS",
+    "SPLIT",
+    "mesh_file_at",
+    "plan_build",
+    "wrench_schema",
+    "write_wrench",
+]
 
 KIND = "wrench"
 SPLIT = "train"
@@ -106,13 +116,12 @@ def write_wrench(
 
     # What cannot be made is refused before the folder is touched.
     mesh = wrench_mesh(spec)
-    if mesh_file is not None:
-        _require_ending(Path(mesh_file))
+    file = None if mesh_file is None else mesh_file_at(mesh_file)
     folder = DataFolder(out)
     manifest = build(folder, plan_build(spec), InlineRunner(), overwrite=overwrite)
     write_card(folder, manifest)
-    if mesh_file is not None:
-        write_mesh(mesh_file, mesh)
+    if file is not None:
+        write_mesh(file, mesh)
     return manifest
 
 
@@ -138,6 +147,32 @@ def wrench_schema() -> Any:
         **{name: value_feature("float64") for name in LENGTHS},
     }
     return pa.schema(fields, metadata=feature_metadata(features))
+
+
+def mesh_file_at(place: str | Path) -> Path:
+    """Return where a mesh file is to be written; a leading ``~`` is the user's home.
+
+    Raises
+    ------
+    InputError
+        The ending is unknown.
+    StorageError
+        There is no folder to write it in, or a folder has its name.
+    """
+    mesh_file = Path(place).expanduser()
+    _require_ending(mesh_file)
+    parent = mesh_file.parent
+    if mesh_file.is_dir() or not parent.is_dir():
+        found = "it is a folder" if mesh_file.is_dir() else f"there is no folder {str(parent)!r}"
+        message = f"{mesh_file}: cannot be written, {found}; nothing was written; next: choose another file"
+        raise StorageError(message)
+    if not os.access(parent, os.W_OK):
+        message = (
+            f"{mesh_file}: cannot be written, no permission in {str(parent)!r}; nothing was written; next: "
+            "choose another folder"
+        )
+        raise StorageError(message)
+    return mesh_file
 
 
 def _require_ending(mesh_file: Path) -> None:

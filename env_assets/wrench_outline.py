@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from dataset_store.errors import InputError
+
 if TYPE_CHECKING:
     from env_assets.wrench import WrenchSpec
 
@@ -18,6 +20,9 @@ _SEGMENTS = 96
 
 _TIDY_MM = 1e-3
 """Corners that matter less than this are dropped."""
+
+_NOTHING_MM2 = 0.01
+"""Area that tidying may take from where a nut is held."""
 
 
 def wrench_outline(spec: WrenchSpec) -> list[NDArray[np.float64]]:
@@ -33,13 +38,53 @@ def wrench_outline(spec: WrenchSpec) -> list[NDArray[np.float64]]:
     list of ndarray, shape (n, 2)
         Closed lines in millimetres, the material on their left; the frame is that of
         :func:`env_assets.wrench_mesh`.
+
+    Raises
+    ------
+    InputError
+        The chamfer leaves less than a whole wrench; the message names the jaw.
     """
     body = _body(spec)
     for place_mm, opening_mm, turned_deg in _jaws(spec):
         body -= _jaw(spec, opening_mm).rotate(turned_deg).translate((place_mm, 0.0))
-    # Tips of jaws and other outer corners are rounded, wide enough to carry the chamfer.
-    tidy = _opened(body, max(1.0, 2.0 * spec.chamfer_mm)).simplify(_TIDY_MM)
+    tidy = _opened(body, _tip_radius_mm(spec)).simplify(_TIDY_MM)
+    _require_whole(spec, body, tidy)
     return [np.asarray(line, np.float64) for line in tidy.to_polygons()]
+
+
+def _tip_radius_mm(spec: WrenchSpec) -> float:
+    """Return how tips of jaws and other outer corners are rounded: wide enough to carry the chamfer.
+
+    Rounding takes away what is narrower than its disc, so no jaw may become shorter than the sides of its
+    nut: the disc between the jaw's flat side (at half the width w) and the circle of the head (of radius R)
+    still touches that side at the nut's corner, ``(R - r)^2 - (w / 2 + r)^2 >= w^2 / 12``.
+    """
+    heads_mm = (spec.head_mm, spec.second_head_mm)
+    most_mm = []
+    for head_mm, (_, opening_mm, _) in zip(heads_mm, _jaws(spec), strict=False):
+        width_mm = opening_mm + spec.clearance_mm
+        most_mm.append((head_mm**2 / 4 - width_mm**2 / 3) / (head_mm + width_mm))
+    return min(max(1.0, 2.0 * spec.chamfer_mm), *most_mm)
+
+
+def _require_whole(spec: WrenchSpec, body: Any, tidy: Any) -> None:
+    """Refuse what is not one piece, below and above the chamfer, or does not hold every nut any more."""
+    for piece in (tidy, _grown(tidy, -spec.chamfer_mm)):
+        if piece.num_contour() != 1:
+            message = (
+                f"a chamfer of {spec.chamfer_mm:g} mm cuts this wrench into {piece.num_contour()} parts; "
+                "next: choose a smaller chamfer_mm, or a larger handle_mm, head_mm or second_head_mm"
+            )
+            raise InputError(message)
+    lost = body - tidy
+    for place_mm, opening_mm, turned_deg in _jaws(spec):
+        flats = _flats(spec, opening_mm).rotate(turned_deg).translate((place_mm, 0.0))
+        if (lost ^ flats).area() > _NOTHING_MM2:
+            message = (
+                f"a chamfer of {spec.chamfer_mm:g} mm leaves no whole jaw for {opening_mm:g} mm; next: "
+                "choose a smaller chamfer_mm, or a larger head_mm or second_head_mm"
+            )
+            raise InputError(message)
 
 
 def _body(spec: WrenchSpec) -> Any:
@@ -81,6 +126,15 @@ def _jaw(spec: WrenchSpec, opening_mm: float) -> Any:
     way_out = CrossSection.square((spec.length_mm, width_mm)).translate((0.0, -width_mm / 2))
     # A round root breaks less easily than a sharp one, and a printer rounds it anyway.
     return _opened(CrossSection([corners]) + way_out, 0.1 * opening_mm)
+
+
+def _flats(spec: WrenchSpec, opening_mm: float) -> Any:
+    """Return where the jaw bears on the outer half of two opposite sides of the nut."""
+    from manifold3d import CrossSection
+
+    width_mm, deep_mm = opening_mm + spec.clearance_mm, 0.1
+    size_mm = (width_mm / (2 * math.sqrt(3)), width_mm + 2 * deep_mm)
+    return CrossSection.square(size_mm).translate((0.0, -size_mm[1] / 2))
 
 
 def _closed(shape: Any, radius_mm: float) -> Any:

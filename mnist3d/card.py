@@ -31,6 +31,8 @@ _COLUMNS: dict[str, Column] = {
     "source": ("", "digit source"),
 }
 
+_CAPTION = "The first digit of each class that is there, seen from above"
+
 
 def write_card(folder: DataFolder, manifest: Manifest) -> None:
     """Write ``README.md`` of a data set folder and the picture that it shows.
@@ -66,7 +68,7 @@ def _values(
     profile = manifest.spec["print_profile"]
     return {
         "rows": f"{facts.rows:,}",
-        "picture": picture(PREVIEW_FILE if drawn else None, "One digit of each class, seen from above"),
+        "picture": picture(PREVIEW_FILE if drawn else None, _CAPTION),
         "version": manifest.toolkit_version,
         "schema_version": str(manifest.schema_version),
         "source_text": words.describe(manifest.spec["source"]),
@@ -97,8 +99,12 @@ def _split_rule(spec: Mapping[str, Any]) -> str:
         for name, unit in (("per_class", "of each class of a split"), ("limit", "rows of a split"))
         if spec[name] is not None
     ]
-    sizes = "published sizes" if split["sizes"] is None else f"digits per class: {dict(split['sizes'])}"
+    sizes = "published sizes" if split["sizes"] is None else f"digits per class: {_listed(split['sizes'])}"
     return ", ".join([whole, f"seed {split['seed']}", sizes, *cuts])
+
+
+def _listed(sizes: Any) -> str:
+    return ", ".join(f"{split} {size:,}" for split, size in dict(sizes).items())
 
 
 def _solid_text(solid: Mapping[str, Any]) -> str:

@@ -85,6 +85,10 @@ def load(
 def load(
     name: str, split: str = "train", *, streaming: Literal[True], revision: str | None = None
 ) -> MeshStream: ...
+@overload
+def load(
+    name: str, split: str = "train", *, streaming: bool = False, revision: str | None = None
+) -> MeshDataset | MeshStream: ...
 def load(
     name: str, split: str = "train", *, streaming: bool = False, revision: str | None = None
 ) -> MeshDataset | MeshStream:
@@ -121,4 +125,4 @@ def load(
     require_mesh_columns(table.schema, name, "mnist3d generate")
     if streaming:
         return MeshStream(shards, MeshRecord, CLASS_NAMES)
-    return MeshDataset([table], label_names=class_names(table.schema, CLASS_NAMES))
+    return MeshDataset([table], label_names=class_names(table.schema, CLASS_NAMES, name))

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import os
 import time
 from collections.abc import Sequence
 
 from dataset_store.errors import ItemError
 from dataset_store.forecast import Forecast, Sample, forecast_build
 from dataset_store.shards import encode_parquet
-from mnist3d.generation import GenerateSpec, inspect_out, make_row, plan_build
+from dataset_store.storage import DataFolder
+from mnist3d.generation import GenerateSpec, make_row, plan_build
 from mnist3d.rows import PARQUET_STYLE, mesh_table
 from mnist3d.splits import plan_splits
 
@@ -17,8 +19,15 @@ __all__ = ["forecast"]
 _SAMPLED = 8
 
 
-def forecast(spec: GenerateSpec, out: str, splits: Sequence[str], workers: int) -> Forecast:
-    """Estimate a run by making a few of its digits; writes nothing.
+def forecast(
+    spec: GenerateSpec,
+    out: str | os.PathLike[str],
+    splits: Sequence[str],
+    workers: int,
+    *,
+    overwrite: bool = False,
+) -> Forecast:
+    """Estimate a run by making a few of its digits; writes nothing. Parameters are those of the run.
 
     Raises
     ------
@@ -26,8 +35,8 @@ def forecast(spec: GenerateSpec, out: str, splits: Sequence[str], workers: int) 
         As :func:`mnist3d.generation.generate`.
     """
     plan = plan_build(spec, splits)
-    state = inspect_out(spec, out, splits)
-    return forecast_build(plan, state, workers, lambda: _measure(spec, splits))
+    folder = DataFolder(os.fspath(out))
+    return forecast_build(folder, plan, workers, lambda: _measure(spec, splits), overwrite=overwrite)
 
 
 def _measure(spec: GenerateSpec, splits: Sequence[str]) -> Sample:

@@ -13,6 +13,7 @@ from dataset_store.gallery.items import NONE, Facet, Gallery, Item, Measure
 from dataset_store.gallery.meshes import packed_mesh, require_mesh, size_text
 from dataset_store.gallery.pictures import THUMBNAIL_PX, thumbnail
 from dataset_store.gallery.selection import Choice, chosen_rows, portions, short_name, splits_to_show
+from dataset_store.kinds import require_kind
 from dataset_store.mesh import MM_PER_M, Mesh
 from dataset_store.reports import read_report
 from dataset_store.storage import DataFolder
@@ -94,6 +95,7 @@ def plan_gallery(choice: Choice) -> Gallery:
     tasks, splits = [], {}
     for split in splits_to_show(choice.name, choice.split):
         dataset = load(choice.name, split)
+        require_kind("mnist3d", "gallery", choice.name, [dataset])
         rows = chosen_rows(dataset.labels, choice.limit, choice.per_class)
         splits[split] = len(rows)
         ids = dataset.ids

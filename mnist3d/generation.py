@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, field
 from typing import Any
@@ -9,6 +10,7 @@ from typing import Any
 from dataset_store.build import BuildPlan, BuildState, Progress, ShardContent, build, inspect_folder
 from dataset_store.errors import InputError, ItemError
 from dataset_store.manifest import Manifest
+from dataset_store.plain_values import plain_number
 from dataset_store.runner import Runner, runner_for
 from dataset_store.shards import ShardName, Skipped
 from dataset_store.storage import DataFolder
@@ -62,9 +64,11 @@ class GenerateSpec:
     limit: int | None = None
 
     def __post_init__(self) -> None:
-        for option, value in (("--per-class", self.per_class), ("--limit", self.limit)):
-            if value is not None and value < 1:
-                message = f"{option} is {value}; expected a whole number of at least 1"
+        for option, name in (("--per-class", "per_class"), ("--limit", "limit")):
+            value = plain_number(getattr(self, name))
+            object.__setattr__(self, name, value)
+            if value is not None and (not isinstance(value, int) or value < 1):
+                message = f"{option} is {value!r}; expected a whole number of at least 1"
                 raise InputError(message)
 
     def to_dict(self) -> dict[str, Any]:
@@ -176,7 +180,7 @@ def plan_build(spec: GenerateSpec, splits: Sequence[str]) -> BuildPlan:
 
 def generate(
     spec: GenerateSpec,
-    out: str,
+    out: str | os.PathLike[str],
     splits: Sequence[str] = SPLITS,
     *,
     workers: int | Runner = 1,
@@ -193,7 +197,7 @@ def generate(
     ----------
     spec : GenerateSpec
         What to make.
-    out : str
+    out : str or path-like
         Folder to write.
     splits : sequence of str
         Splits to make; others that the folder holds already stay.
@@ -218,7 +222,7 @@ def generate(
     StorageError
         The folder cannot be written. What was finished stays.
     """
-    folder = DataFolder(out)
+    folder = DataFolder(os.fspath(out))
     plan = plan_build(spec, splits)
     runner = runner_for(workers)
     manifest = build(folder, plan, runner, overwrite=overwrite, on_progress=on_progress)
@@ -226,9 +230,11 @@ def generate(
     return manifest
 
 
-def inspect_out(spec: GenerateSpec, out: str, splits: Sequence[str] = SPLITS) -> BuildState:
+def inspect_out(
+    spec: GenerateSpec, out: str | os.PathLike[str], splits: Sequence[str] = SPLITS
+) -> BuildState:
     """Tell what :func:`generate` would keep and make, changing nothing."""
-    return inspect_folder(DataFolder(out), plan_build(spec, splits))
+    return inspect_folder(DataFolder(os.fspath(out)), plan_build(spec, splits))
 
 
 def _split_tasks(spec: GenerateSpec, plan: SplitPlan, split: str) -> list[DigitShard]:

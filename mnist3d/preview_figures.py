@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from dataset_store.counting import counted
 from dataset_store.errors import InputError
 from dataset_store.pictures.plots import Bars, Spread, plot_bars, plot_spreads
 from dataset_store.pictures.writing import Drawing
@@ -29,7 +30,11 @@ def histogram(datasets: Mapping[str, MeshDataset], title: str) -> Drawing:
     """Draw the number of digits of each class, a panel for each split."""
     panels = [
         Bars(
-            f"{split}: {len(dataset):,} digits", dataset.label_names, class_counts(dataset), "class", "digits"
+            f"{split}: {counted(len(dataset), 'digits')}",
+            dataset.label_names,
+            class_counts(dataset),
+            "class",
+            "digits",
         )
         for split, dataset in datasets.items()
     ]
@@ -85,7 +90,7 @@ def distributions(
 
     def spread(heading: str, label: str, column: str, unit: float = 1.0, **more: Any) -> Spread:
         groups = [(name, np.asarray(table[column].to_numpy()) / unit) for name, table in tables.items()]
-        return Spread(heading, label, tuple(groups), "digits", **more)
+        return Spread(heading, label, tuple(groups), "digits", together="all splits", **more)
 
     limit = None if least_wall_mm is None else (least_wall_mm, f"warned of below {least_wall_mm:g} mm")
     panels = (

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from dataset_store.counting import counted
 from dataset_store.mesh import MM_PER_M, Mesh
 from dataset_store.pictures.sheets import ScaleBar, Sheet, Tile, in_rows, sheet, with_scale_bar
 from dataset_store.pictures.writing import Drawing
@@ -45,7 +46,7 @@ def draw_sheet(records: Sequence[MeshRecord], per_row: int, title: str, names: S
         for label in dict.fromkeys(labels)
     ]
     columns, cells, row_labels = in_rows(groups, per_row)
-    words = (f"{len(records)} digits from above, at one scale; the id of each below it",)
+    words = (f"{counted(len(records), 'digits')} from above, at one scale; the id of each below it",)
     # The empty line at the foot is the room of the scale bar.
     drawn = sheet(cells, Sheet(columns, title, words, ("",), row_labels, gap_px=12))
     return Drawing(with_scale_bar(drawn, px_per_mm, ScaleBar.fitting(4 * _TILE_PX, px_per_mm)))

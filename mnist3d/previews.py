@@ -9,7 +9,9 @@ from pathlib import Path
 from typing import Any
 
 from dataset_store.choices import chosen_records, class_by_class, open_splits
-from dataset_store.errors import InputError
+from dataset_store.counting import counted
+from dataset_store.errors import InputError, ItemError
+from dataset_store.kinds import require_kind
 from dataset_store.manifest import read_manifest
 from dataset_store.mesh import Mesh
 from dataset_store.meshfile import FORMATS, read_mesh
@@ -122,6 +124,7 @@ class _OpenSet:
         self.name, self.spec, self.stem = name, spec, file_stem(name)
         self.folder = DataFolder(name)
         self.datasets = open_splits(name, spec.split, load, "digits")
+        require_kind("mnist3d", "preview", name, self.datasets.values())
 
     @cached_property
     def made_by(self) -> Mapping[str, Any]:
@@ -154,7 +157,7 @@ def _plan_sheets(opened: _OpenSet) -> list[PlannedPicture]:
         rows = class_by_class(dataset, opened.spec.ids, opened.spec.per_class)
         if len(rows):
             draw = partial(_drawn_sheet, dataset[rows], opened.spec.per_class, f"{opened.stem}: {split}")
-            what = f"{len(rows)} digits of {split} from above"
+            what = f"{counted(len(rows), 'digits')} of {split} from above"
             pictures.append(PlannedPicture(f"{opened.stem}-{split}-sheet.png", what, draw))
     return pictures
 
@@ -230,7 +233,10 @@ def _drawn_object(mesh: Mesh, title: str, studio: Studio) -> Drawing:
 
 
 def _drawn_steps(pixels: Any, solid: SolidSpec, title: str, studio: Studio) -> Drawing:
-    return draw_steps(studio, pixels, solid, title)
+    try:
+        return draw_steps(studio, pixels, solid, title)
+    except ItemError as error:
+        raise ItemError(error.reason, f"{title}: {error}") from error
 
 
 def _alone(draw: Any, *parts: Any) -> Drawing:

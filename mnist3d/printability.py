@@ -9,18 +9,21 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from dataset_store.errors import InputError
-from dataset_store.mesh import MM_PER_M
+from dataset_store.mesh import MM_PER_M, as_mesh
 from dataset_store.soundness import Soundness, judge
 from mnist3d.walls import section_area_mm2, thinnest_width_mm
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from dataset_store.mesh import Mesh
+    from dataset_store.mesh import MeshLike
 
-__all__ = ["PrintProfile", "PrintReport", "REPORT_COLUMNS", "WARNINGS", "inspect"]
+__all__ = ["PrintProfile", "PrintReport", "REPORT_COLUMNS", "UNREADABLE", "WARNINGS", "inspect", "unreadable"]
 
 WARNINGS = ("thin-wall", "separate-bodies", "overhang", "small-contact", "larger-than-plate", "too-tall")
+
+UNREADABLE = "unreadable"
+"""What is wrong with a file beyond :data:`dataset_store.soundness.PROBLEMS`."""
 
 REPORT_COLUMNS: dict[str, type] = {
     "is_solid": bool,
@@ -106,7 +109,8 @@ class PrintReport:
     status : str
         What manifold3d says of the mesh, ``"NoError"`` or a reason.
     problem : str or None
-        Why the mesh is no solid, a short stable word of :data:`dataset_store.soundness.PROBLEMS`.
+        Why the mesh is no solid, a short stable word of :data:`dataset_store.soundness.PROBLEMS`, or
+        :data:`UNREADABLE`.
     detail : str or None
         The same in a sentence.
     vertices, faces : int
@@ -157,14 +161,14 @@ class PrintReport:
         return {name: row[name] for name in REPORT_COLUMNS}
 
 
-def inspect(mesh: Mesh, profile: PrintProfile | None = None) -> PrintReport:
+def inspect(mesh: MeshLike, profile: PrintProfile | None = None) -> PrintReport:
     """Decide whether a mesh bounds a solid and measure what printing it depends on.
 
     A bad mesh is reported, never raised.
 
     Parameters
     ----------
-    mesh : Mesh
+    mesh : Mesh, record of a data set, or trimesh.Trimesh
         In metres, z pointing away from the plate.
     profile : PrintProfile, optional
         Printer and material.
@@ -172,7 +176,13 @@ def inspect(mesh: Mesh, profile: PrintProfile | None = None) -> PrintReport:
     Returns
     -------
     PrintReport
+
+    Raises
+    ------
+    InputError
+        What was given holds no triangles at all.
     """
+    mesh = as_mesh(mesh)
     profile = PrintProfile() if profile is None else profile
     sound = judge(mesh)
     counts = {"vertices": len(mesh.vertices_m), "faces": len(mesh.faces)}
@@ -202,6 +212,21 @@ def inspect(mesh: Mesh, profile: PrintProfile | None = None) -> PrintReport:
         contact_mm2=contact_mm2,
         warnings=_warnings(profile, sound, size_mm, wall_mm, overhang_mm2 / area_mm2, contact_mm2),
     )
+
+
+def unreadable(detail: str) -> PrintReport:
+    """Report a file that no mesh could be read from.
+
+    Parameters
+    ----------
+    detail : str
+        Why.
+
+    Returns
+    -------
+    PrintReport
+    """
+    return _refusal(Soundness(None, "NotTried", UNREADABLE, detail), {"vertices": 0, "faces": 0})
 
 
 _OFF_VERTICES = 1e-7

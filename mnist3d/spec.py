@@ -7,6 +7,7 @@ from dataclasses import asdict, dataclass, fields
 from typing import Any
 
 from dataset_store.errors import InputError
+from dataset_store.plain_values import plain_number
 
 __all__ = ["PROFILES", "SolidSpec"]
 
@@ -71,6 +72,8 @@ class SolidSpec:
 
     def __post_init__(self) -> None:
         """Refuse numbers that describe no solid."""
+        for entry in fields(self):
+            object.__setattr__(self, entry.name, plain_number(getattr(self, entry.name)))
         self._require(self.profile in PROFILES, "profile", f"one of {', '.join(PROFILES)}")
         for name in ("pixel_pitch_mm", "half_thickness_mm", "bridge_width_mm"):
             self._require(_is_positive(getattr(self, name)), name, "a positive number of mm")
@@ -78,7 +81,9 @@ class SolidSpec:
             value = getattr(self, name)
             self._require(value == 0 or _is_positive(value), name, "zero or a positive number")
         in_reach = 1 <= self.half_thickness_px <= LARGEST_HALF_THICKNESS_PX
-        self._require(in_reach, "half_thickness_mm", f"1 to {LARGEST_HALF_THICKNESS_PX} times pixel_pitch_mm")
+        thinnest_mm = self.pixel_pitch_mm
+        reach = f"{thinnest_mm:g} to {thinnest_mm * LARGEST_HALF_THICKNESS_PX:g} mm at this pixel_pitch_mm"
+        self._require(in_reach, "half_thickness_mm", reach)
         pitch = self.lattice_pitch_mm
         self._require(
             pitch is None or _is_positive(pitch), "lattice_pitch_mm", "None or a positive number of mm"

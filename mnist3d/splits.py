@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dataset_store.errors import InputError
+from dataset_store.plain_values import plain_number, plain_pairs
 from mnist3d.digit import NO_WRITER, DigitCatalog
 
 __all__ = ["PUBLISHED_SIZES", "SPLITS", "SplitPlan", "SplitSpec", "plan_splits"]
@@ -45,8 +46,9 @@ class SplitSpec:
     by : {"digit", "writer"}
         ``"digit"`` draws single digits, with exact sizes per class. ``"writer"`` gives whole writers to
         splits, so that no hand is in two of them; sizes are then as near as whole writers allow.
-    sizes : mapping of split to digits per class, or None
-        None means the published sizes, or their proportions where a class has fewer than 1,358 digits.
+    sizes : tuple of (str, int), or None
+        Digits per class of each split; a mapping is taken too. None means the published sizes, or their
+        proportions where a class has fewer than 1,358 digits.
     """
 
     seed: int = 0
@@ -54,12 +56,15 @@ class SplitSpec:
     sizes: tuple[tuple[str, int], ...] | None = None
 
     def __post_init__(self) -> None:
+        object.__setattr__(self, "seed", plain_number(self.seed))
+        if self.sizes is not None:
+            object.__setattr__(self, "sizes", plain_pairs(self.sizes))
         for split, size in self.sizes or ():
             if split not in SPLITS:
                 message = f"unknown split {split!r} in the split sizes; expected one of {', '.join(SPLITS)}"
                 raise InputError(message)
-            if size < 0:
-                message = f"the size of split {split!r} is {size}; expected 0 or more digits per class"
+            if not isinstance(size, int) or size < 0:
+                message = f"the size of split {split!r} is {size!r}; expected 0 or more digits per class"
                 raise InputError(message)
 
     def to_dict(self) -> dict[str, Any]:

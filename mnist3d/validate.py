@@ -8,13 +8,13 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from dataset_store.checking import splits_to_check
 from dataset_store.errors import InputError
 from dataset_store.mesh import Mesh
-from dataset_store.places import available_splits, find_shards
+from dataset_store.places import find_shards
 from dataset_store.rowgroups import RowGroup, Shard
 from dataset_store.runner import runner_for
-from dataset_store.storage import DataFolder
-from mnist3d.printability import PrintProfile, PrintReport, inspect
+from mnist3d.printability import UNREADABLE, PrintProfile, PrintReport, inspect, unreadable
 
 __all__ = ["Checked", "CheckedItem", "validate_paths"]
 
@@ -62,6 +62,11 @@ class Checked:
         """How many of them bound no solid."""
         return sum(not item.report.is_solid for item in self.items)
 
+    @property
+    def unreadable(self) -> tuple[CheckedItem, ...]:
+        """Files that no mesh could be read from."""
+        return tuple(item for item in self.items if item.report.problem == UNREADABLE)
+
     def warnings(self) -> dict[str, int]:
         """Count the meshes that carry each print warning."""
         return dict(sorted(Counter(word for item in self.items for word in item.report.warnings).items()))
@@ -78,7 +83,8 @@ class Checked:
 
     def table(self) -> tuple[Sequence[str], Sequence[Sequence[object]], str]:
         """Return header, rows and title of a table of the meshes that fail or, of a few, all."""
-        header = ("mesh", "solid", "volume mm³", "size mm", "bodies", "thinnest wall mm", "findings")
+        wall = "thinnest wall at half height mm"
+        header = ("mesh", "solid", "volume mm³", "size mm", "bodies", wall, "findings")
         worth = [item for item in self.items if not item.report.is_solid]
         shown = self.items if len(self.items) <= _ROWS_SHOWN else worth[:_ROWS_SHOWN]
         words = ", ".join(f"{word} {count:,}" for word, count in self.warnings().items())
@@ -141,14 +147,14 @@ def validate_paths(
     Returns
     -------
     list of Checked
-        One per path.
+        One per path. A file that cannot be read is reported as no solid, and does not stop the others.
 
     Raises
     ------
     InputError
-        A path does not exist, or is neither a data set folder nor a mesh file.
+        A path does not exist, or is a folder without a data set.
     IntegrityError
-        A shard is damaged.
+        A shard is damaged, or the run that makes a data set is not finished.
     """
     profile = profile or PrintProfile()
     missing = [path for path in paths if not Path(path).exists()]
@@ -168,7 +174,11 @@ def validate_paths(
 def _check_file(path: str, profile: PrintProfile) -> CheckedItem:
     from dataset_store.meshfile import read_mesh
 
-    return CheckedItem(Path(path).name, inspect(read_mesh(path), profile))
+    try:
+        report = inspect(read_mesh(path), profile)
+    except InputError as error:
+        report = unreadable(str(error))
+    return CheckedItem(Path(path).name, report)
 
 
 def _check_folder(
@@ -179,12 +189,7 @@ def _check_folder(
     profile: PrintProfile,
     on_progress: Callable[[int, int], None],
 ) -> tuple[CheckedItem, ...]:
-    splits = [split] if split else available_splits(DataFolder(path))
-    if not splits:
-        message = (
-            f"{path!r} holds no data set (no manifest and no Parquet files); next: name a generated folder"
-        )
-        raise InputError(message)
+    splits = [split] if split else splits_to_check(path)
     tasks = [task for name in splits for task in _tasks(path, name, limit)]
     total = sum(task.rows for task in tasks)
     done = 0

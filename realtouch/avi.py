@@ -75,8 +75,8 @@ def read_index(data: memoryview) -> AviIndex:
     NoIndexError
         Another container or codec, or no index.
     ValueError
-        The file is cut short, its index points outside of it, or it exceeds :data:`MAX_CLIP_FRAMES` or
-        :data:`MAX_CLIP_BYTES`.
+        The file is cut short, its index points outside of it or has frames overlap, or it exceeds
+        :data:`MAX_CLIP_FRAMES` or :data:`MAX_CLIP_BYTES`.
     """
     if len(data) > MAX_CLIP_BYTES:
         message = f"a clip of {len(data):,} bytes; the limit is {MAX_CLIP_BYTES:,}"
@@ -164,6 +164,7 @@ def _frames(
     starts = entries[:, 2] + (_base(data, entries[0], movi) + _CHUNK_HEADER_BYTES)
     sizes = entries[:, 3]
     _require_inside(starts, sizes, movi)
+    _require_apart(starts, sizes)
     return AviIndex(fps, starts, sizes, slots)
 
 
@@ -181,6 +182,19 @@ def _require_inside(starts: NDArray[np.int64], sizes: NDArray[np.int64], movi: t
     if starts.min() < movi[0] or (starts + sizes).max() > movi[0] + movi[1]:
         outside = np.flatnonzero((starts < movi[0]) | (starts + sizes > movi[0] + movi[1]))
         message = f"an AVI whose frame {outside[0]} of {len(starts)} lies outside of it"
+        raise ValueError(message)
+
+
+def _require_apart(starts: NDArray[np.int64], sizes: NDArray[np.int64]) -> None:
+    """Refuse an index that names bytes twice: a small file would decode to any amount of pixels."""
+    ends = starts + sizes
+    if (starts[1:] >= ends[:-1]).all():
+        return
+    order = np.argsort(starts, kind="stable")
+    overlaps = np.flatnonzero(starts[order[1:]] < ends[order[:-1]])
+    if len(overlaps):
+        first, second = order[overlaps[0]], order[overlaps[0] + 1]
+        message = f"an AVI whose index has frames {first} and {second} of {len(starts)} overlap"
         raise ValueError(message)
 
 

@@ -21,14 +21,24 @@ from realtouch.card_figures import (
     split_figures,
     touch_sheet,
 )
-from realtouch.card_words import COLUMNS, FAMILIES, FRAMES, INDEX_COLUMNS, LIMITS
+from realtouch.card_words import (
+    COLUMNS,
+    FAMILIES,
+    FRAMES,
+    INDEX_COLUMNS,
+    LIMITS,
+    PRINTABILITY,
+    SYNTHETIC_COLUMNS,
+)
 from realtouch.contact import MIN_CONTACT_HEIGHT_M
 from realtouch.nested import list_depth
 from realtouch.schema import column_type, kind_of
 
-__all__ = ["CardKind", "card_kind", "write_card"]
+__all__ = ["SYNTHETIC", "CardKind", "card_kind", "is_synthetic", "write_card"]
 
 CardKind = Literal["seq", "single", "synthetic", "frames"]
+SYNTHETIC = "synthetic"
+"""What the option ``touches`` of plain pictures says of touches that were rendered."""
 
 _TITLES: dict[CardKind, str] = {
     "seq": "Real touches: clips",
@@ -36,6 +46,7 @@ _TITLES: dict[CardKind, str] = {
     "synthetic": "Synthetic touches: single images",
     "frames": "Touches as plain pictures",
 }
+_RENDERED_PICTURES = "Synthetic touches as plain pictures"
 _LICENCE = (
     "cc-by-2.0",
     "CC BY 2.0, as the published touches: name their authors, and say what was changed.",
@@ -76,20 +87,21 @@ def write_card(
     sheet = index_sheet(facts, folder) if told == "frames" else touch_sheet(facts, _stored_kind(told))
     if sheet is not None:
         write_previews(folder, {PREVIEW_FILE: sheet})
-    values = _values(facts, manifest, told, sheet is not None)
+    rendered = _is_rendered(told, manifest)
+    values = _values(facts, manifest, told, sheet is not None, rendered=rendered)
     head = card_head(
         facts,
-        license=_licence(told)[0],
+        license=_licence(told, rendered)[0],
         pretty_name=values["title"],
         task_categories=["robotics", "image-classification"],
         task_ids=["multi-class-image-classification"],
-        tags=["tactile", "active-perception", "gelsight", "touch", *_tags(told)],
+        tags=["tactile", "active-perception", "gelsight", "touch", *_tags(told, rendered)],
     )
     write_card_text(folder, head_text(head) + "\n" + render_card(f"touch_{told}.md", values))
 
 
 def card_kind(facts: FolderFacts, manifest: Manifest | None, where: str, kind: str | None = None) -> CardKind:
-    """Tell which card a folder gets; poses of the object for each touch mark a synthetic set.
+    """Tell which card a folder gets.
 
     Raises
     ------
@@ -99,22 +111,33 @@ def card_kind(facts: FolderFacts, manifest: Manifest | None, where: str, kind: s
     if kind == "frames" or (manifest is not None and manifest.spec.get("operation") == "frames"):
         return "frames"
     stored = kind_of(facts.schema, where)
-    pose = column_type(facts.schema, "info.object_pose.position")
-    if stored == "single" and pose is not None and list_depth(pose)[0] == 2:
-        return "synthetic"
-    return stored
+    return "synthetic" if stored == "single" and is_synthetic(facts.schema) else stored
+
+
+def is_synthetic(schema: Any) -> bool:
+    """Tell rendered touches from recorded ones: they have a pose of the object for each touch."""
+    pose = column_type(schema, "info.object_pose.position")
+    return pose is not None and list_depth(pose)[0] == 2
+
+
+def _is_rendered(kind: CardKind, manifest: Manifest | None) -> bool:
+    """Tell whether the touches were rendered; of plain pictures the manifest alone knows."""
+    options = {} if manifest is None else manifest.spec.get("options", {})
+    return kind == "synthetic" or (kind == "frames" and options.get("touches") == SYNTHETIC)
 
 
 def _stored_kind(kind: CardKind) -> Literal["seq", "single"]:
     return "seq" if kind == "seq" else "single"
 
 
-def _values(facts: FolderFacts, manifest: Manifest | None, kind: CardKind, drawn: bool) -> dict[str, str]:
+def _values(
+    facts: FolderFacts, manifest: Manifest | None, kind: CardKind, drawn: bool, *, rendered: bool
+) -> dict[str, str]:
     figures = [] if kind == "frames" else [split_figures(split, _stored_kind(kind)) for split in facts.splits]
     size = None if kind == "frames" else picture_size(facts, _stored_kind(kind))
-    columns = INDEX_COLUMNS if kind == "frames" else COLUMNS
+    columns = INDEX_COLUMNS if kind == "frames" else SYNTHETIC_COLUMNS if rendered else COLUMNS
     return {
-        "title": _TITLES[kind],
+        "title": _RENDERED_PICTURES if rendered and kind == "frames" else _TITLES[kind],
         "rows": f"{facts.rows:,}",
         "rounds": f"{facts.rows:,}",
         "touches": _total([figure.touches for figure in figures]),
@@ -125,22 +148,25 @@ def _values(facts: FolderFacts, manifest: Manifest | None, kind: CardKind, drawn
         "contact_mm": f"{1e3 * MIN_CONTACT_HEIGHT_M:g}",
         "field_table": field_table(facts, columns, FAMILIES),
         "frames": FRAMES,
-        "limits": "\n".join(f"- {line}" for line in LIMITS[kind]),
+        "limits": "\n".join(f"- {line}" for line in LIMITS["synthetic" if rendered else kind]),
+        "printability": PRINTABILITY["synthetic" if rendered else "real"],
         "first_split": facts.splits[0].split,
-        "licence_text": _licence(kind)[1],
-        "citation_text": _citation_text(kind),
-        "bibtex": bibtex(TACTILE_MNIST, *(() if kind == "synthetic" else (HWD_PLUS,))),
+        "licence_text": _licence(kind, rendered)[1],
+        "citation_text": _citation_text(rendered),
+        "bibtex": bibtex(TACTILE_MNIST, *(() if rendered else (HWD_PLUS,))),
     }
 
 
-def _licence(kind: CardKind) -> tuple[str, str]:
+def _licence(kind: CardKind, rendered: bool) -> tuple[str, str]:
+    if rendered:
+        return _SYNTHETIC_LICENCE
     if kind == "frames":
         return _LICENCE[0], "That of the touches: CC BY 2.0 for the published real ones; name their authors."
-    return _SYNTHETIC_LICENCE if kind == "synthetic" else _LICENCE
+    return _LICENCE
 
 
-def _tags(kind: CardKind) -> list[str]:
-    if kind == "synthetic":
+def _tags(kind: CardKind, rendered: bool) -> list[str]:
+    if rendered:
         return ["synthetic"]
     return ["mnist", "digits", "video"] if kind == "seq" else ["mnist", "digits"]
 
@@ -209,8 +235,8 @@ def _counted(count: int | None) -> str:
     return "-" if count is None else f"{count:,}"
 
 
-def _citation_text(kind: CardKind) -> str:
-    if kind == "synthetic":
+def _citation_text(rendered: bool) -> str:
+    if rendered:
         return "The touches: Schneider et al. 2025."
     return (
         "The touches and the digits: Schneider et al. 2025. The digits were made from the handwriting of "

@@ -4,7 +4,15 @@ from __future__ import annotations
 
 from dataset_store.cards.parts import Column
 
-__all__ = ["COLUMNS", "FAMILIES", "FRAMES", "INDEX_COLUMNS", "LIMITS"]
+__all__ = [
+    "COLUMNS",
+    "FAMILIES",
+    "FRAMES",
+    "INDEX_COLUMNS",
+    "LIMITS",
+    "PRINTABILITY",
+    "SYNTHETIC_COLUMNS",
+]
 
 _CELL = "m, cell frame"
 
@@ -13,6 +21,7 @@ COLUMNS: dict[str, Column] = {
     "label": ("", "class of the touched object"),
     "object_id": ("", "`id` of its mesh in MNIST 3D"),
     "pos_in_cell": (f"T x 2, {_CELL}", "intended positions"),
+    "plate_z_m": (_CELL, "height of the plate, from all touches of the round as it was recorded"),
     "gel_pose_cell_frame.position": (f"T x 3, {_CELL}", "position of the gel at contact"),
     "gel_pose_cell_frame.quaternion": ("T x 4: x, y, z, w", "its orientation"),
     "gel_pose_cell_frame_seq.position": (
@@ -30,6 +39,11 @@ COLUMNS: dict[str, Column] = {
     "info.notes": ("", "notes of the recording"),
     "info.object_pose.position": (_CELL, "position of the object, for the round or for each touch"),
     "info.object_pose.quaternion": ("x, y, z, w", "its orientation"),
+}
+
+SYNTHETIC_COLUMNS: dict[str, Column] = {
+    **COLUMNS,
+    "object_id": ("", "`id` of the mesh of the touched object, in the data set that it comes from"),
 }
 
 FAMILIES: dict[str, Column] = {"info.": ("", "metadata of the round, as recorded")}
@@ -64,7 +78,7 @@ FRAMES = """\
 
 Cell frame: origin at the centre of the 120 x 120 mm cell; metres; right-handed. Poses are those of the gel
 in this frame; quaternions are x, y, z, w. The zero of z drifts by up to 3 mm between rounds: take the
-deepest touch of a round as the plate."""
+deepest touch of a round as the plate, or `plate_z_m` where that column is there."""
 
 _COMMON = (
     "The pose of the gel is that of the arm; an object may have moved a little while it was touched.",
@@ -82,4 +96,12 @@ LIMITS: dict[str, tuple[str, ...]] = {
         "Touch i was rendered against the object pose of touch i - 1 in the published sets.",
         "Many touches meet no object; filter them with `realtouch select --contact`.",
     ),
+}
+
+PRINTABILITY = {
+    "real": """\
+`object_id` is the `id` of the touched object's mesh in its own data set: for the real touches MNIST 3D, whose
+splits `printed_train` and `printed_test` were printed, and whose report tells height, walls and volume.""",
+    "synthetic": """\
+Nothing was printed: the objects are meshes. `object_id` is the `id` of the mesh in its data set.""",
 }

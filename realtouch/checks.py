@@ -1,35 +1,30 @@
-"""Checking every round of a data set, and leaving out what is damaged."""
+"""Checking every file and every round of a data set."""
 
 from __future__ import annotations
 
-from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
-import numpy as np
-
+from dataset_store.columns import column_names
 from dataset_store.errors import InputError, IntegrityError
 from dataset_store.hub.download_record import read_record
 from dataset_store.manifest import read_manifest
 from dataset_store.places import splits_of
 from dataset_store.records import Row
-from dataset_store.rowgroups import Shard, ShardedTable
+from dataset_store.rowgroups import Shard
 from dataset_store.shards import file_sha256
 from dataset_store.storage import DataFolder
 from dataset_store.verify import verify as verify_files
-from realtouch.damage import Damage, DamagedRoundError
-from realtouch.dataset import TouchDataset, stored_touch_counts
+from realtouch.agreement import local_folder, sort_out, stated_class_names, usual_touch_count
+from realtouch.damage import Damage, unreadable_rows
 from realtouch.fields import touch_total
-from realtouch.names import repository_of
-from realtouch.opening import open_shards
+from realtouch.jpeg import decode_image, image_size
+from realtouch.opening import Name, Place, open_shards, place_of
+from realtouch.plain_fields import plain_value
 from realtouch.round_checks import check_round
-from realtouch.schema import MEDIA_COLUMN, kind_of, require_types
 
-__all__ = ["TouchVerification", "check_round", "verify", "without_damage"]
-
-D = TypeVar("D", bound=TouchDataset[Any])
+__all__ = ["TouchVerification", "check_round", "verify"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,7 +50,7 @@ class TouchVerification:
 
 
 def verify(
-    name: str,
+    name: Name | Sequence[Name],
     split: str | None = None,
     *,
     revision: str | None = None,
@@ -66,7 +61,7 @@ def verify(
 
     Parameters
     ----------
-    name : str
+    name : str, path, or sequence of them
         What :func:`realtouch.load` opens.
     split : str, optional
         Only this split; all of a folder, or train and test, by default.
@@ -82,53 +77,33 @@ def verify(
     InputError
         Nothing of that name, or no data set of touches.
     """
-    findings = [*_file_findings(name)]
-    if _holds_pictures(name):
-        return _verify_pictures(DataFolder(name), findings, on_progress)
-    shards = _readable_shards(name, split, revision, findings)
-    expected = _usual_touch_count(name, shards)
-    total = sum(map(len, shards))
+    place = place_of(name)
+    folder = local_folder(place)
+    findings = [] if folder is None else _file_findings(folder)
+    if folder is not None and _holds_pictures(folder):
+        return _verify_pictures(folder, findings, on_progress, decode=not quick)
+    splits = []
+    for part in _shards_of(place, split, revision):
+        readable, unreadable = sort_out(part, str(name))
+        splits.append(readable)
+        findings += [*unreadable, *_lacking_columns(readable)]
+    total = sum(len(shard) for shards in splits for shard in shards)
     rounds = touches = 0
     seen: dict[str, str] = {}
-    for row in _rows(shards, findings):
-        rounds += 1
-        damage = check_round(row, expected, decode=not quick)
-        findings += damage
-        findings += _repeated_id(row, seen)
-        touches += _touches_or_none(row)
-        on_progress(rounds, total)
+    for shards in splits:
+        expected, class_names = usual_touch_count(shards, place), stated_class_names(shards)
+        for row in _rows(shards, findings):
+            rounds += 1
+            findings += check_round(row, expected, decode=not quick, class_names=class_names)
+            findings += _repeated_id(row, seen)
+            touches += _touches_or_none(row)
+            on_progress(rounds, total)
     return TouchVerification(rounds, touches, tuple(findings))
 
 
-def without_damage(dataset: D) -> D:
-    """Return a data set without its damaged rounds; its ``touches()`` lack the damaged touches too.
-
-    A round is left out when something is wrong with it as a whole (a column, its number of touches); one with
-    damaged touches stays. All damage is listed in ``skipped``.
-    """
-    found: list[tuple[int, Damage]] = []
-    counts = dataset.touch_counts
-    expected = None
-    if len(counts):
-        expected = int(Counter(counts.tolist()).most_common(1)[0][0]) if _is_uniform(counts) else None
-    lost = np.zeros(len(dataset), bool)
-    for position, row_number in enumerate(dataset.row_numbers.tolist()):
-        damage = check_round(dataset[position]._row, expected)
-        found += [(row_number, each) for each in damage]
-        lost[position] = any(each.touch is None for each in damage)
-    kept = dataset[~lost]
-    return type(dataset)(kept._tables, kept._rows, kept.label_names, found)
-
-
-def _is_uniform(counts: Any) -> bool:
-    """Tell whether rounds are meant to have one number of touches: nearly all of them do."""
-    return bool(Counter(counts.tolist()).most_common(1)[0][1] > 0.5 * len(counts))
-
-
-def _file_findings(name: str) -> list[Damage]:
+def _file_findings(folder: DataFolder) -> list[Damage]:
     """Check files against the manifest of a folder of ours, with its card, or against what the Hub said."""
-    folder = DataFolder(name)
-    if not Path(name).is_dir() or (read_manifest(folder) is None and read_record(folder) is None):
+    if read_manifest(folder) is None and read_record(folder) is None:
         return []
     return [
         Damage(finding.file, None, None, "", finding.problem)
@@ -136,15 +111,23 @@ def _file_findings(name: str) -> list[Damage]:
     ]
 
 
-def _holds_pictures(name: str) -> bool:
-    manifest = read_manifest(DataFolder(name)) if Path(name).is_dir() else None
+def _holds_pictures(folder: DataFolder) -> bool:
+    manifest = read_manifest(folder)
     return manifest is not None and manifest.spec.get("operation") == "frames"
 
 
+def _no_picture(folder: DataFolder, line: Mapping[str, Any], decode: bool) -> list[Damage]:
+    try:
+        (decode_image if decode else image_size)(folder.read_bytes(line["file"]))
+    except ValueError as error:
+        return [Damage(line["file"], None, line["touch"], "", str(error))]
+    return []
+
+
 def _verify_pictures(
-    folder: DataFolder, findings: list[Damage], on_progress: Callable[[int, int], None]
+    folder: DataFolder, findings: list[Damage], on_progress: Callable[[int, int], None], *, decode: bool
 ) -> TouchVerification:
-    """Check the files that ``realtouch frames`` wrote against its index."""
+    """Check the files that ``realtouch frames`` wrote against its index, and that they are pictures."""
     manifest = read_manifest(folder)
     paths = [folder.address(receipt.shard.data_path) for receipt in manifest.receipts] if manifest else []
     tables = [Shard(path).read(columns=["round_id", "touch", "file", "sha256"]) for path in paths]
@@ -155,60 +138,54 @@ def _verify_pictures(
         elif file_sha256(folder, line["file"]) != line["sha256"]:
             problem = f"its sha256 differs from the index, which says {line['sha256']}"
             findings.append(Damage(line["file"], None, line["touch"], "", problem))
+        else:
+            findings += _no_picture(folder, line, decode)
         on_progress(done, len(lines))
     return TouchVerification(len({line["round_id"] for line in lines}), len(lines), tuple(findings))
 
 
-def _readable_shards(
-    name: str, split: str | None, revision: str | None, findings: list[Damage]
-) -> list[Shard]:
-    """Open the shards; those that cannot be opened become findings."""
-    readable = []
-    splits = (split,) if split is not None else splits_of(repository_of(name), revision=revision)
-    for shard in (shard for part in splits for shard in open_shards(name, part, revision=revision)):
-        try:
-            require_types(shard.schema, shard.path)
-            readable.append(Shard(shard.path))
-        except IntegrityError as error:
-            findings.append(Damage(shard.path, None, None, "", str(error)))
-    if readable:
-        kind_of(readable[0].schema, name)
-    return readable
+def _shards_of(name: Place, split: str | None, revision: str | None) -> list[tuple[Shard, ...]]:
+    """Find the shards of each split."""
+    if not isinstance(name, str):
+        splits: tuple[str, ...] = ("train",)  # files come without a split
+    else:
+        splits = (split,) if split is not None else splits_of(name, revision=revision)
+    return [open_shards(name, part, revision=revision) for part in splits]
 
 
-def _usual_touch_count(name: str, shards: list[Shard]) -> int | None:
-    """Return the T that most rounds have; None in data sets in which rounds are meant to differ."""
-    if Path(name).is_dir():
-        manifest = read_manifest(DataFolder(name))
-        if manifest is not None and manifest.spec.get("options", {}).get("contact"):
-            return None
-    counts: Counter[int] = Counter()
+def _lacking_columns(shards: Sequence[Shard]) -> list[Damage]:
+    """List the columns that some files of a split have and others do not: they can be read of no row."""
+    names = {shard.path: column_names(shard.schema) for shard in shards}
+    known = dict.fromkeys(name for columns in names.values() for name in columns)
+    problem = "the column is not there; expected it as in other files of the split"
+    return [
+        Damage(path, None, None, name, problem)
+        for path, columns in names.items()
+        for name in known
+        if name not in columns
+    ]
+
+
+def _rows(shards: Sequence[Shard], findings: list[Damage]) -> Iterator[Row]:
     for shard in shards:
-        try:
-            media = MEDIA_COLUMN[kind_of(shard.schema, shard.path)]
-            counts.update(stored_touch_counts(ShardedTable((shard,)), media).tolist())
-        except (IntegrityError, InputError):
-            continue
-    return counts.most_common(1)[0][0] if counts else None
-
-
-def _rows(shards: list[Shard], findings: list[Damage]) -> Iterator[Row]:
-    for shard in shards:
-        try:
-            for index in range(shard.metadata.num_row_groups):
+        for index in range(shard.metadata.num_row_groups):
+            try:
                 for group in shard.blocks(index):
                     yield from (Row(group, row) for row in range(len(group.table)))
-        except DamagedRoundError:
-            raise
-        except IntegrityError as error:
-            findings.append(Damage(shard.path, None, None, "", str(error)))
+            except IntegrityError as error:
+                findings.append(unreadable_rows(shard, index, error))
 
 
 def _repeated_id(row: Row, seen: dict[str, str]) -> list[Damage]:
-    name = str(row.value("id")) if row.has("id") else ""
+    if not row.has("id"):
+        return []
+    try:
+        name = str(plain_value(row, "id"))
+    except IntegrityError:  # named with the other fields
+        return []
     here = f"{row.path!r}, row {row.number}"
     first = seen.setdefault(name, here)
-    if first == here or not name:
+    if first == here:
         return []
     return [Damage(row.path, row.number, None, "id", f"{name!r} is not unique, it also stands in {first}")]
 

@@ -34,7 +34,8 @@ class TouchClip(ClipFrames):
 
     ``clip[i]`` gives (H, W, 3) uint8; a slice, ints or a boolean mask give (n, H, W, 3). No frame is kept.
     Iterating yields ``{"data": (3, H, W) uint8, "pts": seconds}`` per frame, as the ``VideoReader`` of
-    torchvision did; use :meth:`frames` for arrays. Safe to share between threads and to pickle.
+    torchvision did; use :meth:`frames`, or ``numpy.asarray``, for arrays. Safe to share between threads and
+    to pickle.
 
     Parameters
     ----------

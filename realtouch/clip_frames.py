@@ -14,7 +14,7 @@ from functools import partial
 from typing import Any, Literal, Self, TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import DTypeLike, NDArray
 
 from dataset_store.errors import InputError
 from dataset_store.records import Row
@@ -23,8 +23,8 @@ from realtouch.damage import damaged
 from realtouch.ffmpeg import ffmpeg_count, ffmpeg_fps, ffmpeg_frames, ffmpeg_size
 from realtouch.fields import clip_length
 from realtouch.images import in_parallel, positions_of
-from realtouch.jpeg import Pixels, decode_image, image_size
-from realtouch.nested import nested_column
+from realtouch.jpeg import Pixels, decode_image, image_size, room_for
+from realtouch.stored_clips import stored_clip
 
 __all__ = ["DECODERS", "ClipFrames", "Decoder"]
 
@@ -53,7 +53,7 @@ class ClipFrames(Sequence[Pixels]):
             message = f"no decoder {decoder!r}; expected one of {', '.join(DECODERS)}"
             raise InputError(message)
         self._row, self.touch, self._wanted_decoder = row, touch, decoder
-        self.data = self._stored_bytes()
+        self.data = stored_clip(row, touch)
         self._index = self._read_index()
         self._count = self._frame_count()
 
@@ -89,11 +89,17 @@ class ClipFrames(Sequence[Pixels]):
         Returns
         -------
         ndarray, shape (n, H, W, 3), uint8
+
+        Raises
+        ------
+        IntegrityError
+            A frame is damaged, or they exceed :data:`realtouch.jpeg.MAX_BATCH_PIXELS`.
         """
         wanted = positions_of(index, self._count)
         if self.decoder == "ffmpeg":
             return self._named(partial(ffmpeg_frames, self.data, wanted, self._count))
-        pixels = np.empty((len(wanted), *self.size, 3), np.uint8)
+        size = self.size
+        pixels = self._named(lambda: room_for(len(wanted), size))
         in_parallel(lambda place: self._decode(wanted[place], pixels[place]), len(wanted), threads)
         return pixels
 
@@ -109,6 +115,13 @@ class ClipFrames(Sequence[Pixels]):
         to_data = _tensor_maker()
         for frame, time_s in enumerate(self.media_times_s):
             yield {"data": to_data(self[frame].transpose(2, 0, 1)), "pts": float(time_s)}
+
+    def __array__(self, dtype: DTypeLike | None = None, copy: bool | None = None) -> NDArray[Any]:
+        """Return all frames, shape (N, H, W, 3), for numpy: the items of an iteration are no arrays."""
+        if copy is False:
+            message = "frames are decoded into a new array; a clip cannot be an array without a copy"
+            raise ValueError(message)
+        return np.asarray(self.frames(), dtype)
 
     @property
     def decoder(self) -> Decoder:
@@ -156,15 +169,6 @@ class ClipFrames(Sequence[Pixels]):
             )
             raise InputError(message)
         return self._index.frame(self.data, self._place(frame))
-
-    def _stored_bytes(self) -> memoryview:
-        column = nested_column(self._row.group, "sensor_video")
-        start, stop = column.inside(0, self._row.index, self._row.index + 1)
-        blob: memoryview | None = column.values[start + self.touch] if self.touch < stop - start else None
-        if blob is None or len(blob) == 0:
-            problem = "no bytes are stored; expected an AVI"
-            raise damaged(self._row, "sensor_video", problem, self.touch)
-        return blob
 
     def _read_index(self) -> AviIndex | None:
         try:

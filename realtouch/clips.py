@@ -16,7 +16,7 @@ from realtouch.clip_frames import DECODERS, Decoder
 from realtouch.damage import damaged
 from realtouch.fields import clip_lengths, media_count
 from realtouch.images import positions_of
-from realtouch.jpeg import Pixels
+from realtouch.jpeg import Pixels, room_for
 from realtouch.nested import BytesColumn, nested_column
 
 __all__ = ["DECODERS", "Decoder", "SensorClips", "TouchClip"]
@@ -66,10 +66,25 @@ class SensorClips(Sequence[TouchClip]):
             raise IndexError(message)
         return TouchClip(self.row, touch % self._count, self._decoder)
 
-    def room(self, count: int) -> Pixels:
-        """Return an array for ``count`` frames of the first clip's size, shape (count, H, W, 3), uint8."""
-        height, width = self[0].size if self._count else (0, 0)
-        return np.empty((count, height, width, 3), np.uint8)
+    def room(self, count: int, out: Pixels | None = None) -> Pixels:
+        """Return an array for ``count`` frames of the first clip's size: a new one, or ``out`` if it fits.
+
+        Returns
+        -------
+        ndarray, shape (count, H, W, 3), uint8
+
+        Raises
+        ------
+        InputError
+            ``out`` is no such array.
+        IntegrityError
+            The frames exceed :data:`realtouch.jpeg.MAX_BATCH_PIXELS`.
+        """
+        size = self[0].size if self._count else (0, 0)
+        try:
+            return room_for(count, size, out)
+        except ValueError as error:
+            raise damaged(self.row, "sensor_video", str(error)) from error
 
     def find_frame(self, touch: int, frame: int) -> memoryview | None:
         """Return the JPEG of one frame of one clip, without opening the clip; None where that takes more.

@@ -5,6 +5,7 @@ Every choice here states what happens on a tie: the earlier frame wins.
 
 from __future__ import annotations
 
+import math
 from typing import Literal, get_args
 
 import numpy as np
@@ -13,6 +14,7 @@ from numpy.typing import NDArray
 from dataset_store.errors import InputError
 
 __all__ = [
+    "CLOCK_TOLERANCE_S",
     "CONTACT_METHODS",
     "DEFAULT_MIN_AREA",
     "DEFAULT_MIN_CHANGE",
@@ -41,6 +43,9 @@ DEFAULT_MIN_CHANGE = 12.0
 DEFAULT_MIN_AREA = 0.005
 """Share of changed pixels from which a frame counts as contact."""
 
+CLOCK_TOLERANCE_S = 1e-4
+"""Times so close count as one, seconds: what single precision rounds off in a clock's first half hour."""
+
 _MEDIAN_FRAMES = 15
 
 
@@ -58,11 +63,12 @@ def contact_window(time_s: NDArray[np.float64], start_s: float, end_s: float) ->
     -------
     slice
         ``start`` is the first frame at or after ``start_s``, ``stop`` one more than the last frame at or
-        before ``end_s``. Where no frame lies between them, the one frame nearest to ``end_s`` (the earlier of
-        two equally near) is returned, so that a window always holds a frame of a clip that has any.
+        before ``end_s``; times within :data:`CLOCK_TOLERANCE_S` count as equal. Where no frame lies between
+        them, the one frame nearest to ``end_s`` (the earlier of two equally near) is returned, so that a
+        window always holds a frame of a clip that has any.
     """
-    start = int(np.searchsorted(time_s, start_s, side="left"))
-    stop = int(np.searchsorted(time_s, end_s, side="right"))
+    start = int(np.searchsorted(time_s, start_s - CLOCK_TOLERANCE_S, side="left"))
+    stop = int(np.searchsorted(time_s, end_s + CLOCK_TOLERANCE_S, side="right"))
     if start < stop:
         return slice(start, stop)
     nearest = int(np.argmin(np.abs(time_s - end_s))) if len(time_s) else 0
@@ -92,8 +98,8 @@ def contact_windows(
         First frame of each window, and one more than the last.
     """
     stored = np.arange(time_s.shape[1]) < lengths[:, None]
-    starts = (stored & (time_s < start_s[:, None])).sum(axis=1)
-    stops = (stored & (time_s <= end_s[:, None])).sum(axis=1)
+    starts = (stored & (time_s < start_s[:, None] - CLOCK_TOLERANCE_S)).sum(axis=1)
+    stops = (stored & (time_s <= end_s[:, None] + CLOCK_TOLERANCE_S)).sum(axis=1)
     for touch in np.flatnonzero(starts >= stops).tolist():
         window = contact_window(time_s[touch, : lengths[touch]], start_s[touch], end_s[touch])
         starts[touch], stops[touch] = window.start, window.stop
@@ -174,15 +180,21 @@ def most_changed_frame(
     return best if area[best] >= min_area else None
 
 
-def contact_heights_m(z_m: NDArray[np.floating], recalibrate_z: bool = True) -> NDArray[np.float64]:
+def contact_heights_m(
+    z_m: NDArray[np.floating], recalibrate_z: bool = True, plate_z_m: float = math.nan
+) -> NDArray[np.float64]:
     """Return how high above the plate the gel stopped in each touch of one round.
 
     Parameters
     ----------
     z_m : ndarray, shape (T,)
-        Height of the gel at the deepest press of each touch, metres, cell frame.
+        Height of the gel at the deepest press of each touch, metres, cell frame; not a number where it is
+        not known, and neither is the result then.
     recalibrate_z : bool
         The zero of z drifts by up to 3 mm between rounds: take the deepest touch of the round as the plate.
+    plate_z_m : float
+        Height of the plate in this round, metres, cell frame, where it is known: the deepest touch may have
+        been taken out of the round. Not a number where it is not.
 
     Returns
     -------
@@ -190,7 +202,9 @@ def contact_heights_m(z_m: NDArray[np.floating], recalibrate_z: bool = True) -> 
         Metres.
     """
     heights = np.asarray(z_m, np.float64)
-    return heights - heights.min() if recalibrate_z and len(heights) else heights
+    if not recalibrate_z or not len(heights):
+        return heights
+    return heights - (np.fmin.reduce(heights) if math.isnan(plate_z_m) else plate_z_m)
 
 
 def is_contact(

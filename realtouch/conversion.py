@@ -1,4 +1,4 @@
-"""What all conversions share: the source, its fingerprint, the tasks, and the finished folder.
+"""What all conversions share: the rows, the tasks, and the finished folder.
 
 A conversion is planned from footers and small columns alone; each task reads its own rows, block by block,
 and makes one shard. See :mod:`dataset_store.build` for resuming and byte-identical results.
@@ -6,109 +6,29 @@ and makes one shard. See :mod:`dataset_store.build` for resuming and byte-identi
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from pathlib import Path
+from os import PathLike, fspath
 from typing import Any, Protocol
 
 from dataset_store.build import BuildPlan, Progress, ShardContent, build
 from dataset_store.errors import InputError, IntegrityError, ItemError
 from dataset_store.manifest import Manifest
-from dataset_store.places import splits_of
 from dataset_store.records import Row
 from dataset_store.rowgroups import Shard
 from dataset_store.runner import Runner, runner_for
-from dataset_store.shards import ParquetStyle, ShardName, Skipped
+from dataset_store.shards import ParquetStyle, Receipt, ShardName, Skipped
 from dataset_store.storage import DataFolder
-from realtouch.names import repository_of
-from realtouch.opening import open_shards
 from realtouch.published import with_features
-from realtouch.schema import Kind, class_names, kind_of, require_types
+from realtouch.source import Source, refuse_source
 
-__all__ = ["KIND", "Conversion", "RowChoice", "Source", "Step", "convert", "plan_conversion"]
+__all__ = ["KIND", "Conversion", "RowChoice", "Step", "convert", "plan_conversion"]
 
 KIND = "realtouch"
 
 _SHARD_BYTES = 256 << 20
 _GROUP_BYTES = 32 << 20
 _MOST_ROWS_PER_SHARD = 64
-
-
-@dataclass(frozen=True)
-class Source:
-    """A data set to convert.
-
-    Attributes
-    ----------
-    name : str
-        Folder, file, short name or Hub repository, as the user gave it.
-    shards : mapping of str to tuple of Shard
-        Shards of each split.
-    kind : "seq" or "single"
-        What it holds.
-    """
-
-    name: str
-    shards: Mapping[str, tuple[Shard, ...]]
-    kind: Kind
-
-    @classmethod
-    def open(cls, name: str, revision: str | None = None) -> Source:
-        """Find all splits of a data set and read their footers.
-
-        Raises
-        ------
-        InputError, IntegrityError, HubError
-            As :func:`realtouch.load`.
-        """
-        splits = splits_of(repository_of(name), revision=revision)
-        shards = {split: open_shards(name, split, revision=revision) for split in splits}
-        for shard in (shard for found in shards.values() for shard in found):
-            require_types(shard.schema, shard.path)
-        return cls(name, shards, kind_of(shards[splits[0]][0].schema, name))
-
-    @property
-    def schema(self) -> Any:
-        """Arrow schema of the first shard."""
-        return next(iter(self.shards.values()))[0].schema
-
-    @property
-    def label_names(self) -> tuple[str, ...]:
-        """Name of each class."""
-        return class_names(self.schema)
-
-    def row_bytes(self) -> int:
-        """Return the size of a row unpacked, on average over the data set."""
-        shards = [shard for found in self.shards.values() for shard in found]
-        groups = [
-            shard.metadata.row_group(index)
-            for shard in shards
-            for index in range(shard.metadata.num_row_groups)
-        ]
-        rows = sum(group.num_rows for group in groups)
-        return int(sum(group.total_byte_size for group in groups) // max(rows, 1))
-
-    def fingerprint(self) -> dict[str, list[dict[str, Any]]]:
-        """Return JSON values that identify the rows: names, sizes and footers of the files."""
-        return {split: [_file_fingerprint(shard) for shard in found] for split, found in self.shards.items()}
-
-
-def _file_fingerprint(shard: Shard) -> dict[str, Any]:
-    # The footer holds place and size of every column chunk: other content gives another footer, and reading
-    # 28 GB to plan a conversion would cost minutes.
-    with Path(shard.path).open("rb") as stream:
-        stream.seek(-8, 2)
-        footer_bytes = int.from_bytes(stream.read(4), "little")
-        stream.seek(-8 - footer_bytes, 2)
-        footer = stream.read(footer_bytes)
-    size = Path(shard.path).stat().st_size
-    return {
-        "file": Path(shard.path).name,
-        "rows": len(shard),
-        "bytes": size,
-        "footer_sha256": hashlib.sha256(footer).hexdigest(),
-    }
 
 
 @dataclass(frozen=True, slots=True)
@@ -157,6 +77,8 @@ class Conversion:
         Layout; by the size of the source's rows where None.
     trees : tuple of str
         What the step writes beside the rows; see :class:`dataset_store.plan.BuildPlan`.
+    proves : callable
+        Tells whether what the step wrote there for a finished shard is still whole.
     """
 
     source: Source
@@ -167,6 +89,7 @@ class Conversion:
     rows_per_shard: int | None = None
     rows_per_group: int | None = None
     trees: tuple[str, ...] = ()
+    proves: Callable[[Receipt], bool] = field(default=lambda _: True, repr=False)
 
 
 @dataclass(frozen=True)
@@ -249,7 +172,16 @@ def plan_conversion(conversion: Conversion) -> BuildPlan:
         "source": source.fingerprint(),
     }
     style = ParquetStyle(per_group, compression_level=3, encodings=_plain_media(schema))
-    return BuildPlan(KIND, spec, tuple(source.shards), tuple(tasks), style, trees=conversion.trees)
+    return BuildPlan(
+        KIND,
+        spec,
+        tuple(source.shards),
+        tuple(tasks),
+        style,
+        trees=conversion.trees,
+        proves=conversion.proves,
+        needs_rows=True,
+    )
 
 
 def _plain_media(schema: Any) -> tuple[tuple[str, str], ...]:
@@ -271,7 +203,7 @@ def _split_tasks(
 
 def convert(
     conversion: Conversion,
-    out: str,
+    out: str | PathLike[str],
     *,
     workers: int | Runner = 1,
     overwrite: bool = False,
@@ -281,11 +213,16 @@ def convert(
 
     Raises
     ------
+    InputError
+        The folder to write holds the source, or lies in it; nothing was touched.
+    IntegrityError
+        Every round is damaged; nothing is left behind.
     SpecMismatchError
         The folder holds something made by another specification.
     StorageError
         The folder cannot be written. What was finished stays.
     """
-    folder = DataFolder(out)
+    folder = DataFolder(fspath(out))
+    refuse_source(folder, conversion.source)
     runner = runner_for(workers)
     return build(folder, plan_conversion(conversion), runner, overwrite=overwrite, on_progress=on_progress)

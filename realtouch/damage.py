@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass
 
+from dataset_store.columns import column_names
 from dataset_store.errors import InputError, IntegrityError
 from dataset_store.records import Row
+from dataset_store.rowgroups import Shard
 
-__all__ = ["Damage", "damaged", "missing_column"]
+__all__ = ["Damage", "damaged", "missing_column", "unreadable_file", "unreadable_rows"]
 
 _NEXT = "next: run `realtouch verify` to list everything that is wrong, then download or convert again"
 
@@ -21,7 +24,7 @@ class Damage:
     file : str
         Parquet file.
     row : int or None
-        Row in that file; None when the whole file is meant.
+        Row in that file, the first one where the problem names several; None when the whole file is meant.
     touch : int or None
         Touch of the round; None when the whole round is meant.
     field : str
@@ -62,8 +65,41 @@ def damaged(row: Row, field: str, problem: str, touch: int | None = None) -> Dam
 
 def missing_column(row: Row, field: str) -> InputError:
     """Return the error for a column that was asked for and that the data set does not have."""
-    there = ", ".join(row.group.names)
+    there = ", ".join(_stored_columns(row))
     return InputError(
         f"{row.path!r} has no column {field!r} (it has {there}); next: use a data set that has it, such as "
         "the `seq` or the `single` form of the same touches"
     )
+
+
+def unreadable_file(path: str, error: IntegrityError) -> Damage:
+    """Return the damage of a whole file, from the error that opening it raised."""
+    words = _cause(path, error)
+    named = re.fullmatch(r"field '(?P<field>[^']+)': (?P<problem>.*)", words)
+    if named is None:
+        return Damage(path, None, None, "", words)
+    return Damage(path, None, None, named["field"], named["problem"])
+
+
+def unreadable_rows(shard: Shard, index: int, error: IntegrityError) -> Damage:
+    """Return the damage of a row group, from the error that reading it raised; ``row`` is its first row."""
+    first, stop = shard.group_starts[index], shard.group_starts[index + 1]
+    rows = f"rows {first} to {stop - 1} cannot be read" if stop - first > 1 else "cannot be read"
+    found = _cause(shard.path, error) if error.__cause__ is None else " ".join(str(error.__cause__).split())
+    return Damage(shard.path, first, None, "", f"{rows} ({found}); expected a whole Parquet file")
+
+
+def _cause(path: str, error: IntegrityError) -> str:
+    """Return what an error says, without the file and the next step, which a list names once for all."""
+    words = " ".join(str(error).split()).partition("; next: ")[0]
+    return words.removeprefix(repr(path)).lstrip(",: ")
+
+
+def _stored_columns(row: Row) -> tuple[str, ...]:
+    """Return the columns that the file has, where it can be asked at once; else those that were read."""
+    if "://" in row.path:
+        return row.group.names
+    try:
+        return column_names(Shard(row.path).schema)
+    except IntegrityError:
+        return row.group.names

@@ -9,16 +9,19 @@ from typing import Any, ClassVar, Self, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from dataset_store.errors import InputError, IntegrityError
 from dataset_store.records import RecordDataset, Row
 from dataset_store.rowgroups import RowGroup, Shard, ShardedTable
+from realtouch.agreement import stored_touch_counts
 from realtouch.damage import Damage
-from realtouch.fields import contact_z_m
-from realtouch.nested import nested_column
+from realtouch.fields import known_contact_z_m, touch_contact_z_m
+from realtouch.light import LightGroup, LightRow
 from realtouch.rounds import TouchRound, TouchSeqRound, TouchSingleRound
-from realtouch.schema import MEDIA_COLUMN, Kind, class_names, column_type
+from realtouch.schema import MEDIA_COLUMN, PLATE_COLUMN, Kind, column_type
+from realtouch.stream import TouchStream
 from realtouch.touches import Touches
 
-__all__ = ["TouchDataset", "TouchSeqDataset", "TouchSingleDataset", "TouchStream", "stored_touch_counts"]
+__all__ = ["TouchDataset", "TouchSeqDataset", "TouchSingleDataset", "TouchStream"]
 
 R = TypeVar("R", bound=TouchRound)
 
@@ -30,9 +33,9 @@ class TouchDataset(RecordDataset[R]):
     ----------
     tables, rows, label_names
         As for :class:`dataset_store.records.RecordDataset`.
-    skipped : sequence of (int, Damage)
+    skipped : sequence of (int or None, Damage)
         Damage that was found and is left out, each with the number of its row in the joined tables: rounds by
-        the data set itself, single touches by :meth:`touches`.
+        the data set itself, single touches by :meth:`touches`. None stands for a file left out as a whole.
     """
 
     kind: Kind
@@ -42,7 +45,7 @@ class TouchDataset(RecordDataset[R]):
         tables: Sequence[ShardedTable],
         rows: range | NDArray[np.int64] | None = None,
         label_names: Sequence[str] = (),
-        skipped: Sequence[tuple[int, Damage]] = (),
+        skipped: Sequence[tuple[int | None, Damage]] = (),
     ) -> None:
         super().__init__(tables, rows, label_names)
         self._skipped = tuple(skipped)
@@ -58,13 +61,21 @@ class TouchDataset(RecordDataset[R]):
         Touches found to be damaged on loading with ``on_error="skip"`` are left out.
         """
         view = Touches(self)
-        lost = {(row, damage.touch) for row, damage in self._skipped if damage.touch is not None}
-        return view if not lost else view.without(lost)
+        return view.without(self._lost_touches) if self._lost_touches else view
 
     @cached_property
     def touch_counts(self) -> NDArray[np.int64]:
         """T of each round, shape (len,), int64; reads at most the column of intended positions."""
         return self._joined_counts[self.row_numbers]
+
+    @cached_property
+    def _lost_touches(self) -> frozenset[tuple[int, int]]:
+        """Stored row and number in the round of each touch that was left out."""
+        return frozenset(
+            (row, damage.touch)
+            for row, damage in self._skipped
+            if row is not None and damage.touch is not None
+        )
 
     @property
     def row_numbers(self) -> NDArray[np.int64]:
@@ -72,20 +83,65 @@ class TouchDataset(RecordDataset[R]):
         return np.asarray(self._rows, np.int64)
 
     def contact_z_m(self) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
-        """Read the height of the gel at the deepest press of every stored touch; opens no image or clip.
+        """Read the height of the gel at the deepest press of every stored touch.
+
+        Opens no image or clip, but where a set states no lengths of padded clips: those are counted then.
 
         Returns
         -------
         z_m : ndarray, shape (touches of all stored rows,), float64
-            Metres, cell frame, not recalibrated.
+            Metres, cell frame, not recalibrated. Not a number for touches that were left out on loading, and
+            in rows that are not in this view, where it cannot be read.
         starts : ndarray of int64, shape (stored rows + 1,)
             Where the touches of each stored row begin in ``z_m``.
+
+        Raises
+        ------
+        IntegrityError
+            The height of a touch of this view cannot be read; names file, row and touch.
         """
+        z_m, starts = self.known_contact_z_m()
+        unknown = np.flatnonzero(np.isnan(z_m))
+        rows = np.searchsorted(starts, unknown, side="right") - 1
+        left_out = self._lost_touches
+        for row, touch in zip(rows.tolist(), (unknown - starts[rows]).tolist(), strict=True):
+            for position in np.flatnonzero(self.row_numbers == row)[:1].tolist():
+                if (row, touch) not in left_out:
+                    touch_contact_z_m(self[position]._row, self.kind, touch)
+        return z_m, starts
+
+    def known_contact_z_m(self) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+        """Return what :meth:`contact_z_m` does; not a number wherever a height cannot be read."""
         suffix = "gel_pose_cell_frame" if self.kind == "single" else "gel_pose_cell_frame_seq"
         columns = ["pos_in_cell", "video_length_frames", f"{suffix}.position"]
         compute = partial(_contact_z_m, self.kind)
-        parts = [table.derive("contact z", columns, compute) for table in self._tables]
-        return np.concatenate(parts or [np.zeros(0)]), np.concatenate([[0], np.cumsum(self._joined_counts)])
+        try:
+            parts = [table.derive("contact z", columns, compute) for table in self._tables]
+        except InputError:
+            if any(column_type(table.schema, columns[-1]) is None for table in self._tables):
+                raise
+            # Without stated lengths only clips tell padding from frames; without positions, pictures tell T.
+            columns.append(MEDIA_COLUMN[self.kind])
+            parts = [table.derive("contact z", columns, compute) for table in self._tables]
+        z_m, starts = (
+            np.concatenate(parts or [np.zeros(0)]),
+            np.concatenate([[0], np.cumsum(self._joined_counts)]),
+        )
+        if len(z_m) != starts[-1]:
+            message = (
+                f"{len(z_m):,} poses of touches for {starts[-1]:,} touches; expected one each; next: run "
+                "`realtouch verify`, which names the rounds"
+            )
+            raise IntegrityError(message)
+        return z_m, starts
+
+    def plates_z_m(self) -> NDArray[np.float64]:
+        """Read the stored height of the plate of every stored row, shape (stored rows,), metres, cell frame.
+
+        Not a number where none is stored, as in the published sets: the deepest touch shows it there.
+        """
+        parts = [_plates_z_m(shard) for table in self._tables for shard in table.shards]
+        return np.concatenate(parts or [np.zeros(0)])
 
     def light_rounds(self) -> Iterator[tuple[int, R]]:
         """Yield stored row number and round, row by row, without opening images or clips until asked for."""
@@ -96,21 +152,23 @@ class TouchDataset(RecordDataset[R]):
             columns = [name for name in shard.schema.names if name != media]
             for index in range(shard.metadata.num_row_groups):
                 for block, group in enumerate(shard.blocks(index, columns)):
-                    light = _LightGroup(group, shard, index, block)
+                    light = LightGroup(group, shard, index, block)
                     for row in range(len(group.table)):
                         if number + row in wanted:
-                            yield number + row, self._make(Row(light, row))
+                            yield number + row, self._make(LightRow(light, row))
                     number += len(group.table)
 
     @cached_property
     def _joined_counts(self) -> NDArray[np.int64]:
-        parts = [stored_touch_counts(table, MEDIA_COLUMN[self.kind]) for table in self._tables]
+        parts = [_touch_counts(table) for table in self._tables]
         return np.concatenate(parts or [np.zeros(0, np.int64)])
 
     def __add__(self, other: Self) -> Self:
+        if type(other) is not type(self):
+            return NotImplemented
         joined = super().__add__(other)
         offset = int(self._starts[-1])
-        moved = [(row + offset, damage) for row, damage in other._skipped]
+        moved = [(None if row is None else row + offset, damage) for row, damage in other._skipped]
         return type(self)(joined._tables, joined._rows, self._label_names, (*self._skipped, *moved))
 
     def _view(self, tables: Sequence[ShardedTable], rows: range | NDArray[np.int64]) -> Self:
@@ -131,108 +189,19 @@ class TouchSeqDataset(TouchDataset[TouchSeqRound]):
     kind = "seq"
 
 
-class TouchStream:
-    """Rounds one after another, read from their address piece by piece; nothing is stored locally.
-
-    Parameters
-    ----------
-    shards : tuple of Shard
-        Shards to read in turn.
-    kind : "seq" or "single"
-        What they hold.
-    skip_damage : bool
-        Check each round before it is given: leave out damaged rounds, and damaged touches of the others.
-
-    Attributes
-    ----------
-    skipped : list of Damage
-        What was left out so far.
-    """
-
-    def __init__(self, shards: tuple[Shard, ...], kind: Kind, *, skip_damage: bool = False) -> None:
-        self.shards = shards
-        self.kind = kind
-        self.skip_damage = skip_damage
-        self.skipped: list[Damage] = []
-
-    @property
-    def label_names(self) -> tuple[str, ...]:
-        """Name of each class."""
-        return class_names(self.shards[0].schema)
-
-    def part(self, index: int, count: int) -> TouchStream:
-        """Return every ``count``-th shard from ``index`` on, for workers that share the work."""
-        return TouchStream(self.shards[index::count], self.kind, skip_damage=self.skip_damage)
-
-    def __iter__(self) -> Iterator[TouchRound]:
-        """Yield rounds; a bounded block of rows is in memory at a time."""
-        home = TouchSingleRound if self.kind == "single" else TouchSeqRound
-        for shard in self.shards:
-            for index in range(shard.metadata.num_row_groups):
-                for group in shard.blocks(index):
-                    for row in range(len(group.table)):
-                        yield from self._whole(home(Row(group, row)))
-
-    def _whole(self, record: TouchRound) -> Iterator[TouchRound]:
-        """Yield a round, or what is whole of it."""
-        if not self.skip_damage:
-            yield record
-            return
-        from realtouch.checks import check_round
-
-        found = check_round(record._row)
-        self.skipped += found
-        lost = {damage.touch for damage in found}
-        if None not in lost:
-            kept = [touch for touch in range(record.touch_count) if touch not in lost]
-            yield record.with_touches(kept) if lost else record
-
-    def __repr__(self) -> str:
-        return f"TouchStream({self.kind}, {len(self.shards)} shards)"
+def _touch_counts(table: ShardedTable) -> NDArray[np.int64]:
+    return table.per_shard(
+        "touches",
+        lambda shard: [stored_touch_counts(shard, each) for each in range(shard.metadata.num_row_groups)],
+    )
 
 
-class _LightGroup(RowGroup):
-    """Rows without their images or clips, which are opened when somebody asks after all."""
-
-    def __init__(self, group: RowGroup, shard: Shard, index: int, block: int) -> None:
-        super().__init__(group.table, group.path, group.first_row)
-        object.__setattr__(self, "_home", (shard, index, block))
-
-    @cached_property
-    def names(self) -> tuple[str, ...]:
-        """Columns by dotted name, those not read yet included."""
-        from dataset_store.columns import column_names
-
-        return column_names(self._home[0].schema)  # type: ignore[attr-defined]
-
-    def arrow(self, name: str) -> Any:
-        """Return a column, opening the whole rows where it was left out."""
-        try:
-            return super().arrow(name)
-        except KeyError:
-            shard, index, block = self._home  # type: ignore[attr-defined]
-            return shard.block(index, block).arrow(name)
-
-
-def stored_touch_counts(table: ShardedTable, media: str) -> NDArray[np.int64]:
-    """Return T of every row of a table, shape (rows,); reads nothing where the schema fixes it."""
-    parts = []
-    for shard in table.shards:
-        name = "pos_in_cell" if column_type(shard.schema, "pos_in_cell") is not None else media
-        parts.append(_shard_counts(shard, name))
-    return np.concatenate(parts) if parts else np.zeros(0, np.int64)
-
-
-def _shard_counts(shard: Shard, name: str) -> NDArray[np.int64]:
-    import pyarrow as pa
-
-    data_type = column_type(shard.schema, name)
-    if pa.types.is_fixed_size_list(data_type):
-        return np.full(len(shard), data_type.list_size, np.int64)
-    alone = ShardedTable((shard,))
-    return alone.derive(f"touches by {name}", [name], lambda group: nested_column(group, name).lengths(0))
+def _plates_z_m(shard: Shard) -> NDArray[np.float64]:
+    if column_type(shard.schema, PLATE_COLUMN) is None:
+        return np.full(len(shard), np.nan)
+    return np.asarray(ShardedTable((shard,)).column(PLATE_COLUMN), np.float64)
 
 
 def _contact_z_m(kind: Kind, group: RowGroup) -> NDArray[np.float64]:
-    rows = [contact_z_m(Row(group, index), kind) for index in range(len(group.table))]
+    rows = [known_contact_z_m(Row(group, index), kind) for index in range(len(group.table))]
     return np.concatenate(rows) if rows else np.zeros(0)

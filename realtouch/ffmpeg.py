@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from realtouch.avi import MAX_CLIP_FRAMES
-from realtouch.jpeg import MAX_IMAGE_PIXELS, Pixels, decode_image
+from realtouch.jpeg import MAX_BATCH_PIXELS, MAX_IMAGE_PIXELS, Pixels, decode_image
 
 __all__ = ["ffmpeg_count", "ffmpeg_fps", "ffmpeg_frames", "ffmpeg_size"]
 
@@ -25,13 +25,20 @@ def _open_video(data: memoryview) -> Any:
         start = bytes(data[:8]).hex(" ")
         message = f"{len(data):,} bytes that begin with {start}; expected an AVI with MJPEG frames ({error})"
         raise ValueError(message) from error
-    if stream.width * stream.height > MAX_IMAGE_PIXELS:
+    problem = _unreadable(stream)
+    if problem:
         container.close()
-        message = (
-            f"a clip of {stream.width} x {stream.height} pixels; the limit is {MAX_IMAGE_PIXELS:,} pixels"
-        )
-        raise ValueError(message)
+        raise ValueError(problem)
     return container
+
+
+def _unreadable(stream: Any) -> str:
+    """Say why a stream is not decoded; empty for one that is."""
+    if stream.codec_context is None:  # then it has no size either
+        return "a clip of a codec that FFmpeg does not know; expected an AVI with MJPEG frames"
+    if stream.width * stream.height > MAX_IMAGE_PIXELS:
+        return f"a clip of {stream.width} x {stream.height} pixels; the limit is {MAX_IMAGE_PIXELS:,} pixels"
+    return ""
 
 
 def ffmpeg_frames(data: memoryview, wanted: Sequence[int], count: int) -> Pixels:
@@ -55,19 +62,30 @@ def ffmpeg_frames(data: memoryview, wanted: Sequence[int], count: int) -> Pixels
     ValueError
         A frame is missing or damaged, or the clip cannot be read or exceeds the limits.
     """
+    if not len(wanted):
+        return np.empty((0, *ffmpeg_size(data), 3), np.uint8)
     found: dict[int, Pixels] = {}
-    chosen = set(wanted)
+    chosen, left = set(wanted), MAX_BATCH_PIXELS
     with _open_video(data) as container:
         for number, frame in _checked_frames(container, chosen):
-            if number in chosen:
-                found[number] = frame.to_ndarray(format="rgb24")
+            if number not in chosen:
+                continue
+            left -= frame.width * frame.height
+            if left < 0:
+                raise ValueError(_too_many(len(chosen), frame))
+            found[number] = frame.to_ndarray(format="rgb24")
             if len(found) == len(chosen):
                 break
     missing = [number for number in wanted if number not in found]
     if missing:
         message = f"a clip that ends before frame {missing[0]}; expected {count} frames"
         raise ValueError(message)
-    return np.stack([found[number] for number in wanted]) if len(wanted) else _no_frames(data)
+    return np.stack([found[number] for number in wanted])
+
+
+def _too_many(count: int, frame: Any) -> str:
+    size = f"{frame.width} x {frame.height}"
+    return f"{count:,} frames of {size} pixels at once; the limit is {MAX_BATCH_PIXELS:,} pixels"
 
 
 def _checked_frames(container: Any, chosen: set[int]) -> Iterator[tuple[int, Any]]:
@@ -103,10 +121,6 @@ def _undamaged(frame: Any, number: int) -> Any:
         message = f"frame {number} is damaged"
         raise ValueError(message)
     return frame
-
-
-def _no_frames(data: memoryview) -> Pixels:
-    return np.empty((0, *ffmpeg_size(data), 3), np.uint8)
 
 
 def ffmpeg_size(data: memoryview) -> tuple[int, int]:

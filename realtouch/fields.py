@@ -6,11 +6,14 @@ and times where they come from, in :mod:`realtouch.touch_columns` and :mod:`real
 
 from __future__ import annotations
 
-from typing import Any
+import math
+from contextlib import suppress
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from dataset_store.errors import IntegrityError
 from dataset_store.records import Row
 from realtouch.damage import damaged
 from realtouch.frame_columns import (
@@ -25,9 +28,21 @@ from realtouch.frame_columns import (
     touch_durations,
     touch_times,
 )
-from realtouch.poses import Poses, PoseSequences, bad_pose
-from realtouch.schema import Kind
-from realtouch.touch_columns import column_of, media_count, per_touch, touch_count, touch_total, vectors
+from realtouch.poses import Poses, PoseSequences, bad_pose, rigid_transform
+from realtouch.schema import PLATE_COLUMN, Kind
+from realtouch.touch_columns import (
+    column_of,
+    media_count,
+    per_touch,
+    require_count,
+    touch_count,
+    touch_total,
+    vector_of,
+    vectors,
+)
+
+if TYPE_CHECKING:
+    from realtouch.pose import Pose
 
 __all__ = [
     "clip_length",
@@ -37,16 +52,21 @@ __all__ = [
     "column_of",
     "contact_z_m",
     "frame_times",
+    "known_contact_z_m",
     "media_count",
     "padded_times",
     "per_touch",
+    "plate_z_m",
     "pose_sequences",
     "poses",
     "times_of_touches",
+    "touch_contact_z_m",
     "touch_count",
     "touch_durations",
+    "touch_pose",
     "touch_times",
     "touch_total",
+    "vector_of",
     "vectors",
 ]
 
@@ -65,6 +85,22 @@ def poses(row: Row) -> Poses:
     positions, quaternions = vectors(row, f"{_POSE}.position", 3), vectors(row, f"{_POSE}.quaternion", 4)
     _require_poses(row, _POSE, positions, quaternions)
     return Poses(positions, quaternions)
+
+
+def touch_pose(row: Row, touch: int) -> Pose:
+    """Return the pose of the gel in one touch of a ``single`` round; looks at no other touch.
+
+    Raises
+    ------
+    IntegrityError
+        As :func:`poses`, of this touch.
+    """
+    position = vector_of(row, f"{_POSE}.position", touch, 3)
+    quaternion = vector_of(row, f"{_POSE}.quaternion", touch, 4)
+    wrong = bad_pose(position[None], quaternion[None])
+    if wrong is not None:
+        raise damaged(row, _POSE, wrong[1], touch)
+    return rigid_transform(position, quaternion)
 
 
 def pose_sequences(row: Row) -> PoseSequences:
@@ -91,7 +127,7 @@ def clip_poses(row: Row, touch: int) -> Poses:
     """Return the poses of one touch of a ``seq`` round, N_i poses; see :func:`pose_sequences`."""
     length = clip_length(row, touch)
     parts = [
-        cut_touch(row, f"{_POSE_SEQUENCE}.{part}", touch, length, width)
+        _frames_of(row, f"{_POSE_SEQUENCE}.{part}", touch, length, width)
         for part, width in (("position", 3), ("quaternion", 4))
     ]
     _require_poses(row, _POSE_SEQUENCE, parts[0], parts[1], touch)
@@ -121,8 +157,49 @@ def contact_z_m(row: Row, kind: Kind) -> NDArray[np.float64]:
         heights = vectors(row, name, 3)[:, 2].astype(np.float64)
     wrong = np.flatnonzero(~np.isfinite(heights))
     if len(wrong):
-        raise damaged(row, name, f"a gel height of {heights[wrong[0]]}; expected metres", int(wrong[0]))
+        raise _no_height(row, name, int(wrong[0]), float(heights[wrong[0]]))
     return heights
+
+
+def plate_z_m(row: Row) -> float:
+    """Return the stored height of the plate in a round, metres, cell frame; not a number without one."""
+    stored = row.value(PLATE_COLUMN) if row.has(PLATE_COLUMN) else None
+    return math.nan if stored is None else float(stored)
+
+
+def touch_contact_z_m(row: Row, kind: Kind, touch: int) -> float:
+    """Return what :func:`contact_z_m` says of one touch, looking at no other."""
+    if kind == "seq":
+        name = f"{_POSE_SEQUENCE}.position"
+        frames = _frames_of(row, name, touch, clip_length(row, touch), 3)
+        height = float(frames[:, 2].min(initial=np.inf))
+    else:
+        name = f"{_POSE}.position"
+        height = float(vector_of(row, name, touch, 3)[2])
+    if not np.isfinite(height):
+        raise _no_height(row, name, touch, height)
+    return height
+
+
+def known_contact_z_m(row: Row, kind: Kind) -> NDArray[np.float64]:
+    """Return what :func:`contact_z_m` says of each touch; not a number where it cannot be read."""
+    try:
+        return contact_z_m(row, kind)
+    except IntegrityError:
+        heights = np.full(touch_total(row), np.nan)
+    for touch in range(len(heights)):
+        with suppress(IntegrityError):
+            heights[touch] = touch_contact_z_m(row, kind, touch)
+    return heights
+
+
+def _frames_of(row: Row, name: str, touch: int, length: int | None, width: int) -> NDArray[Any]:
+    require_count(row, name, touch_count(row, name))  # else the next row would be read for what is lacking
+    return cut_touch(row, name, touch, length, width)
+
+
+def _no_height(row: Row, name: str, touch: int, height: float) -> IntegrityError:
+    return damaged(row, name, f"a gel height of {height}; expected metres", touch)
 
 
 def _require_poses(

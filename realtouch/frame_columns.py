@@ -1,6 +1,7 @@
 """Columns of a stored ``seq`` round with one entry per frame, cut to the lengths of the clips.
 
-T is the number of touches of the round, N_i the number of frames of touch i.
+T is the number of touches of the round, N_i the number of frames of touch i: the stated length of its clip.
+Where a data set states none, sequences of one length for all touches may be padded; the clips tell then.
 """
 
 from __future__ import annotations
@@ -13,9 +14,10 @@ from numpy.typing import NDArray
 
 from dataset_store.records import Row
 from realtouch.avi import MAX_CLIP_FRAMES
-from realtouch.damage import damaged
+from realtouch.damage import damaged, missing_column
 from realtouch.durations import as_seconds, as_timedelta
 from realtouch.nested import NestedColumn
+from realtouch.stored_clips import counted_frames
 from realtouch.touch_columns import column_of, per_touch, require_count, value_of
 
 __all__ = [
@@ -30,6 +32,9 @@ __all__ = [
     "touch_durations",
     "touch_times",
 ]
+
+
+_TOUCH_TIMES = ("touch_start_time_rel", "touch_end_time_rel")
 
 
 def clip_lengths(row: Row) -> NDArray[np.int64] | None:
@@ -119,8 +124,17 @@ def padded_times(row: Row) -> tuple[NDArray[np.float64], NDArray[np.int64]] | No
 
 
 def touch_durations(row: Row, name: str) -> NDArray[np.timedelta64]:
-    """Return one time per touch, shape (T,), ``timedelta64``."""
-    return as_timedelta(per_touch(row, name))
+    """Return one time per touch, shape (T,), ``timedelta64``.
+
+    Raises
+    ------
+    IntegrityError
+        A time is missing; names the touch.
+    """
+    times = as_timedelta(per_touch(row, name))
+    for touch in np.flatnonzero(np.isnat(times)).tolist():
+        raise _no_time(row, name, touch)
+    return times
 
 
 def touch_times(row: Row, touch: int) -> tuple[float, float]:
@@ -131,10 +145,7 @@ def touch_times(row: Row, touch: int) -> tuple[float, float]:
     IntegrityError
         A time is missing, or the end lies before the start.
     """
-    start_s, end_s = (
-        float(as_seconds(value_of(row, name, touch)))
-        for name in ("touch_start_time_rel", "touch_end_time_rel")
-    )
+    start_s, end_s = (_touch_time(row, name, touch) for name in _TOUCH_TIMES)
     if not start_s <= end_s:
         raise _reversed(row, touch, start_s, end_s)
     return start_s, end_s
@@ -148,12 +159,21 @@ def times_of_touches(row: Row) -> tuple[NDArray[np.float64], NDArray[np.float64]
     IntegrityError
         As :func:`touch_times`.
     """
-    start_s, end_s = (
-        as_seconds(per_touch(row, name)) for name in ("touch_start_time_rel", "touch_end_time_rel")
-    )
+    start_s, end_s = (as_seconds(per_touch(row, name)) for name in _TOUCH_TIMES)
     for touch in np.flatnonzero(~(start_s <= end_s)).tolist():
-        raise _reversed(row, touch, float(start_s[touch]), float(end_s[touch]))
+        touch_times(row, touch)  # says what is wrong; a comparison with what is not a number is false too
     return start_s, end_s
+
+
+def _touch_time(row: Row, name: str, touch: int) -> float:
+    time_s = float(as_seconds(value_of(row, name, touch)))
+    if math.isnan(time_s):
+        raise _no_time(row, name, touch)
+    return time_s
+
+
+def _no_time(row: Row, name: str, touch: int) -> Exception:
+    return damaged(row, name, "no time is stored; expected a duration or float seconds", touch)
 
 
 def _unordered(row: Row, touch: int) -> Exception:
@@ -186,11 +206,15 @@ def cut(row: Row, name: str, width: int) -> tuple[NDArray[Any], ...]:
     ------
     IntegrityError
         There are not T sequences, or one is too short.
+    InputError
+        As :func:`cut_touch`.
     """
     column = column_of(row, name)
     lengths = clip_lengths(row)
     first, last = column.inside(0, row.index, row.index + 1)
     require_count(row, name, last - first)
+    if lengths is None and _same_length(column, first, last):
+        lengths = np.array([_length_by_clip(row, touch) for touch in range(last - first)], np.int64)
     padded = _padded(column, first, last, width)
     if padded is not None and lengths is not None and padded.shape[1] >= lengths.max(initial=0):
         return tuple(map(_head, padded, lengths.tolist()))
@@ -201,16 +225,21 @@ def cut(row: Row, name: str, width: int) -> tuple[NDArray[Any], ...]:
 
 
 def cut_touch(row: Row, name: str, touch: int, length: int | None, width: int) -> NDArray[Any]:
-    """Return the sequence of one touch: ``length`` entries, or all that are stored; see :func:`cut`.
+    """Return the sequence of one touch: ``length`` entries, or as many as its clip has; see :func:`cut`.
 
     Raises
     ------
     IntegrityError
         Fewer are stored, or they are not ``width`` values each.
+    InputError
+        Nothing tells padding from frames: neither a stated length nor the clip is there.
     """
     column = column_of(row, name)
-    first = column.inside(0, row.index, row.index + 1)[0] + touch
+    all_of_round = column.inside(0, row.index, row.index + 1)
+    first = all_of_round[0] + touch
     start, stop = column.inside(1, first, first + 1)
+    if length is None and _same_length(column, *all_of_round):
+        length = _length_by_clip(row, touch)
     wanted = stop - start if length is None else length
     if wanted > stop - start:
         raise damaged(row, name, f"{stop - start} frames; expected at least {wanted}", touch)
@@ -221,6 +250,14 @@ def cut_touch(row: Row, name: str, touch: int, length: int | None, width: int) -
     return values.reshape(wanted, width) if width else values
 
 
+def _length_by_clip(row: Row, touch: int) -> int:
+    """Count the frames of a clip, in a data set that states no lengths."""
+    try:
+        return counted_frames(row, touch)
+    except KeyError as error:
+        raise missing_column(row, "video_length_frames") from error
+
+
 def _head(values: NDArray[Any], length: int) -> NDArray[Any]:
     return values[:length]
 
@@ -229,13 +266,20 @@ def _padded(column: NestedColumn, first: int, last: int, width: int) -> NDArray[
     """View all touches as one array (T, N, width), where they all have N frames of ``width`` values."""
     touches = last - first
     start, stop = column.inside(1, first, last)
-    frames, rest = divmod(stop - start, max(touches, 1))
+    frames = (stop - start) // max(touches, 1)
     flat = column.flat(1, first, last)
-    starts = column.levels[1]
-    even = isinstance(starts, int) or bool((np.diff(starts[first : last + 1]) == frames).all())
-    if rest or not even or len(flat) != touches * frames * max(width, 1):
+    if not _same_length(column, first, last) or len(flat) != touches * frames * max(width, 1):
         return None
     return flat.reshape((touches, frames, width) if width else (touches, frames))
+
+
+def _same_length(column: NestedColumn, first: int, last: int) -> bool:
+    """Tell whether all touches have equally many entries, so that some may be padding."""
+    starts = column.levels[1]
+    if isinstance(starts, int):
+        return True
+    lengths = np.diff(starts[first : last + 1])
+    return bool((lengths == lengths[:1]).all())
 
 
 def _impossible_length(row: Row, touch: int, length: Any) -> Exception:

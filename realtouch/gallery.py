@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
@@ -19,6 +20,7 @@ from realtouch.dataset import TouchDataset
 from realtouch.gallery_films import film_of, sheet_of
 from realtouch.names import repository_of
 from realtouch.opening import load
+from realtouch.round_info import has_info
 from realtouch.rounds import TouchRound, TouchSeqRound
 from realtouch.touches import Touch
 
@@ -50,9 +52,12 @@ class RoundChoice(Choice):
     ----------
     touches : int
         At most so many touches of each round, evenly spaced.
+    revision : str or None
+        Branch, tag or commit of a Hub repository.
     """
 
     touches: int = DEFAULT_TOUCHES
+    revision: str | None = None
 
     def __post_init__(self) -> None:
         """Refuse a gallery of rounds without touches."""
@@ -104,8 +109,8 @@ def plan_gallery(choice: RoundChoice) -> Gallery:
         The repository cannot be reached or does not exist.
     """
     tasks, splits = [], {}
-    for split in splits_to_show(repository_of(choice.name), choice.split):
-        dataset = load(choice.name, split)
+    for split in splits_to_show(repository_of(choice.name), choice.split, choice.revision):
+        dataset = load(choice.name, split, revision=choice.revision)
         rows = chosen_rows(dataset.labels, choice.limit, choice.per_class)
         splits[split] = len(rows)
         shown = dataset[rows]
@@ -157,13 +162,13 @@ def _item(
             "label": (label,),
             "split": (split,),
             "contact": (_share(met),),
-            "gel": (_gel(record.info),),
+            "gel": (_gel(_info(record)),),
             "object": (str(record.object_id),),
         },
         measures={
             "touches": count,
             "in_contact": None if met is None else int(met.sum()),
-            "highest_mm": None if heights_m is None else float(heights_m.max()) * MM_PER_M,
+            "highest_mm": None if heights_m is None else _millimetres(float(np.fmax.reduce(heights_m))),
         },
         thumbnail=thumbnail(_cover(touches, heights_m)),
         content={
@@ -175,20 +180,27 @@ def _item(
 
 
 def _touch_entry(touch: Touch, heights_m: NDArray[np.float64] | None) -> dict[str, Any]:
-    height_m = None if heights_m is None else float(heights_m[touch.touch_index])
+    height_m = math.nan if heights_m is None else float(heights_m[touch.touch_index])
+    height_mm = _millimetres(height_m)
     return {
         "number": touch.touch_index,
-        "contact": None if height_m is None else height_m >= MIN_CONTACT_HEIGHT_M,
-        "height_mm": None if height_m is None else round(height_m * MM_PER_M, 2),
+        "contact": None if height_mm is None else height_m >= MIN_CONTACT_HEIGHT_M,
+        "height_mm": None if height_mm is None else round(height_mm, 2),
         "film": None,
     }
+
+
+def _millimetres(height_m: float) -> float | None:
+    """Return a height for the page; None where it is not known, as of a touch with a damaged pose."""
+    return None if math.isnan(height_m) else height_m * MM_PER_M
 
 
 def _cover(touches: list[Touch], heights_m: NDArray[np.float64] | None) -> NDArray[np.uint8]:
     """Choose the picture of a round: its highest touch, which shows the object best; else its first."""
     if heights_m is None:
         return touches[0].image
-    return max(touches, key=lambda touch: heights_m[touch.touch_index]).image
+    known = np.nan_to_num(heights_m, nan=-np.inf)
+    return max(touches, key=lambda touch: known[touch.touch_index]).image
 
 
 def _share(met: NDArray[np.bool_] | None) -> str:
@@ -199,6 +211,11 @@ def _share(met: NDArray[np.bool_] | None) -> str:
     return "more than half" if met.mean() > 0.5 else "half or fewer"
 
 
+def _info(record: TouchRound) -> Mapping[str, Any]:
+    """Return the metadata of a round; nothing where the data set stores none."""
+    return record.info if has_info(record._row) else {}
+
+
 def _gel(info: Mapping[str, Any]) -> str:
     gel = info.get("gel_id")
     return "unknown" if gel is None else str(gel)
@@ -207,5 +224,5 @@ def _gel(info: Mapping[str, Any]) -> str:
 def _notes(record: TouchRound, shown: int) -> list[tuple[str, str]]:
     """Say how many touches are shown, and what is stored about the round in plain words."""
     notes = [("Touches shown", f"{shown} of {record.touch_count}")]
-    words = record.info.get("notes")
+    words = _info(record).get("notes")
     return [*notes, ("Notes", str(words))] if words else notes

@@ -12,7 +12,7 @@ import numpy as np
 
 from dataset_store.records import Row
 from realtouch.damage import damaged
-from realtouch.jpeg import Pixels, decode_image, image_size
+from realtouch.jpeg import Pixels, decode_image, image_size, room_for
 from realtouch.nested import BytesColumn, nested_column
 
 __all__ = ["SensorImages", "in_parallel", "positions_of"]
@@ -73,17 +73,41 @@ class SensorImages(Sequence[Pixels]):
         threads : int
             How many to decode at a time.
         out : ndarray, shape (n, H, W, 3), uint8, optional
-            Where to put them, to spare the memory of a new array per batch.
+            Where to put them, to spare the memory of a new array per batch; each image C-contiguous.
 
         Returns
         -------
         ndarray, shape (n, H, W, 3), uint8
+
+        Raises
+        ------
+        InputError
+            ``out`` is no such array.
+        IntegrityError
+            As for indexing; or the images exceed :data:`realtouch.jpeg.MAX_BATCH_PIXELS`.
         """
         touches = positions_of(index, self._count)
-        pixels = self._room(touches) if out is None else out
-
-        in_parallel(lambda place: self._decode(touches[place], pixels[place]), len(touches), threads)
+        pixels = self.room(touches, out)
+        self.decode_into(pixels, touches, threads=threads)
         return pixels
+
+    def room(self, touches: Sequence[int], out: Pixels | None = None) -> Pixels:
+        """Return an array for some images, shape (n, H, W, 3), uint8: a new one, or ``out`` if it fits.
+
+        Raises
+        ------
+        InputError
+            ``out`` is no array for images of that number and size.
+        IntegrityError
+            The first image is damaged, or all of them exceed the limits.
+        """
+        first = touches[0] if len(touches) else 0
+        size = self.size(first) if self._count else (0, 0)
+        return self._named(first, lambda: room_for(len(touches), size, out))
+
+    def decode_into(self, out: Pixels, touches: Sequence[int], *, threads: int = 1) -> None:
+        """Decode several images into an array that :meth:`room` has found to fit."""
+        in_parallel(lambda place: self._decode(touches[place], out[place]), len(touches), threads)
 
     def encoded(self, touch: int) -> memoryview:
         """Return the stored bytes of one image, without a copy.
@@ -102,10 +126,6 @@ class SensorImages(Sequence[Pixels]):
     def size(self, touch: int = 0) -> tuple[int, int]:
         """Return height and width of one image from its header."""
         return self._named(touch, lambda: image_size(self.encoded(touch)))
-
-    def _room(self, touches: Sequence[int]) -> Pixels:
-        height, width = self.size(touches[0]) if len(touches) else (0, 0)
-        return np.empty((len(touches), height, width, 3), np.uint8)
 
     def _decode(self, touch: int, out: Pixels | None = None) -> Pixels:
         return self._named(touch, lambda: decode_image(self.encoded(touch), out))

@@ -13,13 +13,17 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from dataset_store.errors import InputError
+
 __all__ = [
+    "MAX_BATCH_PIXELS",
     "MAX_IMAGE_BYTES",
     "MAX_IMAGE_PIXELS",
     "Pixels",
     "decode_image",
     "encode_image",
     "image_size",
+    "room_for",
 ]
 
 MAX_IMAGE_PIXELS = 1 << 24
@@ -27,6 +31,9 @@ MAX_IMAGE_PIXELS = 1 << 24
 
 MAX_IMAGE_BYTES = 1 << 26
 """Largest encoded image that is looked at."""
+
+MAX_BATCH_PIXELS = 1 << 31
+"""Most pixels that are decoded into one new array (6 GiB): every frame of 256 clips of 90 frames fits."""
 
 _JPEG_START = b"\xff\xd8\xff"
 _OTHER_FORMATS = ("PNG", "WEBP")
@@ -82,6 +89,61 @@ def image_size(data: memoryview | bytes) -> tuple[int, int]:
         message = f"an image of {width} x {height} pixels; the limit is {MAX_IMAGE_PIXELS:,} pixels"
         raise ValueError(message)
     return height, width
+
+
+def room_for(count: int, size: tuple[int, int], out: Pixels | None = None) -> Pixels:
+    """Return an array for several images of one size: a new one, or the one given when it fits.
+
+    Parameters
+    ----------
+    count : int
+        How many images.
+    size : tuple of int
+        Their height and width, pixels.
+    out : ndarray, shape (n, H, W, 3), uint8, optional
+        Array of the caller's; n may be larger than ``count``.
+
+    Returns
+    -------
+    ndarray, shape (n, H, W, 3), uint8
+
+    Raises
+    ------
+    ValueError
+        There is no ``out``, and the images have more than :data:`MAX_BATCH_PIXELS` pixels.
+    InputError
+        ``out`` cannot take them.
+    """
+    height, width = size
+    if out is not None:
+        if count:
+            _require_room(out, (count, height, width, 3))
+        return out
+    if count * height * width > MAX_BATCH_PIXELS:
+        message = (
+            f"{count:,} images of {width} x {height} pixels at once; the limit is {MAX_BATCH_PIXELS:,} pixels"
+        )
+        raise ValueError(message)
+    return np.empty((count, height, width, 3), np.uint8)
+
+
+def _require_room(out: object, shape: tuple[int, int, int, int]) -> None:
+    """Refuse what would be filled with garbage, or what the decoder cannot write to."""
+    found = type(out).__name__
+    if isinstance(out, np.ndarray):
+        fits = out.dtype == np.uint8 and len(out.shape) == 4
+        fits = fits and out.shape[0] >= shape[0] and out.shape[1:] == shape[1:]
+        # The images may lie apart; the pixels of each must not.
+        if fits and out[0].flags.c_contiguous and out.flags.writeable:
+            return
+        words = [] if out.flags.c_contiguous else ["not contiguous"]
+        words += [] if out.flags.writeable else ["read-only"]
+        found = ", ".join([f"{out.dtype} of shape {out.shape}", *words])
+    message = (
+        f"out is {found}; expected a writable array of uint8 and shape {shape} with C-contiguous images; "
+        f"next: make one with numpy.empty({shape}, numpy.uint8), or leave out away"
+    )
+    raise InputError(message)
 
 
 def encode_image(pixels: Pixels, kind: Literal["jpeg", "png"] = "jpeg", quality: int = 95) -> bytes:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataset_store.hub.published import published_set, published_sets
+from dataset_store.hub.published import place_of, published_sets
 
 __all__ = ["SHORT_NAMES", "repository_of"]
 
@@ -13,6 +13,8 @@ SHORT_NAMES = {entry.name: entry.repo_id.partition("/")[2] for entry in publishe
 
 
 def repository_of(name: str) -> str:
-    """Return the Hub repository of a short name; any other name is returned as it is."""
-    found = published_set(name)
-    return found.repo_id if found is not None else name
+    """Return the Hub repository of a short name, unless there is a data set of that name in this folder.
+
+    Any other name is returned as it is.
+    """
+    return place_of(name)

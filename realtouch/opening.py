@@ -2,30 +2,32 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from os import PathLike, fspath
+from collections.abc import Iterable, Sequence
+from os import PathLike, fsdecode
 from pathlib import Path
 from typing import Literal, overload
 
 from dataset_store.errors import InputError
-from dataset_store.places import find_shards
+from dataset_store.places import find_files, find_shards
 from dataset_store.rowgroups import Shard, ShardedTable
+from realtouch.agreement import class_names_of, require_alike
 from realtouch.dataset import TouchSeqDataset, TouchSingleDataset, TouchStream
 from realtouch.names import repository_of
-from realtouch.schema import Kind, class_names, kind_of, require_types
+from realtouch.schema import Kind, kind_of
 
-__all__ = ["dataset_of", "load", "open_shards"]
+__all__ = ["Name", "Place", "dataset_of", "load", "open_shards", "place_of"]
 
 Name = str | PathLike[str]
+Place = str | tuple[str, ...]
 
 
 @overload
 def load(
     name: Name | Sequence[Name],
     split: str = "train",
-    *,
     streaming: Literal[False] = False,
     revision: str | None = None,
+    *,
     on_error: Literal["raise", "skip"] = "raise",
 ) -> TouchSeqDataset | TouchSingleDataset: ...
 @overload
@@ -37,12 +39,30 @@ def load(
     revision: str | None = None,
     on_error: Literal["raise", "skip"] = "raise",
 ) -> TouchStream: ...
+@overload
+def load(
+    name: Name | Sequence[Name],
+    split: str,
+    streaming: Literal[True],
+    revision: str | None = None,
+    *,
+    on_error: Literal["raise", "skip"] = "raise",
+) -> TouchStream: ...
+@overload
 def load(
     name: Name | Sequence[Name],
     split: str = "train",
-    *,
     streaming: bool = False,
     revision: str | None = None,
+    *,
+    on_error: Literal["raise", "skip"] = "raise",
+) -> TouchSeqDataset | TouchSingleDataset | TouchStream: ...
+def load(
+    name: Name | Sequence[Name],
+    split: str = "train",
+    streaming: bool = False,
+    revision: str | None = None,
+    *,
     on_error: Literal["raise", "skip"] = "raise",
 ) -> TouchSeqDataset | TouchSingleDataset | TouchStream:
     """Open a data set of real touches.
@@ -50,8 +70,10 @@ def load(
     Parameters
     ----------
     name : str, path, or sequence of them
-        A short name (see :data:`realtouch.names.SHORT_NAMES`), any repository of the Hub (``USER/NAME``), a
-        local folder, a Parquet file, or several Parquet files that belong together.
+        A short name (see :data:`realtouch.names.SHORT_NAMES`), any repository of the Hub
+        (``USER/NAME[@REVISION]``), a local folder, a Parquet file, or several Parquet files that belong
+        together; files and folders of the Hub as ``hf://datasets/USER/NAME[@REVISION]/PATH``. Local data of
+        the same name comes first.
     split : str
         Split to open; only its shards are fetched.
     streaming : bool
@@ -60,9 +82,9 @@ def load(
         Branch, tag or commit of a Hub repository.
     on_error : "raise" or "skip"
         ``"raise"``: what is damaged raises when it is asked for. ``"skip"``: everything is checked once now
-        (as by ``realtouch verify``, decoding every image and frame); damaged rounds are left out of the data
-        set, damaged touches out of its ``touches()``, and both are listed in ``skipped``. A stream checks
-        each round when it comes to it.
+        (as by ``realtouch verify``, decoding every image and frame); files and rows that cannot be read and
+        damaged rounds are left out of the data set, damaged touches out of its ``touches()``, and all of them
+        are listed in ``skipped``. A stream checks each round when it comes to it.
 
     Returns
     -------
@@ -74,33 +96,51 @@ def load(
     InputError
         No such folder or split, or no data set of touches.
     IntegrityError
-        A file is damaged, or a column has a wrong type.
+        A file is damaged, a column has a wrong type, or files do not belong together: some hold clips and
+        others images, or their classes are named otherwise. With ``"skip"`` only when no file is left.
     HubError
         The repository cannot be reached or does not exist.
     """
     if on_error not in ("raise", "skip"):
         message = f"on_error is {on_error!r}; expected 'raise' or 'skip'"
         raise InputError(message)
-    shards = open_shards(name, split, revision=revision, streaming=streaming)
-    kind = kind_of(shards[0].schema, str(name))
-    for shard in shards:
-        require_types(shard.schema, shard.path)
-    if streaming:
-        return TouchStream(shards, kind, skip_damage=on_error == "skip")
-    dataset = dataset_of(shards, kind)
-    if on_error == "raise":
-        return dataset
-    from realtouch.checks import without_damage
+    place = place_of(name)
+    shards = open_shards(place, split, revision=revision, streaming=streaming)
+    if on_error == "skip":
+        from realtouch.skipping import load_undamaged
 
-    return without_damage(dataset)
+        return load_undamaged(shards, place, streaming=streaming)
+    require_alike(shards, str(name))
+    kind = kind_of(shards[0].schema, str(name))
+    return TouchStream(shards, kind) if streaming else dataset_of(shards, kind)
 
 
 def dataset_of(shards: tuple[Shard, ...], kind: Kind) -> TouchSeqDataset | TouchSingleDataset:
     """Return the data set of some shards of one kind."""
-    names = class_names(shards[0].schema)
+    names = class_names_of(shards)
     if kind == "seq":
         return TouchSeqDataset([ShardedTable(shards)], label_names=names)
     return TouchSingleDataset([ShardedTable(shards)], label_names=names)
+
+
+def place_of(name: Name | Sequence[Name]) -> Place:
+    """Return what a name means: a local path, a repository of the Hub, or several files.
+
+    Raises
+    ------
+    InputError
+        It is no name.
+    """
+    if isinstance(name, (str, PathLike)):
+        return _at_home(repository_of(fsdecode(name)))
+    return tuple(_file_names(name))
+
+
+def _at_home(name: str) -> str:
+    try:
+        return str(Path(name).expanduser()) if name.startswith("~") else name
+    except RuntimeError:  # the home of somebody unknown; refused where it is opened
+        return name
 
 
 def open_shards(
@@ -114,12 +154,24 @@ def open_shards(
         Nothing is there.
     """
     if isinstance(name, (str, PathLike)):
-        place = repository_of(fspath(name))
+        place = repository_of(fsdecode(name))
         return find_shards(place, split, revision=revision, streaming=streaming)
-    files = [Path(fspath(file)).expanduser() for file in name]
-    missing = [str(file) for file in files if not file.is_file()]
-    if missing or not files:
-        found = f"no file {missing[0]!r}" if missing else "no files given"
-        message = f"{found}; expected Parquet files of one data set"
-        raise InputError(message)
-    return tuple(Shard(str(file)) for file in files)
+    return find_files(_file_names(name), revision=revision, streaming=streaming)
+
+
+def _file_names(names: object) -> list[str]:
+    """Return names of files as text; whatever else was given for a name of a data set is refused here."""
+    if isinstance(names, (bytes, bytearray)) or not isinstance(names, Iterable):
+        raise _no_name(names)
+    files = list(names)
+    for file in files:
+        if not isinstance(file, (str, PathLike)):
+            raise _no_name(file)
+    return [fsdecode(file) for file in files]
+
+
+def _no_name(found: object) -> InputError:
+    return InputError(
+        f"{found!r} ({type(found).__name__}) is no name of a data set; expected a short name such as "
+        "'real-single-64x64', USER/NAME on the Hub, a folder, a Parquet file, or several of these files"
+    )

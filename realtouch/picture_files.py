@@ -4,27 +4,43 @@ from __future__ import annotations
 
 import csv
 import io
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from typing import Any, Literal
 
+from dataset_store.leavings import UNFINISHED
 from dataset_store.manifest import Manifest, write_manifest
 from dataset_store.records import Row
 from dataset_store.rowgroups import Shard
-from dataset_store.shards import sha256_hex
+from dataset_store.shards import Receipt, file_sha256, sha256_hex
 from dataset_store.storage import DataFolder
 from realtouch.clips import SensorClips
 from realtouch.contact import ContactMethod
 from realtouch.conversion import RowChoice
+from realtouch.damage import damaged
 from realtouch.fields import clip_poses, poses, touch_total, vectors
 from realtouch.images import SensorImages
-from realtouch.jpeg import decode_image, encode_image
+from realtouch.jpeg import Pixels, encode_image
+from realtouch.opening import dataset_of
 from realtouch.rounds import TouchSeqRound, TouchSingleRound
-from realtouch.snapshots import snapshot_frame, snapshot_jpeg
+from realtouch.snapshots import snapshot_frame
+from realtouch.source import Source
 
-__all__ = ["IMAGE_FOLDER", "INDEX_FILE", "WritePictures", "write_index"]
+__all__ = [
+    "IMAGE_FOLDER",
+    "INDEX_FILE",
+    "WritePictures",
+    "pictures_are_whole",
+    "repeated_ids",
+    "write_index",
+]
 
 IMAGE_FOLDER = "images"
 INDEX_FILE = "index.csv"
+
+_JPEG_START = b"\xff\xd8"
+_MOST_NAME_BYTES = 255
+"""Longest name of a file on the usual file systems."""
 
 
 @dataclass(frozen=True)
@@ -39,11 +55,14 @@ class WritePictures:
         Their format. Stored JPEGs pass through as they are.
     method : str
         Which frame of a clip.
+    repeated : mapping of str to frozenset of int
+        Rows of each split whose id stands in a row before them; see :func:`repeated_ids`.
     """
 
     folder: DataFolder
     kind: Literal["png", "jpeg"]
     method: ContactMethod
+    repeated: Mapping[str, frozenset[int]] = field(default_factory=dict, repr=False)
 
     def schema(self, source: Any) -> Any:
         """Return the columns of the index."""
@@ -68,9 +87,17 @@ class WritePictures:
         """Write the pictures of a row and return its lines of the index.
 
         A row with a damaged touch is left out as a whole: none of its pictures is written.
+
+        Raises
+        ------
+        IntegrityError
+            Something of the row is damaged, or its id cannot name a folder of its own.
         """
         import pyarrow as pa
 
+        if choice.row in self.repeated.get(split, ()):
+            problem = f"{row.value('id')!r} stands in an earlier round of split {split!r} too"
+            raise damaged(row, "id", f"{problem}; expected ids that differ")
         made = [self._picture(row, touch, split) for touch in range(touch_total(row))]
         for line, encoded in made:
             self.folder.write_bytes(line["file"], encoded)
@@ -78,9 +105,10 @@ class WritePictures:
 
     def _picture(self, row: Row, touch: int, split: str) -> tuple[dict[str, Any], bytes]:
         record = TouchSingleRound(row) if row.has("sensor_image") else TouchSeqRound(row)
+        name = _folder_name(row, record.id)
         encoded, frame, pose = self._single(row, touch) if row.has("sensor_image") else self._seq(row, touch)
         suffix = "png" if self.kind == "png" else "jpg"
-        file = f"{IMAGE_FOLDER}/{split}/{record.id}/{touch:03d}.{suffix}"
+        file = f"{IMAGE_FOLDER}/{split}/{name}/{touch:03d}.{suffix}"
         position = vectors(row, "pos_in_cell", 2)[touch] if row.has("pos_in_cell") else [None, None]
         numbers = dict(zip(_NUMBER_COLUMNS, [*position, *pose], strict=True))
         line = {
@@ -97,7 +125,8 @@ class WritePictures:
         return line, encoded
 
     def _single(self, row: Row, touch: int) -> tuple[bytes, int, list[Any]]:
-        encoded = self._encoded(SensorImages(row).encoded(touch))
+        images = SensorImages(row)
+        encoded = self._encoded(images[touch], images.encoded(touch))
         if not row.has("gel_pose_cell_frame.position"):
             return encoded, 0, [None] * 7
         pose = poses(row)
@@ -107,16 +136,14 @@ class WritePictures:
         clip = SensorClips(row)[touch]
         frame = snapshot_frame(clip, self.method)
         pose = clip_poses(row, touch)
-        return (
-            self._encoded(snapshot_jpeg(clip, frame)),
-            frame,
-            [*pose.position_m[frame], *pose.quaternion[frame]],
-        )
+        encoded = self._encoded(clip[frame], clip.encoded(frame) if clip.has_index else b"")
+        return encoded, frame, [*pose.position_m[frame], *pose.quaternion[frame]]
 
-    def _encoded(self, stored: bytes | memoryview) -> bytes:
-        if self.kind == "png":
-            return encode_image(decode_image(stored), "png")
-        return bytes(stored) if bytes(stored[:2]) == b"\xff\xd8" else encode_image(decode_image(stored))
+    def _encoded(self, pixels: Pixels, stored: bytes | memoryview) -> bytes:
+        """Return the file of a picture that was decoded whole; a JPEG stays as it is stored."""
+        if self.kind == "jpeg" and bytes(stored[:2]) == _JPEG_START:
+            return bytes(stored)
+        return encode_image(pixels, self.kind)
 
 
 _NUMBER_COLUMNS = (
@@ -130,6 +157,49 @@ _NUMBER_COLUMNS = (
     "gel_qz",
     "gel_qw",
 )
+
+
+def repeated_ids(source: Source, choices: Mapping[str, Sequence[RowChoice]]) -> dict[str, frozenset[int]]:
+    """Find the rows whose id stands in a row before them; reads the column of ids only.
+
+    Raises
+    ------
+    InputError
+        The data set has no ids.
+    """
+    repeated = {}
+    for split, chosen in choices.items():
+        ids = dataset_of(source.shards[split], source.kind).ids
+        first: dict[Any, int] = {}
+        for choice in chosen:
+            first.setdefault(ids[choice.row], choice.row)
+        repeated[split] = frozenset(each.row for each in chosen if first[ids[each.row]] != each.row)
+    return repeated
+
+
+def pictures_are_whole(folder: DataFolder, receipt: Receipt) -> bool:
+    """Tell whether every picture that a finished shard lists is there, unchanged."""
+    table = Shard(folder.address(receipt.shard.data_path)).read(columns=["file", "sha256"])
+    return all(
+        folder.exists(line["file"]) and file_sha256(folder, line["file"]) == line["sha256"]
+        for line in table.to_pylist()
+    )
+
+
+def _folder_name(row: Row, name: str) -> str:
+    """Return the id of a round as the name of its folder: one that leads nowhere else on any system.
+
+    Raises
+    ------
+    IntegrityError
+        It is no such name.
+    """
+    safe = name.isprintable() and not set(name) & set("/\\") and not name.startswith(UNFINISHED)
+    if name in ("", ".", "..") or not safe or len(name.encode(errors="replace")) > _MOST_NAME_BYTES:
+        shown = name if len(name) <= 80 else f"{name[:80]}..."
+        problem = f"{shown!r} cannot name a folder; expected one name of 1 to {_MOST_NAME_BYTES} bytes"
+        raise damaged(row, "id", f"{problem}, printable and without / and \\")
+    return name
 
 
 def write_index(folder: DataFolder, manifest: Manifest) -> Manifest:

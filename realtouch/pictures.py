@@ -5,10 +5,12 @@ from __future__ import annotations
 import base64
 import html
 from collections.abc import Sequence
+from contextlib import suppress
 from typing import TYPE_CHECKING
 
 import numpy as np
 
+from dataset_store.errors import InputError, IntegrityError
 from dataset_store.pictures.sheets import Sheet, Tile, sheet
 from dataset_store.pictures.writing import png_bytes
 from realtouch.jpeg import Pixels
@@ -54,20 +56,33 @@ def round_sheet(record: TouchRound, most: int = _MOST_TILES) -> Pixels:
 
 
 def round_html(record: TouchRound) -> str:
-    """Return a notebook's view of a round: a caption and a grid of touches with their numbers."""
-    tiles = "".join(_figure(touch, f"{touch.touch_index}") for touch in _shown(record, _MOST_TILES))
-    caption = (
-        f"<b>{html.escape(record.id)}</b>: label {record.label}, object {record.object_id}, "
-        f"{record.touch_count} touches"
-    )
+    """Return a notebook's view of a round: a caption and a grid of touches with their numbers.
+
+    What the data set does not store, and pictures that are damaged, are left out of it.
+    """
+    figures = [_figure_or_none(touch) for touch in _shown(record, _MOST_TILES)]
+    tiles = "".join(figure for figure in figures if figure is not None)
+    words = _named(record, label="label", object="object_id")
+    words.append(f"{record.touch_count} touches")
+    if None in figures:
+        words.append(f"{figures.count(None)} of {len(figures)} pictures cannot be shown")
+    caption = f"<b>{html.escape(record.shown('id', str) or 'Round')}</b>: {', '.join(words)}"
     return f'<div>{caption}<div style="display:flex;flex-wrap:wrap;gap:{_GAP}px">{tiles}</div></div>'
 
 
 def touch_html(touch: Touch) -> str:
     """Return a notebook's view of a touch: its picture and where it is from."""
-    x, y = (1000.0 * float(value) for value in touch.pos_in_cell_m)
-    text = f"label {touch.label}, touch {touch.touch_index}, x {x:.1f} mm, y {y:.1f} mm"
-    return f"<div>{_figure(touch, text)}</div>"
+    words = [*_named(touch.round, label="label"), f"touch {touch.touch_index}"]
+    with suppress(InputError):  # without positions
+        x, y = (1000.0 * float(value) for value in touch.pos_in_cell_m)
+        words.append(f"x {x:.1f} mm, y {y:.1f} mm")
+    return f"<div>{_figure(touch, ', '.join(words))}</div>"
+
+
+def _named(record: TouchRound, **fields: str) -> list[str]:
+    """Say what the data set stores of some fields, given as word and field."""
+    shown = ((word, record.shown(name, str)) for word, name in fields.items())
+    return [f"{word} {value}" for word, value in shown if value is not None]
 
 
 def _shown(record: TouchRound, most: int) -> list[Touch]:
@@ -76,6 +91,13 @@ def _shown(record: TouchRound, most: int) -> list[Touch]:
     count = record.touch_count
     chosen = np.unique(np.linspace(0, count - 1, min(count, most)).round().astype(int))
     return [Touch(record, int(touch)) for touch in chosen]
+
+
+def _figure_or_none(touch: Touch) -> str | None:
+    try:
+        return _figure(touch, f"{touch.touch_index}")
+    except IntegrityError:
+        return None
 
 
 def _figure(touch: Touch, caption: str) -> str:

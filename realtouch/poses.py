@@ -10,7 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 if TYPE_CHECKING:
-    from scipy.spatial.transform import RigidTransform, Rotation
+    from scipy.spatial.transform import Rotation
+
+    from realtouch.pose import Pose
 
 __all__ = ["Poses", "PoseSequences", "bad_pose", "rigid_transform"]
 
@@ -18,8 +20,11 @@ _SHORTEST_QUATERNION = 1e-6
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Poses(Sequence["RigidTransform"]):
+class Poses(Sequence["Pose"]):
     """Poses of one frame in another: a sequence of rigid transforms, stored as arrays.
+
+    ``translation``, ``rotation``, ``quaternion``, ``matrix``, ``rotvec``, ``angle``, ``inv``, ``single`` and
+    ``to_dict`` are those of the published type (package `transformation3d`).
 
     Frame of the gel poses: metres in the cell frame, origin at the cell centre, x right of the robot, y away
     from it, z up.
@@ -39,20 +44,20 @@ class Poses(Sequence["RigidTransform"]):
         return len(self.position_m)
 
     @overload
-    def __getitem__(self, index: int) -> RigidTransform: ...
+    def __getitem__(self, index: int) -> Pose: ...
     @overload
     def __getitem__(self, index: slice | Sequence[int] | NDArray[Any]) -> Poses: ...
-    def __getitem__(self, index: Any) -> RigidTransform | Poses:
+    def __getitem__(self, index: Any) -> Pose | Poses:
         """Return one rigid transform (int), or some poses (slice, ints, mask)."""
         if isinstance(index, (int, np.integer)):
             return rigid_transform(self.position_m[index], self.quaternion[index])
         return Poses(self.position_m[index], self.quaternion[index])
 
-    def __iter__(self) -> Iterator[RigidTransform]:
+    def __iter__(self) -> Iterator[Pose]:
         return (self[index] for index in range(len(self)))
 
     @property
-    def transform(self) -> RigidTransform:
+    def transform(self) -> Pose:
         """All poses as one rigid transform of length n, for vectorised geometry."""
         return rigid_transform(self.position_m, self.quaternion)
 
@@ -66,7 +71,37 @@ class Poses(Sequence["RigidTransform"]):
         """All orientations as one rotation of length n."""
         from scipy.spatial.transform import Rotation
 
-        return Rotation.from_quat(self.quaternion)
+        return Rotation.from_quat(np.array(self.quaternion))
+
+    @property
+    def matrix(self) -> NDArray[np.float64]:
+        """Homogeneous matrices, shape (n, 4, 4)."""
+        return self.transform.matrix
+
+    @property
+    def rotvec(self) -> NDArray[np.float64]:
+        """Orientations as axis times angle, radians, shape (n, 3)."""
+        return self.transform.rotvec
+
+    @property
+    def angle(self) -> NDArray[np.float64]:
+        """Angles of the rotations, radians, shape (n,), 0 to pi."""
+        return self.transform.angle
+
+    @property
+    def inv(self) -> Poses:
+        """Inverse of each pose."""
+        back = self.rotation.inv()
+        return Poses(-back.apply(np.array(self.position_m)), back.as_quat())  # scipy takes no read-only view
+
+    @property
+    def single(self) -> bool:
+        """False: there are several, even where there happens to be one."""
+        return False
+
+    def to_dict(self) -> dict[str, list[Any]]:
+        """Return ``translation`` and ``rotation`` (x, y, z, w) as lists."""
+        return self.transform.to_dict()
 
     def __repr__(self) -> str:
         return f"Poses({len(self)})"
@@ -104,11 +139,11 @@ class PoseSequences(Sequence[Poses]):
         return f"PoseSequences({len(self)} touches, {sum(map(len, self.position_m)):,} poses)"
 
 
-def rigid_transform(position_m: NDArray[Any], quaternion: NDArray[Any]) -> RigidTransform:
+def rigid_transform(position_m: NDArray[Any], quaternion: NDArray[Any]) -> Pose:
     """Make rigid transforms of positions (..., 3) in metres and quaternions (..., 4) x, y, z, w."""
-    from scipy.spatial.transform import RigidTransform, Rotation
+    from realtouch.pose import Pose
 
-    return RigidTransform.from_components(position_m, Rotation.from_quat(quaternion))
+    return Pose.of(position_m, quaternion)
 
 
 def bad_pose(position_m: NDArray[Any], quaternion: NDArray[Any]) -> tuple[int, str] | None:
@@ -127,8 +162,10 @@ def bad_pose(position_m: NDArray[Any], quaternion: NDArray[Any]) -> tuple[int, s
         Its number and what is wrong with it; None when all are poses.
     """
     norms = np.einsum("ij,ij->i", quaternion, quaternion)
-    # One sum tells of any value that is not finite, and costs a tenth of looking at each.
-    if np.isfinite(position_m.sum()) and np.isfinite(norms.sum()) and (norms > _SHORTEST_QUATERNION**2).all():
+    with np.errstate(invalid="ignore", over="ignore"):  # infinite values of both signs add up to none
+        # One sum tells of any value that is not finite, and costs a tenth of looking at each.
+        finite_sums = np.isfinite(position_m.sum()) and np.isfinite(norms.sum())
+    if finite_sums and (norms > _SHORTEST_QUATERNION**2).all():
         return None
     finite = np.isfinite(position_m).all(axis=1) & np.isfinite(norms)
     wrong = np.flatnonzero(~finite | ~(norms > _SHORTEST_QUATERNION**2))

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from dataset_store.errors import InputError
 from realtouch.images import in_parallel
 from realtouch.jpeg import Pixels
 from realtouch.rounds import TouchRound, TouchSeqRound, TouchSingleRound
@@ -124,7 +125,20 @@ def overlay(touches: Sequence[Placed], cell: CellMap) -> Pixels:
     -------
     ndarray of uint8, shape (H, W, 3)
         White where no touch was.
+
+    Raises
+    ------
+    InputError
+        The pictures differ in size.
     """
+    sizes = sorted({touch.pixels.shape[1::-1] for touch in touches})
+    if len(sizes) > 1:
+        found = ", ".join(f"{width} x {height}" for width, height in sizes[:4])
+        message = (
+            f"the pictures of the round have different sizes ({found} pixels), an overlay needs one size; "
+            "next: make them alike with `realtouch resize`"
+        )
+        raise InputError(message)
     width, height = cell.size_px
     sums, weights = np.zeros((height, width, 3)), np.zeros((height, width, 1))
     rest = np.median([touch.pixels for touch in touches], axis=0)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from dataset_store.counting import counted
 from dataset_store.pictures.lettering import ACCENTS, INK, MUTED, PAPER, draw_text
 from dataset_store.pictures.sheets import Sheet, Tile, sheet
 from dataset_store.pictures.writing import Drawing
@@ -20,6 +21,7 @@ _COLUMNS = 8
 _MOST_FRAMES = 24
 _TILE_PX = 168
 _BAR_PX = 34
+_GAP_PX = 2
 _TRACK = (224, 228, 232)
 
 
@@ -77,8 +79,8 @@ def draw_strip(clip: TouchClip, title: str) -> Drawing:
         for frame in shown
     ]
     words = (
-        f"{len(shown)} of {len(clip)} frames, with their times; framed: contact, frames {contact.start} to "
-        f"{contact.stop - 1}",
+        f"{len(shown)} of {counted(len(clip), 'frames')}, with their times; framed: contact, frames "
+        f"{contact.start} to {contact.stop - 1}",
     )
     strip = sheet(tiles, Sheet(_COLUMNS, title, words))
     bar = timeline(len(clip), contact, shown, strip.shape[1])
@@ -98,8 +100,11 @@ def timeline(count: int, contact: slice, shown: tuple[int, ...], width_px: int) 
     picture = Image.new("RGB", (width_px, _BAR_PX + 26), PAPER)
     pen = ImageDraw.Draw(picture)
     step = (width_px - 2 * margin) / count
-    for frame in range(count):
-        box = (margin + frame * step, top, margin + (frame + 1) * step - 2, top + 16)
+    # Of many frames there is no room for gaps between the cells; those of contact come last, above others.
+    gap = _GAP_PX if step > 2 * _GAP_PX else 0
+    for frame in sorted(range(count), key=lambda frame: contact.start <= frame < contact.stop):
+        left = margin + frame * step
+        box = (left, top, max(left, left + step - max(gap, 1)), top + 16)
         pen.rectangle(box, fill=IN_CONTACT if contact.start <= frame < contact.stop else _TRACK)
     for frame in shown:
         middle = margin + (frame + 0.5) * step - 1

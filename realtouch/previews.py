@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from dataset_store.counting import counted
 from dataset_store.errors import InputError
 from dataset_store.pictures.lettering import ACCENTS, PAPER
 from dataset_store.pictures.oblique import Studio
@@ -25,7 +26,7 @@ from dataset_store.pictures.writing import (
 )
 from realtouch.contact import MIN_CONTACT_HEIGHT_M, contact_heights_m
 from realtouch.dataset import TouchDataset
-from realtouch.fields import contact_z_m
+from realtouch.fields import contact_z_m, plate_z_m
 from realtouch.opening import load
 from realtouch.preview_overlay import cell_map, overlay, placed_touches
 from realtouch.preview_strip import draw_strip
@@ -127,7 +128,7 @@ def draw_grid(record: TouchRound, most: int) -> Drawing:
     """
     heights_m = _heights_m(record)
     tiles = [_tile(record, touch, heights_m) for touch in _evenly(record.touch_count, most)]
-    words = [f"{len(tiles)} of {record.touch_count} touches of object {record.object_id}"]
+    words = [f"{len(tiles)} of {counted(record.touch_count, 'touches')} of object {record.object_id}"]
     if heights_m is not None:
         mm = MIN_CONTACT_HEIGHT_M * 1e3
         words += [
@@ -143,19 +144,20 @@ def draw_overlay(record: TouchRound) -> Drawing:
     pixels = with_scale_bar(overlay(touches, cell), _PX_PER_MM)
     x_mm, y_mm = (side / _PX_PER_MM for side in cell.size_px)
     words = (
-        f"{len(touches)} touches of object {record.object_id} at their positions",
+        f"{counted(len(touches), 'touches')} of object {record.object_id} at their positions",
         f"{x_mm:.0f} x {y_mm:.0f} mm around the middle of the cell, x right, y up",
     )
     return Drawing(sheet([Tile(pixels, frame=(205, 210, 215))], Sheet(1, _title(record), words)))
 
 
 def gel_drift(dataset: TouchDataset[Any]) -> tuple[NDArray[np.float64], tuple[str, ...]]:
-    """Return the height of the deepest touch of each round, and the gel it was made with; opens no picture.
+    """Return the height of the plate in each round, and the gel it was made with; opens no picture.
 
     Returns
     -------
     z_m : ndarray of float64, shape (len(dataset),)
-        Metres, cell frame: the plate, up to the drift of z.
+        Metres, cell frame: that of the deepest touch, or as `realtouch select` stored it before it took
+        touches out.
     gels : tuple of str
         ``info.gel_id`` of each round; empty words where the data set does not say.
 
@@ -164,23 +166,27 @@ def gel_drift(dataset: TouchDataset[Any]) -> tuple[NDArray[np.float64], tuple[st
     InputError
         The data set stores no poses.
     """
+    _require_poses(dataset)
+    z_m, starts = dataset.contact_z_m()
+    rows = dataset.row_numbers
+    deepest = np.array([np.fmin.reduce(z_m[starts[row] : starts[row + 1]], initial=np.inf) for row in rows])
+    stored = dataset.plates_z_m()[rows]
+    return np.where(np.isnan(stored), deepest, stored), _gels(dataset)
+
+
+def _require_poses(dataset: TouchDataset[Any]) -> None:
     suffix = "" if dataset.kind == "single" else "_seq"
     if column_type(dataset._tables[0].schema, f"gel_pose_cell_frame{suffix}.position") is None:
         message = "the drift of the gel needs its poses, which this data set does not store"
         raise InputError(message)
-    z_m, starts = dataset.contact_z_m()
-    rows = dataset.row_numbers
-    deepest = np.array([z_m[starts[row] : starts[row + 1]].min() for row in rows])
-    return deepest, _gels(dataset)
 
 
 def draw_drift(dataset: TouchDataset[Any], title: str) -> Drawing:
     """Draw the height of the deepest touch of every round, in the colours of the gels."""
     z_m, gels = gel_drift(dataset)
     z_mm = z_m * 1e3
-    spread = (
-        f"{len(z_mm):,} rounds; from {z_mm.min():.2f} to {z_mm.max():.2f} mm, median {np.median(z_mm):.2f} mm"
-    )
+    rounds = counted(len(z_mm), "rounds")
+    spread = f"{rounds}; from {z_mm.min():.2f} to {z_mm.max():.2f} mm, median {np.median(z_mm):.2f} mm"
     points = Points(title, "round", "deepest touch, z in mm", np.arange(len(z_mm)), z_mm, gels)
     return Drawing(plot_points(points, spread))
 
@@ -215,8 +221,9 @@ def _plan_strip(dataset: TouchDataset[Any], stem: str, spec: PreviewSpec) -> Pla
 
 
 def _plan_drift(dataset: TouchDataset[Any], stem: str, spec: PreviewSpec) -> PlannedPicture:
+    _require_poses(dataset)
     require_plots("the picture of the gel's drift")
-    what = f"drift of the gel over {len(dataset):,} rounds"
+    what = f"drift of the gel over {counted(len(dataset), 'rounds')}"
     return PlannedPicture(f"{stem}-drift.png", what, partial(_drift, dataset, f"{stem}: drift of the gel"))
 
 
@@ -254,14 +261,18 @@ def _heights_m(record: TouchRound) -> NDArray[np.float64] | None:
     name = "gel_pose_cell_frame_seq" if kind == "seq" else "gel_pose_cell_frame"
     if not record._row.has(f"{name}.position"):
         return None
-    return contact_heights_m(contact_z_m(record._row, kind))
+    return contact_heights_m(contact_z_m(record._row, kind), plate_z_m=plate_z_m(record._row))
 
 
 def _gels(dataset: TouchDataset[Any]) -> tuple[str, ...]:
     if column_type(dataset._tables[0].schema, "info.gel_id") is None:
         return ("",) * len(dataset)
-    by_row = {row: f"gel {record.info['gel_id']}" for row, record in dataset.light_rounds()}
+    by_row = {row: _gel(record.info["gel_id"]) for row, record in dataset.light_rounds()}
     return tuple(by_row[row] for row in dataset.row_numbers.tolist())
+
+
+def _gel(number: Any) -> str:
+    return "unknown gel" if number is None else f"gel {number}"
 
 
 def _evenly(count: int, most: int) -> Sequence[int]:

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping, Sequence
-from types import MappingProxyType
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
+from dataset_store.errors import InputError, ToolkitError
 from dataset_store.records import Record, Row
 from dataset_store.rowgroups import RowGroup
 from realtouch.clips import SensorClips
@@ -23,16 +23,20 @@ from realtouch.fields import (
     poses,
     touch_durations,
     touch_total,
-    vectors,
 )
 from realtouch.images import SensorImages, in_parallel, positions_of
 from realtouch.jpeg import Pixels
-from realtouch.poses import Poses, PoseSequences, bad_pose, rigid_transform
+from realtouch.light import whole_row
+from realtouch.plain_fields import plain_value, stored_value
+from realtouch.poses import Poses, PoseSequences
 from realtouch.published import flat_table, take_touches
 from realtouch.round_frames import contact_frames_of, contact_windows_of, decode_frames
+from realtouch.round_info import read_info
+from realtouch.touch_columns import intended_positions
 
 __all__ = ["TouchRound", "TouchSeqRound", "TouchSingleRound"]
 
+_LARGEST = 1 << 63
 _MOST_THREADS = 4
 
 
@@ -48,7 +52,7 @@ class TouchRound(Record):
     @property
     def id(self) -> str:
         """Name of the round, such as ``2023-09-28_15-50-43_7-0``."""
-        return str(self._plain("id"))
+        return str(plain_value(self._row, "id"))
 
     @property
     def label(self) -> int:
@@ -63,12 +67,12 @@ class TouchRound(Record):
     @property
     def info(self) -> Mapping[str, Any]:
         """Metadata such as ``gel_id`` and notes, unflattened; pairs of position and quaternion are poses."""
-        return self._once("info", self._read_info)
+        return self._once("info", lambda: read_info(self._row))
 
     @property
     def pos_in_cell_m(self) -> NDArray[np.floating]:
         """Intended positions, shape (T, 2), metres, cell frame; a read-only view."""
-        return vectors(self._row, "pos_in_cell", 2)
+        return intended_positions(self._row)
 
     @property
     def pos_in_cell(self) -> NDArray[np.floating]:
@@ -82,60 +86,34 @@ class TouchRound(Record):
 
     def with_touches(self, touches: Sequence[int]) -> Self:
         """Return a round of some of the touches, in the order given; a copy of their stored bytes."""
-        row = self._row
+        row = whole_row(self._row)
         table = flat_table(row.group.table.slice(row.index, 1))
         chosen = take_touches(table, touches, self.touch_count)
         return type(self)(Row(RowGroup(chosen, row.path, row.number), 0))
 
-    def _plain(self, name: str) -> Any:
-        try:
-            value = self._row.value(name)
-        except KeyError as error:
-            raise missing_column(self._row, name) from error
-        if value is None:
-            raise damaged(self._row, name, "no value is stored")
-        return value
-
     def _whole_number(self, name: str) -> int:
-        value = self._plain(name)
-        if not np.isfinite(value) or int(value) != value or value < 0:
-            raise damaged(self._row, name, f"the value is {value}; expected a whole number of 0 or more")
+        value = plain_value(self._row, name)
+        if isinstance(value, float) and np.isfinite(value):  # a null beside it made numpy's column inexact
+            value = stored_value(self._row, name)
+        if not np.isfinite(value) or int(value) != value or not 0 <= value < _LARGEST:
+            problem = f"the value is {value}; expected a whole number of 0 or more, below 2**63"
+            raise damaged(self._row, name, problem)
         return int(value)
 
-    def _read_info(self) -> Mapping[str, Any]:
-        names = [name for name in self._row.group.names if name.startswith("info.")]
-        if not names and not self._row.has("info"):
-            raise missing_column(self._row, "info")
-        nested: dict[str, Any] = {}
-        for name in names:
-            *outer, last = name.split(".")[1:]
-            place = nested
-            for part in outer:
-                place = place.setdefault(part, {})
-            place[last] = self._row.group.arrow(name)[self._row.index].as_py()
-        return MappingProxyType(self._with_poses(nested, "info"))
-
-    def _with_poses(self, values: dict[str, Any], name: str) -> Any:
-        if values.keys() == {"position", "quaternion"}:
-            return self._info_pose(values, name)
-        return {
-            key: self._with_poses(value, f"{name}.{key}") if isinstance(value, dict) else value
-            for key, value in values.items()
-        }
-
-    def _info_pose(self, values: dict[str, Any], name: str) -> Any:
-        """Make the pose, or the poses where there is one per touch."""
-        position, quaternion = (np.asarray(values[part], np.float64) for part in ("position", "quaternion"))
-        if position.shape[-1:] != (3,) or quaternion.shape[-1:] != (4,):
-            problem = f"position {position.shape} and quaternion {quaternion.shape}; expected (3,) and (4,)"
-            raise damaged(self._row, name, problem)
-        wrong = bad_pose(position.reshape(-1, 3), quaternion.reshape(-1, 4))
-        if wrong is not None:
-            raise damaged(self._row, name, wrong[1], wrong[0] if position.ndim > 1 else None)
-        return rigid_transform(position, quaternion) if position.ndim == 1 else Poses(position, quaternion)
+    def shown(self, name: str, in_words: Callable[[Any], str] = repr) -> str | None:
+        """Return a plain field in words, for people, whatever it holds; None when there is no such column."""
+        try:
+            return in_words(getattr(self, name))
+        except InputError:
+            return None
+        except (ToolkitError, ValueError, OSError):
+            return "unreadable"
 
     def __repr__(self) -> str:
-        return f"{type(self).__name__}(id={self.id!r}, label={self.label}, {self.touch_count} touches)"
+        named = ((name, self.shown(name)) for name in ("id", "label"))
+        words = [f"{name}={value}" for name, value in named if value is not None]
+        words.append(f"{self.shown('touch_count')} touches")
+        return f"{type(self).__name__}({', '.join(words)})"
 
     def _repr_html_(self) -> str:
         """Show the touches as a grid of pictures in a notebook."""
@@ -217,7 +195,7 @@ class TouchSeqRound(TouchRound):
         ndarray, shape (T, H, W, 3), uint8
         """
         clips, chosen = self.sensor_video, require_method(method)
-        pixels = clips.room(len(clips)) if out is None else out
+        pixels = clips.room(len(clips), out)
         if chosen == "median":
             # Chosen by the pictures: each clip is decoded whole.
             in_parallel(

@@ -2,19 +2,30 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable
 from typing import Any, Literal
 
-from dataset_store.columns import column_names
+from dataset_store.columns import column_names, stored_class_names
 from dataset_store.errors import InputError, IntegrityError
 from realtouch.nested import list_depth
 
-__all__ = ["CLASS_NAMES", "MEDIA_COLUMN", "Kind", "class_names", "column_type", "kind_of", "require_types"]
+__all__ = [
+    "CLASS_NAMES",
+    "MEDIA_COLUMN",
+    "PLATE_COLUMN",
+    "Kind",
+    "class_names",
+    "column_type",
+    "kind_of",
+    "require_types",
+]
 
 Kind = Literal["seq", "single"]
 MEDIA_COLUMN: dict[Kind, str] = {"seq": "sensor_video", "single": "sensor_image"}
 """The column that makes a data set one of clips or one of images."""
+
+PLATE_COLUMN = "plate_z_m"
+"""Height of the plate in a round from which `select` took touches, metres, cell frame."""
 
 CLASS_NAMES = tuple(str(digit) for digit in range(10))
 
@@ -39,13 +50,14 @@ def kind_of(schema: Any, where: str) -> Kind:
 
 
 def require_types(schema: Any, where: str) -> None:
-    """Check the type of every known column that is there.
+    """Check the type of every known column that is there, and that the class names can be read.
 
     Raises
     ------
     IntegrityError
         A column has a type that its values cannot be read from; names file and column.
     """
+    class_names(schema, where)
     for name, (depth, fits, expected) in _TYPES.items():
         data_type = column_type(schema, name)
         if data_type is None:
@@ -78,11 +90,16 @@ def column_type(schema: Any, name: str) -> Any:
     return None
 
 
-def class_names(schema: Any) -> tuple[str, ...]:
-    """Return the class names that `datasets` stored in the schema, or the ten digits."""
-    metadata = (schema.metadata or {}).get(b"huggingface")
-    features = json.loads(metadata)["info"]["features"] if metadata else {}
-    return tuple(features.get("label", {}).get("names", CLASS_NAMES))
+def class_names(schema: Any, where: str = "") -> tuple[str, ...]:
+    """Return the class names that `datasets` stored in the schema, or the ten digits.
+
+    Raises
+    ------
+    IntegrityError
+        What is stored there is no description of features; names the file, ``where``.
+    """
+    found = stored_class_names(schema, where)
+    return CLASS_NAMES if found is None else found
 
 
 def _is_text(leaf: Any) -> bool:
@@ -121,6 +138,7 @@ _TYPES: dict[str, tuple[int, Callable[[Any], bool], str]] = {
     "id": (0, _is_text, "a string"),
     "label": (0, _is_whole, "a whole number"),
     "object_id": (0, _is_whole, "a whole number"),
+    PLATE_COLUMN: (0, _is_float, "a float: metres"),
     "pos_in_cell": (2, _is_float, "two floats per touch"),
     "gel_pose_cell_frame.position": (2, _is_float, "three floats per touch"),
     "gel_pose_cell_frame.quaternion": (2, _is_float, "four floats per touch"),

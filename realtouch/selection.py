@@ -6,11 +6,15 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
+import numpy as np
+
 from dataset_store.records import Row
 from realtouch.contact import MIN_CONTACT_HEIGHT_M
-from realtouch.conversion import RowChoice, Source
-from realtouch.fields import touch_total
+from realtouch.conversion import RowChoice
+from realtouch.fields import contact_z_m, touch_total
 from realtouch.published import flat_table, is_per_touch, take_touches
+from realtouch.schema import MEDIA_COLUMN, PLATE_COLUMN, Kind, column_type
+from realtouch.source import Source
 
 __all__ = ["KeepTouches", "Selection", "choose_rows"]
 
@@ -32,7 +36,7 @@ class Selection:
     objects : tuple of int
         Objects; all when empty.
     limit : int or None
-        Only the first so many rounds of each split.
+        Only the first so many rounds of each split, of those that are left in the end.
     """
 
     contact: bool = False
@@ -56,7 +60,10 @@ class KeepTouches:
     some_touches: bool
 
     def schema(self, source: Any) -> Any:
-        """Return the schema of the source; lists over touches have no fixed length where rounds differ."""
+        """Return the schema of the source; where rounds differ, lists over touches have no fixed length.
+
+        Rounds that lose touches keep the height of their plate: the touches that showed it may be gone.
+        """
         import pyarrow as pa
 
         if not self.some_touches:
@@ -67,14 +74,23 @@ class KeepTouches:
             else field
             for field in source
         ]
+        if column_type(source, PLATE_COLUMN) is None:
+            fields.append(pa.field(PLATE_COLUMN, pa.float64()))
         return pa.schema(fields)
 
     def apply(self, row: Row, choice: RowChoice, split: str) -> Any:
         """Pass a row on, with the touches chosen; no image or clip is decoded."""
+        import pyarrow as pa
+
         flat = flat_table(row.group.table.slice(row.index, 1))
         if choice.touches is None:
             return flat
-        return take_touches(flat, choice.touches, touch_total(row))
+        kept = take_touches(flat, choice.touches, touch_total(row))
+        if row.has(PLATE_COLUMN):
+            return kept
+        kind: Kind = "single" if row.has(MEDIA_COLUMN["single"]) else "seq"
+        plate_m = contact_z_m(row, kind).min(initial=np.inf)
+        return kept.append_column(PLATE_COLUMN, pa.array([plate_m], pa.float64()))
 
 
 def choose_rows(source: Source, selection: Selection) -> dict[str, list[RowChoice]]:
@@ -95,19 +111,17 @@ def _choose_split(source: Source, split: str, selection: Selection) -> list[RowC
     if selection.labels:
         dataset = dataset.filter_labels([_label(name, dataset.label_names) for name in selection.labels])
     if selection.objects:
-        import numpy as np
-
         dataset = dataset[np.isin(dataset.column("object_id"), selection.objects)]
-    dataset = dataset[: selection.limit]
     rows = dataset.row_numbers.tolist()
     if not selection.contact:
-        return [RowChoice(row) for row in rows]
+        return [RowChoice(row) for row in rows[: selection.limit]]
     touches = dataset.touches().with_contact(selection.min_height_m, selection.recalibrate_z)
     kept: list[list[int]] = [[] for _ in rows]
     for position, touch in zip(touches.round_positions.tolist(), touches.touch_indices.tolist(), strict=True):
         kept[position].append(touch)
-    return [RowChoice(row, tuple(chosen)) for row, chosen in zip(rows, kept, strict=True) if chosen]
+    choices = [RowChoice(row, tuple(chosen)) for row, chosen in zip(rows, kept, strict=True) if chosen]
+    return choices[: selection.limit]
 
 
 def _label(name: str, known: Sequence[str]) -> int | str:
-    return name if name in known or not name.isdigit() else int(name)
+    return name if name in known or not name.isdecimal() else int(name)

@@ -69,7 +69,13 @@ class TakeSnapshots:
         )
 
     def apply(self, row: Row, choice: RowChoice, split: str) -> Any:
-        """Take a frame of each clip of a row; its JPEG passes through as it is stored."""
+        """Take a frame of each clip of a row; its JPEG passes through as it is stored.
+
+        Raises
+        ------
+        IntegrityError
+            A clip, a pose or the frame is damaged; names file, row and touch.
+        """
         import pyarrow as pa
 
         flat = flat_table(row.group.table.slice(row.index, 1))
@@ -105,8 +111,15 @@ def snapshot_frame(clip: TouchClip, method: ContactMethod) -> int:
 
 
 def snapshot_jpeg(clip: TouchClip, frame: int) -> bytes | memoryview:
-    """Return the stored JPEG of a frame; encodes it only where the clip is no string of JPEGs."""
-    return clip.encoded(frame) if clip.has_index else encode_image(clip[frame])
+    """Return the stored JPEG of a frame; encodes it only where the clip is no string of JPEGs.
+
+    Raises
+    ------
+    IntegrityError
+        The frame is damaged; names file, row and touch.
+    """
+    pixels = clip[frame]  # decoded in any case: what passes through must be whole
+    return clip.encoded(frame) if clip.has_index else encode_image(pixels)
 
 
 def _stacked(schema: Any, name: str, rows: list[Any], width: int) -> Any:

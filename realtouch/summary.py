@@ -10,8 +10,10 @@ import numpy as np
 
 from dataset_store.errors import InputError
 from realtouch.dataset import TouchDataset
-from realtouch.rounds import TouchSeqRound, TouchSingleRound
+from realtouch.fields import clip_length
+from realtouch.rounds import TouchSingleRound
 from realtouch.schema import column_type
+from realtouch.touches import Touch, Touches
 
 __all__ = ["Summary", "summarise"]
 
@@ -69,21 +71,22 @@ def summarise(dataset: TouchDataset[Any]) -> Summary:
     IntegrityError
         What is read is damaged.
     """
-    if not len(dataset):
+    touches = dataset.touches()
+    if not len(touches):
         message = "an empty data set has no summary; next: choose other filters"
         raise InputError(message)
-    counts = dataset.touch_counts
-    height, width, fps = _picture(dataset[0])
+    counts = np.bincount(touches.round_positions, minlength=len(dataset))
+    height, width, fps = _picture(touches[0])
     return Summary(
         kind=dataset.kind,
         rounds=len(dataset),
         touches=int(counts.sum()),
-        objects=len(np.unique(dataset.column("object_id"))) if _has(dataset, "object_id") else 0,
+        objects=len(np.unique(dataset.whole_numbers("object_id"))) if _has(dataset, "object_id") else 0,
         touches_per_round=(int(counts.min()), int(counts.max())),
-        contact_share=_contact_share(dataset),
-        labels={name: len(rows) for name, rows in dataset.by_label().items()},
+        contact_share=_contact_share(touches),
+        labels=_labels(dataset),
         image_size=(width, height),
-        clip_frames=_clip_frames(dataset),
+        clip_frames=_clip_frames(touches),
         fps=fps,
         gel_ids=_gel_ids(dataset),
     )
@@ -93,30 +96,41 @@ def _has(dataset: TouchDataset[Any], name: str) -> bool:
     return column_type(dataset._tables[0].schema, name) is not None
 
 
-def _picture(record: Any) -> tuple[int, int, float | None]:
-    if isinstance(record, TouchSingleRound):
-        return (*record.sensor_image.size(0), None)
-    clip = record.sensor_video[0]
+def _labels(dataset: TouchDataset[Any]) -> dict[str, int]:
+    if not _has(dataset, "label"):
+        return {}
+    return {name: len(rows) for name, rows in dataset.by_label().items()}
+
+
+def _picture(touch: Touch) -> tuple[int, int, float | None]:
+    if isinstance(touch.round, TouchSingleRound):
+        return (*touch.round.sensor_image.size(touch.touch_index), None)
+    clip = touch.clip
     return (*clip.size, clip.fps)
 
 
-def _contact_share(dataset: TouchDataset[Any]) -> float | None:
-    suffix = "" if dataset.kind == "single" else "_seq"
-    if not _has(dataset, f"gel_pose_cell_frame{suffix}.position"):
+def _contact_share(touches: Touches[Any]) -> float | None:
+    suffix = "" if touches.dataset.kind == "single" else "_seq"
+    if not _has(touches.dataset, f"gel_pose_cell_frame{suffix}.position"):
         return None
-    touches = dataset.touches()
-    return len(touches.with_contact()) / max(len(touches), 1)
+    return len(touches.with_contact()) / len(touches)
 
 
-def _clip_frames(dataset: TouchDataset[Any]) -> tuple[int, int, int] | None:
+def _clip_frames(touches: Touches[Any]) -> tuple[int, int, int] | None:
+    dataset = touches.dataset
     if dataset.kind == "single" or not _has(dataset, "video_length_frames"):
         return None
-    lengths = np.concatenate([_lengths(record) for _, record in dataset.light_rounds()])
-    return int(lengths.min()), int(np.median(lengths)), int(lengths.max())
-
-
-def _lengths(record: TouchSeqRound) -> Any:
-    return record.video_length_frames
+    shown: dict[int, list[int]] = {}
+    rows = dataset.row_numbers[touches.round_positions].tolist()
+    for row, touch in zip(rows, touches.touch_indices.tolist(), strict=True):
+        shown.setdefault(row, []).append(touch)
+    lengths = [
+        clip_length(record._row, touch)
+        for row, record in dataset.light_rounds()
+        for touch in shown.get(row, ())
+    ]
+    known = [length for length in lengths if length is not None]
+    return min(known), int(np.median(known)), max(known)
 
 
 def _gel_ids(dataset: TouchDataset[Any]) -> dict[str, int]:

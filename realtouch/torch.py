@@ -12,13 +12,16 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from dataset_store.errors import InputError, MissingExtraError
+from dataset_store.errors import InputError, IntegrityError, MissingExtraError
+from realtouch.contact import require_method
 from realtouch.dataset import TouchDataset, TouchStream
+from realtouch.jpeg import Pixels
 from realtouch.rounds import TouchSingleRound
 from realtouch.touches import Touch, Touches
 
 if TYPE_CHECKING:
     import torch
+    from scipy.spatial.transform import RigidTransform
 else:
     try:
         import torch
@@ -38,7 +41,10 @@ TARGETS: dict[str, Callable[[Touch], Any]] = {
     "gel_position": lambda touch: torch.tensor(touch.gel_pose.translation, dtype=torch.float32),
     "round_id": lambda touch: touch.round_id,
 }
-"""What may stand beside an image; positions are metres in the cell frame, float32."""
+"""What may stand beside an image; positions are metres in the cell frame, float32.
+
+``"gel_position"`` is that of the frame which is given; beside a whole clip, of the last frame of contact.
+"""
 
 
 class TouchTensors(torch.utils.data.Dataset):  # type: ignore[misc]
@@ -57,7 +63,13 @@ class TouchTensors(torch.utils.data.Dataset):  # type: ignore[misc]
         One of :data:`TARGETS`, or a function of a :class:`realtouch.Touch`.
     frames : str or None
         Of clips, give one contact frame as an image, chosen by this method (see
-        :meth:`realtouch.TouchClip.contact_index`), instead of the whole clip.
+        :meth:`realtouch.TouchClip.contact_index`), instead of the whole clip. A function as ``target`` is
+        given the touch, whose pose is that of the last frame of contact.
+
+    Raises
+    ------
+    InputError
+        There is no such target, or no such way to choose a frame.
     """
 
     def __init__(
@@ -70,25 +82,27 @@ class TouchTensors(torch.utils.data.Dataset):  # type: ignore[misc]
         self.touches = dataset if isinstance(dataset, Touches) else dataset.touches()
         self.transform = transform
         self.target = _require_target(target)
-        self.frames = frames
+        self.frames = _require_frames(frames)
 
     def __len__(self) -> int:
         return len(self.touches)
 
     def __getitem__(self, index: int) -> Any:
         """Return one item."""
-        touch = self.touches[index]
-        return _item(touch, _tensor(touch, self.frames), self.transform, self.target)
+        return _item(self.touches[index], self.frames, self.transform, self.target)
 
     def __getitems__(self, indices: Sequence[int]) -> list[Any]:
-        """Return the items of a batch; images are decoded into one array."""
+        """Return the items of a batch; images of one size are decoded into one array."""
         if self.touches.dataset.kind != "single":
             return [self[index] for index in indices]
-        pixels = self.touches.images(list(indices))
+        try:
+            pixels = self.touches.images(list(indices))
+        except IntegrityError:  # of different sizes, which the transform may make one; or damaged, told below
+            return [self[index] for index in indices]
         batch = torch.from_numpy(pixels).permute(0, 3, 1, 2)
         images = _tv_tensors().Image(batch)
         return [
-            _item(self.touches[index], _tv_tensors().Image(images[place]), self.transform, self.target)
+            _given(self.touches[index], _tv_tensors().Image(images[place]), None, self.transform, self.target)
             for place, index in enumerate(indices)
         ]
 
@@ -107,6 +121,11 @@ class TouchStreamTensors(torch.utils.data.IterableDataset):  # type: ignore[misc
         are held: they are decoded when drawn.
     seed : int
         Seed of the draws; :meth:`set_epoch` gives another order.
+
+    Raises
+    ------
+    InputError
+        As :class:`TouchTensors`, or the buffer is less than nothing.
     """
 
     def __init__(
@@ -122,14 +141,23 @@ class TouchStreamTensors(torch.utils.data.IterableDataset):  # type: ignore[misc
         self.stream = stream
         self.transform = transform
         self.target = _require_target(target)
-        self.frames = frames
+        self.frames = _require_frames(frames)
+        if shuffle_buffer < 0:
+            message = f"shuffle_buffer is {shuffle_buffer}; expected 0 or more touches"
+            raise InputError(message)
         self.shuffle_buffer = shuffle_buffer
         self.seed = seed
-        self.epoch = 0
+        # Workers that live on from epoch to epoch (persistent_workers) see what is set here.
+        self._epoch = torch.zeros((), dtype=torch.int64).share_memory_()
+
+    @property
+    def epoch(self) -> int:
+        """The epoch whose order is given."""
+        return int(self._epoch)
 
     def set_epoch(self, epoch: int) -> None:
-        """Choose the order of an epoch."""
-        self.epoch = epoch
+        """Choose the order of an epoch, from the next pass on and in every worker."""
+        self._epoch.fill_(epoch)
 
     def __iter__(self) -> Iterator[Any]:
         """Yield items; each worker reads its own shards, or its own touches where there are fewer shards."""
@@ -138,7 +166,7 @@ class TouchStreamTensors(torch.utils.data.IterableDataset):  # type: ignore[misc
         touches = self._touches(index, count)
         random = np.random.default_rng([self.seed, self.epoch, index])
         for touch in _shuffled(touches, self.shuffle_buffer, random) if self.shuffle_buffer else touches:
-            yield _item(touch, _tensor(touch, self.frames), self.transform, self.target)
+            yield _item(touch, self.frames, self.transform, self.target)
 
     def _touches(self, index: int, count: int) -> Iterator[Touch]:
         if len(self.stream.shards) >= count:
@@ -165,21 +193,38 @@ def _shuffled(touches: Iterator[Touch], size: int, random: np.random.Generator) 
         yield buffer[place]
 
 
-def _tensor(touch: Touch, frames: str | None) -> Any:
+def _item(touch: Touch, frames: str | None, transform: Transform | None, target: Target) -> Any:
+    """Decode a touch; of a clip, the frame that was asked for or all of them."""
     if isinstance(touch.round, TouchSingleRound):
-        return _tv_tensors().Image(torch.from_numpy(touch.image).permute(2, 0, 1))
+        return _given(touch, _image(touch.image), None, transform, target)
     clip = touch.clip
-    if frames is not None:
-        return _tv_tensors().Image(torch.from_numpy(clip.contact_frame(frames)).permute(2, 0, 1))
-    return _tv_tensors().Video(torch.from_numpy(clip.frames()).permute(0, 3, 1, 2))
+    if frames is None:
+        film = _tv_tensors().Video(torch.from_numpy(clip.frames()).permute(0, 3, 1, 2))
+        return _given(touch, film, None, transform, target)
+    frame = clip.contact_index(frames)
+    pose = clip.poses[frame] if target == "gel_position" else None
+    return _given(touch, _image(clip[frame]), pose, transform, target)
 
 
-def _item(touch: Touch, tensor: Any, transform: Transform | None, target: Target) -> Any:
+def _image(pixels: Pixels) -> Any:
+    return _tv_tensors().Image(torch.from_numpy(pixels).permute(2, 0, 1))
+
+
+def _given(
+    touch: Touch, tensor: Any, pose: RigidTransform | None, transform: Transform | None, target: Target
+) -> Any:
+    """Return the tensor, transformed, and the target; ``pose`` is that of the frame where one was chosen."""
     given = tensor if transform is None else transform(tensor)
     if target is None:
         return given
+    if pose is not None:
+        return given, torch.tensor(pose.translation, dtype=torch.float32)
     # Names are looked up here and not kept as functions: a function without a name does not pickle.
     return given, (TARGETS[target] if isinstance(target, str) else target)(touch)
+
+
+def _require_frames(frames: str | None) -> str | None:
+    return None if frames is None else require_method(frames)
 
 
 def _require_target(target: Target) -> Target:

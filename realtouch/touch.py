@@ -8,11 +8,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from realtouch.clip import TouchClip
+from realtouch.contact import contact_window
+from realtouch.fields import clip_poses, clip_times, touch_pose, touch_times
 from realtouch.jpeg import Pixels
 from realtouch.rounds import TouchRound, TouchSeqRound, TouchSingleRound
+from realtouch.touch_columns import intended_position
 
 if TYPE_CHECKING:
-    from scipy.spatial.transform import RigidTransform
+    from realtouch.pose import Pose
 
 __all__ = ["Touch"]
 
@@ -65,16 +68,22 @@ class Touch:
     @property
     def pos_in_cell_m(self) -> NDArray[np.floating]:
         """Intended position, shape (2,), metres, cell frame."""
-        position: NDArray[np.floating] = self.round.pos_in_cell_m[self._place]
-        return position
+        return intended_position(self.round._row, self._place)
 
     @property
-    def gel_pose(self) -> RigidTransform:
-        """Pose of the gel at contact, metres, cell frame; of a clip, that of the last frame of contact."""
+    def gel_pose(self) -> Pose:
+        """Pose of the gel at contact, metres, cell frame; of a clip, that of the last frame of contact.
+
+        Reads this touch only, and opens no clip where the times of its frames are stored.
+        """
+        row, touch = self.round._row, self._place
         if isinstance(self.round, TouchSingleRound):
-            return self.round.gel_pose_cell_frame[self._place]
-        clip = self.clip
-        return clip.poses[clip.contact_index("contact_end")]
+            return touch_pose(row, touch)
+        if not (row.has("time_stamp_rel_seq") and row.has("video_length_frames")):
+            return self.clip.poses[self.clip.contact_index("contact_end")]
+        times = clip_times(row, touch)
+        window = contact_window(np.empty(0) if times is None else times, *touch_times(row, touch))
+        return clip_poses(row, touch)[int(window.stop) - 1]
 
     @property
     def image(self) -> Pixels:
@@ -107,7 +116,13 @@ class Touch:
         return (Touch, (alone.round, alone.touch_index, 0))
 
     def __repr__(self) -> str:
-        return f"Touch(round_id={self.round_id!r}, touch_index={self.touch_index}, label={self.label})"
+        shown = {
+            "round_id": self.round.shown("id"),
+            "touch_index": f"{self.touch_index}",
+            "label": self.round.shown("label"),
+        }
+        words = [f"{name}={value}" for name, value in shown.items() if value is not None]
+        return f"Touch({', '.join(words)})"
 
     def _repr_html_(self) -> str:
         """Show the picture of the contact in a notebook."""

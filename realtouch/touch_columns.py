@@ -16,14 +16,19 @@ from realtouch.nested import NestedColumn, nested_column
 
 __all__ = [
     "column_of",
+    "intended_position",
+    "intended_positions",
     "media_count",
     "per_touch",
     "require_count",
     "touch_count",
     "touch_total",
     "value_of",
+    "vector_of",
     "vectors",
 ]
+
+_POSITIONS = ("gel_pose_cell_frame.position", "gel_pose_cell_frame_seq.position")
 
 
 def column_of(row: Row, name: str) -> NestedColumn:
@@ -60,8 +65,8 @@ def media_count(row: Row, name: str) -> int:
 
 
 def touch_total(row: Row) -> int:
-    """Return T: the number of intended positions, or else of images or clips."""
-    for name in ("pos_in_cell", "sensor_image", "sensor_video"):
+    """Return T: the number of intended positions, or else of images or clips, or of poses read alone."""
+    for name in ("pos_in_cell", "sensor_image", "sensor_video", *_POSITIONS):
         if row.has(name):
             return touch_count(row, name)
     raise missing_column(row, "pos_in_cell")
@@ -104,6 +109,57 @@ def vectors(row: Row, name: str, width: int) -> NDArray[np.floating]:
         problem = f"{len(values)} values for {touches} touches; expected {width} each"
         raise damaged(row, name, problem)
     return values.reshape(touches, width)
+
+
+def vector_of(row: Row, name: str, touch: int, width: int) -> NDArray[np.floating]:
+    """Return the vector of one touch, shape (width,), a view; looks at no other touch.
+
+    Raises
+    ------
+    IntegrityError
+        It has not ``width`` values.
+    IndexError
+        There is no such touch.
+    """
+    column = column_of(row, name)
+    first, last = column.inside(0, row.index, row.index + 1)
+    require_count(row, name, last - first)
+    if not -(last - first) <= touch < last - first:
+        message = f"touch {touch} is out of range for {last - first} touches"
+        raise IndexError(message)
+    place = (first if touch >= 0 else last) + touch
+    values = column.flat(1, place, place + 1)
+    if len(values) != width:
+        raise damaged(row, name, f"{len(values)} values; expected {width}", touch)
+    return values
+
+
+def intended_positions(row: Row) -> NDArray[np.floating]:
+    """Return where each touch was meant to be, shape (T, 2), metres, cell frame, a view.
+
+    Raises
+    ------
+    IntegrityError
+        There are not T positions, or one is missing or not finite; names the touch.
+    """
+    positions = vectors(row, "pos_in_cell", 2)
+    # One sum tells of any value that is not finite, and costs a tenth of looking at each.
+    if not np.isfinite(positions.sum()):
+        for touch in np.flatnonzero(~np.isfinite(positions).all(axis=1)).tolist():
+            raise _no_position(row, touch, positions[touch])
+    return positions
+
+
+def intended_position(row: Row, touch: int) -> NDArray[np.floating]:
+    """Return where one touch was meant to be, shape (2,); see :func:`intended_positions`."""
+    position = vector_of(row, "pos_in_cell", touch, 2)
+    if not np.isfinite(position.sum()):
+        raise _no_position(row, touch, position)
+    return position
+
+
+def _no_position(row: Row, touch: int, found: NDArray[np.floating]) -> Exception:
+    return damaged(row, "pos_in_cell", f"a position {found}; expected metres", touch)
 
 
 def require_count(row: Row, name: str, found: int) -> None:

@@ -9,9 +9,11 @@ from typing import TYPE_CHECKING, Any, Generic, TypeVar, overload
 import numpy as np
 from numpy.typing import NDArray
 
+from dataset_store.errors import InputError
 from realtouch.contact import MIN_CONTACT_HEIGHT_M, contact_heights_m
+from realtouch.fields import touch_contact_z_m
 from realtouch.images import positions_of
-from realtouch.jpeg import Pixels
+from realtouch.jpeg import Pixels, room_for
 from realtouch.rounds import TouchRound, TouchSingleRound
 from realtouch.touch import Touch
 
@@ -106,21 +108,38 @@ class Touches(Sequence[Touch], Generic[R]):
     @property
     def object_ids(self) -> NDArray[np.int64]:
         """Object of each touch, shape (len,), int64; reads that column only."""
-        return self.dataset.column("object_id").astype(np.int64, copy=False)[self.round_positions]
+        return self.dataset.whole_numbers("object_id")[self.round_positions]
 
     def heights_m(self, recalibrate_z: bool = True) -> NDArray[np.float64]:
         """Return how high above the plate the gel stopped in each touch, shape (len,), metres.
 
         Reads the poses only. See :func:`realtouch.contact.contact_heights_m`; all touches of a round take
-        part in finding its plate, whatever was selected.
+        part in finding its plate, whatever was selected here; where `realtouch select` took touches out of
+        the files, the plate that it stored is taken.
+
+        Raises
+        ------
+        IntegrityError
+            The height of a touch of this view cannot be read; names file, row and touch.
         """
-        z_m, starts = self.dataset.contact_z_m()
+        z_m, starts = self.dataset.known_contact_z_m()
+        plates_m = self.dataset.plates_z_m()
         rows = self.dataset.row_numbers
         heights = np.empty(int(self._starts[-1]))
         for position, row in enumerate(rows):
             place = slice(int(self._starts[position]), int(self._starts[position + 1]))
-            heights[place] = contact_heights_m(z_m[starts[row] : starts[row + 1]], recalibrate_z)
-        return heights[self._flat]
+            touched_m = z_m[starts[row] : starts[row + 1]]
+            known = ~np.isnan(touched_m)
+            heights[place][known] = contact_heights_m(touched_m[known], recalibrate_z, plates_m[row])
+            heights[place][~known] = np.nan
+        chosen = heights[self._flat]
+        for index in np.flatnonzero(np.isnan(chosen))[:1].tolist():
+            self._refuse_height(index)
+        return chosen
+
+    def _refuse_height(self, index: int) -> None:
+        position, touch = self.locate(index)
+        touch_contact_z_m(self.dataset[position]._row, self.dataset.kind, touch)
 
     def with_contact(
         self, min_height_m: float = MIN_CONTACT_HEIGHT_M, recalibrate_z: bool = True
@@ -136,20 +155,29 @@ class Touches(Sequence[Touch], Generic[R]):
         """
         return self[self.heights_m(recalibrate_z) >= min_height_m]
 
-    def labels(self, *wanted: int | str) -> Touches[R]:
-        """Return the touches of some classes, given as numbers or names.
+    def labels(self, *wanted: int | str | Iterable[int | str]) -> Touches[R]:
+        """Return the touches of some classes, given as numbers or names, or as sequences of them.
 
         Raises
         ------
         InputError
-            There is no such class.
+            There is no such class, or something else than numbers and names is given.
         """
-        kept = self.dataset.filter_labels(wanted).row_numbers
+        classes = _listed(wanted, (int, np.integer, str), "classes as whole numbers or names")
+        kept = self.dataset.filter_labels(classes).row_numbers
         return self[np.isin(self.dataset.row_numbers[self.round_positions], kept)]
 
-    def objects(self, *wanted: int) -> Touches[R]:
-        """Return the touches of some objects, by ``object_id``."""
-        return self[np.isin(self.object_ids, wanted)]
+    def objects(self, *wanted: int | Iterable[int]) -> Touches[R]:
+        """Return the touches of some objects, by ``object_id``, given as numbers or as sequences of them.
+
+        Raises
+        ------
+        InputError
+            Something else than whole numbers is given.
+        """
+        numbers = {int(each) for each in _listed(wanted, (int, np.integer), "object ids as whole numbers")}
+        known = {int(each) for each in np.unique(self.object_ids)}
+        return self[np.isin(self.object_ids, sorted(numbers & known))]
 
     def where(self, predicate: Callable[[Touch], bool]) -> Touches[R]:
         """Return the touches for which a function is true.
@@ -192,15 +220,18 @@ class Touches(Sequence[Touch], Generic[R]):
 
         Raises
         ------
+        InputError
+            ``out`` is no writable array of that shape and dtype, each image C-contiguous.
         IntegrityError
             An image is damaged or of another size; names file, row and touch.
         """
         places = [self.locate(place) for place in positions_of(index, len(self))]
         if not places:
-            return np.empty((0, 0, 0, 3), np.uint8) if out is None else out
+            return self._no_images() if out is None else out
+        height, width = self._images_of(places[0][0]).size(places[0][1])
         if out is None:
-            height, width = self._images_of(places[0][0]).size(places[0][1])
             out = np.empty((len(places), height, width, 3), np.uint8)
+        room_for(len(places), (height, width), out)
         start = 0
         while start < len(places):
             position = places[start][0]
@@ -208,9 +239,14 @@ class Touches(Sequence[Touch], Generic[R]):
             while stop < len(places) and places[stop][0] == position:
                 stop += 1
             wanted = [touch for _, touch in places[start:stop]]
-            self._images_of(position).batch(wanted, threads=threads, out=out[start:stop])
+            self._images_of(position).decode_into(out[start:stop], wanted, threads=threads)
             start = stop
         return out
+
+    def _no_images(self) -> Pixels:
+        rounds = self.dataset
+        size = self._images_of(0).size() if len(rounds) and rounds[0].touch_count else (0, 0)
+        return room_for(0, size)
 
     def _images_of(self, position: int) -> Any:
         record = self.dataset[position]
@@ -226,3 +262,26 @@ class Touches(Sequence[Touch], Generic[R]):
 
     def __repr__(self) -> str:
         return f"Touches({len(self):,} of {len(self.dataset):,} rounds)"
+
+
+def _listed(wanted: Iterable[Any], types: tuple[type, ...], expected: str) -> list[Any]:
+    """Lay what was given, values and sequences of them, in one list.
+
+    Raises
+    ------
+    InputError
+        A value is of none of the types.
+    """
+    values: list[Any] = []
+    for item in wanted:
+        if isinstance(item, np.ndarray):
+            values += item.reshape(-1).tolist()
+        elif isinstance(item, Iterable) and not isinstance(item, (str, bytes)):
+            values += item
+        else:
+            values.append(item)
+    for value in values:
+        if not isinstance(value, types) or isinstance(value, bool):
+            message = f"{value!r} ({type(value).__name__}) was given; expected {expected}"
+            raise InputError(message)
+    return values

@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from starstruck_gen.generation import GenerateSpec, generate
     from starstruck_gen.placement import Placement
     from starstruck_gen.proportions import Crescent, Cross, Disc, Proportions, Ring, Star
+    from starstruck_gen.registry import register_shape
     from starstruck_gen.sampling import sample_scene, sample_scenes
     from starstruck_gen.scene import Scene
     from starstruck_gen.shapes import OUTLINES, Shape
@@ -45,6 +46,7 @@ __all__ = [
     "Star",
     "generate",
     "load",
+    "register_shape",
     "sample_scene",
     "sample_scenes",
     "scene_rng",
@@ -59,6 +61,7 @@ _HOMES = {
     "generation": ("GenerateSpec", "generate"),
     "placement": ("Placement",),
     "proportions": ("Crescent", "Cross", "Disc", "Proportions", "Ring", "Star"),
+    "registry": ("register_shape",),
     "sampling": ("sample_scene", "sample_scenes"),
     "scene": ("Scene",),
     "shapes": ("OUTLINES", "Shape"),

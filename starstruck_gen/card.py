@@ -10,6 +10,7 @@ from dataset_store.cards.facts import FolderFacts, folder_facts
 from dataset_store.cards.head import card_head, head_text
 from dataset_store.cards.parts import Column, field_table, json_block, markdown_table, megabytes, picture
 from dataset_store.cards.pictures import write_previews
+from dataset_store.counting import counted
 from dataset_store.manifest import Manifest
 from dataset_store.mesh_columns import FACES, VERTICES
 from dataset_store.storage import DataFolder
@@ -83,7 +84,7 @@ def _values(manifest: Manifest, spec: SceneSpec, facts: FolderFacts, drawn: bool
         "reach_y_mm": f"{1e3 * spec.half_area_m[1]:g}",
         "classes": ", ".join(spec.class_names),
         "class_count": str(len(spec.class_names)),
-        "distractors": f"{spec.distractors[0]} to {spec.distractors[1]}",
+        "distractors": _distractors(spec),
         "shapes": _shapes(spec),
         "rotation": _rotation(spec),
         "heights": " or ".join(f"{1e3 * height:g}" for height in spec.heights_m) + " mm",
@@ -98,6 +99,11 @@ def _values(manifest: Manifest, spec: SceneSpec, facts: FolderFacts, drawn: bool
         "first_split": facts.splits[0].split,
         "bibtex": bibtex(TACTILE_MNIST),
     }
+
+
+def _distractors(spec: SceneSpec) -> str:
+    least, most = spec.distractors
+    return counted(most, "objects") if least == most else f"{least:,} to {most:,} objects"
 
 
 def _rule(spec: SceneSpec) -> str:

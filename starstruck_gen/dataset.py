@@ -7,6 +7,7 @@ from typing import Any, Literal, overload
 import numpy as np
 from numpy.typing import NDArray
 
+from dataset_store.columns import column_names
 from dataset_store.errors import InputError
 from dataset_store.hub.published import place_of
 from dataset_store.mesh_columns import class_names, require_mesh_columns
@@ -118,8 +119,14 @@ class SceneMeshDataset(RecordDataset[SceneRecord]):
 
     @property
     def star_counts(self) -> NDArray[np.int64]:
-        """Number of stars of each row, shape (len,); loads no mesh."""
-        return self.column("star_count")
+        """Number of stars of each row, shape (len,); loads no mesh. As :attr:`SceneRecord.star_count`."""
+        tables = [table for table in self._tables if len(table)]
+        stored = ["star_count" in column_names(table.schema) for table in tables]
+        if all(stored) and stored:
+            return self.whole_numbers("star_count")
+        if any(stored):
+            return np.array([record.star_count for record in self], dtype=np.int64)
+        return self.labels + 1
 
 
 @overload
@@ -130,6 +137,10 @@ def load(
 def load(
     name: str, split: str = "train", *, streaming: Literal[True], revision: str | None = None
 ) -> RecordStream[SceneRecord]: ...
+@overload
+def load(
+    name: str, split: str = "train", *, streaming: bool = False, revision: str | None = None
+) -> SceneMeshDataset | RecordStream[SceneRecord]: ...
 def load(
     name: str, split: str = "train", *, streaming: bool = False, revision: str | None = None
 ) -> SceneMeshDataset | RecordStream[SceneRecord]:
@@ -166,4 +177,4 @@ def load(
     require_mesh_columns(table.schema, name, "starstruck generate")
     if streaming:
         return RecordStream(shards, SceneRecord, CLASS_NAMES)
-    return SceneMeshDataset([table], label_names=class_names(table.schema, CLASS_NAMES))
+    return SceneMeshDataset([table], label_names=class_names(table.schema, CLASS_NAMES, name))

@@ -12,9 +12,10 @@ from numpy.typing import NDArray
 from dataset_store.columns import RaggedColumn, column_names
 from dataset_store.errors import InputError
 from dataset_store.mesh_columns import FACES, VERTICES
+from dataset_store.plain_values import plain_number
 from dataset_store.records import RecordDataset
 from dataset_store.rowgroups import RowGroup, ShardedTable
-from starstruck_gen.dataset import SceneRecord
+from starstruck_gen.dataset import SceneMeshDataset
 from starstruck_gen.rows import SceneRows, make_rows, scene_schema, scene_table
 from starstruck_gen.sampling import sample_scenes
 from starstruck_gen.scene import Scene
@@ -157,7 +158,7 @@ class _MadeRow(RowGroup):
         return getattr(self._scene, name)
 
 
-class SceneDataset(RecordDataset[SceneRecord]):
+class SceneDataset(SceneMeshDataset):
     """Scenes on the fly: the records that ``starstruck generate`` writes, index by index, without any files.
 
     Parameters
@@ -185,22 +186,35 @@ class SceneDataset(RecordDataset[SceneRecord]):
     True
     """
 
-    record = SceneRecord
-
     def __init__(
         self, spec: SceneSpec | None = None, split: str = "train", size: int = DEFAULT_SIZE, seed: int = 0
     ) -> None:
         spec = spec or SceneSpec()
+        size, seed = plain_number(size), plain_number(seed)
         if split not in SPLITS:
             message = f"unknown split {split!r}; expected one of {', '.join(SPLITS)}"
             raise InputError(message)
-        if not 0 <= size <= MOST_SCENES or seed < 0:
-            found = f"size is {size} and seed is {seed}"
+        if not (_whole(size, seed) and 0 <= size <= MOST_SCENES and seed >= 0):
+            found = f"size is {size!r} and seed is {seed!r}"
             message = f"{found}; expected a size of 0 to {MOST_SCENES:,} and a seed from 0"
             raise InputError(message)
         super().__init__([SceneTable(spec, split, size, seed)], label_names=spec.class_names)
+
+    def whole_numbers(self, name: str) -> NDArray[np.int64]:
+        """Return one column of whole numbers, shape (len,), int64; none is stored, so that none is damaged.
+
+        Raises
+        ------
+        InputError
+            When the records have no such field.
+        """
+        return self.column(name).astype(np.int64, copy=False)
 
     def _view(self, tables: Sequence[ShardedTable], rows: range | NDArray[np.int64]) -> Self:
         view = type(self).__new__(type(self))
         RecordDataset.__init__(view, tables, rows, self._label_names)
         return view
+
+
+def _whole(*values: object) -> bool:
+    return all(isinstance(value, int) and not isinstance(value, bool) for value in values)

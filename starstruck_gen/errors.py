@@ -25,6 +25,11 @@ class SamplingExhausted(InputError):  # noqa: N818
         Width and height of the area in which centres may lie.
     kept_in : str
         Folder in which shards finished before stay; empty where there are none.
+    most : int
+        How many objects can stand that far apart in that area at most, where that was computed beforehand
+        and nothing was tried; 0 where positions were tried.
+    hopeless : bool
+        Whether trying ended before all restarts were used, because no layout came near.
     """
 
     shape: str
@@ -34,6 +39,8 @@ class SamplingExhausted(InputError):  # noqa: N818
     restarts: int
     area_mm: tuple[float, float]
     kept_in: str = ""
+    most: int = 0
+    hopeless: bool = False
 
     def __post_init__(self) -> None:
         # The fields are the arguments, so that the error crosses process borders.
@@ -43,8 +50,19 @@ class SamplingExhausted(InputError):  # noqa: N818
         kept = f"; shards finished before stay in {self.kept_in!r}" if self.kept_in else ""
         place = ", and choose another --out or --overwrite" if self.kept_in else ""
         return (
-            f"no place for object {self.number} of {self.objects} (a {self.shape}): {self.attempts} attempts "
-            f"failed, and the scene was started over {self.restarts} times (restarts); centres may lie in "
-            f"{self.area_mm[0]:g} x {self.area_mm[1]:g} mm{kept}; next: lower the most --stars or "
-            f"--distractors, --clearance-mm or --radius-mm, or raise --cell-mm{place}"
+            f"no place for object {self.number} of {self.objects} (a {self.shape}): {self._story()}; centres "
+            f"may lie in {self.area_mm[0]:g} x {self.area_mm[1]:g} mm{kept}; next: lower the most --stars or "
+            "--distractors (stars, distractors), --clearance-mm (clearance_m) or --radius-mm (radius_m of a "
+            f"shape), or raise --cell-mm (cell_m){self._patience()}{place}"
         )
+
+    def _story(self) -> str:
+        if self.most:
+            return f"there is room for at most {self.most} of that size, however they are placed"
+        again = f"the scene was started over {self.restarts} times (restarts)"
+        near = "; no layout came near" if self.hopeless else ""
+        return f"{self.attempts} attempts failed, and {again}{near}"
+
+    def _patience(self) -> str:
+        helps = not (self.most or self.hopeless)
+        return ", or in Python raise attempts or restarts of SceneSpec" if helps else ""

@@ -2,23 +2,33 @@
 
 from __future__ import annotations
 
+import os
 import time
 from collections.abc import Sequence
 
 from dataset_store.forecast import Forecast, Sample, forecast_build
 from dataset_store.shards import encode_parquet
-from starstruck_gen.generation import GenerateSpec, inspect_out, plan_build
+from dataset_store.storage import DataFolder
+from starstruck_gen.generation import GenerateSpec, plan_build
 from starstruck_gen.proof import require_sound
 from starstruck_gen.rows import PARQUET_STYLE, make_rows, scene_table
-from starstruck_gen.sampling import require_room
+from starstruck_gen.sampling import LayoutFailed, require_room
 
 __all__ = ["forecast"]
 
 _SAMPLED = 200
 
 
-def forecast(spec: GenerateSpec, out: str, splits: Sequence[str], workers: int) -> Forecast:
-    """Estimate a run by making some of its scenes; writes nothing.
+def forecast(
+    spec: GenerateSpec,
+    out: str | os.PathLike[str],
+    splits: Sequence[str],
+    workers: int,
+    *,
+    overwrite: bool = False,
+    on_failure: LayoutFailed = lambda _failed, _allowed: None,
+) -> Forecast:
+    """Estimate a run by making some of its scenes; writes nothing. Parameters are those of the run.
 
     Raises
     ------
@@ -26,10 +36,10 @@ def forecast(spec: GenerateSpec, out: str, splits: Sequence[str], workers: int) 
         As :func:`starstruck_gen.generation.generate`.
     """
     plan = plan_build(spec, splits)
-    require_room(spec.scene, spec.seed)
-    state = inspect_out(spec, out, splits)
+    require_room(spec.scene, spec.seed, on_failure)
     first = plan.tasks[0].shard.split
-    return forecast_build(plan, state, workers, lambda: _measure(spec, first))
+    folder = DataFolder(os.fspath(out))
+    return forecast_build(folder, plan, workers, lambda: _measure(spec, first), overwrite=overwrite)
 
 
 def _measure(spec: GenerateSpec, split: str) -> Sample:

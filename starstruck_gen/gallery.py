@@ -10,6 +10,7 @@ from dataset_store.gallery.items import Facet, Gallery, Item, Measure
 from dataset_store.gallery.meshes import packed_mesh, require_mesh, size_text
 from dataset_store.gallery.pictures import THUMBNAIL_PX, thumbnail, top_view
 from dataset_store.gallery.selection import Choice, chosen_rows, portions, short_name, splits_to_show
+from dataset_store.kinds import require_kind
 from dataset_store.mesh import MM_PER_M, Mesh
 from starstruck_gen.dataset import SceneMeshDataset, SceneRecord, load
 from starstruck_gen.solid import prism
@@ -67,6 +68,7 @@ def plan_gallery(choice: Choice) -> Gallery:
     tasks, splits = [], {}
     for split in splits_to_show(choice.name, choice.split):
         dataset = load(choice.name, split)
+        require_kind("starstruck", "gallery", choice.name, [dataset])
         rows = chosen_rows(dataset.labels, choice.limit, choice.per_class)
         splits[split] = len(rows)
         tasks += [_SceneTask(dataset[portion], split) for portion in portions(rows, _ROWS_PER_TASK)]
@@ -110,9 +112,12 @@ def _notes(record: SceneRecord) -> list[tuple[str, str]]:
 
 
 def _parts(record: SceneRecord) -> list[tuple[int, str]]:
-    """Tell stars from other objects; nothing where the triangles are not those of the declared objects."""
+    """Tell stars from other objects; nothing where the triangles are not those of the declared objects.
+
+    Where it is not stored which objects are stars, none is painted as one.
+    """
     if not record.has_placements:
-        return []
+        return [(len(record.faces), "other")]
     runs = [
         (len(prism(placement.shape).faces), "main" if placement.is_star else "other")
         for placement in record.placements

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
@@ -10,6 +11,7 @@ from dataset_store.build import BuildPlan, BuildState, Progress, ShardContent, b
 from dataset_store.errors import InputError
 from dataset_store.manifest import Manifest
 from dataset_store.parts import manifest_so_far
+from dataset_store.plain_values import plain_number, plain_pairs
 from dataset_store.runner import Runner, runner_for
 from dataset_store.shards import ShardName
 from dataset_store.storage import DataFolder
@@ -18,7 +20,7 @@ from starstruck_gen.card import write_card
 from starstruck_gen.errors import SamplingExhausted
 from starstruck_gen.proof import require_sound
 from starstruck_gen.rows import PARQUET_STYLE, make_rows, scene_table
-from starstruck_gen.sampling import require_room
+from starstruck_gen.sampling import LayoutFailed, require_room
 from starstruck_gen.spec import SceneSpec
 from starstruck_gen.streams import MOST_SCENES, SPLITS, scene_seed
 
@@ -43,7 +45,7 @@ class GenerateSpec:
     scene : SceneSpec
         How scenes are made.
     scenes : tuple of (str, int)
-        Number of scenes of each split.
+        Number of scenes of each split; a mapping is taken too.
     seed : int
         Seed of everything that is drawn at random.
     limit : int or None
@@ -61,6 +63,10 @@ class GenerateSpec:
     limit: int | None = None
 
     def __post_init__(self) -> None:
+        for name in ("seed", "limit"):
+            object.__setattr__(self, name, plain_number(getattr(self, name)))
+        object.__setattr__(self, "scenes", plain_pairs(self.scenes))
+        self._require_types()
         names = [split for split, _ in self.scenes]
         if len(set(names)) < len(names):
             message = f"--scenes names a split twice: {', '.join(names)}; expected each once"
@@ -73,6 +79,22 @@ class GenerateSpec:
         if self.limit is not None and self.limit < 1:
             message = f"--limit is {self.limit}; expected a whole number of at least 1"
             raise InputError(message)
+
+    def _require_types(self) -> None:
+        pairs = isinstance(self.scenes, tuple) and all(
+            isinstance(entry, tuple) and len(entry) == 2 and _is_whole(entry[1]) for entry in self.scenes
+        )
+        for name, holds, expected in (
+            ("scene", isinstance(self.scene, SceneSpec), "a SceneSpec"),
+            ("scenes", pairs, "a whole number for each split, such as {'train': 3000, 'test': 300}"),
+            ("seed", _is_whole(self.seed), "a whole number from 0"),
+            ("limit", self.limit is None or _is_whole(self.limit), "None or a whole number of at least 1"),
+        ):
+            if not holds:
+                message = (
+                    f"{name} of the data set's specification is {getattr(self, name)!r}; expected {expected}"
+                )
+                raise InputError(message)
 
     def rows(self, split: str) -> int:
         """Return how many rows a split has."""
@@ -152,12 +174,13 @@ def plan_build(spec: GenerateSpec, splits: Sequence[str]) -> BuildPlan:
 
 def generate(
     spec: GenerateSpec,
-    out: str,
+    out: str | os.PathLike[str],
     splits: Sequence[str] = SPLITS,
     *,
     workers: int | Runner = 1,
     overwrite: bool = False,
     on_progress: Callable[[Progress], None] = lambda _: None,
+    on_failure: LayoutFailed = lambda _failed, _allowed: None,
 ) -> Manifest:
     """Make a data set of scenes.
 
@@ -169,7 +192,7 @@ def generate(
     ----------
     spec : GenerateSpec
         What to make.
-    out : str
+    out : str or path-like
         Folder to write.
     splits : sequence of str
         Splits to make; others that the folder holds already stay.
@@ -179,6 +202,8 @@ def generate(
         Start again in a folder that holds another data set of this toolkit.
     on_progress : callable
         Told after each shard.
+    on_failure : callable
+        Told after each layout that failed while it is tried whether the fullest scene has room.
 
     Returns
     -------
@@ -196,9 +221,9 @@ def generate(
     StorageError
         The folder cannot be written. What was finished stays.
     """
-    folder = DataFolder(out)
+    folder = DataFolder(os.fspath(out))
     plan = plan_build(spec, splits)
-    require_room(spec.scene, spec.seed)
+    require_room(spec.scene, spec.seed, on_failure)
     runner = runner_for(workers)
     try:
         manifest = build(folder, plan, runner, overwrite=overwrite, on_progress=on_progress)
@@ -206,14 +231,20 @@ def generate(
         so_far = manifest_so_far(folder)
         if so_far is None or not so_far.receipts:
             raise
-        raise replace(error, kept_in=out) from error
+        raise replace(error, kept_in=os.fspath(out)) from error
     write_card(folder, manifest)
     return manifest
 
 
-def inspect_out(spec: GenerateSpec, out: str, splits: Sequence[str] = SPLITS) -> BuildState:
+def inspect_out(
+    spec: GenerateSpec, out: str | os.PathLike[str], splits: Sequence[str] = SPLITS
+) -> BuildState:
     """Tell what :func:`generate` would keep and make, changing nothing."""
-    return inspect_folder(DataFolder(out), plan_build(spec, splits))
+    return inspect_folder(DataFolder(os.fspath(out)), plan_build(spec, splits))
+
+
+def _is_whole(value: object) -> bool:
+    return isinstance(value, int) and not isinstance(value, bool)
 
 
 def _split_tasks(spec: GenerateSpec, split: str) -> list[SceneShard]:

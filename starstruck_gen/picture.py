@@ -84,7 +84,13 @@ def draw_trace(trace: SceneTrace, spec: SceneSpec, px_per_mm: float) -> Image:
 def _plate(cell_m: tuple[float, float], px_per_mm: float) -> Image:
     from PIL import Image
 
-    size_px = (round(cell_m[0] * 1e3 * px_per_mm), round(cell_m[1] * 1e3 * px_per_mm))
+    sides = (cell_m[0] * 1e3 * px_per_mm, cell_m[1] * 1e3 * px_per_mm)
+    if not all(map(math.isfinite, sides)):
+        message = (
+            f"a picture of a cell of {cell_m!r} m with {px_per_mm!r} pixels per mm; expected finite numbers"
+        )
+        raise InputError(message)
+    size_px = (round(sides[0]), round(sides[1]))
     large_px = (size_px[0] * _SUPERSAMPLING, size_px[1] * _SUPERSAMPLING)
     if min(size_px) < 1 or large_px[0] * large_px[1] > _MOST_PIXELS:
         message = (

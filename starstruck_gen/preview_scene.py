@@ -7,6 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from dataset_store.counting import counted
 from dataset_store.mesh import MM_PER_M, Mesh
 from dataset_store.pictures.oblique import Body, Picture3d, Studio, fitting_scale, shaded
 from dataset_store.pictures.shading import TOP
@@ -25,6 +26,8 @@ _TILE_PX = 150
 _PANEL_PX = 600
 _PLATE = (236, 233, 226)
 _PLATE_DEPTH_M = 2e-4
+_OBJECT = (150, 160, 172)
+"""Colour of objects of which it is not stored whether they are stars."""
 
 
 def draw_sheet(records: Sequence[SceneRecord], spec: SceneSpec, per_row: int, title: str) -> Drawing:
@@ -45,7 +48,7 @@ def draw_sheet(records: Sequence[SceneRecord], spec: SceneSpec, per_row: int, ti
     counts = [record.star_count for record in records]
     groups = [
         (
-            f"{count} star" if count == 1 else f"{count} stars",
+            counted(count, "stars"),
             [
                 Tile(_from_above(record, spec, px_per_mm), f"{record.id}")
                 for record in records
@@ -55,7 +58,9 @@ def draw_sheet(records: Sequence[SceneRecord], spec: SceneSpec, per_row: int, ti
         for count in dict.fromkeys(counts)
     ]
     columns, cells, row_labels = in_rows(groups, per_row)
-    words = (f"{len(records)} scenes from above, the id of each below it; stars are yellow",)
+    known = all(record.has_placements for record in records)
+    colours = "stars are yellow" if known else "it is not stored which objects are stars"
+    words = (f"{counted(len(records), 'scenes')} from above, the id of each below it; {colours}",)
     drawn = sheet(cells, Sheet(columns, title, words, ("",), row_labels, gap_px=12))
     return Drawing(with_scale_bar(drawn, px_per_mm, ScaleBar.fitting(4 * _TILE_PX, px_per_mm)))
 
@@ -115,7 +120,7 @@ def _from_above(record: SceneRecord, spec: SceneSpec, px_per_mm: float) -> NDArr
 def _bodies(record: SceneRecord, spec: SceneSpec) -> tuple[Body, ...]:
     plate = Body(_plate(spec), _PLATE, lit=False)
     if not record.has_placements:
-        return (plate, Body(Mesh(record.vertices_m, record.faces), STAR))
+        return (plate, Body(Mesh(record.vertices_m, record.faces), _OBJECT))
     objects = (
         Body(stamp([[placement]])[0], STAR if placement.is_star else DISTRACTOR)
         for placement in record.placements
@@ -137,13 +142,13 @@ def _caption(trace: SceneTrace) -> str:
 
 
 def _facts(record: SceneRecord, trace: SceneTrace | None, spec: SceneSpec) -> tuple[str, ...]:
-    stars = "1 star" if record.star_count == 1 else f"{record.star_count} stars"
+    stars = counted(record.star_count, "stars")
     if trace is None:
         return (stars,)
     scene = trace.scene
-    others = "1 other object" if scene.distractor_count == 1 else f"{scene.distractor_count} other objects"
+    others = counted(scene.distractor_count, "other objects")
     given_up = sum(lost.given_up for lost in trace.rejected)
-    drawn = f"{sum(scene.attempts)} positions drawn, {len(trace.rejected)} rejected"
+    drawn = f"{counted(sum(scene.attempts), 'positions')} drawn, {len(trace.rejected)} rejected"
     over = f", {given_up} of them (grey crosses) in layouts that were given up" if given_up else ""
     rule = "circles must not meet" if spec.collision == "circles" else "outlines must not touch"
     return (f"{stars}, {others}; {drawn}{over}; {rule}",)

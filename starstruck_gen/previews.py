@@ -10,7 +10,9 @@ from pathlib import Path
 import numpy as np
 
 from dataset_store.choices import chosen_records, class_by_class, open_splits
+from dataset_store.counting import counted
 from dataset_store.errors import InputError
+from dataset_store.kinds import require_kind
 from dataset_store.manifest import read_manifest
 from dataset_store.pictures.oblique import Studio
 from dataset_store.pictures.plots import Bars, plot_bars, require_plots
@@ -101,6 +103,7 @@ class _OpenSet:
     def __init__(self, name: str, spec: PreviewSpec) -> None:
         self.name, self.spec, self.stem = name, spec, file_stem(name)
         self.datasets = open_splits(name, spec.split, load, "scenes")
+        require_kind("starstruck", "preview", name, self.datasets.values())
 
     @cached_property
     def made_by(self) -> SceneSpec | None:
@@ -127,7 +130,7 @@ def _plan_sheets(opened: _OpenSet) -> list[PlannedPicture]:
             made_by = opened.made_by or SceneSpec()
             title = f"{opened.stem}: {split}"
             draw = partial(_drawn_sheet, dataset[rows], made_by, opened.spec.per_class, title)
-            what = f"{len(rows)} scenes of {split} from above"
+            what = f"{counted(len(rows), 'scenes')} of {split} from above"
             pictures.append(PlannedPicture(f"{opened.stem}-{split}-sheet.png", what, draw))
     return pictures
 
@@ -136,17 +139,24 @@ def _plan_scenes(opened: _OpenSet) -> list[PlannedPicture]:
     return [
         PlannedPicture(
             f"{opened.stem}-{split}-{record.id}-scene.png",
-            f"scene {record.id} with rejected positions, and obliquely",
+            f"scene {record.id} {_view(opened, record)}, and obliquely",
             partial(_drawn_scene, record, opened.made_by, f"Scene {record.id} ({opened.stem}, {split})"),
         )
         for split, record in opened.records()
     ]
 
 
+def _view(opened: _OpenSet, record: SceneRecord) -> str:
+    traceable = record.has_placements and opened.made_by is not None
+    return "with rejected positions" if traceable else "from above"
+
+
 def _plan_histogram(opened: _OpenSet) -> list[PlannedPicture]:
     require_plots("the class histogram")
     draw = partial(_drawn_histogram, opened.datasets, f"{opened.stem}: scenes of each class")
-    return [PlannedPicture(f"{opened.stem}-histogram.png", "scenes of each class and number of others", draw)]
+    known = any(dataset[0].has_placements for dataset in opened.datasets.values())
+    what = "scenes of each class" + (" and number of others" if known else "")
+    return [PlannedPicture(f"{opened.stem}-histogram.png", what, draw)]
 
 
 _PLANS = {"sheet": _plan_sheets, "scene": _plan_scenes, "histogram": _plan_histogram}
@@ -164,7 +174,7 @@ def _drawn_histogram(datasets: Mapping[str, SceneMeshDataset], title: str, _: St
     panels = []
     for split, dataset in datasets.items():
         classes = np.bincount(dataset.labels, minlength=len(dataset.label_names))
-        heading = f"{split}: {len(dataset):,} scenes"
+        heading = f"{split}: {counted(len(dataset), 'scenes')}"
         panels.append(Bars(heading, dataset.label_names, tuple(classes.tolist()), "stars", "scenes"))
         if dataset[0].has_placements:
             others = np.bincount(dataset.column("distractor_count"))

@@ -1,8 +1,9 @@
 """Proportions of each kind of shape, and the outline they give.
 
-A further shape is one class here and one entry of :data:`KINDS`: everything else (collision, solids,
-drawing, the specification, the command line) follows from it. Lengths are in units of the circumscribed
-radius, so that every outline reaches distance 1 from the origin and not beyond.
+A further shape is one class: everything else (collision, solids, drawing, the specification, the command
+line) follows from it. Those of the toolkit are here, in :data:`KINDS`; others come to it by
+:func:`starstruck_gen.register_shape`. Lengths are in units of the circumscribed radius, so that every outline
+reaches distance 1 from the origin and not beyond.
 """
 
 from __future__ import annotations
@@ -20,6 +21,7 @@ from dataset_store.errors import InputError
 
 __all__ = [
     "KINDS",
+    "REGISTRY",
     "STAR",
     "Box",
     "Crescent",
@@ -41,6 +43,7 @@ STAR = "star"
 
 _PUBLISHED_SEGMENTS = 32  # of the published disc (package tactile-mnist 0.13.0)
 _DEEPEST_NOTCH_SHARE = 0.99
+_LARGEST = 1e6  # where a kind declares no range
 
 
 def _within(published: float, least: float, most: float) -> Any:
@@ -74,6 +77,10 @@ class Proportions:
         """Return the rings of the outline, read-only; unit: the circumscribed radius."""
         raise NotImplementedError
 
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Pickle with the class, so that a worker that never heard of the kind knows it from then on."""
+        return (_remade, (type(self), self.to_dict()))
+
     def to_dict(self) -> dict[str, Any]:
         """Return JSON values."""
         return {entry.name: getattr(self, entry.name) for entry in fields(self)}
@@ -104,9 +111,17 @@ class Proportions:
         return cls(**values)
 
 
+def _remade(kind: type[Proportions], values: dict[str, Any]) -> Proportions:
+    if kind.name and kind.name not in KINDS:
+        from starstruck_gen.registry import register_shape
+
+        register_shape(kind)
+    return kind(**values)
+
+
 def _number(shape: str, name: str, value: Any, entry: Any) -> float:
     kind: type[float] = type(entry.default)
-    least, most = entry.metadata["least"], entry.metadata["most"]
+    least, most = entry.metadata.get("least", -_LARGEST), entry.metadata.get("most", _LARGEST)
     try:
         fine = not isinstance(value, (bool, str)) and least <= value <= most and kind(value) == value
     except (TypeError, ValueError):
@@ -159,7 +174,8 @@ class Star(Proportions):
         if self.inner_ratio > deepest:
             message = (
                 f"inner_ratio of shape {STAR!r} is {self.inner_ratio!r}; expected at most {deepest:.4g} with "
-                f"{self.points} points, so that notches lie between the tips"
+                f"{self.points} points, so that notches lie between the tips; next: lower inner_ratio "
+                "(--star-inner-mm)"
             )
             raise InputError(message)
 
@@ -294,7 +310,13 @@ class Crescent(Proportions):
         return (_ring_of(back + bite),)
 
 
-KINDS: Mapping[str, type[Proportions]] = MappingProxyType(
-    {kind.name: kind for kind in (Star, Box, Disc, Triangle, Hexagon, Ring, Cross, Crescent)}
-)
-"""Kinds of shapes by name. The published scenes have star, box and disc (package tactile-mnist 0.13.0)."""
+REGISTRY: dict[str, type[Proportions]] = {
+    kind.name: kind for kind in (Star, Box, Disc, Triangle, Hexagon, Ring, Cross, Crescent)
+}
+"""What :data:`KINDS` shows; changed by :mod:`starstruck_gen.registry` alone."""
+
+KINDS: Mapping[str, type[Proportions]] = MappingProxyType(REGISTRY)
+"""Kinds of shapes by name, registered ones too.
+
+The published scenes have star, box and disc (package tactile-mnist 0.13.0).
+"""

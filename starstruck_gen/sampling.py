@@ -13,18 +13,30 @@ from dataset_store.errors import InputError
 from starstruck_gen.collision import CLEAR, Clear
 from starstruck_gen.errors import SamplingExhausted
 from starstruck_gen.placement import Placement
+from starstruck_gen.room import hopeless, most_with_room
 from starstruck_gen.scene import Scene
 from starstruck_gen.shapes import Shape
 from starstruck_gen.spec import SceneSpec
 from starstruck_gen.streams import SceneStreams, scene_rng, scene_seed
 
-__all__ = ["Rejected", "SceneTrace", "require_room", "sample_scene", "sample_scenes", "trace_scene"]
+__all__ = [
+    "LayoutFailed",
+    "Rejected",
+    "SceneTrace",
+    "require_room",
+    "sample_scene",
+    "sample_scenes",
+    "trace_scene",
+]
 
 T = TypeVar("T")
 
 _LOCAL = threading.local()
 
 Uniform = Callable[[], float]
+
+LayoutFailed = Callable[[int, int], None]
+"""Told how many layouts of a scene have failed, and how many are allowed."""
 
 
 def sample_scene(spec: SceneSpec, rng: np.random.Generator, star_count: int | None = None) -> Scene:
@@ -62,7 +74,7 @@ def sample_scene(spec: SceneSpec, rng: np.random.Generator, star_count: int | No
     2
     """
     _require_class(spec, star_count)
-    return _scene(spec, rng.random, star_count)
+    return _scene(spec, rng.random, None if star_count is None else int(star_count))
 
 
 def sample_scenes(spec: SceneSpec, split: str, seed: int, start: int, count: int) -> list[Scene]:
@@ -165,16 +177,31 @@ def trace_scene(spec: SceneSpec, rng: np.random.Generator, star_count: int | Non
     return SceneTrace(scene, tuple(Rejected(one, other, other not in standing) for one, other in met))
 
 
-def require_room(spec: SceneSpec, seed: int) -> None:
+def require_room(
+    spec: SceneSpec, seed: int, on_failure: LayoutFailed = lambda _failed, _allowed: None
+) -> None:
     """Try the fullest scene of a specification, so that an impossible one is refused before any work.
+
+    Parameters
+    ----------
+    spec : SceneSpec
+        How scenes are made.
+    seed : int
+        Seed of the trial.
+    on_failure : callable
+        Told after each layout that failed, since trying can take long.
 
     Raises
     ------
     SamplingExhausted
         When the fullest scene cannot be made.
     """
+    most = most_with_room(spec)
+    if spec.most_objects > most:
+        shape = spec.star if most < spec.stars[-1] else spec.distractor_shapes[0]
+        raise SamplingExhausted(shape.name, most + 1, spec.most_objects, 0, 0, _area_mm(spec), most=most)
     fullest = replace(spec, stars=spec.stars[-1:], distractors=spec.distractors[-1:] * 2)
-    sample_scene(fullest, scene_rng(seed))
+    _scene(fullest, scene_rng(seed).random, None, on_failure=on_failure)
 
 
 def _streams_of_thread() -> SceneStreams:
@@ -191,7 +218,13 @@ def _require_class(spec: SceneSpec, star_count: int | None) -> None:
         raise InputError(message)
 
 
-def _scene(spec: SceneSpec, uniform: Uniform, star_count: int | None, clear: Clear | None = None) -> Scene:
+def _scene(
+    spec: SceneSpec,
+    uniform: Uniform,
+    star_count: int | None,
+    clear: Clear | None = None,
+    on_failure: LayoutFailed = lambda _failed, _allowed: None,
+) -> Scene:
     clear = clear or CLEAR[spec.collision]
     if star_count is None:
         star_count = _choice(spec.stars, uniform)
@@ -200,15 +233,22 @@ def _scene(spec: SceneSpec, uniform: Uniform, star_count: int | None, clear: Cle
     shapes = [spec.star] * star_count
     shapes += [_choice(spec.distractor_shapes, uniform) for _ in range(distractor_count)]
     attempts = [0] * len(shapes)
-    for restarts in range(spec.restarts + 1):
+    reached: list[int] = []
+    given_up = False
+    while not given_up and len(reached) <= spec.restarts:
         placements = _layout(spec, shapes, uniform, attempts, clear)
         if len(placements) == len(shapes):
-            return Scene(star_count, tuple(placements), tuple(attempts), restarts)
-    failed = len(placements)
-    area_mm = (2e3 * spec.half_area_m[0], 2e3 * spec.half_area_m[1])
-    raise SamplingExhausted(
-        shapes[failed].name, failed + 1, len(shapes), spec.attempts, spec.restarts, area_mm
-    )
+            return Scene(star_count, tuple(placements), tuple(attempts), len(reached))
+        reached.append(len(placements))
+        on_failure(len(reached), spec.restarts + 1)
+        given_up = hopeless(reached, len(shapes))
+    failed, restarts = reached[-1], len(reached) - 1
+    told = (shapes[failed].name, failed + 1, len(shapes), spec.attempts, restarts, _area_mm(spec))
+    raise SamplingExhausted(*told, hopeless=given_up)
+
+
+def _area_mm(spec: SceneSpec) -> tuple[float, float]:
+    return (2e3 * spec.half_area_m[0], 2e3 * spec.half_area_m[1])
 
 
 def _layout(

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from dataset_store.errors import InputError
 from dataset_store.mesh import Mesh
+from dataset_store.plain_values import plain_number
 from starstruck_gen.placement import Placement
 from starstruck_gen.shapes import outline
 
@@ -16,6 +18,8 @@ if TYPE_CHECKING:
     from PIL.Image import Image
 
 __all__ = ["Scene"]
+
+_LONGEST_SHOWN = 80
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,7 +49,14 @@ class Scene:
         return len(self.placements) - self.star_count
 
     def mesh(self) -> Mesh:
-        """Return the mesh, metres: one watertight solid per object, float32 vertices as they are stored."""
+        """Return the mesh, metres: one watertight solid per object, float32 vertices as they are stored.
+
+        Returns
+        -------
+        dataset_store.mesh.Mesh
+            Arrays ``vertices_m`` and ``faces``, with ``volume_m3`` and ``bounds_m``; its ``to_trimesh()`` is
+            the `trimesh.Trimesh` that ``mesh`` of a record is.
+        """
         from starstruck_gen.stamping import stamp
 
         return stamp([self.placements])[0]
@@ -84,8 +95,18 @@ class Scene:
         }
 
     def to_json(self) -> str:
-        """Return the scene as JSON; numbers come back exactly."""
-        return json.dumps(self.to_dict(), indent=1)
+        """Return the scene as JSON; numbers come back exactly.
+
+        Raises
+        ------
+        InputError
+            When a number is not finite: JSON has none such.
+        """
+        try:
+            return json.dumps(self.to_dict(), indent=1, allow_nan=False)
+        except ValueError as error:
+            message = f"a scene with a number that is not finite cannot be written as JSON: {self!r}"
+            raise InputError(message) from error
 
     @classmethod
     def from_dict(cls, values: Mapping[str, Any]) -> Scene:
@@ -94,15 +115,18 @@ class Scene:
         Raises
         ------
         InputError
-            When a field is missing or wrong, or the stars are not as many as declared.
+            When a field is missing or cannot be (a number that is not finite, a radius below 0), or the stars
+            are not as many as declared.
         """
+        _require_object(values)
         try:
-            placements = tuple(_placement(entry) for entry in values["placements"])
-            attempts = tuple(int(count) for count in values["attempts"])
-            scene = cls(int(values["star_count"]), placements, attempts, int(values["restarts"]))
-        except (KeyError, TypeError, ValueError) as error:
+            placements = tuple(_placement(entry, place) for place, entry in enumerate(values["placements"]))
+            attempts = tuple(_count(f"attempts[{i}]", n) for i, n in enumerate(values["attempts"]))
+            star_count, restarts = (_count(name, values[name]) for name in ("star_count", "restarts"))
+        except (KeyError, TypeError) as error:
             message = f"no scene: field {error} is missing or wrong; expected what Scene.to_json writes"
             raise InputError(message) from error
+        scene = cls(star_count, placements, attempts, restarts)
         _require_consistent(scene)
         return scene
 
@@ -123,11 +147,54 @@ class Scene:
         return cls.from_dict(values)
 
 
-def _placement(values: Mapping[str, Any]) -> Placement:
-    name = str(values["shape"])
+def _require_object(values: Any) -> None:
+    if not isinstance(values, Mapping):
+        message = f"no scene: found {_shown(values)}; expected an object such as Scene.to_json writes"
+        raise InputError(message)
+
+
+def _placement(values: Any, place: int) -> Placement:
+    where = f"placements[{place}]"
+    if not isinstance(values, Mapping):
+        message = (
+            f"no scene: {where} is {_shown(values)}; expected an object with {', '.join(Placement._fields)}"
+        )
+        raise InputError(message)
+    name = values["shape"]
+    if not isinstance(name, str):
+        message = f"no scene: shape of {where} is {_shown(name)}; expected a name such as 'star'"
+        raise InputError(message)
     outline(name)
-    numbers = {key: float(values[key]) for key in Placement._fields if key != "shape"}
+    lengths = ("radius_m", "height_m")
+    numbers = {
+        key: _number(f"{key} of {where}", values[key], positive=key in lengths)
+        for key in Placement._fields
+        if key != "shape"
+    }
     return Placement(shape=name, **numbers)
+
+
+def _number(what: str, value: Any, *, positive: bool) -> float:
+    number = plain_number(value, float)
+    if not isinstance(number, float) or not math.isfinite(number) or (positive and number <= 0):
+        message = (
+            f"no scene: {what} is {_shown(value)}; expected a {'positive' if positive else 'finite'} number"
+        )
+        raise InputError(message)
+    return number
+
+
+def _count(what: str, value: Any) -> int:
+    number = plain_number(value)
+    if not isinstance(number, int) or isinstance(number, bool) or number < 0:
+        message = f"no scene: {what} is {_shown(value)}; expected a whole number from 0"
+        raise InputError(message)
+    return number
+
+
+def _shown(value: object) -> str:
+    text = repr(value)
+    return text if len(text) <= _LONGEST_SHOWN else f"{text[:_LONGEST_SHOWN]}..."
 
 
 def _require_consistent(scene: Scene) -> None:

@@ -9,22 +9,38 @@ from functools import lru_cache
 from types import MappingProxyType
 from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
+
 from dataset_store.errors import InputError
+from dataset_store.plain_values import plain_number
 from starstruck_gen.proportions import KINDS, STAR, Outline, Proportions
 
-__all__ = ["OUTLINES", "PUBLISHED_RADIUS_M", "STAR", "Outline", "Shape", "outline", "shape_key"]
+__all__ = [
+    "DEFAULT_OUTLINES",
+    "OUTLINES",
+    "PUBLISHED_RADIUS_M",
+    "STAR",
+    "Outline",
+    "Shape",
+    "outline",
+    "shape_key",
+]
 
 PUBLISHED_RADIUS_M = 0.010
 """Circumscribed radius of every published object (package tactile-mnist 0.13.0)."""
 
-OUTLINES: Mapping[str, Callable[[], Outline]] = MappingProxyType(
-    {name: kind().rings for name, kind in KINDS.items()}
-)
+DEFAULT_OUTLINES: dict[str, Callable[[], Outline]] = {name: kind().rings for name, kind in KINDS.items()}
+"""What :data:`OUTLINES` shows; changed by :mod:`starstruck_gen.registry` alone."""
+
+OUTLINES: Mapping[str, Callable[[], Outline]] = MappingProxyType(DEFAULT_OUTLINES)
 """Outline of each kind of shape in its default proportions."""
 
 _KEY = re.compile(r"(?P<name>\w+)(\((?P<numbers>[^()]*)\))?")
 _OF_THE_KIND = Proportions()
 _MOST_KEPT = 1_024
+_LEAST_RADIUS_M = 1e-4
+_MOST_RADIUS_M = 1.0
 
 
 def shape_key(proportions: Proportions) -> str:
@@ -52,7 +68,7 @@ def outline(key: str) -> Outline:
     InputError
         When there is no such shape, or its proportions cannot be used.
     """
-    return _read_key(key).rings()
+    return tuple(_read_only(ring) for ring in _read_key(key).rings())
 
 
 @dataclass(frozen=True, slots=True)
@@ -99,9 +115,14 @@ class Shape:
                 f"expected {_kind(self.name).__name__}(...)"
             )
             raise InputError(message)
-        if not 1e-4 <= self.radius_m <= 1.0:
-            message = f"radius_m of shape {self.name!r} is {self.radius_m}; expected 0.0001 to 1 (metres)"
+        radius_m = plain_number(self.radius_m, float)
+        if not isinstance(radius_m, float) or not _LEAST_RADIUS_M <= radius_m <= _MOST_RADIUS_M:
+            message = (
+                f"radius_m of shape {self.name!r} is {self.radius_m!r}; expected {_LEAST_RADIUS_M} to "
+                f"{_MOST_RADIUS_M:g} (metres)"
+            )
             raise InputError(message)
+        object.__setattr__(self, "radius_m", radius_m)
         object.__setattr__(self, "key", shape_key(self.proportions))
 
     @classmethod
@@ -139,9 +160,18 @@ class Shape:
         return cls(shape.name, shape.radius_m, type(shape.proportions).from_dict(dict(numbers)))
 
 
+def _read_only(ring: NDArray[np.float64]) -> NDArray[np.float64]:
+    kept = np.asarray(ring, dtype=np.float64)
+    kept.setflags(write=False)
+    return kept
+
+
 def _kind(name: str) -> type[Proportions]:
     if name not in KINDS:
-        message = f"unknown shape {name!r}; expected one of {', '.join(KINDS)}"
+        message = (
+            f"unknown shape {name!r}; expected one of {', '.join(KINDS)}, or one made known by "
+            "starstruck_gen.register_shape"
+        )
         raise InputError(message)
     return KINDS[name]
 
@@ -152,7 +182,13 @@ def _read_key(key: str) -> Proportions:
         message = f"{key!r} is no shape; expected a name such as ring, or ring(hole_ratio=0.3)"
         raise InputError(message)
     numbers = [part for part in (match["numbers"] or "").split(",") if part.strip()]
-    return _kind(match["name"]).from_dict(dict(_read_number(key, part) for part in numbers))
+    given = [_read_number(key, part) for part in numbers]
+    names = [name for name, _ in given]
+    twice = [name for name in names if names.count(name) > 1]
+    if twice:
+        message = f"shape {key!r} gives {twice[0]!r} {names.count(twice[0])} times; expected each number once"
+        raise InputError(message)
+    return _kind(match["name"]).from_dict(dict(given))
 
 
 def _read_number(key: str, text: str) -> tuple[str, float]:

@@ -34,12 +34,16 @@ class Prism:
         Triangles of the solid, outward. Vertex 2i is corner i on the plate, vertex 2i + 1 the one above it.
     area : float
         Area of the outline; unit: squared circumscribed radius.
+    thinnest : float
+        Least height of a triangle of the cap: corners that move by less than half of it turn no triangle
+        over. Unit: the circumscribed radius.
     """
 
     corners: NDArray[np.float64]
     cap: NDArray[np.int32]
     faces: NDArray[np.int32]
     area: float
+    thinnest: float
 
     @property
     def vertex_count(self) -> int:
@@ -78,6 +82,7 @@ def prism(key: str) -> Prism:
         cap,
         _faces([len(ring) for ring in rings], cap),
         float(_doubled_areas(corners, cap).sum() / 2),
+        _thinnest(corners, cap),
     )
     for array in (made.corners, made.cap, made.faces):
         array.setflags(write=False)
@@ -110,6 +115,11 @@ def _doubled_areas(corners: NDArray[np.float64], cap: NDArray[np.int32]) -> NDAr
     a, b, c = (corners[cap[:, place]] for place in range(3))
     doubled = (b - a)[:, 0] * (c - a)[:, 1] - (b - a)[:, 1] * (c - a)[:, 0]
     return np.asarray(doubled)
+
+
+def _thinnest(corners: NDArray[np.float64], cap: NDArray[np.int32]) -> float:
+    sides = np.linalg.norm(corners[cap] - corners[np.roll(cap, 1, axis=1)], axis=2)
+    return float((_doubled_areas(corners, cap) / sides.max(axis=1)).min())
 
 
 def _require_sound(key: str, made: Prism) -> None:

@@ -10,6 +10,7 @@ from itertools import pairwise
 from typing import Any
 
 from dataset_store.errors import InputError
+from dataset_store.plain_values import plain
 from starstruck_gen.shapes import STAR, Shape
 
 __all__ = ["COLLISION_RULES", "SceneSpec"]
@@ -21,6 +22,7 @@ _SENSOR_OUTER_M = (0.032, 0.028)
 _PADDING_M = (0.003 + _SENSOR_OUTER_M[0] / 2 + 0.005 / 2, 0.003 + _SENSOR_OUTER_M[1] / 2 + 0.005 / 2)
 _PUBLISHED_STAR = Shape(STAR)
 _PUBLISHED_DISTRACTORS = (Shape("box"), Shape("disc"))
+_MEASURES = ("cell_m", "padding_m", "heights_m", "rotation_rad", "clearance_m")
 _LARGEST_CELL_M = 2.0
 _MOST_OBJECTS = 1_000
 
@@ -77,6 +79,10 @@ class SceneSpec:
     restarts: int = 1_000
 
     def __post_init__(self) -> None:
+        for entry in fields(self):
+            kind = float if entry.name in _MEASURES else int
+            # One spelling of each value, so that equal specifications have equal JSON.
+            object.__setattr__(self, entry.name, plain(getattr(self, entry.name), kind))
         _check(self)
 
     @cached_property
@@ -166,7 +172,13 @@ _RULES: tuple[_Rule, ...] = (
     ("distractors", lambda s: s.distractors[0] <= s.distractors[1], "the least first, then the most"),
     ("stars", lambda s: s.stars[0] + s.distractors[0] > 0, "at least 1, or distractors: no scene is empty"),
     ("stars", lambda s: s.most_objects <= _MOST_OBJECTS, f"with distractors up to {_MOST_OBJECTS} objects"),
+    ("star", lambda s: isinstance(s.star, Shape), f"a Shape, such as Shape({STAR!r}, radius_m=0.01)"),
     ("star", lambda s: s.star.name == STAR, f"a shape named {STAR!r}"),
+    (
+        "distractor_shapes",
+        lambda s: all(isinstance(shape, Shape) for shape in s.distractor_shapes),
+        "Shape objects, such as (Shape('box'), Shape('disc'))",
+    ),
     (
         "distractor_shapes",
         lambda s: all(shape.name != STAR for shape in s.distractor_shapes),
@@ -201,3 +213,7 @@ def _check(spec: SceneSpec) -> None:
         if not fine:
             message = f"{name} of the scene specification is {getattr(spec, name)!r}; expected {expected}"
             raise InputError(message)
+    # The solids of the shapes need libraries that nothing else here does.
+    from starstruck_gen.rounding import require_fine_steps
+
+    require_fine_steps(spec)

@@ -1,36 +1,37 @@
-"""Proving stored scenes the long way: from their triangles, with manifold3d."""
+"""Proving the stored scenes of a whole data set."""
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import islice
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
+from dataset_store.checking import splits_to_check
+from dataset_store.columns import column_names
 from dataset_store.errors import InputError
-from dataset_store.mesh import Mesh
-from dataset_store.mesh_columns import class_names, require_mesh_columns
-from dataset_store.places import available_splits, find_shards
+from dataset_store.mesh_columns import FACES, VERTICES, class_names, require_mesh_columns
+from dataset_store.nulls import null_fields
+from dataset_store.places import find_shards, splits_of
 from dataset_store.records import Row
-from dataset_store.rowgroups import Shard
+from dataset_store.rowgroups import RowGroup, Shard
 from dataset_store.runner import runner_for
-from dataset_store.soundness import judge
-from dataset_store.storage import DataFolder
+from starstruck_gen.checking import check_scene, inspect_scene
 from starstruck_gen.dataset import SceneRecord
+from starstruck_gen.proportions import Proportions
+from starstruck_gen.registry import own_kinds, register_shape
 from starstruck_gen.rows import CLASS_NAMES
-from starstruck_gen.shapes import outline
-from starstruck_gen.stamping import stamp
 
 __all__ = ["Checked", "Failure", "check_scene", "validate_folder"]
 
-_VOLUME_TOLERANCE = 1e-9
-"""Relative difference of two volumes that double precision explains."""
+_COLUMNS = (
+    *("id", "label", VERTICES, FACES),
+    *("star_count", "distractor_count", "placements", "seed", "attempts", "restarts"),
+)
 
-_PLACE_TOLERANCE_M = 1e-7
-"""How far a stored corner may lie from the declared object: other processors round in other ways."""
+_NO_ID = -1
 
 _SHOWN = 20
 
@@ -69,6 +70,8 @@ class Checked:
         set declares none.
     failures : tuple of Failure
         Scenes that break a promise.
+    declared : bool
+        Whether the data set declares what stands where.
     """
 
     path: str
@@ -76,6 +79,7 @@ class Checked:
     bodies: int
     stars: int
     failures: tuple[Failure, ...]
+    declared: bool = True
 
     @property
     def failed(self) -> int:
@@ -90,6 +94,7 @@ class Checked:
             "failed": self.failed,
             "bodies": self.bodies,
             "stars": self.stars,
+            "declared": self.declared,
             "failures": [{"split": f.split, "id": f.id, "problem": f.problem} for f in self.failures],
         }
 
@@ -100,45 +105,8 @@ class Checked:
         return ("split", "scene", "finding"), shown, title
 
 
-def check_scene(record: SceneRecord, names: Sequence[str] = CLASS_NAMES) -> str | None:
-    """Prove one stored scene.
-
-    The triangles bound solids; the volumes of the solids add up to that of their union, so that none overlap;
-    they stand on z = 0; there is one for each declared object, and it is that object; there are as many stars
-    as the class says.
-
-    Parameters
-    ----------
-    record : SceneRecord
-        The scene. One without declared objects (the published data set) is held to its solids alone.
-    names : sequence of str
-        Names of the classes.
-
-    Returns
-    -------
-    str or None
-        What is wrong; None when all holds.
-    """
-    return _check(record, names)[0]
-
-
-def _check(record: SceneRecord, names: Sequence[str]) -> tuple[str | None, int]:
-    """Return what is wrong with a scene and how many bodies it has."""
-    mesh = Mesh(record.vertices_m, record.faces)
-    verdict = judge(mesh)
-    if verdict.problem is not None:
-        return f"{verdict.problem}: {verdict.detail}", verdict.bodies
-    problem = (
-        _overlapping(verdict.manifold)
-        or _afloat(mesh)
-        or _undeclared(mesh, verdict.bodies, record)
-        or _miscounted(record, names)
-    )
-    return problem, verdict.bodies
-
-
 def validate_folder(
-    path: str,
+    path: str | os.PathLike[str],
     split: str | None = None,
     limit: int | None = None,
     workers: int = 1,
@@ -149,7 +117,7 @@ def validate_folder(
 
     Parameters
     ----------
-    path : str
+    path : str or path-like
         Data set folder, or a Parquet file.
     split : str, optional
         Only this split.
@@ -165,8 +133,9 @@ def validate_folder(
     InputError
         The path does not exist, or holds no data set of scenes.
     IntegrityError
-        A shard is damaged.
+        A shard is damaged, or the run that makes the data set is not finished.
     """
+    path = os.fspath(path)
     parts = [part for name in _splits(path, split) for part in _parts(path, name, limit)]
     total, done = sum(part.rows for part in parts), 0
     results: dict[_Part, _Found] = {}
@@ -181,64 +150,8 @@ def validate_folder(
         sum(found.bodies for found in ordered),
         sum(found.stars for found in ordered),
         tuple(failure for found in ordered for failure in found.failures),
+        any("placements" in column_names(part.shard.schema) for part in parts),
     )
-
-
-def _overlapping(manifold: Any) -> str | None:
-    import manifold3d
-
-    bodies = manifold.decompose()
-    apart_mm3 = sum(body.volume() for body in bodies)
-    union_mm3 = manifold3d.Manifold.batch_boolean(bodies, manifold3d.OpType.Add).volume()
-    if abs(apart_mm3 - union_mm3) <= _VOLUME_TOLERANCE * apart_mm3:
-        return None
-    return (
-        f"bodies overlap: their volumes add up to {apart_mm3:.6f} mm^3, their union has {union_mm3:.6f} mm^3"
-    )
-
-
-def _afloat(mesh: Mesh) -> str | None:
-    lowest_m = float(mesh.bounds_m[0, 2])
-    return None if lowest_m == 0.0 else f"the lowest point is at z = {lowest_m} m; expected 0"
-
-
-def _undeclared(mesh: Mesh, bodies: int, record: SceneRecord) -> str | None:
-    if not record.has_placements:
-        return None
-    strange = _strange(record)
-    if strange is not None:
-        return strange
-    if bodies != len(record.placements):
-        return f"{bodies} bodies stand there, {len(record.placements)} objects are declared"
-    declared = stamp([record.placements])[0]
-    same = declared.vertices_m.shape == mesh.vertices_m.shape and np.array_equal(declared.faces, mesh.faces)
-    if same and np.abs(declared.vertices_m - mesh.vertices_m).max() <= _PLACE_TOLERANCE_M:
-        return None
-    return "the mesh is not that of the declared objects"
-
-
-def _strange(record: SceneRecord) -> str | None:
-    """Return what is wrong with a declared shape that nobody can draw."""
-    try:
-        for placement in record.placements:
-            outline(placement.shape)
-    except InputError as error:
-        return f"an object is declared that cannot be: {error}"
-    return None
-
-
-def _miscounted(record: SceneRecord, names: Sequence[str]) -> str | None:
-    declared = record.star_count
-    if not 0 <= record.label < len(names) or names[record.label] != str(declared):
-        return f"{declared} stars are declared, the class is {record.label} of {', '.join(names)}"
-    if not record.has_placements:
-        return None
-    stars = sum(placement.is_star for placement in record.placements)
-    others = len(record.placements) - stars
-    if stars != declared or others != record.distractor_count:
-        expected = f"{declared} and {record.distractor_count}"
-        return f"{stars} stars and {others} others stand there, {expected} are declared"
-    return None
 
 
 @dataclass(frozen=True, slots=True)
@@ -249,6 +162,7 @@ class _Part:
     shard: Shard
     group: int
     rows: int
+    kinds: tuple[type[Proportions], ...]
 
 
 @dataclass(frozen=True, slots=True)
@@ -259,37 +173,65 @@ class _Found:
 
 
 def _check_part(part: _Part) -> tuple[_Part, _Found]:
+    for kind in part.kinds:
+        register_shape(kind)
     names = class_names(part.shard.schema, CLASS_NAMES)
     bodies = stars = 0
     failures = []
-    for record in islice(_records(part), part.rows):
-        problem, found = _check(record, names)
-        if problem is not None:
-            failures.append(Failure(part.split, record.id, problem))
+    for scene_id, checked in islice(_checked_rows(part, names), part.rows):
+        if isinstance(checked, str):
+            failures.append(Failure(part.split, scene_id, checked))
             continue
-        bodies += found
-        stars += record.star_count if record.has_placements else 0
+        bodies += checked[0]
+        stars += checked[1]
     return part, _Found(bodies, stars, tuple(failures))
 
 
-def _records(part: _Part) -> Iterator[SceneRecord]:
+def _checked_rows(part: _Part, names: Sequence[str]) -> Iterator[tuple[int, str | tuple[int, int]]]:
+    """Yield the id of each row with what is wrong with it, or how many bodies and declared stars it has."""
+    import pyarrow as pa
+
+    first_row = part.shard.group_starts[part.group]
     for block in part.shard.blocks(part.group):
-        yield from (SceneRecord(Row(block, row)) for row in range(len(block.table)))
+        nulls = null_fields(block.table, _COLUMNS)
+        whole = [row for row in range(len(block.table)) if row not in nulls]
+        # One null spoils its whole column; without such rows the others can be read.
+        readable = (
+            RowGroup(block.table.take(pa.array(whole, pa.int64())).combine_chunks()) if nulls else block
+        )
+        places = {row: place for place, row in enumerate(whole)}
+        for row in range(len(block.table)):
+            if row in nulls:
+                found = f"field {nulls[row]!r} of row {first_row + row} is null; expected a value"
+                yield _id_of(block, row), found
+            else:
+                yield _id_of(block, row), _checked_row(SceneRecord(Row(readable, places[row])), names)
+        first_row += len(block.table)
+
+
+def _checked_row(record: SceneRecord, names: Sequence[str]) -> str | tuple[int, int]:
+    try:
+        problem, bodies = inspect_scene(record, names)
+        return problem or (bodies, record.star_count if record.has_placements else 0)
+    except (TypeError, ValueError, OverflowError) as error:
+        # Columns of other types than those of a data set of scenes.
+        return f"cannot be read as a scene: {error}"
+
+
+def _id_of(block: RowGroup, row: int) -> int:
+    scene_id = block.arrow("id")[row].as_py()
+    return scene_id if isinstance(scene_id, int) else _NO_ID
 
 
 def _splits(path: str, split: str | None) -> Sequence[str]:
-    if split is not None or Path(path).is_file():
-        return [split or "train"]
+    if split is not None:
+        return [split]
+    if Path(path).is_file():
+        return splits_of(path)
     if not Path(path).is_dir():
         message = f"{path!r} does not exist; expected a data set folder or a Parquet file"
         raise InputError(message)
-    found = available_splits(DataFolder(path))
-    if not found:
-        message = (
-            f"{path!r} holds no data set (no manifest and no Parquet files); next: name a generated folder"
-        )
-        raise InputError(message)
-    return found
+    return splits_to_check(path)
 
 
 def _parts(path: str, split: str, limit: int | None) -> Iterator[_Part]:
@@ -300,5 +242,5 @@ def _parts(path: str, split: str, limit: int | None) -> Iterator[_Part]:
             rows = shard.metadata.row_group(group).num_rows
             take = rows if left is None else min(rows, left)
             if take:
-                yield _Part(split, shard, group, take)
+                yield _Part(split, shard, group, take, own_kinds())
             left = None if left is None else left - take

@@ -18,7 +18,13 @@ _OWN = "document.title='owned'"
 HOSTILE = f"""<script>{_OWN}</script>"><img src=x onerror="{_OWN}">'`${{1}}&amp;\u2028"""
 CORNERS_M = np.array([[0, 0, 0], [0.03, 0, 0], [0, 0.02, 0], [0, 0, 0.01]])
 FACES = np.array([[0, 2, 1], [0, 1, 3], [1, 2, 3], [0, 3, 2]])
-FACETS = (Facet("label", "Class"), Facet("parity", "Parity", ("odd", "even")), Facet("writer", "Writer"))
+# No toy has a hat: what nothing has any value of is no filter.
+FACETS = (
+    Facet("label", "Class"),
+    Facet("parity", "Parity", ("odd", "even")),
+    Facet("writer", "Writer"),
+    Facet("hats", "Hats"),
+)
 MEASURES = (Measure("volume", "Volume", "mm³", 1), Measure("unknown", "Never measured"))
 
 

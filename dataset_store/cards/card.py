@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping
+from functools import cache
 from importlib.resources import files
 from string import Template
 
 from dataset_store.storage import DataFolder
 
-__all__ = ["CARD_FILE", "FOLDER_NAME", "addressed", "render_card", "write_card_text"]
+__all__ = ["CARD_FILE", "FOLDER_NAME", "addressed", "placeholders", "render_card", "write_card_text"]
 
 CARD_FILE = "README.md"
 FOLDER_NAME = "FOLDER"
@@ -28,6 +29,14 @@ def render_card(template: str, values: Mapping[str, str]) -> str:
     """
     text = files("data_cards").joinpath(template).read_text(encoding="utf-8")
     return Template(text).substitute(values)
+
+
+@cache
+def placeholders() -> frozenset[str]:
+    """Return the names of what is filled in, over all templates of ``data_cards``."""
+    templates = (entry for entry in files("data_cards").iterdir() if entry.name.endswith(".md"))
+    texts = (entry.read_text(encoding="utf-8") for entry in templates)
+    return frozenset(name for text in texts for name in Template(text).get_identifiers())
 
 
 def addressed(card: str, name: str) -> str:

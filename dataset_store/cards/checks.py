@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import io
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from fnmatch import fnmatch
+from posixpath import normpath
 from typing import Any
 
-from dataset_store.cards.card import CARD_FILE
+from dataset_store.cards.card import CARD_FILE, placeholders
 from dataset_store.cards.facts import FolderFacts, folder_facts
 from dataset_store.cards.head import dataset_info, size_category
 from dataset_store.errors import ToolkitError
@@ -18,12 +19,17 @@ from dataset_store.storage import DataFolder
 
 __all__ = ["check_card"]
 
-_GAPS = re.compile(r"more information needed|\[optional\]|\bTODO\b|\$\{?[a-z_]{3,}\}?", re.IGNORECASE)
+_GAPS = re.compile(r"more information needed|\[optional\]|\bTODO\b", re.IGNORECASE)
+_DOLLAR = re.compile(r"\$(?:(?P<bare>[a-z_]\w*)|\{(?P<braced>[a-z_]\w*)\})")
+# Code may have variables of its own, some of which are called like placeholders.
+_CODE = re.compile(r"```.*?```|`[^`\n]+`", re.DOTALL)
 _PICTURE = re.compile(r"!\[[^\]]*\]\((?P<path>[^)\s]+)\)")
 _REQUIRED = ("license", "pretty_name", "task_categories", "tags")
 
 
-def check_card(folder: DataFolder, text: str | None = None) -> list[Finding]:
+def check_card(
+    folder: DataFolder, text: str | None = None, *, held: Collection[str] | None = None
+) -> list[Finding]:
     """Compare the card of a folder with its manifest, its Parquet files and its pictures.
 
     Parameters
@@ -32,6 +38,8 @@ def check_card(folder: DataFolder, text: str | None = None) -> list[Finding]:
         A finished data set.
     text : str, optional
         Card to check instead of the stored one.
+    held : collection of str, optional
+        Files that will lie beside the card, where it is to stand elsewhere; its pictures must be among them.
 
     Returns
     -------
@@ -50,7 +58,7 @@ def check_card(folder: DataFolder, text: str | None = None) -> list[Finding]:
     except ValueError as error:
         return [_finding(f"its YAML head cannot be read: {_first_line(error)}")]
     problems = [*_missing(head), *_wrong_files(head, facts), *_wrong_info(head, facts), *_gaps(text)]
-    return [*map(_finding, problems), *_pictures(folder, text)]
+    return [*map(_finding, problems), *_pictures(folder, text, held)]
 
 
 def _finding(problem: str) -> Finding:
@@ -167,18 +175,23 @@ def _told(entry: Mapping[str, Any] | None) -> str:
 
 
 def _gaps(text: str) -> Iterator[str]:
-    for gap in dict.fromkeys(match[0] for match in _GAPS.finditer(text)):
+    names = placeholders()
+    dollars = _DOLLAR.finditer(_CODE.sub("", text))
+    left = [match[0] for match in dollars if (match["bare"] or match["braced"]) in names]
+    for gap in dict.fromkeys([*(match[0] for match in _GAPS.finditer(text)), *left]):
         yield f"reads {gap!r}; expected every gap filled"
 
 
-def _pictures(folder: DataFolder, text: str) -> Iterator[Finding]:
-    """Yield pictures of the card that are missing or damaged."""
+def _pictures(folder: DataFolder, text: str, held: Collection[str] | None) -> Iterator[Finding]:
+    """Yield pictures of the card that are missing, left out or damaged."""
     for path in dict.fromkeys(match["path"] for match in _PICTURE.finditer(text)):
         if "://" in path or path.startswith(DATA_FOLDER):
             continue
-        if not folder.exists(path):
+        if held is not None and normpath(path) not in held:
+            yield Finding(path, f"is shown by {CARD_FILE} and is no part of what is sent (previews/ is)")
+        elif not folder.exists(path) and held is None:
             yield Finding(path, f"is missing; {CARD_FILE} shows it")
-        elif not _is_whole(folder.read_bytes(path)):
+        elif folder.exists(path) and not _is_whole(folder.read_bytes(path)):
             yield Finding(path, "is not a whole picture; next: write it anew with the command `card`")
 
 

@@ -84,8 +84,8 @@ def json_block(values: Any) -> str:
 
 
 def megabytes(size: int) -> str:
-    """Write a size for a table: ``"12.3 MB"``."""
-    return f"{size / 1e6:,.2f} MB"
+    """Write a size for a table: ``"12.30 MB"``; little ones in kB, so that none reads as nothing."""
+    return f"{size / 1e6:,.2f} MB" if size >= 1e5 else f"{size / 1e3:,.1f} kB"
 
 
 def picture(path: str | None, caption: str) -> str:

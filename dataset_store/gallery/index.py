@@ -7,7 +7,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
-from dataset_store.gallery.items import Facet, Gallery, Item, Measure
+from dataset_store.gallery.items import SPLIT, Facet, Gallery, Item, Measure
 from dataset_store.versions import toolkit_version
 
 __all__ = ["IndexBuilder", "natural_order"]
@@ -49,7 +49,10 @@ class IndexBuilder:
             "version": toolkit_version(),
             "ids": self._ids,
             "titles": self._titles,
-            "facets": [_facet_column(facet, self._facets[facet.name]) for facet in self.gallery.facets],
+            "facets": [
+                _facet_column(facet, self._order(facet), self._facets[facet.name])
+                for facet in self.gallery.facets
+            ],
             "measures": [
                 {
                     "title": measure.title,
@@ -60,6 +63,9 @@ class IndexBuilder:
                 for measure in self.gallery.measures
             ],
         }
+
+    def _order(self, facet: Facet) -> tuple[str, ...]:
+        return tuple(self.gallery.splits) if facet.name == SPLIT else facet.values
 
 
 def natural_order(values: Iterable[str]) -> list[str]:
@@ -72,9 +78,9 @@ def _natural_key(text: str) -> tuple[list[tuple[int, float, str]], str]:
     return [(0, float(part), "") if part.isdecimal() else (1, 0.0, part) for part in parts], text
 
 
-def _facet_column(facet: Facet, rows: Sequence[tuple[str, ...]]) -> dict[str, Any]:
+def _facet_column(facet: Facet, order: Sequence[str], rows: Sequence[tuple[str, ...]]) -> dict[str, Any]:
     found = {value for row in rows for value in row}
-    known = [value for value in facet.values if value in found]
+    known = [value for value in order if value in found]
     values = known + natural_order(found.difference(known))
     places = {value: place for place, value in enumerate(values)}
     return {

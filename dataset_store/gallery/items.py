@@ -6,10 +6,13 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Protocol
 
-__all__ = ["NONE", "Facet", "Gallery", "Item", "ItemTask", "Measure"]
+__all__ = ["NONE", "SPLIT", "Facet", "Gallery", "Item", "ItemTask", "Measure"]
 
 NONE = "none"
 """Facet value of items that have none, so that these can be looked at too."""
+
+SPLIT = "split"
+"""Name of the facet of splits; its values stand in the order of the data set."""
 
 
 @dataclass(frozen=True, slots=True)

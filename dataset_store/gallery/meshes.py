@@ -22,8 +22,11 @@ if TYPE_CHECKING:
 __all__ = ["STEP_MM", "packed_mesh", "require_mesh", "size_text"]
 
 STEP_MM = 0.01
-"""Grid that corners are rounded to, a twentieth of a printed layer; coarser for meshes above 655 mm."""
+"""Grid that corners are rounded to, a twentieth of a printed layer; coarser for meshes above 655 mm and finer
+for those below 10 mm."""
 
+_FEWEST_STEPS = 1_000
+_LEAST_STEP_MM = 1e-6
 _MOST_STEPS = np.iinfo(np.uint16).max
 
 
@@ -57,7 +60,7 @@ def packed_mesh(
     vertices_mm = np.asarray(vertices_m, np.float64) * MM_PER_M
     low_mm = vertices_mm.min(axis=0)
     extent_mm = float((vertices_mm.max(axis=0) - low_mm).max())
-    step_mm = max(STEP_MM, extent_mm / _MOST_STEPS)
+    step_mm = max(min(STEP_MM, max(extent_mm / _FEWEST_STEPS, _LEAST_STEP_MM)), extent_mm / _MOST_STEPS)
     steps = np.round((vertices_mm - low_mm) / step_mm).astype(np.int64)
     return {
         "vertices": _packed(steps.T.reshape(-1)),

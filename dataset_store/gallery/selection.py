@@ -62,7 +62,7 @@ def portions(rows: NDArray[np.int64], size: int) -> Iterator[NDArray[np.int64]]:
         yield rows[start : start + size]
 
 
-def splits_to_show(name: str, split: str | None) -> tuple[str, ...]:
+def splits_to_show(name: str, split: str | None, revision: str | None = None) -> tuple[str, ...]:
     """Return the splits of a data set, or the one asked for.
 
     Raises
@@ -72,7 +72,7 @@ def splits_to_show(name: str, split: str | None) -> tuple[str, ...]:
     HubError
         The repository cannot be reached or does not exist.
     """
-    return splits_of(name) if split is None else (split,)
+    return splits_of(name, revision=revision) if split is None else (split,)
 
 
 def short_name(name: str) -> str:

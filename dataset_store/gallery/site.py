@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import json
+import os
 import re
 from collections.abc import Callable, Generator, Iterator
 from contextlib import closing
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import cast
 
@@ -14,7 +16,7 @@ from dataset_store.errors import InputError
 from dataset_store.gallery.index import IndexBuilder
 from dataset_store.gallery.items import Gallery, Item, ItemTask
 from dataset_store.gallery.library import viewer_library
-from dataset_store.gallery.staging import staged_folder
+from dataset_store.gallery.staging import is_unfinished, staged_folder
 from dataset_store.gallery.texts import ASSETS, asset, content_script, index_script, page
 from dataset_store.runner import Runner, runner_for
 from dataset_store.storage import named_failures
@@ -101,7 +103,8 @@ def build_site(
     """
     place = require_place(out, overwrite=overwrite)
     require_size(gallery)
-    with named_failures(str(place)), staged_folder(place) as staging:
+    refuse = partial(_refuse_taken, place, overwrite=overwrite)
+    with named_failures(str(place)), staged_folder(place, refuse) as staging:
         index = IndexBuilder(gallery)
         writer = _Writer(staging)
         for name, content in fixed_files(gallery).items():
@@ -129,24 +132,34 @@ def require_place(out: str, *, overwrite: bool) -> Path:
     if "://" in out:
         message = f"--out is {out!r}; a gallery is made in a local folder; next: make it there, then copy it"
         raise InputError(message)
-    place = Path(out).expanduser().absolute()
-    if not place.exists():
-        return place
-    names = sorted(entry.name for entry in place.iterdir()) if place.is_dir() else [place.name]
-    stranger = _stranger(place, names)
-    if names and stranger is not None:
-        message = (
-            f"{str(place)!r} holds {stranger!r}, which is no part of a gallery; nothing was changed; next: "
-            "choose an empty or new folder with --out"
-        )
-        raise InputError(message)
+    # Where a symbolic link leads: the link itself is not ours to replace.
+    place = Path(os.path.realpath(Path(out).expanduser()))
+    if place.is_dir():
+        _refuse_taken(place, place, overwrite=overwrite)
+    elif place.exists():
+        raise _not_ours(place, place.name)
+    return place
+
+
+def _refuse_taken(place: Path, folder: Path, *, overwrite: bool) -> None:
+    """Refuse a folder, or what was moved out of ``place`` into it, that may not be replaced."""
+    names = sorted(entry.name for entry in folder.iterdir() if not is_unfinished(entry.name))
+    stranger = _stranger(folder, names)
+    if stranger is not None:
+        raise _not_ours(place, stranger)
     if names and not overwrite:
         message = (
             f"{str(place)!r} holds a gallery already; nothing was changed; next: replace it with "
             "--overwrite, or choose another folder with --out"
         )
         raise InputError(message)
-    return place
+
+
+def _not_ours(place: Path, stranger: str) -> InputError:
+    return InputError(
+        f"{str(place)!r} holds {stranger!r}, which is no part of a gallery; nothing was changed; next: "
+        "choose an empty or new folder with --out"
+    )
 
 
 def require_size(gallery: Gallery) -> None:

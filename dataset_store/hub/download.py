@@ -11,9 +11,10 @@ from dataset_store.cards.card import CARD_FILE
 from dataset_store.errors import StorageError
 from dataset_store.hub.checks import remember_whole
 from dataset_store.hub.download_card import card_of_part
-from dataset_store.hub.download_plan import DownloadPlan, labels_of
+from dataset_store.hub.download_plan import DownloadPlan
 from dataset_store.hub.download_record import DownloadRecord, read_record, write_record
-from dataset_store.hub.failures import named_failures
+from dataset_store.hub.download_wanted import labels_of
+from dataset_store.hub.failures import ends_a_download, named_failures
 from dataset_store.hub.snapshot import HubFile
 from dataset_store.hub.transfer import fetch_whole
 from dataset_store.manifest import MANIFEST_FILE, Manifest, write_manifest
@@ -27,6 +28,7 @@ _STAGE_FOLDER = ".downloading"
 Tell = Callable[[int, int], None]
 
 
+@ends_a_download()
 def download(
     plan: DownloadPlan,
     on_progress: Tell = lambda _done, _total: None,
@@ -55,7 +57,8 @@ def download(
     HubError
         The Hub or the network failed; the same call goes on where it stopped.
     StorageError
-        There is no space; nothing was begun, or what has arrived is kept.
+        There is no space; nothing was begun, or what has arrived is kept. Its exit code is that of
+        :class:`dataset_store.errors.HubError`.
     """
     arrived = 0
 
@@ -106,7 +109,7 @@ def _into_folder(
         folder.remove(path)
     for file in plan.missing:
         _bring(plan, folder, file, on_bytes, on_wait)
-    _label(plan, folder)
+    _label(plan, folder, on_wait)
     write_record(folder, _record(plan))
     shutil.rmtree(folder.address(_STAGE_FOLDER), ignore_errors=True)
 
@@ -116,7 +119,7 @@ def _announce(plan: DownloadPlan, folder: DataFolder) -> None:
     earlier = read_record(folder)
     record = _record(plan)
     files = {**(earlier.files if earlier else {}), **record.files}
-    write_record(folder, replace(record, files=files))
+    write_record(folder, replace(record, files=files, finished=False))
     manifest = plan.repository.manifest
     if manifest is not None and (plan.missing or plan.leftover):
         write_manifest(folder, replace(manifest, receipts=(), complete=False))
@@ -153,14 +156,14 @@ def _bring(
         remember_whole(place, file.digest)
 
 
-def _label(plan: DownloadPlan, folder: DataFolder) -> None:
+def _label(plan: DownloadPlan, folder: DataFolder, on_wait: Callable[[str], None]) -> None:
     """Write manifest and card, fitted to the splits that are there."""
     manifest = plan.repository.manifest
     is_part = set(plan.splits) < set(plan.all_splits)
     if manifest is not None:
         _write_manifest(plan, folder, manifest, is_part)
     if CARD_FILE in plan.repository.files():
-        content = Path(plan.repository.fetch(CARD_FILE)).read_bytes()
+        content = Path(plan.repository.fetch(CARD_FILE, on_wait=on_wait)).read_bytes()
         folder.write_bytes(CARD_FILE, card_of_part(content, folder, plan) if is_part else content)
 
 

@@ -2,27 +2,32 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
-from pathlib import Path, PurePosixPath
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 
-from dataset_store.cards.card import CARD_FILE
-from dataset_store.errors import HubError, SpecMismatchError
-from dataset_store.hub.checks import is_whole
+from dataset_store.errors import HubError, SpecMismatchError, ToolkitError
 from dataset_store.hub.download_record import DownloadRecord, read_record
+from dataset_store.hub.download_wanted import (
+    chosen_splits,
+    extras,
+    is_here,
+    is_labelled,
+    labels_of,
+    require_within_reach,
+    wanted_file,
+)
+from dataset_store.hub.failures import ends_a_download, not_cached
 from dataset_store.hub.published import published_set
 from dataset_store.hub.repository import HubRepository
 from dataset_store.hub.retries import could_not_ask
 from dataset_store.hub.snapshot import HubFile
-from dataset_store.manifest import MANIFEST_FILE
-from dataset_store.places import files_of_split, repository_named, repository_shards, shard_files
+from dataset_store.manifest import MANIFEST_FILE, Manifest, read_manifest
+from dataset_store.places import repository_named, repository_shards, shard_files
+from dataset_store.resume import refuse_strangers
 from dataset_store.shards import DATA_FOLDER
 from dataset_store.storage import DataFolder
 
-__all__ = ["DownloadPlan", "labels_of", "plan_download"]
-
-_EXTRA_FOLDERS = ("reports", "previews")
-_EXTRA_FILES = ("LICENSE", "LICENSE.md", "LICENSE.txt")
+__all__ = ["DownloadPlan", "plan_download"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,7 +51,8 @@ class DownloadPlan:
     missing : tuple of HubFile
         Those of them that are to be fetched.
     leftover : tuple of str
-        Files of an earlier download that the repository has no more.
+        Files of an earlier download that the repository has no more; they are removed. None where the cache
+        answers for the Hub: what it does not list may well be there.
     is_done : bool
         Whether there is nothing to do at all.
     """
@@ -71,9 +77,20 @@ class DownloadPlan:
         """Size of the files to be fetched."""
         return sum(file.size_bytes for file in self.missing)
 
+    @property
+    def manifest(self) -> Manifest | None:
+        """Manifest of the data set; None where it has none."""
+        return read_manifest(self.folder) if self.is_done and self.folder else self.repository.manifest
 
+
+@ends_a_download()
 def plan_download(
-    name: str, splits: Sequence[str] = (), *, revision: str | None = None, out: str | None = None
+    name: str,
+    splits: Sequence[str] = (),
+    *,
+    revision: str | None = None,
+    out: str | None = None,
+    on_wait: Callable[[str], None] = lambda _: None,
 ) -> DownloadPlan:
     """Find out what a download has to do; changes nothing in the target.
 
@@ -87,30 +104,49 @@ def plan_download(
         Branch, tag or commit.
     out : str, optional
         Folder to fill instead of the Hub's cache.
+    on_wait : callable
+        Told, in a sentence, why there is a wait.
 
     Raises
     ------
     InputError
-        No name of a repository, or no such split.
+        No name of a repository, no such split, or the folder holds somebody's own files.
     SpecMismatchError
         The folder holds another data set.
     HubError
-        The Hub refuses, or cannot be reached while something is missing.
+        The Hub refuses, or cannot be reached while something is missing; nothing in the folder was touched.
     """
     known = published_set(name)
-    repository = repository_named(known.repo_id if known else name, revision)
+    repository = replace(repository_named(known.repo_id if known else name, revision), on_wait=on_wait)
+    try:
+        return _plan(repository, splits, out)
+    except ToolkitError:
+        if not repository.may_answer_later:
+            raise
+    # What the cache cannot give is worth waiting for a Hub in trouble.
+    return _plan(replace(repository, insists=True), splits, out)
+
+
+def _plan(repository: HubRepository, splits: Sequence[str], out: str | None) -> DownloadPlan:
     if out is None:
         return _plan_for_cache(repository, splits)
     folder = DataFolder(out)
     record = _own_record(folder, repository)
     done = _already_done(repository, folder, record, splits)
-    return done or _plan_for_folder(repository, folder, record, splits)
+    if done is not None:
+        return done
+    if record is not None and repository.snapshot.is_cache:
+        return _plan_by_cache(repository, folder, record, splits)
+    return _plan_for_folder(repository, folder, record, splits)
 
 
 def _plan_for_cache(repository: HubRepository, splits: Sequence[str]) -> DownloadPlan:
-    chosen, all_splits, shards = _chosen(repository, splits)
-    files = tuple(_file(repository, path) for path in [*_extras(repository, fitted=True), *shards])
+    _require_all_known(repository, splits)
+    chosen, all_splits, shards = chosen_splits(repository, splits)
+    paths = [*extras(repository, chosen, fitted=True), *shards]
+    files = tuple(wanted_file(repository, path) for path in paths)
     missing = tuple(file for file in files if repository.cached(file.path) is None)
+    require_within_reach(repository, [file.path for file in missing])
     commit = repository.snapshot.commit
     return DownloadPlan(repository, None, commit, chosen, all_splits, files, missing, (), not missing)
 
@@ -118,27 +154,61 @@ def _plan_for_cache(repository: HubRepository, splits: Sequence[str]) -> Downloa
 def _plan_for_folder(
     repository: HubRepository, folder: DataFolder, record: DownloadRecord | None, splits: Sequence[str]
 ) -> DownloadPlan:
+    _require_all_known(repository, splits)
     now = {file.split for file in repository_shards(repository)}
     before = [file.split for file in shard_files(record.files)] if record else []
     wanted = [*splits, *(split for split in before if split in now)] if splits else []
-    chosen, all_splits, shards = _chosen(repository, wanted)
-    files = tuple(_file(repository, path) for path in [*_extras(repository, fitted=False), *shards])
-    missing = tuple(file for file in files if not _is_here(folder, file))
-    paths = {file.path for file in files}
-    leftover = tuple(path for path in (record.files if record else ()) if path not in paths)
-    commit = repository.snapshot.commit
-    same = record is not None and record.commit == commit and not leftover and not missing
-    done = same and _is_labelled(folder, labels_of(repository))
+    chosen, all_splits, shards = chosen_splits(repository, wanted)
+    paths = [*extras(repository, chosen, fitted=False), *shards]
+    files = tuple(wanted_file(repository, path) for path in paths)
+    missing = tuple(file for file in files if not is_here(folder, file))
+    leftover = tuple(path for path in (record.files if record else ()) if path not in set(paths))
+    labels, commit = labels_of(repository), repository.snapshot.commit
+    require_within_reach(repository, [*(file.path for file in missing), *labels])
+    same = record is not None and record.finished and record.commit == commit
+    done = same and not leftover and not missing and is_labelled(folder, labels)
     return DownloadPlan(repository, folder, commit, chosen, all_splits, files, missing, leftover, done)
 
 
-def labels_of(repository: HubRepository) -> tuple[str, ...]:
-    """Return which of card and manifest a repository has."""
-    return tuple(name for name in (CARD_FILE, MANIFEST_FILE) if name in repository.snapshot.files)
+def _require_all_known(repository: HubRepository, splits: Sequence[str]) -> None:
+    """Refuse to take what the cache lists for all that there is, while the Hub may still answer.
+
+    Raises
+    ------
+    HubError
+        No split is named, and no manifest tells which ones there are.
+    """
+    if splits or repository.insists or repository.manifest is not None or not repository.may_answer_later:
+        return
+    message = f"the Hub does not say now which splits {repository.repo_id!r} has; next: try again later"
+    raise HubError(message)
 
 
-def _is_labelled(folder: DataFolder, labels: Iterable[str]) -> bool:
-    return all(folder.exists(name) for name in labels)
+def _plan_by_cache(
+    repository: HubRepository, folder: DataFolder, record: DownloadRecord, splits: Sequence[str]
+) -> DownloadPlan:
+    """Plan for a folder while the cache answers for the Hub: it can mend and add, never tell what is gone.
+
+    Raises
+    ------
+    HubError
+        The cache lacks something, or knows another commit than that of the folder; nothing was touched.
+    """
+    if repository.snapshot.commit != record.commit:
+        what = f"commit {record.commit[:12]}, which {folder.address()!r} holds,"
+        raise not_cached(repository.repo_id, what)
+    here = {file.split for file in shard_files(record.files)}
+    further = [split for split in splits if split not in here]
+    files = dict(record.files)
+    if further:
+        paths = [*extras(repository, further, fitted=False), *chosen_splits(repository, further)[2]]
+        files |= {path: wanted_file(repository, path) for path in paths}
+    missing = tuple(file for file in files.values() if not is_here(folder, file))
+    require_within_reach(repository, [*(file.path for file in missing), *record.labels])
+    chosen = tuple(split for split in record.splits if split in {*here, *further})
+    return DownloadPlan(
+        repository, folder, record.commit, chosen, record.splits, tuple(files.values()), missing, (), False
+    )
 
 
 def _already_done(
@@ -159,11 +229,13 @@ def _already_done(
 def _plan_by_record(
     repository: HubRepository, folder: DataFolder, record: DownloadRecord | None, splits: Sequence[str]
 ) -> DownloadPlan | None:
-    if record is None or record.revision != repository.revision or not _is_labelled(folder, record.labels):
+    if record is None or not record.finished or record.revision != repository.revision:
         return None
     here = {file.split for file in shard_files(record.files)}
     files = tuple(record.files.values())
-    if not set(splits or record.splits) <= here or not all(_is_here(folder, file) for file in files):
+    if not set(splits or record.splits) <= here or not is_labelled(folder, record.labels):
+        return None
+    if not all(is_here(folder, file) for file in files):
         return None
     chosen = tuple(split for split in record.splits if split in here)
     return DownloadPlan(repository, folder, record.commit, chosen, record.splits, files, (), (), True)
@@ -175,7 +247,9 @@ def _own_record(folder: DataFolder, repository: HubRepository) -> DownloadRecord
     Raises
     ------
     SpecMismatchError
-        The folder holds something else.
+        The folder holds another data set.
+    InputError
+        The folder holds something else; nothing in it was touched.
     """
     record = read_record(folder)
     if record is not None and record.repo_id == repository.repo_id:
@@ -187,45 +261,5 @@ def _own_record(folder: DataFolder, repository: HubRepository) -> DownloadRecord
             "changed; next: choose another folder with --out"
         )
         raise SpecMismatchError(message)
+    refuse_strangers(folder)
     return None
-
-
-def _chosen(
-    repository: HubRepository, splits: Sequence[str]
-) -> tuple[tuple[str, ...], tuple[str, ...], list[str]]:
-    """Return the splits wanted, all splits, and the paths of the shards wanted."""
-    found = repository_shards(repository)
-    order = repository.manifest.split_order if repository.manifest is not None else ()
-    names = {file.split for file in found}
-    known = tuple(split for split in order if split in names) or tuple(sorted(names))
-    chosen = tuple(split for split in known if split in splits) if splits else known
-    shards = []
-    for split in dict.fromkeys([*chosen, *splits] or ["train"]):
-        with repository.told_apart(f"split {split!r}"):
-            shards += [file.path for file in files_of_split(found, split, repository.repo_id)]
-    return chosen, known, shards
-
-
-def _extras(repository: HubRepository, *, fitted: bool) -> list[str]:
-    """Return the small files that go with every split; card and manifest only when taken as they are."""
-    manifest = repository.manifest
-    listed = set(manifest.files or ()) if manifest is not None else set()
-    return [path for path in repository.files() if _is_extra(path, listed, fitted)]
-
-
-def _is_extra(path: str, listed: set[str], fitted: bool) -> bool:
-    if path in (CARD_FILE, MANIFEST_FILE):
-        return fitted
-    return path in listed or path in _EXTRA_FILES or PurePosixPath(path).parts[0] in _EXTRA_FOLDERS
-
-
-def _file(repository: HubRepository, path: str) -> HubFile:
-    """Return a wanted file with what proves it: the manifest's checksum, or else the Hub's."""
-    return HubFile(path, repository.size_bytes(path), repository.expected(path))
-
-
-def _is_here(folder: DataFolder, file: HubFile) -> bool:
-    place = Path(folder.address(file.path))
-    if not place.is_file() or place.stat().st_size != file.size_bytes or file.digest is None:
-        return False
-    return is_whole(place, file.digest)

@@ -32,6 +32,8 @@ class DownloadRecord:
         All splits of the repository, here or not.
     labels : tuple of str
         Which of card and manifest the repository has.
+    finished : bool
+        False while the download is under way or after it was interrupted.
     """
 
     repo_id: str
@@ -40,6 +42,7 @@ class DownloadRecord:
     files: Mapping[str, HubFile]
     splits: tuple[str, ...]
     labels: tuple[str, ...]
+    finished: bool = True
 
 
 def read_record(folder: DataFolder) -> DownloadRecord | None:
@@ -65,6 +68,7 @@ def read_record(folder: DataFolder) -> DownloadRecord | None:
             files,
             tuple(values["splits"]),
             tuple(values["labels"]),
+            bool(values.get("finished", True)),
         )
     except (ValueError, KeyError, TypeError, AttributeError) as error:
         message = (
@@ -80,6 +84,7 @@ def write_record(folder: DataFolder, record: DownloadRecord) -> None:
         "repository": record.repo_id,
         "commit": record.commit,
         "revision": record.revision,
+        "finished": record.finished,
         "splits": list(record.splits),
         "labels": list(record.labels),
         "files": {

@@ -16,6 +16,7 @@ from dataset_store.hub.tokens import is_scrubbed, scrub, token_state, whose_toke
 
 __all__ = [
     "cause_chain",
+    "ends_a_download",
     "failure_of",
     "is_connection_failure",
     "named_failures",
@@ -86,6 +87,19 @@ def failure_of(
                 head, next_step, rest = str(found).partition("; next: ")
                 return type(found)(scrub(f"{head}{often}{next_step}{rest}"))
     return None
+
+
+@contextlib.contextmanager
+def ends_a_download() -> Iterator[None]:
+    """Give a disk that takes no more the exit code of a :class:`HubError`.
+
+    To scripts it is the download that did not come to its end, whatever stopped it.
+    """
+    try:
+        yield
+    except StorageError as error:
+        error.exit_code = HubError.exit_code
+        raise
 
 
 def not_cached(repo_id: str, what: str) -> HubError:
@@ -264,6 +278,8 @@ def _network_failure(
     if isinstance(error, errors.OfflineModeIsEnabled) or (
         isinstance(error, errors.LocalEntryNotFoundError) and constants.HF_HUB_OFFLINE
     ):
+        if doing.startswith("uploading"):
+            return HubError(f"HF_HUB_OFFLINE forbids {doing} {subject}; next: unset HF_HUB_OFFLINE")
         return HubError(
             f"{subject} is not in the cache as far as asked for, and HF_HUB_OFFLINE forbids to fetch it; "
             "next: unset HF_HUB_OFFLINE once"
@@ -279,6 +295,11 @@ def _unreached(error: BaseException, subject: str, doing: str) -> str:
     kind, hub = type(error).__name__, f"the Hub at {constants.ENDPOINT}"
     again = "next: check the network, and HF_ENDPOINT if you set it, and run the same command again"
     cached = ", which is not in the cache as far as asked for" if doing == "reading" else ""
+    if not re.match(r"https?://[^/]", constants.ENDPOINT):
+        return (
+            f"HF_ENDPOINT is {constants.ENDPOINT!r}, which is no address, so that {doing} {subject} cannot "
+            "begin; next: unset it, or set one such as https://huggingface.co"
+        )
     if isinstance(error, TimeoutError) or "Timeout" in kind:
         return f"{hub} does not answer in time while {doing} {subject}{cached}; {again}"
     if isinstance(error, ConnectionRefusedError) or kind in ("ConnectError", "ClientConnectorError"):

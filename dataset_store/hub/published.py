@@ -10,6 +10,7 @@ from pathlib import Path
 from dataset_store.errors import ToolkitError
 from dataset_store.hub.cache import RepositoryCache
 from dataset_store.hub.snapshot import HubSnapshot, look_at
+from dataset_store.manifest import MANIFEST_FILE
 from dataset_store.places import shard_files
 from dataset_store.shards import DATA_FOLDER
 
@@ -123,18 +124,21 @@ def published_set(name: str) -> PublishedSet | None:
 
 
 def place_of(name: str) -> str:
-    """Return the repository of a short name, unless a folder of that name holds Parquet files itself.
+    """Return the repository of a short name, unless there is a file or a data set folder of that name.
 
     Any other name is returned as it is.
     """
     found = published_set(name)
-    if found is None or _holds_shards(Path(name)):
+    if found is None or _is_data(Path(name)):
         return name
     return found.repo_id
 
 
-def _holds_shards(folder: Path) -> bool:
-    return any(next(folder.glob(pattern), None) for pattern in ("*.parquet", f"{DATA_FOLDER}/*.parquet"))
+def _is_data(place: Path) -> bool:
+    """Tell data from any other folder of that name: sources of the toolkit lie in one called ``mnist3d``."""
+    if place.is_file() or (place / MANIFEST_FILE).is_file():
+        return True
+    return any(next(place.glob(pattern), None) for pattern in ("*.parquet", f"{DATA_FOLDER}/*.parquet"))
 
 
 @dataclass(frozen=True, slots=True)

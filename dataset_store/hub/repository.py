@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import json
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
 
@@ -31,6 +31,10 @@ class HubRepository:
     revision : str or None
         Branch, tag or commit. What it names is looked up on first use and stays so for this object, so that
         all files are of one commit.
+    insists : bool
+        Wait for a Hub in trouble even where the cache could answer in its place.
+    on_wait : callable
+        Told, in a sentence, why there is a wait.
 
     Notes
     -----
@@ -40,6 +44,8 @@ class HubRepository:
 
     repo_id: str
     revision: str | None = None
+    insists: bool = False
+    on_wait: Callable[[str], None] = field(default=lambda _: None, repr=False, compare=False)
 
     @cached_property
     def snapshot(self) -> HubSnapshot:
@@ -50,7 +56,7 @@ class HubRepository:
         HubError
             The repository is unknown, private or gated, or the Hub cannot be reached and it is not cached.
         """
-        return look_at(self.repo_id, self.revision)
+        return look_at(self.repo_id, self.revision, insists=self.insists, on_wait=self.on_wait)
 
     @cached_property
     def manifest(self) -> Manifest | None:
@@ -67,6 +73,18 @@ class HubRepository:
             return None
         text = Path(self._fetch(MANIFEST_FILE)).read_text(encoding="utf-8", errors="replace")
         return Manifest.from_json(text, f"{self.repo_id}/{MANIFEST_FILE}") if _is_ours(text) else None
+
+    @property
+    def has_answered(self) -> bool:
+        """Whether the Hub itself has said what it holds; asks nobody."""
+        seen: HubSnapshot | None = self.__dict__.get("snapshot")
+        return seen is not None and not seen.is_cache
+
+    @property
+    def may_answer_later(self) -> bool:
+        """Whether the cache answered for a Hub whose trouble may pass; asks nobody."""
+        seen: HubSnapshot | None = self.__dict__.get("snapshot")
+        return seen is not None and seen.may_pass
 
     def files(self) -> list[str]:
         """List the paths of all files.
@@ -100,7 +118,7 @@ class HubRepository:
         self,
         path: str,
         on_bytes: Callable[[int], None] = lambda _: None,
-        on_wait: Callable[[str], None] = lambda _: None,
+        on_wait: Callable[[str], None] | None = None,
     ) -> str:
         """Bring one file into the Hub's cache, or find it there, and return its local path.
 
@@ -110,8 +128,8 @@ class HubRepository:
             Place of the file in the repository.
         on_bytes : callable
             Told the number of bytes each time some have arrived.
-        on_wait : callable
-            Told, in a sentence, why there is a wait.
+        on_wait : callable, optional
+            Told, in a sentence, why there is a wait; that of the repository by default.
 
         Returns
         -------
@@ -169,9 +187,15 @@ class HubRepository:
         return listed[path] if path in listed else self._entry(path).size_bytes
 
     def address(self, path: str) -> str:
-        """Return the fsspec address of a file, for reading it without downloading it whole."""
-        revision = f"@{self.revision.replace('/', '%2F')}" if self.revision else ""
-        return f"hf://datasets/{self.repo_id}{revision}/{path}"
+        """Return the fsspec address of a file at the commit, for reading it without downloading it whole.
+
+        Raises
+        ------
+        HubError
+            As :attr:`snapshot`.
+        """
+        # The commit, not what it is called: a branch may move on while its files are read in turn.
+        return f"hf://datasets/{self.repo_id}@{self.snapshot.commit}/{path}"
 
     def cached(self, path: str) -> Path | None:
         """Return a file that is in the Hub's cache, whole; None otherwise. Asks nobody, fetches nothing."""
@@ -213,7 +237,7 @@ class HubRepository:
         self,
         path: str,
         on_bytes: Callable[[int], None] = lambda _: None,
-        on_wait: Callable[[str], None] = lambda _: None,
+        on_wait: Callable[[str], None] | None = None,
     ) -> str:
         cache = RepositoryCache(self.repo_id)
         found = cache.file(self.snapshot.commit, path)
@@ -222,7 +246,7 @@ class HubRepository:
             if whole is not None:
                 return str(whole)
             cache.remove(self.snapshot.commit, path)
-        transfer = self.transfer(path, on_bytes, on_wait)
+        transfer = self.transfer(path, on_bytes, on_wait or self.on_wait)
         # The cache calls a content by what the Hub says of it, which a manifest may not know.
         name = self._entry(path).digest or transfer.digest
         blob = cache.blob(name)

@@ -8,6 +8,7 @@ from collections.abc import Callable
 from typing import TypeVar
 
 from dataset_store.errors import InputError
+from dataset_store.hub.client_words import client_hushed
 from dataset_store.hub.failures import (
     cause_chain,
     failure_of,
@@ -120,6 +121,20 @@ def ask(
         As :func:`dataset_store.hub.failures.named_failures`.
     """
     waits = default_waits_s() if waits_s is None else waits_s
+    with client_hushed(on_wait):
+        return _asked(action, repo_id, revision, doing, waits, look, has_moved, on_wait)
+
+
+def _asked(
+    action: Callable[[], T],
+    repo_id: str,
+    revision: str | None,
+    doing: str,
+    waits: tuple[float, ...],
+    look: Callable[[], T | None] | None,
+    has_moved: Callable[[], bool],
+    on_wait: Callable[[str], None],
+) -> T:
     tries = 0
     while True:
         tries += 1

@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from dataset_store.errors import HubError
+from dataset_store.errors import HubError, ToolkitError
 from dataset_store.hub.cache import RepositoryCache
 from dataset_store.hub.checks import Digest
 from dataset_store.hub.failures import failure_of, shown_cause
-from dataset_store.hub.retries import ask, could_not_ask
+from dataset_store.hub.retries import ask, could_not_ask, is_passing
 
 __all__ = ["HubFile", "HubSnapshot", "look_at"]
 
@@ -52,6 +52,8 @@ class HubSnapshot:
         By path. Of a snapshot that was read from the cache, only those in the cache.
     is_cache : bool
         Whether the cache answered because the Hub could not be asked.
+    may_pass : bool
+        Whether that is a trouble of the kind that passes: the Hub is overloaded, a connection broke.
     licence : str or None
         What its card says, if it says so.
     """
@@ -61,9 +63,17 @@ class HubSnapshot:
     files: Mapping[str, HubFile]
     is_cache: bool = False
     licence: str | None = None
+    may_pass: bool = False
 
 
-def look_at(repo_id: str, revision: str | None = None, *, patient: bool = True) -> HubSnapshot:
+def look_at(
+    repo_id: str,
+    revision: str | None = None,
+    *,
+    patient: bool = True,
+    insists: bool = False,
+    on_wait: Callable[[str], None] = lambda _: None,
+) -> HubSnapshot:
     """Ask the Hub, once and quickly, what a revision holds; without an answer, ask the cache.
 
     Parameters
@@ -72,6 +82,10 @@ def look_at(repo_id: str, revision: str | None = None, *, patient: bool = True) 
         Repository and what to look at; default ``main``.
     patient : bool
         Wait for a Hub in trouble when nothing of the revision is in the cache.
+    insists : bool
+        Wait for it even so: something is wanted that the cache does not have.
+    on_wait : callable
+        Told, in a sentence, why there is a wait.
 
     Raises
     ------
@@ -81,24 +95,20 @@ def look_at(repo_id: str, revision: str | None = None, *, patient: bool = True) 
         ``repo_id`` is no name of a repository.
     """
     cache = RepositoryCache(repo_id)
-    cached = cache.commit_of(revision or _MAIN)
+    known = cache.commit_of(revision or _MAIN)
+    cached = known if known and cache.files(known) else None
     try:
-        if not patient or (cached is not None and cache.files(cached)):
+        if not patient or (cached and not insists):
             info = _info(repo_id, revision, _PROBE_TIMEOUT_S)
         else:
-            info = ask(lambda: _info(repo_id, revision), repo_id, revision)
+            info = ask(lambda: _info(repo_id, revision), repo_id, revision, on_wait=on_wait)
     except Exception as error:
-        failure = failure_of(error, repo_id, revision)
-        if failure is None:
+        failure = error if isinstance(error, ToolkitError) else failure_of(error, repo_id, revision)
+        if cached and isinstance(failure, HubError) and could_not_ask(error):
+            return _from_cache(cache, cached, may_pass=is_passing(error))
+        if failure is None or failure is error:
             raise
-        if (
-            not isinstance(failure, HubError)
-            or not could_not_ask(error)
-            or not cached
-            or not cache.files(cached)
-        ):
-            raise failure from shown_cause(error)
-        return _from_cache(cache, cached)
+        raise failure from shown_cause(error)
     snapshot = _from_info(repo_id, info)
     cache.remember_commit(revision or _MAIN, snapshot.commit)
     return snapshot
@@ -121,7 +131,7 @@ def _from_info(repo_id: str, info: Any) -> HubSnapshot:
     return HubSnapshot(repo_id, info.sha, files, licence=licence if isinstance(licence, str) else None)
 
 
-def _from_cache(cache: RepositoryCache, commit: str) -> HubSnapshot:
+def _from_cache(cache: RepositoryCache, commit: str, *, may_pass: bool) -> HubSnapshot:
     files = {}
     for path, place in cache.files(commit).items():
         # The name of a blob tells what it holds; a cache without links has none.
@@ -129,4 +139,4 @@ def _from_cache(cache: RepositoryCache, commit: str) -> HubSnapshot:
         kind = _DIGEST_OF_LENGTH.get(len(name)) if place.is_symlink() else None
         digest = Digest(kind, name) if kind else None
         files[path] = HubFile(path, place.stat().st_size, digest)
-    return HubSnapshot(cache.repo_id, commit, files, is_cache=True)
+    return HubSnapshot(cache.repo_id, commit, files, is_cache=True, may_pass=may_pass)

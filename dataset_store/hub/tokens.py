@@ -10,6 +10,8 @@ __all__ = ["is_scrubbed", "scrub", "token_state", "whose_token"]
 
 _TOKEN = re.compile(r"\b(?:hf|api_org)_[A-Za-z0-9]{6,}")
 _HEADER = re.compile(r"(?i)\b(bearer|authorization:?)\s+(?!bearer)[^\s'\"]+")
+# Addresses of stores carry what signs them behind the question mark.
+_QUERY = re.compile(r"(https?://[^\s'\"<>?]+)\?[^\s'\"<>]+")
 _HIDDEN = "hf_***"
 
 
@@ -24,13 +26,13 @@ def token_state() -> str:
 
 
 def scrub(text: str) -> str:
-    """Return a text without the token in use and without anything that looks like one."""
+    """Return a text without the token in use, without what looks like one, and without signatures."""
     from huggingface_hub import get_token
 
     token = get_token()
     if token:
         text = text.replace(token, _HIDDEN)
-    return _HEADER.sub(rf"\1 {_HIDDEN}", _TOKEN.sub(_HIDDEN, text))
+    return _HEADER.sub(rf"\1 {_HIDDEN}", _TOKEN.sub(_HIDDEN, _QUERY.sub(r"\1", text)))
 
 
 def is_scrubbed(errors: Iterable[BaseException]) -> bool:

@@ -8,7 +8,9 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
+from importlib import import_module
 from pathlib import Path
+from typing import Any
 
 from dataset_store.cards.card import CARD_FILE
 from dataset_store.cards.checks import check_card
@@ -70,12 +72,14 @@ def prepare_upload(
         Not logged in, not allowed, or the Hub cannot be reached.
     """
     chosen = options or UploadOptions()
+    _require_name(repo_id)
     root, manifest = _finished(folder)
     _require_sound(root, list((check or _verified)(DataFolder(str(root)))))
     target = UploadTarget(repo_id, chosen.revision or MAIN, on_wait)
     name = "" if dry_run else target.who()
     state = target.state()
     _refuse_exposure(target, chosen, state)
+    _refuse_taken_names(target, chosen, state)
     payload = _payload(root, manifest, repo_id, chosen, state)
     plan = compare(payload.files, state.files)
     prepared = PreparedUpload(target, chosen, manifest, payload, state, plan)
@@ -109,6 +113,38 @@ def run_upload(prepared: PreparedUpload) -> UploadResult:
     )
 
 
+def _require_name(repo_id: str) -> None:
+    """Refuse what is no ``USER/NAME``: the Hub would make a repository of a bare name, and lose it.
+
+    Raises
+    ------
+    InputError
+        It is none.
+    """
+    from huggingface_hub.errors import HFValidationError
+
+    client: Any = import_module("huggingface_hub.utils")  # its names are not exported to type checkers
+    try:
+        if repo_id.count("/") != 1:
+            raise HFValidationError
+        client.validate_repo_id(repo_id)
+    except HFValidationError as error:
+        message = f"{repo_id!r} is no name of a repository; next: give USER/NAME"
+        raise InputError(message) from error
+
+
+def _refuse_taken_names(target: UploadTarget, options: UploadOptions, state: RemoteState) -> None:
+    """Refuse a branch named as a tag, and the other way round: readers could not tell one from the other."""
+    if options.revision in state.tags and not state.has_branch:
+        option, is_a = f"--revision {options.revision}", "a tag, which names one commit for good"
+    elif options.tag in state.branches:
+        option, is_a = f"--tag {options.tag}", "a branch"
+    else:
+        return
+    message = f"{option}: of {target.repo_id!r} that is {is_a}; nothing was sent; next: choose another name"
+    raise InputError(message)
+
+
 def _finished(folder: str) -> tuple[Path, Manifest]:
     place = DataFolder(folder)
     if not place.is_local:
@@ -131,12 +167,13 @@ def _verified(folder: DataFolder) -> Sequence[Finding]:
 def _require_sound(root: Path, findings: Sequence[Finding]) -> None:
     if not findings:
         return
-    listed = "; ".join(f"{finding.file} {finding.problem}" for finding in findings[:3])
+    told = [f"{finding.file} {finding.problem}".partition("; next: ")[0] for finding in findings[:3]]
+    listed = "; ".join(told)
     more = f" and {len(findings) - 3} more" if len(findings) > 3 else ""
-    message = (
-        f"{str(root)!r} is not fit to be sent, nothing was: {listed}{more}; next: run the command that made "
-        "it again, or `card` for the card alone"
-    )
+    only_card = all(CARD_FILE in (finding.file, *finding.problem.split()) for finding in findings)
+    cure = "write it with the command `card`, or mend it by hand"
+    cure = cure if only_card else "run the command that made it again, or `card` for the card alone"
+    message = f"{str(root)!r} is not fit to be sent, nothing was: {listed}{more}; next: {cure}"
     raise IntegrityError(message)
 
 
@@ -149,7 +186,8 @@ def _payload(
     staying = () if options.delete else compare(payload.files, state.files).remote_only
     shards = {split: [r.shard.data_path for r in manifest.receipts_of(split)] for split in manifest.splits}
     text = card_for_hub(stored, repo_id, shards, [file.path for file in staying])
-    _require_sound(root, check_card(DataFolder(str(root)), text))
+    held = {*(file.path for file in payload.files), *(file.path for file in staying)}
+    _require_sound(root, check_card(DataFolder(str(root)), text, held=held))
     return payload.with_card(text.encode())
 
 

@@ -34,12 +34,12 @@ def ensure_sent(prepared: PreparedUpload) -> tuple[Sent, bool]:
     target, options = prepared.target, prepared.options
     if prepared.pull is not None:
         return Sent(target.commit_of(prepared.pull), prepared.pull), False
-    if prepared.is_done and prepared.state.head is not None:
-        return Sent(prepared.state.head), False
     if not prepared.state.exists:
         target.create(private=options.private)
-    if prepared.state.head is None and target.branch != MAIN:
-        target.create_branch()
+    if not prepared.state.has_branch and target.branch != MAIN:
+        target.create_branch(prepared.state.head)
+    if prepared.is_done and prepared.state.head is not None:
+        return Sent(prepared.state.head), False
     return _Sending(prepared).until_there(), True
 
 

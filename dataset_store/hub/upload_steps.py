@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass, field
 
 from dataset_store.errors import InputError
@@ -12,6 +13,8 @@ from dataset_store.manifest import Manifest
 from dataset_store.shards import DATA_FOLDER
 
 __all__ = ["PreparedUpload", "UploadOptions", "UploadResult"]
+
+_COMMIT = re.compile(r"[0-9a-f]{40}")
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,11 +51,23 @@ class UploadOptions:
                 "against the main branch; next: leave one of them out"
             )
             raise InputError(message)
-        if self.create_pr and self.tag is not None:
+        pull = "--create-pr" if self.create_pr else f"--revision {self.revision}"
+        if self.tag is not None and (self.create_pr or (self.revision or "").startswith("refs/")):
             message = (
-                f"--create-pr and --tag {self.tag} exclude each other: what is not merged yet gets no name; "
+                f"{pull} and --tag {self.tag} exclude each other: what is not merged yet gets no name; "
                 "next: leave one of them out"
             )
+            raise InputError(message)
+        self._refuse_names_of_commits()
+
+    def _refuse_names_of_commits(self) -> None:
+        """Refuse names for a branch or tag that would be read as something else ever after."""
+        for option, name in (("--revision", self.revision), ("--tag", self.tag)):
+            if name is not None and _COMMIT.fullmatch(name):
+                message = f"{option} {name} is the name of a commit; next: give a branch or tag of your own"
+                raise InputError(message)
+        if self.tag is not None and self.tag == (self.revision or MAIN):
+            message = f"--tag {self.tag} is the name of the branch that is written to; next: choose another"
             raise InputError(message)
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import glob
+import warnings
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -31,11 +32,15 @@ class RemoteState:
     private : bool
         Whether only its owner sees it.
     head : str or None
-        Commit that the branch points to; None where the branch is still to be made.
+        Commit that the branch points to, or that it will start at: the head of ``main``.
     files : dict of str to RemoteFile
-        What it holds.
+        What that commit holds.
     tags : dict of str to str
         Commit of each tag.
+    branches : frozenset of str
+        Names of the branches.
+    has_branch : bool
+        Whether the branch is there; False where it is still to be made.
     """
 
     exists: bool
@@ -43,6 +48,8 @@ class RemoteState:
     head: str | None = None
     files: dict[str, RemoteFile] = field(default_factory=dict)
     tags: dict[str, str] = field(default_factory=dict)
+    branches: frozenset[str] = frozenset()
+    has_branch: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -119,10 +126,14 @@ class UploadTarget:
         api = self._api()
         self._ask(lambda: api.create_repo(self.repo_id, repo_type=_KIND, private=private, exist_ok=True))
 
-    def create_branch(self) -> None:
-        """Create the branch at the head of ``main``; one that is there already stays as it is."""
+    def create_branch(self, start: str | None) -> None:
+        """Create the branch at a commit, or at the head of ``main``; one that is there stays as it is."""
         api = self._api()
-        self._ask(lambda: api.create_branch(self.repo_id, branch=self.branch, repo_type=_KIND, exist_ok=True))
+        self._ask(
+            lambda: api.create_branch(
+                self.repo_id, branch=self.branch, revision=start, repo_type=_KIND, exist_ok=True
+            )
+        )
 
     def send(self, stage: Path, message: str, *, delete: list[str], parent: str | None, pull: bool) -> Sent:
         """Send a folder as a commit, once: a lost answer is looked into, not repeated, by the caller.
@@ -140,16 +151,18 @@ class UploadTarget:
         pull : bool
             Open a pull request instead of writing to the branch.
         """
-        made = self._api().upload_folder(
-            repo_id=self.repo_id,
-            folder_path=stage,
-            repo_type=_KIND,
-            commit_message=message,
-            revision=None if pull else self.branch,
-            create_pr=pull,
-            parent_commit=None if pull else parent,
-            delete_patterns=[glob.escape(path) for path in delete] or None,
-        )
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # the client library's own, which no user can heed
+            made = self._api().upload_folder(
+                repo_id=self.repo_id,
+                folder_path=stage,
+                repo_type=_KIND,
+                commit_message=message,
+                revision=None if pull else self.branch,
+                create_pr=pull,
+                parent_commit=None if pull else parent,
+                delete_patterns=[glob.escape(path) for path in delete] or None,
+            )
         return Sent(made.oid, made.pr_revision)
 
     def set_tag(self, name: str, commit: str, there: str | None) -> None:
@@ -182,10 +195,10 @@ class UploadTarget:
         refs = api.list_repo_refs(self.repo_id, repo_type=_KIND)
         tags = {ref.name: str(ref.target_commit) for ref in refs.tags}
         heads = {ref.name: str(ref.target_commit) for ref in refs.branches}
-        head = heads.get(self.branch) or self._pull_head()
-        if head is None:
-            return RemoteState(exists=True, private=private, tags=tags)
-        return RemoteState(True, private, head, self._tree(head), tags)
+        there = heads.get(self.branch) or self._pull_head()
+        head = there or heads.get(MAIN)
+        files = self._tree(head) if head is not None else {}
+        return RemoteState(True, private, head, files, tags, frozenset(heads), there is not None)
 
     def _pull_head(self) -> str | None:
         """Return the commit of a pull request that is written to like a branch."""

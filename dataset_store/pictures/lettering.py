@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import re
+import string
+import unicodedata
 from functools import cache
 from typing import TYPE_CHECKING, TypeAlias
 
@@ -31,6 +33,23 @@ ACCENTS: tuple[Colour, ...] = (
 _RAISED = re.compile("([²³])")
 _RAISED_PLAIN = {"²": "2", "³": "3"}
 
+_LETTERS = frozenset(
+    string.printable[:-5]
+    + "©«°±·»“”…™"
+    + "\N{ACUTE ACCENT}\N{LEFT SINGLE QUOTATION MARK}\N{RIGHT SINGLE QUOTATION MARK}\N{FRACTION SLASH}"
+    + "\N{SINGLE LEFT-POINTING ANGLE QUOTATION MARK}\N{SINGLE RIGHT-POINTING ANGLE QUOTATION MARK}"
+)
+"""What the built-in font has letters for, the blank included."""
+
+_SPELLED = {
+    **{"ß": "ss", "ẞ": "SS", "æ": "ae", "Æ": "AE", "œ": "oe", "Œ": "OE", "þ": "th", "Þ": "Th"},
+    **{"ø": "o", "Ø": "O", "đ": "d", "Đ": "D", "ð": "d", "Ð": "D", "ł": "l", "Ł": "L"},
+    **{"\N{EN DASH}": "-", "\N{EM DASH}": "-", "\N{MINUS SIGN}": "-", "\N{MULTIPLICATION SIGN}": "x"},
+    **{"\N{LATIN SMALL LETTER DOTLESS I}": "i"},
+    **{"\N{MICRO SIGN}": "u", "\N{GREEK SMALL LETTER MU}": "u"},
+}
+"""Letters that are none of the font's with an accent."""
+
 
 def draw_text(
     pen: ImageDraw,
@@ -42,6 +61,8 @@ def draw_text(
     halo_px: int = 0,
 ) -> None:
     """Write a line; ² and ³ are written as raised digits, which the built-in font lacks.
+
+    It lacks letters beyond English too: they lose their accents, or are written as question marks.
 
     Parameters
     ----------
@@ -96,9 +117,21 @@ def _parts(text: str, size_px: int) -> list[tuple[str, int]]:
     """Split a line at raised digits: words and their size."""
     return [
         (_RAISED_PLAIN[part], round(size_px * 0.7)) if part in _RAISED_PLAIN else (part, size_px)
-        for part in _RAISED.split(text)
+        for part in _RAISED.split("".join(map(_written, text)))
         if part
     ]
+
+
+@cache
+def _written(letter: str) -> str:
+    """Return a letter as the built-in font can write it; without its accents, or else a question mark."""
+    if letter in _LETTERS or letter in _RAISED_PLAIN:
+        return letter
+    if unicodedata.combining(letter):
+        return ""
+    parts = unicodedata.normalize("NFKD", _SPELLED.get(letter, letter))
+    plain = "".join(part for part in parts if not unicodedata.combining(part))
+    return plain if plain and _LETTERS.issuperset(plain) else "?"
 
 
 @cache

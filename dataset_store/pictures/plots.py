@@ -6,6 +6,8 @@ Every function needs matplotlib (extra ``pictures``) and gives pixels.
 from __future__ import annotations
 
 import math
+import textwrap
+import warnings
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -21,6 +23,9 @@ __all__ = ["Bars", "Points", "Spread", "plot_bars", "plot_points", "plot_spreads
 
 _DPI = 144
 _MOST_BINS = 40
+_TITLE_PT, _LEAST_TITLE_PT = 13.0, 9.0
+_TITLE_LEFT = 0.012
+_GROUPS_IN_COLUMN, _COLUMN_IN = 18, 1.1
 _STYLE = {
     "axes.edgecolor": hex_of(MUTED),
     "axes.labelcolor": hex_of(INK),
@@ -32,6 +37,7 @@ _STYLE = {
     "font.family": "DejaVu Sans",
     "font.size": 9,
     "text.color": hex_of(INK),
+    "text.parse_math": False,
     "xtick.color": hex_of(MUTED),
     "ytick.color": hex_of(MUTED),
 }
@@ -78,6 +84,8 @@ class Spread:
         What has the values, beside the axis, such as ``"digits"``.
     limit : tuple of (float, str), optional
         A line at a value, and its name.
+    together : str
+        What all groups are together, such as ``"all splits"``.
     """
 
     title: str
@@ -85,6 +93,7 @@ class Spread:
     groups: tuple[tuple[str, NDArray[Any]], ...]
     unit: str
     limit: tuple[float, str] | None = None
+    together: str = "all"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -194,9 +203,10 @@ def plot_points(panel: Points, subtitle: str = "") -> NDArray[np.uint8]:
         axes.set_axisbelow(True)
         axes.xaxis.get_major_locator().set_params(integer=True)
         if any(names):
-            figure.legend(loc="outside right upper", frameon=False)
+            figure.legend(loc="outside right upper", frameon=False, ncols=columns)
 
-    return _drawn(fill, (8.6, 4.2), panel.title)
+    columns = max(1, -(-len(set(panel.groups)) // _GROUPS_IN_COLUMN))
+    return _drawn(fill, (8.6 + _COLUMN_IN * (columns - 1), 4.2), panel.title)
 
 
 def _fill_spread(axes: Any, panel: Spread) -> None:
@@ -218,13 +228,11 @@ def _fill_spread(axes: Any, panel: Spread) -> None:
                 transform=axes.get_xaxis_transform(),
                 solid_capstyle="butt",
             )
-    medians = np.median(values) if len(values) else math.nan
-    axes.set_title(panel.title)
+    median = np.median(values) if len(values) else math.nan
+    whose = f" of {panel.together}" if len(panel.groups) > 1 else ""
+    axes.set_title(f"{panel.title}: median {median:,.4g}{whose}")
     axes.set_xlabel(panel.label)
     axes.set_ylabel(f"% of {panel.unit}")
-    axes.annotate(
-        f"median {medians:,.4g}", (0.99, 0.96), xycoords="axes fraction", ha="right", va="top", fontsize=8
-    )
     axes.set_ylim(bottom=0)
     axes.xaxis.set_major_formatter("{x:,.6g}")
     if panel.limit is not None:
@@ -269,14 +277,32 @@ def _drawn(fill: Callable[[Any], None], size_in: tuple[float, float], title: str
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
-    with _style():
+    with _style(), warnings.catch_warnings():
         figure = Figure(figsize=size_in, dpi=_DPI, layout="constrained")
         canvas = FigureCanvasAgg(figure)
-        figure.suptitle(title, x=0.012, ha="left", fontsize=13)
+        # Of letters that the font lacks it draws boxes, and would say so on stderr.
+        warnings.filterwarnings("ignore", message="Glyph .* missing from")
+        _write_title(figure, title)
         fill(figure)
         canvas.draw()
         pixels: NDArray[np.uint8] = np.asarray(canvas.buffer_rgba())[:, :, :3].copy()
     return pixels
+
+
+def _write_title(figure: Any, title: str) -> None:
+    """Write the heading so that all of it can be seen: smaller where it is long, then in several lines."""
+    text = figure.suptitle(title, x=_TITLE_LEFT, ha="left", fontsize=_TITLE_PT)
+    room_px = (1 - 2 * _TITLE_LEFT) * figure.bbox.width
+    size_pt = max(_LEAST_TITLE_PT, _TITLE_PT * min(1.0, room_px / _width_px(text)))
+    text.set_fontsize(size_pt)
+    letters = len(title)
+    while _width_px(text) > room_px and letters > 1:
+        letters = min(letters - 1, int(letters * room_px / _width_px(text)))
+        text.set_text(textwrap.fill(title, max(letters, 1)))
+
+
+def _width_px(text: Any) -> float:
+    return float(text.get_window_extent().width)
 
 
 @contextmanager

@@ -9,7 +9,7 @@ from dataset_store.errors import InputError, IntegrityError
 from dataset_store.printing.checked import write_checked
 from dataset_store.storage import DataFolder, named_failures
 
-__all__ = ["KEPT", "WRITTEN", "holds", "prepare", "refuse_others", "settle"]
+__all__ = ["KEPT", "WRITTEN", "existing", "holds", "prepare", "refuse_others", "remove", "settle"]
 
 WRITTEN, KEPT = "written", "kept"
 
@@ -22,12 +22,33 @@ def prepare(out: str) -> Path:
     InputError, StorageError
         It is a file, or cannot be written.
     """
+    place = _local(out)
+    folder = DataFolder(out)
+    folder.require_folder()
+    folder.remove_stale_temporaries("")
+    return place
+
+
+def existing(out: str) -> Path | None:
+    """Return the folder where it is there, without making or changing anything.
+
+    Raises
+    ------
+    InputError
+        It is a file, or no local place.
+    """
+    place = _local(out)
+    if place.exists() and not place.is_dir():
+        message = f"{out!r} is a file, a folder was expected; next: another --out"
+        raise InputError(message)
+    return place if place.exists() else None
+
+
+def _local(out: str) -> Path:
     folder = DataFolder(out)
     if not folder.is_local:
         message = f"{out!r} is no local folder; files to print are written to a disk; next: a local --out"
         raise InputError(message)
-    folder.require_folder()
-    folder.remove_stale_temporaries("")
     return Path(folder.address())
 
 

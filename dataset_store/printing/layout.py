@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from dataset_store.errors import ItemError
+from dataset_store.errors import InputError, ItemError
 from dataset_store.printing.checked import Failure
 from dataset_store.printing.objects import require_scale
 from dataset_store.printing.packing import Spot, pack
@@ -150,9 +150,12 @@ def measure(
     Raises
     ------
     InputError
-        An object, alone or with its tag, is larger than a plate; or the scale is not positive.
+        An object, alone or with its tag, is larger than a plate; two would have the same tag; or the scale is
+        not positive.
     """
     require_scale(scale)
+    if spec.label:
+        _require_own_tags(objects)
     pieces, failures = [], []
     for done, item in enumerate(objects, 1):
         try:
@@ -161,6 +164,18 @@ def measure(
             failures.append(Failure(item.name, error.reason, f"{error}; it was left out"))
         on_progress(done, len(objects))
     return Measured(spec, scale, tuple(pieces), tuple(failures))
+
+
+def _require_own_tags(objects: Iterable[PrintObject]) -> None:
+    first: dict[int, PrintObject] = {}
+    for item in objects:
+        other = first.setdefault(item.id, item)
+        if other is not item:
+            message = (
+                f"--label: {other.name} and {item.name} have the same id {item.id}, and a tag shows the id "
+                "alone; next: one --split at a time, or no --label"
+            )
+            raise InputError(message)
 
 
 def arrange(measured: Measured, on_progress: Progress = _silent) -> Layout:
@@ -192,14 +207,14 @@ def arrange(measured: Measured, on_progress: Progress = _silent) -> Layout:
 def _placed(piece: Piece, spot: Spot, spec: PlateSpec) -> Placed:
     cell_width_mm, cell_depth_mm = spec.grid.cell_mm
 
-    def corner_mm(cell: tuple[int, int]) -> tuple[float, float]:
-        return (spot.column + cell[1]) * cell_width_mm, (spot.row + cell[0]) * cell_depth_mm
+    def moved(corner_mm: tuple[float, float]) -> tuple[float, float]:
+        return spot.column * cell_width_mm + corner_mm[0], spot.row * cell_depth_mm + corner_mm[1]
 
     tag = None
-    if piece.tag_cell is not None:
+    if piece.tag_mm is not None:
         text = str(piece.item.id)
-        tag = Tag(text, *corner_mm(piece.tag_cell), *tag_size_mm(text))
-    corner = corner_mm(piece.object_cell)
+        tag = Tag(text, *moved(piece.tag_mm), *tag_size_mm(text))
+    corner = moved(piece.object_mm)
     return Placed(piece.item, piece.outline, *corner, piece.height_mm, piece.volume_mm3, tag)
 
 

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import bisect
 import math
 import re
+import unicodedata
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from functools import partial
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Any, Protocol, TypeAlias
 
 import numpy as np
 
@@ -21,11 +23,14 @@ if TYPE_CHECKING:
     from dataset_store.mesh_records import SolidRecord
     from dataset_store.records import RecordDataset
 
-__all__ = ["PrintObject", "Surface", "choose", "parse_ids", "require_scale", "standing"]
+__all__ = ["IdChoice", "PrintObject", "Surface", "choose", "parse_ids", "require_scale", "standing"]
 
 _ID_DIGITS = 5
-_UNSAFE = re.compile(r"[^A-Za-z0-9_+-]+")
-_IDS = re.compile(r"(-?\d+)(?:-(\d+))?")
+_UNSAFE = re.compile(r"[^\w+-]+")
+_IDS = re.compile(r"(-?\d{1,20})(?:-(\d{1,20}))?", re.ASCII)
+
+IdChoice: TypeAlias = Sequence[int | tuple[int, int]]
+"""Ids, and first and last ids of ranges."""
 
 
 class Surface(Protocol):
@@ -101,7 +106,7 @@ def _merged(
 def choose(
     datasets: Iterable[tuple[str, RecordDataset[SolidRecord]]],
     *,
-    ids: Sequence[int] | None = None,
+    ids: IdChoice | None = None,
     labels: Sequence[str] | None = None,
     limit: int | None = None,
 ) -> list[PrintObject]:
@@ -111,8 +116,8 @@ def choose(
     ----------
     datasets : iterable of (str, RecordDataset)
         Split and its rows.
-    ids : sequence of int, optional
-        Only these rows.
+    ids : sequence of int or (int, int), optional
+        Only these rows; a pair stands for all ids from its first to its last that are there.
     labels : sequence of str, optional
         Only these classes, by name.
     limit : int, optional
@@ -126,18 +131,21 @@ def choose(
     Raises
     ------
     InputError
-        An id or a class is not there, an id stands twice in a split, or nothing is left.
+        An id or a class is not there, none of a range of ids is, an id stands twice in a split, or nothing is
+        left.
     """
     objects: list[PrintObject] = []
-    seen: set[int] = set()
+    ranges = None if ids is None else [entry if isinstance(entry, tuple) else (entry, entry) for entry in ids]
+    seen = np.zeros(len(ranges or ()), bool)
     for split, rows in datasets:
-        known = rows.ids
-        seen.update(known.tolist())
-        wanted = np.ones(len(rows), bool) if ids is None else np.isin(known, list(ids))
+        wanted = np.ones(len(rows), bool)
+        if ranges is not None:
+            wanted, found = _within(rows.ids, ranges)
+            seen |= found
         if labels is not None:
             wanted &= np.isin(rows.labels, _label_numbers(labels, rows.label_names, split))
         objects += _objects(split, rows, np.flatnonzero(wanted)[:limit])
-    _require_found(ids, seen)
+    _require_found(ranges or (), seen)
     if not objects:
         message = (
             "no object is chosen; expected rows of the split with the ids and classes that were asked for"
@@ -180,8 +188,9 @@ def _row(rows: RecordDataset[SolidRecord], position: int) -> Surface:
 
 
 def _safe(word: str) -> str:
-    # Splits and class names of other people's data sets may hold anything, a slash included.
-    return _UNSAFE.sub("_", word)
+    # Splits and class names of other people's data sets may hold anything, a slash included. Letters of all
+    # scripts stay, each in one form, as file systems differ in what they make of accents written apart.
+    return _UNSAFE.sub("_", unicodedata.normalize("NFC", word))
 
 
 def _label_name(names: Sequence[str], number: int) -> str:
@@ -196,12 +205,29 @@ def _label_numbers(labels: Sequence[str], names: Sequence[str], split: str) -> l
     return [list(names).index(label) for label in labels]
 
 
-def _require_found(ids: Sequence[int] | None, seen: set[int]) -> None:
-    missing = [number for number in ids or () if number not in seen]
+def _within(
+    known: NDArray[np.int64], ranges: Sequence[tuple[int, int]]
+) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+    """Tell which ids are in any range, and which ranges hold any id."""
+    order = np.argsort(known, kind="stable")
+    in_order = known[order]
+    firsts = [bisect.bisect_left(in_order, low) for low, _ in ranges]
+    ends = [bisect.bisect_right(in_order, high) for _, high in ranges]
+    wanted = np.zeros(len(known), bool)
+    for first, end in zip(firsts, ends, strict=True):
+        wanted[order[first:end]] = True
+    return wanted, np.array(ends, np.int64) > np.array(firsts, np.int64)
+
+
+def _require_found(ranges: Sequence[tuple[int, int]], seen: NDArray[np.bool_]) -> None:
+    missing = [pair for pair, there in zip(ranges, seen, strict=True) if not there]
     if missing:
+        low, high = missing[0]
+        what = f"id {low}" if low == high else f"an id from {low} to {high}"
+        more = f" ({len(missing)} of the ids and ranges are not there)" if len(missing) > 1 else ""
         message = (
-            f"no object with id {missing[0]} in what was chosen ({len(missing)} of the ids are not there); "
-            "next: look at the ids of the split, or name another --split"
+            f"no object with {what} in what was chosen{more}; next: look at the ids of the split, or name "
+            "another --split"
         )
         raise InputError(message)
 
@@ -216,19 +242,26 @@ def _require_unique(objects: Sequence[PrintObject]) -> None:
         raise InputError(message)
 
 
-def parse_ids(text: str) -> list[int]:
+def parse_ids(text: str) -> list[int | tuple[int, int]]:
     """Read ids such as ``3,17,40-60``.
+
+    Returns
+    -------
+    list of int or (int, int)
+        Ids and, for each range, its first and last one: the ids of a split are scattered, so that most
+        numbers of a range belong to no row.
 
     Raises
     ------
     InputError
         The text has another form.
     """
-    numbers: list[int] = []
+    numbers: list[int | tuple[int, int]] = []
     for part in text.split(","):
         match = _IDS.fullmatch(part.strip())
-        if match is None or int(match[2] or match[1]) < int(match[1]):
+        low, high = (int(match[1]), int(match[2] or match[1])) if match is not None else (0, -1)
+        if match is None or high < low:
             message = f"--ids has {part.strip()!r}; expected numbers and ranges such as 3,17,40-60"
             raise InputError(message)
-        numbers += range(int(match[1]), int(match[2] or match[1]) + 1)
+        numbers.append(low if match[2] is None else (low, high))
     return numbers

@@ -12,7 +12,7 @@ import numpy as np
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-__all__ = ["Grid", "Outline", "cells_touched", "outline_of"]
+__all__ = ["Grid", "Outline", "cells_touched", "outline_of", "signed_area"]
 
 Rings = Sequence["NDArray[np.float64]"]
 
@@ -37,6 +37,24 @@ class Outline:
     rings: tuple[NDArray[np.float64], ...]
     size_mm: tuple[float, float]
     low_mm: tuple[float, float]
+
+    @property
+    def parts(self) -> int:
+        """How many separate parts are seen from above."""
+        return sum(signed_area(ring) > 0 for ring in self.rings)
+
+    def claimed(self) -> Outline:
+        """Return what no other object may enter: of one part, the outline; of several, their convex hull.
+
+        Parts that stand alone would not be told from those of another object that stands among them.
+        """
+        if self.parts <= 1:
+            return self
+        import manifold3d
+
+        hull = manifold3d.CrossSection([*self.rings], manifold3d.FillRule.Positive).hull()
+        rings = tuple(np.asarray(ring, np.float64) for ring in hull.to_polygons())
+        return Outline(rings, self.size_mm, self.low_mm)
 
     def grown(self, by_mm: float) -> Any:
         """Return everything within a distance of the outline.
@@ -141,6 +159,12 @@ def outline_of(manifold: Any) -> Outline:
     left, front, right, back = section.bounds()
     rings = tuple(np.asarray(ring, np.float64) - (left, front) for ring in section.to_polygons())
     return Outline(rings, (right - left, back - front), (left, front))
+
+
+def signed_area(ring: NDArray[np.float64]) -> float:
+    """Return the area within a closed ring, negative where it is turned clockwise, as holes are."""
+    x, y = ring.T
+    return float(x @ np.roll(y, -1) - y @ np.roll(x, -1)) / 2
 
 
 def cells_touched(rings: Rings, shape: tuple[int, int]) -> NDArray[np.bool_]:

@@ -15,6 +15,7 @@ _PITCH_MM = 1.0
 _MOST_CELLS = 400
 """Cells along the longer side of a plate; beyond it cells grow with the plate."""
 _LEAST_TAG_GAP_MM = 1.0
+_LEAST_GAP_OF_TAGS_MM = 0.2
 _MM = re.compile(r"(\d+(?:\.\d+)?)x(\d+(?:\.\d+)?)")
 
 
@@ -48,6 +49,12 @@ class PlateSpec:
         if not (math.isfinite(self.gap_mm) and 0 <= self.gap_mm <= 1_000):
             message = f"the gap between objects is {self.gap_mm:g} mm; expected 0 to 1,000"
             raise InputError(message)
+        if self.label and self.gap_mm < _LEAST_GAP_OF_TAGS_MM:
+            message = (
+                f"--label with --gap {self.gap_mm:g}: a tag would be no nearer to its own object than to "
+                f"others; next: --gap {_LEAST_GAP_OF_TAGS_MM:g} or more, or no --label"
+            )
+            raise InputError(message)
 
     @classmethod
     def parse(cls, plate: str, gap_mm: float = 3.0, label: bool = False) -> PlateSpec:
@@ -71,8 +78,8 @@ class PlateSpec:
 
     @property
     def tag_gap_mm(self) -> float:
-        """Distance between an object and its tag: half the gap, which shows whose tag it is."""
-        return min(self.gap_mm, max(self.gap_mm / 2, _LEAST_TAG_GAP_MM))
+        """Distance between an object and its tag: half the gap or a little more shows whose tag it is."""
+        return max(self.gap_mm / 2, min(_LEAST_TAG_GAP_MM, self.gap_mm * 2 / 3))
 
     @property
     def grid(self) -> Grid:

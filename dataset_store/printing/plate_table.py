@@ -4,12 +4,18 @@ from __future__ import annotations
 
 import csv
 import io
+import re
 from collections.abc import Iterable
+from pathlib import Path
 from typing import Any
 
+from dataset_store.errors import IntegrityError
 from dataset_store.printing.layout import Placed
 
-__all__ = ["COLUMNS", "table_csv", "table_row"]
+__all__ = ["COLUMNS", "TABLE_FILE", "plates_before", "table_csv", "table_row"]
+
+TABLE_FILE = "plates.csv"
+_PLATE_FILE = re.compile(r"plate-\d{2,}\.3mf", re.ASCII)
 
 COLUMNS = (
     "plate",
@@ -63,3 +69,24 @@ def table_csv(rows: Iterable[dict[str, Any]]) -> bytes:
     writer.writeheader()
     writer.writerows(rows)
     return text.getvalue().encode()
+
+
+def plates_before(folder: Path) -> list[str]:
+    """List the plates and maps of the export whose table is in the folder; names alone tell nothing.
+
+    Raises
+    ------
+    IntegrityError
+        The table is there and cannot be read.
+    """
+    try:
+        with (folder / TABLE_FILE).open(newline="", encoding="utf-8") as stream:
+            listed = {str(row.get("file")) for row in csv.DictReader(stream)}
+    except (FileNotFoundError, UnicodeDecodeError, csv.Error):
+        return []
+    except OSError as error:
+        message = f"cannot read {str(folder / TABLE_FILE)!r}: {error.strerror or error}"
+        raise IntegrityError(message) from error
+    solids = [name for name in listed if _PLATE_FILE.fullmatch(name)]
+    names = {name for solid in solids for name in (solid, Path(solid).with_suffix(".png").name)}
+    return sorted(name for name in names if (folder / name).exists())

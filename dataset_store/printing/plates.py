@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import re
+from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from dataset_store.counting import counted
 from dataset_store.errors import ItemError
 from dataset_store.mesh import MM_PER_M, Mesh
 from dataset_store.meshfile import BROKEN_FILE
@@ -22,19 +23,17 @@ from dataset_store.printing.checked import (
     require_same_solid,
     require_solid,
 )
-from dataset_store.printing.folder import holds, prepare, refuse_others, remove, settle
+from dataset_store.printing.folder import existing, holds, prepare, refuse_others, remove, settle
 from dataset_store.printing.layout import Layout, Placed
 from dataset_store.printing.objects import standing
 from dataset_store.printing.plate_map import draw_map
 from dataset_store.printing.plate_spec import PlateSpec
-from dataset_store.printing.plate_table import table_csv, table_row
+from dataset_store.printing.plate_table import TABLE_FILE, plates_before, table_csv, table_row
 from dataset_store.printing.tags import tag_mesh
 from dataset_store.threemf import BuildItem, Part, read_build, write_build
 
 __all__ = ["TABLE_FILE", "PlateExport", "PlateFile", "forecast_plates", "write_plates"]
 
-TABLE_FILE = "plates.csv"
-_PLATE_FILE = re.compile(r"plate-\d{2,}\.(3mf|png)")
 _SAMPLED = 4
 _EDGE_TOLERANCE_MM = 1e-3
 
@@ -86,12 +85,15 @@ class PlateExport:
         No packing needs fewer.
     failures : tuple of Failure
         Objects that were left out, and plates that could not be written.
+    removed : tuple of str
+        Plates and maps of the export that was here before, which this one has not.
     """
 
     plates: tuple[PlateFile, ...]
     rows: tuple[dict[str, Any], ...]
     least_plates: int
     failures: tuple[Failure, ...]
+    removed: tuple[str, ...] = ()
 
     def to_dict(self) -> dict[str, Any]:
         """Return JSON values."""
@@ -100,6 +102,7 @@ class PlateExport:
             "least_plates": self.least_plates,
             "objects": list(self.rows),
             "failed": [failure.to_dict() for failure in self.failures],
+            "removed": list(self.removed),
         }
 
 
@@ -123,7 +126,8 @@ def write_plates(
     out : str
         Folder; made where it is not there.
     overwrite : bool
-        Replace the plates of another export, and remove those of its plates that this one has not.
+        Replace the plates of another export, and remove those of its plates that this one has not: what the
+        table of that export lists, and no other files.
     on_progress : callable
         Told plates done and in all.
 
@@ -139,7 +143,7 @@ def write_plates(
         The folder cannot be written; finished files stay.
     """
     folder = prepare(out)
-    strangers = [name for name in _plate_files(folder) if name not in _names(layout)]
+    strangers = _strangers(layout, folder)
     if not overwrite:
         refuse_others(out, [*strangers, *_differing(layout, folder)])
     remove(folder / name for name in strangers)
@@ -155,17 +159,26 @@ def write_plates(
     written = {plate.file for plate in plates}
     rows = tuple(row for row in _rows(layout) if row["file"] in written)
     settle(folder / TABLE_FILE, table_csv(rows), _unchecked)
-    return PlateExport(tuple(plates), rows, layout.least_plates, tuple(failures))
+    return PlateExport(tuple(plates), rows, layout.least_plates, tuple(failures), tuple(strangers))
 
 
-def forecast_plates(layout: Layout) -> PlateExport:
+def forecast_plates(layout: Layout, out: str | None = None, *, overwrite: bool = False) -> PlateExport:
     """Say what :func:`write_plates` would write.
 
     Parameters
     ----------
-    layout : Layout
-        What lies where.
+    layout, out, overwrite
+        As there; without ``out``, no files are in the way.
+
+    Raises
+    ------
+    InputError
+        Plates of another export stand in the folder.
     """
+    folder = None if out is None else existing(out)
+    strangers = [] if folder is None else _strangers(layout, folder)
+    if out is not None and folder is not None and not overwrite:
+        refuse_others(out, [*strangers, *_differing(layout, folder)])
     sample = [placed for plate in layout.plates for placed in plate][:_SAMPLED]
     each = sum(len(write_build([_item(placed, layout)])) for placed in sample) / max(len(sample), 1)
     plates = tuple(
@@ -174,7 +187,8 @@ def forecast_plates(layout: Layout) -> PlateExport:
         )
         for number, (plate, share) in enumerate(zip(layout.plates, layout.shares, strict=True), 1)
     )
-    return PlateExport(plates, tuple(_rows(layout)), layout.least_plates, layout.failures)
+    rows = tuple(_rows(layout))
+    return PlateExport(plates, rows, layout.least_plates, layout.failures, tuple(strangers))
 
 
 def _write_plate(layout: Layout, number: int, folder: Path) -> PlateFile:
@@ -209,9 +223,12 @@ def _part(name: str, mesh: Mesh, moved_mm: tuple[float, float] = (0.0, 0.0)) -> 
 
 def _map_of(layout: Layout, number: int) -> bytes:
     plate = layout.plates[number - 1]
-    title = f"plate {number} of {len(layout.plates)}: {len(plate)} objects, {layout.spec.text}"
+    objects = counted(len(plate), "objects")
+    title = f"plate {number} of {len(layout.plates)}: {objects}, {layout.spec.text}"
     labels = sorted({placed.item.label for other in layout.plates for placed in other})
-    return draw_map(plate, layout.spec, title, labels)
+    counts = Counter(placed.item.id for other in layout.plates for placed in other)
+    shared = {number for number, count in counts.items() if count > 1}
+    return draw_map(plate, layout.spec, title, labels, shared)
 
 
 def _check_plate(path: Path, items: Sequence[BuildItem], spec: PlateSpec) -> None:
@@ -268,8 +285,8 @@ def _differing(layout: Layout, folder: Path) -> Iterator[str]:
         yield table.name
 
 
-def _plate_files(folder: Path) -> list[str]:
-    return sorted(place.name for place in folder.iterdir() if _PLATE_FILE.fullmatch(place.name))
+def _strangers(layout: Layout, folder: Path) -> list[str]:
+    return [name for name in plates_before(folder) if name not in _names(layout)]
 
 
 def _names(layout: Layout) -> set[str]:

@@ -13,13 +13,13 @@ from dataset_store.errors import InputError, ItemError
 from dataset_store.mesh import MM_PER_M
 from dataset_store.meshfile import FORMATS, pack_mesh, read_mesh
 from dataset_store.printing.checked import Failure, require_same_solid, require_solid
-from dataset_store.printing.folder import holds, prepare, refuse_others, settle
+from dataset_store.printing.folder import existing, holds, prepare, refuse_others, remove, settle
 from dataset_store.printing.objects import PrintObject, require_scale, standing
 from dataset_store.runner import runner_for
 
 __all__ = ["FileExport", "FileForecast", "WrittenFile", "export_files", "forecast_files"]
 
-_SAMPLED = 8
+_SAMPLED = 32
 
 Progress = Callable[[int, int], None]
 
@@ -91,15 +91,29 @@ class FileExport:
 
 @dataclass(frozen=True, slots=True)
 class FileForecast:
-    """What :func:`export_files` would write: files, and about how many bytes, from a few of them."""
+    """What :func:`export_files` would write.
+
+    Attributes
+    ----------
+    files : int
+        How many, less those of the objects looked at that are no solids.
+    bytes : int
+        How large they are in all, about.
+    sampled : int
+        How many objects were looked at.
+    failures : tuple of Failure
+        Those of them of which there will be no file.
+    """
 
     files: int
     bytes: int
     sampled: int
+    failures: tuple[Failure, ...] = ()
 
     def to_dict(self) -> dict[str, Any]:
         """Return JSON values."""
-        return {"files": self.files, "bytes": self.bytes, "sampled": self.sampled}
+        failed = [failure.to_dict() for failure in self.failures]
+        return {"files": self.files, "bytes": self.bytes, "sampled": self.sampled, "failed": failed}
 
 
 @dataclass(frozen=True, slots=True)
@@ -115,13 +129,23 @@ class _Export:
         try:
             return item.name, self._done(item)
         except ItemError as error:
-            return item.name, Failure(item.name, error.reason, str(error))
+            return item.name, Failure(item.name, error.reason, f"{error}{self._without_old(item)}")
+
+    def _place(self, item: PrintObject) -> Path:
+        return Path(self.folder) / f"{item.name}{self.ending}"
+
+    def _without_old(self, item: PrintObject) -> str:
+        """Remove what an earlier export left under the name of what failed: it would pass for it."""
+        if self.only_look or not self._place(item).exists():
+            return ""
+        remove([self._place(item)])
+        return f"; {self._place(item).name} of an earlier export was removed"
 
     def _done(self, item: PrintObject) -> WrittenFile | bool:
         mesh = standing(item.load(), self.scale)
         verdict = require_solid(mesh)
         content = pack_mesh(mesh, self.ending, item.name)
-        place = Path(self.folder) / f"{item.name}{self.ending}"
+        place = self._place(item)
         if self.only_look:
             return holds(place, content)
         state = settle(place, content, lambda path: require_same_solid(read_mesh(path), mesh, verdict))
@@ -159,7 +183,7 @@ def export_files(
     scale : float
         Factor on all lengths.
     overwrite : bool
-        Replace files of the same name that hold something else.
+        Replace files of the same name that hold something else; that of an object that fails is removed.
     workers : int
         Processes.
     on_progress : callable
@@ -182,9 +206,7 @@ def export_files(
     folder = str(prepare(out))
     runner = runner_for(workers)
     if not overwrite:
-        there = [item for item in objects if (Path(folder) / f"{item.name}{ending}").exists()]
-        looked = runner.run(_Export(folder, ending, scale, only_look=True), there) if there else ()
-        refuse_others(out, sorted(f"{name}{ending}" for name, same in looked if same is not True))
+        _refuse_others(objects, out, _Export(folder, ending, scale, only_look=True), workers)
     found: dict[str, WrittenFile | Failure | bool] = {}
     for name, result in runner.run(_Export(folder, ending, scale), objects):
         found[name] = result
@@ -196,25 +218,49 @@ def export_files(
     )
 
 
-def forecast_files(objects: Sequence[PrintObject], kind: str = "stl", scale: float = 1.0) -> FileForecast:
+def forecast_files(
+    objects: Sequence[PrintObject],
+    kind: str = "stl",
+    scale: float = 1.0,
+    *,
+    out: str | None = None,
+    overwrite: bool = False,
+) -> FileForecast:
     """Say what :func:`export_files` would write.
 
     Parameters
     ----------
-    objects, kind, scale
-        As there.
+    objects, kind, scale, out, overwrite
+        As there; without ``out``, no files are in the way.
 
     Raises
     ------
     InputError
-        Unknown format, or a scale that is not positive.
+        As there, as far as it can be told without writing.
     """
     ending = _ending(kind)
     require_scale(scale)
+    folder = None if out is None else existing(out)
+    if out is not None and folder is not None and not overwrite:
+        _refuse_others(objects, out, _Export(str(folder), ending, scale, only_look=True), 1)
     places = np.unique(np.linspace(0, len(objects) - 1, _SAMPLED).astype(int))
-    sample = [objects[place] for place in places]
-    sizes = [len(pack_mesh(standing(item.load(), scale), ending, item.name)) for item in sample]
-    return FileForecast(len(objects), round(sum(sizes) / len(sizes) * len(objects)), len(sizes))
+    sizes, failures = [], []
+    for item in (objects[place] for place in places):
+        mesh = standing(item.load(), scale)
+        try:
+            require_solid(mesh)
+            sizes.append(len(pack_mesh(mesh, ending, item.name)))
+        except ItemError as error:
+            failures.append(Failure(item.name, error.reason, str(error)))
+    files = len(objects) - len(failures)
+    return FileForecast(files, round(sum(sizes) / max(len(sizes), 1) * files), len(places), tuple(failures))
+
+
+def _refuse_others(objects: Sequence[PrintObject], out: str, look: _Export, workers: int) -> None:
+    """Refuse to go on where files with other content than would be written stand in the way."""
+    there = [item for item in objects if (Path(look.folder) / f"{item.name}{look.ending}").exists()]
+    looked = runner_for(workers).run(look, there) if there else ()
+    refuse_others(out, sorted(f"{name}{look.ending}" for name, same in looked if same is not True))
 
 
 def _ending(kind: str) -> str:

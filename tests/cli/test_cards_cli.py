@@ -161,6 +161,33 @@ def test_numbers_are_those_of_the_data(folders):
     assert "Synthetic touches" in card_of(folders["synthetic"])
 
 
+def test_pictures_of_rendered_touches_are_called_so(folders, tmp_path):
+    realtouch.frames(folders["synthetic"], tmp_path / "pictures")
+    rendered, real = card_of(tmp_path / "pictures"), card_of(folders["frames"])
+    assert (DatasetCard(rendered).data.license, DatasetCard(real).data.license) == ("other", "cc-by-2.0")
+    assert "synthetic" in DatasetCard(rendered).data.tags
+    assert not {"mnist", "digits"} & set(DatasetCard(rendered).data.tags)
+    for words in ("Force is estimated", "HWD+", "MNIST 3D", "CC BY"):
+        assert words not in rendered.partition("schneider2025")[0]
+    assert "Rendered images lack the texture of prints" in rendered
+    assert "Force is estimated" in real
+    assert "`id` of its mesh in MNIST 3D" not in card_of(folders["synthetic"])
+    assert "`id` of its mesh in MNIST 3D" in card_of(folders["single"])
+
+
+def test_scenes_are_counted_in_words(tmp_path):
+    made = ("generate", "--scenes", "4", "--distractors", "2", "--workers", "1", "--quiet")
+    assert call("starstruck", *made, "--out", tmp_path / "two") == 0
+    assert "A scene holds 2 objects that are no stars" in card_of(tmp_path / "two")
+    assert "in every split their\ncounts differ by one at most" in card_of(tmp_path / "two")
+
+
+def test_own_sizes_of_splits_are_listed(tmp_path):
+    small = ("generate", "--split", "test", "--split-sizes", "train=2,test=1", "--vertices", "300")
+    assert call("mnist3d", *small, "--workers", "1", "--quiet", "--out", tmp_path / "own") == 0
+    assert "digits per class: train 2, test 1 |" in card_of(tmp_path / "own")
+
+
 def run_block(block: str, folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(folder)
     exec(compile(block.replace('"FOLDER"', repr(str(folder))), "card", "exec"), {})

@@ -44,6 +44,8 @@ def test_a_dry_run_says_the_same_and_writes_nothing(tmp_path):
     assert after["spec"]["second_opening_mm"] == 10
     assert after["warnings"] == []
     assert (tmp_path / "wrench.stl").is_file()
+    card = (tmp_path / "wrench" / "README.md").read_text()
+    assert f"{after['size_mm'][0]:.1f} mm\nlong" in card, "the card is longer than the solid"
 
 
 def test_every_length_reaches_the_wrench(tmp_path):
@@ -75,6 +77,10 @@ def test_every_length_reaches_the_wrench(tmp_path):
         (("--chamfer-mm", "3"), "chamfer_mm of the wrench is 3"),
         (("--single", "--second-size", "10"), "a wrench with a single jaw"),
         (("--stl", "wrench.step"), "files ending in '.step' are not known"),
+        (("--stl", "wrench.step", "--dry-run"), "files ending in '.step' are not known"),
+        (("--stl", "nowhere/wrench.stl"), "there is no folder 'nowhere'"),
+        (("--stl", f"{__file__}/wrench.stl"), "there is no folder"),
+        (("--handle-mm", "1.9"), "handle_mm of the wrench is 1.9; expected more than 2.4"),
     ],
 )
 def test_bad_input_is_one_line_and_writes_nothing(tmp_path, monkeypatch, words, message):
@@ -84,6 +90,12 @@ def test_bad_input_is_one_line_and_writes_nothing(tmp_path, monkeypatch, words, 
     assert message in failed.stderr
     assert failed.stderr.count("\n") == 1
     assert list(tmp_path.iterdir()) == []
+
+
+def test_the_home_of_the_user_is_known(tmp_path, monkeypatch):
+    monkeypatch.setenv("HOME", str(tmp_path))
+    assert run("wrench", "--out", tmp_path / "wrench", "--stl", "~/wrench.stl").exit_code == 0
+    assert (tmp_path / "wrench.stl").is_file()
 
 
 def test_info_lists_what_a_provider_would_give(tmp_path):

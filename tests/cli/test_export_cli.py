@@ -121,6 +121,8 @@ def test_quiet_says_nothing(folder: Path, tmp_path: Path, capsys: pytest.Capture
         (("--split", "validation"), ("validation",)),
         (("--ids", "9999999"), ("no object with id 9999999",)),
         (("--ids", "x"), ("--ids has 'x'",)),
+        (("--ids", "9999990-9999999"), ("no object with an id from 9999990 to 9999999",)),
+        (("--plate", "256x256", "--gap", "0", "--label"), ("--label with --gap 0",)),
         (("--labels", "11"), ("no class '11'",)),
         (("--scale", "0"), ("--scale is 0",)),
         (("--plate", "256"), ("--plate is '256'", "256x256")),
@@ -159,6 +161,36 @@ def test_other_files_are_refused_unless_overwritten(
     assert folder_bytes(tmp_path) == before
     assert call(*options, "--scale", "2", "--overwrite") == 0
     assert folder_bytes(tmp_path) != before
+
+
+def test_ranges_of_ids_may_have_holes(folder: Path, tmp_path: Path) -> None:
+    options = ("--split", "printed_test", "--ids", "0-99999999999", "--out", tmp_path, "--quiet")
+    assert call("export", folder, *options) == 0
+    assert len(list(tmp_path.iterdir())) == 10
+
+
+@pytest.mark.parametrize("plate", [(), ("--plate", "200x200")])
+def test_dry_run_ends_as_the_run_would(
+    plate: tuple[str, ...], folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    options = ("export", folder, *plate, "--split", "printed_test", "--limit", "1", "--out", tmp_path)
+    assert call(*options) == 0
+    before = folder_bytes(tmp_path)
+    capsys.readouterr()
+    assert call(*options, "--scale", "2", "--dry-run") == 2
+    assert "--overwrite" in capsys.readouterr().err
+    assert call(*options, "--scale", "2", "--dry-run", "--overwrite") == 0
+    assert f"would write 1 {'object' if plate else 'stl file'} " in capsys.readouterr().out
+    assert folder_bytes(tmp_path) == before
+
+
+@pytest.mark.parametrize("plate", [(), ("--plate", "200x200")])
+def test_remote_folders_are_refused(
+    plate: tuple[str, ...], folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert call("export", folder, *plate, "--limit", "1", "--out", "s3://a/b") == 2
+    assert list(tmp_path.iterdir()) == []
 
 
 def test_what_is_no_solid_is_named_and_the_rest_is_written(

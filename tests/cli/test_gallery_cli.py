@@ -11,6 +11,7 @@ from pathlib import Path
 
 import pytest
 
+from dataset_store.counting import counted
 from tests.dataset_store.toy import folder_bytes
 from tests.realtouch import factories
 
@@ -52,7 +53,7 @@ def test_gallery_says_what_was_made_and_what_next(program, folders, tmp_path, ca
     out = tmp_path / "site"
     assert call(program, "gallery", folders[program], "--out", out, "--workers", 1) == 0
     printed = capsys.readouterr()
-    assert f"{count} {nouns}, " in printed.out
+    assert f": {counted(count, nouns)}, " in printed.out
     assert f"next: open {out / 'index.html'} in a browser" in printed.out
     assert f"making the gallery: {count} of {count}" in printed.err
     assert (out / "index.html").is_file()
@@ -98,6 +99,11 @@ def test_refusals_and_overwrite(folders, tmp_path, capsys):
     assert call("mnist3d", "gallery", tmp_path / "absent", "--out", tmp_path / "new") == 2
     assert call("mnist3d", "gallery", folders["realtouch"], "--out", tmp_path / "new") == 2
     assert "no data set of meshes" in capsys.readouterr().err
+    for program, other in (("mnist3d", "starstruck"), ("starstruck", "mnist3d")):
+        assert call(program, "gallery", folders[other], "--out", tmp_path / "new") == 2
+        assert f"next: run `{other} gallery " in capsys.readouterr().err
+    assert call("mnist3d", "gallery", folders["mnist3d"], "--out", "s3://bucket/site") == 2
+    assert "is a remote address" in capsys.readouterr().err
     assert not (tmp_path / "new").exists()
 
 

@@ -14,6 +14,7 @@ from shutil import rmtree
 import pyarrow.parquet as pq
 import pytest
 
+import realtouch
 import starstruck_gen as starstruck
 from dataset_store.hub.published import PUBLISHED, published_set, published_sets
 from mnist3d.generation import GenerateSpec, generate
@@ -96,7 +97,7 @@ def test_a_part_is_a_data_set_that_verifies_and_that_datasets_loads(server, tmp_
     said = call(server, tmp_path, "mnist3d", "download", DIGITS, "--split", "test", "--out", out)
     assert said.code == 0
     assert "someone/digits at " in said.err
-    assert f"next in Python: mnist3d.load({str(out)!r}, 'test')" in said.out
+    assert f'next in Python: mnist3d.load("{out}", split="test")' in said.out
     assert not any("holdout" in path for path in server.fetched)
     verified = call(server, tmp_path, "mnist3d", "verify", out)
     assert verified.code == 0, verified.err
@@ -172,6 +173,105 @@ def test_copies_of_scenes_and_touches_are_verified_too(server, tmp_path):
     assert "sha256" in damaged.err
 
 
+def test_the_line_for_python_names_the_revision_that_is_in_the_cache(server, tmp_path):
+    server.repository(DIGITS).tags["v1"] = server.repository(DIGITS).head.sha
+    said = call(server, tmp_path, "mnist3d", "download", DIGITS, "--revision", "v1", "--split", "test")
+    assert f'mnist3d.load("{DIGITS}", split="test", revision="v1")' in said.out
+    said = call(server, tmp_path, "mnist3d", "download", DIGITS, "--revision", "v1", "--out", tmp_path / "o")
+    assert f'mnist3d.load("{tmp_path / "o"}", split="test")' in said.out, "a folder has no revisions"
+
+
+def test_what_the_hub_has_no_more_is_announced(server, tmp_path):
+    out = tmp_path / "out"
+    repository = server.repository(DIGITS)
+    repository.commit({"LICENSE": repository.blob("LICENSE", b"mine")}, "licence")
+    assert call(server, tmp_path, "mnist3d", "download", DIGITS, "--out", out).code == 0
+    repository.commit({"LICENSE": None}, "none")
+    said = call(server, tmp_path, "mnist3d", "download", DIGITS, "--out", out, "--dry-run")
+    assert "to remove, the Hub has them no more: LICENSE" in said.err
+    assert "and remove 1; nothing was fetched, nothing removed" in said.out
+    assert (out / "LICENSE").exists()
+    assert call(server, tmp_path, "mnist3d", "download", DIGITS, "--out", out).code == 0
+    assert not (out / "LICENSE").exists()
+
+
+def test_a_data_set_of_another_kind_is_refused(server, tmp_path):
+    out = tmp_path / "out"
+    said = call(server, tmp_path, "starstruck", "download", DIGITS, "--out", out)
+    assert said.code == 2
+    assert (
+        "holds a data set of kind 'mnist3d'; expected one of 'starstruck'; next: use the command" in said.err
+    )
+    said = call(server, tmp_path, "mnist3d", "download", "real-single-64x64", "--out", out)
+    assert said.code == 2
+    assert "next: realtouch download real-single-64x64" in said.err
+    assert not out.exists()
+    assert server.fetched == ["manifest.json"]
+    assert call(server, tmp_path, "mnist3d", "download", DIGITS, "--out", out).code == 0
+    said = call(server, tmp_path, "starstruck", "verify", out)
+    assert said.code == 2
+    assert "holds a data set of kind 'mnist3d'; expected one of 'starstruck'" in said.err
+    assert len(said.err) < 300
+
+
+def test_plain_pictures_survive_the_way_over_the_hub(server, root, tmp_path):
+    realtouch.frames(root / TOUCHES, tmp_path / "pictures", "jpeg")
+    files = {
+        file.relative_to(tmp_path / "pictures").as_posix(): file.read_bytes()
+        for file in (tmp_path / "pictures").rglob("*")
+        if file.is_file()
+    }
+    server.create("someone/pictures", files)
+    out = tmp_path / "part"
+    said = call(
+        server, tmp_path, "realtouch", "download", "someone/pictures", "--split", "test", "--out", out
+    )
+    assert f'next in Python: datasets.load_dataset("{out}", split="test")' in said.out, said.err
+    pictures = {path for path in files if path.startswith("images/")}
+    assert {file.relative_to(out).as_posix() for file in out.rglob("*.jpg")} == {
+        path for path in pictures if path.startswith("images/test/")
+    }
+    assert call(server, tmp_path, "realtouch", "verify", out).code == 0
+    assert call(server, tmp_path, "realtouch", "download", "someone/pictures", "--out", out).code == 0
+    assert {path: (out / path).read_bytes() for path in files} == files
+    next(out.rglob("*.jpg")).write_bytes(b"x")
+    assert (
+        "fetched 1 file"
+        in call(server, tmp_path, "realtouch", "download", "someone/pictures", "--out", out).out
+    )
+    assert call(server, tmp_path, "realtouch", "verify", out).code == 0
+
+
+def test_an_interrupted_download_is_called_one(server, tmp_path):
+    out = tmp_path / "out"
+    server.faults.fail("*/test-00000*", 503, times=99)
+    assert call(server, tmp_path, "mnist3d", "download", DIGITS, "--out", out).code == 4
+    server.faults.clear()
+    again = f"download {DIGITS} there again"
+    assert (
+        f"the download is under way or was interrupted; {again}"
+        in call(server, tmp_path, "mnist3d", "info", out).out
+    )
+    for command, code in (("card", 2), ("verify", 3)):
+        said = call(server, tmp_path, "mnist3d", command, out)
+        assert said.code == code
+        assert again in said.err
+        assert "generate" not in said.err
+    small = ("--split", "test", "--per-class", "1", "--vertices", "300", "--workers", "1", "--quiet")
+    assert call(server, tmp_path, "mnist3d", "generate", *small, "--out", out, "--overwrite").code == 0
+    said = call(server, tmp_path, "mnist3d", "download", DIGITS, "--out", out)
+    assert said.code == 2, "generated data were replaced by a download"
+    assert "holds a data set of another origin" in said.err
+
+
+def test_waits_are_told_while_the_download_is_planned(server, tmp_path):
+    server.faults.fail("/api/datasets/*", 503, times=1)
+    server.faults.fail("*/manifest.json", 503, times=1)
+    said = call(server, tmp_path, "mnist3d", "download", DIGITS, "--dry-run")
+    assert said.code == 0
+    assert said.err.count("it answered 503; trying again in 0.01 s") == 2
+
+
 def test_dry_run_fetches_no_data(server, tmp_path):
     said = call(server, tmp_path, "mnist3d", "download", DIGITS, "--out", tmp_path / "out", "--dry-run")
     assert said.code == 0
@@ -198,7 +298,7 @@ def test_short_names_show_licence_and_citation(server, tmp_path):
     said = call(server, tmp_path, "realtouch", "download", "real-single-64x64", "--split", "test")
     assert said.code == 0, said.err
     assert "licence: CC BY 2.0; please cite: Schneider et al., Tactile MNIST" in said.err
-    assert f"realtouch.load({TOUCHES!r}, 'test')" in said.out
+    assert f'realtouch.load("{TOUCHES}", split="test")' in said.out
     assert not any("train" in path for path in server.fetched)
     loaded = call("http://127.0.0.1:9", tmp_path, "realtouch", "info", "real-single-64x64")
     assert loaded.code == 0, loaded.err

@@ -141,7 +141,8 @@ def test_touches_and_plain_pictures_go_the_same_way(server, tmp_path, capsys):
     realtouch.frames(str(source), str(tmp_path / "pictures"), "jpeg")
     assert call("realtouch", "upload", tmp_path / "touches", "someone/touches", "--yes") == 0
     assert 'realtouch.load("someone/touches", split="train")' in capsys.readouterr().out
-    assert call("realtouch", "upload", tmp_path / "pictures", "someone/pictures", "--yes", "--quiet") == 0
+    assert call("realtouch", "upload", tmp_path / "pictures", "someone/pictures", "--yes") == 0
+    assert 'data = datasets.load_dataset("someone/pictures", split="train")' in capsys.readouterr().out
     held = server.repository("someone/pictures").head.files
     stored = {f.relative_to(tmp_path / "pictures").as_posix() for f in (tmp_path / "pictures").rglob("*.jpg")}
     assert stored
@@ -169,6 +170,12 @@ def test_it_shows_what_it_sends_and_sends_nothing_twice(server, folder, capsys):
     assert "someone/stars holds all of it already, compared by checksum; nothing was sent" in (
         capsys.readouterr().out
     )
+    assert call("starstruck", "upload", folder, NAME, "--dry-run") == 0
+    assert "someone/stars holds all of it already, compared by checksum; nothing was sent" in (
+        capsys.readouterr().out
+    )
+    assert call("starstruck", "upload", folder, NAME, "--revision", "next") == 2, "a branch is asked for too"
+    assert "branch to create at the head of main: next" in capsys.readouterr().out
     (folder / "notes.txt").unlink()
 
 

@@ -152,6 +152,17 @@ def write(mesh, path: Path) -> None:
         (("generate", "--source", "hwdplus"), 2, ("--source hwdplus needs --images",)),
         (("generate", "--source", "hwdplus", "--images", "x.npy"), 2, ("needs --writer-info",)),
         (("generate", "--source", "mnist", "--images", "nowhere"), 2, ("nowhere",)),
+        (("generate", "--images", "x"), 2, ("--images", "--source synthetic", "hwdplus or mnist or folder")),
+        (("generate", "--ink", "auto"), 2, ("--ink", "--source folder")),
+        (("generate", "--writer-info", "x"), 2, ("--writer-info", "--source hwdplus")),
+        (("generate", "--writer-column", "0"), 2, ("--writer-column", "--source hwdplus")),
+        (("generate", "--download"), 2, ("--download", "--source mnist")),
+        (
+            ("generate", "--source", "folder", "--images", "x", "--digits", "9"),
+            2,
+            ("--digits does not belong to --source folder", "--source synthetic"),
+        ),
+        (("generate", "--half-thickness-mm", "50"), 2, ("half_thickness_mm", "0.2 to 20 mm")),
         (("generate", "--split-sizes", "train"), 2, ("--split-sizes has 'train'", "train=8,test=2")),
         (("generate", "--split-sizes", "train=1,train=2"), 2, ("once per split",)),
         (("generate", "--split-sizes", "validation=3"), 2, ("unknown split 'validation'",)),
@@ -248,3 +259,28 @@ def test_help_is_light_and_shows_every_command():
 def test_version(capsys):
     assert call("--version") == 0
     assert capsys.readouterr().out.startswith("tactile-toolkit ")
+
+
+def test_an_unreadable_file_hides_no_verdict(tmp_path, capsys):
+    import trimesh
+
+    good, bad, other = tmp_path / "good.stl", tmp_path / "bad.stl", tmp_path / "notes.txt"
+    trimesh.creation.box((10, 10, 10)).export(good)
+    bad.write_bytes(b"x")
+    other.write_text("x")
+    assert call("validate", bad, other, good) == 1
+    printed = capsys.readouterr()
+    assert "1 of 3 meshes are valid solids" in printed.out
+    assert "at half height" in printed.out
+    assert f"unreadable: {bad}" in printed.err
+    assert f"unreadable: {other}" in printed.err
+    assert call("validate", bad, good, "--json", "--quiet") == 1
+    first, second = json.loads(capsys.readouterr().out)
+    assert (first["meshes"][0]["problem"], first["failed"]) == ("unreadable", 1)
+    assert second["failed"] == 0
+
+
+def test_the_next_step_names_a_split_that_has_rows(tmp_path, capsys):
+    options = ("--split-sizes", "train=0,test=1", "--vertices", "500", "--workers", "1")
+    assert call("generate", *options, "--out", tmp_path / "set") == 0
+    assert "split='test'" in capsys.readouterr().out

@@ -188,6 +188,10 @@ def test_a_dry_run_writes_nothing_and_tells_all(digits, scenes, clips, tmp_path,
         ("realtouch", ("{clips}", "--round", "9"), "--round is 9"),
         ("realtouch", ("{clips}", "--kind", "strip", "--touch", "9"), "--touch is 9"),
         ("realtouch", ("{digits}",), "digits"),
+        ("mnist3d", ("{scenes}",), "holds scenes; `mnist3d preview` is for digits"),
+        ("starstruck", ("{digits}",), "holds digits; `starstruck preview` is for scenes"),
+        ("mnist3d", ("{digits}", "--out", "s3://bucket/p"), "'s3://bucket/p'"),
+        ("realtouch", ("{clips}", "--out", "s3://bucket/p"), "'s3://bucket/p'"),
     ],
 )
 def test_bad_input_ends_with_a_line_and_code_2(room, arguments, words, digits, scenes, clips, tmp_path, run):

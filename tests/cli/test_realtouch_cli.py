@@ -51,7 +51,7 @@ def test_load_checks_and_prints_what_there_is(clips, capsys):
         "2: 1",
         "64 x 48 pixels",
         "25 per second",
-        "1: 1 rounds",
+        "1: 1 round ",
     ):
         assert words in printed.out
     assert "realtouch.load(" in printed.out
@@ -63,6 +63,38 @@ def test_load_checks_and_prints_what_there_is(clips, capsys):
         3,
         True,
     )
+
+
+def test_one_split_alone(clips, tmp_path, capsys):
+    assert call("info", clips, "--split", "test", "--json") == 0
+    assert set(json.loads(capsys.readouterr().out)["splits"]) == {"test"}
+    for command in ("to-single", "resize --size 32x24", "frames", "select"):
+        name, *options = command.split()
+        out = tmp_path / name
+        assert call(name, clips, out, *options, "--split", "test", "--workers", 1, "--json", "--quiet") == 0
+        assert set(json.loads(capsys.readouterr().out)["splits"]) == {"test"}
+
+
+def test_what_is_fetched_is_told(capsys):
+    from cli.output import Sink
+    from cli.touch_tables import tell_fetching
+
+    tell_fetching(Sink(), "real-seq", None)
+    tell_fetching(Sink(), "someone/touches", "test")
+    tell_fetching(Sink(), "./nothing-here", None)
+    told = capsys.readouterr().err.splitlines()
+    assert len(told) == 2
+    assert "tactile-mnist-touch-real-seq" in told[0]
+    assert "--split" in told[0]
+    assert told[1].startswith("someone/touches: ")
+    assert "split 'test'" in told[1]
+
+
+def test_numbers_that_are_none(images, tmp_path, capsys):
+    assert call("select", images, tmp_path / "out", "--objects", "²") == 2
+    assert "--objects has '²'" in capsys.readouterr().err
+    assert call("select", images, tmp_path / "out", "--labels", "²") == 2
+    assert "no class '²'" in capsys.readouterr().err
 
 
 def test_info_shows_every_split_and_how_it_was_made(clips, tmp_path, capsys):

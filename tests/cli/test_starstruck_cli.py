@@ -5,10 +5,14 @@ import subprocess
 import sys
 import time
 
+import pyarrow as pa
+import pyarrow.parquet as pq
 import pytest
 from typer.testing import CliRunner
 
 import starstruck_gen
+from cli import scene_room
+from cli.output import Sink
 from cli.starstruck import app
 
 
@@ -129,6 +133,82 @@ def test_dry_run_writes_nothing(tmp_path):
     assert not (tmp_path / "set").exists()
 
 
+def test_dry_run_with_overwrite_forecasts_what_would_be_replaced(made, tmp_path):
+    folder, _ = made
+    before = (folder / "manifest.json").read_bytes()
+    words = ("generate", "--out", folder, "--seed", 5, "--scenes", 9, "--dry-run", "--workers", 1)
+    refused = run(*words)
+    assert (refused.exit_code, "start again there with --overwrite" in refused.stderr) == (2, True)
+    told = run(*words, "--overwrite")
+    assert told.exit_code == 0
+    assert f"would replace the data set in {folder}: 66 rows (train 60, test 6)" in told.stdout
+    assert "would make 18 scenes" in told.stdout
+    assert json.loads(run(*words, "--overwrite", "--json").stdout)["replaced"] == {"train": 60, "test": 6}
+    assert (folder / "manifest.json").read_bytes() == before
+    empty = ("generate", "--out", tmp_path / "new", "--scenes", 9, "--dry-run", "--overwrite")
+    assert "would replace" not in run(*empty).stdout
+    (tmp_path / "mine.txt").write_text("mine")
+    strange = run("generate", "--out", tmp_path, "--scenes", 9, "--dry-run", "--overwrite")
+    assert (strange.exit_code, "mine.txt" in strange.stderr) == (2, True)
+
+
+def test_three_points_take_notches_that_fit(tmp_path):
+    out = tmp_path / "set"
+    assert run("generate", "--out", out, "--star-points", 3, "--scenes", 3, "-q", "-w", 1).exit_code == 0
+    spec = json.loads((out / "manifest.json").read_text())["spec"]["scene"]
+    assert spec["star"]["proportions"] == {"points": 3, "inner_ratio": 0.25}
+
+
+def test_one_number_or_two_are_least_and_most_distractors(tmp_path):
+    for text, expected in (("2", [2, 2]), ("1,4", [1, 4]), ("0-3", [0, 3])):
+        words = ("--distractors", text, "--scenes", 3, "-q", "-w", 1, "--overwrite")
+        assert run("generate", "--out", tmp_path / "set", *words).exit_code == 0
+        manifest = json.loads((tmp_path / "set" / "manifest.json").read_text())
+        assert manifest["spec"]["scene"]["distractors"] == expected
+
+
+def test_validate_says_that_stars_are_declared_although_every_scene_fails(made, tmp_path):
+    folder, _ = made
+    table = pq.ParquetFile(folder / "data" / "test-00000-of-00001.parquet").read(use_threads=False)
+    wrong = table.set_column(1, "label", pa.array([9] * len(table)))
+    pq.write_table(wrong, tmp_path / "train.parquet")
+    result = run("validate", tmp_path / "train.parquet")
+    assert result.exit_code == 1
+    assert "0 of 6 scenes are valid: 0 solids, 0 of them stars" in result.stdout
+
+
+def test_finished_split_is_told_beside_what_an_unfinished_one_keeps(tmp_path):
+    out = tmp_path / "set"
+    words = ("generate", "--out", out, "--scenes", "train=1001,test=3", "-w", 1)
+    assert run(*words, "-q").exit_code == 0
+    manifest = json.loads((out / "manifest.json").read_text())
+    (out / ".parts").mkdir()
+    first = manifest["shards"][0]
+    (out / ".parts" / "train-00000-of-00002.json").write_text(json.dumps(first))
+    (out / "data" / "train-00001-of-00002.parquet").unlink()
+    (out / "data" / "test-00000-of-00001.parquet").unlink()
+    (out / "manifest.json").write_text(json.dumps({**manifest, "shards": [], "complete": False}))
+    made = run(*words, "--split", "test")
+    assert made.exit_code == 0
+    for line in ("1 of 2", "1 of 1"):
+        assert line in made.stdout
+        assert line in run("info", out).stdout
+    assert run("validate", out).exit_code == 3
+
+
+def test_trial_of_room_is_told_after_a_while(monkeypatch, capsys):
+    now_s = [0.0]
+    monkeypatch.setattr(scene_room.time, "monotonic", lambda: now_s[0])
+    tell = scene_room.tells_of_failures(Sink())
+    tell(1, 1_001)
+    assert capsys.readouterr().err == ""
+    now_s[0] = 60.0
+    tell(2, 1_001)
+    tell(3, 1_001)
+    told = capsys.readouterr().err
+    assert told == "trying whether the fullest scene has room: 2 of 1,001 layouts failed\n"
+
+
 def test_info_shows_acceptance_by_object(made):
     folder, _ = made
     text = run("info", folder).stdout
@@ -184,6 +264,20 @@ def test_damage_is_named_and_mended(made, tmp_path):
         (("--scenes", "0"), "no scenes to make"),
         (("--heights-mm", "0"), "heights_m"),
         (("--stars", "12", "--clearance-mm", "5"), "no place for object"),
+        (("--stars", "²"), "--stars is '²'; expected a range"),
+        (("--scenes", "²"), "--scenes has '²'"),
+        (("--scenes", "9" * 5_000), "--scenes has '999"),
+        (("--cell-mm", "120x130x140"), "--cell-mm is '120x130x140'; expected one length"),
+        (("--distractors", "1,2,9"), "--distractors is '1,2,9'; expected the least and the most"),
+        (("--distractors", "1-2-9"), "--distractors is '1-2-9'"),
+        (("--shapes", "ring(hole_ratio=.3,hole_ratio=.4)"), "gives 'hole_ratio' 2 times"),
+        (("--radius-mm", "0", "--star-inner-mm", "3"), "radius_m of shape 'star' is 0.0"),
+        (("--star-points", "4", "--star-inner-mm", "9"), "next: lower inner_ratio (--star-inner-mm)"),
+        (("--distractors", "0-30"), "there is room for at most 27 of that size"),
+        (
+            ("--radius-mm", "0.1", "--cell-mm", "2000", "--shapes", "disc(segments=256)"),
+            "cell_m of the scene specification is (2.0, 2.0)",
+        ),
     ],
 )
 def test_unusable_option_is_told_in_one_line_with_exit_code_2(tmp_path, words, message):

@@ -234,6 +234,28 @@ def test_remote_folder_through_fsspec():
     assert build(folder, toy_plan(error=RuntimeError("all is there")), InlineRunner()) == manifest
 
 
+@pytest.mark.parametrize("path", ["../escaped", "data/../../escaped", "/tmp/escaped", "data/a\0b"])
+@pytest.mark.parametrize("url", ["memory://bucket/inside", None])
+def test_nothing_is_written_outside_the_folder(tmp_path, url, path):
+    folder = DataFolder(url or str(tmp_path / "set"))
+    with pytest.raises(StorageError, match="leads out of"):
+        folder.write_bytes(path, b"1")
+    assert folder_bytes(tmp_path) == {}
+
+
+def test_another_source_is_told_in_few_words(tmp_path):
+    def files(count, digest):
+        return [{"file": f"train-{index}.parquet", "rows": 9, "sha256": digest} for index in range(count)]
+
+    make(tmp_path / "set", toy_plan(spec={"source": {"train": files(48, "a" * 64)}}))
+    wanted = r"source\.train is 48 files \(fingerprint \w+\) there, 2 files \(fingerprint \w+\) asked for;"
+    with pytest.raises(SpecMismatchError, match=wanted):
+        make(tmp_path / "set", toy_plan(spec={"source": {"train": files(2, "a" * 64)}}))
+    with pytest.raises(SpecMismatchError, match=r"48 files .* there, 48 files .* asked for") as told:
+        make(tmp_path / "set", toy_plan(spec={"source": {"train": files(48, "b" * 64)}}))
+    assert len(str(told.value)) < 500
+
+
 @pytest.mark.parametrize("workers", [1, 2, 4])
 def test_killed_run_resumes_to_the_same_bytes(tmp_path, workers):
     make(tmp_path / "whole")

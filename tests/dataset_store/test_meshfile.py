@@ -178,3 +178,70 @@ def test_merging_keeps_the_order_and_the_triangles() -> None:
     vertices, faces = merge_equal_vertices(corners, np.array([[0, 1, 2], [3, 4, 5]]))
     assert np.array_equal(vertices, corners[[0, 1, 2, 5]])
     assert faces.tolist() == [[0, 1, 2], [1, 0, 3]]
+
+
+PRODUCTION = "http://schemas.microsoft.com/3dmanufacturing/production/2015/06"
+BODY = (
+    '<object id="1" type="model"><mesh><vertices><vertex x="0" y="0" z="0"/><vertex x="2" y="0" z="0"/>'
+    '<vertex x="0" y="2" z="0"/><vertex x="0" y="0" z="2"/></vertices><triangles>'
+    '<triangle v1="0" v2="2" v3="1"/><triangle v1="0" v2="1" v3="3"/><triangle v1="0" v2="3" v3="2"/>'
+    '<triangle v1="1" v2="2" v3="3"/></triangles></mesh></object>'
+)
+
+
+def package(path: Path, component: str, **parts: str) -> Path:
+    """Write a 3MF file as Bambu Studio does: objects are in models of their own."""
+    whole = f'<object id="2" type="model"><components>{component}</components></object>'
+    with zipfile.ZipFile(path, "w") as archive:
+        archive.writestr(
+            "3D/3dmodel.model",
+            f'<model unit="millimeter" xmlns="{CORE}" xmlns:p="{PRODUCTION}" requiredextensions="p">'
+            f'<resources>{whole}</resources><build><item objectid="2" '
+            'transform="1 0 0 0 1 0 0 0 1 10 0 0"/></build></model>',
+        )
+        for name, unit in parts.items():
+            archive.writestr(
+                f"3D/Objects/{name}.model",
+                f'<model unit="{unit}" xmlns="{CORE}"><resources>{BODY}</resources><build/></model>',
+            )
+    return path
+
+
+@pytest.mark.parametrize(("unit", "mm"), [("millimeter", 1), ("centimeter", 10)])
+def test_objects_in_models_of_their_own_are_found(unit: str, mm: float, tmp_path: Path) -> None:
+    component = '<component p:path="/3D/Objects/a.model" objectid="1" transform="1 0 0 0 1 0 0 0 1 0 5 0"/>'
+    found = read_mesh(package(tmp_path / "a.3mf", component, a=unit, b="inch"))
+    assert found.bounds_m * 1e3 == pytest.approx(np.array([[10, 5, 0], [10 + 2 * mm, 5 + 2 * mm, 2 * mm]]))
+    assert inspect(found).is_solid
+
+
+@pytest.mark.parametrize(
+    ("component", "words"),
+    [
+        ('<component p:path="/3D/Objects/none.model" objectid="1"/>', "holds no /3D/Objects/none.model"),
+        ('<component p:path="../../../../etc/passwd" objectid="1"/>', "holds no"),
+        ('<component p:path="/3D/Objects/a.model" objectid="9"/>', "'9' of /3D/Objects/a.model is missing"),
+        ('<component p:path="/3D/3dmodel.model" objectid="2"/>', "holds itself"),
+        ('<component objectid="2"/>' * 2, "holds itself"),
+    ],
+)
+def test_paths_to_what_a_package_lacks_are_named(component: str, words: str, tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=words):
+        read_mesh(package(tmp_path / "a.3mf", component, a="millimeter"))
+
+
+def test_a_mesh_of_trimesh_and_a_record_are_taken_as_they_are(ring: Mesh, tmp_path: Path) -> None:
+    class Record:
+        vertices_m, faces = ring.vertices_m, ring.faces
+
+    for number, thing in enumerate((ring, ring.to_trimesh(), Record())):
+        write_mesh(tmp_path / f"{number}.stl", thing)  # type: ignore[arg-type]
+        assert inspect(thing).volume_mm3 == pytest.approx(inspect(ring).volume_mm3)  # type: ignore[arg-type]
+    assert len({path.read_bytes() for path in tmp_path.iterdir()}) == 1
+    back = Mesh.from_trimesh(ring.to_trimesh())
+    assert (back.faces.dtype, back.vertices_m.dtype) == (np.int32, np.float64)
+    for bad in (None, "a.stl", ring.vertices_m):
+        with pytest.raises(InputError, match="holds no triangles"):
+            inspect(bad)  # type: ignore[arg-type]
+        with pytest.raises(InputError, match="holds no triangles"):
+            write_mesh(tmp_path / "bad.stl", bad)  # type: ignore[arg-type]

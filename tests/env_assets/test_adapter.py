@@ -101,6 +101,31 @@ def test_fingerprint_follows_the_content(assets, digits):
     assert len({fingerprint, *(other.huggingface_dataset._fingerprint for other in others)}) == 5
 
 
+def test_meshes_tell_data_sets_apart_where_nothing_else_does(packages, tmp_path):
+    """No column of volumes, equal ids, labels and file sizes: one must not pass for the other."""
+    found = []
+    for name, factor in (("small", 1.0), ("large", 2.0), ("again", 1.0)):
+        boxes = [trimesh.creation.box((0.01 * factor, 0.02, 0.01)) for _ in range(10)]
+        meshes = mnist3d.load(str(write_meshes(tmp_path / name, boxes)))
+        found.append(env_assets.as_mesh_dataset(meshes).huggingface_dataset._fingerprint)
+    sizes = {file.stat().st_size for file in tmp_path.rglob("*.parquet")}
+    assert len(sizes) == 1
+    assert found[0] == found[2] != found[1]
+
+
+def test_a_plain_list_of_records_will_do(packages, digits, assets):
+    records = list(mnist3d.load(str(assets / "mnist3d"), "train"))
+    plain = env_assets.as_mesh_dataset(records)
+    assert isinstance(plain, packages.MeshDataset)
+    assert plain.label_names == digits.label_names
+    assert_same_points(plain, digits)
+    assert_same_points(plain[::-2], digits[::-2])
+    assert_same_points(plain.filter_labels([3, 4]), digits.filter_labels([3, 4]))
+    assert_same_points(pickle.loads(pickle.dumps(plain)), digits)
+    with pytest.raises(InputError, match="found list"):
+        env_assets.as_mesh_dataset([1, 2])
+
+
 def test_it_pickles(digits):
     copy = pickle.loads(pickle.dumps(digits[3:6]))
     assert_same_points(copy, digits[3:6])
@@ -179,6 +204,16 @@ def test_touches_are_those_of_the_package(packages, assets):
         )
         for touch in (0, 11, -1):
             np.testing.assert_array_equal(point.sensor_image[touch], other.sensor_image[touch])
+
+
+def test_classes_without_rounds_are_empty_as_in_the_package(packages, assets):
+    datasets = pytest.importorskip("datasets")
+    folder = str(assets / "real-single")
+    ours = env_assets.as_touch_dataset(realtouch.load(folder))
+    theirs = packages.TouchSingleDataset(datasets.load_dataset(folder, split="train"))
+    assert [len(part) for part in ours.by_labels] == [len(part) for part in theirs.by_labels]
+    none = pickle.loads(pickle.dumps(ours[[]]))
+    assert (len(none), none.huggingface_dataset.features["pos_in_cell"].length) == (0, TOUCHES_PER_ROUND)
 
 
 def test_another_kind_is_refused(packages, assets):

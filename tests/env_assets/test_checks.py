@@ -6,7 +6,14 @@ import pytest
 import env_assets
 from dataset_store.errors import InputError
 from dataset_store.mesh import Mesh
-from env_assets.checks import require_classes, require_fitting, require_outward
+from env_assets.checks import (
+    require_classes,
+    require_fitting,
+    require_inside,
+    require_labels,
+    require_outward,
+)
+from env_assets.inventory import inventory
 from env_assets.measures import bounds_m, volumes_m3
 from tests.env_assets.factories import write_meshes
 from tests.env_assets.shapes import box
@@ -14,6 +21,8 @@ from tests.env_assets.shapes import box
 SMALL = box((0, 0, 0), (0.01, 0.02, 0.005))
 WIDE = box((-0.1, 0, 0), (0.1, 0.02, 0.005))
 INSIDE_OUT = Mesh(SMALL.vertices_m, SMALL.faces[:, ::-1])
+HOLLOW = Mesh(SMALL.vertices_m[:0], SMALL.faces[:0])
+STRANGE = Mesh(SMALL.vertices_m, SMALL.faces + 1)
 FLAT = Mesh(SMALL.vertices_m[:4], SMALL.faces[:2])
 
 
@@ -66,3 +75,38 @@ def test_digits_are_no_wrench(tmp_path):
     write_meshes(tmp_path / "wrench", [SMALL.to_trimesh()], tuple("0123456789"))
     with pytest.raises(InputError, match="expected to hold a wrench, found digits"):
         env_assets.AssetProvider(tmp_path).meshes("wrench")
+
+
+class Solid:
+    """What trimesh would not hold."""
+
+    def __init__(self, mesh):
+        self.vertices, self.faces = mesh.vertices_m, mesh.faces
+
+
+@pytest.mark.parametrize(
+    ("wrong", "words"),
+    [(HOLLOW, "has no vertices"), (STRANGE, "name vertex 8, but only 8 vertices")],
+)
+def test_unsound_meshes_are_named(tmp_path, wrong, words):
+    write_meshes(tmp_path / "solids", [Solid(SMALL), Solid(wrong)], ("a", "b"))
+    meshes = env_assets.AssetProvider(tmp_path).meshes("solids")
+    with pytest.raises(InputError, match=rf"mesh 1 \(row 1 of .*train-00000.* {words}"):
+        (bounds_m if wrong is HOLLOW else volumes_m3)(meshes)
+    (summary,) = inventory(tmp_path)
+    assert "mesh 1 (row 1 of" in summary.problem
+
+
+def test_labels_are_classes(tmp_path):
+    meshes = opened(tmp_path, SMALL, SMALL, SMALL, SMALL)  # the fourth has label 3, there are three classes
+    require_labels(meshes[:3], "solids")
+    with pytest.raises(InputError, match=r"mesh 3 of solids has label 3, expected 0 to 2 \(1 of 4 have"):
+        require_labels(meshes, "solids")
+
+
+def test_scenes_lie_in_their_cell(tmp_path):
+    moved = Mesh(SMALL.vertices_m + np.array([1.0, 0, 0]), SMALL.faces)
+    meshes = opened(tmp_path, SMALL, moved)
+    require_inside(meshes[:1], (0.12, 0.12), "scenes")
+    with pytest.raises(InputError, match=r"scene 1 of scenes lies at x = 1000.0 to 1010.0 mm"):
+        require_inside(meshes, (0.12, 0.12), "scenes")

@@ -234,7 +234,8 @@ def test_noise_of_recorded_touches(assets, provider, own_statistics):
     env = env_assets.make("TactileMNIST-Depth-DR-train-v0", provider=provider, num_envs=1, config=config)
     try:
         noise = env.unwrapped.config.sensor_noise
-        assert noise.real_base_depth_dataset == str(assets / "real-single")
+        linked = [file.resolve() for file in Path(noise.real_base_depth_dataset).rglob("*.parquet")]
+        assert linked == [assets / "real-single" / "data" / "train-00000-of-00001.parquet"]
         assert noise.frame_noise_std == 0.0, "the rest is as registered"
         env.reset(seed=SEED)
     finally:

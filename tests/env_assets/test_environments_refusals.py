@@ -118,6 +118,41 @@ def test_a_source_of_plain_records_is_checked_too(tmp_path):
     refused(ENV, Source(), "mesh 0 of")
 
 
+def test_a_source_may_give_a_plain_list(provider):
+    class Source:
+        def meshes(self, name: str, split: str = "train") -> Any:
+            return list(provider.meshes(name, split))
+
+    made = env_assets.make(ENV, provider=Source(), num_envs=1)
+    try:
+        data = made.unwrapped.config.dataset
+        assert data.label_names == tuple("0123456789")
+        assert [point.id for point in data] == provider.meshes("mnist3d").ids.tolist()
+    finally:
+        made.close()
+
+    class Wrong:
+        def meshes(self, name: str, split: str = "train") -> Any:
+            return [1, 2]
+
+    refused(ENV, Wrong(), "expected a sequence of records with id, label")
+
+
+@pytest.mark.parametrize("num_envs", [0, -1, 1.5, "2"])
+def test_numbers_of_environments(provider, num_envs):
+    with pytest.raises(InputError, match=r"num_envs is .*expected a whole number from 1 on"):
+        env_assets.make(ENV, provider=provider, num_envs=num_envs)
+
+
+def test_a_single_environment_that_cannot_be_reset_is_not_made(provider):
+    from importlib.metadata import version
+
+    if version("ap_gym") != "0.7.1":
+        pytest.skip("the wrapper of another version of ap-gym")
+    with pytest.raises(InputError, match="next: give num_envs=1"):
+        env_assets.make("TactileMNIST-Depth-train-sparse-v0", provider=provider)
+
+
 def test_rounds_shorter_than_an_episode(provider):
     words = "rounds of 24 touches, an episode of 23 steps needs 25"
     refused("TactileMNISTRealSnap-train-v0", provider, words, {"step_limit": 23})
@@ -142,10 +177,19 @@ def test_unknown_setting(provider, name):
 
 
 @pytest.mark.parametrize(
-    "config", [{"sensor_type": "camera"}, {"sensor_type": "taxim", "sensor_backend": "numpy"}]
+    "config",
+    [
+        {"sensor_type": "camera"},
+        {"sensor_type": "direct"},
+        {"sensor_type": "taxim", "sensor_backend": "numpy"},
+    ],
 )
 def test_unknown_sensor(provider, config):
     refused(ENV, provider, "no sensor .* expected one of these", config)
+
+
+def test_no_meshes_of_what_was_touched(provider):
+    refused("TactileMNISTVolumeRealSnap-train-v0", provider, "mesh_dataset .* None", {"mesh_dataset": None})
 
 
 class NotLoaded:

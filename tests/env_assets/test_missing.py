@@ -11,6 +11,7 @@ from pathlib import Path
 import pytest
 
 import env_assets
+import starstruck_gen
 from dataset_store.errors import InputError, IntegrityError, SpecMismatchError
 from dataset_store.manifest import read_manifest
 from dataset_store.storage import DataFolder
@@ -64,7 +65,30 @@ def test_a_split_that_no_kind_has_is_refused_and_nothing_is_made(tmp_path):
     for kind, split in (("mnist3d", "trian"), ("starstruck", "holdout"), ("wrench", "test")):
         with pytest.raises(InputError, match=f"unknown split '{split}'"):
             provider.meshes(kind, split)
-        assert not (tmp_path / kind).exists()
+    assert not list(tmp_path.iterdir()), "no lock either"
+    for kind, split in (("mnist3d", "trian"), ("starstruck", "holdout"), ("wrench", "test")):
+        with pytest.raises(InputError, match=f"unknown split '{split}' of {kind}; expected one of"):
+            env_assets.AssetProvider(tmp_path).meshes(kind, split)
+
+
+@pytest.mark.parametrize(
+    ("kind", "split", "other"), [("mnist3d", "test", "holdout"), ("starstruck", "test", "train")]
+)
+def test_the_command_goes_on_with_what_is_there(tmp_path, kind, split, other):
+    """Whatever numbers the provider was made with that names it."""
+    made = env_assets.AssetProvider(tmp_path, generate=True, per_class=1, seed=2)
+    made.meshes(kind, split)
+    with pytest.raises(InputError, match="goes on with the settings of that folder") as caught:
+        env_assets.AssetProvider(tmp_path).meshes(kind, other)
+    subprocess.run(named_command(str(caught.value)), check=True, capture_output=True)
+    assert len(made.meshes(kind, other))
+
+
+def test_what_was_made_otherwise_is_said(tmp_path):
+    spec = starstruck_gen.GenerateSpec(scenes=(("train", 3), ("test", 3)), limit=2)
+    starstruck_gen.generate(spec, str(tmp_path / "starstruck"), ("test",))
+    with pytest.raises(InputError, match=r"made with settings of its own: run the command .*`--split train`"):
+        env_assets.AssetProvider(tmp_path).meshes("starstruck", "train")
 
 
 def test_a_set_made_otherwise_is_left_alone(tmp_path):
@@ -90,7 +114,17 @@ def test_nothing_but_the_kinds_is_made(tmp_path):
     assert not list(tmp_path.iterdir())
 
 
-@pytest.mark.parametrize("options", [{"seed": -1}, {"per_class": 0}, {"workers": 0}])
+@pytest.mark.parametrize(
+    "options",
+    [
+        {"seed": -1},
+        {"per_class": 0},
+        {"per_class": 1.5},
+        {"workers": 0},
+        {"cache_meshes": -1},
+        {"cache_meshes": "5"},
+    ],
+)
 def test_numbers_that_make_nothing_are_refused_at_once(tmp_path, options):
     (name,) = options
     with pytest.raises(InputError, match=f"{name} of the AssetProvider is"):

@@ -3,6 +3,8 @@ from __future__ import annotations
 import multiprocessing
 import pickle
 import shutil
+import subprocess
+import sys
 import threading
 from concurrent.futures import ThreadPoolExecutor
 
@@ -48,7 +50,7 @@ def test_a_folder_may_be_anywhere_and_names_may_be_given(assets, tmp_path):
     by_name, by_path = elsewhere.meshes("mnist3d", "test"), elsewhere.meshes(str(assets / "mnist3d"), "test")
     assert by_name.ids.tolist() == by_path.ids.tolist()
     (file,) = (assets / "mnist3d" / "data").glob("test-*")
-    assert elsewhere.meshes(str(file)).ids.tolist() == by_name.ids.tolist()
+    assert elsewhere.meshes(str(file), "test").ids.tolist() == by_name.ids.tolist()
 
 
 def test_the_kind_is_told_from_the_columns_and_else_from_the_classes(tmp_path):
@@ -118,6 +120,25 @@ def test_bounds_and_height_map_are_in_the_frame_of_the_mesh(provider):
         row = np.abs(heights.y_m - placement.y_m).argmin()
         column = np.abs(heights.x_m - placement.x_m).argmin()
         assert heights.heights_m[row, column] == pytest.approx(placement.height_m)
+
+
+def test_a_mesh_of_trimesh_is_one_too(provider):
+    digit = provider.meshes("mnist3d")[0]
+    np.testing.assert_array_equal(provider.bounds(digit.mesh), provider.bounds(digit))
+    by_trimesh, own = (provider.height_map(mesh, 0.001) for mesh in (digit.mesh, digit))
+    np.testing.assert_array_equal(by_trimesh.heights_m, own.heights_m)
+    for ask in (provider.bounds, provider.height_map):
+        with pytest.raises(InputError, match="holds no triangles"):
+            ask(3)
+    with pytest.raises(InputError, match="the pitch of a height map is None m"):
+        provider.height_map(digit, None)
+    with pytest.raises(InputError, match=r"at most .* are made") as caught:
+        provider.height_map(digit, 1e-300)
+    assert len(str(caught.value)) < 200
+
+
+def test_a_wrench_shows_itself_in_a_notebook(provider):
+    assert "WrenchRecord(id=0, 13 mm" in provider.meshes("wrench")[0]._repr_html_()
 
 
 def test_placements_of_what_is_no_scene_are_refused(provider):
@@ -205,3 +226,27 @@ def test_another_kind_under_the_name_of_a_kind_is_refused(assets, tmp_path):
     provider = env_assets.AssetProvider(tmp_path, places={"starstruck": assets / "mnist3d"})
     with pytest.raises(InputError, match="'starstruck' was expected to hold scenes of stars, found digits"):
         provider.meshes("starstruck", "test")
+
+
+def test_places_do_not_follow_the_current_folder(assets, tmp_path, monkeypatch):
+    monkeypatch.chdir(assets)
+    provider = env_assets.AssetProvider(places={"digits": "mnist3d"})
+    expected = len(provider.meshes(assets / "mnist3d"))
+    monkeypatch.chdir(tmp_path)
+    assert len(provider.meshes("digits")) == expected
+
+
+def test_opening_imports_what_reading_needs(assets):
+    """A child forked while a thread imports would wait for ever for that import."""
+    code = (
+        "import sys, env_assets\n"
+        f"provider = env_assets.AssetProvider({str(assets)!r})\n"
+        "assert not {'trimesh', 'pyarrow.parquet'} & set(sys.modules)\n"
+        "digits = provider.meshes('mnist3d')\n"
+        "before = set(sys.modules)\n"
+        "digits[0].mesh, digits[0].vertices_m, digits.ids\n"
+        "new = set(sys.modules) - before\n"
+        "heavy = ('trimesh', 'pyarrow', 'numpy', 'pandas')\n"
+        "assert not {name for name in new if name.split('.')[0] in heavy}, new\n"
+    )
+    subprocess.run([sys.executable, "-c", code], check=True)

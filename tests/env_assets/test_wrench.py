@@ -5,7 +5,7 @@ from dataclasses import asdict, replace
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 import env_assets
@@ -131,9 +131,69 @@ def test_any_lengths_give_one_solid_or_are_refused(size, second, angle, chamfer,
     np.testing.assert_array_equal(wrench_mesh(WrenchSpec(**asdict(spec))).vertices_m, mesh.vertices_m)
 
 
+def jaw_is_whole(section, middle_mm: float, width_mm: float, turned: float) -> bool:
+    """Both sides of a jaw stand where the outer half of the nut's flats is, as far apart as they should."""
+    from manifold3d import CrossSection
+
+    def across(wide_mm: float, at_mm: float):
+        strip = CrossSection.square((0.02, wide_mm)).translate((at_mm - 0.01, -wide_mm / 2))
+        return strip.rotate(math.degrees(turned)).translate((middle_mm, 0))
+
+    for at_mm in (0.05 * width_mm, 0.27 * width_mm):
+        free, held = across(width_mm - 0.02, at_mm), across(width_mm + 0.22, at_mm)
+        if (section ^ free).area() > 1e-6 or (section ^ held).area() < 0.02 * 0.2 * 0.99:
+            return False
+    return True
+
+
+@settings(max_examples=15)
+@given(
+    size=st.floats(SMALLEST_MM, LARGEST_MM),
+    second=st.one_of(st.none(), st.floats(SMALLEST_MM, LARGEST_MM)),
+    single=st.booleans(),
+    lengths=st.fixed_dictionaries(
+        {},
+        optional={
+            "jaw_angle_deg": st.floats(0, 90),
+            "chamfer_mm": st.floats(0, 4),
+            "clearance_mm": st.floats(0, 2),
+            "fillet_mm": st.floats(0, 200),
+            "handle_mm": st.floats(0.5, 40),
+            "thickness_mm": st.floats(0.5, 30),
+            "head_mm": st.floats(10, 150),
+            "length_mm": st.floats(40, 500),
+        },
+    ),
+)
+@example(size=13, second=None, single=False, lengths={"chamfer_mm": 1.5})
+@example(size=13, second=None, single=False, lengths={"chamfer_mm": 1.4})
+@example(size=8.6, second=40.5, single=False, lengths={"chamfer_mm": 2.0})
+@example(size=13, second=None, single=False, lengths={"handle_mm": 1.9})
+def test_every_wrench_is_one_body_with_whole_jaws(size, second, single, lengths):
+    try:
+        spec = WrenchSpec.for_size(size, None if single else second, single=single, **lengths)
+        mesh = wrench_mesh(spec)
+    except InputError:
+        return
+    report = mnist3d.inspect(mesh)
+    assert (report.is_solid, report.bodies) == (True, 1)
+    section = section_of(mesh, spec.thickness_mm / 2)
+    for middle_mm, width_mm, turned in middles_mm(spec):
+        assert jaw_is_whole(section, middle_mm, width_mm + spec.clearance_mm, turned)
+
+
+def test_a_large_chamfer_keeps_both_jaws_and_one_that_cannot_is_refused():
+    kept = wrench_mesh(WrenchSpec.for_size(13, chamfer_mm=1.5)).bounds_m
+    usual = wrench_mesh(WrenchSpec.for_size(13)).bounds_m
+    np.testing.assert_allclose(np.ptp(kept, axis=0), np.ptp(usual, axis=0), atol=0.005)
+    with pytest.raises(InputError, match=r"a chamfer of 3 mm .* next: choose a smaller"):
+        wrench_mesh(WrenchSpec.for_size(13, chamfer_mm=3.0, thickness_mm=20.0, handle_mm=18.0))
+
+
 @pytest.mark.parametrize(
     ("lengths", "words"),
     [
+        ({"handle_mm": 1.9}, "handle_mm of the wrench is 1.9; expected more than 2.4 with a chamfer of 0.6"),
         ({"thickness_mm": 0.0}, "thickness_mm of the wrench is 0.0; expected a positive length"),
         ({"length_mm": float("nan")}, "length_mm of the wrench is nan"),
         ({"jaw_angle_deg": 91.0}, "jaw_angle_deg of the wrench is 91; expected 0 to 90"),

@@ -46,6 +46,15 @@ def test_choosing_by_class_id_and_number(digits: mnist3d.MeshDataset) -> None:
 
 
 def test_what_is_not_there_is_named(digits: mnist3d.MeshDataset) -> None:
+    some = digits.ids[[4, 11]]
+    wanted = chosen(digits, ids=[(int(some.min()), int(some.max())), (0, 10**19)])
+    assert {item.id for item in wanted} == set(digits.ids.tolist())
+    between = chosen(digits, ids=[(int(some.min()), int(some.max()))])
+    assert {item.id for item in between} == {
+        number for number in digits.ids.tolist() if some.min() <= number <= some.max()
+    }
+    with pytest.raises(InputError, match=r"an id from 99998 to 100000000"):
+        chosen(digits, ids=[(99998, 10**8)])
     with pytest.raises(InputError, match=r"no object with id 99999 .*2 of the ids"):
         chosen(digits, ids=[99999, int(digits.ids[0]), 99998])
     with pytest.raises(InputError, match=r"no class 'x'.*expected one of 0, 1"):

@@ -326,6 +326,13 @@ def test_bad_input_is_named(folder, tmp_path):
         PreviewSpec(per_class=0)
 
 
+def test_an_image_without_ink_is_named(tmp_path):
+    Image.new("L", (40, 40), 255).save(tmp_path / "blank.png")
+    (planned,) = plan_previews(str(tmp_path / "blank.png"), PreviewSpec()).pictures
+    with pytest.raises(InputError, match=r"blank\.png: the image has one grey level only"):
+        planned.draw(RELIEF_ONLY)
+
+
 def test_options_of_a_data_set_are_refused_for_a_single_file(tmp_path):
     corners = np.array([(0, 0, 0), (0.01, 0, 0), (0, 0.01, 0), (0, 0, 0.01)])
     faces = np.array([(0, 2, 1), (0, 1, 3), (1, 2, 3), (0, 3, 2)], np.int32)

@@ -13,6 +13,7 @@ from dataset_store.errors import InputError, IntegrityError, ItemError, MissingE
 from realtouch.avi import MAX_CLIP_FRAMES, NoIndexError, read_index, write_avi
 from realtouch.clips import TouchClip
 from realtouch.contact import (
+    CLOCK_TOLERANCE_S,
     contact_heights_m,
     contact_window,
     deepest_frame,
@@ -122,13 +123,34 @@ def test_a_window_holds_a_frame_and_only_frames_of_contact(
 ) -> None:
     stamps = np.sort(times)
     window = contact_window(stamps, start, start + span)
-    inside = np.flatnonzero((stamps >= start) & (stamps <= start + span))
+    first, last = start - CLOCK_TOLERANCE_S, start + span + CLOCK_TOLERANCE_S
+    inside = np.flatnonzero((stamps >= first) & (stamps <= last))
     assert 0 <= window.start < window.stop <= len(stamps)
     if len(inside):
         assert (window.start, window.stop - 1) == (inside[0], inside[-1])
     else:
         assert window.stop - window.start == 1
         assert window.start == int(np.argmin(np.abs(stamps - (start + span))))
+
+
+@given(st.integers(0, 1800 * 25), st.integers(0, 60), st.integers(0, 30))
+def test_a_clock_in_single_precision_has_the_same_windows(offset: int, start: int, count: int) -> None:
+    """Of half an hour at most; frames are 400 times as far apart as times that count as one."""
+    exact = (offset + np.arange(91)) / 25
+    rounded = exact.astype(np.float32).astype(np.float64)
+    expected = slice(start, start + count + 1)
+    for stamps in (exact, rounded):
+        for clock in (exact, rounded):
+            assert contact_window(stamps, clock[start], clock[start + count]) == expected
+
+
+def test_a_clip_is_an_array_for_numpy(clip: TouchClip) -> None:
+    frames = clip.frames()
+    np.testing.assert_array_equal(np.asarray(clip), frames)
+    assert np.array(clip, np.float32).dtype == np.float32
+    assert np.median(clip, axis=0).shape == (72, 96, 3)
+    with pytest.raises(ValueError, match="without a copy"):
+        np.asarray(clip, copy=False)
 
 
 def test_ties_go_to_the_earlier_frame() -> None:

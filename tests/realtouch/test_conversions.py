@@ -18,9 +18,9 @@ import realtouch
 from dataset_store.errors import InputError, SpecMismatchError
 from dataset_store.runner import ProcessRunner
 from dataset_store.shards import sha256_hex
-from realtouch.conversion import Source
 from realtouch.jpeg import decode_image
 from realtouch.resizing import resized
+from realtouch.source import Source
 from tests.dataset_store.toy import folder_bytes
 from tests.realtouch import factories
 from tests.realtouch.factories import Layout, RoundTruth

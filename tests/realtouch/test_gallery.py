@@ -3,6 +3,7 @@ from __future__ import annotations
 import io
 import json
 import pickle
+import re
 from pathlib import Path
 
 import numpy as np
@@ -108,6 +109,32 @@ def test_a_set_without_poses_is_shown_without_contact(single_rows, tmp_path):
     assert {entry["contact"] for entry in touches_of(tmp_path / "site", 0)["list"]} == {None}
 
 
+def test_a_set_without_metadata_is_shown_too(single_rows, tmp_path):
+    names = [name for name in single_rows[0] if name.startswith("info.")]
+    assert names
+    factories.write_set(tmp_path / "bare", {"train": single_rows}, "single", Layout(leave_out=tuple(names)))
+    build_site(plan_gallery(RoundChoice(str(tmp_path / "bare"))), str(tmp_path / "site"))
+    assert column(index_of(tmp_path / "site"), "Gel") == ["unknown"] * 3
+
+
+def test_the_revision_asked_for_is_opened(seq_folder, monkeypatch):
+    asked = []
+    opened_set = realtouch.load(str(seq_folder), "train")
+
+    def splits(_name: str, *, revision: str | None) -> tuple[str, ...]:
+        asked.append(revision)
+        return ("train",)
+
+    def load(_name: str, _split: str, *, revision: str | None) -> object:
+        asked.append(revision)
+        return opened_set
+
+    monkeypatch.setattr("dataset_store.gallery.selection.splits_of", splits)
+    monkeypatch.setattr("realtouch.gallery.load", load)
+    assert plan_gallery(RoundChoice("someone/touches", revision="v2")).size == len(opened_set)
+    assert asked == ["v2", "v2"]
+
+
 def test_a_damaged_picture_is_named_and_nothing_is_left(single_rows, tmp_path):
     def cut(row: dict, _index: int) -> None:
         row["sensor_image"] = [{"bytes": b"\xff\xd8 no jpeg", "path": "0.jpg"}, *row["sensor_image"][1:]]
@@ -133,21 +160,26 @@ def test_a_round_in_the_browser(seq_folder, truth, tmp_path):
             touches.first.wait_for()
             assert touches.count() == 5
             met = sum(touch.on_digit for touch in truth[1].touches)
-            page.get_by_role("button", name=f"no contact {5 - met}").click()
+            page.get_by_role("button", name=f"on the plate {5 - met}").click()
             assert page.locator(".touch:visible").count() == 5 - met
             page.get_by_role("button", name="all 5").click()
             touches.nth(1).click()
             assert touches.nth(1).get_attribute("aria-pressed") == "true"
             page.keyboard.press("ArrowRight")
             assert touches.nth(2).get_attribute("aria-pressed") == "true"
-            assert page.evaluate("document.activeElement.getAttribute('aria-label')").startswith("touch 2, ")
+            assert page.evaluate("document.activeElement.getAttribute('aria-label')").startswith(
+                "touch 2 on the "
+            )
             slider = page.get_by_label("Frame of the clip")
             film = touches_of(tmp_path / "site", 1)["list"][2]["film"]
             assert slider.input_value() == str(film["last"])
             before = page.locator(".film").screenshot()
             slider.focus()
             page.keyboard.press("Home")
-            assert page.locator(".caption").inner_text().endswith("frame 0, 0.00 s")
+            caption = page.locator(".caption").inner_text()
+            assert re.fullmatch(
+                r"touch 2 on the (plate|object), height -?\d\.\d mm · frame 0, 0\.00 s", caption
+            )
             assert page.locator(".film").screenshot() != before
             page.get_by_role("button", name="Play").click()
             page.wait_for_function("document.querySelector('.track input').value > 2")

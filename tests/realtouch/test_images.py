@@ -126,7 +126,7 @@ def test_batches(single_folder: Path) -> None:
     out = np.empty_like(every)
     assert images.batch(threads=2, out=out) is out
     np.testing.assert_array_equal(out, every)
-    assert images[0:0].shape == (0, 0, 0, 3)
+    assert images[0:0].shape == (0, 72, 96, 3)
     with pytest.raises(IndexError, match="touch 5 is out of range for 5 touches"):
         images[5]
     with pytest.raises(IndexError, match="out of range"):

@@ -221,7 +221,7 @@ def test_a_file_cut_in_the_middle_is_named(single_folder: Path, tmp_path: Path) 
     with pytest.raises(
         IntegrityError, match=r"test-00000-of-00001\.parquet.*whole Parquet file was expected"
     ):
-        realtouch.load(cut)
+        realtouch.load(cut, "test")
 
 
 def test_short_names_reach_the_published_repositories(

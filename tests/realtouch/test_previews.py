@@ -182,7 +182,7 @@ def test_frames_shown_hold_contact_and_what_is_beside_it(count, data):
         assert len(shown) == min(most, count)
 
 
-@given(st.integers(2, 90), st.data())
+@given(st.integers(2, 730), st.data())
 def test_the_bar_of_time_marks_exactly_the_frames_of_contact(count, data):
     start = data.draw(st.integers(0, count - 1))
     stop = data.draw(st.integers(start + 1, count))
@@ -210,6 +210,12 @@ def test_frames_of_contact_are_framed_in_the_strip(seq_folder: Path, truth: list
         assert sum(_within(clip.contact_window, frame) for frame in shown) == (
             known.contact_end + 1 - known.contact_start
         )
+
+
+def test_a_bar_of_more_frames_than_pixels_shows_a_single_frame_of_contact():
+    bar = timeline(9_000, slice(4_500, 4_501), (0, 8_999), 1480)
+    assert 1 <= (bar[10] == IN_CONTACT).all(axis=1).sum() <= 2
+    assert tuple(bar[10, 740]) == IN_CONTACT
 
 
 def _within(window: slice, frame: int) -> bool:
@@ -243,6 +249,25 @@ def test_drift_is_that_of_the_recordings(seq_folder: Path, truth: list[RoundTrut
     assert gels == tuple(f"gel {each.gel_id}" for each in truth)
     backwards, _ = gel_drift(dataset[::-1])
     assert backwards == pytest.approx(z_m[::-1])
+
+
+def test_a_gel_without_a_number_is_unknown(tmp_path: Path, single_rows: list[dict]) -> None:
+    def nameless(row: dict, index: int) -> None:
+        row["info.gel_id"] = None if index == 1 else 7
+
+    factories.write_set(tmp_path / "set", {"train": single_rows}, "single", Layout(edit=nameless))
+    _, gels = gel_drift(realtouch.load(str(tmp_path / "set")))
+    assert gels == ("gel 7", "unknown gel", "gel 7")
+
+
+def test_a_drift_that_cannot_be_known_is_left_out_of_all(tmp_path: Path, single_rows: list[dict]) -> None:
+    layout = Layout(leave_out=("gel_pose_cell_frame.position", "gel_pose_cell_frame.quaternion"))
+    factories.write_set(tmp_path / "set", {"train": single_rows}, "single", layout)
+    plan = plan_previews(str(tmp_path / "set"), "train", PreviewSpec(("all",)))
+    assert [picture.name.rpartition("-")[2] for picture in plan.pictures] == ["grid.png", "overlay.png"]
+    assert any("the drift of the gel needs its poses" in reason for reason in plan.left_out)
+    with pytest.raises(InputError, match="the drift of the gel needs its poses"):
+        plan_previews(str(tmp_path / "set"), "train", PreviewSpec(("drift",)))
 
 
 def test_plans_name_round_and_touch(seq_folder: Path, single_folder: Path) -> None:
@@ -281,3 +306,14 @@ def test_the_drift_is_plotted(seq_folder: Path) -> None:
         "drift.png",
     ]
     assert plan.pictures[-1].draw(RELIEF_ONLY).pixels.std() > 5
+
+
+def test_pictures_of_several_sizes_are_not_laid_over_each_other(
+    truth: list[RoundTruth], tmp_path: Path
+) -> None:
+    rows = factories.single_rows(truth[:1])
+    other = factories.make_round(8, TOUCHES, (64, 48))
+    rows[0]["sensor_image"][1] = factories.single_rows([other])[0]["sensor_image"][1]
+    record = realtouch.load(factories.write_set(tmp_path, {"train": rows}, "single"))[0]
+    with pytest.raises(InputError, match=r"different sizes \(64 x 48, 96 x 72 pixels\).*realtouch resize"):
+        draw_overlay(record)

@@ -31,6 +31,9 @@ def hub_dataset(folder: Path, split: str = "train") -> Any:
 
 def assert_same_pose(ours: Any, theirs: Any) -> None:
     np.testing.assert_allclose(ours.as_matrix(), theirs.matrix, atol=1e-12)
+    for name in ("translation", "matrix", "rotvec", "angle", "quaternion"):
+        np.testing.assert_allclose(getattr(ours, name), getattr(theirs, name), atol=1e-12)
+    np.testing.assert_allclose(ours.inv.matrix, theirs.inv.matrix, atol=1e-12)
 
 
 def assert_same_common(ours: Any, theirs: Any) -> None:
@@ -48,6 +51,9 @@ def assert_same_single(ours: Any, theirs: Any) -> None:
     poses = theirs.gel_pose_cell_frame
     np.testing.assert_array_equal(ours.gel_pose_cell_frame.position_m, poses.translation)
     np.testing.assert_allclose(ours.gel_pose_cell_frame.transform.as_matrix(), poses.matrix, atol=1e-12)
+    np.testing.assert_allclose(ours.gel_pose_cell_frame.matrix, poses.matrix, atol=1e-12)
+    np.testing.assert_allclose(ours.gel_pose_cell_frame.inv.matrix, poses.inv.matrix, atol=1e-12)
+    assert_same_pose(ours.gel_pose_cell_frame[0], poses[0])
     assert len(ours.sensor_image) == len(theirs.sensor_image)
     for touch in range(len(ours.sensor_image)):
         np.testing.assert_array_equal(ours.sensor_image[touch], theirs.sensor_image[touch])
@@ -127,3 +133,13 @@ def test_selected_rounds_read_alike(published: Any, single_folder: Path, tmp_pat
     for row in range(len(ours)):
         assert ours[row].touch_count == 4
         assert_same_single(ours[row], theirs[row])
+
+
+def test_selected_clips_read_alike(published: Any, seq_folder: Path, tmp_path: Path) -> None:
+    out = tmp_path / "some"
+    realtouch.select(str(seq_folder), str(out), contact=True, limit=1)
+    theirs = published.TouchSeqDataset(hub_dataset(out))
+    ours = realtouch.load(out)
+    assert len(ours) == len(theirs) == 1
+    assert ours[0].touch_count == 4
+    assert_same_seq(ours[0], theirs[0])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import pickle
 import sys
 from pathlib import Path
@@ -11,7 +12,9 @@ import numpy as np
 import pytest
 
 import realtouch
-from dataset_store.errors import InputError, MissingExtraError
+from dataset_store.errors import InputError, IntegrityError, MissingExtraError
+from tests.realtouch import factories
+from tests.realtouch.factories import RoundTruth
 
 torch = pytest.importorskip("torch", reason="torch (extra `torch`) is not installed")
 pytest.importorskip("torchvision", reason="torchvision (extra `torch`) is not installed")
@@ -70,6 +73,87 @@ def test_targets(single_folder: Path) -> None:
     assert TouchTensors(dataset, target=squared)[12][1] == 4
     with pytest.raises(InputError, match="no target 'taste'"):
         TouchTensors(dataset, target="taste")
+
+
+@pytest.mark.parametrize("method", ["contact_start", "peak", "median", "contact_end"])
+def test_the_pose_is_that_of_the_frame(method: str, seq_folder: Path) -> None:
+    from realtouch.torch import TouchStreamTensors, TouchTensors
+
+    touches = realtouch.load(seq_folder).touches().with_contact()
+    data = TouchTensors(touches, target="gel_position", frames=method)
+    clip = touches[4].clip
+    frame = clip.contact_index(method)
+    image, position_m = data[4]
+    np.testing.assert_array_equal(image.numpy().transpose(1, 2, 0), clip[frame])
+    assert position_m.dtype == torch.float32
+    np.testing.assert_array_equal(position_m, clip.poses.position_m[frame].astype(np.float32))
+    np.testing.assert_array_equal(data.__getitems__([4])[0][1], position_m)
+    stream = TouchStreamTensors(
+        realtouch.load(seq_folder, streaming=True), target="gel_position", frames=method
+    )
+    number = int(touches.round_positions[4]) * 5 + int(touches.touch_indices[4])
+    np.testing.assert_array_equal(next(itertools.islice(stream, number, None))[1], position_m)
+
+
+def test_ways_to_choose_a_frame_are_checked_at_once(seq_folder: Path) -> None:
+    from realtouch.torch import TouchStreamTensors, TouchTensors
+
+    with pytest.raises(InputError, match="no way 'best' to choose a frame"):
+        TouchTensors(realtouch.load(seq_folder), frames="best")
+    stream = realtouch.load(seq_folder, streaming=True)
+    with pytest.raises(InputError, match="no way 'best' to choose a frame"):
+        TouchStreamTensors(stream, frames="best")
+    with pytest.raises(InputError, match=r"shuffle_buffer is -3; expected 0 or more"):
+        TouchStreamTensors(stream, shuffle_buffer=-3)
+
+
+def test_images_of_several_sizes_meet_in_the_transform(truth: list[RoundTruth], tmp_path: Path) -> None:
+    from torchvision.transforms import v2
+
+    from realtouch.torch import TouchTensors
+
+    rows = factories.single_rows([truth[0], factories.make_round(8, 5, (64, 48))])
+    data = TouchTensors(
+        realtouch.load(factories.write_set(tmp_path, {"train": rows}, "single")), v2.Resize((24, 32))
+    )
+    for (image, label), index in zip(data.__getitems__([7, 1, 8]), (7, 1, 8), strict=True):
+        assert tuple(image.shape) == (3, 24, 32)
+        assert torch.equal(image, data[index][0])
+        assert label == data[index][1]
+
+
+def test_damage_in_a_batch_is_named(truth: list[RoundTruth], tmp_path: Path) -> None:
+    from realtouch.torch import TouchTensors
+
+    rows = factories.single_rows(truth)
+    rows[1]["sensor_image"][2]["bytes"] = b"no picture"
+    data = TouchTensors(realtouch.load(factories.write_set(tmp_path, {"train": rows}, "single")))
+    with pytest.raises(IntegrityError, match=r"row 1, touch 2, field 'sensor_image'"):
+        data.__getitems__([0, 7])
+
+
+@pytest.mark.parametrize("method", ["fork", "spawn"])
+def test_workers_that_stay_see_the_epoch(single_folder: Path, method: str) -> None:
+    from realtouch.torch import TouchStreamTensors
+
+    data = TouchStreamTensors(
+        realtouch.load(single_folder, streaming=True), target=identity, shuffle_buffer=6
+    )
+    loader = torch.utils.data.DataLoader(
+        data,
+        batch_size=None,
+        num_workers=1,
+        persistent_workers=True,
+        multiprocessing_context=method,
+        timeout=300,
+    )
+    orders = []
+    for epoch in (0, 1, 0):
+        data.set_epoch(epoch)
+        assert data.epoch == epoch
+        orders.append([tuple(where) for _, where in loader])
+    assert orders[0] == orders[2] != orders[1]
+    assert sorted(orders[0]) == sorted(orders[1])
 
 
 def test_batches_equal_items(images: Any) -> None:

@@ -41,6 +41,8 @@ def test_data_set_knows_its_classes_without_reading_a_mesh(scenes):
     assert scenes.labels.tolist() == [index % 4 for index in range(80)]
     assert scenes.ids.tolist() == list(range(80))
     assert scenes.column("star_count").tolist() == [1 + index % 4 for index in range(80)]
+    assert scenes.star_counts.tolist() == [1 + index % 4 for index in range(80)]
+    assert scenes[3:9].star_counts.tolist() == [record.star_count for record in scenes[3:9]]
     assert scenes.column("distractor_count").tolist() == [record.distractor_count for record in scenes]
     assert scenes.column("seed").tolist() == [record.seed for record in scenes]
     assert scenes.column("restarts").tolist() == [record.scene.restarts for record in scenes]
@@ -123,6 +125,13 @@ def test_a_million_scenes_cost_nothing_until_asked_for():
     assert len(pickle.dumps(scenes)) < 5_000
 
 
+def test_numbers_of_numpy_give_the_same_scenes():
+    given, plain = SceneDataset(size=np.int64(3), seed=np.int64(5)), SceneDataset(size=3, seed=5)
+    assert [record.scene for record in given] == [record.scene for record in plain]
+    scene = sample_scene(SceneSpec(), scene_rng(1), np.int64(2))
+    assert Scene.from_json(scene.to_json()) == scene
+
+
 def test_test_split_shares_no_id_and_no_scene_with_train():
     train, test = (SceneDataset(split=split, size=50) for split in ("train", "test"))
     assert not set(train.ids.tolist()) & set(test.ids.tolist())
@@ -131,7 +140,13 @@ def test_test_split_shares_no_id_and_no_scene_with_train():
 
 @pytest.mark.parametrize(
     ("values", "message"),
-    [({"split": "dev"}, "unknown split 'dev'"), ({"size": -1}, "size is -1"), ({"seed": -1}, "seed is -1")],
+    [
+        ({"split": "dev"}, "unknown split 'dev'"),
+        ({"size": -1}, "size is -1"),
+        ({"seed": -1}, "seed is -1"),
+        ({"size": 2.5}, "size is 2.5"),
+        ({"seed": "a"}, "seed is 'a'"),
+    ],
 )
 def test_unusable_data_set_on_the_fly_is_refused(values, message):
     with pytest.raises(InputError, match=message):
@@ -163,6 +178,13 @@ def test_published_columns_alone_are_enough(folder, tmp_path):
     assert isinstance(scenes, SceneMeshDataset)
     assert scenes.label_names == ("1", "2", "3")
     assert scenes[2].star_count == 3
+    assert scenes.star_counts.tolist() == [record.star_count for record in scenes]
+    (tmp_path / "rich").mkdir()
+    rich = table.set_column(4, "star_count", pa.array([7] * len(table))).replace_schema_metadata()
+    pq.write_table(rich, tmp_path / "rich" / "train-00000-of-00001.parquet")
+    both = scenes + load(str(tmp_path / "rich"))
+    assert both.star_counts.tolist() == [record.star_count for record in both]
+    assert 7 in both.star_counts
     assert scenes[2].mesh.is_watertight
     assert scenes[2]._repr_html_() == repr(scenes[2])
     for name in ("placements", "scene", "seed", "distractor_count"):

@@ -88,9 +88,10 @@ def test_the_published_set_has_no_placements_and_is_shown_too(folder, tmp_path):
     assert site.splits == {"test": 6}
     index = index_of(tmp_path / "site")
     assert column(index, "Distractors") == [["unknown"]] * 6
+    assert column(index, "Shapes") == [[]] * 6
     assert column(index, "Stars") == [[str(number % 3 + 1)] for number in range(6)]
     mesh = content_of(tmp_path / "site", 0)["mesh"]
-    assert mesh["parts"] == [[mesh["face_count"], "main"]]
+    assert mesh["parts"] == [[mesh["face_count"], "other"]]  # none is painted as a star
     assert (tmp_path / "site" / "thumbs" / "000005.png").stat().st_size > 200
 
 

@@ -9,6 +9,7 @@ import time
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pyarrow.parquet as pq
 import pytest
 
@@ -172,7 +173,10 @@ def test_exhausted_worker_says_so(tmp_path):
 
 def test_scene_that_cannot_be_made_late_leaves_the_folder_free_for_another_specification(tmp_path):
     nearly = SceneSpec(stars=(8,), distractors=(0, 0), attempts=4, restarts=3)
-    with pytest.raises(SamplingExhausted, match=r"raise --cell-mm$"):
+    with pytest.raises(
+        SamplingExhausted,
+        match=r"raise --cell-mm \(cell_m\), or in Python raise attempts or restarts of SceneSpec$",
+    ):
         generate(GenerateSpec(nearly, (("train", 100),), seed=1), str(tmp_path), ("train",))
     assert list(tmp_path.iterdir()) == []
     assert generate(GenerateSpec(scenes=(("train", 3),)), str(tmp_path), ("train",)).complete
@@ -200,11 +204,33 @@ def test_shards_finished_before_a_scene_that_cannot_be_made_are_kept_and_named(t
         ({"scenes": (("validation", 5),)}, "unknown split 'validation'"),
         ({"seed": -3}, "seed is -3"),
         ({"limit": 0}, "--limit is 0"),
+        ({"limit": 2.5}, "limit .* is 2.5; expected None or a whole number"),
+        ({"seed": "a"}, "seed .* is 'a'; expected a whole number"),
+        ({"scenes": {"train": "many"}}, "scenes .* expected a whole number for each split"),
+        ({"scenes": 5}, "scenes .* is 5"),
+        ({"scene": {}}, "scene .* expected a SceneSpec"),
     ],
 )
 def test_unusable_values_are_refused(values, message):
     with pytest.raises(InputError, match=message):
         GenerateSpec(**values)
+
+
+def test_ordinary_values_of_other_types_are_the_same_specification(tmp_path):
+    given = GenerateSpec(
+        SceneSpec(stars=range(1, 4), heights_m=[np.float64(0.005)]),
+        {"train": np.int64(4)},
+        seed=np.int64(3),
+        limit=np.int32(2),
+    )
+    plain = GenerateSpec(SceneSpec(), (("train", 4),), seed=3, limit=2)
+    assert given == plain
+    assert json.dumps(given.to_dict()) == json.dumps(plain.to_dict())
+    assert GenerateSpec(scenes=plain.to_dict()["scenes"]).scenes == plain.scenes
+    generate(given, tmp_path / "path", ("train",))
+    generate(plain, str(tmp_path / "text"), ("train",))
+    assert folder_hashes(tmp_path / "path") == folder_hashes(tmp_path / "text")
+    assert inspect_out(given, tmp_path / "path", ("train",)).todo == ()
 
 
 @pytest.mark.parametrize("splits", [("holdout",), ("test",)])

@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 
 import starstruck_gen
 from dataset_store.errors import InputError
+from dataset_store.gallery.selection import Choice
 from dataset_store.pictures.oblique import Studio
 from starstruck_gen import SamplingExhausted, SceneSpec, sample_scene, scene_rng
 from starstruck_gen.collision import CLEAR
@@ -165,8 +166,39 @@ def test_a_published_set_without_placements_is_drawn_from_its_meshes(folder, tmp
     pq.write_table(table.select(kept), tmp_path / "train.parquet")
     record = starstruck_gen.load(str(tmp_path / "train.parquet"))[0]
     assert not record.has_placements
-    for planned in plan_previews(str(tmp_path / "train.parquet"), PreviewSpec(("sheet", "scene"))).pictures:
-        assert planned.draw(RELIEF_ONLY).pixels.std() > 10
+    plan = plan_previews(str(tmp_path / "train.parquet"), PreviewSpec(("sheet", "scene")))
+    assert plan.pictures[1].what.endswith("from above, and obliquely")
+    for planned in plan.pictures:
+        pixels = planned.draw(RELIEF_ONLY).pixels.astype(int)
+        assert pixels.std() > 10
+        assert (pixels[..., 0] - pixels[..., 2]).max() < 60  # nothing is as yellow as a star
+
+
+def test_digits_are_no_scenes(tmp_path):
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    from dataset_store.mesh_columns import feature_metadata, label_feature, vectors_type
+    from starstruck_gen.gallery import plan_gallery
+
+    columns = {
+        "id": pa.array([1], pa.int64()),
+        "label": pa.array([3], pa.int64()),
+        "mesh.vertices": pa.array([[[0.0, 0, 0], [1, 0, 0], [0, 1, 0]]], vectors_type(pa.float32())),
+        "mesh.faces": pa.array([[[0, 1, 2]]], vectors_type(pa.int32())),
+    }
+    places = {}
+    for names in (tuple("0123456789"), ("1", "2", "3", "4")):
+        table = pa.table(columns).replace_schema_metadata(feature_metadata({"label": label_feature(names)}))
+        places[names] = str(tmp_path / f"train-{len(names)}.parquet")
+        pq.write_table(table, places[names])
+    digits, scenes = places.values()
+    assert plan_gallery(Choice(scenes)).size == 1
+    assert plan_previews(scenes, PreviewSpec(("sheet",))).pictures[0].what == "1 scene of train from above"
+    with pytest.raises(InputError, match=r"holds digits; .*next: run `mnist3d preview "):
+        plan_previews(digits, PreviewSpec())
+    with pytest.raises(InputError, match=r"holds digits; .*next: run `mnist3d gallery "):
+        plan_gallery(Choice(digits))
 
 
 def test_sheets_show_each_scene_in_the_row_of_its_class(tmp_path):

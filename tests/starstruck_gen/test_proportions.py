@@ -117,6 +117,11 @@ def test_crescent_keeps_its_horns_where_they_are_asked_for():
             lambda: Shape.parse("ring(0.3)"),
             "'0.3' in shape 'ring.0.3.' is no proportion; expected NAME=NUMBER",
         ),
+        (
+            lambda: Shape.parse("ring(hole_ratio=.3,hole_ratio=.4)"),
+            "gives 'hole_ratio' 2 times; expected each number once",
+        ),
+        (lambda: Shape("star", "10"), "radius_m of shape 'star' is '10'; expected 0.0001 to 1"),
         (lambda: Shape.parse("ring(hole_ratio=0.3"), "is no shape; expected a name such as ring"),
         (lambda: outline("star(points=1e9)"), "points of shape 'star' is 1000000000.0"),
         (lambda: outline("moon"), "unknown shape 'moon'; expected one of star, box"),
@@ -136,6 +141,7 @@ def test_numbers_of_other_types_are_the_same_shape():
     shape = Shape("star", 0.01, Star(np.int64(6), np.float32(0.5)))
     assert shape == Shape("star", 0.01, Star(6, 0.5))
     assert shape.key == "star(points=6)"
+    assert json.dumps(Shape("star", np.float32(0.5)).to_dict()["radius_m"]) == "0.5"
     assert json.dumps(shape.to_dict()["proportions"]) == '{"points": 6, "inner_ratio": 0.5}'
 
 

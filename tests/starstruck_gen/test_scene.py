@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import json
+import math
 
 import numpy as np
 import pytest
@@ -9,6 +10,7 @@ from hypothesis import strategies as st
 
 from dataset_store.errors import InputError
 from dataset_store.soundness import judge
+from starstruck_gen.endless import SceneDataset
 from starstruck_gen.sampling import sample_scenes
 from starstruck_gen.scene import Scene
 from starstruck_gen.solid import prism
@@ -74,6 +76,50 @@ def test_json_and_back_is_exact(spec, index):
     assert Scene.from_json(scene.to_json()) == scene
 
 
+def _object(**changes):
+    plain = {"shape": "star", "x_m": 0, "y_m": 0, "angle_rad": 0, "radius_m": 0.01, "height_m": 0.005}
+    return {"star_count": 1, "placements": [{**plain, **changes}], "attempts": [1], "restarts": 0}
+
+
+@pytest.mark.parametrize(
+    ("values", "message"),
+    [
+        (_object(x_m=math.nan), r"x_m of placements\[0\] is nan; expected a finite number"),
+        (_object(y_m=math.inf), r"y_m of placements\[0\] is inf"),
+        (_object(radius_m=-0.01), r"radius_m of placements\[0\] is -0.01; expected a positive number"),
+        (_object(height_m=0), r"height_m of placements\[0\] is 0; expected a positive"),
+        (_object(angle_rad="0"), r"angle_rad of placements\[0\] is '0'"),
+        (_object(x_m=10**400), r"x_m of placements\[0\] is 1000"),
+        (_object(shape=None), r"shape of placements\[0\] is None"),
+        ({**_object(), "placements": ["star"]}, r"placements\[0\] is 'star'"),
+        ({**_object(), "restarts": -1}, "restarts is -1; expected a whole number from 0"),
+        ({**_object(), "attempts": [1.5]}, r"attempts\[0\] is 1.5; expected a whole number"),
+        ({**_object(), "star_count": True}, "star_count is True"),
+        ([1, 2], r"found \[1, 2\]; expected an object"),
+        (3, "found 3"),
+    ],
+)
+def test_impossible_scene_is_refused_by_field(values, message):
+    with pytest.raises(InputError, match=message):
+        Scene.from_dict(values)
+    with pytest.raises(InputError, match="no scene"):
+        Scene.from_json(json.dumps(values))
+
+
+def test_scene_that_is_no_json_is_not_written():
+    scene = Scene.from_dict(_object())
+    broken = Scene(1, (scene.placements[0]._replace(x_m=math.nan),), (1,), 0)
+    with pytest.raises(InputError, match="not finite"):
+        broken.to_json()
+
+
+def test_mesh_is_that_of_a_record_as_trimesh():
+    record = SceneDataset(size=1)[0]
+    mesh = record.scene.mesh().to_trimesh()
+    assert mesh.is_watertight
+    assert mesh.volume == pytest.approx(record.mesh.volume)
+
+
 def _changed(**changes):
     values = sample_scenes(SceneSpec(), "train", 0, 2, 1)[0].to_dict()
     return json.dumps({**values, **changes})
@@ -131,7 +177,7 @@ def test_object_inside_a_hole_stays_visible():
     assert disc != plate == hole
 
 
-@pytest.mark.parametrize("px_per_mm", [0.0, 1e3])
+@pytest.mark.parametrize("px_per_mm", [0.0, 1e3, math.nan, math.inf])
 def test_picture_of_impossible_size_is_refused(px_per_mm):
     with pytest.raises(InputError, match="a picture of"):
         sample_scenes(SceneSpec(), "train", 0, 0, 1)[0].draw(px_per_mm=px_per_mm)

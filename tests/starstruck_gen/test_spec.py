@@ -3,10 +3,14 @@ from __future__ import annotations
 import json
 import math
 
+import numpy as np
 import pytest
 from hypothesis import given
 
 from dataset_store.errors import InputError
+from starstruck_gen.proof import require_sound
+from starstruck_gen.proportions import Disc
+from starstruck_gen.rows import make_rows
 from starstruck_gen.shapes import Shape
 from starstruck_gen.spec import SceneSpec
 from tests.starstruck_gen.strategies import specs
@@ -46,6 +50,10 @@ def test_json_and_back(spec):
         ({"distractors": 5}, "distractors .* 5"),
         ({"star": Shape("box")}, "star .* expected a shape named 'star'"),
         ({"distractor_shapes": (Shape("star"),)}, "distractor_shapes .* stars are what is counted"),
+        ({"distractor_shapes": ("box", "disc")}, "distractor_shapes .* expected Shape objects"),
+        ({"star": "star"}, "star .* expected a Shape"),
+        ({"stars": (1, 10**400)}, "stars"),
+        ({"clearance_m": 10**400}, "clearance_m"),
         ({"distractor_shapes": ()}, "distractor_shapes .* at least one shape"),
         ({"heights_m": ()}, "heights_m .* one or more heights"),
         ({"heights_m": (0.005, 0.0)}, "heights_m .* 0.0"),
@@ -70,3 +78,35 @@ def test_scenes_without_distractors_need_no_shapes():
 def test_wrong_json_is_refused(values):
     with pytest.raises(InputError, match="scene specification"):
         SceneSpec.from_dict(values)
+
+
+def test_lists_ranges_and_numbers_of_numpy_are_the_same_specification():
+    given = SceneSpec(
+        cell_m=np.array([0.12, 0.12]),
+        stars=range(1, 4),
+        distractors=[np.int64(0), np.int64(5)],
+        distractor_shapes=[Shape("box", np.float64(0.01)), Shape("disc")],
+        heights_m=[0.005],
+        clearance_m=0,
+        attempts=np.int32(100),
+    )
+    assert given == SceneSpec()
+    assert hash(given) == hash(SceneSpec())
+    assert json.dumps(given.to_dict()) == json.dumps(SceneSpec().to_dict())
+
+
+TINY = (Shape("disc", 1e-4, Disc(segments=256)),)
+
+
+def test_shapes_too_fine_for_stored_coordinates_are_refused_with_what_to_change():
+    with pytest.raises(InputError) as caught:
+        SceneSpec(cell_m=(2, 2), star=Shape("star", 1e-4), distractor_shapes=TINY)
+    for part in ("cell_m", "(2.0, 2.0)", "disc(segments=256)", "radius_m 0.0001", "segments"):
+        assert part in str(caught.value)
+
+
+@pytest.mark.parametrize("side_m", [0.16, 0.2, 0.24, 0.4])
+def test_shapes_as_fine_as_the_cell_allows_are_sound(side_m):
+    """Up to a cell in which coordinates reach a power of two, the thinnest triangles are thick enough."""
+    spec = SceneSpec(cell_m=(side_m, side_m), star=Shape("star", 1e-4), distractor_shapes=TINY)
+    require_sound(spec, make_rows(spec, "train", 0, 0, 200))

@@ -2,6 +2,8 @@
 // A round of touches: all of them as a grid, one of them large, its clip frame by frame.
 
 (() => {
+  const ON_OBJECT = "on the object";
+  const ON_PLATE = "on the plate";
   const { element } = gallery;
 
   // Show one tile of a sheet of tiles in an element of any size.
@@ -12,10 +14,11 @@
     node.style.backgroundPosition = `${share(tile % columns, columns)}% ${share(Math.floor(tile / columns), rows)}%`;
   }
 
-  const met = (touch) => (touch.contact === null ? "" : touch.contact ? ", contact" : ", no contact");
+  // What the gel met in the end; each frame of its clip tells whether it touched anything.
+  const met = (touch) => (touch.contact === null ? "" : touch.contact ? ` ${ON_OBJECT}` : ` ${ON_PLATE}`);
   const describe = (touch) =>
     `touch ${touch.number}${met(touch)}` +
-    (touch.height_mm === null ? "" : `, ${touch.height_mm.toFixed(1)} mm above the plate`);
+    (touch.height_mm === null ? "" : `, height ${touch.height_mm.toFixed(1)} mm`);
 
   function player(touches, item) {
     const screen = element("div", { class: "film", role: "img" });
@@ -119,7 +122,7 @@
       if (kept.length) choose(kept[0], false);
     }
 
-    for (const [title, wanted] of [["all", null], ["contact", true], ["no contact", false]]) {
+    for (const [title, wanted] of [["all", null], [ON_OBJECT, true], [ON_PLATE, false]]) {
       const count = touches.list.filter((touch) => wanted === null || touch.contact === wanted).length;
       const chip = element("button", { type: "button", class: "chip" }, `${title} `, element("span", { class: "number" }, String(count)));
       chip.disabled = count === 0;

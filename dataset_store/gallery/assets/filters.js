@@ -67,11 +67,14 @@
   function clear() {
     gallery.chosen.forEach((wanted) => wanted.clear());
     gallery.search = find("search").value = "";
+    gallery.sort = -1;
+    find("sort").value = "";
     gallery.update();
   }
 
   gallery.begin.push(() => {
     gallery.index.facets.forEach((facet, place) => {
+      if (!facet.values.length) return;
       const make = facet.values.length > MOST_CHIPS ? list : chips;
       find("facets").append(make(facet, place));
     });
@@ -95,6 +98,8 @@
   gallery.changed.push(() => {
     const counts = gallery.index.facets.map((_, place) => gallery.counts(place));
     refreshers.forEach((refresh) => refresh(counts));
-    find("clear").disabled = !gallery.search && gallery.chosen.every((wanted) => !wanted.size);
+    // Not disabled: who presses it keeps the focus there.
+    const untouched = !gallery.search && gallery.sort < 0 && gallery.chosen.every((wanted) => !wanted.size);
+    find("clear").setAttribute("aria-disabled", untouched);
   });
 })();

@@ -12,6 +12,7 @@
   let active = 0;
   let columns = 1;
   let tile_px = 100;
+  let started = false;
 
   const step = () => tile_px + CAPTION_PX + GAP_PX;
 
@@ -96,6 +97,13 @@
     else if (rowTop + step() > innerHeight) scrollBy(0, rowTop + step() - innerHeight + GAP_PX);
   }
 
+  // The best match stands first: bring it into view when the choice changes.
+  function toTop() {
+    const covered = document.querySelector(".top").offsetHeight + GAP_PX;
+    const top = grid.getBoundingClientRect().top;
+    if (top < covered) scrollBy(0, top - covered);
+  }
+
   function open(place) {
     active = place;
     draw();
@@ -151,7 +159,10 @@
     const all = gallery.index.ids.length;
     const part = shown.length === all ? "" : `${shown.length.toLocaleString("en")} of `;
     document.getElementById("count").textContent = `${part}${all.toLocaleString("en")} ${gallery.noun(all)}`;
-    relayout();
+    measure();
+    if (started) toTop();
+    started = true;
+    draw();
   });
 
   gallery.begin.push(() => {

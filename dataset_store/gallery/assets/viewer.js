@@ -83,7 +83,7 @@
     v.camera.position.copy(v.centre).addScaledVector(way, distance);
     v.camera.lookAt(v.centre);
     v.camera.aspect = aspect;
-    v.camera.near = Math.max(0.5, distance - 4 * v.radius);
+    v.camera.near = Math.max(0.01 * v.radius, distance - 4 * v.radius);
     v.camera.far = distance + 8 * v.radius;
     v.camera.updateProjectionMatrix();
     // The lamp hangs beside the viewer's left shoulder wherever the viewer goes.
@@ -224,7 +224,7 @@
     const above = element("button", { type: "button" }, "From above");
     oblique.addEventListener("click", () => place(view, OBLIQUE));
     above.addEventListener("click", () => place(view, ABOVE));
-    const hint = element("span", { class: "caption" }, `grid ${GRID_MM} mm · drag, pinch or arrow keys turn and zoom`);
+    const hint = element("span", { class: "caption" }, `grid ${GRID_MM} mm · drag or arrow keys turn; wheel, pinch or + − zoom; 0 resets`);
     node.append(
       element("div", { class: "stage" }, view.canvas),
       element("div", { class: "controls" }, oblique, above, hint),

@@ -23,7 +23,7 @@ from dataset_store.cards.checks import check_card
 from dataset_store.cards.facts import folder_facts
 from dataset_store.cards.features import yaml_features
 from dataset_store.cards.head import size_category
-from dataset_store.cards.parts import column_type_text, markdown_table
+from dataset_store.cards.parts import column_type_text, markdown_table, megabytes
 from dataset_store.cards.pictures import tile_sheet
 from dataset_store.errors import InputError
 from dataset_store.storage import DataFolder
@@ -206,6 +206,32 @@ def test_a_gap_is_named(folder, gap):
     with (folder / "README.md").open("a") as card:
         card.write(f"\n{gap}\n")
     assert ["expected every gap filled" in problem for problem in problems(folder)] == [True]
+
+
+@pytest.mark.parametrize(
+    "text", ["`export HF_HOME=$HOME/hf`", "noise of $sigma$", "$5", "```\necho $seed\n```", "`echo $rows`"]
+)
+def test_honest_dollars_are_no_gap(folder, text):
+    with (folder / "README.md").open("a") as card:
+        card.write(f"\n{text}\n")
+    assert problems(folder) == []
+
+
+def test_pictures_must_be_among_what_lies_beside_the_card(folder):
+    place = DataFolder(str(folder))
+    assert check_card(place, held={"previews/digits.png"}) == []
+    (found,) = check_card(place, held={"README.md"})
+    assert (found.file, "is no part of what is sent" in found.problem) == ("previews/digits.png", True)
+
+
+def test_little_sizes_do_not_read_as_nothing():
+    assert [megabytes(size) for size in (0, 960, 99_999, 100_000, 12_345_678)] == [
+        "0.0 kB",
+        "1.0 kB",
+        "100.0 kB",
+        "0.10 MB",
+        "12.35 MB",
+    ]
 
 
 def test_a_template_without_a_value_is_an_error():

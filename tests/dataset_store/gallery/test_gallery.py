@@ -315,3 +315,93 @@ def test_item_errors_of_a_task_pass_through(tmp_path):
     tasks = (ToyTask(0, 1, error=ItemError("odd", "an odd one")),)
     with pytest.raises(ItemError, match="an odd one"):
         build(tmp_path / "site", Gallery("toy", "Toys", ("toy", "toys"), (), (), tasks, {"train": 1}))
+
+
+@pytest.mark.parametrize(
+    ("there", "overwrite"),
+    [
+        ("nothing", False),
+        ("nothing", True),
+        ("an empty folder", False),
+        ("an empty folder", True),
+        ("a gallery", True),
+    ],
+)
+def test_files_put_in_its_place_meanwhile_are_kept(tmp_path, there, overwrite):
+    out = tmp_path / "site"
+    if there == "a gallery":
+        build(out)
+    elif there == "an empty folder":
+        out.mkdir()
+
+    def put(done: int, _total: int) -> None:
+        if done == 8:
+            (out / "items").mkdir(parents=True, exist_ok=True)
+            (out / "items" / "thesis.txt").write_text("years of work")
+
+    with pytest.raises(InputError, match=r"no part of a gallery; nothing was changed"):
+        build(out, toy_gallery(16), overwrite=overwrite, on_progress=put)
+    assert (out / "items" / "thesis.txt").read_text() == "years of work"
+    whole = build(tmp_path / "same").files if there == "a gallery" else 0
+    assert len(folder_bytes(out)) == 1 + whole
+    assert entries(tmp_path) == (["same", "site"] if whole else ["site"])
+
+
+@pytest.mark.parametrize("there", [False, True])
+def test_of_two_runs_to_one_place_only_the_first_makes_it(tmp_path, there):
+    out = tmp_path / "site"
+    if there:
+        out.mkdir()
+
+    def another(done: int, _total: int) -> None:
+        if done == 8:
+            build(out, toy_gallery(4))
+
+    with pytest.raises(InputError, match=r"holds a gallery already; nothing was changed"):
+        build(out, on_progress=another)
+    assert len(index_of(out)["ids"]) == 4
+    build(out, overwrite=True)
+    build(out, toy_gallery(9), overwrite=True, on_progress=lambda done, _total: done == 8 and build_over(out))
+    assert len(index_of(out)["ids"]) == 9
+    assert entries(tmp_path) == ["site"]
+    assert len(entries(out / "items")) == 9
+
+
+def build_over(out: Path) -> None:
+    build(out, toy_gallery(4), overwrite=True)
+
+
+def test_a_stranger_that_hides_until_the_end_comes_back(tmp_path, monkeypatch):
+    out = tmp_path / "site"
+    build(out)
+    before = folder_bytes(out)
+    rename = Path.rename
+
+    def late(self: Path, target: Path) -> Path:
+        if self == out / "items":
+            (self / "thesis.txt").write_text("years of work")
+        return rename(self, target)
+
+    monkeypatch.setattr(Path, "rename", late)
+    with pytest.raises(InputError, match=r"'items/thesis.txt', which is no part of a gallery"):
+        build(out, toy_gallery(4), overwrite=True)
+    assert folder_bytes(out) == {**before, "items/thesis.txt": b"years of work"}
+
+
+def test_who_stands_in_the_folder_stays_in_it(tmp_path, monkeypatch):
+    out = tmp_path / "site"
+    out.mkdir()
+    monkeypatch.chdir(out)
+    inode = out.stat().st_ino
+    assert build(Path()).path == str(out)
+    build(Path(), toy_gallery(4), overwrite=True)
+    assert (out.stat().st_ino, len(entries(Path("items")))) == (inode, 4)
+
+
+def test_a_link_stays_a_link(tmp_path):
+    (tmp_path / "link").symlink_to("real")
+    assert build(tmp_path / "link").path == str(tmp_path / "real")
+    build(tmp_path / "link", toy_gallery(4), overwrite=True)
+    assert (tmp_path / "link").is_symlink()
+    assert len(entries(tmp_path / "real" / "items")) == 4
+    assert entries(tmp_path) == ["link", "real"]

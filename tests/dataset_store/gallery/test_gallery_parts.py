@@ -13,7 +13,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from dataset_store.errors import IntegrityError
-from dataset_store.gallery.index import natural_order
+from dataset_store.gallery.index import IndexBuilder, natural_order
+from dataset_store.gallery.items import Facet, Gallery, Item
 from dataset_store.gallery.meshes import STEP_MM, packed_mesh, require_mesh
 from dataset_store.gallery.pictures import THUMBNAIL_PX, thumbnail, top_view
 from dataset_store.gallery.selection import chosen_rows, portions, short_name
@@ -53,7 +54,9 @@ def test_a_packed_mesh_is_the_mesh_to_half_a_step(mesh):
     steps = unpacked(packed["vertices"], corners.size).reshape(3, -1).T
     back_mm = np.array(packed["low_mm"]) + steps * packed["step_mm"]
     assert np.abs(back_mm - corners * 1000).max() <= packed["step_mm"] / 2 + 1e-5
-    assert np.ptp(corners) * 1000 > 655 or packed["step_mm"] == STEP_MM
+    extent_mm = 1000 * np.ptp(corners, axis=0).max()
+    assert packed["step_mm"] == STEP_MM if 10 < extent_mm < 655 else packed["step_mm"] >= 1e-6
+    assert extent_mm < 1e-3 or steps.max() >= 1000
     assert (unpacked(packed["faces"], faces.size).reshape(-1, 3) == faces).all()
 
 
@@ -132,3 +135,15 @@ def test_a_site_does_not_tell_where_the_data_set_lay(tmp_path):
     (tmp_path / "secret" / "digits").mkdir(parents=True)
     assert short_name(str(tmp_path / "secret" / "digits")) == "digits"
     assert short_name("somebody/touches") == "somebody/touches"
+
+
+def test_splits_stand_in_the_order_of_the_data():
+    facets = (Facet("split", "Split"), Facet("label", "Class"))
+    splits = {"train": 1, "test": 1, "holdout": 1}
+    index = IndexBuilder(Gallery("toy", "Toys", ("toy", "toys"), facets, (), (), splits))
+    for split in ("test", "holdout", "train"):
+        index.add(Item(split, split, {"split": (split,), "label": (split,)}, {}, b"", {}))
+    columns = index.to_dict()["facets"]
+    assert columns[0]["values"] == ["train", "test", "holdout"]
+    assert columns[1]["values"] == ["holdout", "test", "train"]
+    assert columns[0]["rows"] == [[1], [2], [0]]

@@ -139,6 +139,21 @@ def test_no_network_and_offline(tmp_path):
     assert "is not in the cache as far as asked for, and HF_HUB_OFFLINE forbids to fetch it" in text
 
 
+def test_offline_forbids_to_upload(tmp_path):
+    text = said("http://127.0.0.1:9", tmp_path, WRITE.format(repo="someone/set"), HF_HUB_OFFLINE="1")
+    assert text.startswith(
+        "4 HubError HF_HUB_OFFLINE forbids uploading to Hub data set 'someone/set'; next: "
+    )
+    assert "cache" not in text
+
+
+@pytest.mark.parametrize("endpoint", ["notaurl", "localhost:1234"])
+def test_an_endpoint_that_is_no_address_is_named(tmp_path, endpoint):
+    text = said(endpoint, tmp_path, "with named_failures('someone/set'): api.dataset_info('someone/set')")
+    assert text.startswith(f"4 HubError HF_ENDPOINT is {endpoint!r}, which is no address")
+    assert "https://huggingface.co" in text
+
+
 def test_a_name_that_is_none(server, tmp_path):
     text = said(server, tmp_path, "with named_failures('a b'): api.dataset_info('a/b/c d')")
     assert text.startswith("2 InputError 'a b' is no name of a repository; next: give USER/NAME")
@@ -233,4 +248,6 @@ def test_scrubbing(text):
 def test_scrubbing_knows_the_token_in_use(monkeypatch):
     monkeypatch.setenv("HF_TOKEN", "no-usual-look")
     assert scrub("said no-usual-look aloud") == "said hf_*** aloud"
+    signed = "PUT https://store.example/a?X-Amz-Signature=secret&X=1 'https://b.c/d?e'"
+    assert scrub(signed) == "PUT https://store.example/a 'https://b.c/d'"
     assert scrub("hf_hub_download of hf://datasets/a/b") == "hf_hub_download of hf://datasets/a/b"

@@ -98,6 +98,24 @@ def test_other_programs_find_the_files_in_the_cache(server, tmp_path):
     assert len(server.fetched) == before
 
 
+ADDRESS = """
+from dataset_store.hub.repository import HubRepository
+print(HubRepository({name!r}).address({path!r}))
+"""
+
+
+def test_a_stream_stays_at_the_commit_that_it_began_with(server, tmp_path):
+    def address() -> str:
+        text = ADDRESS.format(name=BIG, path=SHARD)
+        return run_here(text, settings(server, tmp_path), tmp_path).stdout.strip()
+
+    before, repository = address(), server.repository(BIG)
+    repository.commit({SHARD: repository.blob(SHARD, b"other")}, "the branch moves on")
+    assert address() != before
+    assert stream(server, tmp_path, before) == str(len(CONTENT))
+    assert stream(server, tmp_path, address()) == "5"
+
+
 STREAM = """
 import fsspec
 from dataset_store.errors import ToolkitError

@@ -226,6 +226,79 @@ def test_a_branch_is_made_and_main_stays(server, folder):
     assert upload(folder, revision="next", tag="v2").tags == ()
 
 
+def test_a_new_branch_is_compared_with_where_it_starts(server, folder, capfd):
+    first = upload(folder)
+    server.requests.clear()
+    result = upload(folder, revision="same")
+    assert (result.sent, result.commit) == ((), first.commit)
+    assert server.repository(NAME).branches["same"] == first.commit
+    assert [r.path for r in server.requests if r.method == "POST"] == [f"/api/datasets/{NAME}/branch/same"]
+    with (folder / "README.md").open("a") as card:
+        card.write("\nMore.\n")
+    prepared = prepare_upload(str(folder), NAME, UploadOptions(revision="more"))
+    assert [file.path for file in prepared.plan.to_send] == ["README.md"]
+    assert run_upload(prepared).sent == ("README.md",)
+    assert server.repository(NAME).head.sha == first.commit
+    assert capfd.readouterr().err == "", "the client library spoke for itself"
+
+
+def test_branches_and_tags_do_not_share_names(server, folder):
+    first = upload(folder, tag="v1")
+    upload(folder, revision="next")
+    server.requests.clear()
+    for options, words in (
+        ({"revision": "v1"}, "--revision v1: of 'someone/stars' that is a tag"),
+        ({"tag": "next"}, "--tag next: of 'someone/stars' that is a branch"),
+        ({"tag": "main"}, "--tag main is the name of the branch that is written to"),
+        ({"revision": "next", "tag": "next"}, "--tag next is the name of the branch"),
+        ({"revision": first.commit}, f"--revision {first.commit} is the name of a commit"),
+        ({"tag": first.commit}, "is the name of a commit"),
+        ({"revision": "refs/pr/1", "tag": "v2"}, "--revision refs/pr/1 and --tag v2 exclude each other"),
+    ):
+        with pytest.raises(InputError, match=words):
+            upload(folder, **options)
+    assert {request.method for request in server.requests} == {"GET"}
+    assert set(server.repository(NAME).branches) == {"main", "next"}
+
+
+@pytest.mark.parametrize("name", ["stars", "someone/", "a/b/c", "", "someone/my stars", "https://a.b/c/d"])
+def test_what_is_no_name_is_refused_before_anything_is_asked(server, folder, name):
+    with pytest.raises(InputError, match="is no name of a repository; next: give USER/NAME"):
+        upload(folder, name)
+    assert server.requests == []
+    assert server.repositories == {}
+
+
+def test_the_client_is_hushed_and_told_once(server, folder, capfd):
+    told: list[str] = []
+    server.faults.fail("/lfs/*", 500, times=1)
+    run_upload(prepare_upload(str(folder), NAME, on_wait=told.append))
+    assert_holds(server, folder)
+    assert capfd.readouterr().err == ""
+    (line,) = told
+    assert line.startswith(
+        "the Hub's client says: HTTP Error 500 thrown while requesting PUT http://127.0.0.1"
+    )
+    assert "/lfs/" not in line
+
+
+def test_a_picture_that_stays_behind_is_named(server, folder):
+    (folder / "pictures").mkdir()
+    shutil.copy(folder / "previews" / "scenes.png", folder / "pictures" / "mine.png")
+    card = folder / "README.md"
+    before = card.read_text()
+    card.write_text(before + "\n![mine](pictures/mine.png)\n")
+    with pytest.raises(IntegrityError, match=r"pictures/mine.png is shown by README.md and is no part"):
+        upload(folder)
+    assert server.repositories == {}
+    card.write_text(before + "\n![ours](./previews/scenes.png)\n")
+    upload(folder)
+    card.unlink()
+    with pytest.raises(IntegrityError, match=r"README\.md is missing; next: write it") as refused:
+        upload(folder)
+    assert str(refused.value).count("next: ") == 1
+
+
 def test_a_pull_request_is_opened_once(server, folder):
     upload(folder)
     with (folder / "README.md").open("a") as card:

@@ -56,6 +56,34 @@ def ink(pixels: np.ndarray) -> np.ndarray:
     return (pixels == INK).all(axis=2)
 
 
+# ---------------------------------------------------------------- words
+
+
+@pytest.mark.parametrize(
+    ("written", "as_if"),
+    [
+        ("Größe: café, Łódź, ﬁn", "Grosse: cafe, Lodz, fin"),
+        ("u\u0308ber 5 µm \N{EN DASH} 3 \N{MULTIPLICATION SIGN} 4", "uber 5 um - 3 x 4"),
+        ("数字 ☃ \n", "?? ? ?"),
+        ("plain (a-z) «©» 5 cm³", "plain (a-z) «©» 5 cm³"),
+    ],
+)
+def test_letters_that_the_font_lacks_are_written_in_plain_ones(written, as_if):
+    titled = [sheet([None], Sheet(1, title, (title,))) for title in (written, as_if)]
+    assert np.array_equal(*titled)
+    assert text_size(written, 16) == text_size(as_if, 16)
+
+
+def test_the_font_has_every_letter_that_is_left():
+    from PIL import ImageFont
+
+    from dataset_store.pictures.lettering import _LETTERS
+
+    font = ImageFont.load_default(40)
+    absent = bytes(font.getmask("\N{SNOWMAN}"))
+    assert [letter for letter in sorted(_LETTERS) if bytes(font.getmask(letter)) == absent] == []
+
+
 # ---------------------------------------------------------------- files
 
 

@@ -240,6 +240,30 @@ def test_plots_do_not_depend_on_the_settings_of_the_machine(matplotlib, tmp_path
 
 
 @pytest.mark.pictures
+@pytest.mark.parametrize("words", ["short", "a rather long name of a data set " * 4, "x" * 400, "$x$ 数字"])
+def test_titles_of_plots_are_seen_whole(matplotlib, words):
+    from dataset_store.pictures.plots import Bars, plot_bars
+
+    drawn = plot_bars([Bars("panel", ("a",), (1,), "class", "rows")], words)
+    assert (drawn[:, -3:] == 255).all()
+    assert (drawn[:12, :300] != 255).any()
+
+
+@pytest.mark.pictures
+def test_a_legend_of_many_groups_is_seen_whole(matplotlib):
+    from dataset_store.pictures.plots import Points, plot_points
+
+    groups = tuple(f"gel {number}" for number in range(60))
+    few, many = (
+        plot_points(Points("t", "x", "y", np.arange(count), np.arange(count), groups[:count]))
+        for count in (10, 60)
+    )
+    for drawn in (few, many):
+        assert all((edge == 255).all() for edge in (drawn[-3:], drawn[:, -3:]))
+    assert many.shape[1] > few.shape[1]
+
+
+@pytest.mark.pictures
 def test_plots_leave_no_global_state(matplotlib):
     import matplotlib as library
 

@@ -13,6 +13,8 @@ from xml.etree import ElementTree
 import manifold3d
 import numpy as np
 import pytest
+import shapely
+import shapely.affinity
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from PIL import Image
@@ -21,6 +23,7 @@ from dataset_store.errors import InputError
 from dataset_store.mesh import Mesh
 from dataset_store.printing.layout import Layout, Placed, arrange, measure
 from dataset_store.printing.objects import PrintObject, standing
+from dataset_store.printing.plate_map import draw_map
 from dataset_store.printing.plate_spec import PlateSpec
 from dataset_store.printing.plates import forecast_plates, write_plates
 from dataset_store.printing.tags import tag_mesh
@@ -31,6 +34,16 @@ from tests.dataset_store.toy import folder_bytes
 
 CORE = "{http://schemas.microsoft.com/3dmanufacturing/core/2015/02}"
 FEW = [ell(40, 9), ring(20, 14), box(20, 12), ell(30, 12), box(8, 50), ring(11, 5), box(13, 13)]
+GROUPS = [
+    mesh_of(
+        manifold3d.Manifold.cube((8, 8, 5))
+        + manifold3d.Manifold.cube((6, 9, 5)).translate((40, 4, 0))
+        + manifold3d.Manifold.cylinder(5, 6).translate((18, 40, 0))
+    ),
+    mesh_of(
+        manifold3d.Manifold.cube((5, 30, 5)) + manifold3d.Manifold.cube((5, 30, 5)).translate((30, 10, 0))
+    ),
+]
 SMALL = PlateSpec(100, 80, 3.0)
 TAGGED = PlateSpec(100, 80, 3.0, label=True)
 
@@ -69,7 +82,8 @@ def meshes(draw: st.DrawFn) -> list[Mesh]:
 def test_objects_keep_the_gap_the_pose_and_to_the_plate(
     shapes: list[Mesh], gap_mm: float, label: bool
 ) -> None:
-    spec = PlateSpec(90.5, 61, gap_mm, label)
+    spec = PlateSpec(90.5, 61, gap_mm, label and gap_mm > 0)
+    label = spec.label
     layout = lay_out(named(shapes), spec)
     placed = [item for plate in layout.plates for item in plate]
     assert sorted(item.item.id for item in placed) == list(range(len(shapes)))
@@ -108,6 +122,110 @@ def test_a_tag_is_nearest_to_its_own_object() -> None:
 def test_a_tag_moves_into_a_bay() -> None:
     (piece,) = measure(named([ring(30, 24)]), PlateSpec(60, 60, label=True)).pieces
     assert piece.cells.shape == measure(named([ring(30, 24)]), PlateSpec(60, 60)).pieces[0].cells.shape
+
+
+def polygon_of(placed: Placed) -> Any:
+    """What an object covers of its plate, as shapely has it."""
+    rings = [np.add(ring, (placed.x_mm, placed.y_mm)) for ring in placed.outline.rings]
+    whole = shapely.Polygon()
+    for ring_mm in sorted(rings, key=lambda ring_mm: -shapely.Polygon(ring_mm).area):
+        whole = whole.symmetric_difference(shapely.Polygon(ring_mm))
+    return whole
+
+
+@settings(max_examples=40)
+@given(
+    shapes=st.lists(st.sampled_from([*FEW, *GROUPS]), min_size=2, max_size=6),
+    gap_mm=st.one_of(st.floats(0.2, 2), st.floats(2, 40)),
+)
+def test_a_tag_lies_nearer_to_its_object_than_to_any_other(shapes: list[Mesh], gap_mm: float) -> None:
+    spec = PlateSpec(170, 150, gap_mm, label=True)
+    for plate in lay_out(named(shapes), spec).plates:
+        bodies = [polygon_of(placed) for placed in plate]
+        for place, placed in enumerate(plate):
+            tag = placed.tag
+            assert tag is not None
+            sides = shapely.box(tag.x_mm, tag.y_mm, tag.x_mm + tag.width_mm, tag.y_mm + tag.depth_mm)
+            distances = [body.distance(sides) for body in bodies]
+            own = distances.pop(place)
+            assert spec.tag_gap_mm - 1e-6 <= own < 0.8 * gap_mm
+            assert min(distances, default=gap_mm) >= gap_mm - 1e-6
+
+
+@settings(max_examples=25)
+@given(
+    shapes=st.lists(st.sampled_from([*GROUPS, box(6, 6), ring(11, 5)]), min_size=2, max_size=8),
+    gap_mm=st.sampled_from([0.0, 1.0, 3.0]),
+    label=st.booleans(),
+)
+def test_nothing_stands_among_the_parts_of_another_object(
+    shapes: list[Mesh], gap_mm: float, label: bool
+) -> None:
+    spec = PlateSpec(110, 100, gap_mm, label and gap_mm > 0)
+    for plate in lay_out(named(shapes), spec).plates:
+        for one, other in itertools.permutations(plate, 2):
+            if one.outline.parts > 1:
+                apart_mm = polygon_of(one).convex_hull.distance(polygon_of(other))
+                assert apart_mm >= gap_mm - 1e-6
+
+
+def test_the_map_shows_which_parts_belong_together(tmp_path: Path) -> None:
+    """All ground among the parts of an object is white, and not the colour of the plate."""
+    ((placed,),) = lay_out(named(GROUPS[:1]), SMALL).plates
+    write_plates(lay_out(named(GROUPS[:1]), SMALL), str(tmp_path))
+    picture = np.asarray(Image.open(tmp_path / "plate-01.png").convert("RGB"))
+    px_per_mm = 1200 / 100
+    between = shapely.affinity.scale(polygon_of(placed).convex_hull, 0.98, 0.98) - polygon_of(placed).buffer(
+        1
+    )
+    points = [point for point in grid_points(90, 70) if between.contains(shapely.Point(point))]
+    assert len(points) > 20
+    seen = [picture[int(60 + (80 - y) * px_per_mm), int(60 + x * px_per_mm)] for x, y in points]
+    assert (np.array(seen) >= 250).all()
+
+
+def grid_points(width_mm: int, depth_mm: int) -> list[tuple[float, float]]:
+    return [(x + 0.5, y + 0.5) for x in range(0, width_mm, 2) for y in range(0, depth_mm, 2)]
+
+
+@pytest.mark.parametrize("gap_mm", [0.0, 0.1])
+def test_tags_without_room_between_objects_are_refused(gap_mm: float) -> None:
+    with pytest.raises(InputError, match=r"--label with --gap .*next: --gap 0\.2"):
+        PlateSpec(100, 100, gap_mm, label=True)
+
+
+def test_tags_that_would_be_the_same_are_refused() -> None:
+    twice = [*named([box(5, 5)], "test"), *named([box(6, 6)], "train")]
+    with pytest.raises(InputError, match="test-0-00000 and train-0-00000 have the same id 0"):
+        lay_out(twice, TAGGED)
+    assert len(lay_out(twice, SMALL).plates[0]) == 2
+
+
+@pytest.mark.parametrize(
+    ("plate", "shape"),
+    [
+        ("256x256", (1320, 1320)),
+        ("1000x70", (400, 4120)),
+        ("70x1000", (4120, 400)),
+        ("10000x10000", (4120, 4120)),
+        ("5x5", (1320, 1320)),
+    ],
+)
+def test_pixels_of_maps_grow_with_the_plate(plate: str, shape: tuple[int, int]) -> None:
+    spec = PlateSpec.parse(plate)
+    picture = np.asarray(Image.open(io.BytesIO(draw_map((), spec, "empty", ()))).convert("L"))
+    assert picture.shape[0] == shape[0]
+    assert shape[1] <= picture.shape[1] <= shape[1] + 60
+    # The plate is paper with lines on it, not lines alone.
+    middle = picture[60 : shape[0] - 60, 60 : shape[1] - 60]
+    assert (middle > 235).mean() > 0.8
+
+
+def test_words_on_a_map_name_the_split_where_ids_are_shared() -> None:
+    ((placed,),) = lay_out(named([box(40, 40)]), SMALL).plates
+    plain = draw_map([placed], SMALL, "", ["0"])
+    assert draw_map([placed], SMALL, "", ["0"], shared=[7]) == plain
+    assert draw_map([placed], SMALL, "", ["0"], shared=[placed.item.id]) != plain
 
 
 def test_outlines_pack_tighter_than_boxes() -> None:
@@ -248,7 +366,7 @@ def test_the_map_shows_every_object_where_it_lies(tmp_path: Path) -> None:
 
 
 def test_going_on_keeps_plates_and_overwriting_leaves_no_stale_ones(tmp_path: Path) -> None:
-    many, few = lay_out(named(FEW), SMALL), lay_out(named(FEW[:2]), SMALL)
+    many, few = lay_out(named([*FEW, *FEW]), SMALL), lay_out(named(FEW[:2]), SMALL)
     out = str(tmp_path)
     write_plates(many, out)
     whole = folder_bytes(tmp_path)
@@ -261,10 +379,14 @@ def test_going_on_keeps_plates_and_overwriting_leaves_no_stale_ones(tmp_path: Pa
     with pytest.raises(InputError, match="--overwrite"):
         write_plates(few, out)
     assert folder_bytes(tmp_path) == whole
-    (tmp_path / "mine.txt").write_text("keep")
-    write_plates(few, out, overwrite=True)
+    for name in ("mine.txt", "plate-2024.png", "plate-77.3mf"):
+        (tmp_path / name).write_text("keep")
+    view = forecast_plates(few, out, overwrite=True)
+    made = write_plates(few, out, overwrite=True)
+    assert "plate-02.3mf" in made.removed
+    assert made.removed == view.removed
     assert {path.name for path in tmp_path.iterdir()} == {
-        "mine.txt",
+        *("mine.txt", "plate-2024.png", "plate-77.3mf"),
         "plates.csv",
         "plate-01.3mf",
         "plate-01.png",
@@ -289,6 +411,27 @@ def test_a_plate_that_reads_back_otherwise_is_removed_and_not_in_the_table(tmp_p
     assert "odd reaches beyond the plate; the file was removed" in failure.detail
     assert made.rows == ()
     assert [path.name for path in tmp_path.iterdir()] == ["plates.csv"]
+
+
+@pytest.mark.parametrize("table", ["", "file\n../mine.3mf\nmine.3mf\nplate-1.3mf\n", "a,b\n1\n"])
+def test_a_table_of_another_kind_removes_nothing(table: str, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    out.mkdir()
+    (out / "plates.csv").write_text(table)
+    others = [tmp_path / "mine.3mf", out / "mine.3mf", out / "plate-1.3mf"]
+    for path in others:
+        path.write_text("keep")
+    assert write_plates(lay_out(named(FEW[:1]), SMALL), str(out), overwrite=True).removed == ()
+    assert all(path.read_text() == "keep" for path in others)
+
+
+def test_forecast_says_what_stands_in_the_way(tmp_path: Path) -> None:
+    write_plates(lay_out(named(FEW), SMALL), str(tmp_path))
+    with pytest.raises(InputError, match="--overwrite"):
+        forecast_plates(lay_out(named(FEW[:2]), SMALL), str(tmp_path))
+    (tmp_path / "file").write_text("")
+    with pytest.raises(InputError, match="is a file"):
+        forecast_plates(lay_out(named(FEW), SMALL), str(tmp_path / "file"), overwrite=True)
 
 
 def test_forecast_says_what_will_be_written() -> None:

@@ -130,6 +130,24 @@ def test_other_content_is_refused_before_anything_is_written(tmp_path: Path) -> 
     }
 
 
+def test_what_stood_under_the_name_of_a_failed_object_is_removed(tmp_path: Path) -> None:
+    export_files(named([box(5, 5), box(7, 7)]), str(tmp_path))
+    made = export_files(named([box(5, 5), open_box(5, 5)]), str(tmp_path), overwrite=True)
+    (failure,) = made.failures
+    assert "test-1-00001.stl of an earlier export was removed" in failure.detail
+    assert [path.name for path in tmp_path.iterdir()] == ["test-0-00000.stl"]
+
+
+def test_forecast_says_what_stands_in_the_way_and_what_is_no_solid(tmp_path: Path) -> None:
+    export_files(named(SHAPES), str(tmp_path), scale=2)
+    before = folder_bytes(tmp_path)
+    with pytest.raises(InputError, match="--overwrite"):
+        forecast_files(named(SHAPES), out=str(tmp_path))
+    view = forecast_files(named([box(5, 5), open_box(5, 5)]), out=str(tmp_path), overwrite=True)
+    assert (view.files, [failure.name for failure in view.failures]) == (1, ["test-1-00001"])
+    assert folder_bytes(tmp_path) == before
+
+
 def test_forecast_is_near_the_truth_and_writes_nothing(tmp_path: Path) -> None:
     objects = named(SHAPES * 10)
     view = forecast_files(objects, "stl")
@@ -158,9 +176,13 @@ def test_bad_places_and_formats_are_named(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("text", "numbers"), [("3", [3]), ("3, 17,40-42", [3, 17, 40, 41, 42]), ("-5", [-5]), ("7-7", [7])]
+    ("text", "numbers"),
+    [
+        *(("3", [3]), ("3, 17,40-42", [3, 17, (40, 42)]), ("-5", [-5]), ("7-7", [(7, 7)])),
+        ("0-99999999999999999999", [(0, 10**20 - 1)]),
+    ],
 )
-def test_ids_are_numbers_and_ranges(text: str, numbers: list[int]) -> None:
+def test_ids_are_numbers_and_ranges(text: str, numbers: list[int | tuple[int, int]]) -> None:
     assert parse_ids(text) == numbers
 
 

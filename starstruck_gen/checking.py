@@ -1,0 +1,137 @@
+"""Proving one stored scene the long way: from its triangles, with manifold3d."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from dataset_store.errors import InputError
+from dataset_store.mesh import MM_PER_M, Mesh
+from dataset_store.soundness import judge
+from starstruck_gen.dataset import SceneRecord
+from starstruck_gen.rows import CLASS_NAMES
+from starstruck_gen.shapes import outline
+from starstruck_gen.stamping import stamp
+
+__all__ = ["check_scene", "inspect_scene"]
+
+_VOLUME_TOLERANCE = 1e-9
+"""Relative difference of two volumes that double precision explains."""
+
+_PLACE_TOLERANCE_M = 1e-7
+"""How far a stored corner may lie from the declared object: other processors round in other ways."""
+
+
+def check_scene(record: SceneRecord, names: Sequence[str] = CLASS_NAMES) -> str | None:
+    """Prove one stored scene.
+
+    The triangles bound solids; the volumes of the solids add up to that of their union, so that none overlap;
+    they stand on z = 0; there is one for each declared object, and it is that object; there are as many stars
+    as the class says.
+
+    Parameters
+    ----------
+    record : SceneRecord
+        The scene. One without declared objects (the published data set) is held to its solids alone.
+    names : sequence of str
+        Names of the classes.
+
+    Returns
+    -------
+    str or None
+        What is wrong; None when all holds.
+    """
+    return inspect_scene(record, names)[0]
+
+
+def inspect_scene(record: SceneRecord, names: Sequence[str] = CLASS_NAMES) -> tuple[str | None, int]:
+    """Return what is wrong with a scene, as :func:`check_scene` does, and how many bodies it has."""
+    mesh = Mesh(record.vertices_m, record.faces)
+    verdict = judge(mesh)
+    if verdict.problem is not None:
+        return f"{verdict.problem}: {verdict.detail}", verdict.bodies
+    solids = verdict.manifold.decompose()
+    problem = (
+        _overlapping(solids)
+        or _afloat(mesh, solids)
+        or _undeclared(mesh, verdict.bodies, record)
+        or _miscounted(record, names)
+    )
+    return problem, verdict.bodies
+
+
+def _overlapping(bodies: Sequence[Any]) -> str | None:
+    import manifold3d
+
+    apart_mm3 = sum(body.volume() for body in bodies)
+    union_mm3 = manifold3d.Manifold.batch_boolean(bodies, manifold3d.OpType.Add).volume()
+    if abs(apart_mm3 - union_mm3) <= _VOLUME_TOLERANCE * apart_mm3:
+        return None
+    return (
+        f"bodies overlap: their volumes add up to {apart_mm3:.6f} mm^3, their union has {union_mm3:.6f} mm^3"
+    )
+
+
+def _afloat(mesh: Mesh, bodies: Sequence[Any]) -> str | None:
+    lowest_m = float(mesh.bounds_m[0, 2])
+    if lowest_m != 0.0:
+        return f"the lowest point is at z = {lowest_m} m; expected 0"
+    standing = [body for body in bodies if body.volume() > 0]  # the others are hollows inside them
+    for number, body in enumerate(standing, start=1):
+        lowest_m = body.bounding_box()[2] / MM_PER_M
+        if lowest_m > _PLACE_TOLERANCE_M:
+            return (
+                f"the lowest point of body {number} of {len(standing)} is at z = {lowest_m:g} m; expected 0"
+            )
+    return None
+
+
+def _undeclared(mesh: Mesh, bodies: int, record: SceneRecord) -> str | None:
+    if not record.has_placements:
+        return None
+    strange = _strange(record)
+    if strange is not None:
+        return strange
+    if bodies != len(record.placements):
+        return f"{bodies} bodies stand there, {len(record.placements)} objects are declared"
+    declared = stamp([record.placements])[0]
+    same = declared.vertices_m.shape == mesh.vertices_m.shape and np.array_equal(declared.faces, mesh.faces)
+    if not same or not np.abs(declared.vertices_m - mesh.vertices_m).max() <= _PLACE_TOLERANCE_M:
+        return "the mesh is not that of the declared objects"
+    return _turned(mesh)
+
+
+def _turned(mesh: Mesh) -> str | None:
+    """Return what is wrong with caps that face into their prism: a solid of many triangles can hide it."""
+    corners = mesh.vertices_m.astype(np.float64)[mesh.faces]
+    level = (corners[:, :, 2] == corners[:, :1, 2]).all(axis=1)
+    a, b, c = np.moveaxis(corners[level], 1, 0)
+    doubled = (b - a)[:, 0] * (c - a)[:, 1] - (b - a)[:, 1] * (c - a)[:, 0]
+    wrong = int((np.where(a[:, 2] > 0, doubled, -doubled) <= 0).sum())
+    return f"{wrong} triangles of flat faces are turned over or have no area" if wrong else None
+
+
+def _strange(record: SceneRecord) -> str | None:
+    """Return what is wrong with a declared shape that nobody can draw."""
+    try:
+        for placement in record.placements:
+            outline(placement.shape)
+    except InputError as error:
+        return f"an object is declared that cannot be: {error}"
+    return None
+
+
+def _miscounted(record: SceneRecord, names: Sequence[str]) -> str | None:
+    declared = record.star_count
+    if not 0 <= record.label < len(names) or names[record.label] != str(declared):
+        return f"{declared} stars are declared, the class is {record.label} of {', '.join(names)}"
+    if not record.has_placements:
+        return None
+    stars = sum(placement.is_star for placement in record.placements)
+    others = len(record.placements) - stars
+    if stars != declared or others != record.distractor_count:
+        expected = f"{declared} and {record.distractor_count}"
+        return f"{stars} stars and {others} others stand there, {expected} are declared"
+    return None

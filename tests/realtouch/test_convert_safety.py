@@ -1,0 +1,263 @@
+"""Conversions harm nothing: not their source, not a finished set, not what lies outside the folder."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+
+import realtouch
+from dataset_store.errors import InputError, IntegrityError, SpecMismatchError
+from dataset_store.shards import sha256_hex
+from tests.dataset_store.toy import folder_bytes
+from tests.realtouch import factories
+from tests.realtouch.factories import Layout, RoundTruth
+
+Edit = Callable[[dict[str, Any], int], None]
+
+
+def edited(folder: Path, rows: list[dict], kind: str, edit: Edit) -> Path:
+    return factories.write_set(folder, {"train": rows}, kind, Layout(edit=edit))
+
+
+def with_ids(*names: str) -> Edit:
+    def edit(row: dict[str, Any], index: int) -> None:
+        row["id"] = names[index]
+
+    return edit
+
+
+def cut_pictures(*rounds: int) -> Edit:
+    """Cut a picture of some rounds short."""
+
+    def edit(row: dict[str, Any], index: int) -> None:
+        if index in rounds:
+            column = "sensor_image" if "sensor_image" in row else "sensor_video"
+            blobs = [dict(blob) for blob in row[column]]
+            blobs[3]["bytes"] = blobs[3]["bytes"][: len(blobs[3]["bytes"]) * 2 // 3]
+            row[column] = blobs
+
+    return edit
+
+
+def spoil_last_contact(row: dict[str, Any], index: int) -> None:
+    """Overwrite a part of each frame of one clip: the clip can be opened, its frames are damaged."""
+    if index == 1:
+        clips = [dict(clip) for clip in row["sensor_video"]]
+        data = bytearray(clips[2]["bytes"])
+        start = data.find(b"\xff\xd8\xff")
+        while start >= 0:
+            data[start + 200 : start + 204] = b"\xff\xd9\xff\xd9"
+            start = data.find(b"\xff\xd8\xff", start + 3)
+        clips[2]["bytes"] = bytes(data)
+        row["sensor_video"] = clips
+
+
+@pytest.fixture
+def small(single_folder: Path, tmp_path: Path) -> Path:
+    realtouch.resize(single_folder, tmp_path / "small", 48, 36)
+    return tmp_path / "small"
+
+
+def test_a_source_is_never_written_over(small: Path, tmp_path: Path) -> None:
+    before = folder_bytes(small)
+    (tmp_path / "link").symlink_to(small)
+    linked = tmp_path / "linked"
+    (linked / "data").mkdir(parents=True)
+    for shard in (small / "data").iterdir():
+        (linked / "data" / shard.name).symlink_to(shard)
+    for source, out in (
+        (small, small),
+        (small, tmp_path / "link"),
+        (tmp_path / "link", small),
+        (linked, small),
+        (next((small / "data").glob("train-*")), small),
+        (small, tmp_path),
+    ):
+        for overwrite in (False, True):
+            with pytest.raises(InputError, match=r"holds the source .*; nothing was changed"):
+                realtouch.resize(source, out, 32, 24, overwrite=overwrite)
+    for out in (small / "inside", tmp_path / "link" / "inside"):
+        with pytest.raises(InputError, match=r"lies in the source .*; nothing was changed"):
+            realtouch.resize(small, out, 32, 24)
+    assert folder_bytes(small) == before
+
+
+def test_a_file_may_be_converted_into_a_folder_beside_it(single_folder: Path, tmp_path: Path) -> None:
+    file = tmp_path / "test-00000-of-00001.parquet"
+    file.write_bytes((single_folder / "data" / file.name).read_bytes())
+    manifest = realtouch.resize(file, tmp_path / "small", 32, 24)
+    assert manifest.splits == ("test",)  # held-out rounds never become rounds to train on
+    with pytest.raises(InputError, match="no split 'holdout'"):
+        realtouch.load(file, "holdout")
+    assert len(realtouch.load(file)) == len(realtouch.load(file, "test")) == 1
+
+
+def test_a_conversion_that_fails_gives_the_finished_set_back(
+    small: Path, single_rows: list[dict], tmp_path: Path
+) -> None:
+    before = folder_bytes(small)
+    damaged = edited(tmp_path / "damaged", single_rows, "single", cut_pictures(0, 1, 2))
+    with pytest.raises(IntegrityError, match="no row is left: all 3 were left out"):
+        realtouch.frames(damaged, small, overwrite=True)
+    assert folder_bytes(small) == before
+
+
+@pytest.mark.parametrize("name", ["resize", "frames", "frames-jpeg", "to_single"])
+def test_nothing_is_left_of_a_source_in_which_all_is_damaged(
+    name: str, single_rows: list[dict], seq_rows: list[dict], tmp_path: Path
+) -> None:
+    kind, rows = ("seq", seq_rows) if name == "to_single" else ("single", single_rows)
+    source = edited(tmp_path / "source", rows, kind, cut_pictures(0, 1, 2))
+    options = {"resize": (32, 24), "frames-jpeg": ("jpeg",)}.get(name, ())
+    with pytest.raises(IntegrityError, match=r"no row is left.* row 0, touch 3, field 'sensor_"):
+        getattr(realtouch, name.partition("-")[0])(source, tmp_path / "out", *options)
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize("kind", ["png", "jpeg"])
+def test_pictures_of_damaged_rounds_are_left_out(kind: Any, single_rows: list[dict], tmp_path: Path) -> None:
+    source = edited(tmp_path / "source", single_rows, "single", cut_pictures(1))
+    manifest = realtouch.frames(source, tmp_path / "out", kind)
+    assert manifest.split_table()["train"]["rows"] == 10
+    (skipped,) = manifest.receipts[0].skipped
+    assert (skipped.id, skipped.reason) == (1, "damaged")
+    assert "row 1, touch 3, field 'sensor_image'" in skipped.message
+    assert len(list((tmp_path / "out" / "images").rglob("*.*g"))) == 10
+    assert realtouch.verify(tmp_path / "out").ok
+
+
+@pytest.mark.parametrize("name", ["frames", "to_single"])
+def test_a_damaged_frame_does_not_pass_through(name: str, seq_rows: list[dict], tmp_path: Path) -> None:
+    source = edited(tmp_path / "source", seq_rows, "seq", spoil_last_contact)
+    manifest = getattr(realtouch, name)(source, tmp_path / "out")
+    (skipped,) = manifest.receipts[0].skipped
+    assert skipped.id == 1
+    assert "row 1, touch 2, field 'sensor_video': frame" in skipped.message
+    assert realtouch.verify(tmp_path / "out").ok
+
+
+def test_what_is_no_picture_is_found_though_its_checksum_is_right(small: Path, tmp_path: Path) -> None:
+    realtouch.frames(small, tmp_path / "out", "jpeg")
+    assert realtouch.verify(tmp_path / "out").ok
+    picture = next((tmp_path / "out" / "images").rglob("*.jpg"))
+    cut = picture.read_bytes()[:-40]
+    picture.write_bytes(cut)
+    name = str(picture.relative_to(tmp_path / "out"))
+    for shard in (tmp_path / "out" / "data").iterdir():
+        lines = pq.ParquetFile(shard).read().to_pylist()
+        for line in lines:
+            line["sha256"] = sha256_hex(cut) if line["file"] == name else line["sha256"]
+        pq.write_table(pa.Table.from_pylist(lines, schema=pq.read_schema(shard)), shard)
+    wrong = {finding.file: finding.problem for finding in realtouch.verify(tmp_path / "out").findings}
+    assert "cannot be decoded" in wrong[name]
+
+
+@pytest.mark.parametrize(
+    "name",
+    ["../../../escaped", "/tmp/escaped", "..", ".", "", "a/b", "a\\b", "x" * 300, "x\0y", "two\nlines"],
+)
+def test_ids_that_are_no_file_names_are_left_out(name: str, single_rows: list[dict], tmp_path: Path) -> None:
+    source = edited(tmp_path / "source", single_rows, "single", with_ids("good", name, "日本 ü.1"))
+    inside = tmp_path / "deep" / "in" / "here"
+    manifest = realtouch.frames(source, inside)
+    assert manifest.split_table()["train"]["rows"] == 10
+    (skipped,) = manifest.receipts[0].skipped
+    assert skipped.id == 1
+    assert "row 1, field 'id'" in skipped.message
+    assert "cannot name a folder" in skipped.message
+    assert {path.name for path in (inside / "images" / "train").iterdir()} == {"good", "日本 ü.1"}
+    assert [path.name for path in (tmp_path / "deep").iterdir()] == ["in"]
+
+
+def test_ids_that_come_again_are_left_out(single_rows: list[dict], tmp_path: Path) -> None:
+    source = edited(tmp_path / "source", single_rows, "single", with_ids("same", "other", "same"))
+    manifest = realtouch.frames(source, tmp_path / "out", "jpeg", workers=2)
+    (skipped,) = manifest.receipts[0].skipped
+    assert skipped.id == 2
+    assert "'same' stands in an earlier round of split 'train'" in skipped.message
+    record = realtouch.load(source)[0]
+    first = tmp_path / "out" / "images" / "train" / "same" / "000.jpg"
+    assert first.read_bytes() == bytes(record.sensor_image.encoded(0))
+
+
+def test_a_folder_of_pictures_becomes_another_set(
+    seq_folder: Path, single_folder: Path, tmp_path: Path
+) -> None:
+    out, fresh = tmp_path / "out", tmp_path / "fresh"
+    realtouch.frames(seq_folder, out, "jpeg")
+    (out / "mine.txt").write_text("mine")
+    before = folder_bytes(out)
+    with pytest.raises(InputError, match=r"found 'mine\.txt'\); nothing was changed"):
+        realtouch.to_single(seq_folder, out, overwrite=True)
+    assert folder_bytes(out) == before
+    (out / "mine.txt").unlink()
+    realtouch.to_single(seq_folder, out, overwrite=True)
+    realtouch.to_single(seq_folder, fresh)
+    assert folder_bytes(out) == folder_bytes(fresh)
+    realtouch.frames(single_folder, out, overwrite=True)
+    assert realtouch.verify(out).ok
+
+
+@pytest.mark.parametrize("damage", ["remove", "change"])
+def test_running_again_mends_pictures(damage: str, single_folder: Path, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    realtouch.frames(single_folder, out)
+    whole = folder_bytes(out)
+    victim = sorted((out / "images" / "train").rglob("*.png"))[4]
+    if damage == "remove":
+        victim.unlink()
+    else:
+        victim.write_bytes(b"other")
+    assert not realtouch.verify(out).ok
+    made: list[int] = []
+    realtouch.frames(single_folder, out, on_progress=lambda progress: made.append(progress.total))
+    assert made[0] == 3  # the rounds of the train shard; that of the test split is whole
+    assert folder_bytes(out) == whole
+    assert realtouch.verify(out).ok
+
+
+def test_one_split_alone(single_folder: Path, tmp_path: Path) -> None:
+    manifest = realtouch.resize(single_folder, tmp_path / "one", 32, 24, split="test")
+    assert {split: entry["rows"] for split, entry in manifest.split_table().items()} == {"test": 1}
+    with pytest.raises(InputError, match="no split 'valid'"):
+        realtouch.resize(single_folder, tmp_path / "two", 32, 24, split="valid")
+    with pytest.raises(SpecMismatchError, match=r"source\.train is none there, 2 files"):
+        realtouch.resize(single_folder, tmp_path / "one", 32, 24)
+
+
+def test_options_of_numpy_and_paths(single_folder: Path, tmp_path: Path) -> None:
+    realtouch.select(single_folder, tmp_path / "a", objects=np.array([4001]), limit=np.int64(1))
+    realtouch.select(str(single_folder), str(tmp_path / "b"), objects=[4001], limit=1)
+    assert folder_bytes(tmp_path / "a") == folder_bytes(tmp_path / "b")
+    with pytest.raises(InputError, match=r"objects holds 1\.5; expected whole numbers"):
+        realtouch.select(single_folder, tmp_path / "c", objects=[1.5])
+    with pytest.raises(InputError, match="no class '²'"):
+        realtouch.select(single_folder, tmp_path / "c", labels=["²"])
+    for limit in (-1, 0):
+        with pytest.raises(InputError, match=f"the limit is {limit}"):
+            realtouch.select(single_folder, tmp_path / "c", limit=limit)
+    with pytest.raises(InputError, match=r"size 99999 x 99999 .* 16,777,216 pixels"):
+        realtouch.resize(single_folder, tmp_path / "c", 99999, 99999)
+
+
+def test_the_limit_counts_rounds_that_are_left(truth: list[RoundTruth], tmp_path: Path) -> None:
+    rows = factories.single_rows(truth)
+    flat = [[x, y, 0.0] for x, y, _ in rows[0]["gel_pose_cell_frame.position"]]
+    rows[0]["gel_pose_cell_frame.position"] = flat  # a round without any contact
+    source = factories.write_set(tmp_path / "source", {"train": rows}, "single")
+    realtouch.select(source, tmp_path / "out", contact=True, limit=1)
+    assert [record.id for record in realtouch.load(tmp_path / "out")] == [truth[1].id]
+
+
+def test_default_specifications_hold_what_they_held(single_folder: Path, tmp_path: Path) -> None:
+    realtouch.resize(single_folder, tmp_path / "out", 32, 24)
+    spec = json.loads((tmp_path / "out" / "manifest.json").read_text())["spec"]
+    assert spec["options"] == {"width": 32, "height": 24, "quality": 95, "limit": None}
+    assert set(spec) == {"operation", "options", "rows_per_shard", "source"}

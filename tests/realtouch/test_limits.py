@@ -1,0 +1,193 @@
+"""What is refused before it costs memory, or before it is filled with garbage."""
+
+from __future__ import annotations
+
+import io
+import struct
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import av
+import numpy as np
+import pytest
+
+import realtouch
+from dataset_store.errors import InputError, IntegrityError
+from realtouch.avi import read_index, write_avi
+from realtouch.ffmpeg import ffmpeg_count, ffmpeg_frames
+from realtouch.jpeg import MAX_BATCH_PIXELS
+from tests.realtouch import factories
+from tests.realtouch.factories import Layout
+
+LARGE = factories.encode_jpeg(np.zeros((4096, 4096, 3), np.uint8), quality=10)
+
+
+def one_clip(data: bytes, frames: int) -> Callable[[dict[str, Any], int], None]:
+    """Put a clip in the place of touch 1 of the second row."""
+
+    def edit(row: dict[str, Any], index: int) -> None:
+        if index == 1:
+            row["sensor_video"] = [dict(clip) for clip in row["sensor_video"]]
+            row["sensor_video"][1]["bytes"] = data
+            row["video_length_frames"] = [
+                frames if touch == 1 else count for touch, count in enumerate(row["video_length_frames"])
+            ]
+
+    return edit
+
+
+def repeated(frame: bytes, count: int) -> bytes:
+    """An AVI of one frame that its index lists many times."""
+    whole = write_avi([frame], 4096, 4096, 25.0)
+    place = whole.rindex(b"idx1")
+    listed = whole[place + 8 : place + 24] * count
+    changed = whole[:place] + b"idx1" + struct.pack("<I", len(listed)) + listed
+    return changed[:4] + struct.pack("<I", len(changed) - 8) + changed[8:]
+
+
+@pytest.mark.parametrize(
+    ("data", "frames", "words"),
+    [
+        (repeated(LARGE, 2000), 2000, "an AVI whose index has frames 0 and 1 of 2000 overlap"),
+        (
+            write_avi([LARGE] * 200, 4096, 4096, 25.0),
+            200,
+            "200 images of 4096 x 4096 pixels at once; the limit",
+        ),
+    ],
+    ids=["repeated", "many"],
+)
+def test_a_clip_that_unpacks_to_gigabytes_is_refused(
+    data: bytes, frames: int, words: str, seq_rows: list[dict], tmp_path: Path
+) -> None:
+    layout = Layout(edit=one_clip(data, frames))
+    factories.write_set(tmp_path, {"train": seq_rows[:2]}, "seq", layout)
+    record = realtouch.load(tmp_path)[1]
+    with pytest.raises(IntegrityError, match=f"row 1, touch 1, field 'sensor_video': {words}"):
+        record.sensor_video[1].frames()
+    assert record.sensor_video[2].frames().shape[1:] == (72, 96, 3)
+
+
+def test_images_that_unpack_to_gigabytes_are_refused(single_rows: list[dict], tmp_path: Path) -> None:
+    def edit(row: dict[str, Any], _: int) -> None:
+        row["sensor_image"] = [{"bytes": LARGE, "path": None}, *row["sensor_image"][1:] * 50]
+        for name in ("pos_in_cell", "gel_pose_cell_frame.position", "gel_pose_cell_frame.quaternion"):
+            row[name] = [row[name][0]] * len(row["sensor_image"])
+
+    factories.write_set(tmp_path, {"train": single_rows[:1]}, "single", Layout(edit=edit, fixed=False))
+    images = realtouch.load(tmp_path)[0].sensor_image
+    with pytest.raises(IntegrityError, match="201 images of 4096 x 4096 pixels at once; the limit is"):
+        images.batch()
+    assert images[[1, 2]].shape == (2, 72, 96, 3)
+
+
+def test_frames_of_ffmpeg_are_counted_as_they_come(monkeypatch: pytest.MonkeyPatch) -> None:
+    frames = np.zeros((12, 64, 64, 3), np.uint8)
+    data = memoryview(factories.encode_avi(frames, "mpeg4", "matroska"))
+    monkeypatch.setattr("realtouch.ffmpeg.MAX_BATCH_PIXELS", 4 * 64 * 64)
+    assert ffmpeg_frames(data, [1, 11, 3, 1], 12).shape == (4, 64, 64, 3)
+    with pytest.raises(ValueError, match="5 frames of 64 x 64 pixels at once; the limit is 16,384 pixels"):
+        ffmpeg_frames(data, range(5), 12)
+
+
+def test_a_whole_round_of_the_longest_published_clips_is_within_the_limit() -> None:
+    assert MAX_BATCH_PIXELS >= 256 * 90 * 320 * 240
+
+
+@pytest.mark.parametrize("step", [1, 3])
+def test_no_encoder_has_frames_overlap(step: int) -> None:
+    """Frames that are all alike, and gaps in time, which FFmpeg fills with frames without bytes."""
+    stream = io.BytesIO()
+    with av.open(stream, "w", format="avi") as output:
+        video = output.add_stream("mjpeg", rate=25)
+        video.height, video.width, video.pix_fmt = 32, 48, "yuvj420p"
+        for index in range(20):
+            frame = av.VideoFrame.from_ndarray(np.full((32, 48, 3), 90, np.uint8), format="rgb24")
+            frame.pts = index * step
+            output.mux(video.encode(frame))
+        output.mux(video.encode(None))
+    index = read_index(memoryview(stream.getvalue()))
+    assert len(index) == 20
+    assert (index.starts[1:] >= index.starts[:-1] + index.sizes[:-1]).all()
+    assert (index.slots is None) == (step == 1)
+
+
+def test_an_index_out_of_order_is_no_overlap() -> None:
+    jpegs = [factories.encode_jpeg(np.full((16, 24, 3), 40 * each, np.uint8)) for each in range(4)]
+    whole = write_avi(jpegs, 24, 16, 25.0)
+    place = whole.rindex(b"idx1") + 8
+    entries = [whole[place + 16 * each : place + 16 * each + 16] for each in (2, 0, 3, 1)]
+    data = memoryview(whole[:place] + b"".join(entries))
+    index = read_index(data)
+    assert [bytes(index.frame(data, each)) for each in range(4)] == [jpegs[each] for each in (2, 0, 3, 1)]
+
+
+def test_an_unknown_codec_is_named(seq_rows: list[dict], tmp_path: Path) -> None:
+    data = seq_rows[1]["sensor_video"][1]["bytes"].replace(b"MJPG", b"XQZW")
+    frames = int(seq_rows[1]["video_length_frames"][1])
+    factories.write_set(tmp_path, {"train": seq_rows[:2]}, "seq", Layout(edit=one_clip(data, frames)))
+    clip = realtouch.load(tmp_path)[1].sensor_video[1]
+    for ask in (lambda: clip[0], clip.frames, lambda: clip.size, lambda: clip.fps, lambda: clip[5:5]):
+        with pytest.raises(
+            IntegrityError, match="touch 1, field 'sensor_video': a clip of a codec that FFmpeg"
+        ):
+            ask()
+    with pytest.raises(ValueError, match="codec"):
+        ffmpeg_count(memoryview(data))
+    kept = realtouch.load(tmp_path, on_error="skip")
+    assert [(damage.row, damage.touch) for damage in kept.skipped] == [(1, 1)]
+
+
+WRONG = {
+    "float32": np.zeros((2, 72, 96, 3), np.float32),
+    "int64": np.zeros((2, 72, 96, 3), np.int64),
+    "strided": np.zeros((2, 72, 96, 6), np.uint8)[..., ::2],
+    "backwards": np.zeros((2, 72, 96, 3), np.uint8)[..., ::-1],
+    "too short": np.zeros((1, 72, 96, 3), np.uint8),
+    "other size": np.zeros((2, 71, 96, 3), np.uint8),
+    "flat": np.zeros(2 * 72 * 96 * 3, np.uint8),
+    "read-only": np.frombuffer(bytes(2 * 72 * 96 * 3), np.uint8).reshape(2, 72, 96, 3),
+    "no array": [0, 1],
+}
+
+
+@pytest.mark.parametrize("name", WRONG)
+def test_an_out_that_does_not_fit_is_refused_before_it_is_written_to(
+    name: str, single_folder: Path, seq_folder: Path
+) -> None:
+    out: Any = WRONG[name]
+    singles, clips = realtouch.load(single_folder), realtouch.load(seq_folder)
+    two = clips[0].with_touches([0, 1])
+    for ask in (
+        lambda: singles[0].sensor_image.batch([0, 1], out=out),
+        lambda: singles.touches().images([0, 1], out=out),
+        lambda: two.contact_frames(out=out),
+        lambda: two.contact_frames("median", out=out),
+    ):
+        with pytest.raises(
+            InputError, match=r"out is .*; expected a writable array of uint8 and shape \(2, 72"
+        ):
+            ask()
+    assert not np.any(out[0])
+
+
+def test_an_out_with_room_to_spare_or_between_images_is_filled(single_folder: Path) -> None:
+    touches = realtouch.load(single_folder).touches()
+    images, expected = touches[0].round.sensor_image, touches.images([0, 1])
+    spare, apart = np.zeros((5, 72, 96, 3), np.uint8), np.zeros((2, 3, 72, 96, 3), np.uint8)[:, 1]
+    for out in (spare, apart):
+        for fill in (images.batch, touches.images):
+            out[...] = 0
+            assert fill([0, 1], out=out) is out
+            np.testing.assert_array_equal(out[:2], expected)
+            assert not out[2:].any()
+
+
+def test_an_empty_choice_has_the_size_of_the_others(single_folder: Path, seq_folder: Path) -> None:
+    dataset = realtouch.load(single_folder)
+    images = dataset[0].sensor_image
+    assert np.concatenate([images[:2], images[2:2]]).shape == (2, 72, 96, 3)
+    assert dataset.touches().images([]).shape == (0, 72, 96, 3)
+    assert dataset[:0].touches().images().shape == (0, 0, 0, 3)
+    assert realtouch.load(seq_folder)[0].sensor_video[0][5:5].shape == (0, 72, 96, 3)

@@ -1,0 +1,149 @@
+"""What `realtouch.load` may be given: names, addresses and files, here and on the Hub."""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+import mnist3d
+import realtouch
+from dataset_store.errors import InputError
+from dataset_store.hub.published import place_of
+from realtouch.names import SHORT_NAMES, repository_of
+from tests.dataset_store.hub.client import run_here, settings
+from tests.hub_server import HubServer, hub
+
+
+@pytest.mark.parametrize("name", [None, 123, b"real-seq", [None], [b"a.parquet"]])
+def test_what_is_no_name_is_refused(name: Any) -> None:
+    with pytest.raises(InputError, match="is no name of a data set; expected a short name such as"):
+        realtouch.load(name)
+
+
+def test_streaming_is_the_third_argument(single_folder: Path) -> None:
+    assert isinstance(realtouch.load(single_folder, "test", True), realtouch.TouchStream)
+    dataset = realtouch.load(single_folder, "test", False, None)
+    assert isinstance(dataset, realtouch.TouchSingleDataset)
+    assert len(dataset) == 1
+
+
+@pytest.mark.parametrize("name", sorted(SHORT_NAMES))
+def test_local_data_of_a_short_name_comes_first(
+    name: str, single_folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert repository_of(name).startswith("TimSchneider42/")
+    Path(name).mkdir()
+    assert repository_of(name).startswith("TimSchneider42/"), "a folder without data is none"
+    shutil.copytree(single_folder / "data", Path(name) / "data")
+    assert repository_of(name) == name
+    assert len(realtouch.load(name)) == 3
+    assert realtouch.verify(name).ok
+
+
+def test_a_file_of_a_short_name_comes_first_in_every_room(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    for name, load in (("mnist3d", mnist3d.load), ("real-seq", realtouch.load)):
+        Path(name).write_bytes(b"no Parquet")
+        assert place_of(name) == name
+        with pytest.raises(Exception, match=f"'{name}' is damaged, a whole Parquet file was expected"):
+            load(name)
+
+
+def contents(folder: Path) -> dict[str, bytes]:
+    return {f"data/{file.name}": file.read_bytes() for file in (folder / "data").glob("*.parquet")}
+
+
+@pytest.fixture(scope="module")
+def server(single_folder: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[HubServer]:
+    with hub(tmp_path_factory.mktemp("hub")) as running:
+        running.create("someone/single", contents(single_folder))
+        test = contents(single_folder)["data/test-00000-of-00001.parquet"]
+        running.create("someone/converted", {"default/test/0000.parquet": test})
+        yield running
+
+
+LOAD = """
+import realtouch
+from dataset_store.errors import ToolkitError
+try:
+    print(*(record.id for record in realtouch.load({arguments})))
+except ToolkitError as error:
+    print(type(error).__name__, error)
+"""
+SINGLE = "hf://datasets/someone/single"
+TRAIN = "data/train-00000-of-00002.parquet"
+REST = "data/train-00001-of-00002.parquet"
+
+
+@pytest.mark.parametrize(
+    ("arguments", "rows"),
+    [
+        (f"'{SINGLE}'", [0, 1, 2]),
+        ("'someone/single@main'", [0, 1, 2]),
+        (f"'{SINGLE}@main', 'test'", [3]),
+        (f"'{SINGLE}@main/data', 'test'", [3]),
+        (f"'{SINGLE}/{TRAIN}'", [0, 1]),
+        (f"'{SINGLE}@main/{REST}', 'train'", [2]),
+        (f"['{SINGLE}/{REST}', '{SINGLE}/{TRAIN}']", [2, 0, 1]),
+        (f"['{SINGLE}/{REST}'], revision='main', streaming=True", [2]),
+        (f"'{SINGLE}/{TRAIN}', streaming=True", [0, 1]),
+        ("'someone/converted', 'test'", [3]),
+    ],
+)
+def test_files_and_revisions_of_the_hub(
+    arguments: str, rows: list[int], server: HubServer, single_folder: Path, tmp_path: Path
+) -> None:
+    sets = [*realtouch.load(single_folder), *realtouch.load(single_folder, "test")]
+    done = run_here(LOAD.format(arguments=arguments), settings(server, tmp_path), tmp_path)
+    assert done.stdout.split() == [sets[row].id for row in rows], done.stdout
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (f"'{SINGLE}/data/nothing.parquet'", "HubError Hub data set 'someone/single' has no file 'data/noth"),
+        (
+            f"['{SINGLE}/data/nothing.parquet'], streaming=True",
+            "HubError Hub data set 'someone/single' has no",
+        ),
+        (f"['{SINGLE}']", f"InputError no file '{SINGLE}'"),
+        ("'someone/single@v9'", "HubError Hub data set 'someone/single' has no revision 'v9'"),
+        (
+            "'someone/single@main', revision='v9'",
+            "InputError 'someone/single@main' names the revision 'main'",
+        ),
+        ("'someone/converted'", "InputError no split 'train' in 'someone/converted': it has test"),
+    ],
+)
+def test_what_the_hub_has_not_is_named(arguments: str, words: str, server: HubServer, tmp_path: Path) -> None:
+    done = run_here(LOAD.format(arguments=arguments), settings(server, tmp_path), tmp_path)
+    assert done.stdout.startswith(words)
+
+
+MOVES: list[Callable[[], None]] = []
+STREAM = """
+import realtouch
+from tests.realtouch import test_names
+rounds = iter(realtouch.load('someone/moving', streaming=True))
+print(next(rounds).id)
+test_names.MOVES.pop()()
+print(*(record.id for record in rounds))
+"""
+
+
+def test_a_stream_is_of_one_commit(server: HubServer, single_folder: Path, tmp_path: Path) -> None:
+    repository = server.create("someone/moving", contents(single_folder))
+    other = (single_folder / "data" / "test-00000-of-00001.parquet").read_bytes()
+    MOVES.append(lambda: repository.commit({REST: repository.blob(REST, other)}, "another second shard"))
+    done = run_here(STREAM, settings(server, tmp_path), tmp_path)
+    assert not MOVES, "nothing was committed meanwhile"
+    assert done.stdout.split() == [record.id for record in realtouch.load(single_folder)]
+    cached = tmp_path / "hf" / "hub" / "datasets--someone--moving"
+    assert [place.name for place in cached.iterdir()] == ["refs"], "files were fetched"

@@ -1,0 +1,109 @@
+"""The height of the plate outlives the touches that showed it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow.parquet as pq
+import pytest
+from datasets import Value, load_dataset
+
+import realtouch
+from realtouch.contact import contact_heights_m
+from realtouch.gallery import RoundChoice, plan_gallery
+from realtouch.previews import draw_grid, gel_drift
+from tests.realtouch import factories
+from tests.realtouch.factories import Layout, RoundTruth
+
+
+@pytest.fixture(params=["seq", "single"])
+def source(request: pytest.FixtureRequest, seq_folder: Path, single_folder: Path) -> Path:
+    return seq_folder if request.param == "seq" else single_folder
+
+
+def plates_m(truth: list[RoundTruth], kind: str) -> np.ndarray:
+    """Height of the gel in the one touch of each round that misses the digit."""
+    touches = [each.touches[2] for each in truth]
+    return np.array([t.position_m[:, 2].min() if kind == "seq" else t.position_m[t.peak, 2] for t in touches])
+
+
+def test_a_selection_of_contacts_has_contact(source: Path, truth: list[RoundTruth], tmp_path: Path) -> None:
+    before = realtouch.load(source)
+    realtouch.select(source, tmp_path / "some", contact=True)
+    after = realtouch.load(tmp_path / "some")
+    np.testing.assert_array_equal(after.column("plate_z_m"), plates_m(truth, before.kind))
+    touches = after.touches()
+    assert len(touches) == len(touches.with_contact()) == 12
+    np.testing.assert_array_equal(touches.heights_m(), before.touches().with_contact().heights_m())
+    np.testing.assert_array_equal(touches.heights_m(False), before.touches().with_contact().heights_m(False))
+    assert realtouch.summarise(after).contact_share == 1.0
+    assert "100.0 %" in (tmp_path / "some" / "README.md").read_text()
+    assert "`plate_z_m`" in (tmp_path / "some" / "README.md").read_text()
+    items = [item for task in plan_gallery(RoundChoice(str(tmp_path / "some"))).tasks for item in task.make()]
+    assert [(item.measures["in_contact"], item.facets["contact"]) for item in items] == [
+        (4, ("all touches",))
+    ] * 4
+    np.testing.assert_array_equal(gel_drift(after)[0], gel_drift(before)[0])
+    assert draw_grid(after[0], 4).pixels.size
+    assert realtouch.verify(tmp_path / "some").ok
+
+
+def test_it_stays_through_further_conversions(source: Path, tmp_path: Path) -> None:
+    realtouch.select(source, tmp_path / "some", contact=True)
+    realtouch.select(tmp_path / "some", tmp_path / "again", contact=True)
+    realtouch.resize(tmp_path / "some", tmp_path / "small", 48, 36)
+    folders = [tmp_path / "again", tmp_path / "small"]
+    if source.name.startswith("seq"):
+        realtouch.to_single(tmp_path / "some", tmp_path / "images", "peak")
+        folders.append(tmp_path / "images")
+    stored = realtouch.load(tmp_path / "some").column("plate_z_m")
+    for folder in folders:
+        made = realtouch.load(folder)
+        np.testing.assert_array_equal(made.column("plate_z_m"), stored)
+        assert len(made.touches().with_contact()) == len(made.touches()) == 12
+
+
+def test_whole_rounds_keep_the_published_columns(source: Path, tmp_path: Path) -> None:
+    realtouch.select(source, tmp_path / "some", labels=[1])
+    (file,) = (tmp_path / "some" / "data").glob("train-*")
+    assert pq.read_schema(file).names == pq.read_schema(next((source / "data").glob("train-*"))).names
+
+
+def test_joined_sets_may_have_it_or_not(source: Path, tmp_path: Path) -> None:
+    whole = realtouch.load(source)
+    realtouch.select(source, tmp_path / "some", contact=True)
+    joined = whole + realtouch.load(tmp_path / "some")
+    assert len(joined.touches().with_contact()) == 24
+    np.testing.assert_array_equal(
+        joined[3:].touches().heights_m(), joined[:3].touches().with_contact().heights_m()
+    )
+
+
+def test_heights_above_a_known_plate() -> None:
+    z_m = np.array([0.003, 0.009, np.nan])
+    np.testing.assert_allclose(contact_heights_m(z_m), [0.0, 0.006, np.nan])
+    np.testing.assert_allclose(contact_heights_m(z_m, plate_z_m=0.001), [0.002, 0.008, np.nan])
+    np.testing.assert_array_equal(contact_heights_m(z_m, False, plate_z_m=0.001), z_m)
+    assert np.isnan(contact_heights_m(np.array([np.nan]))).all()
+    assert contact_heights_m(np.zeros(0)).shape == (0,)
+
+
+def test_plain_datasets_read_it(source: Path, tmp_path: Path) -> None:
+    realtouch.select(source, tmp_path / "some", contact=True)
+    rows: Any = load_dataset(str(tmp_path / "some"), split="train").select_columns(["id", "plate_z_m"])
+    assert rows.features["plate_z_m"] == Value("float64")
+    assert rows["plate_z_m"] == realtouch.load(tmp_path / "some").column("plate_z_m").tolist()
+
+
+@pytest.mark.parametrize("kind", ["seq", "single"])
+def test_heights_need_no_intended_positions(kind: str, truth: list[RoundTruth], tmp_path: Path) -> None:
+    rows = factories.seq_rows(truth) if kind == "seq" else factories.single_rows(truth)
+    whole = factories.write_set(tmp_path / "whole", {"train": rows}, kind)
+    layout = Layout(leave_out=("pos_in_cell",))
+    bare = factories.write_set(tmp_path / "bare", {"train": rows}, kind, layout)
+    assert realtouch.summarise(realtouch.load(bare)).contact_share == pytest.approx(0.8)
+    np.testing.assert_array_equal(
+        realtouch.load(bare).touches().heights_m(), realtouch.load(whole).touches().heights_m()
+    )

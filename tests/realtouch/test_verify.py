@@ -1,0 +1,234 @@
+"""What :func:`realtouch.verify` is given, and what it sees beside damaged pictures."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+
+import realtouch
+from dataset_store.errors import InputError, IntegrityError
+from realtouch.avi import write_avi
+from tests.realtouch import factories
+from tests.realtouch.factories import Layout, RoundTruth
+from tests.realtouch.test_damage import damaged_set
+
+Found = tuple[int | None, int | None, str]
+
+
+def found_in(folder: Path, **options: Any) -> list[Found]:
+    return [(each.row, each.touch, each.field) for each in realtouch.verify(folder, **options).findings]
+
+
+def with_column(folder: Path, name: str, values: pa.Array, source: Path) -> Path:
+    """Write the one round of a test split with a column replaced or added."""
+    table = pq.read_table(next((source / "data").glob("test-*")))
+    if name in table.column_names:
+        table = table.set_column(table.column_names.index(name), name, values)
+    else:
+        table = table.append_column(name, values)
+    folder.mkdir(exist_ok=True)
+    pq.write_table(table, folder / "train.parquet")
+    return folder
+
+
+def test_it_takes_what_load_takes(
+    single_folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    files = sorted((single_folder / "data").glob("train-*"))
+    for name in (single_folder, f"{single_folder}/", files, [str(file) for file in files], files[0]):
+        assert realtouch.verify(name).ok
+    assert realtouch.verify(files).rounds == 3
+    monkeypatch.setenv("HOME", str(tmp_path))
+    realtouch.select(str(single_folder), str(tmp_path / "chosen"), labels=[0, 1])
+    file = next((tmp_path / "chosen" / "data").glob("train-*"))
+    pq.write_table(pq.read_table(file).slice(0, 1), file)
+    assert "sha256" in realtouch.verify("~/chosen").findings[0].problem  # by the manifest, there too
+    with pytest.raises(InputError, match="is no name of a data set"):
+        realtouch.verify(3)
+
+
+def test_pictures_of_another_size(single_rows: list[dict], tmp_path: Path) -> None:
+    def smaller(row: dict[str, Any]) -> None:
+        row["sensor_image"][3]["bytes"] = factories.encode_jpeg(np.zeros((50, 40, 3), np.uint8))
+
+    folder = damaged_set(tmp_path, single_rows, "single", smaller)
+    for quick in (False, True):
+        assert found_in(folder, quick=quick) == [(1, 3, "sensor_image")]
+    assert "40 x 50 pixels; expected 96 x 72" in realtouch.verify(folder).findings[0].problem
+    assert realtouch.load(folder, on_error="skip").touches().images().shape == (14, 72, 96, 3)
+
+
+def test_frames_and_clips_of_another_size(
+    seq_rows: list[dict], truth: list[RoundTruth], tmp_path: Path
+) -> None:
+    small = factories.encode_jpeg(np.zeros((50, 40, 3), np.uint8))
+
+    def smaller(row: dict[str, Any]) -> None:
+        frames = [factories.encode_jpeg(pixels) for pixels in truth[1].touches[1].pixels]
+        frames[7] = small
+        row["sensor_video"][1]["bytes"] = write_avi(frames, 96, 72, 25.0)
+        row["sensor_video"][4]["bytes"] = write_avi([small] * truth[1].touches[4].frames, 40, 50, 25.0)
+
+    folder = damaged_set(tmp_path, seq_rows, "seq", smaller)
+    for quick in (False, True):
+        assert found_in(folder, quick=quick) == [(1, 1, "sensor_video"), (1, 4, "sensor_video")]
+    first, second = realtouch.verify(folder, quick=True).findings
+    assert "frame 7: 40 x 50 pixels; expected 96 x 72 pixels as of the first frame" in first.problem
+    assert "expected 96 x 72 pixels as of the other touches" in second.problem
+
+
+def test_frames_behind_the_stated_length_of_a_clip_without_index(
+    seq_rows: list[dict], truth: list[RoundTruth], tmp_path: Path
+) -> None:
+    frames = truth[1].touches[1].frames
+
+    def shorter(row: dict[str, Any]) -> None:
+        row["sensor_video"][1]["bytes"] = row["sensor_video"][1]["bytes"].replace(b"idx1", b"JUNK")
+        row["video_length_frames"][1] = frames - 20
+
+    folder = damaged_set(tmp_path, seq_rows, "seq", shorter)
+    for quick in (False, True):
+        assert found_in(folder, quick=quick) == [(1, 1, "sensor_video")]
+    problem = realtouch.verify(folder, quick=True).findings[0].problem
+    assert f"a clip of {frames} frames; expected {frames - 20}" in problem
+
+
+def test_times_that_run_backwards_in_a_set_without_contact_times(
+    seq_rows: list[dict], tmp_path: Path
+) -> None:
+    def backwards(row: dict[str, Any], index: int) -> None:
+        if index == 1:
+            row["time_stamp_rel_seq"] = [list(times)[::-1] for times in row["time_stamp_rel_seq"]]
+
+    left_out = ("touch_start_time_rel", "touch_end_time_rel")
+    layout = Layout(leave_out=left_out, fixed=False, edit=backwards)
+    factories.write_set(tmp_path, {"train": seq_rows}, "seq", layout)
+    assert {(row, field) for row, _, field in found_in(tmp_path)} == {(1, "time_stamp_rel_seq")}
+
+
+def test_a_label_without_a_name(single_folder: Path, tmp_path: Path) -> None:
+    folder = with_column(tmp_path, "label", pa.array([77]), single_folder)
+    assert found_in(folder) == [(0, None, "label")]
+    assert "77; expected less than 10" in realtouch.verify(folder).findings[0].problem
+    unnamed = pq.read_table(folder / "train.parquet").replace_schema_metadata(None)
+    pq.write_table(unnamed, folder / "train.parquet")  # nothing is said about its classes
+    assert found_in(folder) == []
+
+
+@pytest.mark.parametrize(
+    ("name", "values", "field"),
+    [
+        ("info.object_pose.position", pa.array([[[1.0, 2.0, 3.0], [1.0, 2.0]]]), "info.object_pose.position"),
+        ("info.object_pose.position", pa.array([["a", "b", "c"]]), "info.object_pose.position"),
+        ("info.object_pose.position", pa.array([[[1.0, 2.0, 3.0]] * 2]), "info.object_pose"),
+        ("info.object_pose.quaternion", pa.array([[0.0] * 4]), "info.object_pose"),
+        ("info.gel_id.sub", pa.array([3]), "info.gel_id.sub"),
+        ("object_id", pa.array([2**64 - 1], pa.uint64()), "object_id"),
+    ],
+)
+def test_metadata_that_cannot_be_given(
+    name: str, values: pa.Array, field: str, single_folder: Path, tmp_path: Path
+) -> None:
+    folder = with_column(tmp_path, name, values, single_folder)
+    record = realtouch.load(folder)[0]
+    with pytest.raises(IntegrityError, match=f"row 0, field '{field}'"):
+        _ = record.info, record.object_id
+    assert found_in(folder) == [(0, None, field)]
+
+
+def test_as_many_positions_as_quaternions_in_a_pose(single_folder: Path, tmp_path: Path) -> None:
+    three = pa.array([[[0.0, 0.0, 0.0, 1.0]] * 3])
+    folder = with_column(tmp_path / "three", "info.object_pose.quaternion", three, single_folder)
+    for count in (3, 2):
+        table = pq.read_table(folder / "train.parquet")
+        place = table.column_names.index("info.object_pose.position")
+        table = table.set_column(place, table.column_names[place], pa.array([[[1.0, 2.0, 3.0]] * count]))
+        pq.write_table(table, folder / "train.parquet")
+        assert found_in(folder) == ([] if count == 3 else [(0, None, "info.object_pose")])
+
+
+def test_columns_that_are_not_there_are_no_damage(single_rows: list[dict], tmp_path: Path) -> None:
+    for name in ("id", "label", "object_id"):
+        folder = tmp_path / name
+        factories.write_set(folder, {"train": single_rows}, "single", Layout(leave_out=(name,)))
+        assert realtouch.verify(folder).ok
+        assert realtouch.summarise(realtouch.load(folder, on_error="skip")).rounds == 3
+        record = realtouch.load(folder)[0]
+        for shown in (record, realtouch.load(folder).touches()[0]):
+            assert " touch" in repr(shown) or "touch_index=0" in repr(shown)
+            assert f"{name}=" not in repr(shown)
+            assert "<img" in shown._repr_html_()
+
+
+def test_a_damaged_field_is_shown_as_such(single_rows: list[dict], tmp_path: Path) -> None:
+    folder = damaged_set(tmp_path, single_rows, "single", lambda row: row.update(label=None))
+    dataset = realtouch.load(folder)
+    assert "label=unreadable" in repr(dataset[1])
+    assert "label=unreadable" in repr(dataset.touches()[5])
+
+
+def test_files_with_other_class_names(single_folder: Path, tmp_path: Path) -> None:
+    for file in (single_folder / "data").glob("train-*"):
+        table = pq.read_table(file)
+        if "00001" in file.name:
+            features = json.loads(table.schema.metadata[b"huggingface"])
+            features["info"]["features"]["label"]["names"] = list("9876543210")
+            table = table.replace_schema_metadata({b"huggingface": json.dumps(features)})
+        pq.write_table(table, tmp_path / file.name)
+    for streaming in (False, True):
+        with pytest.raises(IntegrityError, match=r"00001.*the classes are named 9, 8, 7.*expected 0, 1, 2"):
+            realtouch.load(tmp_path, streaming=streaming)
+        rest = realtouch.load(tmp_path, streaming=streaming, on_error="skip")
+        assert [record.label for record in rest] == [0, 1]
+        assert [each.field for each in rest.skipped] == ["label"]
+    assert found_in(tmp_path) == [(None, None, "label")]
+
+
+def test_files_of_two_kinds(single_folder: Path, seq_folder: Path) -> None:
+    files = [next((folder / "data").glob("train-00000*")) for folder in (single_folder, seq_folder)]
+    with pytest.raises(IntegrityError, match="field 'sensor_image': the column is not there"):
+        realtouch.load(files)
+    assert [(each.file, each.field) for each in realtouch.verify(files).findings] == [
+        (str(files[1]), "sensor_image")
+    ]
+
+
+def test_a_column_that_only_some_files_have(single_folder: Path, tmp_path: Path) -> None:
+    for file in (single_folder / "data").glob("train-*"):
+        table = pq.read_table(file)
+        pq.write_table(
+            table.drop_columns(["object_id"]) if "00001" in file.name else table, tmp_path / file.name
+        )
+    finding = realtouch.verify(tmp_path).findings[0]
+    assert (Path(finding.file).name, finding.field) == ("train-00001-of-00002.parquet", "object_id")
+
+
+def test_text_that_is_no_unicode(single_rows: list[dict], tmp_path: Path) -> None:
+    factories.write_set(tmp_path, {"train": single_rows}, "single")
+    file = tmp_path / "data" / "train-00000-of-00001.parquet"
+    pq.write_table(pq.read_table(file), file, compression="none")
+    name = single_rows[1]["id"].encode()
+    file.write_bytes(file.read_bytes().replace(name, b"\xff" + name[1:]))
+    assert found_in(tmp_path) == [(1, None, "id")]
+    dataset = realtouch.load(tmp_path)
+    assert [dataset[row].id for row in (0, 2)] == [single_rows[row]["id"] for row in (0, 2)]
+    with pytest.raises(IntegrityError, match="row 1, field 'id': a value that cannot be read"):
+        _ = dataset[1].id
+    assert "id=unreadable" in repr(dataset[1])
+
+
+def test_a_file_of_fewer_rows_than_the_manifest_says(single_folder: Path, tmp_path: Path) -> None:
+    realtouch.select(str(single_folder), str(tmp_path / "chosen"), labels=[0, 1])
+    file = next((tmp_path / "chosen" / "data").glob("train-*"))
+    pq.write_table(pq.read_table(file).slice(0, 1), file)
+    with pytest.raises(IntegrityError, match="1 rows; expected 2 by the manifest"):
+        realtouch.load(tmp_path / "chosen")
+    assert "1 rows; expected 2 by the manifest" in [
+        finding.problem for finding in realtouch.verify(tmp_path / "chosen").findings
+    ]

@@ -1,0 +1,130 @@
+"""Touches and rounds taken out of views: what they carry along, what they read, what they refuse."""
+
+from __future__ import annotations
+
+import copy
+import operator
+import pickle
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+
+import realtouch
+from dataset_store.errors import InputError, IntegrityError
+from realtouch.round_info import Info
+from realtouch.touch import Touch
+from tests.realtouch import factories
+from tests.realtouch.factories import Layout
+
+
+def test_a_touch_kept_from_a_filter_carries_its_picture(single_folder: Path, seq_folder: Path) -> None:
+    for folder in (single_folder, seq_folder):
+        touches = realtouch.load(folder).touches()
+        kept: list[Touch] = []
+        touches.where(lambda touch, kept=kept: kept.append(touch) or True)
+        expected = touches[8].image
+        alone = kept[8].round.with_touches([3])
+        for same in (pickle.loads(pickle.dumps(kept[8])), kept[8].alone(), Touch(alone, 3, 0)):
+            np.testing.assert_array_equal(same.image, expected)
+        light = next(record for row, record in touches.dataset.light_rounds() if row == 1)
+        np.testing.assert_array_equal(Touch(pickle.loads(pickle.dumps(light)), 3).image, expected)
+
+
+def test_the_pose_of_a_touch_reads_its_own_numbers_only(
+    seq_folder: Path, single_folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    asked: list[str] = []
+    read = pq.ParquetFile.iter_batches
+
+    def spy(
+        self: pq.ParquetFile, size: int, groups: list[int], columns: list[str] | None = None, **options: Any
+    ) -> Any:
+        asked.extend(columns or ["everything"])
+        return read(self, size, groups, columns, **options)
+
+    expected = [
+        touch.clip.poses[touch.clip.contact_index()] for touch in realtouch.load(seq_folder).touches()
+    ]
+    monkeypatch.setattr(pq.ParquetFile, "iter_batches", spy)
+    poses: list[Any] = []
+    realtouch.load(seq_folder).touches().where(lambda touch: poses.append(touch.gel_pose) or True)
+    assert asked
+    assert not {"sensor_video", "everything"} & set(asked)
+    for pose, same in zip(poses, expected, strict=True):
+        np.testing.assert_array_equal(pose.as_matrix(), same.as_matrix())
+    record = realtouch.load(single_folder)[0]
+    for touch in (0, 4, -1):
+        pose = Touch(record, touch).gel_pose.as_matrix()
+        np.testing.assert_array_equal(pose, record.gel_pose_cell_frame[touch].as_matrix())
+    with pytest.raises(IndexError, match="touch 5 is out of range for 5 touches"):
+        _ = Touch(record, 5).gel_pose
+
+
+def test_metadata_pickle_and_stay_as_they_are(single_folder: Path) -> None:
+    info = realtouch.load(single_folder)[0].info
+    for same in (pickle.loads(pickle.dumps(info)), copy.deepcopy(info)):
+        assert isinstance(same, Info)
+        assert list(same) == list(info) == ["gel_id", "notes", "object_pose"]
+        np.testing.assert_array_equal(same["object_pose"].as_matrix(), info["object_pose"].as_matrix())
+    with pytest.raises(TypeError, match="does not support item assignment"):
+        operator.setitem(info, "gel_id", 7)
+    free = info.copy()
+    free["gel_id"] = 7
+    assert (info | {"gel_id": 7})["gel_id"] == 7 == free["gel_id"] != info["gel_id"]
+    assert "gel_id" in repr(info)
+
+
+def test_only_data_sets_of_one_kind_are_joined(single_folder: Path, seq_folder: Path) -> None:
+    dataset = realtouch.load(single_folder)
+    for other in (realtouch.load(seq_folder), 5):
+        with pytest.raises(TypeError, match=r"unsupported operand type\(s\) for \+"):
+            _ = dataset + other
+
+
+def test_classes_and_objects_are_given_one_by_one_or_together(single_folder: Path) -> None:
+    touches = realtouch.load(single_folder).touches()
+    for classes in ((0, "1"), ([0, 1],), (np.array([0, 1]),), (range(2),), (np.int8(0), ["1"])):
+        assert touches.labels(*classes).label_array.tolist() == [0] * 5 + [1] * 5
+    for objects in ((4000, 4001), ([4000, 4001],), (np.array([4000, 4001]),), ({4000}, 4001, -3, 2**70)):
+        assert sorted(set(touches.objects(*objects).object_ids.tolist())) == [4000, 4001]
+    for classes in (1.5, True, None, [0, 1.0], b"1", np.array([True, False])):
+        with pytest.raises(InputError, match="expected classes as whole numbers or names"):
+            touches.labels(classes)
+    for objects in ("4000", 4000.0, False, ["4000"]):
+        with pytest.raises(InputError, match="expected object ids as whole numbers"):
+            touches.objects(objects)
+
+
+def test_a_missing_column_is_told_beside_all_that_are_there(single_rows: list[dict], tmp_path: Path) -> None:
+    layout = Layout(leave_out=("gel_pose_cell_frame.position",))
+    factories.write_set(tmp_path, {"train": single_rows}, "single", layout)
+    with pytest.raises(InputError, match=r"no column 'gel_pose_cell_frame\.position' .*label.*sensor_image"):
+        realtouch.load(tmp_path).touches().with_contact()
+
+
+def test_heights_of_a_set_without_intended_positions(
+    single_rows: list[dict], single_folder: Path, tmp_path: Path
+) -> None:
+    factories.write_set(tmp_path, {"train": single_rows}, "single", Layout(leave_out=("pos_in_cell",)))
+    touches = realtouch.load(tmp_path).touches()
+    np.testing.assert_array_equal(touches.heights_m(), realtouch.load(single_folder).touches().heights_m())
+    assert "<img" in touches[0]._repr_html_()
+
+
+def test_large_ids_are_exact_beside_a_missing_one(single_rows: list[dict], tmp_path: Path) -> None:
+    factories.write_set(tmp_path, {"train": single_rows}, "single")
+    place = tmp_path / "data" / "train-00000-of-00001.parquet"
+    table = pq.read_table(place)
+    ids = pa.array([2**53 + 1, None, 2**62 + 1])
+    pq.write_table(table.set_column(table.column_names.index("object_id"), "object_id", ids), place)
+    dataset = realtouch.load(tmp_path)
+    assert (dataset[0].object_id, dataset[2].object_id) == (2**53 + 1, 2**62 + 1)
+    with pytest.raises(IntegrityError, match="row 1, field 'object_id'"):
+        _ = dataset[1].object_id
+    assert realtouch.load(tmp_path, on_error="skip").touches().objects(2**62 + 1).touch_indices.tolist() == [
+        *range(5)
+    ]

@@ -1,0 +1,128 @@
+from __future__ import annotations
+
+import json
+import pickle
+import subprocess
+import sys
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+import pytest
+
+from dataset_store.errors import InputError
+from starstruck_gen.dataset import load
+from starstruck_gen.generation import GenerateSpec, generate
+from starstruck_gen.proportions import KINDS, REGISTRY, Disc, Proportions
+from starstruck_gen.registry import register_shape
+from starstruck_gen.shapes import DEFAULT_OUTLINES, OUTLINES, Shape, outline
+from starstruck_gen.solid import prism
+from starstruck_gen.spec import SceneSpec
+from starstruck_gen.validate import validate_folder
+from tests.starstruck_gen.kite import Kite
+
+
+@pytest.fixture(autouse=True)
+def _only_the_toolkits_own():
+    kinds, outlines = dict(REGISTRY), dict(DEFAULT_OUTLINES)
+    yield
+    for registry, before in ((REGISTRY, kinds), (DEFAULT_OUTLINES, outlines)):
+        registry.clear()
+        registry.update(before)
+    outline.cache_clear()
+    prism.cache_clear()
+
+
+def _kite_spec() -> SceneSpec:
+    return SceneSpec(distractor_shapes=(Shape("kite", 0.008, Kite(0.4)), Shape("kite")), distractors=(1, 3))
+
+
+def test_registered_shape_goes_through_specification_json_and_key():
+    with pytest.raises(InputError, match=r"unknown shape 'kite'; .* starstruck_gen.register_shape"):
+        Shape("kite")
+    assert register_shape(Kite) is Kite
+    assert register_shape(Kite) is Kite
+    spec = _kite_spec()
+    assert SceneSpec.from_dict(json.loads(json.dumps(spec.to_dict()))) == spec
+    assert Shape.parse("kite(width=0.4)", 0.008) == spec.distractor_shapes[0]
+    assert KINDS["kite"] is Kite
+    assert OUTLINES["kite"]()[0].shape == (4, 2)
+    assert not outline("kite")[0].flags.writeable
+    with pytest.raises(InputError, match=r"width of shape 'kite' is 2; expected 0.1 to 1"):
+        Kite(2)
+
+
+def test_workers_know_a_registered_shape(tmp_path):
+    register_shape(Kite)
+    generate(GenerateSpec(_kite_spec(), {"train": 1_100}), tmp_path / "set", ("train",), workers=2)
+    checked = validate_folder(tmp_path / "set", limit=4, workers=2)
+    assert (checked.checked, checked.failed) == (4, 0)
+    shapes = {p.shape for record in load(str(tmp_path / "set")) for p in record.placements}
+    assert shapes == {"star", "kite", "kite(width=0.4)"}
+
+
+def test_process_that_never_registered_the_kind_learns_it_from_a_pickle():
+    register_shape(Kite)
+    code = (
+        "import pickle, sys\n"
+        "spec = pickle.loads(sys.stdin.buffer.read())\n"
+        "from starstruck_gen import sample_scenes\n"
+        "print(sample_scenes(spec, 'train', 0, 0, 1)[0].mesh().volume_m3 > 0)"
+    )
+    sent = pickle.dumps(_kite_spec())
+    done = subprocess.run([sys.executable, "-c", code], input=sent, capture_output=True, check=True)
+    assert done.stdout.strip() == b"True"
+
+
+def test_class_defined_again_takes_the_place_of_its_former():
+    """As when a cell of a notebook is run again."""
+    register_shape(Kite)
+    before = prism("kite").area
+    again = type("Kite", (Kite,), {"rings": lambda self: (Kite(0.3).rings()[0],), "__slots__": ()})
+    register_shape(again)
+    assert prism("kite").area == pytest.approx(before / 2)
+
+
+@dataclass(frozen=True, slots=True)
+class _Bare(Proportions):
+    name: ClassVar[str] = "bare"
+    side: float = 1.0
+
+    def rings(self):
+        half = self.side / 2
+        return (np.array([(-half, -half), (half, -half), (half, half), (-half, half)]),)
+
+
+@dataclass(frozen=True, slots=True)
+class _Wordy(Proportions):
+    name: ClassVar[str] = "wordy"
+    colour: str = "red"
+
+
+def _named(kind, name):
+    return type(kind.__name__, (kind,), {"name": name, "__slots__": ()})
+
+
+@pytest.mark.parametrize(
+    ("kind", "message"),
+    [
+        (_named(Kite, "star"), "shape 'star' is taken by Star"),
+        (_named(Kite, "a b"), "name of shape Kite is 'a b'; expected a plain word"),
+        (_Wordy, "field 'colour' of shape 'wordy' has the default 'red'; expected a number"),
+        (_Bare, r"outline of shape 'bare' reaches distance 0.707\d* from the origin; expected 1"),
+        (int, "is no kind of shape"),
+        (Disc(), "is no kind of shape"),
+    ],
+)
+def test_unusable_kind_is_refused_and_not_kept(kind, message):
+    before = dict(REGISTRY)
+    with pytest.raises(InputError, match=message):
+        register_shape(kind)
+    assert before == REGISTRY
+
+
+def test_another_class_of_a_registered_name_is_refused():
+    register_shape(Kite)
+    other = type("Other", (Kite,), {"__slots__": ()})
+    with pytest.raises(InputError, match="shape 'kite' is taken by Kite"):
+        register_shape(other)

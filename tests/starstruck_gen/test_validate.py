@@ -1,0 +1,119 @@
+"""Damaged rows, and folders whose run is not finished."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+
+from dataset_store.errors import IntegrityError
+from dataset_store.mesh import Mesh
+from dataset_store.soundness import judge
+from starstruck_gen.checking import check_scene
+from starstruck_gen.dataset import load
+from starstruck_gen.generation import GenerateSpec, generate
+from starstruck_gen.placement import Placement
+from starstruck_gen.rows import make_rows, scene_table
+from starstruck_gen.spec import SceneSpec
+from starstruck_gen.stamping import stamp
+from starstruck_gen.validate import validate_folder
+
+PUBLISHED = ["id", "label", "mesh.vertices", "mesh.faces"]
+
+
+@pytest.fixture(scope="module")
+def table() -> pa.Table:
+    return scene_table(make_rows(SceneSpec(distractors=(2, 4)), "train", 0, 0, 9))
+
+
+def _written(table, path, change, columns=None) -> str:
+    rows = table.to_pylist()
+    change(rows[4])
+    changed = pa.Table.from_pylist(rows, schema=table.schema)
+    pq.write_table(changed.select(columns or table.column_names), path / "train-00000-of-00001.parquet")
+    return str(path / "train-00000-of-00001.parquet")
+
+
+def _raise_first(row, by_m=0.010):
+    first = 20  # vertices of a star
+    row["mesh.vertices"][:first] = [[x, y, z + by_m] for x, y, z in row["mesh.vertices"][:first]]
+
+
+@pytest.mark.parametrize("columns", [None, PUBLISHED])
+def test_single_object_above_the_plate_is_found(table, tmp_path, columns):
+    checked = validate_folder(_written(table, tmp_path, _raise_first, columns))
+    assert [(failure.id, checked.checked) for failure in checked.failures] == [(4, 9)]
+    assert "is at z = 0.01 m; expected 0" in checked.failures[0].problem
+
+
+def test_all_stand_on_the_plate_in_the_published_columns(table, tmp_path):
+    checked = validate_folder(_written(table, tmp_path, lambda _: None, PUBLISHED))
+    assert (checked.failed, checked.declared, checked.stars) == (0, False, 0)
+
+
+@pytest.mark.parametrize(
+    ("change", "field"),
+    [
+        (lambda row: row.update(label=None), "'label'"),
+        (lambda row: row.update(placements=None), "'placements'"),
+        (lambda row: row["placements"][1].update(shape=None), "'placements.shape'"),
+        (lambda row: row["placements"].append(None), "'placements'"),
+        (lambda row: row.update({"mesh.vertices": None}), "'mesh.vertices'"),
+        (lambda row: row["mesh.faces"][0].__setitem__(1, None), "'mesh.faces'"),
+        (lambda row: row.update(star_count=None), "'star_count'"),
+    ],
+)
+def test_null_is_a_finding_of_its_scene_alone(table, tmp_path, change, field):
+    checked = validate_folder(_written(table, tmp_path, change))
+    assert [failure.id for failure in checked.failures] == [4]
+    assert checked.failures[0].problem == f"field {field} of row 4 is null; expected a value"
+    assert checked.stars > 0
+
+
+def test_scene_without_an_id_is_named_by_its_row(table, tmp_path):
+    checked = validate_folder(_written(table, tmp_path, lambda row: row.update(id=None)))
+    assert "field 'id' of row 4 is null" in checked.failures[0].problem
+
+
+def test_column_of_another_type_is_a_finding(table, tmp_path):
+    words = table.set_column(1, "label", pa.array(["one"] * len(table)))
+    pq.write_table(words.replace_schema_metadata(), tmp_path / "train-00000-of-00001.parquet")
+    checked = validate_folder(tmp_path / "train-00000-of-00001.parquet")
+    assert checked.failed == 9
+    assert "cannot be read as a scene" in checked.failures[0].problem
+    assert checked.to_dict()["declared"]
+
+
+def test_cap_triangles_turned_by_rounding_are_found_although_the_solid_is_one(tmp_path):
+    """No specification makes such a scene; a data set of other makers may hold it."""
+    rows = make_rows(SceneSpec(distractors=(1, 1)), "train", 0, 0, 1)
+    fine = Placement("disc(segments=256)", 0.99, 0.4, 0.1, 1e-4, 0.005)
+    scene = replace(rows.scenes[0], placements=(rows.scenes[0].placements[0], fine))
+    turned = replace(rows, scenes=[scene], meshes=stamp([scene.placements]))
+    pq.write_table(scene_table(turned), tmp_path / "train-00000-of-00001.parquet")
+    (record,) = load(str(tmp_path))
+    assert judge(Mesh(record.vertices_m, record.faces)).problem is None
+    assert "triangles of flat faces are turned over" in check_scene(record)
+
+
+@pytest.fixture
+def interrupted(tmp_path):
+    """A folder with a finished test split whose train split was stopped after one shard of two."""
+    out = tmp_path / "set"
+    generate(GenerateSpec(scenes={"train": 1_001, "test": 4}), out)
+    manifest = json.loads((out / "manifest.json").read_text())
+    (out / ".parts").mkdir()
+    first, _, test = manifest["shards"]
+    (out / ".parts" / "train-00000-of-00002.json").write_text(json.dumps(first))
+    (out / "data" / "train-00001-of-00002.parquet").unlink()
+    (out / "manifest.json").write_text(json.dumps({**manifest, "shards": [test], "complete": False}))
+    return out
+
+
+def test_unfinished_run_is_refused_and_a_finished_split_can_be_checked(interrupted):
+    with pytest.raises(IntegrityError, match=r"not finished \(1 shards of split 'train'"):
+        validate_folder(str(interrupted))
+    assert validate_folder(interrupted, "test").checked == 4
