@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import contextlib
 import socket
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -21,7 +21,7 @@ from dataset_store.leavings import UNFINISHED, left_by_the_dead, unfinished_name
 from dataset_store.manifest import MANIFEST_FILE, read_manifest
 from dataset_store.parts import part_receipts
 from dataset_store.resume import refuse_strangers
-from dataset_store.shards import DATA_FOLDER, PARTS_FOLDER
+from dataset_store.shards import DATA_FOLDER, PARTS_FOLDER, ShardName
 from dataset_store.storage import DataFolder, named_failures
 from dataset_store.trees import remove_tree
 
@@ -32,6 +32,12 @@ _ASIDE = ".replaced"
 _GONE = ".replaced-gone"
 _FOLDERS = (DATA_FOLDER, PARTS_FOLDER, "reports", "previews")
 _CARD = "README.md"
+# What a data set of ours holds in its folders, by name.
+_OWN_NAMES: dict[str, Callable[[str], bool]] = {
+    DATA_FOLDER: lambda name: ShardName.parse(name) is not None,
+    "reports": lambda name: name.endswith(".parquet"),
+    "previews": lambda name: name.endswith(".png"),
+}
 # Where the former set came from; the new one is no download.
 _RECORD = ".download.json"
 
@@ -126,7 +132,12 @@ def require_replaceable(folder: DataFolder, trees: tuple[str, ...]) -> tuple[str
         The folder holds something else.
     """
     both = tuple(dict.fromkeys((*_trees_of(folder), *trees)))
-    refuse_strangers(folder, _places_of(both) if folder.exists(MANIFEST_FILE) else ())
+    if not folder.exists(MANIFEST_FILE):
+        refuse_strangers(folder)
+        return both
+    refuse_strangers(folder, _places_of(both))
+    _refuse_strangers_inside(folder)
+    _require_own_manifest(folder)
     return both
 
 
@@ -157,6 +168,32 @@ def recover(folder: DataFolder) -> None:
         _give_up(folder)
     else:
         _put_back(folder, _trees_of(folder))
+
+
+def _refuse_strangers_inside(folder: DataFolder) -> None:
+    """Refuse files that somebody put among ours; hidden ones do not count."""
+    for place, ours in _OWN_NAMES.items():
+        for name in folder.names(place):
+            if not name.startswith(".") and not ours(name):
+                message = (
+                    f"{folder.address()!r} holds more than a data set (found '{place}/{name}'); nothing was "
+                    "changed; next: move that file away, or choose an empty or new folder (--out or OUT)"
+                )
+                raise InputError(message)
+
+
+def _require_own_manifest(folder: DataFolder) -> None:
+    """Refuse a file of that name by somebody else; a damaged one of ours has shards beside it."""
+    if folder.names(DATA_FOLDER) or folder.names(PARTS_FOLDER):
+        return
+    try:
+        read_manifest(folder)
+    except IntegrityError as error:
+        message = (
+            f"{folder.address(MANIFEST_FILE)!r} may be anybody's: it is no manifest of this toolkit, and no "
+            "data lies beside it; nothing was changed; next: choose an empty or new folder (--out or OUT)"
+        )
+        raise InputError(message) from error
 
 
 def _places_of(trees: tuple[str, ...]) -> tuple[str, ...]:

@@ -11,6 +11,7 @@ from typing import Any
 from dataset_store.checking import splits_to_check
 from dataset_store.errors import InputError
 from dataset_store.mesh import Mesh
+from dataset_store.nulls import null_fields
 from dataset_store.places import find_shards
 from dataset_store.rowgroups import RowGroup, Shard
 from dataset_store.runner import runner_for
@@ -19,6 +20,7 @@ from mnist3d.printability import UNREADABLE, PrintProfile, PrintReport, inspect,
 __all__ = ["Checked", "CheckedItem", "validate_paths"]
 
 _ROWS_SHOWN = 20
+_COLUMNS = ("id", "label", "mesh.vertices", "mesh.faces")
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,7 +66,7 @@ class Checked:
 
     @property
     def unreadable(self) -> tuple[CheckedItem, ...]:
-        """Files that no mesh could be read from."""
+        """Files, and rows, that no mesh could be read from."""
         return tuple(item for item in self.items if item.report.problem == UNREADABLE)
 
     def warnings(self) -> dict[str, int]:
@@ -99,14 +101,30 @@ class _CheckRowGroup:
     profile: PrintProfile = field(default_factory=PrintProfile)
 
     def __call__(self, task: _RowGroupTask) -> tuple[_RowGroupTask, tuple[CheckedItem, ...]]:
-        group = RowGroup(task.shard.read(groups=[task.group]))
-        ids = group.flat("id")
+        import pyarrow as pa
+
+        table = task.shard.read(groups=[task.group]).slice(0, task.rows).combine_chunks()
+        nulls = null_fields(table, _COLUMNS)
+        whole = [row for row in range(len(table)) if row not in nulls]
+        # One null spoils its whole column; without such rows the others can be read.
+        group = RowGroup(table.take(pa.array(whole, pa.int64())).combine_chunks() if nulls else table)
         vertices, faces = group.ragged("mesh.vertices"), group.ragged("mesh.faces")
-        rows = range(min(task.rows, len(ids)))
+        reports = {
+            row: inspect(Mesh(vertices[place], faces[place]), self.profile) for place, row in enumerate(whole)
+        }
+        first_row = task.shard.group_starts[task.group]
+        for row, name in nulls.items():
+            where = f"split {task.split!r}, row {first_row + row} of {Path(task.shard.path).name}"
+            reports[row] = unreadable(f"{where}: field {name!r} is null; expected a value")
+        ids = table["id"].to_pylist()
         return task, tuple(
-            CheckedItem(f"{task.split} {ids[row]}", inspect(Mesh(vertices[row], faces[row]), self.profile))
-            for row in rows
+            CheckedItem(f"{task.split} {_named(ids[row], first_row + row)}", reports[row])
+            for row in range(len(table))
         )
+
+
+def _named(digit_id: int | None, row: int) -> str:
+    return f"row {row}" if digit_id is None else str(digit_id)
 
 
 @dataclass(frozen=True, order=True)

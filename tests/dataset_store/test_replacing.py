@@ -79,6 +79,29 @@ def test_nothing_is_touched_where_somebody_keeps_files_too(finished):
     assert folder_bytes(finished) == before
 
 
+@pytest.mark.parametrize("path", ["data/my.csv", "previews/mine/holiday.png", "reports/thesis.tex"])
+def test_files_of_somebody_among_ours_are_refused(finished, path):
+    (finished / path).parent.mkdir(exist_ok=True)
+    (finished / path).write_text("years of work")
+    before = folder_bytes(finished)
+    where = "/".join(path.split("/")[:2])
+    with pytest.raises(InputError, match=rf"found '{where}'.*nothing was changed"):
+        make(finished, other_plan(), overwrite=True)
+    assert folder_bytes(finished) == before
+
+
+@pytest.mark.parametrize("beside", [(), ("data/measurements.csv",)])
+def test_a_manifest_of_somebody_else_is_no_data_set(tmp_path, beside):
+    """Web apps and browser extensions have a manifest.json, too."""
+    for path in ("manifest.json", "README.md", *beside):
+        (tmp_path / path).parent.mkdir(exist_ok=True)
+        (tmp_path / path).write_text('{"name": "my web app"}')
+    before = folder_bytes(tmp_path)
+    with pytest.raises(InputError, match="nothing was changed"):
+        make(tmp_path, overwrite=True)
+    assert folder_bytes(tmp_path) == before
+
+
 def test_all_that_the_former_set_wrote_beside_its_rows_goes(tmp_path):
     make(tmp_path / "set", replace(toy_plan(), trees=("images", "index.csv")))
     (tmp_path / "set" / "images" / "train").mkdir(parents=True)
