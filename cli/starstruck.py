@@ -231,12 +231,11 @@ def main() -> None:
 def _run_generate(
     sink: Sink, spec: GenerateSpec, out: Path, splits: tuple[str, ...], workers: int, overwrite: bool
 ) -> None:
-    from dataset_store.lean import leave_pandas_out, stay_on_one_core
+    from dataset_store.lean import stay_on_one_core
     from dataset_store.parts import manifest_so_far
     from dataset_store.storage import DataFolder
     from starstruck_gen.generation import generate as make
 
-    leave_pandas_out()
     if spec.scene.collision == CollisionName.exact:
         # Outlines are measured by manifold3d: 5.9 s of processor time with one thread, 7.1 s with its own
         # ones. Circles do without it, and would only pay for the 0.1 s that the setting costs.

@@ -132,7 +132,7 @@ def _named_on_hub(name: str, revision: str | None) -> HubName:
     if named is None:
         message = (
             f"{_shown(name)} is neither a folder, nor a Parquet file, nor a repository of the Hub "
-            "(USER/NAME); next: check the path, or make a data set with `generate --out`"
+            "(USER/NAME); next: check the name (`list` shows the published sets), or make a data set"
         )
         raise InputError(message)
     return named

@@ -166,7 +166,7 @@ def test_preview_writes_a_picture(clips, tmp_path, capsys):
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        (("load", "nowhere/"), "neither a folder"),
+        (("load", "nowhere/"), "`list` shows the published sets"),
         (("load", "{images}", "--split", "holdout"), "no split 'holdout'"),
         (("resize", "{images}", "{out}", "--size", "64"), "expected WIDTHxHEIGHT"),
         (("resize", "{images}", "{out}", "--size", "0x9"), "expected at least 1 x 1"),
