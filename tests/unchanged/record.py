@@ -1,0 +1,111 @@
+"""What users and stored data rely on, as text: bytes of small data sets, public names, help of every command.
+
+``python -m tests.unchanged.record`` writes it anew after a change that was meant; the difference shows in review.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import tempfile
+from importlib import import_module
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+import pyarrow.parquet as pq
+import typer.main
+from typer.testing import CliRunner
+
+import mnist3d
+import realtouch
+import starstruck_gen
+from mnist3d.sources.synthetic import SyntheticSource
+from tests.realtouch.factories import make_round, seq_rows, single_rows, write_set
+
+FOLDER = Path(__file__).parent
+PACKAGES = ("mnist3d", "starstruck_gen", "realtouch", "realtouch.torch", "env_assets")
+COMMAND_LINES = ("mnist3d", "starstruck", "realtouch", "env_assets")
+"""Modules of ``cli``."""
+LIBRARIES = (
+    "pyarrow",
+    "numpy",
+    "scipy",
+    "scikit-image",
+    "simplejpeg",
+    "pillow",
+    "manifold3d",
+    "trimesh",
+    "av",
+)
+"""Their versions decide bytes."""
+UNSTABLE_COLUMN = "thinnest_wall_mm"
+"""It passes through BLAS, whose sums depend on the processor."""
+
+
+def library_versions() -> dict[str, str]:
+    return {name: version(name) for name in LIBRARIES}
+
+
+def public_names() -> dict[str, list[str]]:
+    return {package: sorted(import_module(package).__all__) for package in PACKAGES}
+
+
+def helps(command_line: str) -> str:
+    """Return the help of a command line and of all its commands, as a terminal of 100 columns shows it."""
+    app = import_module(f"cli.{command_line}").app
+    texts = [_help(app, name) for name in ([], *([name] for name in typer.main.get_command(app).commands))]
+    return "\n".join(line.rstrip() for text in texts for line in text.splitlines()) + "\n"
+
+
+def _help(app: typer.Typer, arguments: list[str]) -> str:
+    settings = {"TERMINAL_WIDTH": "100", "COLUMNS": "100", "NO_COLOR": "1"}
+    result = CliRunner().invoke(app, [*arguments, "--help"], env=settings)
+    assert result.exit_code == 0, result.output
+    return result.output
+
+
+def data_sets(folder: Path) -> dict[str, Any]:
+    """Make a small data set of each kind below a folder and return the digests of all Parquet files."""
+    source = SyntheticSource(seed=1)
+    mnist3d.generate(mnist3d.GenerateSpec(source, per_class=1), folder / "digits", splits=("test",))
+    coarse = mnist3d.SolidSpec(profile="linear", target_vertices=2000, join_bodies=True)
+    mnist3d.generate(
+        mnist3d.GenerateSpec(source, coarse, limit=2), folder / "coarse", splits=("printed_test",)
+    )
+    scenes = starstruck_gen.GenerateSpec(scenes=(("train", 30), ("test", 9)))
+    starstruck_gen.generate(scenes, folder / "scenes")
+    rounds = [make_round(index, 6, (64, 48), (12, 16)) for index in range(3)]
+    clips = str(write_set(folder / "clips", {"train": seq_rows(rounds)}, "seq"))
+    images = str(write_set(folder / "images", {"train": single_rows(rounds)}, "single"))
+    realtouch.to_single(clips, folder / "to-single", frame="peak")
+    realtouch.resize(clips, folder / "resized-clips", width=48, height=36)
+    realtouch.resize(images, folder / "resized-images", width=48, height=36)
+    realtouch.select(images, folder / "selected", contact=True)
+    realtouch.frames(clips, folder / "frames")
+    found = {str(file.relative_to(folder)): _digest(file) for file in sorted(folder.rglob("*.parquet"))}
+    literal = mnist3d.solidify(source.image(1234).pixels, method="literal")
+    content = literal.vertices_m.astype("<f4").tobytes() + literal.faces.astype("<i4").tobytes()
+    return found | {"the literal solid": hashlib.sha256(content).hexdigest()}
+
+
+def _digest(file: Path) -> Any:
+    if UNSTABLE_COLUMN not in pq.read_schema(file).names:
+        return hashlib.sha256(file.read_bytes()).hexdigest()
+    table = pq.read_table(file)
+    stable = table.drop_columns([UNSTABLE_COLUMN]).to_pylist()
+    text = json.dumps(stable, sort_keys=True, default=str)
+    return [hashlib.sha256(text.encode()).hexdigest(), table[UNSTABLE_COLUMN].to_pylist()]
+
+
+def main() -> None:
+    with tempfile.TemporaryDirectory() as folder:
+        digests = data_sets(Path(folder))
+    found = {"libraries": library_versions(), "names": public_names(), "parquet": digests}
+    (FOLDER / "record.json").write_text(json.dumps(found, indent=1) + "\n", encoding="utf-8")
+    for command_line in COMMAND_LINES:
+        (FOLDER / f"{command_line}.txt").write_text(helps(command_line), encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,44 @@
+"""Inner changes must not reach users: the recorded bytes, names and help texts are still what they were."""
+
+from __future__ import annotations
+
+import json
+
+import pytest
+
+from tests.unchanged.record import (
+    COMMAND_LINES,
+    FOLDER,
+    PACKAGES,
+    data_sets,
+    helps,
+    library_versions,
+    public_names,
+)
+
+RECORD = json.loads((FOLDER / "record.json").read_text(encoding="utf-8"))
+
+
+@pytest.mark.torch
+def test_public_names_are_unchanged():
+    pytest.importorskip("torch", reason="needs torch, of the extra torch")
+    assert set(RECORD["names"]) == set(PACKAGES)
+    assert public_names() == RECORD["names"]
+
+
+@pytest.mark.parametrize("command_line", COMMAND_LINES)
+def test_help_is_unchanged(command_line):
+    assert helps(command_line) == (FOLDER / f"{command_line}.txt").read_text(encoding="utf-8")
+
+
+def test_bytes_of_data_sets_are_unchanged(tmp_path):
+    if library_versions() != RECORD["libraries"]:
+        pytest.skip(f"bytes follow from the versions of libraries; recorded with {RECORD['libraries']}")
+    found = data_sets(tmp_path)
+    assert set(found) == set(RECORD["parquet"])
+    for name, digest in RECORD["parquet"].items():
+        if isinstance(digest, str):
+            assert found[name] == digest, name
+        else:
+            assert found[name][0] == digest[0], name
+            assert found[name][1] == pytest.approx(digest[1], rel=1e-3), name
