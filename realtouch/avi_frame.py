@@ -12,7 +12,7 @@ __all__ = ["find_frame"]
 
 _LIST = struct.Struct("<4sI4s")
 _CHUNK = struct.Struct("<4sI")
-_ENTRY = struct.Struct("<4s4xII")  # name of the chunk, flags, place, size
+_INDEX_ENTRY = struct.Struct("<4s4xII")  # name of the chunk, flags, place, size
 _FRAME_NAMES = (b"00dc", b"00db")
 _CODEC = slice(108, 116)  # kind and codec of the first stream, where no other list comes before it
 
@@ -59,7 +59,7 @@ def _find_frame(data: memoryview, frame: int, count: int) -> memoryview | None:
     if name != b"idx1" or not movie or movie_end > end or size != count * 16 or place + size > end:
         return None
     # Places count from the name of the list of frames, as FFmpeg writes them.
-    name, offset, length = _ENTRY.unpack_from(data, place + frame * 16)
+    name, offset, length = _INDEX_ENTRY.unpack_from(data, place + frame * 16)
     start = movie + offset + _CHUNK.size
     if name not in _FRAME_NAMES or not length or start + length > movie_end:
         return None

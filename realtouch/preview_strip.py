@@ -17,9 +17,9 @@ __all__ = ["IN_CONTACT", "draw_strip", "frames_shown", "timeline"]
 IN_CONTACT = ACCENTS[3]
 """Colour of the frame around pictures between the first and the last registered contact."""
 
-_COLUMNS = 8
+_STRIP_COLUMNS = 8
 _MOST_FRAMES = 24
-_TILE_PX = 168
+_STRIP_TILE_PX = 168
 _BAR_PX = 34
 _GAP_PX = 2
 _TRACK = (224, 228, 232)
@@ -69,7 +69,7 @@ def draw_strip(clip: TouchClip, title: str) -> Drawing:
     contact, times_s = clip.contact_window, clip.timestamps_s
     shown = frames_shown(len(clip), contact)
     height, width = clip.size
-    tile_px = (_TILE_PX, max(1, round(_TILE_PX * height / width)))
+    tile_px = (_STRIP_TILE_PX, max(1, round(_STRIP_TILE_PX * height / width)))
     tiles = [
         Tile(
             resized(clip[frame], *tile_px),
@@ -82,7 +82,7 @@ def draw_strip(clip: TouchClip, title: str) -> Drawing:
         f"{len(shown)} of {counted(len(clip), 'frames')}, with their times; framed: contact, frames "
         f"{contact.start} to {contact.stop - 1}",
     )
-    strip = sheet(tiles, Sheet(_COLUMNS, title, words))
+    strip = sheet(tiles, Sheet(_STRIP_COLUMNS, title, words))
     bar = timeline(len(clip), contact, shown, strip.shape[1])
     return Drawing(np.concatenate([strip, bar]))
 
