@@ -23,9 +23,8 @@ for variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
 import numpy as np
 
 import env_assets
-from env_assets.height_cache import HeightCache, content_key
-from env_assets.height_map import HeightMap, top_surface
 from mnist3d.dataset import MeshRecord
+from tactile_toolkit.mesh.height_map import HeightCache, HeightMap, content_key, top_surface
 
 TARGET_MS = 5.0
 

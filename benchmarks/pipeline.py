@@ -26,19 +26,19 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from dataset_store.lean import stay_on_one_core
+from tactile_toolkit.run.worker import stay_on_one_core
 
 stay_on_one_core()
 
 import numpy as np
 
-from dataset_store.shards import encode_parquet
 from mnist3d.generation import GenerateSpec, generate, make_row
-from mnist3d.printability import inspect
 from mnist3d.rows import PARQUET_STYLE, MeshRow, mesh_table
 from mnist3d.solid import SolidSpec, solidify
 from mnist3d.sources.synthetic import SyntheticSource
 from mnist3d.splits import SPLITS
+from tactile_toolkit.mesh.printability import inspect
+from tactile_toolkit.store.shards import encode_parquet
 
 SOURCE = SyntheticSource()
 

@@ -14,11 +14,11 @@ from pathlib import Path
 
 import numpy as np
 
-from dataset_store.mesh import MM_PER_M, Mesh
 from mnist3d.comparison import symmetric_distances_mm
 from mnist3d.ink import count_bodies_and_holes
-from mnist3d.printability import PrintReport, inspect
 from mnist3d.solid import SolidSpec, ink_mask, literal_solid, solidify
+from tactile_toolkit.mesh.mesh import MM_PER_M, Mesh
+from tactile_toolkit.mesh.printability import PrintReport, inspect
 
 DIGITS = Path(__file__).resolve().parents[2] / "shared" / "digits" / "png"
 

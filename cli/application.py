@@ -39,7 +39,7 @@ def run(app: typer.Typer) -> None:
         os.environ[DEBUG_VARIABLE] = "1"
         sys.argv = [argument for argument in sys.argv if argument != "--debug"]
     if sys.argv[1:2] == ["--version"]:
-        from dataset_store.versions import toolkit_version
+        from tactile_toolkit.versions import toolkit_version
 
         sys.stdout.write(f"tactile-toolkit {toolkit_version()}\n")
         raise SystemExit(0)

@@ -22,11 +22,11 @@ def add_card(app: typer.Typer, room: Room) -> None:
 
         All numbers are those of the data; loading lines say FOLDER until the folder is uploaded.
         """
-        from dataset_store.cards.card import CARD_FILE
-        from dataset_store.cards.checks import check_card
-        from dataset_store.cards.pictures import PREVIEW_FOLDER
-        from dataset_store.errors import IntegrityError
-        from dataset_store.storage import DataFolder
+        from tactile_toolkit.cards.card import CARD_FILE
+        from tactile_toolkit.cards.checks import check_card
+        from tactile_toolkit.cards.pictures import PREVIEW_FOLDER
+        from tactile_toolkit.errors import IntegrityError
+        from tactile_toolkit.store.folder import DataFolder
 
         sink = Sink(as_json, quiet)
         place = DataFolder(str(folder))

@@ -33,11 +33,11 @@ def print_copy(sink: Sink, folder: Path, room: Room, things: str) -> None:
     IntegrityError
         When a file is damaged or missing.
     """
-    from dataset_store.choices import open_splits
-    from dataset_store.errors import InputError
-    from dataset_store.hub.download_record import read_record
-    from dataset_store.places import find_shards
-    from dataset_store.storage import DataFolder
+    from tactile_toolkit.catalog.choose import open_splits
+    from tactile_toolkit.catalog.locate import find_shards
+    from tactile_toolkit.errors import InputError
+    from tactile_toolkit.store.folder import DataFolder
+    from tactile_toolkit.store.origin import read_record
 
     if not folder.is_dir():
         message = f"{str(folder)!r} is no folder; next: give the folder of a generated or downloaded data set"

@@ -73,8 +73,8 @@ def preview(
 
     Plots and smooth oblique views need the extra `pictures`.
     """
-    from dataset_store.pictures.writing import whole_numbers
     from mnist3d.previews import PreviewSpec, plan_previews
+    from tactile_toolkit.pictures.writing import whole_numbers
 
     kinds = tuple(each.value for each in kind or ())
     spec = PreviewSpec(kinds, split, whole_numbers("--ids", ids), per_class, images, writer_info)

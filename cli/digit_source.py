@@ -52,7 +52,7 @@ def digit_source(
     seed: int,
 ) -> DigitSource:
     """Make the source that the options describe; an option that was not given is None or False."""
-    from dataset_store.errors import InputError
+    from tactile_toolkit.errors import InputError
 
     given = {
         **{"--images": images is not None, "--writer-info": writer_info is not None},
@@ -84,7 +84,7 @@ def digit_source(
 
 def _refuse_foreign(name: SourceName, given: list[str]) -> None:
     """Refuse options of other sources: without a word, another data set would be made than was meant."""
-    from dataset_store.errors import InputError
+    from tactile_toolkit.errors import InputError
 
     for option in given:
         if name not in _SOURCES_OF[option]:
@@ -97,8 +97,8 @@ def _refuse_foreign(name: SourceName, given: list[str]) -> None:
 
 
 def _hwdplus(images: Path, writer_info: Path | None, writer_column: int | None) -> DigitSource:
-    from dataset_store.errors import InputError
     from mnist3d.sources.hwdplus import HwdPlusSource
+    from tactile_toolkit.errors import InputError
 
     if writer_info is None:
         message = "--source hwdplus needs --writer-info FILE (WriterInfo.npy), which was not given"

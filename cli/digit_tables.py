@@ -9,16 +9,16 @@ from cli.output import Sink, bytes_text, counted
 from cli.unfinished import print_unfinished, shards_of_plan
 
 if TYPE_CHECKING:
-    from dataset_store.manifest import Manifest
     from mnist3d.summary import SplitSummary
+    from tactile_toolkit.store.manifest import Manifest
 
 __all__ = ["print_made"]
 
 
 def print_made(sink: Sink, manifest: Manifest, out: Path, elapsed_s: float | None = None) -> None:
     """Print the table of what a folder holds."""
-    from dataset_store.storage import DataFolder
     from mnist3d.summary import summarise
+    from tactile_toolkit.store.folder import DataFolder
 
     complete = manifest.complete
     summaries = summarise(DataFolder(str(out)), manifest) if complete else []

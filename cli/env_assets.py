@@ -14,7 +14,7 @@ from cli.output import Sink
 from cli.verification import verify_folder
 
 if TYPE_CHECKING:
-    from env_assets.wrench_facts import WrenchFacts
+    from env_assets.wrench.facts import WrenchFacts
 
 __all__ = ["app", "main"]
 
@@ -65,9 +65,9 @@ def wrench(
 
     Example: env-assets wrench --size 13 --out assets/wrench --stl wrench.stl
     """
-    from env_assets.wrench import WrenchSpec
-    from env_assets.wrench_facts import wrench_facts
-    from env_assets.wrench_files import mesh_file_at, write_wrench
+    from env_assets.wrench.facts import wrench_facts
+    from env_assets.wrench.generation import mesh_file_at, write_wrench
+    from env_assets.wrench.spec import WrenchSpec
 
     stl = None if stl is None else mesh_file_at(stl)
     asked = {"length_mm": length_mm, "thickness_mm": thickness_mm, "handle_mm": handle_mm}
@@ -133,7 +133,7 @@ def verify(folder: Folder, as_json: Json = False, quiet: Quiet = False) -> None:
 
     Exit code 3 when something is damaged; each damaged file is named.
     """
-    from env_assets.wrench_files import wrench_schema
+    from env_assets.wrench.generation import wrench_schema
 
     verify_folder(Sink(as_json, quiet), str(folder), wrench_schema(), "env-assets wrench")
 

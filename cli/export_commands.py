@@ -14,10 +14,10 @@ from cli.options import Json, Limit, Out, Quiet, Workers
 from cli.output import Sink, bytes_text, counted
 
 if TYPE_CHECKING:
-    from dataset_store.printing.checked import Failure
-    from dataset_store.printing.objects import PrintObject
-    from dataset_store.printing.plate_spec import PlateSpec
-    from dataset_store.printing.plates import PlateExport
+    from tactile_toolkit.printing.checked import Failure
+    from tactile_toolkit.printing.objects import PrintObject
+    from tactile_toolkit.printing.plate_spec import PlateSpec
+    from tactile_toolkit.printing.plates import PlateExport
 
 __all__ = ["add_export"]
 
@@ -117,8 +117,8 @@ def add_export(app: typer.Typer, room: str) -> None:
 def _plate_spec(
     plate: str | None, gap: float | None, label: bool, file_format: MeshFormat | None
 ) -> PlateSpec | None:
-    from dataset_store.errors import InputError
-    from dataset_store.printing.plate_spec import PlateSpec
+    from tactile_toolkit.errors import InputError
+    from tactile_toolkit.printing.plate_spec import PlateSpec
 
     if plate is None:
         if gap is not None or label:
@@ -136,8 +136,8 @@ def _chosen(
 ) -> list[PrintObject]:
     from importlib import import_module
 
-    from dataset_store.places import splits_of
-    from dataset_store.printing.objects import choose, parse_ids
+    from tactile_toolkit.catalog.locate import splits_of
+    from tactile_toolkit.printing.objects import choose, parse_ids
 
     load = import_module(room).load
     splits = splits_of(name) if split == "all" else (split,)
@@ -158,7 +158,7 @@ def _export_files(
 ) -> tuple[Failure, ...]:
     import os
 
-    from dataset_store.printing.singles import export_files, forecast_files
+    from tactile_toolkit.printing.singles import export_files, forecast_files
 
     if dry_run:
         view = forecast_files(objects, kind, scale, out=str(out), overwrite=overwrite)
@@ -193,8 +193,8 @@ def _export_plates(
     overwrite: bool,
     dry_run: bool,
 ) -> tuple[Failure, ...]:
-    from dataset_store.printing.layout import arrange, measure
-    from dataset_store.printing.plates import forecast_plates, write_plates
+    from tactile_toolkit.printing.layout import arrange, measure
+    from tactile_toolkit.printing.plates import forecast_plates, write_plates
 
     with sink.progress("measuring", "objects") as update:
         measured = measure(objects, spec, scale, update)
@@ -214,7 +214,7 @@ def _export_plates(
 
 
 def _print_plates(sink: Sink, made: PlateExport, out: Path, spec: PlateSpec, dry_run: bool) -> None:
-    from dataset_store.printing.plates import TABLE_FILE
+    from tactile_toolkit.printing.plates import TABLE_FILE
 
     rows = [
         (plate.file, plate.objects, f"{plate.share:.0%}", bytes_text(plate.bytes)) for plate in made.plates

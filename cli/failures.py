@@ -10,7 +10,7 @@ from typing import ParamSpec, TypeVar
 
 import typer
 
-from dataset_store.errors import ToolkitError
+from tactile_toolkit.errors import ToolkitError
 
 __all__ = ["DEBUG_VARIABLE", "EXIT_FAILED", "EXIT_INTERRUPTED", "reports_errors"]
 
@@ -29,7 +29,7 @@ def reports_errors(command: Callable[P, R]) -> Callable[P, R]:
     def guarded(*args: P.args, **kwargs: P.kwargs) -> R:
         try:
             # Besides taking a second, pyarrow's import of pandas swallows a Ctrl-C that comes during it.
-            from dataset_store.lean import leave_pandas_out
+            from tactile_toolkit.run.worker import leave_pandas_out
 
             leave_pandas_out()
             return command(*args, **kwargs)

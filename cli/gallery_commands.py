@@ -17,7 +17,7 @@ from cli.output import Sink, bytes_text, counted, duration_text
 from cli.touch_options import Revision, TouchSet
 
 if TYPE_CHECKING:
-    from dataset_store.gallery.items import Gallery
+    from tactile_toolkit.gallery.items import Gallery
 
 __all__ = ["add_mesh_gallery", "add_touch_gallery"]
 
@@ -78,7 +78,7 @@ def add_mesh_gallery(app: typer.Typer, room: str, nouns: str) -> None:
 
         Example: gallery DIR --out site --split test
         """
-        from dataset_store.gallery.selection import Choice
+        from tactile_toolkit.catalog.choose import Choice
 
         run = _Run(Sink(as_json, quiet), nouns, out, workers or os.cpu_count() or 1, overwrite)
         plan_gallery = import_module(f"{room}.gallery").plan_gallery
@@ -113,7 +113,7 @@ def _touches(
 
     Example: realtouch gallery real-single-64x64 --out site --split test
     """
-    from realtouch.gallery import RoundChoice, plan_gallery
+    from realtouch.show.gallery import RoundChoice, plan_gallery
 
     run = _Run(Sink(as_json, quiet), "rounds", out, workers or os.cpu_count() or 1, overwrite)
     run.go(plan_gallery(RoundChoice(name, split, limit, per_class, touches, revision)), dry_run)
@@ -134,7 +134,7 @@ class _Run:
             self._make(gallery)
 
     def _forecast(self, gallery: Gallery) -> None:
-        from dataset_store.gallery.forecast import forecast_site
+        from tactile_toolkit.gallery.site import forecast_site
 
         view = forecast_site(gallery, str(self.out), self.workers, overwrite=self.overwrite)
         self.sink.document(view.to_dict())
@@ -148,7 +148,7 @@ class _Run:
             self.sink.talk("that is too large and would be refused; choose fewer with --limit or --split")
 
     def _make(self, gallery: Gallery) -> None:
-        from dataset_store.gallery.site import build_site
+        from tactile_toolkit.gallery.site import build_site
 
         start_s = time.monotonic()
         try:

@@ -15,8 +15,8 @@ from cli.output import Sink, bytes_text, counted
 from cli.rooms import Room
 
 if TYPE_CHECKING:
-    from dataset_store.hub.download_plan import DownloadPlan
-    from dataset_store.hub.published import SetState
+    from tactile_toolkit.catalog.published import SetState
+    from tactile_toolkit.exchange.download_plan import DownloadPlan
 
 __all__ = ["add_download"]
 
@@ -71,7 +71,7 @@ def add_download(app: typer.Typer, room: Room) -> None:
         A download that broke off goes on where it stopped when the same command is given again. `list` shows
         the names of the published sets.
         """
-        from dataset_store.hub.download_plan import plan_download
+        from tactile_toolkit.exchange.download_plan import plan_download
 
         sink = Sink(as_json, quiet)
         _refuse_other_room(name, room)
@@ -105,8 +105,8 @@ def _refuse_other_room(name: str, room: Room) -> None:
     InputError
         It does.
     """
-    from dataset_store.errors import InputError
-    from dataset_store.hub.published import published_set
+    from tactile_toolkit.catalog.published import published_set
+    from tactile_toolkit.errors import InputError
 
     known = published_set(name)
     if known is not None and known.room != room.command:
@@ -116,7 +116,7 @@ def _refuse_other_room(name: str, room: Room) -> None:
 
 def _introduce(sink: Sink, name: str, plan: DownloadPlan) -> None:
     """Say what is fetched, how large it is, and under which terms it stands."""
-    from dataset_store.hub.published import published_set
+    from tactile_toolkit.catalog.published import published_set
 
     snapshot_licence = None if plan.is_done else plan.repository.snapshot.licence
     known = published_set(name)
@@ -142,7 +142,7 @@ def _require_consent(plan: DownloadPlan, *, yes: bool) -> None:
     InputError
         Nobody said yes.
     """
-    from dataset_store.errors import InputError
+    from tactile_toolkit.errors import InputError
 
     if yes or plan.missing_bytes <= _LARGE_BYTES:
         return
@@ -156,7 +156,7 @@ def _require_consent(plan: DownloadPlan, *, yes: bool) -> None:
 
 
 def _fetch(sink: Sink, plan: DownloadPlan) -> str:
-    from dataset_store.hub.download import download as carry_out
+    from tactile_toolkit.exchange.download import download as carry_out
 
     with sink.progress("fetching, kB", "kB") as update:
         return carry_out(
@@ -205,7 +205,7 @@ def _here(state: SetState) -> str:
 
 
 def _print_sets(sink: Sink, room: str) -> None:
-    from dataset_store.hub.published import published_sets, states
+    from tactile_toolkit.catalog.published import published_sets, states
 
     found = states(published_sets(room))
     sink.document(

@@ -14,7 +14,7 @@ from cli.output import Sink, bytes_text, counted
 from cli.rooms import Room
 
 if TYPE_CHECKING:
-    from dataset_store.hub.upload import PreparedUpload, UploadResult
+    from tactile_toolkit.exchange.upload import PreparedUpload, UploadResult
 
 __all__ = ["add_upload"]
 
@@ -62,8 +62,8 @@ def add_upload(app: typer.Typer, room: Room) -> None:
 
         Run again after an interruption, it goes on; run again after success, it sends nothing and says so.
         """
-        from dataset_store.hub.upload import UploadOptions, prepare_upload, run_upload
-        from dataset_store.storage import DataFolder
+        from tactile_toolkit.exchange.upload import UploadOptions, prepare_upload, run_upload
+        from tactile_toolkit.store.folder import DataFolder
 
         sink = Sink(as_json, quiet)
         options = UploadOptions(private, revision, create_pr, message, tag, delete)
@@ -87,7 +87,7 @@ def add_upload(app: typer.Typer, room: Room) -> None:
 
 
 def _ask(prepared: PreparedUpload) -> None:
-    from dataset_store.errors import InputError
+    from tactile_toolkit.errors import InputError
 
     if not (sys.stdin.isatty() and sys.stderr.isatty()):
         message = (
@@ -191,14 +191,14 @@ def _held(prepared: PreparedUpload, pull: str | None) -> str:
 
 
 def _where(prepared: PreparedUpload) -> str:
-    from dataset_store.hub.upload_target import MAIN
+    from tactile_toolkit.exchange.upload_target import MAIN
 
     branch = prepared.target.branch
     return prepared.target.repo_id if branch == MAIN else f"{prepared.target.repo_id} ({branch})"
 
 
 def _address(prepared: PreparedUpload, result: UploadResult | None) -> str:
-    from dataset_store.hub.upload_target import MAIN
+    from tactile_toolkit.exchange.upload_target import MAIN
 
     page, branch = prepared.target.page, prepared.target.branch
     if result is not None and result.pull is not None:
@@ -207,7 +207,7 @@ def _address(prepared: PreparedUpload, result: UploadResult | None) -> str:
 
 
 def _python_lines(room: Room, prepared: PreparedUpload, result: UploadResult | None) -> list[str]:
-    from dataset_store.hub.upload_target import MAIN
+    from tactile_toolkit.exchange.upload_target import MAIN
 
     branch = result.pull if result is not None and result.pull else prepared.target.branch
     revision = None if branch == MAIN else branch

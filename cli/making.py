@@ -12,9 +12,9 @@ from cli.output import Sink, bytes_text, duration_text
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from dataset_store.build import Progress
-    from dataset_store.forecast import Forecast
-    from dataset_store.manifest import Manifest
+    from tactile_toolkit.store.build import Progress
+    from tactile_toolkit.store.estimate import Forecast
+    from tactile_toolkit.store.manifest import Manifest
 
 __all__ = ["Made", "make_with_progress", "print_forecast"]
 

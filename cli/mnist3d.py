@@ -200,8 +200,8 @@ def validate(
 @reports_errors
 def info(folder: Folder, as_json: Json = False) -> None:
     """Show what a data set folder holds and how it was made."""
-    from dataset_store.parts import manifest_so_far
-    from dataset_store.storage import DataFolder
+    from tactile_toolkit.store.folder import DataFolder
+    from tactile_toolkit.store.manifest import manifest_so_far
 
     place = DataFolder(str(folder))
     manifest = manifest_so_far(place)
@@ -242,7 +242,7 @@ def main() -> None:
 
 def _sizes(text: str | None) -> tuple[tuple[str, int], ...] | None:
     """Parse ``train=8,test=2``."""
-    from dataset_store.errors import InputError
+    from tactile_toolkit.errors import InputError
 
     if text is None:
         return None
@@ -259,10 +259,10 @@ def _sizes(text: str | None) -> tuple[tuple[str, int], ...] | None:
 def _run_generate(
     sink: Sink, spec: GenerateSpec, out: Path, splits: tuple[str, ...], workers: int, overwrite: bool
 ) -> None:
-    from dataset_store.lean import become_worker
-    from dataset_store.parts import manifest_so_far
-    from dataset_store.storage import DataFolder
     from mnist3d.generation import generate as make
+    from tactile_toolkit.run.worker import become_worker
+    from tactile_toolkit.store.folder import DataFolder
+    from tactile_toolkit.store.manifest import manifest_so_far
 
     become_worker()
     made = make_with_progress(

@@ -10,7 +10,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any
 
-from dataset_store.counting import counted
+from tactile_toolkit.wording import counted
 
 __all__ = ["Sink", "bytes_text", "counted", "duration_text", "flat_lines"]
 

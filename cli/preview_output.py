@@ -11,7 +11,7 @@ from cli.options import local_place
 from cli.output import Sink, bytes_text
 
 if TYPE_CHECKING:
-    from dataset_store.pictures.writing import PicturePlan
+    from tactile_toolkit.pictures.writing import PicturePlan
 
 __all__ = ["PREVIEW_FOLDER", "PictureDryRun", "PictureOut", "write_previews"]
 
@@ -35,8 +35,8 @@ PictureDryRun = Annotated[
 
 def write_previews(sink: Sink, plan: PicturePlan, out: Path, dry_run: bool) -> None:
     """Draw planned pictures and print where they are, or print only what would be drawn."""
-    from dataset_store.pictures.writing import renamed, write_pictures
-    from dataset_store.storage import DataFolder
+    from tactile_toolkit.pictures.writing import renamed, write_pictures
+    from tactile_toolkit.store.folder import DataFolder
 
     folder, pictures = renamed(plan.pictures, out)
     for reason in plan.left_out:

@@ -23,7 +23,7 @@ from cli.touch_tables import print_made, print_summary, raise_findings, tell_fet
 from cli.unfinished import print_unfinished
 
 if TYPE_CHECKING:
-    from realtouch.checks import TouchVerification
+    from realtouch.integrity.verify import TouchVerification
 
 __all__ = ["app", "main"]
 
@@ -64,11 +64,11 @@ def info(name: TouchSet, split: Split = None, revision: Revision = None, as_json
 
     Example: realtouch info touches-64x64
     """
-    from dataset_store.parts import manifest_so_far
-    from dataset_store.storage import DataFolder
-    from realtouch.opening import dataset_of
-    from realtouch.source import Source
+    from realtouch.convert.plan import Source
+    from realtouch.dataset import dataset_of
     from realtouch.summary import summarise
+    from tactile_toolkit.store.folder import DataFolder
+    from tactile_toolkit.store.manifest import manifest_so_far
 
     sink = Sink(as_json)
     manifest = manifest_so_far(DataFolder(name)) if Path(name).is_dir() else None
@@ -143,7 +143,7 @@ def main() -> None:
 def _verified(
     sink: Sink, name: str, split: str | None, revision: str | None, *, quick: bool
 ) -> TouchVerification:
-    from realtouch.checks import verify as check
+    from realtouch.integrity.verify import verify as check
 
     with sink.progress("checking", "rounds") as update:
         return check(name, split, revision=revision, quick=quick, on_progress=update)

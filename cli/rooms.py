@@ -8,9 +8,9 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from dataset_store.findings import Finding
-    from dataset_store.manifest import Manifest
-    from dataset_store.storage import DataFolder
+    from tactile_toolkit.store.folder import DataFolder
+    from tactile_toolkit.store.manifest import Manifest
+    from tactile_toolkit.store.shards import Finding
 
 __all__ = ["Room"]
 
@@ -72,8 +72,8 @@ class Room:
             When the manifest is damaged.
         """
         from cli.unfinished import unfinished_words
-        from dataset_store.errors import InputError
-        from dataset_store.manifest import read_manifest
+        from tactile_toolkit.errors import InputError
+        from tactile_toolkit.store.manifest import read_manifest
 
         manifest = read_manifest(folder)
         self.refuse_other_kind(manifest, folder.address())
@@ -91,7 +91,7 @@ class Room:
         InputError
             It is of another kind.
         """
-        from dataset_store.errors import InputError
+        from tactile_toolkit.errors import InputError
 
         if manifest is None or manifest.kind == self.command:
             return
@@ -127,8 +127,8 @@ class Room:
         InputError
             When there is none.
         """
-        from dataset_store.errors import InputError
-        from dataset_store.manifest import MANIFEST_FILE
+        from tactile_toolkit.errors import InputError
+        from tactile_toolkit.store.manifest import MANIFEST_FILE
 
         if manifest is None:
             message = (
@@ -140,12 +140,12 @@ class Room:
 
     def check(self, folder: DataFolder) -> Iterable[Finding]:
         """List everything that is wrong with a folder: files, rows, columns, ids, pictures, card."""
-        from dataset_store.cards.checks import check_card
-        from dataset_store.findings import Finding
-        from dataset_store.verify import verify
+        from tactile_toolkit.cards.checks import check_card
+        from tactile_toolkit.store.shards import Finding
+        from tactile_toolkit.store.verify import verify
 
         if self.command == "realtouch":
-            from realtouch.checks import verify as verify_touches
+            from realtouch.integrity.verify import verify as verify_touches
 
             found = verify_touches(folder.address(), quick=True).findings
             if found:

@@ -41,9 +41,9 @@ def scene_spec(
     clearance_mm: float,
 ) -> SceneSpec:
     """Make the specification that the options describe."""
-    from dataset_store.errors import InputError
     from starstruck_gen.shapes import Shape
     from starstruck_gen.spec import SceneSpec
+    from tactile_toolkit.errors import InputError
 
     sides_m = _lengths_m("--cell-mm", cell_mm.replace("x", ","))
     if len(sides_m) > 2:
@@ -79,7 +79,7 @@ def _star(points: int | None, inner_mm: float | None, radius_mm: float) -> Shape
 
 def _counts(option: str, text: str) -> tuple[int, ...]:
     """Read ``1-3`` or ``1,2,5``."""
-    from dataset_store.errors import InputError
+    from tactile_toolkit.errors import InputError
 
     least, dash, most = (part.strip() for part in text.partition("-"))
     if dash and _is_count(least) and _is_count(most) and int(least) <= int(most) < 10_000:
@@ -93,7 +93,7 @@ def _counts(option: str, text: str) -> tuple[int, ...]:
 
 def _least_and_most(option: str, text: str) -> tuple[int, int]:
     """Read ``0-5``, ``0,5`` or ``5``."""
-    from dataset_store.errors import InputError
+    from tactile_toolkit.errors import InputError
 
     parts = [part.strip() for part in (text.split("-") if "-" in text else text.split(","))]
     if len(parts) > 2 or not all(_is_count(part) for part in parts):
@@ -109,7 +109,7 @@ def _is_count(text: str) -> bool:
 
 def _lengths_m(option: str, text: str) -> tuple[float, ...]:
     """Read lengths in millimetres, separated by commas."""
-    from dataset_store.errors import InputError
+    from tactile_toolkit.errors import InputError
 
     try:
         return tuple(float(part) / 1e3 for part in text.split(","))
@@ -120,8 +120,8 @@ def _lengths_m(option: str, text: str) -> tuple[float, ...]:
 
 def split_sizes(text: str) -> tuple[tuple[str, int], ...]:
     """Read ``5000`` or ``train=5000,test=500``."""
-    from dataset_store.errors import InputError
     from starstruck_gen.streams import SPLITS
+    from tactile_toolkit.errors import InputError
 
     if _is_count(text.strip()):
         return tuple((split, int(text)) for split in SPLITS)

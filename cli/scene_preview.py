@@ -55,8 +55,8 @@ def preview(
     A single scene shows the positions that were rejected while it was made, and an oblique view. Plots and
     smooth oblique views need the extra `pictures`.
     """
-    from dataset_store.pictures.writing import whole_numbers
     from starstruck_gen.previews import PreviewSpec, plan_previews
+    from tactile_toolkit.pictures.writing import whole_numbers
 
     kinds = tuple(each.value for each in kind or ())
     spec = PreviewSpec(kinds, split, whole_numbers("--ids", ids), per_class)

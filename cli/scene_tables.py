@@ -9,8 +9,8 @@ from cli.output import Sink, bytes_text
 from cli.unfinished import print_unfinished, shards_of_plan
 
 if TYPE_CHECKING:
-    from dataset_store.manifest import Manifest
     from starstruck_gen.summary import SplitSummary
+    from tactile_toolkit.store.manifest import Manifest
 
 __all__ = ["print_acceptance", "print_made"]
 

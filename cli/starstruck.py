@@ -28,8 +28,8 @@ from cli.scene_tables import print_acceptance, print_made
 from cli.verification import verify_folder
 
 if TYPE_CHECKING:
-    from dataset_store.manifest import Manifest
     from starstruck_gen.generation import GenerateSpec
+    from tactile_toolkit.store.manifest import Manifest
 
 __all__ = ["app", "main"]
 
@@ -187,8 +187,8 @@ def validate(
 @reports_errors
 def info(folder: Folder, as_json: Json = False) -> None:
     """Show what a data set folder holds, how it was made, and how hard it was to place objects."""
-    from dataset_store.parts import manifest_so_far
-    from dataset_store.storage import DataFolder
+    from tactile_toolkit.store.folder import DataFolder
+    from tactile_toolkit.store.manifest import manifest_so_far
 
     manifest = manifest_so_far(DataFolder(str(folder)))
     sink = Sink(as_json)
@@ -231,10 +231,10 @@ def main() -> None:
 def _run_generate(
     sink: Sink, spec: GenerateSpec, out: Path, splits: tuple[str, ...], workers: int, overwrite: bool
 ) -> None:
-    from dataset_store.lean import stay_on_one_core
-    from dataset_store.parts import manifest_so_far
-    from dataset_store.storage import DataFolder
     from starstruck_gen.generation import generate as make
+    from tactile_toolkit.run.worker import stay_on_one_core
+    from tactile_toolkit.store.folder import DataFolder
+    from tactile_toolkit.store.manifest import manifest_so_far
 
     if spec.scene.collision == CollisionName.exact:
         # Outlines are measured by manifold3d: 5.9 s of processor time with one thread, 7.1 s with its own
@@ -264,8 +264,8 @@ def _run_generate(
 
 
 def _require_scenes(manifest: Manifest, folder: Path) -> None:
-    from dataset_store.errors import InputError
     from starstruck_gen.generation import KIND
+    from tactile_toolkit.errors import InputError
 
     if manifest.kind != KIND:
         message = f"{str(folder)!r} holds a data set of kind {manifest.kind!r}; expected one of {KIND!r}"

@@ -20,7 +20,7 @@ from cli.touch_options import TouchSet
 from cli.touch_tables import print_made, tell_fetching
 
 if TYPE_CHECKING:
-    from dataset_store.manifest import Manifest
+    from tactile_toolkit.store.manifest import Manifest
 
 __all__ = ["add_conversions"]
 
@@ -67,7 +67,7 @@ def to_single(
 
     Example: realtouch to-single real-seq touches --frame peak
     """
-    from realtouch.convert import to_single as convert
+    from realtouch.convert.api import to_single as convert
 
     convert_to = partial(convert, source, str(out), frame.value, split=split, limit=limit)
     _run(_sink(source, split, as_json, quiet), convert_to, out, workers, overwrite)
@@ -90,7 +90,7 @@ def resize(
 
     Example: realtouch resize real-single-320x240 small --size 64x64
     """
-    from realtouch.convert import resize as convert
+    from realtouch.convert.api import resize as convert
 
     convert_to = partial(convert, source, str(out), *_size(size), quality=quality, split=split, limit=limit)
     _run(_sink(source, split, as_json, quiet), convert_to, out, workers, overwrite)
@@ -114,8 +114,8 @@ def frames(
 
     Example: realtouch frames real-single-64x64 pictures --jpeg
     """
-    from dataset_store.errors import InputError
-    from realtouch.convert import frames as convert
+    from realtouch.convert.api import frames as convert
+    from tactile_toolkit.errors import InputError
 
     if png and jpeg:
         message = "--png and --jpeg were both given; expected one of them"
@@ -150,7 +150,7 @@ def select(
 
     Example: realtouch select real-single-64x64 touched --contact --labels 3,5
     """
-    from realtouch.convert import select as convert
+    from realtouch.convert.api import select as convert
 
     convert_to = partial(
         convert,
@@ -189,7 +189,7 @@ def _run(sink: Sink, convert_to: Callable[..., Manifest], out: Path, workers: in
 
 def _size(text: str) -> tuple[int, int]:
     """Parse ``64x64``."""
-    from dataset_store.errors import InputError
+    from tactile_toolkit.errors import InputError
 
     match = re.fullmatch(r"(\d{1,5})x(\d{1,5})", text.strip().lower())
     if match is None:
@@ -203,7 +203,7 @@ def _listed(text: str | None) -> list[str]:
 
 
 def _whole(text: str) -> int:
-    from dataset_store.errors import InputError
+    from tactile_toolkit.errors import InputError
 
     if not text.isdecimal():
         message = f"--objects has {text!r}; expected whole numbers, such as 12,408"

@@ -70,7 +70,7 @@ def preview(
 
     The drift needs the extra `pictures`.
     """
-    from realtouch.previews import PreviewSpec, plan_previews
+    from realtouch.show.previews import PreviewSpec, plan_previews
 
     kinds = tuple(each.value for each in kind or ())
     plan = plan_previews(name, split, PreviewSpec(kinds, row, touches, touch), revision=revision)

@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING, Any
 from cli.output import Sink, bytes_text, counted
 
 if TYPE_CHECKING:
-    from dataset_store.manifest import Manifest
-    from realtouch.checks import TouchVerification
+    from realtouch.integrity.verify import TouchVerification
     from realtouch.summary import Summary
+    from tactile_toolkit.store.manifest import Manifest
 
 __all__ = ["print_made", "print_summary", "raise_findings", "tell_fetching"]
 
@@ -31,8 +31,8 @@ def print_made(sink: Sink, manifest: Manifest, out: Path) -> None:
 
 def tell_fetching(sink: Sink, name: str, split: str | None) -> None:
     """Say what of a data set on the Hub is about to be fetched: a published one may have many gigabytes."""
-    from dataset_store.hub.names import hub_name
     from realtouch.names import repository_of
+    from tactile_toolkit.hub.names import hub_name
 
     place = repository_of(name)
     if hub_name(place) is None or Path(place).expanduser().exists():
@@ -49,7 +49,7 @@ def raise_findings(result: TouchVerification, name: str) -> None:
     IntegrityError
         When there is any.
     """
-    from dataset_store.errors import IntegrityError
+    from tactile_toolkit.errors import IntegrityError
 
     if result.ok:
         return

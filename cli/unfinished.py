@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING
 from cli.output import Sink, bytes_text
 
 if TYPE_CHECKING:
-    from dataset_store.manifest import Manifest
-    from dataset_store.storage import DataFolder
+    from tactile_toolkit.store.folder import DataFolder
+    from tactile_toolkit.store.manifest import Manifest
 
 __all__ = ["print_unfinished", "shards_of_plan", "unfinished_words"]
 
@@ -31,7 +31,7 @@ def unfinished_words(folder: DataFolder, command: str) -> tuple[str, str]:
     tuple of str
         ``"the download into"`` or ``"the run that makes"`` (the folder), and the next step.
     """
-    from dataset_store.hub.download_record import read_record
+    from tactile_toolkit.store.origin import read_record
 
     record = read_record(folder)
     if record is None:
@@ -46,7 +46,7 @@ def shards_of_plan(manifest: Manifest) -> dict[str, int]:
 
 def print_unfinished(sink: Sink, manifest: Manifest, out: Path, unit: str, command: str) -> None:
     """Say that a folder is unfinished, what it holds so far, and how to go on."""
-    from dataset_store.storage import DataFolder
+    from tactile_toolkit.store.folder import DataFolder
 
     what, again = unfinished_words(DataFolder(str(out)), f"the same `{command}`")
     table = manifest.split_table()

@@ -32,11 +32,11 @@ def verify_folder(sink: Sink, folder: str, schema: Any, generate: str) -> None:
     InputError
         When the folder holds no data set, or one of another kind.
     """
-    from dataset_store.errors import IntegrityError
-    from dataset_store.hub.download_record import read_record
-    from dataset_store.manifest import read_manifest
-    from dataset_store.storage import DataFolder
-    from dataset_store.verify import verify
+    from tactile_toolkit.errors import IntegrityError
+    from tactile_toolkit.store.folder import DataFolder
+    from tactile_toolkit.store.manifest import read_manifest
+    from tactile_toolkit.store.origin import read_record
+    from tactile_toolkit.store.verify import verify
 
     place = DataFolder(folder)
     command, made = generate.split()

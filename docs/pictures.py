@@ -12,9 +12,9 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
-from mnist3d.pictures import relief
 from mnist3d.solid import solidify
 from mnist3d.sources.synthetic import SyntheticSource
+from tactile_toolkit.pictures.relief import relief
 
 CELL_PX = 160
 PITCH_M = 0.0005

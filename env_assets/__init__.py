@@ -13,13 +13,14 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from env_assets.environments import make
-    from env_assets.height_map import HeightMap, top_surface
     from env_assets.mesh_sets import SolidDataset, WrenchDataset, WrenchRecord
     from env_assets.provider import AssetProvider
     from env_assets.source import AssetSource
     from env_assets.tactile_mnist import as_mesh_dataset, as_touch_dataset
-    from env_assets.wrench import WrenchSpec, wrench_mesh
-    from env_assets.wrench_files import write_wrench
+    from env_assets.wrench.generation import write_wrench
+    from env_assets.wrench.spec import WrenchSpec
+    from env_assets.wrench.wrench import wrench_mesh
+    from tactile_toolkit.mesh.height_map import HeightMap, top_surface
 
 __all__ = [
     "AssetProvider",
@@ -38,14 +39,15 @@ __all__ = [
 ]
 
 _HOMES = {
-    "environments": ("make",),
-    "height_map": ("HeightMap", "top_surface"),
-    "mesh_sets": ("SolidDataset", "WrenchDataset", "WrenchRecord"),
-    "provider": ("AssetProvider",),
-    "source": ("AssetSource",),
-    "tactile_mnist": ("as_mesh_dataset", "as_touch_dataset"),
-    "wrench": ("WrenchSpec", "wrench_mesh"),
-    "wrench_files": ("write_wrench",),
+    "env_assets.environments": ("make",),
+    "env_assets.mesh_sets": ("SolidDataset", "WrenchDataset", "WrenchRecord"),
+    "env_assets.provider": ("AssetProvider",),
+    "env_assets.source": ("AssetSource",),
+    "env_assets.tactile_mnist": ("as_mesh_dataset", "as_touch_dataset"),
+    "env_assets.wrench.generation": ("write_wrench",),
+    "env_assets.wrench.spec": ("WrenchSpec",),
+    "env_assets.wrench.wrench": ("wrench_mesh",),
+    "tactile_toolkit.mesh.height_map": ("HeightMap", "top_surface"),
 }
 
 
@@ -53,7 +55,7 @@ def __getattr__(name: str) -> Any:
     # No sub-module may bear the name of something public: importing it would shadow that.
     for home, names in _HOMES.items():
         if name in names:
-            return getattr(import_module(f"env_assets.{home}"), name)
+            return getattr(import_module(home), name)
     message = f"module 'env_assets' has no attribute {name!r}"
     raise AttributeError(message)
 

@@ -6,10 +6,10 @@ from typing import Any
 
 import numpy as np
 
-from dataset_store.errors import InputError
-from dataset_store.mesh import MM_PER_M
 from env_assets.measures import Measurable, bounds_m, volumes_m3
 from env_assets.mesh_sets import DigitMeshes, SceneMeshes, WrenchMeshes
+from tactile_toolkit.errors import InputError
+from tactile_toolkit.mesh.mesh import MM_PER_M
 
 __all__ = [
     "require_classes",

@@ -6,8 +6,6 @@ import dataclasses
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
-from dataset_store.errors import InputError
-from dataset_store.records import RecordDataset
 from env_assets.environment_checks import (
     CLASS_NAMES,
     refuse_strangers,
@@ -18,6 +16,8 @@ from env_assets.environment_checks import (
 from env_assets.environment_ids import PublishedEnvironment
 from env_assets.linked_files import folder_of_links
 from env_assets.plain_meshes import as_records
+from tactile_toolkit.errors import InputError
+from tactile_toolkit.read.dataset import RecordDataset
 
 if TYPE_CHECKING:
     from env_assets.source import AssetSource

@@ -7,7 +7,6 @@ from typing import Any
 
 import numpy as np
 
-from dataset_store.errors import InputError
 from env_assets.checks import (
     require_classes,
     require_fitting,
@@ -18,9 +17,10 @@ from env_assets.checks import (
 )
 from env_assets.environment_ids import Assets
 from env_assets.mesh_sets import DigitMeshes, SceneMeshes, measurable
-from env_assets.wrench_files import CLASS_NAMES as WRENCH_NAMES
+from env_assets.wrench.generation import CLASS_NAMES as WRENCH_NAMES
 from mnist3d.rows import CLASS_NAMES as DIGIT_NAMES
 from starstruck_gen.rows import CLASS_NAMES as STAR_NAMES
+from tactile_toolkit.errors import InputError
 
 __all__ = [
     "CLASS_NAMES",

@@ -9,8 +9,8 @@ import difflib
 from dataclasses import dataclass
 from typing import Any, Literal
 
-from dataset_store.errors import InputError
 from env_assets.environment_packages import published_package
+from tactile_toolkit.errors import InputError
 
 __all__ = ["FAMILIES", "Family", "PublishedEnvironment", "published_environment"]
 

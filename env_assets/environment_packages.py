@@ -7,7 +7,7 @@ import sys
 from importlib import import_module
 from typing import Any
 
-from dataset_store.errors import InputError, MissingExtraError
+from tactile_toolkit.errors import InputError, MissingExtraError
 
 __all__ = ["published_package", "require_screenless_drawing"]
 

@@ -16,11 +16,11 @@ from typing import Any, Self
 
 import numpy as np
 
-from dataset_store.errors import InputError
-from dataset_store.records import RecordDataset
 from env_assets.measures import bounds_m, volumes_m3
 from env_assets.mesh_sets import measurable
 from env_assets.plain_meshes import PlainMeshes
+from tactile_toolkit.errors import InputError
+from tactile_toolkit.read.dataset import RecordDataset
 
 __all__ = ["Reader", "Records", "StoredRows", "fingerprint_of", "label_feature"]
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from dataset_store.errors import InputError, MissingExtraError
 from env_assets.environment_packages import published_package
+from tactile_toolkit.errors import InputError, MissingExtraError
 
 __all__ = ["BACKENDS", "require_sensor", "sensor_factories"]
 

@@ -11,11 +11,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from dataset_store.errors import InputError
-from dataset_store.records import RecordDataset
 from env_assets.environment_meshes import CacheSize
 from env_assets.environment_packages import published_package
 from env_assets.environment_rows import StoredRows, label_feature
+from tactile_toolkit.errors import InputError
+from tactile_toolkit.read.dataset import RecordDataset
 
 if TYPE_CHECKING:
     import tactile_mnist

@@ -13,12 +13,12 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from dataset_store.errors import InputError
 from env_assets.environment_assets import assets_for
 from env_assets.environment_checks import refuse_unknown_settings
 from env_assets.environment_ids import PublishedEnvironment, published_environment
 from env_assets.environment_packages import published_package, require_screenless_drawing
 from env_assets.environment_sensors import require_sensor, sensor_factories
+from tactile_toolkit.errors import InputError
 
 if TYPE_CHECKING:
     from env_assets.source import AssetSource

@@ -8,13 +8,13 @@ from typing import Any
 
 import numpy as np
 
-from dataset_store.errors import InputError, ToolkitError
-from dataset_store.mesh import MM_PER_M
-from dataset_store.places import find_shards, splits_of
-from dataset_store.rowgroups import ShardedTable
 from env_assets.measures import bounds_m, volumes_m3
 from env_assets.mesh_memory import MeshMemory
 from env_assets.mesh_sets import kind_of, open_meshes
+from tactile_toolkit.catalog.locate import find_shards, splits_of
+from tactile_toolkit.errors import InputError, ToolkitError
+from tactile_toolkit.mesh.mesh import MM_PER_M
+from tactile_toolkit.read.parquet import ShardedTable
 
 __all__ = ["AssetSummary", "inventory"]
 

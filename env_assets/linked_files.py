@@ -6,9 +6,9 @@ import hashlib
 from collections.abc import Sequence
 from pathlib import Path
 
-from dataset_store.cachefiles import cache_folder
-from dataset_store.shards import ShardName
-from dataset_store.storage import named_failures
+from tactile_toolkit.cache import cache_folder
+from tactile_toolkit.store.folder import named_failures
+from tactile_toolkit.store.shards import ShardName
 
 __all__ = ["folder_of_links"]
 

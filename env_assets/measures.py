@@ -7,12 +7,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from dataset_store.errors import InputError
-from dataset_store.mesh import Mesh
-from dataset_store.mesh_columns import FACES, VERTICES
-from dataset_store.rowgroups import RowGroup
 from env_assets.mesh_memory import Remembering
 from env_assets.plain_meshes import PlainMeshes
+from tactile_toolkit.errors import InputError
+from tactile_toolkit.mesh.columns import FACES, VERTICES
+from tactile_toolkit.mesh.mesh import Mesh
+from tactile_toolkit.read.parquet import RowGroup
 
 __all__ = ["Measurable", "bounds_m", "mesh_bounds_m", "volumes_m3"]
 

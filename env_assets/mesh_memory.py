@@ -11,8 +11,8 @@ from typing import Any, Self, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from dataset_store.records import RecordDataset, Row
-from dataset_store.rowgroups import RowGroup
+from tactile_toolkit.read.dataset import RecordDataset, Row
+from tactile_toolkit.read.parquet import RowGroup
 
 __all__ = ["MeshMemory", "Remembering"]
 

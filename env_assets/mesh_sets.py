@@ -10,16 +10,16 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from dataset_store.mesh_columns import class_names, require_mesh_columns
-from dataset_store.mesh_records import SolidRecord
-from dataset_store.records import RecordDataset
-from dataset_store.rowgroups import Shard, ShardedTable
 from env_assets.mesh_memory import MeshMemory, Remembering
 from env_assets.plain_meshes import PlainMeshes
 from mnist3d.dataset import MeshDataset, MeshRecord
 from mnist3d.rows import CLASS_NAMES as DIGIT_NAMES
 from starstruck_gen.dataset import SceneMeshDataset, SceneRecord
 from starstruck_gen.rows import CLASS_NAMES as STAR_NAMES
+from tactile_toolkit.mesh.columns import class_names, require_mesh_columns
+from tactile_toolkit.mesh.records import SolidRecord
+from tactile_toolkit.read.dataset import RecordDataset
+from tactile_toolkit.read.parquet import Shard, ShardedTable
 
 __all__ = [
     "DigitMeshes",
@@ -71,8 +71,8 @@ class WrenchRecord(SolidRecord):
 
     def _repr_html_(self) -> str:
         """Show the wrench from above in a notebook."""
-        from dataset_store.pictures.writing import png_bytes
-        from mnist3d.pictures import relief
+        from tactile_toolkit.pictures.relief import relief
+        from tactile_toolkit.pictures.writing import png_bytes
 
         picture = b64encode(png_bytes(relief(self.vertices_m, self.faces))).decode()
         caption = f"<figcaption>{html.escape(repr(self))}</figcaption>"

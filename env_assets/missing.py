@@ -14,9 +14,9 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from dataset_store.errors import InputError
-from dataset_store.manifest import read_manifest
-from dataset_store.storage import DataFolder, named_failures
+from tactile_toolkit.errors import InputError
+from tactile_toolkit.store.folder import DataFolder, named_failures
+from tactile_toolkit.store.manifest import read_manifest
 
 __all__ = ["KINDS", "AssetMaker", "require_whole"]
 
@@ -172,14 +172,14 @@ class AssetMaker:
         generate(self._spec("starstruck"), str(self.place("starstruck")), (split,), workers=self.workers)
 
     def _make_wrench(self, split: str) -> None:
-        from env_assets.wrench_files import write_wrench
+        from env_assets.wrench.generation import write_wrench
 
         self.require_split("wrench", split)
         write_wrench(self._spec("wrench"), str(self.place("wrench")))
 
     def _spec(self, kind: str) -> Any:
         if kind == "wrench":
-            from env_assets.wrench import WrenchSpec
+            from env_assets.wrench.spec import WrenchSpec
 
             return WrenchSpec.for_size()
         if kind == "starstruck":
@@ -226,7 +226,7 @@ def require_whole(name: str, value: Any, least: int) -> None:
 
 def _splits(kind: str) -> tuple[str, ...]:
     if kind == "wrench":
-        from env_assets.wrench_files import SPLIT
+        from env_assets.wrench.generation import SPLIT
 
         return (SPLIT,)
     if kind == "starstruck":

@@ -36,7 +36,7 @@ class Pins:
             return None
         commit = self._commits.get(repo_id)
         if commit is None:
-            from dataset_store.hub.repository import HubRepository
+            from tactile_toolkit.hub.repository import HubRepository
 
             # The first answer stays, whichever thread it came from.
             commit = self._commits.setdefault(repo_id, HubRepository(repo_id, self._revision).snapshot.commit)

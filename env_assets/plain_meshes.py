@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from dataset_store.errors import InputError
-from dataset_store.row_selection import positions
+from tactile_toolkit.errors import InputError
+from tactile_toolkit.read.dataset import positions
 
 __all__ = ["PlainMeshes", "as_records"]
 

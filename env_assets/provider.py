@@ -10,18 +10,17 @@ from typing import TYPE_CHECKING, Any, Literal, overload
 import numpy as np
 from numpy.typing import NDArray
 
-from dataset_store.errors import InputError, IntegrityError
-from dataset_store.mesh import as_mesh
-from dataset_store.places import find_shards
-from dataset_store.rowgroups import Shard
 from env_assets.checks import require_kind, require_scene
-from env_assets.height_cache import HeightCache
-from env_assets.height_map import HeightMap
 from env_assets.measures import mesh_bounds_m, volumes_m3
 from env_assets.mesh_memory import MeshMemory
 from env_assets.mesh_sets import DigitMeshes, MeshSet, SceneMeshes, WrenchMeshes, open_meshes
 from env_assets.missing import KINDS, AssetMaker, require_whole
 from env_assets.pinning import Pins
+from tactile_toolkit.catalog.locate import find_shards
+from tactile_toolkit.errors import InputError, IntegrityError
+from tactile_toolkit.mesh.height_map import HeightCache, HeightMap
+from tactile_toolkit.mesh.mesh import as_mesh
+from tactile_toolkit.read.parquet import Shard
 
 if TYPE_CHECKING:
     from realtouch.dataset import TouchSeqDataset, TouchSingleDataset

@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from env_assets.height_map import HeightMap
     from realtouch.dataset import TouchSeqDataset, TouchSingleDataset
+    from tactile_toolkit.mesh.height_map import HeightMap
 
 __all__ = ["AssetSource"]
 

@@ -10,11 +10,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
-from dataset_store.errors import InputError
-from dataset_store.records import RecordDataset
 from env_assets.environment_meshes import CacheSize, MeshPoint, StoredMeshDataset
 from env_assets.environment_touches import StoredTouchDataset, TouchPoint
 from env_assets.plain_meshes import as_records
+from tactile_toolkit.errors import InputError
+from tactile_toolkit.read.dataset import RecordDataset
 
 __all__ = [
     "MeshPoint",

@@ -11,15 +11,15 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from dataset_store.mesh import Mesh
-    from dataset_store.meshfile import read_mesh, write_mesh
     from mnist3d.dataset import MeshDataset, MeshRecord, MeshStream, load
     from mnist3d.digit import DigitCatalog, DigitImage
     from mnist3d.generation import GenerateSpec, generate
-    from mnist3d.printability import PrintProfile, PrintReport, inspect
     from mnist3d.solid import SolidSpec, solidify
     from mnist3d.sources import DigitSource
     from mnist3d.splits import SPLITS, SplitSpec, plan_splits
+    from tactile_toolkit.mesh.files import read_mesh, write_mesh
+    from tactile_toolkit.mesh.mesh import Mesh
+    from tactile_toolkit.mesh.printability import PrintProfile, PrintReport, inspect
 
 __all__ = [
     "SPLITS",
@@ -44,15 +44,16 @@ __all__ = [
     "write_mesh",
 ]
 
-_STORE = {"Mesh": "mesh", "read_mesh": "meshfile", "write_mesh": "meshfile"}
 _HOMES = {
-    "dataset": ("MeshDataset", "MeshRecord", "MeshStream", "load"),
-    "digit": ("DigitCatalog", "DigitImage"),
-    "generation": ("GenerateSpec", "generate"),
-    "printability": ("PrintProfile", "PrintReport", "inspect"),
-    "solid": ("SolidSpec", "solidify"),
-    "sources": ("DigitSource",),
-    "splits": ("SPLITS", "SplitSpec", "plan_splits"),
+    "mnist3d.dataset": ("MeshDataset", "MeshRecord", "MeshStream", "load"),
+    "mnist3d.digit": ("DigitCatalog", "DigitImage"),
+    "mnist3d.generation": ("GenerateSpec", "generate"),
+    "mnist3d.solid": ("SolidSpec", "solidify"),
+    "mnist3d.sources": ("DigitSource",),
+    "mnist3d.splits": ("SPLITS", "SplitSpec", "plan_splits"),
+    "tactile_toolkit.mesh.files": ("read_mesh", "write_mesh"),
+    "tactile_toolkit.mesh.mesh": ("Mesh",),
+    "tactile_toolkit.mesh.printability": ("PrintProfile", "PrintReport", "inspect"),
 }
 
 
@@ -60,9 +61,7 @@ def __getattr__(name: str) -> Any:
     # No sub-module may bear the name of something public: importing it would shadow that.
     for home, names in _HOMES.items():
         if name in names:
-            return getattr(import_module(f"mnist3d.{home}"), name)
-    if name in _STORE:
-        return getattr(import_module(f"dataset_store.{_STORE[name]}"), name)
+            return getattr(import_module(home), name)
     message = f"module 'mnist3d' has no attribute {name!r}"
     raise AttributeError(message)
 

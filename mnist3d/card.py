@@ -5,19 +5,30 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from dataset_store.cards.card import render_card, write_card_text
-from dataset_store.cards.citations import HWD_PLUS, MNIST, TACTILE_MNIST, bibtex
-from dataset_store.cards.facts import FolderFacts, folder_facts
-from dataset_store.cards.head import card_head, head_text
-from dataset_store.cards.parts import Column, field_table, json_block, markdown_table, megabytes, picture
-from dataset_store.cards.pictures import write_previews
-from dataset_store.manifest import Manifest
-from dataset_store.mesh_columns import FACES, VERTICES
-from dataset_store.storage import DataFolder
 from mnist3d.card_picture import PREVIEW_FILE, digit_sheet
 from mnist3d.card_sources import SourceWords, words_of
 from mnist3d.report import REPORT_FILE
 from mnist3d.summary import SplitSummary, summarise
+from tactile_toolkit.cards.card import (
+    HWD_PLUS,
+    MNIST,
+    TACTILE_MNIST,
+    Column,
+    bibtex,
+    field_table,
+    json_block,
+    markdown_table,
+    megabytes,
+    picture,
+    render_card,
+    write_card_text,
+)
+from tactile_toolkit.cards.facts import FolderFacts, folder_facts
+from tactile_toolkit.cards.head import card_head, head_text
+from tactile_toolkit.cards.pictures import write_previews
+from tactile_toolkit.mesh.columns import FACES, VERTICES
+from tactile_toolkit.store.folder import DataFolder
+from tactile_toolkit.store.manifest import Manifest
 
 __all__ = ["write_card"]
 
@@ -167,7 +178,7 @@ def _range(spread: tuple[float, ...]) -> str:
 
 
 def _report_columns(folder: DataFolder) -> str:
-    from dataset_store.rowgroups import Shard
+    from tactile_toolkit.read.parquet import Shard
 
     return ", ".join(f"`{name}`" for name in Shard(folder.address(REPORT_FILE)).schema.names)
 

@@ -6,16 +6,16 @@ from collections.abc import Iterator
 from itertools import islice
 from typing import TYPE_CHECKING
 
-from dataset_store.cards.pictures import PREVIEW_FOLDER, png_bytes, tile_sheet
-from dataset_store.mesh_columns import FACES, VERTICES
-from dataset_store.records import Row
-from mnist3d.pictures import relief
 from mnist3d.rows import CLASS_NAMES
+from tactile_toolkit.cards.pictures import PREVIEW_FOLDER, png_bytes, tile_sheet
+from tactile_toolkit.mesh.columns import FACES, VERTICES
+from tactile_toolkit.pictures.relief import relief
+from tactile_toolkit.read.dataset import Row
 
 if TYPE_CHECKING:
     from PIL.Image import Image
 
-    from dataset_store.cards.facts import FolderFacts, SplitFacts
+    from tactile_toolkit.cards.facts import FolderFacts, SplitFacts
 
 __all__ = ["PREVIEW_FILE", "digit_sheet"]
 

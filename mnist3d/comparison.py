@@ -6,12 +6,12 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from dataset_store.mesh import MM_PER_M
+from tactile_toolkit.mesh.mesh import MM_PER_M
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from dataset_store.mesh import Mesh
+    from tactile_toolkit.mesh.mesh import Mesh
 
 __all__ = ["distances_to_surface_mm", "sample_surface_mm", "symmetric_distances_mm"]
 

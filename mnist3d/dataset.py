@@ -7,14 +7,14 @@ from typing import Literal, overload
 import numpy as np
 from numpy.typing import NDArray
 
-from dataset_store.hub.published import place_of
-from dataset_store.mesh_columns import class_names, require_mesh_columns
-from dataset_store.mesh_records import RecordStream, SolidRecord
-from dataset_store.places import find_shards
-from dataset_store.records import RecordDataset
-from dataset_store.rowgroups import ShardedTable
 from mnist3d.digit import NO_WRITER
 from mnist3d.rows import CLASS_NAMES
+from tactile_toolkit.catalog.locate import find_shards
+from tactile_toolkit.catalog.published import place_of
+from tactile_toolkit.mesh.columns import class_names, require_mesh_columns
+from tactile_toolkit.mesh.records import RecordStream, SolidRecord
+from tactile_toolkit.read.dataset import RecordDataset
+from tactile_toolkit.read.parquet import ShardedTable
 
 __all__ = ["MeshDataset", "MeshRecord", "MeshStream", "load"]
 
@@ -52,13 +52,13 @@ class MeshRecord(SolidRecord):
 
     def _repr_html_(self) -> str:
         """Show the digit from above in a notebook."""
-        from mnist3d.pictures import record_html
+        from tactile_toolkit.pictures.relief import record_html
 
         return record_html(self)
 
 
 class MeshDataset(RecordDataset[MeshRecord]):
-    """A lazy sequence of :class:`MeshRecord`; see :class:`dataset_store.records.RecordDataset`."""
+    """A lazy sequence of :class:`MeshRecord`; see :class:`tactile_toolkit.read.dataset.RecordDataset`."""
 
     record = MeshRecord
 

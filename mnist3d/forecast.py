@@ -6,13 +6,13 @@ import os
 import time
 from collections.abc import Sequence
 
-from dataset_store.errors import ItemError
-from dataset_store.forecast import Forecast, Sample, forecast_build
-from dataset_store.shards import encode_parquet
-from dataset_store.storage import DataFolder
 from mnist3d.generation import GenerateSpec, make_row, plan_build
 from mnist3d.rows import PARQUET_STYLE, mesh_table
 from mnist3d.splits import plan_splits
+from tactile_toolkit.errors import ItemError
+from tactile_toolkit.store.estimate import Forecast, Sample, forecast_build
+from tactile_toolkit.store.folder import DataFolder
+from tactile_toolkit.store.shards import encode_parquet
 
 __all__ = ["forecast"]
 

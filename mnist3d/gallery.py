@@ -9,19 +9,19 @@ from typing import Any
 
 import numpy as np
 
-from dataset_store.gallery.items import NONE, Facet, Gallery, Item, Measure
-from dataset_store.gallery.meshes import packed_mesh, require_mesh, size_text
-from dataset_store.gallery.pictures import THUMBNAIL_PX, thumbnail
-from dataset_store.gallery.selection import Choice, chosen_rows, portions, short_name, splits_to_show
-from dataset_store.kinds import require_kind
-from dataset_store.mesh import MM_PER_M, Mesh
-from dataset_store.reports import read_report
-from dataset_store.storage import DataFolder
 from mnist3d.dataset import MeshDataset, MeshRecord, load
 from mnist3d.digit import NO_WRITER
-from mnist3d.pictures import relief
-from mnist3d.printability import WARNINGS, inspect
 from mnist3d.report import REPORT_FILE
+from tactile_toolkit.catalog.choose import Choice, chosen_rows, portions, short_name, splits_to_show
+from tactile_toolkit.catalog.kinds import require_kind
+from tactile_toolkit.gallery.items import NONE, Facet, Gallery, Item, Measure
+from tactile_toolkit.gallery.meshes import packed_mesh, require_mesh, size_text
+from tactile_toolkit.gallery.pictures import THUMBNAIL_PX, thumbnail
+from tactile_toolkit.mesh.mesh import MM_PER_M, Mesh
+from tactile_toolkit.mesh.printability import WARNINGS, inspect
+from tactile_toolkit.pictures.relief import relief
+from tactile_toolkit.store.folder import DataFolder
+from tactile_toolkit.store.reports import read_report
 
 __all__ = ["plan_gallery"]
 

@@ -7,20 +7,20 @@ from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, field
 from typing import Any
 
-from dataset_store.build import BuildPlan, BuildState, Progress, ShardContent, build, inspect_folder
-from dataset_store.errors import InputError, ItemError
-from dataset_store.manifest import Manifest
-from dataset_store.plain_values import plain_number
-from dataset_store.runner import Runner, runner_for
-from dataset_store.shards import ShardName, Skipped
-from dataset_store.storage import DataFolder
 from mnist3d.card import write_card
-from mnist3d.printability import PrintProfile, PrintReport, inspect
 from mnist3d.report import REPORT_FILE, report_table
 from mnist3d.rows import PARQUET_STYLE, MeshRow, mesh_table
 from mnist3d.solid import SolidSpec, solidify
 from mnist3d.sources import DigitSource
 from mnist3d.splits import SPLITS, SplitPlan, SplitSpec, plan_splits
+from tactile_toolkit.errors import InputError, ItemError
+from tactile_toolkit.mesh.printability import PrintProfile, PrintReport, inspect
+from tactile_toolkit.run.processes import Runner, runner_for
+from tactile_toolkit.store.build import BuildPlan, BuildState, Progress, ShardContent, build, inspect_folder
+from tactile_toolkit.store.folder import DataFolder
+from tactile_toolkit.store.manifest import Manifest
+from tactile_toolkit.store.shards import ShardName, Skipped
+from tactile_toolkit.wording import plain_number
 
 __all__ = ["KIND", "DigitShard", "GenerateSpec", "generate", "inspect_out", "make_row", "plan_build"]
 
@@ -132,7 +132,7 @@ def make_row(digit_id: int, spec: GenerateSpec) -> tuple[MeshRow, PrintReport]:
     ------
     ItemError
         When the image cannot be used, or the mesh does not bound a solid (the reason is one of
-        :data:`dataset_store.soundness.PROBLEMS`).
+        :data:`tactile_toolkit.mesh.solid_check.PROBLEMS`).
     """
     digit = spec.source.image(digit_id)
     try:

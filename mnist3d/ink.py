@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from dataset_store.errors import ItemError
+from tactile_toolkit.errors import ItemError
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

@@ -14,18 +14,18 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from dataset_store.errors import ItemError
 from mnist3d.distance import signed_distance_px
 from mnist3d.ink import count_bodies_and_holes, repair_corners
 from mnist3d.profile import half_height, occupancy
 from mnist3d.steps import marching_cubes, scale, smooth
 from mnist3d.storage_order import in_storage_order
+from tactile_toolkit.errors import ItemError
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from dataset_store.mesh import Mesh
     from mnist3d.spec import SolidSpec
+    from tactile_toolkit.mesh.mesh import Mesh
 
 __all__ = ["PlaneLattice", "fit_lattice", "lattice_solid", "mirror_surface"]
 

@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from dataset_store.mesh import MM_PER_M, Mesh
 from mnist3d.steps import erode, erosion_radii_px, marching_cubes, mirror, scale, smooth, stack
+from tactile_toolkit.mesh.mesh import MM_PER_M, Mesh
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

@@ -7,14 +7,14 @@ from typing import Any
 
 import numpy as np
 
-from dataset_store.counting import counted
-from dataset_store.errors import InputError
-from dataset_store.pictures.plots import Bars, Spread, plot_bars, plot_spreads
-from dataset_store.pictures.writing import Drawing
-from dataset_store.reports import read_report
-from dataset_store.storage import DataFolder
 from mnist3d.dataset import MeshDataset
 from mnist3d.report import REPORT_FILE
+from tactile_toolkit.errors import InputError
+from tactile_toolkit.pictures.plots import Bars, Spread, plot_bars, plot_spreads
+from tactile_toolkit.pictures.writing import Drawing
+from tactile_toolkit.store.folder import DataFolder
+from tactile_toolkit.store.reports import read_report
+from tactile_toolkit.wording import counted
 
 __all__ = ["class_counts", "distributions", "histogram", "measures", "require_report"]
 

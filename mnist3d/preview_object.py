@@ -7,16 +7,15 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from dataset_store.mesh import MM_PER_M
-from dataset_store.pictures.oblique import Body, Picture3d, Studio, fitting_scale
-from dataset_store.pictures.shading import TOP
-from dataset_store.pictures.sheets import Sheet, Tile, sheet, with_scale_bar
-from dataset_store.pictures.writing import Drawing
-from dataset_store.soundness import judge
-from mnist3d.pictures import relief_of
+from tactile_toolkit.mesh.mesh import MM_PER_M
+from tactile_toolkit.mesh.solid_check import judge
+from tactile_toolkit.pictures.relief import relief_of
+from tactile_toolkit.pictures.render import TOP, Body, Picture3d, Studio, fitting_scale
+from tactile_toolkit.pictures.sheets import Sheet, Tile, sheet, with_scale_bar
+from tactile_toolkit.pictures.writing import Drawing
 
 if TYPE_CHECKING:
-    from dataset_store.mesh import Mesh
+    from tactile_toolkit.mesh.mesh import Mesh
 
 __all__ = ["CLAY", "draw_object", "object_facts"]
 

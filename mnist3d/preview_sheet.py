@@ -6,12 +6,12 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from dataset_store.counting import counted
-from dataset_store.mesh import MM_PER_M, Mesh
-from dataset_store.pictures.sheets import ScaleBar, Sheet, Tile, in_rows, sheet, with_scale_bar
-from dataset_store.pictures.writing import Drawing
 from mnist3d.dataset import MeshRecord
-from mnist3d.pictures import relief_of
+from tactile_toolkit.mesh.mesh import MM_PER_M, Mesh
+from tactile_toolkit.pictures.relief import relief_of
+from tactile_toolkit.pictures.sheets import ScaleBar, Sheet, Tile, in_rows, sheet, with_scale_bar
+from tactile_toolkit.pictures.writing import Drawing
+from tactile_toolkit.wording import counted
 
 __all__ = ["draw_sheet"]
 

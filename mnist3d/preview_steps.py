@@ -9,15 +9,14 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from dataset_store.errors import InputError
-from dataset_store.mesh import MM_PER_M, Mesh
-from dataset_store.pictures.oblique import Body, Picture3d, Studio
-from dataset_store.pictures.shading import OBLIQUE, averaged
-from dataset_store.pictures.sheets import Sheet, Tile, sheet, with_scale_bar
-from dataset_store.pictures.writing import Drawing
 from mnist3d.preview_object import CLAY
 from mnist3d.solid import ink_mask
 from mnist3d.steps import erode, erosion_radii_px, marching_cubes, mirror, scale, smooth, stack
+from tactile_toolkit.errors import InputError
+from tactile_toolkit.mesh.mesh import MM_PER_M, Mesh
+from tactile_toolkit.pictures.render import OBLIQUE, Body, Picture3d, Studio, averaged
+from tactile_toolkit.pictures.sheets import Sheet, Tile, sheet, with_scale_bar
+from tactile_toolkit.pictures.writing import Drawing
 
 if TYPE_CHECKING:
     from mnist3d.sources import DigitSource

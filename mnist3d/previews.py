@@ -8,16 +8,20 @@ from functools import cached_property, partial
 from pathlib import Path
 from typing import Any
 
-from dataset_store.choices import chosen_records, class_by_class, open_splits
-from dataset_store.counting import counted
-from dataset_store.errors import InputError, ItemError
-from dataset_store.kinds import require_kind
-from dataset_store.manifest import read_manifest
-from dataset_store.mesh import Mesh
-from dataset_store.meshfile import FORMATS, read_mesh
-from dataset_store.pictures.oblique import Studio
-from dataset_store.pictures.plots import require_plots
-from dataset_store.pictures.writing import (
+from mnist3d.dataset import MeshDataset, MeshRecord, load
+from mnist3d.preview_figures import distributions, histogram, require_report
+from mnist3d.preview_object import draw_object
+from mnist3d.preview_sheet import draw_sheet
+from mnist3d.preview_steps import draw_steps, source_option
+from mnist3d.spec import SolidSpec
+from tactile_toolkit.catalog.choose import chosen_records, class_by_class, open_splits
+from tactile_toolkit.catalog.kinds import require_kind
+from tactile_toolkit.errors import InputError, ItemError
+from tactile_toolkit.mesh.files import FORMATS, read_mesh
+from tactile_toolkit.mesh.mesh import Mesh
+from tactile_toolkit.pictures.plots import require_plots
+from tactile_toolkit.pictures.render import Studio
+from tactile_toolkit.pictures.writing import (
     Drawing,
     PicturePlan,
     PlannedPicture,
@@ -25,13 +29,9 @@ from dataset_store.pictures.writing import (
     file_stem,
     plan_kinds,
 )
-from dataset_store.storage import DataFolder
-from mnist3d.dataset import MeshDataset, MeshRecord, load
-from mnist3d.preview_figures import distributions, histogram, require_report
-from mnist3d.preview_object import draw_object
-from mnist3d.preview_sheet import draw_sheet
-from mnist3d.preview_steps import draw_steps, source_option
-from mnist3d.spec import SolidSpec
+from tactile_toolkit.store.folder import DataFolder
+from tactile_toolkit.store.manifest import read_manifest
+from tactile_toolkit.wording import counted
 
 __all__ = ["KINDS", "PreviewSpec", "plan_previews"]
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
-from mnist3d.printability import REPORT_COLUMNS, PrintReport
 from mnist3d.rows import MeshRow
+from tactile_toolkit.mesh.printability import REPORT_COLUMNS, PrintReport
 
 __all__ = ["REPORT_FILE", "report_table"]
 

@@ -7,9 +7,7 @@ from dataclasses import dataclass
 from functools import cache
 from typing import Any
 
-from dataset_store.columns import list_array
-from dataset_store.mesh import Mesh
-from dataset_store.mesh_columns import (
+from tactile_toolkit.mesh.columns import (
     FACES,
     VERTICES,
     feature_metadata,
@@ -18,7 +16,9 @@ from dataset_store.mesh_columns import (
     vectors_feature,
     vectors_type,
 )
-from dataset_store.shards import ParquetStyle
+from tactile_toolkit.mesh.mesh import Mesh
+from tactile_toolkit.read.columns import list_array
+from tactile_toolkit.store.shards import ParquetStyle
 
 __all__ = ["CLASS_NAMES", "PARQUET_STYLE", "MeshRow", "mesh_schema", "mesh_table"]
 

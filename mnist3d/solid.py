@@ -9,18 +9,18 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any, Literal
 
-from dataset_store.errors import InputError
 from mnist3d.ink import binarise, clean
 from mnist3d.lattice import lattice_solid
 from mnist3d.literal import decimate, literal_solid
 from mnist3d.spec import PROFILES, SolidSpec
 from mnist3d.steps import erode, erosion_radii_px, marching_cubes, mirror, scale, smooth, stack
+from tactile_toolkit.errors import InputError
 
 if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
-    from dataset_store.mesh import Mesh
+    from tactile_toolkit.mesh.mesh import Mesh
 
 __all__ = [
     "PROFILES",

@@ -6,8 +6,8 @@ import math
 from dataclasses import asdict, dataclass, fields
 from typing import Any
 
-from dataset_store.errors import InputError
-from dataset_store.plain_values import plain_number
+from tactile_toolkit.errors import InputError
+from tactile_toolkit.wording import plain_number
 
 __all__ = ["PROFILES", "SolidSpec"]
 

@@ -13,9 +13,9 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from dataset_store.errors import InputError
-from dataset_store.plain_values import plain_number, plain_pairs
 from mnist3d.digit import NO_WRITER, DigitCatalog
+from tactile_toolkit.errors import InputError
+from tactile_toolkit.wording import plain_number, plain_pairs
 
 __all__ = ["PUBLISHED_SIZES", "SPLITS", "SplitPlan", "SplitSpec", "plan_splits"]
 

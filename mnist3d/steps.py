@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from dataset_store.mesh import MM_PER_M, Mesh
 from mnist3d.profile import erosion_radius
+from tactile_toolkit.mesh.mesh import MM_PER_M, Mesh
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

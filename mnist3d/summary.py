@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from dataset_store.manifest import Manifest
-from dataset_store.reports import read_report
-from dataset_store.storage import DataFolder
 from mnist3d.report import REPORT_FILE
+from tactile_toolkit.store.folder import DataFolder
+from tactile_toolkit.store.manifest import Manifest
+from tactile_toolkit.store.reports import read_report
 
 __all__ = ["SplitSummary", "summarise"]
 

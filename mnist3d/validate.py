@@ -8,14 +8,13 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from dataset_store.checking import splits_to_check
-from dataset_store.errors import InputError
-from dataset_store.mesh import Mesh
-from dataset_store.nulls import null_fields
-from dataset_store.places import find_shards
-from dataset_store.rowgroups import RowGroup, Shard
-from dataset_store.runner import runner_for
-from mnist3d.printability import UNREADABLE, PrintProfile, PrintReport, inspect, unreadable
+from tactile_toolkit.catalog.locate import find_shards, splits_to_check
+from tactile_toolkit.errors import InputError
+from tactile_toolkit.mesh.mesh import Mesh
+from tactile_toolkit.mesh.printability import UNREADABLE, PrintProfile, PrintReport, inspect, unreadable
+from tactile_toolkit.read.columns import null_fields
+from tactile_toolkit.read.parquet import RowGroup, Shard
+from tactile_toolkit.run.processes import runner_for
 
 __all__ = ["Checked", "CheckedItem", "validate_paths"]
 
@@ -190,7 +189,7 @@ def validate_paths(
 
 
 def _check_file(path: str, profile: PrintProfile) -> CheckedItem:
-    from dataset_store.meshfile import read_mesh
+    from tactile_toolkit.mesh.files import read_mesh
 
     try:
         report = inspect(read_mesh(path), profile)

@@ -11,10 +11,10 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from realtouch.checks import verify
-    from realtouch.clips import TouchClip
-    from realtouch.convert import frames, resize, select, to_single
+    from realtouch.convert.api import frames, resize, select, to_single
     from realtouch.dataset import TouchDataset, TouchSeqDataset, TouchSingleDataset, TouchStream
+    from realtouch.integrity.verify import verify
+    from realtouch.media.clips import TouchClip
     from realtouch.names import SHORT_NAMES
     from realtouch.opening import load
     from realtouch.poses import Poses, PoseSequences
@@ -47,23 +47,23 @@ __all__ = [
 ]
 
 _HOMES = {
-    "clips": ("TouchClip",),
-    "convert": ("frames", "resize", "select", "to_single"),
-    "dataset": ("TouchDataset", "TouchSeqDataset", "TouchSingleDataset", "TouchStream"),
-    "opening": ("load",),
-    "names": ("SHORT_NAMES",),
-    "poses": ("PoseSequences", "Poses"),
-    "rounds": ("TouchRound", "TouchSeqRound", "TouchSingleRound"),
-    "summary": ("Summary", "summarise"),
-    "touches": ("Touch", "Touches"),
-    "checks": ("verify",),
+    "realtouch.convert.api": ("frames", "resize", "select", "to_single"),
+    "realtouch.dataset": ("TouchDataset", "TouchSeqDataset", "TouchSingleDataset", "TouchStream"),
+    "realtouch.integrity.verify": ("verify",),
+    "realtouch.opening": ("load",),
+    "realtouch.media.clips": ("TouchClip",),
+    "realtouch.names": ("SHORT_NAMES",),
+    "realtouch.poses": ("PoseSequences", "Poses"),
+    "realtouch.rounds": ("TouchRound", "TouchSeqRound", "TouchSingleRound"),
+    "realtouch.summary": ("Summary", "summarise"),
+    "realtouch.touches": ("Touch", "Touches"),
 }
 
 
 def __getattr__(name: str) -> Any:
     for home, names in _HOMES.items():
         if name in names:
-            return getattr(import_module(f"realtouch.{home}"), name)
+            return getattr(import_module(home), name)
     message = f"module 'realtouch' has no attribute {name!r}"
     raise AttributeError(message)
 

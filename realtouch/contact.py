@@ -11,7 +11,7 @@ from typing import Literal, get_args
 import numpy as np
 from numpy.typing import NDArray
 
-from dataset_store.errors import InputError
+from tactile_toolkit.errors import InputError
 
 __all__ = [
     "CLOCK_TOLERANCE_S",
@@ -32,7 +32,7 @@ __all__ = [
 
 ContactMethod = Literal["contact_start", "contact_end", "peak", "median"]
 CONTACT_METHODS: tuple[ContactMethod, ...] = get_args(ContactMethod)
-"""Names of the ways to choose one frame: see :meth:`realtouch.clips.TouchClip.contact_index`."""
+"""Names of the ways to choose one frame: see :meth:`realtouch.media.clips.TouchClip.contact_index`."""
 
 MIN_CONTACT_HEIGHT_M = 0.006
 """A gel that stops so far above the plate touched an object: the publisher's own threshold, metres."""

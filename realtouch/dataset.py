@@ -9,30 +9,30 @@ from typing import Any, ClassVar, Self, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from dataset_store.errors import InputError, IntegrityError
-from dataset_store.records import RecordDataset, Row
-from dataset_store.rowgroups import RowGroup, Shard, ShardedTable
-from realtouch.agreement import stored_touch_counts
-from realtouch.damage import Damage
-from realtouch.fields import known_contact_z_m, touch_contact_z_m
-from realtouch.light import LightGroup, LightRow
+from realtouch.columns.light import LightGroup, LightRow
+from realtouch.columns.poses import known_contact_z_m, touch_contact_z_m
+from realtouch.integrity.agreement import class_names_of, stored_touch_counts
+from realtouch.integrity.damage import Damage
 from realtouch.rounds import TouchRound, TouchSeqRound, TouchSingleRound
-from realtouch.schema import MEDIA_COLUMN, PLATE_COLUMN, Kind, column_type
 from realtouch.stream import TouchStream
 from realtouch.touches import Touches
+from tactile_toolkit.errors import InputError, IntegrityError
+from tactile_toolkit.read.dataset import RecordDataset, Row
+from tactile_toolkit.read.parquet import RowGroup, Shard, ShardedTable
+from tactile_toolkit.touch.schema import MEDIA_COLUMN, PLATE_COLUMN, Kind, column_type
 
-__all__ = ["TouchDataset", "TouchSeqDataset", "TouchSingleDataset", "TouchStream"]
+__all__ = ["TouchDataset", "TouchSeqDataset", "TouchSingleDataset", "TouchStream", "dataset_of"]
 
 R = TypeVar("R", bound=TouchRound)
 
 
 class TouchDataset(RecordDataset[R]):
-    """A lazy sequence of rounds; see :class:`dataset_store.records.RecordDataset`.
+    """A lazy sequence of rounds; see :class:`tactile_toolkit.read.dataset.RecordDataset`.
 
     Parameters
     ----------
     tables, rows, label_names
-        As for :class:`dataset_store.records.RecordDataset`.
+        As for :class:`tactile_toolkit.read.dataset.RecordDataset`.
     skipped : sequence of (int or None, Damage)
         Damage that was found and is left out, each with the number of its row in the joined tables: rounds by
         the data set itself, single touches by :meth:`touches`. None stands for a file left out as a whole.
@@ -205,3 +205,11 @@ def _plates_z_m(shard: Shard) -> NDArray[np.float64]:
 def _contact_z_m(kind: Kind, group: RowGroup) -> NDArray[np.float64]:
     rows = [known_contact_z_m(Row(group, index), kind) for index in range(len(group.table))]
     return np.concatenate(rows) if rows else np.zeros(0)
+
+
+def dataset_of(shards: tuple[Shard, ...], kind: Kind) -> TouchSeqDataset | TouchSingleDataset:
+    """Return the data set of some shards of one kind."""
+    names = class_names_of(shards)
+    if kind == "seq":
+        return TouchSeqDataset([ShardedTable(shards)], label_names=names)
+    return TouchSingleDataset([ShardedTable(shards)], label_names=names)

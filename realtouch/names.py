@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
-from dataset_store.hub.published import place_of, published_sets
+from os import PathLike
 
-__all__ = ["SHORT_NAMES", "repository_of"]
+from tactile_toolkit.catalog.published import place_of, published_sets
+
+__all__ = ["Name", "Place", "SHORT_NAMES", "repository_of"]
 
 SHORT_NAMES = {entry.name: entry.repo_id.partition("/")[2] for entry in published_sets("realtouch")} | {
     "real-single": "tactile-mnist-touch-real-single-t256-320x240"
@@ -18,3 +20,9 @@ def repository_of(name: str) -> str:
     Any other name is returned as it is.
     """
     return place_of(name)
+
+
+Name = str | PathLike[str]
+
+
+Place = str | tuple[str, ...]

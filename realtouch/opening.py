@@ -7,18 +7,15 @@ from os import PathLike, fsdecode
 from pathlib import Path
 from typing import Literal, overload
 
-from dataset_store.errors import InputError
-from dataset_store.places import find_files, find_shards
-from dataset_store.rowgroups import Shard, ShardedTable
-from realtouch.agreement import class_names_of, require_alike
-from realtouch.dataset import TouchSeqDataset, TouchSingleDataset, TouchStream
-from realtouch.names import repository_of
-from realtouch.schema import Kind, kind_of
+from realtouch.dataset import TouchSeqDataset, TouchSingleDataset, TouchStream, dataset_of
+from realtouch.integrity.agreement import require_alike
+from realtouch.names import Name, Place, repository_of
+from tactile_toolkit.catalog.locate import find_files, find_shards
+from tactile_toolkit.errors import InputError
+from tactile_toolkit.read.parquet import Shard
+from tactile_toolkit.touch.schema import kind_of
 
-__all__ = ["Name", "Place", "dataset_of", "load", "open_shards", "place_of"]
-
-Name = str | PathLike[str]
-Place = str | tuple[str, ...]
+__all__ = ["load", "open_shards", "place_of"]
 
 
 @overload
@@ -107,20 +104,12 @@ def load(
     place = place_of(name)
     shards = open_shards(place, split, revision=revision, streaming=streaming)
     if on_error == "skip":
-        from realtouch.skipping import load_undamaged
+        from realtouch.integrity.skip import load_undamaged
 
         return load_undamaged(shards, place, streaming=streaming)
     require_alike(shards, str(name))
     kind = kind_of(shards[0].schema, str(name))
     return TouchStream(shards, kind) if streaming else dataset_of(shards, kind)
-
-
-def dataset_of(shards: tuple[Shard, ...], kind: Kind) -> TouchSeqDataset | TouchSingleDataset:
-    """Return the data set of some shards of one kind."""
-    names = class_names_of(shards)
-    if kind == "seq":
-        return TouchSeqDataset([ShardedTable(shards)], label_names=names)
-    return TouchSingleDataset([ShardedTable(shards)], label_names=names)
 
 
 def place_of(name: Name | Sequence[Name]) -> Place:

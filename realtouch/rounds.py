@@ -3,19 +3,15 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
-from dataset_store.errors import InputError, ToolkitError
-from dataset_store.records import Record, Row
-from dataset_store.rowgroups import RowGroup
-from realtouch.clips import SensorClips
-from realtouch.contact import require_method
-from realtouch.damage import damaged, missing_column
-from realtouch.fields import (
+from realtouch.columns.light import whole_row
+from realtouch.columns.per_touch import intended_positions, plain_value, stored_value
+from realtouch.columns.poses import (
     clip_lengths,
     frame_times,
     media_count,
@@ -24,17 +20,118 @@ from realtouch.fields import (
     touch_durations,
     touch_total,
 )
-from realtouch.images import SensorImages, in_parallel, positions_of
-from realtouch.jpeg import Pixels
-from realtouch.light import whole_row
-from realtouch.plain_fields import plain_value, stored_value
-from realtouch.poses import Poses, PoseSequences
-from realtouch.published import flat_table, take_touches
-from realtouch.round_frames import contact_frames_of, contact_windows_of, decode_frames
-from realtouch.round_info import read_info
-from realtouch.touch_columns import intended_positions
+from realtouch.contact import require_method
+from realtouch.integrity.damage import damaged, missing_column
+from realtouch.media.clips import SensorClips, contact_frames_of, contact_windows_of, decode_frames
+from realtouch.media.images import SensorImages, in_parallel, positions_of
+from realtouch.poses import Poses, PoseSequences, bad_pose, rigid_transform
+from tactile_toolkit.errors import InputError, ToolkitError
+from tactile_toolkit.read.dataset import Record, Row
+from tactile_toolkit.read.parquet import RowGroup
+from tactile_toolkit.touch.jpeg import Pixels
+from tactile_toolkit.touch.rows import flat_table, take_touches
 
-__all__ = ["TouchRound", "TouchSeqRound", "TouchSingleRound"]
+__all__ = ["Info", "TouchRound", "TouchSeqRound", "TouchSingleRound", "has_info", "read_info"]
+
+_POSE = {"position": 3, "quaternion": 4}
+
+
+class Info(Mapping[str, Any]):
+    """A mapping that cannot be written to; pickles and copies, other than Python's own."""
+
+    __slots__ = ("_values",)
+
+    def __init__(self, values: Mapping[str, Any]) -> None:
+        self._values = dict(values)
+
+    def __getitem__(self, name: str) -> Any:
+        return self._values[name]
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._values)
+
+    def __len__(self) -> int:
+        return len(self._values)
+
+    def __or__(self, other: Mapping[str, Any]) -> dict[str, Any]:
+        return self._values | dict(other)
+
+    def copy(self) -> dict[str, Any]:
+        """Return a copy that can be written to."""
+        return dict(self._values)
+
+    def __repr__(self) -> str:
+        return f"Info({self._values!r})"
+
+
+def has_info(row: Row) -> bool:
+    """Tell whether a round has metadata."""
+    return row.has("info") or any(name.startswith("info.") for name in row.group.names)
+
+
+def read_info(row: Row) -> Info:
+    """Read the metadata of a round.
+
+    Raises
+    ------
+    IntegrityError
+        A pose is none, or one name stands for a value and for a group of values.
+    InputError
+        The data set has no metadata.
+    """
+    if not has_info(row):
+        raise missing_column(row, "info")
+    nested: dict[str, Any] = {}
+    for name in (name for name in row.group.names if name.startswith("info.")):
+        *outer, last = name.split(".")[1:]
+        place = nested
+        for part in outer:
+            place = place.setdefault(part, {})
+            if not isinstance(place, dict):
+                raise _ambiguous(row, name)
+        if last in place:
+            raise _ambiguous(row, name)
+        place[last] = stored_value(row, name)
+    return Info(_with_poses(row, nested, "info"))
+
+
+def _with_poses(row: Row, values: dict[str, Any], name: str) -> Any:
+    if values.keys() == _POSE.keys():
+        return _pose(row, values, name)
+    return {
+        key: _with_poses(row, value, f"{name}.{key}") if isinstance(value, dict) else value
+        for key, value in values.items()
+    }
+
+
+def _pose(row: Row, values: dict[str, Any], name: str) -> Any:
+    """Make the pose, or the poses where there is one per touch."""
+    position, quaternion = (_numbers(row, values[part], f"{name}.{part}") for part in _POSE)
+    one = position.shape == (3,) and quaternion.shape == (4,)
+    count = len(position) if position.ndim else 0
+    if not one and (position.shape != (count, 3) or quaternion.shape != (count, 4)):
+        problem = (
+            f"position {position.shape} and quaternion {quaternion.shape}; expected (3,) and (4,), or (n, 3) "
+            "and (n, 4)"
+        )
+        raise damaged(row, name, problem)
+    wrong = bad_pose(position.reshape(-1, 3), quaternion.reshape(-1, 4))
+    if wrong is not None:  # the metadata of a round are one thing: none of it can be given
+        raise damaged(row, name, wrong[1] if one else f"pose {wrong[0]}: {wrong[1]}")
+    return rigid_transform(position, quaternion) if one else Poses(position, quaternion)
+
+
+def _numbers(row: Row, values: Any, name: str) -> NDArray[np.float64]:
+    try:
+        return np.asarray(values, np.float64)
+    except (TypeError, ValueError) as error:
+        problem = "values that are no numbers, or vectors of several lengths; expected a pose's numbers"
+        raise damaged(row, name, problem) from error
+
+
+def _ambiguous(row: Row, name: str) -> Exception:
+    return damaged(row, name, "the name of a value and of a group of values; expected one of them")
+
 
 _LARGEST = 1 << 63
 _MOST_THREADS = 4
@@ -117,7 +214,7 @@ class TouchRound(Record):
 
     def _repr_html_(self) -> str:
         """Show the touches as a grid of pictures in a notebook."""
-        from realtouch.pictures import round_html
+        from realtouch.show.html import round_html
 
         return round_html(self)
 

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 
-from dataset_store.errors import IntegrityError
-from dataset_store.records import Row
-from dataset_store.rowgroups import Shard
-from realtouch.agreement import stated_class_names
-from realtouch.damage import Damage, unreadable_rows
+from realtouch.integrity.agreement import stated_class_names
+from realtouch.integrity.damage import Damage, unreadable_rows
 from realtouch.rounds import TouchRound, TouchSeqRound, TouchSingleRound
-from realtouch.schema import CLASS_NAMES, Kind
+from tactile_toolkit.errors import IntegrityError
+from tactile_toolkit.read.dataset import Row
+from tactile_toolkit.read.parquet import Shard
+from tactile_toolkit.touch.schema import CLASS_NAMES, Kind
 
 __all__ = ["TouchStream"]
 
@@ -95,7 +95,7 @@ class TouchStream:
         if not self.skip_damage:
             yield record
             return
-        from realtouch.round_checks import check_round
+        from realtouch.integrity.check_round import check_round
 
         found = check_round(record._row, self._expected_touches, class_names=self._stated_names)
         self.skipped += found

@@ -8,12 +8,12 @@ from typing import Any
 
 import numpy as np
 
-from dataset_store.errors import InputError
+from realtouch.columns.poses import clip_length
 from realtouch.dataset import TouchDataset
-from realtouch.fields import clip_length
 from realtouch.rounds import TouchSingleRound
-from realtouch.schema import column_type
 from realtouch.touches import Touch, Touches
+from tactile_toolkit.errors import InputError
+from tactile_toolkit.touch.schema import column_type
 
 __all__ = ["Summary", "summarise"]
 

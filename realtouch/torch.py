@@ -12,12 +12,12 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from dataset_store.errors import InputError, IntegrityError, MissingExtraError
 from realtouch.contact import require_method
 from realtouch.dataset import TouchDataset, TouchStream
-from realtouch.jpeg import Pixels
 from realtouch.rounds import TouchSingleRound
 from realtouch.touches import Touch, Touches
+from tactile_toolkit.errors import InputError, IntegrityError, MissingExtraError
+from tactile_toolkit.touch.jpeg import Pixels
 
 if TYPE_CHECKING:
     import torch

@@ -55,26 +55,26 @@ __all__ = [
 ]
 
 _HOMES = {
-    "dataset": ("SceneMeshDataset", "SceneRecord", "load"),
-    "endless": ("SceneDataset",),
-    "errors": ("SamplingExhausted",),
-    "generation": ("GenerateSpec", "generate"),
-    "placement": ("Placement",),
-    "proportions": ("Crescent", "Cross", "Disc", "Proportions", "Ring", "Star"),
-    "registry": ("register_shape",),
-    "sampling": ("sample_scene", "sample_scenes"),
-    "scene": ("Scene",),
-    "shapes": ("OUTLINES", "Shape"),
-    "spec": ("SceneSpec",),
-    "stamping": ("SceneMeshes", "stamp"),
-    "streams": ("SPLITS", "scene_rng", "scene_seed"),
+    "starstruck_gen.dataset": ("SceneMeshDataset", "SceneRecord", "load"),
+    "starstruck_gen.endless": ("SceneDataset",),
+    "starstruck_gen.errors": ("SamplingExhausted",),
+    "starstruck_gen.generation": ("GenerateSpec", "generate"),
+    "starstruck_gen.placement": ("Placement",),
+    "starstruck_gen.proportions": ("Crescent", "Cross", "Disc", "Proportions", "Ring", "Star"),
+    "starstruck_gen.registry": ("register_shape",),
+    "starstruck_gen.sampling": ("sample_scene", "sample_scenes"),
+    "starstruck_gen.scene": ("Scene",),
+    "starstruck_gen.shapes": ("OUTLINES", "Shape"),
+    "starstruck_gen.spec": ("SceneSpec",),
+    "starstruck_gen.stamping": ("SceneMeshes", "stamp"),
+    "starstruck_gen.streams": ("SPLITS", "scene_rng", "scene_seed"),
 }
 
 
 def __getattr__(name: str) -> Any:
     for home, names in _HOMES.items():
         if name in names:
-            return getattr(import_module(f"starstruck_gen.{home}"), name)
+            return getattr(import_module(home), name)
     message = f"module 'starstruck_gen' has no attribute {name!r}"
     raise AttributeError(message)
 

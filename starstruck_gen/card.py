@@ -4,20 +4,29 @@ from __future__ import annotations
 
 import math
 
-from dataset_store.cards.card import render_card, write_card_text
-from dataset_store.cards.citations import TACTILE_MNIST, bibtex
-from dataset_store.cards.facts import FolderFacts, folder_facts
-from dataset_store.cards.head import card_head, head_text
-from dataset_store.cards.parts import Column, field_table, json_block, markdown_table, megabytes, picture
-from dataset_store.cards.pictures import write_previews
-from dataset_store.counting import counted
-from dataset_store.manifest import Manifest
-from dataset_store.mesh_columns import FACES, VERTICES
-from dataset_store.storage import DataFolder
 from starstruck_gen.card_picture import PREVIEW_FILE, scene_sheet
 from starstruck_gen.spec import SceneSpec
 from starstruck_gen.streams import SPLITS, scene_id
 from starstruck_gen.summary import SplitSummary, summarise
+from tactile_toolkit.cards.card import (
+    TACTILE_MNIST,
+    Column,
+    bibtex,
+    field_table,
+    json_block,
+    markdown_table,
+    megabytes,
+    picture,
+    render_card,
+    write_card_text,
+)
+from tactile_toolkit.cards.facts import FolderFacts, folder_facts
+from tactile_toolkit.cards.head import card_head, head_text
+from tactile_toolkit.cards.pictures import write_previews
+from tactile_toolkit.mesh.columns import FACES, VERTICES
+from tactile_toolkit.store.folder import DataFolder
+from tactile_toolkit.store.manifest import Manifest
+from tactile_toolkit.wording import counted
 
 __all__ = ["write_card"]
 

@@ -6,12 +6,12 @@ from collections.abc import Iterator
 from itertools import islice
 from typing import TYPE_CHECKING
 
-from dataset_store.cards.pictures import PREVIEW_FOLDER, png_bytes, tile_sheet
 from starstruck_gen.placement import Placement
 from starstruck_gen.scene import Scene
+from tactile_toolkit.cards.pictures import PREVIEW_FOLDER, png_bytes, tile_sheet
 
 if TYPE_CHECKING:
-    from dataset_store.cards.facts import FolderFacts, SplitFacts
+    from tactile_toolkit.cards.facts import FolderFacts, SplitFacts
 
 __all__ = ["PREVIEW_FILE", "scene_sheet"]
 

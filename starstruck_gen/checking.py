@@ -7,13 +7,13 @@ from typing import Any
 
 import numpy as np
 
-from dataset_store.errors import InputError
-from dataset_store.mesh import MM_PER_M, Mesh
-from dataset_store.soundness import judge
 from starstruck_gen.dataset import SceneRecord
 from starstruck_gen.rows import CLASS_NAMES
 from starstruck_gen.shapes import outline
 from starstruck_gen.stamping import stamp
+from tactile_toolkit.errors import InputError
+from tactile_toolkit.mesh.mesh import MM_PER_M, Mesh
+from tactile_toolkit.mesh.solid_check import judge
 
 __all__ = ["check_scene", "inspect_scene"]
 

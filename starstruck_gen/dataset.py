@@ -7,17 +7,17 @@ from typing import Any, Literal, overload
 import numpy as np
 from numpy.typing import NDArray
 
-from dataset_store.columns import column_names
-from dataset_store.errors import InputError
-from dataset_store.hub.published import place_of
-from dataset_store.mesh_columns import class_names, require_mesh_columns
-from dataset_store.mesh_records import RecordStream, SolidRecord
-from dataset_store.places import find_shards
-from dataset_store.records import RecordDataset
-from dataset_store.rowgroups import ShardedTable
 from starstruck_gen.placement import Placement
 from starstruck_gen.rows import CLASS_NAMES
 from starstruck_gen.scene import Scene
+from tactile_toolkit.catalog.locate import find_shards
+from tactile_toolkit.catalog.published import place_of
+from tactile_toolkit.errors import InputError
+from tactile_toolkit.mesh.columns import class_names, require_mesh_columns
+from tactile_toolkit.mesh.records import RecordStream, SolidRecord
+from tactile_toolkit.read.columns import column_names
+from tactile_toolkit.read.dataset import RecordDataset
+from tactile_toolkit.read.parquet import ShardedTable
 
 __all__ = ["SceneMeshDataset", "SceneRecord", "load"]
 
@@ -113,7 +113,7 @@ class SceneRecord(SolidRecord):
 
 
 class SceneMeshDataset(RecordDataset[SceneRecord]):
-    """A lazy sequence of :class:`SceneRecord`; see :class:`dataset_store.records.RecordDataset`."""
+    """A lazy sequence of :class:`SceneRecord`; see :class:`tactile_toolkit.read.dataset.RecordDataset`."""
 
     record = SceneRecord
 

@@ -9,12 +9,6 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from dataset_store.columns import RaggedColumn, column_names
-from dataset_store.errors import InputError
-from dataset_store.mesh_columns import FACES, VERTICES
-from dataset_store.plain_values import plain_number
-from dataset_store.records import RecordDataset
-from dataset_store.rowgroups import RowGroup, ShardedTable
 from starstruck_gen.dataset import SceneMeshDataset
 from starstruck_gen.rows import SceneRows, make_rows, scene_schema, scene_table
 from starstruck_gen.sampling import sample_scenes
@@ -22,6 +16,12 @@ from starstruck_gen.scene import Scene
 from starstruck_gen.spec import SceneSpec
 from starstruck_gen.stamping import SceneMeshes
 from starstruck_gen.streams import MOST_SCENES, SPLITS, scene_id, scene_seed
+from tactile_toolkit.errors import InputError
+from tactile_toolkit.mesh.columns import FACES, VERTICES
+from tactile_toolkit.read.columns import RaggedColumn, column_names
+from tactile_toolkit.read.dataset import RecordDataset
+from tactile_toolkit.read.parquet import RowGroup, ShardedTable
+from tactile_toolkit.wording import plain_number
 
 __all__ = ["DEFAULT_SIZE", "SceneDataset", "SceneTable"]
 

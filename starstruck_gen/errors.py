@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, fields
 
-from dataset_store.errors import InputError
+from tactile_toolkit.errors import InputError
 
 __all__ = ["SamplingExhausted"]
 

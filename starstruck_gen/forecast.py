@@ -6,13 +6,13 @@ import os
 import time
 from collections.abc import Sequence
 
-from dataset_store.forecast import Forecast, Sample, forecast_build
-from dataset_store.shards import encode_parquet
-from dataset_store.storage import DataFolder
 from starstruck_gen.generation import GenerateSpec, plan_build
 from starstruck_gen.proof import require_sound
 from starstruck_gen.rows import PARQUET_STYLE, make_rows, scene_table
 from starstruck_gen.sampling import LayoutFailed, require_room
+from tactile_toolkit.store.estimate import Forecast, Sample, forecast_build
+from tactile_toolkit.store.folder import DataFolder
+from tactile_toolkit.store.shards import encode_parquet
 
 __all__ = ["forecast"]
 

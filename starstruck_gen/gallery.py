@@ -6,15 +6,15 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from dataset_store.gallery.items import Facet, Gallery, Item, Measure
-from dataset_store.gallery.meshes import packed_mesh, require_mesh, size_text
-from dataset_store.gallery.pictures import THUMBNAIL_PX, thumbnail, top_view
-from dataset_store.gallery.selection import Choice, chosen_rows, portions, short_name, splits_to_show
-from dataset_store.kinds import require_kind
-from dataset_store.mesh import MM_PER_M, Mesh
 from starstruck_gen.dataset import SceneMeshDataset, SceneRecord, load
 from starstruck_gen.solid import prism
 from starstruck_gen.spec import SceneSpec
+from tactile_toolkit.catalog.choose import Choice, chosen_rows, portions, short_name, splits_to_show
+from tactile_toolkit.catalog.kinds import require_kind
+from tactile_toolkit.gallery.items import Facet, Gallery, Item, Measure
+from tactile_toolkit.gallery.meshes import packed_mesh, require_mesh, size_text
+from tactile_toolkit.gallery.pictures import THUMBNAIL_PX, thumbnail, top_view
+from tactile_toolkit.mesh.mesh import MM_PER_M, Mesh
 
 __all__ = ["plan_gallery"]
 

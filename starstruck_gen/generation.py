@@ -7,14 +7,6 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
-from dataset_store.build import BuildPlan, BuildState, Progress, ShardContent, build, inspect_folder
-from dataset_store.errors import InputError
-from dataset_store.manifest import Manifest
-from dataset_store.parts import manifest_so_far
-from dataset_store.plain_values import plain_number, plain_pairs
-from dataset_store.runner import Runner, runner_for
-from dataset_store.shards import ShardName
-from dataset_store.storage import DataFolder
 from starstruck_gen.acceptance import count_scenes
 from starstruck_gen.card import write_card
 from starstruck_gen.errors import SamplingExhausted
@@ -23,6 +15,13 @@ from starstruck_gen.rows import PARQUET_STYLE, make_rows, scene_table
 from starstruck_gen.sampling import LayoutFailed, require_room
 from starstruck_gen.spec import SceneSpec
 from starstruck_gen.streams import MOST_SCENES, SPLITS, scene_seed
+from tactile_toolkit.errors import InputError
+from tactile_toolkit.run.processes import Runner, runner_for
+from tactile_toolkit.store.build import BuildPlan, BuildState, Progress, ShardContent, build, inspect_folder
+from tactile_toolkit.store.folder import DataFolder
+from tactile_toolkit.store.manifest import Manifest, manifest_so_far
+from tactile_toolkit.store.shards import ShardName
+from tactile_toolkit.wording import plain_number, plain_pairs
 
 __all__ = ["KIND", "PUBLISHED_SIZES", "GenerateSpec", "SceneShard", "generate", "inspect_out", "plan_build"]
 

@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from dataset_store.errors import InputError
-from dataset_store.pictures.writing import png_bytes
 from starstruck_gen.placement import Placement
 from starstruck_gen.shapes import outline
+from tactile_toolkit.errors import InputError
+from tactile_toolkit.pictures.writing import png_bytes
 
 if TYPE_CHECKING:
     from PIL.Image import Image

@@ -7,18 +7,17 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from dataset_store.counting import counted
-from dataset_store.mesh import MM_PER_M, Mesh
-from dataset_store.pictures.oblique import Body, Picture3d, Studio, fitting_scale, shaded
-from dataset_store.pictures.shading import TOP
-from dataset_store.pictures.sheets import ScaleBar, Sheet, Tile, in_rows, sheet, with_scale_bar
-from dataset_store.pictures.writing import Drawing
 from starstruck_gen.dataset import SceneRecord
 from starstruck_gen.picture import DISTRACTOR, STAR, draw_scene, draw_trace
 from starstruck_gen.sampling import SceneTrace, trace_scene
 from starstruck_gen.spec import SceneSpec
 from starstruck_gen.stamping import stamp
 from starstruck_gen.streams import scene_rng
+from tactile_toolkit.mesh.mesh import MM_PER_M, Mesh
+from tactile_toolkit.pictures.render import TOP, Body, Picture3d, Studio, fitting_scale, shaded
+from tactile_toolkit.pictures.sheets import ScaleBar, Sheet, Tile, in_rows, sheet, with_scale_bar
+from tactile_toolkit.pictures.writing import Drawing
+from tactile_toolkit.wording import counted
 
 __all__ = ["draw_one", "draw_sheet", "traced"]
 

@@ -9,14 +9,15 @@ from pathlib import Path
 
 import numpy as np
 
-from dataset_store.choices import chosen_records, class_by_class, open_splits
-from dataset_store.counting import counted
-from dataset_store.errors import InputError
-from dataset_store.kinds import require_kind
-from dataset_store.manifest import read_manifest
-from dataset_store.pictures.oblique import Studio
-from dataset_store.pictures.plots import Bars, plot_bars, require_plots
-from dataset_store.pictures.writing import (
+from starstruck_gen.dataset import SceneMeshDataset, SceneRecord, load
+from starstruck_gen.preview_scene import draw_one, draw_sheet
+from starstruck_gen.spec import SceneSpec
+from tactile_toolkit.catalog.choose import chosen_records, class_by_class, open_splits
+from tactile_toolkit.catalog.kinds import require_kind
+from tactile_toolkit.errors import InputError
+from tactile_toolkit.pictures.plots import Bars, plot_bars, require_plots
+from tactile_toolkit.pictures.render import Studio
+from tactile_toolkit.pictures.writing import (
     Drawing,
     PicturePlan,
     PlannedPicture,
@@ -24,10 +25,9 @@ from dataset_store.pictures.writing import (
     file_stem,
     plan_kinds,
 )
-from dataset_store.storage import DataFolder
-from starstruck_gen.dataset import SceneMeshDataset, SceneRecord, load
-from starstruck_gen.preview_scene import draw_one, draw_sheet
-from starstruck_gen.spec import SceneSpec
+from tactile_toolkit.store.folder import DataFolder
+from tactile_toolkit.store.manifest import read_manifest
+from tactile_toolkit.wording import counted
 
 __all__ = ["KINDS", "PreviewSpec", "plan_previews"]
 

@@ -12,12 +12,12 @@ from itertools import combinations
 
 import numpy as np
 
-from dataset_store.errors import IntegrityError
 from starstruck_gen.collision import CLEAR
 from starstruck_gen.rows import SceneRows
 from starstruck_gen.scene import Scene
 from starstruck_gen.solid import prism
 from starstruck_gen.spec import SceneSpec
+from tactile_toolkit.errors import IntegrityError
 
 __all__ = ["require_sound"]
 

@@ -17,7 +17,7 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from dataset_store.errors import InputError
+from tactile_toolkit.errors import InputError
 
 __all__ = [
     "KINDS",

@@ -8,10 +8,10 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from dataset_store.errors import InputError
 from starstruck_gen.proportions import REGISTRY, Proportions
 from starstruck_gen.shapes import DEFAULT_OUTLINES, outline, shape_key
 from starstruck_gen.solid import prism, prism_solid
+from tactile_toolkit.errors import InputError
 
 __all__ = ["own_kinds", "register_shape"]
 

@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from dataset_store.errors import InputError
 from starstruck_gen.solid import prism
+from tactile_toolkit.errors import InputError
 
 if TYPE_CHECKING:
     from starstruck_gen.shapes import Shape

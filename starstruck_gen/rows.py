@@ -9,7 +9,13 @@ from typing import Any
 
 import numpy as np
 
-from dataset_store.mesh_columns import (
+from starstruck_gen.placement import Placement
+from starstruck_gen.sampling import sample_scenes
+from starstruck_gen.scene import Scene
+from starstruck_gen.spec import SceneSpec
+from starstruck_gen.stamping import SceneMeshes, stamp
+from starstruck_gen.streams import scene_id, scene_seed
+from tactile_toolkit.mesh.columns import (
     FACES,
     VERTICES,
     feature_metadata,
@@ -19,13 +25,7 @@ from dataset_store.mesh_columns import (
     vectors_feature,
     vectors_type,
 )
-from dataset_store.shards import ParquetStyle
-from starstruck_gen.placement import Placement
-from starstruck_gen.sampling import sample_scenes
-from starstruck_gen.scene import Scene
-from starstruck_gen.spec import SceneSpec
-from starstruck_gen.stamping import SceneMeshes, stamp
-from starstruck_gen.streams import scene_id, scene_seed
+from tactile_toolkit.store.shards import ParquetStyle
 
 __all__ = ["CLASS_NAMES", "PARQUET_STYLE", "SceneRows", "make_rows", "scene_schema", "scene_table"]
 

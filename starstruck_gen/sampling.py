@@ -9,7 +9,6 @@ from typing import TypeVar
 
 import numpy as np
 
-from dataset_store.errors import InputError
 from starstruck_gen.collision import CLEAR, Clear
 from starstruck_gen.errors import SamplingExhausted
 from starstruck_gen.placement import Placement
@@ -18,6 +17,7 @@ from starstruck_gen.scene import Scene
 from starstruck_gen.shapes import Shape
 from starstruck_gen.spec import SceneSpec
 from starstruck_gen.streams import SceneStreams, scene_rng, scene_seed
+from tactile_toolkit.errors import InputError
 
 __all__ = [
     "LayoutFailed",

@@ -8,11 +8,11 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-from dataset_store.errors import InputError
-from dataset_store.mesh import Mesh
-from dataset_store.plain_values import plain_number
 from starstruck_gen.placement import Placement
 from starstruck_gen.shapes import outline
+from tactile_toolkit.errors import InputError
+from tactile_toolkit.mesh.mesh import Mesh
+from tactile_toolkit.wording import plain_number
 
 if TYPE_CHECKING:
     from PIL.Image import Image
@@ -53,7 +53,7 @@ class Scene:
 
         Returns
         -------
-        dataset_store.mesh.Mesh
+        tactile_toolkit.mesh.mesh.Mesh
             Arrays ``vertices_m`` and ``faces``, with ``volume_m3`` and ``bounds_m``; its ``to_trimesh()`` is
             the `trimesh.Trimesh` that ``mesh`` of a record is.
         """

@@ -12,9 +12,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from dataset_store.errors import InputError
-from dataset_store.plain_values import plain_number
 from starstruck_gen.proportions import KINDS, STAR, Outline, Proportions
+from tactile_toolkit.errors import InputError
+from tactile_toolkit.wording import plain_number
 
 __all__ = [
     "DEFAULT_OUTLINES",

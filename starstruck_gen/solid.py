@@ -10,10 +10,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from dataset_store.errors import InputError
-from dataset_store.mesh import Mesh
-from dataset_store.soundness import judge
 from starstruck_gen.shapes import PUBLISHED_RADIUS_M, outline
+from tactile_toolkit.errors import InputError
+from tactile_toolkit.mesh.mesh import Mesh
+from tactile_toolkit.mesh.solid_check import judge
 
 __all__ = ["Prism", "prism", "prism_solid"]
 

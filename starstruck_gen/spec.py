@@ -9,9 +9,9 @@ from functools import cached_property
 from itertools import pairwise
 from typing import Any
 
-from dataset_store.errors import InputError
-from dataset_store.plain_values import plain
 from starstruck_gen.shapes import STAR, Shape
+from tactile_toolkit.errors import InputError
+from tactile_toolkit.wording import plain
 
 __all__ = ["COLLISION_RULES", "SceneSpec"]
 

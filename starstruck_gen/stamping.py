@@ -10,10 +10,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from dataset_store.columns import RaggedColumn
-from dataset_store.mesh import Mesh
 from starstruck_gen.placement import Placement
 from starstruck_gen.solid import Prism, prism
+from tactile_toolkit.mesh.mesh import Mesh
+from tactile_toolkit.read.columns import RaggedColumn
 
 __all__ = ["SceneMeshes", "stamp"]
 

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from dataset_store.errors import InputError
+from tactile_toolkit.errors import InputError
 
 __all__ = ["MOST_SCENES", "SPLITS", "SceneStreams", "scene_id", "scene_rng", "scene_seed"]
 

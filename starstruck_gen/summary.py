@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
-from dataset_store.manifest import Manifest
 from starstruck_gen.acceptance import Acceptance
+from tactile_toolkit.store.manifest import Manifest
 
 __all__ = ["SplitSummary", "summarise"]
 

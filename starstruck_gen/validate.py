@@ -9,20 +9,18 @@ from itertools import islice
 from pathlib import Path
 from typing import Any
 
-from dataset_store.checking import splits_to_check
-from dataset_store.columns import column_names
-from dataset_store.errors import InputError
-from dataset_store.mesh_columns import FACES, VERTICES, class_names, require_mesh_columns
-from dataset_store.nulls import null_fields
-from dataset_store.places import find_shards, splits_of
-from dataset_store.records import Row
-from dataset_store.rowgroups import RowGroup, Shard
-from dataset_store.runner import runner_for
 from starstruck_gen.checking import check_scene, inspect_scene
 from starstruck_gen.dataset import SceneRecord
 from starstruck_gen.proportions import Proportions
 from starstruck_gen.registry import own_kinds, register_shape
 from starstruck_gen.rows import CLASS_NAMES
+from tactile_toolkit.catalog.locate import find_shards, splits_of, splits_to_check
+from tactile_toolkit.errors import InputError
+from tactile_toolkit.mesh.columns import FACES, VERTICES, class_names, require_mesh_columns
+from tactile_toolkit.read.columns import column_names, null_fields
+from tactile_toolkit.read.dataset import Row
+from tactile_toolkit.read.parquet import RowGroup, Shard
+from tactile_toolkit.run.processes import runner_for
 
 __all__ = ["Checked", "Failure", "check_scene", "validate_folder"]
 

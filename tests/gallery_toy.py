@@ -10,9 +10,9 @@ from pathlib import Path
 
 import numpy as np
 
-from dataset_store.gallery.items import Facet, Gallery, Item, Measure
-from dataset_store.gallery.meshes import packed_mesh
-from dataset_store.gallery.pictures import thumbnail
+from tactile_toolkit.gallery.items import Facet, Gallery, Item, Measure
+from tactile_toolkit.gallery.meshes import packed_mesh
+from tactile_toolkit.gallery.pictures import thumbnail
 
 _OWN = "document.title='owned'"
 HOSTILE = f"""<script>{_OWN}</script>"><img src=x onerror="{_OWN}">'`${{1}}&amp;\u2028"""

@@ -16,9 +16,9 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
-from tests.dataset_store.hub.client import run_here, run_python, settings
 from tests.hub_server import HubServer, hub
 from tests.hub_server.repositories import git_blob_oid
+from tests.tactile_toolkit.hub.client import run_here, run_python, settings
 
 LARGE = bytes(range(256)) * 4096
 """One MiB that is kept as a large file."""

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from dataset_store.errors import ItemError
+from tactile_toolkit.errors import ItemError
 
 if TYPE_CHECKING:
     from scipy.sparse import csr_array

@@ -13,10 +13,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from dataset_store.errors import InputError, ItemError
 from mnist3d.digit import NO_WRITER, DigitCatalog, DigitImage
 from mnist3d.sources.canvas import fit
 from mnist3d.sources.picture import read_picture
+from tactile_toolkit.errors import InputError, ItemError
 
 __all__ = ["FolderSource"]
 

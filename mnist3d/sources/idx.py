@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from dataset_store.errors import InputError
+from tactile_toolkit.errors import InputError
 
 __all__ = ["IMAGES_MAGIC", "LABELS_MAGIC", "read_idx", "unusable"]
 

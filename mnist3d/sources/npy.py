@@ -12,7 +12,7 @@ from typing import Any, BinaryIO
 import numpy as np
 from numpy.typing import NDArray
 
-from dataset_store.errors import InputError
+from tactile_toolkit.errors import InputError
 
 __all__ = ["NpyFile", "open_npy"]
 

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from dataset_store.errors import ItemError
 from mnist3d.sources.canvas import as_grey
+from tactile_toolkit.errors import ItemError
 
 if TYPE_CHECKING:
     from PIL.Image import Image

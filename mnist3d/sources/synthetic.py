@@ -7,7 +7,6 @@ from operator import index
 
 import numpy as np
 
-from dataset_store.errors import InputError
 from mnist3d.digit import DigitCatalog, DigitImage
 from mnist3d.sources.handwriting.dice import Dice
 from mnist3d.sources.handwriting.glyphs import ALLOGRAPHS, Variation, choose_allograph
@@ -15,6 +14,7 @@ from mnist3d.sources.handwriting.hand import Hand, hand_of
 from mnist3d.sources.handwriting.pen import draw
 from mnist3d.sources.handwriting.pose import on_page
 from mnist3d.sources.handwriting.shape import Stroke
+from tactile_toolkit.errors import InputError
 
 __all__ = ["DRAWING_VERSION", "HWD_PLUS_COUNT", "SyntheticSource"]
 

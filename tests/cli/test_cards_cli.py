@@ -13,11 +13,11 @@ import pytest
 from huggingface_hub import DatasetCard
 
 import realtouch
-from dataset_store.cards.checks import check_card
-from dataset_store.storage import DataFolder
-from tests.dataset_store.toy import folder_bytes
+from tactile_toolkit.cards.checks import check_card
+from tactile_toolkit.store.folder import DataFolder
 from tests.realtouch import factories
 from tests.realtouch.factories import Layout
+from tests.tactile_toolkit.toy import folder_bytes
 
 KINDS = ("mnist3d", "starstruck", "single", "seq", "synthetic", "frames")
 

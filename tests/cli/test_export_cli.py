@@ -12,9 +12,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from dataset_store.meshfile import read_mesh
-from dataset_store.soundness import judge
-from tests.dataset_store.toy import folder_bytes
+from tactile_toolkit.mesh.files import read_mesh
+from tactile_toolkit.mesh.solid_check import judge
+from tests.tactile_toolkit.toy import folder_bytes
 
 
 def call(*arguments: object, program: str = "mnist3d") -> int:

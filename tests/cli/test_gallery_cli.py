@@ -11,9 +11,9 @@ from pathlib import Path
 
 import pytest
 
-from dataset_store.counting import counted
-from tests.dataset_store.toy import folder_bytes
+from tactile_toolkit.wording import counted
 from tests.realtouch import factories
+from tests.tactile_toolkit.toy import folder_bytes
 
 DIGITS = ("--split", "test", "--per-class", "1", "--vertices", "600", "--workers", "1", "--quiet")
 

@@ -16,15 +16,15 @@ import pytest
 
 import realtouch
 import starstruck_gen as starstruck
-from dataset_store.hub.published import PUBLISHED, published_set, published_sets
 from mnist3d.generation import GenerateSpec, generate
 from mnist3d.solid import SolidSpec
 from mnist3d.sources.synthetic import SyntheticSource
 from realtouch.names import SHORT_NAMES, repository_of
 from starstruck_gen.generation import GenerateSpec as StarstruckSpec
-from tests.dataset_store.hub.client import run_here, run_python, settings
+from tactile_toolkit.catalog.published import PUBLISHED, published_set, published_sets
 from tests.hub_server import HubServer, hub
 from tests.realtouch.factories import make_round, single_rows, write_set
+from tests.tactile_toolkit.hub.client import run_here, run_python, settings
 
 DIGITS = "someone/digits"
 BARE = "someone/published"

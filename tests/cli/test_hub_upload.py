@@ -15,10 +15,10 @@ import pytest
 
 import realtouch
 from starstruck_gen.generation import GenerateSpec, generate
-from tests.dataset_store.hub.client import run_python, settings
-from tests.dataset_store.hub.upload_client import logged_in
 from tests.hub_server import HubServer, hub
 from tests.realtouch import factories
+from tests.tactile_toolkit.exchange.upload_client import logged_in
+from tests.tactile_toolkit.hub.client import run_python, settings
 
 NAME = "someone/stars"
 

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import mnist3d
-from tests.dataset_store.toy import folder_bytes
+from tests.tactile_toolkit.toy import folder_bytes
 
 SMALL = ("--split", "test", "--per-class", "1", "--vertices", "600", "--workers", "1")
 
@@ -188,7 +188,7 @@ def test_bad_input_is_named_in_two_lines(tmp_path, monkeypatch, capsys, argument
 
 
 def test_debug_shows_the_traceback(tmp_path):
-    from dataset_store.errors import InputError
+    from tactile_toolkit.errors import InputError
 
     with pytest.raises(InputError):
         call("generate", "--source", "hwdplus", "--debug")

@@ -16,8 +16,6 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from dataset_store.mesh import Mesh
-from dataset_store.meshfile import write_mesh
 from mnist3d.generation import GenerateSpec as DigitSpec
 from mnist3d.generation import generate as generate_digits
 from mnist3d.solid import SolidSpec
@@ -26,6 +24,8 @@ from mnist3d.splits import SplitSpec
 from starstruck_gen.generation import GenerateSpec as SceneSetSpec
 from starstruck_gen.generation import generate as generate_scenes
 from starstruck_gen.spec import SceneSpec
+from tactile_toolkit.mesh.files import write_mesh
+from tactile_toolkit.mesh.mesh import Mesh
 from tests.realtouch import factories
 
 NO_PLOTS = find_spec("matplotlib") is None

@@ -10,13 +10,13 @@ from typer.testing import CliRunner
 
 from cli.mnist3d import app
 from cli.realtouch import app as touches
-from dataset_store.build import build
-from dataset_store.errors import StorageError
-from dataset_store.manifest import Manifest, write_manifest
-from dataset_store.runner import InlineRunner
-from dataset_store.storage import DataFolder
-from dataset_store.versions import toolkit_version
-from tests.dataset_store.toy import SPLITS, toy_plan
+from tactile_toolkit.errors import StorageError
+from tactile_toolkit.run.processes import InlineRunner
+from tactile_toolkit.store.build import build
+from tactile_toolkit.store.folder import DataFolder
+from tactile_toolkit.store.manifest import Manifest, write_manifest
+from tactile_toolkit.versions import toolkit_version
+from tests.tactile_toolkit.toy import SPLITS, toy_plan
 
 
 def info(folder, *options):

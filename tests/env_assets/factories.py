@@ -9,8 +9,7 @@ from typing import Any
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from dataset_store.columns import list_array
-from dataset_store.mesh_columns import (
+from tactile_toolkit.mesh.columns import (
     FACES,
     VERTICES,
     feature_metadata,
@@ -19,6 +18,7 @@ from dataset_store.mesh_columns import (
     vectors_feature,
     vectors_type,
 )
+from tactile_toolkit.read.columns import list_array
 from tests.realtouch import factories
 
 TOUCHES_PER_ROUND = 24

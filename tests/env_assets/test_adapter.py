@@ -17,7 +17,7 @@ import env_assets
 import mnist3d
 import realtouch
 import starstruck_gen
-from dataset_store.errors import InputError
+from tactile_toolkit.errors import InputError
 from tests.env_assets.factories import TOUCHES_PER_ROUND, write_meshes
 from tests.realtouch import factories
 

@@ -4,8 +4,6 @@ import numpy as np
 import pytest
 
 import env_assets
-from dataset_store.errors import InputError
-from dataset_store.mesh import Mesh
 from env_assets.checks import (
     require_classes,
     require_fitting,
@@ -15,6 +13,8 @@ from env_assets.checks import (
 )
 from env_assets.inventory import inventory
 from env_assets.measures import bounds_m, volumes_m3
+from tactile_toolkit.errors import InputError
+from tactile_toolkit.mesh.mesh import Mesh
 from tests.env_assets.factories import write_meshes
 from tests.env_assets.shapes import box
 

@@ -32,7 +32,7 @@ print(os.environ.get("PYOPENGL_PLATFORM"))
 
 TOO_LATE = """
 import OpenGL.platform
-from dataset_store.errors import InputError
+from tactile_toolkit.errors import InputError
 from env_assets.environment_packages import published_package, require_screenless_drawing
 published_package("gymnasium")
 try:

@@ -12,8 +12,8 @@ import trimesh
 
 import env_assets
 import realtouch
-from dataset_store.errors import InputError, MissingExtraError
 from env_assets.environment_sensors import BACKENDS, require_sensor
+from tactile_toolkit.errors import InputError, MissingExtraError
 from tests.env_assets.factories import write_meshes
 
 pytestmark = [pytest.mark.env, pytest.mark.filterwarnings("ignore")]

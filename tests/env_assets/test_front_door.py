@@ -13,8 +13,8 @@ from typing import Any
 
 import pytest
 
-from tests.dataset_store.hub.client import settings, start_python
 from tests.hub_server import hub
+from tests.tactile_toolkit.hub.client import settings, start_python
 
 pytestmark = [pytest.mark.env, pytest.mark.filterwarnings("ignore")]
 

@@ -7,9 +7,8 @@ import sys
 import numpy as np
 import pytest
 
-from dataset_store.mesh import Mesh
-from env_assets.height_cache import HeightCache, content_key
-from env_assets.height_map import top_surface
+from tactile_toolkit.mesh.height_map import HeightCache, content_key, top_surface
+from tactile_toolkit.mesh.mesh import Mesh
 from tests.env_assets.shapes import box, cylinder
 
 PITCH = 0.5
@@ -31,7 +30,7 @@ def test_what_was_made_once_is_read_again(cache):
     # A mark in the file, with its checksum, shows in what is given the second time: it was read, not made.
     marked = made.heights_m.copy()
     marked[0, 0] = 77
-    from env_assets.height_cache import _pack
+    from tactile_toolkit.mesh.height_map import _pack
 
     file.write_bytes(_pack(marked))
     again = cache.get(mesh, PITCH)
@@ -104,7 +103,7 @@ def test_leavings_of_killed_writers_leave_too(tmp_path):
 SHARE = """
 import sys, zlib
 from pathlib import Path
-from env_assets.height_cache import HeightCache
+from tactile_toolkit.mesh.height_map import HeightCache
 from tests.env_assets.shapes import cylinder
 cache = HeightCache(Path(sys.argv[1]), limit_bytes=40_000)
 digest = 0

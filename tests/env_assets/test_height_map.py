@@ -7,10 +7,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-import env_assets.scan_lines
-from dataset_store.errors import InputError
-from dataset_store.mesh import Mesh
-from env_assets.height_map import MOST_PIXELS, top_surface
+import tactile_toolkit.mesh.raster
+from tactile_toolkit.errors import InputError
+from tactile_toolkit.mesh.height_map import MOST_PIXELS, top_surface
+from tactile_toolkit.mesh.mesh import Mesh
 from tests.env_assets.shapes import box, cylinder, joined, ramp, surfaces
 
 
@@ -163,7 +163,7 @@ def test_working_in_parts_changes_nothing(assets, monkeypatch):
 
     record = mnist3d.load(str(assets / "mnist3d"), "test")[0]
     whole = top_surface(record, 0.0005)
-    monkeypatch.setattr(env_assets.scan_lines, "_AT_ONCE", 50)
+    monkeypatch.setattr(tactile_toolkit.mesh.raster, "_AT_ONCE", 50)
     np.testing.assert_array_equal(top_surface(record, 0.0005).heights_m, whole.heights_m)
 
 

@@ -12,9 +12,9 @@ import pytest
 
 import env_assets
 import starstruck_gen
-from dataset_store.errors import InputError, IntegrityError, SpecMismatchError
-from dataset_store.manifest import read_manifest
-from dataset_store.storage import DataFolder
+from tactile_toolkit.errors import InputError, IntegrityError, SpecMismatchError
+from tactile_toolkit.store.folder import DataFolder
+from tactile_toolkit.store.manifest import read_manifest
 
 COMMANDS = {"mnist3d": "cli.mnist3d", "starstruck": "cli.starstruck", "env-assets": "cli.env_assets"}
 
@@ -172,12 +172,12 @@ def test_processes_that_start_at_once_do_not_harm_each_other(tmp_path):
 
 DIE = """
 import os, signal, sys
-import dataset_store.build, env_assets
-write_receipt = dataset_store.build.write_receipt
+import tactile_toolkit.store.build, env_assets
+write_receipt = tactile_toolkit.store.build.write_receipt
 def write_and_die(*arguments):
     write_receipt(*arguments)
     os.kill(os.getpid(), signal.SIGKILL)
-dataset_store.build.write_receipt = write_and_die
+tactile_toolkit.store.build.write_receipt = write_and_die
 env_assets.AssetProvider(sys.argv[1], generate=True).meshes("starstruck", "train")
 """
 

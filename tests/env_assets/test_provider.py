@@ -15,7 +15,7 @@ import env_assets
 import mnist3d
 import realtouch
 import starstruck_gen
-from dataset_store.errors import InputError, IntegrityError
+from tactile_toolkit.errors import InputError, IntegrityError
 from tests.env_assets.factories import write_meshes
 from tests.env_assets.processes import answer, fingerprint
 from tests.env_assets.shapes import box

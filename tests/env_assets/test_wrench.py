@@ -10,20 +10,21 @@ from hypothesis import strategies as st
 
 import env_assets
 import mnist3d
-from dataset_store.cards.checks import check_card
-from dataset_store.errors import InputError, SpecMismatchError
-from dataset_store.storage import DataFolder
-from dataset_store.verify import verify
-from env_assets.height_map import top_surface
-from env_assets.wrench import WrenchSpec, wrench_mesh
-from env_assets.wrench_files import wrench_schema, write_wrench
-from env_assets.wrench_sizes import (
+from env_assets.wrench.generation import wrench_schema, write_wrench
+from env_assets.wrench.sizes import (
     LARGEST_MM,
     SMALLEST_MM,
     WIDTHS_ACROSS_FLATS_MM,
     next_smaller_mm,
     width_across_flats_mm,
 )
+from env_assets.wrench.spec import WrenchSpec
+from env_assets.wrench.wrench import wrench_mesh
+from tactile_toolkit.cards.checks import check_card
+from tactile_toolkit.errors import InputError, SpecMismatchError
+from tactile_toolkit.mesh.height_map import top_surface
+from tactile_toolkit.store.folder import DataFolder
+from tactile_toolkit.store.verify import verify
 
 
 def middles_mm(spec: WrenchSpec) -> tuple[tuple[float, float, float], ...]:

@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 from scipy import ndimage
 
-from dataset_store.mesh import Mesh
 from mnist3d.distance import signed_distance_px
+from tactile_toolkit.mesh.mesh import Mesh
 
 DIGITS = Path(__file__).resolve().parents[2].parent / "shared" / "digits" / "png"
 ROWS, COLUMNS = np.mgrid[:500, :500]

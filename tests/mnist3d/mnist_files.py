@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from dataset_store.errors import InputError
 from mnist3d.sources.mnist import MnistSource
+from tactile_toolkit.errors import InputError
 
 SHARED = Path(__file__).resolve().parents[2].parent / "shared" / "mnist"
 needs_shared = pytest.mark.skipif(not SHARED.is_dir(), reason=f"no MNIST files in {SHARED}")

@@ -6,9 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from dataset_store.errors import ItemError
 from mnist3d.digit import DigitCatalog, DigitImage
 from mnist3d.sources.synthetic import SyntheticSource
+from tactile_toolkit.errors import ItemError
 
 BLANK, FULL, UNREADABLE = 3, 11, 17
 

@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 
 import mnist3d
-from dataset_store.errors import InputError
-from dataset_store.mesh_records import RecordStream
 from mnist3d.generation import GenerateSpec, generate
 from mnist3d.solid import SolidSpec
 from mnist3d.sources.synthetic import SyntheticSource
+from tactile_toolkit.errors import InputError
+from tactile_toolkit.mesh.records import RecordStream
 
 ROWS = 40
 
@@ -134,7 +134,7 @@ def test_notebook_picture(digits):
 
 
 def test_relief_shows_the_outline(digits):
-    from mnist3d.pictures import relief
+    from tactile_toolkit.pictures.relief import relief
 
     picture = relief(digits[0].vertices_m, digits[0].faces)
     inked_mm2 = (picture < 255).sum() * 0.04

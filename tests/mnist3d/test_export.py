@@ -8,14 +8,14 @@ import numpy as np
 import pytest
 
 import mnist3d
-from dataset_store.errors import InputError
-from dataset_store.meshfile import read_mesh
-from dataset_store.printing.layout import arrange, measure
-from dataset_store.printing.objects import PrintObject, choose
-from dataset_store.printing.plate_spec import PlateSpec
-from dataset_store.printing.singles import export_files
-from mnist3d.printability import inspect
 from mnist3d.sources.synthetic import SyntheticSource
+from tactile_toolkit.errors import InputError
+from tactile_toolkit.mesh.files import read_mesh
+from tactile_toolkit.mesh.printability import inspect
+from tactile_toolkit.printing.layout import arrange, measure
+from tactile_toolkit.printing.objects import PrintObject, choose
+from tactile_toolkit.printing.plate_spec import PlateSpec
+from tactile_toolkit.printing.singles import export_files
 
 
 @pytest.fixture(scope="module")

@@ -13,10 +13,10 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from PIL import Image
 
-from dataset_store.errors import InputError, ItemError
 from mnist3d.digit import NO_WRITER
 from mnist3d.sources import DigitSource
 from mnist3d.sources.folder import FolderSource, _natural
+from tactile_toolkit.errors import InputError, ItemError
 
 SHARED = Path(__file__).resolve().parents[2].parent / "shared"
 PICTURES = SHARED / "digits" / "png"

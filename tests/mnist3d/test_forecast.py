@@ -9,13 +9,13 @@ import sys
 import numpy as np
 import pytest
 
-from dataset_store.errors import InputError, IntegrityError, SpecMismatchError
 from mnist3d.forecast import forecast
 from mnist3d.generation import GenerateSpec, generate
 from mnist3d.solid import SolidSpec
 from mnist3d.sources.synthetic import SyntheticSource
 from mnist3d.splits import SplitSpec
 from mnist3d.validate import validate_paths
+from tactile_toolkit.errors import InputError, IntegrityError, SpecMismatchError
 
 
 def _spec(**values) -> GenerateSpec:

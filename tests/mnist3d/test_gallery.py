@@ -8,19 +8,18 @@ import numpy as np
 import pytest
 
 import mnist3d
-from dataset_store.errors import InputError, IntegrityError
-from dataset_store.gallery.forecast import forecast_site
-from dataset_store.gallery.selection import Choice
-from dataset_store.gallery.site import build_site
-from dataset_store.reports import read_report
-from dataset_store.storage import DataFolder
 from mnist3d.gallery import plan_gallery
 from mnist3d.report import REPORT_FILE
 from mnist3d.solid import SolidSpec
 from mnist3d.sources.synthetic import SyntheticSource
 from mnist3d.splits import SplitSpec
-from tests.dataset_store.toy import folder_bytes
+from tactile_toolkit.catalog.choose import Choice
+from tactile_toolkit.errors import InputError, IntegrityError
+from tactile_toolkit.gallery.site import build_site, forecast_site
+from tactile_toolkit.store.folder import DataFolder
+from tactile_toolkit.store.reports import read_report
 from tests.gallery_browser import browser, opened
+from tests.tactile_toolkit.toy import folder_bytes
 
 
 @pytest.fixture(scope="module")

@@ -13,16 +13,16 @@ import pyarrow.parquet as pq
 import pytest
 
 import mnist3d
-from dataset_store.errors import InputError, SpecMismatchError
-from dataset_store.storage import DataFolder
-from dataset_store.verify import verify
 from mnist3d.generation import GenerateSpec, generate, plan_build
 from mnist3d.rows import mesh_schema
 from mnist3d.solid import SolidSpec
 from mnist3d.sources.synthetic import SyntheticSource
 from mnist3d.splits import SPLITS, SplitSpec
-from tests.dataset_store.toy import folder_bytes
+from tactile_toolkit.errors import InputError, SpecMismatchError
+from tactile_toolkit.store.folder import DataFolder
+from tactile_toolkit.store.verify import verify
 from tests.mnist3d.sources import BLANK, FULL, UNREADABLE, FlawedSource
+from tests.tactile_toolkit.toy import folder_bytes
 
 ROOT = Path(__file__).resolve().parents[2]
 COARSE = SolidSpec(target_vertices=600)

@@ -79,7 +79,7 @@ def test_streaming_stores_nothing(repositories, tmp_path):
 
 CATCH = """
 import mnist3d
-from dataset_store.errors import ToolkitError
+from tactile_toolkit.errors import ToolkitError
 try:
     mnist3d.load({arguments})
 except ToolkitError as error:

@@ -14,10 +14,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from dataset_store.errors import InputError, ItemError
 from mnist3d.digit import NO_WRITER
 from mnist3d.sources import DigitSource
 from mnist3d.sources.hwdplus import HwdPlusSource
+from tactile_toolkit.errors import InputError, ItemError
 
 SHARED = Path(__file__).resolve().parents[2].parent / "shared" / "digits"
 needs_shared = pytest.mark.skipif(not SHARED.is_dir(), reason=f"no real digits in {SHARED}")

@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from dataset_store.errors import ItemError
 from mnist3d.digit import NO_WRITER
 from mnist3d.sources import DigitSource
 from mnist3d.sources.canvas import enlarge, fit
 from mnist3d.sources.mnist import MnistSource
+from tactile_toolkit.errors import ItemError
 from tests.mnist3d.mnist_files import SHARED, bars, idx, name_of, needs_shared, refusal, write
 
 

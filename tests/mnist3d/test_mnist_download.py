@@ -14,8 +14,8 @@ from pathlib import Path
 
 import pytest
 
-from dataset_store.errors import HubError, MissingExtraError, StorageError
 from mnist3d.sources.mnist import MnistSource, download_mnist
+from tactile_toolkit.errors import HubError, MissingExtraError, StorageError
 from tests.mnist3d.mnist_files import PREFIXES, name_of, write
 
 

@@ -10,16 +10,7 @@ import pytest
 from PIL import Image
 
 import mnist3d
-from dataset_store.errors import InputError, IntegrityError, MissingExtraError
-from dataset_store.mesh import Mesh
-from dataset_store.meshfile import write_mesh
-from dataset_store.pictures.lettering import INK
-from dataset_store.pictures.oblique import Studio
-from dataset_store.pictures.sheets import ScaleBar
-from dataset_store.pictures.writing import as_rgb
-from dataset_store.storage import DataFolder
 from mnist3d.generation import GenerateSpec, generate
-from mnist3d.pictures import relief, relief_of
 from mnist3d.preview_figures import class_counts, measures
 from mnist3d.preview_object import object_facts
 from mnist3d.preview_steps import draw_steps, layer_map, shown_layers
@@ -29,6 +20,15 @@ from mnist3d.sources.folder import FolderSource
 from mnist3d.sources.synthetic import SyntheticSource
 from mnist3d.splits import SplitSpec
 from mnist3d.steps import erode, erosion_radii_px
+from tactile_toolkit.errors import InputError, IntegrityError, MissingExtraError
+from tactile_toolkit.mesh.files import write_mesh
+from tactile_toolkit.mesh.mesh import Mesh
+from tactile_toolkit.pictures.lettering import INK
+from tactile_toolkit.pictures.relief import relief, relief_of
+from tactile_toolkit.pictures.render import Studio
+from tactile_toolkit.pictures.sheets import ScaleBar
+from tactile_toolkit.pictures.writing import as_rgb
+from tactile_toolkit.store.folder import DataFolder
 
 THIN = SolidSpec(target_vertices=500, half_thickness_mm=1.2)
 """Few layers: the steps at full resolution stay quick."""

@@ -14,16 +14,16 @@ import numpy as np
 import pytest
 
 import mnist3d
-from dataset_store.mesh import Mesh
-from dataset_store.meshfile import write_mesh
-from dataset_store.printing.layout import Placed, arrange, measure
-from dataset_store.printing.objects import choose, standing
-from dataset_store.printing.plate_spec import PlateSpec
-from dataset_store.printing.plates import write_plates
-from dataset_store.printing.singles import export_files
-from dataset_store.printing.tags import TAG_HEIGHT_MM
 from mnist3d.sources.folder import FolderSource
 from mnist3d.sources.synthetic import SyntheticSource
+from tactile_toolkit.mesh.files import write_mesh
+from tactile_toolkit.mesh.mesh import Mesh
+from tactile_toolkit.printing.layout import Placed, arrange, measure
+from tactile_toolkit.printing.objects import choose, standing
+from tactile_toolkit.printing.plate_spec import PlateSpec
+from tactile_toolkit.printing.plates import write_plates
+from tactile_toolkit.printing.singles import export_files
+from tactile_toolkit.printing.tags import TAG_HEIGHT_MM
 
 SLICER = shutil.which("prusa-slicer") or ""
 pytestmark = [

@@ -14,16 +14,16 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import ndimage
 
-from dataset_store.errors import InputError, ItemError
 from mnist3d.comparison import symmetric_distances_mm
 from mnist3d.ink import count_bodies_and_holes
-from mnist3d.printability import inspect
 from mnist3d.solid import (
     SolidSpec,
     ink_mask,
     literal_solid,
     solidify,
 )
+from tactile_toolkit.errors import InputError, ItemError
+from tactile_toolkit.mesh.printability import inspect
 from tests.mnist3d.drawings import DIGITS, disc, drawn, seven, six, size_mm, stroke, volume_mm3
 
 # --- the whole way --------------------------------------------------------------------------------

@@ -5,9 +5,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from dataset_store.errors import InputError
 from mnist3d.digit import NO_WRITER, DigitCatalog
 from mnist3d.splits import PUBLISHED_SIZES, SPLITS, SplitSpec, plan_splits
+from tactile_toolkit.errors import InputError
 
 
 def catalog(labels, writers=None, ids=None) -> DigitCatalog:

@@ -11,9 +11,7 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 from scipy import ndimage
 
-from dataset_store.mesh import Mesh
 from mnist3d.distance import distance_px
-from mnist3d.printability import inspect
 from mnist3d.solid import (
     SolidSpec,
     decimate,
@@ -27,6 +25,8 @@ from mnist3d.solid import (
     smooth,
     stack,
 )
+from tactile_toolkit.mesh.mesh import Mesh
+from tactile_toolkit.mesh.printability import inspect
 from tests.mnist3d.drawings import six
 
 

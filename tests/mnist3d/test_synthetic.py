@@ -14,11 +14,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import ndimage
 
-from dataset_store.errors import InputError
 from mnist3d.digit import DigitImage
 from mnist3d.sources.handwriting.dice import Dice
 from mnist3d.sources.handwriting.glyphs import ALLOGRAPHS, choose_allograph
 from mnist3d.sources.synthetic import DRAWING_VERSION, SyntheticSource
+from tactile_toolkit.errors import InputError
 
 MARGIN_PX = 8
 INK_BELOW = 128

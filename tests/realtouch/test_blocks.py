@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 import realtouch
-from dataset_store import rowgroups
-from dataset_store.rowgroups import Shard, ShardedTable
 from realtouch.dataset import TouchStream
+from tactile_toolkit.read import parquet as rowgroups
+from tactile_toolkit.read.parquet import Shard, ShardedTable
 from tests.realtouch import factories
 from tests.realtouch.factories import Layout
 

@@ -9,9 +9,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import realtouch
-from dataset_store.errors import InputError, IntegrityError, ItemError, MissingExtraError
-from realtouch.avi import MAX_CLIP_FRAMES, NoIndexError, read_index, write_avi
-from realtouch.clips import TouchClip
 from realtouch.contact import (
     CLOCK_TOLERANCE_S,
     contact_heights_m,
@@ -20,7 +17,10 @@ from realtouch.contact import (
     is_contact,
     most_changed_frame,
 )
-from realtouch.jpeg import decode_image, encode_image
+from realtouch.media.clips import TouchClip
+from tactile_toolkit.errors import InputError, IntegrityError, ItemError, MissingExtraError
+from tactile_toolkit.touch.avi import MAX_CLIP_FRAMES, NoIndexError, read_index, write_avi
+from tactile_toolkit.touch.jpeg import decode_image, encode_image
 from tests.realtouch import factories
 from tests.realtouch.factories import Layout, RoundTruth
 
@@ -216,7 +216,7 @@ def test_an_avi_of_ours_reads_back_and_in_ffmpeg() -> None:
     assert data == write_avi(jpegs, 24, 16, 25.0)
     index = read_index(memoryview(data))
     assert [bytes(index.frame(memoryview(data), frame)) for frame in range(10)] == jpegs
-    from realtouch.ffmpeg import ffmpeg_count, ffmpeg_fps, ffmpeg_frames
+    from realtouch.media.ffmpeg import ffmpeg_count, ffmpeg_fps, ffmpeg_frames
 
     assert (ffmpeg_count(memoryview(data)), ffmpeg_fps(memoryview(data))) == (10, 25.0)
     pixels = ffmpeg_frames(memoryview(data), range(10), 10)

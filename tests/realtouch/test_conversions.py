@@ -15,15 +15,14 @@ from datasets import Features, Image, List, Video
 from PIL import Image as Pictures
 
 import realtouch
-from dataset_store.errors import InputError, SpecMismatchError
-from dataset_store.runner import ProcessRunner
-from dataset_store.shards import sha256_hex
-from realtouch.jpeg import decode_image
-from realtouch.resizing import resized
-from realtouch.source import Source
-from tests.dataset_store.toy import folder_bytes
+from realtouch.convert.plan import Source
+from tactile_toolkit.errors import InputError, SpecMismatchError
+from tactile_toolkit.run.processes import ProcessRunner
+from tactile_toolkit.store.shards import sha256_hex
+from tactile_toolkit.touch.jpeg import decode_image, resized
 from tests.realtouch import factories
 from tests.realtouch.factories import Layout, RoundTruth
+from tests.tactile_toolkit.toy import folder_bytes
 
 
 def features_of(folder: Path) -> Features:
@@ -230,7 +229,7 @@ def conversions(source: str, out: str, runner: Any) -> None:
 def test_workers_and_interruptions_change_no_byte(
     seq_folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("realtouch.convert._SNAPSHOT_ROWS", 1)
+    monkeypatch.setattr("realtouch.convert.api._SNAPSHOT_ROWS", 1)
     conversions(str(seq_folder), str(tmp_path / "a"), 1)
     conversions(str(seq_folder), str(tmp_path / "b"), ProcessRunner(2))
     assert folder_bytes(tmp_path / "a") == folder_bytes(tmp_path / "b")

@@ -13,11 +13,11 @@ import pyarrow.parquet as pq
 import pytest
 
 import realtouch
-from dataset_store.errors import InputError, IntegrityError, SpecMismatchError
-from dataset_store.shards import sha256_hex
-from tests.dataset_store.toy import folder_bytes
+from tactile_toolkit.errors import InputError, IntegrityError, SpecMismatchError
+from tactile_toolkit.store.shards import sha256_hex
 from tests.realtouch import factories
 from tests.realtouch.factories import Layout, RoundTruth
+from tests.tactile_toolkit.toy import folder_bytes
 
 Edit = Callable[[dict[str, Any], int], None]
 

@@ -12,8 +12,8 @@ import pyarrow.parquet as pq
 import pytest
 
 import realtouch
-from dataset_store.errors import InputError, IntegrityError
-from realtouch.avi import read_index
+from tactile_toolkit.errors import InputError, IntegrityError
+from tactile_toolkit.touch.avi import read_index
 from tests.realtouch import factories
 from tests.realtouch.factories import Layout
 
@@ -258,7 +258,9 @@ def test_quick_verification_decodes_nothing(
     single_rows: list[dict], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     folder = damaged_set(tmp_path, single_rows, "single", no_jpeg)
-    monkeypatch.setattr("realtouch.images.decode_image", lambda *_: pytest.fail("a picture was decoded"))
+    monkeypatch.setattr(
+        "realtouch.media.images.decode_image", lambda *_: pytest.fail("a picture was decoded")
+    )
     assert [finding.touch for finding in realtouch.verify(str(folder), quick=True).findings] == [1]
 
 

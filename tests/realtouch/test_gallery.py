@@ -11,10 +11,9 @@ import pytest
 from PIL import Image
 
 import realtouch
-from dataset_store.errors import InputError, IntegrityError
-from dataset_store.gallery.forecast import forecast_site
-from dataset_store.gallery.site import build_site
-from realtouch.gallery import RoundChoice, plan_gallery
+from realtouch.show.gallery import RoundChoice, plan_gallery
+from tactile_toolkit.errors import InputError, IntegrityError
+from tactile_toolkit.gallery.site import build_site, forecast_site
 from tests.gallery_browser import browser, opened
 from tests.realtouch import factories
 from tests.realtouch.factories import Layout
@@ -129,8 +128,8 @@ def test_the_revision_asked_for_is_opened(seq_folder, monkeypatch):
         asked.append(revision)
         return opened_set
 
-    monkeypatch.setattr("dataset_store.gallery.selection.splits_of", splits)
-    monkeypatch.setattr("realtouch.gallery.load", load)
+    monkeypatch.setattr("tactile_toolkit.catalog.choose.splits_of", splits)
+    monkeypatch.setattr("realtouch.show.gallery.load", load)
     assert plan_gallery(RoundChoice("someone/touches", revision="v2")).size == len(opened_set)
     assert asked == ["v2", "v2"]
 

@@ -12,9 +12,9 @@ from hypothesis import strategies as st
 from PIL import Image
 
 import realtouch
-from realtouch import jpeg as module
-from realtouch.images import positions_of
-from realtouch.jpeg import MAX_IMAGE_BYTES, decode_image, encode_image, image_size
+from realtouch.media.images import positions_of
+from tactile_toolkit.touch import jpeg as module
+from tactile_toolkit.touch.jpeg import MAX_IMAGE_BYTES, decode_image, encode_image, image_size
 from tests.realtouch.factories import encode_jpeg
 
 PICTURES = np.random.default_rng(0).integers(0, 255, (24, 32, 3), dtype=np.uint8)

@@ -12,9 +12,9 @@ from typing import Any
 import pytest
 
 import realtouch
-from dataset_store.errors import InputError
-from tests.dataset_store.toy import folder_bytes
+from tactile_toolkit.errors import InputError
 from tests.processes import children, wait_until_gone
+from tests.tactile_toolkit.toy import folder_bytes
 
 REPOSITORY = Path(__file__).resolve().parents[2]
 
@@ -146,7 +146,7 @@ def test_pictures_that_cannot_be_written_leave_no_trace(single_folder: Path, tmp
     """A run that fails before its first shard is finished takes its pictures with it."""
     code = (
         "import resource, signal, sys, realtouch\n"
-        "from dataset_store.errors import StorageError\n"
+        "from tactile_toolkit.errors import StorageError\n"
         "signal.signal(signal.SIGXFSZ, signal.SIG_IGN)\n"
         "resource.setrlimit(resource.RLIMIT_FSIZE, (6_000, resource.RLIM_INFINITY))\n"
         "try:\n"

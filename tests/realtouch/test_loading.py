@@ -13,8 +13,8 @@ import pyarrow.parquet as pq
 import pytest
 
 import realtouch
-from dataset_store.errors import InputError, IntegrityError
-from realtouch.fields import contact_z_m
+from realtouch.columns.poses import contact_z_m
+from tactile_toolkit.errors import InputError, IntegrityError
 from tests.realtouch import factories
 from tests.realtouch.factories import Layout, RoundTruth
 

@@ -11,11 +11,11 @@ import pytest
 
 import mnist3d
 import realtouch
-from dataset_store.errors import InputError
-from dataset_store.hub.published import place_of
 from realtouch.names import SHORT_NAMES, repository_of
-from tests.dataset_store.hub.client import run_here, settings
+from tactile_toolkit.catalog.published import place_of
+from tactile_toolkit.errors import InputError
 from tests.hub_server import HubServer, hub
+from tests.tactile_toolkit.hub.client import run_here, settings
 
 
 @pytest.mark.parametrize("name", [None, 123, b"real-seq", [None], [b"a.parquet"]])
@@ -71,7 +71,7 @@ def server(single_folder: Path, tmp_path_factory: pytest.TempPathFactory) -> Ite
 
 LOAD = """
 import realtouch
-from dataset_store.errors import ToolkitError
+from tactile_toolkit.errors import ToolkitError
 try:
     print(*(record.id for record in realtouch.load({arguments})))
 except ToolkitError as error:

@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 
 import realtouch
-from dataset_store.errors import InputError
-from dataset_store.records import Row
-from dataset_store.rowgroups import RowGroup
-from realtouch.fields import clip_poses, contact_z_m, pose_sequences
+from realtouch.columns.poses import clip_poses, contact_z_m, pose_sequences
+from tactile_toolkit.errors import InputError
+from tactile_toolkit.read.dataset import Row
+from tactile_toolkit.read.parquet import RowGroup
 from tests.realtouch import factories
 from tests.realtouch.factories import Layout, RoundTruth
 

@@ -12,27 +12,22 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 import realtouch
-from dataset_store.errors import InputError
-from dataset_store.pictures.oblique import Studio
-from realtouch.preview_overlay import (
-    CELL_M,
-    SENSING_AREA_M,
-    CellMap,
-    Placed,
-    cell_map,
-    overlay,
-    placed_touches,
-)
-from realtouch.preview_strip import IN_CONTACT, draw_strip, frames_shown, timeline
-from realtouch.previews import (
+from realtouch.show.overlay import CELL_M, SENSING_AREA_M, CellMap, Placed, cell_map, overlay, placed_touches
+from realtouch.show.previews import (
     CONTACT,
+    IN_CONTACT,
     PreviewSpec,
     draw_grid,
     draw_overlay,
+    draw_strip,
+    frames_shown,
     gel_drift,
     plan_previews,
+    timeline,
 )
 from realtouch.touches import Touch
+from tactile_toolkit.errors import InputError
+from tactile_toolkit.pictures.render import Studio
 from tests.realtouch import factories
 from tests.realtouch.conftest import SIZE, TOUCHES
 from tests.realtouch.factories import Layout, RoundTruth

@@ -9,11 +9,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import realtouch
-from dataset_store.errors import IntegrityError
-from realtouch.avi import read_index, write_avi
-from realtouch.avi_frame import find_frame
 from realtouch.contact import contact_window, contact_windows
-from realtouch.images import in_parallel
+from realtouch.media.images import in_parallel
+from tactile_toolkit.errors import IntegrityError
+from tactile_toolkit.touch.avi import find_frame, read_index, write_avi
 from tests.realtouch import factories
 from tests.realtouch.factories import Layout, RoundTruth
 

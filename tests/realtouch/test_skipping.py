@@ -12,7 +12,7 @@ import pyarrow.parquet as pq
 import pytest
 
 import realtouch
-from dataset_store.errors import IntegrityError
+from tactile_toolkit.errors import IntegrityError
 from tests.realtouch import factories
 from tests.realtouch.factories import Layout
 from tests.realtouch.test_damage import damaged_set, no_jpeg, one_touch_less

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 import realtouch
-from dataset_store.errors import InputError
-from realtouch.pictures import contact_sheet, round_sheet
+from realtouch.show.html import contact_sheet, round_sheet
+from tactile_toolkit.errors import InputError
 
 
 def test_figures_of_clips_and_images(seq_folder: Path, single_folder: Path) -> None:

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 import realtouch
-from dataset_store.errors import InputError, IntegrityError, MissingExtraError
+from tactile_toolkit.errors import InputError, IntegrityError, MissingExtraError
 from tests.realtouch import factories
 from tests.realtouch.factories import RoundTruth
 

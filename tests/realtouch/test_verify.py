@@ -12,8 +12,8 @@ import pyarrow.parquet as pq
 import pytest
 
 import realtouch
-from dataset_store.errors import InputError, IntegrityError
-from realtouch.avi import write_avi
+from tactile_toolkit.errors import InputError, IntegrityError
+from tactile_toolkit.touch.avi import write_avi
 from tests.realtouch import factories
 from tests.realtouch.factories import Layout, RoundTruth
 from tests.realtouch.test_damage import damaged_set

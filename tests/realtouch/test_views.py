@@ -14,9 +14,9 @@ import pyarrow.parquet as pq
 import pytest
 
 import realtouch
-from dataset_store.errors import InputError, IntegrityError
-from realtouch.round_info import Info
-from realtouch.touch import Touch
+from realtouch.rounds import Info
+from realtouch.touches import Touch
+from tactile_toolkit.errors import InputError, IntegrityError
 from tests.realtouch import factories
 from tests.realtouch.factories import Layout
 

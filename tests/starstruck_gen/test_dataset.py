@@ -10,7 +10,6 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from dataset_store.errors import InputError
 from starstruck_gen.dataset import SceneMeshDataset, SceneRecord, load
 from starstruck_gen.endless import SceneDataset
 from starstruck_gen.generation import GenerateSpec, generate
@@ -18,6 +17,7 @@ from starstruck_gen.sampling import sample_scene
 from starstruck_gen.scene import Scene
 from starstruck_gen.spec import SceneSpec
 from starstruck_gen.streams import scene_rng
+from tactile_toolkit.errors import InputError
 
 SPEC = SceneSpec(stars=(1, 2, 3, 4), collision="exact", heights_m=(0.004, 0.006))
 SIZES = {"train": 80, "test": 12}

@@ -11,11 +11,10 @@ import pytest
 from PIL import Image
 
 import starstruck_gen
-from dataset_store.errors import InputError
-from dataset_store.gallery.forecast import forecast_site
-from dataset_store.gallery.selection import Choice
-from dataset_store.gallery.site import build_site
 from starstruck_gen.gallery import plan_gallery
+from tactile_toolkit.catalog.choose import Choice
+from tactile_toolkit.errors import InputError
+from tactile_toolkit.gallery.site import build_site, forecast_site
 from tests.gallery_browser import browser, opened
 
 

@@ -13,12 +13,6 @@ import numpy as np
 import pyarrow.parquet as pq
 import pytest
 
-from dataset_store.errors import InputError, IntegrityError, SpecMismatchError
-from dataset_store.manifest import read_manifest
-from dataset_store.parts import manifest_so_far
-from dataset_store.runner import ProcessRunner
-from dataset_store.storage import DataFolder
-from dataset_store.verify import verify
 from starstruck_gen.acceptance import count_scenes
 from starstruck_gen.errors import SamplingExhausted
 from starstruck_gen.generation import GenerateSpec, generate, inspect_out, plan_build
@@ -31,6 +25,11 @@ from starstruck_gen.spec import SceneSpec
 from starstruck_gen.stamping import stamp
 from starstruck_gen.summary import summarise
 from starstruck_gen.validate import validate_folder
+from tactile_toolkit.errors import InputError, IntegrityError, SpecMismatchError
+from tactile_toolkit.run.processes import ProcessRunner
+from tactile_toolkit.store.folder import DataFolder
+from tactile_toolkit.store.manifest import manifest_so_far, read_manifest
+from tactile_toolkit.store.verify import verify
 
 SMALL = GenerateSpec(scenes=(("train", 2_100), ("test", 30)))
 

@@ -12,9 +12,6 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 import starstruck_gen
-from dataset_store.errors import InputError
-from dataset_store.gallery.selection import Choice
-from dataset_store.pictures.oblique import Studio
 from starstruck_gen import SamplingExhausted, SceneSpec, sample_scene, scene_rng
 from starstruck_gen.collision import CLEAR
 from starstruck_gen.generation import GenerateSpec, generate
@@ -22,6 +19,9 @@ from starstruck_gen.picture import REJECTED, centre_px, draw_scene, draw_trace
 from starstruck_gen.preview_scene import draw_one, traced
 from starstruck_gen.previews import PreviewSpec, plan_previews
 from starstruck_gen.sampling import SceneTrace, trace_scene
+from tactile_toolkit.catalog.choose import Choice
+from tactile_toolkit.errors import InputError
+from tactile_toolkit.pictures.render import Studio
 from tests.starstruck_gen.strategies import specs
 
 RELIEF_ONLY = Studio(renderer=False)
@@ -178,8 +178,8 @@ def test_digits_are_no_scenes(tmp_path):
     import pyarrow as pa
     import pyarrow.parquet as pq
 
-    from dataset_store.mesh_columns import feature_metadata, label_feature, vectors_type
     from starstruck_gen.gallery import plan_gallery
+    from tactile_toolkit.mesh.columns import feature_metadata, label_feature, vectors_type
 
     columns = {
         "id": pa.array([1], pa.int64()),

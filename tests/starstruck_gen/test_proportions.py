@@ -11,9 +11,6 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from dataset_store.errors import InputError
-from dataset_store.mesh import Mesh
-from dataset_store.soundness import judge
 from starstruck_gen.proof import require_sound
 from starstruck_gen.proportions import KINDS, Crescent, Cross, Disc, Ring, Star
 from starstruck_gen.rows import make_rows, scene_table
@@ -22,6 +19,9 @@ from starstruck_gen.shapes import OUTLINES, Shape, outline
 from starstruck_gen.solid import prism
 from starstruck_gen.spec import SceneSpec
 from starstruck_gen.validate import check_scene
+from tactile_toolkit.errors import InputError
+from tactile_toolkit.mesh.mesh import Mesh
+from tactile_toolkit.mesh.solid_check import judge
 from tests.starstruck_gen.strategies import DRAWN, shapes
 
 

@@ -10,7 +10,6 @@ from typing import ClassVar
 import numpy as np
 import pytest
 
-from dataset_store.errors import InputError
 from starstruck_gen.dataset import load
 from starstruck_gen.generation import GenerateSpec, generate
 from starstruck_gen.proportions import KINDS, REGISTRY, Disc, Proportions
@@ -19,6 +18,7 @@ from starstruck_gen.shapes import DEFAULT_OUTLINES, OUTLINES, Shape, outline
 from starstruck_gen.solid import prism
 from starstruck_gen.spec import SceneSpec
 from starstruck_gen.validate import validate_folder
+from tactile_toolkit.errors import InputError
 from tests.starstruck_gen.kite import Kite
 
 

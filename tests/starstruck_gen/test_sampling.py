@@ -12,7 +12,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import stats
 
-from dataset_store.errors import InputError
 from starstruck_gen.collision import circles_clear, outlines_clear
 from starstruck_gen.errors import SamplingExhausted
 from starstruck_gen.placement import Placement
@@ -20,6 +19,7 @@ from starstruck_gen.sampling import require_room, sample_scene, sample_scenes
 from starstruck_gen.shapes import OUTLINES, Shape
 from starstruck_gen.spec import SceneSpec
 from starstruck_gen.streams import SPLITS, SceneStreams, scene_id, scene_rng, scene_seed
+from tactile_toolkit.errors import InputError
 from tests.starstruck_gen.strategies import specs
 
 FEW = settings(max_examples=80)

@@ -8,14 +8,14 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from dataset_store.errors import InputError
-from dataset_store.soundness import judge
 from starstruck_gen.endless import SceneDataset
 from starstruck_gen.sampling import sample_scenes
 from starstruck_gen.scene import Scene
 from starstruck_gen.solid import prism
 from starstruck_gen.spec import SceneSpec
 from starstruck_gen.stamping import stamp
+from tactile_toolkit.errors import InputError
+from tactile_toolkit.mesh.solid_check import judge
 from tests.starstruck_gen.strategies import placements, specs
 
 FEW = settings(max_examples=80)

@@ -5,11 +5,11 @@ import math
 import numpy as np
 import pytest
 
-from dataset_store.errors import InputError
-from dataset_store.mesh import Mesh
-from dataset_store.soundness import judge
 from starstruck_gen.shapes import OUTLINES, Shape, outline
 from starstruck_gen.solid import prism
+from tactile_toolkit.errors import InputError
+from tactile_toolkit.mesh.mesh import Mesh
+from tactile_toolkit.mesh.solid_check import judge
 
 AREAS = {
     "star": 5 * 0.5 * math.sin(math.pi / 5),

@@ -7,12 +7,12 @@ import numpy as np
 import pytest
 from hypothesis import given
 
-from dataset_store.errors import InputError
 from starstruck_gen.proof import require_sound
 from starstruck_gen.proportions import Disc
 from starstruck_gen.rows import make_rows
 from starstruck_gen.shapes import Shape
 from starstruck_gen.spec import SceneSpec
+from tactile_toolkit.errors import InputError
 from tests.starstruck_gen.strategies import specs
 
 

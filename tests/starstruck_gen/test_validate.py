@@ -9,9 +9,6 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
-from dataset_store.errors import IntegrityError
-from dataset_store.mesh import Mesh
-from dataset_store.soundness import judge
 from starstruck_gen.checking import check_scene
 from starstruck_gen.dataset import load
 from starstruck_gen.generation import GenerateSpec, generate
@@ -20,6 +17,9 @@ from starstruck_gen.rows import make_rows, scene_table
 from starstruck_gen.spec import SceneSpec
 from starstruck_gen.stamping import stamp
 from starstruck_gen.validate import validate_folder
+from tactile_toolkit.errors import IntegrityError
+from tactile_toolkit.mesh.mesh import Mesh
+from tactile_toolkit.mesh.solid_check import judge
 
 PUBLISHED = ["id", "label", "mesh.vertices", "mesh.faces"]
 

@@ -1,6 +1,6 @@
 """What users and stored data rely on, as text: bytes of small data sets, public names, help of every command.
 
-``python -m tests.unchanged.record`` writes it anew after a change that was meant: review shows the difference.
+``python -m tests.unchanged.record`` writes it anew after a change that was meant; review shows the rest.
 """
 
 from __future__ import annotations

@@ -1,1 +1,0 @@
-"""What a stored data set is: columns, records, shards, manifest, runner, errors."""

@@ -1,0 +1,1 @@
+"""The wrench of the pose-estimation environments."""

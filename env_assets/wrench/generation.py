@@ -1,0 +1,199 @@
+"""A wrench as a data set of one row: rows, build and card."""
+
+from __future__ import annotations
+
+import os
+from dataclasses import dataclass, field
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+from env_assets.wrench.spec import WrenchSpec
+from env_assets.wrench.wrench import wrench_mesh
+from tactile_toolkit.errors import InputError, StorageError
+from tactile_toolkit.mesh.columns import (
+    FACES,
+    VERTICES,
+    feature_metadata,
+    label_feature,
+    value_feature,
+    vectors_feature,
+    vectors_type,
+)
+from tactile_toolkit.mesh.files import FORMATS, write_mesh
+from tactile_toolkit.mesh.mesh import Mesh
+from tactile_toolkit.read.columns import list_array
+from tactile_toolkit.run.processes import InlineRunner
+from tactile_toolkit.store.build import BuildPlan, ShardContent, build
+from tactile_toolkit.store.folder import DataFolder
+from tactile_toolkit.store.manifest import Manifest
+from tactile_toolkit.store.shards import ParquetStyle, ShardName
+
+__all__ = [
+    "CLASS_NAMES",
+    "KIND",
+    "LENGTHS",
+    "SPLIT",
+    "mesh_file_at",
+    "plan_build",
+    "wrench_schema",
+    "write_wrench",
+]
+
+KIND = "wrench"
+SPLIT = "train"
+"""The one split, as that of the published wrench."""
+
+CLASS_NAMES = ("wrench",)
+
+LENGTHS = ("opening_mm", "second_opening_mm", "length_mm", "thickness_mm", "jaw_angle_deg")
+"""Fields of :class:`WrenchSpec` that are columns."""
+
+_PARQUET_STYLE = ParquetStyle(rows_per_group=32, compression="zstd", compression_level=9)
+
+
+@dataclass(frozen=True)
+class WrenchShard:
+    """The task of the one shard.
+
+    Attributes
+    ----------
+    spec : WrenchSpec
+        Lengths of the wrench.
+    shard : ShardName
+        Its only shard.
+    """
+
+    spec: WrenchSpec
+    shard: ShardName = field(default=ShardName(SPLIT, 0, 1))
+    size: int = 1
+
+    def make(self) -> ShardContent:
+        """Make the row."""
+        return ShardContent(_table(self.spec, wrench_mesh(self.spec)))
+
+
+def plan_build(spec: WrenchSpec) -> BuildPlan:
+    """Return what the folder of a wrench holds."""
+    return BuildPlan(KIND, spec.to_dict(), (SPLIT,), (WrenchShard(spec),), _PARQUET_STYLE)
+
+
+def write_wrench(
+    spec: WrenchSpec, out: str, *, mesh_file: str | Path | None = None, overwrite: bool = False
+) -> Manifest:
+    """Write a data set of one wrench.
+
+    Parameters
+    ----------
+    spec : WrenchSpec
+        Its lengths.
+    out : str
+        Folder to write; a folder that holds the same wrench is left as it is.
+    mesh_file : path, optional
+        Write the mesh alone too, for a printer: a file with one of the endings of
+        :data:`tactile_toolkit.mesh.files.FORMATS`.
+    overwrite : bool
+        Start again in a folder that holds another data set of this toolkit.
+
+    Returns
+    -------
+    Manifest
+        What the folder holds now.
+
+    Raises
+    ------
+    InputError
+        The chamfer does not fit, the folder holds something else, or the ending of the file is unknown.
+    SpecMismatchError
+        The folder holds another wrench.
+    StorageError
+        The folder or the file cannot be written.
+
+    Notes
+    -----
+    Equal lengths give byte-identical Parquet.
+    """
+    from env_assets.wrench.card import write_card
+
+    # What cannot be made is refused before the folder is touched.
+    mesh = wrench_mesh(spec)
+    file = None if mesh_file is None else mesh_file_at(mesh_file)
+    folder = DataFolder(out)
+    manifest = build(folder, plan_build(spec), InlineRunner(), overwrite=overwrite)
+    write_card(folder, manifest)
+    if file is not None:
+        write_mesh(file, mesh)
+    return manifest
+
+
+@cache
+def wrench_schema() -> Any:
+    """Return the Arrow schema: the published flat columns first, then ours."""
+    import pyarrow as pa
+
+    fields = [
+        pa.field("id", pa.int64()),
+        pa.field("label", pa.int64()),
+        pa.field(VERTICES, vectors_type(pa.float32())),
+        pa.field(FACES, vectors_type(pa.int32())),
+        pa.field("volume_m3", pa.float64()),
+        *(pa.field(name, pa.float64()) for name in LENGTHS),
+    ]
+    features = {
+        "id": value_feature("int64"),
+        "label": label_feature(CLASS_NAMES),
+        VERTICES: vectors_feature("float32"),
+        FACES: vectors_feature("int32"),
+        "volume_m3": value_feature("float64"),
+        **{name: value_feature("float64") for name in LENGTHS},
+    }
+    return pa.schema(fields, metadata=feature_metadata(features))
+
+
+def mesh_file_at(place: str | Path) -> Path:
+    """Return where a mesh file is to be written; a leading ``~`` is the user's home.
+
+    Raises
+    ------
+    InputError
+        The ending is unknown.
+    StorageError
+        There is no folder to write it in, or a folder has its name.
+    """
+    mesh_file = Path(place).expanduser()
+    _require_ending(mesh_file)
+    parent = mesh_file.parent
+    if mesh_file.is_dir() or not parent.is_dir():
+        found = "it is a folder" if mesh_file.is_dir() else f"there is no folder {str(parent)!r}"
+        message = f"{mesh_file}: cannot be written, {found}; nothing was written; next: choose another file"
+        raise StorageError(message)
+    if not os.access(parent, os.W_OK):
+        message = (
+            f"{mesh_file}: cannot be written, no permission in {str(parent)!r}; nothing was written; next: "
+            "choose another folder"
+        )
+        raise StorageError(message)
+    return mesh_file
+
+
+def _require_ending(mesh_file: Path) -> None:
+    if mesh_file.suffix.lower() not in FORMATS:
+        message = (
+            f"{mesh_file}: files ending in {mesh_file.suffix!r} are not known; expected one of "
+            f"{', '.join(FORMATS)}; nothing was written"
+        )
+        raise InputError(message)
+
+
+def _table(spec: WrenchSpec, mesh: Mesh) -> Any:
+    import pyarrow as pa
+
+    columns = [
+        pa.array([0], pa.int64()),
+        pa.array([0], pa.int64()),
+        list_array([mesh.vertices_m], pa.float32()),
+        list_array([mesh.faces], pa.int32()),
+        pa.array([mesh.volume_m3], pa.float64()),
+        *(pa.array([getattr(spec, name)], pa.float64()) for name in LENGTHS),
+    ]
+    return pa.Table.from_arrays(columns, schema=wrench_schema())

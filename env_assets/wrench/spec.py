@@ -1,0 +1,179 @@
+"""Every number of a wrench."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import asdict, dataclass
+from typing import Any, Self
+
+from env_assets.wrench.sizes import next_smaller_mm, width_across_flats_mm
+from tactile_toolkit.errors import InputError
+
+__all__ = ["WrenchSpec"]
+
+_LEAST_WALL_MM = 1.2
+"""Three threads of a 0.4 mm nozzle: thinner jaws break."""
+
+
+@dataclass(frozen=True, slots=True)
+class WrenchSpec:
+    """The lengths of a wrench. Two jaws by default; ``second_opening_mm=0`` gives a plain, rounded end.
+
+    The widths across flats of the standard sizes are those of ISO 272 (:mod:`env_assets.wrench.sizes`), and
+    15 degrees is the usual angle of open-end jaws. All other proportions are the toolkit's own, drawn for
+    printing; no standard stands behind them.
+
+    Parameters
+    ----------
+    opening_mm : float
+        Width across flats of the nut that the first jaw takes.
+    second_opening_mm : float
+        The same of the second jaw; 0 for none.
+    length_mm : float
+        Between the outermost points of the circles of both ends.
+    head_mm, second_head_mm : float
+        Diameter of the circles of both ends.
+    handle_mm : float
+        Width of the handle.
+    thickness_mm : float
+        Height of the whole wrench.
+    jaw_angle_deg : float
+        Between handle and jaws; both jaws are turned the same way round.
+    clearance_mm : float
+        What a jaw is wider than its nut.
+    fillet_mm : float
+        Radius where the handle meets the ends.
+    chamfer_mm : float
+        Slope of 45 degrees around top and bottom; 0 for sharp edges.
+
+    Raises
+    ------
+    InputError
+        Lengths that give no wrench; the message names the one to change.
+
+    Examples
+    --------
+    >>> spec = WrenchSpec.for_size("M8")
+    >>> spec.opening_mm, spec.second_opening_mm, spec.length_mm
+    (13.0, 10.0, 157.5)
+    """
+
+    opening_mm: float
+    second_opening_mm: float
+    length_mm: float
+    head_mm: float
+    second_head_mm: float
+    handle_mm: float
+    thickness_mm: float
+    jaw_angle_deg: float = 15.0
+    clearance_mm: float = 0.2
+    fillet_mm: float = 10.0
+    chamfer_mm: float = 0.6
+
+    def __post_init__(self) -> None:
+        _require_numbers(self)
+        _require_proportions(self)
+
+    @classmethod
+    def for_size(
+        cls,
+        size: str | float = 13.0,
+        second: str | float | None = None,
+        *,
+        single: bool = False,
+        **lengths: float,
+    ) -> Self:
+        """Return a wrench for a nut.
+
+        Parameters
+        ----------
+        size : str or float
+            Thread (``"M8"``) or width across flats in millimetres of the first jaw.
+        second : str or float, optional
+            The same of the second jaw; the next smaller size of the table by default.
+        single : bool
+            Make no second jaw.
+        **lengths
+            Any other field, in place of its proportion.
+
+        Raises
+        ------
+        InputError
+            Unknown sizes, or lengths that give no wrench.
+        """
+        opening_mm = width_across_flats_mm(size)
+        if single and second is not None:
+            message = (
+                f"a second size ({second}) was given for a wrench with a single jaw; next: give one of both"
+            )
+            raise InputError(message)
+        second_mm = next_smaller_mm(opening_mm) if second is None else width_across_flats_mm(second)
+        second_mm = 0.0 if single else second_mm
+        largest_mm = max(opening_mm, second_mm)
+        proportions = {
+            "length_mm": 60.0 + 7.5 * largest_mm,
+            "head_mm": 2.2 * opening_mm,
+            "second_head_mm": 2.2 * second_mm or opening_mm + 2.0,
+            "handle_mm": 0.85 * min(opening_mm, second_mm or opening_mm) + 2.0,
+            "thickness_mm": max(4.0, 0.3 * largest_mm + 2.0),
+            "fillet_mm": 0.8 * largest_mm,
+        }
+        rounded = {name: round(length_mm, 3) for name, length_mm in proportions.items()}
+        return cls(opening_mm, second_mm, **(rounded | lengths))
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return JSON values; equal values give equal wrenches."""
+        return asdict(self)
+
+
+def _require_numbers(spec: WrenchSpec) -> None:
+    may_be_zero = ("second_opening_mm", "jaw_angle_deg", "clearance_mm", "fillet_mm", "chamfer_mm")
+    for name, value in asdict(spec).items():
+        if not math.isfinite(value) or value < 0 or (value == 0 and name not in may_be_zero):
+            message = f"{name} of the wrench is {value!r}; expected a positive length in millimetres"
+            raise InputError(message)
+    if spec.jaw_angle_deg > 90:
+        message = f"jaw_angle_deg of the wrench is {spec.jaw_angle_deg:g}; expected 0 to 90"
+        raise InputError(message)
+
+
+def _require_proportions(spec: WrenchSpec) -> None:
+    ends = (
+        ("head_mm", spec.head_mm, spec.opening_mm),
+        ("second_head_mm", spec.second_head_mm, spec.second_opening_mm),
+    )
+    for name, head_mm, opening_mm in ends:
+        # The far corner of the nut needs the most room: its distance from the middle is the width / sqrt(3).
+        least_mm = 2 * ((opening_mm + spec.clearance_mm) / math.sqrt(3) + _LEAST_WALL_MM + spec.chamfer_mm)
+        if opening_mm and head_mm < least_mm:
+            message = (
+                f"{name} of the wrench is {head_mm:g}; its jaw of {opening_mm:g} needs {least_mm:.1f} or more"
+            )
+            raise InputError(message)
+        if spec.handle_mm > head_mm:
+            message = f"handle_mm of the wrench is {spec.handle_mm:g}, wider than {name} ({head_mm:g})"
+            raise InputError(message)
+    if (spec.opening_mm, spec.head_mm) == (spec.second_opening_mm, spec.second_head_mm):
+        message = (
+            f"both ends of the wrench are alike ({spec.opening_mm:g} mm): turned about it would look the "
+            "same, and nobody could tell its pose; next: choose another second size"
+        )
+        raise InputError(message)
+    if spec.length_mm < spec.head_mm + spec.second_head_mm:
+        needed_mm = spec.head_mm + spec.second_head_mm
+        message = f"length_mm of the wrench is {spec.length_mm:g}; its ends alone take {needed_mm:g}"
+        raise InputError(message)
+    if spec.chamfer_mm > 0.4 * spec.thickness_mm:
+        message = (
+            f"chamfer_mm of the wrench is {spec.chamfer_mm:g}; at most 0.4 of thickness_mm "
+            f"({spec.thickness_mm:g}) leaves a side to hold"
+        )
+        raise InputError(message)
+    # The rounding of the corners takes away what is narrower than twice its radius.
+    least_mm = max(2.0, 4 * spec.chamfer_mm)
+    if spec.handle_mm <= least_mm:
+        message = (
+            f"handle_mm of the wrench is {spec.handle_mm:g}; expected more than {least_mm:g} with a chamfer "
+            f"of {spec.chamfer_mm:g}; next: choose a wider handle_mm or a smaller chamfer_mm"
+        )
+        raise InputError(message)

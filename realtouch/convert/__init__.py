@@ -1,0 +1,1 @@
+"""New data sets of touches made from others."""

@@ -1,0 +1,323 @@
+"""The conversions: from clips to images, to another size, to plain files, to a selection.
+
+Each writes a data set folder with a manifest. An interrupted one goes on where it stopped; the same source
+and options give byte-identical Parquet, whatever the number of workers.
+"""
+
+from __future__ import annotations
+
+import operator
+from collections.abc import Callable, Iterable
+from dataclasses import asdict
+from functools import partial
+from os import PathLike, fspath
+from typing import Any, Literal, SupportsIndex
+
+from realtouch.card import SYNTHETIC, is_synthetic, write_card
+from realtouch.contact import MIN_CONTACT_HEIGHT_M, require_method
+from realtouch.convert.image_files import (
+    IMAGE_FOLDER,
+    INDEX_FILE,
+    WritePictures,
+    pictures_are_whole,
+    repeated_ids,
+    write_index,
+)
+from realtouch.convert.plan import Conversion, RowChoice, Source, convert
+from realtouch.convert.resize import ResizeMedia
+from realtouch.convert.select import KeepTouches, Selection, choose_rows
+from realtouch.convert.snapshots import TakeSnapshots
+from tactile_toolkit.errors import InputError
+from tactile_toolkit.run.processes import Runner
+from tactile_toolkit.store.build import Progress
+from tactile_toolkit.store.folder import DataFolder
+from tactile_toolkit.store.manifest import Manifest
+from tactile_toolkit.touch.jpeg import MAX_IMAGE_PIXELS
+
+__all__ = ["frames", "resize", "select", "to_single"]
+
+_SNAPSHOT_ROWS = 16
+_INDEX_ROWS = 16
+
+
+def to_single(
+    source: str | PathLike[str],
+    out: str | PathLike[str],
+    frame: str = "contact_end",
+    *,
+    split: str | None = None,
+    limit: int | None = None,
+    workers: int | Runner = 1,
+    overwrite: bool = False,
+    on_progress: Callable[[Progress], None] = lambda _: None,
+) -> Manifest:
+    """Make a ``single`` data set of a ``seq`` one: one frame of each clip, with the pose at that moment.
+
+    Parameters
+    ----------
+    source : str or path
+        Data set as :func:`realtouch.load` opens it by one name; its files are fetched where they are on the
+        Hub.
+    out : str or path
+        Folder to write, outside the source.
+    frame : str
+        ``"contact_end"``, ``"contact_start"``, ``"peak"`` or ``"median"``; see
+        :meth:`~realtouch.TouchClip.contact_index`. A clip in which ``"median"`` sees no contact gives
+        its last frame of registered contact.
+    split : str, optional
+        Only this split, of which alone files are fetched; all by default.
+    limit : int, optional
+        Only the first so many rounds of each split.
+    workers : int or Runner
+        Number of local processes, or a runner of another kind.
+    overwrite : bool
+        Start again in a folder that holds another data set of this toolkit. That set comes back when the new
+        one fails before its first shard is finished.
+    on_progress : callable
+        Told after each shard.
+
+    Returns
+    -------
+    Manifest
+        What the folder holds now; rounds that are damaged are left out and listed in it.
+
+    Raises
+    ------
+    InputError
+        The source or an option cannot be used, or the folder to write holds the source.
+    IntegrityError
+        A file of the source cannot be read, or every round is damaged: nothing is left behind then.
+    HubError
+        The source is on the Hub and cannot be fetched.
+    SpecMismatchError
+        The folder holds a data set of another specification.
+    StorageError
+        The folder cannot be written. What was finished stays.
+    """
+    method = require_method(frame)
+    opened = Source.open(source, split=split)
+    _require_clips(opened)
+    conversion = Conversion(
+        opened,
+        "to-single",
+        {"frame": method, "limit": limit},
+        TakeSnapshots(method),
+        _first_rows(opened, limit),
+        rows_per_shard=_SNAPSHOT_ROWS,
+        rows_per_group=_SNAPSHOT_ROWS // 2,
+    )
+    return _finish(conversion, out, workers, overwrite, on_progress)
+
+
+def resize(
+    source: str | PathLike[str],
+    out: str | PathLike[str],
+    width: int,
+    height: int,
+    *,
+    quality: int = 95,
+    split: str | None = None,
+    limit: int | None = None,
+    workers: int | Runner = 1,
+    overwrite: bool = False,
+    on_progress: Callable[[Progress], None] = lambda _: None,
+) -> Manifest:
+    """Write the same data set with images or clips of another size.
+
+    Parameters
+    ----------
+    source, out, split, limit, workers, overwrite, on_progress
+        As for :func:`to_single`.
+    width, height : int
+        Size wanted, pixels. What has it already passes through byte for byte.
+    quality : int
+        JPEG quality of what is encoded again, 1 to 100.
+
+    Returns
+    -------
+    Manifest
+
+    Raises
+    ------
+    InputError, SpecMismatchError, StorageError
+        As :func:`to_single`.
+    """
+    if width < 1 or height < 1 or width * height > MAX_IMAGE_PIXELS or not 1 <= quality <= 100:
+        message = (
+            f"size {width} x {height} at quality {quality}; expected at least 1 x 1, at most "
+            f"{MAX_IMAGE_PIXELS:,} pixels in all (4096 x 4096), and a quality of 1 to 100"
+        )
+        raise InputError(message)
+    opened = Source.open(source, split=split)
+    conversion = Conversion(
+        opened,
+        "resize",
+        {"width": width, "height": height, "quality": quality, "limit": limit},
+        ResizeMedia(width, height, quality),
+        _first_rows(opened, limit),
+    )
+    return _finish(conversion, out, workers, overwrite, on_progress)
+
+
+def select(
+    source: str | PathLike[str],
+    out: str | PathLike[str],
+    *,
+    contact: bool = False,
+    min_height_m: float = MIN_CONTACT_HEIGHT_M,
+    recalibrate_z: bool = True,
+    labels: Iterable[int | str] = (),
+    objects: Iterable[int] = (),
+    split: str | None = None,
+    limit: int | None = None,
+    workers: int | Runner = 1,
+    overwrite: bool = False,
+    on_progress: Callable[[Progress], None] = lambda _: None,
+) -> Manifest:
+    """Write some rounds and touches of a data set; images and clips pass through byte for byte.
+
+    Parameters
+    ----------
+    source, out, split, workers, overwrite, on_progress
+        As for :func:`to_single`.
+    contact : bool
+        Only touches in which the gel stopped on an object; rounds then differ in their number of touches, and
+        a column ``plate_z_m`` keeps the height of the plate, which the touches that went have shown.
+    min_height_m : float
+        Height above the plate from which a touch counts as contact, metres.
+    recalibrate_z : bool
+        Take the deepest touch of each round as the plate.
+    labels : iterable of int or str
+        Only these classes.
+    objects : iterable of int
+        Only these objects, by ``object_id``.
+    limit : int, optional
+        Only the first so many rounds of each split, of those that are left in the end.
+
+    Returns
+    -------
+    Manifest
+
+    Raises
+    ------
+    InputError, SpecMismatchError, StorageError
+        As :func:`to_single`.
+    """
+    wanted = Selection(
+        contact,
+        float(min_height_m),
+        recalibrate_z,
+        tuple(map(str, labels)),
+        tuple(map(_object_id, objects)),
+        _require_limit(limit),
+    )
+    opened = Source.open(source, split=split)
+    options: dict[str, Any] = {
+        **asdict(wanted),
+        "labels": list(wanted.labels),
+        "objects": list(wanted.objects),
+    }
+    conversion = Conversion(opened, "select", options, KeepTouches(contact), choose_rows(opened, wanted))
+    return _finish(conversion, out, workers, overwrite, on_progress)
+
+
+def frames(
+    source: str | PathLike[str],
+    out: str | PathLike[str],
+    kind: Literal["png", "jpeg"] = "png",
+    frame: str = "contact_end",
+    *,
+    split: str | None = None,
+    limit: int | None = None,
+    workers: int | Runner = 1,
+    overwrite: bool = False,
+    on_progress: Callable[[Progress], None] = lambda _: None,
+) -> Manifest:
+    """Write touches as plain image files with an index in CSV and Parquet.
+
+    Parameters
+    ----------
+    source, out, split, limit, workers, overwrite, on_progress
+        As for :func:`to_single`.
+    kind : "png" or "jpeg"
+        Format of the files ``images/SPLIT/ROUND/TOUCH.png``. Stored JPEGs pass through byte for byte, each
+        decoded once to prove that it is whole.
+    frame : str
+        Which frame of a clip; as for :func:`to_single`.
+
+    Returns
+    -------
+    Manifest
+        Each file is named in ``index.csv`` with its checksum, label, position and pose. A round whose id is
+        no file name, or stands in a round before it, is left out like a damaged one.
+
+    Raises
+    ------
+    InputError, SpecMismatchError, StorageError
+        As :func:`to_single`.
+    """
+    if kind not in ("png", "jpeg"):
+        message = f"no picture format {kind!r}; expected png or jpeg"
+        raise InputError(message)
+    method = require_method(frame)
+    opened = Source.open(source, split=split)
+    folder = DataFolder(fspath(out))
+    choices = _first_rows(opened, limit)
+    # The terms of the pictures depend on whether the touches were rendered.
+    origin = {"touches": SYNTHETIC} if opened.kind == "single" and is_synthetic(opened.schema) else {}
+    conversion = Conversion(
+        opened,
+        "frames",
+        {"kind": kind, "frame": method if opened.kind == "seq" else None, "limit": limit, **origin},
+        WritePictures(folder, kind, method, repeated_ids(opened, choices)),
+        choices,
+        rows_per_shard=_INDEX_ROWS,
+        rows_per_group=1 << 16,
+        trees=(IMAGE_FOLDER, INDEX_FILE),
+        proves=partial(pictures_are_whole, folder),
+    )
+    manifest = convert(conversion, out, workers=workers, overwrite=overwrite, on_progress=on_progress)
+    write_card(folder, manifest, "frames")
+    return write_index(folder, manifest)
+
+
+def _finish(
+    conversion: Conversion,
+    out: str | PathLike[str],
+    workers: int | Runner,
+    overwrite: bool,
+    on_progress: Callable[[Progress], None],
+) -> Manifest:
+    manifest = convert(conversion, out, workers=workers, overwrite=overwrite, on_progress=on_progress)
+    kind = "single" if conversion.operation == "to-single" else conversion.source.kind
+    write_card(DataFolder(fspath(out)), manifest, kind)
+    return manifest
+
+
+def _first_rows(source: Source, limit: int | None) -> dict[str, list[RowChoice]]:
+    most = _require_limit(limit)
+    return {
+        split: [RowChoice(row) for row in range(sum(map(len, shards)))][:most]
+        for split, shards in source.shards.items()
+    }
+
+
+def _require_limit(limit: int | None) -> int | None:
+    if limit is not None and limit < 1:
+        message = f"the limit is {limit}; expected a whole number of at least 1"
+        raise InputError(message)
+    return None if limit is None else operator.index(limit)
+
+
+def _object_id(value: SupportsIndex) -> int:
+    try:
+        return operator.index(value)
+    except TypeError as error:
+        message = f"objects holds {value!r}; expected whole numbers, such as 12"
+        raise InputError(message) from error
+
+
+def _require_clips(source: Source) -> None:
+    if source.kind != "seq":
+        message = f"{source.name!r} holds single images already; expected a data set of clips (seq)"
+        raise InputError(message)

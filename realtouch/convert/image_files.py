@@ -1,0 +1,220 @@
+"""Touches as plain image files with an index, for tools that know no Parquet."""
+
+from __future__ import annotations
+
+import csv
+import io
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any, Literal
+
+from realtouch.columns.poses import clip_poses, poses, touch_total, vectors
+from realtouch.contact import ContactMethod
+from realtouch.convert.plan import RowChoice, Source
+from realtouch.convert.snapshots import snapshot_frame
+from realtouch.dataset import dataset_of
+from realtouch.integrity.damage import damaged
+from realtouch.media.clips import SensorClips
+from realtouch.media.images import SensorImages
+from realtouch.rounds import TouchSeqRound, TouchSingleRound
+from tactile_toolkit.read.dataset import Row
+from tactile_toolkit.read.parquet import Shard
+from tactile_toolkit.store.folder import UNFINISHED, DataFolder
+from tactile_toolkit.store.manifest import Manifest, write_manifest
+from tactile_toolkit.store.shards import Receipt, file_sha256, sha256_hex
+from tactile_toolkit.touch.jpeg import Pixels, encode_image
+
+__all__ = [
+    "IMAGE_FOLDER",
+    "INDEX_FILE",
+    "WritePictures",
+    "pictures_are_whole",
+    "repeated_ids",
+    "write_index",
+]
+
+IMAGE_FOLDER = "images"
+INDEX_FILE = "index.csv"
+
+_JPEG_START = b"\xff\xd8"
+_MOST_NAME_BYTES = 255
+"""Longest name of a file on the usual file systems."""
+
+
+@dataclass(frozen=True)
+class WritePictures:
+    """Step of ``frames``: writes the pictures of a row, and gives their lines of the index.
+
+    Attributes
+    ----------
+    folder : DataFolder
+        Where the pictures go.
+    kind : "png" or "jpeg"
+        Their format. Stored JPEGs pass through as they are.
+    method : str
+        Which frame of a clip.
+    repeated : mapping of str to frozenset of int
+        Rows of each split whose id stands in a row before them; see :func:`repeated_ids`.
+    """
+
+    folder: DataFolder
+    kind: Literal["png", "jpeg"]
+    method: ContactMethod
+    repeated: Mapping[str, frozenset[int]] = field(default_factory=dict, repr=False)
+
+    def schema(self, source: Any) -> Any:
+        """Return the columns of the index."""
+        import pyarrow as pa
+
+        numbers = [(name, pa.float64()) for name in _NUMBER_COLUMNS]
+        return pa.schema(
+            [
+                ("id", pa.string()),
+                ("file", pa.string()),
+                ("sha256", pa.string()),
+                ("round_id", pa.string()),
+                ("touch", pa.int64()),
+                ("frame", pa.int64()),
+                ("label", pa.int64()),
+                ("object_id", pa.int64()),
+                *numbers,
+            ]
+        )
+
+    def apply(self, row: Row, choice: RowChoice, split: str) -> Any:
+        """Write the pictures of a row and return its lines of the index.
+
+        A row with a damaged touch is left out as a whole: none of its pictures is written.
+
+        Raises
+        ------
+        IntegrityError
+            Something of the row is damaged, or its id cannot name a folder of its own.
+        """
+        import pyarrow as pa
+
+        if choice.row in self.repeated.get(split, ()):
+            problem = f"{row.value('id')!r} stands in an earlier round of split {split!r} too"
+            raise damaged(row, "id", f"{problem}; expected ids that differ")
+        made = [self._picture(row, touch, split) for touch in range(touch_total(row))]
+        for line, encoded in made:
+            self.folder.write_bytes(line["file"], encoded)
+        return pa.Table.from_pylist([line for line, _ in made], schema=self.schema(None))
+
+    def _picture(self, row: Row, touch: int, split: str) -> tuple[dict[str, Any], bytes]:
+        record = TouchSingleRound(row) if row.has("sensor_image") else TouchSeqRound(row)
+        name = _folder_name(row, record.id)
+        encoded, frame, pose = self._single(row, touch) if row.has("sensor_image") else self._seq(row, touch)
+        suffix = "png" if self.kind == "png" else "jpg"
+        file = f"{IMAGE_FOLDER}/{split}/{name}/{touch:03d}.{suffix}"
+        position = vectors(row, "pos_in_cell", 2)[touch] if row.has("pos_in_cell") else [None, None]
+        numbers = dict(zip(_NUMBER_COLUMNS, [*position, *pose], strict=True))
+        line = {
+            "id": f"{record.id}/{touch:03d}",
+            "file": file,
+            "sha256": sha256_hex(encoded),
+            "round_id": record.id,
+            "touch": touch,
+            "frame": frame,
+            "label": record.label,
+            "object_id": record.object_id,
+            **numbers,
+        }
+        return line, encoded
+
+    def _single(self, row: Row, touch: int) -> tuple[bytes, int, list[Any]]:
+        images = SensorImages(row)
+        encoded = self._encoded(images[touch], images.encoded(touch))
+        if not row.has("gel_pose_cell_frame.position"):
+            return encoded, 0, [None] * 7
+        pose = poses(row)
+        return encoded, 0, [*pose.position_m[touch], *pose.quaternion[touch]]
+
+    def _seq(self, row: Row, touch: int) -> tuple[bytes, int, list[Any]]:
+        clip = SensorClips(row)[touch]
+        frame = snapshot_frame(clip, self.method)
+        pose = clip_poses(row, touch)
+        encoded = self._encoded(clip[frame], clip.encoded(frame) if clip.has_index else b"")
+        return encoded, frame, [*pose.position_m[frame], *pose.quaternion[frame]]
+
+    def _encoded(self, pixels: Pixels, stored: bytes | memoryview) -> bytes:
+        """Return the file of a picture that was decoded whole; a JPEG stays as it is stored."""
+        if self.kind == "jpeg" and bytes(stored[:2]) == _JPEG_START:
+            return bytes(stored)
+        return encode_image(pixels, self.kind)
+
+
+_NUMBER_COLUMNS = (
+    "pos_in_cell_x_m",
+    "pos_in_cell_y_m",
+    "gel_x_m",
+    "gel_y_m",
+    "gel_z_m",
+    "gel_qx",
+    "gel_qy",
+    "gel_qz",
+    "gel_qw",
+)
+
+
+def repeated_ids(source: Source, choices: Mapping[str, Sequence[RowChoice]]) -> dict[str, frozenset[int]]:
+    """Find the rows whose id stands in a row before them; reads the column of ids only.
+
+    Raises
+    ------
+    InputError
+        The data set has no ids.
+    """
+    repeated = {}
+    for split, chosen in choices.items():
+        ids = dataset_of(source.shards[split], source.kind).ids
+        first: dict[Any, int] = {}
+        for choice in chosen:
+            first.setdefault(ids[choice.row], choice.row)
+        repeated[split] = frozenset(each.row for each in chosen if first[ids[each.row]] != each.row)
+    return repeated
+
+
+def pictures_are_whole(folder: DataFolder, receipt: Receipt) -> bool:
+    """Tell whether every picture that a finished shard lists is there, unchanged."""
+    table = Shard(folder.address(receipt.shard.data_path)).read(columns=["file", "sha256"])
+    return all(
+        folder.exists(line["file"]) and file_sha256(folder, line["file"]) == line["sha256"]
+        for line in table.to_pylist()
+    )
+
+
+def _folder_name(row: Row, name: str) -> str:
+    """Return the id of a round as the name of its folder: one that leads nowhere else on any system.
+
+    Raises
+    ------
+    IntegrityError
+        It is no such name.
+    """
+    safe = name.isprintable() and not set(name) & set("/\\") and not name.startswith(UNFINISHED)
+    if name in ("", ".", "..") or not safe or len(name.encode(errors="replace")) > _MOST_NAME_BYTES:
+        shown = name if len(name) <= 80 else f"{name[:80]}..."
+        problem = f"{shown!r} cannot name a folder; expected one name of 1 to {_MOST_NAME_BYTES} bytes"
+        raise damaged(row, "id", f"{problem}, printable and without / and \\")
+    return name
+
+
+def write_index(folder: DataFolder, manifest: Manifest) -> Manifest:
+    """Write the index of all pictures as ``index.csv`` and vouch for it in the manifest."""
+    stream = io.StringIO(newline="")
+    writer = csv.writer(stream, lineterminator="\n")
+    header: list[str] = []
+    for receipt in manifest.receipts:
+        table = Shard(folder.address(receipt.shard.data_path)).read()
+        if not header:
+            header = ["split", *table.column_names]
+            writer.writerow(header)
+        writer.writerows([receipt.shard.split, *line.values()] for line in table.to_pylist())
+    content = stream.getvalue().encode()
+    if not folder.exists(INDEX_FILE) or folder.read_bytes(INDEX_FILE) != content:
+        folder.write_bytes(INDEX_FILE, content)
+    complete = replace(manifest, files={**(manifest.files or {}), INDEX_FILE: sha256_hex(content)})
+    if complete != manifest:
+        write_manifest(folder, complete)
+    return complete

@@ -1,0 +1,198 @@
+"""Checking every file and every round of a data set."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from realtouch.columns.per_touch import plain_value
+from realtouch.columns.poses import touch_total
+from realtouch.integrity.agreement import local_folder, sort_out, stated_class_names, usual_touch_count
+from realtouch.integrity.check_round import check_round
+from realtouch.integrity.damage import Damage, unreadable_rows
+from realtouch.names import Name, Place
+from realtouch.opening import open_shards, place_of
+from tactile_toolkit.catalog.locate import splits_of
+from tactile_toolkit.errors import InputError, IntegrityError
+from tactile_toolkit.read.columns import column_names
+from tactile_toolkit.read.dataset import Row
+from tactile_toolkit.read.parquet import Shard
+from tactile_toolkit.store.folder import DataFolder
+from tactile_toolkit.store.manifest import read_manifest
+from tactile_toolkit.store.origin import read_record
+from tactile_toolkit.store.shards import file_sha256
+from tactile_toolkit.store.verify import verify as verify_files
+from tactile_toolkit.touch.jpeg import decode_image, image_size
+
+__all__ = ["TouchVerification", "check_round", "verify"]
+
+
+@dataclass(frozen=True, slots=True)
+class TouchVerification:
+    """Result of :func:`verify`; empty ``findings`` means that everything can be used.
+
+    Attributes
+    ----------
+    rounds, touches : int
+        How many were checked.
+    findings : tuple of Damage
+        All that is wrong.
+    """
+
+    rounds: int
+    touches: int
+    findings: tuple[Damage, ...]
+
+    @property
+    def ok(self) -> bool:
+        """Whether nothing is wrong."""
+        return not self.findings
+
+
+def verify(
+    name: Name | Sequence[Name],
+    split: str | None = None,
+    *,
+    revision: str | None = None,
+    quick: bool = False,
+    on_progress: Callable[[int, int], None] = lambda _done, _total: None,
+) -> TouchVerification:
+    """Check every file, round, touch and frame of a data set, and list all that is wrong.
+
+    Parameters
+    ----------
+    name : str, path, or sequence of them
+        What :func:`realtouch.load` opens.
+    split : str, optional
+        Only this split; all of a folder, or train and test, by default.
+    revision : str, optional
+        Revision of a Hub repository.
+    quick : bool
+        Read the headers of images and frames instead of decoding them.
+    on_progress : callable
+        Told the number of rounds checked so far and the number in all.
+
+    Raises
+    ------
+    InputError
+        Nothing of that name, or no data set of touches.
+    """
+    place = place_of(name)
+    folder = local_folder(place)
+    findings = [] if folder is None else _file_findings(folder)
+    if folder is not None and _holds_pictures(folder):
+        return _verify_pictures(folder, findings, on_progress, decode=not quick)
+    splits = []
+    for part in _shards_of(place, split, revision):
+        readable, unreadable = sort_out(part, str(name))
+        splits.append(readable)
+        findings += [*unreadable, *_lacking_columns(readable)]
+    total = sum(len(shard) for shards in splits for shard in shards)
+    rounds = touches = 0
+    seen: dict[str, str] = {}
+    for shards in splits:
+        expected, class_names = usual_touch_count(shards, place), stated_class_names(shards)
+        for row in _rows(shards, findings):
+            rounds += 1
+            findings += check_round(row, expected, decode=not quick, class_names=class_names)
+            findings += _repeated_id(row, seen)
+            touches += _touches_or_none(row)
+            on_progress(rounds, total)
+    return TouchVerification(rounds, touches, tuple(findings))
+
+
+def _file_findings(folder: DataFolder) -> list[Damage]:
+    """Check files against the manifest of a folder of ours, with its card, or against what the Hub said."""
+    if read_manifest(folder) is None and read_record(folder) is None:
+        return []
+    return [
+        Damage(finding.file, None, None, "", finding.problem)
+        for finding in verify_files(folder, card=True).findings
+    ]
+
+
+def _holds_pictures(folder: DataFolder) -> bool:
+    manifest = read_manifest(folder)
+    return manifest is not None and manifest.spec.get("operation") == "frames"
+
+
+def _no_picture(folder: DataFolder, line: Mapping[str, Any], decode: bool) -> list[Damage]:
+    try:
+        (decode_image if decode else image_size)(folder.read_bytes(line["file"]))
+    except ValueError as error:
+        return [Damage(line["file"], None, line["touch"], "", str(error))]
+    return []
+
+
+def _verify_pictures(
+    folder: DataFolder, findings: list[Damage], on_progress: Callable[[int, int], None], *, decode: bool
+) -> TouchVerification:
+    """Check the files that ``realtouch frames`` wrote against its index, and that they are pictures."""
+    manifest = read_manifest(folder)
+    paths = [folder.address(receipt.shard.data_path) for receipt in manifest.receipts] if manifest else []
+    tables = [Shard(path).read(columns=["round_id", "touch", "file", "sha256"]) for path in paths]
+    lines = [line for table in tables for line in table.to_pylist()]
+    for done, line in enumerate(lines, 1):
+        if not folder.exists(line["file"]):
+            findings.append(Damage(line["file"], None, line["touch"], "", "is missing"))
+        elif file_sha256(folder, line["file"]) != line["sha256"]:
+            problem = f"its sha256 differs from the index, which says {line['sha256']}"
+            findings.append(Damage(line["file"], None, line["touch"], "", problem))
+        else:
+            findings += _no_picture(folder, line, decode)
+        on_progress(done, len(lines))
+    return TouchVerification(len({line["round_id"] for line in lines}), len(lines), tuple(findings))
+
+
+def _shards_of(name: Place, split: str | None, revision: str | None) -> list[tuple[Shard, ...]]:
+    """Find the shards of each split."""
+    if not isinstance(name, str):
+        splits: tuple[str, ...] = ("train",)  # files come without a split
+    else:
+        splits = (split,) if split is not None else splits_of(name, revision=revision)
+    return [open_shards(name, part, revision=revision) for part in splits]
+
+
+def _lacking_columns(shards: Sequence[Shard]) -> list[Damage]:
+    """List the columns that some files of a split have and others do not: they can be read of no row."""
+    names = {shard.path: column_names(shard.schema) for shard in shards}
+    known = dict.fromkeys(name for columns in names.values() for name in columns)
+    problem = "the column is not there; expected it as in other files of the split"
+    return [
+        Damage(path, None, None, name, problem)
+        for path, columns in names.items()
+        for name in known
+        if name not in columns
+    ]
+
+
+def _rows(shards: Sequence[Shard], findings: list[Damage]) -> Iterator[Row]:
+    for shard in shards:
+        for index in range(shard.metadata.num_row_groups):
+            try:
+                for group in shard.blocks(index):
+                    yield from (Row(group, row) for row in range(len(group.table)))
+            except IntegrityError as error:
+                findings.append(unreadable_rows(shard, index, error))
+
+
+def _repeated_id(row: Row, seen: dict[str, str]) -> list[Damage]:
+    if not row.has("id"):
+        return []
+    try:
+        name = str(plain_value(row, "id"))
+    except IntegrityError:  # named with the other fields
+        return []
+    here = f"{row.path!r}, row {row.number}"
+    first = seen.setdefault(name, here)
+    if first == here:
+        return []
+    return [Damage(row.path, row.number, None, "id", f"{name!r} is not unique, it also stands in {first}")]
+
+
+def _touches_or_none(row: Row) -> int:
+    try:
+        return touch_total(row)
+    except (InputError, IntegrityError):
+        return 0

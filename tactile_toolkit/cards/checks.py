@@ -1,0 +1,205 @@
+"""Whether a card tells the truth about its folder: splits, files, columns, counts, pictures."""
+
+from __future__ import annotations
+
+import io
+import re
+from collections.abc import Collection, Iterator, Mapping
+from fnmatch import fnmatch
+from posixpath import normpath
+from typing import Any
+
+from tactile_toolkit.cards.card import CARD_FILE, placeholders
+from tactile_toolkit.cards.facts import FolderFacts, folder_facts
+from tactile_toolkit.cards.head import dataset_info, size_category
+from tactile_toolkit.errors import ToolkitError
+from tactile_toolkit.store.folder import DataFolder
+from tactile_toolkit.store.shards import DATA_FOLDER, Finding
+
+__all__ = ["check_card"]
+
+_GAPS = re.compile(r"more information needed|\[optional\]|\bTODO\b", re.IGNORECASE)
+_DOLLAR = re.compile(r"\$(?:(?P<bare>[a-z_]\w*)|\{(?P<braced>[a-z_]\w*)\})")
+# Code may have variables of its own, some of which are called like placeholders.
+_CODE = re.compile(r"```.*?```|`[^`\n]+`", re.DOTALL)
+_PICTURE = re.compile(r"!\[[^\]]*\]\((?P<path>[^)\s]+)\)")
+_REQUIRED = ("license", "pretty_name", "task_categories", "tags")
+
+
+def check_card(
+    folder: DataFolder, text: str | None = None, *, held: Collection[str] | None = None
+) -> list[Finding]:
+    """Compare the card of a folder with its manifest, its Parquet files and its pictures.
+
+    Parameters
+    ----------
+    folder : DataFolder
+        A finished data set.
+    text : str, optional
+        Card to check instead of the stored one.
+    held : collection of str, optional
+        Files that will lie beside the card, where it is to stand elsewhere; its pictures must be among them.
+
+    Returns
+    -------
+    list of Finding
+        Everything that is wrong; empty for a card that tells the truth.
+    """
+    if text is None:
+        if not folder.exists(CARD_FILE):
+            return [_finding("is missing; next: write it with the command `card`")]
+        text = folder.read_bytes(CARD_FILE).decode("utf-8", errors="replace")
+    try:
+        head = _head(text)
+        facts = folder_facts(folder)
+    except ToolkitError as error:
+        return [_finding(f"cannot be compared with the data: {error}")]
+    except ValueError as error:
+        return [_finding(f"its YAML head cannot be read: {_first_line(error)}")]
+    problems = [*_missing(head), *_wrong_files(head, facts), *_wrong_info(head, facts), *_gaps(text)]
+    return [*map(_finding, problems), *_pictures(folder, text, held)]
+
+
+def _finding(problem: str) -> Finding:
+    return Finding(CARD_FILE, problem)
+
+
+def _head(text: str) -> dict[str, Any]:
+    """Read the YAML head with the Hub's own class.
+
+    Raises
+    ------
+    ValueError
+        There is none, or it is not what the Hub takes.
+    """
+    import yaml
+    from huggingface_hub import DatasetCard
+
+    try:
+        parsed: dict[str, Any] = DatasetCard(text).data.to_dict()  # type: ignore[no-untyped-call]
+        return parsed
+    except yaml.YAMLError as error:
+        raise ValueError(_first_line(error)) from error
+
+
+def _first_line(error: Exception) -> str:
+    return (str(error).splitlines() or [type(error).__name__])[0]
+
+
+def _missing(head: Mapping[str, Any]) -> Iterator[str]:
+    for name in _REQUIRED:
+        if not head.get(name):
+            yield f"its head has no {name!r}"
+
+
+def _wrong_files(head: Mapping[str, Any], facts: FolderFacts) -> Iterator[str]:
+    """Yield splits that the head lacks or invents, and splits whose files it does not find."""
+    found = head.get("configs")
+    try:
+        (config,) = list(found or [])
+        told = {entry["split"]: entry["path"] for entry in config["data_files"]}
+    except (TypeError, KeyError, ValueError):
+        yield f"its 'configs' are {found!r}; expected one configuration with data_files of each split"
+        return
+    there = {split.split: split.paths for split in facts.splits}
+    if set(told) != set(there):
+        yield f"its 'configs' name the splits {sorted(told)}; the folder has {sorted(there)}"
+    for split in sorted(set(told) & set(there)):
+        matched = sorted(path for path in _all_paths(facts) if _matches(path, told[split]))
+        if matched != sorted(there[split]):
+            yield (
+                f"{told[split]!r} of split {split!r} finds {len(matched)} files; its {len(there[split])} "
+                f"are {there[split][0]} and so on"
+            )
+
+
+def _all_paths(facts: FolderFacts) -> list[str]:
+    return [path for split in facts.splits for path in split.paths]
+
+
+def _matches(path: str, patterns: Any) -> bool:
+    listed = [patterns] if isinstance(patterns, str) else list(patterns or ())
+    return any(fnmatch(path, str(pattern)) for pattern in listed)
+
+
+def _wrong_info(head: Mapping[str, Any], facts: FolderFacts) -> Iterator[str]:
+    """Yield every number or column in ``dataset_info`` that the Parquet files contradict."""
+    told = head.get("dataset_info")
+    if not isinstance(told, dict):
+        yield "its head has no 'dataset_info'; next: write the card anew with the command `card`"
+        return
+    expected = dataset_info(facts)
+    yield from _wrong_splits(told.get("splits"), expected["splits"])
+    for name in ("download_size", "dataset_size"):
+        if told.get(name) != expected[name]:
+            yield f"its {name!r} is {told.get(name)!r}, expected {expected[name]}"
+    yield from _wrong_columns(told.get("features"), facts)
+    category = [size_category(facts.rows)]
+    if head.get("size_categories") not in (category, category[0]):
+        yield f"its 'size_categories' are {head.get('size_categories')!r}, expected {category}"
+
+
+def _wrong_splits(told: Any, expected: list[dict[str, Any]]) -> Iterator[str]:
+    listed = [entry for entry in told or () if isinstance(entry, dict)]
+    by_name = {entry.get("name"): entry for entry in listed}
+    for entry in expected:
+        found = by_name.pop(entry["name"], None)
+        if found is None:
+            yield f"its 'dataset_info' lacks split {entry['name']!r}"
+            continue
+        for key in ("num_examples", "num_bytes"):
+            if found.get(key) != entry[key]:
+                yield f"{key} of split {entry['name']!r} is {found.get(key)!r}, expected {entry[key]}"
+    for name in by_name:
+        yield f"its 'dataset_info' names split {name!r}, which the folder does not have"
+
+
+def _wrong_columns(told: Any, facts: FolderFacts) -> Iterator[str]:
+    expected = {entry["name"]: entry for entry in facts.features}
+    listed = {entry.get("name"): entry for entry in told or () if isinstance(entry, dict)}
+    for name in [*expected, *(name for name in listed if name not in expected)]:
+        if listed.get(name) != expected.get(name):
+            told_of, stored = _told(listed.get(name)), _told(expected.get(name))
+            yield f"column {name!r} is {told_of} in it, {stored} in the data"
+    for split in facts.splits:
+        for shard, path in zip(split.shards, split.paths, strict=True):
+            if not shard.schema.equals(facts.schema):
+                yield f"columns of {path} differ from those of {facts.splits[0].paths[0]}"
+
+
+def _told(entry: Mapping[str, Any] | None) -> str:
+    if entry is None:
+        return "missing"
+    return str({key: value for key, value in entry.items() if key != "name"})
+
+
+def _gaps(text: str) -> Iterator[str]:
+    names = placeholders()
+    dollars = _DOLLAR.finditer(_CODE.sub("", text))
+    left = [match[0] for match in dollars if (match["bare"] or match["braced"]) in names]
+    for gap in dict.fromkeys([*(match[0] for match in _GAPS.finditer(text)), *left]):
+        yield f"reads {gap!r}; expected every gap filled"
+
+
+def _pictures(folder: DataFolder, text: str, held: Collection[str] | None) -> Iterator[Finding]:
+    """Yield pictures of the card that are missing, left out or damaged."""
+    for path in dict.fromkeys(match["path"] for match in _PICTURE.finditer(text)):
+        if "://" in path or path.startswith(DATA_FOLDER):
+            continue
+        if held is not None and normpath(path) not in held:
+            yield Finding(path, f"is shown by {CARD_FILE} and is no part of what is sent (previews/ is)")
+        elif not folder.exists(path) and held is None:
+            yield Finding(path, f"is missing; {CARD_FILE} shows it")
+        elif folder.exists(path) and not _is_whole(folder.read_bytes(path)):
+            yield Finding(path, "is not a whole picture; next: write it anew with the command `card`")
+
+
+def _is_whole(content: bytes) -> bool:
+    from PIL import Image
+
+    try:
+        with Image.open(io.BytesIO(content)) as picture:
+            picture.verify()  # reads every chunk and compares its checksum
+    except (OSError, SyntaxError, ValueError):
+        return False
+    return True

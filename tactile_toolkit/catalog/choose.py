@@ -1,0 +1,170 @@
+"""Which rows of a data set to show: by split, by id, or the first of each class."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tactile_toolkit.catalog.locate import splits_of
+from tactile_toolkit.errors import InputError
+from tactile_toolkit.read.dataset import RecordDataset
+
+__all__ = [
+    "Choice",
+    "chosen_records",
+    "chosen_rows",
+    "class_by_class",
+    "open_splits",
+    "portions",
+    "short_name",
+    "splits_to_show",
+]
+
+D = TypeVar("D", bound=RecordDataset[Any])
+
+
+def open_splits(name: str, split: str | None, load: Callable[[str, str], D], things: str) -> dict[str, D]:
+    """Open one split of a local data set, or all of them; those without rows are left out.
+
+    Parameters
+    ----------
+    name : str
+        Folder or Parquet file.
+    split : str or None
+        Split wanted; all by default.
+    load : callable
+        Opens a split of a place.
+    things : str
+        What the rows are, for messages, such as ``"digits"``.
+
+    Raises
+    ------
+    InputError
+        No such split, or nothing in it.
+    IntegrityError
+        The data set is damaged or unfinished.
+    """
+    known = splits_of(name)
+    if split is not None and split not in known:
+        message = f"no split {split!r} in {name!r}: it has {', '.join(known)}; next: choose one of them"
+        raise InputError(message)
+    chosen = known if split is None else (split,)
+    opened = {each: load(name, each) for each in chosen}
+    filled = {each: rows for each, rows in opened.items() if len(rows)}
+    if not filled:
+        message = (
+            f"{', '.join(chosen)} of {name!r}: no {things}; next: generate some, or choose another split"
+        )
+        raise InputError(message)
+    return filled
+
+
+def chosen_records(
+    datasets: Mapping[str, RecordDataset[Any]], ids: Sequence[int], name: str, things: str
+) -> list[tuple[str, Any]]:
+    """Return the records of some ids with their splits, or the first of all when no id is given.
+
+    Raises
+    ------
+    InputError
+        There is no row of some id.
+    """
+    if not ids:
+        split, dataset = next(iter(datasets.items()))
+        return [(split, dataset[0])]
+    found: dict[int, tuple[str, Any]] = {}
+    for split, dataset in datasets.items():
+        for row in np.flatnonzero(np.isin(dataset.ids, ids)).tolist():
+            found.setdefault(int(dataset.ids[row]), (split, dataset[row]))
+    missing = [str(number) for number in dict.fromkeys(ids) if number not in found]
+    if missing:
+        message = (
+            f"no {things} of id {', '.join(missing)} in {', '.join(datasets)} of {name!r}; next: give ids of "
+            "the data set, such as those on its contact sheet"
+        )
+        raise InputError(message)
+    return [found[number] for number in dict.fromkeys(ids)]
+
+
+def class_by_class(dataset: RecordDataset[Any], ids: Sequence[int], per_class: int) -> NDArray[np.int64]:
+    """Return rows, class after class: those of some ids, or the first so many of each class.
+
+    Reads the id and label columns only.
+    """
+    labels = dataset.labels
+    if ids:
+        rows = np.flatnonzero(np.isin(dataset.ids, ids))
+        return rows[np.argsort(labels[rows], kind="stable")]
+    return np.concatenate([np.flatnonzero(labels == label)[:per_class] for label in np.unique(labels)])
+
+
+@dataclass(frozen=True, slots=True)
+class Choice:
+    """Which rows of a data set to show.
+
+    Attributes
+    ----------
+    name : str
+        Short name, folder, Parquet file or repository of the Hub, as the room's ``load`` takes it.
+    split : str or None
+        Only this split.
+    limit, per_class : int or None
+        Only the first so many rows of each split, and of each class of a split.
+    """
+
+    name: str
+    split: str | None = None
+    limit: int | None = None
+    per_class: int | None = None
+
+
+def chosen_rows(labels: NDArray[np.int64], limit: int | None, per_class: int | None) -> NDArray[np.int64]:
+    """Choose rows of one split: the first ``per_class`` of each class, and of these the first ``limit``.
+
+    Parameters
+    ----------
+    labels : ndarray of int64, shape (N,)
+        Class of each row.
+    limit, per_class : int, optional
+        No bound by default.
+
+    Returns
+    -------
+    ndarray of int64, shape (n,)
+        Row numbers, rising.
+    """
+    rows = np.arange(len(labels))
+    if per_class is not None:
+        kept = [rows[labels == label][:per_class] for label in np.unique(labels)]
+        rows = np.sort(np.concatenate(kept)) if kept else rows
+    return rows[:limit]
+
+
+def portions(rows: NDArray[np.int64], size: int) -> Iterator[NDArray[np.int64]]:
+    """Cut rows into portions of at most ``size``."""
+    for start in range(0, len(rows), size):
+        yield rows[start : start + size]
+
+
+def splits_to_show(name: str, split: str | None, revision: str | None = None) -> tuple[str, ...]:
+    """Return the splits of a data set, or the one asked for.
+
+    Raises
+    ------
+    InputError
+        There is no such data set.
+    HubError
+        The repository cannot be reached or does not exist.
+    """
+    return splits_of(name, revision=revision) if split is None else (split,)
+
+
+def short_name(name: str) -> str:
+    """Return a data set's name without the folders that it lies in: a site may be given to others."""
+    place = Path(name).expanduser()
+    return place.resolve().name if place.exists() else name

@@ -1,0 +1,322 @@
+"""Where the shards of a named data set lie: a local folder, a file, or a repository of the Hub."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from tactile_toolkit.errors import InputError, IntegrityError
+from tactile_toolkit.hub.names import HubName, hub_name
+from tactile_toolkit.hub.repository import HubRepository
+from tactile_toolkit.read.parquet import Shard
+from tactile_toolkit.store.folder import DataFolder
+from tactile_toolkit.store.manifest import MANIFEST_FILE, Manifest, manifest_so_far, read_manifest
+from tactile_toolkit.store.shards import DATA_FOLDER, ShardName
+from tactile_toolkit.store.splits import ShardFile, files_of_split, no_split, shard_files
+
+__all__ = [
+    "ShardFile",
+    "available_splits",
+    "files_of_split",
+    "find_files",
+    "find_shards",
+    "repository_named",
+    "repository_shards",
+    "shard_files",
+    "splits_of",
+    "splits_to_check",
+]
+
+_LONGEST_SHOWN = 200
+_USUAL_SPLIT = "train"
+
+
+def find_shards(
+    name: str, split: str, *, revision: str | None = None, streaming: bool = False
+) -> tuple[Shard, ...]:
+    """Find the shards of one split, fetching them first where they are on the Hub.
+
+    Parameters
+    ----------
+    name : str
+        Local folder, Parquet file, or repository of the Hub: ``USER/NAME[@REVISION]``, or the address of it,
+        or of a folder or file in it, ``hf://datasets/USER/NAME[@REVISION][/PATH]``.
+    split : str
+        Split wanted; only its shards are fetched. A single file whose name tells no split is taken for
+        whatever split, and any file for ``train``.
+    revision : str, optional
+        Branch, tag or commit of the repository.
+    streaming : bool
+        Give remote addresses that are read piece by piece instead of fetching files.
+
+    Raises
+    ------
+    InputError
+        No such folder, or no such split in it.
+    IntegrityError
+        The folder's manifest is damaged, or says that its run was interrupted in this split.
+    HubError
+        The repository cannot be reached or does not exist.
+    """
+    place = _local_place(name)
+    if place is not None and place.is_file():
+        _require_split(str(place), split)
+        return (Shard(str(place)),)
+    if place is not None:
+        return _local_shards(DataFolder(str(place)), split)
+    named = _named_on_hub(name, revision)
+    repository = HubRepository(named.repo_id, named.revision)
+    if _is_file(named):
+        _require_split(named.path, split)
+        return (_hub_shard(repository, named.path, streaming),)
+    with repository.told_apart(f"split {split!r}"):
+        files = files_of_split(_shards_below(repository, named.path), split, name)
+    return tuple(_hub_shard(repository, file.path, streaming) for file in files)
+
+
+def find_files(
+    names: Sequence[str], *, revision: str | None = None, streaming: bool = False
+) -> tuple[Shard, ...]:
+    """Find Parquet files that belong together, fetching first those on the Hub.
+
+    Parameters
+    ----------
+    names : sequence of str
+        Local files, or addresses ``hf://datasets/USER/NAME[@REVISION]/PATH``.
+    revision, streaming
+        As for :func:`find_shards`.
+
+    Raises
+    ------
+    InputError
+        No files are given, or one of them is not there.
+    HubError
+        As for :func:`find_shards`.
+    """
+    shards: list[Shard] = []
+    repositories: dict[HubName, HubRepository] = {}  # one each, so that its files are of one commit
+    for name in names:
+        place = _local_place(name)
+        named = hub_name(name, revision) if place is None else None
+        if named is not None and _is_file(named):
+            key = HubName(named.repo_id, named.revision, "")
+            repository = repositories.setdefault(key, HubRepository(named.repo_id, named.revision))
+            shards.append(_hub_shard(repository, named.path, streaming))
+        elif place is not None and place.is_file():
+            shards.append(Shard(str(place)))
+        else:
+            message = f"no file {_shown(name)}; expected Parquet files of one data set"
+            raise InputError(message)
+    if not shards:
+        message = "no files given; expected Parquet files of one data set"
+        raise InputError(message)
+    return tuple(shards)
+
+
+def repository_named(name: str, revision: str | None = None) -> HubRepository:
+    """Return the repository that a name means.
+
+    Raises
+    ------
+    InputError
+        It is no name of one, or names a file or folder in it.
+    """
+    named = _named_on_hub(name, revision)
+    if named.path:
+        message = f"{name!r} is a part of a repository; expected all of it; next: leave {named.path!r} away"
+        raise InputError(message)
+    return HubRepository(named.repo_id, named.revision)
+
+
+def _named_on_hub(name: str, revision: str | None) -> HubName:
+    named = hub_name(name, revision)
+    if named is None:
+        message = (
+            f"{_shown(name)} is neither a folder, nor a Parquet file, nor a repository of the Hub "
+            "(USER/NAME); next: check the name (`list` shows the published sets), or make a data set"
+        )
+        raise InputError(message)
+    return named
+
+
+def _local_place(name: str) -> Path | None:
+    """Return the file or folder of that name; None where there is none, or can be none."""
+    try:
+        place = Path(name).expanduser()
+        return place if place.exists() else None
+    except (OSError, RuntimeError, ValueError):  # too long a name, an unknown user's home, a null byte
+        return None
+
+
+def _shown(name: str) -> str:
+    return repr(name if len(name) <= _LONGEST_SHOWN else f"{name[:_LONGEST_SHOWN]}...")
+
+
+def _is_file(named: HubName) -> bool:
+    return named.path.endswith(".parquet")
+
+
+def _told_split(path: str) -> str | None:
+    """Return the split that the name of a file tells, such as ``test-00000-of-00002.parquet``."""
+    shard = ShardName.parse(Path(path).name)
+    return None if shard is None else shard.split
+
+
+def _require_split(path: str, split: str) -> None:
+    """Refuse to take a file of one split for another that was asked for.
+
+    ``train`` is what every ``load`` asks for when nobody says anything: a file named alone is opened then,
+    whatever its split.
+    """
+    told = _told_split(path)
+    if told not in (None, split) and split != _USUAL_SPLIT:
+        raise no_split(split, (str(told),), path)
+
+
+def _hub_shard(repository: HubRepository, path: str, streaming: bool) -> Shard:
+    repository.expected(path)  # a file that is not there is told now, not when it is read
+    return Shard(repository.address(path) if streaming else repository.fetch(path))
+
+
+def _shards_below(repository: HubRepository, folder: str) -> list[ShardFile]:
+    inside = f"{folder}/" if folder else ""
+    return [file for file in repository_shards(repository) if file.path.startswith(inside)]
+
+
+def splits_of(name: str, *, revision: str | None = None) -> tuple[str, ...]:
+    """List the splits of a data set by its name.
+
+    Parameters
+    ----------
+    name : str
+        Local folder, Parquet file (of the split that its name tells, or else ``train``), or repository of the
+        Hub.
+    revision : str, optional
+        Branch, tag or commit of the repository.
+
+    Raises
+    ------
+    InputError
+        When the name is none of these, or holds no Parquet files.
+    HubError
+        The repository cannot be reached or does not exist.
+    """
+    place = _local_place(name)
+    named = _named_on_hub(name, revision) if place is None else None
+    if place is not None and place.is_file():
+        return (_told_split(str(place)) or "train",)
+    if named is not None and _is_file(named):
+        return (_told_split(named.path) or "train",)
+    if named is None:
+        splits = available_splits(DataFolder(str(place)))
+    else:
+        files = _shards_below(HubRepository(named.repo_id, named.revision), named.path)
+        splits = tuple(dict.fromkeys(file.split for file in files))
+    if not splits:
+        message = f"{name!r} holds no Parquet files; next: name the folder or repository of a data set"
+        raise InputError(message)
+    return splits
+
+
+def available_splits(folder: DataFolder) -> tuple[str, ...]:
+    """List the splits of a local folder: those of its manifest, or else those its file names tell."""
+    manifest = read_manifest(folder)
+    if manifest is not None:
+        return manifest.splits
+    return tuple(dict.fromkeys(file.split for file in _folder_files(folder)))
+
+
+def _local_shards(folder: DataFolder, split: str) -> tuple[Shard, ...]:
+    manifest = read_manifest(folder)
+    if manifest is None:
+        files = files_of_split(_folder_files(folder), split, folder.address())
+        return tuple(Shard(folder.address(file.path)) for file in files)
+    receipts = manifest.receipts_of(split)
+    _refuse_unfinished(folder, split, [receipt.shard for receipt in receipts], manifest.complete)
+    if not receipts:
+        raise no_split(split, manifest.splits, folder.address())
+    return tuple(Shard(folder.address(receipt.shard.data_path), receipt.rows) for receipt in receipts)
+
+
+def _refuse_unfinished(folder: DataFolder, split: str, shards: list[ShardName], complete: bool) -> None:
+    """Refuse a split of which a running or interrupted command has made only some shards."""
+    if complete or (shards and len(shards) == shards[0].count):
+        return
+    there = [file.path for file in _folder_files(folder) if file.split == split]
+    if there or not shards:
+        message = (
+            f"the run that makes {folder.address()!r} is not finished ({len(there)} shards of split "
+            f"{split!r} are there, {MANIFEST_FILE} is not complete); next: run the same command again, it "
+            "goes on"
+        )
+        raise IntegrityError(message)
+
+
+def _folder_files(folder: DataFolder) -> list[ShardFile]:
+    nested = [f"{DATA_FOLDER}/{name}" for name in folder.names(DATA_FOLDER)]
+    return shard_files([*nested, *folder.names()]) or shard_files(_numbered(folder))
+
+
+def _numbered(folder: DataFolder) -> list[str]:
+    """List the numbered Parquet files of folders that are called as their split."""
+    if not folder.is_local:
+        return []
+    root = Path(folder.address())
+    found = [file for pattern in ("[!.]*/*.parquet", "[!.]*/[!.]*/*.parquet") for file in root.glob(pattern)]
+    return [file.relative_to(root).as_posix() for file in found if file.stem.isdigit()]
+
+
+def repository_shards(repository: HubRepository) -> list[ShardFile]:
+    """Sort the Parquet files of a repository by split.
+
+    A manifest tells which files belong to the data set: shards of an older layout may lie beside them,
+    because an upload removes nothing that it was not told to remove.
+
+    Raises
+    ------
+    IntegrityError
+        The manifest is damaged.
+    HubError
+        The repository cannot be read.
+    """
+    files = shard_files(repository.files())
+    if repository.manifest is None:
+        return files
+    listed = {receipt.shard.data_path for receipt in repository.manifest.receipts}
+    return [file for file in files if file.path in listed]
+
+
+def splits_to_check(path: str) -> tuple[str, ...]:
+    """List the splits of a local data set folder that is to be checked as a whole.
+
+    Raises
+    ------
+    InputError
+        The folder holds no data set.
+    IntegrityError
+        The run that makes it is under way or was interrupted: a check of the rest would pass for one of all.
+    """
+    folder = DataFolder(path)
+    manifest = read_manifest(folder)
+    if manifest is not None and not manifest.complete:
+        unfinished = _unfinished_split(folder, manifest)
+        if unfinished is not None:
+            find_shards(path, unfinished)
+    splits = available_splits(folder)
+    if not splits:
+        message = (
+            f"{path!r} holds no data set (no manifest and no Parquet files); next: name a generated folder"
+        )
+        raise InputError(message)
+    return splits
+
+
+def _unfinished_split(folder: DataFolder, manifest: Manifest) -> str | None:
+    """Return a split that lacks shards, one that was begun before one that was not."""
+    so_far = manifest_so_far(folder)
+    begun = so_far.splits if so_far is not None else ()
+    for split in (*begun, *manifest.split_order):
+        receipts = manifest.receipts_of(split)
+        if not receipts or len(receipts) < receipts[0].shard.count:
+            return split
+    return None

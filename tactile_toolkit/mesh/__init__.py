@@ -1,0 +1,1 @@
+"""Solids: columns and records of meshes, mesh files, checks, height maps."""

@@ -1,0 +1,330 @@
+"""Height maps: the top surface of a mesh on a grid of pixels, exact at their centres.
+
+Where a map lies and what it means stands here; how triangles become pixels, in
+:mod:`tactile_toolkit.mesh.raster`.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import hashlib
+import os
+import threading
+import zlib
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from numbers import Real
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tactile_toolkit.errors import InputError
+from tactile_toolkit.mesh.mesh import as_mesh
+from tactile_toolkit.mesh.raster import raise_pixels, spans_of
+from tactile_toolkit.read.parquet import cache_folder
+
+__all__ = ["HeightCache", "HeightMap", "MOST_PIXELS", "Window", "content_key", "top_surface", "window_of"]
+
+MOST_PIXELS = 1 << 27
+"""Largest grid, 512 MiB: a finer pitch is refused instead of filling the memory."""
+
+
+@dataclass(frozen=True, slots=True)
+class Window:
+    """Which pixels of the endless grid a map has.
+
+    The pixels of a pitch are the same for all meshes: pixel (i, j) is the square from ``i * pitch`` to
+    ``(i + 1) * pitch`` along x and from ``j * pitch`` to ``(j + 1) * pitch`` along y.
+
+    Attributes
+    ----------
+    first_column, first_row : int
+        Least i and j.
+    columns, rows : int
+        How many there are along x and y.
+    pitch_m : float
+        Side of a pixel, metres.
+    """
+
+    first_column: int
+    first_row: int
+    columns: int
+    rows: int
+    pitch_m: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class HeightMap:
+    """The top surface of a mesh, in the frame of the mesh.
+
+    Row 0 has the least y and column 0 the least x: ``heights_m[row, column]`` is the surface above the point
+    ``(x_m[column], y_m[row])``, the centre of that pixel. (Pictures put row 0 on top: show
+    ``heights_m[::-1]``, or tell matplotlib ``origin="lower"``.) Above pixels whose centre lies outside the
+    mesh, as seen from above, the height is NaN.
+
+    Attributes
+    ----------
+    heights_m : ndarray of float32, shape (rows, columns)
+        z of the highest point of the mesh above each pixel centre, metres; read-only.
+    window : Window
+        Where the pixels lie.
+    """
+
+    heights_m: NDArray[np.float32]
+    window: Window
+
+    @property
+    def pitch_m(self) -> float:
+        """Side of a pixel, metres."""
+        return self.window.pitch_m
+
+    @property
+    def x_m(self) -> NDArray[np.float64]:
+        """Centre of each column along x, shape (columns,), metres."""
+        return _centres_m(self.window.first_column, self.window.columns, self.pitch_m)
+
+    @property
+    def y_m(self) -> NDArray[np.float64]:
+        """Centre of each row along y, shape (rows,), metres."""
+        return _centres_m(self.window.first_row, self.window.rows, self.pitch_m)
+
+    @property
+    def covered(self) -> NDArray[np.bool_]:
+        """Which pixel centres lie under the mesh, shape (rows, columns)."""
+        return ~np.isnan(self.heights_m)
+
+    def filled(self, outside_m: float = 0.0) -> NDArray[np.float32]:
+        """Return the heights with a number in place of NaN, such as the plate's; a new array."""
+        return np.where(self.covered, self.heights_m, np.float32(outside_m))
+
+
+def top_surface(mesh: Any, pitch_m: float) -> HeightMap:
+    """Turn a mesh into a height map.
+
+    Exact at pixel centres: the height is that of the plane of the triangle above the centre, the highest
+    where several are. Triangles are closed: a centre on an edge or corner is covered. Vertical triangles
+    cover nothing, and those that face downwards are never on top of a solid; so the mesh has to be one, with
+    triangles counter-clockwise seen from outside.
+
+    Parameters
+    ----------
+    mesh : Mesh, record or trimesh.Trimesh
+        In metres.
+    pitch_m : float
+        Side of a pixel, metres.
+
+    Returns
+    -------
+    HeightMap
+        As many pixels as touch the bounding box of the mesh.
+
+    Raises
+    ------
+    InputError
+        No mesh; a pitch that is not positive or makes the grid too large; a mesh without vertices, or with
+        some that are not finite.
+
+    Examples
+    --------
+    >>> from tactile_toolkit.mesh.mesh import Mesh
+    >>> corners = np.array([[0, 0, 0], [4, 0, 0], [0, 4, 0], [0, 0, 4]], np.float32)
+    >>> faces = np.array([[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]], np.int32)
+    >>> top_surface(Mesh(corners, faces), 1.0).heights_m[0]
+    array([3., 2., 1., 0.], dtype=float32)
+    """
+    mesh = as_mesh(mesh)
+    vertices_m = np.asarray(mesh.vertices_m)
+    window = window_of(vertices_m, pitch_m)
+    highest = np.full(window.rows * window.columns, -np.inf, np.float32)
+    for spans in spans_of(_in_pixels(vertices_m, window), np.asarray(mesh.faces)):
+        raise_pixels(highest, spans, window.columns)
+    highest[np.isneginf(highest)] = np.nan
+    heights_m = highest.reshape(window.rows, window.columns)
+    heights_m.setflags(write=False)
+    return HeightMap(heights_m, window)
+
+
+def window_of(vertices_m: NDArray[np.floating[Any]], pitch_m: float) -> Window:
+    """Return the pixels that touch the bounding box of some vertices.
+
+    Raises
+    ------
+    InputError
+        As :func:`top_surface`.
+    """
+    if not _is_length(pitch_m):
+        message = f"the pitch of a height map is {pitch_m!r} m; expected a positive length such as 0.0002"
+        raise InputError(message)
+    if not len(vertices_m):
+        message = "a mesh without vertices has no height map"
+        raise InputError(message)
+    # Column by column: numpy reduces short rows slowly.
+    low, high = (
+        np.array([reduce(column) for column in vertices_m.T[:2]], np.float64) for reduce in (np.min, np.max)
+    )
+    if not np.isfinite([low, high]).all():
+        message = "a mesh with vertices that are NaN or infinite has no height map; next: make it again"
+        raise InputError(message)
+    with np.errstate(over="ignore", invalid="ignore"):  # of a tiny pitch, which is refused below
+        first, stop = np.floor(low / float(pitch_m)), np.ceil(high / float(pitch_m))
+        columns, rows = np.maximum(stop - first, 1).tolist()
+    if not columns * rows <= MOST_PIXELS:
+        message = (
+            f"a height map of {columns:.7g} x {rows:.7g} pixels of {pitch_m:g} m was asked for, at most "
+            f"{MOST_PIXELS:,} are made; next: choose a larger pitch"
+        )
+        raise InputError(message)
+    return Window(int(first[0]), int(first[1]), int(columns), int(rows), float(pitch_m))
+
+
+def _is_length(value: object) -> bool:
+    return isinstance(value, (Real, np.number)) and 0 < float(value) < np.inf
+
+
+def _in_pixels(vertices_m: NDArray[Any], window: Window) -> NDArray[np.float64]:
+    """Return column, row and height of each vertex, shape (3, V).
+
+    The centre of pixel (i, j) of the window is at column i, row j; heights stay metres.
+    """
+    x_m, y_m, heights_m = vertices_m.T.astype(np.float64)
+    columns = x_m / window.pitch_m - (window.first_column + 0.5)
+    rows = y_m / window.pitch_m - (window.first_row + 0.5)
+    return np.stack([columns, rows, heights_m])
+
+
+def _centres_m(first: int, count: int, pitch_m: float) -> NDArray[np.float64]:
+    return np.asarray((np.arange(first, first + count) + 0.5) * pitch_m)
+
+
+_VERSION = 1
+"""Raised whenever the same mesh and pitch would give other heights than before."""
+
+_CHECKSUM_BYTES = 4
+_LIMIT_BYTES = 4 << 30
+_SIZED_ANEW_AFTER = 16
+"""The folder is sized anew after writing one part in so many of the limit: others write there too."""
+
+
+@dataclass
+class HeightCache:
+    """Height maps on disk.
+
+    Parameters
+    ----------
+    folder : Path, optional
+        Where they are kept; ``heights`` in the cache folder (``$TACTILE_TOOLKIT_CACHE``) by default.
+    limit_bytes : int
+        What they may fill, 4 GiB by default; the ones used longest ago leave first.
+
+    Notes
+    -----
+    Files appear whole or not at all, and damaged ones are made again. Threads and processes may share a
+    folder. A folder that cannot be written costs speed, never a map.
+    """
+
+    folder: Path | None = None
+    limit_bytes: int = _LIMIT_BYTES
+    _unsized_bytes: int | None = field(default=None, repr=False)
+
+    def get(self, mesh: Any, pitch_m: float) -> HeightMap:
+        """Return the height map of a mesh, from disk where it is there.
+
+        Raises
+        ------
+        InputError
+            As :func:`env_assets.top_surface`.
+        """
+        mesh = as_mesh(mesh)
+        window = window_of(mesh.vertices_m, pitch_m)
+        place = self._folder() / f"{content_key(mesh, pitch_m)}.heights"
+        heights_m = _read(place, window)
+        if heights_m is not None:
+            return HeightMap(heights_m, window)
+        made = top_surface(mesh, pitch_m)
+        with contextlib.suppress(OSError):
+            self._write(place, _pack(made.heights_m))
+        return made
+
+    def _folder(self) -> Path:
+        return cache_folder() / "heights" if self.folder is None else self.folder
+
+    def _write(self, place: Path, content: bytes) -> None:
+        self._make_room(place.parent, len(content))
+        place.parent.mkdir(parents=True, exist_ok=True)
+        temporary = place.with_name(f".writing-{os.getpid()}-{threading.get_ident()}-{place.name}")
+        # Not flushed to the disk, which would take longer than making the map: the checksum tells what a
+        # power cut has spoiled.
+        try:
+            temporary.write_bytes(content)
+            temporary.replace(place)
+        except BaseException:
+            temporary.unlink(missing_ok=True)
+            raise
+
+    def _make_room(self, folder: Path, needed_bytes: int) -> None:
+        """Remove what was used longest ago when the folder may have passed its limit."""
+        unsized = self._unsized_bytes
+        if unsized is not None and unsized + needed_bytes <= self.limit_bytes // _SIZED_ANEW_AFTER:
+            self._unsized_bytes = unsized + needed_bytes
+            return
+        self._unsized_bytes = needed_bytes
+        files = sorted(_files(folder))
+        # Room for what is written before the next look, so that the limit holds between looks too.
+        ahead = max(needed_bytes, self.limit_bytes // _SIZED_ANEW_AFTER)
+        excess = sum(size for _, size, _ in files) + ahead - self.limit_bytes
+        for _, size, file in files:
+            if excess <= 0:
+                return
+            with contextlib.suppress(OSError):
+                file.unlink()
+            excess -= size
+
+
+def content_key(mesh: Any, pitch_m: float) -> str:
+    """Name the height map of a mesh: equal vertices, triangles and pitch give an equal name.
+
+    Parameters
+    ----------
+    mesh : Mesh or record
+        Anything with ``vertices_m`` and ``faces``.
+    pitch_m : float
+        Side of a pixel, metres.
+    """
+    vertices_m, faces = np.ascontiguousarray(mesh.vertices_m), np.ascontiguousarray(mesh.faces)
+    digest = hashlib.sha256(repr((_VERSION, float(pitch_m), vertices_m.dtype.str, faces.dtype.str)).encode())
+    digest.update(vertices_m.data)
+    digest.update(faces.data)
+    return digest.hexdigest()[:32]
+
+
+def _pack(heights_m: NDArray[np.float32]) -> bytes:
+    """Return the heights row by row as little-endian float32, and their CRC-32."""
+    values = heights_m.astype("<f4", copy=False).tobytes()
+    return values + zlib.crc32(values).to_bytes(_CHECKSUM_BYTES, "little")
+
+
+def _read(place: Path, window: Window) -> NDArray[np.float32] | None:
+    """Read a map; None where it is not there or is not what it should be."""
+    try:
+        content = place.read_bytes()
+    except OSError:
+        return None
+    values, checksum = content[:-_CHECKSUM_BYTES], int.from_bytes(content[-_CHECKSUM_BYTES:], "little")
+    if len(values) != 4 * window.rows * window.columns or zlib.crc32(values) != checksum:
+        return None
+    with contextlib.suppress(OSError):
+        os.utime(place)  # the time of last use decides what leaves a full cache first
+    return np.frombuffer(values, "<f4").reshape(window.rows, window.columns)
+
+
+def _files(folder: Path) -> Iterator[tuple[int, int, Path]]:
+    """Yield time of last use, size and place of files, those of killed writers too.
+
+    Other processes may remove some meanwhile.
+    """
+    for file in folder.glob("*"):
+        with contextlib.suppress(FileNotFoundError):
+            facts = file.stat()
+            yield facts.st_mtime_ns, facts.st_size, file

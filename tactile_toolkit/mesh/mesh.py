@@ -1,0 +1,136 @@
+"""A triangle mesh as every room hands it on."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, TypeAlias, cast
+
+import numpy as np
+
+from tactile_toolkit.errors import InputError
+
+if TYPE_CHECKING:
+    import trimesh
+    from numpy.typing import NDArray
+
+    from tactile_toolkit.mesh.records import SolidRecord
+
+__all__ = ["Mesh", "MeshLike", "MM_PER_M", "as_mesh"]
+
+MM_PER_M = 1000.0
+
+MeshLike: TypeAlias = "Mesh | SolidRecord | trimesh.Trimesh"
+"""Whatever :func:`as_mesh` takes."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Mesh:
+    """Triangles in space.
+
+    Attributes
+    ----------
+    vertices_m : ndarray of float32 or float64, shape (V, 3)
+        Corner positions in metres: z away from the plate; each room states its frame.
+    faces : ndarray of int32, shape (F, 3)
+        Rows of ``vertices_m``, counter-clockwise when seen from outside.
+    """
+
+    vertices_m: NDArray[np.floating[Any]]
+    faces: NDArray[np.int32]
+
+    @property
+    def volume_m3(self) -> float:
+        """Enclosed volume in cubic metres; negative when the mesh is inside out."""
+        return float(self._signed_volumes_m3().sum())
+
+    @property
+    def center_mass_m(self) -> NDArray[np.float64]:
+        """Centre of mass of the evenly filled solid, shape (3,), metres."""
+        signed = self._signed_volumes_m3()
+        middles = self._corners_m().sum(axis=1) / 4.0
+        return np.asarray(signed @ middles / signed.sum(), dtype=np.float64)
+
+    @property
+    def bounds_m(self) -> NDArray[np.float64]:
+        """Lowest and highest corner of the bounding box, shape (2, 3), metres."""
+        return np.stack([self.vertices_m.min(axis=0), self.vertices_m.max(axis=0)]).astype(np.float64)
+
+    def to_trimesh(self) -> Any:
+        """Hand the mesh to trimesh as it is: no vertex merged, moved or dropped.
+
+        Returns
+        -------
+        trimesh.Trimesh
+            In metres.
+        """
+        import trimesh
+
+        return trimesh.Trimesh(vertices=self.vertices_m, faces=self.faces, process=False)
+
+    @classmethod
+    def from_trimesh(cls, mesh: trimesh.Trimesh) -> Mesh:
+        """Take over a mesh of trimesh as it is: no vertex merged, moved or dropped.
+
+        Parameters
+        ----------
+        mesh : trimesh.Trimesh
+            In metres.
+
+        Returns
+        -------
+        Mesh
+            Float64.
+        """
+        return cls(np.asarray(mesh.vertices, np.float64), np.asarray(mesh.faces, np.int32))
+
+    def to_manifold(self) -> Any:
+        """Hand the mesh to manifold3d in double precision.
+
+        Returns
+        -------
+        manifold3d.Manifold
+            In millimetres. A mesh that bounds no solid gives an empty one whose ``status()`` says why.
+        """
+        import manifold3d
+
+        vertices_mm = np.ascontiguousarray(self.vertices_m, dtype=np.float64) * MM_PER_M
+        return manifold3d.Manifold(manifold3d.Mesh64(vertices_mm, self.faces.astype(np.uint64)))
+
+    def _corners_m(self) -> NDArray[np.float64]:
+        return self.vertices_m.astype(np.float64)[self.faces]
+
+    def _signed_volumes_m3(self) -> NDArray[np.float64]:
+        a, b, c = np.moveaxis(self._corners_m(), 1, 0)
+        return np.asarray(np.einsum("ij,ij->i", a, np.cross(b, c)) / 6.0)
+
+
+def as_mesh(thing: MeshLike) -> Mesh:
+    """Return the triangles of whatever holds some.
+
+    Parameters
+    ----------
+    thing : Mesh, record of a data set, or trimesh.Trimesh
+        In metres, all of them.
+
+    Returns
+    -------
+    Mesh
+        A mesh as it is; of the others, a mesh of the same arrays.
+
+    Raises
+    ------
+    InputError
+        It is something else.
+    """
+    if isinstance(thing, Mesh):
+        return thing
+    if hasattr(thing, "vertices_m") and hasattr(thing, "faces"):
+        return Mesh(thing.vertices_m, thing.faces)
+    # Known by what it has: importing trimesh to look at its class would take longer than most uses of this.
+    if hasattr(thing, "vertices") and hasattr(thing, "faces"):
+        return Mesh.from_trimesh(cast("trimesh.Trimesh", thing))
+    message = (
+        f"a {type(thing).__name__} holds no triangles; expected a Mesh, a record of a data set or a "
+        "trimesh.Trimesh, in metres"
+    )
+    raise InputError(message)

@@ -1,0 +1,291 @@
+"""Whether a mesh bounds a solid, and what a printer needs to know about it."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import asdict, dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from tactile_toolkit.errors import InputError
+from tactile_toolkit.mesh.mesh import MM_PER_M, as_mesh
+from tactile_toolkit.mesh.solid_check import Soundness, judge
+from tactile_toolkit.mesh.walls import section_area_mm2, thinnest_width_mm
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from tactile_toolkit.mesh.mesh import MeshLike
+
+__all__ = ["PrintProfile", "PrintReport", "REPORT_COLUMNS", "UNREADABLE", "WARNINGS", "inspect", "unreadable"]
+
+WARNINGS = ("thin-wall", "separate-bodies", "overhang", "small-contact", "larger-than-plate", "too-tall")
+
+UNREADABLE = "unreadable"
+"""What is wrong with a file beyond :data:`tactile_toolkit.mesh.solid_check.PROBLEMS`."""
+
+REPORT_COLUMNS: dict[str, type] = {
+    "is_solid": bool,
+    "status": str,
+    "problem": str,
+    "detail": str,
+    "vertices": int,
+    "faces": int,
+    "bodies": int,
+    "genus": int,
+    "volume_mm3": float,
+    "mass_g": float,
+    "size_x_mm": float,
+    "size_y_mm": float,
+    "size_z_mm": float,
+    "thinnest_wall_mm": float,
+    "overhang_mm2": float,
+    "contact_mm2": float,
+    "warnings": str,
+}
+"""Columns of :meth:`PrintReport.to_row` and their types; a text column may hold None."""
+
+
+@dataclass(frozen=True, slots=True)
+class PrintProfile:
+    """What the printer and the material allow.
+
+    Attributes
+    ----------
+    nozzle_mm : float
+        Width of the thread of material; a wall needs two of them.
+    layer_height_mm : float
+        Thickness of a printed layer.
+    plate_mm : tuple of float
+        Width and depth of the plate.
+    max_height_mm : float
+        Tallest print.
+    min_wall_mm : float
+        Thinner walls are warned of.
+    overhang_deg : float
+        Slopes that lean out further than this from the vertical need support.
+    max_overhang_share : float
+        Overhanging area over the area of the middle section above which it is warned of. The round
+        undersides of the digits overhang by design, by 0.47 to 0.71 of it (99 % of 119 real ones, every
+        fourth, below 0.70).
+    min_contact_mm2 : float
+        Smaller first layers are warned of. Digits with ink 28 px wide have 10 mm^2, with 35 px 100 mm^2 or
+        more.
+    density_g_cm3 : float
+        Of the material; 1.24 is PLA.
+    """
+
+    nozzle_mm: float = 0.4
+    layer_height_mm: float = 0.2
+    plate_mm: tuple[float, float] = (256.0, 256.0)
+    max_height_mm: float = 256.0
+    min_wall_mm: float = 0.8
+    overhang_deg: float = 45.0
+    max_overhang_share: float = 0.72
+    min_contact_mm2: float = 10.0
+    density_g_cm3: float = 1.24
+
+    def __post_init__(self) -> None:
+        """Refuse numbers that no printer has."""
+        numbers = {**asdict(self), "plate_mm": min(self.plate_mm)}
+        for name, value in numbers.items():
+            if not (math.isfinite(value) and value > 0):
+                message = f"PrintProfile.{name} is {getattr(self, name)!r}; expected positive numbers"
+                raise InputError(message)
+        if self.overhang_deg >= 90:
+            message = f"PrintProfile.overhang_deg is {self.overhang_deg!r}; expected less than 90"
+            raise InputError(message)
+
+
+@dataclass(frozen=True, slots=True)
+class PrintReport:
+    """What was found about one mesh. Lengths in mm.
+
+    Attributes
+    ----------
+    is_solid : bool
+        The mesh bounds a solid of positive volume.
+    status : str
+        What manifold3d says of the mesh, ``"NoError"`` or a reason.
+    problem : str or None
+        Why the mesh is no solid, a short stable word of :data:`tactile_toolkit.mesh.solid_check.PROBLEMS`, or
+        :data:`UNREADABLE`.
+    detail : str or None
+        The same in a sentence.
+    vertices, faces : int
+        Of the mesh as given.
+    bodies, genus : int
+        Separate pieces, and holes through them in total.
+    volume_mm3, mass_g : float
+        Of the solid filled with material.
+    size_mm : tuple of float
+        Bounding box along x, y, z.
+    thinnest_wall_mm : float
+        Narrowest wall of the section at half height, at most the height. NaN for a mesh that is no solid,
+        as the next two.
+    overhang_mm2 : float
+        Area that leans out too far and does not rest on the bed.
+    contact_mm2 : float
+        Area of the first layer, cut at its top.
+    warnings : tuple of str
+        Of :data:`WARNINGS`.
+    """
+
+    is_solid: bool
+    status: str
+    problem: str | None
+    detail: str | None
+    vertices: int
+    faces: int
+    bodies: int
+    genus: int
+    volume_mm3: float
+    mass_g: float
+    size_mm: tuple[float, float, float]
+    thinnest_wall_mm: float
+    overhang_mm2: float
+    contact_mm2: float
+    warnings: tuple[str, ...]
+
+    def to_row(self) -> dict[str, Any]:
+        """Give the report as a flat row with the columns of :data:`REPORT_COLUMNS`.
+
+        Returns
+        -------
+        dict
+        """
+        row = {name: getattr(self, name) for name in REPORT_COLUMNS if name in self.__dataclass_fields__}
+        row |= dict(zip(("size_x_mm", "size_y_mm", "size_z_mm"), self.size_mm, strict=True))
+        row["warnings"] = " ".join(self.warnings)
+        return {name: row[name] for name in REPORT_COLUMNS}
+
+
+def inspect(mesh: MeshLike, profile: PrintProfile | None = None) -> PrintReport:
+    """Decide whether a mesh bounds a solid and measure what printing it depends on.
+
+    A bad mesh is reported, never raised.
+
+    Parameters
+    ----------
+    mesh : Mesh, record of a data set, or trimesh.Trimesh
+        In metres, z pointing away from the plate.
+    profile : PrintProfile, optional
+        Printer and material.
+
+    Returns
+    -------
+    PrintReport
+
+    Raises
+    ------
+    InputError
+        What was given holds no triangles at all.
+    """
+    mesh = as_mesh(mesh)
+    profile = PrintProfile() if profile is None else profile
+    sound = judge(mesh)
+    counts = {"vertices": len(mesh.vertices_m), "faces": len(mesh.faces)}
+    if sound.problem is not None:
+        return _refusal(sound, counts)
+    vertices_mm = np.asarray(mesh.vertices_m, dtype=np.float64) * MM_PER_M
+    low, high = vertices_mm.min(axis=0), vertices_mm.max(axis=0)
+    size_mm = (float(high[0] - low[0]), float(high[1] - low[1]), float(high[2] - low[2]))
+    middle = sound.manifold.slice((low[2] + high[2]) / 2 + _OFF_VERTICES * size_mm[2]).to_polygons()
+    overhang_mm2 = _overhang_mm2(vertices_mm, mesh.faces, profile)
+    contact_mm2 = float(sound.manifold.slice(low[2] + profile.layer_height_mm).area())
+    wall_mm = min(thinnest_width_mm(middle), size_mm[2])
+    area_mm2 = max(section_area_mm2(middle), 1e-9)
+    return PrintReport(
+        is_solid=True,
+        status=sound.status,
+        problem=None,
+        detail=None,
+        **counts,
+        bodies=sound.bodies,
+        genus=sound.genus,
+        volume_mm3=sound.volume_mm3,
+        mass_g=sound.volume_mm3 * profile.density_g_cm3 / 1000.0,
+        size_mm=size_mm,
+        thinnest_wall_mm=wall_mm,
+        overhang_mm2=overhang_mm2,
+        contact_mm2=contact_mm2,
+        warnings=_warnings(profile, sound, size_mm, wall_mm, overhang_mm2 / area_mm2, contact_mm2),
+    )
+
+
+def unreadable(detail: str) -> PrintReport:
+    """Report a file that no mesh could be read from.
+
+    Parameters
+    ----------
+    detail : str
+        Why.
+
+    Returns
+    -------
+    PrintReport
+    """
+    return _refusal(Soundness(None, "NotTried", UNREADABLE, detail), {"vertices": 0, "faces": 0})
+
+
+_OFF_VERTICES = 1e-7
+"""Share of the height by which the middle section avoids the vertices that lie in the mid-plane."""
+
+
+def _refusal(sound: Soundness, counts: dict[str, int]) -> PrintReport:
+    unknown = math.nan
+    return PrintReport(
+        is_solid=False,
+        status=sound.status,
+        problem=sound.problem,
+        detail=sound.detail,
+        **counts,
+        bodies=sound.bodies,
+        genus=sound.genus,
+        volume_mm3=sound.volume_mm3,
+        mass_g=unknown,
+        size_mm=(unknown, unknown, unknown),
+        thinnest_wall_mm=unknown,
+        overhang_mm2=unknown,
+        contact_mm2=unknown,
+        warnings=(),
+    )
+
+
+def _overhang_mm2(vertices_mm: NDArray[np.float64], faces: NDArray[np.int32], profile: PrintProfile) -> float:
+    heights = vertices_mm[:, 2]
+    aloft = (heights > heights.min() + profile.layer_height_mm)[faces].any(axis=1)
+    x, y, z = (vertices_mm[:, axis][faces[aloft]] for axis in range(3))
+    normal_x, normal_y, normal_z = (_minor(*pair) for pair in ((y, z), (z, x), (x, y)))
+    twice_area = np.sqrt(normal_x**2 + normal_y**2 + normal_z**2)
+    steep = normal_z < -math.sin(math.radians(profile.overhang_deg)) * twice_area
+    return float(twice_area[steep].sum() / 2)
+
+
+def _minor(u: NDArray[np.float64], v: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Cross two sides of each triangle: one component, from two coordinates of the corners."""
+    return np.asarray((u[:, 1] - u[:, 0]) * (v[:, 2] - v[:, 0]) - (u[:, 2] - u[:, 0]) * (v[:, 1] - v[:, 0]))
+
+
+def _warnings(
+    profile: PrintProfile,
+    sound: Soundness,
+    size_mm: tuple[float, float, float],
+    wall_mm: float,
+    overhang_share: float,
+    contact_mm2: float,
+) -> tuple[str, ...]:
+    found = {
+        "thin-wall": wall_mm < profile.min_wall_mm,
+        "separate-bodies": sound.bodies > 1,
+        "overhang": overhang_share > profile.max_overhang_share,
+        "small-contact": contact_mm2 < profile.min_contact_mm2,
+        "larger-than-plate": _exceeds(size_mm[:2], profile.plate_mm),
+        "too-tall": size_mm[2] > profile.max_height_mm,
+    }
+    return tuple(name for name in WARNINGS if found[name])
+
+
+def _exceeds(size_mm: tuple[float, float], plate_mm: tuple[float, float]) -> bool:
+    return any(side > room for side, room in zip(sorted(size_mm), sorted(plate_mm), strict=True))

@@ -1,0 +1,87 @@
+"""Records of stored meshes, and reading them in one pass."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import TYPE_CHECKING, Generic, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tactile_toolkit.mesh.columns import FACES, VERTICES, class_names
+from tactile_toolkit.read.dataset import Record, Row
+from tactile_toolkit.read.parquet import Shard
+
+if TYPE_CHECKING:
+    import trimesh
+
+__all__ = ["RecordStream", "SolidRecord"]
+
+R = TypeVar("R", bound=Record)
+
+
+class SolidRecord(Record):
+    """One row of the published mesh layout: an id, a label and a mesh. Fields are loaded on first use."""
+
+    __slots__ = ()
+
+    @property
+    def id(self) -> int:
+        """Number of the row, unique in its data set."""
+        return int(self._row.value("id"))
+
+    @property
+    def label(self) -> int:
+        """Number of the class."""
+        return int(self._row.value("label"))
+
+    @property
+    def vertices_m(self) -> NDArray[np.float32]:
+        """Vertices, shape (V, 3), float32, metres; a read-only view of the stored values."""
+        return self._row.array(VERTICES)
+
+    @property
+    def faces(self) -> NDArray[np.int32]:
+        """Triangles, shape (F, 3), int32, counter-clockwise seen from outside; a read-only view."""
+        return self._row.array(FACES)
+
+    @property
+    def mesh(self) -> trimesh.Trimesh:
+        """The mesh, metres. Vertices stay as they are stored: none is merged, dropped or moved."""
+        return self._once("mesh", self._build_mesh)
+
+    def _build_mesh(self) -> trimesh.Trimesh:
+        import trimesh
+
+        return trimesh.Trimesh(self.vertices_m, self.faces, process=False)
+
+
+class RecordStream(Generic[R]):
+    """Records one after another, read from the address piece by piece; nothing is stored locally.
+
+    Parameters
+    ----------
+    shards : tuple of Shard
+        Shards to read in turn.
+    record : type
+        Kind of record.
+    default_names : tuple of str
+        Class names where the shards name none.
+    """
+
+    def __init__(self, shards: tuple[Shard, ...], record: type[R], default_names: tuple[str, ...]) -> None:
+        self._shards = shards
+        self._record = record
+        self._default_names = default_names
+
+    @property
+    def label_names(self) -> tuple[str, ...]:
+        """Name of each class."""
+        return class_names(self._shards[0].schema, self._default_names)
+
+    def __iter__(self) -> Iterator[R]:
+        """Decode one block of rows at a time."""
+        for shard in self._shards:
+            for index in range(shard.metadata.num_row_groups):
+                for block in shard.blocks(index):
+                    yield from (self._record(Row(block, row)) for row in range(len(block.table)))

@@ -1,0 +1,163 @@
+"""Whether triangles bound a solid: manifold3d's verdict and the questions it leaves open.
+
+manifold3d checks how triangles are joined. A mesh that is inside out, or whose bodies run into one another,
+passes that check; here such a mesh is refused too.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from tactile_toolkit.mesh.mesh import Mesh
+
+__all__ = ["PROBLEMS", "Soundness", "judge"]
+
+PROBLEMS = (
+    "bad-shape",
+    "empty",
+    "not-finite",
+    "index-out-of-range",
+    "not-manifold",
+    "inside-out",
+    "no-volume",
+    "overlap",
+)
+"""Why a mesh is refused, in the order in which it is asked."""
+
+OVERLAP_MM3 = 1e-6
+FLAT_MM3 = 1e-6
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Soundness:
+    """The verdict on one mesh.
+
+    Attributes
+    ----------
+    manifold : manifold3d.Manifold or None
+        The solid in mm where there is one.
+    status : str
+        manifold3d's word; ``"NotTried"`` where the arrays could not even be handed over.
+    problem, detail : str or None
+        A word of :data:`PROBLEMS` and the story; None for a solid.
+    bodies, genus : int
+        Separate pieces, and holes through them in total.
+    volume_mm3 : float
+        Enclosed volume, negative inside out, NaN where unknown.
+    """
+
+    manifold: Any
+    status: str
+    problem: str | None = None
+    detail: str | None = None
+    bodies: int = 0
+    genus: int = 0
+    volume_mm3: float = math.nan
+
+
+def judge(mesh: Mesh) -> Soundness:
+    """Decide whether a mesh bounds a solid.
+
+    Parameters
+    ----------
+    mesh : Mesh
+        In metres.
+
+    Returns
+    -------
+    Soundness
+    """
+    problem = _array_problem(mesh)
+    if problem is not None:
+        return Soundness(None, "NotTried", *problem)
+    manifold = mesh.to_manifold()
+    status = str(manifold.status()).rpartition(".")[2]
+    if status != "NoError":
+        return Soundness(None, status, "not-manifold", _edge_story(mesh))
+    parts = manifold.decompose()
+    volume_mm3 = float(manifold.volume())
+    problem = _volume_problem(volume_mm3, parts) or _overlap_problem(parts)
+    outer = [part for part in parts if part.volume() > 0]
+    genus = sum(part.genus() for part in parts)
+    if problem is not None:
+        return Soundness(None, status, *problem, len(outer), genus, volume_mm3)
+    return Soundness(manifold, status, None, None, len(outer), genus, volume_mm3)
+
+
+def _array_problem(mesh: Mesh) -> tuple[str, str] | None:
+    vertices, faces = mesh.vertices_m, mesh.faces
+    if vertices.ndim != 2 or faces.ndim != 2 or vertices.shape[1] != 3 or faces.shape[1] != 3:
+        shapes = f"vertices {vertices.shape}, faces {faces.shape}"
+        return "bad-shape", f"{shapes}; expected (V, 3) and (F, 3)"
+    if not len(vertices) or not len(faces):
+        return "empty", f"{len(vertices)} vertices and {len(faces)} faces; expected a closed surface"
+    bad = int((~np.isfinite(vertices)).any(axis=1).sum())
+    if bad:
+        return "not-finite", f"{bad} vertices are NaN or infinite"
+    if faces.min() < 0 or faces.max() >= len(vertices):
+        found = f"faces name vertices {faces.min()} to {faces.max()}"
+        return "index-out-of-range", f"{found}; there are 0 to {len(vertices) - 1}"
+    return None
+
+
+def _volume_problem(volume_mm3: float, parts: list[Any]) -> tuple[str, str] | None:
+    if not parts or abs(volume_mm3) < FLAT_MM3:
+        return "no-volume", "the surface is closed but encloses nothing"
+    if volume_mm3 < 0:
+        return "inside-out", f"the triangles face inwards, the volume is {volume_mm3:.3f} mm^3"
+    return None
+
+
+def _overlap_problem(parts: list[Any]) -> tuple[str, str] | None:
+    outer = [part for part in parts if part.volume() > 0]
+    for one, other in _pairs_with_meeting_boxes(outer):
+        shared_mm3 = (outer[one] ^ outer[other]).volume()
+        if shared_mm3 > OVERLAP_MM3:
+            return "overlap", f"two of {len(outer)} bodies overlap by {shared_mm3:.3g} mm^3"
+    for cavity in (part for part in parts if part.volume() < 0):
+        if not any(_encloses(part, cavity) for part in outer):
+            return "inside-out", f"one of {len(parts)} bodies faces inwards without lying inside another one"
+    return None
+
+
+def _pairs_with_meeting_boxes(parts: list[Any]) -> list[tuple[int, int]]:
+    boxes = np.array([part.bounding_box() for part in parts]).reshape(-1, 6)
+    pairs = []
+    for place, box in enumerate(boxes[:-1]):
+        meets = (boxes[place + 1 :, :3] < box[3:]) & (box[:3] < boxes[place + 1 :, 3:])
+        pairs += [(place, place + 1 + int(other)) for other in np.flatnonzero(meets.all(axis=1))]
+    return pairs
+
+
+def _encloses(body: Any, cavity: Any) -> bool:
+    if not _pairs_with_meeting_boxes([body, cavity]):
+        return False
+    filling = _turned(cavity)
+    return bool((filling ^ body).volume() >= filling.volume() - OVERLAP_MM3)
+
+
+def _turned(part: Any) -> Any:
+    import manifold3d
+
+    mesh = part.to_mesh64()
+    # manifold3d hands out arrays that cannot be written, and takes none.
+    faces = np.array(mesh.tri_verts[:, ::-1], dtype=np.uint64, order="C")
+    vertices = np.array(mesh.vert_properties[:, :3], dtype=np.float64, order="C")
+    return manifold3d.Manifold(manifold3d.Mesh64(vertices, faces))
+
+
+def _edge_story(mesh: Mesh) -> str:
+    ends = mesh.faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2).astype(np.int64)
+    ends.sort(axis=1)
+    uses = np.unique(ends[:, 0] * len(mesh.vertices_m) + ends[:, 1], return_counts=True)[1]
+    rim, crowded = int((uses == 1).sum()), int((uses > 2).sum())
+    if rim:
+        return f"the surface is open: {rim} edges border one triangle only"
+    if crowded:
+        return f"{crowded} edges border more than two triangles"
+    return "neighbouring triangles are turned against each other"

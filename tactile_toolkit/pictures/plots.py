@@ -1,0 +1,314 @@
+"""Plots of figures in one style: matplotlib's canvas without a window, and nothing of its global state.
+
+Every function needs matplotlib (extra ``pictures``) and gives pixels.
+"""
+
+from __future__ import annotations
+
+import math
+import textwrap
+import warnings
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tactile_toolkit.errors import MissingExtraError
+from tactile_toolkit.pictures.lettering import ACCENTS, INK, MUTED, hex_of
+
+__all__ = ["Bars", "Points", "Spread", "plot_bars", "plot_points", "plot_spreads", "require_plots"]
+
+_DPI = 144
+_MOST_BINS = 40
+_TITLE_PT, _LEAST_TITLE_PT = 13.0, 9.0
+_TITLE_LEFT = 0.012
+_GROUPS_IN_COLUMN, _COLUMN_IN = 18, 1.1
+_STYLE = {
+    "axes.edgecolor": hex_of(MUTED),
+    "axes.labelcolor": hex_of(INK),
+    "axes.spines.right": False,
+    "axes.spines.top": False,
+    "axes.titlelocation": "left",
+    "axes.titlesize": 11,
+    "axes.unicode_minus": False,
+    "font.family": "DejaVu Sans",
+    "font.size": 9,
+    "text.color": hex_of(INK),
+    "text.parse_math": False,
+    "xtick.color": hex_of(MUTED),
+    "ytick.color": hex_of(MUTED),
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Bars:
+    """Counts of one panel.
+
+    Attributes
+    ----------
+    title : str
+        Above the panel.
+    names : tuple of str
+        Below each bar.
+    counts : tuple of int
+        Heights of the bars.
+    label : str
+        What is counted in groups, below the axis.
+    unit : str
+        What is counted, beside the axis.
+    """
+
+    title: str
+    names: tuple[str, ...]
+    counts: tuple[int, ...]
+    label: str
+    unit: str
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Spread:
+    """Values of one panel.
+
+    Attributes
+    ----------
+    title : str
+        Above the panel.
+    label : str
+        Name and unit of the values.
+    groups : tuple of (str, ndarray)
+        Values of each group, shape (n,).
+    unit : str
+        What has the values, beside the axis, such as ``"digits"``.
+    limit : tuple of (float, str), optional
+        A line at a value, and its name.
+    together : str
+        What all groups are together, such as ``"all splits"``.
+    """
+
+    title: str
+    label: str
+    groups: tuple[tuple[str, NDArray[Any]], ...]
+    unit: str
+    limit: tuple[float, str] | None = None
+    together: str = "all"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Points:
+    """Values in a row.
+
+    Attributes
+    ----------
+    title : str
+        Above the panel.
+    x_label, y_label : str
+        Names and units of the axes.
+    x, y : ndarray, shape (n,)
+        The points.
+    groups : tuple of str
+        Group of each point.
+    """
+
+    title: str
+    x_label: str
+    y_label: str
+    x: NDArray[Any]
+    y: NDArray[Any]
+    groups: tuple[str, ...]
+
+
+def require_plots(what: str) -> None:
+    """Refuse to plot where matplotlib is missing.
+
+    Raises
+    ------
+    MissingExtraError
+        It is not installed.
+    """
+    try:
+        import matplotlib.figure  # noqa: F401
+    except ImportError as error:
+        raise MissingExtraError(what, "matplotlib", "pictures") from error
+
+
+def plot_bars(panels: Sequence[Bars], title: str) -> NDArray[np.uint8]:
+    """Draw counts as bars with their numbers above them, one panel each.
+
+    Returns
+    -------
+    ndarray of uint8, shape (H, W, 3)
+    """
+
+    def fill(figure: Any) -> None:
+        for axes, panel in zip(_axes(figure, len(panels)), panels, strict=True):
+            bars = axes.bar(panel.names, panel.counts, color=hex_of(ACCENTS[0]), width=0.72)
+            axes.bar_label(bars, [f"{count:,}" for count in panel.counts], fontsize=8, padding=2)
+            axes.set_title(panel.title)
+            axes.set_xlabel(panel.label)
+            axes.set_ylabel(panel.unit)
+            axes.set_ylim(0, 1.12 * max([*panel.counts, 1]))
+            axes.yaxis.get_major_locator().set_params(integer=True)
+            axes.tick_params(axis="x", length=0)
+
+    rows = -(-len(panels) // _columns(len(panels)))
+    return _drawn(fill, (4.4 * _columns(len(panels)), 2.9 * rows + 0.4), title)
+
+
+def plot_spreads(panels: Sequence[Spread], title: str) -> NDArray[np.uint8]:
+    """Draw how values spread, one panel each: the share of each group per bin, and its median.
+
+    Returns
+    -------
+    ndarray of uint8, shape (H, W, 3)
+    """
+
+    def fill(figure: Any) -> None:
+        for axes, panel in zip(_axes(figure, len(panels)), panels, strict=True):
+            _fill_spread(axes, panel)
+        names = [name for name, _ in panels[0].groups]
+        if len(names) > 1:
+            handles = figure.axes[0].get_legend_handles_labels()[0][: len(names)]
+            figure.legend(handles, names, loc="outside lower center", ncols=len(names), frameon=False)
+
+    rows = -(-len(panels) // _columns(len(panels)))
+    return _drawn(fill, (4.6 * _columns(len(panels)), 3.0 * rows + 0.6), title)
+
+
+def plot_points(panel: Points, subtitle: str = "") -> NDArray[np.uint8]:
+    """Draw values in a row, each group in a colour of its own.
+
+    Returns
+    -------
+    ndarray of uint8, shape (H, W, 3)
+    """
+
+    def fill(figure: Any) -> None:
+        axes = figure.subplots()
+        names = list(dict.fromkeys(panel.groups))
+        groups = np.array(panel.groups)
+        axes.plot(panel.x, panel.y, color=hex_of(MUTED), linewidth=0.6, alpha=0.5, zorder=1)
+        for place, name in enumerate(names):
+            chosen = groups == name
+            colour, marker = hex_of(ACCENTS[place % len(ACCENTS)]), "osD^v"[place // len(ACCENTS) % 5]
+            axes.scatter(
+                panel.x[chosen], panel.y[chosen], s=16, c=colour, marker=marker, label=name, zorder=2
+            )
+        axes.set_xlabel(panel.x_label)
+        axes.set_ylabel(panel.y_label)
+        axes.set_title(subtitle, fontsize=9, color=hex_of(MUTED))
+        axes.grid(axis="y", color="#e4e7ea", linewidth=0.8)
+        axes.set_axisbelow(True)
+        axes.xaxis.get_major_locator().set_params(integer=True)
+        if any(names):
+            figure.legend(loc="outside right upper", frameon=False, ncols=columns)
+
+    columns = max(1, -(-len(set(panel.groups)) // _GROUPS_IN_COLUMN))
+    return _drawn(fill, (8.6 + _COLUMN_IN * (columns - 1), 4.2), panel.title)
+
+
+def _fill_spread(axes: Any, panel: Spread) -> None:
+    values = np.concatenate([group for _, group in panel.groups])
+    edges = _bin_edges(values)
+    for place, (name, group) in enumerate(panel.groups):
+        colour = hex_of(ACCENTS[place % len(ACCENTS)])
+        shares = 100.0 * np.histogram(group, edges)[0] / max(len(group), 1)
+        axes.stairs(shares, edges, color=colour, linewidth=1.6, label=name)
+        if len(panel.groups) == 1:
+            axes.stairs(shares, edges, color=colour, alpha=0.25, fill=True)
+        if len(group):
+            axes.plot(
+                [np.median(group)] * 2,
+                [0, -0.02],
+                color=colour,
+                linewidth=3,
+                clip_on=False,
+                transform=axes.get_xaxis_transform(),
+                solid_capstyle="butt",
+            )
+    median = np.median(values) if len(values) else math.nan
+    whose = f" of {panel.together}" if len(panel.groups) > 1 else ""
+    axes.set_title(f"{panel.title}: median {median:,.4g}{whose}")
+    axes.set_xlabel(panel.label)
+    axes.set_ylabel(f"% of {panel.unit}")
+    axes.set_ylim(bottom=0)
+    axes.xaxis.set_major_formatter("{x:,.6g}")
+    if panel.limit is not None:
+        axes.axvline(panel.limit[0], color=hex_of(ACCENTS[3]), linestyle="--", linewidth=1.2)
+        axes.annotate(
+            panel.limit[1],
+            (panel.limit[0], 0.80),
+            xycoords=("data", "axes fraction"),
+            xytext=(4, 0),
+            textcoords="offset points",
+            color=hex_of(ACCENTS[3]),
+            fontsize=8,
+        )
+
+
+def _bin_edges(values: NDArray[Any]) -> NDArray[np.float64]:
+    """Return edges of bins of one width: as many as the number of values carries."""
+    if not len(values):
+        return np.array([0.0, 1.0])
+    low, high = float(values.min()), float(values.max())
+    if high <= low:
+        return np.array([low - 0.5, low + 0.5])
+    return np.linspace(low, high, min(_MOST_BINS, max(6, round(2 * len(values) ** (1 / 2)))) + 1)
+
+
+def _columns(panels: int) -> int:
+    return 1 if panels == 1 else 2 if panels in (2, 4) else 3
+
+
+def _axes(figure: Any, panels: int) -> Iterator[Any]:
+    columns = _columns(panels)
+    grid = figure.subplots(-(-panels // columns), columns, squeeze=False)
+    for place, axes in enumerate(grid.flat):
+        if place < panels:
+            yield axes
+        else:
+            axes.remove()
+
+
+def _drawn(fill: Callable[[Any], None], size_in: tuple[float, float], title: str) -> NDArray[np.uint8]:
+    require_plots("a plot")
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    with _style(), warnings.catch_warnings():
+        figure = Figure(figsize=size_in, dpi=_DPI, layout="constrained")
+        canvas = FigureCanvasAgg(figure)
+        # Of letters that the font lacks it draws boxes, and would say so on stderr.
+        warnings.filterwarnings("ignore", message="Glyph .* missing from")
+        _write_title(figure, title)
+        fill(figure)
+        canvas.draw()
+        pixels: NDArray[np.uint8] = np.asarray(canvas.buffer_rgba())[:, :, :3].copy()
+    return pixels
+
+
+def _write_title(figure: Any, title: str) -> None:
+    """Write the heading so that all of it can be seen: smaller where it is long, then in several lines."""
+    text = figure.suptitle(title, x=_TITLE_LEFT, ha="left", fontsize=_TITLE_PT)
+    room_px = (1 - 2 * _TITLE_LEFT) * figure.bbox.width
+    size_pt = max(_LEAST_TITLE_PT, _TITLE_PT * min(1.0, room_px / _width_px(text)))
+    text.set_fontsize(size_pt)
+    letters = len(title)
+    while _width_px(text) > room_px and letters > 1:
+        letters = min(letters - 1, int(letters * room_px / _width_px(text)))
+        text.set_text(textwrap.fill(title, max(letters, 1)))
+
+
+def _width_px(text: Any) -> float:
+    return float(text.get_window_extent().width)
+
+
+@contextmanager
+def _style() -> Iterator[None]:
+    """Draw by our own style whatever a matplotlibrc of this machine says."""
+    import matplotlib.style
+
+    with matplotlib.style.context(["default", _STYLE]):
+        yield

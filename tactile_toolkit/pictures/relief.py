@@ -1,0 +1,94 @@
+"""Small pictures of meshes, without a screen or a plotting library."""
+
+from __future__ import annotations
+
+import base64
+import html
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+if TYPE_CHECKING:
+    from mnist3d.dataset import MeshRecord
+    from tactile_toolkit.mesh.mesh import Mesh
+
+__all__ = ["record_html", "relief", "relief_of"]
+
+_PITCH_M = 0.0002
+
+
+def relief(
+    vertices_m: NDArray[np.floating[Any]], faces: NDArray[np.integer[Any]], pitch_m: float = _PITCH_M
+) -> NDArray[np.uint8]:
+    """Draw a mesh from above in shaded relief.
+
+    Parameters
+    ----------
+    vertices_m : ndarray of float, shape (V, 3)
+        Metres, z towards the viewer.
+    faces : ndarray of int, shape (F, 3)
+        Triangles, counter-clockwise seen from outside.
+    pitch_m : float
+        Side of a pixel.
+
+    Returns
+    -------
+    ndarray of uint8, shape (H, W)
+        255 is empty paper; row 0 is the largest y.
+    """
+    from PIL import Image, ImageDraw
+
+    from tactile_toolkit.pictures.render import doubled_areas, shades
+
+    vertices = np.asarray(vertices_m, np.float64)
+    corners = vertices[np.asarray(faces)]
+    seen = doubled_areas(corners) > 0
+    levels, corners = shades(vertices, np.asarray(faces)[seen]), corners[seen]
+    low, high = vertices_m[:, :2].min(axis=0), vertices_m[:, :2].max(axis=0)
+    width, height = (np.ceil((high - low) / pitch_m).astype(int) + 9).tolist()
+    picture = Image.new("L", (width, height), 255)
+    draw = ImageDraw.Draw(picture)
+    points = (corners[:, :, :2] - low) / pitch_m + 4
+    points[:, :, 1] = height - 1 - points[:, :, 1]
+    # Painter's order: what lies higher is drawn last.
+    for index in np.argsort(corners[:, :, 2].mean(axis=1)):
+        draw.polygon([tuple(point) for point in points[index].tolist()], fill=int(levels[index]))
+    return np.asarray(picture)
+
+
+def relief_of(mesh: Mesh, px_per_mm: float, smoothing: int = 3) -> NDArray[np.uint8]:
+    """Draw a mesh from above with smooth edges: larger first, then averaged.
+
+    Parameters
+    ----------
+    mesh : Mesh
+        Metres.
+    px_per_mm : float
+        Scale of the picture.
+    smoothing : int
+        How many times larger it is drawn.
+
+    Returns
+    -------
+    ndarray of uint8, shape (H, W)
+        As :func:`relief`, with a margin of one to two pixels.
+    """
+    from tactile_toolkit.pictures.render import averaged
+
+    return averaged(relief(mesh.vertices_m, mesh.faces, 1e-3 / (px_per_mm * smoothing)), smoothing)
+
+
+def record_html(record: MeshRecord) -> str:
+    """Return what a notebook shows of a digit: its relief and its figures."""
+    from tactile_toolkit.pictures.writing import png_bytes
+
+    picture = base64.b64encode(png_bytes(relief(record.vertices_m, record.faces))).decode()
+    size_mm = np.ptp(record.vertices_m, axis=0) * 1000
+    facts = (
+        f"digit {record.label}, id {record.id}, writer {record.writer}: "
+        f"{size_mm[0]:.1f} x {size_mm[1]:.1f} x {size_mm[2]:.1f} mm, "
+        f"{record.volume_m3 * 1e9:.0f} mm³, {len(record.faces):,} triangles"
+    )
+    caption = f"<figcaption>{html.escape(facts)}</figcaption>"
+    return f'<figure><img src="data:image/png;base64,{picture}">{caption}</figure>'

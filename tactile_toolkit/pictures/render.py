@@ -1,0 +1,570 @@
+"""Oblique views of solids: with a renderer where there is one, in shaded relief where there is none."""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import json
+import math
+import os
+import struct
+import subprocess
+import sys
+import threading
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from importlib.util import find_spec
+from typing import IO, TYPE_CHECKING, Any, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+if TYPE_CHECKING:
+    from tactile_toolkit.mesh.mesh import Mesh
+
+__all__ = [
+    "Body",
+    "OBLIQUE",
+    "Picture3d",
+    "SAMPLING",
+    "Studio",
+    "TOP",
+    "View",
+    "averaged",
+    "doubled_areas",
+    "face_buffer",
+    "fitting_scale",
+    "main",
+    "receive",
+    "send",
+    "shades",
+]
+
+_LIGHT = np.array([-0.45, 0.55, 0.70])
+"""Where the light comes from: right, up and out of the picture."""
+
+_DARKEST, _RANGE = 60, 180
+_ROWS_AT_ONCE = 1 << 20
+_PIXELS_AT_ONCE = 1 << 20
+_DEPTH_STEPS = 1 << 30
+
+
+@dataclass(frozen=True, slots=True)
+class View:
+    """From where a mesh is looked at, without perspective.
+
+    Attributes
+    ----------
+    azimuth_deg : float
+        How far the viewer has walked around the z axis, counter-clockwise from -y, degrees.
+    elevation_deg : float
+        How high the viewer stands: 90 looks straight down, with x right and y up in the picture.
+    """
+
+    azimuth_deg: float
+    elevation_deg: float
+
+    @property
+    def axes(self) -> NDArray[np.float64]:
+        """Directions right, up and towards the viewer, one a row: shape (3, 3), of length one."""
+        azimuth, elevation = math.radians(self.azimuth_deg), math.radians(self.elevation_deg)
+        towards = np.array(
+            [
+                math.cos(elevation) * math.sin(azimuth),
+                -math.cos(elevation) * math.cos(azimuth),
+                math.sin(elevation),
+            ]
+        )
+        right = np.array([math.cos(azimuth), math.sin(azimuth), 0.0])
+        return np.stack([right, np.cross(towards, right), towards])
+
+    def project(self, points: NDArray[np.floating[Any]]) -> NDArray[np.float64]:
+        """Turn points, shape (n, 3), into right, up and towards the viewer, in the same unit."""
+        return np.asarray(points, np.float64) @ self.axes.T
+
+
+TOP = View(0.0, 90.0)
+"""Straight from above."""
+
+OBLIQUE = View(-25.0, 42.0)
+"""From the front, somewhat left and well above: digits stay readable and show their height."""
+
+
+def averaged(pixels: NDArray[np.uint8], factor: int, paper: int = 255) -> NDArray[np.uint8]:
+    """Return a picture so many times smaller, each pixel the mean of those that it covers.
+
+    Parameters
+    ----------
+    pixels : ndarray of uint8, shape (H, W) or (H, W, 3)
+        The picture; sides that are no multiple of ``factor`` are filled up with ``paper`` first.
+    factor : int
+        How many times smaller.
+    paper : int
+        Level beyond the edge.
+    """
+    height, width = (-(-side // factor) for side in pixels.shape[:2])
+    spread = [(0, height * factor - pixels.shape[0]), (0, width * factor - pixels.shape[1])]
+    whole = np.pad(pixels, [*spread, *[(0, 0)] * (pixels.ndim - 2)], constant_values=paper)
+    blocks = whole.reshape(height, factor, width, factor, *pixels.shape[2:])
+    sums = blocks.sum(axis=(1, 3), dtype=np.uint32)
+    return np.asarray((sums + factor * factor // 2) // (factor * factor), np.uint8)
+
+
+def shades(points: NDArray[np.float64], faces: NDArray[np.integer[Any]]) -> NDArray[np.uint8]:
+    """Return how bright each triangle is, shape (F,), 60 to 240.
+
+    Parameters
+    ----------
+    points : ndarray of float64, shape (V, 3)
+        Right, up and towards the viewer.
+    faces : ndarray of int, shape (F, 3)
+        Triangles. One that faces away is lit as if it did not, so that damaged meshes show something, too.
+    """
+    corners = points[np.asarray(faces)]
+    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    normals *= np.where(normals[:, 2:] < 0, -1.0, 1.0)
+    lengths = np.linalg.norm(normals, axis=1)
+    light = (normals / np.where(lengths > 0, lengths, 1.0)[:, None]) @ _LIGHT
+    return np.asarray(_DARKEST + _RANGE * np.clip(light, 0, 1)).astype(np.uint8)
+
+
+def face_buffer(
+    points: NDArray[np.floating[Any]], faces: NDArray[np.integer[Any]], size: tuple[int, int]
+) -> NDArray[np.int64]:
+    """Find the triangle that is seen at each pixel.
+
+    Parameters
+    ----------
+    points : ndarray, shape (V, 3)
+        Column, row and closeness to the viewer; columns and rows in pixels, 0 at the outer edge of the first.
+    faces : ndarray of int, shape (F, 3)
+        Triangles, either way around.
+    size : tuple of int
+        Width and height of the picture, pixels.
+
+    Returns
+    -------
+    ndarray of int64, shape (height, width)
+        Number of the closest triangle over the middle of each pixel, -1 where there is none; of equally close
+        ones the later.
+    """
+    width, height = size
+    corners = np.asarray(points, np.float64)[np.asarray(faces)]
+    nearest = np.full(width * height, -1, np.int64)
+    if not len(faces):
+        return nearest.reshape(height, width)
+    low, span = corners[:, :, 2].min(), max(float(np.ptp(corners[:, :, 2])), 1e-12)
+    slopes = _depth_slopes(corners)
+    for some in _some_at_once(corners, height):
+        spans = _spans(corners, some, width, height)
+        for triangle, row, column in _pixels(*spans):
+            depth = (
+                slopes[triangle, 0] + slopes[triangle, 1] * (column + 0.5) + slopes[triangle, 2] * (row + 0.5)
+            )
+            steps = np.clip((depth - low) / span * _DEPTH_STEPS, 0, _DEPTH_STEPS).astype(np.int64)
+            # The depth in the upper bits and the triangle in the lower: the largest is the one seen.
+            np.maximum.at(nearest, row * width + column, (steps << 32) | triangle)
+    return np.where(nearest < 0, -1, nearest & 0xFFFFFFFF).reshape(height, width)
+
+
+def doubled_areas(corners: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return twice the area of each triangle as projected along the third axis, shape (F,).
+
+    Parameters
+    ----------
+    corners : ndarray of float64, shape (F, 3, 3)
+        Triangle, corner, axis.
+
+    Returns
+    -------
+    ndarray of float64, shape (F,)
+        Positive where the corners are counter-clockwise with the first axis right and the second up.
+    """
+    one, other = corners[:, 1, :2] - corners[:, 0, :2], corners[:, 2, :2] - corners[:, 0, :2]
+    return np.asarray(one[:, 0] * other[:, 1] - one[:, 1] * other[:, 0])
+
+
+def _some_at_once(corners: NDArray[np.float64], height: int) -> Iterator[NDArray[np.int64]]:
+    """Yield numbers of triangles that have an area, so many that their rows fit in memory."""
+    wanted = np.flatnonzero(doubled_areas(corners) != 0)
+    rows = np.clip(np.ptp(corners[wanted, :, 1], axis=1), 1, height)
+    parts = (np.cumsum(rows) // _ROWS_AT_ONCE).astype(int)
+    yield from np.split(wanted, np.flatnonzero(np.diff(parts)) + 1) if len(wanted) else []
+
+
+def _spans(
+    corners: NDArray[np.float64], some: NDArray[np.int64], width: int, height: int
+) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
+    """Return the runs of pixels whose middles triangles cover: triangle, row, first column, length."""
+    ys = corners[some, :, 1]
+    first = np.clip(np.ceil(ys.min(axis=1) - 0.5), 0, height).astype(np.int64)
+    counts = np.clip(np.floor(ys.max(axis=1) - 0.5).astype(np.int64) + 1, 0, height) - first
+    counts = np.maximum(counts, 0)
+    triangle = np.repeat(some, counts)
+    row = _counted(first, counts)
+    left, right = np.full(len(row), -np.inf), np.full(len(row), np.inf)
+    turn = np.sign(doubled_areas(corners))[triangle]
+    for corner in range(3):
+        start, end = corners[triangle, corner, :2], corners[triangle, (corner + 1) % 3, :2]
+        # On the inner side of the edge: slope * column + rest >= 0.
+        slope = turn * (start[:, 1] - end[:, 1])
+        rest = turn * (end[:, 0] - start[:, 0]) * (row + 0.5 - start[:, 1]) - slope * start[:, 0]
+        with np.errstate(divide="ignore", invalid="ignore"):
+            meets = -rest / slope
+        left = np.maximum(
+            left, np.where(slope > 0, meets, np.where((slope == 0) & (rest < 0), np.inf, -np.inf))
+        )
+        right = np.minimum(right, np.where(slope < 0, meets, np.inf))
+    begin = np.clip(np.ceil(left - 0.5), 0, width).astype(np.int64)
+    length = np.clip(np.floor(right - 0.5) + 1, 0, width).astype(np.int64) - begin
+    kept = length > 0
+    return triangle[kept], row[kept], begin[kept], length[kept]
+
+
+def _pixels(
+    triangle: NDArray[np.int64], row: NDArray[np.int64], begin: NDArray[np.int64], length: NDArray[np.int64]
+) -> Iterator[tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]]:
+    """Yield the pixels of runs, some runs at a time: triangle, row and column of each."""
+    parts = np.cumsum(length) // _PIXELS_AT_ONCE
+    for runs in np.split(np.arange(len(length)), np.flatnonzero(np.diff(parts)) + 1):
+        many = length[runs]
+        yield np.repeat(triangle[runs], many), np.repeat(row[runs], many), _counted(begin[runs], many)
+
+
+def _counted(first: NDArray[np.int64], counts: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Return ``first[0], first[0] + 1, ...`` so many of each, one after another."""
+    ends = np.cumsum(counts)
+    return np.asarray(np.arange(ends[-1] if len(ends) else 0) + np.repeat(first - (ends - counts), counts))
+
+
+def _depth_slopes(corners: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return how close each triangle's plane is: at the origin, and its change per column and row."""
+    one, other = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
+    area = doubled_areas(corners)
+    area = np.where(area == 0, 1.0, area)
+    per_column = (one[:, 2] * other[:, 1] - other[:, 2] * one[:, 1]) / area
+    per_row = (other[:, 2] * one[:, 0] - one[:, 2] * other[:, 0]) / area
+    at_origin = corners[:, 0, 2] - per_column * corners[:, 0, 0] - per_row * corners[:, 0, 1]
+    return np.stack([at_origin, per_column, per_row], axis=1)
+
+
+SAMPLING = 2
+"""Views are drawn so many times larger and averaged: smooth edges that no driver's own way decides."""
+
+_EXTRA = "pip install 'tactile-toolkit[pictures]'"
+_LENGTH = struct.Struct("<q")
+_SECONDS_TO_END = 5.0
+_SECONDS_TO_DRAW = 120.0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Body:
+    """Something to draw.
+
+    Attributes
+    ----------
+    mesh : Mesh
+        Metres.
+    colour : tuple of int
+        Red, green and blue, 0 to 255.
+    lit : bool
+        False draws it in its plain colour.
+    """
+
+    mesh: Mesh
+    colour: tuple[int, int, int]
+    lit: bool = True
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Picture3d:
+    """A picture of bodies, without perspective: lengths along the picture plane keep their scale everywhere.
+
+    Attributes
+    ----------
+    bodies : tuple of Body
+        What stands there.
+    size_px : tuple of int
+        Width and height.
+    px_per_m : float
+        Scale.
+    view : View
+        From where.
+    """
+
+    bodies: tuple[Body, ...]
+    size_px: tuple[int, int]
+    px_per_m: float
+    view: View = OBLIQUE
+
+    @property
+    def centre_m(self) -> NDArray[np.float64]:
+        """What lies in the middle of the picture, shape (2,): right and up, metres."""
+        low, high = _extent_m(self.bodies, self.view)
+        return (low + high) / 2
+
+
+def fitting_scale(bodies: Sequence[Body], size_px: tuple[int, int], view: View = OBLIQUE) -> float:
+    """Return the scale, pixels per metre, at which bodies just fill a picture of some size."""
+    low, high = _extent_m(bodies, view)
+    return float((np.array(size_px) / np.maximum(high - low, 1e-9)).min())
+
+
+class Studio:
+    """Where oblique views are made. Use it as a context: the renderer is a process of its own.
+
+    A graphics driver that is missing or broken ends the process that calls it; here that is a child, and the
+    view is then drawn in shaded relief.
+
+    Parameters
+    ----------
+    renderer : bool
+        False draws in shaded relief only.
+    """
+
+    def __init__(self, renderer: bool = True) -> None:
+        self._wanted = renderer
+        self._child: subprocess.Popen[bytes] | None = None
+        self._reason = ""
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def draw(self, picture: Picture3d) -> tuple[NDArray[np.uint8], tuple[str, ...]]:
+        """Draw bodies.
+
+        Returns
+        -------
+        pixels : ndarray of uint8, shape (H, W, 3)
+            On white paper.
+        notes : tuple of str
+            What there is to say: empty, or that the renderer is not there.
+        """
+        if not self._wanted:
+            return shaded(picture), ()
+        pixels = self._rendered(picture)
+        if pixels is not None:
+            return pixels, ()
+        note = f"the oblique view is in shaded relief: {self._reason}"
+        return shaded(picture), (note,)
+
+    def close(self) -> None:
+        """End the renderer's process."""
+        child, self._child = self._child, None
+        if child is None:
+            return
+        with contextlib.suppress(OSError):
+            _end_of(child.stdin).close()
+        try:
+            child.wait(_SECONDS_TO_END)
+        except subprocess.TimeoutExpired:
+            child.kill()
+            child.wait()
+        _end_of(child.stdout).close()
+
+    def _rendered(self, picture: Picture3d) -> NDArray[np.uint8] | None:
+        if self._reason:
+            return None
+        if find_spec("pyvista") is None:
+            self._reason = f"the package 'pyvista' is not installed; next: {_EXTRA}"
+            return None
+        try:
+            child = self._child = self._child or _start()
+            with _killed_after(child, _SECONDS_TO_DRAW):
+                send(_end_of(child.stdin), *_packed(picture))
+                _, arrays = receive(_end_of(child.stdout))
+        except (OSError, EOFError):
+            self.close()
+            self._reason = (
+                "the renderer ended without a picture; next: install a graphics driver such as libegl1"
+            )
+            return None
+        return averaged(arrays["pixels"], SAMPLING)
+
+
+def shaded(picture: Picture3d) -> NDArray[np.uint8]:
+    """Draw bodies in shaded relief, shape (H, W, 3); the same view that the renderer takes."""
+    points, faces, colours = _joined(picture)
+    width, height = (side * SAMPLING for side in picture.size_px)
+    scale = picture.px_per_m * SAMPLING
+    seen = picture.view.project(points)
+    places = np.empty_like(seen)
+    places[:, :2] = (seen[:, :2] - picture.centre_m) * (scale, -scale) + (width / 2, height / 2)
+    places[:, 2] = seen[:, 2]
+    lit = np.repeat([body.lit for body in picture.bodies], [len(body.mesh.faces) for body in picture.bodies])
+    levels = np.where(lit, shades(seen, faces) / 255.0, 1.0)
+    palette = np.append(np.round(levels[:, None] * colours), [[255, 255, 255]], axis=0).astype(np.uint8)
+    return averaged(palette[face_buffer(places, faces, (width, height))], SAMPLING)
+
+
+def send(stream: IO[bytes], words: dict[str, Any], arrays: dict[str, NDArray[Any]]) -> None:
+    """Write a message of JSON values and arrays to a pipe."""
+    content = io.BytesIO()
+    np.savez(content, allow_pickle=False, **arrays, words=np.frombuffer(json.dumps(words).encode(), np.uint8))
+    stream.write(_LENGTH.pack(content.tell()))
+    stream.write(content.getbuffer())
+    stream.flush()
+
+
+def receive(stream: IO[bytes]) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
+    """Read a message from a pipe.
+
+    Raises
+    ------
+    EOFError
+        The other side is gone.
+    """
+    head = stream.read(_LENGTH.size)
+    if len(head) < _LENGTH.size:
+        raise EOFError
+    (length,) = _LENGTH.unpack(head)
+    content = stream.read(length)
+    if len(content) < length:
+        raise EOFError
+    with np.load(io.BytesIO(content), allow_pickle=False) as loaded:
+        arrays = {name: loaded[name] for name in loaded.files}
+    return json.loads(arrays.pop("words").tobytes()), arrays
+
+
+@contextlib.contextmanager
+def _killed_after(child: subprocess.Popen[bytes], seconds: float) -> Iterator[None]:
+    """End a process that takes longer; whoever reads from it then meets the end of its output."""
+    timer = threading.Timer(seconds, child.kill)
+    timer.start()
+    try:
+        yield
+    finally:
+        timer.cancel()
+        timer.join()
+
+
+def _start() -> subprocess.Popen[bytes]:
+    environment = dict(os.environ)
+    if sys.platform.startswith("linux"):
+        # Without these VTK asks for a screen first, and Mesa for a graphics card.
+        environment.setdefault("VTK_DEFAULT_OPENGL_WINDOW", "vtkEGLRenderWindow")
+        environment.setdefault("LIBGL_ALWAYS_SOFTWARE", "1")
+    command = [sys.executable, "-m", "tactile_toolkit.pictures.render"]
+    # The drivers write to stderr what only they care about.
+    return subprocess.Popen(
+        command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, env=environment
+    )
+
+
+def _packed(picture: Picture3d) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
+    words = {
+        "size_px": [side * SAMPLING for side in picture.size_px],
+        "px_per_m": picture.px_per_m * SAMPLING,
+        "axes": picture.view.axes.tolist(),
+        "centre_m": picture.centre_m.tolist(),
+        "bodies": [{"colour": body.colour, "lit": body.lit} for body in picture.bodies],
+    }
+    arrays: dict[str, NDArray[Any]] = {}
+    for number, body in enumerate(picture.bodies):
+        arrays[f"vertices{number}"] = np.asarray(body.mesh.vertices_m, np.float64)
+        arrays[f"faces{number}"] = np.asarray(body.mesh.faces, np.int64)
+    return words, arrays
+
+
+def _joined(
+    picture: Picture3d,
+) -> tuple[NDArray[np.float64], NDArray[np.int64], NDArray[np.float64]]:
+    counts = np.cumsum([0, *(len(body.mesh.vertices_m) for body in picture.bodies)])
+    points = np.concatenate([np.asarray(body.mesh.vertices_m, np.float64) for body in picture.bodies])
+    faces = [body.mesh.faces + start for body, start in zip(picture.bodies, counts, strict=False)]
+    colours = [np.tile(np.array(body.colour, float), (len(body.mesh.faces), 1)) for body in picture.bodies]
+    return points, np.concatenate(faces).astype(np.int64), np.concatenate(colours)
+
+
+def _extent_m(bodies: Sequence[Body], view: View) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    seen = [view.project(body.mesh.vertices_m)[:, :2] for body in bodies]
+    return np.min([part.min(axis=0) for part in seen], axis=0), np.max([p.max(axis=0) for p in seen], axis=0)
+
+
+def _end_of(stream: IO[bytes] | None) -> IO[bytes]:
+    if stream is None:
+        raise EOFError
+    return stream
+
+
+_AMBIENT, _DIFFUSE, _SPECULAR = 0.22, 0.78, 0.12
+_SHARP_EDGE_DEG = 40.0
+_LIGHTS = (((-0.5, 0.75, 0.9), 0.88), ((0.9, 0.1, 0.6), 0.30))
+"""Direction (right, up, towards the viewer) and strength of the lights; the first is the relief's."""
+
+
+def main() -> None:
+    """Draw until the input ends."""
+    # The drivers may print; whatever they say must not get between the pictures.
+    output, sys.stdout = sys.stdout.buffer, sys.stderr
+    while True:
+        try:
+            words, arrays = receive(sys.stdin.buffer)
+        except EOFError:
+            return
+        _answer(output, words, arrays)
+
+
+def _answer(output: IO[bytes], words: dict[str, Any], arrays: dict[str, NDArray[Any]]) -> None:
+    import pyvista as pv
+
+    plotter = pv.Plotter(off_screen=True, window_size=words["size_px"], lighting="none")
+    plotter.set_background("white")
+    for number, body in enumerate(words["bodies"]):
+        _add(plotter, arrays[f"vertices{number}"], arrays[f"faces{number}"], body)
+    _light(plotter)
+    _aim(plotter, words, np.concatenate([values for name, values in arrays.items() if name[0] == "v"]))
+    pixels = np.array(plotter.screenshot(return_img=True), np.uint8)
+    plotter.close()
+    send(output, {}, {"pixels": pixels[:, :, :3]})
+
+
+def _add(plotter: Any, vertices_m: NDArray[Any], faces: NDArray[Any], body: dict[str, Any]) -> None:
+    import pyvista as pv
+
+    surface = pv.PolyData.from_regular_faces(vertices_m * 1e3, faces)
+    plotter.add_mesh(
+        surface,
+        color=body["colour"],
+        lighting=body["lit"],
+        smooth_shading=body["lit"],
+        split_sharp_edges=body["lit"],
+        feature_angle=_SHARP_EDGE_DEG,
+        ambient=_AMBIENT,
+        diffuse=_DIFFUSE,
+        specular=_SPECULAR,
+        specular_power=12,
+        show_scalar_bar=False,
+    )
+
+
+def _light(plotter: Any) -> None:
+    import pyvista as pv
+
+    for direction, strength in _LIGHTS:
+        light = pv.Light(light_type="camera light", intensity=strength)
+        light.position, light.focal_point = direction, (0.0, 0.0, 0.0)
+        plotter.add_light(light)
+
+
+def _aim(plotter: Any, words: dict[str, Any], points_m: NDArray[Any]) -> None:
+    right, up, towards = np.array(words["axes"])
+    depths = points_m @ towards
+    middle_mm = 1e3 * (
+        words["centre_m"][0] * right + words["centre_m"][1] * up + (depths.min() + depths.max()) / 2 * towards
+    )
+    reach_mm = 1e3 * float(np.ptp(depths)) + 10.0
+    camera = plotter.camera
+    camera.parallel_projection = True
+    camera.focal_point = middle_mm.tolist()
+    camera.position = (middle_mm + towards * reach_mm * 2).tolist()
+    camera.up = up.tolist()
+    camera.parallel_scale = 1e3 * words["size_px"][1] / (2 * words["px_per_m"])
+    camera.clipping_range = (reach_mm * 0.5, reach_mm * 3.5)
+
+
+if __name__ == "__main__":
+    main()

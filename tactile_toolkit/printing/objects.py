@@ -1,0 +1,267 @@
+"""Objects to print: what a row of a data set becomes before it is written."""
+
+from __future__ import annotations
+
+import bisect
+import math
+import re
+import unicodedata
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+from functools import partial
+from typing import TYPE_CHECKING, Any, Protocol, TypeAlias
+
+import numpy as np
+
+from tactile_toolkit.errors import InputError
+from tactile_toolkit.mesh.files import merge_equal_vertices
+from tactile_toolkit.mesh.mesh import Mesh
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from tactile_toolkit.mesh.records import SolidRecord
+    from tactile_toolkit.read.dataset import RecordDataset
+
+__all__ = ["IdChoice", "PrintObject", "Surface", "choose", "parse_ids", "require_scale", "standing"]
+
+_ID_DIGITS = 5
+_UNSAFE = re.compile(r"[^\w+-]+")
+_IDS = re.compile(r"(-?\d{1,20})(?:-(\d{1,20}))?", re.ASCII)
+
+IdChoice: TypeAlias = Sequence[int | tuple[int, int]]
+"""Ids, and first and last ids of ranges."""
+
+
+class Surface(Protocol):
+    """Anything with triangles: a :class:`~tactile_toolkit.mesh.mesh.Mesh` or a stored record."""
+
+    @property
+    def vertices_m(self) -> NDArray[np.floating[Any]]:
+        """Corners, shape (V, 3), metres."""
+        ...
+
+    @property
+    def faces(self) -> NDArray[np.int32]:
+        """Triangles, shape (F, 3)."""
+        ...
+
+
+@dataclass(frozen=True, slots=True)
+class PrintObject:
+    """One object to print.
+
+    Attributes
+    ----------
+    name : str
+        Unique, and fit for a file name: ``printed_test-7-00042``.
+    split, label : str
+        Where it comes from and the name of its class; both may be empty.
+    id : int
+        What its tag shows.
+    load : callable
+        Gives its triangles; called each time that they are needed, so that a thousand objects take no more
+        memory than one. Picklable where worker processes are used.
+    """
+
+    name: str
+    split: str
+    label: str
+    id: int
+    load: Callable[[], Surface]
+
+
+def standing(surface: Surface, scale: float = 1.0) -> Mesh:
+    """Stand an object on the plate in the pose that it has: only its height above the plate changes.
+
+    Parameters
+    ----------
+    surface : Surface
+        Triangles as stored; corners at the very same place are made one, as solids need it.
+    scale : float
+        Factor on all lengths, about the origin.
+
+    Returns
+    -------
+    Mesh
+        Float64, lowest point at z = 0.
+    """
+    vertices_m = np.asarray(surface.vertices_m, np.float64) * scale
+    faces = np.asarray(surface.faces, np.int32)
+    # What names corners that are not there is left as it is: the check of the solid says so.
+    if faces.size and faces.min() >= 0 and faces.max() < len(vertices_m):
+        vertices_m, faces = _merged(vertices_m, faces)
+    if len(vertices_m):
+        vertices_m[:, 2] -= vertices_m[:, 2].min()
+    return Mesh(vertices_m, faces)
+
+
+def _merged(
+    vertices_m: NDArray[np.float64], faces: NDArray[np.int32]
+) -> tuple[NDArray[np.float64], NDArray[np.int32]]:
+    vertices, merged = merge_equal_vertices(vertices_m, faces)
+    return np.asarray(vertices, np.float64), merged
+
+
+def choose(
+    datasets: Iterable[tuple[str, RecordDataset[SolidRecord]]],
+    *,
+    ids: IdChoice | None = None,
+    labels: Sequence[str] | None = None,
+    limit: int | None = None,
+) -> list[PrintObject]:
+    """Choose rows of data sets; no mesh is read.
+
+    Parameters
+    ----------
+    datasets : iterable of (str, RecordDataset)
+        Split and its rows.
+    ids : sequence of int or (int, int), optional
+        Only these rows; a pair stands for all ids from its first to its last that are there.
+    labels : sequence of str, optional
+        Only these classes, by name.
+    limit : int, optional
+        Only the first so many of what is left of each split.
+
+    Returns
+    -------
+    list of PrintObject
+        In the order of the rows.
+
+    Raises
+    ------
+    InputError
+        An id or a class is not there, none of a range of ids is, an id stands twice in a split, or nothing is
+        left.
+    """
+    objects: list[PrintObject] = []
+    ranges = None if ids is None else [entry if isinstance(entry, tuple) else (entry, entry) for entry in ids]
+    seen = np.zeros(len(ranges or ()), bool)
+    for split, rows in datasets:
+        wanted = np.ones(len(rows), bool)
+        if ranges is not None:
+            wanted, found = _within(rows.ids, ranges)
+            seen |= found
+        if labels is not None:
+            wanted &= np.isin(rows.labels, _label_numbers(labels, rows.label_names, split))
+        objects += _objects(split, rows, np.flatnonzero(wanted)[:limit])
+    _require_found(ranges or (), seen)
+    if not objects:
+        message = (
+            "no object is chosen; expected rows of the split with the ids and classes that were asked for"
+        )
+        raise InputError(message)
+    _require_unique(objects)
+    return objects
+
+
+def require_scale(scale: float) -> None:
+    """Refuse a factor that makes nothing to print.
+
+    Raises
+    ------
+    InputError
+        It is not a positive number.
+    """
+    if not (math.isfinite(scale) and scale > 0):
+        message = f"--scale is {scale:g}; expected a positive number such as 1 or 0.5"
+        raise InputError(message)
+
+
+def _objects(split: str, rows: RecordDataset[SolidRecord], positions: NDArray[np.int64]) -> list[PrintObject]:
+    ids, labels = rows.ids, rows.labels
+    return [
+        _object(
+            split, _label_name(rows.label_names, int(labels[row])), int(ids[row]), partial(_row, rows, row)
+        )
+        for row in positions.tolist()
+    ]
+
+
+def _object(split: str, label: str, number: int, load: Callable[[], Surface]) -> PrintObject:
+    name = "-".join(part for part in (_safe(split), _safe(label), f"{number:0{_ID_DIGITS}d}") if part)
+    return PrintObject(name, split, label, number, load)
+
+
+def _row(rows: RecordDataset[SolidRecord], position: int) -> Surface:
+    return rows[position]
+
+
+def _safe(word: str) -> str:
+    # Splits and class names of other people's data sets may hold anything, a slash included. Letters of all
+    # scripts stay, each in one form, as file systems differ in what they make of accents written apart.
+    return _UNSAFE.sub("_", unicodedata.normalize("NFC", word))
+
+
+def _label_name(names: Sequence[str], number: int) -> str:
+    return names[number] if 0 <= number < len(names) else str(number)
+
+
+def _label_numbers(labels: Sequence[str], names: Sequence[str], split: str) -> list[int]:
+    unknown = [label for label in labels if label not in names]
+    if unknown:
+        message = f"no class {unknown[0]!r} in split {split!r}; expected one of {', '.join(names)}"
+        raise InputError(message)
+    return [list(names).index(label) for label in labels]
+
+
+def _within(
+    known: NDArray[np.int64], ranges: Sequence[tuple[int, int]]
+) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+    """Tell which ids are in any range, and which ranges hold any id."""
+    order = np.argsort(known, kind="stable")
+    in_order = known[order]
+    firsts = [bisect.bisect_left(in_order, low) for low, _ in ranges]
+    ends = [bisect.bisect_right(in_order, high) for _, high in ranges]
+    wanted = np.zeros(len(known), bool)
+    for first, end in zip(firsts, ends, strict=True):
+        wanted[order[first:end]] = True
+    return wanted, np.array(ends, np.int64) > np.array(firsts, np.int64)
+
+
+def _require_found(ranges: Sequence[tuple[int, int]], seen: NDArray[np.bool_]) -> None:
+    missing = [pair for pair, there in zip(ranges, seen, strict=True) if not there]
+    if missing:
+        low, high = missing[0]
+        what = f"id {low}" if low == high else f"an id from {low} to {high}"
+        more = f" ({len(missing)} of the ids and ranges are not there)" if len(missing) > 1 else ""
+        message = (
+            f"no object with {what} in what was chosen{more}; next: look at the ids of the split, or name "
+            "another --split"
+        )
+        raise InputError(message)
+
+
+def _require_unique(objects: Sequence[PrintObject]) -> None:
+    names = [item.name for item in objects]
+    if len(set(names)) < len(names):
+        twice = next(name for name in names if names.count(name) > 1)
+        message = (
+            f"two objects would be called {twice!r}: an id stands twice in a split; next: verify the data set"
+        )
+        raise InputError(message)
+
+
+def parse_ids(text: str) -> list[int | tuple[int, int]]:
+    """Read ids such as ``3,17,40-60``.
+
+    Returns
+    -------
+    list of int or (int, int)
+        Ids and, for each range, its first and last one: the ids of a split are scattered, so that most
+        numbers of a range belong to no row.
+
+    Raises
+    ------
+    InputError
+        The text has another form.
+    """
+    numbers: list[int | tuple[int, int]] = []
+    for part in text.split(","):
+        match = _IDS.fullmatch(part.strip())
+        low, high = (int(match[1]), int(match[2] or match[1])) if match is not None else (0, -1)
+        if match is None or high < low:
+            message = f"--ids has {part.strip()!r}; expected numbers and ranges such as 3,17,40-60"
+            raise InputError(message)
+        numbers.append(low if match[2] is None else (low, high))
+    return numbers

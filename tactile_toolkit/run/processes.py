@@ -1,0 +1,178 @@
+"""Who does the work: one process, several, or (later) many machines.
+
+A task is a small picklable value; running it anywhere, any number of times, writes the same bytes. A
+:class:`Runner` therefore only decides where tasks run and repeats those whose worker died.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import multiprocessing
+import os
+import pickle
+import signal
+import sys
+import threading
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
+from concurrent.futures.process import BrokenProcessPool
+from dataclasses import dataclass
+from typing import Protocol, TypeVar
+
+from tactile_toolkit.errors import ToolkitError
+from tactile_toolkit.run.worker import become_worker
+
+__all__ = ["InlineRunner", "ProcessRunner", "Runner", "runner_for"]
+
+T = TypeVar("T")
+R = TypeVar("R")
+
+
+class Runner(Protocol):
+    """Maps a function over tasks."""
+
+    def run(self, function: Callable[[T], R], tasks: Iterable[T]) -> Iterator[R]:
+        """Yield one result per task, in the order in which they finish.
+
+        Closing the iterator early stops the work that is still under way.
+        """
+        ...
+
+
+@dataclass(frozen=True)
+class InlineRunner:
+    """Runs tasks one after another in the calling process."""
+
+    def run(self, function: Callable[[T], R], tasks: Iterable[T]) -> Iterator[R]:
+        """Yield the result of each task in order."""
+        from threadpoolctl import threadpool_limits
+
+        for task in tasks:
+            # As in a worker: small matrix products lose more to threads that wait than they gain.
+            with threadpool_limits(limits=1, user_api="blas"):
+                result = function(task)
+            yield result
+
+
+@dataclass(frozen=True)
+class ProcessRunner:
+    """Runs tasks in local worker processes.
+
+    Parameters
+    ----------
+    workers : int
+        Number of processes.
+    attempts : int
+        How often a task is tried when its worker dies (killed by the system for want of memory, say)
+        before the run gives up. An exception raised by the task itself is never retried.
+    """
+
+    workers: int
+    attempts: int = 3
+
+    def run(self, function: Callable[[T], R], tasks: Iterable[T]) -> Iterator[R]:
+        """Yield results as they finish.
+
+        Raises
+        ------
+        ToolkitError
+            When the worker of one task died ``attempts`` times.
+        """
+        waiting = deque((task, 1) for task in tasks)
+        while waiting:
+            yield from self._run_pool(function, waiting)
+
+    def _run_pool(self, function: Callable[[T], R], waiting: deque[tuple[T, int]]) -> Iterator[R]:
+        """Work in one pool until nothing waits or a worker died; then the lost tasks wait again."""
+        pool = _new_pool(min(self.workers, len(waiting)))
+        main = _main_hidden if _needs_no_main(function, waiting[0][0]) else contextlib.nullcontext
+        running: dict[Future[R], tuple[T, int]] = {}
+        finished = False
+        try:
+            while waiting or running:
+                # Only what the workers hold is submitted, so that a dead worker costs few attempts.
+                while waiting and len(running) < self.workers:
+                    task, attempt = waiting.popleft()
+                    with main():
+                        running[pool.submit(function, task)] = (task, attempt)
+                done, _ = wait(running, return_when=FIRST_COMPLETED)
+                for future in done:
+                    result = future.result()
+                    del running[future]
+                    yield result
+            finished = True
+        except BrokenProcessPool:
+            self._requeue(running, waiting)
+        finally:
+            _close(pool, at_once=not finished)
+
+    def _requeue(self, running: dict[Future[R], tuple[T, int]], waiting: deque[tuple[T, int]]) -> None:
+        for task, attempt in running.values():
+            if attempt >= self.attempts:
+                message = (
+                    f"the worker process died {attempt} times while it made {task}; out of memory is the "
+                    "usual cause; next: run the same command with fewer --workers (finished shards are kept)"
+                )
+                raise ToolkitError(message)
+            waiting.appendleft((task, attempt + 1))
+
+
+def runner_for(workers: int | Runner) -> Runner:
+    """Return a runner as it is, or that for a number of workers; one means the calling process itself."""
+    if not isinstance(workers, int):
+        return workers
+    return InlineRunner() if workers == 1 else ProcessRunner(workers)
+
+
+def _new_pool(workers: int) -> ProcessPoolExecutor:
+    # spawn: workers start clean whatever threads and file handles the caller's notebook holds.
+    context = multiprocessing.get_context("spawn")
+    return ProcessPoolExecutor(workers, mp_context=context, initializer=_prepare_worker)
+
+
+def _needs_no_main(function: object, task: object) -> bool:
+    """Tell whether the work refers to nothing that the caller's own script defines."""
+    return b"__main__" not in pickle.dumps((function, task))
+
+
+@contextlib.contextmanager
+def _main_hidden() -> Iterator[None]:
+    """Start workers without running the caller's script again.
+
+    Spawned processes import the main script; one without an ``if __name__ == "__main__"`` guard, or typed
+    into an interpreter, would fail or start the work anew in each of them. Nothing of ours lives there.
+    """
+    main = sys.modules["__main__"]
+    hidden = {name: vars(main)[name] for name in ("__spec__", "__file__") if name in vars(main)}
+    for name in hidden:
+        setattr(main, name, None)
+    try:
+        yield
+    finally:
+        for name, value in hidden.items():
+            setattr(main, name, value)
+
+
+def _prepare_worker() -> None:
+    # Ctrl-C goes to the whole process group: the parent alone decides what happens to the work.
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    become_worker()
+    parent = multiprocessing.parent_process()
+    if parent is not None:
+        threading.Thread(target=_leave_with, args=(parent,), daemon=True).start()
+
+
+def _leave_with(parent: multiprocessing.process.BaseProcess) -> None:
+    # A parent killed with SIGKILL cannot tell its workers; they must not go on writing into its folder.
+    parent.join()
+    os._exit(1)
+
+
+def _close(pool: ProcessPoolExecutor, *, at_once: bool) -> None:
+    processes = list((pool._processes or {}).values()) if at_once else []
+    pool.shutdown(wait=not at_once, cancel_futures=True)
+    for process in processes:
+        process.kill()
+    for process in processes:
+        process.join()

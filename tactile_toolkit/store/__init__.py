@@ -1,0 +1,1 @@
+"""A data set folder: shards, manifest, making it, resuming, replacing, verifying."""

@@ -1,0 +1,1 @@
+"""Touches as they are stored: schema, JPEG, AVI."""

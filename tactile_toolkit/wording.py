@@ -1,0 +1,60 @@
+"""Numbers with what they count, in words."""
+
+from __future__ import annotations
+
+import numbers
+from collections.abc import Iterable, Mapping
+from typing import Any
+
+__all__ = ["counted", "plain", "plain_number", "plain_pairs"]
+
+_LONG_PLURALS = ("ches", "shes", "sses", "xes")
+
+
+def counted(count: int, things: str) -> str:
+    """Write a number with what it counts: ``1 file``, ``2,000 files``, ``1 touch``."""
+    if count == 1:
+        things = things.removesuffix("es" if things.endswith(_LONG_PLURALS) else "s")
+    return f"{count:,} {things}"
+
+
+def plain(value: Any, kind: type[int] | type[float] = int) -> Any:
+    """Return a value with tuples for all that can be iterated over and Python's numbers for all numbers.
+
+    Parameters
+    ----------
+    value : object
+        What was given: a list, a range, an array, a number of numpy's.
+    kind : type
+        ``float`` where whole numbers mean measures; ``int`` leaves each number of its own kind.
+
+    Returns
+    -------
+    object
+        What is neither a number nor a collection of them comes back as it is, for the checks that follow.
+    """
+    if isinstance(value, (str, bytes, Mapping)):
+        return value
+    # An array without dimensions is a number, although its type can be iterated over.
+    if isinstance(value, Iterable) and getattr(value, "ndim", None) != 0:
+        return tuple(plain(entry, kind) for entry in value)
+    return plain_number(value, kind)
+
+
+def plain_number(value: Any, kind: type[int] | type[float] = int) -> Any:
+    """Return one number as Python's own; see :func:`plain`."""
+    if getattr(value, "ndim", None) == 0:
+        value = value.item()
+    if isinstance(value, bool) or not isinstance(value, numbers.Real):
+        return value
+    if kind is not float and isinstance(value, numbers.Integral):
+        return int(value)
+    try:
+        return float(value)
+    except OverflowError:
+        return value
+
+
+def plain_pairs(values: Any) -> Any:
+    """Return pairs of a name and a number, given as such or as a mapping, as a tuple of tuples."""
+    return plain(values.items() if isinstance(values, Mapping) else values)

@@ -1,0 +1,324 @@
+"""Cards tell the truth: what `datasets` reads in them is what it finds, and a lie is named."""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+
+import datasets
+import pytest
+import yaml
+from datasets.exceptions import (
+    DatasetGenerationError,
+    ExpectedMoreSplitsError,
+    NonMatchingSplitsSizesError,
+)
+from huggingface_hub import DatasetCard, DatasetCardData
+from hypothesis import given
+from hypothesis import strategies as st
+
+from mnist3d.generation import GenerateSpec, generate
+from mnist3d.solid import SolidSpec
+from mnist3d.sources.synthetic import SyntheticSource
+from tactile_toolkit.cards.card import addressed, column_type_text, markdown_table, megabytes, render_card
+from tactile_toolkit.cards.checks import check_card
+from tactile_toolkit.cards.facts import folder_facts
+from tactile_toolkit.cards.features import yaml_features
+from tactile_toolkit.cards.head import size_category
+from tactile_toolkit.cards.pictures import tile_sheet
+from tactile_toolkit.errors import InputError
+from tactile_toolkit.store.folder import DataFolder
+from tactile_toolkit.store.verify import verify
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory) -> Path:
+    """Two splits of digits."""
+    folder = tmp_path_factory.mktemp("cards") / "digits"
+    spec = GenerateSpec(SyntheticSource(), SolidSpec(target_vertices=300), per_class=1)
+    generate(spec, str(folder), ("test", "holdout"))
+    return folder
+
+
+@pytest.fixture
+def folder(made, tmp_path) -> Path:
+    return Path(shutil.copytree(made, tmp_path / "digits"))
+
+
+def head_of(folder: Path) -> dict:
+    return yaml.safe_load((folder / "README.md").read_text().split("---\n")[1])
+
+
+def edit_head(folder: Path, edit: Callable[[dict], None]) -> None:
+    card = folder / "README.md"
+    _, head, body = card.read_text().split("---\n", 2)
+    values = yaml.safe_load(head)
+    edit(values)
+    card.write_text("---\n" + yaml.safe_dump(values, sort_keys=False) + "---\n" + body)
+
+
+def problems(folder: Path) -> list[str]:
+    return [f"{finding.file}: {finding.problem}" for finding in check_card(DataFolder(str(folder)))]
+
+
+def test_the_head_is_what_datasets_itself_writes(made):
+    loaded = datasets.load_dataset(str(made))
+    info = next(iter(loaded.values())).info
+    told = head_of(made)["dataset_info"]
+    assert told["features"] == info._to_yaml_dict()["features"]
+    assert [split["name"] for split in told["splits"]] == ["test", "holdout"]
+    for split in told["splits"]:
+        assert split["num_examples"] == len(loaded[split["name"]]) == 10
+    assert told["download_size"] == sum(file.stat().st_size for file in (made / "data").iterdir())
+    assert told["dataset_size"] == sum(split["num_bytes"] for split in told["splits"])
+
+
+def test_unpacked_bytes_are_those_that_datasets_counts(made, tmp_path):
+    bare = tmp_path / "bare"  # without a card, `datasets` counts for itself
+    shutil.copytree(made / "data", bare / "data")
+    loaded = datasets.load_dataset(str(bare))
+    facts = folder_facts(DataFolder(str(made)))
+    assert {split.split for split in facts.splits} == set(loaded)
+    for split in facts.splits:
+        counted = loaded[split.split].info.splits[split.split].num_bytes
+        assert split.unpacked_bytes == pytest.approx(counted, abs=64)
+
+
+def test_the_hubs_own_classes_read_the_card(made):
+    card = DatasetCard((made / "README.md").read_text())
+    assert isinstance(card.data, DatasetCardData)
+    head = card.data
+    assert (head.license, head.pretty_name, head.size_categories) == ("mit", "MNIST 3D", ["n<1K"])
+    assert head.language is None
+    assert head.configs == [
+        {
+            "config_name": "default",
+            "data_files": [
+                {"split": "test", "path": "data/test-*"},
+                {"split": "holdout", "path": "data/holdout-*"},
+            ],
+        }
+    ]
+    assert head.task_ids
+    assert head.tags
+
+
+def test_a_true_card_has_no_findings(made):
+    assert problems(made) == []
+    assert verify(DataFolder(str(made)), card=True).ok
+
+
+def _drop_split(head: dict) -> None:
+    head["configs"][0]["data_files"].pop()
+
+
+def _wrong_pattern(head: dict) -> None:
+    head["configs"][0]["data_files"][0]["path"] = "data/*"
+
+
+def _more_rows(head: dict) -> None:
+    head["dataset_info"]["splits"][0]["num_examples"] += 1
+
+
+def _further_split(head: dict) -> None:
+    head["dataset_info"]["splits"].append({"name": "train", "num_bytes": 1, "num_examples": 1})
+
+
+def _wrong_column(head: dict) -> None:
+    head["dataset_info"]["features"][0]["dtype"] = "string"
+
+
+def _lost_column(head: dict) -> None:
+    head["dataset_info"]["features"].pop()
+
+
+def _wrong_class(head: dict) -> None:
+    head["dataset_info"]["features"][1]["dtype"]["class_label"]["names"]["3"] = "three"
+
+
+@pytest.mark.parametrize(
+    ("lie", "words"),
+    [
+        (_drop_split, "'configs' name the splits ['test']; the folder has ['holdout', 'test']"),
+        (_wrong_pattern, "'data/*' of split 'test' finds 2 files; its 1 are data/test-00000-of-00001"),
+        (_more_rows, "num_examples of split 'test' is 11, expected 10"),
+        (_further_split, "names split 'train', which the folder does not have"),
+        (_wrong_column, "column 'id' is {'dtype': 'string'} in it, {'dtype': 'int64'} in the data"),
+        (_lost_column, "column 'source' is missing in it, {'dtype': 'string'} in the data"),
+        (_wrong_class, "column 'label' is {'dtype': {'class_label'"),
+        (lambda head: head.pop("dataset_info"), "has no 'dataset_info'"),
+        (lambda head: head.pop("configs"), "'configs' are None; expected one configuration"),
+        (lambda head: head.pop("license"), "has no 'license'"),
+        (lambda head: head.update(size_categories=["n>1T"]), "expected ['n<1K']"),
+        (lambda head: head["dataset_info"].update(download_size=1), "'download_size' is 1, expected"),
+    ],
+)
+def test_a_lie_in_the_head_is_named(folder, lie, words):
+    edit_head(folder, lie)
+    (found,) = [problem for problem in problems(folder) if words in problem]
+    assert found.startswith("README.md: ")
+    assert not verify(DataFolder(str(folder)), card=True).ok
+    assert verify(DataFolder(str(folder))).ok, "the rows are fine"
+
+
+@pytest.mark.parametrize(
+    ("lie", "error"),
+    [
+        (_more_rows, NonMatchingSplitsSizesError),
+        (_further_split, ExpectedMoreSplitsError),
+        (_lost_column, DatasetGenerationError),
+    ],
+)
+def test_datasets_stumbles_over_the_same_lies(folder, lie, error):
+    edit_head(folder, lie)
+    with pytest.raises(error):
+        datasets.load_dataset(str(folder))
+
+
+@pytest.mark.parametrize(
+    ("harm", "file", "words"),
+    [
+        (lambda f: (f / "README.md").unlink(), "README.md", "is missing; next: write it with"),
+        (lambda f: (f / "README.md").write_text("# No head"), "README.md", "has no 'license'"),
+        (lambda f: (f / "README.md").write_text("---\na: [\n---\n"), "README.md", "head cannot be read"),
+        (lambda f: (f / "previews" / "digits.png").unlink(), "previews/digits.png", "README.md shows it"),
+    ],
+)
+def test_what_is_missing_is_named(folder, harm, file, words):
+    harm(folder)
+    assert any(problem.startswith(f"{file}: ") and words in problem for problem in problems(folder))
+
+
+def test_a_damaged_picture_is_named(folder):
+    picture = folder / "previews" / "digits.png"
+    content = bytearray(picture.read_bytes())
+    content[len(content) // 2] ^= 1
+    picture.write_bytes(content)
+    assert problems(folder) == [
+        "previews/digits.png: is not a whole picture; next: write it anew with the command `card`"
+    ]
+
+
+@pytest.mark.parametrize("gap", ["[More Information Needed]", "$rows", "${version}"])
+def test_a_gap_is_named(folder, gap):
+    with (folder / "README.md").open("a") as card:
+        card.write(f"\n{gap}\n")
+    assert ["expected every gap filled" in problem for problem in problems(folder)] == [True]
+
+
+@pytest.mark.parametrize(
+    "text", ["`export HF_HOME=$HOME/hf`", "noise of $sigma$", "$5", "```\necho $seed\n```", "`echo $rows`"]
+)
+def test_honest_dollars_are_no_gap(folder, text):
+    with (folder / "README.md").open("a") as card:
+        card.write(f"\n{text}\n")
+    assert problems(folder) == []
+
+
+def test_pictures_must_be_among_what_lies_beside_the_card(folder):
+    place = DataFolder(str(folder))
+    assert check_card(place, held={"previews/digits.png"}) == []
+    (found,) = check_card(place, held={"README.md"})
+    assert (found.file, "is no part of what is sent" in found.problem) == ("previews/digits.png", True)
+
+
+def test_little_sizes_do_not_read_as_nothing():
+    assert [megabytes(size) for size in (0, 960, 99_999, 100_000, 12_345_678)] == [
+        "0.0 kB",
+        "1.0 kB",
+        "100.0 kB",
+        "0.10 MB",
+        "12.35 MB",
+    ]
+
+
+def test_a_template_without_a_value_is_an_error():
+    with pytest.raises(KeyError, match="rows"):
+        render_card("mnist3d.md", {})
+
+
+def test_a_folder_without_rows_has_no_facts(tmp_path):
+    with pytest.raises(InputError, match="holds no Parquet files; next:"):
+        folder_facts(DataFolder(str(tmp_path)))
+
+
+def test_the_card_takes_another_name(made):
+    card = (made / "README.md").read_text()
+    named = addressed(card, "someone/digits")
+    assert card.count('"FOLDER"') == named.count('"someone/digits"') == 3
+    assert '"FOLDER"' not in named
+    assert addressed(named, "other/name") == addressed(card, "other/name")
+    assert addressed("no code here", "other/name") == "no code here"
+
+
+@given(st.integers(0, 10**15))
+def test_size_categories_are_the_hubs(rows):
+    name = size_category(rows)
+    bounds = {"K": 10**3, "M": 10**6, "B": 10**9, "T": 10**12}
+
+    def number(text: str) -> int:
+        return int(text[:-1]) * bounds[text[-1]]
+
+    parts = name.split("n")
+    low = number(parts[0].rstrip("<")) if parts[0] else (number(parts[1][1:]) if parts[1][0] == ">" else 0)
+    high = number(parts[1][1:]) if parts[1].startswith("<") else 10**18
+    assert low <= rows < high
+
+
+FEATURES = {
+    "plain": datasets.Value("int64"),
+    "dotted.name": datasets.List(datasets.List(datasets.Value("float32"), length=3)),
+    "fixed": datasets.List(datasets.List(datasets.Value("float64"), length=4), length=5),
+    "text": datasets.List(datasets.Value("string")),
+    "pictures": datasets.List(datasets.Image(), length=2),
+    "clips": datasets.List(datasets.Video()),
+    "objects": datasets.List({"shape": datasets.Value("string"), "x_m": datasets.Value("float64")}),
+    "inside": {"a": datasets.Value("bool"), "b": {"c": datasets.ClassLabel(names=["x", "y"])}},
+    "when": datasets.Value("duration[us]"),
+}
+
+
+@pytest.mark.parametrize("name", FEATURES)
+def test_features_are_spelt_as_datasets_spells_them(name):
+    features = datasets.Features({name: FEATURES[name]})
+    assert yaml_features(features.arrow_schema) == features._to_yaml_list()
+    assert datasets.Features._from_yaml_list(yaml_features(features.arrow_schema)) == features
+
+
+@pytest.mark.parametrize(
+    ("entry", "text"),
+    [
+        ({"dtype": "int64"}, "int64"),
+        ({"list": {"list": "float32", "length": 3}}, "list of float32[3]"),
+        ({"list": {"list": "float64", "length": 2}, "length": 5}, "float64[2][5]"),
+        ({"list": {"list": {"list": "int8"}}, "length": 5}, "(list of list of int8)[5]"),
+        ({"dtype": {"class_label": {"names": {"0": "a", "1": "b"}}}}, "ClassLabel: a, b"),
+        ({"list": [{"name": "x"}, {"name": "y"}]}, "list of struct of x, y"),
+    ],
+)
+def test_types_for_people(entry, text):
+    assert column_type_text(entry) == text
+
+
+def test_tables_keep_their_columns():
+    table = markdown_table(("a", "b"), [("x|y", 1)])
+    assert table.splitlines() == ["| a | b |", "| --- | --- |", "| x\\|y | 1 |"]
+
+
+def test_tiles_stand_in_the_middle_of_equal_cells():
+    from PIL import Image
+
+    sheet = tile_sheet([Image.new("L", (10, 20)), Image.new("L", (30, 10)), Image.new("L", (30, 20))], 2)
+    assert sheet.size == (2 * 38 + 8, 2 * 28 + 8)
+    assert sheet.getpixel((8 + 15, 8 + 10)) == (0, 0, 0)
+    assert sheet.getpixel((8 + 2, 8 + 10)) == (255, 255, 255), "left of the narrow one is paper"
+
+
+def test_the_same_rows_give_the_same_picture_and_card(made, tmp_path):
+    again = tmp_path / "again"
+    spec = GenerateSpec(SyntheticSource(), SolidSpec(target_vertices=300), per_class=1)
+    generate(spec, str(again), ("holdout",))
+    generate(spec, str(again), ("test",))
+    for path in ("README.md", "previews/digits.png"):
+        assert (again / path).read_bytes() == (made / path).read_bytes()

@@ -1,0 +1,289 @@
+"""Downloads against a real server: what is sent, what is kept, and that nothing damaged is handed out."""
+
+from __future__ import annotations
+
+import signal
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from tactile_toolkit.catalog.locate import find_shards
+from tactile_toolkit.errors import IntegrityError
+from tactile_toolkit.run.processes import InlineRunner
+from tactile_toolkit.store.build import build
+from tactile_toolkit.store.folder import DataFolder
+from tactile_toolkit.store.verify import verify
+from tests.hub_server import HubServer
+from tests.tactile_toolkit.hub.client import settings, start_python
+from tests.tactile_toolkit.hub.sets import (
+    BIG,
+    CONTENT,
+    FULL,
+    NAME,
+    SHARD,
+    big_parquet,
+    fetch,
+    script,
+    two_sets,
+)
+from tests.tactile_toolkit.toy import SCHEMA, folder_bytes, toy_plan
+
+RECORD = ".download.json"
+
+
+@pytest.fixture
+def server(tmp_path) -> Iterator[HubServer]:
+    with two_sets(tmp_path / "root") as running:
+        yield running
+
+
+def stages(home: Path) -> list[Path]:
+    return list(home.rglob("*.incomplete"))
+
+
+def test_a_split_in_a_folder_is_a_data_set_of_its_own(server, tmp_path):
+    out = tmp_path / "part"
+    place, missing, leftover, done = fetch(server, tmp_path, script(NAME, "test", out=out))
+    shards = [f"data/test-0000{index}-of-00002.parquet" for index in range(2)]
+    assert (place, leftover, done) == (str(out), [], False)
+    assert sorted(missing) == [*shards, "reports/toy.parquet"]
+    assert sorted(path for path in server.fetched if path != "manifest.json") == sorted(missing)
+    result = verify(DataFolder(str(out)), SCHEMA)
+    assert result.ok, result.findings
+    assert result.rows == 9
+    assert len(find_shards(str(out), "test")) == 2
+    assert folder_bytes(out)[shards[0]] == folder_bytes(server.root / NAME)[shards[0]]
+
+
+def test_again_does_nothing_and_another_split_makes_the_whole(server, tmp_path):
+    out = tmp_path / "part"
+    fetch(server, tmp_path, script(NAME, "test", out=out))
+    before, state = len(server.fetched), folder_bytes(out)
+    assert fetch(server, tmp_path, script(NAME, "test", out=out))[3] is True
+    assert len(server.fetched) == before
+    assert folder_bytes(out) == state
+    assert len(fetch(server, tmp_path, script(NAME, "train", out=out))[1]) == 4
+    whole = folder_bytes(out)
+    del whole[RECORD]
+    assert whole == folder_bytes(server.root / NAME)
+
+
+def test_only_what_was_downloaded_and_is_gone_on_the_hub_is_removed(server, tmp_path):
+    out = tmp_path / "out"
+    fetch(server, tmp_path, script(out=out))
+    (out / "notes.txt").write_text("mine")
+    (server.root / NAME / "reports" / "toy.parquet").unlink()
+    build(DataFolder(str(server.root / NAME)), toy_plan(spec={"seed": 2}), InlineRunner(), overwrite=True)
+    (server.root / NAME / "reports" / "toy.parquet").rename(server.root / NAME / "reports" / "new.parquet")
+    _, missing, leftover, _ = fetch(server, tmp_path, script(out=out))
+    assert leftover == ["reports/toy.parquet"]
+    assert missing == ["reports/new.parquet"], "shards whose bytes are the same were fetched again"
+    assert sorted(path.name for path in (out / "reports").iterdir()) == ["new.parquet"]
+    assert (out / "notes.txt").read_text() == "mine"
+    assert (out / "manifest.json").read_bytes() == (server.root / NAME / "manifest.json").read_bytes()
+
+
+def test_a_revision(server, tmp_path):
+    first = server.repository(BIG).head.sha
+    server.repository(BIG).tags["v1"] = first
+    other = big_parquet(1)
+    server.repository(BIG).commit({SHARD: server.repository(BIG).blob(SHARD, other)}, "other")
+    out = tmp_path / "out"
+    for revision, content in (("v1", CONTENT), ("main", other), (first, CONTENT)):
+        fetch(server, tmp_path, script(BIG, out=out, revision=revision))
+        assert (out / SHARD).read_bytes() == content
+    code, kind, words = fetch(server, tmp_path, script(BIG, out=out, revision="v2"))
+    assert (code, kind) == (4, "HubError")
+    assert "has no revision 'v2'" in words
+    assert (out / SHARD).read_bytes() == CONTENT
+
+
+def test_another_data_set_is_not_overwritten(server, tmp_path):
+    own = tmp_path / "own"
+    build(DataFolder(str(own)), toy_plan(spec={"seed": 3}), InlineRunner())
+    before = folder_bytes(own)
+    code, kind, words = fetch(server, tmp_path, script(out=own))
+    assert (code, kind) == (2, "SpecMismatchError")
+    assert "holds a data set of another origin" in words
+    assert "--out" in words
+    out = tmp_path / "out"
+    fetch(server, tmp_path, script(BIG, out=out))
+    assert "a download of 'someone/big'" in fetch(server, tmp_path, script(out=out))[2]
+    assert folder_bytes(own) == before
+
+
+def test_a_damaged_file_of_the_folder_is_fetched_again(server, tmp_path):
+    out = tmp_path / "out"
+    fetch(server, tmp_path, script(out=out))
+    shard = out / "data" / "train-00002-of-00004.parquet"
+    content = bytearray(shard.read_bytes())
+    content[50] ^= 1
+    shard.write_bytes(content)
+    assert fetch(server, tmp_path, script(out=out))[1] == ["data/train-00002-of-00004.parquet"]
+    assert verify(DataFolder(str(out)), SCHEMA).ok
+
+
+def test_unknown_splits_are_named(server, tmp_path):
+    code, kind, words = fetch(server, tmp_path, script(NAME, "trian", out=tmp_path / "out"))
+    assert (code, kind) == (2, "InputError")
+    assert "no split 'trian' in 'someone/toy': it has" in words
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize("to_folder", [False, True])
+def test_a_killed_download_goes_on_where_it_stopped(server, tmp_path, to_folder):
+    out = tmp_path / "out" if to_folder else None
+    server.faults.stall(f"*/{SHARD}", after=1_500_000)
+    with start_python(script(BIG, out=out), settings(server, tmp_path), tmp_path) as process:
+        assert server.faults.stalled.wait(60)
+        arrived = _settled(tmp_path)
+        process.send_signal(signal.SIGKILL)
+        process.communicate()
+    server.faults.released.set()
+    assert arrived == 1_500_000
+    if out is not None:
+        assert not (out / SHARD).exists(), "a half file stands under the name of a whole one"
+    place = Path(fetch(server, tmp_path, script(BIG, out=out))[0])
+    assert (place / SHARD).read_bytes() == CONTENT
+    first, second = server.content_requests(SHARD)
+    assert (first.range, second.range) == (None, f"bytes={arrived}-")
+    assert second.sent == len(CONTENT) - arrived
+    assert not stages(tmp_path)
+
+
+def _settled(home: Path) -> int:
+    """Return the size of the stage file once all that was sent has arrived."""
+    deadline = time.monotonic() + 120
+    size = -1
+    while time.monotonic() < deadline and size < 1_500_000:
+        size = max((file.stat().st_size for file in stages(home)), default=-1)
+        time.sleep(0.02)
+    return size
+
+
+def test_an_interrupted_folder_is_not_taken_for_a_data_set(server, tmp_path):
+    out = tmp_path / "out"
+    server.faults.fail("*/data/train-00002*", 503, times=99)
+    code, kind, words = fetch(server, tmp_path, script(NAME, "train", out=out))
+    assert (code, kind) == (4, "HubError")
+    assert "it answered 503 (tried 3 times)" in words
+    assert len(list((out / "data").iterdir())) == 2
+    assert not verify(DataFolder(str(out)), SCHEMA).ok
+    with pytest.raises(IntegrityError, match="not finished"):
+        find_shards(str(out), "train")
+    server.faults.clear()
+    assert len(fetch(server, tmp_path, script(NAME, "train", out=out))[1]) == 2
+    assert verify(DataFolder(str(out)), SCHEMA).ok
+
+
+@pytest.mark.parametrize("reset", [False, True])
+def test_a_broken_connection_is_gone_on_with(server, tmp_path, reset):
+    for after in (1_000_000, 1_200_000):
+        server.faults.drop(f"*/{SHARD}", after=after, reset=reset)
+    place = Path(fetch(server, tmp_path, script(BIG))[0])
+    assert (place / SHARD).read_bytes() == CONTENT
+    begins = [int((r.range or "bytes=0-")[6:-1]) for r in server.content_requests(SHARD)]
+    assert begins == sorted(begins)
+    if not reset:  # a reset may throw away what was on its way
+        assert begins == [0, 1_000_000, 2_200_000]
+
+
+def test_an_answer_cut_short_is_completed(server, tmp_path):
+    server.faults.truncate(f"*/{SHARD}", at=2_000_000)
+    place = Path(fetch(server, tmp_path, script(BIG))[0])
+    assert (place / SHARD).read_bytes() == CONTENT
+    assert server.content_requests(SHARD)[1].range == "bytes=2000000-"
+
+
+@pytest.mark.parametrize("kept_in_git", [False, True])
+def test_a_flipped_byte_is_repaired(server, tmp_path, kept_in_git):
+    files = {"README.md": b"#", SHARD: CONTENT}
+    if kept_in_git:
+        repository = server.create("someone/big")
+        repository.lfs_suffixes = frozenset()
+        repository.commit({path: repository.blob(path, text) for path, text in files.items()}, "in git")
+        assert not repository.head.files[SHARD].is_lfs
+    server.faults.corrupt(f"*/{SHARD}", at=123_456)
+    place = Path(fetch(server, tmp_path, script(BIG))[0])
+    assert (place / SHARD).read_bytes() == CONTENT
+    assert [request.sent for request in server.content_requests(SHARD)] == [len(CONTENT)] * 2
+
+
+@pytest.mark.parametrize("to_folder", [False, True])
+def test_a_byte_flipped_twice_is_an_error_and_leaves_nothing(server, tmp_path, to_folder):
+    out = tmp_path / "out" if to_folder else None
+    server.faults.corrupt(f"*/{SHARD}", at=123_456, times=2)
+    code, kind, words = fetch(server, tmp_path, script(BIG, out=out))
+    assert (code, kind) == (3, "IntegrityError")
+    assert f"{SHARD!r} of Hub data set {BIG!r} arrived damaged twice" in words
+    assert not [file for file in tmp_path.rglob("*") if file.is_file() and file.stat().st_size > 1_000_000]
+    assert Path(fetch(server, tmp_path, script(BIG, out=out))[0], SHARD).read_bytes() == CONTENT
+
+
+def test_a_full_disk_is_named_and_what_arrived_counts(server, tmp_path):
+    code, kind, words = fetch(server, tmp_path, script(BIG, before=FULL))
+    assert (code, kind) == (4, "StorageError"), "a download that did not come to its end"
+    assert "no space is left" in words
+    place = Path(fetch(server, tmp_path, script(BIG))[0])
+    assert (place / SHARD).read_bytes() == CONTENT
+    assert server.content_requests(SHARD)[1].range == "bytes=1000000-"
+
+
+def test_offline(server, tmp_path):
+    (tmp_path / "other").mkdir()
+    out, nowhere = tmp_path / "out", "http://127.0.0.1:9"
+    fetch(server, tmp_path, script(NAME, "test"))
+    fetch(server, tmp_path, script(BIG, out=out))
+    for more in ({}, {"HF_HUB_OFFLINE": "1"}):
+        assert fetch(nowhere, tmp_path, script(NAME, "test"), **more)[3] is True
+        assert fetch(nowhere, tmp_path, script(BIG, out=out), **more)[3] is True
+        code, kind, words = fetch(nowhere, tmp_path, script(NAME, "train"), **more)
+        assert (code, kind) == (4, "HubError")
+        assert (
+            "'data/train-00000-of-00004.parquet' of Hub data set 'someone/toy' is not in the cache" in words
+        )
+        code, kind, words = fetch(nowhere, tmp_path / "other", script(BIG), **more)
+        assert (code, kind) == (4, "HubError")
+        assert "is not in the cache as far as asked for" in words
+    assert "HF_HUB_OFFLINE" in words
+
+
+def test_a_file_system_without_links(server, tmp_path):
+    before = "from huggingface_hub import constants; constants.HF_HUB_DISABLE_SYMLINKS = True\n"
+    place = Path(fetch(server, tmp_path, script(BIG, before=before))[0])
+    assert (place / SHARD).read_bytes() == CONTENT
+    assert not (place / SHARD).is_symlink()
+    count = len(server.fetched)
+    assert fetch(server, tmp_path, script(BIG, before=before))[3] is True
+    assert fetch("http://127.0.0.1:9", tmp_path, script(BIG, before=before))[3] is True
+    assert len(server.fetched) == count
+
+
+def test_a_hub_in_trouble_does_not_stop_who_has_all(server, tmp_path):
+    fetch(server, tmp_path, script(NAME))
+    server.faults.fail("/api/*", 503, times=1)
+    assert fetch(server, tmp_path, script(NAME))[3] is True
+
+
+def test_private_and_gated(server, tmp_path):
+    token, stranger = server.account("someone"), server.account("else")
+    server.repository(BIG).private = True
+    assert "is private" in fetch(server, tmp_path, script(BIG))[2]
+    out = tmp_path / "out"
+    assert fetch(server, tmp_path, script(BIG, out=out), token)[0] == str(out)
+    server.repository(BIG).private, server.repository(BIG).gated = False, "auto"
+    assert "is gated" in fetch(server, tmp_path, script(BIG), stranger)[2]
+    server.repository(BIG).granted.add("else")
+    assert Path(fetch(server, tmp_path, script(BIG), stranger)[0], SHARD).read_bytes() == CONTENT
+    assert {r.user for r in server.requests if r.path.startswith("/cdn/")} == {None}
+    for file in [file for file in tmp_path.rglob("*") if file.is_file()]:
+        assert token.encode() not in file.read_bytes(), file
+        assert stranger.encode() not in file.read_bytes(), file
+
+
+def test_a_bad_token_is_named_even_for_what_is_public(server, tmp_path):
+    code, _, words = fetch(server, tmp_path, script(BIG), "hf_NobodyHasThisToken0000")
+    assert code == 4
+    assert "the Hub does not know the token (HF_TOKEN)" in words

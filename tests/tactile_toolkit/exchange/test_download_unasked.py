@@ -1,0 +1,137 @@
+"""Downloads while the Hub cannot be asked: what the cache does not list may well be there, and stays."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from tactile_toolkit.store.folder import DataFolder
+from tactile_toolkit.store.origin import read_record
+from tactile_toolkit.store.verify import verify
+from tests.hub_server import HubServer
+from tests.tactile_toolkit.hub.sets import NAME, big_parquet, fetch, script, two_sets
+from tests.tactile_toolkit.toy import SCHEMA, folder_bytes
+
+BARE = "someone/bare"
+TEST, TRAIN = (f"data/{split}-00000-of-00001.parquet" for split in ("test", "train"))
+NOWHERE = "http://127.0.0.1:9"
+OFFLINE = {"HF_HUB_OFFLINE": "1"}
+
+
+@pytest.fixture
+def server(tmp_path) -> Iterator[HubServer]:
+    with two_sets(tmp_path / "root") as running:
+        files = {"README.md": b"# Bare", TEST: big_parquet(1)[:9_000], TRAIN: big_parquet(2)[:9_000]}
+        running.create(BARE, files)
+        yield running
+
+
+@pytest.fixture
+def out(server, tmp_path) -> Path:
+    """A folder with both splits, while the cache has one of them."""
+    fetch(server, tmp_path, script(BARE, "test"))
+    fetch(server, tmp_path, script(BARE, out=tmp_path / "out"))
+    return tmp_path / "out"
+
+
+def flip_a_byte(file: Path) -> None:
+    content = bytearray(file.read_bytes())
+    content[500] ^= 1
+    file.write_bytes(content)
+
+
+@pytest.mark.parametrize("more", [{}, OFFLINE])
+@pytest.mark.parametrize("damage", ["README.md", TEST])
+def test_what_the_cache_has_is_mended_and_the_rest_stays(out, tmp_path, more, damage):
+    before = folder_bytes(out)
+    (out / damage).unlink()
+    place, missing, leftover, _ = fetch(NOWHERE, tmp_path, script(BARE, out=out), **more)
+    assert (place, leftover) == (str(out), [])
+    assert missing == ([TEST] if damage == TEST else [])
+    assert folder_bytes(out) == before
+
+
+@pytest.mark.parametrize("more", [{}, OFFLINE])
+def test_what_the_cache_lacks_is_named_before_anything_is_touched(out, tmp_path, more):
+    (out / "README.md").unlink()
+    flip_a_byte(out / TRAIN)
+    before = folder_bytes(out)
+    code, kind, words = fetch(NOWHERE, tmp_path, script(BARE, out=out), **more)
+    assert (code, kind) == (4, "HubError")
+    assert f"{TRAIN!r} of Hub data set {BARE!r} is not in the cache" in words
+    assert folder_bytes(out) == before
+
+
+def test_nothing_of_a_set_of_ours_is_lost(server, tmp_path):
+    out = tmp_path / "toy"
+    fetch(server, tmp_path, script(NAME, out=out))
+    flip_a_byte(out / "data" / "train-00000-of-00004.parquet")
+    before = folder_bytes(out)
+    assert fetch(server, tmp_path, script(NAME, out=out), **OFFLINE)[0] == 4
+    assert folder_bytes(out) == before
+    assert fetch(server, tmp_path, script(NAME, out=out))[1] == ["data/train-00000-of-00004.parquet"]
+    assert verify(DataFolder(str(out)), SCHEMA).ok
+
+
+def test_a_hub_in_trouble_is_waited_for_where_the_cache_is_not_enough(server, out, tmp_path):
+    before = folder_bytes(out)
+    flip_a_byte(out / TRAIN)
+    server.faults.fail("/api/datasets/*", 503, times=2)
+    _, missing, leftover, _ = fetch(server, tmp_path, script(BARE, out=out))
+    assert (missing, leftover) == ([TRAIN], [])
+    assert folder_bytes(out) == before
+    server.faults.fail("/api/datasets/*", 503, times=1)
+    _, missing, _, _ = fetch(server, tmp_path, script(BARE))
+    assert missing == [TRAIN], "the splits of the cache were taken for all"
+
+
+def test_another_name_of_the_same_commit_is_no_other_data_set(server, out, tmp_path):
+    before = folder_bytes(out)
+    server.faults.fail("/api/datasets/*", 503, times=99)
+    assert fetch(server, tmp_path, script(BARE, out=out, revision=None))[3] is True
+    server.faults.clear()
+    fetch(server, tmp_path, script(BARE, "test", revision="main"))
+    _, missing, leftover, _ = fetch(server, tmp_path, script(BARE, out=out, revision="main"), **OFFLINE)
+    assert (missing, leftover) == ([], [])
+    assert {**folder_bytes(out), ".download.json": b""} == {**before, ".download.json": b""}
+
+
+def test_a_commit_that_the_cache_does_not_know_is_left_alone(server, out, tmp_path):
+    repository = server.repository(BARE)
+    repository.commit({TEST: repository.blob(TEST, big_parquet(3)[:9_000])}, "newer")
+    fetch(server, tmp_path, script(BARE, "test"))
+    (out / "README.md").unlink()
+    before = folder_bytes(out)
+    code, _, words = fetch(NOWHERE, tmp_path, script(BARE, out=out))
+    assert code == 4
+    assert "holds, of Hub data set" in words
+    assert folder_bytes(out) == before
+
+
+def test_a_download_whose_card_did_not_arrive_is_not_done(server, tmp_path):
+    out = tmp_path / "toy"
+    fetch(server, tmp_path, script(NAME, out=out))
+    repository = server.repository(NAME)
+    repository.commit({"README.md": repository.blob("README.md", b"# Newer")}, "words")
+    server.faults.fail("*/README.md", 503, times=99)
+    assert fetch(server, tmp_path, script(NAME, out=out))[0] == 4
+    server.faults.clear()
+    record = read_record(DataFolder(str(out)))
+    assert record is not None
+    assert not record.finished
+    assert fetch(server, tmp_path, script(NAME, out=out))[3] is False
+    assert (out / "README.md").read_bytes() == b"# Newer"
+    assert fetch(server, tmp_path, script(NAME, out=out))[3] is True
+
+
+@pytest.mark.parametrize("name", ["README.md", "LICENSE", "previews/mine.png"])
+def test_a_folder_of_somebody_is_refused(server, tmp_path, name):
+    own = tmp_path / "project"
+    (own / name).parent.mkdir(parents=True)
+    (own / name).write_text("mine")
+    code, kind, words = fetch(server, tmp_path, script(NAME, out=own))
+    assert (code, kind) == (2, "InputError")
+    assert "is not empty" in words
+    assert folder_bytes(own) == {name: b"mine"}

@@ -1,0 +1,411 @@
+"""Uploads to a real server: only what is missing is sent, and what arrived is proved."""
+
+from __future__ import annotations
+
+import hashlib
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path, PurePosixPath
+
+import pytest
+
+from starstruck_gen.generation import GenerateSpec, generate
+from tactile_toolkit.errors import HubError, InputError, IntegrityError
+from tactile_toolkit.exchange.upload import UploadOptions, prepare_upload, run_upload
+from tactile_toolkit.store.folder import DataFolder
+from tactile_toolkit.store.manifest import read_manifest
+from tests.hub_server import HubServer, hub
+from tests.tactile_toolkit.exchange.upload_client import logged_in
+from tests.tactile_toolkit.hub.client import run_here, settings
+
+NAME = "someone/stars"
+
+pytestmark = pytest.mark.filterwarnings(
+    "ignore:Use 'content=<...>':DeprecationWarning"  # of the client's own making, in every PUT
+)
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory) -> Path:
+    """Three shards of train, one of test: 2,010 and 9 scenes."""
+    folder = tmp_path_factory.mktemp("upload") / "stars"
+    generate(GenerateSpec(scenes=(("train", 2_010), ("test", 9))), str(folder))
+    return folder
+
+
+@pytest.fixture
+def folder(made, tmp_path) -> Path:
+    return Path(shutil.copytree(made, tmp_path / "stars"))
+
+
+@pytest.fixture
+def server(monkeypatch) -> Iterator[HubServer]:
+    with hub() as running, logged_in(running, running.account("someone"), monkeypatch):
+        yield running
+
+
+def upload(folder: Path, name: str = NAME, **options: object):
+    return run_upload(prepare_upload(str(folder), name, UploadOptions(**options)))  # type: ignore[arg-type]
+
+
+def sent_objects(server: HubServer) -> list[str]:
+    return [request.path.rpartition("/")[2] for request in server.requests if request.method == "PUT"]
+
+
+def shards_read(server: HubServer, home: Path) -> list[str]:
+    script = (
+        "from tactile_toolkit.catalog.locate import find_shards\n"
+        f"print(*(shard.path for shard in find_shards({NAME!r}, 'train', streaming=True)))"
+    )
+    return run_here(script, settings(server, home), home).stdout.split()
+
+
+def shards_of(folder: Path) -> dict[str, str]:
+    return {f"data/{file.name}": _sha256(file) for file in sorted((folder / "data").iterdir())}
+
+
+def _sha256(file: Path) -> str:
+    return hashlib.sha256(file.read_bytes()).hexdigest()
+
+
+def assert_holds(server: HubServer, folder: Path, name: str = NAME, revision: str = "main") -> None:
+    """Everything of the folder is there byte for byte, with the name of the repository in the card."""
+    held = server.repository(name).find(revision)
+    assert held is not None
+    expected = {f.relative_to(folder).as_posix(): f.read_bytes() for f in folder.rglob("*") if f.is_file()}
+    expected["README.md"] = expected["README.md"].replace(b'"FOLDER"', f'"{name}"'.encode())
+    assert {path: blob.content for path, blob in held.files.items() if path in expected} == expected
+
+
+def test_everything_arrives_once_and_then_nothing_is_sent(server, folder):
+    first = upload(folder)
+    assert_holds(server, folder)
+    assert first.commit == server.repository(NAME).head.sha
+    assert set(first.sent) == set(server.repository(NAME).head.files)
+    assert first.tags == ("schema-1",)
+    assert server.repository(NAME).tags == {"schema-1": first.commit}
+    server.requests.clear()
+    again = upload(folder)
+    assert (again.commit, again.sent, again.removed, again.tags) == (first.commit, (), (), ())
+    assert {request.method for request in server.requests} == {"GET"}
+    assert len(server.repository(NAME).history) == 2, "the first commit and ours"
+
+
+def test_only_what_changed_is_sent(server, folder):
+    upload(folder)
+    (folder / "previews" / "scenes.png").unlink()
+    with (folder / "README.md").open("a") as card:
+        card.write("\nA line by hand.\n")
+    from starstruck_gen.card import write_card
+
+    text = (folder / "README.md").read_text()
+    manifest = read_manifest(DataFolder(str(folder)))
+    assert manifest is not None
+    write_card(DataFolder(str(folder)), manifest)
+    (folder / "README.md").write_text(text)
+    server.requests.clear()
+    assert upload(folder).sent == ("README.md",)
+    assert sent_objects(server) == []
+    assert server.repository(NAME).head.files["README.md"].content.endswith(b"A line by hand.\n")
+
+
+def test_files_of_others_are_kept_unless_asked(server, folder):
+    server.create(NAME, {"notes.txt": b"mine", "data/extra.parquet": b"\0" * 9, ".gitattributes": b"*"})
+    prepared = prepare_upload(str(folder), NAME)
+    assert prepared.kept == ("data/extra.parquet", "notes.txt")
+    assert prepared.removed == ()
+    run_upload(prepared)
+    assert {"notes.txt", "data/extra.parquet"} <= set(server.repository(NAME).head.files)
+    assert_holds(server, folder)
+    result = upload(folder, delete=True)
+    assert (result.sent, result.removed) == ((), ("data/extra.parquet", "notes.txt"))
+    assert set(server.repository(NAME).head.files) - {".gitattributes"} == {
+        f.relative_to(folder).as_posix() for f in folder.rglob("*") if f.is_file()
+    }
+    assert ".gitattributes" in server.repository(NAME).head.files
+    assert upload(folder, delete=True).commit == result.commit
+
+
+def test_brackets_in_names_delete_no_other_file(server, folder):
+    server.create(NAME, {"a[12].txt": b"x", "a1.txt": b"x"})
+    upload(folder)
+    prepared = prepare_upload(str(folder), NAME, UploadOptions(delete=True))
+    assert prepared.removed == ("a1.txt", "a[12].txt")
+    run_upload(prepared)
+    assert not {"a[12].txt", "a1.txt"} & set(server.repository(NAME).head.files)
+
+
+def test_stale_shards_do_not_get_into_the_card(server, folder, tmp_path, monkeypatch):
+    stale = "data/train-00000-of-00001.parquet"
+    server.create(NAME, {stale: (folder / "data" / "train-00002-of-00003.parquet").read_bytes()})
+    prepared = prepare_upload(str(folder), NAME)
+    assert prepared.mixed == (stale,)
+    run_upload(prepared)
+    card = server.repository(NAME).head.files["README.md"].content.decode()
+    head = card.split("---\n")[1]
+    assert "data/train-*" not in head
+    assert "data/train-00002-of-00003.parquet" in head
+    assert stale not in head
+    assert [PurePosixPath(path).name for path in shards_read(server, tmp_path)] == [
+        f"train-{index:05}-of-00003.parquet" for index in range(3)
+    ], "those of the manifest, not what lies beside them"
+    assert upload(folder).sent == (), "the card on the Hub is what it is to be"
+    assert upload(folder, delete=True).sent == ("README.md",), "the pattern will do now"
+
+
+def test_a_lost_answer_makes_no_second_commit(server, folder):
+    server.faults.lose_reply("*/commit/*")
+    upload(folder)
+    assert_holds(server, folder)
+    assert len(server.repository(NAME).history) == 2
+    assert [request.path for request in server.requests if "/commit/" in request.path] == [
+        f"/api/datasets/{NAME}/commit/main"
+    ]
+
+
+def test_a_lost_answer_opens_no_second_pull_request(server, folder):
+    server.create(NAME)
+    server.faults.lose_reply("*/commit/*")
+    result = upload(folder, create_pr=True)
+    assert result.pull == "refs/pr/1"
+    assert list(server.repository(NAME).pulls) == [1]
+
+
+@pytest.mark.parametrize("pattern", ["*/repos/create", "*/commit/*", "*/tag/*"])
+def test_trouble_that_passes_is_waited_out(server, folder, pattern):
+    told: list[str] = []
+    server.faults.fail(pattern, 503, times=2)
+    run_upload(prepare_upload(str(folder), NAME, on_wait=told.append))
+    assert_holds(server, folder)
+    assert server.repository(NAME).tags == {"schema-1": server.repository(NAME).head.sha}
+    assert len(server.repository(NAME).history) == 2
+    assert all("503" in line and "trying again in 0.0" in line for line in told)
+
+
+@pytest.mark.parametrize("pattern", ["*/repos/create", "*/commit/*"])
+def test_trouble_that_stays_is_given_up(server, folder, pattern):
+    server.faults.fail(pattern, 503, times=99)
+    with pytest.raises(HubError, match=r"answered 503 \(tried 3 times\); next:"):
+        upload(folder)
+    server.faults.clear()
+    upload(folder)
+    assert_holds(server, folder)
+
+
+def test_damage_on_the_way_is_found(server, folder, monkeypatch):
+    from tests.hub_server import writing
+
+    honest = writing._change
+
+    def careless(repository, base, line):
+        path, blob = honest(repository, base, line)
+        if path == "manifest.json":
+            return path, type(blob)(blob.content.replace(b"train", b"trian"), is_lfs=False)
+        return path, blob
+
+    monkeypatch.setattr(writing, "_change", careless)
+    with pytest.raises(IntegrityError, match=r"does not hold what was sent .*manifest.json differs"):
+        upload(folder)
+    assert server.repository(NAME).tags == {}, "what is damaged gets no name"
+    monkeypatch.setattr(writing, "_change", honest)
+    assert upload(folder).sent == ("manifest.json",)
+
+
+def test_a_branch_is_made_and_main_stays(server, folder):
+    result = upload(folder, revision="next", tag="v2")
+    repository = server.repository(NAME)
+    assert repository.branches["next"] == result.commit
+    assert repository.head.title == "initial commit"
+    assert repository.tags == {"v2": result.commit}, "readers of the schema's tag still get main"
+    assert_holds(server, folder, revision="next")
+    assert upload(folder, revision="next").sent == ()
+    assert upload(folder, revision="next", tag="v2").tags == ()
+
+
+def test_a_new_branch_is_compared_with_where_it_starts(server, folder, capfd):
+    first = upload(folder)
+    server.requests.clear()
+    result = upload(folder, revision="same")
+    assert (result.sent, result.commit) == ((), first.commit)
+    assert server.repository(NAME).branches["same"] == first.commit
+    assert [r.path for r in server.requests if r.method == "POST"] == [f"/api/datasets/{NAME}/branch/same"]
+    with (folder / "README.md").open("a") as card:
+        card.write("\nMore.\n")
+    prepared = prepare_upload(str(folder), NAME, UploadOptions(revision="more"))
+    assert [file.path for file in prepared.plan.to_send] == ["README.md"]
+    assert run_upload(prepared).sent == ("README.md",)
+    assert server.repository(NAME).head.sha == first.commit
+    assert capfd.readouterr().err == "", "the client library spoke for itself"
+
+
+def test_branches_and_tags_do_not_share_names(server, folder):
+    first = upload(folder, tag="v1")
+    upload(folder, revision="next")
+    server.requests.clear()
+    for options, words in (
+        ({"revision": "v1"}, "--revision v1: of 'someone/stars' that is a tag"),
+        ({"tag": "next"}, "--tag next: of 'someone/stars' that is a branch"),
+        ({"tag": "main"}, "--tag main is the name of the branch that is written to"),
+        ({"revision": "next", "tag": "next"}, "--tag next is the name of the branch"),
+        ({"revision": first.commit}, f"--revision {first.commit} is the name of a commit"),
+        ({"tag": first.commit}, "is the name of a commit"),
+        ({"revision": "refs/pr/1", "tag": "v2"}, "--revision refs/pr/1 and --tag v2 exclude each other"),
+    ):
+        with pytest.raises(InputError, match=words):
+            upload(folder, **options)
+    assert {request.method for request in server.requests} == {"GET"}
+    assert set(server.repository(NAME).branches) == {"main", "next"}
+
+
+@pytest.mark.parametrize("name", ["stars", "someone/", "a/b/c", "", "someone/my stars", "https://a.b/c/d"])
+def test_what_is_no_name_is_refused_before_anything_is_asked(server, folder, name):
+    with pytest.raises(InputError, match="is no name of a repository; next: give USER/NAME"):
+        upload(folder, name)
+    assert server.requests == []
+    assert server.repositories == {}
+
+
+def test_the_client_is_hushed_and_told_once(server, folder, capfd):
+    told: list[str] = []
+    server.faults.fail("/lfs/*", 500, times=1)
+    run_upload(prepare_upload(str(folder), NAME, on_wait=told.append))
+    assert_holds(server, folder)
+    assert capfd.readouterr().err == ""
+    (line,) = told
+    assert line.startswith(
+        "the Hub's client says: HTTP Error 500 thrown while requesting PUT http://127.0.0.1"
+    )
+    assert "/lfs/" not in line
+
+
+def test_a_picture_that_stays_behind_is_named(server, folder):
+    (folder / "pictures").mkdir()
+    shutil.copy(folder / "previews" / "scenes.png", folder / "pictures" / "mine.png")
+    card = folder / "README.md"
+    before = card.read_text()
+    card.write_text(before + "\n![mine](pictures/mine.png)\n")
+    with pytest.raises(IntegrityError, match=r"pictures/mine.png is shown by README.md and is no part"):
+        upload(folder)
+    assert server.repositories == {}
+    card.write_text(before + "\n![ours](./previews/scenes.png)\n")
+    upload(folder)
+    card.unlink()
+    with pytest.raises(IntegrityError, match=r"README\.md is missing; next: write it") as refused:
+        upload(folder)
+    assert str(refused.value).count("next: ") == 1
+
+
+def test_a_pull_request_is_opened_once(server, folder):
+    upload(folder)
+    with (folder / "README.md").open("a") as card:
+        card.write("\nBetter words.\n")
+    first = upload(folder, create_pr=True)
+    assert (first.pull, first.sent, first.tags) == ("refs/pr/1", ("README.md",), ())
+    assert b"Better" not in server.repository(NAME).head.files["README.md"].content
+    server.requests.clear()
+    again = upload(folder, create_pr=True)
+    assert (again.pull, again.commit, again.sent) == ("refs/pr/1", first.commit, ())
+    assert {request.method for request in server.requests} == {"GET"}
+    followed = upload(folder, revision="refs/pr/1")
+    assert (followed.commit, followed.sent) == (first.commit, ())
+
+
+def test_names_move_only_where_they_may(server, folder):
+    upload(folder, tag="v1")
+    with (folder / "README.md").open("a") as card:
+        card.write("\nMore.\n")
+    with pytest.raises(
+        InputError, match=r"tag 'v1' of .* names commit \w{12} already; nothing was sent; next:"
+    ):
+        upload(folder, tag="v1")
+    assert len(server.repository(NAME).history) == 2
+    second = upload(folder, tag="v2", message="With more")
+    tags = server.repository(NAME).tags
+    assert tags["schema-1"] == tags["v2"] == second.commit != tags["v1"]
+    assert server.repository(NAME).head.title == "With more"
+    del tags["schema-1"]
+    assert upload(folder).tags == ("schema-1",), "a name that a killed upload had not set is set"
+
+
+@pytest.mark.parametrize("other", [{"revision": "next"}, {"tag": "v1"}])
+def test_a_pull_request_excludes_what_makes_no_sense_with_it(other):
+    with pytest.raises(InputError, match="exclude each other"):
+        UploadOptions(create_pr=True, **other)
+    assert UploadOptions(create_pr=True, revision="main").create_pr
+
+
+def test_private_is_private(server, folder):
+    upload(folder, private=True)
+    assert server.repository(NAME).private
+    assert upload(folder, private=True).sent == ()
+    server.create("someone/open")
+    with pytest.raises(InputError, match="everyone can see it, --private was asked for; nothing was sent"):
+        upload(folder, "someone/open", private=True)
+
+
+def test_nothing_unsound_leaves_the_house(server, folder):
+    shard = folder / "data" / "test-00000-of-00001.parquet"
+    content = bytearray(shard.read_bytes())
+    content[1000] ^= 1
+    shard.write_bytes(content)
+    with pytest.raises(IntegrityError, match=r"not fit to be sent, nothing was: data/test-00000.* sha256 is"):
+        upload(folder)
+    content[1000] ^= 1
+    shard.write_bytes(content)
+    card = folder / "README.md"
+    card.write_text(card.read_text().replace("num_examples: 9", "num_examples: 8"))
+    with pytest.raises(IntegrityError, match="num_examples of split 'test' is 8, expected 9"):
+        upload(folder)
+    assert server.requests == []
+
+
+def test_what_is_no_data_set_of_ours_is_refused(server, tmp_path):
+    with pytest.raises(InputError, match=r"no manifest.json in .*; next:"):
+        prepare_upload(str(tmp_path), NAME)
+    with pytest.raises(InputError, match="no local folder"):
+        prepare_upload("memory://somewhere", NAME)
+    assert server.requests == []
+
+
+UPLOAD = """
+from tactile_toolkit.exchange.upload import prepare_upload, run_upload
+run_upload(prepare_upload({folder!r}, {name!r}))
+"""
+
+
+def test_a_killed_upload_goes_on_with_what_is_missing(server, folder, tmp_path):
+    """One large file does not get through; the process is killed meanwhile; the next one sends only that."""
+    wanted = {*shards_of(folder).values(), _sha256(folder / "previews" / "scenes.png")}
+    late = shards_of(folder)["data/train-00001-of-00003.parquet"]
+    server.faults.fail(f"/lfs/*/{late}", 503, times=10_000)
+    token = next(iter(server.accounts))
+    environment = settings(server, tmp_path, token, PYTHONPATH=str(Path.cwd()))
+    process = subprocess.Popen(
+        [sys.executable, "-c", UPLOAD.format(folder=str(folder), name=NAME)],
+        env=environment,
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL,
+    )
+    deadline_s = time.monotonic() + 120
+    while process.poll() is None and not _has_all_but(server, wanted - {late}, late):
+        assert time.monotonic() < deadline_s, "the other files never arrived"
+        time.sleep(0.02)
+    process.send_signal(signal.SIGKILL)
+    assert process.wait(120) == -signal.SIGKILL
+    assert set(server.repository(NAME).objects) == wanted - {late}
+    assert server.repository(NAME).head.title == "initial commit"
+    server.faults.clear()
+    server.requests.clear()
+    upload(folder)
+    assert sent_objects(server) == [late]
+    assert_holds(server, folder)
+    assert len(server.repository(NAME).history) == 2
+
+
+def _has_all_but(server: HubServer, arrived: set[str], late: str) -> bool:
+    found = server.find("datasets", NAME)
+    return found is not None and set(found.objects) == arrived and late in sent_objects(server)

@@ -1,0 +1,406 @@
+from __future__ import annotations
+
+import json
+import os
+import re
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from tactile_toolkit.errors import InputError, IntegrityError, ItemError, StorageError, ToolkitError
+from tactile_toolkit.gallery import site as site_module
+from tactile_toolkit.gallery.items import Gallery
+from tactile_toolkit.gallery.library import viewer_library
+from tactile_toolkit.gallery.site import MARKER_FILE, MOST_ITEMS, build_site, forecast_site
+from tactile_toolkit.gallery.texts import ASSETS, asset
+from tactile_toolkit.run.processes import InlineRunner, ProcessRunner
+from tests.gallery_toy import HOSTILE, ToyTask, toy_gallery
+from tests.tactile_toolkit.toy import folder_bytes
+
+
+def entries(folder: Path) -> list[str]:
+    return sorted(entry.name for entry in folder.iterdir())
+
+
+def build(out: Path, gallery: Gallery | None = None, **options: object) -> site_module.Site:
+    return build_site(gallery or toy_gallery(), str(out), InlineRunner(), **options)  # type: ignore[arg-type]
+
+
+def index_of(site: Path) -> dict:
+    text = (site / "items.js").read_text()
+    return json.loads(text.removeprefix("gallery.start(").removesuffix(");\n"))
+
+
+def test_a_site_holds_what_it_says(tmp_path):
+    site = build(tmp_path / "site")
+    files = folder_bytes(tmp_path / "site")
+    assert (site.items, site.files, site.bytes) == (20, len(files), sum(map(len, files.values())))
+    assert site.splits == {"train": 20}
+    assert set(entries(tmp_path / "site")) == {
+        "LICENSES.txt", "assets", MARKER_FILE, "index.html", "items", "items.js", "thumbs",
+    }  # fmt: skip
+    index = index_of(tmp_path / "site")
+    assert index["ids"] == [str(number) for number in range(20)]
+    parity = index["facets"][1]
+    assert [parity["values"][row[0]] for row in parity["rows"]] == ["even", "odd"] * 10
+    assert index["measures"][0]["values"][:3] == [None, 3.7, 7.4]
+    assert set(index["measures"][1]["values"]) == {None}
+    for number in range(20):
+        content = (tmp_path / "site" / "items" / f"{number:06d}.js").read_text()
+        assert content.startswith(f"gallery.receive({number},")
+        assert (tmp_path / "site" / "thumbs" / f"{number:06d}.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_every_asset_named_by_the_page_is_there(tmp_path):
+    build(tmp_path / "site")
+    page = (tmp_path / "site" / "index.html").read_text()
+    named = re.findall(r'(?:src|href)="([^"]+)"', page)
+    assert [name for name in named if name != "data:," and not (tmp_path / "site" / name).is_file()] == []
+    assert {name.removeprefix("assets/") for name in named if name.startswith("assets/")} == set(ASSETS)
+    assert "://" not in page
+
+
+def test_no_asset_of_ours_writes_html_or_reaches_out():
+    for name in ASSETS:
+        text = asset(name)
+        assert not re.search(r"innerHTML|outerHTML|insertAdjacentHTML|document\.write|\beval\b", text), name
+        assert not re.search(r"https?://|\bfetch\(|XMLHttpRequest|WebSocket|sendBeacon|@import", text), name
+
+
+def test_the_viewer_comes_with_its_licence(tmp_path):
+    build(tmp_path / "site")
+    library = viewer_library()
+    code = (tmp_path / "site" / "assets" / "three.js").read_text()
+    assert code == library.code
+    assert "Three.js Authors" in code
+    assert "TrackballControls" not in code  # nothing but the library itself
+    terms = (tmp_path / "site" / "LICENSES.txt").read_text()
+    assert "Three.js Authors" in terms
+    assert "Permission is hereby granted, free of charge" in terms
+    assert "SOFTWARE IS PROVIDED" in terms
+    assert library.origin in terms
+    assert library.origin.startswith("trimesh ")
+
+
+def test_no_foreign_code_lies_in_the_package():
+    own = Path(site_module.__file__).parent
+    assert max(file.stat().st_size for file in own.rglob("*") if file.suffix in (".js", ".css")) < 20_000
+
+
+def test_same_gallery_same_bytes_whoever_works(tmp_path):
+    build(tmp_path / "a")
+    build_site(toy_gallery(), str(tmp_path / "b"), ProcessRunner(2))
+    assert folder_bytes(tmp_path / "a") == folder_bytes(tmp_path / "b")
+
+
+def test_portions_do_not_show(tmp_path):
+    build(tmp_path / "a")
+    build(tmp_path / "b", toy_gallery(portion=3))
+    assert folder_bytes(tmp_path / "a") == folder_bytes(tmp_path / "b")
+
+
+def test_progress_reaches_the_whole(tmp_path):
+    told: list[tuple[int, int]] = []
+    build(tmp_path / "site", on_progress=lambda done, total: told.append((done, total)))
+    assert told == [(0, 20), (8, 20), (16, 20), (20, 20)]
+
+
+def test_another_folder_is_refused_even_with_overwrite(tmp_path):
+    (tmp_path / "mine").mkdir()
+    (tmp_path / "mine" / "thesis.txt").write_text("years of work")
+    for overwrite in (False, True):
+        with pytest.raises(
+            InputError, match=r"'thesis.txt', which is no part of a gallery; nothing was changed"
+        ):
+            build(tmp_path / "mine", overwrite=overwrite)
+    (tmp_path / "file").write_text("x")
+    with pytest.raises(InputError, match="no part of a gallery"):
+        build(tmp_path / "file", overwrite=True)
+    assert entries(tmp_path) == ["file", "mine"]
+    assert (tmp_path / "mine" / "thesis.txt").read_text() == "years of work"
+
+
+def test_a_gallery_is_replaced_only_when_asked_and_only_when_it_holds_nothing_else(tmp_path):
+    out = tmp_path / "site"
+    build(out)
+    before = folder_bytes(out)
+    with pytest.raises(InputError, match=r"holds a gallery already; nothing was changed.*--overwrite"):
+        build(out, toy_gallery(4))
+    assert folder_bytes(out) == before
+    build(out, toy_gallery(4), overwrite=True)
+    assert len(index_of(out)["ids"]) == 4
+    assert len(entries(out / "items")) == 4
+    for stranger in ("notes.txt", "items/mine.js", "thumbs/cat.png"):
+        (out / stranger).write_text("mine")
+        with pytest.raises(InputError, match=re.escape(repr(stranger))):
+            build(out, overwrite=True)
+        (out / stranger).unlink()
+    assert entries(tmp_path) == ["site"]
+
+
+def test_an_empty_folder_is_used(tmp_path):
+    (tmp_path / "site").mkdir()
+    assert build(tmp_path / "site").items == 20
+
+
+def test_a_marker_of_somebody_else_is_no_gallery(tmp_path):
+    for content in ("{}", "[]", "not json", '{"what": "something"}'):
+        (tmp_path / MARKER_FILE).write_text(content)
+        with pytest.raises(InputError, match="no part of a gallery"):
+            build(tmp_path, overwrite=True)
+
+
+@pytest.mark.parametrize("there", [False, True])
+@pytest.mark.parametrize("error", [InputError("no"), IntegrityError("damaged"), KeyboardInterrupt()])
+def test_a_failure_in_the_middle_leaves_things_as_they_were(tmp_path, there, error):
+    out = tmp_path / "site"
+    if there:
+        build(out)
+    before = folder_bytes(tmp_path)
+    tasks = (ToyTask(0, 8), ToyTask(8, 16, error=error))
+    broken = Gallery("toy", "Toys", ("toy", "toys"), (), (), tasks, {"train": 16})
+    with pytest.raises(type(error)):
+        build(out, broken, overwrite=True)
+    assert folder_bytes(tmp_path) == before
+    assert entries(tmp_path) == (["site"] if there else [])
+
+
+def test_a_worker_that_dies_leaves_nothing(tmp_path):
+    tasks = (ToyTask(0, 8), ToyTask(8, 16, die=True))
+    broken = Gallery("toy", "Toys", ("toy", "toys"), (), (), tasks, {"train": 16})
+    with pytest.raises(ToolkitError):
+        build_site(broken, str(tmp_path / "site"), ProcessRunner(2))
+    assert entries(tmp_path) == []
+
+
+KILLED = """
+import sys
+from tactile_toolkit.gallery.site import build_site
+from tactile_toolkit.run.processes import InlineRunner
+from tests.gallery_toy import ToyTask, toy_gallery
+from dataclasses import replace
+from pathlib import Path
+gallery = toy_gallery(24)
+alive = str(Path(sys.argv[1]).parent.parent / "alive")
+tasks = (gallery.tasks[0], gallery.tasks[1], ToyTask(16, 24, pause_s=600, alive=alive))
+build_site(replace(gallery, tasks=tasks), sys.argv[1], InlineRunner())
+"""
+
+
+@pytest.mark.parametrize("how", [signal.SIGKILL, signal.SIGINT])
+def test_a_killed_run_leaves_no_site_and_the_next_one_clears_up(tmp_path, how):
+    out = tmp_path / "place" / "site"
+    out.parent.mkdir()
+    environment = {**os.environ, "PYTHONPATH": str(Path(__file__).resolve().parents[3])}
+    with subprocess.Popen(
+        [sys.executable, "-c", KILLED, str(out)], stderr=subprocess.PIPE, env=environment
+    ) as process:
+        deadline = time.monotonic() + 120
+        while not (tmp_path / "alive").exists():
+            assert process.poll() is None, process.stderr and process.stderr.read().decode()
+            assert time.monotonic() < deadline
+            time.sleep(0.02)
+        assert not out.exists()
+        process.send_signal(how)
+        process.communicate()
+    assert not out.exists()
+    if how is signal.SIGINT:
+        assert entries(out.parent) == []
+    build(out)
+    assert entries(out.parent) == ["site"]
+
+
+FULL = """
+import resource, sys
+from tactile_toolkit.errors import StorageError
+from tactile_toolkit.gallery.site import build_site
+from tactile_toolkit.run.processes import InlineRunner
+from tests.gallery_toy import toy_gallery
+resource.setrlimit(resource.RLIMIT_FSIZE, (100_000, 100_000))
+try:
+    build_site(toy_gallery(), sys.argv[1], InlineRunner())
+except StorageError as error:
+    print(error)
+"""
+
+
+def test_no_room_leaves_nothing_and_says_so(tmp_path):
+    environment = {**os.environ, "PYTHONPATH": str(Path(__file__).resolve().parents[3])}
+    done = subprocess.run(
+        [sys.executable, "-c", FULL, str(tmp_path / "site")],
+        capture_output=True,
+        text=True,
+        env=environment,
+        check=True,
+    )
+    assert "the file would be larger than allowed here" in done.stdout
+    assert entries(tmp_path) == []
+
+
+def test_what_a_living_run_is_making_is_not_cleared_up(tmp_path):
+    from tactile_toolkit.gallery.staging import staged_folder
+
+    with staged_folder(tmp_path / "a") as mine:
+        build(tmp_path / "b")
+        assert mine.is_dir()
+    assert entries(tmp_path) == ["a", "b"]
+
+
+def test_a_place_that_cannot_be_written_is_named(tmp_path):
+    (tmp_path / "file").write_text("x")
+    with pytest.raises(StorageError, match="a file of that name stands where a folder is needed"):
+        build(tmp_path / "file" / "site")
+    with pytest.raises(InputError, match="a gallery is made in a local folder"):
+        build_site(toy_gallery(), "memory://site", InlineRunner())
+
+
+def test_nothing_and_too_much_are_refused(tmp_path, monkeypatch):
+    with pytest.raises(InputError, match="there is no toy to show"):
+        build(tmp_path / "site", toy_gallery(0))
+    with pytest.raises(InputError, match=r"would show 20,001 toys; the most is 20,000; nothing was written"):
+        build(tmp_path / "site", toy_gallery(MOST_ITEMS + 1, portion=MOST_ITEMS + 1))
+    monkeypatch.setattr(site_module, "MOST_BYTES", 3_000_000)
+    made: list[int] = []
+    with pytest.raises(
+        InputError, match=r"would take about .* GB.*what was written is removed; next: choose"
+    ):
+        build(
+            tmp_path / "site",
+            toy_gallery(80, bulk_bytes=60_000),
+            on_progress=lambda done, _total: made.append(done),
+        )
+    assert max(made) <= 32  # told from the first items, not when the disk is full
+    assert entries(tmp_path) == []
+
+
+def test_forecast_of_all_items_is_exact_and_writes_nothing(tmp_path):
+    out = tmp_path / "site"
+    view = forecast_site(toy_gallery(), str(out), 2)
+    assert entries(tmp_path) == []
+    site = build(out)
+    assert (view.items, view.files, view.bytes, view.sampled) == (20, site.files, site.bytes, 20)
+    assert view.fits
+    assert view.to_dict()["splits"] == {"train": 20}
+    with pytest.raises(InputError, match="--overwrite"):
+        forecast_site(toy_gallery(), str(out), 2)
+
+
+def test_forecast_of_many_items_is_near(tmp_path):
+    view = forecast_site(toy_gallery(400), str(tmp_path / "site"), 1)
+    site = build(tmp_path / "site", toy_gallery(400))
+    assert view.sampled == 24
+    assert view.files == site.files
+    assert view.bytes == pytest.approx(site.bytes, rel=0.05)
+
+
+def test_hostile_words_are_harmless_in_every_file(tmp_path):
+    build(tmp_path / "site", toy_gallery(4, hostile=True))
+    page = (tmp_path / "site" / "index.html").read_text()
+    assert HOSTILE not in page
+    assert "<script>document" not in page
+    assert "onerror=&quot;" in page
+    for script in [tmp_path / "site" / "items.js", *(tmp_path / "site" / "items").iterdir()]:
+        text = script.read_text()
+        assert not re.search("[<>&\u2028\u2029]", text)
+        assert text.isascii()
+    assert index_of(tmp_path / "site")["ids"][0] == f"0{HOSTILE}"
+
+
+def test_item_errors_of_a_task_pass_through(tmp_path):
+    tasks = (ToyTask(0, 1, error=ItemError("odd", "an odd one")),)
+    with pytest.raises(ItemError, match="an odd one"):
+        build(tmp_path / "site", Gallery("toy", "Toys", ("toy", "toys"), (), (), tasks, {"train": 1}))
+
+
+@pytest.mark.parametrize(
+    ("there", "overwrite"),
+    [
+        ("nothing", False),
+        ("nothing", True),
+        ("an empty folder", False),
+        ("an empty folder", True),
+        ("a gallery", True),
+    ],
+)
+def test_files_put_in_its_place_meanwhile_are_kept(tmp_path, there, overwrite):
+    out = tmp_path / "site"
+    if there == "a gallery":
+        build(out)
+    elif there == "an empty folder":
+        out.mkdir()
+
+    def put(done: int, _total: int) -> None:
+        if done == 8:
+            (out / "items").mkdir(parents=True, exist_ok=True)
+            (out / "items" / "thesis.txt").write_text("years of work")
+
+    with pytest.raises(InputError, match=r"no part of a gallery; nothing was changed"):
+        build(out, toy_gallery(16), overwrite=overwrite, on_progress=put)
+    assert (out / "items" / "thesis.txt").read_text() == "years of work"
+    whole = build(tmp_path / "same").files if there == "a gallery" else 0
+    assert len(folder_bytes(out)) == 1 + whole
+    assert entries(tmp_path) == (["same", "site"] if whole else ["site"])
+
+
+@pytest.mark.parametrize("there", [False, True])
+def test_of_two_runs_to_one_place_only_the_first_makes_it(tmp_path, there):
+    out = tmp_path / "site"
+    if there:
+        out.mkdir()
+
+    def another(done: int, _total: int) -> None:
+        if done == 8:
+            build(out, toy_gallery(4))
+
+    with pytest.raises(InputError, match=r"holds a gallery already; nothing was changed"):
+        build(out, on_progress=another)
+    assert len(index_of(out)["ids"]) == 4
+    build(out, overwrite=True)
+    build(out, toy_gallery(9), overwrite=True, on_progress=lambda done, _total: done == 8 and build_over(out))
+    assert len(index_of(out)["ids"]) == 9
+    assert entries(tmp_path) == ["site"]
+    assert len(entries(out / "items")) == 9
+
+
+def build_over(out: Path) -> None:
+    build(out, toy_gallery(4), overwrite=True)
+
+
+def test_a_stranger_that_hides_until_the_end_comes_back(tmp_path, monkeypatch):
+    out = tmp_path / "site"
+    build(out)
+    before = folder_bytes(out)
+    rename = Path.rename
+
+    def late(self: Path, target: Path) -> Path:
+        if self == out / "items":
+            (self / "thesis.txt").write_text("years of work")
+        return rename(self, target)
+
+    monkeypatch.setattr(Path, "rename", late)
+    with pytest.raises(InputError, match=r"'items/thesis.txt', which is no part of a gallery"):
+        build(out, toy_gallery(4), overwrite=True)
+    assert folder_bytes(out) == {**before, "items/thesis.txt": b"years of work"}
+
+
+def test_who_stands_in_the_folder_stays_in_it(tmp_path, monkeypatch):
+    out = tmp_path / "site"
+    out.mkdir()
+    monkeypatch.chdir(out)
+    inode = out.stat().st_ino
+    assert build(Path()).path == str(out)
+    build(Path(), toy_gallery(4), overwrite=True)
+    assert (out.stat().st_ino, len(entries(Path("items")))) == (inode, 4)
+
+
+def test_a_link_stays_a_link(tmp_path):
+    (tmp_path / "link").symlink_to("real")
+    assert build(tmp_path / "link").path == str(tmp_path / "real")
+    build(tmp_path / "link", toy_gallery(4), overwrite=True)
+    assert (tmp_path / "link").is_symlink()
+    assert len(entries(tmp_path / "real" / "items")) == 4
+    assert entries(tmp_path) == ["link", "real"]

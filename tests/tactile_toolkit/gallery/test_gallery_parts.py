@@ -1,0 +1,149 @@
+"""What a gallery is made of: texts, meshes, thumbnails, and the choice of rows."""
+
+from __future__ import annotations
+
+import base64
+import io
+import json
+import zlib
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from tactile_toolkit.catalog.choose import chosen_rows, portions, short_name
+from tactile_toolkit.errors import IntegrityError
+from tactile_toolkit.gallery.index import IndexBuilder, natural_order
+from tactile_toolkit.gallery.items import Facet, Gallery, Item
+from tactile_toolkit.gallery.meshes import STEP_MM, packed_mesh, require_mesh
+from tactile_toolkit.gallery.pictures import THUMBNAIL_PX, thumbnail, top_view
+from tactile_toolkit.gallery.texts import script_json
+from tests.gallery_toy import CORNERS_M, FACES
+
+
+@given(st.recursive(st.text() | st.integers() | st.none(), lambda inner: st.lists(inner, max_size=3)))
+def test_script_json_is_json_without_anything_a_page_could_take_for_markup(value):
+    text = script_json(value)
+    assert json.loads(text) == value
+    assert not set("<>&\u2028\u2029") & set(text)
+
+
+def test_script_json_refuses_what_is_no_json():
+    with pytest.raises(ValueError, match="JSON"):
+        script_json(float("nan"))
+
+
+def unpacked(text: str, count: int) -> np.ndarray:
+    planes = np.frombuffer(zlib.decompress(base64.b64decode(text)), np.uint8).reshape(4, count)
+    zigzag = np.ascontiguousarray(planes.T).view("<u4").reshape(-1).astype(np.int64)
+    return np.cumsum((zigzag >> 1) ^ -(zigzag & 1))
+
+
+@given(
+    st.integers(3, 60).flatmap(
+        lambda count: st.tuples(
+            st.lists(st.tuples(*[st.floats(-2, 2)] * 3), min_size=count, max_size=count),
+            st.lists(st.tuples(*[st.integers(0, count - 1)] * 3), min_size=1, max_size=40),
+        )
+    )
+)
+def test_a_packed_mesh_is_the_mesh_to_half_a_step(mesh):
+    corners, faces = np.array(mesh[0]), np.array(mesh[1])
+    packed = packed_mesh(corners, faces)
+    steps = unpacked(packed["vertices"], corners.size).reshape(3, -1).T
+    back_mm = np.array(packed["low_mm"]) + steps * packed["step_mm"]
+    assert np.abs(back_mm - corners * 1000).max() <= packed["step_mm"] / 2 + 1e-5
+    extent_mm = 1000 * np.ptp(corners, axis=0).max()
+    assert packed["step_mm"] == STEP_MM if 10 < extent_mm < 655 else packed["step_mm"] >= 1e-6
+    assert extent_mm < 1e-3 or steps.max() >= 1000
+    assert (unpacked(packed["faces"], faces.size).reshape(-1, 3) == faces).all()
+
+
+def test_broken_meshes_are_named():
+    class Broken:
+        id = 7
+        vertices_m = CORNERS_M
+        faces = FACES
+
+    require_mesh(Broken, "test")  # type: ignore[arg-type]
+    for vertices, faces in (
+        (CORNERS_M[:0], FACES),
+        (CORNERS_M, FACES[:0]),
+        (CORNERS_M, FACES + 1),
+        (CORNERS_M, FACES - 1),
+        (CORNERS_M * np.nan, FACES),
+    ):
+        Broken.vertices_m, Broken.faces = vertices, faces
+        with pytest.raises(IntegrityError, match=r"id 7 in split 'test'.*cannot be drawn"):
+            require_mesh(Broken, "test")  # type: ignore[arg-type]
+
+
+def read_png(content: bytes) -> np.ndarray:
+    from PIL import Image
+
+    return np.asarray(Image.open(io.BytesIO(content)))
+
+
+def test_thumbnails_have_clear_paper_and_no_light_rim():
+    pixels = np.full((400, 200), 255, np.uint8)
+    pixels[101:300, 51:150] = 80
+    small = read_png(thumbnail(pixels, opaque_from=1))
+    assert small.shape == (THUMBNAIL_PX, THUMBNAIL_PX // 2, 2)
+    assert small[0, 0, 1] == 0
+    middle = small[THUMBNAIL_PX // 2, THUMBNAIL_PX // 4]
+    assert middle.tolist() == [80, 255]
+    seen = small[..., 0][small[..., 1] > 0]
+    assert seen.max() <= 82
+    plain = read_png(thumbnail(np.full((9, 9, 3), 7, np.uint8)))
+    assert (plain.shape, plain.max()) == ((9, 9, 3), 7)
+
+
+def test_smoothed_edges_keep_the_colour_of_the_ink():
+    paper, ink = np.array([245.0, 243, 238]), np.array([40.0, 40, 40])
+    shares = np.linspace(0, 1, 9)[:, None]
+    pixels = np.round((1 - shares) * paper + shares * ink).astype(np.uint8)[None]
+    small = read_png(thumbnail(pixels, opaque_from=205))[0]
+    assert small[0, 3] == 0
+    assert np.abs(small[2:, :3].astype(int) - 40).max() <= 4
+    assert (np.diff(small[:, 3].astype(int)) > 0).all()
+
+
+def test_top_view_shows_what_faces_up():
+    faces = np.array([[0, 1, 2], [0, 2, 1]])
+    view = top_view(CORNERS_M, faces[:1], (0.06, 0.06), 1.0)
+    assert view.shape == (60, 60)
+    assert view[25, 35] < 255  # right of and above the middle
+    assert view[35, 25] == 255
+    assert (top_view(CORNERS_M, faces[1:], (0.06, 0.06), 1.0) == 255).all()
+
+
+def test_rows_are_chosen_per_class_then_limited():
+    labels = np.array([1, 0, 1, 1, 0, 2])
+    assert chosen_rows(labels, None, None).tolist() == [0, 1, 2, 3, 4, 5]
+    assert chosen_rows(labels, None, 2).tolist() == [0, 1, 2, 4, 5]
+    assert chosen_rows(labels, 3, 2).tolist() == [0, 1, 2]
+    assert chosen_rows(labels[:0], 3, 2).tolist() == []
+    assert [part.tolist() for part in portions(np.arange(5), 2)] == [[0, 1], [2, 3], [4]]
+
+
+def test_values_are_in_the_order_people_count_in():
+    assert natural_order(["10", "9", "a10", "a9", "9", "-1"]) == ["9", "10", "-1", "a9", "a10"]
+
+
+def test_a_site_does_not_tell_where_the_data_set_lay(tmp_path):
+    (tmp_path / "secret" / "digits").mkdir(parents=True)
+    assert short_name(str(tmp_path / "secret" / "digits")) == "digits"
+    assert short_name("somebody/touches") == "somebody/touches"
+
+
+def test_splits_stand_in_the_order_of_the_data():
+    facets = (Facet("split", "Split"), Facet("label", "Class"))
+    splits = {"train": 1, "test": 1, "holdout": 1}
+    index = IndexBuilder(Gallery("toy", "Toys", ("toy", "toys"), facets, (), (), splits))
+    for split in ("test", "holdout", "train"):
+        index.add(Item(split, split, {"split": (split,), "label": (split,)}, {}, b"", {}))
+    columns = index.to_dict()["facets"]
+    assert columns[0]["values"] == ["train", "test", "holdout"]
+    assert columns[1]["values"] == ["holdout", "test", "train"]
+    assert columns[0]["rows"] == [[1], [2], [0]]

@@ -1,0 +1,85 @@
+"""Two repositories to download from: a small data set of ours, and one large file of others."""
+
+from __future__ import annotations
+
+import io
+import json
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from tactile_toolkit.run.processes import InlineRunner
+from tactile_toolkit.store.build import build
+from tactile_toolkit.store.folder import DataFolder
+from tests.hub_server import HubServer, hub
+from tests.tactile_toolkit.hub.client import run_here, run_python, settings
+from tests.tactile_toolkit.toy import toy_plan
+
+__all__ = ["BIG", "CONTENT", "FULL", "NAME", "SHARD", "big_parquet", "fetch", "script", "two_sets"]
+
+NAME = "someone/toy"
+BIG = "someone/big"
+SHARD = "data/train-00000-of-00001.parquet"
+
+
+def big_parquet(seed: int = 0) -> bytes:
+    """A Parquet file of some MB that no codec makes smaller."""
+    stream = io.BytesIO()
+    numbers = np.random.default_rng(seed).integers(0, 1 << 60, 400_000)
+    pq.write_table(pa.table({"id": numbers}), stream, compression="none", use_dictionary=False)
+    return stream.getvalue()
+
+
+CONTENT = big_parquet()
+
+
+@contextmanager
+def two_sets(root: Path) -> Iterator[HubServer]:
+    """Serve both."""
+    build(DataFolder(str(root / NAME)), toy_plan(), InlineRunner())
+    with hub(root) as running:
+        running.create(BIG, {"README.md": b"# Big", SHARD: CONTENT})
+        yield running
+
+
+FULL = (
+    "import resource, signal; signal.signal(signal.SIGXFSZ, signal.SIG_IGN); "
+    "resource.setrlimit(resource.RLIMIT_FSIZE, (1000000, 1000000))\n"
+)
+"""Lets no file grow beyond 1 MB: a real limit of the file system, as of a disk that is full."""
+
+SCRIPT = """
+import json
+from tactile_toolkit.exchange.download import download
+from tactile_toolkit.exchange.download_plan import plan_download
+from tactile_toolkit.errors import ToolkitError
+try:
+    plan = plan_download({name!r}, {splits!r}, revision={revision!r}, out={out!r})
+    place = download(plan)
+    print(json.dumps([place, [file.path for file in plan.missing], plan.leftover, plan.is_done]))
+except ToolkitError as error:
+    print(json.dumps([error.exit_code, type(error).__name__, str(error)]))
+"""
+
+
+def script(
+    name: str = NAME, *splits: str, out: Path | None = None, revision: str | None = None, before: str = ""
+) -> str:
+    """Return a script that downloads and prints what was done, or the failure."""
+    place = None if out is None else str(out)
+    return before + SCRIPT.format(name=name, splits=splits, revision=revision, out=place)
+
+
+def fetch(server: HubServer | str, home: Path, text: str, token: str | None = None, **more: str) -> list[Any]:
+    """Run a download; where a token or a limit is in play, in a process of its own."""
+    run = run_python if token or not text.startswith("\nimport json") else run_here
+    done = run(text, settings(server, home, token, **more), home)
+    assert done.returncode == 0, done.stderr
+    assert not token or token not in done.stdout + done.stderr
+    found: list[Any] = json.loads(done.stdout.splitlines()[-1])
+    return found

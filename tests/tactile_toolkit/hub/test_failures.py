@@ -1,0 +1,253 @@
+"""Every way in which the Hub says no, made to happen by a real server, and what the user then reads."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from tactile_toolkit.errors import HubError, InputError
+from tactile_toolkit.hub.errors import scrub
+from tactile_toolkit.hub.retry import WAITS_VARIABLE, ask, default_waits_s, is_passing
+from tests.hub_server import HubServer, hub
+from tests.tactile_toolkit.hub.client import run_here, run_python, settings
+
+
+@pytest.fixture
+def server() -> Iterator[HubServer]:
+    with hub() as running:
+        running.create("someone/set", {"README.md": b"# A", "data/train-00000-of-00001.parquet": b"\0" * 999})
+        yield running
+
+
+SCRIPT = """
+import sys, traceback
+from tactile_toolkit.errors import ToolkitError
+from tactile_toolkit.hub.errors import named_failures
+from tactile_toolkit.hub.retry import ask
+from huggingface_hub import HfApi, hf_hub_download, CommitOperationAdd
+api = HfApi()
+def commit():
+    added = [CommitOperationAdd('a', b'1')]
+    return api.create_commit('{repo}', added, repo_type='dataset', commit_message='m')
+def fetch(path='README.md', revision=None):
+    return hf_hub_download('{repo}', path, repo_type='dataset', revision=revision)
+try:
+    {action}
+except ToolkitError as error:
+    print(error.exit_code, type(error).__name__, str(error))
+    traceback.print_exc()
+else:
+    print('done')
+"""
+
+
+def said(server: HubServer | str, home: Path, action: str, *, token: str | None = None, **more: str) -> str:
+    """Run an action of a client in a process of its own and return what the toolkit says of it."""
+    repo = more.pop("repo", "someone/set")
+    run = run_python if token or "setrlimit" in action else run_here
+    done = run(SCRIPT.format(repo=repo, action=action), settings(server, home, token, **more), home)
+    assert done.returncode == 0, done.stderr
+    said = done.stdout.strip()
+    assert said.count("\n") == 0, "a failure is told in one line"
+    if token:
+        assert token not in done.stdout + done.stderr
+    return said
+
+
+READ = "with named_failures('{repo}', {revision!r}): fetch({path!r}, {revision!r})"
+
+
+def reading(repo: str = "someone/set", path: str = "README.md", revision: str | None = None) -> str:
+    return READ.format(repo=repo, path=path, revision=revision)
+
+
+WRITE = "with named_failures('{repo}', doing='uploading to'): commit()"
+
+
+def test_not_found_private_and_not_logged_in(server, tmp_path):
+    server.create("someone/hidden", {"README.md": b"#"}, private=True)
+    for name in ("someone/hidden", "someone/nothing"):
+        text = said(server, tmp_path, reading(name), repo=name)
+        assert text.startswith(
+            f"4 HubError Hub data set {name!r} was not found, or is private and you are not"
+        )
+        assert "hf auth login" in text
+        text = said(server, tmp_path, reading(name), repo=name, token=server.account("else"))
+        assert "your token may not see it" in text
+
+
+def test_revision_and_file(server, tmp_path):
+    text = said(server, tmp_path, reading(revision="v9"))
+    assert text.startswith("4 HubError Hub data set 'someone/set' has no revision 'v9'; next: ")
+    assert "has no file 'data/nothing.parquet'; next: " in said(
+        server, tmp_path, reading(path="data/nothing.parquet")
+    )
+
+
+def test_gated(server, tmp_path):
+    server.create("someone/gate", {"README.md": b"#"}, gated="manual")
+    text = said(server, tmp_path, reading("someone/gate"), repo="someone/gate")
+    assert "is gated; next: accept its terms at http://127.0.0.1" in text
+    assert "hf auth login" in text
+    text = said(server, tmp_path, reading("someone/gate"), repo="someone/gate", token=server.account("else"))
+    assert "is gated" in text
+    assert "hf auth login" not in text
+
+
+def test_a_bad_token(server, tmp_path):
+    text = said(server, tmp_path, reading(), token="hf_NobodyHasThisToken0000")
+    assert text.startswith("4 HubError the Hub does not know the token (HF_TOKEN)")
+    assert "not even Hub data set 'someone/set'; next: set another one, or unset it" in text
+    stored = tmp_path / "hf" / "token"
+    stored.parent.mkdir(exist_ok=True)
+    stored.write_text("hf_NobodyHasThisToken0000")
+    text = said(server, tmp_path, reading())
+    assert "(stored login)" in text
+    assert "`hf auth login --force`" in text
+    assert "hf_Nobody" not in text
+
+
+def test_a_token_that_is_no_header_is_not_quoted(server, tmp_path):
+    token = "hf_SecretSecret\x01Secret"
+    for action in (reading(), reading().replace("fetch", "api.whoami() or fetch")):
+        text = said(server, tmp_path, action, token=token)
+        assert text.startswith("4 HubError")
+
+
+def test_writing_without_login_without_right_and_elsewhere(server, tmp_path):
+    text = said(server, tmp_path, WRITE.format(repo="someone/set"))
+    assert (
+        "uploading to Hub data set 'someone/set' needs a login, and there is no token here; next: log" in text
+    )
+    text = said(server, tmp_path, WRITE.format(repo="someone/set"), token=server.account("someone", "read"))
+    assert "the token of 'someone' has no write access" in text
+    assert "role `write`" in text
+    token = server.account("else", organizations=("lab",))
+    text = said(server, tmp_path, WRITE.format(repo="someone/set"), token=token)
+    assert "'else' may not write under the name 'someone', which is someone else's" in text
+    assert text.endswith("next: use a name of your own: else, lab")
+
+
+def test_no_network_and_offline(tmp_path):
+    nowhere = "http://127.0.0.1:9"
+    text = said(nowhere, tmp_path, "with named_failures('someone/set'): api.dataset_info('someone/set')")
+    assert f"4 HubError the Hub at {nowhere} cannot be reached (ConnectError)" in text
+    assert "next: check the network" in text
+    text = said(nowhere, tmp_path, reading(), HF_HUB_OFFLINE="1")
+    assert "is not in the cache as far as asked for, and HF_HUB_OFFLINE forbids to fetch it" in text
+
+
+def test_offline_forbids_to_upload(tmp_path):
+    text = said("http://127.0.0.1:9", tmp_path, WRITE.format(repo="someone/set"), HF_HUB_OFFLINE="1")
+    assert text.startswith(
+        "4 HubError HF_HUB_OFFLINE forbids uploading to Hub data set 'someone/set'; next: "
+    )
+    assert "cache" not in text
+
+
+@pytest.mark.parametrize("endpoint", ["notaurl", "localhost:1234"])
+def test_an_endpoint_that_is_no_address_is_named(tmp_path, endpoint):
+    text = said(endpoint, tmp_path, "with named_failures('someone/set'): api.dataset_info('someone/set')")
+    assert text.startswith(f"4 HubError HF_ENDPOINT is {endpoint!r}, which is no address")
+    assert "https://huggingface.co" in text
+
+
+def test_a_name_that_is_none(server, tmp_path):
+    text = said(server, tmp_path, "with named_failures('a b'): api.dataset_info('a/b/c d')")
+    assert text.startswith("2 InputError 'a b' is no name of a repository; next: give USER/NAME")
+
+
+def test_a_full_disk(server, tmp_path):
+    """A real limit of the file system on how large a file may grow stands for a full disk."""
+    limited = (
+        "import resource, signal; signal.signal(signal.SIGXFSZ, signal.SIG_IGN); "
+        "resource.setrlimit(resource.RLIMIT_FSIZE, (500, 500))"
+    )
+    action = reading(path="data/train-00000-of-00001.parquet")
+    text = said(server, tmp_path, f"{limited}; exec({action!r})")
+    assert text.startswith("2 StorageError no space is left on the device"), text
+    assert not [file for file in (tmp_path / "hf").rglob("*.parquet") if file.is_file()]
+
+
+ASK = "print(ask(lambda: api.dataset_info('someone/set').id, 'someone/set', on_wait=print))"
+
+
+def test_trouble_that_passes_is_waited_for(server, tmp_path):
+    server.faults.fail("/api/datasets/*", 503)
+    server.faults.fail("/api/datasets/*", 429, headers={"Retry-After": "0"})
+    done = run_here(SCRIPT.format(repo="someone/set", action=ASK), settings(server, tmp_path), tmp_path)
+    first, second, result, _ = done.stdout.splitlines()
+    assert "it answered 503; trying again in 0.01 s" in first
+    assert "fewer requests (429)" in second
+    assert result == "someone/set"
+
+
+def test_trouble_that_stays_is_given_up_and_counted(server, tmp_path):
+    server.faults.fail("/api/datasets/*", 502, times=99)
+    text = said(server, tmp_path, ASK.replace("on_wait=print", ""))
+    assert text.startswith("4 HubError the Hub is in trouble while reading Hub data set 'someone/set'")
+    assert "it answered 502 (tried 3 times); next: try again later" in text
+    assert sum("/api/datasets/" in request.path for request in server.requests) == 3
+
+
+def test_a_broken_connection_is_tried_again_and_a_refusal_is_not(server, tmp_path):
+    server.faults.refuse_body("/api/datasets/*", after=0)
+    assert said(server, tmp_path, ASK.replace("print(ask", "str(ask").replace("on_wait=print", "")) == "done"
+    before = len(server.requests)
+    text = said(server, tmp_path, ASK.replace("api.dataset_info('someone/set')", "api.dataset_info('no/no')"))
+    assert "tried" not in text
+    assert sum("/api/datasets/" in request.path for request in server.requests[before:]) == 1
+
+
+def test_a_lost_commit_is_looked_for_before_it_is_made_again(server, tmp_path):
+    server.faults.lose_reply("*/commit/main")
+    there = "api.file_exists('someone/set', 'a', repo_type='dataset')"
+    look = f"lambda: api.dataset_info('someone/set').sha if {there} else None"
+    action = f"ask(lambda: commit().oid, 'someone/set', look={look})"
+    assert said(server, tmp_path, action, token=server.account("someone")) == "done"
+    assert sum("/commit/" in request.path for request in server.requests) == 1
+    assert len(server.repository("someone/set").history) == 3
+
+
+def test_waits_are_settings(monkeypatch):
+    monkeypatch.setenv(WAITS_VARIABLE, "")
+    assert default_waits_s() == ()
+    monkeypatch.setenv(WAITS_VARIABLE, "1, 2.5")
+    assert default_waits_s() == (1.0, 2.5)
+    monkeypatch.setenv(WAITS_VARIABLE, "soon")
+    with pytest.raises(InputError, match="expected seconds between commas"):
+        default_waits_s()
+    monkeypatch.delenv(WAITS_VARIABLE)
+    waits = default_waits_s()
+    assert list(waits) == sorted(waits)
+    assert waits[-1] > waits[0]
+
+
+def test_errors_of_others_pass_untouched():
+    def action() -> None:
+        raise ZeroDivisionError
+
+    assert not is_passing(ZeroDivisionError())
+    with pytest.raises(ZeroDivisionError):
+        ask(action, "someone/set", waits_s=(0.0,))
+    with pytest.raises(HubError) as mine:
+        ask(lambda: (_ for _ in ()).throw(HubError("mine")), "someone/set", waits_s=(0.0,))
+    assert str(mine.value) == "mine"
+
+
+@pytest.mark.parametrize(
+    "text", ["hf_AbCdEf123456", "x hf_AbCdEf123456, y", "Bearer hf_AbCdEf123456", "b'Bearer AbCdEf123456'"]
+)
+def test_scrubbing(text):
+    assert "AbCdEf123456" not in scrub(text)
+    assert "hf_***" in scrub(text)
+
+
+def test_scrubbing_knows_the_token_in_use(monkeypatch):
+    monkeypatch.setenv("HF_TOKEN", "no-usual-look")
+    assert scrub("said no-usual-look aloud") == "said hf_*** aloud"
+    signed = "PUT https://store.example/a?X-Amz-Signature=secret&X=1 'https://b.c/d?e'"
+    assert scrub(signed) == "PUT https://store.example/a 'https://b.c/d'"
+    assert scrub("hf_hub_download of hf://datasets/a/b") == "hf_hub_download of hf://datasets/a/b"

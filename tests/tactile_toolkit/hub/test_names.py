@@ -1,0 +1,101 @@
+"""Names of the Hub: what they mean, and which files of a repository belong to which split."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+
+from tactile_toolkit.catalog.locate import find_files, find_shards, repository_named, shard_files, splits_of
+from tactile_toolkit.errors import InputError
+from tactile_toolkit.hub.names import HubName, hub_name
+
+
+@pytest.mark.parametrize(
+    ("name", "expected"),
+    [
+        ("a/b", ("a/b", None, "")),
+        ("a/b@main", ("a/b", "main", "")),
+        ("hf://datasets/a/b", ("a/b", None, "")),
+        ("hf://datasets/a/b/", ("a/b", None, "")),
+        ("hf://datasets/a/b@v1.0", ("a/b", "v1.0", "")),
+        ("hf://datasets/a/b/data/x-0.parquet", ("a/b", None, "data/x-0.parquet")),
+        ("hf://datasets/a/b@x%2Fy/data/", ("a/b", "x/y", "data")),
+        ("hf://datasets/a/b@refs/pr/3/x.parquet", ("a/b", "refs/pr/3", "x.parquet")),
+        (
+            "hf://datasets/a/b@refs/convert/parquet/default/train/0000.parquet",
+            ("a/b", "refs/convert/parquet", "default/train/0000.parquet"),
+        ),
+    ],
+)
+def test_parts_of_a_name(name, expected):
+    assert hub_name(name) == HubName(*expected)
+
+
+@pytest.mark.parametrize(
+    "name",
+    ["a", "a/b/c", "/a/b", "./a/b", "../a", "~a/b", "a/b@", "hf://a/b", "hf://datasets/a", "s3://a/b", ""],
+)
+def test_other_names_are_none(name):
+    assert hub_name(name) is None
+
+
+def test_a_revision_is_given_once():
+    assert hub_name("a/b", "dev") == HubName("a/b", "dev", "")
+    assert hub_name("a/b@dev", "dev") == HubName("a/b", "dev", "")
+    with pytest.raises(
+        InputError, match="'a/b@main' names the revision 'main', and 'dev' is given beside it"
+    ):
+        hub_name("a/b@main", "dev")
+
+
+def test_a_part_of_a_repository_is_none():
+    assert repository_named("a/b@dev").revision == "dev"
+    with pytest.raises(InputError, match="leave 'data' away"):
+        repository_named("hf://datasets/a/b/data")
+
+
+def test_numbered_files_belong_to_the_split_of_their_folder():
+    paths = [
+        "test/0000.parquet",
+        "default/train/0001.parquet",
+        "default/train/0000.parquet",
+        "data/0000.parquet",
+    ]
+    assert [(file.split, file.path) for file in shard_files([*paths, "data/dev-00000-of-00001.parquet"])] == [
+        ("0000", "data/0000.parquet"),
+        ("dev", "data/dev-00000-of-00001.parquet"),
+        ("test", "test/0000.parquet"),
+        ("train", "default/train/0000.parquet"),
+        ("train", "default/train/0001.parquet"),
+    ]
+
+
+def test_a_local_copy_of_the_conversion_branch_has_its_splits(tmp_path):
+    for part in ("default/train/0000", "default/test/0000", "default/test/0001"):
+        place = tmp_path / f"{part}.parquet"
+        place.parent.mkdir(parents=True, exist_ok=True)
+        pq.write_table(pa.table({"id": [1]}), place)
+    assert set(splits_of(str(tmp_path))) == {"train", "test"}
+    shards = find_shards(str(tmp_path), "test")
+    assert [Path(shard.path).relative_to(tmp_path).as_posix() for shard in shards] == [
+        "default/test/0000.parquet",
+        "default/test/0001.parquet",
+    ]
+
+
+@pytest.mark.parametrize("name", ["~nobody-of-that-name/x", "x" * 5000, "a\0b", "nowhere"])
+def test_names_that_no_place_can_have_are_refused(name):
+    for ask in (lambda: find_shards(name, "train"), lambda: splits_of(name)):
+        with pytest.raises(InputError, match="neither a folder, nor a Parquet file") as caught:
+            ask()
+        assert len(str(caught.value)) < 500
+    with pytest.raises(InputError, match="no file '"):
+        find_files([name])
+
+
+def test_no_files_are_no_data_set():
+    with pytest.raises(InputError, match="no files given"):
+        find_files([])

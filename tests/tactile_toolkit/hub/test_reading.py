@@ -1,0 +1,144 @@
+"""Files of the Hub as readers get them: whole or not at all, fetched once, found by other programs too."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from tests.hub_server import HubServer
+from tests.tactile_toolkit.hub.client import run_here, settings, start_python
+from tests.tactile_toolkit.hub.sets import BIG, CONTENT, NAME, SHARD, fetch, script, two_sets
+
+
+@pytest.fixture
+def server(tmp_path) -> Iterator[HubServer]:
+    with two_sets(tmp_path / "root") as running:
+        yield running
+
+
+LOAD = """
+from tactile_toolkit.errors import ToolkitError
+from tactile_toolkit.hub.repository import HubRepository
+try:
+    print('path', HubRepository({name!r}).fetch({path!r}))
+except ToolkitError as error:
+    print(error.exit_code, type(error).__name__, error)
+"""
+
+
+def load(server: HubServer | str, home: Path, name: str = BIG, path: str = SHARD, **more: str) -> str:
+    done = run_here(LOAD.format(name=name, path=path), settings(server, home, **more), home)
+    assert done.returncode == 0, done.stderr
+    return done.stdout.strip()
+
+
+def test_a_file_damaged_in_the_cache_is_repaired_and_a_whole_one_is_not_read_again(server, tmp_path):
+    file = Path(load(server, tmp_path).removeprefix("path "))
+    load(server, tmp_path)
+    assert len(server.content_requests(SHARD)) == 1
+    blob, facts = file.resolve(), file.stat()
+    damaged = CONTENT[:1000] + b"?" + CONTENT[1001:]
+    blob.write_bytes(damaged)
+    os.utime(blob, ns=(facts.st_atime_ns, facts.st_mtime_ns))
+    load(server, tmp_path)
+    assert blob.read_bytes() == damaged, "a file without a sign of change was read again"
+    blob.touch()
+    assert Path(load(server, tmp_path).removeprefix("path ")).read_bytes() == CONTENT
+    assert len(server.content_requests(SHARD)) == 2
+
+
+def test_what_the_manifest_does_not_list_is_not_handed_out(server, tmp_path):
+    repository = server.repository(NAME)
+    shard = "data/test-00000-of-00002.parquet"
+    repository.commit({shard: repository.blob(shard, CONTENT)}, "another file")
+    before = len(server.fetched)
+    words = load(server, tmp_path, NAME, shard)
+    assert words.startswith(f"3 IntegrityError {shard!r} of Hub data set {NAME!r} is not the file that")
+    assert server.fetched[before:] == ["manifest.json"]
+
+
+def test_a_manifest_of_other_tools_is_none_of_ours(server, tmp_path):
+    server.create("someone/other", {"manifest.json": b'{"name": "a web page"}', SHARD: CONTENT})
+    assert load(server, tmp_path, "someone/other").startswith("path ")
+
+
+def test_two_processes_fetch_a_file_once(server, tmp_path):
+    server.faults.stall(f"*/{SHARD}", after=1_500_000)
+    text, environment = LOAD.format(name=BIG, path=SHARD), settings(server, tmp_path)
+    with (
+        start_python(text, environment, tmp_path) as first,
+        start_python(text, environment, tmp_path) as second,
+    ):
+        assert server.faults.stalled.wait(60)
+        server.faults.released.set()
+        found = {process.communicate(timeout=300)[0] for process in (first, second)}
+    assert len(found) == 1
+    assert Path(found.pop().strip().removeprefix("path ")).read_bytes() == CONTENT
+    assert [request.sent for request in server.content_requests(SHARD)] == [len(CONTENT)]
+
+
+OTHERS = """
+from huggingface_hub import hf_hub_download, scan_cache_dir, snapshot_download
+found, repos = scan_cache_dir(), list(scan_cache_dir().repos)
+print(len(found.warnings), [repo.repo_id for repo in repos], [repo.size_on_disk for repo in repos])
+print(hf_hub_download('someone/big', 'data/train-00000-of-00001.parquet', repo_type='dataset'))
+print(snapshot_download('someone/big', repo_type='dataset', local_files_only=True))
+"""
+
+
+def test_other_programs_find_the_files_in_the_cache(server, tmp_path):
+    place = fetch(server, tmp_path, script(BIG))[0]
+    before = len(server.fetched)
+    done = run_here(OTHERS, settings(server, tmp_path), tmp_path)
+    size = len(CONTENT) + len(b"# Big")
+    assert done.stdout.splitlines() == [f"0 ['{BIG}'] [{size}]", f"{place}/{SHARD}", place]
+    assert len(server.fetched) == before
+
+
+ADDRESS = """
+from tactile_toolkit.hub.repository import HubRepository
+print(HubRepository({name!r}).address({path!r}))
+"""
+
+
+def test_a_stream_stays_at_the_commit_that_it_began_with(server, tmp_path):
+    def address() -> str:
+        text = ADDRESS.format(name=BIG, path=SHARD)
+        return run_here(text, settings(server, tmp_path), tmp_path).stdout.strip()
+
+    before, repository = address(), server.repository(BIG)
+    repository.commit({SHARD: repository.blob(SHARD, b"other")}, "the branch moves on")
+    assert address() != before
+    assert stream(server, tmp_path, before) == str(len(CONTENT))
+    assert stream(server, tmp_path, address()) == "5"
+
+
+STREAM = """
+import fsspec
+from tactile_toolkit.errors import ToolkitError
+from tactile_toolkit.hub.streaming import named_streaming
+address = {address!r}
+try:
+    with named_streaming(address), fsspec.open(address) as stream:
+        print(len(stream.read()))
+except ToolkitError as error:
+    print(error.exit_code, type(error).__name__, error)
+except OSError as error:
+    print('not ours', type(error).__name__)
+"""
+
+
+def stream(server: HubServer | str, home: Path, address: str) -> str:
+    done = run_here(STREAM.format(address=address), settings(server, home), home)
+    return done.stdout.strip()
+
+
+def test_failures_of_streaming_are_named(server, tmp_path):
+    assert stream(server, tmp_path, f"hf://datasets/{BIG}/{SHARD}") == str(len(CONTENT))
+    server.repository(BIG).gated = "auto"
+    words = stream(server, tmp_path, f"hf://datasets/{BIG}@main/{SHARD}")
+    assert words.startswith(f"4 HubError Hub data set {BIG!r} is gated; next: ")
+    assert stream(server, tmp_path, str(tmp_path / "nothing")) == "not ours FileNotFoundError"

@@ -1,0 +1,247 @@
+"""Mesh files: what is written comes back as the same solid, and what is damaged is refused by name."""
+
+from __future__ import annotations
+
+import zipfile
+from pathlib import Path
+
+import manifold3d
+import numpy as np
+import pytest
+
+from tactile_toolkit.errors import InputError, StorageError
+from tactile_toolkit.mesh.files import FORMATS, merge_equal_vertices, read_mesh, write_mesh
+from tactile_toolkit.mesh.mesh import Mesh
+from tactile_toolkit.mesh.printability import inspect
+from tactile_toolkit.mesh.threemf import write_threemf
+
+CORE = "http://schemas.microsoft.com/3dmanufacturing/core/2015/02"
+
+
+@pytest.fixture(scope="module")
+def ring() -> Mesh:
+    arrays = manifold3d.CrossSection.circle(2, 24).translate((8, 0)).revolve(40).to_mesh64()
+    vertices_m = np.asarray(arrays.vert_properties)[:, :3] / 1000
+    return Mesh(vertices_m.astype(np.float32), np.asarray(arrays.tri_verts).astype(np.int32))
+
+
+@pytest.mark.parametrize("ending", FORMATS)
+def test_a_file_holds_the_solid_that_was_written(ending: str, ring: Mesh, tmp_path: Path) -> None:
+    path = tmp_path / f"ring{ending}"
+    write_mesh(path, ring)
+    back = read_mesh(path)
+    assert inspect(back).problem is None
+    assert (inspect(back).bodies, inspect(back).genus) == (1, 1)
+    assert len(back.vertices_m) == len(ring.vertices_m)
+    assert back.faces.shape == ring.faces.shape
+    assert np.allclose(back.bounds_m, ring.bounds_m, rtol=0, atol=1e-8)
+    assert back.volume_m3 == pytest.approx(ring.volume_m3, rel=1e-6)
+    assert [p.name for p in tmp_path.iterdir()] == [path.name]
+
+
+@pytest.mark.parametrize("ending", FORMATS)
+def test_the_same_mesh_gives_the_same_bytes(ending: str, ring: Mesh, tmp_path: Path) -> None:
+    for name in ("a", "b"):
+        write_mesh(tmp_path / f"{name}{ending}", ring)
+    assert (tmp_path / f"a{ending}").read_bytes() == (tmp_path / f"b{ending}").read_bytes()
+
+
+@pytest.mark.parametrize("ending", FORMATS)
+@pytest.mark.parametrize("share", [0.02, 0.3, 0.6, 0.9])
+def test_a_file_cut_short_is_refused_or_seen_to_be_open(
+    ending: str, share: float, ring: Mesh, tmp_path: Path
+) -> None:
+    path = tmp_path / f"ring{ending}"
+    write_mesh(path, ring)
+    data = path.read_bytes()
+    path.write_bytes(data[: int(len(data) * share)])
+    try:
+        mesh = read_mesh(path)
+    except InputError:
+        return
+    # A text file such as OBJ says nowhere how long it is.
+    assert not inspect(mesh).is_solid
+
+
+@pytest.mark.parametrize("ending", FORMATS)
+@pytest.mark.parametrize("content", [b"", b"\0" * 200, b"hello, world\n" * 20, bytes(range(256)) * 4])
+def test_what_is_no_mesh_is_refused_with_the_name_of_the_file(
+    ending: str, content: bytes, tmp_path: Path
+) -> None:
+    path = tmp_path / f"other{ending}"
+    path.write_bytes(content)
+    with pytest.raises(InputError, match=f"other{ending}"):
+        read_mesh(path)
+
+
+def test_missing_files_folders_and_unknown_endings_are_refused(ring: Mesh, tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="absent"):
+        read_mesh(tmp_path / "absent.stl")
+    (tmp_path / "folder.stl").mkdir()
+    with pytest.raises(InputError, match="folder"):
+        read_mesh(tmp_path / "folder.stl")
+    with pytest.raises(InputError, match="expected one of"):
+        read_mesh(tmp_path / "mesh.step")
+    with pytest.raises(InputError, match="expected one of"):
+        write_mesh(tmp_path / "mesh.step", ring)
+
+
+def test_a_file_that_cannot_be_written_leaves_nothing_behind(ring: Mesh, tmp_path: Path) -> None:
+    with pytest.raises(StorageError, match="nowhere"):
+        write_mesh(tmp_path / "nowhere" / "mesh.stl", ring)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_ascii_stl(tmp_path: Path) -> None:
+    corners = [[(0, 0, 0), (0, 1, 0), (1, 0, 0)], [(0, 0, 0), (1, 0, 0), (0, 0, 1)]]
+    corners += [[(0, 0, 0), (0, 0, 1), (0, 1, 0)], [(1, 0, 0), (0, 1, 0), (0, 0, 1)]]
+    facets = "".join(
+        "facet normal 0 0 0\nouter loop\n"
+        + "".join(f"vertex {x} {y} {z}\n" for x, y, z in corner)
+        + "endloop\nendfacet\n"
+        for corner in corners
+    )
+    path = tmp_path / "tetrahedron.stl"
+    path.write_text(f"solid t\n{facets}endsolid t\n")
+    mesh = read_mesh(path)
+    assert (len(mesh.vertices_m), len(mesh.faces)) == (4, 4)
+    assert mesh.volume_m3 == pytest.approx(1e-9 / 6)
+    path.write_text(f"solid t\n{facets}")
+    with pytest.raises(InputError, match="endsolid"):
+        read_mesh(path)
+
+
+def model_3mf(path: Path, unit: str, resources: str, build: str) -> None:
+    with zipfile.ZipFile(path, "w") as archive:
+        archive.writestr(
+            "3D/3dmodel.model",
+            f'<model unit="{unit}" xmlns="{CORE}"><resources>{resources}</resources>'
+            f"<build>{build}</build></model>",
+        )
+
+
+TETRAHEDRON = (
+    '<object id="1" type="model"><mesh><vertices><vertex x="0" y="0" z="0"/><vertex x="1" y="0" z="0"/>'
+    '<vertex x="0" y="1" z="0"/><vertex x="0" y="0" z="1"/></vertices><triangles>'
+    '<triangle v1="0" v2="2" v3="1"/><triangle v1="0" v2="1" v3="3"/><triangle v1="0" v2="3" v3="2"/>'
+    '<triangle v1="1" v2="2" v3="3"/></triangles></mesh></object>'
+)
+
+
+@pytest.mark.parametrize(
+    ("unit", "mm"), [("millimeter", 1), ("inch", 25.4), ("meter", 1000), ("micron", 0.001)]
+)
+def test_3mf_is_read_in_its_own_unit(unit: str, mm: float, tmp_path: Path) -> None:
+    model_3mf(tmp_path / "a.3mf", unit, TETRAHEDRON, '<item objectid="1"/>')
+    assert np.ptp(read_mesh(tmp_path / "a.3mf").bounds_m, axis=0) == pytest.approx([mm / 1000] * 3)
+
+
+def test_3mf_places_components_and_items(tmp_path: Path) -> None:
+    pair = (
+        '<object id="2"><components><component objectid="1"/>'
+        '<component objectid="1" transform="-1 0 0 0 1 0 0 0 1 -5 0 0"/></components></object>'
+    )
+    item = '<item objectid="2" transform="2 0 0 0 2 0 0 0 2 0 0 7"/>'
+    model_3mf(tmp_path / "pair.3mf", "millimeter", TETRAHEDRON + pair, item)
+    mesh = read_mesh(tmp_path / "pair.3mf")
+    report = inspect(mesh)
+    assert (report.is_solid, report.bodies) == (True, 2)
+    assert report.volume_mm3 == pytest.approx(2 * 8 / 6)
+    assert mesh.bounds_m * 1000 == pytest.approx(np.array([[-12, 0, 7], [2, 2, 9]]))
+
+
+@pytest.mark.parametrize(
+    ("resources", "build"),
+    [
+        (TETRAHEDRON, ""),
+        (TETRAHEDRON, '<item objectid="9"/>'),
+        (
+            '<object id="1"><components><component objectid="1"/></components></object>',
+            '<item objectid="1"/>',
+        ),
+        (TETRAHEDRON.replace('x="0"', 'x="zero"', 1), '<item objectid="1"/>'),
+    ],
+)
+def test_a_3mf_that_builds_nothing_is_refused(resources: str, build: str, tmp_path: Path) -> None:
+    model_3mf(tmp_path / "bad.3mf", "millimeter", resources, build)
+    with pytest.raises(InputError, match=r"bad\.3mf"):
+        read_mesh(tmp_path / "bad.3mf")
+
+
+def test_3mf_is_what_trimesh_expects(ring: Mesh) -> None:
+    data = write_threemf(ring.vertices_m.astype(np.float64) * 1000, ring.faces)
+    assert data[:2] == b"PK"
+
+
+def test_merging_keeps_the_order_and_the_triangles() -> None:
+    corners = np.array([[1, 0, 0], [0, 0, 0], [0, 1, 0], [0, -0.0, 0], [1, 0, 0], [0, 0, 1.0]])
+    vertices, faces = merge_equal_vertices(corners, np.array([[0, 1, 2], [3, 4, 5]]))
+    assert np.array_equal(vertices, corners[[0, 1, 2, 5]])
+    assert faces.tolist() == [[0, 1, 2], [1, 0, 3]]
+
+
+PRODUCTION = "http://schemas.microsoft.com/3dmanufacturing/production/2015/06"
+BODY = (
+    '<object id="1" type="model"><mesh><vertices><vertex x="0" y="0" z="0"/><vertex x="2" y="0" z="0"/>'
+    '<vertex x="0" y="2" z="0"/><vertex x="0" y="0" z="2"/></vertices><triangles>'
+    '<triangle v1="0" v2="2" v3="1"/><triangle v1="0" v2="1" v3="3"/><triangle v1="0" v2="3" v3="2"/>'
+    '<triangle v1="1" v2="2" v3="3"/></triangles></mesh></object>'
+)
+
+
+def package(path: Path, component: str, **parts: str) -> Path:
+    """Write a 3MF file as Bambu Studio does: objects are in models of their own."""
+    whole = f'<object id="2" type="model"><components>{component}</components></object>'
+    with zipfile.ZipFile(path, "w") as archive:
+        archive.writestr(
+            "3D/3dmodel.model",
+            f'<model unit="millimeter" xmlns="{CORE}" xmlns:p="{PRODUCTION}" requiredextensions="p">'
+            f'<resources>{whole}</resources><build><item objectid="2" '
+            'transform="1 0 0 0 1 0 0 0 1 10 0 0"/></build></model>',
+        )
+        for name, unit in parts.items():
+            archive.writestr(
+                f"3D/Objects/{name}.model",
+                f'<model unit="{unit}" xmlns="{CORE}"><resources>{BODY}</resources><build/></model>',
+            )
+    return path
+
+
+@pytest.mark.parametrize(("unit", "mm"), [("millimeter", 1), ("centimeter", 10)])
+def test_objects_in_models_of_their_own_are_found(unit: str, mm: float, tmp_path: Path) -> None:
+    component = '<component p:path="/3D/Objects/a.model" objectid="1" transform="1 0 0 0 1 0 0 0 1 0 5 0"/>'
+    found = read_mesh(package(tmp_path / "a.3mf", component, a=unit, b="inch"))
+    assert found.bounds_m * 1e3 == pytest.approx(np.array([[10, 5, 0], [10 + 2 * mm, 5 + 2 * mm, 2 * mm]]))
+    assert inspect(found).is_solid
+
+
+@pytest.mark.parametrize(
+    ("component", "words"),
+    [
+        ('<component p:path="/3D/Objects/none.model" objectid="1"/>', "holds no /3D/Objects/none.model"),
+        ('<component p:path="../../../../etc/passwd" objectid="1"/>', "holds no"),
+        ('<component p:path="/3D/Objects/a.model" objectid="9"/>', "'9' of /3D/Objects/a.model is missing"),
+        ('<component p:path="/3D/3dmodel.model" objectid="2"/>', "holds itself"),
+        ('<component objectid="2"/>' * 2, "holds itself"),
+    ],
+)
+def test_paths_to_what_a_package_lacks_are_named(component: str, words: str, tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=words):
+        read_mesh(package(tmp_path / "a.3mf", component, a="millimeter"))
+
+
+def test_a_mesh_of_trimesh_and_a_record_are_taken_as_they_are(ring: Mesh, tmp_path: Path) -> None:
+    class Record:
+        vertices_m, faces = ring.vertices_m, ring.faces
+
+    for number, thing in enumerate((ring, ring.to_trimesh(), Record())):
+        write_mesh(tmp_path / f"{number}.stl", thing)  # type: ignore[arg-type]
+        assert inspect(thing).volume_mm3 == pytest.approx(inspect(ring).volume_mm3)  # type: ignore[arg-type]
+    assert len({path.read_bytes() for path in tmp_path.iterdir()}) == 1
+    back = Mesh.from_trimesh(ring.to_trimesh())
+    assert (back.faces.dtype, back.vertices_m.dtype) == (np.int32, np.float64)
+    for bad in (None, "a.stl", ring.vertices_m):
+        with pytest.raises(InputError, match="holds no triangles"):
+            inspect(bad)  # type: ignore[arg-type]
+        with pytest.raises(InputError, match="holds no triangles"):
+            write_mesh(tmp_path / "bad.stl", bad)  # type: ignore[arg-type]

@@ -1,0 +1,232 @@
+"""Pictures: what is drawn where, at which scale, and the same bytes everywhere."""
+
+from __future__ import annotations
+
+import struct
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from PIL import Image
+
+from tactile_toolkit.errors import InputError, MissingExtraError
+from tactile_toolkit.mesh.mesh import Mesh
+from tactile_toolkit.pictures.lettering import INK, text_size
+from tactile_toolkit.pictures.render import Studio
+from tactile_toolkit.pictures.sheets import ScaleBar, Sheet, Tile, in_rows, sheet, with_scale_bar
+from tactile_toolkit.pictures.writing import (
+    Drawing,
+    PlannedPicture,
+    chosen_kinds,
+    file_stem,
+    plan_kinds,
+    png_bytes,
+    renamed,
+    whole_numbers,
+    write_pictures,
+)
+from tactile_toolkit.store.folder import DataFolder
+
+
+def box(x_mm: float, y_mm: float, z_mm: float) -> Mesh:
+    import trimesh
+
+    made = trimesh.creation.box((x_mm / 1e3, y_mm / 1e3, z_mm / 1e3))
+    return Mesh(np.asarray(made.vertices), np.asarray(made.faces, np.int32))
+
+
+def chunks(png: bytes) -> list[bytes]:
+    place, names = 8, []
+    while place < len(png):
+        (length,) = struct.unpack(">I", png[place : place + 4])
+        names.append(png[place + 4 : place + 8])
+        place += 12 + length
+    return names
+
+
+def opened(png: bytes, folder: Path) -> np.ndarray:
+    (folder / "read.png").write_bytes(png)
+    with Image.open(folder / "read.png") as image:
+        return np.asarray(image)
+
+
+def ink(pixels: np.ndarray) -> np.ndarray:
+    return (pixels == INK).all(axis=2)
+
+
+# ---------------------------------------------------------------- words
+
+
+@pytest.mark.parametrize(
+    ("written", "as_if"),
+    [
+        ("Größe: café, Łódź, ﬁn", "Grosse: cafe, Lodz, fin"),
+        ("u\u0308ber 5 µm \N{EN DASH} 3 \N{MULTIPLICATION SIGN} 4", "uber 5 um - 3 x 4"),
+        ("数字 ☃ \n", "?? ? ?"),
+        ("plain (a-z) «©» 5 cm³", "plain (a-z) «©» 5 cm³"),
+    ],
+)
+def test_letters_that_the_font_lacks_are_written_in_plain_ones(written, as_if):
+    titled = [sheet([None], Sheet(1, title, (title,))) for title in (written, as_if)]
+    assert np.array_equal(*titled)
+    assert text_size(written, 16) == text_size(as_if, 16)
+
+
+def test_the_font_has_every_letter_that_is_left():
+    from PIL import ImageFont
+
+    from tactile_toolkit.pictures.lettering import _LETTERS
+
+    font = ImageFont.load_default(40)
+    absent = bytes(font.getmask("\N{SNOWMAN}"))
+    assert [letter for letter in sorted(_LETTERS) if bytes(font.getmask(letter)) == absent] == []
+
+
+# ---------------------------------------------------------------- files
+
+
+@pytest.mark.parametrize("shape", [(5, 7), (5, 7, 3)])
+def test_a_png_holds_its_pixels_and_nothing_else(shape, tmp_path):
+    pixels = np.random.default_rng(0).integers(0, 256, shape, dtype=np.uint8)
+    png = png_bytes(pixels)
+    assert np.array_equal(opened(png, tmp_path), pixels)
+    assert set(chunks(png)) == {b"IHDR", b"IDAT", b"IEND"}
+    assert png_bytes(pixels[:, ::-1][:, ::-1]) == png
+
+
+def test_pictures_before_a_failing_one_stay_and_nothing_half_written_is_left(tmp_path):
+    def fails(_: Studio) -> Drawing:
+        message = "no"
+        raise InputError(message)
+
+    good = PlannedPicture("good.png", "good", lambda _: Drawing(np.zeros((2, 3), np.uint8), ("a note",)))
+    told: list[tuple[int, int]] = []
+    with pytest.raises(InputError):
+        write_pictures(
+            DataFolder(str(tmp_path)), [good, PlannedPicture("bad.png", "", fails)], lambda *n: told.append(n)
+        )
+    assert [path.name for path in tmp_path.iterdir()] == ["good.png"]
+    assert told == [(1, 2)]
+    (written,) = write_pictures(DataFolder(str(tmp_path)), [good])
+    assert (written.width, written.height, written.notes) == (3, 2, ("a note",))
+    assert written.bytes == (tmp_path / "good.png").stat().st_size
+
+
+def test_kinds_are_settled_once():
+    known, usual = ("a", "b", "c"), ("a", "c")
+    assert chosen_kinds((), known, usual) == (usual, False)
+    assert chosen_kinds(("c", "b", "c"), known, usual) == (("b", "c"), True)
+    assert chosen_kinds(("a", "all"), known, usual) == (known, False)
+    with pytest.raises(InputError, match="'d'; expected a, b, c or all"):
+        chosen_kinds(("d",), known, usual)
+
+
+def test_what_was_not_named_may_be_left_out_what_was_named_may_not():
+    picture = PlannedPicture("a.png", "", lambda _: Drawing(np.zeros((1, 1), np.uint8)))
+
+    def plan(kind: str) -> list[PlannedPicture]:
+        if kind == "plot":
+            raise MissingExtraError("a plot", "matplotlib", "pictures")
+        return [picture]
+
+    found = plan_kinds(("sheet", "plot"), False, plan)
+    assert found.pictures == (picture,)
+    assert "pip install 'tactile-toolkit[pictures]'" in found.left_out[0]
+    with pytest.raises(MissingExtraError):
+        plan_kinds(("sheet", "plot"), True, plan)
+    with pytest.raises(MissingExtraError):
+        plan_kinds(("plot",), False, plan)
+
+
+def test_one_picture_may_go_into_a_file_of_any_name():
+    one = PlannedPicture("a.png", "", lambda _: Drawing(np.zeros((1, 1), np.uint8)))
+    assert renamed([one, one], Path("out/folder"))[0] == Path("out/folder")
+    folder, (named,) = renamed([one], Path("out/mine.PNG"))
+    assert (folder, named.name) == (Path("out"), "mine.PNG")
+    with pytest.raises(InputError, match="2 pictures"):
+        renamed([one, one], Path("out/mine.png"))
+
+
+def test_names_of_files_are_plain(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "a set.v1").mkdir()
+    assert file_stem("a set.v1") == "a-set.v1"
+    (tmp_path / "b.parquet").touch()
+    assert file_stem(str(tmp_path / "b.parquet")) == "b"
+    assert file_stem("USER/some-set") == "some-set"
+    assert file_stem(".") == tmp_path.name
+
+
+@pytest.mark.parametrize("text", ["", "3,", "x", "-1", "1.5", "٣"])
+def test_ids_are_whole_numbers(text):
+    assert whole_numbers("--ids", None) == ()
+    assert whole_numbers("--ids", " 3,17 ") == (3, 17)
+    with pytest.raises(InputError, match="--ids has"):
+        whole_numbers("--ids", text)
+
+
+# ---------------------------------------------------------------- sheets
+
+
+@given(st.integers(20, 4000), st.floats(0.01, 500))
+def test_a_scale_bar_is_as_long_as_it_says(width_px, px_per_mm):
+    bar = ScaleBar.fitting(width_px, px_per_mm)
+    assert bar.length_px == max(1, round(bar.length_mm * px_per_mm))
+    first = int(f"{bar.length_mm:e}"[0])
+    assert first in (1, 2, 5)
+    if 0.002 < width_px / 4 / px_per_mm < 5000:
+        assert bar.length_px <= width_px / 4 + 1
+        assert bar.length_px > width_px / 4 / 2.6 - 1
+
+
+@pytest.mark.parametrize("px_per_mm", [3.3, 7.0, 12.4])
+def test_the_drawn_bar_has_that_many_pixels(px_per_mm):
+    grey = np.full((120, 300, 3), 128, np.uint8)
+    drawn = with_scale_bar(grey, px_per_mm)
+    bar = ScaleBar.fitting(300, px_per_mm)
+    rows = ink(drawn).sum(axis=1)
+    assert (rows == bar.length_px).sum() == 5
+    assert np.flatnonzero(rows == bar.length_px).max() == 120 - 11
+    assert np.array_equal(drawn[:60], grey[:60])
+    assert np.array_equal(drawn[:, 160:], grey[:, 160:])
+
+
+def test_tiles_lie_in_rows_of_one_height_whatever_is_written_around_them():
+    colours = [(255, 0, 0), (0, 255, 0), (0, 0, 255), (255, 255, 0)]
+    tiles = [Tile(np.full((20 + n, 30, 3), colours[n], np.uint8), f"caption {n}") for n in range(3)]
+    framed = Tile(np.full((20, 30, 3), colours[3], np.uint8), "", (1, 2, 3))
+    layout = Sheet(2, "A title", ("a line",), ("foot", "foot"), ("one", "two"))
+    drawn = sheet(
+        [*tiles, None, framed], Sheet(2, "A title", ("a line",), ("foot",), ("one", "two", "three"))
+    )
+    for colour, tile in zip(colours, [*tiles, framed], strict=True):
+        rows, columns = np.nonzero((drawn == colour).all(axis=2))
+        height, width = tile.pixels.shape[:2]
+        assert (np.ptp(rows) + 1, np.ptp(columns) + 1) == (height, width)
+        assert len(rows) == height * width, "nothing is written over a tile"
+    rows, columns = np.nonzero((drawn == (1, 2, 3)).all(axis=2))
+    assert (np.ptp(rows) + 1, np.ptp(columns) + 1) == (26, 36)
+    assert len(rows) == 26 * 36 - 20 * 30
+    assert sheet(tiles, layout).shape[1] >= text_size("A title", 22)[0]
+
+
+def test_a_sheet_without_words_is_its_tiles():
+    drawn = sheet([Tile(np.zeros((10, 20), np.uint8))] * 3, Sheet(2, gap_px=4, margin_px=4))
+    assert drawn.shape == (4 + 2 * 14, 4 + 2 * 24, 3)
+    assert (drawn[4:14, 4:24] == 0).all()
+    assert (drawn[18:28, 28:48] == 255).all()
+
+
+@given(st.lists(st.integers(1, 9), min_size=1, max_size=6), st.integers(1, 5))
+def test_each_group_begins_a_row(sizes, most):
+    tile = Tile(np.zeros((1, 1), np.uint8))
+    columns, cells, labels = in_rows([(f"g{n}", [tile] * size) for n, size in enumerate(sizes)], most)
+    assert columns == min(most, max(sizes))
+    assert len(cells) == columns * len(labels)
+    assert sum(cell is not None for cell in cells) == sum(sizes)
+    starts = [place for place, label in enumerate(labels) if label]
+    assert [labels[start] for start in starts] == [f"g{n}" for n in range(len(sizes))]
+    for start, size in zip(starts, sizes, strict=True):
+        assert all(cells[start * columns : start * columns + size])

@@ -1,0 +1,284 @@
+"""Views of solids: the depth buffer, the renderer beside it, and plots."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import subprocess
+import sys
+from importlib.util import find_spec
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from tactile_toolkit.mesh.mesh import Mesh
+from tactile_toolkit.pictures.lettering import ACCENTS
+from tactile_toolkit.pictures.render import (
+    OBLIQUE,
+    TOP,
+    Body,
+    Picture3d,
+    Studio,
+    View,
+    averaged,
+    face_buffer,
+    fitting_scale,
+    shaded,
+)
+
+CLAY = (200, 120, 40)
+angles = st.floats(-180, 180), st.floats(5, 90)
+
+
+def box(x_mm: float, y_mm: float, z_mm: float) -> Mesh:
+    import trimesh
+
+    made = trimesh.creation.box((x_mm / 1e3, y_mm / 1e3, z_mm / 1e3))
+    return Mesh(np.asarray(made.vertices), np.asarray(made.faces, np.int32))
+
+
+def lifted(mesh: Mesh, z_m: float) -> Mesh:
+    return Mesh(mesh.vertices_m + np.array((0.0, 0.0, z_m)), mesh.faces)
+
+
+# ---------------------------------------------------------------- relief
+
+
+@given(*angles)
+def test_a_view_has_three_directions_at_right_angles(azimuth, elevation):
+    axes = View(azimuth, elevation).axes
+    assert np.allclose(axes @ axes.T, np.eye(3), atol=1e-12)
+    assert np.linalg.det(axes) == pytest.approx(1.0)
+    assert axes[0, 2] == 0.0, "the horizon is level"
+    assert np.allclose(TOP.axes, np.eye(3), atol=1e-12)
+
+
+@settings(max_examples=100)
+@given(st.integers(0, 2**32 - 1))
+def test_the_depth_buffer_sees_what_looking_at_each_pixel_sees(seed):
+    random = np.random.default_rng(seed)
+    points = random.uniform(-4, 20, (9, 3)) + np.array((0, 0, random.uniform(-50, 50)))
+    faces = random.integers(0, 9, (7, 3))
+    seen = face_buffer(points, faces, (16, 12))
+    for row, column in random.integers(0, (12, 16), (25, 2)):
+        depths = {
+            number: depth
+            for number, face in enumerate(faces)
+            if (depth := _depth_at(points[face], column + 0.5, row + 0.5)) is not None
+        }
+        if seen[row, column] < 0:
+            assert not depths
+        else:
+            closest = max(depths.values())
+            assert depths[int(seen[row, column])] == pytest.approx(closest, abs=1e-6)
+
+
+def _depth_at(corners: np.ndarray, x: float, y: float) -> float | None:
+    matrix = np.vstack([corners[:, :2].T, np.ones(3)])
+    if abs(np.linalg.det(matrix)) < 1e-12:
+        return None
+    shares = np.linalg.solve(matrix, [x, y, 1.0])
+    return float(shares @ corners[:, 2]) if (shares >= 0).all() else None
+
+
+def test_a_box_from_above_covers_its_area_to_the_pixel():
+    picture = Picture3d((Body(box(20, 10, 5), CLAY),), (260, 160), 10_000.0, TOP)
+    covered = (shaded(picture) < 250).any(axis=2)
+    rows, columns = np.nonzero(covered)
+    assert (np.ptp(columns) + 1, np.ptp(rows) + 1) == (200, 100)
+    assert covered.sum() == 200 * 100
+    assert (columns.min(), rows.min()) == (30, 30)
+
+
+def test_what_is_closer_hides_what_is_behind():
+    high, low = box(4, 4, 4), box(10, 10, 1)
+    red, green = Body(lifted(high, 0.01), (250, 0, 0)), Body(low, (0, 250, 0))
+    for bodies in ((red, green), (green, red)):
+        drawn = shaded(Picture3d(bodies, (100, 100), 8_000.0, TOP))
+        assert drawn[50, 50, 0] > 100
+        assert drawn[50, 50, 1] == 0
+        assert drawn[14, 50, 1] > 100
+
+
+def test_a_fitting_scale_fills_one_side():
+    bodies = (Body(box(20, 10, 5), CLAY),)
+    drawn = shaded(Picture3d(bodies, (200, 150), fitting_scale(bodies, (200, 150), OBLIQUE), OBLIQUE))
+    rows, columns = np.nonzero((drawn < 250).any(axis=2))
+    assert max((np.ptp(columns) + 1) / 200, (np.ptp(rows) + 1) / 150) == pytest.approx(1.0, abs=0.02)
+
+
+@given(st.integers(1, 4), st.integers(1, 6), st.integers(1, 6), st.integers(0, 255))
+def test_averaging_keeps_levels(factor, height, width, level):
+    large = np.full((height * factor, width * factor, 3), level, np.uint8)
+    assert np.array_equal(averaged(large, factor), np.full((height, width, 3), level, np.uint8))
+    assert averaged(np.zeros((factor + 1, 1), np.uint8), factor).shape == (2, 1)
+
+
+def test_without_a_renderer_the_view_is_shaded_relief_and_says_so():
+    picture = Picture3d((Body(box(20, 10, 5), CLAY),), (120, 90), 4_000.0)
+    with Studio(renderer=False) as studio:
+        pixels, notes = studio.draw(picture)
+    assert np.array_equal(pixels, shaded(picture))
+    assert notes == ()
+    if find_spec("pyvista") is not None:
+        return
+    with Studio() as studio:
+        pixels, notes = studio.draw(picture)
+    assert np.array_equal(pixels, shaded(picture))
+    assert "pip install 'tactile-toolkit[pictures]'" in notes[0]
+
+
+DRAW = """
+import hashlib, numpy as np
+from tactile_toolkit.pictures.lettering import ACCENTS
+from tactile_toolkit.pictures.render import Body, Picture3d, shaded
+from tactile_toolkit.pictures.writing import png_bytes
+from tactile_toolkit.mesh.mesh import Mesh
+from tactile_toolkit.pictures.sheets import Sheet, Tile, sheet, with_scale_bar
+corners = np.array([(0, 0, 0), (.02, 0, 0), (0, .01, 0), (0, 0, .01)])
+mesh = Mesh(corners, np.array([(0, 2, 1), (0, 1, 3), (1, 2, 3), (0, 3, 2)], np.int32))
+view = with_scale_bar(shaded(Picture3d((Body(mesh, (200, 120, 40)),), (120, 90), 4000.0)), 4.0)
+drawn = sheet([Tile(view, "20 mm²", ACCENTS[0])] * 3, Sheet(2, "Title", ("line",), ("foot",), ("a", "b")))
+print(hashlib.sha256(png_bytes(drawn)).hexdigest())
+"""
+
+
+def test_every_process_draws_the_same_bytes(tmp_path):
+    printed = {
+        subprocess.run(
+            [sys.executable, "-c", DRAW],
+            env={**os.environ, "PYTHONHASHSEED": seed},
+            capture_output=True,
+            text=True,
+            check=True,
+            cwd=tmp_path,
+        ).stdout
+        for seed in ("1", "2")
+    }
+    assert len(printed) == 1
+
+
+# ---------------------------------------------------------------- extra `pictures`
+
+
+@pytest.fixture
+def pyvista() -> None:
+    if find_spec("pyvista") is None:
+        pytest.skip("needs the extra `pictures` (pyvista)")
+
+
+@pytest.fixture
+def matplotlib() -> None:
+    if find_spec("matplotlib") is None:
+        pytest.skip("needs the extra `pictures` (matplotlib)")
+
+
+@pytest.mark.pictures
+def test_the_renderer_takes_the_same_view_as_the_relief_and_repeats_itself(pyvista, monkeypatch):
+    monkeypatch.delenv("DISPLAY", raising=False)
+    bodies = (Body(box(20, 10, 5), CLAY), Body(lifted(box(4, 4, 4), 0.009), (0, 0, 200)))
+    picture = Picture3d(bodies, (240, 180), fitting_scale(bodies, (220, 160)))
+    views = []
+    for _ in range(2):
+        with Studio() as studio:
+            pixels, notes = studio.draw(picture)
+            assert notes == ()
+            assert np.array_equal(studio.draw(picture)[0], pixels)
+            views.append(pixels)
+    assert np.array_equal(*views)
+    one, other = (views[0] < 250).any(axis=2), (shaded(picture) < 250).any(axis=2)
+    assert (one & other).sum() / (one | other).sum() > 0.99
+
+
+@pytest.mark.pictures
+def test_a_renderer_that_dies_does_not_take_the_caller_with_it(pyvista, monkeypatch):
+    # Without a graphics driver VTK ends the process that calls it.
+    monkeypatch.setenv("VTK_DEFAULT_OPENGL_WINDOW", "vtkOSOpenGLRenderWindow")
+    monkeypatch.setenv("__EGL_VENDOR_LIBRARY_DIRS", "/nonexistent")
+    picture = Picture3d((Body(box(20, 10, 5), CLAY),), (120, 90), 4_000.0)
+    with Studio() as studio:
+        pixels, notes = studio.draw(picture)
+        assert np.array_equal(pixels, shaded(picture))
+        assert "graphics driver" in notes[0]
+        assert studio.draw(picture)[1] == notes
+
+
+@pytest.mark.pictures
+def test_bars_are_as_high_as_their_counts(matplotlib):
+    from tactile_toolkit.pictures.plots import Bars, plot_bars
+
+    counts = (10, 20, 0, 40)
+    drawn = plot_bars([Bars("panel", ("a", "b", "c", "d"), counts, "class", "rows")], "title")
+    filled = (drawn == ACCENTS[0]).all(axis=2).sum(axis=0)
+    heights = filled[filled > 5]
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], (filled > 5).astype(int), [0]])))
+    bars = [int(np.median(filled[start:stop])) for start, stop in zip(edges[::2], edges[1::2], strict=True)]
+    assert len(bars) == 3
+    assert len(heights) > 100
+    assert bars[0] / 10 == pytest.approx(bars[2] / 40, rel=0.02)
+    assert bars[1] / 20 == pytest.approx(bars[2] / 40, rel=0.02)
+
+
+PLOT = """
+import hashlib, sys, numpy as np
+from tactile_toolkit.pictures.plots import Points, Spread, plot_points, plot_spreads
+x = np.linspace(0, 1, 50) ** 2
+one = plot_spreads([Spread("t", "mm", (("a", x), ("b", 1 - x)), "rows", (0.3, "limit"))] * 2, "title")
+two = plot_points(Points("t", "x", "y", np.arange(50), x, ("g",) * 25 + ("h",) * 25), "sub")
+assert "matplotlib.pyplot" not in sys.modules
+print(hashlib.sha256(one.tobytes() + two.tobytes()).hexdigest())
+"""
+
+
+@pytest.mark.pictures
+def test_plots_do_not_depend_on_the_settings_of_the_machine(matplotlib, tmp_path):
+    (tmp_path / "matplotlibrc").write_text("axes.facecolor: red\nfont.size: 30\nbackend: TkAgg\n")
+    printed = set()
+    for more in ({}, {"MATPLOTLIBRC": str(tmp_path / "matplotlibrc"), "PYTHONHASHSEED": "5"}):
+        done = subprocess.run(
+            [sys.executable, "-W", "error", "-c", PLOT],
+            env={**os.environ, **more},
+            capture_output=True,
+            text=True,
+            check=True,
+        )
+        printed.add(done.stdout)
+    assert len(printed) == 1
+    assert len(printed.pop().strip()) == len(hashlib.sha256().hexdigest())
+
+
+@pytest.mark.pictures
+@pytest.mark.parametrize("words", ["short", "a rather long name of a data set " * 4, "x" * 400, "$x$ 数字"])
+def test_titles_of_plots_are_seen_whole(matplotlib, words):
+    from tactile_toolkit.pictures.plots import Bars, plot_bars
+
+    drawn = plot_bars([Bars("panel", ("a",), (1,), "class", "rows")], words)
+    assert (drawn[:, -3:] == 255).all()
+    assert (drawn[:12, :300] != 255).any()
+
+
+@pytest.mark.pictures
+def test_a_legend_of_many_groups_is_seen_whole(matplotlib):
+    from tactile_toolkit.pictures.plots import Points, plot_points
+
+    groups = tuple(f"gel {number}" for number in range(60))
+    few, many = (
+        plot_points(Points("t", "x", "y", np.arange(count), np.arange(count), groups[:count]))
+        for count in (10, 60)
+    )
+    for drawn in (few, many):
+        assert all((edge == 255).all() for edge in (drawn[-3:], drawn[:, -3:]))
+    assert many.shape[1] > few.shape[1]
+
+
+@pytest.mark.pictures
+def test_plots_leave_no_global_state(matplotlib):
+    import matplotlib as library
+
+    from tactile_toolkit.pictures.plots import Bars, plot_bars
+
+    before = dict(library.rcParams)
+    plot_bars([Bars("panel", ("a",), (1,), "class", "rows")], "title")
+    assert dict(library.rcParams) == before

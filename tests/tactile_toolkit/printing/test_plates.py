@@ -1,0 +1,449 @@
+"""Build plates: everything is on them once, apart from each other, named, and where the table says."""
+
+from __future__ import annotations
+
+import csv
+import io
+import itertools
+import zipfile
+from pathlib import Path
+from typing import Any
+from xml.etree import ElementTree
+
+import manifold3d
+import numpy as np
+import pytest
+import shapely
+import shapely.affinity
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from PIL import Image
+
+from tactile_toolkit.errors import InputError
+from tactile_toolkit.mesh.mesh import Mesh
+from tactile_toolkit.mesh.solid_check import judge
+from tactile_toolkit.mesh.threemf import BuildItem, Part, read_build, write_build
+from tactile_toolkit.printing.layout import Layout, Placed, arrange, measure
+from tactile_toolkit.printing.objects import PrintObject, standing
+from tactile_toolkit.printing.plate_map import draw_map
+from tactile_toolkit.printing.plate_spec import PlateSpec
+from tactile_toolkit.printing.plates import forecast_plates, write_plates
+from tactile_toolkit.printing.tags import tag_mesh
+from tests.tactile_toolkit.printing.solids import box, ell, mesh_of, named, open_box, ring
+from tests.tactile_toolkit.toy import folder_bytes
+
+CORE = "{http://schemas.microsoft.com/3dmanufacturing/core/2015/02}"
+FEW = [ell(40, 9), ring(20, 14), box(20, 12), ell(30, 12), box(8, 50), ring(11, 5), box(13, 13)]
+GROUPS = [
+    mesh_of(
+        manifold3d.Manifold.cube((8, 8, 5))
+        + manifold3d.Manifold.cube((6, 9, 5)).translate((40, 4, 0))
+        + manifold3d.Manifold.cylinder(5, 6).translate((18, 40, 0))
+    ),
+    mesh_of(
+        manifold3d.Manifold.cube((5, 30, 5)) + manifold3d.Manifold.cube((5, 30, 5)).translate((30, 10, 0))
+    ),
+]
+SMALL = PlateSpec(100, 80, 3.0)
+TAGGED = PlateSpec(100, 80, 3.0, label=True)
+
+
+def lay_out(objects: list[PrintObject], spec: PlateSpec, scale: float = 1.0) -> Layout:
+    return arrange(measure(objects, spec, scale))
+
+
+def solid_of(placed: Placed) -> Any:
+    return standing(placed.item.load()).to_manifold().translate(placed.offset_mm)
+
+
+def tag_of(placed: Placed) -> Any:
+    assert placed.tag is not None
+    return tag_mesh(placed.tag.text).to_manifold().translate((placed.tag.x_mm, placed.tag.y_mm, 0))
+
+
+def require_apart(solids: list[Any], gap_mm: float) -> None:
+    for one, other in itertools.combinations(solids, 2):
+        assert one.min_gap(other, gap_mm + 1) >= gap_mm - 1e-6
+
+
+@st.composite
+def meshes(draw: st.DrawFn) -> list[Mesh]:
+    side = st.floats(1, 40)
+    one = st.one_of(
+        st.builds(box, side, side),
+        st.builds(lambda s, share: ell(s, s * share), side, st.floats(0.1, 0.9)),
+        st.builds(lambda r, share: ring(r, r * share), st.floats(2, 20), st.floats(0.1, 0.9)),
+    )
+    return draw(st.lists(one, min_size=1, max_size=9))
+
+
+@settings(max_examples=25)
+@given(shapes=meshes(), gap_mm=st.sampled_from([0.0, 0.7, 3.0, 5.5]), label=st.booleans())
+def test_objects_keep_the_gap_the_pose_and_to_the_plate(
+    shapes: list[Mesh], gap_mm: float, label: bool
+) -> None:
+    spec = PlateSpec(90.5, 61, gap_mm, label and gap_mm > 0)
+    label = spec.label
+    layout = lay_out(named(shapes), spec)
+    placed = [item for plate in layout.plates for item in plate]
+    assert sorted(item.item.id for item in placed) == list(range(len(shapes)))
+    assert len(layout.plates) >= layout.least_plates
+    assert max(layout.shares) <= 1 + 1e-9
+    for plate in layout.plates:
+        solids = [solid_of(item) for item in plate]
+        require_apart(solids, gap_mm)
+        tags = [tag_of(item) for item in plate] if label else []
+        require_apart(tags, gap_mm)
+        for (place, solid), (other, tag) in itertools.product(enumerate(solids), enumerate(tags)):
+            least_mm = spec.tag_gap_mm if place == other else gap_mm
+            assert solid.min_gap(tag, least_mm + 1) >= least_mm - 1e-6
+        for thing in [*solids, *tags]:
+            low_x, low_y, low_z, high_x, high_y, _ = thing.bounding_box()
+            assert low_x >= -1e-6
+            assert low_y >= -1e-6
+            assert high_x <= spec.width_mm + 1e-6
+            assert high_y <= spec.depth_mm + 1e-6
+            assert low_z == pytest.approx(0, abs=1e-9)
+    for item, shape in ((item, shapes[item.item.id]) for item in placed):
+        # Moved, neither turned nor mirrored.
+        moved = np.asarray(standing(item.item.load()).vertices_m)
+        assert moved - moved[0] == pytest.approx(shape.vertices_m - shape.vertices_m[0], abs=1e-12)
+
+
+def test_a_tag_is_nearest_to_its_own_object() -> None:
+    spec = PlateSpec(140, 120, 3.0, label=True)
+    (plate,) = lay_out(named([*FEW, *FEW]), spec).plates
+    solids, tags = [solid_of(item) for item in plate], [tag_of(item) for item in plate]
+    for place, tag in enumerate(tags):
+        distances = [solid.min_gap(tag, 20) for solid in solids]
+        assert min(distances) == distances[place] < spec.gap_mm <= sorted(distances)[1] + 1e-6
+
+
+def test_a_tag_moves_into_a_bay() -> None:
+    (piece,) = measure(named([ring(30, 24)]), PlateSpec(60, 60, label=True)).pieces
+    assert piece.cells.shape == measure(named([ring(30, 24)]), PlateSpec(60, 60)).pieces[0].cells.shape
+
+
+def polygon_of(placed: Placed) -> Any:
+    """What an object covers of its plate, as shapely has it."""
+    rings = [np.add(ring, (placed.x_mm, placed.y_mm)) for ring in placed.outline.rings]
+    whole = shapely.Polygon()
+    for ring_mm in sorted(rings, key=lambda ring_mm: -shapely.Polygon(ring_mm).area):
+        whole = whole.symmetric_difference(shapely.Polygon(ring_mm))
+    return whole
+
+
+@settings(max_examples=40)
+@given(
+    shapes=st.lists(st.sampled_from([*FEW, *GROUPS]), min_size=2, max_size=6),
+    gap_mm=st.one_of(st.floats(0.2, 2), st.floats(2, 40)),
+)
+def test_a_tag_lies_nearer_to_its_object_than_to_any_other(shapes: list[Mesh], gap_mm: float) -> None:
+    spec = PlateSpec(170, 150, gap_mm, label=True)
+    for plate in lay_out(named(shapes), spec).plates:
+        bodies = [polygon_of(placed) for placed in plate]
+        for place, placed in enumerate(plate):
+            tag = placed.tag
+            assert tag is not None
+            sides = shapely.box(tag.x_mm, tag.y_mm, tag.x_mm + tag.width_mm, tag.y_mm + tag.depth_mm)
+            distances = [body.distance(sides) for body in bodies]
+            own = distances.pop(place)
+            assert spec.tag_gap_mm - 1e-6 <= own < 0.8 * gap_mm
+            assert min(distances, default=gap_mm) >= gap_mm - 1e-6
+
+
+@settings(max_examples=25)
+@given(
+    shapes=st.lists(st.sampled_from([*GROUPS, box(6, 6), ring(11, 5)]), min_size=2, max_size=8),
+    gap_mm=st.sampled_from([0.0, 1.0, 3.0]),
+    label=st.booleans(),
+)
+def test_nothing_stands_among_the_parts_of_another_object(
+    shapes: list[Mesh], gap_mm: float, label: bool
+) -> None:
+    spec = PlateSpec(110, 100, gap_mm, label and gap_mm > 0)
+    for plate in lay_out(named(shapes), spec).plates:
+        for one, other in itertools.permutations(plate, 2):
+            if one.outline.parts > 1:
+                apart_mm = polygon_of(one).convex_hull.distance(polygon_of(other))
+                assert apart_mm >= gap_mm - 1e-6
+
+
+def test_the_map_shows_which_parts_belong_together(tmp_path: Path) -> None:
+    """All ground among the parts of an object is white, and not the colour of the plate."""
+    ((placed,),) = lay_out(named(GROUPS[:1]), SMALL).plates
+    write_plates(lay_out(named(GROUPS[:1]), SMALL), str(tmp_path))
+    picture = np.asarray(Image.open(tmp_path / "plate-01.png").convert("RGB"))
+    px_per_mm = 1200 / 100
+    between = shapely.affinity.scale(polygon_of(placed).convex_hull, 0.98, 0.98) - polygon_of(placed).buffer(
+        1
+    )
+    points = [point for point in grid_points(90, 70) if between.contains(shapely.Point(point))]
+    assert len(points) > 20
+    seen = [picture[int(60 + (80 - y) * px_per_mm), int(60 + x * px_per_mm)] for x, y in points]
+    assert (np.array(seen) >= 250).all()
+
+
+def grid_points(width_mm: int, depth_mm: int) -> list[tuple[float, float]]:
+    return [(x + 0.5, y + 0.5) for x in range(0, width_mm, 2) for y in range(0, depth_mm, 2)]
+
+
+@pytest.mark.parametrize("gap_mm", [0.0, 0.1])
+def test_tags_without_room_between_objects_are_refused(gap_mm: float) -> None:
+    with pytest.raises(InputError, match=r"--label with --gap .*next: --gap 0\.2"):
+        PlateSpec(100, 100, gap_mm, label=True)
+
+
+def test_tags_that_would_be_the_same_are_refused() -> None:
+    twice = [*named([box(5, 5)], "test"), *named([box(6, 6)], "train")]
+    with pytest.raises(InputError, match="test-0-00000 and train-0-00000 have the same id 0"):
+        lay_out(twice, TAGGED)
+    assert len(lay_out(twice, SMALL).plates[0]) == 2
+
+
+@pytest.mark.parametrize(
+    ("plate", "shape"),
+    [
+        ("256x256", (1320, 1320)),
+        ("1000x70", (400, 4120)),
+        ("70x1000", (4120, 400)),
+        ("10000x10000", (4120, 4120)),
+        ("5x5", (1320, 1320)),
+    ],
+)
+def test_pixels_of_maps_grow_with_the_plate(plate: str, shape: tuple[int, int]) -> None:
+    spec = PlateSpec.parse(plate)
+    picture = np.asarray(Image.open(io.BytesIO(draw_map((), spec, "empty", ()))).convert("L"))
+    assert picture.shape[0] == shape[0]
+    assert shape[1] <= picture.shape[1] <= shape[1] + 60
+    # The plate is paper with lines on it, not lines alone.
+    middle = picture[60 : shape[0] - 60, 60 : shape[1] - 60]
+    assert (middle > 235).mean() > 0.8
+
+
+def test_words_on_a_map_name_the_split_where_ids_are_shared() -> None:
+    ((placed,),) = lay_out(named([box(40, 40)]), SMALL).plates
+    plain = draw_map([placed], SMALL, "", ["0"])
+    assert draw_map([placed], SMALL, "", ["0"], shared=[7]) == plain
+    assert draw_map([placed], SMALL, "", ["0"], shared=[placed.item.id]) != plain
+
+
+def test_outlines_pack_tighter_than_boxes() -> None:
+    """Four angles, two by two in one another's arms, and a box in each ring."""
+    objects = named([ell(50, 8)] * 4 + [ring(22, 17), box(18, 18)])
+    assert len(lay_out(objects, PlateSpec(120, 112, 2)).plates) == 1
+    boxes_mm2 = sum(
+        (placed.outline.size_mm[0] + 2) * (placed.outline.size_mm[1] + 2)
+        for placed in lay_out(objects, PlateSpec(120, 112, 2)).plates[0]
+    )
+    assert boxes_mm2 < 122 * 114 * 1.2
+
+
+def test_a_plate_can_be_filled_to_its_edges() -> None:
+    tiles = named([box(31, 24) for _ in range(9)])
+    layout = lay_out(tiles, PlateSpec(99, 78, 3))
+    assert [len(plate) for plate in layout.plates] == [9]
+    assert layout.shares[0] == pytest.approx(1, abs=0.01)
+    assert layout.least_plates == 1
+
+
+@pytest.mark.parametrize(
+    ("shape", "spec", "words"),
+    [
+        (box(101, 10), SMALL, "it needs 101.0 x 10.0 mm, the plate is 100 x 80 mm"),
+        (box(10, 80.1), SMALL, "it needs 10.0 x 80.1 mm"),
+        (box(100, 80), TAGGED, "with its tag it needs 100.0 x 90.6 mm"),
+    ],
+)
+def test_what_is_larger_than_the_plate_is_named(
+    shape: Mesh, spec: PlateSpec, words: str, tmp_path: Path
+) -> None:
+    objects = named([box(5, 5), shape])
+    with pytest.raises(InputError, match="test-1-00001 does not fit on the plate") as caught:
+        lay_out(objects, spec)
+    assert words in str(caught.value)
+    assert len(lay_out(objects, spec, scale=0.5).plates[0]) == 2
+
+
+@pytest.mark.parametrize("text", ["256", "256x", "ax3", "1e3x5", "-5x5", "5x5x5", ""])
+def test_plates_of_another_form_are_refused(text: str) -> None:
+    with pytest.raises(InputError, match="--plate is"):
+        PlateSpec.parse(text)
+
+
+@pytest.mark.parametrize(
+    ("plate", "gap_mm"), [("0x5", 3), ("99999x5", 3), ("5x5", -1), ("5x5", float("nan"))]
+)
+def test_plates_and_gaps_that_no_printer_has_are_refused(plate: str, gap_mm: float) -> None:
+    with pytest.raises(InputError, match="expected"):
+        PlateSpec.parse(plate, gap_mm)
+
+
+def test_a_plate_holds_named_objects_where_the_table_says(tmp_path: Path) -> None:
+    made = write_plates(lay_out(named(FEW), TAGGED), str(tmp_path))
+    rows = list(csv.DictReader(io.StringIO((tmp_path / "plates.csv").read_text())))
+    assert sorted(int(row["id"]) for row in rows) == list(range(len(FEW)))
+    assert len(made.rows) == len(rows)
+    names = {path.name for path in tmp_path.iterdir()}
+    numbers = range(1, len(made.plates) + 1)
+    assert names == {"plates.csv", *(f"plate-{n:02d}.{kind}" for n in numbers for kind in ("3mf", "png"))}
+    for plate in made.plates:
+        mine = [row for row in rows if row["file"] == plate.file]
+        items = read_build((tmp_path / plate.file).read_bytes())
+        assert [item.name for item in items] == [row["name"] for row in mine]
+        for item, row in zip(items, mine, strict=True):
+            body, tag = item.parts
+            assert (body.name, tag.name) == (row["name"], f"{row['name']} tag")
+            require_at(body, row, "x_mm", "y_mm", "width_mm", "depth_mm")
+            require_at(tag, row, "tag_x_mm", "tag_y_mm", "tag_width_mm", "tag_depth_mm")
+            verdict = judge(Mesh(body.vertices_mm / 1e3, body.faces))
+            assert verdict.problem is None
+            assert verdict.volume_mm3 == pytest.approx(float(row["volume_mm3"]), abs=2e-3)
+            assert body.vertices_mm[:, 2].max() == pytest.approx(float(row["height_mm"]), abs=1e-3)
+
+
+def require_at(part: Part, row: dict[str, str], *columns: str) -> None:
+    low, high = part.vertices_mm.min(axis=0), part.vertices_mm.max(axis=0)
+    found = (low[0], low[1], high[0] - low[0], high[1] - low[1])
+    assert found == pytest.approx([float(row[column]) for column in columns], abs=1e-3)
+
+
+def test_the_model_keeps_to_the_core_specification(tmp_path: Path) -> None:
+    write_plates(lay_out(named(FEW[:3]), TAGGED), str(tmp_path))
+    with zipfile.ZipFile(tmp_path / "plate-01.3mf") as archive:
+        assert archive.namelist() == ["[Content_Types].xml", "_rels/.rels", "3D/3dmodel.model"]
+        root = ElementTree.fromstring(archive.read("3D/3dmodel.model"))
+    assert root.tag == f"{CORE}model"
+    assert root.get("unit") == "millimeter"
+    objects = {element.get("id"): element for element in root.iter(f"{CORE}object")}
+    assert len(objects) == 9
+    seen: set[str | None] = set()
+    for identity, element in objects.items():
+        assert int(identity or 0) > 0
+        # An object may refer only to objects that stand before it.
+        assert all(part.get("objectid") in seen for part in element.iter(f"{CORE}component"))
+        seen.add(identity)
+        for triangle in element.iter(f"{CORE}triangle"):
+            assert len({triangle.get(corner) for corner in ("v1", "v2", "v3")}) == 3
+    for item in root.iter(f"{CORE}item"):
+        assert objects[item.get("objectid")].find(f"{CORE}components") is not None
+        matrix = [float(number) for number in (item.get("transform") or "1 0 0 0 1 0 0 0 1 0 0 0").split()]
+        assert matrix[:9] == [1, 0, 0, 0, 1, 0, 0, 0, 1]
+        assert matrix[11] == 0
+
+
+@pytest.mark.parametrize("name", ["a", "<&\"'>", "ä 七"])
+def test_names_come_back_as_they_were(name: str) -> None:
+    shape = box(2, 3, 4)
+    part = Part(name, shape.vertices_m * 1e3, shape.faces)
+    (back,) = read_build(write_build([BuildItem(name, (part,), (7.0, 8.0, 0.5))]))
+    assert (back.name, back.parts[0].name) == (name, name)
+    assert back.parts[0].vertices_mm.min(axis=0).tolist() == [7, 8, 0.5]
+
+
+def test_the_same_objects_give_the_same_bytes(tmp_path: Path) -> None:
+    for place in ("a", "b"):
+        write_plates(lay_out(named(FEW), TAGGED), str(tmp_path / place))
+    assert folder_bytes(tmp_path / "a") == folder_bytes(tmp_path / "b")
+
+
+def test_the_map_shows_every_object_where_it_lies(tmp_path: Path) -> None:
+    layout = lay_out(named(FEW), SMALL)
+    write_plates(layout, str(tmp_path))
+    for number, plate in enumerate(layout.plates, 1):
+        picture = np.asarray(Image.open(tmp_path / f"plate-{number:02d}.png").convert("RGB")).astype(int)
+        px_per_mm = 1200 / 100
+        assert picture.shape == (round(80 * px_per_mm) + 120, 1200 + 120, 3)
+        empty = np.array([0xF4, 0xF2, 0xEC])
+        for placed in plate:
+            for ring_mm in placed.outline.rings:
+                x, y = ring_mm.T + np.array([[placed.x_mm], [placed.y_mm]])
+                rows, columns = 60 + (80 - y) * px_per_mm, 60 + x * px_per_mm
+                seen = picture[rows.astype(int).clip(0, 1079), columns.astype(int).clip(0, 1319)]
+                # Outlines are drawn dark.
+                assert (seen.sum(axis=1) < 650).all()
+        assert (np.abs(picture - empty).sum(axis=2) < 12).mean() > 0.1
+
+
+def test_going_on_keeps_plates_and_overwriting_leaves_no_stale_ones(tmp_path: Path) -> None:
+    many, few = lay_out(named([*FEW, *FEW]), SMALL), lay_out(named(FEW[:2]), SMALL)
+    out = str(tmp_path)
+    write_plates(many, out)
+    whole = folder_bytes(tmp_path)
+    (tmp_path / "plate-01.3mf").unlink()
+    (tmp_path / "plates.csv").unlink()
+    made = write_plates(many, out)
+    assert made.plates[0].state == "written"
+    assert {plate.state for plate in made.plates[1:]} <= {"kept"}
+    assert folder_bytes(tmp_path) == whole
+    with pytest.raises(InputError, match="--overwrite"):
+        write_plates(few, out)
+    assert folder_bytes(tmp_path) == whole
+    for name in ("mine.txt", "plate-2024.png", "plate-77.3mf"):
+        (tmp_path / name).write_text("keep")
+    view = forecast_plates(few, out, overwrite=True)
+    made = write_plates(few, out, overwrite=True)
+    assert "plate-02.3mf" in made.removed
+    assert made.removed == view.removed
+    assert {path.name for path in tmp_path.iterdir()} == {
+        *("mine.txt", "plate-2024.png", "plate-77.3mf"),
+        "plates.csv",
+        "plate-01.3mf",
+        "plate-01.png",
+    }
+
+
+def test_what_is_no_solid_is_left_out_and_named(tmp_path: Path) -> None:
+    made = write_plates(lay_out(named([box(5, 5), open_box(5, 5)]), SMALL), str(tmp_path))
+    assert [row["id"] for row in made.rows] == [0]
+    (failure,) = made.failures
+    assert (failure.name, failure.problem) == ("test-1-00001", "not-manifold")
+
+
+def test_a_plate_that_reads_back_otherwise_is_removed_and_not_in_the_table(tmp_path: Path) -> None:
+    """An object that changes between measuring and writing: what is written is not where it should be."""
+    shapes = iter([box(5, 5), *[box(500, 5)] * 9])
+    layout = lay_out([PrintObject("odd", "", "", 1, lambda: next(shapes))], SMALL)
+    (tmp_path / "plate-01.png").write_bytes(b"old")
+    made = write_plates(layout, str(tmp_path), overwrite=True)
+    (failure,) = made.failures
+    assert (failure.name, failure.problem) == ("plate-01.3mf", "off-plate")
+    assert "odd reaches beyond the plate; the file was removed" in failure.detail
+    assert made.rows == ()
+    assert [path.name for path in tmp_path.iterdir()] == ["plates.csv"]
+
+
+@pytest.mark.parametrize("table", ["", "file\n../mine.3mf\nmine.3mf\nplate-1.3mf\n", "a,b\n1\n"])
+def test_a_table_of_another_kind_removes_nothing(table: str, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    out.mkdir()
+    (out / "plates.csv").write_text(table)
+    others = [tmp_path / "mine.3mf", out / "mine.3mf", out / "plate-1.3mf"]
+    for path in others:
+        path.write_text("keep")
+    assert write_plates(lay_out(named(FEW[:1]), SMALL), str(out), overwrite=True).removed == ()
+    assert all(path.read_text() == "keep" for path in others)
+
+
+def test_forecast_says_what_stands_in_the_way(tmp_path: Path) -> None:
+    write_plates(lay_out(named(FEW), SMALL), str(tmp_path))
+    with pytest.raises(InputError, match="--overwrite"):
+        forecast_plates(lay_out(named(FEW[:2]), SMALL), str(tmp_path))
+    (tmp_path / "file").write_text("")
+    with pytest.raises(InputError, match="is a file"):
+        forecast_plates(lay_out(named(FEW), SMALL), str(tmp_path / "file"), overwrite=True)
+
+
+def test_forecast_says_what_will_be_written() -> None:
+    layout = lay_out(named(FEW), SMALL)
+    view = forecast_plates(layout)
+    assert [plate.objects for plate in view.plates] == [len(plate) for plate in layout.plates]
+    assert {plate.state for plate in view.plates} == {"planned"}
+    assert len(view.rows) == len(FEW)
+
+
+def test_bodies_that_lie_apart_stay_together() -> None:
+    pair = manifold3d.Manifold.cube((5, 5, 5)) + manifold3d.Manifold.cube((5, 5, 5)).translate((20, 0, 3))
+    ((placed,),) = lay_out(named([mesh_of(pair)]), SMALL).plates
+    assert placed.outline.size_mm == pytest.approx((25, 5))
+    assert len(placed.outline.rings) == 2

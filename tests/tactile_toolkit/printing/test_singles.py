@@ -1,0 +1,218 @@
+"""One file per object: what is there was read back as the same solid, and nothing else is there."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tactile_toolkit.errors import InputError, ItemError, StorageError
+from tactile_toolkit.mesh.files import FORMATS, read_mesh
+from tactile_toolkit.mesh.mesh import Mesh
+from tactile_toolkit.mesh.solid_check import judge
+from tactile_toolkit.printing.checked import write_checked
+from tactile_toolkit.printing.objects import parse_ids, standing
+from tactile_toolkit.printing.singles import export_files, forecast_files
+from tests.tactile_toolkit.printing.solids import box, ell, named, open_box, ring
+from tests.tactile_toolkit.toy import folder_bytes
+
+SHAPES = [box(20, 10), ell(30, 8), ring(12, 6)]
+
+
+@pytest.mark.parametrize("ending", FORMATS)
+def test_every_format_comes_back_as_the_solid_on_the_plate(ending: str, tmp_path: Path) -> None:
+    raised = [Mesh(mesh.vertices_m + np.array([0.1, 0.2, 0.05]), mesh.faces) for mesh in SHAPES]
+    made = export_files(named(raised), str(tmp_path / "out"), ending[1:])
+    assert made.failures == ()
+    names = [f"test-{number}-{number:05d}{ending}" for number in range(3)]
+    assert sorted(path.name for path in (tmp_path / "out").iterdir()) == names
+    for shape, file in zip(raised, made.files, strict=True):
+        back = read_mesh(tmp_path / "out" / file.file)
+        assert judge(back).problem is None
+        expected = shape.bounds_m - (0, 0, 0.05)
+        assert back.bounds_m == pytest.approx(expected, abs=1e-7)
+        assert file.size_mm == pytest.approx(np.ptp(shape.bounds_m, axis=0) * 1e3)
+        assert back.volume_m3 == pytest.approx(shape.volume_m3, rel=1e-5)
+        assert file.bytes == (tmp_path / "out" / file.file).stat().st_size
+
+
+def test_scale_is_a_factor_on_all_lengths(tmp_path: Path) -> None:
+    export_files(named([ell(30, 8)]), str(tmp_path), scale=0.5)
+    back = read_mesh(tmp_path / "test-0-00000.stl")
+    assert np.ptp(back.bounds_m, axis=0) * 1e3 == pytest.approx([15, 15, 2.5])
+
+
+def test_corners_that_a_data_set_stores_twice_are_joined() -> None:
+    shape = ring(12, 6)
+    loose = Mesh(shape.vertices_m[shape.faces].reshape(-1, 3), np.arange(shape.faces.size).reshape(-1, 3))
+    assert judge(loose).problem == "not-manifold"
+    assert judge(standing(loose)).problem is None
+
+
+def test_what_is_no_solid_is_named_and_does_not_stop_the_others(tmp_path: Path) -> None:
+    made = export_files(named([box(5, 5), open_box(5, 5), ring(4, 2)]), str(tmp_path))
+    assert [file.id for file in made.files] == [0, 2]
+    (failure,) = made.failures
+    assert (failure.name, failure.problem) == ("test-1-00001", "not-manifold")
+    assert len(list(tmp_path.iterdir())) == 2
+
+
+@pytest.mark.parametrize(
+    ("damage", "problem"),
+    [
+        (lambda mesh: Mesh(mesh.vertices_m, mesh.faces + 5), "index-out-of-range"),
+        (lambda mesh: Mesh(mesh.vertices_m, mesh.faces - 1), "index-out-of-range"),
+        (lambda mesh: Mesh(mesh.vertices_m * np.nan, mesh.faces), "not-finite"),
+        (lambda mesh: Mesh(mesh.vertices_m[:0], mesh.faces[:0]), "empty"),
+        (lambda mesh: Mesh(mesh.vertices_m, mesh.faces[:, ::-1]), "inside-out"),
+    ],
+)
+def test_damaged_meshes_are_named_not_crashed_on(damage, problem: str, tmp_path: Path) -> None:
+    made = export_files(named([damage(box(5, 5))]), str(tmp_path))
+    assert [failure.problem for failure in made.failures] == [problem]
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_solid_that_the_format_cannot_hold_leaves_no_file(tmp_path: Path) -> None:
+    """Far from the origin, single precision lets the corners of a small solid fall together."""
+    small = box(0.05, 0.05, 0.05)
+    away = Mesh(small.vertices_m + np.array([5_000.0, 0.0, 0.0]), small.faces)
+    assert judge(standing(away)).problem is None
+    made = export_files(named([away, box(5, 5)]), str(tmp_path), "stl")
+    assert [path.name for path in tmp_path.iterdir()] == ["test-1-00001.stl"]
+    (failure,) = made.failures
+    assert "read back from disk" in failure.detail
+    assert "the file was removed" in failure.detail
+    assert export_files(named([away]), str(tmp_path / "exact"), "3mf").failures == ()
+
+
+def test_a_failed_check_keeps_what_stood_there(tmp_path: Path) -> None:
+    place = tmp_path / "a.stl"
+    place.write_bytes(b"before")
+
+    def refuse(path: Path) -> None:
+        assert (path.parent, path.suffix, path.read_bytes()) == (tmp_path, ".stl", b"after")
+        reason, message = "changed", "it is another one"
+        raise ItemError(reason, message)
+
+    with pytest.raises(ItemError, match="it is another one; the file was removed"):
+        write_checked(place, b"after", refuse)
+    assert {path.name: path.read_bytes() for path in tmp_path.iterdir()} == {"a.stl": b"before"}
+
+
+def test_going_on_keeps_what_is_there_and_ends_with_the_same_bytes(tmp_path: Path) -> None:
+    export_files(named(SHAPES), str(tmp_path / "whole"))
+    export_files(named(SHAPES)[:2], str(tmp_path / "parts"))
+    stamps = {path: path.stat().st_mtime_ns for path in (tmp_path / "parts").iterdir()}
+    made = export_files(named(SHAPES), str(tmp_path / "parts"), workers=2)
+    assert [file.state for file in made.files] == ["kept", "kept", "written"]
+    assert stamps == {path: path.stat().st_mtime_ns for path in stamps}
+    assert folder_bytes(tmp_path / "parts") == folder_bytes(tmp_path / "whole")
+
+
+def test_other_content_is_refused_before_anything_is_written(tmp_path: Path) -> None:
+    export_files(named(SHAPES)[1:], str(tmp_path), scale=2)
+    before = folder_bytes(tmp_path)
+    with pytest.raises(InputError, match=r"test-1-00001\.stl.*2 such files.*--overwrite"):
+        export_files(named(SHAPES), str(tmp_path))
+    assert folder_bytes(tmp_path) == before
+    made = export_files(named(SHAPES), str(tmp_path), overwrite=True)
+    assert [file.state for file in made.files] == ["written"] * 3
+    export_files(named(SHAPES), str(tmp_path / "fresh"))
+    assert folder_bytes(tmp_path / "fresh") == {
+        name: content for name, content in folder_bytes(tmp_path).items() if "fresh" not in str(name)
+    }
+
+
+def test_what_stood_under_the_name_of_a_failed_object_is_removed(tmp_path: Path) -> None:
+    export_files(named([box(5, 5), box(7, 7)]), str(tmp_path))
+    made = export_files(named([box(5, 5), open_box(5, 5)]), str(tmp_path), overwrite=True)
+    (failure,) = made.failures
+    assert "test-1-00001.stl of an earlier export was removed" in failure.detail
+    assert [path.name for path in tmp_path.iterdir()] == ["test-0-00000.stl"]
+
+
+def test_forecast_says_what_stands_in_the_way_and_what_is_no_solid(tmp_path: Path) -> None:
+    export_files(named(SHAPES), str(tmp_path), scale=2)
+    before = folder_bytes(tmp_path)
+    with pytest.raises(InputError, match="--overwrite"):
+        forecast_files(named(SHAPES), out=str(tmp_path))
+    view = forecast_files(named([box(5, 5), open_box(5, 5)]), out=str(tmp_path), overwrite=True)
+    assert (view.files, [failure.name for failure in view.failures]) == (1, ["test-1-00001"])
+    assert folder_bytes(tmp_path) == before
+
+
+def test_forecast_is_near_the_truth_and_writes_nothing(tmp_path: Path) -> None:
+    objects = named(SHAPES * 10)
+    view = forecast_files(objects, "stl")
+    made = export_files(objects, str(tmp_path))
+    assert view.files == len(made.files) == 30
+    assert view.bytes == pytest.approx(sum(file.bytes for file in made.files), rel=0.3)
+
+
+@pytest.mark.parametrize("scale", [0, -1, float("nan"), float("inf")])
+def test_scales_that_make_nothing_are_refused(scale: float, tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="--scale"):
+        export_files(named(SHAPES), str(tmp_path / "out"), scale=scale)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_bad_places_and_formats_are_named(tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("")
+    with pytest.raises(InputError, match="is a file"):
+        export_files(named(SHAPES), str(tmp_path / "file"))
+    with pytest.raises(StorageError, match="a part of the path is a file"):
+        export_files(named(SHAPES), str(tmp_path / "file" / "below"))
+    with pytest.raises(InputError, match="memory://"):
+        export_files(named(SHAPES), "memory://prints")
+    with pytest.raises(InputError, match="step"):
+        export_files(named(SHAPES), str(tmp_path / "out"), "step")
+
+
+@pytest.mark.parametrize(
+    ("text", "numbers"),
+    [
+        *(("3", [3]), ("3, 17,40-42", [3, 17, (40, 42)]), ("-5", [-5]), ("7-7", [(7, 7)])),
+        ("0-99999999999999999999", [(0, 10**20 - 1)]),
+    ],
+)
+def test_ids_are_numbers_and_ranges(text: str, numbers: list[int | tuple[int, int]]) -> None:
+    assert parse_ids(text) == numbers
+
+
+@pytest.mark.parametrize("text", ["", "a", "1,,2", "5-3", "1-2-3", "1.5"])
+def test_other_ids_are_refused(text: str) -> None:
+    with pytest.raises(InputError, match="--ids has"):
+        parse_ids(text)
+
+
+ENDLESS = """
+import sys
+from tactile_toolkit.printing.singles import export_files
+from tests.tactile_toolkit.printing.solids import named, ring
+export_files(named([ring(12 + n / 100, 6) for n in range(5000)]), sys.argv[1], "3mf")
+"""
+
+
+def test_a_killed_export_leaves_whole_files_only(tmp_path: Path) -> None:
+    root = str(Path(__file__).parents[3])
+    process = subprocess.Popen([sys.executable, "-c", ENDLESS, str(tmp_path / "out")], cwd=root)
+    deadline_s = time.monotonic() + 120
+    while len(list(tmp_path.glob("out/test-*.3mf"))) < 20 and time.monotonic() < deadline_s:
+        time.sleep(0.01)
+    os.kill(process.pid, signal.SIGKILL)
+    process.wait()
+    names = {path.name for path in tmp_path.glob("out/test-*")}
+    assert len(names) >= 20
+    for path in tmp_path.glob("out/test-*"):
+        assert judge(read_mesh(path)).problem is None
+    objects = named([ring(12 + n / 100, 6) for n in range(len(names))])
+    made = export_files(objects, str(tmp_path / "out"), "3mf")
+    assert {file.state for file in made.files} == {"kept"}
+    assert {path.name for path in (tmp_path / "out").iterdir()} == names

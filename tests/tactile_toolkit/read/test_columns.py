@@ -1,0 +1,163 @@
+"""Single columns: by dotted name, checked, and of types that are the same in every process."""
+
+from __future__ import annotations
+
+import json
+import warnings
+from pathlib import Path
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+
+from tactile_toolkit.errors import InputError, IntegrityError
+from tactile_toolkit.read.columns import plain_schema, plain_table, stored_class_names
+from tactile_toolkit.read.dataset import RecordDataset
+from tactile_toolkit.read.parquet import Shard, ShardedTable
+
+LARGEST = 2**63 - 1
+
+
+def dataset(folder: Path, *columns: pa.Array, group_rows: int = 2) -> RecordDataset:
+    """A data set of one shard per array given, all with one column ``label``."""
+    shards = []
+    for index, column in enumerate(columns):
+        place = folder / f"{index}.parquet"
+        pq.write_table(pa.table({"label": column}), place, row_group_size=group_rows)
+        shards.append(Shard(str(place)))
+    return RecordDataset([ShardedTable(tuple(shards))], label_names=("a", "b"))
+
+
+def test_whole_numbers_are_those_stored(tmp_path):
+    rows = dataset(tmp_path, pa.array([0, 1, -1]), pa.array([LARGEST, 7], pa.uint64()))
+    for _ in range(2):
+        assert rows.labels.tolist() == [0, 1, -1, LARGEST, 7]
+    assert rows.labels.dtype == np.int64
+    assert rows[::-2].labels.tolist() == [7, -1, 0]
+    assert rows[[3, 0]].labels.tolist() == [LARGEST, 0]
+    assert rows[:0].labels.tolist() == []
+    assert (rows[:1] + rows[3:4]).labels.tolist() == [0, LARGEST]
+    with pytest.raises(InputError, match="no column 'writer'"):
+        rows.whole_numbers("writer")
+
+
+@pytest.mark.parametrize(
+    ("column", "found"),
+    [
+        (pa.array([4, None, LARGEST - 1]), "no value is stored"),
+        (pa.array([4, 2**63, LARGEST - 1], pa.uint64()), f"the value is {2**63}"),
+        (pa.array([4.0, float("nan"), 2.0]), "the value is nan"),
+    ],
+)
+def test_what_is_no_whole_number_is_named_and_the_others_stay_exact(column, found, tmp_path):
+    rows = dataset(tmp_path, pa.array([1, 2, 3]), column)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        with pytest.raises(
+            IntegrityError, match=rf"1\.parquet', row 1, field 'label': {found}; expected a whole"
+        ):
+            _ = rows.labels
+        with pytest.raises(IntegrityError, match="row 1, field 'label'"):
+            _ = rows[4:].labels
+        assert rows[[0, 3, 5]].labels.tolist() == [1, 4, int(column[2].as_py())]
+
+
+def test_a_field_of_a_struct_is_read_like_a_flat_column(tmp_path):
+    inner = pa.array([{"a": {"b": 3}, "c": "x"}, {"a": None, "c": "y"}, {"a": {"b": 5}, "c": "z"}])
+    pq.write_table(pa.table({"info": inner, "flat.c": ["u", "v", "w"]}), tmp_path / "nested.parquet")
+    rows = RecordDataset([ShardedTable((Shard(str(tmp_path / "nested.parquet")),))])
+    assert rows.column("info.c").tolist() == ["x", "y", "z"]
+    assert rows.column("flat.c").tolist() == ["u", "v", "w"]
+    np.testing.assert_array_equal(rows.column("info.a.b"), [3, np.nan, 5])
+    assert rows.column("info")[0] == {"a": {"b": 3}, "c": "x"}
+    for name in ("info.d", "info.c.d", "nothing"):
+        with pytest.raises(InputError, match=f"no column '{name}'"):
+            rows.column(name)
+
+
+def test_a_shard_that_is_gone_is_missing(tmp_path):
+    rows = dataset(tmp_path, pa.array([1, 2]), pa.array([3]))
+    assert len(rows) == 3
+    (tmp_path / "1.parquet").unlink()
+    with pytest.raises(IntegrityError, match=r"1\.parquet' is missing; next: "):
+        rows[2]._row.value("label")
+
+
+class Grid(pa.ExtensionType):
+    """As `datasets` stores arrays of two dimensions."""
+
+    def __init__(self) -> None:
+        super().__init__(pa.list_(pa.list_(pa.float64())), "tests.grid")
+
+    def __arrow_ext_serialize__(self) -> bytes:
+        return b""
+
+    @classmethod
+    def __arrow_ext_deserialize__(cls, storage: pa.DataType, serialized: bytes) -> Grid:
+        return cls()
+
+
+@pytest.fixture
+def known_grid():
+    pa.register_extension_type(Grid())
+    yield
+    pa.unregister_extension_type("tests.grid")
+
+
+GRIDS = [[[1.0, 2.0]], [[3.0, 4.0], [5.0, 6.0]]]
+
+
+def test_extension_types_are_read_as_lists(known_grid, tmp_path):
+    grids = pa.ExtensionArray.from_storage(Grid(), pa.array(GRIDS))
+    inside = pa.StructArray.from_arrays([grids, pa.array([1, 2])], ["grid", "n"])
+    stored = pa.table({"grid": grids, "info": inside, "label": [0, 1]}).replace_schema_metadata({"a": "b"})
+    pq.write_table(stored, tmp_path / "x.parquet")
+    shard = Shard(str(tmp_path / "x.parquet"))
+    assert isinstance(pq.read_schema(tmp_path / "x.parquet").field("grid").type, Grid)
+    plain = pa.list_(pa.list_(pa.float64()))
+    assert shard.schema.field("grid").type == shard.schema.field("info").type.field("grid").type == plain
+    assert shard.schema.metadata == {b"a": b"b"}
+    for table in (shard.read(), shard.block(0, 0).table, next(shard.blocks(0)).table):
+        assert table.schema.field("grid").type == plain
+        assert table.column("grid").to_pylist() == GRIDS
+        assert table.column("info").to_pylist() == [{"grid": GRIDS[0], "n": 1}, {"grid": GRIDS[1], "n": 2}]
+    lists = pa.table({"grids": pa.array([[1]], pa.list_(pa.int64()))})
+    assert plain_table(lists) is lists
+    schema = lists.schema
+    assert plain_schema(schema) is schema
+
+
+def described(text: bytes) -> pa.Schema:
+    return pa.schema([("label", pa.int64())]).with_metadata({"huggingface": text})
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        b"not json",
+        b"\xff\xfe",
+        b"[]",
+        b"[" * 100_000,
+        b'{"info": {"features": []}}',
+        b'{"info": {"features": {"label": 3}}}',
+        b'{"info": {"features": {"label": {"names": "abc"}}}}',
+        b'{"info": {"features": {"label": {"names": [1, 2]}}}}',
+    ],
+)
+def test_a_description_that_is_none_is_named(text):
+    with pytest.raises(
+        IntegrityError, match=r"'x\.parquet', field 'label': the metadata 'huggingface'"
+    ) as caught:
+        stored_class_names(described(text), "x.parquet")
+    assert len(str(caught.value)) < 500
+
+
+@pytest.mark.parametrize("values", [{}, {"a": 1}, {"info": None}, {"info": {"features": {"label": {}}}}])
+def test_a_description_may_say_nothing_of_classes(values):
+    assert stored_class_names(described(json.dumps(values).encode()), "x.parquet") is None
+
+
+def test_described_classes_are_read():
+    text = json.dumps({"info": {"features": {"label": {"names": ["x", "y"]}}}})
+    assert stored_class_names(described(text.encode()), "x.parquet") == ("x", "y")

@@ -1,0 +1,302 @@
+from __future__ import annotations
+
+import gc
+import multiprocessing
+import pickle
+import threading
+from pathlib import Path
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from tactile_toolkit.catalog.locate import find_shards
+from tactile_toolkit.errors import InputError, IntegrityError
+from tactile_toolkit.read.columns import list_array, ragged_column
+from tactile_toolkit.read.dataset import Record, RecordDataset
+from tactile_toolkit.read.parquet import Shard, ShardedTable, cache_folder
+from tactile_toolkit.run.processes import InlineRunner
+from tactile_toolkit.store.build import build
+from tactile_toolkit.store.folder import DataFolder
+from tests.tactile_toolkit.toy import points, toy_plan
+
+IDS = [number for number in range(20) if number % 10 != 9]
+
+
+class ToyRecord(Record):
+    __slots__ = ()
+
+    @property
+    def id(self) -> int:
+        return int(self._row.value("id"))
+
+    @property
+    def points(self) -> np.ndarray:
+        return self._row.array("points")
+
+
+class ToyDataset(RecordDataset[ToyRecord]):
+    record = ToyRecord
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory) -> Path:
+    path = tmp_path_factory.mktemp("toy") / "set"
+    build(DataFolder(str(path)), toy_plan(), InlineRunner())
+    return path
+
+
+@pytest.fixture
+def dataset(folder) -> ToyDataset:
+    return ToyDataset([ShardedTable(find_shards(str(folder), "train"))], label_names=("a", "b", "c"))
+
+
+def test_rows_are_those_written(dataset):
+    assert len(dataset) == len(IDS)
+    assert [record.id for record in dataset] == IDS
+    for record in dataset:
+        np.testing.assert_array_equal(record.points, points(record.id))
+        assert record.points.dtype == np.float32
+        assert not record.points.flags.writeable
+
+
+def test_opening_reads_no_row_and_unpacks_nothing(dataset, monkeypatch):
+    monkeypatch.setattr(Shard, "read", None)
+    assert len(dataset) == len(IDS)
+    assert len(dataset[3:9]) == 6
+    assert not cache_folder().exists()
+
+
+def test_labels_are_read_without_other_columns(dataset, monkeypatch):
+    read = Shard.read
+    asked = []
+    monkeypatch.setattr(Shard, "read", lambda self, **options: asked.append(options) or read(self, **options))
+    assert dataset.labels.tolist() == [number % 3 for number in IDS]
+    assert {tuple(options["columns"]) for options in asked} == {("label",)}
+
+
+index = st.one_of(
+    st.slices(len(IDS)),
+    st.lists(st.integers(-len(IDS), len(IDS) - 1)),
+    st.lists(st.booleans(), min_size=len(IDS), max_size=len(IDS)),
+)
+
+
+@settings(max_examples=60)
+@given(first=index, data=st.data())
+def test_indexing_agrees_with_numpy(folder, first, data):
+    dataset = ToyDataset([ShardedTable(find_shards(str(folder), "train"))], label_names=("a", "b", "c"))
+    truth = np.array(IDS)
+    view, expected = (
+        dataset[first],
+        truth[first if isinstance(first, slice) else np.array(first, dtype=_kind(first))],
+    )
+    assert view.ids.tolist() == expected.tolist()
+    assert [record.id for record in view] == expected.tolist()
+    if len(view):
+        place = data.draw(st.integers(-len(view), len(view) - 1))
+        assert view[place].id == expected[place]
+    joined = view + dataset[::-1]
+    assert joined.ids.tolist() == [*expected.tolist(), *IDS[::-1]]
+    assert [record.id for record in joined[::2]] == joined.ids.tolist()[::2]
+
+
+def _kind(values):
+    return bool if values and isinstance(values[0], bool) else np.int64
+
+
+@pytest.mark.parametrize("wrong", [18, -19, 10**9])
+def test_index_out_of_range(dataset, wrong):
+    with pytest.raises(IndexError, match=f"index {wrong} is out of range for 18 rows"):
+        dataset[wrong]
+
+
+@pytest.mark.parametrize(
+    ("wrong", "error"), [([True] * 3, IndexError), ([0.5], TypeError), ([99], IndexError)]
+)
+def test_bad_selection(dataset, wrong, error):
+    with pytest.raises(error):
+        dataset[wrong]
+
+
+def test_filter_and_group_by_label(dataset):
+    assert dataset.filter_labels("b").ids.tolist() == [i for i in IDS if i % 3 == 1]
+    assert dataset.filter_labels([0, "c"]).ids.tolist() == [i for i in IDS if i % 3 != 1]
+    groups = dataset.by_label()
+    assert list(groups) == ["a", "b", "c"]
+    assert sorted(i for group in groups.values() for i in group.ids.tolist()) == IDS
+    with pytest.raises(InputError, match="no class 'z'"):
+        dataset.filter_labels("z")
+    with pytest.raises(InputError, match="no class 7"):
+        dataset.filter_labels(7)
+
+
+def test_concatenate(dataset):
+    assert ToyDataset.concatenate([dataset, dataset, dataset[:1]]).ids.tolist() == [*IDS, *IDS, IDS[0]]
+    with pytest.raises(InputError, match="nothing to concatenate"):
+        ToyDataset.concatenate([])
+    with pytest.raises(InputError, match="classes"):
+        dataset + ToyDataset(dataset._tables, label_names=("x",))
+
+
+def test_unknown_column_and_frozen_record(dataset):
+    with pytest.raises(InputError, match="no column 'colour'"):
+        dataset.column("colour")
+    with pytest.raises(AttributeError, match="frozen"):
+        dataset[0].id = 3
+
+
+def test_records_and_views_pickle_small(dataset):
+    record = pickle.loads(pickle.dumps(dataset[7]))
+    assert record.id == IDS[7]
+    np.testing.assert_array_equal(record.points, points(IDS[7]))
+    view = dataset[4:8]
+    view[0].points  # noqa: B018 - maps must not travel
+    content = pickle.dumps(view)
+    assert len(content) < 3000
+    assert pickle.loads(content).ids.tolist() == IDS[4:8]
+
+
+def _sum_in_process(dataset: ToyDataset, queue) -> None:
+    queue.put(sum(record.id for record in dataset))
+
+
+@pytest.mark.parametrize("method", ["fork", "spawn"])
+def test_reads_in_other_processes(dataset, method):
+    dataset[0].points  # noqa: B018 - open in the parent first
+    context = multiprocessing.get_context(method)
+    queue = context.Queue()
+    process = context.Process(target=_sum_in_process, args=(dataset, queue))
+    process.start()
+    assert queue.get(timeout=300) == sum(IDS)
+    process.join()
+
+
+def test_reads_from_threads(dataset):
+    wrong = []
+
+    def read() -> None:
+        for _ in range(20):
+            for position, record in enumerate(dataset):
+                if record.id != IDS[position] or not np.array_equal(record.points, points(record.id)):
+                    wrong.append(record.id)
+
+    threads = [threading.Thread(target=read) for _ in range(4)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert not wrong
+
+
+def test_records_are_no_reference_cycles(dataset):
+    gc.collect()
+    gc.disable()
+    try:
+        for record in dataset:
+            record.points  # noqa: B018
+        del record
+        assert gc.collect() == 0
+    finally:
+        gc.enable()
+
+
+def test_cut_shard_is_named(folder, tmp_path):
+    whole = folder / "data" / "train-00000-of-00004.parquet"
+    cut = tmp_path / "cut.parquet"
+    cut.write_bytes(whole.read_bytes()[:-100])
+    with pytest.raises(IntegrityError, match=r"cut\.parquet' is damaged"):
+        len(Shard(str(cut)))
+    with pytest.raises(IntegrityError, match=r"gone\.parquet' is missing"):
+        len(Shard(str(tmp_path / "gone.parquet")))
+
+
+def test_changed_file_is_not_served_from_the_cache(tmp_path):
+    file = tmp_path / "data.parquet"
+
+    def write(value: float) -> None:
+        rows = [np.full((2, 3), value, np.float32)]
+        pq.write_table(pa.table({"id": [1], "points": list_array(rows, pa.float32())}), file)
+
+    write(1.0)
+    first = ToyDataset([ShardedTable((Shard(str(file)),))])[0].points
+    write(2.0)
+    second = ToyDataset([ShardedTable((Shard(str(file)),))])[0].points
+    assert first.max() == 1.0
+    assert second.min() == 2.0
+
+
+def test_unfinished_split_is_refused(tmp_path):
+    from dataclasses import replace
+
+    plan = toy_plan()
+    broken = replace(plan.tasks[3], error=RuntimeError("stop"))
+    with pytest.raises(RuntimeError):
+        build(DataFolder(str(tmp_path)), replace(plan, tasks=(*plan.tasks[:3], broken)), InlineRunner())
+    with pytest.raises(IntegrityError, match=r"not finished \(3 shards.*same command"):
+        find_shards(str(tmp_path), "train")
+
+
+def test_no_such_place_or_split(folder, tmp_path):
+    with pytest.raises(InputError, match=r"no split 'holdout'.*it has train, test"):
+        find_shards(str(folder), "holdout")
+    with pytest.raises(InputError, match="neither a folder"):
+        find_shards(str(tmp_path / "nowhere"), "train")
+    (tmp_path / "empty").mkdir()
+    with pytest.raises(InputError, match="holds no Parquet files"):
+        find_shards(str(tmp_path / "empty"), "train")
+
+
+def test_folder_without_manifest_is_found_by_names(folder, tmp_path):
+    data = tmp_path / "data"
+    data.mkdir()
+    for index in range(2):
+        name = f"test-{index:05d}-of-00002.parquet"
+        (data / name).write_bytes((folder / "data" / name).read_bytes())
+    assert sum(len(shard) for shard in find_shards(str(tmp_path), "test")) == 9
+    (data / "test-00001-of-00002.parquet").unlink()
+    with pytest.raises(IntegrityError, match="1 of 2 shards of split 'test'"):
+        find_shards(str(tmp_path), "test")
+
+
+@given(
+    lengths=st.lists(st.integers(0, 5), max_size=8),
+    fixed=st.booleans(),
+    first=st.integers(0, 3),
+)
+def test_ragged_columns_of_every_spelling(lengths, fixed, first):
+    rows = [np.arange(n * 3, dtype=np.float32).reshape(n, 3) + 100 * i for i, n in enumerate(lengths)]
+    if fixed:
+        array = list_array(rows, pa.float32())
+    else:
+        array = pa.array([row.tolist() for row in rows], pa.list_(pa.list_(pa.float32())))
+    array = array[first:]
+    column = ragged_column(array)
+    assert len(column) == len(rows[first:])
+    for got, expected in zip((column[i] for i in range(len(column))), rows[first:], strict=True):
+        np.testing.assert_array_equal(got.reshape(-1, 3), expected)
+
+
+def test_nulls_and_uneven_rows_are_refused():
+    with pytest.raises(ValueError, match="null"):
+        ragged_column(pa.array([None, [[1.0, 2.0, 3.0]]], pa.list_(pa.list_(pa.float32()))))
+    with pytest.raises(ValueError, match="inner lists of 3 and 2"):
+        ragged_column(pa.array([[[1.0, 2.0, 3.0], [1.0, 2.0]]], pa.list_(pa.list_(pa.float32()))))
+
+
+def test_damaged_cache_is_made_again(dataset, folder):
+    dataset[0].points  # noqa: B018 - fills the cache
+    (unpacked,) = cache_folder().rglob("*.arrow")
+    unpacked.write_bytes(unpacked.read_bytes()[:100])
+    again = ToyDataset([ShardedTable(find_shards(str(folder), "train"))])
+    np.testing.assert_array_equal(again[1].points, points(1))
+    assert unpacked.stat().st_size > 100
+
+
+def test_cache_that_cannot_be_written_costs_no_data(dataset, monkeypatch):
+    monkeypatch.setenv("TACTILE_TOOLKIT_CACHE", "/proc/no-such-cache")
+    with pytest.warns(RuntimeWarning, match=r"no-such-cache.*next: make room there"):
+        np.testing.assert_array_equal(dataset[1].points, points(1))

@@ -1,0 +1,334 @@
+from __future__ import annotations
+
+import errno
+import json
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import tempfile
+import textwrap
+import time
+from dataclasses import replace
+from pathlib import Path
+
+import pyarrow.parquet as pq
+import pytest
+
+from tactile_toolkit.errors import InputError, IntegrityError, SpecMismatchError, StorageError, ToolkitError
+from tactile_toolkit.run.processes import InlineRunner, ProcessRunner
+from tactile_toolkit.store.build import build, inspect_folder
+from tactile_toolkit.store.folder import DataFolder
+from tactile_toolkit.store.manifest import read_manifest
+from tactile_toolkit.store.verify import verify
+from tests.processes import children, wait_until_gone
+from tests.tactile_toolkit.toy import SCHEMA, folder_bytes, toy_plan
+
+
+def make(path: Path, plan=None, runner=None, **options):
+    return build(DataFolder(str(path)), plan or toy_plan(), runner or InlineRunner(), **options)
+
+
+def test_folder_holds_shards_report_and_manifest_and_nothing_else(tmp_path):
+    manifest = make(tmp_path / "set")
+    assert manifest.complete
+    assert manifest.split_table()["train"] == {
+        "rows": 18,
+        "shards": 4,
+        "bytes": sum(r.bytes for r in manifest.receipts_of("train")),
+        "skipped": 2,
+    }
+    assert manifest.skipped_reasons() == {"nine": 3}
+    files = sorted(folder_bytes(tmp_path / "set"))
+    shards = [f"data/test-{i:05d}-of-00002.parquet" for i in range(2)]
+    shards += [f"data/train-{i:05d}-of-00004.parquet" for i in range(4)]
+    assert files == [*shards, "manifest.json", "reports/toy.parquet"]
+    assert read_manifest(DataFolder(str(tmp_path / "set"))) == manifest
+    report = pq.read_table(tmp_path / "set" / "reports" / "toy.parquet")
+    ids = [i for i in range(20) if i % 10 != 9] + list(range(100, 109))
+    assert report["id"].to_pylist() == ids
+
+
+@pytest.mark.parametrize("workers", [1, 2, 4])
+def test_bytes_do_not_depend_on_workers(tmp_path, workers):
+    make(tmp_path / "one")
+    make(tmp_path / "many", runner=ProcessRunner(workers))
+    assert folder_bytes(tmp_path / "one") == folder_bytes(tmp_path / "many")
+
+
+def test_splits_can_be_made_in_any_order(tmp_path):
+    make(tmp_path / "whole")
+    for split in ("test", "train"):
+        make(tmp_path / "parts", toy_plan((split,)))
+    assert folder_bytes(tmp_path / "whole") == folder_bytes(tmp_path / "parts")
+
+
+def test_second_run_changes_nothing(tmp_path):
+    make(tmp_path / "set")
+    before = {f: f.stat().st_mtime_ns for f in (tmp_path / "set").rglob("*") if f.is_file()}
+    calls = []
+    make(tmp_path / "set", toy_plan(error=RuntimeError("nothing is to be made")), on_progress=calls.append)
+    assert {f: f.stat().st_mtime_ns for f in (tmp_path / "set").rglob("*") if f.is_file()} == before
+    assert [(call.done, call.total) for call in calls] == [(0, 0)]
+
+
+def test_failure_keeps_finished_shards_and_the_next_run_goes_on(tmp_path):
+    make(tmp_path / "whole")
+    plan = toy_plan()
+    broken = replace(plan.tasks[2], error=StorageError("disk full"))
+    with pytest.raises(StorageError, match="disk full"):
+        make(tmp_path / "set", replace(plan, tasks=(*plan.tasks[:2], broken, *plan.tasks[3:])))
+    folder = DataFolder(str(tmp_path / "set"))
+    assert not read_manifest(folder).complete
+    state = inspect_folder(folder, plan)
+    assert [receipt.shard.index for receipt in state.kept] == [0, 1]
+    done = []
+    make(tmp_path / "set", on_progress=lambda p: done.append(p.total))
+    assert done[0] == 20
+    assert folder_bytes(tmp_path / "whole") == folder_bytes(tmp_path / "set")
+
+
+@pytest.mark.parametrize("damage", ["cut", "flip", "remove"])
+@pytest.mark.parametrize("victim", ["data/train-00001-of-00004.parquet", "reports/toy.parquet"])
+def test_damaged_file_is_found_and_made_again(tmp_path, damage, victim):
+    make(tmp_path / "whole")
+    make(tmp_path / "set")
+    file = tmp_path / "set" / victim
+    content = bytearray(file.read_bytes())
+    if damage == "remove":
+        file.unlink()
+    else:
+        content[len(content) // 2] ^= 0xFF
+        file.write_bytes(content[:-7] if damage == "cut" else content)
+    folder = DataFolder(str(tmp_path / "set"))
+    assert [finding.file for finding in verify(folder, SCHEMA).findings] == [victim]
+    make(tmp_path / "set")
+    assert verify(folder, SCHEMA).ok
+    assert folder_bytes(tmp_path / "whole") == folder_bytes(tmp_path / "set")
+
+
+def test_another_spec_is_refused_and_named(tmp_path):
+    make(tmp_path / "set")
+    before = folder_bytes(tmp_path / "set")
+    with pytest.raises(SpecMismatchError, match=r"seed is 1 there, 2 was asked for.*--overwrite"):
+        make(tmp_path / "set", toy_plan(spec={"seed": 2, "size": [1, 2]}))
+    assert folder_bytes(tmp_path / "set") == before
+    manifest = make(tmp_path / "set", toy_plan(spec={"seed": 2, "size": [1, 2]}), overwrite=True)
+    assert manifest.spec["seed"] == 2
+
+
+@pytest.mark.parametrize("overwrite", [False, True])
+def test_folder_with_strange_files_is_never_touched(tmp_path, overwrite):
+    (tmp_path / "thesis.tex").write_text("years of work")
+    with pytest.raises(InputError, match=r"not empty.*thesis\.tex.*--out"):
+        make(tmp_path, overwrite=overwrite)
+    assert folder_bytes(tmp_path) == {"thesis.tex": b"years of work"}
+
+
+def test_file_in_place_of_the_folder(tmp_path):
+    (tmp_path / "set").write_text("")
+    with pytest.raises(InputError, match="is a file, a folder was expected"):
+        make(tmp_path / "set")
+
+
+def test_damaged_manifest_is_named(tmp_path):
+    make(tmp_path / "set")
+    (tmp_path / "set" / "manifest.json").write_text('{"schema_version": 1')
+    with pytest.raises(IntegrityError, match=r"manifest\.json' is not a manifest"):
+        make(tmp_path / "set")
+
+
+def test_later_schema_is_refused(tmp_path):
+    make(tmp_path / "set")
+    file = tmp_path / "set" / "manifest.json"
+    values = json.loads(file.read_text())
+    file.write_text(json.dumps(values | {"schema_version": 99}))
+    with pytest.raises(IntegrityError, match="schema version 99"):
+        make(tmp_path / "set")
+
+
+def test_dead_worker_is_replaced(tmp_path):
+    make(tmp_path / "whole")
+    flag = tmp_path / "died"
+    plan = toy_plan()
+    tasks = (replace(plan.tasks[0], die_once=str(flag)), *plan.tasks[1:])
+    make(tmp_path / "set", replace(plan, tasks=tasks), ProcessRunner(2))
+    assert flag.exists()
+    assert folder_bytes(tmp_path / "whole") == folder_bytes(tmp_path / "set")
+
+
+def test_task_that_always_kills_its_worker_ends_the_run(tmp_path):
+    plan = toy_plan(("test",))
+    tasks = (replace(plan.tasks[0], die_always=True), plan.tasks[1])
+    with pytest.raises(ToolkitError, match=r"worker process died 3 times.*--workers"):
+        make(tmp_path / "set", replace(plan, tasks=tasks), ProcessRunner(1))
+
+
+def test_full_disk_is_named_and_leaves_nothing_half_written(tmp_path):
+    """A real limit on file size stands for a full disk: the kernel refuses the write half way."""
+    script = """
+        import resource, signal, sys
+        from tactile_toolkit.store.build import build
+        from tactile_toolkit.run.processes import InlineRunner
+        from tactile_toolkit.store.folder import DataFolder
+        from tactile_toolkit.errors import StorageError
+        from tests.tactile_toolkit.toy import toy_plan
+        signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+        resource.setrlimit(resource.RLIMIT_FSIZE, (1500, resource.RLIM_INFINITY))
+        try:
+            build(DataFolder(sys.argv[1]), toy_plan(), InlineRunner())
+        except StorageError as error:
+            print(error)
+    """
+    done = subprocess.run(
+        [sys.executable, "-c", textwrap.dedent(script), str(tmp_path / "set")],
+        capture_output=True,
+        text=True,
+        check=True,
+        cwd=Path(__file__).resolve().parents[2],
+    )
+    assert "cannot write" in done.stdout
+    assert "larger than allowed" in done.stdout
+    assert not (tmp_path / "set").exists()
+    make(tmp_path / "set")
+    assert verify(DataFolder(str(tmp_path / "set")), SCHEMA).ok
+
+
+def test_no_space_hint(monkeypatch, tmp_path):
+    def refuse(handle):
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(os, "fsync", refuse)
+    with pytest.raises(StorageError, match=r"no space is left on the device.*nothing half-written"):
+        DataFolder(str(tmp_path)).write_bytes("data/file", b"1")
+    assert folder_bytes(tmp_path) == {}
+
+
+@pytest.mark.parametrize("mode", [0o555, 0o000])
+def test_read_only_place(mode):
+    # Not below pytest's own temporary folder, which only its owner may enter.
+    base = Path(tempfile.mkdtemp())
+    base.chmod(0o755)
+    place = base / "set"
+    place.mkdir(mode=mode)
+    was_root = os.geteuid() == 0
+    if was_root:
+        os.seteuid(65534)  # root may write anywhere; nobody may not
+    try:
+        with pytest.raises(StorageError, match=r"cannot write .*set.*': permission denied.*--out"):
+            make(place / "inner")
+        with pytest.raises(StorageError, match=r"cannot write .*set': permission denied.*--out"):
+            make(place)
+    finally:
+        if was_root:
+            os.seteuid(0)
+        shutil.rmtree(base)
+
+
+def test_remote_folder_through_fsspec():
+    folder = DataFolder("memory://bucket/set")
+    manifest = build(folder, toy_plan(), InlineRunner())
+    assert manifest.complete
+    assert verify(folder, SCHEMA).ok
+    assert build(folder, toy_plan(error=RuntimeError("all is there")), InlineRunner()) == manifest
+
+
+@pytest.mark.parametrize("path", ["../escaped", "data/../../escaped", "/tmp/escaped", "data/a\0b"])
+@pytest.mark.parametrize("url", ["memory://bucket/inside", None])
+def test_nothing_is_written_outside_the_folder(tmp_path, url, path):
+    folder = DataFolder(url or str(tmp_path / "set"))
+    with pytest.raises(StorageError, match="leads out of"):
+        folder.write_bytes(path, b"1")
+    assert folder_bytes(tmp_path) == {}
+
+
+def test_another_source_is_told_in_few_words(tmp_path):
+    def files(count, digest):
+        return [{"file": f"train-{index}.parquet", "rows": 9, "sha256": digest} for index in range(count)]
+
+    make(tmp_path / "set", toy_plan(spec={"source": {"train": files(48, "a" * 64)}}))
+    wanted = r"source\.train is 48 files \(fingerprint \w+\) there, 2 files \(fingerprint \w+\) asked for;"
+    with pytest.raises(SpecMismatchError, match=wanted):
+        make(tmp_path / "set", toy_plan(spec={"source": {"train": files(2, "a" * 64)}}))
+    with pytest.raises(SpecMismatchError, match=r"48 files .* there, 48 files .* asked for") as told:
+        make(tmp_path / "set", toy_plan(spec={"source": {"train": files(48, "b" * 64)}}))
+    assert len(str(told.value)) < 500
+
+
+@pytest.mark.parametrize("workers", [1, 2, 4])
+def test_killed_run_resumes_to_the_same_bytes(tmp_path, workers):
+    make(tmp_path / "whole")
+    script = f"""
+        import sys
+        from dataclasses import replace
+        from tactile_toolkit.store.build import build
+        from tactile_toolkit.run.processes import runner_for
+        from tactile_toolkit.store.folder import DataFolder
+        from tests.tactile_toolkit.toy import toy_plan
+        plan = toy_plan(pause_s=0.15)
+        endless = replace(plan.tasks[-1], pause_s=600.0)  # some shards must be left to make
+        plan = replace(plan, tasks=(*plan.tasks[:-1], endless))
+        build(DataFolder(sys.argv[1]), plan, runner_for({workers}))
+    """
+    target = tmp_path / "set"
+    for _ in range(2 if workers == 1 else 1):
+        process = subprocess.Popen(
+            [sys.executable, "-c", textwrap.dedent(script), str(target)],
+            cwd=Path(__file__).resolve().parents[2],
+        )
+        seen = len(list((target / ".parts").glob("t*.json"))) if target.exists() else 0
+        deadline_s = time.monotonic() + 120
+        while process.poll() is None and time.monotonic() < deadline_s:
+            if len(list((target / ".parts").glob("t*.json"))) > seen:
+                workers_left = children(process.pid)
+                process.send_signal(signal.SIGKILL)
+                break
+            time.sleep(0.005)
+        process.wait()
+        assert process.returncode == -signal.SIGKILL
+        wait_until_gone(workers_left)
+    state = inspect_folder(DataFolder(str(target)), toy_plan())
+    assert state.kept
+    assert state.todo
+    assert not state.damaged
+    make(target)
+    assert folder_bytes(target) == folder_bytes(tmp_path / "whole")
+
+
+def test_workers_leave_with_a_killed_parent(tmp_path):
+    script = """
+        import sys
+        from tactile_toolkit.store.build import build
+        from tactile_toolkit.run.processes import ProcessRunner
+        from tactile_toolkit.store.folder import DataFolder
+        from tests.tactile_toolkit.toy import toy_plan
+        build(DataFolder(sys.argv[1]), toy_plan(pause_s=2.0), ProcessRunner(2))
+    """
+    process = subprocess.Popen(
+        [sys.executable, "-c", textwrap.dedent(script), str(tmp_path / "set")],
+        cwd=Path(__file__).resolve().parents[2],
+    )
+    deadline_s = time.monotonic() + 120
+    while len(children(process.pid)) < 3 and time.monotonic() < deadline_s:
+        time.sleep(0.02)  # two workers and multiprocessing's resource tracker
+    workers = children(process.pid)
+    assert len(workers) >= 2
+    process.kill()
+    process.wait()
+    wait_until_gone(workers)
+
+
+def test_half_written_receipt_of_a_killed_writer_is_no_receipt(tmp_path):
+    import socket
+
+    make(tmp_path / "whole")
+    plan = toy_plan()
+    broken = replace(plan.tasks[1], error=StorageError("stop"))
+    with pytest.raises(StorageError):
+        make(tmp_path / "set", replace(plan, tasks=(plan.tasks[0], broken)))
+    parts = tmp_path / "set" / ".parts"
+    name = f".writing-{socket.gethostname()}-999999999-abc-train-00001-of-00004.json"
+    (parts / name).write_text('{"file": "data/tr')
+    make(tmp_path / "set")
+    assert folder_bytes(tmp_path / "set") == folder_bytes(tmp_path / "whole")

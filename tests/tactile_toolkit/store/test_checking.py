@@ -1,0 +1,58 @@
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+
+import pytest
+
+from tactile_toolkit.catalog.locate import splits_to_check
+from tactile_toolkit.errors import InputError, IntegrityError
+from tactile_toolkit.run.processes import InlineRunner
+from tactile_toolkit.store.build import build
+from tactile_toolkit.store.folder import DataFolder
+from tactile_toolkit.store.manifest import read_manifest, write_manifest, write_receipt
+from tests.tactile_toolkit.toy import toy_plan
+
+
+@pytest.fixture
+def folder(tmp_path):
+    place = DataFolder(str(tmp_path / "set"))
+    build(place, toy_plan(), InlineRunner())
+    return place
+
+
+def _interrupted(folder, kept):
+    """Leave the folder as a run leaves it that was killed: `kept` receipts are in the manifest."""
+    manifest = read_manifest(folder)
+    for receipt in manifest.receipts:
+        if not kept(receipt):
+            write_receipt(folder, receipt)
+    receipts = tuple(receipt for receipt in manifest.receipts if kept(receipt))
+    write_manifest(folder, replace(manifest, receipts=receipts, complete=False))
+
+
+def test_finished_folder_has_all_its_splits(folder):
+    assert splits_to_check(folder.url) == ("train", "test")
+
+
+@pytest.mark.parametrize("finished", [(), ("test",)])
+def test_interrupted_run_is_refused_though_another_split_is_finished(folder, finished):
+    _interrupted(folder, lambda receipt: receipt.shard.split in finished)
+    with pytest.raises(IntegrityError, match=r"not finished \(\d shards of split 'train'"):
+        splits_to_check(folder.url)
+
+
+def test_run_that_was_stopped_before_its_first_shard_is_refused(folder):
+    values = json.loads(folder.read_bytes("manifest.json"))
+    for shard in read_manifest(folder).receipts:
+        if shard.shard.split == "train":
+            folder.remove(shard.shard.data_path)
+    values["shards"] = [entry for entry in values["shards"] if "test" in json.dumps(entry)]
+    folder.write_bytes("manifest.json", json.dumps({**values, "complete": False}).encode())
+    with pytest.raises(IntegrityError, match="0 shards of split 'train'"):
+        splits_to_check(folder.url)
+
+
+def test_folder_without_a_data_set_is_refused(tmp_path):
+    with pytest.raises(InputError, match="holds no data set"):
+        splits_to_check(str(tmp_path))

@@ -1,0 +1,265 @@
+"""Starting a folder again: what it held is lost only when something new stands in its place."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+import textwrap
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from tactile_toolkit.errors import InputError, IntegrityError, StorageError
+from tactile_toolkit.run.processes import InlineRunner, ProcessRunner
+from tactile_toolkit.store.build import build
+from tactile_toolkit.store.folder import DataFolder, unfinished_name
+from tests.tactile_toolkit.toy import folder_bytes, toy_plan
+
+REPOSITORY = Path(__file__).resolve().parents[2]
+FAILURE = InputError("no place for the third object")
+
+
+def make(path, plan=None, runner=None, **options):
+    return build(DataFolder(str(path)), plan or toy_plan(), runner or InlineRunner(), **options)
+
+
+def other_plan(**options):
+    return toy_plan(("test",), spec={"seed": 2}, **options)
+
+
+@pytest.fixture
+def finished(tmp_path):
+    """A finished set with a card and a picture, as conversions write them."""
+    make(tmp_path / "set")
+    (tmp_path / "set" / "README.md").write_text("the card")
+    (tmp_path / "set" / "previews").mkdir()
+    (tmp_path / "set" / "previews" / "some.png").write_bytes(b"picture")
+    return tmp_path / "set"
+
+
+@pytest.mark.parametrize("runner", [InlineRunner(), ProcessRunner(2)], ids=["inline", "processes"])
+def test_a_run_that_finishes_nothing_gives_the_former_set_back(finished, runner):
+    before = folder_bytes(finished)
+    with pytest.raises(InputError, match="third object"):
+        make(finished, other_plan(error=FAILURE), runner, overwrite=True)
+    assert folder_bytes(finished) == before
+
+
+def test_ctrl_c_before_the_first_shard_gives_the_former_set_back(finished):
+    before = folder_bytes(finished)
+
+    def stop(progress):
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        make(finished, other_plan(), on_progress=stop, overwrite=True)
+    assert folder_bytes(finished) == before
+
+
+def test_a_run_that_finished_a_shard_keeps_it_and_goes_on(finished, tmp_path):
+    plan = other_plan()
+    broken = replace(plan.tasks[1], error=FAILURE)
+    with pytest.raises(InputError, match="third object"):
+        make(finished, replace(plan, tasks=(plan.tasks[0], broken)), overwrite=True)
+    assert sorted(path.name for path in finished.iterdir()) == [".parts", "data", "manifest.json"]
+    make(finished, plan)
+    make(tmp_path / "fresh", plan)
+    assert folder_bytes(finished) == folder_bytes(tmp_path / "fresh")
+
+
+def test_nothing_is_touched_where_somebody_keeps_files_too(finished):
+    (finished / "thesis.tex").write_text("years of work")
+    before = folder_bytes(finished)
+    with pytest.raises(
+        InputError, match=r"more than a data set \(found 'thesis\.tex'\); nothing was changed"
+    ):
+        make(finished, other_plan(), overwrite=True)
+    assert folder_bytes(finished) == before
+
+
+@pytest.mark.parametrize("path", ["data/my.csv", "previews/mine/holiday.png", "reports/thesis.tex"])
+def test_files_of_somebody_among_ours_are_refused(finished, path):
+    (finished / path).parent.mkdir(exist_ok=True)
+    (finished / path).write_text("years of work")
+    before = folder_bytes(finished)
+    where = "/".join(path.split("/")[:2])
+    with pytest.raises(InputError, match=rf"found '{where}'.*nothing was changed"):
+        make(finished, other_plan(), overwrite=True)
+    assert folder_bytes(finished) == before
+
+
+@pytest.mark.parametrize("beside", [(), ("data/measurements.csv",)])
+def test_a_manifest_of_somebody_else_is_no_data_set(tmp_path, beside):
+    """Web apps and browser extensions have a manifest.json, too."""
+    for path in ("manifest.json", "README.md", *beside):
+        (tmp_path / path).parent.mkdir(exist_ok=True)
+        (tmp_path / path).write_text('{"name": "my web app"}')
+    before = folder_bytes(tmp_path)
+    with pytest.raises(InputError, match="nothing was changed"):
+        make(tmp_path, overwrite=True)
+    assert folder_bytes(tmp_path) == before
+
+
+def test_all_that_the_former_set_wrote_beside_its_rows_goes(tmp_path):
+    make(tmp_path / "set", replace(toy_plan(), trees=("images", "index.csv")))
+    (tmp_path / "set" / "images" / "train").mkdir(parents=True)
+    (tmp_path / "set" / "images" / "train" / "0.png").write_bytes(b"picture")
+    (tmp_path / "set" / "index.csv").write_text("id")
+    make(tmp_path / "set", other_plan(), overwrite=True)
+    make(tmp_path / "fresh", other_plan())
+    assert folder_bytes(tmp_path / "set") == folder_bytes(tmp_path / "fresh")
+    assert not (tmp_path / "set" / "images").exists()
+
+
+def test_nothing_outside_the_folder_goes_with_the_former_set(tmp_path):
+    """A manifest may come from anybody, and a folder of pictures may be a link."""
+    outside = tmp_path / "outside"
+    outside.mkdir()
+    (outside / "thesis.tex").write_text("years of work")
+    make(tmp_path / "set", replace(toy_plan(), trees=("../outside", str(outside), "..", "images")))
+    (tmp_path / "set" / "images").symlink_to(outside)
+    make(tmp_path / "set", other_plan(), overwrite=True)
+    assert not (tmp_path / "set" / "images").exists()
+    assert folder_bytes(outside) == {"thesis.tex": b"years of work"}
+
+
+def test_a_damaged_manifest_does_not_stop_a_new_start(finished, tmp_path):
+    (finished / "manifest.json").write_text('{"schema_version": 1')
+    make(finished, other_plan(), overwrite=True)
+    make(tmp_path / "fresh", other_plan())
+    assert folder_bytes(finished) == folder_bytes(tmp_path / "fresh")
+
+
+def test_a_set_that_cannot_be_moved_stays(finished, monkeypatch):
+    before = folder_bytes(finished)
+    moved = Path.rename
+
+    def refuse(self, target):
+        if self.name == "previews" and ".replaced" in str(target):
+            raise PermissionError(13, "Permission denied")
+        return moved(self, target)
+
+    monkeypatch.setattr(Path, "rename", refuse)
+    with pytest.raises(StorageError, match="permission denied"):
+        make(finished, other_plan(), overwrite=True)
+    assert folder_bytes(finished) == before
+
+
+def test_a_plan_that_needs_rows_fails_without_any_and_leaves_nothing(finished, tmp_path):
+    plan = replace(other_plan(), needs_rows=True)
+    empty = replace(plan, tasks=tuple(replace(task, ids=(109, 119)) for task in plan.tasks))
+    before = folder_bytes(finished)
+    with pytest.raises(IntegrityError, match=r"no row is left: all 4 were left out.*109 ends with 9"):
+        make(finished, empty, overwrite=True)
+    assert folder_bytes(finished) == before
+    for runner in (InlineRunner(), ProcessRunner(2)):
+        with pytest.raises(IntegrityError, match="no row is left"):
+            make(tmp_path / "fresh", empty, runner)
+        assert not (tmp_path / "fresh").exists()
+    assert make(tmp_path / "other", replace(empty, needs_rows=False)).complete
+
+
+def test_a_remote_folder_is_started_again():
+    folder = DataFolder("memory://bucket/started-again")
+    build(folder, toy_plan(), InlineRunner())
+    build(folder, other_plan(), InlineRunner(), overwrite=True)
+    assert folder.names("data") == [f"test-0000{index}-of-00002.parquet" for index in range(2)]
+
+
+def test_a_folder_that_another_run_is_replacing_is_left_alone(finished):
+    aside = finished / ".replaced"
+    aside.mkdir()
+    (aside / unfinished_name("owner")).touch()
+    before = folder_bytes(finished)
+    with pytest.raises(InputError, match="another run is replacing"):
+        make(finished)
+    assert folder_bytes(finished) == before
+
+
+# Forks a child for every moment, which ends itself as `kill -9` would when it touches the folder for the n-th
+# time; then the same run, and one of the former specification, are given in copies of what it left.
+DIES_EVERYWHERE = """
+import os, shutil, signal, sys
+from dataclasses import replace
+from tactile_toolkit.store.build import build
+from tactile_toolkit.errors import SpecMismatchError
+from tactile_toolkit.run.processes import InlineRunner
+from tactile_toolkit.store.folder import DataFolder
+from tests.tactile_toolkit.toy import folder_bytes, toy_plan
+from pathlib import Path
+
+base = Path(sys.argv[1])
+former, fresh = folder_bytes(base / "former"), folder_bytes(base / "fresh")
+old, new = toy_plan(), toy_plan(("test",), spec={"seed": 2})
+new = replace(new, trees=("images",))
+
+def run(place, plan, **options):
+    return build(DataFolder(str(place)), plan, InlineRunner(), **options)
+
+def child(place, moment):
+    seen = 0
+    def watch(event, arguments):
+        nonlocal seen
+        if event not in ("open", "os.rename", "os.remove", "os.rmdir", "os.mkdir"):
+            return
+        if not str(arguments[0]).startswith(str(place)):
+            return
+        if event == "open" and not arguments[2] & os.O_CREAT:
+            return
+        seen += 1
+        if seen == moment:
+            os.kill(os.getpid(), signal.SIGKILL)
+    sys.addaudithook(watch)
+    run(place, new, overwrite=True)
+    os._exit(0)
+
+moment, back, ahead = 0, 0, 0
+while True:
+    moment += 1
+    place = base / f"at-{moment}"
+    shutil.copytree(base / "former", place)
+    process = os.fork()
+    if process == 0:
+        try:
+            child(place, moment)
+        finally:
+            os._exit(1)
+    _, status = os.waitpid(process, 0)
+    if os.WIFEXITED(status):
+        assert os.WEXITSTATUS(status) == 0, moment
+        break
+    second = base / f"again-{moment}"
+    shutil.copytree(place, second)
+    run(second, new, overwrite=True)
+    assert folder_bytes(second) == fresh, moment
+    try:
+        run(place, replace(old, tasks=tuple(replace(task, error=RuntimeError()) for task in old.tasks)))
+    except SpecMismatchError:
+        run(place, new)
+        assert folder_bytes(place) == fresh, moment
+        ahead += 1
+    else:
+        assert folder_bytes(place) == former, moment
+        back += 1
+    shutil.rmtree(place)
+    shutil.rmtree(second)
+print(back, ahead)
+"""
+
+
+def test_killed_at_any_moment_the_former_set_comes_back_or_the_new_one_goes_on(tmp_path):
+    make(tmp_path / "former")
+    (tmp_path / "former" / "README.md").write_text("the card")
+    make(tmp_path / "fresh", replace(other_plan(), trees=("images",)))
+    done = subprocess.run(
+        [sys.executable, "-c", textwrap.dedent(DIES_EVERYWHERE), str(tmp_path)],
+        cwd=REPOSITORY,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr
+    back, ahead = map(int, done.stdout.split())
+    assert back > 10
+    assert ahead > 10
