@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import html
-from base64 import b64encode
 from importlib import import_module
 from typing import Any
 
@@ -71,12 +69,9 @@ class WrenchRecord(SolidRecord):
 
     def _repr_html_(self) -> str:
         """Show the wrench from above in a notebook."""
-        from tactile_toolkit.pictures.relief import relief
-        from tactile_toolkit.pictures.writing import png_bytes
+        from tactile_toolkit.pictures.relief import record_html
 
-        picture = b64encode(png_bytes(relief(self.vertices_m, self.faces))).decode()
-        caption = f"<figcaption>{html.escape(repr(self))}</figcaption>"
-        return f'<figure><img src="data:image/png;base64,{picture}">{caption}</figure>'
+        return record_html(self.vertices_m, self.faces, repr(self))
 
 
 class WrenchDataset(RecordDataset[WrenchRecord]):

@@ -12,6 +12,7 @@ from mnist3d.rows import CLASS_NAMES
 from tactile_toolkit.catalog.locate import find_shards
 from tactile_toolkit.catalog.published import place_of
 from tactile_toolkit.mesh.columns import class_names, require_mesh_columns
+from tactile_toolkit.mesh.mesh import MM_PER_M
 from tactile_toolkit.mesh.records import RecordStream, SolidRecord
 from tactile_toolkit.read.dataset import RecordDataset
 from tactile_toolkit.read.parquet import ShardedTable
@@ -54,7 +55,13 @@ class MeshRecord(SolidRecord):
         """Show the digit from above in a notebook."""
         from tactile_toolkit.pictures.relief import record_html
 
-        return record_html(self)
+        size_mm = np.ptp(self.vertices_m, axis=0) * MM_PER_M
+        caption = (
+            f"digit {self.label}, id {self.id}, writer {self.writer}: "
+            f"{size_mm[0]:.1f} x {size_mm[1]:.1f} x {size_mm[2]:.1f} mm, "
+            f"{self.volume_m3 * MM_PER_M**3:.0f} mm³, {len(self.faces):,} triangles"
+        )
+        return record_html(self.vertices_m, self.faces, caption)
 
 
 class MeshDataset(RecordDataset[MeshRecord]):

@@ -108,7 +108,7 @@ class SceneRecord(SolidRecord):
         from starstruck_gen.picture import scene_html
 
         return scene_html(
-            self.scene, f"scene {self.id}: {self.star_count} stars, {self.distractor_count} distractors"
+            self.placements, f"scene {self.id}: {self.star_count} stars, {self.distractor_count} distractors"
         )
 
 

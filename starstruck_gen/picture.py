@@ -9,16 +9,16 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from starstruck_gen.placement import Placement
+from starstruck_gen.placement import Placement, Rejected
 from starstruck_gen.shapes import outline
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.pictures.writing import png_bytes
 
 if TYPE_CHECKING:
+    from collections.abc import Iterable
+
     from PIL.Image import Image
 
-    from starstruck_gen.sampling import SceneTrace
-    from starstruck_gen.scene import Scene
     from starstruck_gen.spec import SceneSpec
 
 __all__ = ["DISTRACTOR", "REJECTED", "STAR", "centre_px", "draw_scene", "draw_trace", "scene_html"]
@@ -35,8 +35,8 @@ _CROSS = 4.0 * _SUPERSAMPLING
 _MOST_PIXELS = 100_000_000
 
 
-def draw_scene(scene: Scene, cell_m: tuple[float, float], px_per_mm: float) -> Image:
-    """Draw a scene; see :meth:`starstruck_gen.scene.Scene.draw`.
+def draw_scene(placements: Iterable[Placement], cell_m: tuple[float, float], px_per_mm: float) -> Image:
+    """Draw the objects of a scene; see :meth:`starstruck_gen.scene.Scene.draw`.
 
     Raises
     ------
@@ -44,12 +44,14 @@ def draw_scene(scene: Scene, cell_m: tuple[float, float], px_per_mm: float) -> I
         When the picture would have no pixel, or too many.
     """
     picture = _plate(cell_m, px_per_mm)
-    for placement in scene.placements:
+    for placement in placements:
         _draw_object(picture, placement, px_per_mm * 1e3 * _SUPERSAMPLING)
     return _reduced(picture)
 
 
-def draw_trace(trace: SceneTrace, spec: SceneSpec, px_per_mm: float) -> Image:
+def draw_trace(
+    placements: Iterable[Placement], rejected: Iterable[Rejected], spec: SceneSpec, px_per_mm: float
+) -> Image:
     """Draw a scene with the room that collision takes around each object, and the positions not taken.
 
     Objects that were not placed are outlined in red where they would have stood, with a cross at their
@@ -57,8 +59,10 @@ def draw_trace(trace: SceneTrace, spec: SceneSpec, px_per_mm: float) -> Image:
 
     Parameters
     ----------
-    trace : SceneTrace
-        Scene and rejected positions.
+    placements : iterable of Placement
+        What stands in the scene.
+    rejected : iterable of Rejected
+        Positions not taken.
     spec : SceneSpec
         How it was made.
     px_per_mm : float
@@ -72,11 +76,11 @@ def draw_trace(trace: SceneTrace, spec: SceneSpec, px_per_mm: float) -> Image:
     picture = _plate(spec.cell_m, px_per_mm)
     scale = px_per_mm * 1e3 * _SUPERSAMPLING
     _draw_area(picture, spec, scale)
-    for placement in trace.scene.placements:
+    for placement in placements:
         _draw_object(picture, placement, scale)
         if spec.collision == "circles":
             _draw_circle(picture, placement, spec.clearance_m, scale)
-    for lost in sorted(trace.rejected, key=lambda each: not each.given_up):
+    for lost in sorted(rejected, key=lambda each: not each.given_up):
         _draw_rejected(picture, lost.candidate, lost.given_up, scale)
     return _reduced(picture)
 
@@ -182,8 +186,8 @@ def _standing_m(ring: NDArray[np.float64], placement: Placement) -> NDArray[np.f
     return np.asarray(placement.radius_m * turned + (placement.x_m, placement.y_m))
 
 
-def scene_html(scene: Scene, caption: str) -> str:
+def scene_html(placements: Iterable[Placement], caption: str) -> str:
     """Show a scene in a notebook."""
-    content = png_bytes(np.asarray(scene.draw(px_per_mm=2.0)))
+    content = png_bytes(np.asarray(draw_scene(placements, (0.12, 0.12), px_per_mm=2.0)))
     picture = base64.b64encode(content).decode("ascii")
     return f'<figure><img src="data:image/png;base64,{picture}"><figcaption>{caption}</figcaption></figure>'

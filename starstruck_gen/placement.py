@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import NamedTuple
 
 from starstruck_gen.shapes import STAR
 
-__all__ = ["Placement"]
+__all__ = ["Placement", "Rejected"]
 
 
 class Placement(NamedTuple):
@@ -40,3 +41,16 @@ class Placement(NamedTuple):
     def is_star(self) -> bool:
         """Whether the object counts."""
         return self.shape.partition("(")[0] == STAR
+
+
+@dataclass(frozen=True, slots=True)
+class Rejected:
+    """A position that was drawn and not taken.
+
+    ``blocker`` is the object, the first found, that ``candidate`` would have come too close to; in a layout
+    that was given up it is not part of the scene.
+    """
+
+    candidate: Placement
+    blocker: Placement
+    given_up: bool

@@ -84,7 +84,8 @@ def draw_one(studio: Studio, record: SceneRecord, spec: SceneSpec | None, title:
     if trace is None:
         above, caption = _from_above(record, known, px_per_mm), "from above; rejected positions are not known"
     else:
-        above, caption = np.asarray(draw_trace(trace, known, px_per_mm)), _caption(trace)
+        above = np.asarray(draw_trace(trace.scene.placements, trace.rejected, known, px_per_mm))
+        caption = _caption(trace)
     bodies = _bodies(record, known)
     scale = fitting_scale(bodies, (round(0.96 * _PANEL_PX), round(0.96 * _PANEL_PX)))
     view, notes = studio.draw(Picture3d(bodies, (_PANEL_PX, _PANEL_PX), scale))
@@ -111,7 +112,7 @@ def traced(record: SceneRecord, spec: SceneSpec | None) -> SceneTrace | None:
 
 def _from_above(record: SceneRecord, spec: SceneSpec, px_per_mm: float) -> NDArray[np.uint8]:
     if record.has_placements:
-        return np.asarray(draw_scene(record.scene, spec.cell_m, px_per_mm))
+        return np.asarray(draw_scene(record.placements, spec.cell_m, px_per_mm))
     size_px = (round(spec.cell_m[0] * MM_PER_M * px_per_mm), round(spec.cell_m[1] * MM_PER_M * px_per_mm))
     return shaded(Picture3d(_bodies(record, spec), size_px, px_per_mm * MM_PER_M, TOP))
 

@@ -9,7 +9,7 @@ reaches distance 1 from the origin and not beyond.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, fields
 from types import MappingProxyType
 from typing import Any, ClassVar
@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from tactile_toolkit.errors import InputError
 
 __all__ = [
+    "DEFAULT_OUTLINES",
     "KINDS",
     "REGISTRY",
     "STAR",
@@ -33,6 +34,7 @@ __all__ = [
     "Ring",
     "Star",
     "Triangle",
+    "remember",
 ]
 
 Outline = tuple[NDArray[np.float64], ...]
@@ -112,10 +114,8 @@ class Proportions:
 
 
 def _remade(kind: type[Proportions], values: dict[str, Any]) -> Proportions:
-    if kind.name and kind.name not in KINDS:
-        from starstruck_gen.registry import register_shape
-
-        register_shape(kind)
+    if kind.name and kind.name not in REGISTRY:
+        remember(kind)
     return kind(**values)
 
 
@@ -314,6 +314,15 @@ REGISTRY: dict[str, type[Proportions]] = {
     kind.name: kind for kind in (Star, Box, Disc, Triangle, Hexagon, Ring, Cross, Crescent)
 }
 """What :data:`KINDS` shows; changed by :mod:`starstruck_gen.registry` alone."""
+
+DEFAULT_OUTLINES: dict[str, Callable[[], Outline]] = {name: kind().rings for name, kind in REGISTRY.items()}
+"""What :data:`starstruck_gen.shapes.OUTLINES` shows; changed by :func:`remember` and the registry alone."""
+
+
+def remember(kind: type[Proportions]) -> None:
+    """Make a kind known under its name, unchecked: who first registered it has checked it."""
+    REGISTRY[kind.name], DEFAULT_OUTLINES[kind.name] = kind, kind().rings
+
 
 KINDS: Mapping[str, type[Proportions]] = MappingProxyType(REGISTRY)
 """Kinds of shapes by name, registered ones too.

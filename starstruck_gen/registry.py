@@ -8,8 +8,8 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from starstruck_gen.proportions import REGISTRY, Proportions
-from starstruck_gen.shapes import DEFAULT_OUTLINES, outline, shape_key
+from starstruck_gen.proportions import DEFAULT_OUTLINES, REGISTRY, Proportions, remember
+from starstruck_gen.shapes import outline, shape_key
 from starstruck_gen.solid import prism, prism_solid
 from tactile_toolkit.errors import InputError
 
@@ -91,7 +91,7 @@ def _set(name: str, kind: type[Proportions] | None) -> None:
     if kind is None:
         del REGISTRY[name], DEFAULT_OUTLINES[name]
     else:
-        REGISTRY[name], DEFAULT_OUTLINES[name] = kind, kind().rings
+        remember(kind)
     for kept in (outline, prism, prism_solid):  # what they keep may be of a former kind of that name
         kept.cache_clear()
 

@@ -11,7 +11,7 @@ import numpy as np
 
 from starstruck_gen.collision import CLEAR, Clear
 from starstruck_gen.errors import SamplingExhausted
-from starstruck_gen.placement import Placement
+from starstruck_gen.placement import Placement, Rejected
 from starstruck_gen.room import hopeless, most_with_room
 from starstruck_gen.scene import Scene
 from starstruck_gen.shapes import Shape
@@ -21,7 +21,6 @@ from tactile_toolkit.errors import InputError
 
 __all__ = [
     "LayoutFailed",
-    "Rejected",
     "SceneTrace",
     "require_room",
     "sample_scene",
@@ -107,25 +106,6 @@ def sample_scenes(spec: SceneSpec, split: str, seed: int, start: int, count: int
         _scene(spec, streams.uniform(scene_seed(seed, split, index)), spec.stars[index % classes])
         for index in range(start, start + count)
     ]
-
-
-@dataclass(frozen=True, slots=True)
-class Rejected:
-    """A position that was drawn and not taken.
-
-    Attributes
-    ----------
-    candidate : Placement
-        What would have stood there.
-    blocker : Placement
-        The object that it would have come too close to, the first found.
-    given_up : bool
-        Whether the layout it belongs to was given up, so that the blocker is not part of the scene.
-    """
-
-    candidate: Placement
-    blocker: Placement
-    given_up: bool
 
 
 @dataclass(frozen=True, slots=True)

@@ -83,7 +83,7 @@ class Scene:
         """
         from starstruck_gen.picture import draw_scene
 
-        return draw_scene(self, cell_m, px_per_mm)
+        return draw_scene(self.placements, cell_m, px_per_mm)
 
     def to_dict(self) -> dict[str, Any]:
         """Return JSON values."""

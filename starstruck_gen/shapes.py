@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from starstruck_gen.proportions import KINDS, STAR, Outline, Proportions
+from starstruck_gen.proportions import DEFAULT_OUTLINES, KINDS, STAR, Outline, Proportions
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.wording import plain_number
 
@@ -29,9 +29,6 @@ __all__ = [
 
 PUBLISHED_RADIUS_M = 0.010
 """Circumscribed radius of every published object (package tactile-mnist 0.13.0)."""
-
-DEFAULT_OUTLINES: dict[str, Callable[[], Outline]] = {name: kind().rings for name, kind in KINDS.items()}
-"""What :data:`OUTLINES` shows; changed by :mod:`starstruck_gen.registry` alone."""
 
 OUTLINES: Mapping[str, Callable[[], Outline]] = MappingProxyType(DEFAULT_OUTLINES)
 """Outline of each kind of shape in its default proportions."""

@@ -216,4 +216,4 @@ def _check(spec: SceneSpec) -> None:
     # The solids of the shapes need libraries that nothing else here does.
     from starstruck_gen.rounding import require_fine_steps
 
-    require_fine_steps(spec)
+    require_fine_steps((spec.star, *spec.distractor_shapes), spec.half_area_m, spec.cell_m)

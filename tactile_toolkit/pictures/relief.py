@@ -10,7 +10,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 if TYPE_CHECKING:
-    from mnist3d.dataset import MeshRecord
     from tactile_toolkit.mesh.mesh import Mesh
 
 __all__ = ["record_html", "relief", "relief_of"]
@@ -79,16 +78,10 @@ def relief_of(mesh: Mesh, px_per_mm: float, smoothing: int = 3) -> NDArray[np.ui
     return averaged(relief(mesh.vertices_m, mesh.faces, 1e-3 / (px_per_mm * smoothing)), smoothing)
 
 
-def record_html(record: MeshRecord) -> str:
-    """Return what a notebook shows of a digit: its relief and its figures."""
+def record_html(vertices_m: NDArray[np.floating[Any]], faces: NDArray[np.integer[Any]], caption: str) -> str:
+    """Return what a notebook shows of a mesh: its relief and what it is."""
     from tactile_toolkit.pictures.writing import png_bytes
 
-    picture = base64.b64encode(png_bytes(relief(record.vertices_m, record.faces))).decode()
-    size_mm = np.ptp(record.vertices_m, axis=0) * 1000
-    facts = (
-        f"digit {record.label}, id {record.id}, writer {record.writer}: "
-        f"{size_mm[0]:.1f} x {size_mm[1]:.1f} x {size_mm[2]:.1f} mm, "
-        f"{record.volume_m3 * 1e9:.0f} mm³, {len(record.faces):,} triangles"
-    )
-    caption = f"<figcaption>{html.escape(facts)}</figcaption>"
-    return f'<figure><img src="data:image/png;base64,{picture}">{caption}</figure>'
+    picture = base64.b64encode(png_bytes(relief(vertices_m, faces))).decode()
+    told = f"<figcaption>{html.escape(caption)}</figcaption>"
+    return f'<figure><img src="data:image/png;base64,{picture}">{told}</figure>'

@@ -89,8 +89,8 @@ def test_an_unknown_class_cannot_be_traced():
 @pytest.mark.parametrize("px_per_mm", [4.0, 6.5])
 def test_crosses_mark_the_rejected_positions_and_nothing_else_changes(px_per_mm):
     trace = rejected_scene()
-    drawn = np.asarray(draw_trace(trace, CROWDED, px_per_mm)).astype(int)
-    bare = np.asarray(draw_trace(SceneTrace(trace.scene, ()), CROWDED, px_per_mm)).astype(int)
+    drawn = np.asarray(draw_trace(trace.scene.placements, trace.rejected, CROWDED, px_per_mm)).astype(int)
+    bare = np.asarray(draw_trace(trace.scene.placements, (), CROWDED, px_per_mm)).astype(int)
     size = (drawn.shape[1], drawn.shape[0])
     changed = np.abs(drawn - bare).max(axis=2) > 40
     near = np.zeros_like(changed)
@@ -108,15 +108,15 @@ def test_crosses_mark_the_rejected_positions_and_nothing_else_changes(px_per_mm)
 
 def test_only_positions_of_the_scene_itself_are_red():
     trace = rejected_scene()
-    given_up = SceneTrace(trace.scene, tuple(replace(lost, given_up=True) for lost in trace.rejected))
-    bare = red_px(np.asarray(draw_trace(SceneTrace(trace.scene, ()), CROWDED, 5.0)))
-    assert red_px(np.asarray(draw_trace(given_up, CROWDED, 5.0))) <= bare
-    assert red_px(np.asarray(draw_trace(trace, CROWDED, 5.0))) > bare + 50
+    given_up = [replace(lost, given_up=True) for lost in trace.rejected]
+    bare = red_px(np.asarray(draw_trace(trace.scene.placements, (), CROWDED, 5.0)))
+    assert red_px(np.asarray(draw_trace(trace.scene.placements, given_up, CROWDED, 5.0))) <= bare
+    assert red_px(np.asarray(draw_trace(trace.scene.placements, trace.rejected, CROWDED, 5.0))) > bare + 50
 
 
 def test_the_plain_picture_is_as_before():
     scene = sample_scene(SceneSpec(), scene_rng(5))
-    picture = np.asarray(draw_scene(scene, (0.12, 0.12), 4.0))
+    picture = np.asarray(draw_scene(scene.placements, (0.12, 0.12), 4.0))
     assert picture.shape == (480, 480, 3)
     assert np.array_equal(picture, np.asarray(scene.draw()))
     for placement in scene.placements:
@@ -209,7 +209,7 @@ def test_sheets_show_each_scene_in_the_row_of_its_class(tmp_path):
     pixels = planned.draw(RELIEF_ONLY).pixels
     places = []
     for record in list(starstruck_gen.load(str(out)))[:9]:
-        tile = np.asarray(draw_scene(record.scene, (0.12, 0.12), 1.25))
+        tile = np.asarray(draw_scene(record.placements, (0.12, 0.12), 1.25))
         windows = np.lib.stride_tricks.sliding_window_view(pixels, (150,), axis=1)
         rows, columns = np.nonzero((windows[75:] == tile[75].T).all(axis=(2, 3))[: pixels.shape[0] - 150 + 1])
         (place,) = [
