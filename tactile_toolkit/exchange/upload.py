@@ -221,7 +221,7 @@ def prepare_upload(
     options : UploadOptions, optional
         What the user decides.
     check : callable, optional
-        Lists what is wrong with the folder; :func:`~tactile_toolkit.store.verify.verify` with the card if not given.
+        Lists what is wrong with the folder; `tactile_toolkit.store.verify.verify` with the card if not given.
     dry_run : bool
         Do without a login where the repository can be seen without one.
     on_wait : callable
