@@ -1,20 +1,195 @@
-"""The cache folder of the toolkit."""
+"""What can be made again and is kept to save time: files on disk, objects in memory, both bounded.
+
+Whatever was used longest ago leaves first. A cache that cannot be written costs speed, never data.
+"""
 
 from __future__ import annotations
 
+import contextlib
 import os
+import warnings
+from collections import OrderedDict
+from collections.abc import Callable, Hashable
+from dataclasses import dataclass, field
 from pathlib import Path
+from threading import RLock
+from typing import IO, Any, Generic, TypeVar
 
-__all__ = ["CACHE_VARIABLE", "cache_folder"]
+from tactile_toolkit.store.folder import atomic_file, leavings
+
+__all__ = ["CACHE_VARIABLE", "DiskCache", "MemoryCache", "cache_folder"]
 
 CACHE_VARIABLE = "TACTILE_TOOLKIT_CACHE"
-"""Environment variable that names the folder of unpacked row groups."""
+"""Environment variable that names the cache folder."""
 
 
 def cache_folder() -> Path:
-    """Return the folder of unpacked row groups: ``$TACTILE_TOOLKIT_CACHE`` or the user's cache folder."""
+    """Return the cache folder: ``$TACTILE_TOOLKIT_CACHE``, or ours in the user's cache folder."""
     named = os.environ.get(CACHE_VARIABLE)
     if named:
         return Path(named).expanduser()
     base = os.environ.get("XDG_CACHE_HOME") or "~/.cache"
     return Path(base).expanduser() / "tactile-toolkit"
+
+
+_SIZED_ANEW_AFTER = 64
+"""A folder is sized anew after writing one part in so many of its limit: listing it for each file would be
+slow, and other processes write there too."""
+
+_unwritable: set[Path] = set()  # folders that this process has given up on
+
+
+@dataclass
+class DiskCache:
+    """Files in one folder, shared by threads and processes; each appears whole or not at all.
+
+    ``folder`` is a path, or a name inside the cache folder, which may change while a process runs. With
+    ``durable``, a file is on the disk before it gets its name; without, readers must notice themselves what a
+    power cut has spoiled. ``warning``, with ``{problem}`` in it, is given once where nothing can be written.
+    """
+
+    folder: Path | str
+    limit_bytes: int
+    durable: bool = True
+    warning: str = ""
+    _unsized_bytes: int | None = field(default=None, init=False, repr=False)
+
+    def path(self, name: str) -> Path:
+        """Return where a file of that name is, or would be."""
+        return (self.folder if isinstance(self.folder, Path) else cache_folder() / self.folder) / name
+
+    def mark_used(self, path: Path) -> None:
+        """Note that a file was used now; one that is gone, or in a read-only folder, is passed over."""
+        with contextlib.suppress(OSError):
+            os.utime(path)
+
+    def drop(self, path: Path) -> None:
+        """Remove a file, such as a damaged one, where that is possible."""
+        with contextlib.suppress(OSError):
+            path.unlink(missing_ok=True)
+
+    def write(self, name: str, size_bytes: int, fill: Callable[[IO[bytes]], object]) -> bool:
+        """Write a file of about that size, making room first; tell whether it is there now.
+
+        A folder that could not be written once is not tried again by this process, for filling may be slow.
+        """
+        path = self.path(name)
+        if path.parent in _unwritable:
+            return False
+        try:
+            self._make_room(path.parent, size_bytes)
+            with atomic_file(path, durable=self.durable) as stream:
+                fill(stream)
+        except OSError as error:
+            _unwritable.add(path.parent)
+            if self.warning:
+                problem = f"{str(path.parent)!r} cannot be written: {error.strerror or error}"
+                next_step = f"next: make room there, or let {CACHE_VARIABLE} name another folder"
+                message = f"{self.warning.format(problem=problem)}; {next_step}"
+                warnings.warn(message, RuntimeWarning, stacklevel=2)
+            return False
+        return True
+
+    def _make_room(self, folder: Path, needed_bytes: int) -> None:
+        """Remove what was used longest ago where the limit may have been passed; open maps stay valid."""
+        unsized_bytes, between_looks = self._unsized_bytes, self.limit_bytes // _SIZED_ANEW_AFTER
+        if unsized_bytes is not None and unsized_bytes + needed_bytes <= between_looks:
+            self._unsized_bytes = unsized_bytes + needed_bytes
+            return
+        self._unsized_bytes = needed_bytes
+        for stale in leavings(folder):
+            self.drop(stale)
+        files = []
+        for file in folder.glob("*"):
+            with contextlib.suppress(OSError):  # other processes may remove some meanwhile
+                facts = file.stat()
+                files.append((facts.st_mtime_ns, facts.st_size, file))
+        # Room for what is written before the next look, so that the limit holds between looks too.
+        excess = sum(size for _, size, _ in files) + max(needed_bytes, between_looks) - self.limit_bytes
+        for _, size, file in sorted(files):
+            if excess <= 0:
+                return
+            self.drop(file)
+            excess -= size
+
+
+K = TypeVar("K", bound=Hashable)
+V = TypeVar("V")
+
+
+class MemoryCache(Generic[K, V]):
+    """Values by key, bounded by the sum of their sizes; without ``size_of`` each counts 1.
+
+    The value kept last stays even where it alone is larger than the limit; a limit of 0 keeps none. Safe to
+    share between threads. A forked process starts with an empty cache, for a lock that another thread held at
+    that moment would never open again; so does one that received it pickled.
+    """
+
+    def __init__(self, limit: int, size_of: Callable[[V], int] | None = None) -> None:
+        self.limit = limit
+        self._size_of = size_of
+        self._begin()
+
+    def _begin(self) -> None:
+        self._process = os.getpid()
+        self._own_lock = RLock()
+        self._kept: OrderedDict[K, V] = OrderedDict()
+        self._size = 0
+
+    @property
+    def _lock(self) -> Any:
+        """The lock of this process, taken for every change."""
+        if self._process != os.getpid():
+            self._begin()
+        return self._own_lock
+
+    @property
+    def size(self) -> int:
+        """Sum of the sizes of what is kept."""
+        with self._lock:
+            return self._size
+
+    def __len__(self) -> int:
+        with self._lock:
+            return len(self._kept)
+
+    def get(self, key: K) -> V | None:
+        """Return what is kept under a key, or None."""
+        if not self._kept:  # the common case of an idle cache, without a lock
+            return None
+        with self._lock:
+            value = self._kept.get(key)
+            if value is not None:
+                self._kept.move_to_end(key)
+            return value
+
+    def put(self, key: K, value: V) -> None:
+        """Keep a value, and let go of those used longest ago while there are too many."""
+        with self._lock:
+            self._drop(key)
+            self._kept[key] = value
+            self._size += self._sized(value)
+            while self._size > self.limit and len(self._kept) > min(self.limit, 1):
+                self._drop(next(iter(self._kept)))
+
+    def get_or_make(self, key: K, make: Callable[[], V]) -> V:
+        """Return what is kept under a key, or make it and keep it; of values made at once the first stays."""
+        found = self.get(key)
+        if found is not None:
+            return found
+        made = make()  # outside the lock: threads wait for nothing but their own
+        with self._lock:
+            found = self.get(key)
+            if found is None:
+                self.put(key, made)
+            return made if found is None else found
+
+    def _drop(self, key: K) -> None:
+        if key in self._kept:
+            self._size -= self._sized(self._kept.pop(key))
+
+    def _sized(self, value: V) -> int:
+        return 1 if self._size_of is None else self._size_of(value)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return (type(self), (self.limit, self._size_of))

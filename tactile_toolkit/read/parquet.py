@@ -20,16 +20,58 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_toolkit.cache import CACHE_VARIABLE, cache_folder
+from tactile_toolkit.cache import CACHE_VARIABLE, DiskCache, MemoryCache, cache_folder
 from tactile_toolkit.errors import IntegrityError
 from tactile_toolkit.hub.streaming import named_streaming
-from tactile_toolkit.read.block_cache import MEMORY, mapped_batch, store_batches
 from tactile_toolkit.read.columns import RowGroup, plain_schema, plain_table
 from tactile_toolkit.store.folder import DataFolder
 
 __all__ = ["CACHE_VARIABLE", "RowGroup", "Shard", "ShardedTable", "cache_folder"]
 
 _BLOCK_BYTES = 64 << 20
+
+
+class MemoryBlocks(MemoryCache[tuple[str, int], RowGroup]):
+    """Blocks by name of their row group and number, where no cache folder can be written."""
+
+    def _begin(self) -> None:
+        super()._begin()
+        self._under_way: tuple[str, int, Iterator[RowGroup]] | None = None
+
+    def block(self, name: str, number: int, decode: Callable[[], Iterator[RowGroup]]) -> RowGroup:
+        """Return a block, decoding no more of its row group than it takes; ``decode`` starts at the first.
+
+        Raises IndexError when the row group has fewer blocks.
+        """
+        with self._lock:  # held while decoding: two threads would decode the same blocks
+            kept = self.get((name, number))
+            if kept is not None:
+                return kept
+            place, groups = 0, iter(())
+            if self._under_way is not None and self._under_way[0] == name and self._under_way[1] <= number:
+                _, place, groups = self._under_way  # goes on where decoding stopped, as a full pass does
+            else:
+                groups = decode()
+            self._under_way = None
+            for group in groups:
+                self.put((name, place), group)
+                place += 1
+                if place > number:
+                    self._under_way = (name, place, groups)
+                    return group
+        message = f"block {number} of {name!r}; the row group has {place}"
+        raise IndexError(message)
+
+
+MEMORY = MemoryBlocks(512 << 20, lambda group: int(group.table.nbytes))
+"""The blocks of this process: eight blocks of the usual size, 64 MB each."""
+
+_UNPACKED = DiskCache(
+    "blocks",
+    32 << 30,
+    warning="row groups cannot be kept unpacked, {problem}; what was used last stays in the memory of this "
+    "process, all else is decoded again",
+)
 
 
 @dataclass(frozen=True)
@@ -109,23 +151,30 @@ class Shard:
         """Map one block of a row group into memory, unpacking the row group into the cache on its first use.
 
         A cache that cannot be written (full, read-only) costs speed, never the data: the blocks used last are
-        then kept in the memory of this process, see :mod:`tactile_toolkit.read.block_cache`.
+        then kept in the memory of this process, see :class:`MemoryBlocks`.
         """
         name = f"{self._identity}-{index:05d}"
-        kept = MEMORY.find(name, block)
+        kept = MEMORY.get((name, block))
         if kept is not None:
             return kept
-        batch = mapped_batch(name, block)
+        batch = _mapped_batch(name, block)
         if batch is None and self._unpack(name, index):
-            batch = mapped_batch(name, block)
+            batch = _mapped_batch(name, block)
         if batch is None:
             return MEMORY.block(name, block, lambda: self.blocks(index))
         first_row = self.group_starts[index] + block * self.block_rows[index]
         return RowGroup(_table_of(batch), self.path, first_row, mapped=True)
 
     def _unpack(self, name: str, index: int) -> bool:
+        import pyarrow as pa
+
+        def fill(stream: Any) -> None:
+            with pa.ipc.new_file(stream, self.schema) as writer:
+                for group in self.blocks(index):  # each becomes one record batch
+                    writer.write_table(group.table)
+
         size_bytes = int(self.metadata.row_group(index).total_byte_size)
-        return store_batches(name, self.schema, size_bytes, (group.table for group in self.blocks(index)))
+        return _UNPACKED.write(f"{name}.arrow", size_bytes, fill)
 
     def blocks(self, index: int, columns: Sequence[str] | None = None) -> Iterator[RowGroup]:
         """Decode the blocks of a row group one after another, keeping none; all columns or those named."""
@@ -177,6 +226,23 @@ class Shard:
             if "://" in self.path:
                 return pq.ParquetFile(DataFolder(folder).open(name), pre_buffer=False)
             return pq.ParquetFile(self.path, memory_map=True, pre_buffer=False)
+
+
+def _mapped_batch(name: str, number: int) -> Any:
+    """Map one record batch of an unpacked row group; None when it is not there, or was damaged (it goes)."""
+    import pyarrow as pa
+
+    path = _UNPACKED.path(f"{name}.arrow")
+    try:
+        # From the map's own buffer, still without a copy: from the map, Arrow would read in its own threads.
+        batch = pa.ipc.open_file(pa.memory_map(str(path)).read_buffer()).get_batch(number)
+    except FileNotFoundError:
+        return None
+    except (pa.ArrowInvalid, IndexError, OSError):
+        _UNPACKED.drop(path)
+        return None
+    _UNPACKED.mark_used(path)
+    return batch
 
 
 def _table_of(batch: Any) -> Any:

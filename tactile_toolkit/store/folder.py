@@ -285,13 +285,15 @@ def _write_atomic(place: Path, content: bytes) -> None:
 
 
 @contextlib.contextmanager
-def atomic_file(place: Path) -> Iterator[IO[bytes]]:
+def atomic_file(place: Path, *, durable: bool = True) -> Iterator[IO[bytes]]:
     """Open a local file for writing that appears under its name when all of it is on the disk, or never.
 
     Parameters
     ----------
     place : Path
         Where it is to stand; folders are made.
+    durable : bool
+        Flush it to the disk first; without, a power cut may leave damaged content under the name.
 
     Raises
     ------
@@ -303,13 +305,15 @@ def atomic_file(place: Path) -> Iterator[IO[bytes]]:
     try:
         with temporary.open("xb") as stream:
             yield stream
-            stream.flush()
-            os.fsync(stream.fileno())
+            if durable:
+                stream.flush()
+                os.fsync(stream.fileno())
         temporary.replace(place)
     except BaseException:
         temporary.unlink(missing_ok=True)
         raise
-    _flush_folder(place.parent)
+    if durable:
+        _flush_folder(place.parent)
 
 
 def _flush_folder(folder: Path) -> None:

@@ -15,14 +15,17 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
+from tactile_toolkit.cache import CACHE_VARIABLE
 from tactile_toolkit.errors import IntegrityError
-from tactile_toolkit.read import block_cache as cachefiles
 from tactile_toolkit.read import parquet as rowgroups
-from tactile_toolkit.read.block_cache import MemoryBlocks
 from tactile_toolkit.read.columns import RowGroup
-from tactile_toolkit.read.parquet import Shard, ShardedTable
+from tactile_toolkit.read.parquet import MemoryBlocks, Shard, ShardedTable
 
 BLOCK_BYTES = 80  # ten numbers of eight bytes
+
+
+def memory_of(limit_bytes: int) -> MemoryBlocks:
+    return MemoryBlocks(limit_bytes, lambda group: group.table.nbytes)
 
 
 class Decoding:
@@ -39,52 +42,50 @@ class Decoding:
 
 
 def test_a_row_group_that_fits_is_decoded_once_whatever_the_order():
-    memory, decoding = MemoryBlocks(5 * BLOCK_BYTES), Decoding()
+    memory, decoding = memory_of(5 * BLOCK_BYTES), Decoding()
     for number in (3, 0, 4, 1, 2, 4, 0):
         assert memory.block("a", number, decoding).first_row == 10 * number
     assert decoding.decoded == [0, 1, 2, 3, 4]
-    assert memory.size_bytes == 5 * BLOCK_BYTES
+    assert memory.size == 5 * BLOCK_BYTES
 
 
 def test_a_pass_over_a_larger_one_decodes_each_block_once():
-    memory, decoding = MemoryBlocks(2 * BLOCK_BYTES), Decoding()
+    memory, decoding = memory_of(2 * BLOCK_BYTES), Decoding()
     for number in range(5):
         for _ in range(3):
             assert memory.block("a", number, decoding).flat("id")[0] == 10 * number
-        assert memory.size_bytes <= 2 * BLOCK_BYTES
+        assert memory.size <= 2 * BLOCK_BYTES
     assert decoding.decoded == [0, 1, 2, 3, 4]
     memory.block("a", 0, decoding)
     assert decoding.decoded == [0, 1, 2, 3, 4, 0]
 
 
 def test_what_was_used_longest_ago_leaves_first():
-    memory = MemoryBlocks(2 * BLOCK_BYTES)
+    memory = memory_of(2 * BLOCK_BYTES)
     for name in ("a", "b", "a", "c"):
         memory.block(name, 0, Decoding())
-    assert memory.find("b", 0) is None
-    assert memory.find("a", 0) is not None
-    assert memory.find("c", 0) is not None
-    memory.forget()
-    assert (memory.size_bytes, memory.find("a", 0)) == (0, None)
+    assert memory.get(("b", 0)) is None
+    assert memory.get(("a", 0)) is not None
+    assert memory.get(("c", 0)) is not None
 
 
 def test_one_block_larger_than_the_limit_is_kept_alone():
-    memory, decoding = MemoryBlocks(1), Decoding()
+    memory, decoding = memory_of(1), Decoding()
     for number in (0, 0, 1, 1):
         memory.block("a", number, decoding)
     assert decoding.decoded == [0, 1]
-    assert memory.size_bytes == BLOCK_BYTES
+    assert memory.size == BLOCK_BYTES
 
 
 def test_a_block_that_is_not_there():
-    memory = MemoryBlocks(1_000)
+    memory = memory_of(1_000)
     with pytest.raises(IndexError, match="block 5 of 'a'; the row group has 5"):
         memory.block("a", 5, Decoding())
     assert memory.block("a", 4, Decoding()).first_row == 40
 
 
 def test_threads_get_the_blocks_that_they_ask_for():
-    memory, decoding = MemoryBlocks(2 * BLOCK_BYTES), Decoding()
+    memory, decoding = memory_of(2 * BLOCK_BYTES), Decoding()
     wrong: list[tuple[int, int]] = []
 
     def look(seed: int) -> None:
@@ -99,7 +100,7 @@ def test_threads_get_the_blocks_that_they_ask_for():
     for thread in threads:
         thread.join()
     assert wrong == []
-    assert memory.size_bytes <= 2 * BLOCK_BYTES
+    assert memory.size <= 2 * BLOCK_BYTES
 
 
 @pytest.fixture
@@ -120,8 +121,8 @@ def shard(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Shard:
 def no_cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> MemoryBlocks:
     """A cache folder whose place is taken by a file, and memory for three blocks."""
     (tmp_path / "taken").write_text("")
-    monkeypatch.setenv(cachefiles.CACHE_VARIABLE, str(tmp_path / "taken"))
-    memory = MemoryBlocks(3 * 100 * (20 * 8 + 4 + 8) + 100)
+    monkeypatch.setenv(CACHE_VARIABLE, str(tmp_path / "taken"))
+    memory = memory_of(3 * 100 * (20 * 8 + 4 + 8) + 100)
     monkeypatch.setattr(rowgroups, "MEMORY", memory)
     return memory
 
@@ -134,9 +135,9 @@ def test_every_row_is_read_in_bounded_memory_after_one_warning(shard: Shard, no_
         for row in order:
             group, place = table.locate(row)
             assert group.flat("id")[place] == row
-            assert no_cache.size_bytes <= no_cache.limit_bytes
+            assert no_cache.size <= no_cache.limit
     (only,) = [str(entry.message) for entry in told]
-    assert f"'{os.environ[cachefiles.CACHE_VARIABLE]}/blocks' cannot be written: Not a directory" in only
+    assert f"'{os.environ[CACHE_VARIABLE]}/blocks' cannot be written: Not a directory" in only
     assert table._groups == {}
 
 
@@ -162,7 +163,7 @@ def test_a_cache_that_is_back_is_used(
 ) -> None:
     with pytest.warns(RuntimeWarning, match="cannot be kept"):
         assert not ShardedTable((shard,)).locate(0)[0].mapped
-    monkeypatch.setenv(cachefiles.CACHE_VARIABLE, str(tmp_path / "other"))
+    monkeypatch.setenv(CACHE_VARIABLE, str(tmp_path / "other"))
     assert ShardedTable((shard,)).locate(700)[0].mapped
 
 
@@ -191,8 +192,8 @@ def test_a_full_disk(shard: Shard, tmp_path: Path) -> None:
     """A real limit on file size stands for a full disk: the kernel refuses the write half way."""
     done = subprocess.run(
         [sys.executable, "-c", textwrap.dedent(FULL_DISK), shard.path],
-        env={**os.environ, cachefiles.CACHE_VARIABLE: str(tmp_path / "cache")},
-        cwd=Path(__file__).resolve().parents[2],
+        env={**os.environ, CACHE_VARIABLE: str(tmp_path / "cache")},
+        cwd=Path(__file__).resolve().parents[3],
         capture_output=True,
         text=True,
         check=False,
@@ -206,21 +207,21 @@ def test_a_full_disk(shard: Shard, tmp_path: Path) -> None:
 def test_a_forked_process_starts_anew() -> None:
     code = """
         import os, pyarrow as pa
-        from tactile_toolkit.read.block_cache import MEMORY
         from tactile_toolkit.read.columns import RowGroup
+        from tactile_toolkit.read.parquet import MEMORY
         def decode():
             yield RowGroup(pa.table({"id": [1]}))
         MEMORY.block("a", 0, decode)
         MEMORY._lock.acquire()
         child = os.fork()
         if child == 0:
-            os._exit(0 if MEMORY.size_bytes == 0 and MEMORY.block("a", 0, decode).mapped is False else 1)
+            os._exit(0 if MEMORY.size == 0 and MEMORY.block("a", 0, decode).mapped is False else 1)
         assert os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == 0
-        assert MEMORY.find("a", 0) is not None
+        assert MEMORY.get(("a", 0)) is not None
     """
     subprocess.run(
         [sys.executable, "-c", textwrap.dedent(code)],
-        cwd=Path(__file__).resolve().parents[2],
+        cwd=Path(__file__).resolve().parents[3],
         check=True,
         timeout=300,
     )

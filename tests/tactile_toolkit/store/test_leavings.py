@@ -10,7 +10,6 @@ from pathlib import Path
 
 import pytest
 
-from tactile_toolkit.read import block_cache as cachefiles
 from tactile_toolkit.store import folder as leavings
 from tactile_toolkit.store.folder import DataFolder, left_by_the_dead, unfinished_name
 from tests.processes import alive
@@ -77,15 +76,3 @@ def test_of_the_dead_and_of_the_living(tmp_path, monkeypatch, has_proc):
         (tmp_path / name).touch()
     DataFolder(str(tmp_path)).remove_stale_temporaries("")
     assert names(tmp_path) == sorted([init, mine, elsewhere, *strange])
-
-
-def test_in_the_cache_of_row_groups(tmp_path, monkeypatch):
-    import pyarrow as pa
-
-    monkeypatch.setenv(cachefiles.CACHE_VARIABLE, str(tmp_path))
-    blocks = tmp_path / "blocks"
-    blocks.mkdir()
-    (blocks / f".writing-{HOST}-999999999-abc-x.arrow").write_bytes(bytes(1000))
-    table = pa.table({"x": [1, 2, 3]})
-    assert cachefiles.store_batches("y", table.schema, 100, [table])
-    assert names(blocks) == ["y.arrow"]

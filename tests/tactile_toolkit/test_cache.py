@@ -1,0 +1,142 @@
+"""Bounds, order of leaving, whole files, folders that cannot be written; threads, forks and pickles."""
+
+from __future__ import annotations
+
+import os
+import pickle
+import socket
+import threading
+import warnings
+from pathlib import Path
+
+import pytest
+
+from tactile_toolkit.cache import CACHE_VARIABLE, DiskCache, MemoryCache, cache_folder
+
+
+def names(folder: Path) -> list[str]:
+    return sorted(entry.name for entry in folder.iterdir())
+
+
+def put(cache: DiskCache, name: str, size: int) -> bool:
+    return cache.write(name, size, lambda stream: stream.write(bytes(size)))
+
+
+def test_where_files_are(tmp_path, monkeypatch):
+    monkeypatch.setenv(CACHE_VARIABLE, str(tmp_path / "a"))
+    cache = DiskCache("things", 1000)
+    assert cache.path("x") == tmp_path / "a" / "things" / "x"
+    monkeypatch.setenv(CACHE_VARIABLE, str(tmp_path / "b"))
+    assert cache.path("x") == cache_folder() / "things" / "x" == tmp_path / "b" / "things" / "x"
+    assert DiskCache(tmp_path / "c", 1000).path("x") == tmp_path / "c" / "x"
+
+
+@pytest.mark.parametrize("durable", [True, False])
+def test_the_least_recently_used_leaves_first(tmp_path, durable):
+    cache = DiskCache(tmp_path / "things", 1000, durable)
+    for age, name in enumerate("abc"):
+        assert put(cache, name, 300)
+        os.utime(cache.path(name), ns=(0, (age + 1) * 10**9))
+    cache.mark_used(cache.path("a"))
+    assert put(cache, "d", 300)
+    assert names(tmp_path / "things") == ["a", "c", "d"]
+    cache.drop(cache.path("a"))
+    cache.drop(cache.path("a"))
+    cache.mark_used(cache.path("a"))
+    assert names(tmp_path / "things") == ["c", "d"]
+
+
+def test_small_files_keep_the_limit_between_looks(tmp_path):
+    cache = DiskCache(tmp_path, 10_000)
+    for number in range(300):
+        assert put(cache, f"{number:03d}", 70)
+        assert sum(file.stat().st_size for file in tmp_path.iterdir()) <= 10_000
+    assert len(names(tmp_path)) > 100
+
+
+def test_a_file_appears_whole_or_not_at_all(tmp_path):
+    def fail(stream):
+        stream.write(b"half")
+        message = "the source is damaged"
+        raise ValueError(message)
+
+    cache = DiskCache(tmp_path, 1000)
+    with pytest.raises(ValueError, match="the source is damaged"):
+        cache.write("x", 10, fail)
+    assert names(tmp_path) == []
+    assert put(cache, "x", 10)
+
+
+def test_stale_temporary_files_go(tmp_path):
+    host = socket.gethostname()
+    (tmp_path / f".writing-{host}-999999999-abc-x").write_bytes(bytes(10))
+    (tmp_path / ".writing-elsewhere-999999999-abc-x").write_bytes(bytes(10))
+    assert put(DiskCache(tmp_path, 1000), "y", 100)
+    assert names(tmp_path) == [".writing-elsewhere-999999999-abc-x", "y"]
+
+
+def test_a_folder_that_cannot_be_written_is_told_once(tmp_path):
+    (tmp_path / "taken").write_text("")
+    silent = DiskCache(tmp_path / "taken" / "a", 1000)
+    assert not put(silent, "x", 1)
+    cache = DiskCache(tmp_path / "taken" / "b", 1000, warning="nothing is kept, {problem}; all is slower")
+    with pytest.warns(
+        RuntimeWarning, match="^nothing is kept, '.*b' cannot be written: Not a directory; all "
+    ):
+        assert not put(cache, "x", 1)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        assert not cache.write("x", 1, lambda _: pytest.fail("tried again"))
+
+
+def test_memory_is_bounded_by_the_sum_of_sizes():
+    memory: MemoryCache[str, bytes] = MemoryCache(10, len)
+    for name, size in (("a", 4), ("b", 4), ("c", 1)):
+        memory.put(name, bytes(size))
+    assert memory.get("a") == bytes(4)
+    memory.put("d", bytes(3))
+    assert (memory.get("b"), memory.size, len(memory)) == (None, 8, 3)
+    memory.put("a", bytes(1))
+    assert memory.size == 5
+    memory.put("e", bytes(100))  # alone larger than the limit
+    assert (memory.size, len(memory), memory.get("e")) == (100, 1, bytes(100))
+
+
+def test_memory_is_bounded_by_number():
+    memory: MemoryCache[int, list] = MemoryCache(2)
+    made = [memory.get_or_make(number, lambda number=number: [number]) for number in (0, 1, 0, 2, 0, 1)]
+    assert made == [[0], [1], [0], [2], [0], [1]]
+    assert made[0] is made[2] is made[4]
+    assert made[1] is not made[5]
+    assert len(memory) == 2
+    none: MemoryCache[int, list] = MemoryCache(0)
+    assert none.get_or_make(0, list) is not none.get_or_make(0, list)
+    assert len(none) == 0
+
+
+def test_threads_get_one_value(tmp_path):
+    memory: MemoryCache[str, object] = MemoryCache(3)
+    barrier, found = threading.Barrier(4), []
+
+    def look() -> None:
+        found.append(memory.get_or_make("x", lambda: (barrier.wait(), object())[1]))
+
+    threads = [threading.Thread(target=look) for _ in range(4)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert len(set(map(id, found))) == 1
+
+
+def test_a_copy_in_another_process_starts_empty():
+    memory: MemoryCache[str, bytes] = MemoryCache(10, len)
+    memory.put("a", b"1")
+    copy = pickle.loads(pickle.dumps(memory))
+    assert (copy.limit, len(copy), copy.get("a")) == (10, 0, None)
+    with memory._lock:  # as if another thread held it at the fork
+        child = os.fork()
+        if child == 0:
+            os._exit(0 if memory.get("a") is None and memory.size == 0 else 1)
+    assert os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == 0
+    assert memory.get("a") == b"1"
