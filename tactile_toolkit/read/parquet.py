@@ -47,12 +47,11 @@ class MemoryBlocks(MemoryCache[tuple[str, int], RowGroup]):
             kept = self.get((name, number))
             if kept is not None:
                 return kept
-            place, groups = 0, iter(())
-            if self._under_way is not None and self._under_way[0] == name and self._under_way[1] <= number:
-                _, place, groups = self._under_way  # goes on where decoding stopped, as a full pass does
+            under_way, self._under_way = self._under_way, None
+            if under_way is not None and under_way[0] == name and under_way[1] <= number:
+                _, place, groups = under_way  # goes on where decoding stopped, as a full pass does
             else:
-                groups = decode()
-            self._under_way = None
+                place, groups = 0, decode()
             for group in groups:
                 self.put((name, place), group)
                 place += 1
