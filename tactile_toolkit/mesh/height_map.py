@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.mesh.mesh import as_mesh
-from tactile_toolkit.mesh.raster import raise_pixels, spans_of
+from tactile_toolkit.mesh.raster import highest_values
 from tactile_toolkit.read.parquet import cache_folder
 
 __all__ = ["HeightCache", "HeightMap", "MOST_PIXELS", "Window", "content_key", "top_surface", "window_of"]
@@ -137,11 +137,13 @@ def top_surface(mesh: Any, pitch_m: float) -> HeightMap:
     mesh = as_mesh(mesh)
     vertices_m = np.asarray(mesh.vertices_m)
     window = window_of(vertices_m, pitch_m)
-    highest = np.full(window.rows * window.columns, -np.inf, np.float32)
-    for spans in spans_of(_in_pixels(vertices_m, window), np.asarray(mesh.faces)):
-        raise_pixels(highest, spans, window.columns)
-    highest[np.isneginf(highest)] = np.nan
-    heights_m = highest.reshape(window.rows, window.columns)
+    x_m, y_m, z_m = vertices_m.T.astype(np.float64)
+    # The centre of pixel (i, j) of the window is at column i, row j.
+    columns = x_m / window.pitch_m - (window.first_column + 0.5)
+    rows = y_m / window.pitch_m - (window.first_row + 0.5)
+    points = np.stack([columns, rows, z_m])
+    heights_m = highest_values(points, mesh.faces, (window.rows, window.columns))
+    heights_m[np.isneginf(heights_m)] = np.nan
     heights_m.setflags(write=False)
     return HeightMap(heights_m, window)
 
@@ -181,17 +183,6 @@ def window_of(vertices_m: NDArray[np.floating[Any]], pitch_m: float) -> Window:
 
 def _is_length(value: object) -> bool:
     return isinstance(value, (Real, np.number)) and 0 < float(value) < np.inf
-
-
-def _in_pixels(vertices_m: NDArray[Any], window: Window) -> NDArray[np.float64]:
-    """Return column, row and height of each vertex, shape (3, V).
-
-    The centre of pixel (i, j) of the window is at column i, row j; heights stay metres.
-    """
-    x_m, y_m, heights_m = vertices_m.T.astype(np.float64)
-    columns = x_m / window.pitch_m - (window.first_column + 0.5)
-    rows = y_m / window.pitch_m - (window.first_row + 0.5)
-    return np.stack([columns, rows, heights_m])
 
 
 def _centres_m(first: int, count: int, pitch_m: float) -> NDArray[np.float64]:

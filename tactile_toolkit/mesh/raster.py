@@ -1,7 +1,8 @@
-"""From triangles to pixels: every triangle is cut into rows of pixels, and a pixel keeps the highest of them.
+"""From triangles to pixels: every triangle is cut into scan lines, and a pixel keeps the highest of them.
 
-A span is the part of one row whose pixel centres one triangle covers. Cutting by rows instead of testing
-every pixel of a bounding box touches only pixels that are covered, and all spans are cut at once, in numpy.
+A scan line is the part of one row of pixels whose centres one triangle covers. Cutting by rows instead of
+testing every pixel of a bounding box touches only pixels that are covered, and all lines are cut at once, in
+numpy. Height maps, pictures and the cells of build plates are all made here.
 """
 
 from __future__ import annotations
@@ -13,51 +14,50 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["Spans", "raise_pixels", "spans_of"]
+__all__ = ["ScanLines", "highest_faces", "highest_values", "scan_lines"]
 
 _EDGE_PX = 1e-9
 """A centre no further than this outside an edge counts as on it: rounding must leave no hole between
 neighbours."""
 
 _AT_ONCE = 1 << 20
-"""Spans or pixels that are worked on together: bounds the memory of large triangles on fine grids."""
+"""Lines or pixels that are worked on together: bounds the memory of large triangles on fine grids."""
+
+_DEPTH_STEPS = 1 << 30
+"""Heights that :func:`highest_faces` tells apart: 1e-7 mm on a solid of 10 cm."""
 
 Numbers = NDArray[np.float64]
-Places = NDArray[np.int64]
+Indices = NDArray[np.int64]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Spans:
+class ScanLines:
     """Runs of covered pixels, each within one row.
 
     Attributes
     ----------
-    row, column, count : ndarray of int64, shape (n,)
-        Row, first column and number of pixels.
+    face, row, column, count : ndarray of int64, shape (n,)
+        Triangle, row, first column and number of pixels.
     height, rise : ndarray of float64, shape (n,)
         Height above the first pixel, and what it grows by from one pixel to the next.
     """
 
-    row: Places
-    column: Places
-    count: Places
+    face: Indices
+    row: Indices
+    column: Indices
+    count: Indices
     height: Numbers
     rise: Numbers
-
-    def part(self, start: int, stop: int) -> Spans:
-        """Return some of them."""
-        some = slice(start, stop)
-        return Spans(self.row[some], self.column[some], self.count[some], self.height[some], self.rise[some])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Triangles:
-    """Triangles that face upwards and may cover a pixel centre.
+    """Triangles that run counter-clockwise seen from above and may cover a pixel centre.
 
     Attributes
     ----------
-    first_row, rows : ndarray of int64, shape (n,)
-        Rows of pixel centres that they meet.
+    face, first_row, rows : ndarray of int64, shape (n,)
+        Which triangle, and the rows of pixel centres that it meets.
     sides : ndarray, shape (3, 4, n)
         For each edge ``l, l', r, r'``: row y covers columns from ``l + l' y`` to ``r + r' y``.
     columns : ndarray, shape (2, n)
@@ -70,8 +70,9 @@ class _Triangles:
         Least and greatest height.
     """
 
-    first_row: Places
-    rows: Places
+    face: Indices
+    first_row: Indices
+    rows: Indices
     sides: Numbers
     columns: Numbers
     start: Numbers
@@ -79,76 +80,90 @@ class _Triangles:
     heights: Numbers
 
 
-def spans_of(places: Numbers, faces: NDArray[np.integer[Any]]) -> Iterator[Spans]:
-    """Cut triangles into spans.
+def highest_values(
+    points: Numbers, faces: NDArray[np.integer[Any]], shape: tuple[int, int]
+) -> NDArray[np.float32]:
+    """Return the height of the highest triangle over the centre of each pixel, -inf where there is none.
+
+    Parameters as :func:`scan_lines`; triangles that face downwards are left out.
+    """
+    highest = np.full(shape[0] * shape[1], -np.inf, np.float32)
+    for lines in scan_lines(points, faces, shape):
+        for pixel, height, _ in _pixels(lines, shape[1]):
+            np.maximum.at(highest, pixel, height.astype(np.float32))
+    return highest.reshape(shape)
+
+
+def highest_faces(
+    points: Numbers, faces: NDArray[np.integer[Any]], shape: tuple[int, int], both_sides: bool = False
+) -> Indices:
+    """Return the highest triangle over the centre of each pixel, -1 where there is none.
+
+    Parameters as :func:`scan_lines`; of equally high triangles the later.
+    """
+    if not len(faces):
+        return np.full(shape, -1, np.int64)
+    used = np.asarray(points[2])[np.asarray(faces)]
+    low, span = float(used.min()), max(float(np.ptp(used)), 1e-12)
+    highest = np.full(shape[0] * shape[1], -1, np.int64)
+    for lines in scan_lines(points, faces, shape, both_sides):
+        for pixel, height, face in _pixels(lines, shape[1]):
+            # The height in the upper bits and the triangle in the lower: one maximum finds both.
+            steps = ((height - low) * (_DEPTH_STEPS / span)).astype(np.int64)
+            np.maximum.at(highest, pixel, (steps << 32) | face)
+    return np.where(highest < 0, -1, highest & 0xFFFFFFFF).reshape(shape)
+
+
+def scan_lines(
+    points: Numbers, faces: NDArray[np.integer[Any]], shape: tuple[int, int], both_sides: bool = False
+) -> Iterator[ScanLines]:
+    """Cut triangles into scan lines, some at a time.
 
     Parameters
     ----------
-    places : ndarray, shape (3, V)
+    points : ndarray, shape (3, V)
         Column and row, in pixels whose centres have whole numbers, and height of each vertex.
     faces : ndarray of int, shape (F, 3)
-        Triangles; those that do not run counter-clockwise seen from above give no span.
-
-    Yields
-    ------
-    Spans
-        Some at a time.
+        Triangles; upright ones cover nothing.
+    shape : tuple of int
+        Rows and columns; what lies outside is cut off.
+    both_sides : bool
+        Whether triangles that run clockwise seen from above have lines too.
     """
-    triangles = _upward(places, faces)
+    triangles = _prepared(points, np.asarray(faces), shape, both_sides)
     for start, stop in _parts(triangles.rows):
         count = triangles.rows[start:stop]
         owner = np.repeat(np.arange(start, stop), count)
-        row = triangles.first_row[owner] + _places_within(count)
-        yield _cut(triangles, owner, row)
-
-
-def raise_pixels(highest: NDArray[np.float32], spans: Spans, columns: int) -> None:
-    """Raise the pixels of a grid to the height of the spans that lie above them.
-
-    Parameters
-    ----------
-    highest : ndarray of float32, shape (rows * columns,)
-        Height of each pixel so far; changed in place.
-    spans : Spans
-        What covers them.
-    columns : int
-        Pixels in a row.
-    """
-    for start, stop in _parts(spans.count):
-        part = spans.part(start, stop)
-        within = _places_within(part.count)
-        pixel = np.repeat(part.row * columns + part.column, part.count) + within
-        height = np.repeat(part.height, part.count) + np.repeat(part.rise, part.count) * within
-        np.maximum.at(highest, pixel, height.astype(np.float32))
-
-
-def _upward(places: Numbers, faces: NDArray[np.integer[Any]]) -> _Triangles:
-    """Pick the triangles that face upwards; upright ones cover nothing."""
-    seen = places[:2]
-    corners = [np.take(seen, corner, axis=1) for corner in faces.T]
-    first = np.ceil(np.minimum.reduce(corners) - _EDGE_PX)
-    last = np.floor(np.maximum.reduce(corners) + _EDGE_PX)
-    (ab_x, ab_y), (ac_x, ac_y) = corners[1] - corners[0], corners[2] - corners[0]
-    area = ab_x * ac_y - ab_y * ac_x  # twice the area as seen from above
-    kept = np.flatnonzero((area > 0) & (first[0] <= last[0]) & (first[1] <= last[1]))
-    rows = (last[1] - first[1])[kept].astype(np.int64) + 1
-    return _prepared(places, faces[kept].T, area[kept], first[1, kept].astype(np.int64), rows)
+        row = triangles.first_row[owner] + _counted(count)
+        yield _cut(triangles, owner, row, shape[1] - 1)
 
 
 def _prepared(
-    places: Numbers, faces: NDArray[np.integer[Any]], area: Numbers, first_row: Places, rows: Places
+    points: Numbers, faces: NDArray[np.integer[Any]], shape: tuple[int, int], both_sides: bool
 ) -> _Triangles:
-    a, b, c = (np.take(places, corner, axis=1) for corner in faces)
+    corners = [np.take(points[:2], corner, axis=1) for corner in faces.T]
+    last_pixel = np.array([[shape[1] - 1], [shape[0] - 1]], np.float64)
+    first = np.maximum(np.ceil(np.minimum.reduce(corners) - _EDGE_PX), 0.0)
+    last = np.minimum(np.floor(np.maximum.reduce(corners) + _EDGE_PX), last_pixel)
+    (ab_x, ab_y), (ac_x, ac_y) = corners[1] - corners[0], corners[2] - corners[0]
+    area = ab_x * ac_y - ab_y * ac_x  # twice the area as seen from above
+    faces_seen = (area != 0) if both_sides else (area > 0)
+    kept = np.flatnonzero(faces_seen & (first[0] <= last[0]) & (first[1] <= last[1]))
+    area, named = area[kept], faces[kept].T
+    if both_sides:
+        named = np.where(area > 0, named, named[[0, 2, 1]])
+        area = np.abs(area)
+    a, b, c = (np.take(points, corner, axis=1) for corner in named)
     ab, ac = b - a, c - a
-    slope = np.stack([ab[2] * ac[1] - ab[1] * ac[2], ab[0] * ac[2] - ab[2] * ac[0]]) / area
     low, high = np.minimum(np.minimum(a, b), c), np.maximum(np.maximum(a, b), c)
     return _Triangles(
-        first_row,
-        rows,
+        face=kept,
+        first_row=first[1, kept].astype(np.int64),
+        rows=(last[1] - first[1])[kept].astype(np.int64) + 1,
         sides=np.stack([_side(a, b), _side(b, c), _side(c, a)]),
         columns=np.stack([low[0] - _EDGE_PX, high[0] + _EDGE_PX]),
         start=a,
-        slope=slope,
+        slope=np.stack([ab[2] * ac[1] - ab[1] * ac[2], ab[0] * ac[2] - ab[2] * ac[0]]) / area,
         heights=np.stack([low[2], high[2]]),
     )
 
@@ -174,35 +189,39 @@ def _side(start: Numbers, end: Numbers) -> Numbers:
     )
 
 
-def _cut(triangles: _Triangles, owner: Places, row: Places) -> Spans:
+def _cut(triangles: _Triangles, owner: Indices, row: Indices, last_column: int) -> ScanLines:
     """Find the pixels that triangles cover in given rows, and their heights."""
     left, right = np.take(triangles.columns, owner, axis=1)
     for side in triangles.sides:
         low, low_per_row, high, high_per_row = np.take(side, owner, axis=1)
         left = np.maximum(left, low + low_per_row * row)
         right = np.minimum(right, high + high_per_row * row)
-    first, last = np.ceil(left), np.floor(right)
+    first, last = np.maximum(np.ceil(left), 0.0), np.minimum(np.floor(right), last_column)
     there = np.flatnonzero(first <= last)
     owner, row, first, last = owner[there], row[there], first[there], last[there]
     column, steps = first.astype(np.int64), (last - first).astype(np.int64)
-    start, end = _heights(triangles, owner, row, first, last)
-    # From end to end instead of by the slope: so no height leaves the triangle's own range.
-    return Spans(row, column, steps + 1, start, (end - start) / np.maximum(steps, 1))
-
-
-def _heights(
-    triangles: _Triangles, owner: Places, row: Places, first: Numbers, last: Numbers
-) -> tuple[Numbers, Numbers]:
-    """Return the heights of triangles above two columns of a row, kept to the range of their corners."""
     x, y, z = np.take(triangles.start, owner, axis=1)
     along_row, along_column = np.take(triangles.slope, owner, axis=1)
     low, high = np.take(triangles.heights, owner, axis=1)
     level = z + along_column * (row - y)
-    start, end = (np.clip(level + along_row * (column - x), low, high) for column in (first, last))
-    return start, end
+    # From end to end instead of by the slope: so no height leaves the triangle's own range, however steep.
+    start, end = (np.clip(level + along_row * (edge - x), low, high) for edge in (first, last))
+    rise = (end - start) / np.maximum(steps, 1)
+    return ScanLines(triangles.face[owner], row, column, steps + 1, start, rise)
 
 
-def _parts(counts: Places) -> Iterator[tuple[int, int]]:
+def _pixels(lines: ScanLines, columns: int) -> Iterator[tuple[Indices, Numbers, Indices]]:
+    """Yield number, height and triangle of the pixels of lines, some lines at a time."""
+    for start, stop in _parts(lines.count):
+        some = slice(start, stop)
+        count = lines.count[some]
+        within = _counted(count)
+        pixel = np.repeat(lines.row[some] * columns + lines.column[some], count) + within
+        height = np.repeat(lines.height[some], count) + np.repeat(lines.rise[some], count) * within
+        yield pixel, height, np.repeat(lines.face[some], count)
+
+
+def _parts(counts: Indices) -> Iterator[tuple[int, int]]:
     """Divide items into runs of at most :data:`_AT_ONCE` things in all, or of a single item."""
     ends = np.cumsum(counts)
     start = 0
@@ -213,7 +232,7 @@ def _parts(counts: Places) -> Iterator[tuple[int, int]]:
         start = stop
 
 
-def _places_within(counts: Places) -> Places:
+def _counted(counts: Indices) -> Indices:
     """Return 0, 1, ... for the things of each item in turn."""
     ends = np.cumsum(counts)
     total = int(ends[-1]) if len(ends) else 0

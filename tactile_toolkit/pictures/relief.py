@@ -36,24 +36,15 @@ def relief(
     ndarray of uint8, shape (H, W)
         255 is empty paper; row 0 is the largest y.
     """
-    from PIL import Image, ImageDraw
+    from tactile_toolkit.mesh.raster import highest_faces
+    from tactile_toolkit.pictures.render import shades
 
-    from tactile_toolkit.pictures.render import doubled_areas, shades
-
-    vertices = np.asarray(vertices_m, np.float64)
-    corners = vertices[np.asarray(faces)]
-    seen = doubled_areas(corners) > 0
-    levels, corners = shades(vertices, np.asarray(faces)[seen]), corners[seen]
-    low, high = vertices_m[:, :2].min(axis=0), vertices_m[:, :2].max(axis=0)
+    vertices, faces = np.asarray(vertices_m, np.float64), np.asarray(faces)
+    low, high = vertices[:, :2].min(axis=0), vertices[:, :2].max(axis=0)
     width, height = (np.ceil((high - low) / pitch_m).astype(int) + 9).tolist()
-    picture = Image.new("L", (width, height), 255)
-    draw = ImageDraw.Draw(picture)
-    points = (corners[:, :, :2] - low) / pitch_m + 4
-    points[:, :, 1] = height - 1 - points[:, :, 1]
-    # Painter's order: what lies higher is drawn last.
-    for index in np.argsort(corners[:, :, 2].mean(axis=1)):
-        draw.polygon([tuple(point) for point in points[index].tolist()], fill=int(levels[index]))
-    return np.asarray(picture)
+    columns, rows = ((vertices[:, :2] - low) / pitch_m + 4).T
+    seen = highest_faces(np.stack([columns, rows, vertices[:, 2]]), faces, (height, width))
+    return np.append(shades(vertices, faces), np.uint8(255))[seen[::-1]]
 
 
 def relief_of(mesh: Mesh, px_per_mm: float, smoothing: int = 3) -> NDArray[np.uint8]:

@@ -1,4 +1,4 @@
-"""Views of solids: the depth buffer, the renderer beside it, and plots."""
+"""Views of solids: shaded relief, the renderer beside it, and plots."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from importlib.util import find_spec
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from tactile_toolkit.mesh.mesh import Mesh
@@ -23,7 +23,6 @@ from tactile_toolkit.pictures.render import (
     Studio,
     View,
     averaged,
-    face_buffer,
     fitting_scale,
     shaded,
 )
@@ -53,34 +52,6 @@ def test_a_view_has_three_directions_at_right_angles(azimuth, elevation):
     assert np.linalg.det(axes) == pytest.approx(1.0)
     assert axes[0, 2] == 0.0, "the horizon is level"
     assert np.allclose(TOP.axes, np.eye(3), atol=1e-12)
-
-
-@settings(max_examples=100)
-@given(st.integers(0, 2**32 - 1))
-def test_the_depth_buffer_sees_what_looking_at_each_pixel_sees(seed):
-    random = np.random.default_rng(seed)
-    points = random.uniform(-4, 20, (9, 3)) + np.array((0, 0, random.uniform(-50, 50)))
-    faces = random.integers(0, 9, (7, 3))
-    seen = face_buffer(points, faces, (16, 12))
-    for row, column in random.integers(0, (12, 16), (25, 2)):
-        depths = {
-            number: depth
-            for number, face in enumerate(faces)
-            if (depth := _depth_at(points[face], column + 0.5, row + 0.5)) is not None
-        }
-        if seen[row, column] < 0:
-            assert not depths
-        else:
-            closest = max(depths.values())
-            assert depths[int(seen[row, column])] == pytest.approx(closest, abs=1e-6)
-
-
-def _depth_at(corners: np.ndarray, x: float, y: float) -> float | None:
-    matrix = np.vstack([corners[:, :2].T, np.ones(3)])
-    if abs(np.linalg.det(matrix)) < 1e-12:
-        return None
-    shares = np.linalg.solve(matrix, [x, y, 1.0])
-    return float(shares @ corners[:, 2]) if (shares >= 0).all() else None
 
 
 def test_a_box_from_above_covers_its_area_to_the_pixel():
