@@ -7,12 +7,12 @@ import typer
 from cli.failures import reports_errors
 from cli.options import Folder, Json, Quiet
 from cli.output import Sink
-from cli.rooms import Room
+from tactile_toolkit.kind import DatasetKind
 
 __all__ = ["add_card"]
 
 
-def add_card(app: typer.Typer, room: Room) -> None:
+def add_card(app: typer.Typer, kind: DatasetKind) -> None:
     """Add the command ``card`` to a command line."""
 
     @app.command()
@@ -25,12 +25,14 @@ def add_card(app: typer.Typer, room: Room) -> None:
         from tactile_toolkit.cards.card import CARD_FILE
         from tactile_toolkit.cards.checks import check_card
         from tactile_toolkit.cards.pictures import PREVIEW_FOLDER
+        from tactile_toolkit.catalog.kinds import finished_manifest, require_manifest
         from tactile_toolkit.errors import IntegrityError
         from tactile_toolkit.store.folder import DataFolder
 
         sink = Sink(as_json, quiet)
         place = DataFolder(str(folder))
-        room.write_card(place)
+        manifest_of = require_manifest if kind.needs_manifest else finished_manifest
+        kind.write_card(place, manifest_of(kind, place))
         findings = check_card(place)
         if findings:
             message = f"{findings[0].file} of {str(folder)!r}: {findings[0].problem}"

@@ -3,16 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import asdict, dataclass
-from importlib import import_module
 from pathlib import Path
 
 from cli.output import Sink, bytes_text
-from cli.rooms import Room
+from tactile_toolkit.kind import DatasetKind
 
 __all__ = ["print_copy"]
 
 
-def print_copy(sink: Sink, folder: Path, room: Room, things: str) -> None:
+def print_copy(sink: Sink, folder: Path, kind: DatasetKind) -> None:
     """Print what the splits of a folder without a manifest hold, and where they were downloaded from.
 
     Parameters
@@ -21,10 +20,8 @@ def print_copy(sink: Sink, folder: Path, room: Room, things: str) -> None:
         Where to print.
     folder : Path
         The folder.
-    room : Room
-        The kind of data set that it is read as.
-    things : str
-        What its rows are, such as ``"digits"``.
+    kind : DatasetKind
+        What it is read as.
 
     Raises
     ------
@@ -44,9 +41,7 @@ def print_copy(sink: Sink, folder: Path, room: Room, things: str) -> None:
         raise InputError(message)
     record = read_record(DataFolder(str(folder)))
     entries = []
-    for split, dataset in open_splits(
-        str(folder), None, import_module(room.python_name).load, things
-    ).items():
+    for split, dataset in open_splits(str(folder), None, kind.load, kind.nouns).items():
         paths = [Path(shard.path) for shard in find_shards(str(folder), split)]
         size = sum(path.stat().st_size for path in paths)
         labels = dataset.labels.tolist()
@@ -60,7 +55,7 @@ def print_copy(sink: Sink, folder: Path, room: Room, things: str) -> None:
             "splits": [asdict(entry) for entry in entries],
         }
     )
-    sink.table(("split", things, "shards", "Parquet", "per class"), [entry.row() for entry in entries])
+    sink.table(("split", kind.nouns, "shards", "Parquet", "per class"), [entry.row() for entry in entries])
     origin = f"downloaded from {record.repo_id} at {record.commit[:12]}" if record else "no manifest"
     sink.line(f"{origin}: how it was made is not told here")
 

@@ -12,6 +12,7 @@ from cli.failures import reports_errors
 from cli.options import DryRun, Folder, Json, Out, Overwrite, Quiet
 from cli.output import Sink
 from cli.verification import verify_folder
+from env_assets.wrench.kind import KIND
 
 if TYPE_CHECKING:
     from env_assets.wrench.facts import WrenchFacts
@@ -133,9 +134,7 @@ def verify(folder: Folder, as_json: Json = False, quiet: Quiet = False) -> None:
 
     Exit code 3 when something is damaged; each damaged file is named.
     """
-    from env_assets.wrench.generation import wrench_schema
-
-    verify_folder(Sink(as_json, quiet), str(folder), wrench_schema(), "env-assets wrench")
+    verify_folder(Sink(as_json, quiet), str(folder), KIND)
 
 
 def main() -> None:

@@ -12,6 +12,7 @@ import typer
 from cli.failures import EXIT_FAILED, reports_errors
 from cli.options import Json, Limit, Out, Quiet, Workers
 from cli.output import Sink, bytes_text, counted
+from tactile_toolkit.kind import DatasetKind
 
 if TYPE_CHECKING:
     from tactile_toolkit.printing.checked import Failure
@@ -34,15 +35,15 @@ class MeshFormat(StrEnum):
     glb = "glb"
 
 
-def add_export(app: typer.Typer, room: str) -> None:
+def add_export(app: typer.Typer, kind: DatasetKind) -> None:
     """Add the command to a room's command line.
 
     Parameters
     ----------
     app : typer.Typer
         The room's commands.
-    room : str
-        Package whose ``load(name, split)`` opens a data set of meshes; imported when the command runs.
+    kind : DatasetKind
+        The kind of data set of meshes that it is for.
     """
 
     @app.command()
@@ -100,11 +101,11 @@ def add_export(app: typer.Typer, room: str) -> None:
         Exit code 1 when an object or plate could not be written as a solid.
         """
         spec = _plate_spec(plate, gap, label, file_format)
-        objects = _chosen(room, name, split, ids, labels, limit)
+        objects = _chosen(kind, name, split, ids, labels, limit)
         sink = Sink(as_json, quiet)
         if spec is None:
-            kind = (file_format or MeshFormat.stl).value
-            failures = _export_files(sink, objects, out, kind, scale, overwrite, workers, dry_run)
+            ending = (file_format or MeshFormat.stl).value
+            failures = _export_files(sink, objects, out, ending, scale, overwrite, workers, dry_run)
         else:
             failures = _export_plates(sink, objects, out, spec, scale, overwrite, dry_run)
         for failure in failures:
@@ -132,18 +133,17 @@ def _plate_spec(
 
 
 def _chosen(
-    room: str, name: str, split: str, ids: str | None, labels: str | None, limit: int | None
+    kind: DatasetKind, name: str, split: str, ids: str | None, labels: str | None, limit: int | None
 ) -> list[PrintObject]:
-    from importlib import import_module
-
     from tactile_toolkit.catalog.locate import splits_of
     from tactile_toolkit.printing.objects import choose, parse_ids
 
-    load = import_module(room).load
     splits = splits_of(name) if split == "all" else (split,)
     classes = None if labels is None else [word.strip() for word in labels.split(",")]
     numbers = None if ids is None else parse_ids(ids)
-    return choose(((each, load(name, each)) for each in splits), ids=numbers, labels=classes, limit=limit)
+    return choose(
+        ((each, kind.load(name, each)) for each in splits), ids=numbers, labels=classes, limit=limit
+    )
 
 
 def _export_files(

@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 import sys
 import time
-from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -15,6 +14,7 @@ from cli.failures import EXIT_INTERRUPTED, reports_errors
 from cli.options import DryRun, Json, Limit, Quiet, Split, Workers, local_place
 from cli.output import Sink, bytes_text, counted, duration_text
 from cli.touch_options import Revision, TouchSet
+from tactile_toolkit.kind import DatasetKind
 
 if TYPE_CHECKING:
     from tactile_toolkit.gallery.items import Gallery
@@ -45,17 +45,15 @@ Replace = Annotated[
 ]
 
 
-def add_mesh_gallery(app: typer.Typer, room: str, nouns: str) -> None:
+def add_mesh_gallery(app: typer.Typer, kind: DatasetKind) -> None:
     """Add ``gallery`` to the command line of a room of meshes.
 
     Parameters
     ----------
     app : typer.Typer
         The room's commands.
-    room : str
-        Package whose ``gallery.plan_gallery`` says what is shown; imported when the command runs.
-    nouns : str
-        What its rows are called.
+    kind : DatasetKind
+        The kind of data set that it is for.
     """
 
     @app.command()
@@ -80,9 +78,8 @@ def add_mesh_gallery(app: typer.Typer, room: str, nouns: str) -> None:
         """
         from tactile_toolkit.catalog.choose import Choice
 
-        run = _Run(Sink(as_json, quiet), nouns, out, workers or os.cpu_count() or 1, overwrite)
-        plan_gallery = import_module(f"{room}.gallery").plan_gallery
-        run.go(plan_gallery(Choice(name, split, limit, per_class)), dry_run)
+        run = _Run(Sink(as_json, quiet), kind.nouns, out, workers or os.cpu_count() or 1, overwrite)
+        run.go(kind.plan_gallery(Choice(name, split, limit, per_class)), dry_run)
 
 
 def add_touch_gallery(app: typer.Typer) -> None:

@@ -12,7 +12,7 @@ from cli.failures import reports_errors
 from cli.hub_words import listed
 from cli.options import Json, Quiet, local_place
 from cli.output import Sink, bytes_text, counted
-from cli.rooms import Room
+from tactile_toolkit.kind import DatasetKind
 
 if TYPE_CHECKING:
     from tactile_toolkit.catalog.published import SetState
@@ -43,14 +43,14 @@ DryRun = Annotated[bool, typer.Option("--dry-run", help="Say what would be fetch
 Yes = Annotated[bool, typer.Option("--yes", "-y", help="Do not ask before a large download.")]
 
 
-def add_download(app: typer.Typer, room: Room) -> None:
+def add_download(app: typer.Typer, kind: DatasetKind) -> None:
     """Add ``download`` and ``list`` to a command line.
 
     Parameters
     ----------
     app : typer.Typer
         The command line.
-    room : Room
+    kind : DatasetKind
         The kind of data set that it is for.
     """
 
@@ -74,7 +74,7 @@ def add_download(app: typer.Typer, room: Room) -> None:
         from tactile_toolkit.exchange.download_plan import plan_download
 
         sink = Sink(as_json, quiet)
-        _refuse_other_room(name, room)
+        _refuse_other_kind(name, kind)
         plan = plan_download(
             name,
             split or (),
@@ -82,22 +82,22 @@ def add_download(app: typer.Typer, room: Room) -> None:
             out=None if out is None else str(out),
             on_wait=sink.talk,
         )
-        room.refuse_other_kind(plan.manifest, plan.repository.repo_id)
+        kind.refuse_other(plan.manifest, plan.repository.repo_id)
         _introduce(sink, name, plan)
         if not dry_run:
             _require_consent(plan, yes=yes)
         place = "" if dry_run else _fetch(sink, plan)
         sink.document({**_facts(plan), "dry_run": dry_run, "folder": place or None})
-        _conclude(sink, plan, place, room)
+        _conclude(sink, plan, place, kind)
 
     @app.command("list")
     @reports_errors
     def list_sets(as_json: Json = False) -> None:
         """List the published data sets: what they hold, their terms, what is here, and how large they are."""
-        _print_sets(Sink(as_json), room.command)
+        _print_sets(Sink(as_json), kind)
 
 
-def _refuse_other_room(name: str, room: Room) -> None:
+def _refuse_other_kind(name: str, kind: DatasetKind) -> None:
     """Refuse a published set that belongs to another command line: its repository holds no manifest.
 
     Raises
@@ -105,12 +105,12 @@ def _refuse_other_room(name: str, room: Room) -> None:
     InputError
         It does.
     """
-    from tactile_toolkit.catalog.published import published_set
+    from tactile_toolkit.catalog.published import kind_that_published
     from tactile_toolkit.errors import InputError
 
-    known = published_set(name)
-    if known is not None and known.room != room.command:
-        message = f"{name!r} is a data set of `{known.room}`; next: {known.room} download {name}"
+    known = kind_that_published(name)
+    if known is not None and known is not kind:
+        message = f"{name!r} is a data set of `{known.command}`; next: {known.command} download {name}"
         raise InputError(message)
 
 
@@ -180,7 +180,7 @@ def _facts(plan: DownloadPlan) -> dict[str, object]:
     }
 
 
-def _conclude(sink: Sink, plan: DownloadPlan, place: str, room: Room) -> None:
+def _conclude(sink: Sink, plan: DownloadPlan, place: str, kind: DatasetKind) -> None:
     missing = counted(len(plan.missing), "files")
     if not place:
         gone = f" and remove {len(plan.leftover):,}" if plan.leftover else ""
@@ -194,7 +194,7 @@ def _conclude(sink: Sink, plan: DownloadPlan, place: str, room: Room) -> None:
         sink.line(f"fetched {missing}{gone}; all {len(plan.files):,} are whole, in {place}")
     name = place if plan.folder is not None else plan.repository.repo_id
     revision = plan.repository.revision if plan.folder is None else None
-    line = room.loading_lines(plan.manifest, name, plan.splits[0], revision)[1]
+    line = kind.loading_lines(plan.manifest, name, plan.splits[0], revision)[1]
     sink.line(f"next in Python: {line}")
 
 
@@ -204,10 +204,10 @@ def _here(state: SetState) -> str:
     return f"{bytes_text(state.local_bytes)} ({', '.join(state.local_splits)})"
 
 
-def _print_sets(sink: Sink, room: str) -> None:
-    from tactile_toolkit.catalog.published import published_sets, states
+def _print_sets(sink: Sink, kind: DatasetKind) -> None:
+    from tactile_toolkit.catalog.published import states
 
-    found = states(published_sets(room))
+    found = states(kind.published)
     sink.document(
         [
             {
@@ -236,4 +236,4 @@ def _print_sets(sink: Sink, room: str) -> None:
     sink.table(("name", "holds", "licence", "on the Hub", "here"), rows)
     if any(state.hub_bytes is None for state in found):
         sink.talk("?: the Hub gave no answer for this one (no network, or no access)")
-    sink.line(f"next: {room} download NAME [--split SPLIT] [--out DIR]")
+    sink.line(f"next: {kind.command} download NAME [--split SPLIT] [--out DIR]")

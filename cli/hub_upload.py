@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from functools import partial
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
@@ -11,7 +12,7 @@ from cli.failures import EXIT_FAILED, reports_errors
 from cli.hub_words import SHOWN, listed
 from cli.options import Folder, Json, Quiet
 from cli.output import Sink, bytes_text, counted
-from cli.rooms import Room
+from tactile_toolkit.kind import DatasetKind
 
 if TYPE_CHECKING:
     from tactile_toolkit.exchange.upload import PreparedUpload, UploadResult
@@ -39,7 +40,7 @@ DryRun = Annotated[bool, typer.Option("--dry-run", help="Say what would be sent;
 Yes = Annotated[bool, typer.Option("--yes", "-y", help="Send without asking.")]
 
 
-def add_upload(app: typer.Typer, room: Room) -> None:
+def add_upload(app: typer.Typer, kind: DatasetKind) -> None:
     """Add the command ``upload`` to a command line."""
 
     @app.command()
@@ -62,19 +63,22 @@ def add_upload(app: typer.Typer, room: Room) -> None:
 
         Run again after an interruption, it goes on; run again after success, it sends nothing and says so.
         """
+        from tactile_toolkit.catalog.kinds import require_manifest
+        from tactile_toolkit.exchange.check import check_folder
         from tactile_toolkit.exchange.upload import UploadOptions, prepare_upload, run_upload
         from tactile_toolkit.store.folder import DataFolder
 
         sink = Sink(as_json, quiet)
         options = UploadOptions(private, revision, create_pr, message, tag, delete)
-        room.required(room.manifest_of(DataFolder(str(folder))), DataFolder(str(folder)))
+        require_manifest(kind, DataFolder(str(folder)))
         sink.talk(f"checking {folder}")
+        check = partial(check_folder, kind)
         prepared = prepare_upload(
-            str(folder), repository, options, check=room.check, dry_run=dry_run, on_wait=sink.talk
+            str(folder), repository, options, check=check, dry_run=dry_run, on_wait=sink.talk
         )
         _print_plan(sink, prepared)
         if dry_run:
-            sink.document(_document(room, prepared, None))
+            sink.document(_document(kind, prepared, None))
             there = f"{_held(prepared, prepared.pull)}; " if prepared.is_done else ""
             sink.line(f"{there}nothing was sent")
             return
@@ -82,8 +86,8 @@ def add_upload(app: typer.Typer, room: Room) -> None:
             _ask(prepared)
         _show_bars(sink)
         result = run_upload(prepared)
-        sink.document(_document(room, prepared, result))
-        _print_result(sink, room, prepared, result)
+        sink.document(_document(kind, prepared, result))
+        _print_result(sink, kind, prepared, result)
 
 
 def _ask(prepared: PreparedUpload) -> None:
@@ -144,7 +148,7 @@ def _print_plan(sink: Sink, prepared: PreparedUpload) -> None:
     )
 
 
-def _print_result(sink: Sink, room: Room, prepared: PreparedUpload, result: UploadResult) -> None:
+def _print_result(sink: Sink, kind: DatasetKind, prepared: PreparedUpload, result: UploadResult) -> None:
     if not result.sent and not result.removed:
         sink.line(f"{_held(prepared, result.pull)}; nothing was sent")
     else:
@@ -155,11 +159,11 @@ def _print_result(sink: Sink, room: Room, prepared: PreparedUpload, result: Uplo
     if result.tags:
         sink.line(f"tags set: {', '.join(result.tags)}")
     sink.line(_address(prepared, result))
-    for line in _python_lines(room, prepared, result):
+    for line in _python_lines(kind, prepared, result):
         sink.line(f"  {line}")
 
 
-def _document(room: Room, prepared: PreparedUpload, result: UploadResult | None) -> dict[str, Any]:
+def _document(kind: DatasetKind, prepared: PreparedUpload, result: UploadResult | None) -> dict[str, Any]:
     plan, options = prepared.plan, prepared.options
     return {
         "repository": prepared.target.repo_id,
@@ -181,7 +185,7 @@ def _document(room: Room, prepared: PreparedUpload, result: UploadResult | None)
         "pull_request": result.pull if result else None,
         "sent": list(result.sent) if result else [],
         "removed": list(result.removed) if result else [],
-        "python": _python_lines(room, prepared, result),
+        "python": _python_lines(kind, prepared, result),
     }
 
 
@@ -206,11 +210,11 @@ def _address(prepared: PreparedUpload, result: UploadResult | None) -> str:
     return page if branch == MAIN else f"{page}/tree/{branch}"
 
 
-def _python_lines(room: Room, prepared: PreparedUpload, result: UploadResult | None) -> list[str]:
+def _python_lines(kind: DatasetKind, prepared: PreparedUpload, result: UploadResult | None) -> list[str]:
     from tactile_toolkit.exchange.upload_target import MAIN
 
     branch = result.pull if result is not None and result.pull else prepared.target.branch
     revision = None if branch == MAIN else branch
     split = prepared.manifest.splits[0]
-    first, call = room.loading_lines(prepared.manifest, prepared.target.repo_id, split, revision)
+    first, call = kind.loading_lines(prepared.manifest, prepared.target.repo_id, split, revision)
     return [first, f"data = {call}"]

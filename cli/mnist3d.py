@@ -24,8 +24,8 @@ from cli.hub_upload import add_upload
 from cli.making import make_with_progress, print_forecast
 from cli.options import DryRun, Folder, Json, Limit, Out, Overwrite, Quiet, Seed, Workers
 from cli.output import Sink, flat_lines
-from cli.rooms import Room
 from cli.verification import verify_folder
+from mnist3d.kind import KIND
 
 if TYPE_CHECKING:
     from mnist3d.generation import GenerateSpec
@@ -207,7 +207,7 @@ def info(folder: Folder, as_json: Json = False) -> None:
     manifest = manifest_so_far(place)
     sink = Sink(as_json)
     if manifest is None:
-        print_copy(sink, folder, Room("mnist3d"), "digits")
+        print_copy(sink, folder, KIND)
         return
     print_made(sink, manifest, folder)
     sink.line(f"made by tactile-toolkit {manifest.toolkit_version}; source and spec:")
@@ -222,17 +222,15 @@ def verify(folder: Folder, as_json: Json = False, quiet: Quiet = False) -> None:
 
     Exit code 3 when something is damaged; each damaged file is named.
     """
-    from mnist3d.rows import mesh_schema
-
-    verify_folder(Sink(as_json, quiet), str(folder), mesh_schema(), "mnist3d generate")
+    verify_folder(Sink(as_json, quiet), str(folder), KIND)
 
 
 add_preview(app)
-add_card(app, Room("mnist3d"))
-add_upload(app, Room("mnist3d"))
-add_download(app, Room("mnist3d"))
-add_mesh_gallery(app, "mnist3d", "digits")
-add_export(app, "mnist3d")
+add_card(app, KIND)
+add_upload(app, KIND)
+add_download(app, KIND)
+add_mesh_gallery(app, KIND)
+add_export(app, KIND)
 
 
 def main() -> None:

@@ -15,12 +15,12 @@ from cli.hub_download import add_download
 from cli.hub_upload import add_upload
 from cli.options import Json, Quiet, Split
 from cli.output import Sink, counted
-from cli.rooms import Room
 from cli.touch_conversions import add_conversions
 from cli.touch_options import Revision, TouchSet
 from cli.touch_preview import add_preview
 from cli.touch_tables import print_made, print_summary, raise_findings, tell_fetching
 from cli.unfinished import print_unfinished
+from realtouch.kind import KIND
 
 if TYPE_CHECKING:
     from realtouch.integrity.verify import TouchVerification
@@ -129,9 +129,9 @@ def verify(
 
 add_conversions(app)
 add_preview(app)
-add_card(app, Room("realtouch"))
-add_upload(app, Room("realtouch"))
-add_download(app, Room("realtouch"))
+add_card(app, KIND)
+add_upload(app, KIND)
+add_download(app, KIND)
 add_touch_gallery(app)
 
 

@@ -20,16 +20,15 @@ from cli.hub_upload import add_upload
 from cli.making import make_with_progress, print_forecast
 from cli.options import DryRun, Folder, Json, Limit, Out, Overwrite, Quiet, Seed, Workers
 from cli.output import Sink, flat_lines
-from cli.rooms import Room
 from cli.scene_options import CollisionName, scene_spec, split_sizes
 from cli.scene_preview import add_preview
 from cli.scene_room import tells_of_failures
 from cli.scene_tables import print_acceptance, print_made
 from cli.verification import verify_folder
+from starstruck_gen.kind import KIND
 
 if TYPE_CHECKING:
     from starstruck_gen.generation import GenerateSpec
-    from tactile_toolkit.store.manifest import Manifest
 
 __all__ = ["app", "main"]
 
@@ -193,9 +192,9 @@ def info(folder: Folder, as_json: Json = False) -> None:
     manifest = manifest_so_far(DataFolder(str(folder)))
     sink = Sink(as_json)
     if manifest is None:
-        print_copy(sink, folder, Room("starstruck"), "scenes")
+        print_copy(sink, folder, KIND)
         return
-    _require_scenes(manifest, folder)
+    KIND.refuse_other(manifest, str(folder))
     print_made(sink, manifest, folder)
     print_acceptance(sink, manifest)
     sink.line(f"made by tactile-toolkit {manifest.toolkit_version}; spec:")
@@ -210,17 +209,15 @@ def verify(folder: Folder, as_json: Json = False, quiet: Quiet = False) -> None:
 
     Exit code 3 when something is damaged; each damaged file is named.
     """
-    from starstruck_gen.rows import scene_schema
-
-    verify_folder(Sink(as_json, quiet), str(folder), scene_schema(), "starstruck generate")
+    verify_folder(Sink(as_json, quiet), str(folder), KIND)
 
 
 add_preview(app)
-add_card(app, Room("starstruck"))
-add_upload(app, Room("starstruck"))
-add_download(app, Room("starstruck"))
-add_mesh_gallery(app, "starstruck_gen", "scenes")
-add_export(app, "starstruck_gen")
+add_card(app, KIND)
+add_upload(app, KIND)
+add_download(app, KIND)
+add_mesh_gallery(app, KIND)
+add_export(app, KIND)
 
 
 def main() -> None:
@@ -261,12 +258,3 @@ def _run_generate(
         f"next: starstruck validate {out}   or in Python: "
         f"starstruck_gen.load({str(out)!r}, split={made.manifest.splits[0]!r})"
     )
-
-
-def _require_scenes(manifest: Manifest, folder: Path) -> None:
-    from starstruck_gen.generation import KIND
-    from tactile_toolkit.errors import InputError
-
-    if manifest.kind != KIND:
-        message = f"{str(folder)!r} holds a data set of kind {manifest.kind!r}; expected one of {KIND!r}"
-        raise InputError(message)

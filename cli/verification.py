@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 import sys
-from typing import Any
 
 from cli.output import Sink, bytes_text, counted
-from cli.rooms import Room
+from tactile_toolkit.kind import DatasetKind
 
 __all__ = ["verify_folder"]
 
 
-def verify_folder(sink: Sink, folder: str, schema: Any, generate: str) -> None:
+def verify_folder(sink: Sink, folder: str, kind: DatasetKind) -> None:
     """Check a data set folder and print what was found.
 
     Parameters
@@ -20,10 +19,8 @@ def verify_folder(sink: Sink, folder: str, schema: Any, generate: str) -> None:
         Where to print.
     folder : str
         The folder.
-    schema : pyarrow.Schema
-        Schema of its rows.
-    generate : str
-        Command that makes damaged shards anew, where the folder was not downloaded.
+    kind : DatasetKind
+        What it is to hold.
 
     Raises
     ------
@@ -39,9 +36,8 @@ def verify_folder(sink: Sink, folder: str, schema: Any, generate: str) -> None:
     from tactile_toolkit.store.verify import verify
 
     place = DataFolder(folder)
-    command, made = generate.split()
-    Room(command if made == "generate" else made).refuse_other_kind(read_manifest(place), place.address())
-    result = verify(place, schema, card=True)
+    kind.refuse_other(read_manifest(place), place.address())
+    result = verify(place, None if kind.schema is None else kind.schema(), card=True)
     findings = [{"file": finding.file, "problem": finding.problem} for finding in result.findings]
     counts_of = {"files": result.files, "rows": result.rows}
     sink.document({"ok": result.ok, "witness": result.witness, **counts_of, "findings": findings})
@@ -54,7 +50,7 @@ def verify_folder(sink: Sink, folder: str, schema: Any, generate: str) -> None:
         sys.stderr.write(f"damaged: {finding.file}: {finding.problem}\n")
     record = read_record(place)
     if record is None:
-        cure = f"run the same `{generate}` again, it makes the damaged shards anew"
+        cure = f"run the same `{kind.made_by}` again, it makes the damaged shards anew"
     else:
         cure = f"download {record.repo_id} there again, only what is damaged is fetched"
     message = f"{counted(len(findings), 'problems')} in {folder!r}; next: {cure}"

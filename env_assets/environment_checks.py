@@ -17,7 +17,7 @@ from env_assets.checks import (
 )
 from env_assets.environment_ids import Assets
 from env_assets.mesh_sets import DigitMeshes, SceneMeshes, measurable
-from env_assets.wrench.generation import CLASS_NAMES as WRENCH_NAMES
+from env_assets.wrench.kind import KIND as WRENCH
 from mnist3d.rows import CLASS_NAMES as DIGIT_NAMES
 from starstruck_gen.rows import CLASS_NAMES as STAR_NAMES
 from tactile_toolkit.errors import InputError
@@ -34,7 +34,7 @@ __all__ = [
 CLASS_NAMES: dict[str, tuple[str, ...]] = {
     "mnist3d": DIGIT_NAMES,
     "starstruck": STAR_NAMES,
-    "wrench": WRENCH_NAMES,
+    "wrench": WRENCH.class_names,
 }
 """Classes of each kind of assets; those of a tool may be called otherwise."""
 

@@ -11,6 +11,7 @@ import numpy as np
 
 from mnist3d.dataset import MeshDataset, MeshRecord, load
 from mnist3d.digit import NO_WRITER
+from mnist3d.kind import KIND
 from mnist3d.report import REPORT_FILE
 from tactile_toolkit.catalog.choose import Choice, chosen_rows, portions, short_name, splits_to_show
 from tactile_toolkit.catalog.kinds import require_kind
@@ -95,7 +96,7 @@ def plan_gallery(choice: Choice) -> Gallery:
     tasks, splits = [], {}
     for split in splits_to_show(choice.name, choice.split):
         dataset = load(choice.name, split)
-        require_kind("mnist3d", "gallery", choice.name, [dataset])
+        require_kind(KIND, "gallery", choice.name, [dataset])
         rows = chosen_rows(dataset.labels, choice.limit, choice.per_class)
         splits[split] = len(rows)
         ids = dataset.ids

@@ -8,6 +8,7 @@ from dataclasses import asdict, dataclass, field
 from typing import Any
 
 from mnist3d.card import write_card
+from mnist3d.kind import KIND
 from mnist3d.report import REPORT_FILE, report_table
 from mnist3d.rows import PARQUET_STYLE, MeshRow, mesh_table
 from mnist3d.solid import SolidSpec, solidify
@@ -22,9 +23,7 @@ from tactile_toolkit.store.manifest import Manifest
 from tactile_toolkit.store.shards import ShardName, Skipped
 from tactile_toolkit.wording import plain_number
 
-__all__ = ["KIND", "DigitShard", "GenerateSpec", "generate", "inspect_out", "make_row", "plan_build"]
-
-KIND = "mnist3d"
+__all__ = ["DigitShard", "GenerateSpec", "generate", "inspect_out", "make_row", "plan_build"]
 
 _LARGEST_SHARD = 128
 _SMALLEST_SHARD = 50
@@ -175,7 +174,7 @@ def plan_build(spec: GenerateSpec, splits: Sequence[str]) -> BuildPlan:
             "next: choose another --split, or --split-sizes"
         )
         raise InputError(message)
-    return BuildPlan(KIND, spec.to_dict(), SPLITS, tuple(tasks), PARQUET_STYLE, REPORT_FILE)
+    return BuildPlan(KIND.name, spec.to_dict(), SPLITS, tuple(tasks), PARQUET_STYLE, REPORT_FILE)
 
 
 def generate(

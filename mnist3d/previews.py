@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from mnist3d.dataset import MeshDataset, MeshRecord, load
+from mnist3d.kind import KIND
 from mnist3d.preview_figures import distributions, histogram, require_report
 from mnist3d.preview_object import draw_object
 from mnist3d.preview_sheet import draw_sheet
@@ -124,7 +125,7 @@ class _OpenSet:
         self.name, self.spec, self.stem = name, spec, file_stem(name)
         self.folder = DataFolder(name)
         self.datasets = open_splits(name, spec.split, load, "digits")
-        require_kind("mnist3d", "preview", name, self.datasets.values())
+        require_kind(KIND, "preview", name, self.datasets.values())
 
     @cached_property
     def made_by(self) -> Mapping[str, Any]:

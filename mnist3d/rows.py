@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from functools import cache
 from typing import Any
 
+from mnist3d.kind import KIND
 from tactile_toolkit.mesh.columns import (
     FACES,
     VERTICES,
@@ -22,7 +23,7 @@ from tactile_toolkit.store.shards import ParquetStyle
 
 __all__ = ["CLASS_NAMES", "PARQUET_STYLE", "MeshRow", "mesh_schema", "mesh_table"]
 
-CLASS_NAMES = tuple(str(digit) for digit in range(10))
+CLASS_NAMES = KIND.class_names
 
 PARQUET_STYLE = ParquetStyle(
     rows_per_group=32,

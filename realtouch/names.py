@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from os import PathLike
 
-from tactile_toolkit.catalog.published import place_of, published_sets
+from realtouch.kind import KIND
+from tactile_toolkit.catalog.published import place_of
 
 __all__ = ["Name", "Place", "SHORT_NAMES", "repository_of"]
 
-SHORT_NAMES = {entry.name: entry.repo_id.partition("/")[2] for entry in published_sets("realtouch")} | {
-    "real-single": "tactile-mnist-touch-real-single-t256-320x240"
+SHORT_NAMES = {
+    name: entry.repo_id.partition("/")[2] for entry in KIND.published for name in (entry.name, *entry.aliases)
 }
 """Short name to the name of the published repository, without its owner."""
 

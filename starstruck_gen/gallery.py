@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from starstruck_gen.dataset import SceneMeshDataset, SceneRecord, load
+from starstruck_gen.kind import KIND
 from starstruck_gen.solid import prism
 from starstruck_gen.spec import SceneSpec
 from tactile_toolkit.catalog.choose import Choice, chosen_rows, portions, short_name, splits_to_show
@@ -68,7 +69,7 @@ def plan_gallery(choice: Choice) -> Gallery:
     tasks, splits = [], {}
     for split in splits_to_show(choice.name, choice.split):
         dataset = load(choice.name, split)
-        require_kind("starstruck", "gallery", choice.name, [dataset])
+        require_kind(KIND, "gallery", choice.name, [dataset])
         rows = chosen_rows(dataset.labels, choice.limit, choice.per_class)
         splits[split] = len(rows)
         tasks += [_SceneTask(dataset[portion], split) for portion in portions(rows, _ROWS_PER_TASK)]

@@ -10,6 +10,7 @@ from typing import Any
 from starstruck_gen.acceptance import count_scenes
 from starstruck_gen.card import write_card
 from starstruck_gen.errors import SamplingExhausted
+from starstruck_gen.kind import KIND
 from starstruck_gen.proof import require_sound
 from starstruck_gen.rows import PARQUET_STYLE, make_rows, scene_table
 from starstruck_gen.sampling import LayoutFailed, require_room
@@ -23,9 +24,7 @@ from tactile_toolkit.store.manifest import Manifest, manifest_so_far
 from tactile_toolkit.store.shards import ShardName
 from tactile_toolkit.wording import plain_number, plain_pairs
 
-__all__ = ["KIND", "PUBLISHED_SIZES", "GenerateSpec", "SceneShard", "generate", "inspect_out", "plan_build"]
-
-KIND = "starstruck"
+__all__ = ["PUBLISHED_SIZES", "GenerateSpec", "SceneShard", "generate", "inspect_out", "plan_build"]
 
 PUBLISHED_SIZES = (("train", 3_000), ("test", 300))
 """Scenes of each split (Tactile MNIST paper, section Starstruck)."""
@@ -168,7 +167,7 @@ def plan_build(spec: GenerateSpec, splits: Sequence[str]) -> BuildPlan:
             f"no scenes to make for {', '.join(splits)}: --scenes gives {dict(spec.scenes)}; next: raise it"
         )
         raise InputError(message)
-    return BuildPlan(KIND, spec.to_dict(), SPLITS, tuple(tasks), PARQUET_STYLE)
+    return BuildPlan(KIND.name, spec.to_dict(), SPLITS, tuple(tasks), PARQUET_STYLE)
 
 
 def generate(

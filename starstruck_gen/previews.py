@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from starstruck_gen.dataset import SceneMeshDataset, SceneRecord, load
+from starstruck_gen.kind import KIND
 from starstruck_gen.preview_scene import draw_one, draw_sheet
 from starstruck_gen.spec import SceneSpec
 from tactile_toolkit.catalog.choose import chosen_records, class_by_class, open_splits
@@ -103,7 +104,7 @@ class _OpenSet:
     def __init__(self, name: str, spec: PreviewSpec) -> None:
         self.name, self.spec, self.stem = name, spec, file_stem(name)
         self.datasets = open_splits(name, spec.split, load, "scenes")
-        require_kind("starstruck", "preview", name, self.datasets.values())
+        require_kind(KIND, "preview", name, self.datasets.values())
 
     @cached_property
     def made_by(self) -> SceneSpec | None:

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from starstruck_gen.kind import KIND
 from starstruck_gen.placement import Placement
 from starstruck_gen.sampling import sample_scenes
 from starstruck_gen.scene import Scene
@@ -29,7 +30,7 @@ from tactile_toolkit.store.shards import ParquetStyle
 
 __all__ = ["CLASS_NAMES", "PARQUET_STYLE", "SceneRows", "make_rows", "scene_schema", "scene_table"]
 
-CLASS_NAMES = ("1", "2", "3")
+CLASS_NAMES = KIND.class_names
 """Classes of the published data set (Tactile MNIST paper, section Starstruck)."""
 
 PARQUET_STYLE = ParquetStyle(

@@ -8,6 +8,7 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
+from env_assets.wrench.kind import KIND
 from env_assets.wrench.spec import WrenchSpec
 from env_assets.wrench.wrench import wrench_mesh
 from tactile_toolkit.errors import InputError, StorageError
@@ -30,8 +31,6 @@ from tactile_toolkit.store.manifest import Manifest
 from tactile_toolkit.store.shards import ParquetStyle, ShardName
 
 __all__ = [
-    "CLASS_NAMES",
-    "KIND",
     "LENGTHS",
     "SPLIT",
     "mesh_file_at",
@@ -40,11 +39,8 @@ __all__ = [
     "write_wrench",
 ]
 
-KIND = "wrench"
 SPLIT = "train"
 """The one split, as that of the published wrench."""
-
-CLASS_NAMES = ("wrench",)
 
 LENGTHS = ("opening_mm", "second_opening_mm", "length_mm", "thickness_mm", "jaw_angle_deg")
 """Fields of :class:`WrenchSpec` that are columns."""
@@ -75,7 +71,7 @@ class WrenchShard:
 
 def plan_build(spec: WrenchSpec) -> BuildPlan:
     """Return what the folder of a wrench holds."""
-    return BuildPlan(KIND, spec.to_dict(), (SPLIT,), (WrenchShard(spec),), _PARQUET_STYLE)
+    return BuildPlan(KIND.name, spec.to_dict(), (SPLIT,), (WrenchShard(spec),), _PARQUET_STYLE)
 
 
 def write_wrench(
@@ -141,7 +137,7 @@ def wrench_schema() -> Any:
     ]
     features = {
         "id": value_feature("int64"),
-        "label": label_feature(CLASS_NAMES),
+        "label": label_feature(KIND.class_names),
         VERTICES: vectors_feature("float32"),
         FACES: vectors_feature("int32"),
         "volume_m3": value_feature("float64"),

@@ -13,6 +13,7 @@ from os import PathLike, fspath
 from pathlib import Path
 from typing import Any, Protocol
 
+from realtouch.kind import KIND
 from realtouch.names import repository_of
 from realtouch.opening import open_shards
 from tactile_toolkit.catalog.locate import splits_of
@@ -27,7 +28,7 @@ from tactile_toolkit.store.shards import ParquetStyle, Receipt, ShardName, Skipp
 from tactile_toolkit.touch.rows import with_features
 from tactile_toolkit.touch.schema import Kind, class_names, kind_of, require_types
 
-__all__ = ["Conversion", "KIND", "RowChoice", "Source", "Step", "convert", "plan_conversion", "refuse_source"]
+__all__ = ["Conversion", "RowChoice", "Source", "Step", "convert", "plan_conversion", "refuse_source"]
 
 
 @dataclass(frozen=True)
@@ -146,8 +147,6 @@ def refuse_source(folder: DataFolder, source: Source) -> None:
 def _any_below(folder: Path, files: Sequence[Path]) -> bool:
     return any(file.is_relative_to(folder) for file in files)
 
-
-KIND = "realtouch"
 
 _SHARD_BYTES = 256 << 20
 _GROUP_BYTES = 32 << 20
@@ -296,7 +295,7 @@ def plan_conversion(conversion: Conversion) -> BuildPlan:
     }
     style = ParquetStyle(per_group, compression_level=3, encodings=_plain_media(schema))
     return BuildPlan(
-        KIND,
+        KIND.name,
         spec,
         tuple(source.shards),
         tuple(tasks),

@@ -13,6 +13,7 @@ from realtouch.integrity.check_round import check_round
 from realtouch.integrity.damage import Damage, unreadable_rows
 from realtouch.names import Name, Place
 from realtouch.opening import open_shards, place_of
+from tactile_toolkit.cards.checks import check_card
 from tactile_toolkit.catalog.locate import splits_of
 from tactile_toolkit.errors import InputError, IntegrityError
 from tactile_toolkit.read.columns import column_names
@@ -21,11 +22,11 @@ from tactile_toolkit.read.parquet import Shard
 from tactile_toolkit.store.folder import DataFolder
 from tactile_toolkit.store.manifest import read_manifest
 from tactile_toolkit.store.origin import read_record
-from tactile_toolkit.store.shards import file_sha256
+from tactile_toolkit.store.shards import Finding, file_sha256
 from tactile_toolkit.store.verify import verify as verify_files
 from tactile_toolkit.touch.jpeg import decode_image, image_size
 
-__all__ = ["TouchVerification", "check_round", "verify"]
+__all__ = ["TouchVerification", "check_folder", "check_round", "verify"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -100,6 +101,12 @@ def verify(
             touches += _touches_or_none(row)
             on_progress(rounds, total)
     return TouchVerification(rounds, touches, tuple(findings))
+
+
+def check_folder(folder: DataFolder) -> list[Finding]:
+    """List what is wrong with a folder before it goes to others; decodes no picture."""
+    found = verify(folder.address(), quick=True).findings
+    return [Finding(damage.file, f"({damage})") for damage in found] if found else list(check_card(folder))
 
 
 def _file_findings(folder: DataFolder) -> list[Damage]:

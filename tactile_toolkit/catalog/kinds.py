@@ -1,4 +1,4 @@
-"""Which kind of meshes a data set holds: digits and scenes lie in the same columns."""
+"""Of which kind a data set is: digits and scenes lie in the same columns, and may lie in any folder."""
 
 from __future__ import annotations
 
@@ -7,55 +7,79 @@ from pathlib import Path
 from typing import Any
 
 from tactile_toolkit.errors import InputError
+from tactile_toolkit.kind import DatasetKind, kinds
+from tactile_toolkit.mesh.columns import class_names
 from tactile_toolkit.read.dataset import RecordDataset
 from tactile_toolkit.store.folder import DataFolder
-from tactile_toolkit.store.manifest import read_manifest
+from tactile_toolkit.store.manifest import MANIFEST_FILE, Manifest, read_manifest
+from tactile_toolkit.store.origin import read_record
 
-__all__ = ["require_kind"]
-
-_THINGS = {"mnist3d": "digits", "starstruck": "scenes"}
-_DIGITS = tuple(map(str, range(10)))
+__all__ = ["finished_manifest", "kind_of_meshes", "require_kind", "require_manifest"]
 
 
-def require_kind(kind: str, command: str, name: str, datasets: Iterable[RecordDataset[Any]]) -> None:
+def kind_of_meshes(schema: Any) -> DatasetKind | None:
+    """Tell the kind of meshes by a column that only one kind has, or else by the names of their classes."""
+    for kind in kinds():
+        if any(column in schema.names for column in kind.columns):
+            return kind
+    names = class_names(schema, ())
+    return next((kind for kind in kinds() if names and kind.class_names == names), None)
+
+
+def require_kind(kind: DatasetKind, command: str, name: str, datasets: Iterable[RecordDataset[Any]]) -> None:
     """Refuse a data set of another kind than a command is for, as far as it says of what kind it is.
 
-    Parameters
-    ----------
-    kind : str
-        ``"mnist3d"`` or ``"starstruck"``, which is also the name of the command line.
-    command : str
-        Command, for the message.
-    name : str
-        The data set, in the user's words.
-    datasets : iterable of RecordDataset
-        What was opened of it; no row is read.
-
-    Raises
-    ------
-    InputError
-        It is of another kind.
+    Reads no row; ``name`` is the data set in the user's words. Raises InputError.
     """
-    found = _stated_kind(name) or next(filter(None, map(_kind_by_classes, datasets)), kind)
-    if found != kind:
-        what = _THINGS.get(found, f"data of kind {found!r}")
-        message = (
-            f"{name!r} holds {what}; `{kind} {command}` is for {_THINGS[kind]}; next: run "
-            f"`{found} {command} {name}`"
-        )
-        raise InputError(message)
+    stated = _stated_kind(name)
+    if stated is None:
+        schemas = (table.schema for dataset in datasets for table in dataset._tables)
+        other: DatasetKind | None = next(filter(None, map(kind_of_meshes, schemas)), kind)
+    else:
+        other = next((each for each in kinds() if each.name == stated), None)
+    if other is kind:
+        return
+    if other is None:
+        what, next_step = f"data of kind {stated!r}", "use a command of that kind"
+    else:
+        what, next_step = other.nouns, f"run `{other.command} {command} {name}`"
+    message = f"{name!r} holds {what}; `{kind.command} {command}` is for {kind.nouns}; next: {next_step}"
+    raise InputError(message)
 
 
 def _stated_kind(name: str) -> str | None:
     """Return what the manifest of a local folder says."""
-    place = Path(name).expanduser()
-    manifest = read_manifest(DataFolder(str(place))) if place.is_dir() else None
+    path = Path(name).expanduser()
+    manifest = read_manifest(DataFolder(str(path))) if path.is_dir() else None
     return None if manifest is None else manifest.kind
 
 
-def _kind_by_classes(dataset: RecordDataset[Any]) -> str | None:
-    """Tell digits, named 0 to 9, from scenes, named by their number of stars; None for any other names."""
-    names = dataset.label_names
-    if names == _DIGITS:
-        return "mnist3d"
-    return "starstruck" if names and all(name.isdecimal() for name in names) else None
+def finished_manifest(kind: DatasetKind, folder: DataFolder) -> Manifest | None:
+    """Read the manifest of a folder; None where it has none.
+
+    Raises InputError for another kind or an unfinished run, IntegrityError for a damaged manifest.
+    """
+    manifest = read_manifest(folder)
+    kind.refuse_other(manifest, folder.address())
+    if manifest is not None and not manifest.complete:
+        record = read_record(folder)
+        if record is None:
+            what, next_step = "the run that makes", "the same command goes on where it stopped"
+        else:
+            what = "the download into"
+            next_step = f"download {record.repo_id} there again, it goes on where it stopped"
+        message = f"{what} {folder.address()!r} is not finished; next: {next_step}"
+        raise InputError(message)
+    return manifest
+
+
+def require_manifest(kind: DatasetKind, folder: DataFolder) -> Manifest:
+    """Read the manifest of a finished folder, which has to be there; raises as :func:`finished_manifest`."""
+    manifest = finished_manifest(kind, folder)
+    if manifest is None:
+        message = (
+            f"no {MANIFEST_FILE} in {folder.address()!r}; next: give the folder of a data set, such as one "
+            f"made by `{kind.made_by}`"
+        )
+        raise InputError(message)
+    return manifest

@@ -1,8 +1,8 @@
-"""The published Tactile MNIST data sets: short names, where they lie, and under which terms."""
+"""The published data sets of all kinds: found by name, and how much of them is on this machine."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
@@ -10,116 +10,29 @@ from pathlib import Path
 from tactile_toolkit.catalog.locate import shard_files
 from tactile_toolkit.errors import ToolkitError
 from tactile_toolkit.hub.snapshot import HubSnapshot, RepositoryCache, look_at
+from tactile_toolkit.kind import DatasetKind, PublishedSet, kinds
 from tactile_toolkit.store.manifest import MANIFEST_FILE
 from tactile_toolkit.store.shards import DATA_FOLDER
 
-__all__ = ["PUBLISHED", "PublishedSet", "SetState", "place_of", "published_set", "published_sets", "states"]
+__all__ = ["SetState", "kind_that_published", "place_of", "published_set", "states"]
 
-_OWNER = "TimSchneider42"
-_PAPER = "Schneider et al., Tactile MNIST: Benchmarking Active Tactile Perception, 2025"
-_HAND = "Beaulac & Rosenthal, doi 10.1007/s42979-022-01494-2, 2022"
 _THREADS = 8
-
-
-@dataclass(frozen=True, slots=True)
-class PublishedSet:
-    """A published data set.
-
-    Attributes
-    ----------
-    name : str
-        Short name.
-    repo_id : str
-        Repository of the Hub.
-    room : str
-        Command line that it belongs to: ``mnist3d``, ``starstruck`` or ``realtouch``.
-    content : str
-        What it holds, in a few words.
-    citation : str
-        Whom to cite.
-    licence : str or None
-        As its publishers state it; None where only the card on the Hub says.
-    """
-
-    name: str
-    repo_id: str
-    room: str
-    content: str
-    citation: str
-    licence: str | None = None
-
-
-def _set(name: str, repository: str, room: str, content: str, licence: str | None = None) -> PublishedSet:
-    citation = f"{_PAPER}; {_HAND}" if room == "mnist3d" or "digits" in content else _PAPER
-    return PublishedSet(name, f"{_OWNER}/tactile-mnist-{repository}", room, content, citation, licence)
-
-
-_REAL_LICENCE = "CC BY 2.0"
-
-# Counts: Tactile MNIST paper and the documentation of the published loaders.
-PUBLISHED = (
-    _set("mnist3d", "mnist3d", "mnist3d", "13,580 meshes of digits in 5 splits"),
-    _set("starstruck", "starstruck", "starstruck", "3,300 scenes with one to three stars"),
-    _set(
-        "real-seq",
-        "touch-real-seq-t256-320x240",
-        "realtouch",
-        "153,600 clips of touches of printed digits, 320 x 240 px",
-        _REAL_LICENCE,
-    ),
-    _set(
-        "real-single-320x240",
-        "touch-real-single-t256-320x240",
-        "realtouch",
-        "153,600 images of touches of printed digits, 320 x 240 px",
-        _REAL_LICENCE,
-    ),
-    _set(
-        "real-single-64x64",
-        "touch-real-single-t256-64x64",
-        "realtouch",
-        "153,600 images of touches of printed digits, 64 x 64 px",
-        _REAL_LICENCE,
-    ),
-    _set(
-        "syn-single-320x240",
-        "touch-syn-single-t32-320x240",
-        "realtouch",
-        "rendered touches of digits, 32 per round, 320 x 240 px",
-    ),
-    _set(
-        "syn-single-64x64",
-        "touch-syn-single-t32-64x64",
-        "realtouch",
-        "rendered touches of digits, 32 per round, 64 x 64 px",
-    ),
-    _set(
-        "starstruck-syn-single-320x240",
-        "touch-starstruck-syn-single-t32-320x240",
-        "realtouch",
-        "rendered touches of scenes, 32 per round, 320 x 240 px",
-    ),
-    _set(
-        "starstruck-syn-single-64x64",
-        "touch-starstruck-syn-single-t32-64x64",
-        "realtouch",
-        "rendered touches of scenes, 32 per round, 64 x 64 px",
-    ),
-)
-"""All of them."""
-
-_ALIASES = {"real-single": "real-single-320x240"}
-
-
-def published_sets(room: str) -> tuple[PublishedSet, ...]:
-    """Return the published sets of one command line."""
-    return tuple(entry for entry in PUBLISHED if entry.room == room)
 
 
 def published_set(name: str) -> PublishedSet | None:
     """Return a published set by its short name or its repository; None for any other name."""
-    name = _ALIASES.get(name, name)
-    return next((entry for entry in PUBLISHED if name in (entry.name, entry.repo_id)), None)
+    return next(
+        (entry for _, entry in _published() if name in (entry.name, entry.repo_id, *entry.aliases)), None
+    )
+
+
+def kind_that_published(name: str) -> DatasetKind | None:
+    """Return the kind of a published set, by its short name or its repository; None for any other name."""
+    return next((kind for kind, entry in _published() if entry is published_set(name)), None)
+
+
+def _published() -> Iterator[tuple[DatasetKind, PublishedSet]]:
+    return ((kind, entry) for kind in kinds() for entry in kind.published)
 
 
 def place_of(name: str) -> str:
@@ -127,10 +40,9 @@ def place_of(name: str) -> str:
 
     Any other name is returned as it is.
     """
-    found = published_set(name)
-    if found is None or _is_data(Path(name)):
-        return name
-    return found.repo_id
+    # What has a slash is no short name: most names are paths, and need no list of kinds.
+    found = None if "/" in name else published_set(name)
+    return name if found is None or _is_data(Path(name)) else found.repo_id
 
 
 def _is_data(place: Path) -> bool:

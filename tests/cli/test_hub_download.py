@@ -19,9 +19,11 @@ import starstruck_gen as starstruck
 from mnist3d.generation import GenerateSpec, generate
 from mnist3d.solid import SolidSpec
 from mnist3d.sources.synthetic import SyntheticSource
+from realtouch.kind import KIND as TOUCH_KIND
 from realtouch.names import SHORT_NAMES, repository_of
 from starstruck_gen.generation import GenerateSpec as StarstruckSpec
-from tactile_toolkit.catalog.published import PUBLISHED, published_set, published_sets
+from tactile_toolkit.catalog.published import published_set
+from tactile_toolkit.kind import kinds
 from tests.hub_server import HubServer, hub
 from tests.realtouch.factories import make_round, single_rows, write_set
 from tests.tactile_toolkit.hub.client import run_here, run_python, settings
@@ -371,7 +373,7 @@ def test_list(server, tmp_path):
     call(server, tmp_path, "realtouch", "download", "real-single-64x64", "--split", "test")
     said = call(server, tmp_path, "realtouch", "list", "--json")
     found = {entry["name"]: entry for entry in json.loads(said.out)}
-    assert set(found) == {entry.name for entry in published_sets("realtouch")}
+    assert set(found) == {entry.name for entry in TOUCH_KIND.published}
     here = found["real-single-64x64"]
     files = server.repository(TOUCHES).head.files
     assert here["hub_bytes"] == sum(len(blob.content) for blob in files.values())
@@ -389,13 +391,14 @@ def test_list(server, tmp_path):
 
 
 def test_short_names():
-    assert len({entry.name for entry in PUBLISHED}) == len({entry.repo_id for entry in PUBLISHED})
-    for entry in PUBLISHED:
+    entries = [entry for kind in kinds() for entry in kind.published]
+    assert len({entry.name for entry in entries}) == len({entry.repo_id for entry in entries}) == 9
+    for entry in entries:
         assert published_set(entry.name) == published_set(entry.repo_id) == entry
         assert entry.citation.startswith("Schneider")
     assert published_set("someone/digits") is None
     assert repository_of("real-single") == repository_of("real-single-320x240")
-    assert {repository_of(name) for name in SHORT_NAMES} == {e.repo_id for e in published_sets("realtouch")}
+    assert {repository_of(name) for name in SHORT_NAMES} == {e.repo_id for e in TOUCH_KIND.published}
 
 
 @pytest.mark.parametrize("command", ["mnist3d", "starstruck", "realtouch"])

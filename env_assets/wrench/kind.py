@@ -1,0 +1,23 @@
+"""What the rest of the toolkit must know of data sets of a wrench."""
+
+from __future__ import annotations
+
+from tactile_toolkit.kind import DatasetKind, lazy
+
+__all__ = ["KIND"]
+
+
+KIND = DatasetKind(
+    name="wrench",
+    command="env-assets",
+    package="env_assets",
+    noun="wrench",
+    nouns="wrenches",
+    made_by="env-assets wrench",
+    card_template="wrench.md",
+    write_card=lazy("env_assets.wrench.card:write_card"),
+    schema=lazy("env_assets.wrench.generation:wrench_schema"),
+    class_names=("wrench",),
+    columns=("opening_mm",),
+    recipe=lazy("env_assets.wrench.recipe:WrenchRecipe"),
+)

@@ -1,0 +1,27 @@
+"""What the rest of the toolkit must know of data sets of digits."""
+
+from __future__ import annotations
+
+from tactile_toolkit.kind import DatasetKind, lazy, tactile_mnist_set
+
+__all__ = ["KIND"]
+
+
+KIND = DatasetKind(
+    name="mnist3d",
+    command="mnist3d",
+    package="mnist3d",
+    noun="digit",
+    nouns="digits",
+    made_by="mnist3d generate",
+    card_template="mnist3d.md",
+    write_card=lazy("mnist3d.card:write_card"),
+    schema=lazy("mnist3d.rows:mesh_schema"),
+    class_names=tuple(map(str, range(10))),
+    columns=("writer",),
+    # Counts here and in the other rooms: Tactile MNIST paper and the documentation of the published loaders.
+    published=(tactile_mnist_set("mnist3d", "mnist3d", "13,580 meshes of digits in 5 splits"),),
+    plan_previews=lazy("mnist3d.previews:plan_previews"),
+    plan_gallery=lazy("mnist3d.gallery:plan_gallery"),
+    recipe=lazy("mnist3d.recipe:DigitRecipe"),
+)

@@ -1,0 +1,75 @@
+"""What the rest of the toolkit must know of data sets of touches."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from tactile_toolkit.kind import DatasetKind, lazy, tactile_mnist_set
+
+__all__ = ["KIND"]
+
+_LICENCE = "CC BY 2.0"
+
+
+def _loader(manifest: Any) -> str:
+    # Plain pictures have an index only, which `datasets` opens.
+    is_plain = manifest is not None and manifest.spec.get("operation") == "frames"
+    return "datasets.load_dataset" if is_plain else "realtouch.load"
+
+
+KIND = DatasetKind(
+    name="realtouch",
+    command="realtouch",
+    package="realtouch",
+    noun="round",
+    nouns="rounds",
+    made_by="realtouch select",
+    card_template="touch_{}.md",
+    write_card=lazy("realtouch.card:write_card"),
+    check=lazy("realtouch.integrity.verify:check_folder"),
+    needs_manifest=False,
+    loader=_loader,
+    published=(
+        tactile_mnist_set(
+            "real-seq",
+            "touch-real-seq-t256-320x240",
+            "153,600 clips of touches of printed digits, 320 x 240 px",
+            licence=_LICENCE,
+        ),
+        tactile_mnist_set(
+            "real-single-320x240",
+            "touch-real-single-t256-320x240",
+            "153,600 images of touches of printed digits, 320 x 240 px",
+            licence=_LICENCE,
+            aliases=("real-single",),
+        ),
+        tactile_mnist_set(
+            "real-single-64x64",
+            "touch-real-single-t256-64x64",
+            "153,600 images of touches of printed digits, 64 x 64 px",
+            licence=_LICENCE,
+        ),
+        tactile_mnist_set(
+            "syn-single-320x240",
+            "touch-syn-single-t32-320x240",
+            "rendered touches of digits, 32 per round, 320 x 240 px",
+        ),
+        tactile_mnist_set(
+            "syn-single-64x64",
+            "touch-syn-single-t32-64x64",
+            "rendered touches of digits, 32 per round, 64 x 64 px",
+        ),
+        tactile_mnist_set(
+            "starstruck-syn-single-320x240",
+            "touch-starstruck-syn-single-t32-320x240",
+            "rendered touches of scenes, 32 per round, 320 x 240 px",
+        ),
+        tactile_mnist_set(
+            "starstruck-syn-single-64x64",
+            "touch-starstruck-syn-single-t32-64x64",
+            "rendered touches of scenes, 32 per round, 64 x 64 px",
+        ),
+    ),
+    plan_previews=lazy("realtouch.show.previews:plan_previews"),
+    plan_gallery=lazy("realtouch.show.gallery:plan_gallery"),
+)

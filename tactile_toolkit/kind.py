@@ -1,0 +1,190 @@
+"""A kind of data set: all that the rest of the house must know of it, in one object.
+
+Each kind has a room, a package of its own, whose ``kind.py`` says it in a ``KIND``. The entry points of the
+group ``tactile_toolkit.kinds`` name these objects (``pyproject.toml``), also those of other distributions.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass
+from functools import cache
+from importlib import import_module
+from importlib.metadata import entry_points
+from typing import Any, Protocol
+
+from tactile_toolkit.errors import InputError
+
+__all__ = ["DatasetKind", "PublishedSet", "Recipe", "kinds", "lazy", "tactile_mnist_set"]
+
+_PAPER = "Schneider et al., Tactile MNIST: Benchmarking Active Tactile Perception, 2025"
+_HAND = "Beaulac & Rosenthal, doi 10.1007/s42979-022-01494-2, 2022"
+
+
+def lazy(path: str) -> Callable[..., Any]:
+    """Return a function that is imported when it is called; ``path`` is ``"package.module:name"``.
+
+    ``--help`` and looking up a name load no library of a kind.
+    """
+    module, _, name = path.partition(":")
+
+    def call(*args: Any, **options: Any) -> Any:
+        return getattr(import_module(module), name)(*args, **options)
+
+    return call
+
+
+@dataclass(frozen=True, slots=True)
+class PublishedSet:
+    """A published data set.
+
+    Attributes
+    ----------
+    name : str
+        Short name.
+    repo_id : str
+        Repository of the Hub.
+    content : str
+        What it holds, in a few words.
+    citation : str
+        Whom to cite.
+    licence : str or None
+        As its publishers state it; None where only the card on the Hub says.
+    aliases : tuple of str
+        Other short names.
+    """
+
+    name: str
+    repo_id: str
+    content: str
+    citation: str
+    licence: str | None = None
+    aliases: tuple[str, ...] = ()
+
+
+def tactile_mnist_set(
+    name: str, repository: str, content: str, *, licence: str | None = None, aliases: tuple[str, ...] = ()
+) -> PublishedSet:
+    """Return a data set of the Tactile MNIST paper; sets of digits cite the makers of HWD+ too."""
+    citation = f"{_PAPER}; {_HAND}" if "digits" in content else _PAPER
+    repo_id = f"TimSchneider42/tactile-mnist-{repository}"
+    return PublishedSet(name, repo_id, content, citation, licence, aliases)
+
+
+class Recipe(Protocol):
+    """How a kind is made without any input; made of a seed and of how many rows of each class are wanted."""
+
+    @property
+    def splits(self) -> tuple[str, ...]:
+        """Splits that can be made, in order."""
+
+    def spec(self) -> Any:
+        """Return the specification; its ``to_dict`` is what a manifest keeps of it."""
+
+    def begun(self, spec: Mapping[str, Any]) -> Recipe | None:
+        """Return the recipe by which a folder with this specification may have been begun, if by any."""
+
+    def arguments(self, split: str) -> str:
+        """Return the arguments of the command that makes the same split, but for the folder."""
+
+    def make(self, out: str, split: str, workers: int) -> None:
+        """Make one split in a folder, going on where an interrupted run stopped."""
+
+
+def _not_offered(*_: Any, **__: Any) -> Any:
+    raise NotImplementedError
+
+
+@dataclass(frozen=True, kw_only=True)
+class DatasetKind:
+    """One kind of data set; what is heavy is imported when it is called (:func:`lazy`).
+
+    Attributes
+    ----------
+    name : str
+        As in ``manifest.json``.
+    command : str
+        Its command line.
+    package : str
+        Package whose ``load`` opens such data sets.
+    noun, nouns : str
+        What a row is called, and several: ``"digit"``, ``"digits"``.
+    made_by : str
+        Command that makes such folders, for messages.
+    card_template : str
+        File of ``data_cards`` that its cards are rendered from.
+    write_card : callable
+        Takes a ``DataFolder`` and its ``Manifest``; writes the card and the picture that it shows.
+    schema : callable or None
+        Returns the Arrow schema of every shard; None where it follows from a source.
+    check : callable or None
+        Takes a ``DataFolder``, lists findings; None where checksums, schema, ids and card are all there is.
+    needs_manifest : bool
+        Whether a folder without ``manifest.json`` can be neither uploaded nor given a card.
+    loader : callable or None
+        Takes a ``Manifest`` or None, names the function that opens such a folder; ``package.load`` if None.
+    class_names : tuple of str
+        Classes of the published data set, in order.
+    columns : tuple of str
+        Columns that no other kind of meshes has; published data sets have none of them.
+    published : tuple of PublishedSet
+        The published data sets of this kind.
+    plan_previews, plan_gallery : callable
+        Plan pictures, or a page, of a data set, where the command line offers that.
+    recipe : callable or None
+        Takes a seed and a number per class, returns the :class:`Recipe` of what needs no input.
+    """
+
+    name: str
+    command: str
+    package: str
+    noun: str
+    nouns: str
+    made_by: str
+    card_template: str
+    write_card: Callable[[Any, Any], None]
+    schema: Callable[[], Any] | None = None
+    check: Callable[[Any], Iterable[Any]] | None = None
+    needs_manifest: bool = True
+    loader: Callable[[Any], str] | None = None
+    class_names: tuple[str, ...] = ()
+    columns: tuple[str, ...] = ()
+    published: tuple[PublishedSet, ...] = ()
+    plan_previews: Callable[..., Any] = _not_offered
+    plan_gallery: Callable[..., Any] = _not_offered
+    recipe: Callable[[int, int | None], Recipe] | None = None
+
+    def load(self, name: str, split: str) -> Any:
+        """Open a split as the kind's package does."""
+        return import_module(self.package).load(name, split)
+
+    def refuse_other(self, manifest: Any, where: str) -> None:
+        """Raise InputError where a manifest names another kind; data without one may be of any."""
+        if manifest is None or manifest.kind == self.name:
+            return
+        message = (
+            f"{where!r} holds a data set of kind {manifest.kind!r}; expected one of {self.name!r}; next: "
+            "use the command of that kind"
+        )
+        raise InputError(message)
+
+    def loading_lines(
+        self, manifest: Any, name: str, split: str, revision: str | None = None
+    ) -> tuple[str, str]:
+        """Return an import and a call that open a split of a data set of this kind in Python."""
+        function = f"{self.package}.load" if self.loader is None else self.loader(manifest)
+        further = f", revision={_quoted(revision)}" if revision else ""
+        call = f"{function}({_quoted(name)}, split={_quoted(split)}{further})"
+        return f"import {function.partition('.')[0]}", call
+
+
+@cache
+def kinds() -> tuple[DatasetKind, ...]:
+    """Return all kinds that are installed, by name; takes 30 ms once, so ask a known kind where you can."""
+    found = [entry.load() for entry in entry_points(group="tactile_toolkit.kinds")]
+    return tuple(sorted(found, key=lambda kind: kind.name))
+
+
+def _quoted(text: str) -> str:
+    return json.dumps(text, ensure_ascii=False)  # a JSON string is one of Python too
