@@ -30,7 +30,7 @@ class PartialShard(Shard):
 
     Parameters
     ----------
-    path, rows
+    path, rows, failures
         As for :class:`tactile_toolkit.read.parquet.Shard`.
     lost : frozenset of int
         Row groups that cannot be read.
@@ -128,7 +128,8 @@ def without_damage(dataset: D, expected_touches: int | None, left_out: Sequence[
                     continue
                 found += [(start + int(each.row or 0), each) for each in damage]
                 lost[[start + int(each.row or 0) for each in damage if each.touch is None]] = True
-            whole.append(PartialShard(shard.path, shard.rows, frozenset(unreadable)) if unreadable else shard)
+            lacking = PartialShard(shard.path, shard.rows, shard.failures, frozenset(unreadable))
+            whole.append(lacking if unreadable else shard)
             start += len(shard)
         tables.append(ShardedTable(tuple(whole)))
     return type(dataset)(tables, np.flatnonzero(~lost), dataset.label_names, found)

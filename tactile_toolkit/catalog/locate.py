@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Sequence
 from pathlib import Path
 
 from tactile_toolkit.errors import InputError, IntegrityError
+from tactile_toolkit.hub.errors import named_failures
 from tactile_toolkit.hub.names import HubName, hub_name
 from tactile_toolkit.hub.repository import HubRepository
 from tactile_toolkit.read.parquet import Shard
@@ -175,7 +177,10 @@ def _require_split(path: str, split: str) -> None:
 
 def _hub_shard(repository: HubRepository, path: str, streaming: bool) -> Shard:
     repository.expected(path)  # a file that is not there is told now, not when it is read
-    return Shard(repository.address(path) if streaming else repository.fetch(path))
+    if not streaming:
+        return Shard(repository.fetch(path))
+    failures = functools.partial(named_failures, repository.repo_id, repository.revision, "streaming")
+    return Shard(repository.address(path), failures=failures)
 
 
 def _shards_below(repository: HubRepository, folder: str) -> list[ShardFile]:

@@ -12,7 +12,7 @@ import contextlib
 import hashlib
 from bisect import bisect_right
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -22,7 +22,6 @@ from numpy.typing import NDArray
 
 from tactile_toolkit.cache import CACHE_VARIABLE, DiskCache, MemoryCache, cache_folder
 from tactile_toolkit.errors import IntegrityError
-from tactile_toolkit.hub.streaming import named_streaming
 from tactile_toolkit.read.columns import RowGroup, plain_schema, plain_table
 from tactile_toolkit.store.folder import DataFolder
 
@@ -83,10 +82,16 @@ class Shard:
         Local path, or any fsspec address.
     rows : int or None
         Number of rows where it is known beforehand; saves opening the file to count.
+    failures : callable
+        Makes the context in which the bytes of a remote file are read; there, whoever knows the store names
+        what goes wrong with it. Pickled with the shard.
     """
 
     path: str
     rows: int | None = None
+    failures: Callable[[], contextlib.AbstractContextManager[None]] = field(
+        default=contextlib.nullcontext, repr=False, compare=False
+    )
 
     @cached_property
     def metadata(self) -> Any:
@@ -111,8 +116,8 @@ class Shard:
         return [0, *np.cumsum(counts).tolist()]
 
     def __getstate__(self) -> dict[str, Any]:
-        """Pickle as path and row count; footers are read again where needed."""
-        return {"path": self.path, "rows": self.rows}
+        """Pickle without footers; they are read again where needed."""
+        return {"path": self.path, "rows": self.rows, "failures": self.failures}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         for name, value in state.items():
@@ -125,7 +130,7 @@ class Shard:
         """Decode row groups, all columns or those named (a struct's fields by dotted name)."""
         parquet = self._parquet()
         wanted = range(self.metadata.num_row_groups) if groups is None else groups
-        with _named_damage(self.path):
+        with self._named_damage():
             table = parquet.read_row_groups(list(wanted), columns=columns, use_threads=False)
         return plain_table(table)
 
@@ -194,7 +199,7 @@ class Shard:
 
         rows = self.block_rows[index]
         waiting = None
-        with _named_damage(self.path):
+        with self._named_damage():
             for batch in self._parquet().iter_batches(rows, [index], columns, use_threads=False):
                 # The reader may give less than asked for; blocks have to be whole to be found again.
                 table = _table_of(batch)
@@ -211,7 +216,7 @@ class Shard:
         parts: list[object] = [self.path]
         if "://" not in self.path:
             real = Path(self.path).resolve()
-            with _named_damage(self.path):
+            with self._named_damage():
                 facts = real.stat()
             parts = [str(real), facts.st_size, facts.st_mtime_ns, facts.st_ino]
         return hashlib.sha256(repr(parts).encode()).hexdigest()[:32]
@@ -220,11 +225,28 @@ class Shard:
         import pyarrow.parquet as pq
 
         folder, _, name = self.path.rpartition("/")
-        with _named_damage(self.path):
+        with self._named_damage():
             # Buffering ahead starts a thread of Arrow's, which aborts about 1 % of interpreters at their end.
             if "://" in self.path:
                 return pq.ParquetFile(DataFolder(folder).open(name), pre_buffer=False)
             return pq.ParquetFile(self.path, memory_map=True, pre_buffer=False)
+
+    @contextlib.contextmanager
+    def _named_damage(self) -> Iterator[None]:
+        import pyarrow as pa
+
+        try:
+            with self.failures():
+                yield
+        except FileNotFoundError as error:
+            message = f"{self.path!r} is missing; next: generate or download the data set again"
+            raise IntegrityError(message) from error
+        except (pa.ArrowInvalid, OSError) as error:
+            message = (
+                f"{self.path!r} is damaged, a whole Parquet file was expected ({error}); next: run `verify` "
+                "on the data set, then generate or download it again"
+            )
+            raise IntegrityError(message) from error
 
 
 def _mapped_batch(name: str, number: int) -> Any:
@@ -248,24 +270,6 @@ def _table_of(batch: Any) -> Any:
     import pyarrow as pa
 
     return plain_table(pa.Table.from_batches([batch]))
-
-
-@contextlib.contextmanager
-def _named_damage(path: str) -> Any:
-    import pyarrow as pa
-
-    try:
-        with named_streaming(path):
-            yield
-    except FileNotFoundError as error:
-        message = f"{path!r} is missing; next: generate or download the data set again"
-        raise IntegrityError(message) from error
-    except (pa.ArrowInvalid, OSError) as error:
-        message = (
-            f"{path!r} is damaged, a whole Parquet file was expected ({error}); next: run `verify` on the "
-            "data set, then generate or download it again"
-        )
-        raise IntegrityError(message) from error
 
 
 @dataclass(frozen=True)

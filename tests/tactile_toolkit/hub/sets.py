@@ -27,10 +27,10 @@ BIG = "someone/big"
 SHARD = "data/train-00000-of-00001.parquet"
 
 
-def big_parquet(seed: int = 0) -> bytes:
+def big_parquet(seed: int = 0, rows: int = 400_000) -> bytes:
     """A Parquet file of some MB that no codec makes smaller."""
     stream = io.BytesIO()
-    numbers = np.random.default_rng(seed).integers(0, 1 << 60, 400_000)
+    numbers = np.random.default_rng(seed).integers(0, 1 << 60, rows)
     pq.write_table(pa.table({"id": numbers}), stream, compression="none", use_dictionary=False)
     return stream.getvalue()
 

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
 
 from tests.hub_server import HubServer
 from tests.tactile_toolkit.hub.client import run_here, settings, start_python
-from tests.tactile_toolkit.hub.sets import BIG, CONTENT, NAME, SHARD, fetch, script, two_sets
+from tests.tactile_toolkit.hub.sets import BIG, CONTENT, NAME, SHARD, big_parquet, fetch, script, two_sets
 
 
 @pytest.fixture
@@ -110,35 +110,37 @@ def test_a_stream_stays_at_the_commit_that_it_began_with(server, tmp_path):
         return run_here(text, settings(server, tmp_path), tmp_path).stdout.strip()
 
     before, repository = address(), server.repository(BIG)
-    repository.commit({SHARD: repository.blob(SHARD, b"other")}, "the branch moves on")
+    other = big_parquet(rows=5)
+    repository.commit({SHARD: repository.blob(SHARD, other)}, "the branch moves on")
     assert address() != before
-    assert stream(server, tmp_path, before) == str(len(CONTENT))
+    assert stream(server, tmp_path, before) == "400000"
     assert stream(server, tmp_path, address()) == "5"
 
 
 STREAM = """
-import fsspec
 from tactile_toolkit.errors import ToolkitError
-from tactile_toolkit.hub.streaming import named_streaming
-address = {address!r}
+from tactile_toolkit.catalog.locate import find_files
 try:
-    with named_streaming(address), fsspec.open(address) as stream:
-        print(len(stream.read()))
+    (shard,) = find_files([{address!r}], streaming=True)
+    {meanwhile}
+    print(len(shard))
 except ToolkitError as error:
     print(error.exit_code, type(error).__name__, error)
-except OSError as error:
-    print('not ours', type(error).__name__)
 """
 
 
-def stream(server: HubServer | str, home: Path, address: str) -> str:
-    done = run_here(STREAM.format(address=address), settings(server, home), home)
+def stream(server: HubServer | str, home: Path, address: str, meanwhile: str = "pass") -> str:
+    done = run_here(STREAM.format(address=address, meanwhile=meanwhile), settings(server, home), home)
     return done.stdout.strip()
 
 
+MOVES: list[Callable[[], None]] = []
+MEANWHILE = "from tests.tactile_toolkit.hub import test_reading; test_reading.MOVES.pop()()"
+
+
 def test_failures_of_streaming_are_named(server, tmp_path):
-    assert stream(server, tmp_path, f"hf://datasets/{BIG}/{SHARD}") == str(len(CONTENT))
-    server.repository(BIG).gated = "auto"
-    words = stream(server, tmp_path, f"hf://datasets/{BIG}@main/{SHARD}")
+    address = f"hf://datasets/{BIG}@main/{SHARD}"
+    assert stream(server, tmp_path, address) == "400000"
+    MOVES.append(lambda: setattr(server.repository(BIG), "gated", "auto"))
+    words = stream(server, tmp_path, address, MEANWHILE)
     assert words.startswith(f"4 HubError Hub data set {BIG!r} is gated; next: ")
-    assert stream(server, tmp_path, str(tmp_path / "nothing")) == "not ours FileNotFoundError"
