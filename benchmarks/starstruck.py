@@ -24,7 +24,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from starstruck_gen import SceneDataset, SceneSpec, load, sample_scenes, stamp
-from starstruck_gen.sampling import require_room
+from starstruck_gen.sampling import require_feasible
 
 __all__ = ["main"]
 
@@ -41,7 +41,7 @@ def main() -> None:
     )
     parser.add_argument("--repeats", type=int, default=5, help="repetitions of each measurement")
     repeats = parser.parse_args().repeats
-    require_room(SceneSpec(), 0)
+    require_feasible(SceneSpec(), 0)
     warm = [_published, _batched, _single]
     for work in warm:
         work(10)

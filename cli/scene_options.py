@@ -65,8 +65,7 @@ def scene_spec(
 
 
 def _star(points: int | None, inner_mm: float | None, radius_mm: float) -> Shape:
-    from starstruck_gen.proportions import Star
-    from starstruck_gen.shapes import STAR, Shape
+    from starstruck_gen.shapes import STAR, Shape, Star
 
     plain = Shape(STAR, radius_mm / 1e3)  # a radius that cannot be is told first, not a ratio that follows
     numbers: dict[str, float] = {} if points is None else {"points": points}

@@ -15,7 +15,7 @@ from mnist3d.rows import CLASS_NAMES as DIGIT_NAMES
 from starstruck_gen.dataset import SceneMeshDataset, SceneRecord
 from starstruck_gen.rows import CLASS_NAMES as STAR_NAMES
 from tactile_toolkit.mesh.columns import class_names, require_mesh_columns
-from tactile_toolkit.mesh.records import SolidRecord
+from tactile_toolkit.mesh.records import SolidDataset, SolidRecord
 from tactile_toolkit.read.dataset import RecordDataset
 from tactile_toolkit.read.parquet import Shard, ShardedTable
 
@@ -32,12 +32,6 @@ __all__ = [
     "measurable",
     "open_meshes",
 ]
-
-
-class SolidDataset(RecordDataset[SolidRecord]):
-    """A lazy sequence of meshes of no kind of its own: any data set in the published mesh layout."""
-
-    record = SolidRecord
 
 
 class WrenchRecord(SolidRecord):
@@ -58,11 +52,6 @@ class WrenchRecord(SolidRecord):
     def second_opening_mm(self) -> float:
         """Width across flats of the second jaw, millimetres; 0 where the handle ends plainly."""
         return float(self._row.value("second_opening_mm"))
-
-    @property
-    def volume_m3(self) -> float:
-        """Volume in cubic metres."""
-        return float(self._row.value("volume_m3"))
 
     def __repr__(self) -> str:
         return f"WrenchRecord(id={self.id}, {self.opening_mm:g} mm, {len(self.faces):,} faces)"

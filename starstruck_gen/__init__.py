@@ -13,14 +13,12 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from starstruck_gen.dataset import SceneMeshDataset, SceneRecord, load
     from starstruck_gen.endless import SceneDataset
-    from starstruck_gen.errors import SamplingExhausted
     from starstruck_gen.generation import GenerateSpec, generate
     from starstruck_gen.placement import Placement
-    from starstruck_gen.proportions import Crescent, Cross, Disc, Proportions, Ring, Star
-    from starstruck_gen.registry import register_shape
-    from starstruck_gen.sampling import sample_scene, sample_scenes
+    from starstruck_gen.sampling import SamplingExhausted, sample_scene, sample_scenes
     from starstruck_gen.scene import Scene
-    from starstruck_gen.shapes import OUTLINES, Shape
+    from starstruck_gen.shapes import OUTLINES, Crescent, Cross, Disc, Proportions, Ring, Shape, Star
+    from starstruck_gen.solid import register_shape
     from starstruck_gen.spec import SceneSpec
     from starstruck_gen.stamping import SceneMeshes, stamp
     from starstruck_gen.streams import SPLITS, scene_rng, scene_seed
@@ -57,14 +55,21 @@ __all__ = [
 _HOMES = {
     "starstruck_gen.dataset": ("SceneMeshDataset", "SceneRecord", "load"),
     "starstruck_gen.endless": ("SceneDataset",),
-    "starstruck_gen.errors": ("SamplingExhausted",),
     "starstruck_gen.generation": ("GenerateSpec", "generate"),
     "starstruck_gen.placement": ("Placement",),
-    "starstruck_gen.proportions": ("Crescent", "Cross", "Disc", "Proportions", "Ring", "Star"),
-    "starstruck_gen.registry": ("register_shape",),
-    "starstruck_gen.sampling": ("sample_scene", "sample_scenes"),
+    "starstruck_gen.sampling": ("SamplingExhausted", "sample_scene", "sample_scenes"),
     "starstruck_gen.scene": ("Scene",),
-    "starstruck_gen.shapes": ("OUTLINES", "Shape"),
+    "starstruck_gen.shapes": (
+        "OUTLINES",
+        "Crescent",
+        "Cross",
+        "Disc",
+        "Proportions",
+        "Ring",
+        "Shape",
+        "Star",
+    ),
+    "starstruck_gen.solid": ("register_shape",),
     "starstruck_gen.spec": ("SceneSpec",),
     "starstruck_gen.stamping": ("SceneMeshes", "stamp"),
     "starstruck_gen.streams": ("SPLITS", "scene_rng", "scene_seed"),

@@ -7,17 +7,15 @@ from typing import Any, Literal, overload
 import numpy as np
 from numpy.typing import NDArray
 
+from starstruck_gen.kind import KIND
 from starstruck_gen.placement import Placement
-from starstruck_gen.rows import CLASS_NAMES
 from starstruck_gen.scene import Scene
 from tactile_toolkit.catalog.locate import find_shards
 from tactile_toolkit.catalog.published import place_of
 from tactile_toolkit.errors import InputError
-from tactile_toolkit.mesh.columns import class_names, require_mesh_columns
-from tactile_toolkit.mesh.records import RecordStream, SolidRecord
+from tactile_toolkit.mesh.records import RecordStream, SolidRecord, open_solids
 from tactile_toolkit.read.columns import column_names
 from tactile_toolkit.read.dataset import RecordDataset
-from tactile_toolkit.read.parquet import ShardedTable
 
 __all__ = ["SceneMeshDataset", "SceneRecord", "load"]
 
@@ -39,14 +37,14 @@ class SceneRecord(SolidRecord):
 
     @property
     def distractor_count(self) -> int:
-        """Number of objects that are no stars.
+        """Number of objects that are not stars.
 
         Raises
         ------
         InputError
             When the data set does not store it.
         """
-        return int(self._stored("distractor_count"))
+        return int(self._required("distractor_count"))
 
     @property
     def has_placements(self) -> bool:
@@ -63,7 +61,7 @@ class SceneRecord(SolidRecord):
             When the data set does not store them.
         """
         return self._once(
-            "placements", lambda: tuple(Placement(**entry) for entry in self._stored("placements"))
+            "placements", lambda: tuple(Placement(**entry) for entry in self._required("placements"))
         )
 
     @property
@@ -75,7 +73,7 @@ class SceneRecord(SolidRecord):
         InputError
             When the data set does not store it.
         """
-        return int(self._stored("seed"))
+        return int(self._required("seed"))
 
     @property
     def scene(self) -> Scene:
@@ -86,13 +84,10 @@ class SceneRecord(SolidRecord):
         InputError
             When the data set does not store it.
         """
-        attempts = tuple(int(count) for count in self._stored("attempts"))
-        return Scene(self.star_count, self.placements, attempts, int(self._stored("restarts")))
+        attempts = tuple(int(count) for count in self._required("attempts"))
+        return Scene(self.star_count, self.placements, attempts, int(self._required("restarts")))
 
-    def _read_placements(self) -> tuple[Placement, ...]:
-        return tuple(Placement(**entry) for entry in self._stored("placements"))
-
-    def _stored(self, name: str) -> Any:
+    def _required(self, name: str) -> Any:
         if not self._row.has(name):
             message = f"this data set stores no {name!r}; next: use one written by `starstruck generate`"
             raise InputError(message)
@@ -173,8 +168,4 @@ def load(
         The repository cannot be reached or does not exist.
     """
     shards = find_shards(place_of(name), split, revision=revision, streaming=streaming)
-    table = ShardedTable(shards)
-    require_mesh_columns(table.schema, name, "starstruck generate")
-    if streaming:
-        return RecordStream(shards, SceneRecord, CLASS_NAMES)
-    return SceneMeshDataset([table], label_names=class_names(table.schema, CLASS_NAMES, name))
+    return open_solids(shards, name, SceneMeshDataset, KIND, streaming=streaming)

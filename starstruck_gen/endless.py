@@ -10,18 +10,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from starstruck_gen.dataset import SceneMeshDataset
-from starstruck_gen.rows import SceneRows, make_rows, scene_schema, scene_table
+from starstruck_gen.rows import make_rows, scene_schema, scene_table
 from starstruck_gen.sampling import sample_scenes
 from starstruck_gen.scene import Scene
 from starstruck_gen.spec import SceneSpec
-from starstruck_gen.stamping import SceneMeshes
+from starstruck_gen.stamping import SceneMeshes, stamp
 from starstruck_gen.streams import MOST_SCENES, SPLITS, scene_id, scene_seed
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.mesh.columns import FACES, VERTICES
 from tactile_toolkit.read.columns import RaggedColumn, column_names
 from tactile_toolkit.read.dataset import RecordDataset
 from tactile_toolkit.read.parquet import RowGroup, ShardedTable
-from tactile_toolkit.wording import plain_number
+from tactile_toolkit.wording import is_whole, plain_number
 
 __all__ = ["DEFAULT_SIZE", "SceneDataset", "SceneTable"]
 
@@ -32,31 +32,18 @@ _CHUNK = 1_000
 
 
 class SceneTable(ShardedTable):
-    """The rows of a split, each made when it is asked for.
-
-    Parameters
-    ----------
-    spec : SceneSpec
-        How scenes are made.
-    split : str
-        Split.
-    size : int
-        Number of rows.
-    seed : int
-        Seed of the data set.
-    """
-
-    def __init__(self, spec: SceneSpec, split: str, size: int, seed: int) -> None:
-        super().__init__(())
-        self.__setstate__({"spec": spec, "split": split, "size": size, "seed": seed})
+    """The rows of a split, each made when it is asked for; pickles as the four values that make them."""
 
     spec: SceneSpec
     split: str
     size: int
     seed: int
 
+    def __init__(self, spec: SceneSpec, split: str, size: int, seed: int) -> None:
+        super().__init__(())
+        self.__setstate__({"spec": spec, "split": split, "size": size, "seed": seed})
+
     def __getstate__(self) -> dict[str, Any]:
-        """Pickle as four values."""
         return {"spec": self.spec, "split": self.split, "size": self.size, "seed": self.seed}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
@@ -74,13 +61,9 @@ class SceneTable(ShardedTable):
         """Return a row as a group of its own; nothing of it is made yet."""
         return _MadeRow(self, row), 0
 
-    def rows(self, start: int, count: int) -> SceneRows:
-        """Make some rows at once."""
-        return make_rows(self.spec, self.split, self.seed, start, count)
-
-    def scene(self, row: int) -> Scene:
-        """Make one scene."""
-        return sample_scenes(self.spec, self.split, self.seed, row, 1)[0]
+    def made(self, start: int, count: int) -> Any:
+        """Make some rows at once, as an Arrow table."""
+        return scene_table(make_rows(self.spec, self.split, self.seed, start, count))
 
     def column(self, name: str) -> NDArray[Any]:
         """Return one plain column of all rows; labels, star counts and ids without making any scene."""
@@ -96,7 +79,7 @@ class SceneTable(ShardedTable):
                 [scene_seed(self.seed, self.split, row) for row in range(self.size)], dtype=np.int64
             )
         starts = range(0, self.size, _CHUNK)
-        tables = [scene_table(self.rows(start, min(_CHUNK, self.size - start))) for start in starts]
+        tables = [self.made(start, min(_CHUNK, self.size - start)) for start in starts]
         return np.concatenate([table.column(name).to_numpy() for table in tables])
 
 
@@ -112,7 +95,7 @@ class _MadeRow(RowGroup):
     @cached_property
     def table(self) -> Any:
         """The row as an Arrow table, for pickling."""
-        return scene_table(self._origin.rows(self.first_row, 1))
+        return self._origin.made(self.first_row, 1)
 
     @cached_property
     def names(self) -> tuple[str, ...]:
@@ -121,12 +104,11 @@ class _MadeRow(RowGroup):
 
     @cached_property
     def _scene(self) -> Scene:
-        return self._origin.scene(self.first_row)
+        origin = self._origin
+        return sample_scenes(origin.spec, origin.split, origin.seed, self.first_row, 1)[0]
 
     @cached_property
     def _meshes(self) -> SceneMeshes:
-        from starstruck_gen.stamping import stamp
-
         meshes = stamp([self._scene.placements])
         for column in (meshes.vertices_m, meshes.faces):
             column.values.setflags(write=False)
@@ -139,23 +121,24 @@ class _MadeRow(RowGroup):
 
     def flat(self, name: str) -> NDArray[Any]:
         """Return a plain column of one value."""
-        values = np.empty(1, dtype=object)
-        values[0] = self._value(name)
-        return values
-
-    def _value(self, name: str) -> Any:
         origin, row = self._origin, self.first_row
+        value: Any
         if name == "id":
-            return scene_id(origin.split, row)
-        if name == "label":
-            return row % len(origin.spec.stars)
-        if name == "star_count":
-            return origin.spec.stars[row % len(origin.spec.stars)]
-        if name == "seed":
-            return scene_seed(origin.seed, origin.split, row)
-        if name == "placements":
-            return [placement._asdict() for placement in self._scene.placements]
-        return getattr(self._scene, name)
+            value = scene_id(origin.split, row)
+        elif name == "label":
+            value = row % len(origin.spec.stars)
+        elif name == "star_count":
+            value = origin.spec.stars[row % len(origin.spec.stars)]
+        elif name == "seed":
+            value = scene_seed(origin.seed, origin.split, row)
+        elif name == "placements":
+            value = [placement._asdict() for placement in self._scene.placements]
+        else:
+            value = getattr(self._scene, name)
+        # Filled by index: numpy would spread a list over an array of its own.
+        values = np.empty(1, dtype=object)
+        values[0] = value
+        return values
 
 
 class SceneDataset(SceneMeshDataset):
@@ -194,7 +177,7 @@ class SceneDataset(SceneMeshDataset):
         if split not in SPLITS:
             message = f"unknown split {split!r}; expected one of {', '.join(SPLITS)}"
             raise InputError(message)
-        if not (_whole(size, seed) and 0 <= size <= MOST_SCENES and seed >= 0):
+        if not (is_whole(size, seed) and 0 <= size <= MOST_SCENES and seed >= 0):
             found = f"size is {size!r} and seed is {seed!r}"
             message = f"{found}; expected a size of 0 to {MOST_SCENES:,} and a seed from 0"
             raise InputError(message)
@@ -214,7 +197,3 @@ class SceneDataset(SceneMeshDataset):
         view = type(self).__new__(type(self))
         RecordDataset.__init__(view, tables, rows, self._label_names)
         return view
-
-
-def _whole(*values: object) -> bool:
-    return all(isinstance(value, int) and not isinstance(value, bool) for value in values)

@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from starstruck_gen.generation import GenerateSpec, plan_build
 from starstruck_gen.proof import require_sound
 from starstruck_gen.rows import PARQUET_STYLE, make_rows, scene_table
-from starstruck_gen.sampling import LayoutFailed, require_room
+from starstruck_gen.sampling import LayoutFailed, require_feasible
 from tactile_toolkit.store.estimate import Forecast, Sample, forecast_build
 from tactile_toolkit.store.folder import DataFolder
 from tactile_toolkit.store.shards import encode_parquet
@@ -36,7 +36,7 @@ def forecast(
         As :func:`starstruck_gen.generation.generate`.
     """
     plan = plan_build(spec, splits)
-    require_room(spec.scene, spec.seed, on_failure)
+    require_feasible(spec.scene, spec.seed, on_failure)
     first = plan.tasks[0].shard.split
     folder = DataFolder(os.fspath(out))
     return forecast_build(folder, plan, workers, lambda: _measure(spec, first), overwrite=overwrite)

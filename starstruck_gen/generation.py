@@ -7,15 +7,14 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
-from starstruck_gen.acceptance import count_scenes
 from starstruck_gen.card import write_card
-from starstruck_gen.errors import SamplingExhausted
 from starstruck_gen.kind import KIND
 from starstruck_gen.proof import require_sound
 from starstruck_gen.rows import PARQUET_STYLE, make_rows, scene_table
-from starstruck_gen.sampling import LayoutFailed, require_room
+from starstruck_gen.sampling import LayoutFailed, SamplingExhausted, require_feasible
 from starstruck_gen.spec import SceneSpec
 from starstruck_gen.streams import MOST_SCENES, SPLITS, scene_seed
+from starstruck_gen.summary import count_scenes
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.run.processes import Runner, runner_for
 from tactile_toolkit.store.build import BuildPlan, BuildState, Progress, ShardContent, build, inspect_folder
@@ -221,7 +220,7 @@ def generate(
     """
     folder = DataFolder(os.fspath(out))
     plan = plan_build(spec, splits)
-    require_room(spec.scene, spec.seed, on_failure)
+    require_feasible(spec.scene, spec.seed, on_failure)
     runner = runner_for(workers)
     try:
         manifest = build(folder, plan, runner, overwrite=overwrite, on_progress=on_progress)

@@ -12,7 +12,7 @@ from itertools import combinations
 
 import numpy as np
 
-from starstruck_gen.collision import CLEAR
+from starstruck_gen.placement import CLEAR
 from starstruck_gen.rows import SceneRows
 from starstruck_gen.scene import Scene
 from starstruck_gen.solid import prism

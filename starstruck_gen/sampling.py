@@ -2,27 +2,30 @@
 
 from __future__ import annotations
 
+import math
 import threading
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from typing import TypeVar
 
 import numpy as np
 
-from starstruck_gen.collision import CLEAR, Clear
-from starstruck_gen.errors import SamplingExhausted
-from starstruck_gen.placement import Placement, Rejected
-from starstruck_gen.room import hopeless, most_with_room
+from starstruck_gen.placement import CLEAR, Clear, Placement, Rejected
 from starstruck_gen.scene import Scene
 from starstruck_gen.shapes import Shape
+from starstruck_gen.solid import prism
 from starstruck_gen.spec import SceneSpec
 from starstruck_gen.streams import SceneStreams, scene_rng, scene_seed
 from tactile_toolkit.errors import InputError
+from tactile_toolkit.mesh.mesh import MM_PER_M
 
 __all__ = [
     "LayoutFailed",
+    "SamplingExhausted",
     "SceneTrace",
-    "require_room",
+    "is_hopeless",
+    "most_objects_that_fit",
+    "require_feasible",
     "sample_scene",
     "sample_scenes",
     "trace_scene",
@@ -30,12 +33,15 @@ __all__ = [
 
 T = TypeVar("T")
 
-_LOCAL = threading.local()
-
 Uniform = Callable[[], float]
 
 LayoutFailed = Callable[[int, int], None]
-"""Told how many layouts of a scene have failed, and how many are allowed."""
+"""Called with how many layouts of a scene have failed, and how many are allowed."""
+
+_LOCAL = threading.local()
+_ROUNDING = 1e-9
+_RECENT_LAYOUTS = 10
+_HOPELESS_DEVIATIONS = 8.0
 
 
 def sample_scene(spec: SceneSpec, rng: np.random.Generator, star_count: int | None = None) -> Scene:
@@ -43,7 +49,7 @@ def sample_scene(spec: SceneSpec, rng: np.random.Generator, star_count: int | No
 
     Draws the number of distractors and their shapes, then places the stars, then the distractors, each at a
     uniform position and rotation; a position that collides is drawn anew, and a scene in which one object
-    found no place starts over.
+    found no position starts over.
 
     Parameters
     ----------
@@ -61,7 +67,7 @@ def sample_scene(spec: SceneSpec, rng: np.random.Generator, star_count: int | No
     Raises
     ------
     SamplingExhausted
-        When an object found no place in any of ``spec.restarts + 1`` layouts.
+        When an object found no position in any of ``spec.restarts + 1`` layouts.
     InputError
         When ``star_count`` is none of ``spec.stars``.
 
@@ -100,7 +106,10 @@ def sample_scenes(spec: SceneSpec, split: str, seed: int, start: int, count: int
     InputError
         Unknown split or negative seed.
     """
-    streams = _streams_of_thread()
+    # Setting the streams up costs as much as a scene; scenes asked for one by one share them.
+    if not hasattr(_LOCAL, "streams"):
+        _LOCAL.streams = SceneStreams()
+    streams: SceneStreams = _LOCAL.streams
     classes = len(spec.stars)
     return [
         _scene(spec, streams.uniform(scene_seed(seed, split, index)), spec.stars[index % classes])
@@ -110,37 +119,14 @@ def sample_scenes(spec: SceneSpec, split: str, seed: int, start: int, count: int
 
 @dataclass(frozen=True, slots=True)
 class SceneTrace:
-    """A scene and how it came about.
-
-    Attributes
-    ----------
-    scene : Scene
-        The scene.
-    rejected : tuple of Rejected
-        Positions not taken, in the order in which they were drawn.
-    """
+    """A scene and the positions that were not taken, in the order in which they were drawn."""
 
     scene: Scene
     rejected: tuple[Rejected, ...]
 
 
 def trace_scene(spec: SceneSpec, rng: np.random.Generator, star_count: int | None = None) -> SceneTrace:
-    """Make one scene as :func:`sample_scene` does, and keep the positions that were rejected.
-
-    Parameters
-    ----------
-    spec, rng, star_count
-        As for :func:`sample_scene`; equal ones give an equal scene.
-
-    Returns
-    -------
-    SceneTrace
-
-    Raises
-    ------
-    SamplingExhausted, InputError
-        As :func:`sample_scene`.
-    """
+    """Make one scene as :func:`sample_scene` does, and keep the positions that were rejected."""
     rule = CLEAR[spec.collision]
     met: list[tuple[Placement, Placement]] = []
 
@@ -157,26 +143,14 @@ def trace_scene(spec: SceneSpec, rng: np.random.Generator, star_count: int | Non
     return SceneTrace(scene, tuple(Rejected(one, other, other not in standing) for one, other in met))
 
 
-def require_room(
+def require_feasible(
     spec: SceneSpec, seed: int, on_failure: LayoutFailed = lambda _failed, _allowed: None
 ) -> None:
     """Try the fullest scene of a specification, so that an impossible one is refused before any work.
 
-    Parameters
-    ----------
-    spec : SceneSpec
-        How scenes are made.
-    seed : int
-        Seed of the trial.
-    on_failure : callable
-        Told after each layout that failed, since trying can take long.
-
-    Raises
-    ------
-    SamplingExhausted
-        When the fullest scene cannot be made.
+    Trying can take long, so ``on_failure`` is called after each layout that failed. Raises SamplingExhausted.
     """
-    most = most_with_room(spec)
+    most = most_objects_that_fit(spec)
     if spec.most_objects > most:
         shape = spec.star if most < spec.stars[-1] else spec.distractor_shapes[0]
         raise SamplingExhausted(shape.name, most + 1, spec.most_objects, 0, 0, _area_mm(spec), most=most)
@@ -184,12 +158,34 @@ def require_room(
     _scene(fullest, scene_rng(seed).random, None, on_failure=on_failure)
 
 
-def _streams_of_thread() -> SceneStreams:
-    # Setting one up costs as much as a scene; scenes asked for one by one share it.
-    if not hasattr(_LOCAL, "streams"):
-        _LOCAL.streams = SceneStreams()
-    streams: SceneStreams = _LOCAL.streams
-    return streams
+def most_objects_that_fit(spec: SceneSpec) -> int:
+    """Return a number of objects that no scene of a specification can exceed; the true one may be smaller."""
+    shapes = (spec.star, *(spec.distractor_shapes if spec.distractors[1] else ()))
+    if spec.collision == "circles":
+        # Circles of at least one size are held apart as their centres are: of points at least d apart, a
+        # convex area A with perimeter P holds at most 2 A / (sqrt(3) d^2) + P / (2 d) + 1 (Oler 1961).
+        width_m, depth_m = (2 * half for half in spec.half_area_m)
+        apart_m = 2 * min(shape.radius_m for shape in shapes) + spec.clearance_m
+        inner = 2 * width_m * depth_m / (math.sqrt(3) * apart_m**2)
+        return math.floor(inner + (width_m + depth_m) / apart_m + 1 + _ROUNDING)
+    # Outlines that must not meet take at least their own areas from the cell.
+    width_m, depth_m = (2 * (half + spec.largest_radius_m) for half in spec.half_area_m)
+    sizes_m2 = [prism(shape.key).area * shape.radius_m**2 for shape in (spec.star, *spec.distractor_shapes)]
+    return math.floor(width_m * depth_m / min(sizes_m2) + _ROUNDING)
+
+
+def is_hopeless(reached: list[int], objects: int) -> bool:
+    """Tell whether no layout will hold all objects, from how many each layout so far held.
+
+    These numbers lie close together: for one that is more than eight standard deviations above the mean of
+    the last ten, no number of restarts is enough.
+    """
+    if len(reached) < _RECENT_LAYOUTS:
+        return False
+    recent = reached[-_RECENT_LAYOUTS:]
+    mean = sum(recent) / len(recent)
+    deviation = math.sqrt(sum((count - mean) ** 2 for count in recent) / len(recent))
+    return objects - mean > _HOPELESS_DEVIATIONS * max(1.0, deviation)
 
 
 def _require_class(spec: SceneSpec, star_count: int | None) -> None:
@@ -205,6 +201,7 @@ def _scene(
     clear: Clear | None = None,
     on_failure: LayoutFailed = lambda _failed, _allowed: None,
 ) -> Scene:
+    """Make one scene; the order in which numbers are drawn is part of every data set's bytes."""
     clear = clear or CLEAR[spec.collision]
     if star_count is None:
         star_count = _choice(spec.stars, uniform)
@@ -214,27 +211,34 @@ def _scene(
     shapes += [_choice(spec.distractor_shapes, uniform) for _ in range(distractor_count)]
     attempts = [0] * len(shapes)
     reached: list[int] = []
-    given_up = False
-    while not given_up and len(reached) <= spec.restarts:
+    hopeless = False
+    while not hopeless and len(reached) <= spec.restarts:
         placements = _layout(spec, shapes, uniform, attempts, clear)
         if len(placements) == len(shapes):
             return Scene(star_count, tuple(placements), tuple(attempts), len(reached))
         reached.append(len(placements))
         on_failure(len(reached), spec.restarts + 1)
-        given_up = hopeless(reached, len(shapes))
-    failed, restarts = reached[-1], len(reached) - 1
-    told = (shapes[failed].name, failed + 1, len(shapes), spec.attempts, restarts, _area_mm(spec))
-    raise SamplingExhausted(*told, hopeless=given_up)
+        hopeless = is_hopeless(reached, len(shapes))
+    failed = reached[-1]
+    raise SamplingExhausted(
+        shapes[failed].name,
+        failed + 1,
+        len(shapes),
+        spec.attempts,
+        len(reached) - 1,
+        _area_mm(spec),
+        hopeless=hopeless,
+    )
 
 
 def _area_mm(spec: SceneSpec) -> tuple[float, float]:
-    return (2e3 * spec.half_area_m[0], 2e3 * spec.half_area_m[1])
+    return (2 * MM_PER_M * spec.half_area_m[0], 2 * MM_PER_M * spec.half_area_m[1])
 
 
 def _layout(
     spec: SceneSpec, shapes: list[Shape], uniform: Uniform, attempts: list[int], clear: Clear
 ) -> list[Placement]:
-    """Place objects one after another until all stand or one finds no place; count the positions drawn."""
+    """Place objects one after another until all stand or one finds no position; count positions drawn."""
     placed: list[Placement] = []
     for number, shape in enumerate(shapes):
         placement, tried = _place(spec, shape, placed, uniform, clear)
@@ -267,3 +271,64 @@ def _place(
 def _choice(options: tuple[T, ...], uniform: Uniform) -> T:
     """Take one of several with equal chance; a single one costs no number."""
     return options[0] if len(options) == 1 else options[int(uniform() * len(options))]
+
+
+@dataclass(eq=False)
+class SamplingExhausted(InputError):  # noqa: N818
+    """No position was found for one object of a scene, however often the scene was started over.
+
+    Attributes
+    ----------
+    shape : str
+        Shape of the object that found no position in the last layout.
+    number, objects : int
+        Which object of the scene it is, from 1, and how many the scene was to hold.
+    attempts, restarts : int
+        Positions tried for it in one layout, and how often the scene was started over.
+    area_mm : tuple of float
+        Width and height of the area in which centres may lie.
+    kept_in : str
+        Folder in which shards finished before stay; empty where there are none.
+    most : int
+        How many objects can stand that far apart in that area at most, where that was computed beforehand
+        and nothing was tried; 0 where positions were tried.
+    hopeless : bool
+        Whether trying ended before all restarts were used, because no layout came near.
+    """
+
+    shape: str
+    number: int
+    objects: int
+    attempts: int
+    restarts: int
+    area_mm: tuple[float, float]
+    kept_in: str = ""
+    most: int = 0
+    hopeless: bool = False
+
+    def __post_init__(self) -> None:
+        # The fields are the arguments, so that the error crosses process borders.
+        Exception.__init__(self, *(getattr(self, entry.name) for entry in fields(self)))
+
+    def __str__(self) -> str:
+        kept = elsewhere = patience = ""
+        if self.kept_in:
+            kept = f"; shards finished before stay in {self.kept_in!r}"
+            elsewhere = ", and choose another --out or --overwrite"
+        if self.most:
+            story = f"there is room for at most {self.most} of that size, however they are placed"
+        else:
+            story = (
+                f"{self.attempts} attempts failed, and the scene was started over {self.restarts} times "
+                "(restarts)"
+            )
+            if self.hopeless:
+                story += "; no layout came near"
+            else:
+                patience = ", or in Python raise attempts or restarts of SceneSpec"
+        return (
+            f"no place for object {self.number} of {self.objects} (a {self.shape}): {story}; centres "
+            f"may lie in {self.area_mm[0]:g} x {self.area_mm[1]:g} mm{kept}; next: lower the most --stars or "
+            "--distractors (stars, distractors), --clearance-mm (clearance_m) or --radius-mm (radius_m of a "
+            f"shape), or raise --cell-mm (cell_m){patience}{elsewhere}"
+        )

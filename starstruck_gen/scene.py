@@ -12,7 +12,7 @@ from starstruck_gen.placement import Placement
 from starstruck_gen.shapes import outline
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.mesh.mesh import Mesh
-from tactile_toolkit.wording import plain_number
+from tactile_toolkit.wording import is_whole, plain_number
 
 if TYPE_CHECKING:
     from PIL.Image import Image
@@ -45,7 +45,7 @@ class Scene:
 
     @property
     def distractor_count(self) -> int:
-        """Number of objects that are no stars."""
+        """Number of objects that are not stars."""
         return len(self.placements) - self.star_count
 
     def mesh(self) -> Mesh:
@@ -100,7 +100,7 @@ class Scene:
         Raises
         ------
         InputError
-            When a number is not finite: JSON has none such.
+            When a number is not finite: JSON has no such number.
         """
         try:
             return json.dumps(self.to_dict(), indent=1, allow_nan=False)
@@ -118,16 +118,33 @@ class Scene:
             When a field is missing or cannot be (a number that is not finite, a radius below 0), or the stars
             are not as many as declared.
         """
-        _require_object(values)
+        given: object = values  # JSON may hold anything
+        if not isinstance(given, Mapping):
+            message = f"not a scene: found {_shown(values)}; expected an object such as Scene.to_json writes"
+            raise InputError(message)
         try:
-            placements = tuple(_placement(entry, place) for place, entry in enumerate(values["placements"]))
-            attempts = tuple(_count(f"attempts[{i}]", n) for i, n in enumerate(values["attempts"]))
-            star_count, restarts = (_count(name, values[name]) for name in ("star_count", "restarts"))
+            scene = cls(
+                placements=tuple(
+                    _placement(entry, f"placements[{i}]") for i, entry in enumerate(values["placements"])
+                ),
+                attempts=tuple(_count(f"attempts[{i}]", n) for i, n in enumerate(values["attempts"])),
+                star_count=_count("star_count", values["star_count"]),
+                restarts=_count("restarts", values["restarts"]),
+            )
         except (KeyError, TypeError) as error:
-            message = f"no scene: field {error} is missing or wrong; expected what Scene.to_json writes"
+            message = f"not a scene: field {error} is missing or wrong; expected what Scene.to_json writes"
             raise InputError(message) from error
-        scene = cls(star_count, placements, attempts, restarts)
-        _require_consistent(scene)
+        stars = [placement.is_star for placement in scene.placements]
+        if sum(stars) != scene.star_count or not all(stars[: scene.star_count]):
+            message = (
+                f"a scene declares star_count {scene.star_count} and places {sum(stars)}; expected as many "
+                "stars as declared, before all distractors"
+            )
+            raise InputError(message)
+        if len(scene.attempts) != len(scene.placements):
+            found = f"{len(scene.attempts)} attempts for {len(scene.placements)} placements"
+            message = f"a scene has {found}; expected one each"
+            raise InputError(message)
         return scene
 
     @classmethod
@@ -137,7 +154,7 @@ class Scene:
         Raises
         ------
         InputError
-            When the text is no JSON or no scene.
+            When the text is not JSON or not a scene.
         """
         try:
             values = json.loads(text)
@@ -147,47 +164,32 @@ class Scene:
         return cls.from_dict(values)
 
 
-def _require_object(values: Any) -> None:
+def _placement(values: Any, where: str) -> Placement:
     if not isinstance(values, Mapping):
-        message = f"no scene: found {_shown(values)}; expected an object such as Scene.to_json writes"
+        expected = f"an object with {', '.join(Placement._fields)}"
+        message = f"not a scene: {where} is {_shown(values)}; expected {expected}"
         raise InputError(message)
-
-
-def _placement(values: Any, place: int) -> Placement:
-    where = f"placements[{place}]"
-    if not isinstance(values, Mapping):
-        message = (
-            f"no scene: {where} is {_shown(values)}; expected an object with {', '.join(Placement._fields)}"
-        )
+    shape = values["shape"]
+    if not isinstance(shape, str):
+        message = f"not a scene: shape of {where} is {_shown(shape)}; expected a name such as 'star'"
         raise InputError(message)
-    name = values["shape"]
-    if not isinstance(name, str):
-        message = f"no scene: shape of {where} is {_shown(name)}; expected a name such as 'star'"
-        raise InputError(message)
-    outline(name)
-    lengths = ("radius_m", "height_m")
-    numbers = {
-        key: _number(f"{key} of {where}", values[key], positive=key in lengths)
-        for key in Placement._fields
-        if key != "shape"
-    }
-    return Placement(shape=name, **numbers)
-
-
-def _number(what: str, value: Any, *, positive: bool) -> float:
-    number = plain_number(value, float)
-    if not isinstance(number, float) or not math.isfinite(number) or (positive and number <= 0):
-        message = (
-            f"no scene: {what} is {_shown(value)}; expected a {'positive' if positive else 'finite'} number"
-        )
-        raise InputError(message)
-    return number
+    outline(shape)  # refuses a shape that is not known
+    numbers = {}
+    for name in Placement._fields[1:]:
+        number = plain_number(values[name], float)
+        positive = name in ("radius_m", "height_m")
+        if not isinstance(number, float) or not math.isfinite(number) or (positive and number <= 0):
+            expected = f"a {'positive' if positive else 'finite'} number"
+            message = f"not a scene: {name} of {where} is {_shown(values[name])}; expected {expected}"
+            raise InputError(message)
+        numbers[name] = number
+    return Placement(shape=shape, **numbers)
 
 
 def _count(what: str, value: Any) -> int:
-    number = plain_number(value)
-    if not isinstance(number, int) or isinstance(number, bool) or number < 0:
-        message = f"no scene: {what} is {_shown(value)}; expected a whole number from 0"
+    number: int = plain_number(value)
+    if not is_whole(number) or number < 0:
+        message = f"not a scene: {what} is {_shown(value)}; expected a whole number from 0"
         raise InputError(message)
     return number
 
@@ -195,17 +197,3 @@ def _count(what: str, value: Any) -> int:
 def _shown(value: object) -> str:
     text = repr(value)
     return text if len(text) <= _LONGEST_SHOWN else f"{text[:_LONGEST_SHOWN]}..."
-
-
-def _require_consistent(scene: Scene) -> None:
-    stars = [placement.is_star for placement in scene.placements]
-    if sum(stars) != scene.star_count or not all(stars[: scene.star_count]):
-        message = (
-            f"a scene declares star_count {scene.star_count} and places {sum(stars)}; expected as many stars "
-            "as declared, before all distractors"
-        )
-        raise InputError(message)
-    if len(scene.attempts) != len(scene.placements):
-        found = f"{len(scene.attempts)} attempts for {len(scene.placements)} placements"
-        message = f"a scene has {found}; expected one each"
-        raise InputError(message)

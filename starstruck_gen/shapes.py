@@ -1,43 +1,352 @@
-"""Shapes: a kind, its proportions and its size, and the key by which placements name the outline."""
+"""Shapes: kinds with their proportions, the outline that follows, and the key that names it in a placement.
+
+A further kind is one class: everything else (collision, solids, drawing, the specification, the command line)
+follows from it. Those of the toolkit are here, in :data:`KINDS`; others come to it by
+:func:`starstruck_gen.register_shape`. Lengths are in units of the circumscribed radius, so that every outline
+reaches distance 1 from the origin and not beyond.
+"""
 
 from __future__ import annotations
 
+import math
 import re
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, field, fields
 from functools import lru_cache
 from types import MappingProxyType
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from starstruck_gen.proportions import DEFAULT_OUTLINES, KINDS, STAR, Outline, Proportions
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.wording import plain_number
 
 __all__ = [
-    "DEFAULT_OUTLINES",
+    "KINDS",
     "OUTLINES",
     "PUBLISHED_RADIUS_M",
+    "REGISTRY",
     "STAR",
+    "Box",
+    "Crescent",
+    "Cross",
+    "Disc",
+    "Hexagon",
     "Outline",
+    "Proportions",
+    "Ring",
     "Shape",
+    "Star",
+    "Triangle",
     "outline",
     "shape_key",
 ]
 
+Outline = tuple[NDArray[np.float64], ...]
+"""Rings of corners, each of shape (n, 2): the outer one counter-clockwise, holes clockwise."""
+
+STAR = "star"
+"""The shape that is counted."""
+
 PUBLISHED_RADIUS_M = 0.010
 """Circumscribed radius of every published object (package tactile-mnist 0.13.0)."""
 
-OUTLINES: Mapping[str, Callable[[], Outline]] = MappingProxyType(DEFAULT_OUTLINES)
-"""Outline of each kind of shape in its default proportions."""
-
-_KEY = re.compile(r"(?P<name>\w+)(\((?P<numbers>[^()]*)\))?")
-_OF_THE_KIND = Proportions()
-_MOST_KEPT = 1_024
+_PUBLISHED_SEGMENTS = 32  # of the published disc (package tactile-mnist 0.13.0)
+_DEEPEST_NOTCH_SHARE = 0.99
+_LARGEST = 1e6  # where a kind declares no range
 _LEAST_RADIUS_M = 1e-4
 _MOST_RADIUS_M = 1.0
+_KEY = re.compile(r"(?P<name>\w+)(\((?P<numbers>[^()]*)\))?")
+
+
+def _within(published: float, least: float, most: float) -> Any:
+    """Declare a number with its default and the range it must keep to."""
+    return field(default=published, metadata={"least": least, "most": most})
+
+
+def _segments() -> Any:
+    return _within(_PUBLISHED_SEGMENTS, 8, 256)
+
+
+@dataclass(frozen=True, slots=True)
+class Proportions:
+    """What a kind of shape looks like, its size aside. The defaults are those of the kind.
+
+    Raises
+    ------
+    InputError
+        When a number is outside its range; the message names shape, field, what was found and expected.
+    """
+
+    name: ClassVar[str] = ""
+
+    def __post_init__(self) -> None:
+        for entry in fields(self):
+            value = getattr(self, entry.name)
+            kind: Any = type(entry.default)
+            least, most = entry.metadata.get("least", -_LARGEST), entry.metadata.get("most", _LARGEST)
+            try:
+                fine = not isinstance(value, (bool, str)) and least <= value <= most and kind(value) == value
+            except (TypeError, ValueError):
+                fine = False
+            if not fine:
+                what = "a whole number from " if kind is int else ""
+                message = (
+                    f"{entry.name} of shape {self.name!r} is {value!r}; expected {what}{least:g} to {most:g}"
+                )
+                raise InputError(message)
+            # Whole and plain numbers have one spelling, so that equal proportions have equal JSON and keys.
+            object.__setattr__(self, entry.name, kind(value))
+
+    def rings(self) -> Outline:
+        """Return the rings of the outline, read-only; unit: the circumscribed radius."""
+        raise NotImplementedError
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Pickle with the class, so that a worker that never heard of the kind knows it from then on."""
+        return (_unpickled, (type(self), self.to_dict()))
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return JSON values."""
+        return {entry.name: getattr(self, entry.name) for entry in fields(self)}
+
+    def changed(self) -> dict[str, Any]:
+        """Return the numbers that are not the defaults of the kind."""
+        return {
+            entry.name: value
+            for entry in fields(self)
+            if (value := getattr(self, entry.name)) != entry.default
+        }
+
+    @classmethod
+    def from_dict(cls, values: Mapping[str, Any]) -> Proportions:
+        """Rebuild proportions from :meth:`to_dict`; what is missing takes its default.
+
+        Raises
+        ------
+        InputError
+            Unknown field, or a value that cannot be used.
+        """
+        known = [entry.name for entry in fields(cls)]
+        unknown = [name for name in values if name not in known]
+        if unknown:
+            expected = f"one of {', '.join(known)}" if known else "none"
+            message = f"unknown proportion {unknown[0]!r} of shape {cls.name!r}; expected {expected}"
+            raise InputError(message)
+        return cls(**values)
+
+
+def _unpickled(kind: type[Proportions], values: dict[str, Any]) -> Proportions:
+    # Unchecked: the process that pickled it has registered, and so checked, the kind.
+    if kind.name:
+        REGISTRY.setdefault(kind.name, kind)
+    return kind(**values)
+
+
+def _arc(
+    radius: float, start_rad: float, sweep_rad: float, corners: int, centre_x: float = 0.0
+) -> list[tuple[float, float]]:
+    """Return corners at equal steps of an arc, its end left out."""
+    angles = [start_rad + sweep_rad * step / corners for step in range(corners)]
+    return [(centre_x + radius * math.cos(angle), radius * math.sin(angle)) for angle in angles]
+
+
+def _ring_of(corners: list[tuple[float, float]]) -> NDArray[np.float64]:
+    ring = np.array(corners, dtype=np.float64)
+    ring.setflags(write=False)
+    return ring
+
+
+def _regular(corners: int, start_rad: float = 0.0) -> Outline:
+    return (_ring_of(_arc(1.0, start_rad, math.tau, corners)),)
+
+
+@dataclass(frozen=True, slots=True)
+class Star(Proportions):
+    """A star, its first tip on +x.
+
+    Attributes
+    ----------
+    points : int
+        Number of tips (package tactile-mnist 0.13.0: 5).
+    inner_ratio : float
+        Radius of the notches over that of the tips (package tactile-mnist 0.13.0: 5 mm and 10 mm).
+    """
+
+    name: ClassVar[str] = STAR
+    points: int = _within(5, 3, 64)
+    inner_ratio: float = _within(0.5, 0.05, 0.95)
+
+    def __post_init__(self) -> None:
+        # super() without arguments knows the class before it got its slots.
+        Proportions.__post_init__(self)
+        # At a share of 1 a notch lies on the line between its two tips, and the star is a polygon.
+        deepest = _DEEPEST_NOTCH_SHARE * math.cos(math.pi / self.points)
+        if self.inner_ratio > deepest:
+            message = (
+                f"inner_ratio of shape {STAR!r} is {self.inner_ratio!r}; expected at most {deepest:.4g} with "
+                f"{self.points} points, so that notches lie between the tips; next: lower inner_ratio "
+                "(--star-inner-mm)"
+            )
+            raise InputError(message)
+
+    def rings(self) -> Outline:
+        """Return one ring: tip, notch, tip, ..."""
+        tips = _arc(1.0, 0.0, math.tau, self.points)
+        notches = _arc(self.inner_ratio, math.pi / self.points, math.tau, self.points)
+        return (_ring_of([corner for pair in zip(tips, notches, strict=True) for corner in pair]),)
+
+
+@dataclass(frozen=True, slots=True)
+class Box(Proportions):
+    """A square, its sides along x and y."""
+
+    name: ClassVar[str] = "box"
+
+    def rings(self) -> Outline:
+        """Return one ring of four corners."""
+        return _regular(4, math.pi / 4)
+
+
+@dataclass(frozen=True, slots=True)
+class Disc(Proportions):
+    """A disc.
+
+    Attributes
+    ----------
+    segments : int
+        Corners of its rim.
+    """
+
+    name: ClassVar[str] = "disc"
+    segments: int = _segments()
+
+    def rings(self) -> Outline:
+        """Return one ring."""
+        return _regular(self.segments)
+
+
+@dataclass(frozen=True, slots=True)
+class Triangle(Proportions):
+    """An equilateral triangle, one corner on +x."""
+
+    name: ClassVar[str] = "triangle"
+
+    def rings(self) -> Outline:
+        """Return one ring of three corners."""
+        return _regular(3)
+
+
+@dataclass(frozen=True, slots=True)
+class Hexagon(Proportions):
+    """A regular hexagon, one corner on +x."""
+
+    name: ClassVar[str] = "hexagon"
+
+    def rings(self) -> Outline:
+        """Return one ring of six corners."""
+        return _regular(6)
+
+
+@dataclass(frozen=True, slots=True)
+class Ring(Proportions):
+    """A disc with a round hole.
+
+    Attributes
+    ----------
+    hole_ratio : float
+        Radius of the hole.
+    segments : int
+        Corners of the rim and of the hole.
+    """
+
+    name: ClassVar[str] = "ring"
+    hole_ratio: float = _within(0.5, 0.05, 0.95)
+    segments: int = _segments()
+
+    def rings(self) -> Outline:
+        """Return the rim, then the hole."""
+        hole = _ring_of(_arc(self.hole_ratio, 0.0, -math.tau, self.segments))
+        return (*_regular(self.segments), hole)
+
+
+@dataclass(frozen=True, slots=True)
+class Cross(Proportions):
+    """Two bars across each other, along x and y.
+
+    Attributes
+    ----------
+    arm_ratio : float
+        Half the width of a bar.
+    """
+
+    name: ClassVar[str] = "cross"
+    arm_ratio: float = _within(0.3, 0.05, 0.65)
+
+    def rings(self) -> Outline:
+        """Return one ring of twelve corners."""
+        side = self.arm_ratio
+        far = math.sqrt(1.0 - side**2)
+        arm = [(far, -side), (far, side), (side, side)]
+        turned = [arm, [(-y, x) for x, y in arm], [(-x, -y) for x, y in arm], [(y, -x) for x, y in arm]]
+        return (_ring_of([corner for quarter in turned for corner in quarter]),)
+
+
+@dataclass(frozen=True, slots=True)
+class Crescent(Proportions):
+    """A disc with a round bite from +x.
+
+    Attributes
+    ----------
+    horn_rad : float
+        Angle of the two horns, where rim and bite meet, from +x.
+    bite_ratio : float
+        Distance of the bite's centre from that of the disc.
+    segments : int
+        Corners of the rim; the bite has half as many.
+    """
+
+    name: ClassVar[str] = "crescent"
+    horn_rad: float = _within(math.pi / 3, 0.25, 1.5)
+    bite_ratio: float = _within(0.6, 0.2, 0.9)
+    segments: int = _segments()
+
+    def rings(self) -> Outline:
+        """Return one ring: the rim from horn to horn, then the bite back."""
+        horn_x, horn_y = math.cos(self.horn_rad), math.sin(self.horn_rad)
+        bite_rad = math.atan2(horn_y, horn_x - self.bite_ratio)
+        bite_radius = math.hypot(horn_x - self.bite_ratio, horn_y)
+        back = _arc(1.0, self.horn_rad, math.tau - 2 * self.horn_rad, self.segments)
+        bite = _arc(bite_radius, -bite_rad, 2 * bite_rad - math.tau, self.segments // 2, self.bite_ratio)
+        return (_ring_of(back + bite),)
+
+
+REGISTRY: dict[str, type[Proportions]] = {
+    kind.name: kind for kind in (Star, Box, Disc, Triangle, Hexagon, Ring, Cross, Crescent)
+}
+"""What :data:`KINDS` and :data:`OUTLINES` show; changed by :func:`starstruck_gen.register_shape`."""
+
+KINDS: Mapping[str, type[Proportions]] = MappingProxyType(REGISTRY)
+"""Kinds of shapes by name, registered ones too.
+
+The published scenes have star, box and disc (package tactile-mnist 0.13.0).
+"""
+
+
+class _DefaultOutlines(Mapping[str, Callable[[], Outline]]):
+    def __getitem__(self, name: str) -> Callable[[], Outline]:
+        return REGISTRY[name]().rings
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(REGISTRY)
+
+    def __len__(self) -> int:
+        return len(REGISTRY)
+
+
+OUTLINES: Mapping[str, Callable[[], Outline]] = _DefaultOutlines()
+"""Outline of each kind of shape in its default proportions."""
 
 
 def shape_key(proportions: Proportions) -> str:
@@ -49,23 +358,20 @@ def shape_key(proportions: Proportions) -> str:
     return f"{proportions.name}({numbers})" if numbers else proportions.name
 
 
-@lru_cache(_MOST_KEPT)
+@lru_cache(1_024)
 def outline(key: str) -> Outline:
-    """Return the rings of a shape, each of shape (n, 2), read-only; unit: the circumscribed radius.
+    """Return the rings that a :func:`shape_key` names, read-only; unit: the circumscribed radius.
 
-    Frame: origin at the centre of the circumscribed circle, first corner of a star on +x.
-
-    Parameters
-    ----------
-    key : str
-        Name of the kind, with the proportions that differ from its own in brackets; see :func:`shape_key`.
-
-    Raises
-    ------
-    InputError
-        When there is no such shape, or its proportions cannot be used.
+    Frame: origin at the centre of the circumscribed circle, first corner of a star on +x. Raises InputError
+    when there is no such shape, or its proportions cannot be used.
     """
-    return tuple(_read_only(ring) for ring in _read_key(key).rings())
+    rings = tuple(np.asarray(ring, dtype=np.float64) for ring in _parse_key(key).rings())
+    for ring in rings:
+        ring.setflags(write=False)
+    return rings
+
+
+_OF_THE_KIND = Proportions()
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,7 +390,7 @@ class Shape:
     Attributes
     ----------
     key : str
-        What names its outline in a placement; see :func:`shape_key`.
+        What names its outline in a placement, such as ``star`` or ``star(points=6)``.
 
     Raises
     ------
@@ -93,7 +399,7 @@ class Shape:
 
     Examples
     --------
-    >>> from starstruck_gen.proportions import Star
+    >>> from starstruck_gen import Star
     >>> Shape("star", 0.010, Star(points=6)).key
     'star(points=6)'
     """
@@ -104,12 +410,12 @@ class Shape:
     key: str = field(init=False, repr=False, compare=False, default="")
 
     def __post_init__(self) -> None:
+        kind = _kind(self.name)
         if self.proportions is _OF_THE_KIND:
-            object.__setattr__(self, "proportions", _kind(self.name)())
-        if type(self.proportions) is not _kind(self.name):
+            object.__setattr__(self, "proportions", kind())
+        if type(self.proportions) is not kind:
             message = (
-                f"proportions of shape {self.name!r} are {self.proportions!r}; "
-                f"expected {_kind(self.name).__name__}(...)"
+                f"proportions of shape {self.name!r} are {self.proportions!r}; expected {kind.__name__}(...)"
             )
             raise InputError(message)
         radius_m = plain_number(self.radius_m, float)
@@ -131,7 +437,7 @@ class Shape:
         InputError
             When the text is no such key.
         """
-        proportions = _read_key(text)
+        proportions = _parse_key(text)
         return cls(proportions.name, radius_m, proportions)
 
     def to_dict(self) -> dict[str, Any]:
@@ -157,12 +463,6 @@ class Shape:
         return cls(shape.name, shape.radius_m, type(shape.proportions).from_dict(dict(numbers)))
 
 
-def _read_only(ring: NDArray[np.float64]) -> NDArray[np.float64]:
-    kept = np.asarray(ring, dtype=np.float64)
-    kept.setflags(write=False)
-    return kept
-
-
 def _kind(name: str) -> type[Proportions]:
     if name not in KINDS:
         message = (
@@ -173,25 +473,25 @@ def _kind(name: str) -> type[Proportions]:
     return KINDS[name]
 
 
-def _read_key(key: str) -> Proportions:
+def _parse_key(key: str) -> Proportions:
+    """Read what :func:`shape_key` writes; people write it too, so spaces and repeated numbers are met."""
     match = _KEY.fullmatch(key.strip())
     if match is None:
-        message = f"{key!r} is no shape; expected a name such as ring, or ring(hole_ratio=0.3)"
+        message = f"{key!r} is not a shape; expected a name such as ring, or ring(hole_ratio=0.3)"
         raise InputError(message)
-    numbers = [part for part in (match["numbers"] or "").split(",") if part.strip()]
-    given = [_read_number(key, part) for part in numbers]
-    names = [name for name, _ in given]
-    twice = [name for name in names if names.count(name) > 1]
-    if twice:
-        message = f"shape {key!r} gives {twice[0]!r} {names.count(twice[0])} times; expected each number once"
-        raise InputError(message)
-    return _kind(match["name"]).from_dict(dict(given))
-
-
-def _read_number(key: str, text: str) -> tuple[str, float]:
-    name, _, value = (part.strip() for part in text.partition("="))
-    try:
-        return name, float(value)
-    except ValueError:
-        message = f"{text!r} in shape {key!r} is no proportion; expected NAME=NUMBER such as hole_ratio=0.3"
-        raise InputError(message) from None
+    numbers: dict[str, float] = {}
+    parts = [part for part in (match["numbers"] or "").split(",") if part.strip()]
+    names = [part.partition("=")[0].strip() for part in parts]
+    for name, part in zip(names, parts, strict=True):
+        try:
+            numbers[name] = float(part.partition("=")[2])
+        except ValueError:
+            message = (
+                f"{part!r} in shape {key!r} is not a proportion; expected NAME=NUMBER such as hole_ratio=0.3"
+            )
+            raise InputError(message) from None
+    for name in numbers:
+        if names.count(name) > 1:
+            message = f"shape {key!r} gives {name!r} {names.count(name)} times; expected each number once"
+            raise InputError(message)
+    return _kind(match["name"]).from_dict(numbers)

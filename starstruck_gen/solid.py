@@ -1,42 +1,52 @@
-"""Shapes as solids: prisms whose caps are triangulated once and proved once."""
+"""Shapes as solids: prisms whose caps are triangulated once and proved once.
+
+What has to be proved of an outline needs its solid, so making a further kind known is here too.
+"""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import math
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass, fields, is_dataclass
 from functools import lru_cache
 from itertools import pairwise
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from starstruck_gen.shapes import PUBLISHED_RADIUS_M, outline
+from starstruck_gen.shapes import PUBLISHED_RADIUS_M, REGISTRY, Proportions, Shape, outline, shape_key
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.mesh.mesh import Mesh
 from tactile_toolkit.mesh.solid_check import judge
 
-__all__ = ["Prism", "prism", "prism_solid"]
+__all__ = ["Prism", "own_kinds", "prism", "prism_solid", "register_shape", "require_fine_steps"]
+
+K = TypeVar("K", bound=type[Proportions])
 
 _MOST_KEPT = 1_024
+_TOOLKIT = frozenset(REGISTRY)
+_REACH_TOLERANCE = 1e-9
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Prism:
-    """The solid of a shape, up to its size.
+    """The solid of a shape, up to its size; lengths in units of the circumscribed radius.
 
     Attributes
     ----------
     corners : ndarray of float64, shape (n, 2)
-        All rings of the outline one after another; unit: the circumscribed radius.
+        All rings of the outline one after another.
     cap : ndarray of int32, shape (T, 3)
         Triangles over ``corners``, counter-clockwise; every corner is used, none lies on another's edge.
     faces : ndarray of int32, shape (F, 3)
         Triangles of the solid, outward. Vertex 2i is corner i on the plate, vertex 2i + 1 the one above it.
     area : float
-        Area of the outline; unit: squared circumscribed radius.
+        Area of the outline.
     thinnest : float
         Least height of a triangle of the cap: corners that move by less than half of it turn no triangle
-        over. Unit: the circumscribed radius.
+        over.
     """
 
     corners: NDArray[np.float64]
@@ -60,43 +70,40 @@ class Prism:
 
 @lru_cache(_MOST_KEPT)
 def prism(key: str) -> Prism:
-    """Return the solid of a shape; made and proved on first use.
+    """Return the solid of the shape that a key names, made and proved on first use.
 
-    Parameters
-    ----------
-    key : str
-        What names its outline; see :func:`starstruck_gen.shapes.shape_key`.
-
-    Raises
-    ------
-    InputError
-        Unknown shape, or an outline that bounds no area (turned the wrong way, or crossing itself).
+    Raises InputError for an unknown shape, or an outline that bounds no area (turned the wrong way, or
+    crossing itself).
     """
     import manifold3d
 
     rings = outline(key)
     corners = np.concatenate(rings)
     cap = np.asarray(manifold3d.triangulate(list(rings)), dtype=np.int32)
+    # A triangle's height is twice its area over its longest side.
+    doubled_areas = _doubled_areas(corners, cap)
+    sides = np.linalg.norm(corners[cap] - corners[np.roll(cap, 1, axis=1)], axis=2)
     made = Prism(
         corners,
         cap,
         _faces([len(ring) for ring in rings], cap),
-        float(_doubled_areas(corners, cap).sum() / 2),
-        _thinnest(corners, cap),
+        area=float(doubled_areas.sum() / 2),
+        thinnest=float((doubled_areas / sides.max(axis=1)).min()),
     )
     for array in (made.corners, made.cap, made.faces):
         array.setflags(write=False)
-    _require_sound(key, made)
+    verdict = judge(Mesh(made.vertices(0.5) * PUBLISHED_RADIUS_M, made.faces))
+    wrong = verdict.problem or ("in pieces" if verdict.bodies != 1 else None)
+    # A figure of eight can pass for a solid: only its cap shows triangles that are turned over.
+    if wrong is None and (doubled_areas <= 0).any():
+        wrong = "crossing itself"
+    if wrong is not None:
+        message = (
+            f"the outline of shape {key!r} bounds no area ({wrong}); expected one outer ring "
+            "counter-clockwise, then holes clockwise, none touching another"
+        )
+        raise InputError(message)
     return made
-
-
-@lru_cache(_MOST_KEPT)
-def prism_solid(key: str, radius_m: float) -> Any:
-    """Return the solid of a shape for manifold3d: millimetres, 1 mm high, unturned, centre at the origin."""
-    made = prism(key)
-    vertices_m = made.vertices(0.0) * radius_m
-    vertices_m[1::2, 2] = 1e-3
-    return Mesh(vertices_m, made.faces).to_manifold()
 
 
 def _faces(ring_sizes: list[int], cap: NDArray[np.int32]) -> NDArray[np.int32]:
@@ -112,25 +119,136 @@ def _faces(ring_sizes: list[int], cap: NDArray[np.int32]) -> NDArray[np.int32]:
 
 
 def _doubled_areas(corners: NDArray[np.float64], cap: NDArray[np.int32]) -> NDArray[np.float64]:
-    a, b, c = (corners[cap[:, place]] for place in range(3))
-    doubled = (b - a)[:, 0] * (c - a)[:, 1] - (b - a)[:, 1] * (c - a)[:, 0]
-    return np.asarray(doubled)
+    a, b, c = (corners[cap[:, index]] for index in range(3))
+    return np.asarray((b - a)[:, 0] * (c - a)[:, 1] - (b - a)[:, 1] * (c - a)[:, 0])
 
 
-def _thinnest(corners: NDArray[np.float64], cap: NDArray[np.int32]) -> float:
-    sides = np.linalg.norm(corners[cap] - corners[np.roll(cap, 1, axis=1)], axis=2)
-    return float((_doubled_areas(corners, cap) / sides.max(axis=1)).min())
+@lru_cache(_MOST_KEPT)
+def prism_solid(key: str, radius_m: float) -> Any:
+    """Return the solid of a shape for manifold3d: millimetres, 1 mm high, unturned, centre at the origin."""
+    made = prism(key)
+    vertices_m = made.vertices(0.0) * radius_m
+    vertices_m[1::2, 2] = 1e-3
+    return Mesh(vertices_m, made.faces).to_manifold()
 
 
-def _require_sound(key: str, made: Prism) -> None:
-    mesh = Mesh(made.vertices(0.5) * PUBLISHED_RADIUS_M, made.faces)
-    verdict = judge(mesh)
-    wrong = verdict.problem or ("in pieces" if verdict.bodies != 1 else None)
-    if wrong is None and (_doubled_areas(made.corners, made.cap) <= 0).any():
-        wrong = "crossing itself"
-    if wrong is not None:
-        message = (
-            f"the outline of shape {key!r} bounds no area ({wrong}); expected one outer ring "
-            "counter-clockwise, then holes clockwise, none touching another"
-        )
+def require_fine_steps(
+    shapes: Sequence[Shape], half_area_m: tuple[float, float], cell_m: tuple[float, float]
+) -> None:
+    """Refuse shapes so small, in a cell so large, that float32 coordinates could turn a triangle over.
+
+    Three corners that move by up to e each stay in their order while the triangle is thicker than 2 e.
+    """
+    for shape in shapes:
+        thinnest_m = prism(shape.key).thinnest * shape.radius_m
+        farthest_m = np.array(half_area_m) + shape.radius_m
+        # Rounding moves a corner by half a step along x and half a step along y.
+        moved_m = math.hypot(*np.spacing(farthest_m.astype(np.float32)).tolist()) / 2
+        if thinnest_m <= 2 * moved_m:
+            message = (
+                f"cell_m of the scene specification is {cell_m!r}; expected a smaller one with shape "
+                f"{shape.key!r} of radius_m {shape.radius_m!r}: its thinnest triangle is {thinnest_m:.2g} m, "
+                f"and storing coordinates as float32 moves corners by up to {moved_m:.2g} m there; next: "
+                "lower cell_m (--cell-mm) or the corners of the shape (segments, points), or raise radius_m "
+                "(--radius-mm)"
+            )
+            raise InputError(message)
+
+
+def register_shape(kind: K) -> K:
+    """Make a kind of shape known, so that :class:`starstruck_gen.Shape` and all that follows take it.
+
+    Parameters
+    ----------
+    kind : type
+        A frozen dataclass with slots, derived from :class:`starstruck_gen.Proportions`: ``name`` names the
+        shape, ``rings()`` gives its outline, and each field is a number with a default. A field's range is
+        its metadata ``least`` and ``most``.
+
+    Returns
+    -------
+    type
+        The same, so that this serves as a decorator.
+
+    Raises
+    ------
+    InputError
+        The name is taken or not a plain word, a field is not a number, or the outline in its default
+        proportions bounds no area or does not reach distance 1 from the origin.
+
+    Notes
+    -----
+    Specifications and shapes carry the class with them when they are pickled, so that worker processes know
+    the kind as well; they import it by its name, as all pickled classes. Reading JSON or a stored data set
+    needs the kind registered first, with ``SceneSpec.from_dict`` too. The command line has the toolkit's own
+    shapes alone.
+
+    Examples
+    --------
+    >>> from dataclasses import dataclass, field
+    >>> import numpy as np
+    >>> @register_shape
+    ... @dataclass(frozen=True, slots=True)
+    ... class Kite(Proportions):
+    ...     name = "kite"
+    ...     width: float = field(default=0.6, metadata={"least": 0.1, "most": 1.0})
+    ...
+    ...     def rings(self):
+    ...         return (np.array([(1.0, 0.0), (0.0, self.width), (-0.5, 0.0), (0.0, -self.width)]),)
+    >>> from starstruck_gen import Shape
+    >>> Shape("kite", 0.012, Kite(width=0.4)).key
+    'kite(width=0.4)'
+    """
+    _require_described(kind)
+    former = REGISTRY.get(kind.name)
+    if former is kind:
+        return kind
+    # A cell of a notebook that is run again defines its class anew; that class replaces its former.
+    if former is not None and (kind.name in _TOOLKIT or former.__qualname__ != kind.__qualname__):
+        message = f"shape {kind.name!r} is taken by {former.__qualname__}; expected another name"
         raise InputError(message)
+    REGISTRY[kind.name] = kind
+    _forget_solids()
+    try:
+        reach = float(np.linalg.norm(prism(shape_key(kind())).corners, axis=1).max())
+        if abs(reach - 1.0) > _REACH_TOLERANCE:
+            message = (
+                f"the outline of shape {kind.name!r} reaches distance {reach:g} from the origin; expected 1, "
+                "the circumscribed radius"
+            )
+            raise InputError(message)
+    except Exception:
+        if former is None:
+            del REGISTRY[kind.name]
+        else:
+            REGISTRY[kind.name] = former
+        _forget_solids()
+        raise
+    return kind
+
+
+def own_kinds() -> tuple[type[Proportions], ...]:
+    """Return the kinds that are not the toolkit's, for workers that must know them too."""
+    return tuple(kind for name, kind in REGISTRY.items() if name not in _TOOLKIT)
+
+
+def _forget_solids() -> None:
+    """Empty what is kept by key: it may belong to a former kind of the same name."""
+    for kept in (outline, prism, prism_solid):
+        kept.cache_clear()
+
+
+def _require_described(kind: Any) -> None:
+    if not (isinstance(kind, type) and issubclass(kind, Proportions) and is_dataclass(kind)):
+        message = f"{kind!r} is not a kind of shape; expected a frozen dataclass derived from Proportions"
+        raise InputError(message)
+    if not isinstance(kind.name, str) or not re.fullmatch(r"[A-Za-z_]\w*", kind.name):
+        message = f"name of shape {kind.__qualname__} is {kind.name!r}; expected a plain word"
+        raise InputError(message)
+    for entry in fields(kind):
+        if type(entry.default) not in (int, float):
+            message = (
+                f"field {entry.name!r} of shape {kind.name!r} has the default {entry.default!r}; expected a "
+                "number"
+            )
+            raise InputError(message)

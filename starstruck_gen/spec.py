@@ -11,15 +11,15 @@ from typing import Any
 
 from starstruck_gen.shapes import STAR, Shape
 from tactile_toolkit.errors import InputError
-from tactile_toolkit.wording import plain
+from tactile_toolkit.wording import is_whole, plain
 
 __all__ = ["COLLISION_RULES", "SceneSpec"]
 
 COLLISION_RULES = ("circles", "exact")
 """``circles``: circumscribed circles must not meet (published); ``exact``: outlines must not touch."""
 
-_SENSOR_OUTER_M = (0.032, 0.028)
-_PADDING_M = (0.003 + _SENSOR_OUTER_M[0] / 2 + 0.005 / 2, 0.003 + _SENSOR_OUTER_M[1] / 2 + 0.005 / 2)
+# 3 mm, half the outer size of the sensor and half the border of the grid (package tactile-mnist 0.13.0).
+_PADDING_M = (0.003 + 0.032 / 2 + 0.005 / 2, 0.003 + 0.028 / 2 + 0.005 / 2)
 _PUBLISHED_STAR = Shape(STAR)
 _PUBLISHED_DISTRACTORS = (Shape("box"), Shape("disc"))
 _MEASURES = ("cell_m", "padding_m", "heights_m", "rotation_rad", "clearance_m")
@@ -83,7 +83,18 @@ class SceneSpec:
             kind = float if entry.name in _MEASURES else int
             # One spelling of each value, so that equal specifications have equal JSON.
             object.__setattr__(self, entry.name, plain(getattr(self, entry.name), kind))
-        _check(self)
+        for name, holds, expected in _RULES:
+            try:
+                fine = holds(self)
+            except (TypeError, AttributeError):
+                fine = False
+            if not fine:
+                message = f"{name} of the scene specification is {getattr(self, name)!r}; expected {expected}"
+                raise InputError(message)
+        # The solids of the shapes need libraries that nothing else here does.
+        from starstruck_gen.solid import require_fine_steps
+
+        require_fine_steps((self.star, *self.distractor_shapes), self.half_area_m, self.cell_m)
 
     @cached_property
     def half_area_m(self) -> tuple[float, float]:
@@ -115,7 +126,8 @@ class SceneSpec:
     def to_dict(self) -> dict[str, Any]:
         """Return JSON values; equal specifications give equal values and, with equal seeds, equal scenes."""
         values = {name: list(v) if isinstance(v, tuple) else v for name, v in asdict(self).items()}
-        return {**values, "star": self.star.to_dict(), "distractor_shapes": self._distractor_dicts()}
+        distractor_shapes = [shape.to_dict() for shape in self.distractor_shapes]
+        return {**values, "star": self.star.to_dict(), "distractor_shapes": distractor_shapes}
 
     @classmethod
     def from_dict(cls, values: Mapping[str, Any]) -> SceneSpec:
@@ -144,20 +156,9 @@ class SceneSpec:
             message = f"a scene specification has a value of a wrong type: {error}"
             raise InputError(message) from error
 
-    def _distractor_dicts(self) -> list[dict[str, Any]]:
-        return [shape.to_dict() for shape in self.distractor_shapes]
-
 
 def _pair(values: tuple[float, ...], most: float = _LARGEST_CELL_M) -> bool:
     return len(values) == 2 and all(0 <= value <= most for value in values)
-
-
-def _whole(*values: object) -> bool:
-    return all(isinstance(value, int) and not isinstance(value, bool) for value in values)
-
-
-def _rising(values: tuple[int, ...]) -> bool:
-    return all(before < after for before, after in pairwise(values))
 
 
 _Rule = tuple[str, Callable[[SceneSpec], bool], str]
@@ -165,10 +166,10 @@ _Rule = tuple[str, Callable[[SceneSpec], bool], str]
 _RULES: tuple[_Rule, ...] = (
     ("cell_m", lambda s: _pair(s.cell_m), f"two lengths up to {_LARGEST_CELL_M} m"),
     ("padding_m", lambda s: _pair(s.padding_m), "two lengths from 0 m"),
-    ("stars", lambda s: len(s.stars) > 0 and _whole(*s.stars) and s.stars[0] >= 0, "whole numbers from 0"),
-    ("stars", lambda s: _rising(s.stars), "each number larger than the one before"),
+    ("stars", lambda s: len(s.stars) > 0 and is_whole(*s.stars) and s.stars[0] >= 0, "whole numbers from 0"),
+    ("stars", lambda s: all(a < b for a, b in pairwise(s.stars)), "each number larger than the one before"),
     ("distractors", lambda s: _pair(s.distractors, _MOST_OBJECTS), "the least and the most, from 0"),
-    ("distractors", lambda s: _whole(*s.distractors), "two whole numbers"),
+    ("distractors", lambda s: is_whole(*s.distractors), "two whole numbers"),
     ("distractors", lambda s: s.distractors[0] <= s.distractors[1], "the least first, then the most"),
     ("stars", lambda s: s.stars[0] + s.distractors[0] > 0, "at least 1, or distractors: no scene is empty"),
     ("stars", lambda s: s.most_objects <= _MOST_OBJECTS, f"with distractors up to {_MOST_OBJECTS} objects"),
@@ -197,23 +198,8 @@ _RULES: tuple[_Rule, ...] = (
     ("rotation_rad", lambda s: 0 <= s.rotation_rad <= math.tau, "0 to 2 pi"),
     ("collision", lambda s: s.collision in COLLISION_RULES, " or ".join(COLLISION_RULES)),
     ("clearance_m", lambda s: 0 <= s.clearance_m <= _LARGEST_CELL_M, "a length from 0 m"),
-    ("attempts", lambda s: _whole(s.attempts) and s.attempts >= 1, "a whole number from 1"),
-    ("restarts", lambda s: _whole(s.restarts) and s.restarts >= 0, "a whole number from 0"),
+    ("attempts", lambda s: is_whole(s.attempts) and s.attempts >= 1, "a whole number from 1"),
+    ("restarts", lambda s: is_whole(s.restarts) and s.restarts >= 0, "a whole number from 0"),
     ("cell_m", lambda s: min(s.half_area_m) >= 0, "room for the padding and one object side by side"),
 )
 """What every field must keep to, in the order of asking; later rules rely on earlier ones."""
-
-
-def _check(spec: SceneSpec) -> None:
-    for name, holds, expected in _RULES:
-        try:
-            fine = holds(spec)
-        except (TypeError, AttributeError):
-            fine = False
-        if not fine:
-            message = f"{name} of the scene specification is {getattr(spec, name)!r}; expected {expected}"
-            raise InputError(message)
-    # The solids of the shapes need libraries that nothing else here does.
-    from starstruck_gen.rounding import require_fine_steps
-
-    require_fine_steps((spec.star, *spec.distractor_shapes), spec.half_area_m, spec.cell_m)

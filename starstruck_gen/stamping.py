@@ -1,4 +1,4 @@
-"""Meshes of many scenes at once: the solids of the shapes are moved to all their places in one step."""
+"""Meshes of many scenes at once: the solids of the shapes are moved to where they stand in one step."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ def stamp(layouts: Sequence[Sequence[Placement]]) -> SceneMeshes:
     """Make the meshes of a batch of scenes.
 
     Each object is one solid of its own, in order of the placements, standing on z = 0; see
-    :class:`starstruck_gen.placement.Placement` for the frame. A scene's mesh does not depend on what else is
+    :class:`starstruck_gen.Placement` for the frame. A scene's mesh does not depend on what else is
     in the batch.
 
     Parameters
@@ -63,44 +63,33 @@ def stamp(layouts: Sequence[Sequence[Placement]]) -> SceneMeshes:
     face_ends = np.cumsum([0, *(len(made.faces) for made in prisms)])
     # The first object of each scene; one more entry closes the last scene.
     firsts = np.cumsum([0, *map(len, layouts)])
-    vertices = _vertices(prisms, _poses(placements), np.diff(corner_ends))
+    vertices = _vertices(placements, prisms, np.diff(corner_ends))
     # Faces are numbered within their scene, not within the batch.
     shifts = 2 * (corner_ends[:-1] - np.repeat(corner_ends[firsts[:-1]], np.diff(firsts)))
-    faces = _faces(prisms, shifts, np.diff(face_ends))
+    faces = _joined([made.faces for made in prisms], 3, np.int32)
+    faces = faces + np.repeat(shifts.astype(np.int32), np.diff(face_ends))[:, None]
     return SceneMeshes(
         RaggedColumn(vertices, 2 * corner_ends[firsts]), RaggedColumn(faces, face_ends[firsts])
     )
 
 
-def _poses(placements: Sequence[Placement]) -> NDArray[np.float64]:
-    """Return x, y, cos * radius, sin * radius, height of each object, shape (5, n), metres."""
+def _vertices(
+    placements: Sequence[Placement], prisms: Sequence[Prism], counts: NDArray[np.int64]
+) -> NDArray[np.float32]:
+    """Turn, scale and move the corners of all objects, each standing twice: on the plate and above it."""
     # numpy's own cosine may round differently from one processor to the next and by the length of the array;
     # the same bytes in any batch need the C library's.
     poses = [
         (x, y, math.cos(angle) * radius, math.sin(angle) * radius, height)
         for _, x, y, angle, radius, height in placements
     ]
-    return np.array(poses, dtype=np.float64).reshape(-1, 5).T
-
-
-def _vertices(
-    prisms: Sequence[Prism], poses: NDArray[np.float64], counts: NDArray[np.int64]
-) -> NDArray[np.float32]:
-    """Turn, scale and move the corners of all objects, each standing twice: on the plate and above it."""
+    x, y, c, s, height = np.repeat(np.array(poses, dtype=np.float64).reshape(-1, 5).T, counts, axis=1)
     corners = _joined([made.corners for made in prisms], 2, np.float64)
-    x, y, c, s, height = np.repeat(poses, counts, axis=1)
     vertices = np.zeros((len(corners), 2, 3), dtype=np.float32)
     vertices[:, :, 0] = (c * corners[:, 0] - s * corners[:, 1] + x)[:, None]
     vertices[:, :, 1] = (s * corners[:, 0] + c * corners[:, 1] + y)[:, None]
     vertices[:, 1, 2] = height
     return vertices.reshape(-1, 3)
-
-
-def _faces(
-    prisms: Sequence[Prism], shifts: NDArray[np.int64], counts: NDArray[np.int64]
-) -> NDArray[np.int32]:
-    faces = _joined([made.faces for made in prisms], 3, np.int32)
-    return faces + np.repeat(shifts.astype(np.int32), counts)[:, None]
 
 
 def _joined(parts: list[NDArray[Any]], width: int, dtype: type[np.generic]) -> NDArray[Any]:

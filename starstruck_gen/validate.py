@@ -11,9 +11,9 @@ from typing import Any
 
 from starstruck_gen.checking import check_scene, inspect_scene
 from starstruck_gen.dataset import SceneRecord
-from starstruck_gen.proportions import Proportions
-from starstruck_gen.registry import own_kinds, register_shape
 from starstruck_gen.rows import CLASS_NAMES
+from starstruck_gen.shapes import Proportions
+from starstruck_gen.solid import own_kinds, register_shape
 from tactile_toolkit.catalog.locate import find_shards, splits_of, splits_to_check
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.mesh.columns import FACES, VERTICES, class_names, require_mesh_columns

@@ -6,7 +6,7 @@ import numbers
 from collections.abc import Iterable, Mapping
 from typing import Any
 
-__all__ = ["counted", "plain", "plain_number", "plain_pairs"]
+__all__ = ["counted", "is_whole", "plain", "plain_number", "plain_pairs"]
 
 _LONG_PLURALS = ("ches", "shes", "sses", "xes")
 
@@ -58,3 +58,8 @@ def plain_number(value: Any, kind: type[int] | type[float] = int) -> Any:
 def plain_pairs(values: Any) -> Any:
     """Return pairs of a name and a number, given as such or as a mapping, as a tuple of tuples."""
     return plain(values.items() if isinstance(values, Mapping) else values)
+
+
+def is_whole(*values: object) -> bool:
+    """Tell whether all values are whole numbers; True and False are not."""
+    return all(isinstance(value, int) and not isinstance(value, bool) for value in values)

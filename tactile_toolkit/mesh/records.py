@@ -1,23 +1,25 @@
-"""Records of stored meshes, and reading them in one pass."""
+"""Records of stored meshes, data sets of them, and reading them in one pass."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import TYPE_CHECKING, Generic, TypeVar
+from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_toolkit.mesh.columns import FACES, VERTICES, class_names
-from tactile_toolkit.read.dataset import Record, Row
-from tactile_toolkit.read.parquet import Shard
+from tactile_toolkit.kind import DatasetKind
+from tactile_toolkit.mesh.columns import FACES, VERTICES, class_names, require_mesh_columns
+from tactile_toolkit.read.dataset import Record, RecordDataset, Row
+from tactile_toolkit.read.parquet import Shard, ShardedTable
 
 if TYPE_CHECKING:
     import trimesh
 
-__all__ = ["RecordStream", "SolidRecord"]
+__all__ = ["RecordStream", "SolidDataset", "SolidRecord", "open_solids"]
 
 R = TypeVar("R", bound=Record)
+D = TypeVar("D", bound=RecordDataset[Any])
 
 
 class SolidRecord(Record):
@@ -50,10 +52,21 @@ class SolidRecord(Record):
         """The mesh, metres. Vertices stay as they are stored: none is merged, dropped or moved."""
         return self._once("mesh", self._build_mesh)
 
+    @property
+    def volume_m3(self) -> float:
+        """Volume in cubic metres: the stored one, or that of the mesh where none is stored."""
+        return float(self._row.value("volume_m3") if self._row.has("volume_m3") else self.mesh.volume)
+
     def _build_mesh(self) -> trimesh.Trimesh:
         import trimesh
 
         return trimesh.Trimesh(self.vertices_m, self.faces, process=False)
+
+
+class SolidDataset(RecordDataset[SolidRecord]):
+    """A lazy sequence of meshes of no kind of its own: any data set in the published mesh layout."""
+
+    record = SolidRecord
 
 
 class RecordStream(Generic[R]):
@@ -85,3 +98,17 @@ class RecordStream(Generic[R]):
             for index in range(shard.metadata.num_row_groups):
                 for block in shard.blocks(index):
                     yield from (self._record(Row(block, row)) for row in range(len(block.table)))
+
+
+def open_solids(
+    shards: tuple[Shard, ...], name: str, dataset: type[D], kind: DatasetKind, *, streaming: bool = False
+) -> D | RecordStream[Any]:
+    """Open shards as a data set of one kind, or as a stream of its records.
+
+    ``name`` is the data set in the user's words. Raises InputError when a mesh column is missing.
+    """
+    table = ShardedTable(shards)
+    require_mesh_columns(table.schema, name, kind.made_by)
+    if streaming:
+        return RecordStream(shards, dataset.record, kind.class_names)
+    return dataset([table], label_names=class_names(table.schema, kind.class_names, name))

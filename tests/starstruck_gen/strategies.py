@@ -7,8 +7,7 @@ import math
 from hypothesis import strategies as st
 
 from starstruck_gen.placement import Placement
-from starstruck_gen.proportions import Crescent, Cross, Disc, Ring, Star
-from starstruck_gen.shapes import OUTLINES, STAR, Shape
+from starstruck_gen.shapes import OUTLINES, STAR, Crescent, Cross, Disc, Ring, Shape, Star
 from starstruck_gen.spec import SceneSpec
 
 names = st.sampled_from(sorted(OUTLINES))

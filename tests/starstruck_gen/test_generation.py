@@ -13,17 +13,15 @@ import numpy as np
 import pyarrow.parquet as pq
 import pytest
 
-from starstruck_gen.acceptance import count_scenes
-from starstruck_gen.errors import SamplingExhausted
 from starstruck_gen.generation import GenerateSpec, generate, inspect_out, plan_build
 from starstruck_gen.placement import Placement
 from starstruck_gen.proof import require_sound
-from starstruck_gen.proportions import Disc, Star
 from starstruck_gen.rows import make_rows, scene_schema
-from starstruck_gen.shapes import Shape
+from starstruck_gen.sampling import SamplingExhausted
+from starstruck_gen.shapes import Disc, Shape, Star
 from starstruck_gen.spec import SceneSpec
 from starstruck_gen.stamping import stamp
-from starstruck_gen.summary import summarise
+from starstruck_gen.summary import count_scenes, summarise
 from starstruck_gen.validate import validate_folder
 from tactile_toolkit.errors import InputError, IntegrityError, SpecMismatchError
 from tactile_toolkit.run.processes import ProcessRunner

@@ -13,9 +13,9 @@ from hypothesis import strategies as st
 
 import starstruck_gen
 from starstruck_gen import SamplingExhausted, SceneSpec, sample_scene, scene_rng
-from starstruck_gen.collision import CLEAR
 from starstruck_gen.generation import GenerateSpec, generate
 from starstruck_gen.picture import REJECTED, centre_px, draw_scene, draw_trace
+from starstruck_gen.placement import CLEAR
 from starstruck_gen.preview_scene import draw_one, traced
 from starstruck_gen.previews import PreviewSpec, plan_previews
 from starstruck_gen.sampling import SceneTrace, trace_scene

@@ -12,10 +12,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from starstruck_gen.proof import require_sound
-from starstruck_gen.proportions import KINDS, Crescent, Cross, Disc, Ring, Star
 from starstruck_gen.rows import make_rows, scene_table
 from starstruck_gen.scene import Scene
-from starstruck_gen.shapes import OUTLINES, Shape, outline
+from starstruck_gen.shapes import KINDS, OUTLINES, Crescent, Cross, Disc, Ring, Shape, Star, outline
 from starstruck_gen.solid import prism
 from starstruck_gen.spec import SceneSpec
 from starstruck_gen.validate import check_scene
@@ -115,14 +114,14 @@ def test_crescent_keeps_its_horns_where_they_are_asked_for():
         (lambda: Shape.parse("box(side=1)"), "unknown proportion 'side' of shape 'box'; expected none"),
         (
             lambda: Shape.parse("ring(0.3)"),
-            "'0.3' in shape 'ring.0.3.' is no proportion; expected NAME=NUMBER",
+            "'0.3' in shape 'ring.0.3.' is not a proportion; expected NAME=NUMBER",
         ),
         (
             lambda: Shape.parse("ring(hole_ratio=.3,hole_ratio=.4)"),
             "gives 'hole_ratio' 2 times; expected each number once",
         ),
         (lambda: Shape("star", "10"), "radius_m of shape 'star' is '10'; expected 0.0001 to 1"),
-        (lambda: Shape.parse("ring(hole_ratio=0.3"), "is no shape; expected a name such as ring"),
+        (lambda: Shape.parse("ring(hole_ratio=0.3"), "is not a shape; expected a name such as ring"),
         (lambda: outline("star(points=1e9)"), "points of shape 'star' is 1000000000.0"),
         (lambda: outline("moon"), "unknown shape 'moon'; expected one of star, box"),
     ],

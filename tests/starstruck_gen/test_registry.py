@@ -12,10 +12,16 @@ import pytest
 
 from starstruck_gen.dataset import load
 from starstruck_gen.generation import GenerateSpec, generate
-from starstruck_gen.proportions import KINDS, REGISTRY, Disc, Proportions
-from starstruck_gen.registry import register_shape
-from starstruck_gen.shapes import DEFAULT_OUTLINES, OUTLINES, Shape, outline
-from starstruck_gen.solid import prism
+from starstruck_gen.shapes import (
+    KINDS,
+    OUTLINES,
+    REGISTRY,
+    Disc,
+    Proportions,
+    Shape,
+    outline,
+)
+from starstruck_gen.solid import prism, register_shape
 from starstruck_gen.spec import SceneSpec
 from starstruck_gen.validate import validate_folder
 from tactile_toolkit.errors import InputError
@@ -24,11 +30,10 @@ from tests.starstruck_gen.kite import Kite
 
 @pytest.fixture(autouse=True)
 def _only_the_toolkits_own():
-    kinds, outlines = dict(REGISTRY), dict(DEFAULT_OUTLINES)
+    kinds = dict(REGISTRY)
     yield
-    for registry, before in ((REGISTRY, kinds), (DEFAULT_OUTLINES, outlines)):
-        registry.clear()
-        registry.update(before)
+    REGISTRY.clear()
+    REGISTRY.update(kinds)
     outline.cache_clear()
     prism.cache_clear()
 
@@ -110,8 +115,8 @@ def _named(kind, name):
         (_named(Kite, "a b"), "name of shape Kite is 'a b'; expected a plain word"),
         (_Wordy, "field 'colour' of shape 'wordy' has the default 'red'; expected a number"),
         (_Bare, r"outline of shape 'bare' reaches distance 0.707\d* from the origin; expected 1"),
-        (int, "is no kind of shape"),
-        (Disc(), "is no kind of shape"),
+        (int, "is not a kind of shape"),
+        (Disc(), "is not a kind of shape"),
     ],
 )
 def test_unusable_kind_is_refused_and_not_kept(kind, message):

@@ -5,11 +5,15 @@ from dataclasses import replace
 
 import pytest
 
-from starstruck_gen.errors import SamplingExhausted
-from starstruck_gen.proportions import Disc
-from starstruck_gen.room import hopeless, most_with_room
-from starstruck_gen.sampling import require_room, sample_scene, sample_scenes
-from starstruck_gen.shapes import Shape
+from starstruck_gen.sampling import (
+    SamplingExhausted,
+    is_hopeless,
+    most_objects_that_fit,
+    require_feasible,
+    sample_scene,
+    sample_scenes,
+)
+from starstruck_gen.shapes import Disc, Shape
 from starstruck_gen.spec import SceneSpec
 from starstruck_gen.streams import scene_rng
 
@@ -28,13 +32,13 @@ def test_bound_is_not_below_the_densest_packing():
             distractor_shapes=(),
             star=Shape("star", radius_m),
         )
-        assert most_with_room(spec) >= columns * rows
+        assert most_objects_that_fit(spec) >= columns * rows
 
 
 def test_scene_that_was_made_is_within_the_bound():
     for collision in ("circles", "exact"):
         spec = SceneSpec(stars=(10,), distractors=(0, 0), collision=collision)
-        assert len(sample_scene(spec, scene_rng(1)).placements) <= most_with_room(spec)
+        assert len(sample_scene(spec, scene_rng(1)).placements) <= most_objects_that_fit(spec)
 
 
 @pytest.mark.parametrize(
@@ -48,7 +52,7 @@ def test_scene_that_was_made_is_within_the_bound():
 def test_more_objects_than_have_room_anywhere_are_refused_without_a_trial(values, most):
     failures = []
     with pytest.raises(SamplingExhausted, match=f"room for at most {most} of that size") as caught:
-        require_room(SceneSpec(**values), 0, lambda failed, _: failures.append(failed))
+        require_feasible(SceneSpec(**values), 0, lambda failed, _: failures.append(failed))
     assert (failures, caught.value.most, caught.value.number) == ([], most, most + 1)
     assert "attempts or restarts" not in str(caught.value)
 
@@ -57,7 +61,7 @@ def test_layouts_that_never_come_near_are_few_and_told():
     failures = []
     spec = SceneSpec(distractors=(0, 18))
     with pytest.raises(SamplingExhausted, match="no layout came near") as caught:
-        require_room(spec, 0, lambda *told: failures.append(told))
+        require_feasible(spec, 0, lambda *told: failures.append(told))
     assert failures == [(number, spec.restarts + 1) for number in range(1, len(failures) + 1)]
     assert 10 <= len(failures) < 100
     assert caught.value.objects == 21
@@ -76,7 +80,7 @@ def test_numbers_that_would_help_are_named_where_little_was_missing():
     [([5] * 9, 40, False), ([5] * 10, 14, True), ([5] * 10, 13, False), ([3, 7] * 5, 21, False)],
 )
 def test_verdict_follows_from_the_spread_of_the_layouts(reached, objects, verdict):
-    assert hopeless(reached, objects) is verdict
+    assert is_hopeless(reached, objects) is verdict
 
 
 def test_crowded_scene_that_can_be_made_is_still_made():
@@ -88,4 +92,6 @@ def test_crowded_scene_that_can_be_made_is_still_made():
 def test_smallest_shape_decides_the_bound():
     small = Shape("disc", 0.001, Disc(8))
     spec = SceneSpec(distractors=(0, 30), distractor_shapes=(Shape("box"), small))
-    assert most_with_room(spec) > most_with_room(replace(spec, distractor_shapes=(Shape("box"),)))
+    assert most_objects_that_fit(spec) > most_objects_that_fit(
+        replace(spec, distractor_shapes=(Shape("box"),))
+    )

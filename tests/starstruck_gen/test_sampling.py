@@ -12,10 +12,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import stats
 
-from starstruck_gen.collision import circles_clear, outlines_clear
-from starstruck_gen.errors import SamplingExhausted
-from starstruck_gen.placement import Placement
-from starstruck_gen.sampling import require_room, sample_scene, sample_scenes
+from starstruck_gen.placement import Placement, circles_clear, outlines_clear
+from starstruck_gen.sampling import SamplingExhausted, require_feasible, sample_scene, sample_scenes
 from starstruck_gen.shapes import OUTLINES, Shape
 from starstruck_gen.spec import SceneSpec
 from starstruck_gen.streams import SPLITS, SceneStreams, scene_id, scene_rng, scene_seed
@@ -202,9 +200,9 @@ def test_impossible_specification_ends_with_what_failed_and_what_to_change():
 
 
 def test_fullest_scene_is_tried_first():
-    require_room(SceneSpec(), 0)
+    require_feasible(SceneSpec(), 0)
     with pytest.raises(SamplingExhausted):
-        require_room(replace(SceneSpec(), stars=(1, 40), restarts=2), 0)
+        require_feasible(replace(SceneSpec(), stars=(1, 40), restarts=2), 0)
 
 
 def test_starting_over_is_counted():

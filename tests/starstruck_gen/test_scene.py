@@ -102,7 +102,7 @@ def _object(**changes):
 def test_impossible_scene_is_refused_by_field(values, message):
     with pytest.raises(InputError, match=message):
         Scene.from_dict(values)
-    with pytest.raises(InputError, match="no scene"):
+    with pytest.raises(InputError, match="not a scene"):
         Scene.from_json(json.dumps(values))
 
 
@@ -129,13 +129,13 @@ def _changed(**changes):
     ("text", "message"),
     [
         ("{", "must be JSON"),
-        ("{}", "no scene: field 'placements'"),
-        ("[]", "no scene"),
+        ("{}", "not a scene: field 'placements'"),
+        ("[]", "not a scene"),
         (_changed(star_count=2), "declares star_count 2 and places 3"),
         (_changed(attempts=[1]), "1 attempts for"),
         (_changed(placements=[{"shape": "sun"}]), "unknown shape 'sun'"),
-        (_changed(placements=[{"shape": "box"}]), "no scene: field 'x_m'"),
-        (_changed(restarts="many"), "no scene"),
+        (_changed(placements=[{"shape": "box"}]), "not a scene: field 'x_m'"),
+        (_changed(restarts="many"), "not a scene"),
     ],
 )
 def test_wrong_json_is_refused(text, message):

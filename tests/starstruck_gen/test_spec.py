@@ -8,9 +8,8 @@ import pytest
 from hypothesis import given
 
 from starstruck_gen.proof import require_sound
-from starstruck_gen.proportions import Disc
 from starstruck_gen.rows import make_rows
-from starstruck_gen.shapes import Shape
+from starstruck_gen.shapes import Disc, Shape
 from starstruck_gen.spec import SceneSpec
 from tactile_toolkit.errors import InputError
 from tests.starstruck_gen.strategies import specs
