@@ -14,7 +14,7 @@ from realtouch.media.clips import TouchClip
 from realtouch.media.ffmpeg import ffmpeg_count
 from realtouch.media.images import SensorImages
 from realtouch.rounds import TouchRound, TouchSeqRound, TouchSingleRound, has_info
-from tactile_toolkit.errors import InputError, IntegrityError
+from tactile_toolkit.errors import InputError, IntegrityError, MissingExtraError
 from tactile_toolkit.read.dataset import Row
 from tactile_toolkit.touch.jpeg import decode_image, image_size
 from tactile_toolkit.touch.rows import PER_TOUCH_COLUMNS
@@ -194,6 +194,8 @@ def _collect(found: list[Damage], row: Row, look: Callable[[], Any]) -> Any:
     """Look, and note what is wrong instead of raising it; return what the look gave."""
     try:
         return look()
+    except MissingExtraError:  # says nothing of the data
+        raise
     except DamagedRoundError as error:
         found.append(error.damage)
     except (InputError, IntegrityError, ValueError) as error:

@@ -1,15 +1,20 @@
-"""The clips of a round."""
+"""Clips of touches: frames are found through the file's index and decoded one by one, only those asked for.
+
+An AVI of MJPEG frames is a string of JPEGs, which libjpeg decodes. A clip whose index cannot be read goes
+through FFmpeg (PyAV, the extra ``video``).
+"""
 
 from __future__ import annotations
 
 import operator
-from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any, overload
+from collections.abc import Callable, Iterator, Sequence
+from typing import TYPE_CHECKING, Any, TypeVar, overload
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import DTypeLike, NDArray
 
 from realtouch.columns.poses import (
+    clip_length,
     clip_lengths,
     clip_poses,
     clip_times,
@@ -19,6 +24,7 @@ from realtouch.columns.poses import (
     times_of_touches,
     touch_times,
 )
+from realtouch.columns.stored_clips import stored_clip
 from realtouch.contact import (
     DEFAULT_MIN_AREA,
     DEFAULT_MIN_CHANGE,
@@ -30,32 +36,25 @@ from realtouch.contact import (
     require_method,
 )
 from realtouch.integrity.damage import damaged
-from realtouch.media.clip_frames import DECODERS, ClipFrames, Decoder
+from realtouch.media.ffmpeg import ffmpeg_count, ffmpeg_fps, ffmpeg_frames, ffmpeg_size
 from realtouch.media.images import in_parallel, positions_of
 from realtouch.poses import Poses
-from tactile_toolkit.errors import InputError, IntegrityError, ItemError, MissingExtraError
+from tactile_toolkit.errors import InputError, ItemError, MissingExtraError
 from tactile_toolkit.read.dataset import Row
 from tactile_toolkit.read.nested import BytesColumn, nested_column
-from tactile_toolkit.touch.avi import find_frame
-from tactile_toolkit.touch.jpeg import Pixels, decode_image, room_for
+from tactile_toolkit.touch.avi import Avi, AviIndex, NoIndexError
+from tactile_toolkit.touch.jpeg import Pixels, decode_image, image_size, room_for
 
 if TYPE_CHECKING:
     from torchcodec.decoders import VideoDecoder
 
-__all__ = [
-    "DECODERS",
-    "Decoder",
-    "SensorClips",
-    "TouchClip",
-    "contact_frames_of",
-    "contact_windows_of",
-    "decode_frames",
-]
+__all__ = ["SensorClips", "TouchClip", "contact_frames_of", "contact_windows_of", "decode_frames"]
 
+T = TypeVar("T")
 NO_CONTACT = "no-contact"
 
 
-class TouchClip(ClipFrames):
+class TouchClip(Sequence[Pixels]):
     """The clip of one touch.
 
     ``clip[i]`` gives (H, W, 3) uint8; a slice, ints or a boolean mask give (n, H, W, 3). No frame is kept.
@@ -69,11 +68,189 @@ class TouchClip(ClipFrames):
         The round.
     touch : int
         Number of the touch in it.
-    decoder : "libjpeg" or "ffmpeg"
-        Which decoder to use; see :mod:`realtouch.media.clip_frames`.
+
+    Attributes
+    ----------
+    data : memoryview
+        The file as it is stored.
+    touch : int
+        Number of the touch in its round.
+
+    Raises
+    ------
+    IntegrityError
+        The clip is cut short, damaged, exceeds the limits or has another length than the round states; names
+        file, row and touch.
+    MissingExtraError
+        The clip is not an AVI of JPEGs, and PyAV is not installed.
     """
 
-    __slots__ = ()
+    __slots__ = ("_avi", "_count", "_index", "_row", "data", "touch")
+
+    def __init__(self, row: Row, touch: int) -> None:
+        self._row, self.touch = row, touch
+        self.data = stored_clip(row, touch)
+        self._avi: Avi | None = None
+        self._index: AviIndex | None = None
+        stated = clip_length(row, touch)
+        try:
+            avi = Avi(self.data)
+            # As many entries as frames: each entry is a frame, so one is found without reading them all.
+            if stated is None or avi.entry_count != stated or avi.frame(0) is None:
+                self._index = avi.index()
+            self._avi = avi
+        except NoIndexError:
+            self._count = self._named(lambda: ffmpeg_count(self.data)) if stated is None else stated
+        except ValueError as error:
+            raise damaged(row, "sensor_video", str(error), touch) from error
+        else:
+            self._count = avi.entry_count
+            if self._index is not None:
+                self._count = len(self._index)
+                self._require_length(self._count)
+
+    def __len__(self) -> int:
+        return self._count
+
+    def __getitem__(self, index: Any) -> Pixels:  # type: ignore[override]
+        """Decode one frame, or some into one array.
+
+        Raises
+        ------
+        IntegrityError
+            A frame is damaged; names file, row and touch.
+        """
+        if isinstance(index, (slice, list, tuple, np.ndarray)):
+            return self.frames(index)
+        frame = self._position(operator.index(index))
+        if self._avi is not None:
+            return self._decode(frame)
+        pixels: Pixels = self._named(lambda: ffmpeg_frames(self.data, [frame], self._count))[0]
+        return pixels
+
+    def frames(self, index: Any = slice(None), *, threads: int = 1) -> Pixels:
+        """Decode frames into one array.
+
+        Parameters
+        ----------
+        index : slice, sequence of int, or boolean mask
+            Which frames; all by default.
+        threads : int
+            How many frames to decode at a time.
+
+        Returns
+        -------
+        ndarray, shape (n, H, W, 3), uint8
+
+        Raises
+        ------
+        IntegrityError
+            A frame is damaged, or they exceed :data:`tactile_toolkit.touch.jpeg.MAX_BATCH_PIXELS`.
+        """
+        wanted = positions_of(index, self._count)
+        if self._avi is None:
+            return self._named(lambda: ffmpeg_frames(self.data, wanted, self._count))
+        self._whole_index()  # refuses frames that overlap: few bytes that decode to any amount of pixels
+        size = self.size
+        pixels = self._named(lambda: room_for(len(wanted), size))
+        in_parallel(lambda number: self._decode(wanted[number], pixels[number]), len(wanted), threads)
+        return pixels
+
+    def __iter__(self) -> Iterator[dict[str, Any]]:  # type: ignore[override]
+        """Yield ``{"data", "pts"}``: a (3, H, W) uint8 tensor (without torch an array), and seconds."""
+        try:
+            from torch import from_numpy as to_data
+        except ImportError:
+            to_data = np.asarray
+        for frame, time_s in enumerate(self.media_times_s):
+            pixels = np.ascontiguousarray(self[frame].transpose(2, 0, 1))
+            yield {"data": to_data(pixels), "pts": float(time_s)}
+
+    def __array__(self, dtype: DTypeLike | None = None, copy: bool | None = None) -> NDArray[Any]:
+        """Return all frames, shape (N, H, W, 3), for numpy: the items of an iteration are not arrays."""
+        if copy is False:
+            message = "frames are decoded into a new array; a clip cannot be an array without a copy"
+            raise ValueError(message)
+        return np.asarray(self.frames(), dtype)
+
+    @property
+    def has_index(self) -> bool:
+        """Whether the clip is an indexed AVI of JPEGs, whose frames are found without decoding others."""
+        return self._avi is not None
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """Height and width of a frame, pixels."""
+        if self._avi is None:
+            return self._named(lambda: ffmpeg_size(self.data))
+        return self._named(lambda: image_size(self.encoded(0)))
+
+    @property
+    def fps(self) -> float:
+        """Frames per second that the file states; 25 in the published sets."""
+        return self._avi.fps if self._avi is not None else self._named(lambda: ffmpeg_fps(self.data))
+
+    @property
+    def media_times_s(self) -> NDArray[np.float64]:
+        """Time of each frame on the file's own clock, shape (N,), seconds from its first frame."""
+        # A repeated frame takes a slot of time; with as many entries as frames, there is none.
+        slots = self._index.slots if self._index is not None else None
+        return (np.arange(self._count) if slots is None else slots) / self.fps
+
+    def encoded(self, frame: int) -> memoryview:
+        """Return the JPEG of one frame as it is stored.
+
+        Parameters
+        ----------
+        frame : int
+            Which frame; from the end where negative.
+
+        Returns
+        -------
+        memoryview
+
+        Raises
+        ------
+        InputError
+            The clip is not an indexed AVI of MJPEG frames.
+        IntegrityError
+            The index does not lead to the frame; names file, row and touch.
+        """
+        if self._avi is None:
+            message = f"touch {self.touch}: the clip is not an indexed AVI of JPEGs; next: decode its frames"
+            raise InputError(message)
+        position = self._position(frame)
+        found = self._avi.frame(position) if self._index is None else None
+        return self._whole_index().frame(self.data, position) if found is None else found
+
+    def contact_into(self, out: Pixels, method: str = "contact_end", **thresholds: float) -> None:
+        """Decode the frame that shows the contact into an array of its size; see :meth:`contact_index`.
+
+        Parameters
+        ----------
+        out : ndarray, shape (H, W, 3), uint8
+            Where to put it.
+        method : str
+            As for :meth:`contact_index`.
+        **thresholds : float
+            As for :meth:`contact_index`.
+        """
+        self.decode_into(out, self.contact_index(method, **thresholds))
+
+    def decode_into(self, out: Pixels, frame: int) -> None:
+        """Decode one frame into an array of its size.
+
+        Parameters
+        ----------
+        out : ndarray, shape (H, W, 3), uint8
+            Where to put it.
+        frame : int
+            Which frame.
+        """
+        if self._avi is not None:
+            self._decode(frame, out)
+        else:
+            out[...] = self[frame]
 
     @property
     def timestamps_s(self) -> NDArray[np.float64]:
@@ -129,16 +306,27 @@ class TouchClip(ClipFrames):
         min_change, min_area : float
             Thresholds of ``"median"``: grey levels and share of the picture.
 
+        Returns
+        -------
+        int
+
         Raises
         ------
         InputError
-            No such method.
+            There is no such method.
         ItemError
             ``"median"`` finds no frame that shows contact (reason ``"no-contact"``).
         """
         chosen = require_method(method)
         if chosen == "median":
-            return self._most_changed(min_change, min_area)
+            frame = most_changed_frame(self.frames(), min_change=min_change, min_area=min_area)
+            if frame is None:
+                message = (
+                    f"touch {self.touch} of {self._row.path!r}, row {self._row.number}, shows no contact: no "
+                    f"frame differs from the median by {min_change} levels on {min_area:.2%} of its pixels"
+                )
+                raise ItemError(NO_CONTACT, message)
+            return frame
         window = self.contact_window
         if chosen == "contact_start":
             return int(window.start)
@@ -149,10 +337,6 @@ class TouchClip(ClipFrames):
     def contact_frame(self, method: str = "contact_end", **thresholds: float) -> Pixels:
         """Decode the frame that shows the contact, (H, W, 3) uint8; see :meth:`contact_index`."""
         return self[self.contact_index(method, **thresholds)]
-
-    def contact_into(self, out: Pixels, method: str = "contact_end", **thresholds: float) -> None:
-        """Decode the frame that shows the contact into an array of its size, shape (H, W, 3), uint8."""
-        self.decode_into(out, self.contact_index(method, **thresholds))
 
     def to_torchcodec(self) -> VideoDecoder:
         """Return a ``torchcodec`` decoder of the clip, as `datasets` hands them out.
@@ -169,35 +353,53 @@ class TouchClip(ClipFrames):
             raise MissingExtraError(feature, "torchcodec", "torch") from error
         return VideoDecoder(bytes(self.data))
 
-    def _most_changed(self, min_change: float, min_area: float) -> int:
-        frame = most_changed_frame(self.frames(), min_change=min_change, min_area=min_area)
-        if frame is None:
-            message = (
-                f"touch {self.touch} of {self._row.path!r}, row {self._row.number}, shows no contact: no "
-                f"frame differs from the median by {min_change} levels on {min_area:.2%} of its pixels"
-            )
-            raise ItemError(NO_CONTACT, message)
-        return frame
+    def _whole_index(self) -> AviIndex:
+        if self._index is None:
+            assert self._avi is not None
+            index = self._named(self._avi.index)
+            self._require_length(len(index))
+            self._index = index
+        return self._index
+
+    def _require_length(self, found: int) -> None:
+        stated = clip_length(self._row, self.touch)
+        if stated is not None and stated != found:
+            problem = f"a clip of {found} frames; expected {stated} by 'video_length_frames'"
+            raise damaged(self._row, "sensor_video", problem, self.touch)
+
+    def _decode(self, frame: int, out: Pixels | None = None) -> Pixels:
+        try:
+            return decode_image(self.encoded(frame), out)
+        except ValueError as error:
+            raise damaged(self._row, "sensor_video", f"frame {frame}: {error}", self.touch) from error
+
+    def _named(self, work: Callable[[], T]) -> T:
+        """Do some work, whose ValueError is damage of this clip."""
+        try:
+            return work()
+        except ValueError as error:
+            raise damaged(self._row, "sensor_video", str(error), self.touch) from error
+
+    def _position(self, frame: int) -> int:
+        if not -self._count <= frame < self._count:
+            message = f"frame {frame} is out of range for {self._count} frames"
+            raise IndexError(message)
+        return frame + self._count if frame < 0 else frame
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return (TouchClip, (self._row, self.touch))
 
     def __repr__(self) -> str:
         return f"TouchClip(touch {self.touch}, {self._count} frames)"
 
 
 class SensorClips(Sequence[TouchClip]):
-    """The clips of one round; opening one reads its index, no frame.
+    """The clips of one round; each is opened when it is asked for."""
 
-    Parameters
-    ----------
-    row : Row
-        The round.
-    decoder : "libjpeg" or "ffmpeg"
-        Decoder of its clips.
-    """
+    __slots__ = ("_blobs", "_count", "_lengths", "_start", "row")
 
-    __slots__ = ("_blobs", "_count", "_decoder", "_lengths", "_start", "row")
-
-    def __init__(self, row: Row, decoder: Decoder = "libjpeg") -> None:
-        self.row, self._decoder = row, decoder
+    def __init__(self, row: Row) -> None:
+        self.row = row
         self._count = media_count(row, "sensor_video")
         column = nested_column(row.group, "sensor_video")
         self._start = column.inside(0, row.index, row.index + 1)[0]
@@ -212,34 +414,20 @@ class SensorClips(Sequence[TouchClip]):
     @overload
     def __getitem__(self, index: slice | Sequence[int]) -> list[TouchClip]: ...
     def __getitem__(self, index: Any) -> TouchClip | list[TouchClip]:
-        """Open one clip, or some.
-
-        Raises
-        ------
-        IntegrityError
-            The clip is cut short, damaged or exceeds the limits; names file, row and touch.
-        """
+        """Open one clip, or some; raises as :class:`TouchClip`."""
         if isinstance(index, (slice, list, tuple, np.ndarray)):
-            return [TouchClip(self.row, touch, self._decoder) for touch in positions_of(index, self._count)]
+            return [TouchClip(self.row, touch) for touch in positions_of(index, self._count)]
         touch = operator.index(index)
         if not -self._count <= touch < self._count:
             message = f"touch {touch} is out of range for {self._count} touches"
             raise IndexError(message)
-        return TouchClip(self.row, touch % self._count, self._decoder)
+        return TouchClip(self.row, touch % self._count)
 
     def room(self, count: int, out: Pixels | None = None) -> Pixels:
         """Return an array for ``count`` frames of the first clip's size: a new one, or ``out`` if it fits.
 
-        Returns
-        -------
-        ndarray, shape (count, H, W, 3), uint8
-
-        Raises
-        ------
-        InputError
-            ``out`` is no such array.
-        IntegrityError
-            The frames exceed :data:`tactile_toolkit.touch.jpeg.MAX_BATCH_PIXELS`.
+        Raises InputError when ``out`` cannot take them, IntegrityError when they exceed
+        :data:`tactile_toolkit.touch.jpeg.MAX_BATCH_PIXELS`.
         """
         size = self[0].size if self._count else (0, 0)
         try:
@@ -248,74 +436,45 @@ class SensorClips(Sequence[TouchClip]):
             raise damaged(self.row, "sensor_video", str(error)) from error
 
     def find_frame(self, touch: int, frame: int) -> memoryview | None:
-        """Return the JPEG of one frame of one clip, without opening the clip; None where that takes more.
-
-        Raises
-        ------
-        IntegrityError
-            The length of a clip is missing or negative.
-        """
+        """Return the JPEG of one frame of one clip, without opening the clip; None where that takes more."""
         if self._lengths is None:
             stated = clip_lengths(self.row)
             self._lengths = [] if stated is None else stated.tolist()
         blob = self._blobs[self._start + touch]
-        if self._decoder != "libjpeg" or not self._lengths or blob is None:
+        if blob is None or not self._lengths:
             return None
-        return find_frame(blob, frame, self._lengths[touch])
-
-    def damaged_frame(self, touch: int, frame: int, error: ValueError) -> IntegrityError:
-        """Return the error for a frame that cannot be decoded."""
-        return damaged(self.row, "sensor_video", f"frame {frame}: {error}", touch)
+        try:
+            avi = Avi(blob)
+        except ValueError:  # opening the clip names what is wrong with it
+            return None
+        return avi.frame(frame) if avi.entry_count == self._lengths[touch] else None
 
     def __reduce__(self) -> tuple[Any, ...]:
-        return (SensorClips, (self.row, self._decoder))
+        return (SensorClips, (self.row,))
 
     def __repr__(self) -> str:
         return f"SensorClips({self._count} touches)"
 
 
 def contact_windows_of(clips: SensorClips) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Return the frames of contact of every clip; see :func:`realtouch.contact.contact_window`.
+    """Return first frame of contact, and one more than the last, of every clip of a round, shapes (T,).
 
-    Parameters
-    ----------
-    clips : SensorClips
-        Clips of a round.
-
-    Returns
-    -------
-    starts, stops : ndarray, shape (T,), int64
-        First frame of contact of each clip, and one more than the last.
-
-    Raises
-    ------
-    IntegrityError
-        Times are missing or impossible; names file, row and touch.
+    See :func:`realtouch.contact.contact_window`. Raises IntegrityError when times are missing or impossible.
     """
     times = padded_times(clips.row)
-    if times is None:
-        windows = [clip.contact_window for clip in clips]
-        starts, stops = ([getattr(window, end) for window in windows] for end in ("start", "stop"))
-        return np.array(starts, np.int64), np.array(stops, np.int64)
-    return contact_windows(*times, *times_of_touches(clips.row))
+    if times is not None:
+        return contact_windows(*times, *times_of_touches(clips.row))
+    windows = [clip.contact_window for clip in clips]
+    starts, stops = ([getattr(window, end) for window in windows] for end in ("start", "stop"))
+    return np.array(starts, np.int64), np.array(stops, np.int64)
 
 
 def contact_frames_of(clips: SensorClips, method: ContactMethod) -> list[int]:
-    """Return the frame that shows the contact of every clip, by time or by pose.
+    """Return the frame of every clip of a round that shows the contact, by time or pose (not ``"median"``).
 
-    Parameters
-    ----------
-    clips : SensorClips
-        Clips of a round.
-    method : str
-        ``"contact_start"``, ``"contact_end"`` or ``"peak"``; see :meth:`realtouch.TouchClip.contact_index`.
-
-    Raises
-    ------
-    IntegrityError
-        Times or poses are missing or impossible; names file, row and touch.
+    See :meth:`TouchClip.contact_index`. Raises IntegrityError when times or poses are missing or impossible.
     """
-    starts, stops = _plain_windows(clips)
+    starts, stops = (ends.tolist() for ends in contact_windows_of(clips))
     if method == "contact_start":
         return starts
     if method == "contact_end":
@@ -325,35 +484,16 @@ def contact_frames_of(clips: SensorClips, method: ContactMethod) -> list[int]:
     return [start + deepest_frame(z_m[start:stop]) for z_m, start, stop in windows]
 
 
-def _plain_windows(clips: SensorClips) -> tuple[list[int], list[int]]:
-    starts, stops = contact_windows_of(clips)
-    return starts.tolist(), stops.tolist()
-
-
 def decode_frames(
     clips: SensorClips, touches: Sequence[int], frames: Sequence[int], out: Pixels, threads: int
 ) -> None:
-    """Decode one frame each of several clips.
+    """Decode one frame each of n clips into ``out``, shape (n, H, W, 3), uint8, in some threads.
 
-    Parameters
-    ----------
-    clips : SensorClips
-        Clips of a round.
-    touches, frames : sequence of int
-        Which frame of which clip; of equal length n.
-    out : ndarray, shape (n, H, W, 3), uint8
-        Where to put them.
-    threads : int
-        How many to decode at a time.
-
-    Raises
-    ------
-    IntegrityError
-        A frame is damaged or of another size; names file, row and touch.
+    Raises IntegrityError when a frame is damaged or of another size; it names file, row and touch.
     """
 
-    def decode(place: int) -> None:
-        touch, frame, pixels = touches[place], frames[place], out[place]
+    def decode(number: int) -> None:
+        touch, frame, pixels = touches[number], frames[number], out[number]
         data = clips.find_frame(touch, frame)
         if data is None:
             clips[touch].decode_into(pixels, frame)
@@ -361,6 +501,6 @@ def decode_frames(
         try:
             decode_image(data, pixels)
         except ValueError as error:
-            raise clips.damaged_frame(touch, frame, error) from error
+            raise damaged(clips.row, "sensor_video", f"frame {frame}: {error}", touch) from error
 
     in_parallel(decode, len(touches), threads)

@@ -1,4 +1,4 @@
-"""Clips through FFmpeg (PyAV): the other decoder, and the only one for files without an index of JPEGs."""
+"""Clips through FFmpeg (PyAV): only for files that are not indexed AVIs of JPEGs."""
 
 from __future__ import annotations
 
@@ -9,15 +9,25 @@ from typing import Any
 
 import numpy as np
 
+from tactile_toolkit.errors import MissingExtraError
 from tactile_toolkit.touch.avi import MAX_CLIP_FRAMES
 from tactile_toolkit.touch.jpeg import MAX_BATCH_PIXELS, MAX_IMAGE_PIXELS, Pixels, decode_image
 
 __all__ = ["ffmpeg_count", "ffmpeg_fps", "ffmpeg_frames", "ffmpeg_size"]
 
 
-def _open_video(data: memoryview) -> Any:
-    import av
+def _av() -> Any:
+    try:
+        import av
+    except ImportError as error:
+        feature = "a clip that is not an indexed AVI of JPEG frames"
+        raise MissingExtraError(feature, "av", "video") from error
+    return av
 
+
+def _open_video(data: memoryview) -> Any:
+    """Open a clip; raises ValueError when it cannot be read or its frames exceed the limit."""
+    av = _av()
     try:
         container = av.open(io.BytesIO(data))
         stream = container.streams.video[0]
@@ -25,55 +35,39 @@ def _open_video(data: memoryview) -> Any:
         start = bytes(data[:8]).hex(" ")
         message = f"{len(data):,} bytes that begin with {start}; expected an AVI with MJPEG frames ({error})"
         raise ValueError(message) from error
-    problem = _unreadable(stream)
+    problem = ""
+    if stream.codec_context is None:  # then it has no size either
+        problem = "a clip of a codec that FFmpeg does not know; expected an AVI with MJPEG frames"
+    elif stream.width * stream.height > MAX_IMAGE_PIXELS:
+        size = f"{stream.width} x {stream.height}"
+        problem = f"a clip of {size} pixels; the limit is {MAX_IMAGE_PIXELS:,} pixels"
     if problem:
         container.close()
         raise ValueError(problem)
     return container
 
 
-def _unreadable(stream: Any) -> str:
-    """Say why a stream is not decoded; empty for one that is."""
-    if stream.codec_context is None:  # then it has no size either
-        return "a clip of a codec that FFmpeg does not know; expected an AVI with MJPEG frames"
-    if stream.width * stream.height > MAX_IMAGE_PIXELS:
-        return f"a clip of {stream.width} x {stream.height} pixels; the limit is {MAX_IMAGE_PIXELS:,} pixels"
-    return ""
-
-
 def ffmpeg_frames(data: memoryview, wanted: Sequence[int], count: int) -> Pixels:
-    """Decode frames of a clip, reading it up to the last one wanted.
+    """Decode frames of a clip, reading it up to the last one wanted; shape (n, H, W, 3), uint8.
 
-    Parameters
-    ----------
-    data : memoryview
-        The whole file.
-    wanted : sequence of int
-        Numbers of the frames, in any order.
-    count : int
-        How many frames the clip should have, for messages.
-
-    Returns
-    -------
-    ndarray, shape (n, H, W, 3), uint8
-
-    Raises
-    ------
-    ValueError
-        A frame is missing or damaged, or the clip cannot be read or exceeds the limits.
+    ``count`` is how many frames it should have, for messages. Raises ValueError when a frame is missing or
+    damaged, or the clip cannot be read or exceeds the limits.
     """
     if not len(wanted):
         return np.empty((0, *ffmpeg_size(data), 3), np.uint8)
     found: dict[int, Pixels] = {}
-    chosen, left = set(wanted), MAX_BATCH_PIXELS
+    chosen, pixels_left = set(wanted), MAX_BATCH_PIXELS
     with _open_video(data) as container:
-        for number, frame in _checked_frames(container, chosen):
-            if number not in chosen:
-                continue
-            left -= frame.width * frame.height
-            if left < 0:
-                raise ValueError(_too_many(len(chosen), frame))
-            found[number] = frame.to_ndarray(format="rgb24")
+        for number, frame in _frames(container, chosen):
+            height, width = frame.shape[:2]
+            pixels_left -= height * width
+            if pixels_left < 0:
+                message = (
+                    f"{len(chosen):,} frames of {width} x {height} pixels at once; the limit is "
+                    f"{MAX_BATCH_PIXELS:,} pixels"
+                )
+                raise ValueError(message)
+            found[number] = frame
             if len(found) == len(chosen):
                 break
     missing = [number for number in wanted if number not in found]
@@ -83,44 +77,33 @@ def ffmpeg_frames(data: memoryview, wanted: Sequence[int], count: int) -> Pixels
     return np.stack([found[number] for number in wanted])
 
 
-def _too_many(count: int, frame: Any) -> str:
-    size = f"{frame.width} x {frame.height}"
-    return f"{count:,} frames of {size} pixels at once; the limit is {MAX_BATCH_PIXELS:,} pixels"
-
-
-def _checked_frames(container: Any, chosen: set[int]) -> Iterator[tuple[int, Any]]:
-    """Decode frame by frame with their numbers, refusing what FFmpeg would patch up and pass on.
-
-    FFmpeg conceals damage inside a JPEG; libjpeg tells of it, so those wanted are put to it first. JPEGs
-    stand alone, so that those not wanted need not be decoded.
-    """
-    import av
-
+def _frames(container: Any, chosen: set[int]) -> Iterator[tuple[int, Pixels]]:
+    """Yield the chosen frames with their numbers, refusing what FFmpeg would patch up and pass on."""
     stream = container.streams.video[0]
     stream.codec_context.options = {"err_detect": "explode"}
+    # FFmpeg conceals damage inside a JPEG; libjpeg tells of it. Each stands alone: others need no decoding.
     is_jpeg = stream.codec_context.name == "mjpeg"
     coded, waiting = -1, deque[int]()
     try:
         for packet in container.demux(stream):
+            coded += packet.size > 0
+            if is_jpeg:
+                if packet.size and coded in chosen:
+                    yield coded, decode_image(bytes(packet))
+                continue
             if packet.size:
-                coded += 1
-                if is_jpeg and coded not in chosen:
-                    continue
-                if is_jpeg:
-                    decode_image(bytes(packet))
                 waiting.append(coded)
+            # Frames come out later than they go in, and once more at the end of the file.
             for frame in packet.decode():
-                yield waiting.popleft() if waiting else coded, _undamaged(frame, coded)
-    except av.FFmpegError as error:
+                if frame.is_corrupt:
+                    message = f"frame {coded} is damaged"
+                    raise ValueError(message)
+                number = waiting.popleft() if waiting else coded
+                if number in chosen:
+                    yield number, frame.to_ndarray(format="rgb24")
+    except _av().FFmpegError as error:
         message = f"frame {max(coded, 0)} cannot be decoded ({error})"
         raise ValueError(message) from error
-
-
-def _undamaged(frame: Any, number: int) -> Any:
-    if frame.is_corrupt:
-        message = f"frame {number} is damaged"
-        raise ValueError(message)
-    return frame
 
 
 def ffmpeg_size(data: memoryview) -> tuple[int, int]:

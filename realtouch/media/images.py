@@ -1,4 +1,4 @@
-"""The images of a round, decoded one at a time and only when asked for."""
+"""The images of a round, decoded one at a time and only when asked for; and work shared by threads."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import operator
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from threading import Lock
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 
@@ -17,8 +17,6 @@ from tactile_toolkit.touch.jpeg import Pixels, decode_image, image_size, room_fo
 
 __all__ = ["SensorImages", "in_parallel", "positions_of"]
 
-T = TypeVar("T")
-
 _LONGEST_RUN = 16
 
 
@@ -27,13 +25,6 @@ class SensorImages(Sequence[Pixels]):
 
     ``images[i]`` gives (H, W, 3) uint8; a slice, list or array of ints, or boolean mask gives (n, H, W, 3).
     Safe to share between threads and to pickle.
-
-    Parameters
-    ----------
-    row : Row
-        The round.
-    name : str
-        Its column of images.
     """
 
     __slots__ = ("_blobs", "_count", "_name", "_row", "_start")
@@ -51,10 +42,8 @@ class SensorImages(Sequence[Pixels]):
     def __getitem__(self, index: Any) -> Pixels:  # type: ignore[override]
         """Decode one image, or some into one array.
 
-        Raises
-        ------
-        IntegrityError
-            An image is damaged, or differs in size from the others asked for; names file, row and touch.
+        Raises IntegrityError when an image is damaged, or differs in size from the others asked for; it names
+        file, row and touch.
         """
         if isinstance(index, (slice, list, tuple, np.ndarray)):
             return self.batch(index)
@@ -82,41 +71,26 @@ class SensorImages(Sequence[Pixels]):
         Raises
         ------
         InputError
-            ``out`` is no such array.
+            ``out`` is not such an array.
         IntegrityError
             As for indexing; or the images exceed :data:`tactile_toolkit.touch.jpeg.MAX_BATCH_PIXELS`.
         """
         touches = positions_of(index, self._count)
-        pixels = self.room(touches, out)
+        first = touches[0] if len(touches) else 0
+        size = self.size(first) if self._count else (0, 0)
+        try:
+            pixels = room_for(len(touches), size, out)
+        except ValueError as error:
+            raise damaged(self._row, self._name, str(error), first) from error
         self.decode_into(pixels, touches, threads=threads)
         return pixels
 
-    def room(self, touches: Sequence[int], out: Pixels | None = None) -> Pixels:
-        """Return an array for some images, shape (n, H, W, 3), uint8: a new one, or ``out`` if it fits.
-
-        Raises
-        ------
-        InputError
-            ``out`` is no array for images of that number and size.
-        IntegrityError
-            The first image is damaged, or all of them exceed the limits.
-        """
-        first = touches[0] if len(touches) else 0
-        size = self.size(first) if self._count else (0, 0)
-        return self._named(first, lambda: room_for(len(touches), size, out))
-
     def decode_into(self, out: Pixels, touches: Sequence[int], *, threads: int = 1) -> None:
-        """Decode several images into an array that :meth:`room` has found to fit."""
-        in_parallel(lambda place: self._decode(touches[place], out[place]), len(touches), threads)
+        """Decode several images into an array of their size, such as ``room_for`` gives."""
+        in_parallel(lambda index: self._decode(touches[index], out[index]), len(touches), threads)
 
     def encoded(self, touch: int) -> memoryview:
-        """Return the stored bytes of one image, without a copy.
-
-        Raises
-        ------
-        IntegrityError
-            When none are stored.
-        """
+        """Return the stored bytes of one image, without a copy; raises IntegrityError when there are none."""
         position = self._position(touch)
         blob = self._blobs[self._start + position]
         if blob is None or len(blob) == 0:
@@ -125,14 +99,14 @@ class SensorImages(Sequence[Pixels]):
 
     def size(self, touch: int = 0) -> tuple[int, int]:
         """Return height and width of one image from its header."""
-        return self._named(touch, lambda: image_size(self.encoded(touch)))
+        try:
+            return image_size(self.encoded(touch))
+        except ValueError as error:
+            raise damaged(self._row, self._name, str(error), touch) from error
 
     def _decode(self, touch: int, out: Pixels | None = None) -> Pixels:
-        return self._named(touch, lambda: decode_image(self.encoded(touch), out))
-
-    def _named(self, touch: int, work: Callable[[], T]) -> T:
         try:
-            return work()
+            return decode_image(self.encoded(touch), out)
         except ValueError as error:
             raise damaged(self._row, self._name, str(error), touch) from error
 
@@ -160,19 +134,21 @@ def in_parallel(work: Callable[[int], object], count: int, threads: int) -> None
         for piece in range(count):
             work(piece)
         return
-    runs, one_at_a_time = iter(_runs(count, threads)), Lock()
+    length = max(1, min(_LONGEST_RUN, count // (4 * threads)))
+    runs = iter(range(start, min(start + length, count)) for start in range(0, count, length))
+    one_at_a_time = Lock()
 
-    def taken() -> range:
+    def next_run() -> range:
         with one_at_a_time:
             return next(runs, range(0))
 
     def share() -> None:
         try:
-            while run := taken():
+            while run := next_run():
                 for piece in run:
                     work(piece)
         except BaseException:
-            while taken():
+            while next_run():
                 pass
             raise
 
@@ -183,33 +159,23 @@ def in_parallel(work: Callable[[int], object], count: int, threads: int) -> None
             other.result()
 
 
-def _runs(count: int, threads: int) -> list[range]:
-    length = max(1, min(_LONGEST_RUN, count // (4 * threads)))
-    return [range(start, min(start + length, count)) for start in range(0, count, length)]
-
-
 def positions_of(index: Any, count: int) -> Sequence[int]:
-    """Turn a slice, ints or a boolean mask into places below ``count``.
+    """Turn a slice, ints or a boolean mask into indices from 0 to below ``count``.
 
-    Raises
-    ------
-    IndexError
-        A place out of range, or a mask of another length.
-    TypeError
-        Anything else.
+    Raises IndexError for an index out of range or a mask of another length, TypeError for anything else.
     """
     if isinstance(index, slice):
         return range(*index.indices(count))
-    places = np.asarray(index)
-    if places.dtype == bool:
-        if places.shape != (count,):
-            message = f"a boolean mask of shape {places.shape} for {count} items"
+    chosen = np.asarray(index)
+    if chosen.dtype == bool:
+        if chosen.shape != (count,):
+            message = f"a boolean mask of shape {chosen.shape} for {count} items"
             raise IndexError(message)
-        return np.flatnonzero(places).tolist()
-    if places.ndim != 1 or (places.size and places.dtype.kind not in "iu"):
-        message = f"items are chosen by a slice, ints or booleans, not {places.dtype} of shape {places.shape}"
+        return np.flatnonzero(chosen).tolist()
+    if chosen.ndim != 1 or (chosen.size and chosen.dtype.kind not in "iu"):
+        message = f"items are chosen by a slice, ints or booleans, not {chosen.dtype} of shape {chosen.shape}"
         raise TypeError(message)
-    if places.size and not -count <= places.min() <= places.max() < count:
-        message = f"index {places.min()} to {places.max()} is out of range for {count} items"
+    if chosen.size and not -count <= chosen.min() <= chosen.max() < count:
+        message = f"index {chosen.min()} to {chosen.max()} is out of range for {count} items"
         raise IndexError(message)
-    return [int(place) % count for place in places]
+    return [int(position) % count for position in chosen]

@@ -35,7 +35,7 @@ def no_bytes(row: dict[str, Any]) -> None:
 def bomb(row: dict[str, Any]) -> None:
     data = bytearray(row["sensor_image"][2]["bytes"])
     place = data.find(b"\xff\xc0")
-    data[place + 5 : place + 9] = b"\xff\xff\xff\xff"
+    data[place + 5 : place + 9] = b"\xf0\x00\xf0\x00"
     row["sensor_image"][2]["bytes"] = bytes(data)
 
 
@@ -73,7 +73,7 @@ SINGLE: dict[str, tuple[Edit, int | None, str, str]] = {
     "cut image": (cut_image, 3, "sensor_image", "cannot be decoded"),
     "no JPEG": (no_jpeg, 1, "sensor_image", "expected a JPEG"),
     "no bytes": (no_bytes, 4, "sensor_image", "no bytes are stored"),
-    "bomb": (bomb, 2, "sensor_image", "65535 x 65535 pixels; the limit is"),
+    "bomb": (bomb, 2, "sensor_image", "61440 x 61440 pixels; the limit is"),
     "flat quaternion": (
         flat_quaternion,
         2,

@@ -13,7 +13,6 @@ from PIL import Image
 
 import realtouch
 from realtouch.media.images import positions_of
-from tactile_toolkit.touch import jpeg as module
 from tactile_toolkit.touch.jpeg import MAX_IMAGE_BYTES, decode_image, encode_image, image_size
 from tests.realtouch.factories import encode_jpeg
 
@@ -50,16 +49,6 @@ def test_grey_and_progressive_jpegs_are_rgb() -> None:
     stream = io.BytesIO()
     Image.fromarray(smooth(20, 30)[..., 0]).save(stream, "JPEG")
     np.testing.assert_array_equal(decode_image(stream.getvalue()), pillow(stream.getvalue()))
-
-
-def test_without_simplejpeg_pillow_decodes(monkeypatch: pytest.MonkeyPatch) -> None:
-    data = encode_jpeg(PICTURES)
-    reference = decode_image(data).copy()
-    monkeypatch.setitem(__import__("sys").modules, "simplejpeg", None)
-    monkeypatch.setattr(module, "_JPEG", [module._first_jpeg_decoder])
-    np.testing.assert_array_equal(decode_image(data), reference)
-    with pytest.raises(ValueError, match="cannot be decoded"):
-        decode_image(data[: len(data) // 2])
 
 
 @pytest.mark.parametrize("kind", ["PNG", "WEBP"])
@@ -102,8 +91,8 @@ def test_a_cut_jpeg_is_never_decoded(keep: float) -> None:
 def test_bombs_are_refused_before_decoding() -> None:
     data = bytearray(encode_jpeg(PICTURES))
     start = data.find(b"\xff\xc0")
-    data[start + 5 : start + 9] = b"\xff\xff\xff\xff"
-    with pytest.raises(ValueError, match="65535 x 65535 pixels; the limit is 16,777,216"):
+    data[start + 5 : start + 9] = b"\xf0\x00\xf0\x00"
+    with pytest.raises(ValueError, match="61440 x 61440 pixels; the limit is 16,777,216"):
         decode_image(bytes(data))
     with pytest.raises(ValueError, match="the limit is"):
         image_size(b"\xff\xd8\xff" + bytes(MAX_IMAGE_BYTES))
