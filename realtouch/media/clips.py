@@ -158,6 +158,7 @@ class TouchClip(Sequence[Pixels]):
 
     def __iter__(self) -> Iterator[dict[str, Any]]:  # type: ignore[override]
         """Yield ``{"data", "pts"}``: a (3, H, W) uint8 tensor (without torch an array), and seconds."""
+        to_data: Callable[[Pixels], Any]
         try:
             from torch import from_numpy as to_data
         except ImportError:
@@ -474,14 +475,18 @@ def contact_frames_of(clips: SensorClips, method: ContactMethod) -> list[int]:
 
     See :meth:`TouchClip.contact_index`. Raises IntegrityError when times or poses are missing or impossible.
     """
-    starts, stops = (ends.tolist() for ends in contact_windows_of(clips))
+    windows = contact_windows_of(clips)
+    starts: list[int] = windows[0].tolist()
+    stops: list[int] = windows[1].tolist()
     if method == "contact_start":
         return starts
     if method == "contact_end":
         return [stop - 1 for stop in stops]
     heights = [touch.position_m[:, 2] for touch in pose_sequences(clips.row)]
-    windows = zip(heights, starts, stops, strict=True)
-    return [start + deepest_frame(z_m[start:stop]) for z_m, start, stop in windows]
+    return [
+        start + deepest_frame(z_m[start:stop])
+        for z_m, start, stop in zip(heights, starts, stops, strict=True)
+    ]
 
 
 def decode_frames(
