@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import typer
 
-from cli.failures import reports_errors
-from cli.options import Folder, Json, Quiet
+from cli.application import command
+from cli.options import Folder
 from cli.output import Sink
 from tactile_toolkit.kind import DatasetKind
 
@@ -15,9 +15,8 @@ __all__ = ["add_card"]
 def add_card(app: typer.Typer, kind: DatasetKind) -> None:
     """Add the command ``card`` to a command line."""
 
-    @app.command()
-    @reports_errors
-    def card(folder: Folder, as_json: Json = False, quiet: Quiet = False) -> None:
+    @command(app)
+    def card(folder: Folder, sink: Sink) -> None:
         """Write the data card (README.md) of a folder anew, with the picture that it shows, and check it.
 
         All numbers are those of the data; loading lines say FOLDER until the folder is uploaded.
@@ -29,7 +28,6 @@ def add_card(app: typer.Typer, kind: DatasetKind) -> None:
         from tactile_toolkit.errors import IntegrityError
         from tactile_toolkit.store.folder import DataFolder
 
-        sink = Sink(as_json, quiet)
         place = DataFolder(str(folder))
         manifest_of = require_manifest if kind.needs_manifest else finished_manifest
         kind.write_card(place, manifest_of(kind, place))

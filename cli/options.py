@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
@@ -12,6 +14,7 @@ __all__ = [
     "Folder",
     "Json",
     "Limit",
+    "Making",
     "Out",
     "Overwrite",
     "Quiet",
@@ -58,3 +61,17 @@ DryRun = Annotated[
 ]
 Json = Annotated[bool, typer.Option("--json", help="Print one JSON document on stdout.")]
 Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="No progress and no table; errors only.")]
+
+
+@dataclass(frozen=True, slots=True)
+class Making:
+    """Options of all commands that make a data set folder, in the order of their help."""
+
+    workers: Workers = 0
+    overwrite: Overwrite = False
+    dry_run: DryRun = False
+
+    @property
+    def processes(self) -> int:
+        """Number of worker processes."""
+        return self.workers or os.cpu_count() or 1

@@ -10,6 +10,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any
 
+from cli.options import Json, Quiet
 from tactile_toolkit.wording import counted
 
 __all__ = ["Sink", "bytes_text", "counted", "duration_text", "flat_lines"]
@@ -19,18 +20,13 @@ _PLAIN_INTERVAL_S = 5.0
 
 @dataclass(frozen=True, slots=True)
 class Sink:
-    """What a command prints with.
+    """What a command prints with; a command that takes one has the options ``--json`` and ``--quiet``.
 
-    Parameters
-    ----------
-    as_json : bool
-        Print one JSON document on stdout and no tables.
-    quiet : bool
-        Print neither progress nor tables.
+    With ``--json`` it prints one document on stdout and no tables, with ``--quiet`` no progress and no tables.
     """
 
-    as_json: bool = False
-    quiet: bool = False
+    as_json: Json = False
+    quiet: Quiet = False
 
     def document(self, content: Any) -> None:
         """Print the JSON document of the command, when one was asked for."""
