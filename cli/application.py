@@ -58,7 +58,7 @@ def command(app: typer.Typer, name: str | None = None) -> Callable[[F], F]:
 def _with_groups(function: Callable[..., None]) -> Callable[..., None]:
     """Return a function that takes the fields of option groups one by one."""
     hints = get_type_hints(function, include_extras=True)
-    groups = {name: hint for name, hint in hints.items() if is_dataclass(hint)}
+    groups: dict[str, Any] = {name: hint for name, hint in hints.items() if is_dataclass(hint)}
     parameters: list[inspect.Parameter] = []
     for parameter in inspect.signature(function).parameters.values():
         if parameter.name in groups:

@@ -22,7 +22,7 @@ _PLAIN_INTERVAL_S = 5.0
 class Sink:
     """What a command prints with; a command that takes one has the options ``--json`` and ``--quiet``.
 
-    With ``--json`` it prints one document on stdout and no tables, with ``--quiet`` no progress and no tables.
+    ``--json`` stands for one document on stdout and no tables, ``--quiet`` for no progress and no tables.
     """
 
     as_json: Json = False
