@@ -31,8 +31,8 @@ from tactile_toolkit.cards.facts import FolderFacts, SplitFacts, folder_facts
 from tactile_toolkit.cards.head import card_head, head_text
 from tactile_toolkit.cards.pictures import PREVIEW_FOLDER, write_previews
 from tactile_toolkit.errors import ToolkitError
+from tactile_toolkit.read.columns import list_depth
 from tactile_toolkit.read.dataset import Row
-from tactile_toolkit.read.nested import list_depth
 from tactile_toolkit.store.folder import DataFolder
 from tactile_toolkit.store.manifest import Manifest
 from tactile_toolkit.touch.jpeg import Pixels, decode_image, encode_image

@@ -81,7 +81,7 @@ def summarise(dataset: TouchDataset[Any]) -> Summary:
         kind=dataset.kind,
         rounds=len(dataset),
         touches=int(counts.sum()),
-        objects=len(np.unique(dataset.whole_numbers("object_id"))) if _has(dataset, "object_id") else 0,
+        objects=len(np.unique(dataset.int_column("object_id"))) if _has(dataset, "object_id") else 0,
         touches_per_round=(int(counts.min()), int(counts.max())),
         contact_share=_contact_share(touches),
         labels=_labels(dataset),

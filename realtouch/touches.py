@@ -222,7 +222,7 @@ class Touches(Sequence[Touch], Generic[R]):
     @property
     def object_ids(self) -> NDArray[np.int64]:
         """Object of each touch, shape (len,), int64; reads that column only."""
-        return self.dataset.whole_numbers("object_id")[self.round_positions]
+        return self.dataset.int_column("object_id")[self.round_positions]
 
     def heights_m(self, recalibrate_z: bool = True) -> NDArray[np.float64]:
         """Return how high above the plate the gel stopped in each touch, shape (len,), metres.

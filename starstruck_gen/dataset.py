@@ -118,7 +118,7 @@ class SceneMeshDataset(RecordDataset[SceneRecord]):
         tables = [table for table in self._tables if len(table)]
         stored = ["star_count" in column_names(table.schema) for table in tables]
         if all(stored) and stored:
-            return self.whole_numbers("star_count")
+            return self.int_column("star_count")
         if any(stored):
             return np.array([record.star_count for record in self], dtype=np.int64)
         return self.labels + 1

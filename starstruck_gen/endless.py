@@ -183,7 +183,7 @@ class SceneDataset(SceneMeshDataset):
             raise InputError(message)
         super().__init__([SceneTable(spec, split, size, seed)], label_names=spec.class_names)
 
-    def whole_numbers(self, name: str) -> NDArray[np.int64]:
+    def int_column(self, name: str) -> NDArray[np.int64]:
         """Return one column of whole numbers, shape (len,), int64; none is stored, so that none is damaged.
 
         Raises

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
@@ -14,10 +14,14 @@ from numpy.typing import NDArray
 from tactile_toolkit.errors import IntegrityError
 
 __all__ = [
+    "BytesColumn",
+    "NestedColumn",
     "RaggedColumn",
     "RowGroup",
     "column_names",
+    "column_types",
     "list_array",
+    "list_depth",
     "null_fields",
     "plain_schema",
     "plain_table",
@@ -28,14 +32,10 @@ __all__ = [
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RaggedColumn:
-    """A column of arrays of different lengths, as one flat array and the places where rows begin.
+    """A column of arrays of different lengths, as one flat array and the offsets at which rows begin.
 
-    Attributes
-    ----------
-    values : ndarray, shape (sum of row lengths, width)
-        All rows one after another; a view of Arrow's memory.
-    offsets : ndarray of int, shape (rows + 1,)
-        Row i is ``values[offsets[i]:offsets[i + 1]]``.
+    ``values`` has the shape (sum of row lengths, width) and is a view of Arrow's memory; row i is
+    ``values[offsets[i]:offsets[i + 1]]``.
     """
 
     values: NDArray[Any]
@@ -50,34 +50,16 @@ class RaggedColumn:
 
 
 def ragged_column(array: Any) -> RaggedColumn:
-    """View an Arrow list column of fixed-width vectors as numpy.
+    """View ``list<fixed_size_list<T>[w]>``, or ``list<list<T>>`` with inner lists of one width, as numpy.
 
-    Parameters
-    ----------
-    array : pyarrow.Array
-        ``list<fixed_size_list<T>[w]>`` or ``list<list<T>>`` whose inner lists all have one width, 32-bit or
-        64-bit offsets, no nulls.
-
-    Returns
-    -------
-    RaggedColumn
-
-    Raises
-    ------
-    ValueError
-        When the array holds nulls, or inner lists of several widths.
+    Offsets may have 32 or 64 bits. Raises ValueError for nulls, and for inner lists of several widths.
     """
-    _refuse_nulls(array)
-    offsets = array.offsets.to_numpy(zero_copy_only=True)
-    inner = array.values
-    first, last = (int(offsets[0]), int(offsets[-1])) if len(offsets) else (0, 0)
-    values, width = _flat_vectors(inner.slice(first, last - first))
-    return RaggedColumn(values.reshape(-1, width), offsets - first if first else offsets)
-
-
-def _flat_vectors(inner: Any) -> tuple[NDArray[Any], int]:
     import pyarrow as pa
 
+    _refuse_nulls(array)
+    offsets = array.offsets.to_numpy(zero_copy_only=True)
+    first, last = (int(offsets[0]), int(offsets[-1])) if len(offsets) else (0, 0)
+    inner = array.values.slice(first, last - first)
     _refuse_nulls(inner)
     if pa.types.is_fixed_size_list(inner.type):
         width = inner.type.list_size
@@ -90,7 +72,8 @@ def _flat_vectors(inner: Any) -> tuple[NDArray[Any], int]:
             message = f"inner lists of {width} and {int(widths[widths != width][0])} values in one column"
             raise ValueError(message)
     _refuse_nulls(flat)
-    return flat.to_numpy(zero_copy_only=True), width
+    values = flat.to_numpy(zero_copy_only=True)
+    return RaggedColumn(values.reshape(-1, width), offsets - first if first else offsets)
 
 
 def _refuse_nulls(array: Any) -> None:
@@ -111,33 +94,125 @@ def list_array(rows: list[NDArray[Any]], value_type: Any, width: int = 3) -> Any
     return pa.ListArray.from_arrays(pa.array(offsets), inner, type=pa.list_(pa.list_(value_type, width)))
 
 
-def column_names(schema: Any) -> tuple[str, ...]:
-    """List columns by dotted name, at any depth; struct ``a<b, c>`` and flat ``a.b``, ``a.c`` read alike."""
-    return tuple(name for column in schema for name in _leaf_names(column.name, column.type))
+@dataclass(frozen=True, slots=True, eq=False)
+class BytesColumn:
+    """Byte strings one after another in Arrow's memory: string i is ``data[offsets[i]:offsets[i + 1]]``.
+
+    ``present`` tells which of them are stored at all; None when all are.
+    """
+
+    data: memoryview
+    offsets: NDArray[Any]
+    present: NDArray[np.bool_] | None
+
+    def __getitem__(self, index: int) -> memoryview | None:
+        """Return one string without a copy; None when it is null."""
+        if self.present is not None and not self.present[index]:
+            return None
+        return self.data[self.offsets[index] : self.offsets[index + 1]]
+
+    def __len__(self) -> int:
+        return len(self.offsets) - 1
 
 
-def _leaf_names(name: str, data_type: Any) -> list[str]:
+@dataclass(frozen=True, slots=True, eq=False)
+class NestedColumn:
+    """A column of lists in lists: rows of touches of frames of vectors, padded or ragged.
+
+    Attributes
+    ----------
+    levels : tuple of (ndarray of int, or int)
+        Per level of nesting, from the rows inwards: where each list begins (one more than there are lists),
+        or the length that all lists share.
+    values : ndarray or BytesColumn
+        What the innermost lists hold, one after another; a view of Arrow's memory where it has no nulls.
+    """
+
+    levels: tuple[NDArray[Any] | int, ...]
+    values: Any
+
+    def inside(self, level: int, start: int, stop: int) -> tuple[int, int]:
+        """Return the range of the next level that lists ``start`` to ``stop`` of a level cover."""
+        where = self.levels[level]
+        if isinstance(where, int):
+            return start * where, stop * where
+        return int(where[start]), int(where[stop])
+
+    def flat(self, level: int, start: int, stop: int) -> NDArray[Any]:
+        """Return all values below lists ``start`` to ``stop`` of a level, flat."""
+        for deeper in range(level, len(self.levels)):
+            start, stop = self.inside(deeper, start, stop)
+        values: NDArray[Any] = self.values[start:stop]
+        return values
+
+    def lengths(self, level: int) -> NDArray[np.int64]:
+        """Return the length of every list of a level that stores offsets (not one shared length)."""
+        return np.diff(np.asarray(self.levels[level])).astype(np.int64)
+
+
+def _nested_column(array: Any) -> NestedColumn:
     import pyarrow as pa
 
-    if not pa.types.is_struct(data_type):
-        return [name]
-    return [leaf for child in data_type for leaf in _leaf_names(f"{name}.{child.name}", child.type)]
+    levels: list[NDArray[Any] | int] = []
+    while list_depth(array.type)[0]:
+        if pa.types.is_fixed_size_list(array.type):
+            width = array.type.list_size
+            levels.append(width)
+            array = array.values.slice(array.offset * width, len(array) * width)
+        else:
+            levels.append(array.offsets.to_numpy(zero_copy_only=True))
+            array = array.values
+    if pa.types.is_struct(array.type):  # an image or clip: its bytes, and the name it once had
+        array = array.flatten()[array.type.get_field_index("bytes")]
+    is_large = pa.types.is_large_binary(array.type)
+    if not is_large and not pa.types.is_binary(array.type):
+        return NestedColumn(tuple(levels), array.to_numpy(zero_copy_only=False))
+    dtype = np.dtype(np.int64 if is_large else np.int32)
+    _, stored_offsets, data = array.buffers()
+    offsets = np.frombuffer(stored_offsets, dtype, len(array) + 1, array.offset * dtype.itemsize)
+    present = None if array.null_count == 0 else array.is_valid().to_numpy(zero_copy_only=False)
+    blobs = memoryview(data).cast("B") if data is not None else memoryview(b"")
+    return NestedColumn(tuple(levels), BytesColumn(blobs, offsets, present))
+
+
+def list_depth(data_type: Any) -> tuple[int, Any]:
+    """Return how many lists are nested in an Arrow type, and the type inside them."""
+    import pyarrow as pa
+
+    depth = 0
+    while isinstance(data_type, (pa.ListType, pa.LargeListType, pa.FixedSizeListType)):
+        depth, data_type = depth + 1, data_type.value_type
+    return depth, data_type
+
+
+def column_types(fields: Iterable[Any], prefix: str = "") -> dict[str, Any]:
+    """Return the Arrow type of each column of a schema by dotted name, that of a struct before its fields'.
+
+    Struct ``a<b, c>`` and flat ``a.b``, ``a.c`` read alike.
+    """
+    import pyarrow as pa
+
+    types = {}
+    for each in fields:
+        name = prefix + each.name
+        types[name] = each.type
+        if pa.types.is_struct(each.type):
+            types |= column_types(each.type, f"{name}.")
+    return types
+
+
+def column_names(schema: Any) -> tuple[str, ...]:
+    """List columns by dotted name, at any depth; a struct goes by its fields."""
+    import pyarrow as pa
+
+    types = column_types(schema).items()
+    return tuple([name for name, data_type in types if not pa.types.is_struct(data_type)])
 
 
 def stored_class_names(schema: Any, where: str) -> tuple[str, ...] | None:
     """Return the names of the classes that `datasets` stored in a schema; None where it stored none.
 
-    Parameters
-    ----------
-    schema : pyarrow.Schema
-        Schema of a file.
-    where : str
-        The file, for messages.
-
-    Raises
-    ------
-    IntegrityError
-        What is stored there is no description of features.
+    Raises IntegrityError, which names the file ``where``, when the metadata do not describe features.
     """
     text = (schema.metadata or {}).get(b"huggingface")
     if text is None:
@@ -146,46 +221,35 @@ def stored_class_names(schema: Any, where: str) -> tuple[str, ...] | None:
         found = json.loads(text)
         for part in ("info", "features", "label", "names"):
             found = None if found is None else found.get(part)
-    except (ValueError, AttributeError, RecursionError) as error:
-        raise _no_features(where, text) from error
-    if found is None:
-        return None
-    if not isinstance(found, list) or not all(isinstance(name, str) for name in found):
-        raise _no_features(where, text)
+        if found is None:
+            return None
+        if not isinstance(found, list) or not set(map(type, found)) <= {str}:
+            raise TypeError
+    except (ValueError, AttributeError, TypeError, RecursionError) as error:
+        beginning = text[:80].decode(errors="replace")
+        message = (
+            f"{where!r}, field 'label': the metadata 'huggingface' begins with {beginning!r}; expected the "
+            "features of the data set, class names among them, in JSON; next: download or convert the data "
+            "set again"
+        )
+        raise IntegrityError(message) from error
     return tuple(found)
 
 
-def _no_features(where: str, text: bytes) -> IntegrityError:
-    found = text[:80].decode(errors="replace")
-    return IntegrityError(
-        f"{where!r}, field 'label': the metadata 'huggingface' begins with {found!r}; expected the features "
-        "of the data set, class names among them, in JSON; next: download or convert the data set again"
-    )
-
-
 def null_fields(table: Any, names: Sequence[str]) -> dict[int, str]:
-    """Find the rows of a table in which a column holds a null, at any depth.
+    """Find the rows of a table, one chunk per column, in which one of some columns holds a null at any depth.
 
-    Parameters
-    ----------
-    table : pyarrow.Table
-        Rows, one chunk per column.
-    names : sequence of str
-        Columns to look through, by dotted name; those that are absent are passed over.
-
-    Returns
-    -------
-    dict of int to str
-        Number of each such row, and the first field in which the null lies: ``"placements.shape"``.
+    Returns the number of each such row with the first field in which the null lies: ``"placements.shape"``.
+    Columns that are absent are passed over.
     """
     group = RowGroup(table)
     found: dict[int, str] = {}
     for name in names:
         if name not in group.names:
             continue
-        for place, rows in _nulls(group.arrow(name), name):
+        for part, rows in _nulls(group.arrow(name), name):
             for row in np.flatnonzero(rows).tolist():
-                found.setdefault(row, place)
+                found.setdefault(row, part)
     return found
 
 
@@ -196,16 +260,15 @@ def _nulls(array: Any, name: str) -> list[tuple[str, NDArray[np.bool_]]]:
 
     found = [(name, array.is_null().to_numpy(zero_copy_only=False))] if array.null_count else []
     if pa.types.is_struct(array.type):
-        for place, child in enumerate(array.flatten()):
-            part = f"{name}.{array.type.field(place).name}"
-            found += _nulls(child, part)
-    elif isinstance(array.type, (pa.ListType, pa.LargeListType, pa.FixedSizeListType)):
+        for index, child in enumerate(array.flatten()):
+            found += _nulls(child, f"{name}.{array.type.field(index).name}")
+    elif list_depth(array.type)[0]:
         inner = _nulls(array.flatten(), name)
         parents = pc.list_parent_indices(array).to_numpy(zero_copy_only=False) if inner else np.zeros(0, int)
-        for field, entries in inner:
+        for part, entries in inner:
             rows = np.zeros(len(array), dtype=bool)
             rows[parents[entries]] = True
-            found.append((field, rows))
+            found.append((part, rows))
     return found
 
 
@@ -213,9 +276,9 @@ def plain_schema(schema: Any) -> Any:
     """Return a schema whose extension types, at any depth, are those that they are stored as."""
     import pyarrow as pa
 
-    if not _is_extended(schema):
+    if not _is_extended(schema.types):
         return schema
-    fields = [pa.field(field.name, _plain_type(field.type), field.nullable) for field in schema]
+    fields = [pa.field(each.name, _plain_type(each.type), each.nullable) for each in schema]
     return pa.schema(fields, schema.metadata)
 
 
@@ -223,25 +286,28 @@ def plain_table(table: Any) -> Any:
     """Return a table whose columns have the types of :func:`plain_schema`; no value is copied."""
     import pyarrow as pa
 
-    if not _is_extended(table.schema):
+    if not _is_extended(table.schema.types):
         return table
     schema = plain_schema(table.schema)
     columns = [
-        pa.chunked_array([_plain_array(chunk) for chunk in column.chunks], field.type)
-        for column, field in zip(table.columns, schema, strict=True)
+        pa.chunked_array([_plain_array(chunk) for chunk in column.chunks], each.type)
+        for column, each in zip(table.columns, schema, strict=True)
     ]
     return pa.Table.from_arrays(columns, schema=schema)
 
 
-def _is_extended(data_type: Any) -> bool:
-    """Tell whether a type, or one inside a type or schema, is an extension type."""
+def _is_extended(data_types: Sequence[Any]) -> bool:
+    """Tell whether one of some types, or a type inside them, is an extension type."""
     import pyarrow as pa
 
-    if isinstance(data_type, pa.BaseExtensionType):
-        return True
-    if isinstance(data_type, pa.DataType):
-        return any(_is_extended(data_type.field(index).type) for index in range(data_type.num_fields))
-    return any(_is_extended(field.type) for field in data_type)
+    waiting = list(data_types)
+    while waiting:
+        data_type = waiting.pop()
+        if isinstance(data_type, pa.BaseExtensionType):
+            return True
+        for index in range(data_type.num_fields):
+            waiting.append(data_type.field(index).type)
+    return False
 
 
 def _plain_array(array: Any) -> Any:
@@ -249,7 +315,7 @@ def _plain_array(array: Any) -> Any:
 
     if isinstance(array, pa.ExtensionArray):
         return _plain_array(array.storage)
-    return array.cast(_plain_type(array.type)) if _is_extended(array.type) else array
+    return array.cast(_plain_type(array.type)) if _is_extended([array.type]) else array
 
 
 def _plain_type(data_type: Any) -> Any:
@@ -257,10 +323,10 @@ def _plain_type(data_type: Any) -> Any:
 
     if isinstance(data_type, pa.BaseExtensionType):
         return _plain_type(data_type.storage_type)
-    if not _is_extended(data_type):
+    if not _is_extended([data_type]):
         return data_type
     inner = [data_type.field(index) for index in range(data_type.num_fields)]
-    plain = [pa.field(field.name, _plain_type(field.type), field.nullable) for field in inner]
+    plain = [pa.field(each.name, _plain_type(each.type), each.nullable) for each in inner]
     if pa.types.is_struct(data_type):
         return pa.struct(plain)
     if pa.types.is_fixed_size_list(data_type):
@@ -274,16 +340,8 @@ def _plain_type(data_type: Any) -> Any:
 class RowGroup:
     """One unpacked row group, or a block of a large one: columns as numpy views of mapped memory.
 
-    Parameters
-    ----------
-    table : pyarrow.Table
-        The rows, one chunk per column.
-    path : str
-        File that the rows come from, for messages.
-    first_row : int
-        Number of the first row in that file.
-    mapped : bool
-        Whether the rows lie in a mapped file of the cache, so that holding on to them costs no memory.
+    ``table`` has one chunk per column; ``path`` and ``first_row`` say where the rows are from, for messages.
+    ``mapped`` rows lie in a mapped file of the cache, so that holding on to them costs no memory.
     """
 
     table: Any
@@ -292,6 +350,7 @@ class RowGroup:
     mapped: bool = False
     _ragged: dict[str, RaggedColumn] = field(default_factory=dict, repr=False)
     _flat: dict[str, NDArray[Any]] = field(default_factory=dict, repr=False)
+    _nested: dict[str, NestedColumn] = field(default_factory=dict, repr=False)
     _views: dict[str, Any] = field(default_factory=dict, repr=False)
 
     @cached_property
@@ -311,6 +370,13 @@ class RowGroup:
             column = self._ragged.setdefault(name, ragged_column(self.arrow(name)))
         return column
 
+    def nested(self, name: str) -> NestedColumn:
+        """Return a column of nested lists, by dotted name."""
+        column = self._nested.get(name)
+        if column is None:
+            column = self._nested.setdefault(name, _nested_column(self.arrow(name)))
+        return column
+
     def flat(self, name: str) -> NDArray[Any]:
         """Return a column of plain values as a numpy array."""
         column = self._flat.get(name)
@@ -321,15 +387,18 @@ class RowGroup:
     def arrow(self, name: str) -> Any:
         """Return a column as an Arrow array, by dotted name, whether stored flat or as a struct's field.
 
-        Raises
-        ------
-        KeyError
-            When there is no such column.
+        Raises KeyError when there is no such column.
         """
+        import pyarrow as pa
+
         outer, *inner = _split_name(name, self.table.column_names)
-        array = _one_chunk(self.table.column(outer))
+        column = self.table.column(outer)
+        array = column.chunk(0) if column.num_chunks == 1 else column.combine_chunks()
         for part in inner:
-            array = _struct_field(array, part, name)
+            index = array.type.get_field_index(part) if pa.types.is_struct(array.type) else -1
+            if index < 0:
+                raise KeyError(name)
+            array = array.flatten()[index]
         return array
 
 
@@ -341,15 +410,3 @@ def _split_name(name: str, columns: Sequence[str]) -> list[str]:
         if outer in columns:
             return [outer, *parts[count:]]
     raise KeyError(name)
-
-
-def _struct_field(array: Any, part: str, name: str) -> Any:
-    import pyarrow as pa
-
-    if not pa.types.is_struct(array.type) or array.type.get_field_index(part) < 0:
-        raise KeyError(name)
-    return array.flatten()[array.type.get_field_index(part)]
-
-
-def _one_chunk(column: Any) -> Any:
-    return column.chunk(0) if column.num_chunks == 1 else column.combine_chunks()

@@ -12,18 +12,13 @@ from numpy.typing import NDArray
 from tactile_toolkit.errors import InputError, IntegrityError
 from tactile_toolkit.read.parquet import RowGroup, ShardedTable
 
-__all__ = ["Record", "RecordDataset", "Row", "as_slice", "positions", "whole_numbers"]
+__all__ = ["Record", "RecordDataset", "Row", "positions"]
 
 
 def positions(index: Any, length: int) -> NDArray[Any]:
     """Turn ints or a boolean mask into positions, shape (n,), of a sequence of that length.
 
-    Raises
-    ------
-    IndexError
-        A mask of another length.
-    TypeError
-        Anything else.
+    Raises IndexError for a mask of another length, TypeError for anything else.
     """
     chosen = np.asarray(index)
     if chosen.dtype == bool:
@@ -39,50 +34,38 @@ def positions(index: Any, length: int) -> NDArray[Any]:
     return chosen
 
 
-def as_slice(rows: range) -> slice:
-    """Return a range of positions as a slice."""
-    stop = rows.stop if rows.stop >= 0 else None
-    return slice(rows.start, stop, rows.step)
-
-
 _LARGEST = np.iinfo(np.int64).max
 
 
-def whole_numbers(tables: Sequence[ShardedTable], name: str, rows: Any) -> NDArray[np.int64]:
-    """Read one column of whole numbers, without touching any other.
+def _int_column(tables: Sequence[ShardedTable], name: str, rows: Any) -> NDArray[np.int64]:
+    """Read chosen rows (slice or ints, through all tables) of one column of integers; KeyError without it.
 
-    Parameters
-    ----------
-    tables : sequence of ShardedTable
-        Stored rows; their numbering is joined in this order.
-    name : str
-        The column, by dotted name.
-    rows : slice or ndarray of int
-        Which rows of the joined numbering; what others hold does not matter.
-
-    Returns
-    -------
-    ndarray of int64, shape (number of rows,)
-
-    Raises
-    ------
-    KeyError
-        There is no such column.
-    IntegrityError
-        A value is missing or does not fit into 64 bits; names file and row.
+    Raises IntegrityError when a value of these rows is missing or does not fit into 64 bits.
     """
-    key = f"whole numbers of {name}"
-    parts = [table.per_shard(key, lambda shard: [_of_shard(shard.column(name))]) for table in tables]
+    # With each value, kept with the table: whether it is unusable. What other rows hold does not matter.
+    parts = [
+        table.per_shard(f"ints of {name}", lambda shard: [_ints(shard.column(name))]) for table in tables
+    ]
     pairs = np.concatenate([part.reshape(-1, 2) for part in parts] or [np.zeros((0, 2), np.int64)])
     chosen = pairs[rows]
-    for place in np.flatnonzero(chosen[:, 1])[:1].tolist():
-        raise _unusable(tables, name, int(np.arange(len(pairs))[rows][place]))
-    values: NDArray[np.int64] = chosen[:, 0].astype(np.int64)
-    return values
+    if not chosen[:, 1].any():
+        return np.ascontiguousarray(chosen[:, 0], np.int64)
+    row = int(np.arange(len(pairs))[rows][np.argmax(chosen[:, 1])])
+    for shard in (shard for table in tables for shard in table.shards):
+        if row < len(shard):
+            break
+        row -= len(shard)
+    value = shard.column(name)[row].as_py()
+    found = "no value is stored" if value is None else f"the value is {value}"
+    message = (
+        f"{shard.path!r}, row {row}, field {name!r}: {found}; expected a whole number below 2**63; "
+        "next: run `verify` on the data set, then generate or download it again"
+    )
+    raise IntegrityError(message)
 
 
-def _of_shard(array: Any) -> NDArray[np.int64]:
-    """Return each value of a column, and whether it is none; shape (rows, 2)."""
+def _ints(array: Any) -> NDArray[np.int64]:
+    """Return each value of an Arrow array, and whether it is unusable; shape (rows, 2)."""
     unusable = array.is_null().to_numpy(zero_copy_only=False)
     # Filled first: numpy has no null, and would make all of the column floats, which round large ids.
     values = array.fill_null(0).to_numpy(zero_copy_only=False)
@@ -94,77 +77,45 @@ def _of_shard(array: Any) -> NDArray[np.int64]:
     return np.column_stack([values.astype(np.int64), unusable])
 
 
-def _unusable(tables: Sequence[ShardedTable], name: str, row: int) -> IntegrityError:
-    for shard in (shard for table in tables for shard in table.shards):
-        if row < len(shard):
-            value = shard.column(name)[row].as_py()
-            found = "no value is stored" if value is None else f"the value is {value}"
-            return IntegrityError(
-                f"{shard.path!r}, row {row}, field {name!r}: {found}; expected a whole number below 2**63; "
-                "next: run `verify` on the data set, then generate or download it again"
-            )
-        row -= len(shard)
-    message = f"no row {row} in {len(tables)} tables"
-    raise IndexError(message)
-
-
 T = TypeVar("T")
 
 
 class Row:
-    """One stored row, its fields read on demand.
+    """One stored row, its fields read on demand: ``group`` is the rows it belongs to, ``index`` its own."""
 
-    Parameters
-    ----------
-    group : RowGroup
-        Rows it belongs to.
-    index : int
-        Its place among them.
-    """
-
-    __slots__ = ("_group", "_index")
+    __slots__ = ("group", "index")
 
     def __init__(self, group: RowGroup, index: int) -> None:
-        self._group = group
-        self._index = index
+        self.group = group
+        self.index = index
 
     def array(self, name: str) -> NDArray[Any]:
         """Return a field of shape (n, width) as a read-only view of the stored values."""
-        return self._group.ragged(name)[self._index]
+        return self.group.ragged(name)[self.index]
 
     def value(self, name: str) -> Any:
         """Return a plain field as numpy's scalar or Python's object."""
-        return self._group.flat(name)[self._index]
+        return self.group.flat(name)[self.index]
 
     def has(self, name: str) -> bool:
         """Tell whether the data set has a column."""
-        return name in self._group.names
-
-    @property
-    def group(self) -> RowGroup:
-        """Rows it belongs to."""
-        return self._group
-
-    @property
-    def index(self) -> int:
-        """Its place among them."""
-        return self._index
+        return name in self.group.names
 
     @property
     def path(self) -> str:
         """File that it is stored in."""
-        return self._group.path
+        return self.group.path
 
     @property
     def number(self) -> int:
         """Its row number in that file."""
-        return self._group.first_row + self._index
+        return self.group.first_row + self.index
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Pickle as a table of this one row, not as its whole row group."""
         import pyarrow as pa
 
-        table = self._group.table.slice(self._index, 1)
+        table = self.group.table.slice(self.index, 1)
         sink = pa.BufferOutputStream()
         with pa.ipc.new_stream(sink, table.schema) as writer:
             writer.write_table(table)
@@ -178,13 +129,7 @@ def _row_from_ipc(content: bytes, path: str, number: int) -> Row:
 
 
 class Record:
-    """Base of typed records: frozen, each field loaded on first use, picklable.
-
-    Parameters
-    ----------
-    row : Row
-        The stored row.
-    """
+    """Base of typed records of one row: frozen, each field loaded on first use, picklable."""
 
     __slots__ = ("_loaded", "_row")
     _row: Row
@@ -236,7 +181,7 @@ class RecordDataset(Sequence[T], Generic[T]):
         label_names: Sequence[str] = (),
     ) -> None:
         self._tables = tuple(tables)
-        self._starts = np.cumsum([0, *(len(table) for table in self._tables)])
+        self._starts = np.cumsum([0, *map(len, self._tables)])
         self._rows = range(int(self._starts[-1])) if rows is None else rows
         self._label_names = tuple(label_names)
 
@@ -252,9 +197,9 @@ class RecordDataset(Sequence[T], Generic[T]):
         Raises
         ------
         IntegrityError
-            As :meth:`whole_numbers`.
+            As :meth:`int_column`.
         """
-        return self.whole_numbers("label")
+        return self.int_column("label")
 
     @property
     def ids(self) -> NDArray[Any]:
@@ -277,7 +222,7 @@ class RecordDataset(Sequence[T], Generic[T]):
         joined = parts[0] if len(parts) == 1 else np.concatenate(parts) if parts else np.zeros(0)
         return joined[self._selection]
 
-    def whole_numbers(self, name: str) -> NDArray[np.int64]:
+    def int_column(self, name: str) -> NDArray[np.int64]:
         """Read one column of whole numbers, shape (len,), int64, without touching any other.
 
         Raises
@@ -288,14 +233,17 @@ class RecordDataset(Sequence[T], Generic[T]):
             A value is missing or does not fit into 64 bits; names file and row.
         """
         try:
-            return whole_numbers(self._tables, name, self._selection)
+            return _int_column(self._tables, name, self._selection)
         except KeyError as error:
             message = f"no column {name!r} in this data set"
             raise InputError(message) from error
 
     @property
     def _selection(self) -> slice | NDArray[np.int64]:
-        return self._rows if isinstance(self._rows, np.ndarray) else as_slice(self._rows)
+        rows = self._rows
+        if isinstance(rows, np.ndarray):
+            return rows
+        return slice(rows.start, rows.stop if rows.stop >= 0 else None, rows.step)
 
     def filter_labels(self, labels: int | str | Iterable[int | str]) -> Self:
         """Return the rows of some classes, given as numbers or names.

@@ -14,6 +14,7 @@ from bisect import bisect_right
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
+from itertools import accumulate
 from pathlib import Path
 from typing import Any
 
@@ -22,7 +23,7 @@ from numpy.typing import NDArray
 
 from tactile_toolkit.cache import CACHE_VARIABLE, DiskCache, MemoryCache, cache_folder
 from tactile_toolkit.errors import IntegrityError
-from tactile_toolkit.read.columns import RowGroup, plain_schema, plain_table
+from tactile_toolkit.read.columns import RowGroup, column_types, plain_schema, plain_table
 from tactile_toolkit.store.folder import DataFolder
 
 __all__ = ["CACHE_VARIABLE", "RowGroup", "Shard", "ShardedTable", "cache_folder"]
@@ -48,16 +49,16 @@ class MemoryBlocks(MemoryCache[tuple[str, int], RowGroup]):
                 return kept
             under_way, self._under_way = self._under_way, None
             if under_way is not None and under_way[0] == name and under_way[1] <= number:
-                _, place, groups = under_way  # goes on where decoding stopped, as a full pass does
+                _, reached, groups = under_way  # goes on where decoding stopped, as a full pass does
             else:
-                place, groups = 0, decode()
+                reached, groups = 0, decode()
             for group in groups:
-                self.put((name, place), group)
-                place += 1
-                if place > number:
-                    self._under_way = (name, place, groups)
+                self.put((name, reached), group)
+                reached += 1
+                if reached > number:
+                    self._under_way = (name, reached, groups)
                     return group
-        message = f"block {number} of {name!r}; the row group has {place}"
+        message = f"block {number} of {name!r}; the row group has {reached}"
         raise IndexError(message)
 
 
@@ -74,17 +75,11 @@ _UNPACKED = DiskCache(
 
 @dataclass(frozen=True)
 class Shard:
-    """One Parquet file of a data set.
+    """One Parquet file of a data set, local or at any fsspec address.
 
-    Parameters
-    ----------
-    path : str
-        Local path, or any fsspec address.
-    rows : int or None
-        Number of rows where it is known beforehand; saves opening the file to count.
-    failures : callable
-        Makes the context in which the bytes of a remote file are read; there, whoever knows the store names
-        what goes wrong with it. Pickled with the shard.
+    ``rows`` is its number of rows where that is known beforehand, which saves opening the file to count.
+    ``failures``, pickled with it, makes the context in which the bytes of a remote file are read: there,
+    whoever knows the store names what goes wrong with it.
     """
 
     path: str
@@ -95,13 +90,7 @@ class Shard:
 
     @cached_property
     def metadata(self) -> Any:
-        """The Parquet footer: row groups, columns, schema; reads no row.
-
-        Raises
-        ------
-        IntegrityError
-            When the file is missing, cut short or no Parquet.
-        """
+        """The Parquet footer: row groups, columns, schema; IntegrityError where the file has none."""
         return self._parquet().metadata
 
     @cached_property
@@ -110,10 +99,15 @@ class Shard:
         return plain_schema(self.metadata.schema.to_arrow_schema())
 
     @cached_property
+    def types(self) -> dict[str, Any]:
+        """Arrow type of each column, and of each struct, by dotted name."""
+        return column_types(self.schema)
+
+    @cached_property
     def group_starts(self) -> list[int]:
         """First row of each row group, and the number of rows at the end."""
         counts = [self.metadata.row_group(index).num_rows for index in range(self.metadata.num_row_groups)]
-        return [0, *np.cumsum(counts).tolist()]
+        return [0, *accumulate(counts)]
 
     def __getstate__(self) -> dict[str, Any]:
         """Pickle without footers; they are read again where needed."""
@@ -135,13 +129,7 @@ class Shard:
         return plain_table(table)
 
     def column(self, name: str) -> Any:
-        """Read one column of all rows as an Arrow array, by dotted name, stored flat or as a struct's field.
-
-        Raises
-        ------
-        KeyError
-            There is no such column.
-        """
+        """Read one column of all rows as an Arrow array, by dotted name; KeyError when it is not there."""
         return RowGroup(self.read(columns=[name]), self.path).arrow(name)
 
     @cached_property
@@ -161,13 +149,13 @@ class Shard:
         kept = MEMORY.get((name, block))
         if kept is not None:
             return kept
-        batch = _mapped_batch(name, block)
-        if batch is None and self._unpack(name, index):
-            batch = _mapped_batch(name, block)
-        if batch is None:
+        table = _mapped_table(name, block)
+        if table is None and self._unpack(name, index):
+            table = _mapped_table(name, block)
+        if table is None:
             return MEMORY.block(name, block, lambda: self.blocks(index))
         first_row = self.group_starts[index] + block * self.block_rows[index]
-        return RowGroup(_table_of(batch), self.path, first_row, mapped=True)
+        return RowGroup(table, self.path, first_row, mapped=True)
 
     def _unpack(self, name: str, index: int) -> bool:
         import pyarrow as pa
@@ -202,7 +190,7 @@ class Shard:
         with self._named_damage():
             for batch in self._parquet().iter_batches(rows, [index], columns, use_threads=False):
                 # The reader may give less than asked for; blocks have to be whole to be found again.
-                table = _table_of(batch)
+                table = plain_table(pa.Table.from_batches([batch]))
                 waiting = table if waiting is None else pa.concat_tables([waiting, table])
                 while len(waiting) >= rows:
                     yield waiting.slice(0, rows).combine_chunks()
@@ -249,8 +237,8 @@ class Shard:
             raise IntegrityError(message) from error
 
 
-def _mapped_batch(name: str, number: int) -> Any:
-    """Map one record batch of an unpacked row group; None when it is not there, or was damaged (it goes)."""
+def _mapped_table(name: str, number: int) -> Any:
+    """Map one block of an unpacked row group; None when it is not there, or was damaged (it goes)."""
     import pyarrow as pa
 
     path = _UNPACKED.path(f"{name}.arrow")
@@ -263,30 +251,18 @@ def _mapped_batch(name: str, number: int) -> Any:
         _UNPACKED.drop(path)
         return None
     _UNPACKED.mark_used(path)
-    return batch
-
-
-def _table_of(batch: Any) -> Any:
-    import pyarrow as pa
-
-    return plain_table(pa.Table.from_batches([batch]))
+    return pa.Table.from_batches([batch])
 
 
 @dataclass(frozen=True)
 class ShardedTable:
-    """The rows of several shards under one numbering; reads nothing until asked.
-
-    Parameters
-    ----------
-    shards : tuple of Shard
-        In row order.
-    """
+    """The rows of several shards, in their order, under one numbering; reads nothing until asked."""
 
     shards: tuple[Shard, ...]
 
     @cached_property
     def _starts(self) -> list[int]:
-        return [0, *np.cumsum([len(shard) for shard in self.shards]).tolist()]
+        return [0, *accumulate(map(len, self.shards))]
 
     @cached_property
     def _groups(self) -> dict[tuple[int, int, int], RowGroup]:
@@ -312,33 +288,26 @@ class ShardedTable:
         return self.shards[0].schema if self.shards else None
 
     def locate(self, row: int) -> tuple[RowGroup, int]:
-        """Return the row group (or block of one) that holds a row, and the row's place in it."""
+        """Return the row group (or block of one) that holds a row, and the row's index in it."""
         shard_index = bisect_right(self._starts, row) - 1
         shard = self.shards[shard_index]
         inner = row - self._starts[shard_index]
         group_index = bisect_right(shard.group_starts, inner) - 1
-        block, place = divmod(inner - shard.group_starts[group_index], shard.block_rows[group_index])
+        block, index = divmod(inner - shard.group_starts[group_index], shard.block_rows[group_index])
         key = (shard_index, group_index, block)
         group = self._groups.get(key)
         if group is None:
             group = shard.block(group_index, block)
-            if group.mapped:  # what lies in memory is kept by one place that knows a limit
+            if group.mapped:  # what lies in memory is kept by MEMORY alone, which knows a limit
                 group = self._groups.setdefault(key, group)
-        return group, place
+        return group, index
 
     def derive(
         self, key: str, columns: Sequence[str], compute: Callable[[RowGroup], NDArray[Any]]
     ) -> NDArray[Any]:
-        """Compute something small of a few columns, reading no other; kept for the next call.
+        """Compute something small of a few columns, reading no other; kept under ``key`` for the next call.
 
-        Parameters
-        ----------
-        key : str
-            Name under which the result is kept.
-        columns : sequence of str
-            Columns to read.
-        compute : callable
-            Gives the values of some rows; joined along the first axis.
+        What ``compute`` gives of some rows is joined along the first axis.
         """
         return self.per_shard(
             key,

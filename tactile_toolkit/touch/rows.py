@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_toolkit.read.nested import list_depth
+from tactile_toolkit.read.columns import list_depth
 
 __all__ = [
     "PER_TOUCH_COLUMNS",

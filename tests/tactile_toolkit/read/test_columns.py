@@ -39,7 +39,7 @@ def test_whole_numbers_are_those_stored(tmp_path):
     assert rows[:0].labels.tolist() == []
     assert (rows[:1] + rows[3:4]).labels.tolist() == [0, LARGEST]
     with pytest.raises(InputError, match="no column 'writer'"):
-        rows.whole_numbers("writer")
+        rows.int_column("writer")
 
 
 @pytest.mark.parametrize(
