@@ -13,7 +13,6 @@ import typer
 from cli.application import new_app, run
 from cli.card_commands import add_card
 from cli.copies import print_copy
-from cli.digit_preview import add_preview
 from cli.digit_source import SYNTHETIC_DIGITS, InkName, SourceName, digit_source
 from cli.digit_tables import print_made
 from cli.export_commands import add_export
@@ -24,6 +23,7 @@ from cli.hub_upload import add_upload
 from cli.making import make_with_progress, print_forecast
 from cli.options import DryRun, Folder, Json, Limit, Out, Overwrite, Quiet, Seed, Workers
 from cli.output import Sink, flat_lines
+from cli.preview_commands import preview_digits
 from cli.verification import verify_folder
 from mnist3d.kind import KIND
 
@@ -225,7 +225,7 @@ def verify(folder: Folder, as_json: Json = False, quiet: Quiet = False) -> None:
     verify_folder(Sink(as_json, quiet), str(folder), KIND)
 
 
-add_preview(app)
+app.command("preview")(preview_digits)
 add_card(app, KIND)
 add_upload(app, KIND)
 add_download(app, KIND)

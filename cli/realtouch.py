@@ -15,9 +15,9 @@ from cli.hub_download import add_download
 from cli.hub_upload import add_upload
 from cli.options import Json, Quiet, Split
 from cli.output import Sink, counted
+from cli.preview_commands import preview_touches
 from cli.touch_conversions import add_conversions
 from cli.touch_options import Revision, TouchSet
-from cli.touch_preview import add_preview
 from cli.touch_tables import print_made, print_summary, raise_findings, tell_fetching
 from cli.unfinished import print_unfinished
 from realtouch.kind import KIND
@@ -128,7 +128,7 @@ def verify(
 
 
 add_conversions(app)
-add_preview(app)
+app.command("preview")(preview_touches)
 add_card(app, KIND)
 add_upload(app, KIND)
 add_download(app, KIND)

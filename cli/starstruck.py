@@ -20,8 +20,8 @@ from cli.hub_upload import add_upload
 from cli.making import make_with_progress, print_forecast
 from cli.options import DryRun, Folder, Json, Limit, Out, Overwrite, Quiet, Seed, Workers
 from cli.output import Sink, flat_lines
+from cli.preview_commands import preview_scenes
 from cli.scene_options import CollisionName, scene_spec, split_sizes
-from cli.scene_preview import add_preview
 from cli.scene_room import tells_of_failures
 from cli.scene_tables import print_acceptance, print_made
 from cli.verification import verify_folder
@@ -212,7 +212,7 @@ def verify(folder: Folder, as_json: Json = False, quiet: Quiet = False) -> None:
     verify_folder(Sink(as_json, quiet), str(folder), KIND)
 
 
-add_preview(app)
+app.command("preview")(preview_scenes)
 add_card(app, KIND)
 add_upload(app, KIND)
 add_download(app, KIND)

@@ -58,9 +58,10 @@ class WrenchRecord(SolidRecord):
 
     def _repr_html_(self) -> str:
         """Show the wrench from above in a notebook."""
-        from tactile_toolkit.pictures.relief import record_html
+        from tactile_toolkit.pictures.relief import relief
+        from tactile_toolkit.pictures.writing import figure_html
 
-        return record_html(self.vertices_m, self.faces, repr(self))
+        return figure_html(relief(self.vertices_m, self.faces), repr(self))
 
 
 class WrenchDataset(RecordDataset[WrenchRecord]):

@@ -53,7 +53,8 @@ class MeshRecord(SolidRecord):
 
     def _repr_html_(self) -> str:
         """Show the digit from above in a notebook."""
-        from tactile_toolkit.pictures.relief import record_html
+        from tactile_toolkit.pictures.relief import relief
+        from tactile_toolkit.pictures.writing import figure_html
 
         size_mm = np.ptp(self.vertices_m, axis=0) * MM_PER_M
         caption = (
@@ -61,7 +62,7 @@ class MeshRecord(SolidRecord):
             f"{size_mm[0]:.1f} x {size_mm[1]:.1f} x {size_mm[2]:.1f} mm, "
             f"{self.volume_m3 * MM_PER_M**3:.0f} mm³, {len(self.faces):,} triangles"
         )
-        return record_html(self.vertices_m, self.faces, caption)
+        return figure_html(relief(self.vertices_m, self.faces), caption)
 
 
 class MeshDataset(RecordDataset[MeshRecord]):

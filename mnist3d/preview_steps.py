@@ -9,12 +9,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from mnist3d.preview_object import CLAY
 from mnist3d.solid import ink_mask
 from mnist3d.steps import erode, erosion_radii_px, marching_cubes, mirror, scale, smooth, stack
-from tactile_toolkit.errors import InputError
+from tactile_toolkit.errors import InputError, ItemError
 from tactile_toolkit.mesh.mesh import MM_PER_M, Mesh
-from tactile_toolkit.pictures.render import OBLIQUE, Body, Picture3d, Studio, averaged
+from tactile_toolkit.pictures.render import OBLIQUE, Body, Picture3d, Renderer, averaged
 from tactile_toolkit.pictures.sheets import Sheet, Tile, sheet, with_scale_bar
 from tactile_toolkit.pictures.writing import Drawing
 
@@ -22,7 +21,10 @@ if TYPE_CHECKING:
     from mnist3d.sources import DigitSource
     from mnist3d.spec import SolidSpec
 
-__all__ = ["draw_steps", "rebuilt_source", "shown_layers", "source_option"]
+__all__ = ["CLAY", "draw_steps", "layer_map", "shown_layers", "source_option"]
+
+CLAY = (224, 166, 72)
+"""Colour of objects in oblique views."""
 
 _PANEL_PX = 380
 _LAYERS_SHOWN = 6
@@ -35,34 +37,25 @@ _SPREAD = 2.5
 _WRITERS = "writers_sha256"
 
 
-def draw_steps(studio: Studio, pixels: NDArray[Any], spec: SolidSpec, title: str) -> Drawing:
-    """Draw the published steps from an image to a surface.
+def draw_steps(renderer: Renderer, pixels: NDArray[Any], spec: SolidSpec, title: str) -> Drawing:
+    """Draw the published steps from an image, (H, W), 0 ink and 255 paper, to a surface.
 
-    Parameters
-    ----------
-    studio : Studio
-        Where the oblique views are made.
-    pixels : ndarray, shape (H, W)
-        Grey levels, 0 is ink and 255 paper.
-    spec : SolidSpec
-        The numbers of the algorithm.
-    title : str
-        Heading.
-
-    Raises
-    ------
-    ItemError
-        The image is no usable digit.
+    ItemError, which names the picture by its title, where the image is not a usable digit.
     """
-    window = _window(ink_mask(pixels, spec))
-    mask = ink_mask(pixels, spec)[window]
+    try:
+        ink = ink_mask(pixels, spec)
+    except ItemError as error:
+        raise ItemError(error.reason, f"{title}: {error}") from error
+    window = _window(ink)
+    mask = ink[window]
     radii = erosion_radii_px(spec)
     layers = [erode(mask, radius) for radius in radii]
     raw, smoothed = _surfaces(layers, spec)
     px_per_mm = _PANEL_PX / (max(mask.shape) * spec.pixel_pitch_mm)
     size_px = (_PANEL_PX, _PANEL_PX)
     views = [
-        studio.draw(Picture3d((Body(mesh, CLAY),), size_px, px_per_mm * MM_PER_M)) for mesh in (raw, smoothed)
+        renderer.draw(Picture3d((Body(mesh, CLAY),), size_px, px_per_mm * MM_PER_M))
+        for mesh in (raw, smoothed)
     ]
     shown = shown_layers(radii)
     tiles = (
@@ -95,27 +88,12 @@ def layer_map(layers: Sequence[NDArray[np.bool_]], shown: Sequence[int]) -> NDAr
 
 
 def source_option(described: dict[str, Any], images: Path | None, writer_info: Path | None) -> DigitSource:
-    """Return the source from which a data set was made.
+    """Return the source from which a data set was made, by its fingerprint in the manifest.
 
-    Parameters
-    ----------
-    described : dict
-        Its fingerprint, from the manifest.
-    images, writer_info : Path or None
-        Where its files are now; the synthetic source needs none.
-
-    Raises
-    ------
-    InputError
-        Files are needed and not given, or are others than those the data set was made from.
+    ``images`` and ``writer_info`` say where its files are now; the synthetic source needs none. InputError
+    where they are needed and not given, or are others than those the data set was made from.
     """
-    name = described.get("name")
-    if name == "synthetic":
-        from mnist3d.sources.synthetic import SyntheticSource
-
-        source: DigitSource = SyntheticSource(int(described["seed"]), int(described["count"]))
-    else:
-        source = rebuilt_source(str(name), images, writer_info, str(described.get("ink", "auto")))
+    source = _rebuilt_source(described, images, writer_info)
     found = {key: value for key, value in source.fingerprint().items() if key != _WRITERS}
     wanted = {key: value for key, value in described.items() if key != _WRITERS}
     if found != wanted:
@@ -128,14 +106,12 @@ def source_option(described: dict[str, Any], images: Path | None, writer_info: P
     return source
 
 
-def rebuilt_source(name: str, images: Path | None, writer_info: Path | None, ink: str) -> DigitSource:
-    """Return a source that reads files.
+def _rebuilt_source(described: dict[str, Any], images: Path | None, writer_info: Path | None) -> DigitSource:
+    name = str(described.get("name"))
+    if name == "synthetic":
+        from mnist3d.sources.synthetic import SyntheticSource
 
-    Raises
-    ------
-    InputError
-        The files are not given, or there is no such source.
-    """
+        return SyntheticSource(int(described["seed"]), int(described["count"]))
     if images is None or (name == "hwdplus" and writer_info is None):
         option = "--images PATH" if images is None else "--writer-info FILE"
         message = (
@@ -153,7 +129,7 @@ def rebuilt_source(name: str, images: Path | None, writer_info: Path | None, ink
     if name == "folder":
         from mnist3d.sources.folder import FolderSource
 
-        return FolderSource(str(images), ink=ink)
+        return FolderSource(str(images), ink=str(described.get("ink", "auto")))
     message = (
         f"the data set was made from source {name!r}, which is not known; next: give a picture of a digit"
     )

@@ -2,268 +2,249 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property, partial
+from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from mnist3d.dataset import MeshDataset, MeshRecord, load
+import numpy as np
+
+from mnist3d.dataset import MeshDataset, MeshRecord
 from mnist3d.kind import KIND
-from mnist3d.preview_figures import distributions, histogram, require_report
-from mnist3d.preview_object import draw_object
-from mnist3d.preview_sheet import draw_sheet
-from mnist3d.preview_steps import draw_steps, source_option
+from mnist3d.preview_steps import CLAY, draw_steps, source_option
+from mnist3d.report import REPORT_FILE
 from mnist3d.spec import SolidSpec
-from tactile_toolkit.catalog.choose import chosen_records, class_by_class, open_splits
-from tactile_toolkit.catalog.kinds import require_kind
-from tactile_toolkit.errors import InputError, ItemError
+from tactile_toolkit.errors import InputError
 from tactile_toolkit.mesh.files import FORMATS, read_mesh
-from tactile_toolkit.mesh.mesh import Mesh
-from tactile_toolkit.pictures.plots import require_plots
-from tactile_toolkit.pictures.render import Studio
-from tactile_toolkit.pictures.writing import (
-    Drawing,
-    PicturePlan,
-    PlannedPicture,
-    chosen_kinds,
-    file_stem,
-    plan_kinds,
+from tactile_toolkit.mesh.mesh import MM_PER_M, Mesh
+from tactile_toolkit.mesh.solid_check import judge
+from tactile_toolkit.pictures.plots import Spread, plot_spreads, require_plots
+from tactile_toolkit.pictures.previews import (
+    MeshPreviews,
+    PreviewSpec,
+    class_bars,
+    draw_by_class,
+    draw_two_views,
 )
+from tactile_toolkit.pictures.relief import relief_of
+from tactile_toolkit.pictures.render import TOP, Body, Picture3d, Renderer, fitting_scale
+from tactile_toolkit.pictures.sheets import Tile, with_scale_bar
+from tactile_toolkit.pictures.writing import Drawing, PicturePlan, PlannedPicture, chosen_kinds, file_stem
 from tactile_toolkit.store.folder import DataFolder
-from tactile_toolkit.store.manifest import read_manifest
+from tactile_toolkit.store.reports import read_report
 from tactile_toolkit.wording import counted
 
-__all__ = ["KINDS", "PreviewSpec", "plan_previews"]
+if TYPE_CHECKING:
+    from collections.abc import Callable
 
-KINDS = ("sheet", "object", "steps", "histogram", "distributions")
-_USUAL = ("sheet", "histogram", "distributions")
+__all__ = ["DigitPreviewSpec", "draw_object", "draw_sheet", "object_facts", "plan_previews", "report_rows"]
+
+_KINDS = ("sheet", "object", "steps", "histogram", "distributions")
 _IMAGES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".webp")
+_TILE_PX = 132
+_PANEL_PX = (560, 520)
+_FILLED = 0.9
+_MM3_PER_CM3 = 1000.0
 
 
 @dataclass(frozen=True, slots=True)
-class PreviewSpec:
-    """What to draw.
+class DigitPreviewSpec(PreviewSpec):
+    """Which pictures of digits to draw; the steps need the files that the images came from."""
 
-    Attributes
-    ----------
-    kinds : tuple of str
-        Some of :data:`KINDS`, or ``"all"``. When empty: single objects where ids are given, else sheet,
-        histogram and distributions.
-    split : str or None
-        Split of a data set; all of them by default.
-    ids : tuple of int
-        Digits to draw. When empty: the first of each class on a sheet, the first digit as object and steps.
-    per_class : int
-        Digits of each class on a sheet.
-    images, writer_info : Path or None
-        Files of the source of the images, for the steps.
-    """
-
-    kinds: tuple[str, ...] = ()
-    split: str | None = None
-    ids: tuple[int, ...] = ()
-    per_class: int = 10
     images: Path | None = None
     writer_info: Path | None = None
-
-    def __post_init__(self) -> None:
-        if self.per_class < 1:
-            message = f"--per-class is {self.per_class}; expected a whole number of at least 1"
-            raise InputError(message)
 
 
 def plan_previews(name: str, spec: PreviewSpec) -> PicturePlan:
     """Decide which pictures of a data set, a mesh file or an image of a digit to draw; draws none.
 
-    Parameters
-    ----------
-    name : str
-        A data set folder, a Parquet file, a mesh file (STL, 3MF, PLY, OBJ, GLB), or a picture of a digit.
-    spec : PreviewSpec
-        What to draw.
-
-    Returns
-    -------
-    PicturePlan
-
-    Raises
-    ------
-    InputError
-        No such place, kind, split or id; an empty set; a file that cannot be read.
-    MissingExtraError
-        Plots were asked for by name and matplotlib is not installed.
-    IntegrityError
-        The data set is damaged or unfinished.
+    Kinds are sheet, object, steps, histogram and distributions. InputError as
+    :class:`~tactile_toolkit.pictures.previews.MeshPreviews`, and where a file cannot be read;
+    MissingExtraError where a plot is asked for by name without matplotlib; IntegrityError where the data set
+    is damaged or unfinished.
     """
-    place = Path(name).expanduser()
-    if not place.exists():
+    path = Path(name).expanduser()
+    if not path.exists():
         message = f"{name!r} does not exist; expected a data set folder, a Parquet file or a mesh file"
         raise InputError(message)
-    ending = place.suffix.lower()
-    if place.is_dir() or ending == ".parquet":
-        return _plan_set(_OpenSet(name, spec))
+    ending = path.suffix.lower()
+    if path.is_dir() or ending == ".parquet":
+        return _plan_set(name, spec)
     if ending in FORMATS:
-        _require_only("object", spec, name)
-        mesh = read_mesh(place)
-        return _one(f"{file_stem(name)}-object.png", place.name, partial(_drawn_object, mesh, place.name))
+        mesh = read_mesh(path)
+        return _plan_file("object", name, spec, partial(draw_object, mesh=mesh, title=path.name))
     if ending in _IMAGES:
-        _require_only("steps", spec, name)
-        pixels = _digit_image(place)
-        return _one(
-            f"{file_stem(name)}-steps.png", place.name, partial(_drawn_steps, pixels, SolidSpec(), place.name)
-        )
+        from mnist3d.sources.canvas import fit
+        from mnist3d.sources.picture import read_picture
+
+        pixels = fit(read_picture(path))
+        draw = partial(draw_steps, pixels=pixels, spec=SolidSpec(), title=path.name)
+        return _plan_file("steps", name, spec, draw)
     known = ", ".join((".parquet", *FORMATS, *_IMAGES))
     message = f"{name!r} ends in {ending!r}; expected a folder, or a file ending in one of {known}"
     raise InputError(message)
 
 
-class _OpenSet:
-    """A data set and what to draw of it."""
-
-    def __init__(self, name: str, spec: PreviewSpec) -> None:
-        self.name, self.spec, self.stem = name, spec, file_stem(name)
-        self.folder = DataFolder(name)
-        self.datasets = open_splits(name, spec.split, load, "digits")
-        require_kind(KIND, "preview", name, self.datasets.values())
-
-    @cached_property
-    def made_by(self) -> Mapping[str, Any]:
-        """The specification in the manifest; empty where there is none."""
-        manifest = read_manifest(self.folder) if Path(self.name).expanduser().is_dir() else None
-        return manifest.spec if manifest is not None else {}
-
-    def records(self) -> list[tuple[str, MeshRecord]]:
-        """Return the digits asked for with their splits, or the first of all.
-
-        Raises
-        ------
-        InputError
-            There is no digit of some id.
-        """
-        return chosen_records(self.datasets, self.spec.ids, self.name, "digit")
-
-
-def _plan_set(opened: _OpenSet) -> PicturePlan:
-    usual = ("object",) if opened.spec.ids else _USUAL
-    kinds, by_name = chosen_kinds(opened.spec.kinds, KINDS, usual)
-    if opened.spec.ids:
-        opened.records()
-    return plan_kinds(kinds, by_name, lambda kind: _PLANS[kind](opened))
-
-
-def _plan_sheets(opened: _OpenSet) -> list[PlannedPicture]:
-    pictures = []
-    for split, dataset in opened.datasets.items():
-        rows = class_by_class(dataset, opened.spec.ids, opened.spec.per_class)
-        if len(rows):
-            draw = partial(_drawn_sheet, dataset[rows], opened.spec.per_class, f"{opened.stem}: {split}")
-            what = f"{counted(len(rows), 'digits')} of {split} from above"
-            pictures.append(PlannedPicture(f"{opened.stem}-{split}-sheet.png", what, draw))
-    return pictures
-
-
-def _plan_objects(opened: _OpenSet) -> list[PlannedPicture]:
-    return [
-        PlannedPicture(
-            f"{opened.stem}-{split}-{record.id}-object.png",
-            f"digit {record.id} from above and obliquely",
-            partial(
-                _drawn_object,
-                Mesh(record.vertices_m, record.faces),
-                _heading(opened, split, record),
-            ),
+def _plan_file(kind: str, name: str, spec: PreviewSpec, draw: Callable[[Renderer], Drawing]) -> PicturePlan:
+    """Plan the one picture that a single file allows; InputError where others were asked for by name."""
+    others = [each for each in chosen_kinds(spec.kinds, _KINDS, (kind,)) if each != kind]
+    if others and "all" not in spec.kinds:
+        message = (
+            f"--kind {others[0]} needs a data set, and {name!r} is a single file; next: give --kind {kind}"
         )
-        for split, record in opened.records()
-    ]
-
-
-def _plan_steps(opened: _OpenSet) -> list[PlannedPicture]:
-    if "source" not in opened.made_by:
-        message = f"{opened.name!r} does not say where its images came from; next: give a picture of a digit"
-        raise InputError(message)
-    source = source_option(dict(opened.made_by["source"]), opened.spec.images, opened.spec.writer_info)
-    solid = SolidSpec.from_dict(dict(opened.made_by["solid"]))
-    return [
-        PlannedPicture(
-            f"{opened.stem}-{split}-{record.id}-steps.png",
-            f"digit {record.id}, step by step",
-            partial(_drawn_steps, source.image(record.id).pixels, solid, _heading(opened, split, record)),
-        )
-        for split, record in opened.records()
-    ]
-
-
-def _plan_histogram(opened: _OpenSet) -> list[PlannedPicture]:
-    require_plots("the class histogram")
-    draw = partial(_alone, histogram, opened.datasets, f"{opened.stem}: digits of each class")
-    return [PlannedPicture(f"{opened.stem}-histogram.png", "digits of each class", draw)]
-
-
-def _plan_distributions(opened: _OpenSet) -> list[PlannedPicture]:
-    require_plots("the picture of distributions")
-    require_report(opened.folder)
-    least = opened.made_by.get("print_profile", {}).get("min_wall_mm")
-    title = f"{opened.stem}: measures of the digits"
-    draw = partial(_alone, distributions, opened.folder, tuple(opened.datasets), least, title)
-    what = "height, volume, vertices and thinnest wall"
-    return [PlannedPicture(f"{opened.stem}-distributions.png", what, draw)]
-
-
-_PLANS = {
-    "sheet": _plan_sheets,
-    "object": _plan_objects,
-    "steps": _plan_steps,
-    "histogram": _plan_histogram,
-    "distributions": _plan_distributions,
-}
-
-
-def _heading(opened: _OpenSet, split: str, record: MeshRecord) -> str:
-    names = next(iter(opened.datasets.values())).label_names
-    name = names[record.label] if record.label < len(names) else record.label
-    return f"Digit {name}, id {record.id} ({opened.stem}, {split})"
-
-
-def _drawn_sheet(dataset: MeshDataset, per_row: int, title: str, _: Studio) -> Drawing:
-    return draw_sheet(list(dataset), per_row, title, dataset.label_names)
-
-
-def _drawn_object(mesh: Mesh, title: str, studio: Studio) -> Drawing:
-    return draw_object(studio, mesh, title)
-
-
-def _drawn_steps(pixels: Any, solid: SolidSpec, title: str, studio: Studio) -> Drawing:
-    try:
-        return draw_steps(studio, pixels, solid, title)
-    except ItemError as error:
-        raise ItemError(error.reason, f"{title}: {error}") from error
-
-
-def _alone(draw: Any, *parts: Any) -> Drawing:
-    """Draw what needs no studio, which comes last."""
-    drawing: Drawing = draw(*parts[:-1])
-    return drawing
-
-
-def _digit_image(place: Path) -> Any:
-    from mnist3d.sources.canvas import fit
-    from mnist3d.sources.picture import read_picture
-
-    return fit(read_picture(place))
-
-
-def _require_only(kind: str, spec: PreviewSpec, name: str) -> None:
-    kinds, by_name = chosen_kinds(spec.kinds, KINDS, (kind,))
-    if by_name and kinds != (kind,):
-        other = next(each for each in kinds if each != kind)
-        message = f"--kind {other} needs a data set, and {name!r} is a single file; next: give --kind {kind}"
         raise InputError(message)
     for option, value in (("--split", spec.split), ("--ids", spec.ids)):
         if value:
             message = f"{option} chooses from a data set, and {name!r} is a single file; next: leave it out"
             raise InputError(message)
+    return PicturePlan((PlannedPicture(f"{file_stem(name)}-{kind}.png", Path(name).name, draw),))
 
 
-def _one(name: str, what: str, draw: Any) -> PicturePlan:
-    return PicturePlan((PlannedPicture(name, what, draw),))
+def _plan_set(name: str, spec: PreviewSpec) -> PicturePlan:
+    opened: MeshPreviews[MeshDataset] = MeshPreviews(KIND, name, spec)
+    plans = {
+        "sheet": lambda: opened.plan_sheets(
+            lambda rows, title: draw_sheet(list(rows), spec.per_class, title, rows.label_names)
+        ),
+        "object": lambda: [
+            PlannedPicture(
+                f"{opened.stem}-{split}-{record.id}-object.png",
+                f"digit {record.id} from above and obliquely",
+                partial(
+                    draw_object,
+                    mesh=Mesh(record.vertices_m, record.faces),
+                    title=_heading(opened, split, record),
+                ),
+            )
+            for split, record in opened.records
+        ],
+        "steps": lambda: _plan_steps(opened),
+        "histogram": lambda: opened.plan_histogram(
+            lambda: [class_bars(split, rows, "digits", "class") for split, rows in opened.datasets.items()]
+        ),
+        "distributions": lambda: [_plan_distributions(opened)],
+    }
+    return opened.plan(plans, ("sheet", "histogram", "distributions"), "object")
+
+
+def _plan_steps(opened: MeshPreviews[MeshDataset]) -> list[PlannedPicture]:
+    if "source" not in opened.made_by:
+        message = f"{opened.name!r} does not say where its images came from; next: give a picture of a digit"
+        raise InputError(message)
+    given = opened.spec if isinstance(opened.spec, DigitPreviewSpec) else DigitPreviewSpec()
+    source = source_option(dict(opened.made_by["source"]), given.images, given.writer_info)
+    solid = SolidSpec.from_dict(dict(opened.made_by["solid"]))
+    return [
+        PlannedPicture(
+            f"{opened.stem}-{split}-{record.id}-steps.png",
+            f"digit {record.id}, step by step",
+            partial(
+                draw_steps,
+                pixels=source.image(record.id).pixels,
+                spec=solid,
+                title=_heading(opened, split, record),
+            ),
+        )
+        for split, record in opened.records
+    ]
+
+
+def _plan_distributions(opened: MeshPreviews[MeshDataset]) -> PlannedPicture:
+    require_plots("the picture of distributions")
+    folder = DataFolder(opened.name)
+    if not folder.exists(REPORT_FILE):
+        message = (
+            f"distributions need {REPORT_FILE}, which {folder.address()!r} does not hold; next: give the "
+            "folder of a data set made by `mnist3d generate`"
+        )
+        raise InputError(message)
+    least_wall_mm = opened.made_by.get("print_profile", {}).get("min_wall_mm")
+    return PlannedPicture(
+        f"{opened.stem}-distributions.png",
+        "height, volume, vertices and thinnest wall",
+        lambda _: draw_distributions(
+            report_rows(folder, tuple(opened.datasets)),
+            least_wall_mm,
+            f"{opened.stem}: measures of the digits",
+        ),
+    )
+
+
+def _heading(opened: MeshPreviews[MeshDataset], split: str, record: MeshRecord) -> str:
+    label = _class_name(next(iter(opened.datasets.values())).label_names, record.label)
+    return f"Digit {label}, id {record.id} ({opened.stem}, {split})"
+
+
+def _class_name(names: Sequence[str], label: int) -> str:
+    return names[label] if label < len(names) else str(label)
+
+
+def draw_sheet(records: Sequence[MeshRecord], per_row: int, title: str, names: Sequence[str]) -> Drawing:
+    """Draw digits from above at one scale; ``names`` are those of the classes."""
+    meshes = [Mesh(record.vertices_m, record.faces) for record in records]
+    px_per_mm = _TILE_PX / (MM_PER_M * max(float(np.ptp(mesh.vertices_m[:, :2], 0).max()) for mesh in meshes))
+    tiles = [
+        (_class_name(names, record.label), Tile(relief_of(mesh, px_per_mm), f"{record.id}"))
+        for mesh, record in zip(meshes, records, strict=True)
+    ]
+    words = f"{counted(len(records), 'digits')} from above, at one scale; the id of each below it"
+    return draw_by_class(tiles, per_row, title, words, px_per_mm)
+
+
+def draw_object(renderer: Renderer, mesh: Mesh, title: str) -> Drawing:
+    """Draw a mesh from above and obliquely at one scale, with scale bars and its measures."""
+    bodies = (Body(mesh, CLAY),)
+    inner_px = (round(_PANEL_PX[0] * _FILLED), round(_PANEL_PX[1] * _FILLED))
+    px_per_m = min(fitting_scale(bodies, inner_px, TOP), fitting_scale(bodies, inner_px))
+    px_per_mm = px_per_m / MM_PER_M
+    relief = relief_of(mesh, px_per_mm)
+    canvas = np.full((_PANEL_PX[1], _PANEL_PX[0]), 255, np.uint8)
+    top, left = ((room - size) // 2 for room, size in zip(canvas.shape, relief.shape, strict=True))
+    canvas[top : top + relief.shape[0], left : left + relief.shape[1]] = relief
+    above = Tile(with_scale_bar(canvas, px_per_mm), "shaded relief, from above")
+    oblique = Picture3d(bodies, _PANEL_PX, px_per_m)
+    return draw_two_views(renderer, above, oblique, title, object_facts(mesh))
+
+
+def object_facts(mesh: Mesh) -> tuple[str, ...]:
+    """Return the measures of a mesh in words, and what keeps it from being a solid."""
+    x_mm, y_mm, z_mm = (np.ptp(mesh.vertices_m, axis=0) * MM_PER_M).tolist()
+    size = f"{x_mm:.1f} x {y_mm:.1f} x {z_mm:.1f} mm"
+    parts = f"{len(mesh.vertices_m):,} vertices, {len(mesh.faces):,} triangles"
+    found = judge(mesh)
+    if found.problem is not None:
+        return f"{size}; {parts}", f"not a solid: {found.detail}"
+    bodies = "one body" if found.bodies == 1 else f"{found.bodies} bodies"
+    return (f"{size}; volume {found.volume_mm3:,.0f} mm³; {parts}; {bodies}",)
+
+
+def report_rows(folder: DataFolder, splits: Sequence[str]) -> dict[str, Any]:
+    """Read the rows of some splits in the report of printability, as Arrow tables by split."""
+    report = read_report(folder, REPORT_FILE)
+    of_row = np.asarray(report["split"].to_pylist())
+    return {split: report.filter(of_row == split) for split in splits}
+
+
+def draw_distributions(tables: dict[str, Any], least_wall_mm: float | None, title: str) -> Drawing:
+    """Draw how height, volume, number of vertices and thinnest wall spread over each split.
+
+    A line marks the wall below which the print profile warns.
+    """
+
+    def spread(heading: str, label: str, column: str, unit: float = 1.0, **more: Any) -> Spread:
+        groups = [
+            (split, np.asarray(table[column].to_numpy()) / unit)
+            for split, table in tables.items()
+            if len(table)
+        ]
+        return Spread(heading, label, tuple(groups), "digits", together="all splits", **more)
+
+    limit = None if least_wall_mm is None else (least_wall_mm, f"warned of below {least_wall_mm:g} mm")
+    panels = (
+        spread("Height", "mm", "size_z_mm"),
+        spread("Volume", "cm³", "volume_mm3", _MM3_PER_CM3),
+        spread("Vertices", "vertices of a mesh", "vertices"),
+        spread("Thinnest wall", "mm", "thinnest_wall_mm", limit=limit),
+    )
+    return Drawing(plot_spreads(panels, title))

@@ -25,7 +25,7 @@ from realtouch.integrity.damage import damaged, missing_column
 from realtouch.media.clips import SensorClips, contact_frames_of, contact_windows_of, decode_frames
 from realtouch.media.images import SensorImages, in_parallel, positions_of
 from realtouch.poses import Poses, PoseSequences, bad_pose, rigid_transform
-from tactile_toolkit.errors import InputError, ToolkitError
+from tactile_toolkit.errors import InputError, IntegrityError, ToolkitError
 from tactile_toolkit.read.dataset import Record, Row
 from tactile_toolkit.read.parquet import RowGroup
 from tactile_toolkit.touch.jpeg import Pixels
@@ -213,10 +213,23 @@ class TouchRound(Record):
         return f"{type(self).__name__}({', '.join(words)})"
 
     def _repr_html_(self) -> str:
-        """Show the touches as a grid of pictures in a notebook."""
-        from realtouch.show.html import round_html
+        """Show touches in a notebook; what is not stored and pictures that are damaged are left out."""
+        from realtouch.show.html import MOST_TILES, evenly_spaced, round_html
 
-        return round_html(self)
+        named = {"label": self.shown("label", str), "object": self.shown("object_id", str)}
+        words = [f"{word} {value}" for word, value in named.items() if value is not None]
+        pictures: list[tuple[str, Pixels | None]] = []
+        for touch in evenly_spaced(self.touch_count, MOST_TILES):
+            try:
+                pictures.append((f"{touch}", self._contact_image(touch)))
+            except IntegrityError:
+                pictures.append((f"{touch}", None))
+        title = self.shown("id", str) or "Round"
+        return round_html(title, [*words, f"{self.touch_count} touches"], pictures)
+
+    def _contact_image(self, touch: int) -> Pixels:
+        """Return the picture of one contact, shape (H, W, 3), uint8; of a clip, its last frame of contact."""
+        raise NotImplementedError
 
 
 class TouchSingleRound(TouchRound):
@@ -233,6 +246,9 @@ class TouchSingleRound(TouchRound):
     def sensor_image(self) -> SensorImages:
         """Images, T of them, decoded on demand: int -> (H, W, 3) uint8, else (n, H, W, 3)."""
         return self._once("sensor_image", lambda: _images(self._row))
+
+    def _contact_image(self, touch: int) -> Pixels:
+        return self.sensor_image[touch]
 
 
 class TouchSeqRound(TouchRound):
@@ -272,6 +288,9 @@ class TouchSeqRound(TouchRound):
     def sensor_video(self) -> SensorClips:
         """Clips, T of them, opened on demand."""
         return self._once("sensor_video", lambda: SensorClips(self._row))
+
+    def _contact_image(self, touch: int) -> Pixels:
+        return self.sensor_video[touch].contact_frame("contact_end")
 
     def contact_frames(
         self, method: str = "contact_end", *, threads: int | None = None, out: Pixels | None = None

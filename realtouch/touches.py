@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import operator
 from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import suppress
 from typing import TYPE_CHECKING, Any, Generic, TypeVar, overload
 
 import numpy as np
@@ -93,9 +94,7 @@ class Touch:
     @property
     def image(self) -> Pixels:
         """Picture of the contact, shape (H, W, 3), uint8; of a clip, its last frame of contact."""
-        if isinstance(self.round, TouchSingleRound):
-            return self.round.sensor_image[self._place]
-        return self.clip.contact_frame("contact_end")
+        return self.round._contact_image(self._place)
 
     @property
     def clip(self) -> TouchClip:
@@ -133,7 +132,12 @@ class Touch:
         """Show the picture of the contact in a notebook."""
         from realtouch.show.html import touch_html
 
-        return touch_html(self)
+        label = self.round.shown("label", str)
+        words = [*([] if label is None else [f"label {label}"]), f"touch {self.touch_index}"]
+        with suppress(InputError):  # without positions
+            x_mm, y_mm = (1000.0 * float(value) for value in self.pos_in_cell_m)
+            words.append(f"x {x_mm:.1f} mm, y {y_mm:.1f} mm")
+        return touch_html(self.image, ", ".join(words))
 
 
 R = TypeVar("R", bound=TouchRound)

@@ -100,11 +100,11 @@ class SceneRecord(SolidRecord):
         """Show the scene from above in a notebook; without stored placements, its name alone."""
         if not self.has_placements:
             return repr(self)
-        from starstruck_gen.picture import scene_html
+        from starstruck_gen.picture import draw_scene
+        from tactile_toolkit.pictures.writing import figure_html
 
-        return scene_html(
-            self.placements, f"scene {self.id}: {self.star_count} stars, {self.distractor_count} distractors"
-        )
+        caption = f"scene {self.id}: {self.star_count} stars, {self.distractor_count} distractors"
+        return figure_html(np.asarray(draw_scene(self.placements, (0.12, 0.12), px_per_mm=2.0)), caption)
 
 
 class SceneMeshDataset(RecordDataset[SceneRecord]):

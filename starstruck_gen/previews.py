@@ -2,185 +2,221 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
-from functools import cached_property, partial
+import math
+from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
-from starstruck_gen.dataset import SceneMeshDataset, SceneRecord, load
+from starstruck_gen.dataset import SceneMeshDataset, SceneRecord
 from starstruck_gen.kind import KIND
-from starstruck_gen.preview_scene import draw_one, draw_sheet
-from starstruck_gen.spec import SceneSpec
-from tactile_toolkit.catalog.choose import chosen_records, class_by_class, open_splits
-from tactile_toolkit.catalog.kinds import require_kind
-from tactile_toolkit.errors import InputError
-from tactile_toolkit.pictures.plots import Bars, plot_bars, require_plots
-from tactile_toolkit.pictures.render import Studio
-from tactile_toolkit.pictures.writing import (
-    Drawing,
-    PicturePlan,
-    PlannedPicture,
-    chosen_kinds,
-    file_stem,
-    plan_kinds,
+from starstruck_gen.picture import (
+    DISTRACTOR,
+    STAR,
+    SUPERSAMPLING,
+    centre_px,
+    corners_px,
+    draw_scene,
+    empty_plate,
+    paint_object,
+    reduced,
 )
-from tactile_toolkit.store.folder import DataFolder
-from tactile_toolkit.store.manifest import read_manifest
+from starstruck_gen.placement import Rejected
+from starstruck_gen.sampling import SceneTrace, trace_scene
+from starstruck_gen.shapes import outline
+from starstruck_gen.spec import SceneSpec
+from starstruck_gen.stamping import stamp
+from starstruck_gen.streams import scene_rng
+from tactile_toolkit.errors import InputError
+from tactile_toolkit.mesh.mesh import MM_PER_M, Mesh
+from tactile_toolkit.pictures.plots import Bars
+from tactile_toolkit.pictures.previews import (
+    MeshPreviews,
+    PreviewSpec,
+    class_bars,
+    draw_by_class,
+    draw_two_views,
+)
+from tactile_toolkit.pictures.render import TOP, Body, Picture3d, Renderer, fitting_scale, shaded
+from tactile_toolkit.pictures.sheets import Tile, with_scale_bar
+from tactile_toolkit.pictures.writing import Drawing, PicturePlan, PlannedPicture
 from tactile_toolkit.wording import counted
 
-__all__ = ["KINDS", "PreviewSpec", "plan_previews"]
+if TYPE_CHECKING:
+    from PIL.Image import Image
 
-KINDS = ("sheet", "scene", "histogram")
-_USUAL = ("sheet", "histogram")
+__all__ = ["draw_one", "draw_trace", "plan_previews", "traced"]
 
-
-@dataclass(frozen=True, slots=True)
-class PreviewSpec:
-    """What to draw.
-
-    Attributes
-    ----------
-    kinds : tuple of str
-        Some of :data:`KINDS`, or ``"all"``. When empty: single scenes where ids are given, else sheet and
-        histogram.
-    split : str or None
-        Split of a data set; all of them by default.
-    ids : tuple of int
-        Scenes to draw. When empty: the first of each class on a sheet, the first scene alone.
-    per_class : int
-        Scenes of each class on a sheet.
-    """
-
-    kinds: tuple[str, ...] = ()
-    split: str | None = None
-    ids: tuple[int, ...] = ()
-    per_class: int = 8
-
-    def __post_init__(self) -> None:
-        if self.per_class < 1:
-            message = f"--per-class is {self.per_class}; expected a whole number of at least 1"
-            raise InputError(message)
+REJECTED = (213, 94, 0)
+_AREA = (150, 156, 164)
+_DASH = 6.0 * SUPERSAMPLING
+_CROSS = 4.0 * SUPERSAMPLING
+_TILE_PX = 150
+_PANEL_PX = 600
+_PLATE = (236, 233, 226)
+_PLATE_DEPTH_M = 2e-4
+_OBJECT = (150, 160, 172)
+"""Colour of objects of which it is not stored whether they are stars."""
 
 
 def plan_previews(name: str, spec: PreviewSpec) -> PicturePlan:
-    """Decide which pictures of a data set of scenes to draw; draws none.
+    """Decide which pictures of a folder or Parquet file of scenes to draw; draws none.
 
-    Parameters
-    ----------
-    name : str
-        A data set folder or a Parquet file.
-    spec : PreviewSpec
-        What to draw.
-
-    Returns
-    -------
-    PicturePlan
-
-    Raises
-    ------
-    InputError
-        No such place, kind, split or id; an empty set; no data set of scenes.
-    MissingExtraError
-        Plots were asked for by name and matplotlib is not installed.
-    IntegrityError
-        The data set is damaged or unfinished.
+    Kinds are sheet, scene and histogram. InputError as :class:`MeshPreviews`; MissingExtraError where a plot
+    is asked for by name without matplotlib; IntegrityError where the data set is damaged or unfinished.
     """
-    place = Path(name).expanduser()
-    if not place.is_dir() and not (place.is_file() and place.suffix.lower() == ".parquet"):
-        message = f"{name!r} is no folder and no Parquet file; expected a data set of scenes"
+    path = Path(name).expanduser()
+    if not path.is_dir() and not (path.is_file() and path.suffix.lower() == ".parquet"):
+        message = f"{name!r} is neither a folder nor a Parquet file; expected a data set of scenes"
         raise InputError(message)
-    opened = _OpenSet(name, spec)
-    kinds, by_name = chosen_kinds(spec.kinds, KINDS, ("scene",) if spec.ids else _USUAL)
-    if spec.ids:
-        opened.records()
-    return plan_kinds(kinds, by_name, lambda kind: _PLANS[kind](opened))
-
-
-class _OpenSet:
-    """A data set and what to draw of it."""
-
-    def __init__(self, name: str, spec: PreviewSpec) -> None:
-        self.name, self.spec, self.stem = name, spec, file_stem(name)
-        self.datasets = open_splits(name, spec.split, load, "scenes")
-        require_kind(KIND, "preview", name, self.datasets.values())
-
-    @cached_property
-    def made_by(self) -> SceneSpec | None:
-        """How the scenes were made; None where no manifest says it."""
-        manifest = read_manifest(DataFolder(self.name)) if Path(self.name).expanduser().is_dir() else None
-        return None if manifest is None else SceneSpec.from_dict(manifest.spec["scene"])
-
-    def records(self) -> list[tuple[str, SceneRecord]]:
-        """Return the scenes asked for with their splits, or the first of all.
-
-        Raises
-        ------
-        InputError
-            There is no scene of some id.
-        """
-        return chosen_records(self.datasets, self.spec.ids, self.name, "scene")
-
-
-def _plan_sheets(opened: _OpenSet) -> list[PlannedPicture]:
-    pictures = []
-    for split, dataset in opened.datasets.items():
-        rows = class_by_class(dataset, opened.spec.ids, opened.spec.per_class)
-        if len(rows):
-            made_by = opened.made_by or SceneSpec()
-            title = f"{opened.stem}: {split}"
-            draw = partial(_drawn_sheet, dataset[rows], made_by, opened.spec.per_class, title)
-            what = f"{counted(len(rows), 'scenes')} of {split} from above"
-            pictures.append(PlannedPicture(f"{opened.stem}-{split}-sheet.png", what, draw))
-    return pictures
-
-
-def _plan_scenes(opened: _OpenSet) -> list[PlannedPicture]:
-    return [
-        PlannedPicture(
-            f"{opened.stem}-{split}-{record.id}-scene.png",
-            f"scene {record.id} {_view(opened, record)}, and obliquely",
-            partial(_drawn_scene, record, opened.made_by, f"Scene {record.id} ({opened.stem}, {split})"),
-        )
-        for split, record in opened.records()
-    ]
-
-
-def _view(opened: _OpenSet, record: SceneRecord) -> str:
-    traceable = record.has_placements and opened.made_by is not None
-    return "with rejected positions" if traceable else "from above"
-
-
-def _plan_histogram(opened: _OpenSet) -> list[PlannedPicture]:
-    require_plots("the class histogram")
-    draw = partial(_drawn_histogram, opened.datasets, f"{opened.stem}: scenes of each class")
+    opened: MeshPreviews[SceneMeshDataset] = MeshPreviews(KIND, name, spec)
+    made_by = SceneSpec.from_dict(opened.made_by["scene"]) if opened.made_by else None
     known = any(dataset[0].has_placements for dataset in opened.datasets.values())
-    what = "scenes of each class" + (" and number of others" if known else "")
-    return [PlannedPicture(f"{opened.stem}-histogram.png", what, draw)]
+    plans = {
+        "sheet": lambda: opened.plan_sheets(
+            lambda rows, title: draw_sheet(list(rows), made_by or SceneSpec(), spec.per_class, title)
+        ),
+        "scene": lambda: [_plan_scene(opened.stem, split, each, made_by) for split, each in opened.records],
+        "histogram": lambda: opened.plan_histogram(
+            lambda: [bars for split, rows in opened.datasets.items() for bars in _counts(split, rows)],
+            " and number of others" if known else "",
+        ),
+    }
+    return opened.plan(plans, ("sheet", "histogram"), "scene")
 
 
-_PLANS = {"sheet": _plan_sheets, "scene": _plan_scenes, "histogram": _plan_histogram}
+def _plan_scene(stem: str, split: str, record: SceneRecord, made_by: SceneSpec | None) -> PlannedPicture:
+    traceable = record.has_placements and made_by is not None
+    view = "with rejected positions" if traceable else "from above"
+    draw = partial(draw_one, record=record, spec=made_by, title=f"Scene {record.id} ({stem}, {split})")
+    return PlannedPicture(
+        f"{stem}-{split}-{record.id}-scene.png", f"scene {record.id} {view}, and obliquely", draw
+    )
 
 
-def _drawn_sheet(dataset: SceneMeshDataset, spec: SceneSpec, per_row: int, title: str, _: Studio) -> Drawing:
-    return draw_sheet(list(dataset), spec, per_row, title)
+def _counts(split: str, dataset: SceneMeshDataset) -> list[Bars]:
+    bars = [class_bars(split, dataset, "scenes", "stars")]
+    if dataset[0].has_placements:
+        others = np.bincount(dataset.column("distractor_count"))
+        names = tuple(map(str, range(len(others))))
+        heading = f"{split}: other objects"
+        bars.append(Bars(heading, names, tuple(others.tolist()), "other objects", "scenes"))
+    return bars
 
 
-def _drawn_scene(record: SceneRecord, spec: SceneSpec | None, title: str, studio: Studio) -> Drawing:
-    return draw_one(studio, record, spec, title)
+def draw_sheet(records: Sequence[SceneRecord], spec: SceneSpec, per_row: int, title: str) -> Drawing:
+    """Draw scenes from above at one scale; ``spec`` tells the size of the cell."""
+    px_per_mm = _TILE_PX / (max(spec.cell_m) * MM_PER_M)
+    tiles = [
+        (counted(record.star_count, "stars"), Tile(_from_above(record, spec, px_per_mm), f"{record.id}"))
+        for record in records
+    ]
+    known = all(record.has_placements for record in records)
+    colours = "stars are yellow" if known else "it is not stored which objects are stars"
+    words = f"{counted(len(records), 'scenes')} from above, the id of each below it; {colours}"
+    return draw_by_class(tiles, per_row, title, words, px_per_mm)
 
 
-def _drawn_histogram(datasets: Mapping[str, SceneMeshDataset], title: str, _: Studio) -> Drawing:
-    panels = []
-    for split, dataset in datasets.items():
-        classes = np.bincount(dataset.labels, minlength=len(dataset.label_names))
-        heading = f"{split}: {counted(len(dataset), 'scenes')}"
-        panels.append(Bars(heading, dataset.label_names, tuple(classes.tolist()), "stars", "scenes"))
-        if dataset[0].has_placements:
-            others = np.bincount(dataset.column("distractor_count"))
-            names = tuple(map(str, range(len(others))))
-            panels.append(
-                Bars(f"{split}: other objects", names, tuple(others.tolist()), "other objects", "scenes")
-            )
-    return Drawing(plot_bars(panels, title))
+def draw_one(renderer: Renderer, record: SceneRecord, spec: SceneSpec | None, title: str) -> Drawing:
+    """Draw a scene from above and obliquely; where ``spec`` says how it was made, with rejected positions."""
+    known = spec or SceneSpec()
+    px_per_mm = _PANEL_PX / (max(known.cell_m) * MM_PER_M)
+    facts = counted(record.star_count, "stars")
+    trace = traced(record, spec)
+    if trace is None:
+        above, caption = _from_above(record, known, px_per_mm), "from above; rejected positions are not known"
+    else:
+        above = np.asarray(draw_trace(trace, known, px_per_mm))
+        lost = "red: rejected positions" if trace.rejected else "no position was rejected"
+        caption = f"from above; {lost}; the dashed frame holds all centres"
+        given_up = sum(each.given_up for each in trace.rejected)
+        facts += (
+            f", {counted(trace.scene.distractor_count, 'other objects')}; "
+            f"{counted(sum(trace.scene.attempts), 'positions')} drawn, {len(trace.rejected)} rejected"
+        )
+        facts += f", {given_up} of them (grey crosses) in layouts that were given up" if given_up else ""
+        circles = known.collision == "circles"
+        facts += "; circles must not meet" if circles else "; outlines must not touch"
+    bodies = _bodies(record, known)
+    scale = fitting_scale(bodies, (round(0.96 * _PANEL_PX), round(0.96 * _PANEL_PX)))
+    oblique = Picture3d(bodies, (_PANEL_PX, _PANEL_PX), scale)
+    return draw_two_views(renderer, Tile(with_scale_bar(above, px_per_mm), caption), oblique, title, (facts,))
+
+
+def traced(record: SceneRecord, spec: SceneSpec | None) -> SceneTrace | None:
+    """Make a stored scene again from its seed to learn which positions were rejected.
+
+    None where the data set does not say how it was made, or where the seed now gives another scene.
+    """
+    if spec is None or not record.has_placements or record.star_count not in spec.stars:
+        return None
+    trace = trace_scene(spec, scene_rng(record.seed), record.star_count)
+    return trace if trace.scene == record.scene else None
+
+
+def draw_trace(trace: SceneTrace, spec: SceneSpec, px_per_mm: float) -> Image:
+    """Draw a scene with the room that collision takes around each object, and the positions not taken.
+
+    Objects that were not placed are outlined in red where they would have stood, with a cross at their
+    centre; those of layouts that were given up have a grey cross only. The dashed frame holds all centres.
+    """
+    from PIL import ImageDraw
+
+    picture = empty_plate(spec.cell_m, px_per_mm)
+    scale = px_per_mm * 1e3 * SUPERSAMPLING
+    pen = ImageDraw.Draw(picture)
+    half_x, half_y = (side * scale for side in spec.half_area_m)
+    corners = [(-half_x, -half_y), (half_x, -half_y), (half_x, half_y), (-half_x, half_y)]
+    middle = np.array(picture.size) / 2
+    for start, end in zip(corners, [*corners[1:], corners[0]], strict=True):
+        begin, way, length = middle + start, np.subtract(end, start), math.dist(start, end)
+        for at in np.arange(0.0, length, 2 * _DASH).tolist():
+            dash = [begin + way * (share / length) for share in (at, min(at + _DASH, length))]
+            pen.line([tuple(point) for point in np.array(dash).tolist()], fill=_AREA, width=SUPERSAMPLING)
+    for placement in trace.scene.placements:
+        paint_object(picture, placement, scale)
+        if spec.collision == "circles":
+            x, y = centre_px(placement, picture.size, scale)
+            radius = (placement.radius_m + spec.clearance_m / 2) * scale
+            box = (x - radius, y - radius, x + radius, y + radius)
+            pen.ellipse(box, outline=_AREA, width=SUPERSAMPLING)
+    for lost in sorted(trace.rejected, key=lambda each: not each.given_up):
+        _mark_rejected(picture, lost, scale)
+    return reduced(picture)
+
+
+def _mark_rejected(picture: Image, lost: Rejected, px_per_m: float) -> None:
+    from PIL import ImageDraw
+
+    pen = ImageDraw.Draw(picture)
+    colour = _AREA if lost.given_up else REJECTED
+    if not lost.given_up:
+        for ring in outline(lost.candidate.shape):
+            corners = corners_px(ring, lost.candidate, picture.size, px_per_m)
+            pen.line([*corners, corners[0]], fill=colour, width=SUPERSAMPLING)
+    x, y = centre_px(lost.candidate, picture.size, px_per_m)
+    for slope in (1, -1):
+        line = (x - _CROSS, y - slope * _CROSS, x + _CROSS, y + slope * _CROSS)
+        pen.line(line, fill=colour, width=2 * SUPERSAMPLING)
+
+
+def _from_above(record: SceneRecord, spec: SceneSpec, px_per_mm: float) -> NDArray[np.uint8]:
+    if record.has_placements:
+        return np.asarray(draw_scene(record.placements, spec.cell_m, px_per_mm))
+    width, height = (round(side * MM_PER_M * px_per_mm) for side in spec.cell_m)
+    return shaded(Picture3d(_bodies(record, spec), (width, height), px_per_mm * MM_PER_M, TOP))
+
+
+def _bodies(record: SceneRecord, spec: SceneSpec) -> tuple[Body, ...]:
+    x, y = spec.cell_m[0] / 2, spec.cell_m[1] / 2
+    corners_m = [(px, py, -_PLATE_DEPTH_M) for px, py in ((-x, -y), (x, -y), (x, y), (-x, y))]
+    plate = Body(Mesh(np.array(corners_m), np.array([(0, 1, 2), (0, 2, 3)], np.int32)), _PLATE, lit=False)
+    if not record.has_placements:
+        return (plate, Body(Mesh(record.vertices_m, record.faces), _OBJECT))
+    return (
+        plate,
+        *(Body(stamp([[each]])[0], STAR if each.is_star else DISTRACTOR) for each in record.placements),
+    )

@@ -9,7 +9,6 @@ import math
 import textwrap
 import warnings
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any
 
@@ -45,21 +44,7 @@ _STYLE = {
 
 @dataclass(frozen=True, slots=True)
 class Bars:
-    """Counts of one panel.
-
-    Attributes
-    ----------
-    title : str
-        Above the panel.
-    names : tuple of str
-        Below each bar.
-    counts : tuple of int
-        Heights of the bars.
-    label : str
-        What is counted in groups, below the axis.
-    unit : str
-        What is counted, beside the axis.
-    """
+    """Counts of one panel: a name for each bar, what the groups are (below the axis), what is counted."""
 
     title: str
     names: tuple[str, ...]
@@ -70,47 +55,19 @@ class Bars:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Spread:
-    """Values of one panel.
-
-    Attributes
-    ----------
-    title : str
-        Above the panel.
-    label : str
-        Name and unit of the values.
-    groups : tuple of (str, ndarray)
-        Values of each group, shape (n,).
-    unit : str
-        What has the values, beside the axis, such as ``"digits"``.
-    limit : tuple of (float, str), optional
-        A line at a value, and its name.
-    together : str
-        What all groups are together, such as ``"all splits"``.
-    """
+    """Values of one panel: their name and unit, those of each group, shape (n,), and what has them."""
 
     title: str
     label: str
     groups: tuple[tuple[str, NDArray[Any]], ...]
-    unit: str
-    limit: tuple[float, str] | None = None
-    together: str = "all"
+    unit: str  # what has the values, such as "digits"
+    limit: tuple[float, str] | None = None  # a line at a value, and its name
+    together: str = "all"  # what all groups are together, such as "all splits"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Points:
-    """Values in a row.
-
-    Attributes
-    ----------
-    title : str
-        Above the panel.
-    x_label, y_label : str
-        Names and units of the axes.
-    x, y : ndarray, shape (n,)
-        The points.
-    groups : tuple of str
-        Group of each point.
-    """
+    """Values in a row: names and units of the axes, points, shapes (n,), and the group of each."""
 
     title: str
     x_label: str
@@ -121,13 +78,7 @@ class Points:
 
 
 def require_plots(what: str) -> None:
-    """Refuse to plot where matplotlib is missing.
-
-    Raises
-    ------
-    MissingExtraError
-        It is not installed.
-    """
+    """Refuse to plot where matplotlib is missing, with a MissingExtraError about ``what``."""
     try:
         import matplotlib.figure  # noqa: F401
     except ImportError as error:
@@ -135,12 +86,7 @@ def require_plots(what: str) -> None:
 
 
 def plot_bars(panels: Sequence[Bars], title: str) -> NDArray[np.uint8]:
-    """Draw counts as bars with their numbers above them, one panel each.
-
-    Returns
-    -------
-    ndarray of uint8, shape (H, W, 3)
-    """
+    """Draw counts as bars with their numbers above them, one panel each; colours of shape (H, W, 3)."""
 
     def fill(figure: Any) -> None:
         for axes, panel in zip(_axes(figure, len(panels)), panels, strict=True):
@@ -158,12 +104,7 @@ def plot_bars(panels: Sequence[Bars], title: str) -> NDArray[np.uint8]:
 
 
 def plot_spreads(panels: Sequence[Spread], title: str) -> NDArray[np.uint8]:
-    """Draw how values spread, one panel each: the share of each group per bin, and its median.
-
-    Returns
-    -------
-    ndarray of uint8, shape (H, W, 3)
-    """
+    """Draw how values spread, one panel each: the share of each group per bin, and its median; (H, W, 3)."""
 
     def fill(figure: Any) -> None:
         for axes, panel in zip(_axes(figure, len(panels)), panels, strict=True):
@@ -178,21 +119,16 @@ def plot_spreads(panels: Sequence[Spread], title: str) -> NDArray[np.uint8]:
 
 
 def plot_points(panel: Points, subtitle: str = "") -> NDArray[np.uint8]:
-    """Draw values in a row, each group in a colour of its own.
-
-    Returns
-    -------
-    ndarray of uint8, shape (H, W, 3)
-    """
+    """Draw values in a row, each group in a colour of its own; colours of shape (H, W, 3)."""
 
     def fill(figure: Any) -> None:
         axes = figure.subplots()
         names = list(dict.fromkeys(panel.groups))
         groups = np.array(panel.groups)
         axes.plot(panel.x, panel.y, color=hex_of(MUTED), linewidth=0.6, alpha=0.5, zorder=1)
-        for place, name in enumerate(names):
+        for number, name in enumerate(names):
             chosen = groups == name
-            colour, marker = hex_of(ACCENTS[place % len(ACCENTS)]), "osD^v"[place // len(ACCENTS) % 5]
+            colour, marker = hex_of(ACCENTS[number % len(ACCENTS)]), "osD^v"[number // len(ACCENTS) % 5]
             axes.scatter(
                 panel.x[chosen], panel.y[chosen], s=16, c=colour, marker=marker, label=name, zorder=2
             )
@@ -212,8 +148,8 @@ def plot_points(panel: Points, subtitle: str = "") -> NDArray[np.uint8]:
 def _fill_spread(axes: Any, panel: Spread) -> None:
     values = np.concatenate([group for _, group in panel.groups])
     edges = _bin_edges(values)
-    for place, (name, group) in enumerate(panel.groups):
-        colour = hex_of(ACCENTS[place % len(ACCENTS)])
+    for number, (name, group) in enumerate(panel.groups):
+        colour = hex_of(ACCENTS[number % len(ACCENTS)])
         shares = 100.0 * np.histogram(group, edges)[0] / max(len(group), 1)
         axes.stairs(shares, edges, color=colour, linewidth=1.6, label=name)
         if len(panel.groups) == 1:
@@ -265,8 +201,8 @@ def _columns(panels: int) -> int:
 def _axes(figure: Any, panels: int) -> Iterator[Any]:
     columns = _columns(panels)
     grid = figure.subplots(-(-panels // columns), columns, squeeze=False)
-    for place, axes in enumerate(grid.flat):
-        if place < panels:
+    for number, axes in enumerate(grid.flat):
+        if number < panels:
             yield axes
         else:
             axes.remove()
@@ -274,10 +210,12 @@ def _axes(figure: Any, panels: int) -> Iterator[Any]:
 
 def _drawn(fill: Callable[[Any], None], size_in: tuple[float, float], title: str) -> NDArray[np.uint8]:
     require_plots("a plot")
+    import matplotlib.style
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
-    with _style(), warnings.catch_warnings():
+    # Our own style, whatever a matplotlibrc of this machine says.
+    with matplotlib.style.context(["default", _STYLE]), warnings.catch_warnings():
         figure = Figure(figsize=size_in, dpi=_DPI, layout="constrained")
         canvas = FigureCanvasAgg(figure)
         # Of letters that the font lacks it draws boxes, and would say so on stderr.
@@ -303,12 +241,3 @@ def _write_title(figure: Any, title: str) -> None:
 
 def _width_px(text: Any) -> float:
     return float(text.get_window_extent().width)
-
-
-@contextmanager
-def _style() -> Iterator[None]:
-    """Draw by our own style whatever a matplotlibrc of this machine says."""
-    import matplotlib.style
-
-    with matplotlib.style.context(["default", _STYLE]):
-        yield

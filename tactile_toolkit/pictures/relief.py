@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import base64
-import html
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -12,7 +10,7 @@ from numpy.typing import NDArray
 if TYPE_CHECKING:
     from tactile_toolkit.mesh.mesh import Mesh
 
-__all__ = ["record_html", "relief", "relief_of"]
+__all__ = ["relief", "relief_of"]
 
 _PITCH_M = 0.0002
 
@@ -67,12 +65,3 @@ def relief_of(mesh: Mesh, px_per_mm: float, smoothing: int = 3) -> NDArray[np.ui
     from tactile_toolkit.pictures.render import averaged
 
     return averaged(relief(mesh.vertices_m, mesh.faces, 1e-3 / (px_per_mm * smoothing)), smoothing)
-
-
-def record_html(vertices_m: NDArray[np.floating[Any]], faces: NDArray[np.integer[Any]], caption: str) -> str:
-    """Return what a notebook shows of a mesh: its relief and what it is."""
-    from tactile_toolkit.pictures.writing import png_bytes
-
-    picture = base64.b64encode(png_bytes(relief(vertices_m, faces))).decode()
-    told = f"<figcaption>{html.escape(caption)}</figcaption>"
-    return f'<figure><img src="data:image/png;base64,{picture}">{told}</figure>'

@@ -28,8 +28,8 @@ __all__ = [
     "Body",
     "OBLIQUE",
     "Picture3d",
+    "Renderer",
     "SAMPLING",
-    "Studio",
     "TOP",
     "View",
     "averaged",
@@ -187,20 +187,15 @@ def fitting_scale(bodies: Sequence[Body], size_px: tuple[int, int], view: View =
     return float((np.array(size_px) / np.maximum(high - low, 1e-9)).min())
 
 
-class Studio:
-    """Where oblique views are made. Use it as a context: the renderer is a process of its own.
+class Renderer:
+    """Draws oblique views with pyvista in a process of its own; use it as a context.
 
     A graphics driver that is missing or broken ends the process that calls it; here that is a child, and the
-    view is then drawn in shaded relief.
-
-    Parameters
-    ----------
-    renderer : bool
-        False draws in shaded relief only.
+    view is then drawn in shaded relief, as it always is without ``smooth``.
     """
 
-    def __init__(self, renderer: bool = True) -> None:
-        self._wanted = renderer
+    def __init__(self, smooth: bool = True) -> None:
+        self._wanted = smooth
         self._child: subprocess.Popen[bytes] | None = None
         self._reason = ""
 
@@ -211,15 +206,7 @@ class Studio:
         self.close()
 
     def draw(self, picture: Picture3d) -> tuple[NDArray[np.uint8], tuple[str, ...]]:
-        """Draw bodies.
-
-        Returns
-        -------
-        pixels : ndarray of uint8, shape (H, W, 3)
-            On white paper.
-        notes : tuple of str
-            What there is to say: empty, or that the renderer is not there.
-        """
+        """Draw bodies on white paper, (H, W, 3), and say why where that had to be in shaded relief."""
         if not self._wanted:
             return shaded(picture), ()
         pixels = self._rendered(picture)

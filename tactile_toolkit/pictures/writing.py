@@ -1,9 +1,11 @@
-"""Pictures in files: planned first, then drawn one by one; equal pixels give equal bytes."""
+"""Pictures in files and notebooks: planned first, then drawn one by one; equal pixels give equal bytes."""
 
 from __future__ import annotations
 
+import base64
+import html
 import io
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, TypeAlias
@@ -12,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactile_toolkit.errors import InputError
-from tactile_toolkit.pictures.render import Studio
+from tactile_toolkit.pictures.render import Renderer
 from tactile_toolkit.store.folder import DataFolder
 
 __all__ = [
@@ -21,13 +23,13 @@ __all__ = [
     "Pixels",
     "PlannedPicture",
     "WrittenPicture",
-    "as_rgb",
     "chosen_kinds",
+    "figure_html",
     "file_stem",
+    "parse_ids",
     "plan_kinds",
     "png_bytes",
     "renamed",
-    "whole_numbers",
     "write_pictures",
 ]
 
@@ -35,20 +37,11 @@ Pixels: TypeAlias = NDArray[np.uint8]
 """Grey levels of shape (H, W) or colours of shape (H, W, 3); row 0 at the top."""
 
 PNG = ".png"
-_COMPRESSION = 6
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Drawing:
-    """A picture in memory.
-
-    Attributes
-    ----------
-    pixels : ndarray of uint8, shape (H, W) or (H, W, 3)
-        What is seen.
-    notes : tuple of str
-        What whoever looks at it should know, such as that no renderer was there.
-    """
+    """A picture in memory, and what whoever looks at it should know, such as that no renderer was there."""
 
     pixels: Pixels
     notes: tuple[str, ...] = ()
@@ -56,34 +49,16 @@ class Drawing:
 
 @dataclass(frozen=True, slots=True)
 class PlannedPicture:
-    """A picture that is not drawn yet.
-
-    Attributes
-    ----------
-    name : str
-        File name, ending in ``.png``.
-    what : str
-        What it shows, in a few words.
-    draw : callable
-        Draws it; takes the :class:`~tactile_toolkit.pictures.render.Studio` in which oblique views are made.
-    """
+    """A picture that is not drawn yet: its file name (``.png``) and what it shows, in a few words."""
 
     name: str
     what: str
-    draw: Callable[[Studio], Drawing]
+    draw: Callable[[Renderer], Drawing]
 
 
 @dataclass(frozen=True, slots=True)
 class PicturePlan:
-    """What will be drawn.
-
-    Attributes
-    ----------
-    pictures : tuple of PlannedPicture
-        In order.
-    left_out : tuple of str
-        Why kinds that nobody named are not among them.
-    """
+    """What will be drawn, in order, and why kinds that nobody named are not among it."""
 
     pictures: tuple[PlannedPicture, ...]
     left_out: tuple[str, ...] = ()
@@ -91,17 +66,7 @@ class PicturePlan:
 
 @dataclass(frozen=True, slots=True)
 class WrittenPicture:
-    """A picture on disk.
-
-    Attributes
-    ----------
-    name, what : str
-        As planned.
-    width, height, bytes : int
-        Its size.
-    notes : tuple of str
-        As drawn.
-    """
+    """A picture on disk: name and words as planned, size in pixels and bytes, notes as drawn."""
 
     name: str
     what: str
@@ -116,58 +81,35 @@ class WrittenPicture:
         return {"file": self.name, "what": self.what, **size, "notes": list(self.notes)}
 
 
-def chosen_kinds(
-    asked: Sequence[str], known: Sequence[str], usual: Sequence[str]
-) -> tuple[tuple[str, ...], bool]:
-    """Settle which kinds of pictures to draw.
+def chosen_kinds(asked: Sequence[str], known: Sequence[str], usual: Sequence[str]) -> tuple[str, ...]:
+    """Return the kinds to draw, each once, in the order of ``known``.
 
-    Parameters
-    ----------
-    asked : sequence of str
-        What was asked for; ``"all"`` stands for all, nothing for the usual ones.
-    known, usual : sequence of str
-        All kinds, and those drawn when none is named.
-
-    Returns
-    -------
-    kinds : tuple of str
-        Each once, in the order of ``known``.
-    by_name : bool
-        Whether they were named one by one, so that one that cannot be drawn is an error.
-
-    Raises
-    ------
-    InputError
-        When there is no such kind.
+    ``"all"`` among those asked for stands for all, none asked for the usual ones. InputError: unknown kind.
     """
     unknown = [kind for kind in asked if kind not in (*known, "all")]
     if unknown:
         message = f"no pictures of kind {unknown[0]!r}; expected {', '.join(known)} or all"
         raise InputError(message)
-    if "all" in asked:
-        return tuple(known), False
-    if not asked:
-        return tuple(usual), False
-    return tuple(kind for kind in known if kind in asked), True
+    wanted = known if "all" in asked else asked or usual
+    return tuple(kind for kind in known if kind in wanted)
 
 
 def plan_kinds(
-    kinds: Sequence[str], by_name: bool, plan: Callable[[str], Sequence[PlannedPicture]]
+    asked: Sequence[str], plans: Mapping[str, Callable[[], Sequence[PlannedPicture]]], usual: Sequence[str]
 ) -> PicturePlan:
-    """Plan the pictures of each kind; what cannot be drawn and was not named is left out, with the reason.
+    """Plan the pictures of each kind that was asked for, or of the usual ones.
 
-    Raises
-    ------
-    ToolkitError
-        As ``plan`` raises it, for a kind that was named, or when nothing at all can be drawn.
+    What cannot be drawn and was not named one by one is left out, with the reason; an InputError of a kind
+    that was named, or of all where nothing can be drawn, is raised.
     """
+    named = bool(asked) and "all" not in asked
     pictures: list[PlannedPicture] = []
     reasons: list[InputError] = []
-    for kind in kinds:
+    for kind in chosen_kinds(asked, tuple(plans), usual):
         try:
-            pictures += plan(kind)
+            pictures += plans[kind]()
         except InputError as error:
-            if by_name:
+            if named:
                 raise
             reasons.append(error)
     if not pictures and reasons:
@@ -182,24 +124,12 @@ def write_pictures(
 ) -> list[WrittenPicture]:
     """Draw pictures and write each whole or not at all; one of the same name is replaced.
 
-    Parameters
-    ----------
-    folder : DataFolder
-        Where they go.
-    pictures : sequence of PlannedPicture
-        What to draw.
-    on_progress : callable
-        Told how many of how many are done.
-
-    Raises
-    ------
-    ToolkitError
-        A picture cannot be drawn or written; those before it stay.
+    When one cannot be drawn or written, those before it stay.
     """
     written = []
-    with Studio() as studio:
+    with Renderer() as renderer:
         for done, planned in enumerate(pictures, start=1):
-            drawing = planned.draw(studio)
+            drawing = planned.draw(renderer)
             content = png_bytes(drawing.pixels)
             folder.write_bytes(planned.name, content)
             height, width = drawing.pixels.shape[:2]
@@ -211,19 +141,9 @@ def write_pictures(
 
 
 def renamed(pictures: Sequence[PlannedPicture], out: Path) -> tuple[Path, tuple[PlannedPicture, ...]]:
-    """Take ``out`` as a folder or, where it ends in ``.png``, as the name of the only picture.
+    """Return folder and pictures; an ``out`` that ends in ``.png`` is the name of the only picture.
 
-    Returns
-    -------
-    folder : Path
-        Where the pictures go.
-    pictures : tuple of PlannedPicture
-        With their names.
-
-    Raises
-    ------
-    InputError
-        When several pictures were to go into one file.
+    InputError: several pictures for one file.
     """
     if out.suffix.lower() != PNG:
         return out, tuple(pictures)
@@ -238,24 +158,23 @@ def png_bytes(pixels: Pixels) -> bytes:
     from PIL import Image
 
     stream = io.BytesIO()
-    Image.fromarray(np.ascontiguousarray(pixels)).save(stream, "PNG", compress_level=_COMPRESSION)
+    Image.fromarray(np.ascontiguousarray(pixels)).save(stream, "PNG", compress_level=6)
     return stream.getvalue()
 
 
-def as_rgb(pixels: Pixels) -> Pixels:
-    """Return a picture in colours, shape (H, W, 3)."""
-    return pixels if pixels.ndim == 3 else np.repeat(pixels[:, :, None], 3, axis=2)
+def figure_html(pixels: Pixels, caption: str, style: str = "") -> str:
+    """Return what a notebook shows of a picture and its caption, which is plain text."""
+    source = base64.b64encode(png_bytes(pixels)).decode("ascii")
+    styled = f' style="{style}"' if style else ""
+    return (
+        f'<figure{styled}><img src="data:image/png;base64,{source}">'
+        f"<figcaption>{html.escape(caption)}</figcaption></figure>"
+    )
 
 
-def whole_numbers(option: str, text: str | None) -> tuple[int, ...]:
-    """Read ``3,17`` as numbers.
-
-    Raises
-    ------
-    InputError
-        A part is no whole number.
-    """
-    parts = [part.strip() for part in (text or "").split(",")] if text is not None else []
+def parse_ids(option: str, text: str | None) -> tuple[int, ...]:
+    """Read ``3,17`` as numbers; InputError where a part is not a whole number."""
+    parts = [] if text is None else [part.strip() for part in text.split(",")]
     for part in parts:
         if not (part.isascii() and part.isdigit()):
             message = f"{option} has {part!r}; expected whole numbers, such as 12,408"
@@ -265,7 +184,7 @@ def whole_numbers(option: str, text: str | None) -> tuple[int, ...]:
 
 def file_stem(name: str) -> str:
     """Return what tells the pictures of data sets apart: the last part of a path, in plain letters."""
-    place = Path(name).expanduser()
-    last = place.resolve().name if place.is_dir() else place.stem if place.is_file() else place.name
+    path = Path(name).expanduser()
+    last = path.resolve().name if path.is_dir() else path.stem if path.is_file() else path.name
     plain = "".join(letter if letter.isalnum() or letter in "-_." else "-" for letter in last)
     return plain.strip("-.") or "pictures"

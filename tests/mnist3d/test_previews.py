@@ -11,10 +11,9 @@ from PIL import Image
 
 import mnist3d
 from mnist3d.generation import GenerateSpec, generate
-from mnist3d.preview_figures import class_counts, measures
-from mnist3d.preview_object import object_facts
 from mnist3d.preview_steps import draw_steps, layer_map, shown_layers
-from mnist3d.previews import PreviewSpec, plan_previews
+from mnist3d.previews import DigitPreviewSpec as PreviewSpec
+from mnist3d.previews import object_facts, plan_previews, report_rows
 from mnist3d.solid import SolidSpec, ink_mask
 from mnist3d.sources.folder import FolderSource
 from mnist3d.sources.synthetic import SyntheticSource
@@ -24,16 +23,16 @@ from tactile_toolkit.errors import InputError, IntegrityError, MissingExtraError
 from tactile_toolkit.mesh.files import write_mesh
 from tactile_toolkit.mesh.mesh import Mesh
 from tactile_toolkit.pictures.lettering import INK
+from tactile_toolkit.pictures.previews import class_bars
 from tactile_toolkit.pictures.relief import relief, relief_of
-from tactile_toolkit.pictures.render import Studio
+from tactile_toolkit.pictures.render import Renderer
 from tactile_toolkit.pictures.sheets import ScaleBar
-from tactile_toolkit.pictures.writing import as_rgb
 from tactile_toolkit.store.folder import DataFolder
 
 THIN = SolidSpec(target_vertices=500, half_thickness_mm=1.2)
 """Few layers: the steps at full resolution stay quick."""
 
-RELIEF_ONLY = Studio(renderer=False)
+RELIEF_ONLY = Renderer(smooth=False)
 NO_PLOTS = find_spec("matplotlib") is None
 
 
@@ -69,7 +68,8 @@ def find(pixels: np.ndarray, part: np.ndarray) -> list[tuple[int, int]]:
 def relief_tiles(records: list) -> list[np.ndarray]:
     """Draw digits as a sheet of just these holds them."""
     largest_mm = max(1e3 * np.ptp(record.vertices_m[:, :2], axis=0).max() for record in records)
-    return [as_rgb(relief_of(Mesh(each.vertices_m, each.faces), 132 / largest_mm)) for each in records]
+    tiles = (relief_of(Mesh(each.vertices_m, each.faces), 132 / largest_mm) for each in records)
+    return [np.repeat(tile[:, :, None], 3, axis=2) for tile in tiles]
 
 
 def test_relief_has_the_size_of_the_mesh_and_keeps_paper_white():
@@ -132,7 +132,7 @@ def test_a_box_of_known_size_is_as_wide_as_the_bar_says(ending, tmp_path):
     write_mesh(path, Mesh(np.asarray(made.vertices), np.asarray(made.faces, np.int32)))
     ((name, pixels),) = drawn(path).items()
     assert name == "my-box-object.png"
-    left = pixels[90:600, 16:576].astype(int)
+    left = pixels[84:594, 16:576].astype(int)
     bar_px = int((left[-12:] == INK).all(axis=2).sum(axis=1).max())
     block = (left[:-60] < 250).any(axis=2)
     width_px = int(block.sum(axis=1).max())
@@ -147,7 +147,7 @@ def test_an_object_that_is_no_solid_says_so(tmp_path):
     write_mesh(tmp_path / "open.stl", Mesh(corners, np.array([(0, 1, 2)], np.int32)))
     facts = object_facts(mnist3d.read_mesh(tmp_path / "open.stl"))
     assert facts[0].startswith("10.0 x 10.0 x 2.0 mm; 3 vertices, 1 triangles")
-    assert "no solid" in facts[1]
+    assert "not a solid" in facts[1]
     assert "border one triangle only" in facts[1]
     assert len(drawn(tmp_path / "open.stl")) == 1
 
@@ -250,8 +250,8 @@ def test_steps_refuse_other_images_than_those_of_the_data_set(tmp_path):
 
 def test_counts_and_measures_are_those_of_the_data(folder):
     train = mnist3d.load(str(folder), "train")
-    assert class_counts(train) == (3,) * 10
-    tables = measures(DataFolder(str(folder)), ("train", "test"))
+    assert class_bars("train", train, "digits", "class").counts == (3,) * 10
+    tables = report_rows(DataFolder(str(folder)), ("train", "test"))
     assert {split: len(table) for split, table in tables.items()} == {"train": 30, "test": 10}
     by_id = dict(zip(tables["train"]["id"].to_pylist(), tables["train"]["vertices"].to_pylist(), strict=True))
     assert by_id == {record.id: len(record.vertices_m) for record in train}

@@ -16,7 +16,7 @@ from realtouch.show.overlay import CELL_M, SENSING_AREA_M, CellMap, Placed, cell
 from realtouch.show.previews import (
     CONTACT,
     IN_CONTACT,
-    PreviewSpec,
+    TouchPreviewSpec,
     draw_grid,
     draw_overlay,
     draw_strip,
@@ -27,12 +27,12 @@ from realtouch.show.previews import (
 )
 from realtouch.touches import Touch
 from tactile_toolkit.errors import InputError
-from tactile_toolkit.pictures.render import Studio
+from tactile_toolkit.pictures.render import Renderer
 from tests.realtouch import factories
 from tests.realtouch.conftest import SIZE, TOUCHES
 from tests.realtouch.factories import Layout, RoundTruth
 
-RELIEF_ONLY = Studio(renderer=False)
+RELIEF_ONLY = Renderer(smooth=False)
 NO_PLOTS = find_spec("matplotlib") is None
 GREY = 128
 
@@ -258,15 +258,17 @@ def test_a_gel_without_a_number_is_unknown(tmp_path: Path, single_rows: list[dic
 def test_a_drift_that_cannot_be_known_is_left_out_of_all(tmp_path: Path, single_rows: list[dict]) -> None:
     layout = Layout(leave_out=("gel_pose_cell_frame.position", "gel_pose_cell_frame.quaternion"))
     factories.write_set(tmp_path / "set", {"train": single_rows}, "single", layout)
-    plan = plan_previews(str(tmp_path / "set"), "train", PreviewSpec(("all",)))
+    plan = plan_previews(str(tmp_path / "set"), TouchPreviewSpec(("all",)))
     assert [picture.name.rpartition("-")[2] for picture in plan.pictures] == ["grid.png", "overlay.png"]
     assert any("the drift of the gel needs its poses" in reason for reason in plan.left_out)
     with pytest.raises(InputError, match="the drift of the gel needs its poses"):
-        plan_previews(str(tmp_path / "set"), "train", PreviewSpec(("drift",)))
+        plan_previews(str(tmp_path / "set"), TouchPreviewSpec(("drift",)))
 
 
 def test_plans_name_round_and_touch(seq_folder: Path, single_folder: Path) -> None:
-    plan = plan_previews(str(seq_folder), "train", PreviewSpec(("grid", "strip", "overlay"), 2, touch=3))
+    plan = plan_previews(
+        str(seq_folder), TouchPreviewSpec(("grid", "strip", "overlay"), round_number=2, touch=3)
+    )
     stem = f"{seq_folder.name}-train"
     assert [picture.name for picture in plan.pictures] == [
         f"{stem}-round-2-grid.png",
@@ -275,7 +277,7 @@ def test_plans_name_round_and_touch(seq_folder: Path, single_folder: Path) -> No
     ]
     for picture in plan.pictures:
         assert np.array_equal(picture.draw(RELIEF_ONLY).pixels, picture.draw(RELIEF_ONLY).pixels)
-    everything = plan_previews(str(single_folder), "train", PreviewSpec(("all",)))
+    everything = plan_previews(str(single_folder), TouchPreviewSpec(("all",)))
     assert any("film strip needs clips" in reason for reason in everything.left_out)
     for kinds, spec, words in (
         (("strip",), {}, "film strip needs clips"),
@@ -283,16 +285,16 @@ def test_plans_name_round_and_touch(seq_folder: Path, single_folder: Path) -> No
         (("hat",), {}, "no pictures of kind 'hat'"),
     ):
         with pytest.raises(InputError, match=words):
-            plan_previews(str(single_folder), "train", PreviewSpec(kinds, **spec))
+            plan_previews(str(single_folder), TouchPreviewSpec(kinds, **spec))
     with pytest.raises(InputError, match="--touch is 5; round 0 has touches 0 to 4"):
-        plan_previews(str(seq_folder), "train", PreviewSpec(("strip",), touch=5))
+        plan_previews(str(seq_folder), TouchPreviewSpec(("strip",), touch=5))
     assert SIZE == (96, 72)
 
 
 @pytest.mark.pictures
 @pytest.mark.skipif(NO_PLOTS, reason="needs the extra `pictures` (matplotlib)")
 def test_the_drift_is_plotted(seq_folder: Path) -> None:
-    plan = plan_previews(str(seq_folder), "train", PreviewSpec(("all",)))
+    plan = plan_previews(str(seq_folder), TouchPreviewSpec(("all",)))
     assert plan.left_out == ()
     assert [picture.name.rpartition("-")[2] for picture in plan.pictures] == [
         "grid.png",

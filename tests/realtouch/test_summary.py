@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import realtouch
-from realtouch.show.html import contact_sheet, round_sheet
+from realtouch.show.html import contact_sheet
 from tactile_toolkit.errors import InputError
 
 
@@ -29,9 +29,9 @@ def test_figures_of_clips_and_images(seq_folder: Path, single_folder: Path) -> N
 
 
 def test_sheets(seq_folder: Path) -> None:
-    record = realtouch.load(seq_folder)[0]
-    assert round_sheet(record).shape == (4 + 94, 4 + 5 * 124, 3)
-    assert round_sheet(record, most=2).shape == (98, 4 + 2 * 124, 3)
+    frames = realtouch.load(seq_folder)[0].contact_frames()
+    assert contact_sheet(frames).shape == (4 + 94, 4 + 5 * 124, 3)
+    assert contact_sheet(frames[:2]).shape == (98, 4 + 2 * 124, 3)
     red, blue = np.zeros((2, 30, 40, 3), np.uint8)
     red[..., 0], blue[..., 2] = 255, 255
     sheet = contact_sheet([red, blue, red], columns=2, tile_width=40)

@@ -14,17 +14,17 @@ from hypothesis import strategies as st
 import starstruck_gen
 from starstruck_gen import SamplingExhausted, SceneSpec, sample_scene, scene_rng
 from starstruck_gen.generation import GenerateSpec, generate
-from starstruck_gen.picture import REJECTED, centre_px, draw_scene, draw_trace
+from starstruck_gen.picture import centre_px, draw_scene
 from starstruck_gen.placement import CLEAR
-from starstruck_gen.preview_scene import draw_one, traced
-from starstruck_gen.previews import PreviewSpec, plan_previews
+from starstruck_gen.previews import REJECTED, draw_one, draw_trace, plan_previews, traced
 from starstruck_gen.sampling import SceneTrace, trace_scene
 from tactile_toolkit.catalog.choose import Choice
 from tactile_toolkit.errors import InputError
-from tactile_toolkit.pictures.render import Studio
+from tactile_toolkit.pictures.previews import PreviewSpec
+from tactile_toolkit.pictures.render import Renderer
 from tests.starstruck_gen.strategies import specs
 
-RELIEF_ONLY = Studio(renderer=False)
+RELIEF_ONLY = Renderer(smooth=False)
 NO_PLOTS = find_spec("matplotlib") is None
 CROWDED = SceneSpec(stars=(3,), distractors=(5, 5), attempts=12)
 
@@ -238,7 +238,7 @@ def test_histogram_of_all_splits(folder):
 
 
 def test_bad_input_is_named(folder, tmp_path):
-    with pytest.raises(InputError, match="no folder and no Parquet file"):
+    with pytest.raises(InputError, match="is neither a folder nor a Parquet file"):
         plan_previews(str(tmp_path / "absent"), PreviewSpec())
     with pytest.raises(InputError, match="no Parquet files"):
         plan_previews(str(tmp_path), PreviewSpec())

@@ -20,7 +20,7 @@ from tactile_toolkit.pictures.render import (
     TOP,
     Body,
     Picture3d,
-    Studio,
+    Renderer,
     View,
     averaged,
     fitting_scale,
@@ -89,14 +89,14 @@ def test_averaging_keeps_levels(factor, height, width, level):
 
 def test_without_a_renderer_the_view_is_shaded_relief_and_says_so():
     picture = Picture3d((Body(box(20, 10, 5), CLAY),), (120, 90), 4_000.0)
-    with Studio(renderer=False) as studio:
-        pixels, notes = studio.draw(picture)
+    with Renderer(smooth=False) as renderer:
+        pixels, notes = renderer.draw(picture)
     assert np.array_equal(pixels, shaded(picture))
     assert notes == ()
     if find_spec("pyvista") is not None:
         return
-    with Studio() as studio:
-        pixels, notes = studio.draw(picture)
+    with Renderer() as renderer:
+        pixels, notes = renderer.draw(picture)
     assert np.array_equal(pixels, shaded(picture))
     assert "pip install 'tactile-toolkit[pictures]'" in notes[0]
 
@@ -153,10 +153,10 @@ def test_the_renderer_takes_the_same_view_as_the_relief_and_repeats_itself(pyvis
     picture = Picture3d(bodies, (240, 180), fitting_scale(bodies, (220, 160)))
     views = []
     for _ in range(2):
-        with Studio() as studio:
-            pixels, notes = studio.draw(picture)
+        with Renderer() as renderer:
+            pixels, notes = renderer.draw(picture)
             assert notes == ()
-            assert np.array_equal(studio.draw(picture)[0], pixels)
+            assert np.array_equal(renderer.draw(picture)[0], pixels)
             views.append(pixels)
     assert np.array_equal(*views)
     one, other = (views[0] < 250).any(axis=2), (shaded(picture) < 250).any(axis=2)
@@ -169,11 +169,11 @@ def test_a_renderer_that_dies_does_not_take_the_caller_with_it(pyvista, monkeypa
     monkeypatch.setenv("VTK_DEFAULT_OPENGL_WINDOW", "vtkOSOpenGLRenderWindow")
     monkeypatch.setenv("__EGL_VENDOR_LIBRARY_DIRS", "/nonexistent")
     picture = Picture3d((Body(box(20, 10, 5), CLAY),), (120, 90), 4_000.0)
-    with Studio() as studio:
-        pixels, notes = studio.draw(picture)
+    with Renderer() as renderer:
+        pixels, notes = renderer.draw(picture)
         assert np.array_equal(pixels, shaded(picture))
         assert "graphics driver" in notes[0]
-        assert studio.draw(picture)[1] == notes
+        assert renderer.draw(picture)[1] == notes
 
 
 @pytest.mark.pictures

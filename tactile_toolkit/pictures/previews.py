@@ -1,0 +1,126 @@
+"""Previews of data sets of meshes, whatever they show: sheets class by class, two views of one, counts."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any, Generic, TypeVar
+
+import numpy as np
+
+from tactile_toolkit.catalog.choose import chosen_records, class_by_class, open_splits
+from tactile_toolkit.catalog.kinds import require_kind
+from tactile_toolkit.errors import InputError
+from tactile_toolkit.kind import DatasetKind
+from tactile_toolkit.mesh.mesh import MM_PER_M
+from tactile_toolkit.pictures.plots import Bars, plot_bars, require_plots
+from tactile_toolkit.pictures.render import Picture3d, Renderer
+from tactile_toolkit.pictures.sheets import ScaleBar, Sheet, Tile, in_rows, sheet, with_scale_bar
+from tactile_toolkit.pictures.writing import Drawing, PicturePlan, PlannedPicture, file_stem, plan_kinds
+from tactile_toolkit.read.dataset import RecordDataset
+from tactile_toolkit.store.folder import DataFolder
+from tactile_toolkit.store.manifest import read_manifest
+from tactile_toolkit.wording import counted
+
+__all__ = ["MeshPreviews", "PreviewSpec", "class_bars", "draw_by_class", "draw_two_views"]
+
+D = TypeVar("D", bound=RecordDataset[Any])
+
+
+@dataclass(frozen=True, slots=True)
+class PreviewSpec:
+    """Which pictures of a data set of meshes to draw.
+
+    Without kinds the usual ones, or single rows where ids are given; without a split all of them; without ids
+    the first ``per_class`` rows of each class on a sheet, and the first row where one is shown alone.
+    """
+
+    kinds: tuple[str, ...] = ()
+    split: str | None = None
+    ids: tuple[int, ...] = ()
+    per_class: int = 10
+
+    def __post_init__(self) -> None:
+        if self.per_class < 1:
+            message = f"--per-class is {self.per_class}; expected a whole number of at least 1"
+            raise InputError(message)
+
+
+class MeshPreviews(Generic[D]):
+    """A data set that is to be drawn: the splits that have rows, and the rows that are drawn alone.
+
+    InputError where there is no such split or id, nothing in it, or data of another kind.
+    """
+
+    def __init__(self, kind: DatasetKind, name: str, spec: PreviewSpec) -> None:
+        self.name, self.spec, self.things = name, spec, kind.nouns
+        self.stem = file_stem(name)
+        self.datasets: dict[str, D] = open_splits(name, spec.split, kind.load, kind.nouns)
+        require_kind(kind, "preview", name, self.datasets.values())
+        self.records: list[tuple[str, Any]] = chosen_records(self.datasets, spec.ids, name, kind.noun)
+
+    @cached_property
+    def made_by(self) -> Mapping[str, Any]:
+        """The specification in the manifest; empty where there is none."""
+        manifest = read_manifest(DataFolder(self.name)) if Path(self.name).expanduser().is_dir() else None
+        return {} if manifest is None else manifest.spec
+
+    def plan(
+        self, plans: Mapping[str, Callable[[], Sequence[PlannedPicture]]], usual: Sequence[str], alone: str
+    ) -> PicturePlan:
+        """Plan the kinds asked for; by default the usual ones, or that of a row alone where ids are given."""
+        return plan_kinds(self.spec.kinds, plans, (alone,) if self.spec.ids else usual)
+
+    def plan_sheets(self, draw: Callable[[D, str], Drawing]) -> list[PlannedPicture]:
+        """Plan a sheet of each split; ``draw`` takes the rows, class after class, and the heading."""
+
+        def planned(split: str, rows: D) -> PlannedPicture:
+            what = f"{counted(len(rows), self.things)} of {split} from above"
+            title = f"{self.stem}: {split}"
+            return PlannedPicture(f"{self.stem}-{split}-sheet.png", what, lambda _: draw(rows, title))
+
+        chosen = {
+            split: dataset[class_by_class(dataset, self.spec.ids, self.spec.per_class)]
+            for split, dataset in self.datasets.items()
+        }
+        return [planned(split, rows) for split, rows in chosen.items() if len(rows)]
+
+    def plan_histogram(self, panels: Callable[[], Sequence[Bars]], further: str = "") -> list[PlannedPicture]:
+        """Plan bars of the rows of each class."""
+        require_plots("the class histogram")
+        what = f"{self.things} of each class"
+        name, title = f"{self.stem}-histogram.png", f"{self.stem}: {what}"
+        return [PlannedPicture(name, what + further, lambda _: Drawing(plot_bars(panels(), title)))]
+
+
+def class_bars(split: str, dataset: RecordDataset[Any], things: str, label: str) -> Bars:
+    """Count the rows of each class; reads the label column only."""
+    counts = np.bincount(dataset.labels, minlength=len(dataset.label_names))
+    heading = f"{split}: {counted(len(dataset), things)}"
+    return Bars(heading, dataset.label_names, tuple(counts.tolist()), label, things)
+
+
+def draw_by_class(
+    tiles: Iterable[tuple[str, Tile]], per_row: int, title: str, words: str, px_per_mm: float
+) -> Drawing:
+    """Draw pictures at one scale in a row (or some) for each class, whose name comes with each picture."""
+    groups: dict[str, list[Tile]] = {}
+    for name, tile in tiles:
+        groups.setdefault(name, []).append(tile)
+    columns, cells, row_labels = in_rows(list(groups.items()), per_row)
+    # The empty line at the foot is the room of the scale bar.
+    drawn = sheet(cells, Sheet(columns, title, (words,), ("",), row_labels, gap_px=12))
+    widest = max(tile.pixels.shape[1] for _, group in groups.items() for tile in group)
+    return Drawing(with_scale_bar(drawn, px_per_mm, ScaleBar.fitting(4 * widest, px_per_mm)))
+
+
+def draw_two_views(
+    renderer: Renderer, above: Tile, oblique: Picture3d, title: str, facts: tuple[str, ...]
+) -> Drawing:
+    """Draw a picture from above beside an oblique view."""
+    view, notes = renderer.draw(oblique)
+    words = "oblique view; the bar holds along the picture plane"
+    tiles = (above, Tile(with_scale_bar(view, oblique.px_per_m / MM_PER_M), words))
+    return Drawing(sheet(tiles, Sheet(2, title, facts)), notes)
