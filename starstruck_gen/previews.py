@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -24,7 +24,7 @@ from starstruck_gen.picture import (
     paint_object,
     reduced,
 )
-from starstruck_gen.placement import Rejected
+from starstruck_gen.placement import Placement, Rejected
 from starstruck_gen.sampling import SceneTrace, trace_scene
 from starstruck_gen.shapes import outline
 from starstruck_gen.spec import SceneSpec
@@ -129,7 +129,7 @@ def draw_one(renderer: Renderer, record: SceneRecord, spec: SceneSpec | None, ti
     if trace is None:
         above, caption = _from_above(record, known, px_per_mm), "from above; rejected positions are not known"
     else:
-        above = np.asarray(draw_trace(trace, known, px_per_mm))
+        above = np.asarray(draw_trace(trace.scene.placements, trace.rejected, known, px_per_mm))
         lost = "red: rejected positions" if trace.rejected else "no position was rejected"
         caption = f"from above; {lost}; the dashed frame holds all centres"
         given_up = sum(each.given_up for each in trace.rejected)
@@ -157,7 +157,9 @@ def traced(record: SceneRecord, spec: SceneSpec | None) -> SceneTrace | None:
     return trace if trace.scene == record.scene else None
 
 
-def draw_trace(trace: SceneTrace, spec: SceneSpec, px_per_mm: float) -> Image:
+def draw_trace(
+    placements: Iterable[Placement], rejected: Iterable[Rejected], spec: SceneSpec, px_per_mm: float
+) -> Image:
     """Draw a scene with the room that collision takes around each object, and the positions not taken.
 
     Objects that were not placed are outlined in red where they would have stood, with a cross at their
@@ -176,14 +178,14 @@ def draw_trace(trace: SceneTrace, spec: SceneSpec, px_per_mm: float) -> Image:
         for at in np.arange(0.0, length, 2 * _DASH).tolist():
             dash = [begin + way * (share / length) for share in (at, min(at + _DASH, length))]
             pen.line([tuple(point) for point in np.array(dash).tolist()], fill=_AREA, width=SUPERSAMPLING)
-    for placement in trace.scene.placements:
+    for placement in placements:
         paint_object(picture, placement, scale)
         if spec.collision == "circles":
             x, y = centre_px(placement, picture.size, scale)
             radius = (placement.radius_m + spec.clearance_m / 2) * scale
             box = (x - radius, y - radius, x + radius, y + radius)
             pen.ellipse(box, outline=_AREA, width=SUPERSAMPLING)
-    for lost in sorted(trace.rejected, key=lambda each: not each.given_up):
+    for lost in sorted(rejected, key=lambda each: not each.given_up):
         _mark_rejected(picture, lost, scale)
     return reduced(picture)
 
