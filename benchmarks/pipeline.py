@@ -38,7 +38,7 @@ from mnist3d.solid import SolidSpec, solidify
 from mnist3d.sources.synthetic import SyntheticSource
 from mnist3d.splits import SPLITS
 from tactile_toolkit.mesh.printability import inspect
-from tactile_toolkit.store.shards import encode_parquet
+from tactile_toolkit.store.parquet import encode_parquet
 
 SOURCE = SyntheticSource()
 

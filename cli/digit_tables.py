@@ -17,11 +17,13 @@ __all__ = ["print_made"]
 
 def print_made(sink: Sink, manifest: Manifest, out: Path, elapsed_s: float | None = None) -> None:
     """Print the table of what a folder holds."""
+    from mnist3d.rows import REPORT_FILE
     from mnist3d.summary import summarise
     from tactile_toolkit.store.folder import DataFolder
+    from tactile_toolkit.store.parquet import read_report
 
     complete = manifest.complete
-    summaries = summarise(DataFolder(str(out)), manifest) if complete else []
+    summaries = summarise(manifest, read_report(DataFolder(str(out)), REPORT_FILE)) if complete else []
     sink.document(
         {
             "folder": str(out),

@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from tactile_toolkit.store.build import Progress
-    from tactile_toolkit.store.estimate import Forecast
+    from tactile_toolkit.store.forecast import Forecast
     from tactile_toolkit.store.manifest import Manifest
 
 __all__ = ["Made", "make_with_progress", "print_forecast"]

@@ -148,7 +148,7 @@ def generate(
     sink = Sink(as_json, quiet)
     count = workers or os.cpu_count() or 1
     if dry_run:
-        from mnist3d.forecast import forecast
+        from mnist3d.generation import forecast
 
         view = forecast(spec, str(out), splits, count, overwrite=overwrite)
         print_forecast(sink, view, "digits", out, count)

@@ -131,7 +131,7 @@ def generate(
     sink = Sink(as_json, quiet)
     count = workers or os.cpu_count() or 1
     if dry_run:
-        from starstruck_gen.forecast import forecast
+        from starstruck_gen.generation import forecast
 
         view = forecast(
             spec, str(out), splits, count, overwrite=overwrite, on_failure=tells_of_failures(sink)

@@ -41,7 +41,7 @@ def unfinished_words(folder: DataFolder, command: str) -> tuple[str, str]:
 
 def shards_of_plan(manifest: Manifest) -> dict[str, int]:
     """Return how many shards each split is to have, as far as a finished one tells."""
-    return {split: manifest.receipts_of(split)[0].shard.count for split in manifest.splits}
+    return {split: manifest.shards_of(split)[0].shard.count for split in manifest.splits}
 
 
 def print_unfinished(sink: Sink, manifest: Manifest, out: Path, unit: str, command: str) -> None:

@@ -29,6 +29,7 @@ def verify_folder(sink: Sink, folder: str, kind: DatasetKind) -> None:
     InputError
         When the folder holds no data set, or one of another kind.
     """
+    from tactile_toolkit.cards.checks import check_card
     from tactile_toolkit.errors import IntegrityError
     from tactile_toolkit.store.folder import DataFolder
     from tactile_toolkit.store.manifest import read_manifest
@@ -37,14 +38,14 @@ def verify_folder(sink: Sink, folder: str, kind: DatasetKind) -> None:
 
     place = DataFolder(folder)
     kind.refuse_other(read_manifest(place), place.address())
-    result = verify(place, None if kind.schema is None else kind.schema(), card=True)
+    result = verify(place, None if kind.schema is None else kind.schema(), check_card=check_card)
     findings = [{"file": finding.file, "problem": finding.problem} for finding in result.findings]
     counts_of = {"files": result.files, "rows": result.rows}
-    sink.document({"ok": result.ok, "witness": result.witness, **counts_of, "findings": findings})
+    sink.document({"ok": result.ok, "witness": result.reference, **counts_of, "findings": findings})
     if result.ok:
         size = bytes_text(result.bytes)
         counts = f"{counted(result.files, 'files')}, {counted(result.rows, 'rows')}, {size}"
-        sink.line(f"{folder}: {counts}: all as {result.witness} says")
+        sink.line(f"{folder}: {counts}: all as {result.reference} says")
         return
     for finding in result.findings:
         sys.stderr.write(f"damaged: {finding.file}: {finding.problem}\n")

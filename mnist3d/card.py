@@ -7,7 +7,7 @@ from typing import Any
 
 from mnist3d.card_picture import PREVIEW_FILE, digit_sheet
 from mnist3d.card_sources import SourceWords, words_of
-from mnist3d.report import REPORT_FILE
+from mnist3d.rows import REPORT_FILE, mesh_schema
 from mnist3d.summary import SplitSummary, summarise
 from tactile_toolkit.cards.card import (
     HWD_PLUS,
@@ -23,12 +23,13 @@ from tactile_toolkit.cards.card import (
     render_card,
     write_card_text,
 )
-from tactile_toolkit.cards.facts import FolderFacts, folder_facts
+from tactile_toolkit.cards.facts import FolderFacts, recorded_facts
 from tactile_toolkit.cards.head import card_head, head_text
 from tactile_toolkit.cards.pictures import write_previews
 from tactile_toolkit.mesh.columns import FACES, VERTICES
 from tactile_toolkit.store.folder import DataFolder
 from tactile_toolkit.store.manifest import Manifest
+from tactile_toolkit.store.parquet import read_report
 
 __all__ = ["write_card"]
 
@@ -45,17 +46,15 @@ _COLUMNS: dict[str, Column] = {
 _CAPTION = "The first digit of each class that is there, seen from above"
 
 
-def write_card(folder: DataFolder, manifest: Manifest) -> None:
+def write_card(folder: DataFolder, manifest: Manifest, report: Any = None) -> None:
     """Write ``README.md`` of a data set folder and the picture that it shows.
 
-    Raises
-    ------
-    IntegrityError
-        When a shard or the report is missing or damaged.
-    StorageError
-        When the folder cannot be written.
+    A run that has just ended gives its printability ``report``, an Arrow table; it is read otherwise. Raises
+    IntegrityError when a shard or the report is missing or damaged.
     """
-    facts = folder_facts(folder)
+    if report is None:
+        report = read_report(folder, REPORT_FILE)
+    facts = recorded_facts(folder, manifest, mesh_schema())
     sheet = digit_sheet(facts)
     if sheet is not None:
         write_previews(folder, {PREVIEW_FILE: sheet})
@@ -68,14 +67,14 @@ def write_card(folder: DataFolder, manifest: Manifest) -> None:
         task_ids=["task-planning"],
         tags=["tactile", "active-perception", "3d", "mesh", "mnist", "digits", "3d-printing"],
     )
-    body = render_card("mnist3d.md", _values(folder, manifest, facts, words, sheet is not None))
+    body = render_card("mnist3d.md", _values(manifest, report, facts, words, sheet is not None))
     write_card_text(folder, head_text(head) + "\n" + body)
 
 
 def _values(
-    folder: DataFolder, manifest: Manifest, facts: FolderFacts, words: SourceWords, drawn: bool
+    manifest: Manifest, report: Any, facts: FolderFacts, words: SourceWords, drawn: bool
 ) -> dict[str, str]:
-    summaries = summarise(folder, manifest)
+    summaries = summarise(manifest, report)
     profile = manifest.spec["print_profile"]
     return {
         "rows": f"{facts.rows:,}",
@@ -90,7 +89,7 @@ def _values(
         "split_table": _split_table(summaries, facts),
         "field_table": field_table(facts, _COLUMNS, {}),
         "print_table": _print_table(summaries),
-        "report_columns": _report_columns(folder),
+        "report_columns": ", ".join(f"`{name}`" for name in report.schema.names),
         "nozzle_mm": f"{profile['nozzle_mm']:g}",
         "min_wall_mm": f"{profile['min_wall_mm']:g}",
         "overhang_deg": f"{profile['overhang_deg']:g}",
@@ -175,12 +174,6 @@ def _print_table(summaries: list[SplitSummary]) -> str:
 
 def _range(spread: tuple[float, ...]) -> str:
     return f"{spread[0]:,.1f} to {spread[2]:,.1f} (median {spread[1]:,.1f})" if spread else "-"
-
-
-def _report_columns(folder: DataFolder) -> str:
-    from tactile_toolkit.read.parquet import Shard
-
-    return ", ".join(f"`{name}`" for name in Shard(folder.address(REPORT_FILE)).schema.names)
 
 
 def _limits(manifest: Manifest, summaries: list[SplitSummary], words: SourceWords) -> str:

@@ -12,7 +12,7 @@ import numpy as np
 from mnist3d.dataset import MeshDataset, MeshRecord, load
 from mnist3d.digit import NO_WRITER
 from mnist3d.kind import KIND
-from mnist3d.report import REPORT_FILE
+from mnist3d.rows import REPORT_FILE
 from tactile_toolkit.catalog.choose import Choice, chosen_rows, portions, short_name, splits_to_show
 from tactile_toolkit.catalog.kinds import require_kind
 from tactile_toolkit.gallery.items import NONE, Facet, Gallery, Item, Measure
@@ -22,7 +22,7 @@ from tactile_toolkit.mesh.mesh import MM_PER_M, Mesh
 from tactile_toolkit.mesh.printability import WARNINGS, inspect
 from tactile_toolkit.pictures.relief import relief
 from tactile_toolkit.store.folder import DataFolder
-from tactile_toolkit.store.reports import read_report
+from tactile_toolkit.store.parquet import read_report
 
 __all__ = ["plan_gallery"]
 

@@ -1,30 +1,34 @@
-"""The main job: from a source of digit images to a finished data set folder."""
+"""The main job: from a source of digit images to a finished data set folder, and what that would take."""
 
 from __future__ import annotations
 
 import os
+import time
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, field
 from typing import Any
 
 from mnist3d.card import write_card
 from mnist3d.kind import KIND
-from mnist3d.report import REPORT_FILE, report_table
-from mnist3d.rows import PARQUET_STYLE, MeshRow, mesh_table
+from mnist3d.rows import PARQUET_STYLE, REPORT_FILE, MeshRow, mesh_table, report_table
 from mnist3d.solid import SolidSpec, solidify
 from mnist3d.sources import DigitSource
-from mnist3d.splits import SPLITS, SplitPlan, SplitSpec, plan_splits
+from mnist3d.splits import SPLITS, SplitSpec, plan_splits
 from tactile_toolkit.errors import InputError, ItemError
 from tactile_toolkit.mesh.printability import PrintProfile, PrintReport, inspect
 from tactile_toolkit.run.processes import Runner, runner_for
-from tactile_toolkit.store.build import BuildPlan, BuildState, Progress, ShardContent, build, inspect_folder
+from tactile_toolkit.store.build import Progress, build
 from tactile_toolkit.store.folder import DataFolder
+from tactile_toolkit.store.forecast import Forecast, Sample, forecast_build
 from tactile_toolkit.store.manifest import Manifest
-from tactile_toolkit.store.shards import ShardName, Skipped
-from tactile_toolkit.wording import plain_number
+from tactile_toolkit.store.parquet import encode_parquet
+from tactile_toolkit.store.plan import BuildPlan, ShardContent, require_known_splits
+from tactile_toolkit.store.shards import ShardName, Skipped, shard_ranges
+from tactile_toolkit.wording import positive_or_none
 
-__all__ = ["DigitShard", "GenerateSpec", "generate", "inspect_out", "make_row", "plan_build"]
+__all__ = ["DigitShard", "GenerateSpec", "forecast", "generate", "make_row", "plan_build"]
 
+_SAMPLED = 8
 _LARGEST_SHARD = 128
 _SMALLEST_SHARD = 50
 _SHARDS_WANTED = 16
@@ -64,11 +68,7 @@ class GenerateSpec:
 
     def __post_init__(self) -> None:
         for option, name in (("--per-class", "per_class"), ("--limit", "limit")):
-            value = plain_number(getattr(self, name))
-            object.__setattr__(self, name, value)
-            if value is not None and (not isinstance(value, int) or value < 1):
-                message = f"{option} is {value!r}; expected a whole number of at least 1"
-                raise InputError(message)
+            object.__setattr__(self, name, positive_or_none(option, getattr(self, name)))
 
     def to_dict(self) -> dict[str, Any]:
         """Return JSON values that identify the rows; two equal values give equal Parquet."""
@@ -84,17 +84,7 @@ class GenerateSpec:
 
 @dataclass(frozen=True)
 class DigitShard:
-    """The task of one shard: from digit ids to rows. Small, picklable, touches no file of the data set.
-
-    Attributes
-    ----------
-    shard : ShardName
-        Which shard.
-    ids : tuple of int
-        Digits in row order.
-    spec : GenerateSpec
-        How they are made.
-    """
+    """The task of one shard: from digit ids, in row order, to rows. Touches no file of the data set."""
 
     shard: ShardName
     ids: tuple[int, ...] = field(repr=False)
@@ -119,19 +109,14 @@ class DigitShard:
             rows.append(row)
             reports.append(report)
         table = mesh_table(rows, self.spec.source.name)
-        return ShardContent(
-            table, tuple(skipped), report_table(str(self.shard), self.shard.split, rows, reports)
-        )
+        return ShardContent(table, tuple(skipped), report_table(self.shard, rows, reports))
 
 
 def make_row(digit_id: int, spec: GenerateSpec) -> tuple[MeshRow, PrintReport]:
     """Read one digit, make its solid and inspect it.
 
-    Raises
-    ------
-    ItemError
-        When the image cannot be used, or the mesh does not bound a solid (the reason is one of
-        :data:`tactile_toolkit.mesh.solid_check.PROBLEMS`).
+    Raises ItemError when the image cannot be used, or the mesh does not bound a solid (the reason is one of
+    :data:`tactile_toolkit.mesh.solid_check.PROBLEMS`).
     """
     digit = spec.source.image(digit_id)
     try:
@@ -149,24 +134,17 @@ def make_row(digit_id: int, spec: GenerateSpec) -> tuple[MeshRow, PrintReport]:
 def plan_build(spec: GenerateSpec, splits: Sequence[str]) -> BuildPlan:
     """Decide which shards hold which digits; pure, reads only the source's catalog.
 
-    Parameters
-    ----------
-    spec : GenerateSpec
-        What to make.
-    splits : sequence of str
-        Splits asked for.
-
-    Raises
-    ------
-    InputError
-        Unknown split, nothing to make, or a source that cannot be read.
+    Raises InputError for an unknown split, nothing to make, or a source that cannot be read.
     """
-    for split in splits:
-        if split not in SPLITS:
-            message = f"unknown split {split!r}; expected one of {', '.join(SPLITS)}, or all"
-            raise InputError(message)
+    require_known_splits(splits, SPLITS)
     plan = plan_splits(spec.source.catalog(), spec.split)
-    tasks = [task for split in SPLITS if split in splits for task in _split_tasks(spec, plan, split)]
+    tasks = []
+    for split in (split for split in SPLITS if split in splits):
+        ids = plan.rows(split, spec.per_class, spec.limit).tolist()
+        shards = shard_ranges(
+            split, len(ids), smallest=_SMALLEST_SHARD, largest=_LARGEST_SHARD, wanted=_SHARDS_WANTED
+        )
+        tasks += [DigitShard(shard, tuple(ids[rows.start : rows.stop]), spec) for shard, rows in shards]
     if not tasks:
         sizes = {split: len(plan.ids[split]) for split in SPLITS}
         message = (
@@ -221,36 +199,42 @@ def generate(
     StorageError
         The folder cannot be written. What was finished stays.
     """
-    folder = DataFolder(os.fspath(out))
+    return build(
+        DataFolder(os.fspath(out)),
+        plan_build(spec, splits),
+        runner_for(workers),
+        overwrite=overwrite,
+        on_progress=on_progress,
+        write_card=write_card,
+    )
+
+
+def forecast(
+    spec: GenerateSpec,
+    out: str | os.PathLike[str],
+    splits: Sequence[str],
+    workers: int,
+    *,
+    overwrite: bool = False,
+) -> Forecast:
+    """Estimate a run of :func:`generate` by making a few of its digits; writes nothing."""
     plan = plan_build(spec, splits)
-    runner = runner_for(workers)
-    manifest = build(folder, plan, runner, overwrite=overwrite, on_progress=on_progress)
-    write_card(folder, manifest)
-    return manifest
+    ids = [digit_id for task in plan.tasks if isinstance(task, DigitShard) for digit_id in task.ids]
+    sample = ids[:: max(1, len(ids) // _SAMPLED)][:_SAMPLED]  # spread over the splits asked for
+    return forecast_build(out, plan, workers, lambda: _measure(spec, sample), overwrite=overwrite)
 
 
-def inspect_out(
-    spec: GenerateSpec, out: str | os.PathLike[str], splits: Sequence[str] = SPLITS
-) -> BuildState:
-    """Tell what :func:`generate` would keep and make, changing nothing."""
-    return inspect_folder(DataFolder(os.fspath(out)), plan_build(spec, splits))
-
-
-def _split_tasks(spec: GenerateSpec, plan: SplitPlan, split: str) -> list[DigitShard]:
-    ids = plan.rows(split, spec.per_class, spec.limit).tolist()
-    size = _rows_per_shard(len(ids))
-    chunks = [ids[start : start + size] for start in range(0, len(ids), size)]
-    return [
-        DigitShard(ShardName(split, index, len(chunks)), tuple(chunk), spec)
-        for index, chunk in enumerate(chunks)
-    ]
-
-
-def _rows_per_shard(rows: int) -> int:
-    """Return a shard size that follows from the split alone, so that any number of workers agrees on it.
-
-    A shard is what a worker holds in memory and what a kill loses; a small run still has some for each
-    worker.
-    """
-    wanted = -(-rows // _SHARDS_WANTED)
-    return min(_LARGEST_SHARD, max(_SMALLEST_SHARD, wanted))
+def _measure(spec: GenerateSpec, ids: Sequence[int]) -> Sample:
+    rows = []
+    start_s = 0.0
+    for count, digit_id in enumerate(ids):
+        try:
+            rows.append(make_row(digit_id, spec)[0])
+        except ItemError:
+            continue
+        finally:
+            # The first digit pays for the imports.
+            start_s = time.perf_counter() if count == 0 else start_s
+    size = len(encode_parquet(mesh_table(rows, spec.source.name), PARQUET_STYLE))
+    elapsed_s = time.perf_counter() - start_s
+    return Sample(len(ids), size / max(1, len(rows)), elapsed_s / max(1, len(ids) - 1))

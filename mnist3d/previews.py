@@ -13,7 +13,7 @@ import numpy as np
 from mnist3d.dataset import MeshDataset, MeshRecord
 from mnist3d.kind import KIND
 from mnist3d.preview_steps import CLAY, draw_steps, source_option
-from mnist3d.report import REPORT_FILE
+from mnist3d.rows import REPORT_FILE
 from mnist3d.spec import SolidSpec
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.mesh.files import FORMATS, read_mesh
@@ -32,7 +32,7 @@ from tactile_toolkit.pictures.render import TOP, Body, Picture3d, Renderer, fitt
 from tactile_toolkit.pictures.sheets import Tile, with_scale_bar
 from tactile_toolkit.pictures.writing import Drawing, PicturePlan, PlannedPicture, chosen_kinds, file_stem
 from tactile_toolkit.store.folder import DataFolder
-from tactile_toolkit.store.reports import read_report
+from tactile_toolkit.store.parquet import read_report
 from tactile_toolkit.wording import counted
 
 if TYPE_CHECKING:

@@ -1,4 +1,4 @@
-"""Rows of MNIST 3D: the published flat columns first, then ours."""
+"""Rows of MNIST 3D: the published flat columns first, then ours; and the rows of the printability report."""
 
 from __future__ import annotations
 
@@ -18,10 +18,20 @@ from tactile_toolkit.mesh.columns import (
     vectors_type,
 )
 from tactile_toolkit.mesh.mesh import Mesh
+from tactile_toolkit.mesh.printability import REPORT_COLUMNS, PrintReport
 from tactile_toolkit.read.columns import list_array
-from tactile_toolkit.store.shards import ParquetStyle
+from tactile_toolkit.store.parquet import ParquetStyle
+from tactile_toolkit.store.shards import ShardName
 
-__all__ = ["CLASS_NAMES", "PARQUET_STYLE", "MeshRow", "mesh_schema", "mesh_table"]
+__all__ = [
+    "CLASS_NAMES",
+    "PARQUET_STYLE",
+    "REPORT_FILE",
+    "MeshRow",
+    "mesh_schema",
+    "mesh_table",
+    "report_table",
+]
 
 CLASS_NAMES = KIND.class_names
 
@@ -43,17 +53,7 @@ level 3 would give 65.8 kB.
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MeshRow:
-    """One row before it becomes Arrow.
-
-    Attributes
-    ----------
-    id, label, writer : int
-        As in the source.
-    mesh : Mesh
-        The solid, metres.
-    volume_m3 : float
-        Its volume.
-    """
+    """One row before it becomes Arrow: id, label and writer as in the source, the solid in metres."""
 
     id: int
     label: int
@@ -102,3 +102,38 @@ def mesh_table(rows: Sequence[MeshRow], source: str) -> Any:
         pa.array([source] * len(rows), pa.string()),
     ]
     return pa.Table.from_arrays(columns, schema=mesh_schema())
+
+
+REPORT_FILE = "reports/printability.parquet"
+"""What was found about each mesh, one row per digit."""
+
+
+def report_table(shard: ShardName, rows: Sequence[MeshRow], reports: Sequence[PrintReport]) -> Any:
+    """Pack the reports of the rows of one shard into an Arrow table."""
+    import pyarrow as pa
+
+    values = [
+        {
+            "id": row.id,
+            "label": row.label,
+            "split": shard.split,
+            "shard": str(shard),
+            **report.to_row(),
+            "warnings": list(report.warnings),
+        }
+        for row, report in zip(rows, reports, strict=True)
+    ]
+    arrow = {bool: pa.bool_(), str: pa.string(), int: pa.int64(), float: pa.float64()}
+    # Rows are only of meshes that are solids: a reason why one is not has no column.
+    left_out = ("problem", "detail", "warnings")
+    schema = pa.schema(
+        [
+            ("id", pa.int64()),
+            ("label", pa.int64()),
+            ("split", pa.string()),
+            ("shard", pa.string()),
+            *((name, arrow[kind]) for name, kind in REPORT_COLUMNS.items() if name not in left_out),
+            ("warnings", pa.list_(pa.string())),
+        ]
+    )
+    return pa.Table.from_pylist(values, schema=schema)

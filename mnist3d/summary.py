@@ -9,10 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from mnist3d.report import REPORT_FILE
-from tactile_toolkit.store.folder import DataFolder
 from tactile_toolkit.store.manifest import Manifest
-from tactile_toolkit.store.reports import read_report
 
 __all__ = ["SplitSummary", "summarise"]
 
@@ -54,15 +51,8 @@ class SplitSummary:
         return asdict(self)
 
 
-def summarise(folder: DataFolder, manifest: Manifest) -> list[SplitSummary]:
-    """Sum up each split of a data set.
-
-    Raises
-    ------
-    IntegrityError
-        When the report is missing or damaged.
-    """
-    report = read_report(folder, REPORT_FILE)
+def summarise(manifest: Manifest, report: Any) -> list[SplitSummary]:
+    """Sum up each split of a data set from its manifest and its printability report, an Arrow table."""
     splits = np.asarray(report["split"].to_pylist())
     return [
         _split_summary(split, report.filter(splits == split), entry)

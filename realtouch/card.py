@@ -27,7 +27,7 @@ from tactile_toolkit.cards.card import (
     render_card,
     write_card_text,
 )
-from tactile_toolkit.cards.facts import FolderFacts, SplitFacts, folder_facts
+from tactile_toolkit.cards.facts import FolderFacts, SplitFacts, recorded_facts
 from tactile_toolkit.cards.head import card_head, head_text
 from tactile_toolkit.cards.pictures import PREVIEW_FOLDER, write_previews
 from tactile_toolkit.errors import ToolkitError
@@ -309,7 +309,7 @@ def write_card(
     StorageError
         When the folder cannot be written.
     """
-    facts = folder_facts(folder)
+    facts = recorded_facts(folder, manifest)
     told = card_kind(facts, manifest, folder.address(), kind)
     sheet = index_sheet(facts, folder) if told == "frames" else touch_sheet(facts, _stored_kind(told))
     if sheet is not None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 
 from starstruck_gen.card_picture import PREVIEW_FILE, scene_sheet
+from starstruck_gen.rows import scene_schema
 from starstruck_gen.spec import SceneSpec
 from starstruck_gen.streams import SPLITS, scene_id
 from starstruck_gen.summary import SplitSummary, summarise
@@ -20,7 +21,7 @@ from tactile_toolkit.cards.card import (
     render_card,
     write_card_text,
 )
-from tactile_toolkit.cards.facts import FolderFacts, folder_facts
+from tactile_toolkit.cards.facts import FolderFacts, recorded_facts
 from tactile_toolkit.cards.head import card_head, head_text
 from tactile_toolkit.cards.pictures import write_previews
 from tactile_toolkit.mesh.columns import FACES, VERTICES
@@ -53,18 +54,13 @@ _COLUMNS: dict[str, Column] = {
 }
 
 
-def write_card(folder: DataFolder, manifest: Manifest) -> None:
-    """Write ``README.md`` of a data set folder and the picture that it shows.
+def write_card(folder: DataFolder, manifest: Manifest, _report: object = None) -> None:
+    """Write ``README.md`` of a data set folder and the picture that it shows; scenes have no report.
 
-    Raises
-    ------
-    IntegrityError
-        When a shard is missing or damaged.
-    StorageError
-        When the folder cannot be written.
+    Raises IntegrityError when a shard is missing or damaged.
     """
     spec = SceneSpec.from_dict(manifest.spec["scene"])
-    facts = folder_facts(folder)
+    facts = recorded_facts(folder, manifest, scene_schema(spec.class_names))
     sheet = scene_sheet(facts, spec.cell_m)
     if sheet is not None:
         write_previews(folder, {PREVIEW_FILE: sheet})

@@ -1,8 +1,9 @@
-"""The main job: from a specification to a finished data set folder."""
+"""The main job: from a specification to a finished data set folder, and what that would take."""
 
 from __future__ import annotations
 
 import os
+import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
@@ -17,17 +18,21 @@ from starstruck_gen.streams import MOST_SCENES, SPLITS, scene_seed
 from starstruck_gen.summary import count_scenes
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.run.processes import Runner, runner_for
-from tactile_toolkit.store.build import BuildPlan, BuildState, Progress, ShardContent, build, inspect_folder
+from tactile_toolkit.store.build import Progress, build
 from tactile_toolkit.store.folder import DataFolder
+from tactile_toolkit.store.forecast import Forecast, Sample, forecast_build
 from tactile_toolkit.store.manifest import Manifest, manifest_so_far
-from tactile_toolkit.store.shards import ShardName
-from tactile_toolkit.wording import plain_number, plain_pairs
+from tactile_toolkit.store.parquet import encode_parquet
+from tactile_toolkit.store.plan import BuildPlan, ShardContent, require_known_splits
+from tactile_toolkit.store.shards import ShardName, shard_ranges
+from tactile_toolkit.wording import is_whole, plain_number, plain_pairs, positive_or_none
 
-__all__ = ["PUBLISHED_SIZES", "GenerateSpec", "SceneShard", "generate", "inspect_out", "plan_build"]
+__all__ = ["PUBLISHED_SIZES", "GenerateSpec", "SceneShard", "forecast", "generate", "plan_build"]
 
 PUBLISHED_SIZES = (("train", 3_000), ("test", 300))
 """Scenes of each split (Tactile MNIST paper, section Starstruck)."""
 
+_SAMPLED = 200
 _LARGEST_SHARD = 10_000
 _SMALLEST_SHARD = 1_000
 _SHARDS_WANTED = 48
@@ -60,10 +65,22 @@ class GenerateSpec:
     limit: int | None = None
 
     def __post_init__(self) -> None:
-        for name in ("seed", "limit"):
-            object.__setattr__(self, name, plain_number(getattr(self, name)))
+        object.__setattr__(self, "seed", plain_number(self.seed))
         object.__setattr__(self, "scenes", plain_pairs(self.scenes))
-        self._require_types()
+        object.__setattr__(self, "limit", positive_or_none("--limit", self.limit))
+        pairs = isinstance(self.scenes, tuple) and all(
+            isinstance(entry, tuple) and len(entry) == 2 and is_whole(entry[1]) for entry in self.scenes
+        )
+        for name, holds, expected in (
+            ("scene", isinstance(self.scene, SceneSpec), "a SceneSpec"),
+            ("scenes", pairs, "a whole number for each split, such as {'train': 3000, 'test': 300}"),
+            ("seed", is_whole(self.seed), "a whole number from 0"),
+        ):
+            if not holds:
+                message = (
+                    f"{name} of the data set's specification is {getattr(self, name)!r}; expected {expected}"
+                )
+                raise InputError(message)
         names = [split for split, _ in self.scenes]
         if len(set(names)) < len(names):
             message = f"--scenes names a split twice: {', '.join(names)}; expected each once"
@@ -72,25 +89,6 @@ class GenerateSpec:
             scene_seed(self.seed, split, 0)
             if not 0 <= count <= MOST_SCENES:
                 message = f"--scenes of split {split!r} is {count}; expected 0 to {MOST_SCENES:,}"
-                raise InputError(message)
-        if self.limit is not None and self.limit < 1:
-            message = f"--limit is {self.limit}; expected a whole number of at least 1"
-            raise InputError(message)
-
-    def _require_types(self) -> None:
-        pairs = isinstance(self.scenes, tuple) and all(
-            isinstance(entry, tuple) and len(entry) == 2 and _is_whole(entry[1]) for entry in self.scenes
-        )
-        for name, holds, expected in (
-            ("scene", isinstance(self.scene, SceneSpec), "a SceneSpec"),
-            ("scenes", pairs, "a whole number for each split, such as {'train': 3000, 'test': 300}"),
-            ("seed", _is_whole(self.seed), "a whole number from 0"),
-            ("limit", self.limit is None or _is_whole(self.limit), "None or a whole number of at least 1"),
-        ):
-            if not holds:
-                message = (
-                    f"{name} of the data set's specification is {getattr(self, name)!r}; expected {expected}"
-                )
                 raise InputError(message)
 
     def rows(self, split: str) -> int:
@@ -110,17 +108,7 @@ class GenerateSpec:
 
 @dataclass(frozen=True)
 class SceneShard:
-    """The task of one shard: a range of scenes. Small, picklable, touches no file of the data set.
-
-    Attributes
-    ----------
-    shard : ShardName
-        Which shard.
-    start, size : int
-        Its scenes: ``start`` to ``start + size - 1`` of the split.
-    spec : GenerateSpec
-        How they are made.
-    """
+    """The task of one shard: ``size`` scenes of the split from ``start`` on. Touches no file of the set."""
 
     shard: ShardName
     start: int
@@ -128,13 +116,7 @@ class SceneShard:
     spec: GenerateSpec = field(repr=False)
 
     def make(self) -> ShardContent:
-        """Make the rows, prove them and count what it took.
-
-        Raises
-        ------
-        SamplingExhausted
-            When a scene cannot be made.
-        """
+        """Make the rows, prove them and count what it took; SamplingExhausted when a scene cannot be made."""
         rows = make_rows(self.spec.scene, self.shard.split, self.spec.seed, self.start, self.size)
         require_sound(self.spec.scene, rows)
         counts = count_scenes(self.spec.scene, rows.scenes)
@@ -142,25 +124,16 @@ class SceneShard:
 
 
 def plan_build(spec: GenerateSpec, splits: Sequence[str]) -> BuildPlan:
-    """Decide which shards hold which scenes; pure.
-
-    Parameters
-    ----------
-    spec : GenerateSpec
-        What to make.
-    splits : sequence of str
-        Splits asked for.
-
-    Raises
-    ------
-    InputError
-        Unknown split, or nothing to make.
-    """
-    for split in splits:
-        if split not in SPLITS:
-            message = f"unknown split {split!r}; expected one of {', '.join(SPLITS)}, or all"
-            raise InputError(message)
-    tasks = [task for split in SPLITS if split in splits for task in _split_tasks(spec, split)]
+    """Decide which shards hold which scenes; pure. InputError for an unknown split or nothing to make."""
+    require_known_splits(splits, SPLITS)
+    tasks = [
+        SceneShard(shard, rows.start, len(rows), spec)
+        for split in SPLITS
+        if split in splits
+        for shard, rows in shard_ranges(
+            split, spec.rows(split), smallest=_SMALLEST_SHARD, largest=_LARGEST_SHARD, wanted=_SHARDS_WANTED
+        )
+    ]
     if not tasks:
         message = (
             f"no scenes to make for {', '.join(splits)}: --scenes gives {dict(spec.scenes)}; next: raise it"
@@ -221,40 +194,46 @@ def generate(
     folder = DataFolder(os.fspath(out))
     plan = plan_build(spec, splits)
     require_feasible(spec.scene, spec.seed, on_failure)
-    runner = runner_for(workers)
     try:
-        manifest = build(folder, plan, runner, overwrite=overwrite, on_progress=on_progress)
+        return build(
+            folder,
+            plan,
+            runner_for(workers),
+            overwrite=overwrite,
+            on_progress=on_progress,
+            write_card=write_card,
+        )
     except SamplingExhausted as error:
         so_far = manifest_so_far(folder)
-        if so_far is None or not so_far.receipts:
+        if so_far is None or not so_far.shards:
             raise
         raise replace(error, kept_in=os.fspath(out)) from error
-    write_card(folder, manifest)
-    return manifest
 
 
-def inspect_out(
-    spec: GenerateSpec, out: str | os.PathLike[str], splits: Sequence[str] = SPLITS
-) -> BuildState:
-    """Tell what :func:`generate` would keep and make, changing nothing."""
-    return inspect_folder(DataFolder(os.fspath(out)), plan_build(spec, splits))
+def forecast(
+    spec: GenerateSpec,
+    out: str | os.PathLike[str],
+    splits: Sequence[str],
+    workers: int,
+    *,
+    overwrite: bool = False,
+    on_failure: LayoutFailed = lambda _failed, _allowed: None,
+) -> Forecast:
+    """Estimate a run of :func:`generate` by making some of its scenes; writes nothing."""
+    plan = plan_build(spec, splits)
+    require_feasible(spec.scene, spec.seed, on_failure)
+    first = plan.tasks[0].shard.split
+    return forecast_build(out, plan, workers, lambda: _measure(spec, first), overwrite=overwrite)
 
 
-def _is_whole(value: object) -> bool:
-    return isinstance(value, int) and not isinstance(value, bool)
+def _measure(spec: GenerateSpec, split: str) -> Sample:
+    def encoded_bytes(count: int) -> int:
+        rows = make_rows(spec.scene, split, spec.seed, 0, count)
+        require_sound(spec.scene, rows)
+        return len(encode_parquet(scene_table(rows), PARQUET_STYLE))
 
-
-def _split_tasks(spec: GenerateSpec, split: str) -> list[SceneShard]:
-    rows = spec.rows(split)
-    size = _rows_per_shard(rows)
-    starts = range(0, rows, size)
-    return [
-        SceneShard(ShardName(split, index, len(starts)), start, min(size, rows - start), spec)
-        for index, start in enumerate(starts)
-    ]
-
-
-def _rows_per_shard(rows: int) -> int:
-    """Return a shard size that follows from the split alone, so that any number of workers agrees on it."""
-    wanted = -(-rows // _SHARDS_WANTED)
-    return min(_LARGEST_SHARD, max(_SMALLEST_SHARD, wanted))
+    encoded_bytes(1)  # the first scene pays for imports and for the solids of the shapes
+    sampled = min(_SAMPLED, spec.rows(split))
+    start_s = time.perf_counter()
+    size = encoded_bytes(sampled)
+    return Sample(sampled, size / sampled, (time.perf_counter() - start_s) / sampled)

@@ -26,7 +26,7 @@ from tactile_toolkit.mesh.columns import (
     vectors_feature,
     vectors_type,
 )
-from tactile_toolkit.store.shards import ParquetStyle
+from tactile_toolkit.store.parquet import ParquetStyle
 
 __all__ = ["CLASS_NAMES", "PARQUET_STYLE", "SceneRows", "make_rows", "scene_schema", "scene_table"]
 
@@ -49,19 +49,7 @@ PARQUET_STYLE = ParquetStyle(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SceneRows:
-    """Rows before they become Arrow.
-
-    Attributes
-    ----------
-    ids, labels, seeds : sequence of int
-        Id, class and seed of each scene.
-    scenes : sequence of Scene
-        What stands where.
-    meshes : SceneMeshes
-        The same as solids.
-    class_names : tuple of str
-        Name of each class.
-    """
+    """Rows before they become Arrow: what stands where in each scene, and the same as solids."""
 
     ids: Sequence[int]
     labels: Sequence[int]
@@ -74,10 +62,7 @@ class SceneRows:
 def make_rows(spec: SceneSpec, split: str, seed: int, start: int, count: int) -> SceneRows:
     """Make rows ``start`` to ``start + count - 1`` of a split; each depends on nothing but its number.
 
-    Raises
-    ------
-    SamplingExhausted
-        When a scene cannot be made.
+    Raises SamplingExhausted when a scene cannot be made.
     """
     numbers = range(start, start + count)
     scenes = sample_scenes(spec, split, seed, start, count)

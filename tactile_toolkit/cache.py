@@ -15,7 +15,7 @@ from pathlib import Path
 from threading import RLock
 from typing import IO, Any, Generic, TypeVar
 
-from tactile_toolkit.store.folder import atomic_file, leavings
+from tactile_toolkit.store.folder import atomic_file, stale_files
 
 __all__ = ["CACHE_VARIABLE", "DiskCache", "MemoryCache", "cache_folder"]
 
@@ -97,7 +97,7 @@ class DiskCache:
             self._unsized_bytes = unsized_bytes + needed_bytes
             return
         self._unsized_bytes = needed_bytes
-        for stale in leavings(folder):
+        for stale in stale_files(folder):
             self.drop(stale)
         files = []
         for file in folder.glob("*"):

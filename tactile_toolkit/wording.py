@@ -6,7 +6,9 @@ import numbers
 from collections.abc import Iterable, Mapping
 from typing import Any
 
-__all__ = ["counted", "is_whole", "plain", "plain_number", "plain_pairs"]
+from tactile_toolkit.errors import InputError
+
+__all__ = ["counted", "is_whole", "plain", "plain_number", "plain_pairs", "positive_or_none"]
 
 _LONG_PLURALS = ("ches", "shes", "sses", "xes")
 
@@ -21,17 +23,8 @@ def counted(count: int, things: str) -> str:
 def plain(value: Any, kind: type[int] | type[float] = int) -> Any:
     """Return a value with tuples for all that can be iterated over and Python's numbers for all numbers.
 
-    Parameters
-    ----------
-    value : object
-        What was given: a list, a range, an array, a number of numpy's.
-    kind : type
-        ``float`` where whole numbers mean measures; ``int`` leaves each number of its own kind.
-
-    Returns
-    -------
-    object
-        What is neither a number nor a collection of them comes back as it is, for the checks that follow.
+    ``kind`` is ``float`` where whole numbers mean measures; ``int`` leaves each number of its own kind. What
+    is neither a number nor a collection of them comes back as it is, for the checks that follow.
     """
     if isinstance(value, (str, bytes, Mapping)):
         return value
@@ -63,3 +56,12 @@ def plain_pairs(values: Any) -> Any:
 def is_whole(*values: object) -> bool:
     """Tell whether all values are whole numbers; True and False are not."""
     return all(isinstance(value, int) and not isinstance(value, bool) for value in values)
+
+
+def positive_or_none(option: str, value: Any) -> int | None:
+    """Return a count that may be left out as Python's own number; InputError for any other value."""
+    count = plain_number(value)
+    if count is None or (is_whole(count) and count >= 1):
+        return count
+    message = f"{option} is {count!r}; expected a whole number of at least 1"
+    raise InputError(message)

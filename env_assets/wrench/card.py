@@ -16,7 +16,7 @@ from tactile_toolkit.cards.card import (
     render_card,
     write_card_text,
 )
-from tactile_toolkit.cards.facts import FolderFacts, folder_facts
+from tactile_toolkit.cards.facts import FolderFacts, recorded_facts
 from tactile_toolkit.cards.head import card_head, head_text
 from tactile_toolkit.cards.pictures import PREVIEW_FOLDER, png_bytes, write_previews
 from tactile_toolkit.mesh.columns import FACES, VERTICES
@@ -51,7 +51,7 @@ def write_card(folder: DataFolder, manifest: Manifest) -> None:
     StorageError
         When the folder cannot be written.
     """
-    wrench, facts = wrench_facts(WrenchSpec(**manifest.spec)), folder_facts(folder)
+    wrench, facts = wrench_facts(WrenchSpec(**manifest.spec)), recorded_facts(folder, manifest)
     write_previews(folder, {_PREVIEW_FILE: _drawn(wrench.mesh)})
     head = card_head(
         facts,

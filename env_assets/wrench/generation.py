@@ -25,10 +25,12 @@ from tactile_toolkit.mesh.files import FORMATS, write_mesh
 from tactile_toolkit.mesh.mesh import Mesh
 from tactile_toolkit.read.columns import list_array
 from tactile_toolkit.run.processes import InlineRunner
-from tactile_toolkit.store.build import BuildPlan, ShardContent, build
+from tactile_toolkit.store.build import build
 from tactile_toolkit.store.folder import DataFolder
 from tactile_toolkit.store.manifest import Manifest
-from tactile_toolkit.store.shards import ParquetStyle, ShardName
+from tactile_toolkit.store.parquet import ParquetStyle
+from tactile_toolkit.store.plan import BuildPlan, ShardContent
+from tactile_toolkit.store.shards import ShardName
 
 __all__ = [
     "LENGTHS",

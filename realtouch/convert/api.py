@@ -273,8 +273,8 @@ def frames(
         choices,
         rows_per_shard=_INDEX_ROWS,
         rows_per_group=1 << 16,
-        trees=(IMAGE_FOLDER, INDEX_FILE),
-        proves=partial(pictures_are_whole, folder),
+        extra_dirs=(IMAGE_FOLDER, INDEX_FILE),
+        extras_intact=partial(pictures_are_whole, folder),
     )
     manifest = convert(conversion, out, workers=workers, overwrite=overwrite, on_progress=on_progress)
     write_card(folder, manifest, "frames")

@@ -19,9 +19,10 @@ from realtouch.media.images import SensorImages
 from realtouch.rounds import TouchSeqRound, TouchSingleRound
 from tactile_toolkit.read.dataset import Row
 from tactile_toolkit.read.parquet import Shard
-from tactile_toolkit.store.folder import UNFINISHED, DataFolder
+from tactile_toolkit.store.folder import TEMPORARY_PREFIX, DataFolder
 from tactile_toolkit.store.manifest import Manifest, write_manifest
-from tactile_toolkit.store.shards import Receipt, file_sha256, sha256_hex
+from tactile_toolkit.store.parquet import file_sha256, sha256_hex
+from tactile_toolkit.store.shards import ShardRecord
 from tactile_toolkit.touch.jpeg import Pixels, encode_image
 
 __all__ = [
@@ -175,9 +176,9 @@ def repeated_ids(source: Source, choices: Mapping[str, Sequence[RowChoice]]) -> 
     return repeated
 
 
-def pictures_are_whole(folder: DataFolder, receipt: Receipt) -> bool:
+def pictures_are_whole(folder: DataFolder, record: ShardRecord) -> bool:
     """Tell whether every picture that a finished shard lists is there, unchanged."""
-    table = Shard(folder.address(receipt.shard.data_path)).read(columns=["file", "sha256"])
+    table = Shard(folder.address(record.shard.data_path)).read(columns=["file", "sha256"])
     return all(
         folder.exists(line["file"]) and file_sha256(folder, line["file"]) == line["sha256"]
         for line in table.to_pylist()
@@ -192,7 +193,7 @@ def _folder_name(row: Row, name: str) -> str:
     IntegrityError
         It is no such name.
     """
-    safe = name.isprintable() and not set(name) & set("/\\") and not name.startswith(UNFINISHED)
+    safe = name.isprintable() and not set(name) & set("/\\") and not name.startswith(TEMPORARY_PREFIX)
     if name in ("", ".", "..") or not safe or len(name.encode(errors="replace")) > _MOST_NAME_BYTES:
         shown = name if len(name) <= 80 else f"{name[:80]}..."
         problem = f"{shown!r} cannot name a folder; expected one name of 1 to {_MOST_NAME_BYTES} bytes"
@@ -205,12 +206,12 @@ def write_index(folder: DataFolder, manifest: Manifest) -> Manifest:
     stream = io.StringIO(newline="")
     writer = csv.writer(stream, lineterminator="\n")
     header: list[str] = []
-    for receipt in manifest.receipts:
-        table = Shard(folder.address(receipt.shard.data_path)).read()
+    for record in manifest.shards:
+        table = Shard(folder.address(record.shard.data_path)).read()
         if not header:
             header = ["split", *table.column_names]
             writer.writerow(header)
-        writer.writerows([receipt.shard.split, *line.values()] for line in table.to_pylist())
+        writer.writerows([record.shard.split, *line.values()] for line in table.to_pylist())
     content = stream.getvalue().encode()
     if not folder.exists(INDEX_FILE) or folder.read_bytes(INDEX_FILE) != content:
         folder.write_bytes(INDEX_FILE, content)

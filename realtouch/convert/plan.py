@@ -21,10 +21,12 @@ from tactile_toolkit.errors import InputError, IntegrityError, ItemError
 from tactile_toolkit.read.dataset import Row
 from tactile_toolkit.read.parquet import Shard
 from tactile_toolkit.run.processes import Runner, runner_for
-from tactile_toolkit.store.build import BuildPlan, Progress, ShardContent, build
+from tactile_toolkit.store.build import Progress, build
 from tactile_toolkit.store.folder import DataFolder
 from tactile_toolkit.store.manifest import Manifest
-from tactile_toolkit.store.shards import ParquetStyle, Receipt, ShardName, Skipped
+from tactile_toolkit.store.parquet import ParquetStyle
+from tactile_toolkit.store.plan import BuildPlan, ShardContent
+from tactile_toolkit.store.shards import ShardName, ShardRecord, Skipped
 from tactile_toolkit.touch.rows import with_features
 from tactile_toolkit.touch.schema import Kind, class_names, kind_of, require_types
 
@@ -197,9 +199,9 @@ class Conversion:
         Rows of each split, in order.
     rows_per_shard, rows_per_group : int or None
         Layout; by the size of the source's rows where None.
-    trees : tuple of str
+    extra_dirs : tuple of str
         What the step writes beside the rows; see :class:`tactile_toolkit.store.plan.BuildPlan`.
-    proves : callable
+    extras_intact : callable
         Tells whether what the step wrote there for a finished shard is still whole.
     """
 
@@ -210,8 +212,8 @@ class Conversion:
     choices: Mapping[str, Sequence[RowChoice]]
     rows_per_shard: int | None = None
     rows_per_group: int | None = None
-    trees: tuple[str, ...] = ()
-    proves: Callable[[Receipt], bool] = field(default=lambda _: True, repr=False)
+    extra_dirs: tuple[str, ...] = ()
+    extras_intact: Callable[[ShardRecord], bool] = field(default=lambda _: True, repr=False)
 
 
 @dataclass(frozen=True)
@@ -300,8 +302,8 @@ def plan_conversion(conversion: Conversion) -> BuildPlan:
         tuple(source.shards),
         tuple(tasks),
         style,
-        trees=conversion.trees,
-        proves=conversion.proves,
+        extra_dirs=conversion.extra_dirs,
+        extras_intact=conversion.extras_intact,
         needs_rows=True,
     )
 

@@ -22,7 +22,8 @@ from tactile_toolkit.read.parquet import Shard
 from tactile_toolkit.store.folder import DataFolder
 from tactile_toolkit.store.manifest import read_manifest
 from tactile_toolkit.store.origin import read_record
-from tactile_toolkit.store.shards import Finding, file_sha256
+from tactile_toolkit.store.parquet import file_sha256
+from tactile_toolkit.store.shards import Finding
 from tactile_toolkit.store.verify import verify as verify_files
 from tactile_toolkit.touch.jpeg import decode_image, image_size
 
@@ -115,7 +116,7 @@ def _file_findings(folder: DataFolder) -> list[Damage]:
         return []
     return [
         Damage(finding.file, None, None, "", finding.problem)
-        for finding in verify_files(folder, card=True).findings
+        for finding in verify_files(folder, check_card=check_card).findings
     ]
 
 
@@ -137,7 +138,7 @@ def _verify_pictures(
 ) -> TouchVerification:
     """Check the files that ``realtouch frames`` wrote against its index, and that they are pictures."""
     manifest = read_manifest(folder)
-    paths = [folder.address(receipt.shard.data_path) for receipt in manifest.receipts] if manifest else []
+    paths = [folder.address(record.shard.data_path) for record in manifest.shards] if manifest else []
     tables = [Shard(path).read(columns=["round_id", "touch", "file", "sha256"]) for path in paths]
     lines = [line for table in tables for line in table.to_pylist()]
     for done, line in enumerate(lines, 1):

@@ -65,7 +65,7 @@ def write_previews(folder: DataFolder, pictures: Mapping[str, bytes]) -> None:
     StorageError
         When the folder cannot be written.
     """
-    folder.remove_stale_temporaries(PREVIEW_FOLDER)
+    folder.remove_stale_files(PREVIEW_FOLDER)
     for path, content in pictures.items():
         if not folder.exists(path) or folder.read_bytes(path) != content:
             folder.write_bytes(path, content)

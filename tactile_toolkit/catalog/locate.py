@@ -13,8 +13,14 @@ from tactile_toolkit.hub.repository import HubRepository
 from tactile_toolkit.read.parquet import Shard
 from tactile_toolkit.store.folder import DataFolder
 from tactile_toolkit.store.manifest import MANIFEST_FILE, Manifest, manifest_so_far, read_manifest
-from tactile_toolkit.store.shards import DATA_FOLDER, ShardName
-from tactile_toolkit.store.splits import ShardFile, files_of_split, no_split, shard_files
+from tactile_toolkit.store.shards import (
+    DATA_FOLDER,
+    ShardFile,
+    ShardName,
+    files_of_split,
+    no_split,
+    shard_files,
+)
 
 __all__ = [
     "ShardFile",
@@ -236,11 +242,11 @@ def _local_shards(folder: DataFolder, split: str) -> tuple[Shard, ...]:
     if manifest is None:
         files = files_of_split(_folder_files(folder), split, folder.address())
         return tuple(Shard(folder.address(file.path)) for file in files)
-    receipts = manifest.receipts_of(split)
-    _refuse_unfinished(folder, split, [receipt.shard for receipt in receipts], manifest.complete)
-    if not receipts:
+    records = manifest.shards_of(split)
+    _refuse_unfinished(folder, split, [record.shard for record in records], manifest.complete)
+    if not records:
         raise no_split(split, manifest.splits, folder.address())
-    return tuple(Shard(folder.address(receipt.shard.data_path), receipt.rows) for receipt in receipts)
+    return tuple(Shard(folder.address(record.shard.data_path), record.rows) for record in records)
 
 
 def _refuse_unfinished(folder: DataFolder, split: str, shards: list[ShardName], complete: bool) -> None:
@@ -287,7 +293,7 @@ def repository_shards(repository: HubRepository) -> list[ShardFile]:
     files = shard_files(repository.files())
     if repository.manifest is None:
         return files
-    listed = {receipt.shard.data_path for receipt in repository.manifest.receipts}
+    listed = {record.shard.data_path for record in repository.manifest.shards}
     return [file for file in files if file.path in listed]
 
 
@@ -321,7 +327,7 @@ def _unfinished_split(folder: DataFolder, manifest: Manifest) -> str | None:
     so_far = manifest_so_far(folder)
     begun = so_far.splits if so_far is not None else ()
     for split in (*begun, *manifest.split_order):
-        receipts = manifest.receipts_of(split)
-        if not receipts or len(receipts) < receipts[0].shard.count:
+        records = manifest.shards_of(split)
+        if not records or len(records) < records[0].shard.count:
             return split
     return None

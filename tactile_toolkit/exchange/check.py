@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
+from tactile_toolkit.cards.checks import check_card
 from tactile_toolkit.catalog.kinds import require_manifest
 from tactile_toolkit.kind import DatasetKind
 from tactile_toolkit.store.folder import DataFolder
@@ -19,4 +20,4 @@ def check_folder(kind: DatasetKind, folder: DataFolder) -> Iterable[Finding]:
         found: Iterable[Finding] = kind.check(folder)
         return found
     require_manifest(kind, folder)
-    return verify(folder, None if kind.schema is None else kind.schema(), card=True).findings
+    return verify(folder, None if kind.schema is None else kind.schema(), check_card=check_card).findings

@@ -16,10 +16,9 @@ from tactile_toolkit.errors import StorageError, ToolkitError
 from tactile_toolkit.exchange.download_plan import DownloadPlan, labels_of
 from tactile_toolkit.hub.errors import ends_a_download, named_failures
 from tactile_toolkit.hub.fetch import fetch_whole, remember_whole
-from tactile_toolkit.store.digest import HubFile
 from tactile_toolkit.store.folder import DataFolder, atomic_file
 from tactile_toolkit.store.manifest import MANIFEST_FILE, Manifest, write_manifest
-from tactile_toolkit.store.origin import DownloadRecord, read_record, write_record
+from tactile_toolkit.store.origin import DownloadRecord, HubFile, read_record, write_record
 from tactile_toolkit.store.shards import DATA_FOLDER
 
 if TYPE_CHECKING:
@@ -156,7 +155,7 @@ def _into_folder(
     """Bring a folder to the commit of the plan; a reader never takes a mixture for a finished data set."""
     folder.require_folder()
     for sub in ("", DATA_FOLDER):
-        folder.remove_stale_temporaries(sub)
+        folder.remove_stale_files(sub)
     _announce(plan, folder)
     for path in (*plan.leftover, *(file.path for file in plan.missing)):
         folder.remove(path)
@@ -175,7 +174,7 @@ def _announce(plan: DownloadPlan, folder: DataFolder) -> None:
     write_record(folder, replace(record, files=files, finished=False))
     manifest = plan.repository.manifest
     if manifest is not None and (plan.missing or plan.leftover):
-        write_manifest(folder, replace(manifest, receipts=(), complete=False))
+        write_manifest(folder, replace(manifest, shards=(), complete=False))
 
 
 def _record(plan: DownloadPlan) -> DownloadRecord:
@@ -222,7 +221,7 @@ def _label(plan: DownloadPlan, folder: DataFolder, on_wait: Callable[[str], None
 
 def _write_manifest(plan: DownloadPlan, folder: DataFolder, manifest: Manifest, is_part: bool) -> None:
     if is_part:
-        receipts = [receipt for receipt in manifest.receipts if receipt.shard.split in plan.splits]
-        write_manifest(folder, replace(manifest, receipts=tuple(receipts)))
+        records = [record for record in manifest.shards if record.shard.split in plan.splits]
+        write_manifest(folder, replace(manifest, shards=tuple(records)))
     else:
         folder.write_bytes(MANIFEST_FILE, Path(plan.repository.fetch(MANIFEST_FILE)).read_bytes())

@@ -14,11 +14,10 @@ from tactile_toolkit.hub.errors import ends_a_download, not_cached
 from tactile_toolkit.hub.fetch import is_whole
 from tactile_toolkit.hub.repository import HubRepository
 from tactile_toolkit.hub.retry import could_not_ask
-from tactile_toolkit.store.digest import HubFile
 from tactile_toolkit.store.folder import DataFolder
 from tactile_toolkit.store.manifest import MANIFEST_FILE, Manifest, read_manifest
-from tactile_toolkit.store.origin import DownloadRecord, read_record
-from tactile_toolkit.store.resume import refuse_strangers
+from tactile_toolkit.store.origin import DownloadRecord, HubFile, read_record
+from tactile_toolkit.store.plan import refuse_unknown_files
 from tactile_toolkit.store.shards import DATA_FOLDER
 
 __all__ = [
@@ -357,5 +356,5 @@ def _own_record(folder: DataFolder, repository: HubRepository) -> DownloadRecord
             "changed; next: choose another folder with --out"
         )
         raise SpecMismatchError(message)
-    refuse_strangers(folder)
+    refuse_unknown_files(folder)
     return None

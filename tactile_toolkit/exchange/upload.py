@@ -330,7 +330,7 @@ def _finished(folder: str) -> tuple[Path, Manifest]:
 
 
 def _verified(folder: DataFolder) -> Sequence[Finding]:
-    return verify(folder, card=True).findings
+    return verify(folder, check_card=check_card).findings
 
 
 def _require_sound(root: Path, findings: Sequence[Finding]) -> None:
@@ -353,7 +353,7 @@ def _payload(
     stored = (root / CARD_FILE).read_text(encoding="utf-8")
     payload = collect(root, manifest, stored.encode())
     staying = () if options.delete else compare(payload.files, state.files).remote_only
-    shards = {split: [r.shard.data_path for r in manifest.receipts_of(split)] for split in manifest.splits}
+    shards = {split: [r.shard.data_path for r in manifest.shards_of(split)] for split in manifest.splits}
     text = card_for_hub(stored, repo_id, shards, [file.path for file in staying])
     held = {*(file.path for file in payload.files), *(file.path for file in staying)}
     _require_sound(root, check_card(DataFolder(str(root)), text, held=held))

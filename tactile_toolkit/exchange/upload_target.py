@@ -298,7 +298,7 @@ def collect(root: Path, manifest: Manifest, card: bytes) -> Payload:
     card : bytes
         The card as it is to be on the Hub.
     """
-    known = {receipt.shard.data_path: receipt.sha256 for receipt in manifest.receipts}
+    known = {record.shard.data_path: record.sha256 for record in manifest.shards}
     known |= dict(manifest.files or {})
     others = [MANIFEST_FILE, *_files_under(root, PREVIEW_FOLDER), *_files_under(root, _PICTURE_FOLDER)]
     files = [

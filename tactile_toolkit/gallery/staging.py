@@ -9,7 +9,7 @@ import shutil
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
-from tactile_toolkit.store.folder import leavings, unfinished_name
+from tactile_toolkit.store.folder import stale_files, temporary_name
 
 __all__ = ["is_unfinished", "staged_folder"]
 
@@ -44,9 +44,9 @@ def staged_folder(place: Path, refuse: Callable[[Path], None] = lambda _folder: 
     place.parent.mkdir(parents=True, exist_ok=True)
     # Within a folder that is there, which may be all that may be written, or a file system of its own.
     home = place if place.is_dir() else place.parent
-    for left in (*leavings(place.parent, _PREFIX), *leavings(place, _PREFIX)):
+    for left in (*stale_files(place.parent, _PREFIX), *stale_files(place, _PREFIX)):
         shutil.rmtree(left, ignore_errors=True)
-    staging = home / unfinished_name(place.name, _PREFIX)
+    staging = home / temporary_name(place.name, _PREFIX)
     staging.mkdir()
     try:
         yield staging
@@ -72,7 +72,7 @@ def _put_in_place(staging: Path, place: Path, refuse: Callable[[Path], None]) ->
 
 def _exchange(staging: Path, place: Path, refuse: Callable[[Path], None]) -> None:
     """Put the content of a folder in place of another's, which comes back when that fails."""
-    former = place / unfinished_name("former", _PREFIX)
+    former = place / temporary_name("former", _PREFIX)
     former.mkdir()
     arrived: list[str] = []
     try:

@@ -19,7 +19,7 @@ from typing import IO, Any
 from tactile_toolkit.errors import IntegrityError
 from tactile_toolkit.hub.retry import ask
 from tactile_toolkit.read.parquet import cache_folder
-from tactile_toolkit.store.digest import Digest
+from tactile_toolkit.store.origin import Digest
 
 __all__ = ["Transfer", "fetch_whole", "is_whole", "remember_whole"]
 

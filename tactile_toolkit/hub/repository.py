@@ -13,8 +13,8 @@ from tactile_toolkit.errors import HubError, InputError, IntegrityError
 from tactile_toolkit.hub.errors import named_failures, not_cached
 from tactile_toolkit.hub.fetch import Transfer, fetch_whole, is_whole
 from tactile_toolkit.hub.snapshot import HubSnapshot, RepositoryCache, look_at
-from tactile_toolkit.store.digest import Digest, HubFile
 from tactile_toolkit.store.manifest import MANIFEST_FILE, Manifest
+from tactile_toolkit.store.origin import Digest, HubFile
 
 __all__ = ["HubRepository"]
 
@@ -100,7 +100,7 @@ class HubRepository:
         """
         listed = set(self.snapshot.files)
         if self.snapshot.is_cache and self.manifest is not None:
-            listed |= {receipt.shard.data_path for receipt in self.manifest.receipts}
+            listed |= {record.shard.data_path for record in self.manifest.shards}
         return sorted(listed)
 
     @contextlib.contextmanager
@@ -181,8 +181,8 @@ class HubRepository:
         HubError
             There is no such file.
         """
-        receipts = self.manifest.receipts if self.manifest is not None else ()
-        listed = {receipt.shard.data_path: receipt.bytes for receipt in receipts}
+        records = self.manifest.shards if self.manifest is not None else ()
+        listed = {record.shard.data_path: record.bytes for record in records}
         return listed[path] if path in listed else self._entry(path).size_bytes
 
     def address(self, path: str) -> str:
@@ -258,9 +258,9 @@ class HubRepository:
 
 def _listed(manifest: Manifest, path: str) -> Digest | None:
     """Return what a manifest says of a file; None when it does not list it."""
-    for receipt in manifest.receipts:
-        if receipt.shard.data_path == path:
-            return Digest("sha256", receipt.sha256)
+    for record in manifest.shards:
+        if record.shard.data_path == path:
+            return Digest("sha256", record.sha256)
     checksum = (manifest.files or {}).get(path)
     return Digest("sha256", checksum) if checksum else None
 

@@ -14,8 +14,8 @@ from typing import Any
 from tactile_toolkit.errors import HubError, ToolkitError
 from tactile_toolkit.hub.errors import failure_of, shown_cause
 from tactile_toolkit.hub.retry import ask, could_not_ask, is_passing
-from tactile_toolkit.store.digest import Digest, HubFile
 from tactile_toolkit.store.folder import atomic_file
+from tactile_toolkit.store.origin import Digest, HubFile
 
 __all__ = ["HubSnapshot", "RepositoryCache", "look_at"]
 

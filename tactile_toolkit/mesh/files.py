@@ -13,7 +13,7 @@ import numpy as np
 from tactile_toolkit.errors import InputError, StorageError
 from tactile_toolkit.mesh.mesh import MM_PER_M, Mesh, as_mesh
 from tactile_toolkit.mesh.threemf import read_threemf, write_threemf
-from tactile_toolkit.store.folder import unfinished_name
+from tactile_toolkit.store.folder import temporary_name
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -165,7 +165,7 @@ def write_mesh(path: str | Path, mesh: MeshLike) -> None:
     """
     path = Path(path)
     data = pack_mesh(as_mesh(mesh), _ending(path))
-    partial = path.with_name(unfinished_name(path.name))
+    partial = path.with_name(temporary_name(path.name))
     try:
         partial.write_bytes(data)
         partial.replace(path)

@@ -158,7 +158,7 @@ def prepare(out: str) -> Path:
     place = _local(out)
     folder = DataFolder(out)
     folder.require_folder()
-    folder.remove_stale_temporaries("")
+    folder.remove_stale_files("")
     return place
 
 

@@ -6,74 +6,82 @@ behaviour: interrupted work goes on, finished work is never made twice, another 
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field, replace
 from itertools import chain
+from typing import Any
 
 from tactile_toolkit.errors import IntegrityError
 from tactile_toolkit.run.processes import Runner
 from tactile_toolkit.store.folder import DataFolder, folders_below, named_failures
 from tactile_toolkit.store.manifest import (
     Manifest,
-    parts_beside,
+    pending_beside,
     read_manifest,
-    remove_parts,
+    remove_pending,
     write_manifest,
-    write_receipt,
+    write_shard_record,
 )
-from tactile_toolkit.store.plan import BuildPlan, ShardContent, ShardTask
-from tactile_toolkit.store.replace import Before, FormerSet, recover
-from tactile_toolkit.store.reports import merge_reports
-from tactile_toolkit.store.resume import BuildState, inspect_folder
-from tactile_toolkit.store.shards import (
-    DATA_FOLDER,
-    PARTS_FOLDER,
+from tactile_toolkit.store.parquet import (
+    REPORT_STYLE,
     ParquetStyle,
-    Receipt,
     encode_parquet,
+    file_sha256,
+    read_report,
     sha256_hex,
+    unpacked_bytes,
+    write_parquet,
 )
+from tactile_toolkit.store.plan import BuildPlan, BuildState, ShardTask, inspect_folder
+from tactile_toolkit.store.replace import FolderBefore, FormerSet, recover
+from tactile_toolkit.store.shards import DATA_FOLDER, PENDING_FOLDER, ShardRecord
 
-__all__ = ["BuildPlan", "BuildState", "Progress", "ShardContent", "ShardTask", "build", "inspect_folder"]
+__all__ = ["Progress", "build"]
+
+WriteCard = Callable[[DataFolder, Manifest, Any], None]
+"""Writes the card of a finished folder; the last argument is the merged report, or None without one."""
 
 
 @dataclass(frozen=True)
 class Progress:
-    """Told once before the work and after each shard: items done and to do in this run."""
+    """Passed on once before the work and after each shard: items done and to do in this run."""
 
     done: int
     total: int
-    receipt: Receipt | None = None
+    record: ShardRecord | None = None
 
 
 @dataclass(frozen=True)
 class _WriteShard:
-    """Picklable: make one shard and write it with its receipt."""
+    """Picklable: make one shard and write it with its record."""
 
     folder: DataFolder
     style: ParquetStyle = field(repr=False)
 
-    def __call__(self, task: ShardTask) -> Receipt:
-        """Write rows, then report rows, then the receipt that vouches for both."""
+    def __call__(self, task: ShardTask) -> ShardRecord:
+        """Write rows, then report rows, then the record that vouches for both."""
         content = task.make()
-        data = encode_parquet(content.table, self.style)
+        table = content.table
+        data, footer = write_parquet(table, self.style)
         self.folder.write_bytes(task.shard.data_path, data)
         report_sha256 = None
         if content.report is not None:
-            report = encode_parquet(content.report, ParquetStyle(rows_per_group=1 << 16))
+            report = encode_parquet(content.report, REPORT_STYLE)
             self.folder.write_bytes(task.shard.report_path, report)
             report_sha256 = sha256_hex(report)
-        receipt = Receipt(
+        record = ShardRecord(
             task.shard,
-            content.table.num_rows,
+            table.num_rows,
             len(data),
             sha256_hex(data),
             report_sha256,
             content.skipped,
             content.statistics,
+            unpacked_bytes(footer, table.schema, lambda _: table),
         )
-        write_receipt(self.folder, receipt)
-        return receipt
+        write_shard_record(self.folder, record)
+        return record
 
 
 def build(
@@ -83,6 +91,7 @@ def build(
     *,
     overwrite: bool = False,
     on_progress: Callable[[Progress], None] = lambda _: None,
+    write_card: WriteCard | None = None,
 ) -> Manifest:
     """Make what the folder lacks of the plan and return the manifest.
 
@@ -101,62 +110,48 @@ def build(
         The folder cannot be written, or the disk is full. Finished shards stay.
     """
     with named_failures(folder.address()):
-        there = folder.exists()
+        existed = folder.exists()
     folder.require_folder()
     recover(folder)
-    former = FormerSet.set_aside(folder, plan.trees) if overwrite else None
+    former = FormerSet.set_aside(folder, plan.extra_dirs) if overwrite else None
     state = inspect_folder(folder, plan)
-    before = Before.of(folder, there, former)
+    before = FolderBefore.of(folder, existed, former)
     try:
-        _prepare(folder, plan, state)
-        receipts = [*state.kept, *_run(folder, plan, runner, state, _told(on_progress, former))]
-        manifest = state.manifest.with_receipts(receipts)
+        _remove_stale_files(folder, plan)
+        if state.todo:
+            # Named before the first shard, so that an interrupted folder knows what it was to become.
+            redone = {task.shard for task in state.todo}
+            kept = tuple(record for record in state.manifest.shards if record.shard not in redone)
+            write_manifest(folder, replace(state.manifest, shards=kept, complete=False))
+        records = [*state.kept, *_run(folder, plan, runner, state, on_progress, former)]
+        manifest = state.manifest.with_shards(records)
         _require_rows(plan, manifest)
     except BaseException:
-        _remove_leavings(folder, plan)  # of workers that were stopped in the middle of a file
+        _remove_stale_files(folder, plan)  # of workers that were stopped in the middle of a file
         before.restore_unless_finished(folder, plan, state)
         raise
     if former is not None:
         former.give_up()
-    return _finish(folder, plan, manifest)
+    files = dict(manifest.files or {})
+    report = None
+    if plan.report_file is not None:
+        report, files[plan.report_file] = _merge_reports(folder, plan.report_file, manifest)
+    # Shards of a split that another run began stay its own until that run is given again.
+    begun = pending_beside(folder, manifest)
+    finished = replace(manifest, files=files, complete=not begun)
+    if read_manifest(folder) != finished:
+        write_manifest(folder, finished)
+    _remove_stale_files(folder, plan)  # once more: workers of a killed run may have lived on for a moment
+    remove_pending(folder, keep=begun)
+    if write_card is not None:
+        write_card(folder, finished, report)
+    return finished
 
 
-def _told(on_progress: Callable[[Progress], None], former: FormerSet | None) -> Callable[[Progress], None]:
-    """Let the former set go once there are rows of the new one."""
-    if former is None:
-        return on_progress
-
-    def tell(progress: Progress) -> None:
-        if progress.receipt is not None and progress.receipt.rows:
-            former.give_up()
-        on_progress(progress)
-
-    return tell
-
-
-def _require_rows(plan: BuildPlan, manifest: Manifest) -> None:
-    skipped = [item for receipt in manifest.receipts for item in receipt.skipped]
-    if plan.needs_rows and skipped and not any(receipt.rows for receipt in manifest.receipts):
-        message = (
-            f"no row is left: all {len(skipped):,} were left out, nothing was written; the first: "
-            f"{skipped[0].message}"
-        )
-        raise IntegrityError(message)
-
-
-def _prepare(folder: DataFolder, plan: BuildPlan, state: BuildState) -> None:
-    _remove_leavings(folder, plan)
-    if state.todo:
-        # Named before the first shard, so that an interrupted folder knows what it was to become.
-        redone = {task.shard for task in state.todo}
-        receipts = tuple(entry for entry in state.manifest.receipts if entry.shard not in redone)
-        write_manifest(folder, replace(state.manifest, receipts=receipts, complete=False))
-
-
-def _remove_leavings(folder: DataFolder, plan: BuildPlan) -> None:
-    below = chain.from_iterable(folders_below(folder, tree) for tree in plan.trees)
-    for place in ("", DATA_FOLDER, PARTS_FOLDER, "reports", *below):
-        folder.remove_stale_temporaries(place)
+def _remove_stale_files(folder: DataFolder, plan: BuildPlan) -> None:
+    below = chain.from_iterable(folders_below(folder, path) for path in plan.extra_dirs)
+    for path in ("", DATA_FOLDER, PENDING_FOLDER, "reports", *below):
+        folder.remove_stale_files(path)
 
 
 def _run(
@@ -165,26 +160,54 @@ def _run(
     runner: Runner,
     state: BuildState,
     on_progress: Callable[[Progress], None],
-) -> Iterable[Receipt]:
-    total = sum(task.size for task in state.todo)
+    former: FormerSet | None,
+) -> Iterable[ShardRecord]:
     sizes = {task.shard: task.size for task in state.todo}
-    done = 0
+    done, total = 0, sum(sizes.values())
     on_progress(Progress(done, total))
-    for receipt in runner.run(_WriteShard(folder, plan.style), state.todo):
-        done += sizes[receipt.shard]
-        on_progress(Progress(done, total, receipt))
-        yield receipt
+    for record in runner.run(_WriteShard(folder, plan.style), state.todo):
+        if former is not None and record.rows:
+            former.give_up()  # there are rows of the new set
+        done += sizes[record.shard]
+        on_progress(Progress(done, total, record))
+        yield record
 
 
-def _finish(folder: DataFolder, plan: BuildPlan, manifest: Manifest) -> Manifest:
-    files = dict(manifest.files or {})
-    if plan.report_file is not None:
-        files[plan.report_file] = merge_reports(folder, plan.report_file, manifest)
-    # Shards of a split that another run began stay its own until that run is given again.
-    begun = parts_beside(folder, manifest)
-    finished = replace(manifest, files=files, complete=not begun)
-    if read_manifest(folder) != finished:
-        write_manifest(folder, finished)
-    _remove_leavings(folder, plan)  # once more: workers of a killed run may have lived on for a moment
-    remove_parts(folder, keep=begun)
-    return finished
+def _require_rows(plan: BuildPlan, manifest: Manifest) -> None:
+    skipped = [item for record in manifest.shards for item in record.skipped]
+    if plan.needs_rows and skipped and not any(record.rows for record in manifest.shards):
+        message = (
+            f"no row is left: all {len(skipped):,} were left out, nothing was written; the first: "
+            f"{skipped[0].message}"
+        )
+        raise IntegrityError(message)
+
+
+def _merge_reports(folder: DataFolder, path: str, manifest: Manifest) -> tuple[Any, str]:
+    """Write one report over all shards of the manifest and return it with its checksum.
+
+    Rows of shards finished in an earlier run come from the report that run wrote; the order is always that
+    of the manifest, so the bytes do not depend on the order of the work.
+    """
+    import pyarrow as pa
+    import pyarrow.compute as pc
+
+    earlier = None
+    if folder.exists(path):
+        # The rows of a damaged one are in pending reports again, see inspect_folder.
+        with contextlib.suppress(IntegrityError):
+            earlier = read_report(folder, path)
+    tables = []
+    for record in manifest.shards:
+        if folder.exists(record.shard.report_path):
+            tables.append(read_report(folder, record.shard.report_path))
+        elif earlier is not None:
+            tables.append(earlier.filter(pc.equal(earlier["shard"], str(record.shard))))
+    if not tables:
+        return None, ""
+    report = pa.concat_tables(tables)
+    content = encode_parquet(report, REPORT_STYLE)
+    checksum = sha256_hex(content)
+    if not folder.exists(path) or file_sha256(folder, path) != checksum:
+        folder.write_bytes(path, content)
+    return report, checksum

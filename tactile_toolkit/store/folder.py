@@ -1,8 +1,8 @@
 """The one seam through which data set folders are read and written.
 
 Local folders and every fsspec address (``s3://...``, ``memory://...``) go through :class:`DataFolder`. A file
-appears under its name complete or not at all: local files are written under a temporary name beside their
-place, flushed to disk and renamed; object stores put whole objects.
+appears under its name complete or not at all: local files are written under a temporary name in the same
+folder, flushed to disk and renamed; object stores put whole objects.
 """
 
 from __future__ import annotations
@@ -22,51 +22,58 @@ from typing import IO, Any
 from tactile_toolkit.errors import InputError, IntegrityError, StorageError
 
 __all__ = [
+    "TEMPORARY_PREFIX",
     "DataFolder",
-    "UNFINISHED",
     "atomic_file",
     "folders_below",
-    "leavings",
-    "left_by_the_dead",
+    "is_being_written",
+    "is_stale",
     "named_failures",
     "remove_tree",
-    "unfinished_name",
+    "stale_files",
+    "temporary_name",
 ]
 
-UNFINISHED = ".writing-"
+TEMPORARY_PREFIX = ".writing-"
 """How the name of every unfinished file begins."""
 
 _WRITER = re.compile(r"(?P<process>\d+)(?:\.(?P<began>\d+))?-")
 _ENDED_STATES = ("Z", "X")  # a zombie has ended; its parent has not asked for its exit status yet
 
 
-def unfinished_name(name: str, prefix: str = UNFINISHED) -> str:
+def temporary_name(name: str, prefix: str = TEMPORARY_PREFIX) -> str:
     """Return a name, new each time, under which this process may write ``name`` until it is finished."""
     process = os.getpid()
-    began = _began(process)
+    began = _start_time(process)
+    # Process ids are used again: with the start time, a stale file is told from one of a new process.
     writer = str(process) if began is None else f"{process}.{began}"
     return f"{prefix}{socket.gethostname()}-{writer}-{uuid.uuid4().hex[:8]}-{name}"
 
 
-def left_by_the_dead(name: str, prefix: str = UNFINISHED) -> bool:
-    """Tell whether a name is that of an unfinished file whose writer, on this machine, has ended."""
+def is_stale(name: str, prefix: str = TEMPORARY_PREFIX) -> bool:
+    """Tell whether a name is that of a temporary file whose writer, on this machine, has ended."""
     here = f"{prefix}{socket.gethostname()}-"
     writer = _WRITER.match(name, len(here)) if name.startswith(here) else None
     if writer is None:
         return False
     process, began = int(writer["process"]), writer["began"]
-    return not _runs(process) or (began is not None and began != _began(process))
+    return not _is_running(process) or (began is not None and began != _start_time(process))
 
 
-def leavings(folder: Path, prefix: str = UNFINISHED) -> Iterator[Path]:
-    """Yield what dead writers left directly in a local folder."""
-    yield from (entry for entry in folder.glob(f"{prefix}*") if left_by_the_dead(entry.name, prefix))
+def is_being_written(name: str) -> bool:
+    """Tell whether a name is that of a temporary file whose writer, on this machine, is at work."""
+    return name.startswith(f"{TEMPORARY_PREFIX}{socket.gethostname()}-") and not is_stale(name)
 
 
-def _runs(process: int) -> bool:
+def stale_files(folder: Path, prefix: str = TEMPORARY_PREFIX) -> Iterator[Path]:
+    """Yield the stale temporary files directly in a local folder."""
+    yield from (entry for entry in folder.glob(f"{prefix}*") if is_stale(entry.name, prefix))
+
+
+def _is_running(process: int) -> bool:
     if _has_proc():
-        facts = _facts(process)
-        return facts is not None and facts[0] not in _ENDED_STATES
+        fields = _proc_stat(process)
+        return fields is not None and fields[0] not in _ENDED_STATES
     try:
         os.kill(process, 0)  # sends nothing, only asks
     except ProcessLookupError:
@@ -76,13 +83,13 @@ def _runs(process: int) -> bool:
     return True
 
 
-def _began(process: int) -> str | None:
+def _start_time(process: int) -> str | None:
     """Return when a process began, in clock ticks since the machine started; None where that is not known."""
-    facts = _facts(process)
-    return None if facts is None else facts[19]
+    fields = _proc_stat(process)
+    return None if fields is None else fields[19]
 
 
-def _facts(process: int) -> list[str] | None:
+def _proc_stat(process: int) -> list[str] | None:
     """Return the fields of Linux's ``/proc/PID/stat`` (proc(5)) from the third, the state, onwards."""
     try:
         line = Path(f"/proc/{process}/stat").read_text()
@@ -108,17 +115,49 @@ _HINTS = {
 }
 
 
+@contextlib.contextmanager
+def named_failures(address: str) -> Iterator[None]:
+    """Turn the file system's errors about an address into a :class:`StorageError` that says what to do."""
+    try:
+        yield
+    except OSError as error:
+        hint = _HINTS.get(error.errno or 0, error.strerror or str(error))
+        message = f"cannot write {address!r}: {hint}; nothing half-written was left, finished files stay"
+        raise StorageError(message) from error
+
+
+@contextlib.contextmanager
+def atomic_file(path: Path, *, durable: bool = True) -> Iterator[IO[bytes]]:
+    """Open a local file for writing that appears under its name when all of it is on the disk, or never.
+
+    Folders are made. What is not ``durable`` is not flushed: a power cut may leave damaged content under the
+    name. Raises OSError as the file system does; nothing is left behind.
+    """
+    path.parent.mkdir(parents=True, exist_ok=True)
+    temporary = path.parent / temporary_name(path.name)
+    try:
+        with temporary.open("xb") as stream:
+            yield stream
+            if durable:
+                stream.flush()
+                os.fsync(stream.fileno())
+        temporary.replace(path)
+    except BaseException:
+        temporary.unlink(missing_ok=True)
+        raise
+    if durable:
+        # A rename survives a power cut only once the folder itself is on the disk.
+        handle = os.open(path.parent, os.O_RDONLY)
+        try:
+            os.fsync(handle)
+        finally:
+            os.close(handle)
+
+
 @dataclass(frozen=True)
 class DataFolder:
-    """A data set folder, local or remote.
+    """A data set folder, by its path or any fsspec address.
 
-    Parameters
-    ----------
-    url : str
-        Path of a local folder, or any fsspec address of one.
-
-    Notes
-    -----
     Pickles as its address alone, so that tasks carry it to other processes and machines.
     """
 
@@ -163,8 +202,8 @@ class DataFolder:
     def names(self, folder: str = "") -> list[str]:
         """List the file names directly in a sub-folder, sorted; an absent sub-folder is empty."""
         if self.is_local:
-            place = Path(self.address(folder))
-            return sorted(entry.name for entry in place.iterdir()) if place.is_dir() else []
+            path = Path(self.address(folder))
+            return sorted(entry.name for entry in path.iterdir()) if path.is_dir() else []
         file_system, root = self._remote
         try:
             found = file_system.ls(f"{root}/{folder}" if folder else root, detail=False)
@@ -188,13 +227,7 @@ class DataFolder:
         return opened
 
     def read_bytes(self, path: str) -> bytes:
-        """Read a whole (small) file.
-
-        Raises
-        ------
-        IntegrityError
-            When the file is not there or cannot be read.
-        """
+        """Read a whole (small) file; IntegrityError when it is not there or cannot be read."""
         try:
             with self.open(path) as stream:
                 return stream.read()
@@ -205,23 +238,28 @@ class DataFolder:
     def write_bytes(self, path: str, content: bytes) -> None:
         """Write a whole file so that readers see all of it or nothing.
 
-        Raises
-        ------
-        StorageError
-            No space, no permission, a read-only place, or a path that leads out of the folder. Nothing is
-            left behind under any name.
+        Raises StorageError for a path that leads out of the folder, and where the file system refuses; then
+        nothing is left behind under any name.
         """
-        _refuse_escape(path, self._root)
+        # Names in stored data may be anybody's.
+        parts = PurePosixPath(path)
+        if parts.is_absolute() or ".." in parts.parts or "\0" in path:
+            message = (
+                f"{path!r} leads out of {self._root!r} or is not a path; expected a path inside; nothing was "
+                "written"
+            )
+            raise StorageError(message)
         with named_failures(self.address(path)):
             if self.is_local:
-                _write_atomic(Path(self.address(path)), content)
+                with atomic_file(Path(self.address(path))) as stream:
+                    stream.write(content)
             else:
                 file_system, root = self._remote
                 file_system.makedirs(str(PurePosixPath(f"{root}/{path}").parent), exist_ok=True)
                 file_system.pipe_file(f"{root}/{path}", content)
 
     def remove(self, path: str) -> None:
-        """Remove a file; an absent one is no error."""
+        """Remove a file, if it is there."""
         with named_failures(self.address(path)):
             if self.is_local:
                 Path(self.address(path)).unlink(missing_ok=True)
@@ -241,125 +279,47 @@ class DataFolder:
                 file_system.rmdir(f"{root}/{folder}")
 
     def require_folder(self) -> None:
-        """Create the folder, or say why it cannot hold a data set.
+        """Create the folder, and prove that it can be written to.
 
-        Raises
-        ------
-        StorageError
-            When the folder cannot be made or written to.
-        InputError
-            When a file stands in its place.
+        Raises StorageError where it cannot, and InputError when a file stands in its place.
         """
         if not self.is_local:
             return
-        place = Path(self._root)
-        probe = place / unfinished_name("probe")
+        path = Path(self._root)
+        probe = path / temporary_name("probe")
         with named_failures(self._root):
-            if place.exists() and not place.is_dir():
+            if path.exists() and not path.is_dir():
                 message = (
-                    f"{self._root!r} is a file, a folder was expected; choose another place (--out or OUT)"
+                    f"{self._root!r} is a file, a folder was expected; choose another path (--out or OUT)"
                 )
                 raise InputError(message)
-            place.mkdir(parents=True, exist_ok=True)
+            path.mkdir(parents=True, exist_ok=True)
             probe.touch()
             probe.unlink()
 
-    def remove_stale_temporaries(self, folder: str) -> None:
-        """Remove what killed writers of this machine left half-written in a sub-folder."""
+    def remove_stale_files(self, folder: str) -> None:
+        """Remove the stale temporary files in a sub-folder."""
         for name in self.names(folder):
-            if left_by_the_dead(name):
+            if is_stale(name):
                 self.remove(f"{folder}/{name}" if folder else name)
 
 
-def _refuse_escape(path: str, root: str) -> None:
-    """Refuse a path that leads out of the folder: names in stored data may be anybody's."""
-    parts = PurePosixPath(path)
-    if parts.is_absolute() or ".." in parts.parts or "\0" in path:
-        message = f"{path!r} leads out of {root!r} or is no path; expected a path inside; nothing was written"
-        raise StorageError(message)
-
-
-def _write_atomic(place: Path, content: bytes) -> None:
-    with atomic_file(place) as stream:
-        stream.write(content)
-
-
-@contextlib.contextmanager
-def atomic_file(place: Path, *, durable: bool = True) -> Iterator[IO[bytes]]:
-    """Open a local file for writing that appears under its name when all of it is on the disk, or never.
-
-    Parameters
-    ----------
-    place : Path
-        Where it is to stand; folders are made.
-    durable : bool
-        Flush it to the disk first; without, a power cut may leave damaged content under the name.
-
-    Raises
-    ------
-    OSError
-        As the file system raises it; nothing is left behind.
-    """
-    place.parent.mkdir(parents=True, exist_ok=True)
-    temporary = place.parent / unfinished_name(place.name)
-    try:
-        with temporary.open("xb") as stream:
-            yield stream
-            if durable:
-                stream.flush()
-                os.fsync(stream.fileno())
-        temporary.replace(place)
-    except BaseException:
-        temporary.unlink(missing_ok=True)
-        raise
-    if durable:
-        _flush_folder(place.parent)
-
-
-def _flush_folder(folder: Path) -> None:
-    # A rename survives a power cut only once the folder itself is on the disk.
-    handle = os.open(folder, os.O_RDONLY)
-    try:
-        os.fsync(handle)
-    finally:
-        os.close(handle)
-
-
-@contextlib.contextmanager
-def named_failures(address: str) -> Iterator[None]:
-    """Turn the file system's errors about a place into a :class:`StorageError` that says what to do."""
-    try:
-        yield
-    except OSError as error:
-        hint = _HINTS.get(error.errno or 0, error.strerror or str(error))
-        message = f"cannot write {address!r}: {hint}; nothing half-written was left, finished files stay"
-        raise StorageError(message) from error
-
-
-def folders_below(folder: DataFolder, place: str) -> Iterator[str]:
+def folders_below(folder: DataFolder, path: str) -> Iterator[str]:
     """Yield a sub-folder and all folders inside it; none of a remote one, where no file is half-written."""
     if not folder.is_local:
         return
     root = folder.address()
-    for found, _, _ in os.walk(folder.address(place)):
+    for found, _, _ in os.walk(folder.address(path)):
         yield os.path.relpath(found, root)
 
 
-def remove_tree(folder: DataFolder, place: str) -> None:
-    """Remove a sub-folder with all that it holds; an absent one is no error.
-
-    Links are removed, and nothing that they lead to.
-
-    Raises
-    ------
-    StorageError
-        When something cannot be removed.
-    """
-    if folder.is_local and Path(folder.address(place)).is_symlink():
-        folder.remove(place)
+def remove_tree(folder: DataFolder, path: str) -> None:
+    """Remove a sub-folder, if it is there, with all that it holds; of links, nothing that they lead to."""
+    if folder.is_local and Path(folder.address(path)).is_symlink():
+        folder.remove(path)
         return
-    for name in folder.names(place):
-        remove_tree(folder, f"{place}/{name}")
-    folder.remove_empty(place)
-    if folder.exists(place):
-        folder.remove(place)
+    for name in folder.names(path):
+        remove_tree(folder, f"{path}/{name}")
+    folder.remove_empty(path)
+    if folder.exists(path):
+        folder.remove(path)

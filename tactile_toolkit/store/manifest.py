@@ -1,4 +1,8 @@
-"""``manifest.json``: what made a data set folder, and what lies in it."""
+"""``manifest.json``: what made a data set folder, and what lies in it.
+
+While a run is under way, what it has finished is in pending records instead, one file for each shard, so that
+two writers never share a file.
+"""
 
 from __future__ import annotations
 
@@ -10,19 +14,19 @@ from typing import Any
 
 from tactile_toolkit.errors import IntegrityError
 from tactile_toolkit.store.folder import DataFolder
-from tactile_toolkit.store.shards import PARTS_FOLDER, Receipt, add_up
+from tactile_toolkit.store.shards import PENDING_FOLDER, ShardRecord, add_up
 
 __all__ = [
     "MANIFEST_FILE",
-    "Manifest",
     "SCHEMA_VERSION",
+    "Manifest",
     "manifest_so_far",
-    "part_receipts",
-    "parts_beside",
+    "pending_beside",
+    "pending_records",
     "read_manifest",
-    "remove_parts",
+    "remove_pending",
     "write_manifest",
-    "write_receipt",
+    "write_shard_record",
 ]
 
 MANIFEST_FILE = "manifest.json"
@@ -34,83 +38,63 @@ SCHEMA_VERSION = 1
 class Manifest:
     """Everything known about a data set folder without opening a shard.
 
-    Attributes
-    ----------
-    kind : str
-        Which room made it, such as ``"mnist3d"``.
-    toolkit_version : str
-        Version of the toolkit that wrote the rows.
-    spec : dict
-        The full specification, as JSON values; equal specifications give equal rows.
-    split_order : tuple of str
-        Canonical order of the splits of this kind.
-    receipts : tuple of Receipt
-        One per shard, in order of split and index.
-    files : dict of str to str
-        SHA-256 of further data files, such as reports, by path.
-    schema_version : int
-        See :data:`SCHEMA_VERSION`.
-    complete : bool
-        False while a run is under way or after it was interrupted.
-    trees : tuple of str
-        Sub-folders and files beside the rows that belong to the data set; see
-        :class:`tactile_toolkit.store.plan.BuildPlan`.
+    Equal ``spec`` (JSON values) and ``toolkit_version`` give equal rows. ``shards`` are in order of split and
+    index. ``files`` are checksums of further data files, such as reports, by path. ``complete`` is False
+    while a run is under way or after it was interrupted. ``extra_dirs`` are those of the build plan.
     """
 
     kind: str
     toolkit_version: str
     spec: Mapping[str, Any]
     split_order: tuple[str, ...]
-    receipts: tuple[Receipt, ...] = ()
+    shards: tuple[ShardRecord, ...] = ()
     files: Mapping[str, str] | None = None
     schema_version: int = SCHEMA_VERSION
     complete: bool = False
-    trees: tuple[str, ...] = ()
+    extra_dirs: tuple[str, ...] = ()
 
     @property
     def splits(self) -> tuple[str, ...]:
         """Splits that have shards, in canonical order."""
-        present = {receipt.shard.split for receipt in self.receipts}
+        present = {record.shard.split for record in self.shards}
         return tuple(split for split in self.split_order if split in present)
 
-    def receipts_of(self, split: str) -> tuple[Receipt, ...]:
-        """Receipts of one split in order of their index."""
-        return tuple(receipt for receipt in self.receipts if receipt.shard.split == split)
+    def shards_of(self, split: str) -> tuple[ShardRecord, ...]:
+        """Return the records of one split in order of their index."""
+        return tuple(record for record in self.shards if record.shard.split == split)
 
     def split_table(self) -> dict[str, dict[str, int]]:
         """Rows, shards, bytes and skipped items of each split."""
         table = {}
         for split in self.splits:
-            receipts = self.receipts_of(split)
+            records = self.shards_of(split)
             table[split] = {
-                "rows": sum(receipt.rows for receipt in receipts),
-                "shards": len(receipts),
-                "bytes": sum(receipt.bytes for receipt in receipts),
-                "skipped": sum(len(receipt.skipped) for receipt in receipts),
+                "rows": sum(record.rows for record in records),
+                "shards": len(records),
+                "bytes": sum(record.bytes for record in records),
+                "skipped": sum(len(record.skipped) for record in records),
             }
         return table
 
     def skipped_reasons(self) -> dict[str, int]:
         """Count skipped items by reason."""
-        reasons = Counter(item.reason for receipt in self.receipts for item in receipt.skipped)
+        reasons = Counter(item.reason for record in self.shards for item in record.skipped)
         return dict(sorted(reasons.items()))
 
     def statistics(self) -> dict[str, dict[str, Any]]:
         """Add up the statistics of each split's shards; splits without any are left out."""
         counted: dict[str, list[Mapping[str, Any]]] = {}
-        for receipt in self.receipts:
-            if receipt.statistics is not None:
-                counted.setdefault(receipt.shard.split, []).append(receipt.statistics)
+        for record in self.shards:
+            if record.statistics is not None:
+                counted.setdefault(record.shard.split, []).append(record.statistics)
         return {split: add_up(parts) for split, parts in counted.items()}
 
-    def with_receipts(self, receipts: Iterable[Receipt]) -> Manifest:
-        """Return a manifest that holds these receipts beside its own, each shard once, in order."""
-        merged = {receipt.shard: receipt for receipt in (*self.receipts, *receipts)}
+    def with_shards(self, records: Iterable[ShardRecord]) -> Manifest:
+        """Return a manifest that holds these records beside its own, each shard once, in order."""
+        merged = {record.shard: record for record in (*self.shards, *records)}
         order = {split: rank for rank, split in enumerate(self.split_order)}
-        ordered = sorted(
-            merged.values(), key=lambda receipt: (order[receipt.shard.split], receipt.shard.index)
-        )
-        return replace(self, receipts=tuple(ordered))
+        ordered = sorted(merged.values(), key=lambda record: (order[record.shard.split], record.shard.index))
+        return replace(self, shards=tuple(ordered))
 
     def to_json(self) -> str:
         """Return the text of ``manifest.json``; the same content gives the same text."""
@@ -126,20 +110,15 @@ class Manifest:
             "skipped": self.skipped_reasons(),
             **({"statistics": statistics} if statistics else {}),
             "files": dict(sorted((self.files or {}).items())),
-            **({"trees": list(self.trees)} if self.trees else {}),
-            "shards": [receipt.to_dict() for receipt in self.receipts],
+            # The word of version 0.1.0, which wrote folders that are read today.
+            **({"trees": list(self.extra_dirs)} if self.extra_dirs else {}),
+            "shards": [record.to_dict() for record in self.shards],
         }
         return json.dumps(values, indent=1, ensure_ascii=False) + "\n"
 
     @classmethod
     def from_json(cls, text: str, where: str) -> Manifest:
-        """Parse the text of a manifest.
-
-        Raises
-        ------
-        IntegrityError
-            When the text is not a manifest, or one of a later layout.
-        """
+        """Parse the text of a manifest; IntegrityError when it is not one, or one of a later layout."""
         try:
             values = json.loads(text)
             version = values["schema_version"]
@@ -148,11 +127,11 @@ class Manifest:
                 toolkit_version=values["toolkit_version"],
                 spec=values["spec"],
                 split_order=tuple(values["split_order"]),
-                receipts=tuple(Receipt.from_dict(entry) for entry in values["shards"]),
+                shards=tuple(ShardRecord.from_dict(entry) for entry in values["shards"]),
                 files=values["files"],
                 schema_version=version,
                 complete=values["complete"],
-                trees=tuple(map(str, values.get("trees", ()))),
+                extra_dirs=tuple(map(str, values.get("trees", ()))),
             )
         except (ValueError, KeyError, TypeError, AttributeError) as error:
             message = f"{where!r} is not a manifest of this toolkit ({type(error).__name__}: {error})"
@@ -167,13 +146,7 @@ class Manifest:
 
 
 def read_manifest(folder: DataFolder) -> Manifest | None:
-    """Read the manifest of a folder; None when it has none.
-
-    Raises
-    ------
-    IntegrityError
-        When the manifest is damaged.
-    """
+    """Read the manifest of a folder; None when it has none, IntegrityError when it is damaged."""
     if not folder.exists(MANIFEST_FILE):
         return None
     text = folder.read_bytes(MANIFEST_FILE).decode("utf-8", errors="replace")
@@ -188,67 +161,56 @@ def write_manifest(folder: DataFolder, manifest: Manifest) -> None:
 def manifest_so_far(folder: DataFolder) -> Manifest | None:
     """Read the manifest of a folder together with what an unfinished run has finished; None without manifest.
 
-    Shards count whose receipt is whole and whose file is there in full size; checksums are not computed.
-
-    Raises
-    ------
-    IntegrityError
-        When the manifest is damaged.
+    Raises IntegrityError when the manifest is damaged.
     """
     manifest = read_manifest(folder)
     if manifest is None or manifest.complete:
         return manifest
-    return manifest.with_receipts(_parts_of(folder, manifest))
+    return manifest.with_shards(_pending_of(folder, manifest))
 
 
-def part_receipts(folder: DataFolder) -> list[Receipt]:
-    """Read the receipts of shards that are finished and not yet in the manifest; damaged ones are none."""
-    # Names with a dot in front are receipts that a writer has not finished, or never will.
-    names = [n for n in folder.names(PARTS_FOLDER) if n.endswith(".json") and not n.startswith(".")]
-    found = (_read_receipt(folder, f"{PARTS_FOLDER}/{name}") for name in names)
-    return [receipt for receipt in found if receipt is not None]
+def pending_beside(folder: DataFolder, manifest: Manifest) -> tuple[ShardRecord, ...]:
+    """Return pending records that a manifest does not hold: those of other splits under way."""
+    held = {record.shard for record in manifest.shards}
+    return tuple(record for record in _pending_of(folder, manifest) if record.shard not in held)
 
 
-def write_receipt(folder: DataFolder, receipt: Receipt) -> None:
-    """Write the receipt of a finished shard.
-
-    Raises
-    ------
-    StorageError
-        When the folder cannot be written.
-    """
-    folder.write_bytes(receipt.shard.receipt_path, json.dumps(receipt.to_dict(), indent=1).encode())
-
-
-def parts_beside(folder: DataFolder, manifest: Manifest) -> tuple[Receipt, ...]:
-    """Return receipts of finished shards that a manifest does not hold: those of other splits under way."""
-    held = {receipt.shard for receipt in manifest.receipts}
-    return tuple(part for part in _parts_of(folder, manifest) if part.shard not in held)
+def _pending_of(folder: DataFolder, manifest: Manifest) -> list[ShardRecord]:
+    """Return pending records whose file is there in full size; checksums are not computed."""
+    records = [record for record in pending_records(folder) if record.shard.split in manifest.split_order]
+    return [
+        record
+        for record in records
+        if folder.exists(record.shard.data_path) and folder.size_bytes(record.shard.data_path) == record.bytes
+    ]
 
 
-def remove_parts(folder: DataFolder, keep: Iterable[Receipt] = ()) -> None:
-    """Remove receipts and report rows of a run, once the manifest holds them; some may be needed still."""
-    kept = {path for receipt in keep for path in (receipt.shard.receipt_path, receipt.shard.report_path)}
-    for path in (f"{PARTS_FOLDER}/{name}" for name in folder.names(PARTS_FOLDER)):
+def pending_records(folder: DataFolder) -> list[ShardRecord]:
+    """Read the records of shards that are finished and not yet in the manifest."""
+    records = []
+    for name in folder.names(PENDING_FOLDER):
+        # Names with a dot in front are records that a writer has not finished, or never will.
+        if not name.endswith(".json") or name.startswith("."):
+            continue
+        # One that cannot be read vouches for nothing: its shard is made again. It may also have gone since it
+        # was listed, because the run has just ended.
+        try:
+            values = json.loads(folder.read_bytes(f"{PENDING_FOLDER}/{name}"))
+            records.append(ShardRecord.from_dict(values))
+        except (IntegrityError, ValueError):
+            continue
+    return records
+
+
+def write_shard_record(folder: DataFolder, record: ShardRecord) -> None:
+    """Write the pending record of a finished shard."""
+    folder.write_bytes(record.shard.record_path, json.dumps(record.to_dict(), indent=1).encode())
+
+
+def remove_pending(folder: DataFolder, keep: Iterable[ShardRecord] = ()) -> None:
+    """Remove records and report rows of a run, once the manifest holds them; some may be needed still."""
+    kept = {path for record in keep for path in (record.shard.record_path, record.shard.report_path)}
+    for path in (f"{PENDING_FOLDER}/{name}" for name in folder.names(PENDING_FOLDER)):
         if path not in kept:
             folder.remove(path)
-    folder.remove_empty(PARTS_FOLDER)
-
-
-def _parts_of(folder: DataFolder, manifest: Manifest) -> list[Receipt]:
-    known = [entry for entry in part_receipts(folder) if entry.shard.split in manifest.split_order]
-    return [entry for entry in known if _has_file(folder, entry)]
-
-
-def _read_receipt(folder: DataFolder, path: str) -> Receipt | None:
-    # One that cannot be read vouches for nothing: its shard is made again. It may also have gone since it was
-    # listed, because the run has just ended.
-    try:
-        return Receipt.from_dict(json.loads(folder.read_bytes(path)))
-    except (IntegrityError, ValueError):
-        return None
-
-
-def _has_file(folder: DataFolder, receipt: Receipt) -> bool:
-    path = receipt.shard.data_path
-    return folder.exists(path) and folder.size_bytes(path) == receipt.bytes
+    folder.remove_empty(PENDING_FOLDER)

@@ -1,38 +1,68 @@
-"""What a folder says about the download that fills it: from where, which commit, which files."""
+"""What a folder says about the download that fills it: from where, which commit, which files.
+
+The Hub names the content of a file by a digest of one of two kinds, which is all that a folder without a
+manifest can be checked by.
+"""
 
 from __future__ import annotations
 
+import hashlib
 import json
 from collections.abc import Mapping
 from dataclasses import dataclass
+from pathlib import Path
 
 from tactile_toolkit.errors import IntegrityError
-from tactile_toolkit.store.digest import Digest, HubFile
 from tactile_toolkit.store.folder import DataFolder
 
-__all__ = ["RECORD_FILE", "DownloadRecord", "read_record", "write_record"]
+__all__ = ["RECORD_FILE", "Digest", "DownloadRecord", "HubFile", "read_record", "write_record"]
 
 RECORD_FILE = ".download.json"
+
+_PIECE_BYTES = 1 << 20
+
+
+@dataclass(frozen=True, slots=True)
+class Digest:
+    """Hexadecimal digest of a file's content.
+
+    ``kind`` is ``"sha256"`` for large files and all that a manifest lists, ``"git-sha1"`` for files in git.
+    """
+
+    kind: str
+    value: str
+
+    def __str__(self) -> str:
+        return f"{self.kind} {self.value}"
+
+    def of(self, file: Path) -> Digest:
+        """Return the digest of the same kind of a local file, read in pieces."""
+        found = hashlib.sha256() if self.kind == "sha256" else hashlib.sha1(usedforsecurity=False)
+        if self.kind == "git-sha1":
+            # Git hashes a head with the size before the content.
+            found.update(b"blob %d\0" % file.stat().st_size)
+        with file.open("rb") as stream:
+            while piece := stream.read(_PIECE_BYTES):
+                found.update(piece)
+        return Digest(self.kind, found.hexdigest())
+
+
+@dataclass(frozen=True, slots=True)
+class HubFile:
+    """A file of a repository; ``digest`` is None where only a cached copy is known that does not tell."""
+
+    path: str
+    size_bytes: int
+    digest: Digest | None
 
 
 @dataclass(frozen=True, slots=True)
 class DownloadRecord:
     """Origin of a downloaded folder.
 
-    Attributes
-    ----------
-    repo_id, commit : str
-        Repository and commit.
-    revision : str or None
-        Branch or tag that was asked for.
-    files : dict of str to HubFile
-        Files that were fetched, or are being fetched, by path.
-    splits : tuple of str
-        All splits of the repository, here or not.
-    labels : tuple of str
-        Which of card and manifest the repository has.
-    finished : bool
-        False while the download is under way or after it was interrupted.
+    ``revision`` is the branch or tag that was asked for; ``files`` those that were or are being fetched;
+    ``splits`` all of the repository, here or not; ``labels`` which of card and manifest the repository has.
+    ``finished`` is False while the download is under way or after it was interrupted.
     """
 
     repo_id: str
@@ -45,13 +75,7 @@ class DownloadRecord:
 
 
 def read_record(folder: DataFolder) -> DownloadRecord | None:
-    """Read the record of a folder; None when it was not downloaded.
-
-    Raises
-    ------
-    IntegrityError
-        The record is damaged.
-    """
+    """Read the record of a folder; None when it was not downloaded, IntegrityError when it is damaged."""
     if not folder.exists(RECORD_FILE):
         return None
     try:

@@ -1,31 +1,38 @@
-"""What is to be built: tasks, one for each shard, and the specification they follow from."""
+"""What is to be built, and what a folder holds of it already."""
 
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from collections.abc import Callable, Collection, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from typing import Any, Protocol
 
-from tactile_toolkit.store.shards import ParquetStyle, Receipt, ShardName, Skipped
+from tactile_toolkit.errors import InputError, IntegrityError, SpecMismatchError
+from tactile_toolkit.store.folder import DataFolder
+from tactile_toolkit.store.manifest import MANIFEST_FILE, Manifest, pending_records, read_manifest
+from tactile_toolkit.store.parquet import ParquetStyle, file_sha256, read_report, sha256_hex
+from tactile_toolkit.store.shards import ShardName, ShardRecord, Skipped
+from tactile_toolkit.versions import toolkit_version
 
-__all__ = ["BuildPlan", "ShardContent", "ShardTask"]
+__all__ = [
+    "BuildPlan",
+    "BuildState",
+    "ShardContent",
+    "ShardTask",
+    "inspect_folder",
+    "refuse_unknown_files",
+    "require_known_splits",
+]
+
+_LONGEST_SHOWN = 200
 
 
 @dataclass(frozen=True)
 class ShardContent:
-    """The rows of one shard.
+    """The rows of one shard, an Arrow table.
 
-    Attributes
-    ----------
-    table : pyarrow.Table
-        Rows.
-    skipped : tuple of Skipped
-        Items that gave no row.
-    report : pyarrow.Table or None
-        Report rows that go with them; merged over all shards into the plan's ``report_file``.
-    statistics : dict or None
-        Counts as JSON values, added up over the shards of a split in the manifest.
+    ``skipped`` are items that gave no row; ``report`` rows are merged over all shards into the plan's
+    ``report_file``; ``statistics`` are JSON values that add up over shards, for the manifest.
     """
 
     table: Any
@@ -54,9 +61,9 @@ class ShardTask(Protocol):
 
 @dataclass(frozen=True)
 class BuildPlan:
-    """What a folder is to hold.
+    """What a folder is to hold: one task for each shard, and the specification that they follow from.
 
-    Attributes
+    Parameters
     ----------
     kind : str
         Kind of data set, such as ``"mnist3d"``.
@@ -70,11 +77,11 @@ class BuildPlan:
         Layout of the shards.
     report_file : str or None
         Path of the merged report, where shards have one.
-    trees : tuple of str
+    extra_dirs : tuple of str
         Sub-folders (or files) beside the rows that belong to the data set: tasks fill them with files of
         their own.
-    proves : callable
-        Tells whether all that a finished shard wrote into ``trees`` is still whole.
+    extras_intact : callable
+        Tells whether all that a finished shard wrote into ``extra_dirs`` is still whole.
     needs_rows : bool
         Whether a run that leaves every item out has failed: its source, not its items, is what is wrong.
     """
@@ -85,10 +92,165 @@ class BuildPlan:
     tasks: tuple[ShardTask, ...]
     style: ParquetStyle
     report_file: str | None = None
-    trees: tuple[str, ...] = ()
-    proves: Callable[[Receipt], bool] = field(default=lambda _: True, repr=False)
+    extra_dirs: tuple[str, ...] = ()
+    extras_intact: Callable[[ShardRecord], bool] = field(default=lambda _: True, repr=False)
     needs_rows: bool = False
 
     def __post_init__(self) -> None:
         # What is compared with a manifest has gone through JSON there: tuples became lists.
         object.__setattr__(self, "spec", json.loads(json.dumps(self.spec)))
+
+    def new_manifest(self) -> Manifest:
+        """Return the manifest of a folder in which nothing is finished."""
+        return Manifest(self.kind, toolkit_version(), self.spec, self.split_order, extra_dirs=self.extra_dirs)
+
+
+def require_known_splits(splits: Sequence[str], known: Sequence[str]) -> None:
+    """Raise InputError where a split is asked for that this kind of data set does not have."""
+    for split in splits:
+        if split not in known:
+            message = f"unknown split {split!r}; expected one of {', '.join(known)}, or all"
+            raise InputError(message)
+
+
+@dataclass(frozen=True)
+class BuildState:
+    """What a folder holds already of a plan.
+
+    ``kept`` are finished shards whose files still match, ``todo`` the tasks left. ``damaged`` are paths that
+    do not match their records any more and will be made again.
+    """
+
+    manifest: Manifest
+    kept: tuple[ShardRecord, ...]
+    todo: tuple[ShardTask, ...]
+    damaged: tuple[str, ...] = ()
+
+
+def inspect_folder(folder: DataFolder, plan: BuildPlan) -> BuildState:
+    """Compare a folder with a plan, changing nothing.
+
+    Raises SpecMismatchError when the folder was made by another specification (the message says what
+    differs), and InputError when it holds something else.
+    """
+    manifest = read_manifest(folder)
+    if manifest is None:
+        refuse_unknown_files(folder)
+        # Pending records that no manifest stands beside may be of any specification: they prove nothing.
+        return BuildState(plan.new_manifest(), (), plan.tasks)
+    differences = _differences(
+        {"kind": manifest.kind, "toolkit_version": manifest.toolkit_version, **manifest.spec},
+        {"kind": plan.kind, "toolkit_version": toolkit_version(), **plan.spec},
+    )
+    if differences:
+        message = (
+            f"{folder.address()!r} holds a data set of another specification: {'; '.join(differences)}; "
+            "nothing was changed; next: choose another folder (--out or OUT), or start again there with "
+            "--overwrite"
+        )
+        raise SpecMismatchError(message)
+    known = {record.shard: record for record in (*manifest.shards, *pending_records(folder))}
+    has_report = _report_check(folder, plan)
+    kept, todo, damaged = [], [], []
+    for task in plan.tasks:
+        record = known.get(task.shard)
+        if record is not None and (
+            _is_unchanged(folder, record) and has_report(record) and plan.extras_intact(record)
+        ):
+            kept.append(record)
+            continue
+        todo.append(task)
+        if record is not None:
+            damaged.append(task.shard.data_path)
+    manifest = replace(manifest, extra_dirs=plan.extra_dirs)
+    return BuildState(manifest, tuple(kept), tuple(todo), tuple(damaged))
+
+
+def _is_unchanged(folder: DataFolder, record: ShardRecord) -> bool:
+    path = record.shard.data_path
+    # Sizes first: most damage shows there, and costs no reading.
+    if not folder.exists(path) or folder.size_bytes(path) != record.bytes:
+        return False
+    return file_sha256(folder, path) == record.sha256
+
+
+def _report_check(folder: DataFolder, plan: BuildPlan) -> Callable[[ShardRecord], bool]:
+    """Return a test whether a shard's report rows exist, in a pending file of their own or merged."""
+    merged: dict[str, int] = {}
+    if plan.report_file is not None and folder.exists(plan.report_file):
+        try:
+            counts = read_report(folder, plan.report_file)["shard"].value_counts()
+            merged = {entry["values"]: entry["counts"] for entry in counts.to_pylist()}
+        except IntegrityError:
+            pass  # a damaged report holds no rows
+
+    def has_report(record: ShardRecord) -> bool:
+        if record.report_sha256 is None:
+            return True
+        path = record.shard.report_path
+        if folder.exists(path):
+            return file_sha256(folder, path) == record.report_sha256
+        return record.rows == 0 or merged.get(str(record.shard)) == record.rows
+
+    return has_report
+
+
+def refuse_unknown_files(folder: DataFolder, ours: Collection[str] = ()) -> None:
+    """Refuse a folder that holds somebody's files: a run must never mix with them or delete them.
+
+    ``ours`` are names that belong to a data set of ours, none where there is none; hidden files do not count.
+    """
+    unknown = [name for name in folder.names() if not name.startswith(".") and name not in ours]
+    if unknown:
+        found = "holds more than a data set" if ours else f"is not empty and holds no {MANIFEST_FILE}"
+        message = (
+            f"{folder.address()!r} {found} (found {unknown[0]!r}); nothing was changed; next: choose an "
+            "empty or new folder (--out or OUT)"
+        )
+        raise InputError(message)
+
+
+def _differences(there: Any, wanted: Any, path: str = "") -> list[str]:
+    """Say how two JSON values differ, one line for each difference."""
+    if isinstance(there, Mapping) and isinstance(wanted, Mapping):
+        keys = [*there, *(key for key in wanted if key not in there)]
+        return [
+            line
+            for key in keys
+            for line in _differences(there.get(key), wanted.get(key), f"{path}.{key}".lstrip("."))
+        ]
+    if _hold_the_same_names(there, wanted):
+        pairs = enumerate(zip(there, wanted, strict=True))
+        return [line for index, pair in pairs for line in _differences(*pair, f"{path}[{index}]")]
+    if there == wanted:
+        return []
+    if _are_files(there) or _are_files(wanted):
+        return [f"{path} is {_files_text(there)} there, {_files_text(wanted)} asked for"]
+    return [f"{path} is {_short(there)} there, {_short(wanted)} was asked for"]
+
+
+def _hold_the_same_names(there: Any, wanted: Any) -> bool:
+    """Tell whether two lists hold the same items, by their names, so that single numbers may differ."""
+    if not isinstance(there, list) or not isinstance(wanted, list):
+        return False
+    if _are_files(there) or _are_files(wanted):
+        return False
+    names = [[item.get("name") for item in items if isinstance(item, Mapping)] for items in (there, wanted)]
+    return names[0] == names[1] and len(names[0]) == len(there) == len(wanted)
+
+
+def _are_files(values: Any) -> bool:
+    """Tell whether a value is a list of files with their fingerprints, which nobody wants to read."""
+    return isinstance(values, list) and all(isinstance(each, Mapping) and "file" in each for each in values)
+
+
+def _files_text(values: Any) -> str:
+    if not _are_files(values):
+        return "none" if values is None else _short(values)
+    digest = sha256_hex(json.dumps(values, sort_keys=True).encode())[:8]
+    return f"{len(values):,} {'file' if len(values) == 1 else 'files'} (fingerprint {digest})"
+
+
+def _short(value: Any) -> str:
+    text = repr(value)
+    return text if len(text) <= _LONGEST_SHOWN else f"{text[:_LONGEST_SHOWN]}..."

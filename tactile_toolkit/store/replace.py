@@ -11,31 +11,30 @@ former set.
 from __future__ import annotations
 
 import contextlib
-import socket
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from pathlib import Path
 
 from tactile_toolkit.errors import InputError, IntegrityError, StorageError
 from tactile_toolkit.store.folder import (
-    UNFINISHED,
+    TEMPORARY_PREFIX,
     DataFolder,
-    left_by_the_dead,
+    is_being_written,
     named_failures,
     remove_tree,
-    unfinished_name,
+    temporary_name,
 )
-from tactile_toolkit.store.manifest import MANIFEST_FILE, part_receipts, read_manifest
-from tactile_toolkit.store.plan import BuildPlan
-from tactile_toolkit.store.resume import BuildState, refuse_strangers
-from tactile_toolkit.store.shards import DATA_FOLDER, PARTS_FOLDER, Receipt, ShardName
+from tactile_toolkit.store.manifest import MANIFEST_FILE, pending_records, read_manifest
+from tactile_toolkit.store.origin import RECORD_FILE
+from tactile_toolkit.store.plan import BuildPlan, BuildState, refuse_unknown_files
+from tactile_toolkit.store.shards import DATA_FOLDER, PENDING_FOLDER, ShardName, ShardRecord
 
-__all__ = ["Before", "FormerSet", "recover", "require_replaceable"]
+__all__ = ["FolderBefore", "FormerSet", "recover", "require_replaceable"]
 
 _ASIDE = ".replaced"
 # Where a set that is given up goes in one step; what a killed run leaves of it there is nobody's any more.
 _GONE = ".replaced-gone"
-_FOLDERS = (DATA_FOLDER, PARTS_FOLDER, "reports", "previews")
+_FOLDERS = (DATA_FOLDER, PENDING_FOLDER, "reports", "previews")
 _CARD = "README.md"
 # What a data set of ours holds in its folders, by name.
 _OWN_NAMES: dict[str, Callable[[str], bool]] = {
@@ -43,51 +42,41 @@ _OWN_NAMES: dict[str, Callable[[str], bool]] = {
     "reports": lambda name: name.endswith(".parquet"),
     "previews": lambda name: name.endswith(".png"),
 }
-# Where the former set came from; the new one is no download.
-_RECORD = ".download.json"
 
 
 @dataclass(frozen=True)
 class FormerSet:
-    """The data set that a run starts to replace.
-
-    Attributes
-    ----------
-    folder : DataFolder
-        Where it was.
-    trees : tuple of str
-        What it and the new set hold beside rows.
-    """
+    """The data set that a run starts to replace; ``extra_dirs`` are those of it and of the new set."""
 
     folder: DataFolder
-    trees: tuple[str, ...]
+    extra_dirs: tuple[str, ...]
 
     @classmethod
-    def set_aside(cls, folder: DataFolder, trees: tuple[str, ...]) -> FormerSet:
-        """Empty a folder for a new run.
+    def set_aside(cls, folder: DataFolder, extra_dirs: tuple[str, ...]) -> FormerSet:
+        """Empty a folder, which holds a data set of ours or nothing, for a new run with these extra folders.
 
-        Of remote folders the set is removed at once: moving objects would copy each of them twice.
-
-        Parameters
-        ----------
-        folder : DataFolder
-            Holds a data set of ours, or nothing.
-        trees : tuple of str
-            What the new set will hold beside rows.
-
-        Raises
-        ------
-        InputError
-            The folder holds something else; nothing was touched.
-        StorageError
-            Something cannot be moved; what was moved is back.
+        Raises InputError when it holds something else, and nothing was touched; StorageError when something
+        cannot be moved, and what was moved is back.
         """
         there = folder.exists(MANIFEST_FILE)
-        former = cls(folder, require_replaceable(folder, trees))
-        if there and folder.is_local:
-            former._move_away()
-        else:
-            _remove_all(folder, former.trees)
+        former = cls(folder, require_replaceable(folder, extra_dirs))
+        if not there or not folder.is_local:
+            # Moving objects of an object store would copy each of them twice.
+            _remove_all(folder, former.extra_dirs)
+            return former
+        # The record of a download goes too: the new set is not one. The manifest goes last.
+        paths = (*_FOLDERS, *former.extra_dirs, _CARD, RECORD_FILE, MANIFEST_FILE)
+        held = [path for path in paths if folder.exists(path)]
+        with named_failures(folder.address()):
+            aside = Path(folder.address(_ASIDE))
+            aside.mkdir()
+            (aside / temporary_name("owner")).touch()  # says that this process is at work, see recover
+        try:
+            _rename(folder, ((path, f"{_ASIDE}/{path}") for path in held))
+        except BaseException:
+            with contextlib.suppress(StorageError):
+                _put_back(folder, former.extra_dirs)
+            raise
         return former
 
     def give_up(self) -> None:
@@ -96,65 +85,47 @@ class FormerSet:
             _give_up(self.folder)
 
     def put_back(self) -> None:
-        """Put the former set back, in place of what the new run made; none is no error."""
+        """Put the former set back, in place of what the new run made; none is not an error."""
         if self.folder.is_local and self.folder.exists(_ASIDE):
-            _put_back(self.folder, self.trees)
-
-    @property
-    def _places(self) -> tuple[str, ...]:
-        return (*_FOLDERS, *self.trees, _CARD, _RECORD, MANIFEST_FILE)
-
-    def _move_away(self) -> None:
-        held = [name for name in self._places if self.folder.exists(name)]
-        with named_failures(self.folder.address()):
-            aside = Path(self.folder.address(_ASIDE))
-            aside.mkdir()
-            (aside / unfinished_name("owner")).touch()
-        try:
-            _rename(self.folder, ((name, f"{_ASIDE}/{name}") for name in held))
-        except BaseException:
-            with contextlib.suppress(StorageError):
-                _put_back(self.folder, self.trees)
-            raise
+            _put_back(self.folder, self.extra_dirs)
 
 
-def require_replaceable(folder: DataFolder, trees: tuple[str, ...]) -> tuple[str, ...]:
-    """Refuse a folder that holds more than a data set of ours; nothing is changed.
+def require_replaceable(folder: DataFolder, extra_dirs: tuple[str, ...]) -> tuple[str, ...]:
+    """Return the extra folders of the set in a folder and of a new one; nothing is changed.
 
-    Parameters
-    ----------
-    folder, trees
-        As for :meth:`FormerSet.set_aside`.
-
-    Returns
-    -------
-    tuple of str
-        What the set there and the new one hold beside rows.
-
-    Raises
-    ------
-    InputError
-        The folder holds something else.
+    Raises InputError when the folder holds more than a data set of ours.
     """
-    both = tuple(dict.fromkeys((*_trees_of(folder), *trees)))
+    both = tuple(dict.fromkeys((*_extra_dirs_of(folder), *extra_dirs)))
     if not folder.exists(MANIFEST_FILE):
-        refuse_strangers(folder)
+        refuse_unknown_files(folder)
         return both
-    refuse_strangers(folder, _places_of(both))
-    _refuse_strangers_inside(folder)
-    _require_own_manifest(folder)
+    refuse_unknown_files(folder, (*_FOLDERS, *both, _CARD, MANIFEST_FILE))
+    for path, is_ours in _OWN_NAMES.items():
+        for name in folder.names(path):
+            if not name.startswith(".") and not is_ours(name):
+                message = (
+                    f"{folder.address()!r} holds more than a data set (found '{path}/{name}'); nothing was "
+                    "changed; next: move that file away, or choose an empty or new folder (--out or OUT)"
+                )
+                raise InputError(message)
+    # A damaged manifest of ours has shards beside it; other programs have files of that name, too.
+    if not folder.names(DATA_FOLDER) and not folder.names(PENDING_FOLDER):
+        try:
+            read_manifest(folder)
+        except IntegrityError as error:
+            message = (
+                f"{folder.address(MANIFEST_FILE)!r} may be anybody's: it is not a manifest of this toolkit, "
+                "and no data lies beside it; nothing was changed; next: choose an empty or new folder (--out "
+                "or OUT)"
+            )
+            raise InputError(message) from error
     return both
 
 
 def recover(folder: DataFolder) -> None:
     """Put right what a run that was killed while it replaced a data set left behind.
 
-    Raises
-    ------
-    InputError
-        That run is still at work.
-    StorageError
-        Something cannot be moved.
+    Raises InputError when that run is still at work.
     """
     if not folder.is_local:
         return
@@ -162,53 +133,23 @@ def recover(folder: DataFolder) -> None:
         remove_tree(folder, _GONE)
     if not folder.exists(_ASIDE):
         return
-    if any(map(_lives, folder.names(_ASIDE))):
+    if any(map(is_being_written, folder.names(_ASIDE))):
         message = (
             f"another run is replacing the data set in {folder.address()!r} at this moment; nothing was "
             "changed; next: wait until it has ended"
         )
         raise InputError(message)
-    # Receipts prove something of the new run only where the former set is away as a whole.
-    if folder.exists(f"{_ASIDE}/{MANIFEST_FILE}") and any(part.rows for part in part_receipts(folder)):
+    # Records prove something of the new run only where the former set is away as a whole.
+    if folder.exists(f"{_ASIDE}/{MANIFEST_FILE}") and _with_rows(folder):
         _give_up(folder)
     else:
-        _put_back(folder, _trees_of(folder))
+        _put_back(folder, _extra_dirs_of(folder))
 
 
-def _refuse_strangers_inside(folder: DataFolder) -> None:
-    """Refuse files that somebody put among ours; hidden ones do not count."""
-    for place, ours in _OWN_NAMES.items():
-        for name in folder.names(place):
-            if not name.startswith(".") and not ours(name):
-                message = (
-                    f"{folder.address()!r} holds more than a data set (found '{place}/{name}'); nothing was "
-                    "changed; next: move that file away, or choose an empty or new folder (--out or OUT)"
-                )
-                raise InputError(message)
-
-
-def _require_own_manifest(folder: DataFolder) -> None:
-    """Refuse a file of that name by somebody else; a damaged one of ours has shards beside it."""
-    if folder.names(DATA_FOLDER) or folder.names(PARTS_FOLDER):
-        return
-    try:
-        read_manifest(folder)
-    except IntegrityError as error:
-        message = (
-            f"{folder.address(MANIFEST_FILE)!r} may be anybody's: it is no manifest of this toolkit, and no "
-            "data lies beside it; nothing was changed; next: choose an empty or new folder (--out or OUT)"
-        )
-        raise InputError(message) from error
-
-
-def _places_of(trees: tuple[str, ...]) -> tuple[str, ...]:
-    return (*_FOLDERS, *trees, _CARD, MANIFEST_FILE)
-
-
-def _put_back(folder: DataFolder, trees: tuple[str, ...]) -> None:
+def _put_back(folder: DataFolder, extra_dirs: tuple[str, ...]) -> None:
     if folder.exists(f"{_ASIDE}/{MANIFEST_FILE}"):
-        _remove_all(folder, trees)
-    names = [name for name in folder.names(_ASIDE) if not name.startswith(UNFINISHED)]
+        _remove_all(folder, extra_dirs)
+    names = [name for name in folder.names(_ASIDE) if not name.startswith(TEMPORARY_PREFIX)]
     names.sort(key=lambda name: name != MANIFEST_FILE)
     _rename(folder, ((f"{_ASIDE}/{name}", name) for name in names))
     remove_tree(folder, _ASIDE)
@@ -221,14 +162,14 @@ def _give_up(folder: DataFolder) -> None:
     remove_tree(folder, _GONE)
 
 
-def _remove_all(folder: DataFolder, trees: Iterable[str]) -> None:
-    for tree in trees:
-        remove_tree(folder, tree)
-    for place in _FOLDERS:
-        for name in folder.names(place):
-            folder.remove(f"{place}/{name}")
-        folder.remove_empty(place)
-    for name in (_CARD, _RECORD, MANIFEST_FILE):
+def _remove_all(folder: DataFolder, extra_dirs: Iterable[str]) -> None:
+    for path in extra_dirs:
+        remove_tree(folder, path)
+    for path in _FOLDERS:
+        for name in folder.names(path):
+            folder.remove(f"{path}/{name}")
+        folder.remove_empty(path)
+    for name in (_CARD, RECORD_FILE, MANIFEST_FILE):
         folder.remove(name)
 
 
@@ -238,45 +179,30 @@ def _rename(folder: DataFolder, moves: Iterable[tuple[str, str]]) -> None:
             Path(folder.address(source)).rename(folder.address(target))
 
 
-def _trees_of(folder: DataFolder) -> tuple[str, ...]:
-    """Return what a folder holds beside rows, as far as its manifest can be read."""
+def _extra_dirs_of(folder: DataFolder) -> tuple[str, ...]:
+    """Return the extra folders of a data set, as far as its manifest can be read."""
     try:
         manifest = read_manifest(folder)
     except IntegrityError:
         return ()
-    trees = () if manifest is None else manifest.trees
+    names = () if manifest is None else manifest.extra_dirs
     # A manifest may be anybody's, of a data set from the Hub: what it names is removed in the end.
-    return tuple(tree for tree in trees if tree not in ("", ".", "..") and not set(tree) & set("/\\\0"))
-
-
-def _lives(name: str) -> bool:
-    """Tell whether a name is that of an unfinished file whose writer, on this machine, is at work."""
-    return name.startswith(f"{UNFINISHED}{socket.gethostname()}-") and not left_by_the_dead(name)
+    return tuple(name for name in names if name not in ("", ".", "..") and not set(name) & set("/\\\0"))
 
 
 @dataclass(frozen=True)
-class Before:
-    """What a run found.
+class FolderBefore:
+    """What a run found: whether the folder existed, the text of its manifest, and the set it replaces."""
 
-    Attributes
-    ----------
-    there : bool
-        Whether the folder existed.
-    manifest : bytes or None
-        Text of its manifest, where it had one.
-    former : FormerSet or None
-        The data set that the run replaces.
-    """
-
-    there: bool
+    existed: bool
     manifest: bytes | None
     former: FormerSet | None = None
 
     @classmethod
-    def of(cls, folder: DataFolder, there: bool, former: FormerSet | None = None) -> Before:
+    def of(cls, folder: DataFolder, existed: bool, former: FormerSet | None = None) -> FolderBefore:
         """Remember a folder."""
         manifest = folder.read_bytes(MANIFEST_FILE) if folder.exists(MANIFEST_FILE) else None
-        return cls(there, manifest, former)
+        return cls(existed, manifest, former)
 
     def restore_unless_finished(self, folder: DataFolder, plan: BuildPlan, state: BuildState) -> None:
         """Undo a run that failed, unless it finished a shard: then the folder keeps it for the next run.
@@ -284,38 +210,35 @@ class Before:
         A run that cannot be finished (scenes that do not fit, an unreadable source) would otherwise leave a
         folder that holds nothing and refuses every other specification.
         """
+        wanted = {task.shard for task in state.todo}
         # The failure that ended the run is the one to be told, even where the disk does not let us tidy up.
         with contextlib.suppress(StorageError):
-            if not self._finished_any(folder, state):
+            if not any(record.shard in wanted for record in _with_rows(folder)):
                 self._restore(folder, plan, state)
                 if self.former is not None:
                     self.former.put_back()
             elif self.former is not None:
                 self.former.give_up()
 
-    def _finished_any(self, folder: DataFolder, state: BuildState) -> bool:
-        wanted = {task.shard for task in state.todo}
-        return any(receipt.shard in wanted for receipt in _with_rows(folder))
-
     def _restore(self, folder: DataFolder, plan: BuildPlan, state: BuildState) -> None:
-        vouched = {receipt.shard for receipt in (*state.manifest.receipts, *_with_rows(folder))}
+        vouched = {record.shard for record in (*state.manifest.shards, *_with_rows(folder))}
         for shard in (task.shard for task in state.todo):
             if shard not in vouched:
                 folder.remove(shard.data_path)
                 folder.remove(shard.report_path)
-                folder.remove(shard.receipt_path)
+                folder.remove(shard.record_path)
         if self.manifest is None:
-            for tree in plan.trees:
-                remove_tree(folder, tree)
+            for path in plan.extra_dirs:
+                remove_tree(folder, path)
             folder.remove(MANIFEST_FILE)
         else:
             folder.write_bytes(MANIFEST_FILE, self.manifest)
-        for place in (DATA_FOLDER, PARTS_FOLDER):
-            folder.remove_empty(place)
-        if not self.there:
+        for path in (DATA_FOLDER, PENDING_FOLDER):
+            folder.remove_empty(path)
+        if not self.existed:
             folder.remove_empty("")
 
 
-def _with_rows(folder: DataFolder) -> list[Receipt]:
-    """Return the receipts worth keeping: a shard from which all was left out is made again in no time."""
-    return [receipt for receipt in part_receipts(folder) if receipt.rows]
+def _with_rows(folder: DataFolder) -> list[ShardRecord]:
+    """Return the records worth keeping: a shard from which all was left out is made again in no time."""
+    return [record for record in pending_records(folder) if record.rows]

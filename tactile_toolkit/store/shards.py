@@ -1,50 +1,42 @@
-"""Shards: their names, their Parquet bytes, and the receipts that prove them."""
+"""Shards: their names, which split a Parquet file belongs to, and the records that prove what was written."""
 
 from __future__ import annotations
 
-import hashlib
-import io
 import json
 import re
-from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, field
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import asdict, dataclass
 from itertools import zip_longest
+from pathlib import PurePosixPath
 from typing import Any
 
-from tactile_toolkit.errors import IntegrityError
-from tactile_toolkit.store.folder import DataFolder
+from tactile_toolkit.errors import InputError, IntegrityError
 
 __all__ = [
+    "DATA_FOLDER",
+    "PENDING_FOLDER",
     "Finding",
-    "ParquetStyle",
-    "Receipt",
+    "ShardFile",
     "ShardName",
+    "ShardRecord",
     "Skipped",
     "add_up",
-    "encode_parquet",
-    "file_sha256",
-    "sha256_hex",
+    "files_of_split",
+    "no_split",
+    "shard_files",
+    "shard_ranges",
 ]
 
 DATA_FOLDER = "data"
-PARTS_FOLDER = ".parts"
+PENDING_FOLDER = ".pending"
+"""Holds the records and report rows of finished shards until the manifest has them."""
 
 _SHARD_PATTERN = re.compile(r"(?P<split>\w+)-(?P<index>\d{5})-of-(?P<count>\d{5})\.parquet")
 
 
 @dataclass(frozen=True, slots=True, order=True)
 class ShardName:
-    """Which shard of which split: ``train-00000-of-00024``.
-
-    Attributes
-    ----------
-    split : str
-        Name of the split.
-    index : int
-        Number of the shard, from 0.
-    count : int
-        How many shards the split has.
-    """
+    """Which shard, from 0, of how many of which split: ``train-00000-of-00024``."""
 
     split: str
     index: int
@@ -55,18 +47,18 @@ class ShardName:
 
     @property
     def data_path(self) -> str:
-        """Place of the rows inside the data set folder."""
+        """Path of the rows inside the data set folder."""
         return f"{DATA_FOLDER}/{self}.parquet"
 
     @property
-    def receipt_path(self) -> str:
-        """Place of the receipt while a run is under way."""
-        return f"{PARTS_FOLDER}/{self}.json"
+    def record_path(self) -> str:
+        """Path of the shard's record while a run is under way."""
+        return f"{PENDING_FOLDER}/{self}.json"
 
     @property
     def report_path(self) -> str:
-        """Place of the shard's report rows while a run is under way."""
-        return f"{PARTS_FOLDER}/report-{self}.parquet"
+        """Path of the shard's report rows while a run is under way."""
+        return f"{PENDING_FOLDER}/report-{self}.parquet"
 
     @classmethod
     def parse(cls, file_name: str) -> ShardName | None:
@@ -77,19 +69,25 @@ class ShardName:
         return cls(match["split"], int(match["index"]), int(match["count"]))
 
 
+def shard_ranges(
+    split: str, rows: int, *, smallest: int, largest: int, wanted: int
+) -> list[tuple[ShardName, range]]:
+    """Divide the rows of a split into about ``wanted`` shards of ``smallest`` to ``largest`` rows.
+
+    The sizes follow from the split alone, so that any number of workers agrees on them. A shard is what a
+    worker holds in memory and what a kill loses; a small run still has some for each worker.
+    """
+    size = min(largest, max(smallest, -(-rows // wanted)))
+    starts = range(0, rows, size)
+    return [
+        (ShardName(split, index, len(starts)), range(start, min(start + size, rows)))
+        for index, start in enumerate(starts)
+    ]
+
+
 @dataclass(frozen=True, slots=True)
 class Skipped:
-    """An item that gave no row, and why.
-
-    Attributes
-    ----------
-    id : int
-        Number of the item in its source.
-    reason : str
-        Stable word for counting, such as ``"no-ink"``.
-    message : str
-        The whole story.
-    """
+    """An item of a source that gave no row: a stable word for counting, and the whole story."""
 
     id: int
     reason: str
@@ -97,23 +95,12 @@ class Skipped:
 
 
 @dataclass(frozen=True, slots=True)
-class Receipt:
+class ShardRecord:
     """What was written for one shard; merged into the manifest at the end of a run.
 
-    Attributes
-    ----------
-    shard : ShardName
-        The shard.
-    rows, bytes : int
-        Its rows and the size of its file.
-    sha256 : str
-        Checksum of its file.
-    report_sha256 : str or None
-        Checksum of its report rows, where there are any.
-    skipped : tuple of Skipped
-        Items that gave no row.
-    statistics : dict or None
-        Counts over the shard's rows that add up over shards; see :mod:`tactile_toolkit.store.shards`.
+    ``report_sha256`` is the checksum of its report rows, where there are any. ``statistics`` are counts over
+    its rows that add up over shards, see :func:`add_up`. ``unpacked_bytes`` is the size of its rows in memory
+    for the card, see :func:`tactile_toolkit.store.parquet.unpacked_bytes`; folders of before 0.2 lack it.
     """
 
     shard: ShardName
@@ -121,12 +108,13 @@ class Receipt:
     bytes: int
     sha256: str
     report_sha256: str | None = None
-    skipped: tuple[Skipped, ...] = field(default=())
+    skipped: tuple[Skipped, ...] = ()
     statistics: Mapping[str, Any] | None = None
+    unpacked_bytes: int | None = None
 
     def to_dict(self) -> dict[str, Any]:
         """Return JSON values; ``file`` is the shard's path in the folder."""
-        counted = {} if self.statistics is None else {"statistics": self.statistics}
+        optional = {"statistics": self.statistics, "unpacked_bytes": self.unpacked_bytes}
         return {
             "file": self.shard.data_path,
             "split": self.shard.split,
@@ -135,21 +123,14 @@ class Receipt:
             "sha256": self.sha256,
             "report_sha256": self.report_sha256,
             "skipped": [asdict(item) for item in self.skipped],
-            **counted,
+            **{name: value for name, value in optional.items() if value is not None},
         }
 
     @classmethod
-    def from_dict(cls, values: Mapping[str, Any]) -> Receipt:
-        """Rebuild a receipt from :meth:`to_dict`.
-
-        Raises
-        ------
-        IntegrityError
-            When fields are missing or the file name is not that of a shard.
-        """
+    def from_dict(cls, values: Mapping[str, Any]) -> ShardRecord:
+        """Rebuild a record from :meth:`to_dict`; IntegrityError where fields are missing or wrong."""
         try:
             shard = ShardName.parse(str(values["file"]).rpartition("/")[2])
-            skipped = tuple(Skipped(**item) for item in values["skipped"])
             if shard is None:
                 name = "file"
                 raise KeyError(name)
@@ -159,126 +140,93 @@ class Receipt:
                 values["bytes"],
                 values["sha256"],
                 values["report_sha256"],
-                skipped,
+                tuple(Skipped(**item) for item in values["skipped"]),
                 values.get("statistics"),
+                values.get("unpacked_bytes"),
             )
         except (KeyError, TypeError) as error:
-            message = (
-                f"damaged shard receipt: {error} is missing or wrong in {json.dumps(dict(values))[:200]}"
-            )
+            message = f"damaged shard record: {error} is missing or wrong in {json.dumps(dict(values))[:200]}"
             raise IntegrityError(message) from error
 
 
 @dataclass(frozen=True, slots=True)
-class ParquetStyle:
-    """How a kind of data set is laid out in Parquet.
-
-    Attributes
-    ----------
-    rows_per_group : int
-        Rows in a row group. Row groups stay well under 100 MB so that reading one row is cheap.
-    compression : str
-        Codec of every column.
-    compression_level : int or None
-        Level of the codec.
-    encodings : tuple of (column path, encoding)
-        Columns that compress better with an encoding of their own; they get no dictionary.
-    """
-
-    rows_per_group: int
-    compression: str = "zstd"
-    compression_level: int | None = 9
-    encodings: tuple[tuple[str, str], ...] = ()
-
-
-def encode_parquet(table: Any, style: ParquetStyle) -> bytes:
-    """Encode an Arrow table as the bytes of a Parquet file; equal tables give equal bytes.
-
-    Parameters
-    ----------
-    table : pyarrow.Table
-        Rows of one shard.
-    style : ParquetStyle
-        Layout.
-    """
-    import pyarrow.parquet as pq
-
-    encodings = dict(style.encodings)
-    leaves = _leaf_paths(table.schema)
-    stream = io.BytesIO()
-    pq.write_table(
-        table,
-        stream,
-        row_group_size=style.rows_per_group,
-        compression=style.compression,
-        compression_level=style.compression_level,
-        use_dictionary=[leaf for leaf in leaves if leaf not in encodings] if encodings else True,
-        column_encoding=encodings or None,
-        write_statistics=[leaf for leaf in leaves if leaf not in encodings] if encodings else True,
-        data_page_size=1 << 20,
-    )
-    return stream.getvalue()
-
-
-def _leaf_paths(schema: Any) -> Sequence[str]:
-    import pyarrow.parquet as pq
-
-    stream = io.BytesIO()
-    pq.write_table(schema.empty_table(), stream)
-    parquet_schema = pq.ParquetFile(io.BytesIO(stream.getvalue())).schema
-    return [parquet_schema.column(index).path for index in range(len(parquet_schema))]
-
-
-def sha256_hex(content: bytes) -> str:
-    """Return the SHA-256 of bytes in hexadecimal."""
-    return hashlib.sha256(content).hexdigest()
-
-
-def file_sha256(folder: DataFolder, path: str) -> str:
-    """Return the SHA-256 of a stored file, read in pieces."""
-    digest = hashlib.sha256()
-    with folder.open(path) as stream:
-        while piece := stream.read(1 << 20):
-            digest.update(piece)
-    return digest.hexdigest()
-
-
-@dataclass(frozen=True, slots=True)
 class Finding:
-    """One thing that is wrong.
-
-    Attributes
-    ----------
-    file : str
-        Path inside the folder.
-    problem : str
-        What was found and what was expected.
-    """
+    """One thing that is wrong: a path inside the folder, and what was found and expected there."""
 
     file: str
     problem: str
 
 
 def add_up(parts: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
-    """Add the counts of several shards, key by key; lists add place by place, a missing place counts 0.
+    """Add the counts of several shards, key by key; lists add by index, a missing entry counts 0.
 
-    Parameters
-    ----------
-    parts : sequence of mapping
-        Numbers, lists of numbers, or mappings of them by name.
-
-    Returns
-    -------
-    dict
-        With the keys of all parts, in the order in which they are met first.
+    Values are numbers, lists of numbers, or mappings of them by name; keys stay in the order in which they
+    are met first.
     """
     names = dict.fromkeys(name for part in parts for name in part)
-    return {name: _sum([part[name] for part in parts if name in part]) for name in names}
+    total: dict[str, Any] = {}
+    for name in names:
+        values = [part[name] for part in parts if name in part]
+        if isinstance(values[0], Mapping):
+            total[name] = add_up(values)
+        elif isinstance(values[0], Sequence):
+            total[name] = [sum(column) for column in zip_longest(*values, fillvalue=0)]
+        else:
+            total[name] = sum(values)
+    return total
 
 
-def _sum(values: Sequence[Any]) -> Any:
-    if isinstance(values[0], Mapping):
-        return add_up(values)
-    if isinstance(values[0], Sequence):
-        return [sum(places) for places in zip_longest(*values, fillvalue=0)]
-    return sum(values)
+@dataclass(frozen=True, slots=True, order=True)
+class ShardFile:
+    """A Parquet file and the split that it belongs to by its name."""
+
+    split: str
+    path: str
+
+
+def shard_files(paths: Iterable[str]) -> list[ShardFile]:
+    """Sort Parquet files by split: ``train-00000-of-00002.parquet``, or a split's bare name.
+
+    Files that are only numbered, as in the Hub's own conversions (``default/train/0000.parquet``), belong to
+    the split that their folder is called.
+    """
+    files = []
+    for path in paths:
+        file = PurePosixPath(path)
+        if file.suffix != ".parquet" or file.name.startswith(".") or file.parts[0] == "reports":
+            continue
+        shard = ShardName.parse(file.name)
+        if shard is not None:
+            split = shard.split
+        else:
+            split = re.split(r"[-.]", file.name)[0]
+            if split.isdigit() and file.parent.name not in ("", DATA_FOLDER):
+                split = file.parent.name
+        files.append(ShardFile(split, path))
+    return sorted(files)
+
+
+def files_of_split(files: list[ShardFile], split: str, where: str) -> list[ShardFile]:
+    """Return the files of one split.
+
+    Raises InputError when there is no such split, and IntegrityError when some of its shards are absent:
+    fewer rows than there should be must not pass.
+    """
+    chosen = [file for file in files if file.split == split]
+    if not chosen:
+        raise no_split(split, tuple(dict.fromkeys(file.split for file in files)), where)
+    names = [ShardName.parse(PurePosixPath(file.path).name) for file in chosen]
+    counts = {name.count for name in names if name is not None}
+    if len(counts) == 1 and None not in names and len(chosen) < max(counts):
+        message = (
+            f"{len(chosen)} of {max(counts)} shards of split {split!r} are in {where!r}, all were "
+            "expected; next: download or generate the data set again (with a network, if it is on the Hub)"
+        )
+        raise IntegrityError(message)
+    return chosen
+
+
+def no_split(split: str, known: tuple[str, ...], where: str) -> InputError:
+    """Return the error for a split that is not there, among those that are."""
+    found = f"it has {', '.join(known)}" if known else "it holds no Parquet files"
+    return InputError(f"no split {split!r} in {where!r}: {found}; next: choose one of them, or make it")

@@ -100,14 +100,14 @@ def test_info_of_a_stopped_run_counts_what_is_finished(tmp_path):
     command = [sys.executable, "-c", "from cli.starstruck import main; main()"]
     command += ["generate", "-q", "-w", "1", "--scenes", "train=9000,test=3", "--out", str(out)]
     process = subprocess.Popen(command)
-    while len(list((out / ".parts").glob("train-*.json"))) < 2:
+    while len(list((out / ".pending").glob("train-*.json"))) < 2:
         assert process.poll() is None
         time.sleep(0.01)
     process.kill()
     process.wait()
     document = json.loads(run("info", out, "--json").stdout)
     (train,) = document["splits"]
-    finished = len(list((out / ".parts").glob("train-*.json")))
+    finished = len(list((out / ".pending").glob("train-*.json")))
     assert (document["complete"], document["shards_planned"]) == (False, {"train": 9})
     assert (train["shards"], train["rows"]) == (finished, 1_000 * finished)
     shown = run("info", out).stdout
@@ -182,9 +182,9 @@ def test_finished_split_is_told_beside_what_an_unfinished_one_keeps(tmp_path):
     words = ("generate", "--out", out, "--scenes", "train=1001,test=3", "-w", 1)
     assert run(*words, "-q").exit_code == 0
     manifest = json.loads((out / "manifest.json").read_text())
-    (out / ".parts").mkdir()
+    (out / ".pending").mkdir()
     first = manifest["shards"][0]
-    (out / ".parts" / "train-00000-of-00002.json").write_text(json.dumps(first))
+    (out / ".pending" / "train-00000-of-00002.json").write_text(json.dumps(first))
     (out / "data" / "train-00001-of-00002.parquet").unlink()
     (out / "data" / "test-00000-of-00001.parquet").unlink()
     (out / "manifest.json").write_text(json.dumps({**manifest, "shards": [], "complete": False}))

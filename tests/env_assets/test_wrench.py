@@ -236,7 +236,7 @@ def test_a_written_wrench_is_whole_and_loads_everywhere(tmp_path):
     spec = WrenchSpec.for_size("M10")
     write_wrench(spec, str(tmp_path / "wrench"), mesh_file=tmp_path / "wrench.stl")
     folder = DataFolder(str(tmp_path / "wrench"))
-    assert verify(folder, wrench_schema(), card=True).ok
+    assert verify(folder, wrench_schema(), check_card=check_card).ok
     assert check_card(folder) == []
     provider = env_assets.AssetProvider(tmp_path)
     (record,) = provider.meshes("wrench")

@@ -9,8 +9,7 @@ import sys
 import numpy as np
 import pytest
 
-from mnist3d.forecast import forecast
-from mnist3d.generation import GenerateSpec, generate
+from mnist3d.generation import GenerateSpec, forecast, generate
 from mnist3d.solid import SolidSpec
 from mnist3d.sources.synthetic import SyntheticSource
 from mnist3d.splits import SplitSpec

@@ -40,7 +40,7 @@ def test_every_digit_is_a_row_or_skipped_with_its_reason(flawed):
     rows = {split: entry["rows"] + entry["skipped"] for split, entry in manifest.split_table().items()}
     # Three digits per class: one each for train, test and holdout, none for the printed splits.
     assert rows == {"train": 10, "test": 10, "holdout": 10}
-    skipped = {item.id: item for receipt in manifest.receipts for item in receipt.skipped}
+    skipped = {item.id: item for record in manifest.shards for item in record.skipped}
     assert {number: item.reason for number, item in skipped.items()} == {
         BLANK: "no-ink",
         FULL: "all-ink",
@@ -169,7 +169,7 @@ def unbroken(tmp_path_factory):
 def test_stopped_run_goes_on_to_the_same_bytes(unbroken, tmp_path, workers, blow):
     folder = tmp_path / "set"
     process = run_command(folder, workers)
-    while process.poll() is None and not list((folder / ".parts").glob("train-*.json")):
+    while process.poll() is None and not list((folder / ".pending").glob("train-*.json")):
         time.sleep(0.002)
     process.send_signal(blow)
     _, words = process.communicate(timeout=300)

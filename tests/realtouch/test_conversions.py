@@ -18,7 +18,7 @@ import realtouch
 from realtouch.convert.plan import Source
 from tactile_toolkit.errors import InputError, SpecMismatchError
 from tactile_toolkit.run.processes import ProcessRunner
-from tactile_toolkit.store.shards import sha256_hex
+from tactile_toolkit.store.parquet import sha256_hex
 from tactile_toolkit.touch.jpeg import decode_image, resized
 from tests.realtouch import factories
 from tests.realtouch.factories import Layout, RoundTruth
@@ -283,7 +283,7 @@ def test_damaged_rounds_are_left_out_and_listed(seq_rows: list[dict], tmp_path: 
     source = factories.write_set(tmp_path / "source", {"train": seq_rows}, "seq", Layout(edit=cut))
     manifest = realtouch.to_single(str(source), str(tmp_path / "out"))
     assert manifest.skipped_reasons() == {"damaged": 1}
-    skipped = manifest.receipts[0].skipped[0]
+    skipped = manifest.shards[0].skipped[0]
     assert skipped.id == 1
     assert "row 1, touch 0, field 'sensor_video': an AVI cut short" in skipped.message
     assert [record.label for record in realtouch.load(tmp_path / "out")] == [0, 2]

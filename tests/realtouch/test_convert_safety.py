@@ -14,7 +14,7 @@ import pytest
 
 import realtouch
 from tactile_toolkit.errors import InputError, IntegrityError, SpecMismatchError
-from tactile_toolkit.store.shards import sha256_hex
+from tactile_toolkit.store.parquet import sha256_hex
 from tests.realtouch import factories
 from tests.realtouch.factories import Layout, RoundTruth
 from tests.tactile_toolkit.toy import folder_bytes
@@ -126,7 +126,7 @@ def test_pictures_of_damaged_rounds_are_left_out(kind: Any, single_rows: list[di
     source = edited(tmp_path / "source", single_rows, "single", cut_pictures(1))
     manifest = realtouch.frames(source, tmp_path / "out", kind)
     assert manifest.split_table()["train"]["rows"] == 10
-    (skipped,) = manifest.receipts[0].skipped
+    (skipped,) = manifest.shards[0].skipped
     assert (skipped.id, skipped.reason) == (1, "damaged")
     assert "row 1, touch 3, field 'sensor_image'" in skipped.message
     assert len(list((tmp_path / "out" / "images").rglob("*.*g"))) == 10
@@ -137,7 +137,7 @@ def test_pictures_of_damaged_rounds_are_left_out(kind: Any, single_rows: list[di
 def test_a_damaged_frame_does_not_pass_through(name: str, seq_rows: list[dict], tmp_path: Path) -> None:
     source = edited(tmp_path / "source", seq_rows, "seq", spoil_last_contact)
     manifest = getattr(realtouch, name)(source, tmp_path / "out")
-    (skipped,) = manifest.receipts[0].skipped
+    (skipped,) = manifest.shards[0].skipped
     assert skipped.id == 1
     assert "row 1, touch 2, field 'sensor_video': frame" in skipped.message
     assert realtouch.verify(tmp_path / "out").ok
@@ -168,7 +168,7 @@ def test_ids_that_are_no_file_names_are_left_out(name: str, single_rows: list[di
     inside = tmp_path / "deep" / "in" / "here"
     manifest = realtouch.frames(source, inside)
     assert manifest.split_table()["train"]["rows"] == 10
-    (skipped,) = manifest.receipts[0].skipped
+    (skipped,) = manifest.shards[0].skipped
     assert skipped.id == 1
     assert "row 1, field 'id'" in skipped.message
     assert "cannot name a folder" in skipped.message
@@ -179,7 +179,7 @@ def test_ids_that_are_no_file_names_are_left_out(name: str, single_rows: list[di
 def test_ids_that_come_again_are_left_out(single_rows: list[dict], tmp_path: Path) -> None:
     source = edited(tmp_path / "source", single_rows, "single", with_ids("same", "other", "same"))
     manifest = realtouch.frames(source, tmp_path / "out", "jpeg", workers=2)
-    (skipped,) = manifest.receipts[0].skipped
+    (skipped,) = manifest.shards[0].skipped
     assert skipped.id == 2
     assert "'same' stands in an earlier round of split 'train'" in skipped.message
     record = realtouch.load(source)[0]

@@ -85,7 +85,7 @@ def test_killed_again_and_again_it_ends_with_the_same_bytes(
 ) -> None:
     source = seq_folder if CONVERSIONS[name][1] == "seq" else single_folder
     out = tmp_path / "out"
-    # Each life goes a little further than the one before it: into the manifest, a shard, a receipt.
+    # Each life goes a little further than the one before it: into the manifest, a shard, a record.
     moments = (9, 30, 16) if name == "frames" else (9, 16)
     assert killed(name, source, out, moments[0])
     assert out.is_dir()
@@ -118,7 +118,7 @@ def test_killed_with_its_workers_at_work(
     code = "import sys, realtouch; realtouch.resize(sys.argv[1], sys.argv[2], 48, 36, workers=2)"
     process = subprocess.Popen([sys.executable, "-c", code, str(seq_folder), str(out)], cwd=REPOSITORY)
     deadline_s = time.monotonic() + 120
-    while not list(out.glob(".parts/*.json")) and process.poll() is None:
+    while not list(out.glob(".pending/*.json")) and process.poll() is None:
         assert time.monotonic() < deadline_s
         time.sleep(0.002)
     workers = children(process.pid)

@@ -13,7 +13,7 @@ import numpy as np
 import pyarrow.parquet as pq
 import pytest
 
-from starstruck_gen.generation import GenerateSpec, generate, inspect_out, plan_build
+from starstruck_gen.generation import GenerateSpec, generate, plan_build
 from starstruck_gen.placement import Placement
 from starstruck_gen.proof import require_sound
 from starstruck_gen.rows import make_rows, scene_schema
@@ -27,6 +27,7 @@ from tactile_toolkit.errors import InputError, IntegrityError, SpecMismatchError
 from tactile_toolkit.run.processes import ProcessRunner
 from tactile_toolkit.store.folder import DataFolder
 from tactile_toolkit.store.manifest import manifest_so_far, read_manifest
+from tactile_toolkit.store.plan import inspect_folder
 from tactile_toolkit.store.verify import verify
 
 SMALL = GenerateSpec(scenes=(("train", 2_100), ("test", 30)))
@@ -126,7 +127,7 @@ def test_another_seed_or_specification_is_refused_and_named(whole):
 
 
 def test_second_run_makes_nothing(whole):
-    state = inspect_out(SMALL, str(whole))
+    state = inspect_folder(DataFolder(str(whole)), plan_build(SMALL, ("train", "test")))
     assert state.todo == ()
     calls = []
     generate(SMALL, str(whole), on_progress=calls.append)
@@ -139,13 +140,13 @@ def test_killed_run_resumes_to_the_same_bytes(tmp_path):
     command += ["--scenes", "train=7000,test=10", "--workers", "1", "--out", str(tmp_path / "killed")]
     process = subprocess.Popen(command)
     deadline_s = time.monotonic() + 120
-    while len(list((tmp_path / "killed" / ".parts").glob("train-*.json"))) < 2:
+    while len(list((tmp_path / "killed" / ".pending").glob("train-*.json"))) < 2:
         assert process.poll() is None
         assert time.monotonic() < deadline_s
         time.sleep(0.01)
     process.send_signal(signal.SIGKILL)
     process.wait()
-    state = inspect_out(spec, str(tmp_path / "killed"))
+    state = inspect_folder(DataFolder(str(tmp_path / "killed")), plan_build(spec, ("train", "test")))
     assert 2 <= len(state.kept) < len(state.kept) + len(state.todo) == 8
     generate(spec, str(tmp_path / "killed"))
     generate(spec, str(tmp_path / "whole"), workers=1)
@@ -189,7 +190,7 @@ def test_shards_finished_before_a_scene_that_cannot_be_made_are_kept_and_named(t
         generate(spec, str(tmp_path / "set"), ("train",))
     so_far = manifest_so_far(DataFolder(str(tmp_path / "set")))
     assert not so_far.complete
-    assert [receipt.shard.index for receipt in so_far.receipts] == [0, 1]
+    assert [record.shard.index for record in so_far.shards] == [0, 1]
     assert summarise(so_far)[0].acceptance.classes == (2_000,)
 
 
@@ -201,7 +202,7 @@ def test_shards_finished_before_a_scene_that_cannot_be_made_are_kept_and_named(t
         ({"scenes": (("validation", 5),)}, "unknown split 'validation'"),
         ({"seed": -3}, "seed is -3"),
         ({"limit": 0}, "--limit is 0"),
-        ({"limit": 2.5}, "limit .* is 2.5; expected None or a whole number"),
+        ({"limit": 2.5}, "--limit is 2.5; expected a whole number of at least 1"),
         ({"seed": "a"}, "seed .* is 'a'; expected a whole number"),
         ({"scenes": {"train": "many"}}, "scenes .* expected a whole number for each split"),
         ({"scenes": 5}, "scenes .* is 5"),
@@ -227,7 +228,7 @@ def test_ordinary_values_of_other_types_are_the_same_specification(tmp_path):
     generate(given, tmp_path / "path", ("train",))
     generate(plain, str(tmp_path / "text"), ("train",))
     assert folder_hashes(tmp_path / "path") == folder_hashes(tmp_path / "text")
-    assert inspect_out(given, tmp_path / "path", ("train",)).todo == ()
+    assert inspect_folder(DataFolder(str(tmp_path / "path")), plan_build(given, ("train",))).todo == ()
 
 
 @pytest.mark.parametrize("splits", [("holdout",), ("test",)])

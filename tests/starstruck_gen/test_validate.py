@@ -105,9 +105,9 @@ def interrupted(tmp_path):
     out = tmp_path / "set"
     generate(GenerateSpec(scenes={"train": 1_001, "test": 4}), out)
     manifest = json.loads((out / "manifest.json").read_text())
-    (out / ".parts").mkdir()
+    (out / ".pending").mkdir()
     first, _, test = manifest["shards"]
-    (out / ".parts" / "train-00000-of-00002.json").write_text(json.dumps(first))
+    (out / ".pending" / "train-00000-of-00002.json").write_text(json.dumps(first))
     (out / "data" / "train-00001-of-00002.parquet").unlink()
     (out / "manifest.json").write_text(json.dumps({**manifest, "shards": [test], "complete": False}))
     return out

@@ -12,8 +12,9 @@ import numpy as np
 import pyarrow as pa
 
 from tactile_toolkit.read.columns import list_array
-from tactile_toolkit.store.build import BuildPlan, ShardContent
-from tactile_toolkit.store.shards import ParquetStyle, ShardName, Skipped
+from tactile_toolkit.store.parquet import ParquetStyle
+from tactile_toolkit.store.plan import BuildPlan, ShardContent
+from tactile_toolkit.store.shards import ShardName, Skipped
 
 SPLITS = ("train", "test")
 STYLE = ParquetStyle(rows_per_group=3)

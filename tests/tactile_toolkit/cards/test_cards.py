@@ -106,7 +106,7 @@ def test_the_hubs_own_classes_read_the_card(made):
 
 def test_a_true_card_has_no_findings(made):
     assert problems(made) == []
-    assert verify(DataFolder(str(made)), card=True).ok
+    assert verify(DataFolder(str(made)), check_card=check_card).ok
 
 
 def _drop_split(head: dict) -> None:
@@ -158,7 +158,7 @@ def test_a_lie_in_the_head_is_named(folder, lie, words):
     edit_head(folder, lie)
     (found,) = [problem for problem in problems(folder) if words in problem]
     assert found.startswith("README.md: ")
-    assert not verify(DataFolder(str(folder)), card=True).ok
+    assert not verify(DataFolder(str(folder)), check_card=check_card).ok
     assert verify(DataFolder(str(folder))).ok, "the rows are fine"
 
 

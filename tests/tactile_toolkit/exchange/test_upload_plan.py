@@ -67,8 +67,8 @@ def test_a_file_too_large_for_git_is_never_taken_for_a_small_one():
 
 
 def test_the_payload_is_the_data_set_and_nothing_else(folder):
-    (folder / ".parts").mkdir()
-    (folder / ".parts" / "train-00000-of-00001.json").write_text("{}")
+    (folder / ".pending").mkdir()
+    (folder / ".pending" / "train-00000-of-00001.json").write_text("{}")
     (folder / ".writing-host-1-abc-README.md").write_text("half")
     (folder / "previews" / ".writing-host-1-abc-x.png").write_text("half")
     (folder / "notes.txt").write_text("mine")
@@ -85,7 +85,7 @@ def test_the_payload_is_the_data_set_and_nothing_else(folder):
         "previews/scenes.png",
     ]
     assert sorted(payload.left_out) == [
-        ".parts/",
+        ".pending/",
         ".writing-host-1-abc-README.md",
         "notes.txt",
         "previews/.writing-host-1-abc-x.png",

@@ -18,9 +18,10 @@ import pytest
 
 from tactile_toolkit.errors import InputError, IntegrityError, SpecMismatchError, StorageError, ToolkitError
 from tactile_toolkit.run.processes import InlineRunner, ProcessRunner
-from tactile_toolkit.store.build import build, inspect_folder
+from tactile_toolkit.store.build import build
 from tactile_toolkit.store.folder import DataFolder
 from tactile_toolkit.store.manifest import read_manifest
+from tactile_toolkit.store.plan import inspect_folder
 from tactile_toolkit.store.verify import verify
 from tests.processes import children, wait_until_gone
 from tests.tactile_toolkit.toy import SCHEMA, folder_bytes, toy_plan
@@ -36,7 +37,7 @@ def test_folder_holds_shards_report_and_manifest_and_nothing_else(tmp_path):
     assert manifest.split_table()["train"] == {
         "rows": 18,
         "shards": 4,
-        "bytes": sum(r.bytes for r in manifest.receipts_of("train")),
+        "bytes": sum(r.bytes for r in manifest.shards_of("train")),
         "skipped": 2,
     }
     assert manifest.skipped_reasons() == {"nine": 3}
@@ -82,7 +83,7 @@ def test_failure_keeps_finished_shards_and_the_next_run_goes_on(tmp_path):
     folder = DataFolder(str(tmp_path / "set"))
     assert not read_manifest(folder).complete
     state = inspect_folder(folder, plan)
-    assert [receipt.shard.index for receipt in state.kept] == [0, 1]
+    assert [record.shard.index for record in state.kept] == [0, 1]
     done = []
     make(tmp_path / "set", on_progress=lambda p: done.append(p.total))
     assert done[0] == 20
@@ -186,7 +187,7 @@ def test_full_disk_is_named_and_leaves_nothing_half_written(tmp_path):
         capture_output=True,
         text=True,
         check=True,
-        cwd=Path(__file__).resolve().parents[2],
+        cwd=Path(__file__).resolve().parents[3],
     )
     assert "cannot write" in done.stdout
     assert "larger than allowed" in done.stdout
@@ -275,12 +276,12 @@ def test_killed_run_resumes_to_the_same_bytes(tmp_path, workers):
     for _ in range(2 if workers == 1 else 1):
         process = subprocess.Popen(
             [sys.executable, "-c", textwrap.dedent(script), str(target)],
-            cwd=Path(__file__).resolve().parents[2],
+            cwd=Path(__file__).resolve().parents[3],
         )
-        seen = len(list((target / ".parts").glob("t*.json"))) if target.exists() else 0
+        seen = len(list((target / ".pending").glob("t*.json"))) if target.exists() else 0
         deadline_s = time.monotonic() + 120
         while process.poll() is None and time.monotonic() < deadline_s:
-            if len(list((target / ".parts").glob("t*.json"))) > seen:
+            if len(list((target / ".pending").glob("t*.json"))) > seen:
                 workers_left = children(process.pid)
                 process.send_signal(signal.SIGKILL)
                 break
@@ -307,7 +308,7 @@ def test_workers_leave_with_a_killed_parent(tmp_path):
     """
     process = subprocess.Popen(
         [sys.executable, "-c", textwrap.dedent(script), str(tmp_path / "set")],
-        cwd=Path(__file__).resolve().parents[2],
+        cwd=Path(__file__).resolve().parents[3],
     )
     deadline_s = time.monotonic() + 120
     while len(children(process.pid)) < 3 and time.monotonic() < deadline_s:
@@ -327,7 +328,7 @@ def test_half_written_receipt_of_a_killed_writer_is_no_receipt(tmp_path):
     broken = replace(plan.tasks[1], error=StorageError("stop"))
     with pytest.raises(StorageError):
         make(tmp_path / "set", replace(plan, tasks=(plan.tasks[0], broken)))
-    parts = tmp_path / "set" / ".parts"
+    parts = tmp_path / "set" / ".pending"
     name = f".writing-{socket.gethostname()}-999999999-abc-train-00001-of-00004.json"
     (parts / name).write_text('{"file": "data/tr')
     make(tmp_path / "set")

@@ -13,10 +13,10 @@ import pytest
 from tactile_toolkit.errors import InputError, IntegrityError, StorageError
 from tactile_toolkit.run.processes import InlineRunner, ProcessRunner
 from tactile_toolkit.store.build import build
-from tactile_toolkit.store.folder import DataFolder, unfinished_name
+from tactile_toolkit.store.folder import DataFolder, temporary_name
 from tests.tactile_toolkit.toy import folder_bytes, toy_plan
 
-REPOSITORY = Path(__file__).resolve().parents[2]
+REPOSITORY = Path(__file__).resolve().parents[3]
 FAILURE = InputError("no place for the third object")
 
 
@@ -62,7 +62,7 @@ def test_a_run_that_finished_a_shard_keeps_it_and_goes_on(finished, tmp_path):
     broken = replace(plan.tasks[1], error=FAILURE)
     with pytest.raises(InputError, match="third object"):
         make(finished, replace(plan, tasks=(plan.tasks[0], broken)), overwrite=True)
-    assert sorted(path.name for path in finished.iterdir()) == [".parts", "data", "manifest.json"]
+    assert sorted(path.name for path in finished.iterdir()) == [".pending", "data", "manifest.json"]
     make(finished, plan)
     make(tmp_path / "fresh", plan)
     assert folder_bytes(finished) == folder_bytes(tmp_path / "fresh")
@@ -102,7 +102,7 @@ def test_a_manifest_of_somebody_else_is_no_data_set(tmp_path, beside):
 
 
 def test_all_that_the_former_set_wrote_beside_its_rows_goes(tmp_path):
-    make(tmp_path / "set", replace(toy_plan(), trees=("images", "index.csv")))
+    make(tmp_path / "set", replace(toy_plan(), extra_dirs=("images", "index.csv")))
     (tmp_path / "set" / "images" / "train").mkdir(parents=True)
     (tmp_path / "set" / "images" / "train" / "0.png").write_bytes(b"picture")
     (tmp_path / "set" / "index.csv").write_text("id")
@@ -117,7 +117,7 @@ def test_nothing_outside_the_folder_goes_with_the_former_set(tmp_path):
     outside = tmp_path / "outside"
     outside.mkdir()
     (outside / "thesis.tex").write_text("years of work")
-    make(tmp_path / "set", replace(toy_plan(), trees=("../outside", str(outside), "..", "images")))
+    make(tmp_path / "set", replace(toy_plan(), extra_dirs=("../outside", str(outside), "..", "images")))
     (tmp_path / "set" / "images").symlink_to(outside)
     make(tmp_path / "set", other_plan(), overwrite=True)
     assert not (tmp_path / "set" / "images").exists()
@@ -170,7 +170,7 @@ def test_a_remote_folder_is_started_again():
 def test_a_folder_that_another_run_is_replacing_is_left_alone(finished):
     aside = finished / ".replaced"
     aside.mkdir()
-    (aside / unfinished_name("owner")).touch()
+    (aside / temporary_name("owner")).touch()
     before = folder_bytes(finished)
     with pytest.raises(InputError, match="another run is replacing"):
         make(finished)
@@ -192,7 +192,7 @@ from pathlib import Path
 base = Path(sys.argv[1])
 former, fresh = folder_bytes(base / "former"), folder_bytes(base / "fresh")
 old, new = toy_plan(), toy_plan(("test",), spec={"seed": 2})
-new = replace(new, trees=("images",))
+new = replace(new, extra_dirs=("images",))
 
 def run(place, plan, **options):
     return build(DataFolder(str(place)), plan, InlineRunner(), **options)
@@ -251,7 +251,7 @@ print(back, ahead)
 def test_killed_at_any_moment_the_former_set_comes_back_or_the_new_one_goes_on(tmp_path):
     make(tmp_path / "former")
     (tmp_path / "former" / "README.md").write_text("the card")
-    make(tmp_path / "fresh", replace(other_plan(), trees=("images",)))
+    make(tmp_path / "fresh", replace(other_plan(), extra_dirs=("images",)))
     done = subprocess.run(
         [sys.executable, "-c", textwrap.dedent(DIES_EVERYWHERE), str(tmp_path)],
         cwd=REPOSITORY,

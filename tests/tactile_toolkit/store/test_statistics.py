@@ -5,11 +5,11 @@ from dataclasses import replace
 import pytest
 
 from tactile_toolkit.store.manifest import Manifest
-from tactile_toolkit.store.shards import Receipt, ShardName, add_up
+from tactile_toolkit.store.shards import ShardName, ShardRecord, add_up
 
 
-def receipt(split, index, statistics):
-    return Receipt(ShardName(split, index, 2), 1, 10, "00", statistics=statistics)
+def record(split, index, statistics):
+    return ShardRecord(ShardName(split, index, 2), 1, 10, "00", statistics=statistics)
 
 
 @pytest.mark.parametrize(
@@ -26,21 +26,21 @@ def test_counts_add_up(parts, total):
 
 
 def test_manifest_adds_up_each_split_and_survives_its_text():
-    receipts = (
-        receipt("train", 0, {"n": [1, 2]}),
-        receipt("train", 1, {"n": [3, 4]}),
-        receipt("test", 0, {"n": [5, 6]}),
-        replace(receipt("test", 1, {}), statistics=None),
+    records = (
+        record("train", 0, {"n": [1, 2]}),
+        record("train", 1, {"n": [3, 4]}),
+        record("test", 0, {"n": [5, 6]}),
+        replace(record("test", 1, {}), statistics=None),
     )
-    manifest = Manifest("toy", "1", {}, ("train", "test"), receipts)
+    manifest = Manifest("toy", "1", {}, ("train", "test"), records)
     assert manifest.statistics() == {"train": {"n": [4, 6]}, "test": {"n": [5, 6]}}
     assert '"statistics"' in manifest.to_json()
     again = Manifest.from_json(manifest.to_json(), "here")
-    assert again.receipts == receipts
+    assert again.shards == records
     assert again.to_json() == manifest.to_json()
 
 
 def test_manifest_without_statistics_says_nothing_of_them():
-    manifest = Manifest("toy", "1", {}, ("train",), (replace(receipt("train", 0, {}), statistics=None),))
+    manifest = Manifest("toy", "1", {}, ("train",), (replace(record("train", 0, {}), statistics=None),))
     assert "statistics" not in manifest.to_json()
     assert manifest.statistics() == {}

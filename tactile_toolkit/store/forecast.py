@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from typing import Any
 
 from tactile_toolkit.errors import IntegrityError
-from tactile_toolkit.store.build import BuildPlan, BuildState, inspect_folder
 from tactile_toolkit.store.folder import DataFolder
-from tactile_toolkit.store.manifest import Manifest, manifest_so_far
+from tactile_toolkit.store.manifest import manifest_so_far
+from tactile_toolkit.store.plan import BuildPlan, BuildState, inspect_folder
 from tactile_toolkit.store.replace import require_replaceable
-from tactile_toolkit.versions import toolkit_version
 
 __all__ = ["Forecast", "Sample", "SplitForecast", "forecast_build"]
 
@@ -42,20 +42,8 @@ class SplitForecast:
 class Forecast:
     """What a run would do.
 
-    Attributes
-    ----------
-    splits : tuple of SplitForecast
-        One per split asked for.
-    rows_to_make : int
-        Rows that are not finished yet.
-    bytes : int
-        Parquet to be written, from a sample.
-    seconds : float
-        Time, from the same sample.
-    sampled : int
-        How many rows were made for the estimate.
-    replaced : dict of str to int, or None
-        Rows of each split of the data set that the run would replace; None where it would replace none.
+    ``bytes`` of Parquet and ``seconds`` are estimated from ``sampled`` rows that were made. ``replaced`` are
+    the rows of each split of the data set that the run would replace; None where it would replace none.
     """
 
     splits: tuple[SplitForecast, ...]
@@ -71,34 +59,25 @@ class Forecast:
 
 
 def forecast_build(
-    folder: DataFolder,
+    out: str | os.PathLike[str],
     plan: BuildPlan,
     workers: int,
     measure: Callable[[], Sample],
     *,
     overwrite: bool = False,
 ) -> Forecast:
-    """Estimate a run from what a folder holds of its plan and from a few rows; writes nothing.
+    """Estimate a run from what a folder holds of its plan and from a few rows, which ``measure`` makes.
 
-    Parameters
-    ----------
-    folder : DataFolder
-        Where the run would write.
-    plan : BuildPlan
-        What is to be made.
-    workers : int
-        Processes that will work.
-    measure : callable
-        Makes a few rows.
-    overwrite : bool
-        The run would start again where the folder holds another data set.
-
-    Raises
-    ------
-    InputError
-        The run would be refused there.
+    Writes nothing. Raises InputError when the run would be refused in that folder.
     """
-    state = _started_again(folder, plan) if overwrite else inspect_folder(folder, plan)
+    folder = DataFolder(os.fspath(out))
+    replaced = None
+    if overwrite:
+        require_replaceable(folder, plan.extra_dirs)
+        state = BuildState(plan.new_manifest(), (), plan.tasks)
+        replaced = _rows_there(folder)
+    else:
+        state = inspect_folder(folder, plan)
     todo = {task.shard for task in state.todo}
     entries = []
     for split in dict.fromkeys(task.shard.split for task in plan.tasks):
@@ -108,15 +87,8 @@ def forecast_build(
     left = sum(entry.rows - entry.finished for entry in entries)
     sample = measure()
     seconds = left * sample.row_s / workers + (_START_S if left else 0)
-    replaced = _rows_there(folder) if overwrite else None
     size = round(left * sample.row_bytes)
     return Forecast(tuple(entries), left, size, round(seconds, 1), sample.rows, replaced)
-
-
-def _started_again(folder: DataFolder, plan: BuildPlan) -> BuildState:
-    require_replaceable(folder, plan.trees)
-    manifest = Manifest(plan.kind, toolkit_version(), plan.spec, plan.split_order)
-    return BuildState(manifest, (), tuple(plan.tasks), ())
 
 
 def _rows_there(folder: DataFolder) -> dict[str, int] | None:

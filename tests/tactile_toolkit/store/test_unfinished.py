@@ -10,7 +10,7 @@ from tactile_toolkit.errors import InputError, IntegrityError
 from tactile_toolkit.run.processes import InlineRunner
 from tactile_toolkit.store.build import build
 from tactile_toolkit.store.folder import DataFolder
-from tactile_toolkit.store.manifest import read_manifest, write_manifest, write_receipt
+from tactile_toolkit.store.manifest import read_manifest, write_manifest, write_shard_record
 from tests.tactile_toolkit.toy import toy_plan
 
 
@@ -22,13 +22,13 @@ def folder(tmp_path):
 
 
 def _interrupted(folder, kept):
-    """Leave the folder as a run leaves it that was killed: `kept` receipts are in the manifest."""
+    """Leave the folder as a run leaves it that was killed: `kept` records are in the manifest."""
     manifest = read_manifest(folder)
-    for receipt in manifest.receipts:
-        if not kept(receipt):
-            write_receipt(folder, receipt)
-    receipts = tuple(receipt for receipt in manifest.receipts if kept(receipt))
-    write_manifest(folder, replace(manifest, receipts=receipts, complete=False))
+    for record in manifest.shards:
+        if not kept(record):
+            write_shard_record(folder, record)
+    records = tuple(record for record in manifest.shards if kept(record))
+    write_manifest(folder, replace(manifest, shards=records, complete=False))
 
 
 def test_finished_folder_has_all_its_splits(folder):
@@ -37,14 +37,14 @@ def test_finished_folder_has_all_its_splits(folder):
 
 @pytest.mark.parametrize("finished", [(), ("test",)])
 def test_interrupted_run_is_refused_though_another_split_is_finished(folder, finished):
-    _interrupted(folder, lambda receipt: receipt.shard.split in finished)
+    _interrupted(folder, lambda record: record.shard.split in finished)
     with pytest.raises(IntegrityError, match=r"not finished \(\d shards of split 'train'"):
         splits_to_check(folder.url)
 
 
 def test_run_that_was_stopped_before_its_first_shard_is_refused(folder):
     values = json.loads(folder.read_bytes("manifest.json"))
-    for shard in read_manifest(folder).receipts:
+    for shard in read_manifest(folder).shards:
         if shard.shard.split == "train":
             folder.remove(shard.shard.data_path)
     values["shards"] = [entry for entry in values["shards"] if "test" in json.dumps(entry)]

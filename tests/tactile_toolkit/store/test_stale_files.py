@@ -10,8 +10,8 @@ from pathlib import Path
 
 import pytest
 
-from tactile_toolkit.store import folder as leavings
-from tactile_toolkit.store.folder import DataFolder, left_by_the_dead, unfinished_name
+from tactile_toolkit.store import folder as folder_module
+from tactile_toolkit.store.folder import DataFolder, is_stale, temporary_name
 from tests.processes import alive
 
 HOST = socket.gethostname()
@@ -46,33 +46,33 @@ def test_of_a_writer_whose_parent_has_not_noticed_its_death(tmp_path):
     try:
         (left,) = names(tmp_path)
         assert left.endswith(NAME)
-        DataFolder(str(tmp_path)).remove_stale_temporaries("")
+        DataFolder(str(tmp_path)).remove_stale_files("")
         assert names(tmp_path) == []
     finally:
         process.wait()
 
 
 def test_of_a_writer_whose_number_another_process_has_now(tmp_path):
-    mine = unfinished_name(NAME)
-    assert not left_by_the_dead(mine)
+    mine = temporary_name(NAME)
+    assert not is_stale(mine)
     writer = mine.removeprefix(f".writing-{HOST}-").split("-")[0]
     began = writer.split(".")[1]
     former = mine.replace(writer, f"{os.getpid()}.{int(began) - 1}")
-    assert left_by_the_dead(former)
+    assert is_stale(former)
 
 
 @pytest.mark.parametrize("has_proc", [True, False])
 def test_of_the_dead_and_of_the_living(tmp_path, monkeypatch, has_proc):
     if not has_proc:  # macOS
-        monkeypatch.setattr(leavings, "_has_proc", lambda: False)
-        monkeypatch.setattr(leavings, "_facts", lambda _process: None)
+        monkeypatch.setattr(folder_module, "_has_proc", lambda: False)
+        monkeypatch.setattr(folder_module, "_proc_stat", lambda _process: None)
     dead = f".writing-{HOST}-999999999-abc-{NAME}"
     dead_too = f".writing-{HOST}-999999999.17-abc-{NAME}"
     init = f".writing-{HOST}-1-abc-{NAME}"
-    mine = unfinished_name(NAME)
+    mine = temporary_name(NAME)
     elsewhere = f".writing-otherhost-999999999-abc-{NAME}"
     strange = [".writing-", f".writing-{HOST}-notes.txt", ".gallery-x", NAME]
     for name in (dead, dead_too, init, mine, elsewhere, *strange):
         (tmp_path / name).touch()
-    DataFolder(str(tmp_path)).remove_stale_temporaries("")
+    DataFolder(str(tmp_path)).remove_stale_files("")
     assert names(tmp_path) == sorted([init, mine, elsewhere, *strange])

@@ -6,9 +6,10 @@ import pytest
 
 from tactile_toolkit.errors import StorageError
 from tactile_toolkit.run.processes import InlineRunner
-from tactile_toolkit.store.build import build, inspect_folder
+from tactile_toolkit.store.build import build
 from tactile_toolkit.store.folder import DataFolder
 from tactile_toolkit.store.manifest import manifest_so_far, read_manifest
+from tactile_toolkit.store.plan import inspect_folder
 from tests.tactile_toolkit.toy import folder_bytes, toy_plan
 
 
@@ -27,7 +28,7 @@ def interrupted(tmp_path):
 
 
 def indices(manifest, split="train"):
-    return [receipt.shard.index for receipt in manifest.receipts_of(split)]
+    return [record.shard.index for record in manifest.shards_of(split)]
 
 
 def test_manifest_so_far_counts_what_an_unfinished_run_finished(interrupted):
@@ -48,21 +49,21 @@ def test_manifest_so_far_is_the_manifest_of_a_finished_run(tmp_path):
     assert manifest_so_far(DataFolder(str(tmp_path / "set"))) == manifest
 
 
-@pytest.mark.parametrize("damage", ["receipt cut", "receipt no JSON object", "file cut", "file gone"])
+@pytest.mark.parametrize("damage", ["record cut", "record no JSON object", "file cut", "file gone"])
 def test_what_no_whole_receipt_vouches_for_is_not_counted_and_made_again(interrupted, tmp_path, damage):
-    receipt = interrupted / ".parts" / "train-00001-of-00004.json"
+    record = interrupted / ".pending" / "train-00001-of-00004.json"
     file = interrupted / "data" / "train-00001-of-00004.parquet"
-    if damage == "receipt cut":
-        receipt.write_bytes(receipt.read_bytes()[:-40])
-    elif damage == "receipt no JSON object":
-        receipt.write_text("{}")
+    if damage == "record cut":
+        record.write_bytes(record.read_bytes()[:-40])
+    elif damage == "record no JSON object":
+        record.write_text("{}")
     elif damage == "file cut":
         file.write_bytes(file.read_bytes()[:-40])
     else:
         file.unlink()
     folder = DataFolder(str(interrupted))
     assert indices(manifest_so_far(folder)) == [0]
-    assert [receipt.shard.index for receipt in inspect_folder(folder, toy_plan(("train",))).kept] == [0]
+    assert [record.shard.index for record in inspect_folder(folder, toy_plan(("train",))).kept] == [0]
     make(interrupted, toy_plan())
     make(tmp_path / "whole", toy_plan())
     assert folder_bytes(interrupted) == folder_bytes(tmp_path / "whole")
@@ -74,7 +75,7 @@ def test_finishing_one_split_costs_nothing_of_another_that_is_under_way(interrup
     assert manifest.splits == ("test",)
     assert indices(manifest_so_far(DataFolder(str(interrupted)))) == [0, 1]
     kept = inspect_folder(DataFolder(str(interrupted)), toy_plan()).kept
-    assert [str(receipt.shard) for receipt in kept] == [
+    assert [str(record.shard) for record in kept] == [
         *(f"train-0000{index}-of-00004" for index in range(2)),
         *(f"test-0000{index}-of-00002" for index in range(2)),
     ]

@@ -1,0 +1,190 @@
+"""The Parquet bytes of shards and reports: encoding, opening, and how large the rows are unpacked."""
+
+from __future__ import annotations
+
+import contextlib
+import hashlib
+import io
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from typing import Any
+
+from tactile_toolkit.errors import IntegrityError
+from tactile_toolkit.store.folder import DataFolder
+
+__all__ = [
+    "REPORT_STYLE",
+    "ParquetStyle",
+    "encode_parquet",
+    "file_sha256",
+    "named_damage",
+    "open_parquet",
+    "read_report",
+    "sha256_hex",
+    "unpacked_bytes",
+    "write_parquet",
+]
+
+_OFFSET_BYTES = 4
+
+
+@dataclass(frozen=True, slots=True)
+class ParquetStyle:
+    """How a kind of data set is laid out in Parquet.
+
+    Row groups stay well under 100 MB so that reading one row is cheap. Columns with an encoding of their own
+    (path, encoding) get neither a dictionary nor statistics.
+    """
+
+    rows_per_group: int
+    compression: str = "zstd"
+    compression_level: int | None = 9
+    encodings: tuple[tuple[str, str], ...] = ()
+
+
+REPORT_STYLE = ParquetStyle(rows_per_group=1 << 16)
+
+
+def write_parquet(table: Any, style: ParquetStyle) -> tuple[bytes, Any]:
+    """Encode an Arrow table as a Parquet file and return its bytes and footer; equal tables, equal bytes."""
+    import pyarrow.parquet as pq
+
+    encodings = dict(style.encodings)
+    # pyarrow takes columns with a dictionary by their paths in the file.
+    others = [path for path, _ in _leaves(table.schema) if path not in encodings] if encodings else True
+    stream = io.BytesIO()
+    footers: list[Any] = []
+    pq.write_table(
+        table,
+        stream,
+        row_group_size=style.rows_per_group,
+        compression=style.compression,
+        compression_level=style.compression_level,
+        use_dictionary=others,
+        column_encoding=encodings or None,
+        write_statistics=others,
+        data_page_size=1 << 20,
+        metadata_collector=footers,
+    )
+    return stream.getvalue(), footers[0]
+
+
+def encode_parquet(table: Any, style: ParquetStyle) -> bytes:
+    """Encode an Arrow table as the bytes of a Parquet file."""
+    return write_parquet(table, style)[0]
+
+
+@contextlib.contextmanager
+def named_damage(address: str) -> Iterator[None]:
+    """Turn Arrow's errors about a Parquet file into an IntegrityError that names it."""
+    import pyarrow as pa
+
+    try:
+        yield
+    except (pa.ArrowInvalid, OSError) as error:
+        message = f"{address!r} is not a whole Parquet file: {error}"
+        raise IntegrityError(message) from error
+
+
+def open_parquet(folder: DataFolder, path: str) -> Any:
+    """Open a stored Parquet file; IntegrityError when it is missing or damaged."""
+    import pyarrow.parquet as pq
+
+    with named_damage(folder.address(path)):
+        # Buffering ahead starts a thread of Arrow's, which aborts about 1 % of interpreters at their end.
+        if folder.is_local:
+            return pq.ParquetFile(folder.address(path), memory_map=True, pre_buffer=False)
+        return pq.ParquetFile(io.BytesIO(folder.read_bytes(path)), pre_buffer=False)
+
+
+def read_report(folder: DataFolder, path: str) -> Any:
+    """Read a report as an Arrow table; IntegrityError when the file is missing or damaged."""
+    with named_damage(folder.address(path)):
+        # pq.read_table would start threads, see open_parquet.
+        return open_parquet(folder, path).read(use_threads=False)
+
+
+def sha256_hex(content: bytes) -> str:
+    """Return the SHA-256 of bytes in hexadecimal."""
+    return hashlib.sha256(content).hexdigest()
+
+
+def file_sha256(folder: DataFolder, path: str) -> str:
+    """Return the SHA-256 of a stored file, read in pieces."""
+    digest = hashlib.sha256()
+    with folder.open(path) as stream:
+        while piece := stream.read(1 << 20):
+            digest.update(piece)
+    return digest.hexdigest()
+
+
+def unpacked_bytes(footer: Any, schema: Any, read_text: Callable[[list[str]], Any]) -> int:
+    """Return the size of a shard's rows in Arrow's memory, which `datasets` calls ``num_bytes``.
+
+    Told by the footer, but for text, whose size a dictionary hides from it: ``read_text`` gives a table with
+    these columns, and maybe others. Within some bytes per row group for numbers and text; pictures and clips
+    count as they lie in the file uncompressed, which is more by their page headers, and the names beside
+    them not at all; offsets of inner lists are left out.
+    """
+    import pyarrow as pa
+
+    leaves = list(_leaves(schema))
+    lists = sum(pa.types.is_list(field.type) for field in schema)
+    total = 0
+    for group in (footer.row_group(index) for index in range(footer.num_row_groups)):
+        total += lists * _OFFSET_BYTES * (group.num_rows + 1)
+        for index, (_, leaf) in enumerate(leaves):
+            if _is_binary(leaf):
+                total += group.column(index).total_uncompressed_size
+            elif not _is_text(leaf):
+                # A bit for each value says whether it is there: readers of columns that may be null keep it.
+                total += group.column(index).num_values * (leaf.bit_width + 1) // 8
+    beside_blobs = {path.rpartition(".")[0] for path, leaf in leaves if _is_binary(leaf)}
+    texts = [path for path, leaf in leaves if _is_text(leaf) and path.rpartition(".")[0] not in beside_blobs]
+    if texts:
+        table = read_text(texts)
+        named = any(_is_binary(column.type) for column in table.columns)
+        chunks = (chunk for column in table.columns for chunk in column.chunks if len(chunk))
+        total += sum(text.nbytes for chunk in chunks for text in _texts([chunk], beside_blobs=named))
+    return int(total)
+
+
+def _texts(siblings: list[Any], *, beside_blobs: bool) -> Iterator[Any]:
+    """Yield the arrays of text among columns and below them, except the names beside pictures or clips."""
+    for array in siblings:
+        if array.type.num_fields:
+            inner = array.flatten()
+            fields = inner if isinstance(inner, list) else [inner]  # of a struct, of a list
+            yield from _texts(fields, beside_blobs=any(_is_binary(field.type) for field in fields))
+        elif _is_text(array.type) and not beside_blobs:
+            yield array
+
+
+def _leaves(schema: Any) -> Iterator[tuple[str, Any]]:
+    """Yield path and type of Parquet's columns, in their order, as pyarrow names them."""
+    for field in schema:
+        yield from _leaves_of(field.name, field.type)
+
+
+def _leaves_of(path: str, data_type: Any) -> Iterator[tuple[str, Any]]:
+    import pyarrow as pa
+
+    if pa.types.is_struct(data_type):
+        for field in data_type:
+            yield from _leaves_of(f"{path}.{field.name}", field.type)
+    elif data_type.num_fields:  # lists, whatever the name of their elements in Arrow
+        yield from _leaves_of(f"{path}.list.element", data_type.value_type)
+    else:
+        yield path, data_type
+
+
+def _is_text(data_type: Any) -> bool:
+    import pyarrow as pa
+
+    return bool(pa.types.is_string(data_type) or pa.types.is_large_string(data_type))
+
+
+def _is_binary(data_type: Any) -> bool:
+    import pyarrow as pa
+
+    return bool(pa.types.is_binary(data_type) or pa.types.is_large_binary(data_type))
