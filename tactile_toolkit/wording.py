@@ -60,7 +60,7 @@ def is_whole(*values: object) -> bool:
 
 def positive_or_none(option: str, value: Any) -> int | None:
     """Return a count that may be left out as Python's own number; InputError for any other value."""
-    count = plain_number(value)
+    count: int | None = plain_number(value)
     if count is None or (is_whole(count) and count >= 1):
         return count
     message = f"{option} is {count!r}; expected a whole number of at least 1"
