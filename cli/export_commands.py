@@ -17,7 +17,7 @@ from tactile_toolkit.kind import DatasetKind
 if TYPE_CHECKING:
     from tactile_toolkit.printing.checked import Failure
     from tactile_toolkit.printing.objects import PrintObject
-    from tactile_toolkit.printing.plate_spec import PlateSpec
+    from tactile_toolkit.printing.packing import PlateSpec
     from tactile_toolkit.printing.plates import PlateExport
 
 __all__ = ["add_export"]
@@ -75,9 +75,6 @@ def add_export(app: typer.Typer, kind: DatasetKind) -> None:
             float | None,
             typer.Option(metavar="MM", help="Distance between objects on a plate.", show_default="3"),
         ] = None,
-        label: Annotated[
-            bool, typer.Option("--label", help="Print a small tag with the id beside each object on a plate.")
-        ] = False,
         out: Out = Path("prints"),
         workers: Workers = 1,
         overwrite: Annotated[
@@ -100,7 +97,7 @@ def add_export(app: typer.Typer, kind: DatasetKind) -> None:
 
         Exit code 1 when an object or plate could not be written as a solid.
         """
-        spec = _plate_spec(plate, gap, label, file_format)
+        spec = _plate_spec(plate, gap, file_format)
         objects = _chosen(kind, name, split, ids, labels, limit)
         sink = Sink(as_json, quiet)
         if spec is None:
@@ -115,21 +112,19 @@ def add_export(app: typer.Typer, kind: DatasetKind) -> None:
             raise typer.Exit(EXIT_FAILED)
 
 
-def _plate_spec(
-    plate: str | None, gap: float | None, label: bool, file_format: MeshFormat | None
-) -> PlateSpec | None:
+def _plate_spec(plate: str | None, gap: float | None, file_format: MeshFormat | None) -> PlateSpec | None:
     from tactile_toolkit.errors import InputError
-    from tactile_toolkit.printing.plate_spec import PlateSpec
+    from tactile_toolkit.printing.packing import PlateSpec
 
     if plate is None:
-        if gap is not None or label:
-            message = f"{'--label' if label else '--gap'} is about build plates; next: add --plate 256x256"
+        if gap is not None:
+            message = "--gap is about build plates; next: add --plate 256x256"
             raise InputError(message)
         return None
     if file_format not in (None, MeshFormat.threemf):
         message = f"--plate writes 3mf, which holds named objects; --format {file_format} does not"
         raise InputError(message)
-    return PlateSpec.parse(plate, 3.0 if gap is None else gap, label)
+    return PlateSpec.parse(plate, 3.0 if gap is None else gap)
 
 
 def _chosen(

@@ -18,7 +18,7 @@ from mnist3d.spec import SolidSpec
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.mesh.files import FORMATS, read_mesh
 from tactile_toolkit.mesh.mesh import MM_PER_M, Mesh
-from tactile_toolkit.mesh.solid_check import judge
+from tactile_toolkit.mesh.solid_check import check_manifold
 from tactile_toolkit.pictures.plots import Spread, plot_spreads, require_plots
 from tactile_toolkit.pictures.previews import (
     MeshPreviews,
@@ -212,7 +212,7 @@ def object_facts(mesh: Mesh) -> tuple[str, ...]:
     x_mm, y_mm, z_mm = (np.ptp(mesh.vertices_m, axis=0) * MM_PER_M).tolist()
     size = f"{x_mm:.1f} x {y_mm:.1f} x {z_mm:.1f} mm"
     parts = f"{len(mesh.vertices_m):,} vertices, {len(mesh.faces):,} triangles"
-    found = judge(mesh)
+    found = check_manifold(mesh)
     if found.problem is not None:
         return f"{size}; {parts}", f"not a solid: {found.detail}"
     bodies = "one body" if found.bodies == 1 else f"{found.bodies} bodies"

@@ -13,7 +13,7 @@ from starstruck_gen.shapes import outline
 from starstruck_gen.stamping import stamp
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.mesh.mesh import MM_PER_M, Mesh
-from tactile_toolkit.mesh.solid_check import judge
+from tactile_toolkit.mesh.solid_check import check_manifold
 
 __all__ = ["check_scene", "inspect_scene"]
 
@@ -49,7 +49,7 @@ def check_scene(record: SceneRecord, names: Sequence[str] = CLASS_NAMES) -> str 
 def inspect_scene(record: SceneRecord, names: Sequence[str] = CLASS_NAMES) -> tuple[str | None, int]:
     """Return what is wrong with a scene, as :func:`check_scene` does, and how many bodies it has."""
     mesh = Mesh(record.vertices_m, record.faces)
-    verdict = judge(mesh)
+    verdict = check_manifold(mesh)
     if verdict.problem is not None:
         return f"{verdict.problem}: {verdict.detail}", verdict.bodies
     solids = verdict.manifold.decompose()

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from starstruck_gen.shapes import PUBLISHED_RADIUS_M, REGISTRY, Proportions, Shape, outline, shape_key
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.mesh.mesh import Mesh
-from tactile_toolkit.mesh.solid_check import judge
+from tactile_toolkit.mesh.solid_check import check_manifold
 
 __all__ = ["Prism", "own_kinds", "prism", "prism_solid", "register_shape", "require_fine_steps"]
 
@@ -92,7 +92,7 @@ def prism(key: str) -> Prism:
     )
     for array in (made.corners, made.cap, made.faces):
         array.setflags(write=False)
-    verdict = judge(Mesh(made.vertices(0.5) * PUBLISHED_RADIUS_M, made.faces))
+    verdict = check_manifold(Mesh(made.vertices(0.5) * PUBLISHED_RADIUS_M, made.faces))
     wrong = verdict.problem or ("in pieces" if verdict.bodies != 1 else None)
     # A figure of eight can pass for a solid: only its cap shows triangles that are turned over.
     if wrong is None and (doubled_areas <= 0).any():

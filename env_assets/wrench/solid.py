@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.mesh.mesh import MM_PER_M, Mesh
-from tactile_toolkit.mesh.solid_check import judge
+from tactile_toolkit.mesh.solid_check import check_manifold
 
 __all__ = ["chamfered_plate"]
 
@@ -29,7 +29,7 @@ def chamfered_plate(outline: Sequence[Line], thickness_mm: float, chamfer_mm: fl
     Returns
     -------
     Mesh
-        Float32 metres; a solid by :func:`tactile_toolkit.mesh.solid_check.judge`.
+        Float32 metres; a solid by :func:`tactile_toolkit.mesh.solid_check.check_manifold`.
 
     Raises
     ------
@@ -43,7 +43,7 @@ def chamfered_plate(outline: Sequence[Line], thickness_mm: float, chamfer_mm: fl
     vertices_mm = np.concatenate([_lifted(np.concatenate(lines), z_mm) for lines, z_mm in levels])
     faces = [*_caps(inner, len(levels)), *_sides(outline, len(levels))]
     mesh = Mesh((vertices_mm / MM_PER_M).astype(np.float32), np.concatenate(faces).astype(np.int32))
-    verdict = judge(mesh)
+    verdict = check_manifold(mesh)
     if verdict.problem is not None:
         raise InputError(_too_large(chamfer_mm, str(verdict.detail)))
     return mesh

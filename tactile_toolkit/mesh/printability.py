@@ -10,7 +10,7 @@ import numpy as np
 
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.mesh.mesh import MM_PER_M, as_mesh
-from tactile_toolkit.mesh.solid_check import Soundness, judge
+from tactile_toolkit.mesh.solid_check import ManifoldCheck, check_manifold
 from tactile_toolkit.mesh.walls import section_area_mm2, thinnest_width_mm
 
 if TYPE_CHECKING:
@@ -184,7 +184,7 @@ def inspect(mesh: MeshLike, profile: PrintProfile | None = None) -> PrintReport:
     """
     mesh = as_mesh(mesh)
     profile = PrintProfile() if profile is None else profile
-    sound = judge(mesh)
+    sound = check_manifold(mesh)
     counts = {"vertices": len(mesh.vertices_m), "faces": len(mesh.faces)}
     if sound.problem is not None:
         return _refusal(sound, counts)
@@ -226,14 +226,14 @@ def unreadable(detail: str) -> PrintReport:
     -------
     PrintReport
     """
-    return _refusal(Soundness(None, "NotTried", UNREADABLE, detail), {"vertices": 0, "faces": 0})
+    return _refusal(ManifoldCheck(None, "NotTried", UNREADABLE, detail), {"vertices": 0, "faces": 0})
 
 
 _OFF_VERTICES = 1e-7
 """Share of the height by which the middle section avoids the vertices that lie in the mid-plane."""
 
 
-def _refusal(sound: Soundness, counts: dict[str, int]) -> PrintReport:
+def _refusal(sound: ManifoldCheck, counts: dict[str, int]) -> PrintReport:
     unknown = math.nan
     return PrintReport(
         is_solid=False,
@@ -270,7 +270,7 @@ def _minor(u: NDArray[np.float64], v: NDArray[np.float64]) -> NDArray[np.float64
 
 def _warnings(
     profile: PrintProfile,
-    sound: Soundness,
+    sound: ManifoldCheck,
     size_mm: tuple[float, float, float],
     wall_mm: float,
     overhang_share: float,

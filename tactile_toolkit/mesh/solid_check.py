@@ -15,7 +15,7 @@ import numpy as np
 if TYPE_CHECKING:
     from tactile_toolkit.mesh.mesh import Mesh
 
-__all__ = ["PROBLEMS", "Soundness", "judge"]
+__all__ = ["PROBLEMS", "ManifoldCheck", "check_manifold"]
 
 PROBLEMS = (
     "bad-shape",
@@ -34,7 +34,7 @@ FLAT_MM3 = 1e-6
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Soundness:
+class ManifoldCheck:
     """The verdict on one mesh.
 
     Attributes
@@ -60,7 +60,7 @@ class Soundness:
     volume_mm3: float = math.nan
 
 
-def judge(mesh: Mesh) -> Soundness:
+def check_manifold(mesh: Mesh) -> ManifoldCheck:
     """Decide whether a mesh bounds a solid.
 
     Parameters
@@ -70,23 +70,23 @@ def judge(mesh: Mesh) -> Soundness:
 
     Returns
     -------
-    Soundness
+    ManifoldCheck
     """
     problem = _array_problem(mesh)
     if problem is not None:
-        return Soundness(None, "NotTried", *problem)
+        return ManifoldCheck(None, "NotTried", *problem)
     manifold = mesh.to_manifold()
     status = str(manifold.status()).rpartition(".")[2]
     if status != "NoError":
-        return Soundness(None, status, "not-manifold", _edge_story(mesh))
+        return ManifoldCheck(None, status, "not-manifold", _edge_story(mesh))
     parts = manifold.decompose()
     volume_mm3 = float(manifold.volume())
     problem = _volume_problem(volume_mm3, parts) or _overlap_problem(parts)
     outer = [part for part in parts if part.volume() > 0]
     genus = sum(part.genus() for part in parts)
     if problem is not None:
-        return Soundness(None, status, *problem, len(outer), genus, volume_mm3)
-    return Soundness(manifold, status, None, None, len(outer), genus, volume_mm3)
+        return ManifoldCheck(None, status, *problem, len(outer), genus, volume_mm3)
+    return ManifoldCheck(manifold, status, None, None, len(outer), genus, volume_mm3)
 
 
 def _array_problem(mesh: Mesh) -> tuple[str, str] | None:

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-__all__ = ["section_area_mm2", "thinnest_width_mm"]
+__all__ = ["section_area_mm2", "signed_area_mm2", "thinnest_width_mm"]
 
 SPACING_MM = 0.4
 """Distance of outline points; the outlines of the digits have corners every 0.4 to 0.8 mm."""
@@ -56,22 +56,17 @@ def thinnest_width_mm(outlines_mm: Sequence[NDArray[np.float64]]) -> float:
 
 
 def section_area_mm2(outlines_mm: Sequence[NDArray[np.float64]]) -> float:
-    """Add up the area that outlines enclose.
-
-    Parameters
-    ----------
-    outlines_mm : sequence of ndarray of float64, shape (N, 2)
-        Closed polygons in mm, outer ones counter-clockwise, holes clockwise.
-
-    Returns
-    -------
-    float
-        Square millimetres.
-    """
+    """Return the area that outlines enclose, turned as in :func:`thinnest_width_mm`."""
     area = 0.0
-    for x, y in (outline.T for outline in outlines_mm):
-        area += float(x @ np.roll(y, -1) - y @ np.roll(x, -1)) / 2
+    for outline in outlines_mm:  # not sum(), which rounds otherwise from Python 3.12 on
+        area += signed_area_mm2(outline)
     return area
+
+
+def signed_area_mm2(outline_mm: NDArray[np.float64]) -> float:
+    """Return the area within a closed polygon, negative where it is turned clockwise, as holes are."""
+    x, y = outline_mm.T
+    return float(x @ np.roll(y, -1) - y @ np.roll(x, -1)) / 2
 
 
 def _outline_points(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -11,7 +11,7 @@ import numpy as np
 
 from tactile_toolkit.errors import InputError, IntegrityError, ItemError
 from tactile_toolkit.mesh.mesh import MM_PER_M
-from tactile_toolkit.mesh.solid_check import Soundness, judge
+from tactile_toolkit.mesh.solid_check import ManifoldCheck, check_manifold
 from tactile_toolkit.store.folder import DataFolder, atomic_file, named_failures
 
 if TYPE_CHECKING:
@@ -38,6 +38,9 @@ __all__ = [
 UNREADABLE, CHANGED, OFF_PLATE = "unreadable", "changed", "off-plate"
 """What is wrong with a file beyond :data:`tactile_toolkit.mesh.solid_check.PROBLEMS`."""
 
+WRITTEN, KEPT = "written", "kept"
+"""What :func:`settle` did."""
+
 _BOUNDS_TOLERANCE_MM = 1e-3
 _VOLUME_TOLERANCE = 1e-3
 """Share of the volume: STL holds single precision."""
@@ -45,17 +48,7 @@ _VOLUME_TOLERANCE = 1e-3
 
 @dataclass(frozen=True, slots=True)
 class Failure:
-    """An object or file that is not there, and why.
-
-    Attributes
-    ----------
-    name : str
-        Name of the object or file.
-    problem : str
-        A short stable word.
-    detail : str
-        The story.
-    """
+    """An object or file that is not there: its name, a short stable word, and the story."""
 
     name: str
     problem: str
@@ -63,69 +56,20 @@ class Failure:
 
     def to_dict(self) -> dict[str, Any]:
         """Return JSON values."""
-        return {"name": self.name, "problem": self.problem, "detail": self.detail}
+        return asdict(self)
 
 
-def write_checked(place: Path, content: bytes, check: Callable[[Path], None]) -> None:
-    """Write a file, read it back, and give it its name only when the check agrees.
-
-    Parameters
-    ----------
-    place : Path
-        Where it is to stand.
-    content : bytes
-        The whole file.
-    check : callable
-        Reads the file under its temporary name, which has the same ending; raises what is wrong with it.
-
-    Raises
-    ------
-    ItemError
-        The check failed: the file is gone, and what stood at the place before still stands there.
-    StorageError
-        The file cannot be written.
-    """
-    with named_failures(str(place)), atomic_file(place) as stream:
-        stream.write(content)
-        stream.flush()
-        try:
-            check(Path(stream.name))
-        except InputError as error:
-            reason = error.reason if isinstance(error, ItemError) else UNREADABLE
-            message = f"read back from disk, {error}; the file was removed"
-            raise ItemError(reason, message) from error
-
-
-def require_solid(mesh: Mesh) -> Soundness:
-    """Return the verdict on a mesh that bounds a solid.
-
-    Raises
-    ------
-    ItemError
-        It bounds none.
-    """
-    verdict = judge(mesh)
+def require_solid(mesh: Mesh) -> ManifoldCheck:
+    """Return the verdict on a mesh that bounds a solid; raises ItemError where it bounds none."""
+    verdict = check_manifold(mesh)
     if verdict.problem is not None:
-        message = f"it bounds no solid ({verdict.problem}: {verdict.detail})"
+        message = f"it does not bound a solid ({verdict.problem}: {verdict.detail})"
         raise ItemError(verdict.problem, message)
     return verdict
 
 
-def require_same_solid(found: Mesh, meant: Mesh, verdict: Soundness) -> None:
-    """Check that a mesh read back is the solid that was written.
-
-    Parameters
-    ----------
-    found, meant : Mesh
-        As read back, and as written.
-    verdict : Soundness
-        On ``meant``.
-
-    Raises
-    ------
-    ItemError
-        It is no solid, or another one.
-    """
+def require_same_solid(found: Mesh, meant: Mesh, verdict: ManifoldCheck) -> None:
+    """Raise ItemError where a mesh read back is not the solid that was written, ``verdict`` being on that."""
     back = require_solid(found)
     if (back.bodies, back.genus) != (verdict.bodies, verdict.genus):
         message = (
@@ -144,66 +88,80 @@ def require_same_solid(found: Mesh, meant: Mesh, verdict: Soundness) -> None:
         raise ItemError(CHANGED, message)
 
 
-WRITTEN, KEPT = "written", "kept"
+def write_checked(path: Path, content: bytes, check: Callable[[Path], None]) -> None:
+    """Write a file, read it back, and give it its name only when the check agrees.
+
+    ``check`` reads the file under its temporary name, which has the same ending, and raises InputError with
+    what is wrong. That becomes an ItemError: the file is gone, and what stood at ``path`` before still does.
+    """
+    with named_failures(str(path)), atomic_file(path) as stream:
+        stream.write(content)
+        stream.flush()
+        try:
+            check(Path(stream.name))
+        except InputError as error:
+            reason = error.reason if isinstance(error, ItemError) else UNREADABLE
+            message = f"read back from disk, {error}; the file was removed"
+            raise ItemError(reason, message) from error
+
+
+def settle(path: Path, content: bytes, check: Callable[[Path], None] = lambda _path: None) -> str:
+    """Write a file as :func:`write_checked` unless it is there with this content; say which of both."""
+    if holds(path, content):
+        return KEPT
+    write_checked(path, content, check)
+    return WRITTEN
+
+
+def holds(path: Path, content: bytes) -> bool:
+    """Tell whether a file is there with exactly this content."""
+    try:
+        return path.stat().st_size == len(content) and path.read_bytes() == content
+    except FileNotFoundError:
+        return False
+    except OSError as error:
+        message = f"cannot read {str(path)!r}: {error.strerror or error}"
+        raise IntegrityError(message) from error
+
+
+def remove(paths: Iterable[Path]) -> None:
+    """Remove files, those that are there."""
+    for path in paths:
+        with named_failures(str(path)):
+            path.unlink(missing_ok=True)
 
 
 def prepare(out: str) -> Path:
-    """Make the folder, and remove what killed exports left half-written in it.
+    """Make a local folder, and remove what killed exports left half-written in it.
 
-    Raises
-    ------
-    InputError, StorageError
-        It is a file, or cannot be written.
+    Raises InputError or StorageError where it is a file or cannot be written.
     """
-    place = _local(out)
+    path = _local(out)
     folder = DataFolder(out)
     folder.require_folder()
     folder.remove_stale_files("")
-    return place
+    return path
 
 
 def existing(out: str) -> Path | None:
-    """Return the folder where it is there, without making or changing anything.
-
-    Raises
-    ------
-    InputError
-        It is a file, or no local place.
-    """
-    place = _local(out)
-    if place.exists() and not place.is_dir():
+    """Return a local folder where it is there, changing nothing; raises InputError where it is a file."""
+    path = _local(out)
+    if path.exists() and not path.is_dir():
         message = f"{out!r} is a file, a folder was expected; next: another --out"
         raise InputError(message)
-    return place if place.exists() else None
+    return path if path.exists() else None
 
 
 def _local(out: str) -> Path:
     folder = DataFolder(out)
     if not folder.is_local:
-        message = f"{out!r} is no local folder; files to print are written to a disk; next: a local --out"
+        message = f"{out!r} is not a local folder; files to print are written to a disk; next: a local --out"
         raise InputError(message)
     return Path(folder.address())
 
 
-def holds(place: Path, content: bytes) -> bool:
-    """Tell whether a file is there with exactly this content."""
-    try:
-        return place.stat().st_size == len(content) and place.read_bytes() == content
-    except FileNotFoundError:
-        return False
-    except OSError as error:
-        message = f"cannot read {str(place)!r}: {error.strerror or error}"
-        raise IntegrityError(message) from error
-
-
 def refuse_others(out: str, names: Iterable[str]) -> None:
-    """Refuse to go on when files with other content stand in the way.
-
-    Raises
-    ------
-    InputError
-        There are such files.
-    """
+    """Raise InputError when files with other content, by these names, stand in the way."""
     others = list(names)
     if others:
         message = (
@@ -211,31 +169,3 @@ def refuse_others(out: str, names: Iterable[str]) -> None:
             "written; next: --overwrite to replace them, or another --out"
         )
         raise InputError(message)
-
-
-def settle(place: Path, content: bytes, check: Callable[[Path], None]) -> str:
-    """Bring a file into being unless it is there as it should be.
-
-    Returns
-    -------
-    str
-        :data:`KEPT` or :data:`WRITTEN`.
-
-    Raises
-    ------
-    ItemError
-        What was written does not pass the check; it is gone.
-    StorageError
-        It cannot be written.
-    """
-    if holds(place, content):
-        return KEPT
-    write_checked(place, content, check)
-    return WRITTEN
-
-
-def remove(places: Iterable[Path]) -> None:
-    """Remove files; absent ones are no error."""
-    for place in places:
-        with named_failures(str(place)):
-            place.unlink(missing_ok=True)

@@ -3,23 +3,22 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from tactile_toolkit.errors import InputError, ItemError
-from tactile_toolkit.printing.checked import Failure
-from tactile_toolkit.printing.objects import require_scale
-from tactile_toolkit.printing.packing import Spot, pack
-from tactile_toolkit.printing.pieces import Piece, make_piece
-from tactile_toolkit.printing.tags import tag_size_mm
+from tactile_toolkit.printing.checked import Failure, require_solid
+from tactile_toolkit.printing.objects import require_scale, standing
+from tactile_toolkit.printing.packing import Outline, PlateSpec, outline_of, pack
 
 if TYPE_CHECKING:
-    from tactile_toolkit.printing.objects import PrintObject
-    from tactile_toolkit.printing.outlines import Outline
-    from tactile_toolkit.printing.plate_spec import PlateSpec
+    import numpy as np
+    from numpy.typing import NDArray
 
-__all__ = ["Layout", "Measured", "Placed", "Tag", "arrange", "measure"]
+    from tactile_toolkit.printing.objects import PrintObject
+
+__all__ = ["Layout", "Measured", "Piece", "Placed", "arrange", "measure"]
 
 Progress = Callable[[int, int], None]
 
@@ -28,30 +27,9 @@ def _silent(_done: int, _total: int) -> None:
     pass
 
 
-@dataclass(frozen=True, slots=True)
-class Tag:
-    """A tag on a plate.
-
-    Attributes
-    ----------
-    text : str
-        What it shows.
-    x_mm, y_mm : float
-        Its lower left corner, from the front left corner of the plate.
-    width_mm, depth_mm : float
-        Its sides.
-    """
-
-    text: str
-    x_mm: float
-    y_mm: float
-    width_mm: float
-    depth_mm: float
-
-
 @dataclass(frozen=True, slots=True, eq=False)
-class Placed:
-    """An object on a plate.
+class Piece:
+    """An object made ready for packing.
 
     Attributes
     ----------
@@ -59,12 +37,28 @@ class Placed:
         The object.
     outline : Outline
         What it covers.
-    x_mm, y_mm : float
-        Lower left corner of its bounding box, from the front left corner of the plate.
     height_mm, volume_mm3 : float
         Of the object.
-    tag : Tag or None
-        Its tag.
+    cells : ndarray of bool, shape (rows, columns)
+        Cells that it needs; an object of several parts needs what lies among them too.
+    area_mm2 : float
+        What it needs of the plate, grown by half the gap.
+    """
+
+    item: PrintObject
+    outline: Outline
+    height_mm: float
+    volume_mm3: float
+    cells: NDArray[np.bool_]
+    area_mm2: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Placed:
+    """An object on a plate.
+
+    ``x_mm`` and ``y_mm`` are the lower left corner of its bounding box, from the front left corner of the
+    plate.
     """
 
     item: PrintObject
@@ -73,12 +67,21 @@ class Placed:
     y_mm: float
     height_mm: float
     volume_mm3: float
-    tag: Tag | None
 
     @property
     def offset_mm(self) -> tuple[float, float, float]:
-        """How the object moves from the place that it is stored at; z = 0 is its lowest point already."""
+        """How the object moves from where it is stored; z = 0 is its lowest point already."""
         return self.x_mm - self.outline.low_mm[0], self.y_mm - self.outline.low_mm[1], 0.0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Measured:
+    """Objects made ready for packing, in their order, and those that are not solids and were left out."""
+
+    spec: PlateSpec
+    scale: float
+    pieces: tuple[Piece, ...]
+    failures: tuple[Failure, ...]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -98,7 +101,7 @@ class Layout:
     shares : tuple of float
         Share of each plate that is needed, so counted.
     failures : tuple of Failure
-        Objects that are no solids and were left out.
+        Objects that are not solids and were left out.
     """
 
     spec: PlateSpec
@@ -109,114 +112,58 @@ class Layout:
     failures: tuple[Failure, ...]
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Measured:
-    """Objects made ready for packing.
-
-    Attributes
-    ----------
-    spec : PlateSpec
-        Of the plates.
-    scale : float
-        Factor on all lengths.
-    pieces : tuple of Piece
-        In the order of the objects.
-    failures : tuple of Failure
-        Objects that are no solids and were left out.
-    """
-
-    spec: PlateSpec
-    scale: float
-    pieces: tuple[Piece, ...]
-    failures: tuple[Failure, ...]
-
-
 def measure(
     objects: Sequence[PrintObject], spec: PlateSpec, scale: float = 1.0, on_progress: Progress = _silent
 ) -> Measured:
-    """Take the outline of every object, with its tag where the plates have tags.
+    """Take the outline of every object; ``scale`` is a factor on all lengths.
 
-    Parameters
-    ----------
-    objects : sequence of PrintObject
-        What to print.
-    spec : PlateSpec
-        Plates.
-    scale : float
-        Factor on all lengths.
-    on_progress : callable
-        Told objects done and in all.
-
-    Raises
-    ------
-    InputError
-        An object, alone or with its tag, is larger than a plate; two would have the same tag; or the scale is
-        not positive.
+    Raises InputError where an object is larger than a plate, or the scale is not positive.
     """
     require_scale(scale)
-    if spec.label:
-        _require_own_tags(objects)
     pieces, failures = [], []
     for done, item in enumerate(objects, 1):
         try:
-            pieces.append(make_piece(item, spec, scale))
+            pieces.append(_piece(item, spec, scale))
         except ItemError as error:
             failures.append(Failure(item.name, error.reason, f"{error}; it was left out"))
         on_progress(done, len(objects))
     return Measured(spec, scale, tuple(pieces), tuple(failures))
 
 
-def _require_own_tags(objects: Iterable[PrintObject]) -> None:
-    first: dict[int, PrintObject] = {}
-    for item in objects:
-        other = first.setdefault(item.id, item)
-        if other is not item:
-            message = (
-                f"--label: {other.name} and {item.name} have the same id {item.id}, and a tag shows the id "
-                "alone; next: one --split at a time, or no --label"
-            )
-            raise InputError(message)
+def _piece(item: PrintObject, spec: PlateSpec, scale: float) -> Piece:
+    verdict = require_solid(standing(item.load(), scale))
+    outline = outline_of(verdict.manifold)
+    width_mm, depth_mm = outline.size_mm
+    if width_mm > spec.width_mm + 1e-6 or depth_mm > spec.depth_mm + 1e-6:
+        message = (
+            f"{item.name} does not fit on the plate: it needs {width_mm:.1f} x {depth_mm:.1f} mm, the plate "
+            f"is {spec.width_mm:g} x {spec.depth_mm:g} mm; nothing was written; next: a larger --plate, a "
+            "smaller --scale, or other --ids"
+        )
+        raise InputError(message)
+    box = verdict.manifold.bounding_box()
+    claimed = outline.claimed()
+    area_mm2 = float(claimed.grown(spec.gap_mm / 2).area())
+    height_mm = float(box[5] - box[2])
+    return Piece(item, outline, height_mm, verdict.volume_mm3, spec.cells_of(claimed), area_mm2)
 
 
 def arrange(measured: Measured, on_progress: Progress = _silent) -> Layout:
     """Find a place for every object on few plates; objects are moved, never turned.
 
-    Parameters
-    ----------
-    measured : Measured
-        What to place.
-    on_progress : callable
-        Told objects placed and in all, over all attempts.
-
-    Returns
-    -------
-    Layout
-        The same for the same input.
+    The same input gives the same layout; progress counts objects placed over all attempts.
     """
     spec, pieces = measured.spec, measured.pieces
-    grid = spec.grid
-    least = math.ceil(sum(piece.area_mm2 for piece in pieces) / grid.area_mm2 - 1e-9)
-    spots = pack([piece.cells for piece in pieces], (grid.rows, grid.columns), least, on_progress)
-    plates = tuple(
-        _front_to_back(_placed(pieces[spot.shape], spot, spec) for spot in plate) for plate in spots
-    )
-    shares = tuple(sum(pieces[spot.shape].area_mm2 for spot in plate) / grid.area_mm2 for plate in spots)
-    return Layout(spec, measured.scale, plates, least, shares, measured.failures)
-
-
-def _placed(piece: Piece, spot: Spot, spec: PlateSpec) -> Placed:
-    cell_width_mm, cell_depth_mm = spec.grid.cell_mm
-
-    def moved(corner_mm: tuple[float, float]) -> tuple[float, float]:
-        return spot.column * cell_width_mm + corner_mm[0], spot.row * cell_depth_mm + corner_mm[1]
-
-    tag = None
-    if piece.tag_mm is not None:
-        text = str(piece.item.id)
-        tag = Tag(text, *moved(piece.tag_mm), *tag_size_mm(text))
-    corner = moved(piece.object_mm)
-    return Placed(piece.item, piece.outline, *corner, piece.height_mm, piece.volume_mm3, tag)
-
-
-def _front_to_back(plate: Iterable[Placed]) -> tuple[Placed, ...]:
-    return tuple(sorted(plate, key=lambda placed: (placed.y_mm, placed.x_mm)))
+    least = math.ceil(sum(piece.area_mm2 for piece in pieces) / spec.area_mm2 - 1e-9)
+    packed = pack([piece.cells for piece in pieces], spec.cells, least, on_progress)
+    cell_width_mm, cell_depth_mm = spec.cell_mm
+    plates, shares = [], []
+    for spots in packed:
+        placed = []
+        for spot in spots:
+            piece, x_mm, y_mm = pieces[spot.shape], spot.column * cell_width_mm, spot.row * cell_depth_mm
+            figures = (piece.height_mm, piece.volume_mm3)
+            placed.append(Placed(piece.item, piece.outline, x_mm, y_mm, *figures))
+        plates.append(tuple(sorted(placed, key=lambda each: (each.y_mm, each.x_mm))))
+        shares.append(sum(pieces[spot.shape].area_mm2 for spot in spots) / spec.area_mm2)
+    return Layout(spec, measured.scale, tuple(plates), least, tuple(shares), measured.failures)

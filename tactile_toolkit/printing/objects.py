@@ -9,7 +9,7 @@ import unicodedata
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from functools import partial
-from typing import TYPE_CHECKING, Any, Protocol, TypeAlias
+from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
 
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from tactile_toolkit.mesh.records import SolidRecord
     from tactile_toolkit.read.dataset import RecordDataset
 
-__all__ = ["IdChoice", "PrintObject", "Surface", "choose", "parse_ids", "require_scale", "standing"]
+__all__ = ["IdChoice", "PrintObject", "choose", "parse_ids", "require_scale", "standing"]
 
 _ID_DIGITS = 5
 _UNSAFE = re.compile(r"[^\w+-]+")
@@ -31,20 +31,6 @@ _IDS = re.compile(r"(-?\d{1,20})(?:-(\d{1,20}))?", re.ASCII)
 
 IdChoice: TypeAlias = Sequence[int | tuple[int, int]]
 """Ids, and first and last ids of ranges."""
-
-
-class Surface(Protocol):
-    """Anything with triangles: a :class:`~tactile_toolkit.mesh.mesh.Mesh` or a stored record."""
-
-    @property
-    def vertices_m(self) -> NDArray[np.floating[Any]]:
-        """Corners, shape (V, 3), metres."""
-        ...
-
-    @property
-    def faces(self) -> NDArray[np.int32]:
-        """Triangles, shape (F, 3)."""
-        ...
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,7 +44,7 @@ class PrintObject:
     split, label : str
         Where it comes from and the name of its class; both may be empty.
     id : int
-        What its tag shows.
+        Its number in the split.
     load : callable
         Gives its triangles; called each time that they are needed, so that a thousand objects take no more
         memory than one. Picklable where worker processes are used.
@@ -68,39 +54,23 @@ class PrintObject:
     split: str
     label: str
     id: int
-    load: Callable[[], Surface]
+    load: Callable[[], Mesh | SolidRecord]
 
 
-def standing(surface: Surface, scale: float = 1.0) -> Mesh:
+def standing(surface: Mesh | SolidRecord, scale: float = 1.0) -> Mesh:
     """Stand an object on the plate in the pose that it has: only its height above the plate changes.
 
-    Parameters
-    ----------
-    surface : Surface
-        Triangles as stored; corners at the very same place are made one, as solids need it.
-    scale : float
-        Factor on all lengths, about the origin.
-
-    Returns
-    -------
-    Mesh
-        Float64, lowest point at z = 0.
+    Corners with the very same coordinates are made one, as solids need it; ``scale`` is a factor on all
+    lengths, about the origin.
     """
-    vertices_m = np.asarray(surface.vertices_m, np.float64) * scale
+    vertices_m: NDArray[np.float64] = np.asarray(surface.vertices_m, np.float64) * scale
     faces = np.asarray(surface.faces, np.int32)
     # What names corners that are not there is left as it is: the check of the solid says so.
     if faces.size and faces.min() >= 0 and faces.max() < len(vertices_m):
-        vertices_m, faces = _merged(vertices_m, faces)
+        vertices_m, faces = merge_equal_vertices(vertices_m, faces)
     if len(vertices_m):
         vertices_m[:, 2] -= vertices_m[:, 2].min()
     return Mesh(vertices_m, faces)
-
-
-def _merged(
-    vertices_m: NDArray[np.float64], faces: NDArray[np.int32]
-) -> tuple[NDArray[np.float64], NDArray[np.int32]]:
-    vertices, merged = merge_equal_vertices(vertices_m, faces)
-    return np.asarray(vertices, np.float64), merged
 
 
 def choose(
@@ -110,7 +80,7 @@ def choose(
     labels: Sequence[str] | None = None,
     limit: int | None = None,
 ) -> list[PrintObject]:
-    """Choose rows of data sets; no mesh is read.
+    """Choose rows of data sets, in their order; no mesh is read.
 
     Parameters
     ----------
@@ -122,11 +92,6 @@ def choose(
         Only these classes, by name.
     limit : int, optional
         Only the first so many of what is left of each split.
-
-    Returns
-    -------
-    list of PrintObject
-        In the order of the rows.
 
     Raises
     ------
@@ -142,9 +107,19 @@ def choose(
         if ranges is not None:
             wanted, found = _within(rows.ids, ranges)
             seen |= found
+        names = list(rows.label_names)
         if labels is not None:
-            wanted &= np.isin(rows.labels, _label_numbers(labels, rows.label_names, split))
-        objects += _objects(split, rows, np.flatnonzero(wanted)[:limit])
+            unknown = [label for label in labels if label not in names]
+            if unknown:
+                message = f"no class {unknown[0]!r} in split {split!r}; expected one of {', '.join(names)}"
+                raise InputError(message)
+            wanted &= np.isin(rows.labels, [names.index(label) for label in labels])
+        chosen = np.flatnonzero(wanted)[:limit]
+        columns = (chosen.tolist(), rows.ids[chosen].tolist(), rows.labels[chosen].tolist())
+        for row, number, label in zip(*columns, strict=True):
+            word = names[label] if 0 <= label < len(names) else str(label)
+            name = "-".join(part for part in (_safe(split), _safe(word), f"{number:0{_ID_DIGITS}d}") if part)
+            objects.append(PrintObject(name, split, word, number, partial(_row, rows, row)))
     _require_found(ranges or (), seen)
     if not objects:
         message = (
@@ -155,36 +130,15 @@ def choose(
     return objects
 
 
-def require_scale(scale: float) -> None:
-    """Refuse a factor that makes nothing to print.
+def _row(rows: RecordDataset[SolidRecord], position: int) -> SolidRecord:
+    return rows[position]
 
-    Raises
-    ------
-    InputError
-        It is not a positive number.
-    """
+
+def require_scale(scale: float) -> None:
+    """Refuse a factor that is not a positive number."""
     if not (math.isfinite(scale) and scale > 0):
         message = f"--scale is {scale:g}; expected a positive number such as 1 or 0.5"
         raise InputError(message)
-
-
-def _objects(split: str, rows: RecordDataset[SolidRecord], positions: NDArray[np.int64]) -> list[PrintObject]:
-    ids, labels = rows.ids, rows.labels
-    return [
-        _object(
-            split, _label_name(rows.label_names, int(labels[row])), int(ids[row]), partial(_row, rows, row)
-        )
-        for row in positions.tolist()
-    ]
-
-
-def _object(split: str, label: str, number: int, load: Callable[[], Surface]) -> PrintObject:
-    name = "-".join(part for part in (_safe(split), _safe(label), f"{number:0{_ID_DIGITS}d}") if part)
-    return PrintObject(name, split, label, number, load)
-
-
-def _row(rows: RecordDataset[SolidRecord], position: int) -> Surface:
-    return rows[position]
 
 
 def _safe(word: str) -> str:
@@ -193,24 +147,13 @@ def _safe(word: str) -> str:
     return _UNSAFE.sub("_", unicodedata.normalize("NFC", word))
 
 
-def _label_name(names: Sequence[str], number: int) -> str:
-    return names[number] if 0 <= number < len(names) else str(number)
-
-
-def _label_numbers(labels: Sequence[str], names: Sequence[str], split: str) -> list[int]:
-    unknown = [label for label in labels if label not in names]
-    if unknown:
-        message = f"no class {unknown[0]!r} in split {split!r}; expected one of {', '.join(names)}"
-        raise InputError(message)
-    return [list(names).index(label) for label in labels]
-
-
 def _within(
     known: NDArray[np.int64], ranges: Sequence[tuple[int, int]]
 ) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
     """Tell which ids are in any range, and which ranges hold any id."""
     order = np.argsort(known, kind="stable")
     in_order = known[order]
+    # bisect and not numpy's searchsorted: the ends of ranges may be larger than any int64.
     firsts = [bisect.bisect_left(in_order, low) for low, _ in ranges]
     ends = [bisect.bisect_right(in_order, high) for _, high in ranges]
     wanted = np.zeros(len(known), bool)
@@ -243,18 +186,10 @@ def _require_unique(objects: Sequence[PrintObject]) -> None:
 
 
 def parse_ids(text: str) -> list[int | tuple[int, int]]:
-    """Read ids such as ``3,17,40-60``.
+    """Read ids such as ``3,17,40-60``: numbers, and first and last one of each range.
 
-    Returns
-    -------
-    list of int or (int, int)
-        Ids and, for each range, its first and last one: the ids of a split are scattered, so that most
-        numbers of a range belong to no row.
-
-    Raises
-    ------
-    InputError
-        The text has another form.
+    Ranges stay ranges, as the ids of a split are scattered: most numbers of a range belong to no row. Raises
+    InputError for another form.
     """
     numbers: list[int | tuple[int, int]] = []
     for part in text.split(","):

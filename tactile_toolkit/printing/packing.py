@@ -1,40 +1,206 @@
-"""Packing shapes of cells onto as few plates as a patient greedy search finds.
+"""What objects cover of a build plate, and packing them onto as few plates as a patient greedy search finds.
 
-Plates are filled one after another. At each step every shape that is left (or the largest of them) is tried
-at every place of the plate, by correlation in the frequency domain, and the one that lies most snugly is put
-down: by the share of its rim that is taken already, and a bonus for large shapes, which only get harder to
-place. Shapes are moved by whole cells and never turned.
+Plates are divided into cells. Plates are filled one after another: at each step every shape that is left (or
+the largest of them) is tried at every position of the plate, by correlation in the frequency domain, and the
+one with the best contact score is put down: the share of its rim that is taken already, and a bonus for large
+shapes, which only get harder to place. Shapes are moved by whole cells and never turned.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+import math
+import re
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from scipy import fft, ndimage
 
+from tactile_toolkit.errors import InputError
+from tactile_toolkit.mesh.raster import highest_values
+from tactile_toolkit.mesh.walls import signed_area_mm2
+
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-__all__ = ["Spot", "Temper", "pack"]
+__all__ = ["Outline", "PlateSpec", "Spot", "Weights", "cells_touched", "outline_of", "pack"]
 
-Cells = "NDArray[np.bool_]"
-Spectrum = "NDArray[np.complex64]"
+Rings = Sequence["NDArray[np.float64]"]
+
+_ARC_SEGMENTS = 64
+_SAMPLES_PER_CELL = 8
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Outline:
+    """What an object covers of the plate, its lower left corner at the origin.
+
+    Attributes
+    ----------
+    rings : tuple of ndarray of float64, shape (n, 2)
+        Closed rings in mm, holes turned the other way round.
+    size_mm : tuple of float
+        Along x and y.
+    low_mm : tuple of float
+        Where the lower left corner is in the object's own frame.
+    """
+
+    rings: tuple[NDArray[np.float64], ...]
+    size_mm: tuple[float, float]
+    low_mm: tuple[float, float]
+
+    @property
+    def parts(self) -> int:
+        """How many separate parts are seen from above."""
+        return sum(signed_area_mm2(ring) > 0 for ring in self.rings)
+
+    def claimed(self) -> Outline:
+        """Return what no other object may enter: of one part, the outline; of several, their convex hull.
+
+        Parts that stand alone would not be told from those of another object that stands among them.
+        """
+        if self.parts <= 1:
+            return self
+        import manifold3d
+
+        hull = manifold3d.CrossSection([*self.rings], manifold3d.FillRule.Positive).hull()
+        rings = tuple(np.asarray(ring, np.float64) for ring in hull.to_polygons())
+        return Outline(rings, self.size_mm, self.low_mm)
+
+    def grown(self, by_mm: float) -> Any:
+        """Return everything within a distance of the outline, a manifold3d.CrossSection."""
+        import manifold3d
+
+        section = manifold3d.CrossSection([*self.rings], manifold3d.FillRule.Positive)
+        # Arcs become chords, which lie inside them: the polygon is drawn around the arc instead.
+        around_mm = by_mm / math.cos(math.pi / _ARC_SEGMENTS)
+        return section.offset(around_mm, manifold3d.JoinType.Round, circular_segments=_ARC_SEGMENTS)
+
+
+def outline_of(manifold: Any) -> Outline:
+    """Return what a solid, a manifold3d.Manifold in mm, covers of the plate."""
+    section = manifold.project()
+    left, front, right, back = section.bounds()
+    rings = tuple(np.asarray(ring, np.float64) - (left, front) for ring in section.to_polygons())
+    return Outline(rings, (right - left, back - front), (left, front))
+
+
+_PLATE_TEXT = re.compile(r"(\d+(?:\.\d+)?)x(\d+(?:\.\d+)?)")
+_PITCH_MM = 1.0
+_MOST_CELLS = 400
+"""Cells along the longer side of a plate; beyond it cells grow with the plate."""
+
+
+@dataclass(frozen=True, slots=True)
+class PlateSpec:
+    """Build plates: how large they are, and how far apart things lie on them.
+
+    A plate and half a gap around it are divided into cells. An object needs the cells that it touches when
+    grown by half the gap. Objects that share no cell, each moved by whole cells, are therefore at least a gap
+    apart.
+
+    Attributes
+    ----------
+    width_mm, depth_mm : float
+        Sides along x and y.
+    gap_mm : float
+        Least distance between objects.
+    """
+
+    width_mm: float = 256.0
+    depth_mm: float = 256.0
+    gap_mm: float = 3.0
+
+    def __post_init__(self) -> None:
+        """Refuse plates that no printer has."""
+        if not (1 <= self.width_mm <= 10_000 and 1 <= self.depth_mm <= 10_000):
+            message = f"the plate is {self.width_mm:g} x {self.depth_mm:g} mm; expected 1 to 10,000 mm a side"
+            raise InputError(message)
+        if not (math.isfinite(self.gap_mm) and 0 <= self.gap_mm <= 1_000):
+            message = f"the gap between objects is {self.gap_mm:g} mm; expected 0 to 1,000"
+            raise InputError(message)
+
+    @classmethod
+    def parse(cls, plate: str, gap_mm: float = 3.0) -> PlateSpec:
+        """Read the sides from text such as ``256x256``; raises InputError for another form."""
+        match = _PLATE_TEXT.fullmatch(plate.strip().lower())
+        if match is None:
+            message = f"--plate is {plate!r}; expected width x depth in mm, such as 256x256"
+            raise InputError(message)
+        return cls(float(match[1]), float(match[2]), gap_mm)
+
+    @property
+    def text(self) -> str:
+        """Plate and gap for people."""
+        return f"{self.width_mm:g} x {self.depth_mm:g} mm, gap {self.gap_mm:g} mm"
+
+    @property
+    def sides_mm(self) -> tuple[float, float]:
+        """Width and depth."""
+        return self.width_mm, self.depth_mm
+
+    @property
+    def cells(self) -> tuple[int, int]:
+        """Rows and columns of cells."""
+        width_mm, depth_mm = self.width_mm + self.gap_mm, self.depth_mm + self.gap_mm
+        pitch_mm = max(_PITCH_MM, max(width_mm, depth_mm) / _MOST_CELLS)
+        return math.ceil(depth_mm / pitch_mm), math.ceil(width_mm / pitch_mm)
+
+    @property
+    def cell_mm(self) -> tuple[float, float]:
+        """Sides of a cell along x and y: whole cells fill the plate exactly."""
+        rows, columns = self.cells
+        return (self.width_mm + self.gap_mm) / columns, (self.depth_mm + self.gap_mm) / rows
+
+    @property
+    def area_mm2(self) -> float:
+        """Area of all cells."""
+        return (self.width_mm + self.gap_mm) * (self.depth_mm + self.gap_mm)
+
+    def cells_of(self, outline: Outline) -> NDArray[np.bool_]:
+        """Return the cells that an outline needs, shape (rows, columns).
+
+        The first cell begins half a gap left of and below the outline's lower left corner.
+        """
+        cell_mm = np.array(self.cell_mm)
+        columns, rows = (
+            math.ceil((side_mm + self.gap_mm) / side_of_cell_mm - 1e-6)
+            for side_mm, side_of_cell_mm in zip(outline.size_mm, self.cell_mm, strict=True)
+        )
+        # Sampled edges may cut the corner of a cell unseen; growing by half a step makes up for it.
+        slack_mm = float(cell_mm.max()) / _SAMPLES_PER_CELL / 2
+        rings = outline.grown(self.gap_mm / 2 + slack_mm).to_polygons()
+        return cells_touched(
+            [(np.asarray(ring) + self.gap_mm / 2) / cell_mm for ring in rings], (rows, columns)
+        )
+
+
+def cells_touched(rings: Rings, shape: tuple[int, int]) -> NDArray[np.bool_]:
+    """Return the cells, shape (rows, columns), whose middle is inside polygons or that an edge runs through.
+
+    Rings are closed, in units of cells, x then y, holes turned the other way round; what lies outside of
+    ``shape`` is cut off. A corner cut by less than an eighth of a cell may be missed.
+    """
+    import manifold3d
+
+    starts = np.concatenate(list(rings))
+    # The middle of the first cell is at 0.5, that of the first pixel at 0.
+    corners = np.vstack([starts.T - 0.5, np.zeros(len(starts))])
+    cells = np.isfinite(highest_values(corners, manifold3d.triangulate([*rings]), shape))
+    steps = np.concatenate([np.roll(ring, -1, axis=0) for ring in rings]) - starts
+    count = np.maximum(np.ceil(np.linalg.norm(steps, axis=1) * _SAMPLES_PER_CELL).astype(int), 1)
+    edge = np.repeat(np.arange(len(count)), count)
+    step = np.arange(len(edge)) - np.repeat(np.cumsum(count) - count, count)
+    column, row = np.floor(starts[edge] + (step / count[edge])[:, None] * steps[edge]).astype(int).T
+    inside = (row >= 0) & (row < shape[0]) & (column >= 0) & (column < shape[1])
+    cells[row[inside], column[inside]] = True
+    return cells
 
 
 @dataclass(frozen=True, slots=True, order=True)
 class Spot:
-    """Where a shape was put.
-
-    Attributes
-    ----------
-    shape : int
-        Its number in the order given.
-    row, column : int
-        Cell of the plate on which its first cell lies.
-    """
+    """Where a shape was put: its number in the order given, and the cell on which its first cell lies."""
 
     shape: int
     row: int
@@ -42,7 +208,7 @@ class Spot:
 
 
 @dataclass(frozen=True, slots=True)
-class Temper:
+class Weights:
     """What the search prefers. Found by trial on the digits of ``printed_test``.
 
     Attributes
@@ -50,7 +216,7 @@ class Temper:
     rim_cells : int
         How far around a shape neighbours count as touching. A wide rim also fills bays.
     front : float
-        Dislike of places far from the front edge.
+        Dislike of positions far from the front edge.
     large : float
         Bonus of the largest shape.
     """
@@ -60,19 +226,9 @@ class Temper:
     large: float = 0.3
 
 
-TEMPERS = (Temper(), Temper(12, 0.05, 0.6), Temper(8, 0.2, 0.3))
+_TRIED_WEIGHTS = (Weights(), Weights(12, 0.05, 0.6), Weights(8, 0.2, 0.3))
+_MOST_SHAPES_FOR_ALL_WEIGHTS = 150
 _TRIED_AT_ONCE = 100
-_MOST_FOR_ALL_TEMPERS = 150
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _Shape:
-    number: int
-    cells: NDArray[np.bool_]
-    area: int
-    rim_area: int
-    body_spectrum: NDArray[np.complex64]
-    rim_spectrum: NDArray[np.complex64]
 
 
 def pack(
@@ -92,91 +248,58 @@ def pack(
     least_plates : int
         Known lower bound: the search ends when it is reached.
     on_progress : callable
-        Told shapes placed and in all, over all attempts.
+        Called with shapes placed and in all, over all attempts.
 
     Returns
     -------
     list of list of Spot
         One list per plate; the same input always gives the same list.
     """
-    tempers = TEMPERS if len(shapes) <= _MOST_FOR_ALL_TEMPERS else TEMPERS[:1]
+    attempts = _TRIED_WEIGHTS if len(shapes) <= _MOST_SHAPES_FOR_ALL_WEIGHTS else _TRIED_WEIGHTS[:1]
+    total = len(attempts) * len(shapes)
+    areas = [int(shape.sum()) for shape in shapes]
+    largest_first = sorted(range(len(shapes)), key=lambda number: (-areas[number], number))
     best: list[list[Spot]] = []
-    for attempt, temper in enumerate(tempers):
-        tell = _Teller(on_progress, attempt * len(shapes), len(tempers) * len(shapes))
-        found = _attempt(shapes, plate, temper, tell)
-        best = min(best or found, found, key=lambda plates: _cost(plates, shapes))
+    for attempt, weights in enumerate(attempts):
+        left, plates = largest_first, []
+        while left:
+            before = attempt * len(shapes) + len(shapes) - len(left)
+
+            def placed(count: int, before: int = before) -> None:
+                on_progress(before + count, total)
+
+            plates.append(_Filling(plate, weights, areas[largest_first[0]]).fill(left, shapes, placed))
+            done = {spot.shape for spot in plates[-1]}
+            left = [number for number in left if number not in done]
+        # Fewest plates, then fewest cells on the last one.
+        best = min(
+            best or plates,
+            plates,
+            key=lambda found: (len(found), sum(areas[spot.shape] for spots in found[-1:] for spot in spots)),
+        )
         if len(best) <= least_plates:
             break
-    on_progress(len(tempers) * len(shapes), len(tempers) * len(shapes))
+    on_progress(total, total)
     return best
 
 
-def _cells(spots: Sequence[Spot], shapes: Sequence[NDArray[np.bool_]]) -> int:
-    return int(sum(shapes[spot.shape].sum() for spot in spots))
-
-
-def _largest_first(numbers: Iterable[int], shapes: Sequence[NDArray[np.bool_]]) -> list[int]:
-    return sorted(numbers, key=lambda number: (-int(shapes[number].sum()), number))
-
-
-@dataclass(slots=True)
-class _Teller:
-    on_progress: Callable[[int, int], None]
-    done: int
-    total: int
-
-    def placed(self) -> None:
-        self.done += 1
-        self.on_progress(self.done, self.total)
-
-
-def _cost(plates: list[list[Spot]], shapes: Sequence[NDArray[np.bool_]]) -> tuple[int, int]:
-    """Count plates, then cells on the last one."""
-    return len(plates), sum(_cells(plate, shapes) for plate in plates[-1:])
-
-
-def _attempt(
-    shapes: Sequence[NDArray[np.bool_]], plate: tuple[int, int], temper: Temper, tell: _Teller
-) -> list[list[Spot]]:
-    left = _largest_first(range(len(shapes)), shapes)
-    largest = int(shapes[left[0]].sum()) if left else 0
-    plates = []
-    while left:
-        filling = _Filling(plate, temper, largest)
-        plates.append(_fill(filling, left, shapes, tell.placed))
-        done = {spot.shape for spot in plates[-1]}
-        left = [number for number in left if number not in done]
-    return plates
-
-
-def _fill(
-    filling: _Filling,
-    left: Sequence[int],
-    shapes: Sequence[NDArray[np.bool_]],
-    tell: Callable[[], None],
-) -> list[Spot]:
-    waiting = list(left)
-    tried: list[_Shape] = []
-    spots: list[Spot] = []
-    while waiting or tried:
-        while waiting and len(tried) < _TRIED_AT_ONCE:
-            tried.append(filling.prepare(waiting[0], shapes[waiting.pop(0)]))
-        best, tried = filling.best_of(tried)
-        if best is not None:
-            filling.put(best, shapes[best.shape])
-            tried = [shape for shape in tried if shape.number != best.shape]
-            spots.append(best)
-            tell()
-    return spots
+@dataclass(frozen=True, slots=True, eq=False)
+class _Shape:
+    number: int
+    cells: NDArray[np.bool_]
+    area: int
+    rim_area: int
+    body_spectrum: NDArray[np.complex64]
+    rim_spectrum: NDArray[np.complex64]
 
 
 class _Filling:
     """One plate while it is filled."""
 
-    def __init__(self, plate: tuple[int, int], temper: Temper, largest: int) -> None:
-        rim = temper.rim_cells
+    def __init__(self, plate: tuple[int, int], weights: Weights, largest: int) -> None:
+        rim = weights.rim_cells
         self._plate = plate
-        self._temper = temper
+        self._weights = weights
         self._largest = largest
         self._free = plate[0] * plate[1]
         # The edge counts as a neighbour: what lies against it wastes nothing.
@@ -185,10 +308,39 @@ class _Filling:
         self._size = (fft.next_fast_len(rows, real=True), fft.next_fast_len(columns, real=True))
         self._spectrum = fft.rfft2(self._taken, self._size)
 
-    def prepare(self, number: int, cells: NDArray[np.bool_]) -> _Shape:
+    def fill(
+        self, numbers: Sequence[int], shapes: Sequence[NDArray[np.bool_]], placed: Callable[[int], None]
+    ) -> list[Spot]:
+        """Put down as many shapes as have a position; ``placed`` is called with how many there are."""
+        waiting = list(numbers)
+        tried: list[_Shape] = []
+        spots: list[Spot] = []
+        while waiting or tried:
+            while waiting and len(tried) < _TRIED_AT_ONCE:
+                tried.append(self._prepared(waiting[0], shapes[waiting.pop(0)]))
+            best: tuple[float, Spot] | None = None
+            fitting = []
+            for shape in tried:
+                found = self._best_spot(shape)
+                if found is None:
+                    continue
+                fitting.append(shape)
+                if best is None or found[0] > best[0]:
+                    best = found
+            # What has no position now will have none later: the plate only gets fuller.
+            tried = fitting
+            if best is not None:
+                spot = best[1]
+                self._take(spot, shapes[spot.shape])
+                tried = [shape for shape in tried if shape.number != spot.shape]
+                spots.append(spot)
+                placed(len(spots))
+        return spots
+
+    def _prepared(self, number: int, cells: NDArray[np.bool_]) -> _Shape:
         """Transform a shape and its rim."""
-        body = np.pad(cells, self._temper.rim_cells)
-        near = ndimage.distance_transform_cdt(~body, "taxicab") <= self._temper.rim_cells
+        body = np.pad(cells, self._weights.rim_cells)
+        near = ndimage.distance_transform_cdt(~body, "taxicab") <= self._weights.rim_cells
         rim = near & ~body
         spectra = (
             np.conj(fft.rfft2(part.astype(np.float32), self._size)).astype(np.complex64)
@@ -196,51 +348,33 @@ class _Filling:
         )
         return _Shape(number, cells, int(cells.sum()), int(rim.sum()), *spectra)
 
-    def best_of(self, tried: list[_Shape]) -> tuple[Spot | None, list[_Shape]]:
-        """Return the best shape and place, and the shapes that still have a place."""
-        best: tuple[float, Spot] | None = None
-        fitting = []
-        for shape in tried:
-            found = self._best_place(shape)
-            if found is None:
-                continue
-            fitting.append(shape)
-            if best is None or found[0] > best[0]:
-                best = found
-        return (None if best is None else best[1]), fitting
-
-    def put(self, spot: Spot, cells: NDArray[np.bool_]) -> None:
-        """Take the cells of a shape."""
-        rim = self._temper.rim_cells
+    def _take(self, spot: Spot, cells: NDArray[np.bool_]) -> None:
+        rim = self._weights.rim_cells
         rows, columns = cells.shape
         view = self._taken[rim + spot.row :, rim + spot.column :][:rows, :columns]
         view += cells
         self._free -= int(cells.sum())
         self._spectrum = fft.rfft2(self._taken, self._size)
 
-    def _best_place(self, shape: _Shape) -> tuple[float, Spot] | None:
+    def _best_spot(self, shape: _Shape) -> tuple[float, Spot] | None:
+        """Return the best score of a shape and where it has it; None where it does not fit."""
         if shape.area > self._free:
             return None
         free = self._counts(shape.body_spectrum, shape) == 0
         if not free.any():
             return None
-        snug = self._counts(shape.rim_spectrum, shape) / np.float32(shape.rim_area)
-        score = np.where(free, snug - self._distance(shape), -np.inf)
+        contact = self._counts(shape.rim_spectrum, shape) / np.float32(shape.rim_area)
+        rows, columns = (np.arange(side, dtype=np.float32) for side in free.shape)
+        away = rows[:, None] / np.float32(self._plate[0]) + 0.1 * columns / np.float32(self._plate[1])
+        distance = np.asarray(self._weights.front * away, np.float32)
+        score = np.where(free, contact - distance, -np.inf)
         row, column = divmod(int(score.argmax()), score.shape[1])
-        bonus = self._temper.large * shape.area / self._largest
+        bonus = self._weights.large * shape.area / self._largest
         return float(score[row, column]) + bonus, Spot(shape.number, row, column)
 
     def _counts(self, spectrum: NDArray[np.complex64], shape: _Shape) -> NDArray[np.float32]:
-        """Count taken cells under a shape or its rim, for every place of the shape."""
+        """Count taken cells under a shape or its rim, for every position of the shape."""
         rows, columns = (side - cells + 1 for side, cells in zip(self._plate, shape.cells.shape, strict=True))
         counts = fft.irfft2(self._spectrum * spectrum, self._size)[:rows, :columns]
-        # Whole numbers again: places do not hang on the last bits of a transform.
+        # Whole numbers again: the choice does not hang on the last bits of a transform.
         return np.asarray(np.rint(counts), np.float32)
-
-    def _distance(self, shape: _Shape) -> NDArray[np.float32]:
-        rows, columns = (
-            np.arange(side - cells + 1, dtype=np.float32)
-            for side, cells in zip(self._plate, shape.cells.shape, strict=True)
-        )
-        away = rows[:, None] / np.float32(self._plate[0]) + 0.1 * columns / np.float32(self._plate[1])
-        return np.asarray(self._temper.front * away, np.float32)

@@ -2,24 +2,25 @@
 
 from __future__ import annotations
 
+import io
 import math
 from collections.abc import Collection, Sequence
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from tactile_toolkit.printing.map_sheet import LINE_PX, Sheet
-from tactile_toolkit.printing.outlines import cells_touched, signed_area
+from tactile_toolkit.errors import InputError
+from tactile_toolkit.mesh.walls import signed_area_mm2
+from tactile_toolkit.pictures.lettering import draw_text, text_size
+from tactile_toolkit.printing.packing import cells_touched
 
 if TYPE_CHECKING:
-    from tactile_toolkit.printing.layout import Placed, Tag
-    from tactile_toolkit.printing.outlines import Outline
-    from tactile_toolkit.printing.plate_spec import PlateSpec
+    from tactile_toolkit.printing.layout import Placed
+    from tactile_toolkit.printing.packing import Outline, PlateSpec
 
 __all__ = ["draw_map"]
 
-_PLATE, _GRID, _INK = "#f4f2ec", "#e0dcd2", "#222222"
-_TAG, _FIELD = "#fff3c4", "#ffffff"
+_PAPER, _PLATE, _GRID, _INK, _FIELD = "#ffffff", "#f4f2ec", "#e0dcd2", "#222222", "#ffffff"
 _FILLS = (
     *("#9ecae1", "#fdbe85", "#a1d99b", "#fc9f97", "#cbb8dd"),
     *("#d8b49c", "#f5b9d6", "#c4c9cf", "#d9dc8c", "#9fdde2"),
@@ -29,16 +30,25 @@ _COARSE_FROM_MM = 50
 _LEAST_TICK_PX = 20
 _TICKS_MM = (1, 2, 5, 10, 20, 50, 100, 200, 500)
 _TICKS_A_NUMBER = 5
-_SMALL_PX = 15
+_TITLE_PX, _SMALL_PX = 20, 15
 _WORDS_PX = (14, 12, 10, 8)
-_LEAST_WORDS_PX = _WORDS_PX[-1]
 _SLACK_PX = 30
 """What words may take on an object that is narrower."""
 _FIELD_MM = 1.5
 _SPOT_MM = 0.5
 _MOST_SPOTS = 600
 
+_LONGER_SIDE_PX = 1_200
+_LEAST_PX_PER_MM = 4.0
+_LONGEST_SIDE_PX = 4_000
+_SUPERSAMPLING = 2
+_LINE_PX = _SUPERSAMPLING
+"""Width of a thin line."""
+_MARGIN_PX = 60
+_LINE_HEIGHT = 1.25
+
 Box = tuple[float, float, float, float]
+Points = list[tuple[float, float]]
 
 
 def draw_map(
@@ -65,24 +75,137 @@ def draw_map(
         A PNG file with the front edge at the bottom, as the printer is looked at; the same input always
         gives the same bytes. What belongs to one object of several parts stands on a white field of its own.
     """
-    sheet = Sheet((spec.width_mm, spec.depth_mm), title)
+    sheet = _Sheet(spec.sides_mm, title)
     _draw_plate(sheet, spec)
     for placed in plate:
         if placed.outline.parts > 1:
             _draw_field(sheet, placed, spec)
     for placed in plate:
-        fill = _FILLS[labels.index(placed.item.label) % len(_FILLS)]
-        _draw_object(sheet, placed, fill)
-        if placed.tag is not None:
-            _draw_tag(sheet, placed.tag)
+        # Largest ring first; rings turned the other way round are holes.
+        rings = sorted(placed.outline.rings, key=lambda ring: -abs(signed_area_mm2(ring)))
+        drawn = [(sheet.points(ring, placed.x_mm, placed.y_mm), signed_area_mm2(ring) > 0) for ring in rings]
+        sheet.area(drawn, _FILLS[labels.index(placed.item.label) % len(_FILLS)])
+        for corners, _ in drawn:
+            sheet.draw.line([*corners, corners[0]], fill=_INK, width=_LINE_PX)
     _name_objects(sheet, plate, spec, shared)
     return sheet.png()
 
 
-def _draw_plate(sheet: Sheet, spec: PlateSpec) -> None:
-    width_mm, depth_mm = spec.width_mm, spec.depth_mm
-    step_mm = _tick_mm(sheet, max(width_mm, depth_mm))
-    sheet.rectangle((0, 0), (width_mm, depth_mm), fill=_PLATE)
+class _Sheet:
+    """A drawing in millimetres, y upwards; its words are in pixels of the finished picture.
+
+    Parameters
+    ----------
+    sides_mm : tuple of float
+        Along x and y. Pixels grow with them up to a limit, so that words keep their room.
+    title : str
+        Written above it.
+    """
+
+    def __init__(self, sides_mm: tuple[float, float], title: str) -> None:
+        from PIL import Image, ImageDraw, features
+
+        if not features.check("freetype2"):
+            message = (
+                "this build of pillow cannot write text (no FreeType); next: pip install --force-reinstall "
+                "pillow"
+            )
+            raise InputError(message)
+        longer_mm = max(sides_mm)
+        longer_px = min(max(_LONGER_SIDE_PX, _LEAST_PX_PER_MM * longer_mm), _LONGEST_SIDE_PX)
+        self.px_per_mm = longer_px / longer_mm
+        """Of the finished picture."""
+        self._depth_mm = sides_mm[1]
+        self._scale = self.px_per_mm * _SUPERSAMPLING
+        width, depth = (round(side * self._scale) for side in sides_mm)
+        words = round(text_size(title, _TITLE_PX * _SUPERSAMPLING)[0])
+        self._left = max(_MARGIN_PX * _SUPERSAMPLING, (words - width) // 2 + 10 * _SUPERSAMPLING)
+        self._top = _MARGIN_PX * _SUPERSAMPLING
+        self.picture = Image.new("RGB", (width + 2 * self._left, depth + 2 * self._top), _PAPER)
+        self.draw = ImageDraw.Draw(self.picture)
+        self.text((sides_mm[0] / 2, sides_mm[1]), title, _TITLE_PX, anchor="md", shift_px=(0, -14))
+
+    def point(self, x_mm: float, y_mm: float) -> tuple[float, float]:
+        """Return where a point of the plate lies in the picture."""
+        return self._left + x_mm * self._scale, self._top + (self._depth_mm - y_mm) * self._scale
+
+    def points(self, ring_mm: Any, x_mm: float, y_mm: float) -> Points:
+        """Return where a ring lies whose frame begins at a point of the plate."""
+        return [self.point(x + x_mm, y + y_mm) for x, y in ring_mm.tolist()]
+
+    def line(self, start: tuple[float, float], end: tuple[float, float], colour: str) -> None:
+        """Draw a thin line."""
+        self.draw.line([self.point(*start), self.point(*end)], fill=colour, width=_LINE_PX)
+
+    def area(self, rings: Sequence[tuple[Points, bool]], fill: str) -> None:
+        """Fill rings, each with whether its inside is filled or left out.
+
+        Drawn through a mask: what lies in a hole stays visible.
+        """
+        from PIL import Image, ImageDraw
+
+        corners = np.concatenate([np.asarray(points) for points, _ in rings])
+        low = np.floor(corners.min(axis=0)).astype(int)
+        width, depth = (np.ceil(corners.max(axis=0)).astype(int) - low + 1).tolist()
+        mask = Image.new("1", (width, depth))
+        pen = ImageDraw.Draw(mask)
+        for points, filled in rings:
+            pen.polygon([(x - low[0], y - low[1]) for x, y in points], fill=int(filled))
+        self.picture.paste(fill, (int(low[0]), int(low[1])), mask)
+
+    def text(
+        self,
+        point_mm: tuple[float, float],
+        words: str,
+        size_px: float,
+        anchor: str = "mm",
+        shift_px: tuple[float, float] = (0, 0),
+        halo: bool = False,
+    ) -> None:
+        """Write lines about a point."""
+        x, y = self.point(*point_mm)
+        lines = words.split("\n")
+        for number, line in enumerate(lines):
+            down_px = (number - (len(lines) - 1) / 2) * _LINE_HEIGHT * size_px + shift_px[1]
+            draw_text(
+                self.draw,
+                (x + shift_px[0] * _SUPERSAMPLING, y + down_px * _SUPERSAMPLING),
+                line,
+                round(size_px * _SUPERSAMPLING),
+                anchor=anchor,
+                halo_px=2 * _SUPERSAMPLING if halo else 0,
+            )
+
+    def text_box(self, point_mm: tuple[float, float], words: str, size_px: float) -> Box:
+        """Return left, top, right and bottom of lines about a point, pixels of the finished picture."""
+        x, y = (side / _SUPERSAMPLING for side in self.point(*point_mm))
+        lines = words.split("\n")
+        size = round(size_px * _SUPERSAMPLING)
+        width = max(text_size(line, size)[0] for line in lines) / _SUPERSAMPLING
+        depth = len(lines) * _LINE_HEIGHT * size_px
+        return x - width / 2, y - depth / 2, x + width / 2, y + depth / 2
+
+    def png(self) -> bytes:
+        """Return the finished picture."""
+        from PIL import Image
+
+        width, height = self.picture.size
+        small = self.picture.resize(
+            (width // _SUPERSAMPLING, height // _SUPERSAMPLING), Image.Resampling.LANCZOS
+        )
+        stream = io.BytesIO()
+        small.save(stream, format="PNG", optimize=False)
+        return stream.getvalue()
+
+
+def _draw_plate(sheet: _Sheet, spec: PlateSpec) -> None:
+    width_mm, depth_mm = spec.sides_mm
+    # A round distance between ticks that leaves room between them.
+    longer_mm = max(width_mm, depth_mm)
+    least_mm = max(10 if longer_mm >= _COARSE_FROM_MM else 1, _LEAST_TICK_PX / sheet.px_per_mm)
+    step_mm = next(step for step in _TICKS_MM if step >= least_mm)
+    corners = [sheet.point(0, depth_mm), sheet.point(width_mm, 0)]
+    sheet.draw.rectangle(corners, fill=_PLATE)
     for x_mm in range(0, int(width_mm) + 1, step_mm):
         sheet.line((x_mm, 0), (x_mm, depth_mm), _GRID)
         if x_mm % (_TICKS_A_NUMBER * step_mm) == 0:
@@ -92,96 +215,52 @@ def _draw_plate(sheet: Sheet, spec: PlateSpec) -> None:
         sheet.line((0, y_mm), (width_mm, y_mm), _GRID)
         if y_mm % (_TICKS_A_NUMBER * step_mm) == 0 and y_mm:
             sheet.text((0, y_mm), str(y_mm), _SMALL_PX, anchor="rm", shift_px=(-8, 0))
-    sheet.rectangle((0, 0), (width_mm, depth_mm), outline=_INK, width=2 * LINE_PX)
+    sheet.draw.rectangle(corners, outline=_INK, width=2 * _LINE_PX)
     sheet.text((width_mm / 2, 0), "front", _SMALL_PX, anchor="ma", shift_px=(0, 30))
 
 
-def _tick_mm(sheet: Sheet, longer_mm: float) -> int:
-    """Choose a round distance between ticks that leaves room between them."""
-    least_mm = 10 if longer_mm >= _COARSE_FROM_MM else 1
-    return next(step for step in _TICKS_MM if step >= least_mm and step * sheet.px_per_mm >= _LEAST_TICK_PX)
-
-
-def _draw_field(sheet: Sheet, placed: Placed, spec: PlateSpec) -> None:
+def _draw_field(sheet: _Sheet, placed: Placed, spec: PlateSpec) -> None:
     """Draw what only one object stands on: its hull and a little of the gap around it."""
     import manifold3d
 
     hull = placed.outline.claimed().grown(min(spec.gap_mm / 2, _FIELD_MM))
-    plate = manifold3d.CrossSection.square((spec.width_mm, spec.depth_mm))
+    plate = manifold3d.CrossSection.square(spec.sides_mm)
     for ring in (hull.translate((placed.x_mm, placed.y_mm)) ^ plate).to_polygons():
-        corners = sheet.points(np.asarray(ring), (0.0, 0.0))
+        corners = sheet.points(np.asarray(ring), 0.0, 0.0)
         sheet.area([(corners, True)], _FIELD)
-        sheet.draw.line([*corners, corners[0]], fill=_INK, width=LINE_PX)
+        sheet.draw.line([*corners, corners[0]], fill=_INK, width=_LINE_PX)
 
 
-def _draw_object(sheet: Sheet, placed: Placed, fill: str) -> None:
-    # Rings turned the other way round are holes.
-    rings = sorted(placed.outline.rings, key=lambda ring: -abs(signed_area(ring)))
-    drawn = [(sheet.points(ring, (placed.x_mm, placed.y_mm)), signed_area(ring) > 0) for ring in rings]
-    sheet.area(drawn, fill)
-    for corners, _ in drawn:
-        sheet.draw.line([*corners, corners[0]], fill=_INK, width=LINE_PX)
-
-
-def _draw_tag(sheet: Sheet, tag: Tag) -> None:
-    high = (tag.x_mm + tag.width_mm, tag.y_mm + tag.depth_mm)
-    sheet.rectangle((tag.x_mm, tag.y_mm), high, fill=_TAG, outline=_INK, width=LINE_PX)
-    if _tag_text_px(sheet, tag) >= _LEAST_WORDS_PX:
-        middle = (tag.x_mm + tag.width_mm / 2, tag.y_mm + tag.depth_mm / 2)
-        sheet.text(middle, tag.text, _tag_text_px(sheet, tag))
-
-
-def _tag_text_px(sheet: Sheet, tag: Tag) -> float:
-    return min(0.6 * tag.depth_mm * sheet.px_per_mm, 24)
-
-
-def _name_objects(sheet: Sheet, plate: Sequence[Placed], spec: PlateSpec, shared: Collection[int]) -> None:
+def _name_objects(sheet: _Sheet, plate: Sequence[Placed], spec: PlateSpec, shared: Collection[int]) -> None:
     """Write on each object what it is, unless no size is left at which that could be read."""
     taken: list[Box] = []
     left_out = 0
     for placed in plate:
         x_mm, y_mm = _widest_spot(placed.outline)
-        place = (placed.x_mm + x_mm, placed.y_mm + y_mm)
-        words = _words(sheet, placed, alone=placed.item.id not in shared)
-        size_px = _size_px(sheet, placed, place, words, taken)
-        if size_px is None:
+        middle_mm = (placed.x_mm + x_mm, placed.y_mm + y_mm)
+        item = placed.item
+        split = [item.split] if item.split and item.id in shared else []
+        words = "\n".join([item.label, str(item.id), *split]) if item.label else item.name
+        # The largest size at which words are hardly wider than their object and on no others.
+        room = [max(side * sheet.px_per_mm, _SLACK_PX) for side in placed.outline.size_mm]
+        for size_px in _WORDS_PX:
+            box = left, top, right, bottom = sheet.text_box(middle_mm, words, size_px)
+            free = all(
+                right < other[0] or left > other[2] or bottom < other[1] or top > other[3] for other in taken
+            )
+            if free and right - left <= room[0] and bottom - top <= room[1]:
+                taken.append(box)
+                sheet.text(middle_mm, words, size_px, halo=True)
+                break
+        else:
             left_out += 1
-            continue
-        taken.append(sheet.text_box(place, words, size_px))
-        sheet.text(place, words, size_px, halo=True)
     if left_out:
         words = f"{left_out:,} without words, for want of room: plates.csv says what they are"
         sheet.text((spec.width_mm / 2, 0), words, _SMALL_PX, anchor="ma", shift_px=(0, 44))
 
 
-def _words(sheet: Sheet, placed: Placed, alone: bool) -> str:
-    item, tag = placed.item, placed.tag
-    if not item.label:
-        return item.name
-    if tag is not None and _tag_text_px(sheet, tag) >= _LEAST_WORDS_PX:
-        # The tag beside it says the rest.
-        return item.label
-    split = [] if alone or not item.split else [item.split]
-    return "\n".join([item.label, str(item.id), *split])
-
-
-def _size_px(
-    sheet: Sheet, placed: Placed, place: tuple[float, float], words: str, taken: Sequence[Box]
-) -> float | None:
-    """Find the largest size at which words are no wider than their object and on no others."""
-    room = [max(side * sheet.px_per_mm, _SLACK_PX) for side in placed.outline.size_mm]
-    for size_px in _WORDS_PX:
-        left, top, right, bottom = sheet.text_box(place, words, size_px)
-        free = all(
-            right < other[0] or left > other[2] or bottom < other[1] or top > other[3] for other in taken
-        )
-        if free and right - left <= room[0] and bottom - top <= room[1]:
-            return size_px
-    return None
-
-
 def _widest_spot(outline: Outline) -> tuple[float, float]:
-    """Find where an outline has most room for words."""
+    """Find where an outline has most room for words, mm."""
     from scipy import ndimage
 
     width_mm, depth_mm = outline.size_mm

@@ -2,19 +2,22 @@
 
 from __future__ import annotations
 
+import csv
+import io
+import re
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from tactile_toolkit.errors import ItemError
+from tactile_toolkit.errors import IntegrityError, ItemError
 from tactile_toolkit.mesh.files import BROKEN_FILE
 from tactile_toolkit.mesh.mesh import MM_PER_M, Mesh
-from tactile_toolkit.mesh.threemf import BuildItem, Part, read_build, write_build
+from tactile_toolkit.mesh.threemf import BuildItem, read_build, write_build
 from tactile_toolkit.printing.checked import (
     CHANGED,
     OFF_PLATE,
@@ -31,14 +34,20 @@ from tactile_toolkit.printing.checked import (
 )
 from tactile_toolkit.printing.layout import Layout, Placed
 from tactile_toolkit.printing.objects import standing
+from tactile_toolkit.printing.packing import PlateSpec
 from tactile_toolkit.printing.plate_map import draw_map
-from tactile_toolkit.printing.plate_spec import PlateSpec
-from tactile_toolkit.printing.plate_table import TABLE_FILE, plates_before, table_csv, table_row
-from tactile_toolkit.printing.tags import tag_mesh
 from tactile_toolkit.wording import counted
 
-__all__ = ["TABLE_FILE", "PlateExport", "PlateFile", "forecast_plates", "write_plates"]
+__all__ = [
+    "PlateExport",
+    "PlateFile",
+    "TABLE_FILE",
+    "forecast_plates",
+    "write_plates",
+]
 
+TABLE_FILE = "plates.csv"
+_PLATE_FILE = re.compile(r"plate-\d{2,}\.3mf", re.ASCII)
 _SAMPLED = 4
 _EDGE_TOLERANCE_MM = 1e-3
 
@@ -70,10 +79,7 @@ class PlateFile:
 
     def to_dict(self) -> dict[str, Any]:
         """Return JSON values."""
-        return {
-            **{"file": self.file, "map": self.map, "objects": self.objects, "share": round(self.share, 4)},
-            **{"bytes": self.bytes, "state": self.state},
-        }
+        return {**asdict(self), "share": round(self.share, 4)}
 
 
 @dataclass(frozen=True, slots=True)
@@ -85,7 +91,7 @@ class PlateExport:
     plates : tuple of PlateFile
         One per plate.
     rows : tuple of dict
-        Rows of the table, see :data:`tactile_toolkit.printing.plate_table.COLUMNS`.
+        Rows of the table.
     least_plates : int
         No packing needs fewer.
     failures : tuple of Failure
@@ -120,9 +126,9 @@ def write_plates(
 ) -> PlateExport:
     """Write the plates of a layout.
 
-    Each 3MF file is read back from disk: every object and tag has to be the same solid under the same name,
-    and inside the plate, before the file gets its name. Files that are there already with the very same
-    bytes are kept. The table is written last.
+    Each 3MF file is read back from disk: every object has to be the same solid under the same name, and
+    inside the plate, before the file gets its name. Files that are there already with the very same bytes are
+    kept. The table is written last.
 
     Parameters
     ----------
@@ -134,11 +140,7 @@ def write_plates(
         Replace the plates of another export, and remove those of its plates that this one has not: what the
         table of that export lists, and no other files.
     on_progress : callable
-        Told plates done and in all.
-
-    Returns
-    -------
-    PlateExport
+        Called with plates done and in all.
 
     Raises
     ------
@@ -148,42 +150,39 @@ def write_plates(
         The folder cannot be written; finished files stay.
     """
     folder = prepare(out)
-    strangers = _strangers(layout, folder)
+    unknown = _unknown_files(layout, folder)
     if not overwrite:
-        refuse_others(out, [*strangers, *_differing(layout, folder)])
-    remove(folder / name for name in strangers)
+        refuse_others(out, [*unknown, *_differing(layout, folder)])
+    remove(folder / name for name in unknown)
     plates, failures = [], list(layout.failures)
-    for number in range(1, len(layout.plates) + 1):
+    for number, (plate, share) in enumerate(zip(layout.plates, layout.shares, strict=True), 1):
+        solid, picture = _solid_file(number), _map_file(number)
+        items = [_item(placed, layout) for placed in plate]
+        content = write_build(items)
         try:
-            plates.append(_write_plate(layout, number, folder))
+            state = settle(folder / solid, content, partial(_check_plate, items=items, spec=layout.spec))
+            settle(folder / picture, _map_of(layout, number))
+            plates.append(PlateFile(solid, picture, len(plate), share, len(content), state))
         except ItemError as error:
             # What an earlier export left under these names would pass for this plate.
-            remove((folder / _solid_file(number), folder / _map_file(number)))
-            failures.append(Failure(_solid_file(number), error.reason, str(error)))
+            remove((folder / solid, folder / picture))
+            failures.append(Failure(solid, error.reason, str(error)))
         on_progress(number, len(layout.plates))
     written = {plate.file for plate in plates}
-    rows = tuple(row for row in _rows(layout) if row["file"] in written)
-    settle(folder / TABLE_FILE, table_csv(rows), _unchecked)
-    return PlateExport(tuple(plates), rows, layout.least_plates, tuple(failures), tuple(strangers))
+    rows = [row for row in _rows(layout) if row["file"] in written]
+    settle(folder / TABLE_FILE, _table_csv(rows))
+    return PlateExport(tuple(plates), tuple(rows), layout.least_plates, tuple(failures), tuple(unknown))
 
 
 def forecast_plates(layout: Layout, out: str | None = None, *, overwrite: bool = False) -> PlateExport:
-    """Say what :func:`write_plates` would write.
+    """Say what :func:`write_plates` would write; without ``out``, no files are in the way.
 
-    Parameters
-    ----------
-    layout, out, overwrite
-        As there; without ``out``, no files are in the way.
-
-    Raises
-    ------
-    InputError
-        Plates of another export stand in the folder.
+    Raises InputError where plates of another export stand in the folder.
     """
     folder = None if out is None else existing(out)
-    strangers = [] if folder is None else _strangers(layout, folder)
+    unknown = [] if folder is None else _unknown_files(layout, folder)
     if out is not None and folder is not None and not overwrite:
-        refuse_others(out, [*strangers, *_differing(layout, folder)])
+        refuse_others(out, [*unknown, *_differing(layout, folder)])
     sample = [placed for plate in layout.plates for placed in plate][:_SAMPLED]
     each = sum(len(write_build([_item(placed, layout)])) for placed in sample) / max(len(sample), 1)
     plates = tuple(
@@ -192,38 +191,22 @@ def forecast_plates(layout: Layout, out: str | None = None, *, overwrite: bool =
         )
         for number, (plate, share) in enumerate(zip(layout.plates, layout.shares, strict=True), 1)
     )
-    rows = tuple(_rows(layout))
-    return PlateExport(plates, rows, layout.least_plates, layout.failures, tuple(strangers))
+    return PlateExport(plates, tuple(_rows(layout)), layout.least_plates, layout.failures, tuple(unknown))
 
 
-def _write_plate(layout: Layout, number: int, folder: Path) -> PlateFile:
-    plate = layout.plates[number - 1]
-    items = [_item(placed, layout) for placed in plate]
-    content = write_build(items)
-    check = partial(_check_plate, items=items, spec=layout.spec)
-    state = settle(folder / _solid_file(number), content, check)
-    settle(folder / _map_file(number), _map_of(layout, number), _unchecked)
-    share = layout.shares[number - 1]
-    return PlateFile(_solid_file(number), _map_file(number), len(plate), share, len(content), state)
+def _solid_file(number: int) -> str:
+    return f"plate-{number:02d}.3mf"
+
+
+def _map_file(number: int) -> str:
+    return f"plate-{number:02d}.png"
 
 
 def _item(placed: Placed, layout: Layout) -> BuildItem:
     mesh = standing(placed.item.load(), layout.scale)
-    parts = [_part(placed.item.name, mesh)]
-    if placed.tag is not None:
-        x_mm, y_mm, _ = placed.offset_mm
-        parts.append(
-            _part(
-                f"{placed.item.name} tag",
-                tag_mesh(placed.tag.text),
-                (placed.tag.x_mm - x_mm, placed.tag.y_mm - y_mm),
-            )
-        )
-    return BuildItem(placed.item.name, tuple(parts), placed.offset_mm)
-
-
-def _part(name: str, mesh: Mesh, moved_mm: tuple[float, float] = (0.0, 0.0)) -> Part:
-    return Part(name, np.asarray(mesh.vertices_m, np.float64) * MM_PER_M + (*moved_mm, 0.0), mesh.faces)
+    return BuildItem(
+        placed.item.name, np.asarray(mesh.vertices_m, np.float64) * MM_PER_M, mesh.faces, placed.offset_mm
+    )
 
 
 def _map_of(layout: Layout, number: int) -> bytes:
@@ -240,41 +223,49 @@ def _check_plate(path: Path, items: Sequence[BuildItem], spec: PlateSpec) -> Non
     try:
         found = read_build(path.read_bytes())
     except BROKEN_FILE as error:
-        message = f"it is no readable 3MF file ({error})"
+        message = f"it is not a readable 3MF file ({error})"
         raise ItemError(UNREADABLE, message) from error
     if [item.name for item in found] != [item.name for item in items]:
         message = f"it names {len(found)} objects; {len(items)} others were written"
         raise ItemError(CHANGED, message)
-    for back, meant in zip(found, items, strict=True):
-        for part, written in zip(back.parts, meant.parts, strict=True):
-            _check_part(part, written, meant.offset_mm, spec)
+    for back_item, item in zip(found, items, strict=True):
+        meant = Mesh((item.vertices_mm + item.offset_mm) / MM_PER_M, item.faces)
+        back = Mesh(back_item.vertices_mm / MM_PER_M, back_item.faces)
+        try:
+            require_same_solid(back, meant, require_solid(meant))
+        except ItemError as error:
+            message = f"{item.name}: {error}"
+            raise ItemError(error.reason, message) from error
+        low, high = back.bounds_m * MM_PER_M
+        if (low < -_EDGE_TOLERANCE_MM).any() or (high[:2] > np.add(spec.sides_mm, _EDGE_TOLERANCE_MM)).any():
+            message = f"{item.name} reaches beyond the plate"
+            raise ItemError(OFF_PLATE, message)
 
 
-def _check_part(found: Part, written: Part, offset_mm: tuple[float, float, float], spec: PlateSpec) -> None:
-    if found.name != written.name:
-        message = f"{found.name!r} was written as {written.name!r}"
-        raise ItemError(CHANGED, message)
-    meant = _mesh(written, offset_mm)
-    back = _mesh(found)
-    try:
-        require_same_solid(back, meant, require_solid(meant))
-    except ItemError as error:
-        message = f"{written.name}: {error}"
-        raise ItemError(error.reason, message) from error
-    low, high = back.bounds_m * MM_PER_M
-    sides_mm = (spec.width_mm, spec.depth_mm)
-    if (low < -_EDGE_TOLERANCE_MM).any() or (high[:2] > np.add(sides_mm, _EDGE_TOLERANCE_MM)).any():
-        message = f"{written.name} reaches beyond the plate"
-        raise ItemError(OFF_PLATE, message)
-
-
-def _mesh(part: Part, offset_mm: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> Mesh:
-    return Mesh((part.vertices_mm + offset_mm) / MM_PER_M, part.faces)
+_COLUMNS = (
+    *("plate", "file", "name", "split", "label", "id"),
+    *("x_mm", "y_mm", "width_mm", "depth_mm", "height_mm", "volume_mm3"),
+)
 
 
 def _rows(layout: Layout) -> Iterator[dict[str, Any]]:
+    """Yield the rows of the table; x and y are the lower left corner of the bounding box on the plate."""
     for number, plate in enumerate(layout.plates, 1):
-        yield from (table_row(number, _solid_file(number), placed) for placed in plate)
+        for placed in plate:
+            item = placed.item
+            named = (number, _solid_file(number), item.name, item.split, item.label, item.id)
+            sizes_mm = (*placed.outline.size_mm, placed.height_mm)
+            measured = (placed.x_mm, placed.y_mm, *sizes_mm, placed.volume_mm3)
+            values = (*named, *(round(value, 3) for value in measured))
+            yield dict(zip(_COLUMNS, values, strict=True))
+
+
+def _table_csv(rows: Sequence[dict[str, Any]]) -> bytes:
+    text = io.StringIO()
+    writer = csv.DictWriter(text, _COLUMNS, lineterminator="\n")
+    writer.writeheader()
+    writer.writerows(rows)
+    return text.getvalue().encode()
 
 
 def _differing(layout: Layout, folder: Path) -> Iterator[str]:
@@ -286,26 +277,25 @@ def _differing(layout: Layout, folder: Path) -> Iterator[str]:
         if picture.exists() and not holds(picture, _map_of(layout, number)):
             yield picture.name
     table = folder / TABLE_FILE
-    if table.exists() and not holds(table, table_csv(_rows(layout))):
+    if table.exists() and not holds(table, _table_csv(list(_rows(layout)))):
         yield table.name
 
 
-def _strangers(layout: Layout, folder: Path) -> list[str]:
-    return [name for name in plates_before(folder) if name not in _names(layout)]
+def _unknown_files(layout: Layout, folder: Path) -> list[str]:
+    """Name plates and maps of the export whose table is in the folder that this layout has not.
 
-
-def _names(layout: Layout) -> set[str]:
+    Files that only have such a name may be anybody's. Raises IntegrityError where the table cannot be read.
+    """
+    try:
+        with (folder / TABLE_FILE).open(newline="", encoding="utf-8") as stream:
+            listed = {str(row.get("file")) for row in csv.DictReader(stream)}
+    except (FileNotFoundError, UnicodeDecodeError, csv.Error):
+        return []
+    except OSError as error:
+        message = f"cannot read {str(folder / TABLE_FILE)!r}: {error.strerror or error}"
+        raise IntegrityError(message) from error
+    solids = [name for name in listed if _PLATE_FILE.fullmatch(name)]
+    before = {name for solid in solids for name in (solid, Path(solid).with_suffix(".png").name)}
     numbers = range(1, len(layout.plates) + 1)
-    return {name for number in numbers for name in (_solid_file(number), _map_file(number))}
-
-
-def _solid_file(number: int) -> str:
-    return f"plate-{number:02d}.3mf"
-
-
-def _map_file(number: int) -> str:
-    return f"plate-{number:02d}.png"
-
-
-def _unchecked(_path: Path) -> None:
-    """Pictures and tables hold no solid."""
+    ours = {name for number in numbers for name in (_solid_file(number), _map_file(number))}
+    return sorted(name for name in before - ours if (folder / name).exists())

@@ -30,29 +30,12 @@ __all__ = ["FileExport", "FileForecast", "WrittenFile", "export_files", "forecas
 
 _SAMPLED = 32
 
-Progress = Callable[[int, int], None]
-
 
 @dataclass(frozen=True, slots=True)
 class WrittenFile:
-    """A file that is there and was found to hold the solid.
+    """A file that is there and was found to hold the solid: which object, which file, sizes in mm.
 
-    Attributes
-    ----------
-    item_name, file : str
-        Name of the object and of its file.
-    split, label : str
-        Where the object comes from, and its class.
-    id : int
-        Its number there.
-    size_mm : tuple of float
-        Bounding box along x, y, z.
-    volume_mm3 : float
-        Volume.
-    bytes : int
-        Size of the file.
-    state : str
-        ``"written"``, or ``"kept"`` where the very same file was there already.
+    ``state`` is ``"written"``, or ``"kept"`` where the very same file was there already.
     """
 
     item_name: str
@@ -77,15 +60,7 @@ class WrittenFile:
 
 @dataclass(frozen=True, slots=True)
 class FileExport:
-    """What :func:`export_files` did.
-
-    Attributes
-    ----------
-    files : tuple of WrittenFile
-        In the order of the objects.
-    failures : tuple of Failure
-        Objects of which there is no file.
-    """
+    """What :func:`export_files` did: files in the order of the objects, and objects without one."""
 
     files: tuple[WrittenFile, ...]
     failures: tuple[Failure, ...]
@@ -105,7 +80,7 @@ class FileForecast:
     Attributes
     ----------
     files : int
-        How many, less those of the objects looked at that are no solids.
+        How many, less those of the objects looked at that are not solids.
     bytes : int
         How large they are in all, about.
     sampled : int
@@ -138,31 +113,29 @@ class _Export:
         try:
             return item.name, self._done(item)
         except ItemError as error:
-            return item.name, Failure(item.name, error.reason, f"{error}{self._without_old(item)}")
+            detail, path = str(error), self.path_of(item)
+            # What an earlier export left under this name would pass for this object.
+            if not self.only_look and path.exists():
+                remove([path])
+                detail += f"; {path.name} of an earlier export was removed"
+            return item.name, Failure(item.name, error.reason, detail)
 
-    def _place(self, item: PrintObject) -> Path:
+    def path_of(self, item: PrintObject) -> Path:
+        """Return where the file of an object stands."""
         return Path(self.folder) / f"{item.name}{self.ending}"
-
-    def _without_old(self, item: PrintObject) -> str:
-        """Remove what an earlier export left under the name of what failed: it would pass for it."""
-        if self.only_look or not self._place(item).exists():
-            return ""
-        remove([self._place(item)])
-        return f"; {self._place(item).name} of an earlier export was removed"
 
     def _done(self, item: PrintObject) -> WrittenFile | bool:
         mesh = standing(item.load(), self.scale)
         verdict = require_solid(mesh)
         content = pack_mesh(mesh, self.ending, item.name)
-        place = self._place(item)
+        path = self.path_of(item)
         if self.only_look:
-            return holds(place, content)
-        state = settle(place, content, lambda path: require_same_solid(read_mesh(path), mesh, verdict))
-        width, depth, height = np.ptp(mesh.bounds_m, axis=0) * MM_PER_M
-        size_mm = (float(width), float(depth), float(height))
+            return holds(path, content)
+        state = settle(path, content, lambda found: require_same_solid(read_mesh(found), mesh, verdict))
+        width, depth, height = (np.ptp(mesh.bounds_m, axis=0) * MM_PER_M).tolist()
         return WrittenFile(
-            *(item.name, place.name, item.split, item.label, item.id),
-            *(size_mm, verdict.volume_mm3, len(content), state),
+            *(item.name, path.name, item.split, item.label, item.id),
+            *((width, depth, height), verdict.volume_mm3, len(content), state),
         )
 
 
@@ -174,7 +147,7 @@ def export_files(
     scale: float = 1.0,
     overwrite: bool = False,
     workers: int = 1,
-    on_progress: Progress = lambda _done, _total: None,
+    on_progress: Callable[[int, int], None] = lambda _done, _total: None,
 ) -> FileExport:
     """Write one file per object, in the pose that it has, its lowest point at z = 0.
 
@@ -184,7 +157,7 @@ def export_files(
     Parameters
     ----------
     objects : sequence of PrintObject
-        What to write.
+        What to write; those that are not solids are listed in the result, and do not stop the others.
     out : str
         Folder; made where it is not there.
     kind : str
@@ -196,12 +169,7 @@ def export_files(
     workers : int
         Processes.
     on_progress : callable
-        Told files done and in all.
-
-    Returns
-    -------
-    FileExport
-        Objects that are no solids are listed in it, and do not stop the others.
+        Called with files done and in all.
 
     Raises
     ------
@@ -235,26 +203,18 @@ def forecast_files(
     out: str | None = None,
     overwrite: bool = False,
 ) -> FileForecast:
-    """Say what :func:`export_files` would write.
+    """Say what :func:`export_files` would write; without ``out``, no files are in the way.
 
-    Parameters
-    ----------
-    objects, kind, scale, out, overwrite
-        As there; without ``out``, no files are in the way.
-
-    Raises
-    ------
-    InputError
-        As there, as far as it can be told without writing.
+    Raises InputError as there, as far as it can be told without writing.
     """
     ending = _ending(kind)
     require_scale(scale)
     folder = None if out is None else existing(out)
     if out is not None and folder is not None and not overwrite:
         _refuse_others(objects, out, _Export(str(folder), ending, scale, only_look=True), 1)
-    places = np.unique(np.linspace(0, len(objects) - 1, _SAMPLED).astype(int))
+    positions = np.unique(np.linspace(0, len(objects) - 1, _SAMPLED).astype(int))
     sizes, failures = [], []
-    for item in (objects[place] for place in places):
+    for item in (objects[position] for position in positions):
         mesh = standing(item.load(), scale)
         try:
             require_solid(mesh)
@@ -262,12 +222,13 @@ def forecast_files(
         except ItemError as error:
             failures.append(Failure(item.name, error.reason, str(error)))
     files = len(objects) - len(failures)
-    return FileForecast(files, round(sum(sizes) / max(len(sizes), 1) * files), len(places), tuple(failures))
+    total = round(sum(sizes) / max(len(sizes), 1) * files)
+    return FileForecast(files, total, len(positions), tuple(failures))
 
 
 def _refuse_others(objects: Sequence[PrintObject], out: str, look: _Export, workers: int) -> None:
     """Refuse to go on where files with other content than would be written stand in the way."""
-    there = [item for item in objects if (Path(look.folder) / f"{item.name}{look.ending}").exists()]
+    there = [item for item in objects if look.path_of(item).exists()]
     looked = runner_for(workers).run(look, there) if there else ()
     refuse_others(out, sorted(f"{name}{look.ending}" for name, same in looked if same is not True))
 

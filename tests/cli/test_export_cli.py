@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from tactile_toolkit.mesh.files import read_mesh
-from tactile_toolkit.mesh.solid_check import judge
+from tactile_toolkit.mesh.solid_check import check_manifold
 from tests.tactile_toolkit.toy import folder_bytes
 
 
@@ -49,7 +49,7 @@ def test_one_file_per_object(folder: Path, tmp_path: Path, capsys: pytest.Captur
     assert "writing: 10 of 10" in printed.err
     files = sorted((tmp_path / "out").iterdir())
     assert [path.name.split("-")[:2] for path in files] == [["printed_test", label] for label in "0123456789"]
-    assert all(judge(read_mesh(path)).problem is None for path in files)
+    assert all(check_manifold(read_mesh(path)).problem is None for path in files)
 
 
 @pytest.mark.parametrize("kind", ["3mf", "ply", "obj", "glb"])
@@ -77,7 +77,7 @@ def test_all_splits_ids_and_json(folder: Path, tmp_path: Path, capsys: pytest.Ca
 
 
 def test_plates(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    options = ("--split", "printed_test", "--plate", "130x130", "--gap", "2", "--label", "--out", tmp_path)
+    options = ("--split", "printed_test", "--plate", "130x130", "--gap", "2", "--out", tmp_path)
     assert call("export", folder, *options) == 0
     printed = capsys.readouterr()
     assert "wrote 10 objects on" in printed.out
@@ -122,14 +122,12 @@ def test_quiet_says_nothing(folder: Path, tmp_path: Path, capsys: pytest.Capture
         (("--ids", "9999999"), ("no object with id 9999999",)),
         (("--ids", "x"), ("--ids has 'x'",)),
         (("--ids", "9999990-9999999"), ("no object with an id from 9999990 to 9999999",)),
-        (("--plate", "256x256", "--gap", "0", "--label"), ("--label with --gap 0",)),
         (("--labels", "11"), ("no class '11'",)),
         (("--scale", "0"), ("--scale is 0",)),
         (("--plate", "256"), ("--plate is '256'", "256x256")),
         (("--plate", "20x20"), ("does not fit on the plate", "printed_", "20 x 20 mm")),
         (("--plate", "256x256", "--gap", "-1"), ("the gap between objects is -1",)),
         (("--plate", "256x256", "--format", "stl"), ("--plate writes 3mf",)),
-        (("--label",), ("--label is about build plates",)),
         (("--gap", "3"), ("--gap is about build plates",)),
     ],
 )
@@ -225,7 +223,7 @@ def test_starstruck_exports_alike(tmp_path: Path, capsys: pytest.CaptureFixture[
     assert call("export", tmp_path / "scenes", "--out", out, program="starstruck") == 0
     files = sorted(out.iterdir())
     assert [path.name for path in files] == ["test-1-1000000000.stl", "test-2-1000000001.stl"]
-    assert all(judge(read_mesh(path)).problem is None for path in files)
-    plate = ("--plate", "130x250", "--label", "--out", tmp_path / "plates")
+    assert all(check_manifold(read_mesh(path)).problem is None for path in files)
+    plate = ("--plate", "130x250", "--out", tmp_path / "plates")
     assert call("export", tmp_path / "scenes", *plate, program="starstruck") == 0
     assert "wrote 2 objects" in capsys.readouterr().out

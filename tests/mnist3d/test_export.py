@@ -14,7 +14,7 @@ from tactile_toolkit.mesh.files import read_mesh
 from tactile_toolkit.mesh.printability import inspect
 from tactile_toolkit.printing.layout import arrange, measure
 from tactile_toolkit.printing.objects import PrintObject, choose
-from tactile_toolkit.printing.plate_spec import PlateSpec
+from tactile_toolkit.printing.packing import PlateSpec
 from tactile_toolkit.printing.singles import export_files
 
 
@@ -80,7 +80,7 @@ def test_digits_stand_as_they_were_stored(digits: mnist3d.MeshDataset, tmp_path:
 
 
 def test_every_digit_finds_a_place(digits: mnist3d.MeshDataset) -> None:
-    spec = PlateSpec(180, 180, 2.0, label=True)
+    spec = PlateSpec(180, 180, 2.0)
     layout = arrange(measure(chosen(digits), spec))
     assert sum(map(len, layout.plates)) == 20
     assert layout.least_plates <= len(layout.plates) <= 2

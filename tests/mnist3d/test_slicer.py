@@ -20,10 +20,9 @@ from tactile_toolkit.mesh.files import write_mesh
 from tactile_toolkit.mesh.mesh import Mesh
 from tactile_toolkit.printing.layout import Placed, arrange, measure
 from tactile_toolkit.printing.objects import choose, standing
-from tactile_toolkit.printing.plate_spec import PlateSpec
+from tactile_toolkit.printing.packing import PlateSpec
 from tactile_toolkit.printing.plates import write_plates
 from tactile_toolkit.printing.singles import export_files
-from tactile_toolkit.printing.tags import TAG_HEIGHT_MM
 
 SLICER = shutil.which("prusa-slicer") or ""
 pytestmark = [
@@ -32,7 +31,6 @@ pytestmark = [
 ]
 
 LAYER_MM = 0.35
-"""Tags are a whole number of such layers."""
 PLATE_MM = 200
 PRINT = (
     *("--layer-height", str(LAYER_MM), "--first-layer-height", str(LAYER_MM), "--skirts", "0"),
@@ -160,40 +158,31 @@ def test_a_digit_slices_up_to_its_height_without_a_repair(
 
 
 def write_plate(digits: mnist3d.MeshDataset, labels: str, folder: Path) -> tuple[tuple[Placed, ...], Path]:
-    spec = PlateSpec(PLATE_MM, PLATE_MM, 3.0, label=True)
+    spec = PlateSpec(PLATE_MM, PLATE_MM, 3.0)
     layout = arrange(measure(choose([("printed_test", digits)], labels=list(labels)), spec))
     write_plates(layout, str(folder))
     (plate,) = layout.plates
     return plate, folder / "plate-01.3mf"
 
 
-def test_a_plate_with_tags_loads_with_every_name_in_its_place(
-    digits: mnist3d.MeshDataset, tmp_path: Path
-) -> None:
+def test_a_plate_loads_with_every_name_in_its_place(digits: mnist3d.MeshDataset, tmp_path: Path) -> None:
     plate, path = write_plate(digits, "0123456789", tmp_path)
     seen = seen_in(path)
-    boxes = []
-    for placed in plate:
-        assert placed.tag is not None
-        boxes.append((placed.x_mm, placed.y_mm, *placed.outline.size_mm, placed.height_mm))
-        tag = placed.tag
-        boxes.append((tag.x_mm, tag.y_mm, tag.width_mm, tag.depth_mm, TAG_HEIGHT_MM))
+    boxes = [(placed.x_mm, placed.y_mm, *placed.outline.size_mm, placed.height_mm) for placed in plate]
     found = [(*one.low_mm[:2], *one.size_mm) for one in seen]
     assert sorted(found) == [pytest.approx(box, abs=2e-3) for box in sorted(boxes)]
     assert all(one.complaints == () for one in seen)
-    names = {name for placed in plate for name in (placed.item.name, f"{placed.item.name} tag")}
     repairs = repairs_in(path, tmp_path)
-    assert set(repairs) == names
+    assert set(repairs) == {placed.item.name for placed in plate}
     assert {count for counts in repairs.values() for count in counts} == {0}
 
 
-def test_a_plate_with_tags_slices_where_it_lies(digits: mnist3d.MeshDataset, tmp_path: Path) -> None:
+def test_a_plate_slices_where_it_lies(digits: mnist3d.MeshDataset, tmp_path: Path) -> None:
     plate, path = write_plate(digits, "17", tmp_path)
     sliced = slice_file(path, tmp_path, "--dont-arrange")
     for placed in plate:
         assert sliced.top_mm[placed.item.name] == pytest.approx(placed.height_mm, abs=LAYER_MM)
-        assert sliced.top_mm[f"{placed.item.name} tag"] == pytest.approx(TAG_HEIGHT_MM, abs=1e-6)
-    assert len(sliced.top_mm) == 2 * len(plate)
+    assert len(sliced.top_mm) == len(plate)
     assert min(sliced.low_mm) >= 0
     assert max(sliced.high_mm) <= PLATE_MM
 

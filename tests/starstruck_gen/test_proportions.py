@@ -20,7 +20,7 @@ from starstruck_gen.spec import SceneSpec
 from starstruck_gen.validate import check_scene
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.mesh.mesh import Mesh
-from tactile_toolkit.mesh.solid_check import judge
+from tactile_toolkit.mesh.solid_check import check_manifold
 from tests.starstruck_gen.strategies import DRAWN, shapes
 
 
@@ -66,7 +66,7 @@ def test_every_allowed_shape_is_one_solid_of_radius_one(proportions):
     shape = Shape(proportions.name, 0.01, proportions)
     made = prism(shape.key)
     assert np.linalg.norm(made.corners, axis=1).max() == pytest.approx(1.0, abs=1e-12)
-    verdict = judge(Mesh(made.vertices(0.5) * 0.01, made.faces))
+    verdict = check_manifold(Mesh(made.vertices(0.5) * 0.01, made.faces))
     assert (verdict.problem, verdict.bodies) == (None, 1)
     assert verdict.genus == (1 if proportions.name == "ring" else 0)
 

@@ -15,7 +15,7 @@ from starstruck_gen.solid import prism
 from starstruck_gen.spec import SceneSpec
 from starstruck_gen.stamping import stamp
 from tactile_toolkit.errors import InputError
-from tactile_toolkit.mesh.solid_check import judge
+from tactile_toolkit.mesh.solid_check import check_manifold
 from tests.starstruck_gen.strategies import placements, specs
 
 FEW = settings(max_examples=80)
@@ -28,7 +28,7 @@ def test_mesh_is_one_solid_per_object_and_none_overlap(spec, index):
     mesh = scene.mesh()
     assert mesh.vertices_m.dtype == np.float32
     assert mesh.faces.dtype == np.int32
-    verdict = judge(mesh)
+    verdict = check_manifold(mesh)
     assert verdict.problem is None
     assert verdict.bodies == len(scene.placements)
     expected_m3 = sum(prism(p.shape).area * p.radius_m**2 * p.height_m for p in scene.placements)
@@ -41,7 +41,7 @@ def test_mesh_is_one_solid_per_object_and_none_overlap(spec, index):
 @given(placements())
 def test_single_object_is_a_solid_wherever_it_stands(placement):
     """Up to a metre from the origin, where float32 has steps of 60 nm."""
-    verdict = judge(stamp([[placement]])[0])
+    verdict = check_manifold(stamp([[placement]])[0])
     assert verdict.problem is None
     assert verdict.bodies == 1
 

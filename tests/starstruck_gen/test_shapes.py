@@ -9,7 +9,7 @@ from starstruck_gen.shapes import OUTLINES, Shape, outline
 from starstruck_gen.solid import prism
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.mesh.mesh import Mesh
-from tactile_toolkit.mesh.solid_check import judge
+from tactile_toolkit.mesh.solid_check import check_manifold
 
 AREAS = {
     "star": 5 * 0.5 * math.sin(math.pi / 5),
@@ -60,7 +60,7 @@ def test_published_disc_has_32_corners():
 def test_prism_is_one_closed_outward_solid_with_every_corner_used(name):
     made = prism(name)
     mesh = Mesh(made.vertices(0.5), made.faces)
-    verdict = judge(mesh)
+    verdict = check_manifold(mesh)
     assert verdict.problem is None
     assert verdict.bodies == 1
     assert verdict.genus == (1 if name == "ring" else 0)

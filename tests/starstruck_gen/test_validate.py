@@ -19,7 +19,7 @@ from starstruck_gen.stamping import stamp
 from starstruck_gen.validate import validate_folder
 from tactile_toolkit.errors import IntegrityError
 from tactile_toolkit.mesh.mesh import Mesh
-from tactile_toolkit.mesh.solid_check import judge
+from tactile_toolkit.mesh.solid_check import check_manifold
 
 PUBLISHED = ["id", "label", "mesh.vertices", "mesh.faces"]
 
@@ -95,7 +95,7 @@ def test_cap_triangles_turned_by_rounding_are_found_although_the_solid_is_one(tm
     turned = replace(rows, scenes=[scene], meshes=stamp([scene.placements]))
     pq.write_table(scene_table(turned), tmp_path / "train-00000-of-00001.parquet")
     (record,) = load(str(tmp_path))
-    assert judge(Mesh(record.vertices_m, record.faces)).problem is None
+    assert check_manifold(Mesh(record.vertices_m, record.faces)).problem is None
     assert "triangles of flat faces are turned over" in check_scene(record)
 
 

@@ -13,7 +13,7 @@ from tactile_toolkit.errors import InputError, StorageError
 from tactile_toolkit.mesh.files import FORMATS, merge_equal_vertices, read_mesh, write_mesh
 from tactile_toolkit.mesh.mesh import Mesh
 from tactile_toolkit.mesh.printability import inspect
-from tactile_toolkit.mesh.threemf import write_threemf
+from tactile_toolkit.mesh.threemf import BuildItem, write_build
 
 CORE = "http://schemas.microsoft.com/3dmanufacturing/core/2015/02"
 
@@ -169,7 +169,7 @@ def test_a_3mf_that_builds_nothing_is_refused(resources: str, build: str, tmp_pa
 
 
 def test_3mf_is_what_trimesh_expects(ring: Mesh) -> None:
-    data = write_threemf(ring.vertices_m.astype(np.float64) * 1000, ring.faces)
+    data = write_build([BuildItem("", ring.vertices_m.astype(np.float64) * 1000, ring.faces)])
     assert data[:2] == b"PK"
 
 

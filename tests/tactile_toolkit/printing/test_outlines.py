@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from tactile_toolkit.printing.outlines import Grid, cells_touched, outline_of
+from tactile_toolkit.printing.packing import PlateSpec, cells_touched, outline_of
 from tests.tactile_toolkit.printing.solids import box, ell, ring
 
 
@@ -69,6 +69,6 @@ def test_growing_reaches_all_around() -> None:
 
 def test_an_object_as_large_as_the_plate_needs_all_of_it_and_no_more() -> None:
     for gap_mm in (0.0, 3.0, 7.3):
-        grid = Grid((120.0, 87.3), gap_mm, 1.0)
-        cells = grid.cells_of(outline_of(box(120, 87.3).to_manifold()))
-        assert cells.shape == (grid.rows, grid.columns)
+        spec = PlateSpec(120.0, 87.3, gap_mm)
+        cells = spec.cells_of(outline_of(box(120, 87.3).to_manifold()))
+        assert cells.shape == spec.cells

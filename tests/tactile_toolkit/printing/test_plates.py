@@ -21,14 +21,13 @@ from PIL import Image
 
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.mesh.mesh import Mesh
-from tactile_toolkit.mesh.solid_check import judge
-from tactile_toolkit.mesh.threemf import BuildItem, Part, read_build, write_build
+from tactile_toolkit.mesh.solid_check import check_manifold
+from tactile_toolkit.mesh.threemf import BuildItem, read_build, write_build
 from tactile_toolkit.printing.layout import Layout, Placed, arrange, measure
 from tactile_toolkit.printing.objects import PrintObject, standing
+from tactile_toolkit.printing.packing import PlateSpec
 from tactile_toolkit.printing.plate_map import draw_map
-from tactile_toolkit.printing.plate_spec import PlateSpec
 from tactile_toolkit.printing.plates import forecast_plates, write_plates
-from tactile_toolkit.printing.tags import tag_mesh
 from tests.tactile_toolkit.printing.solids import box, ell, mesh_of, named, open_box, ring
 from tests.tactile_toolkit.toy import folder_bytes
 
@@ -45,7 +44,6 @@ GROUPS = [
     ),
 ]
 SMALL = PlateSpec(100, 80, 3.0)
-TAGGED = PlateSpec(100, 80, 3.0, label=True)
 
 
 def lay_out(objects: list[PrintObject], spec: PlateSpec, scale: float = 1.0) -> Layout:
@@ -54,11 +52,6 @@ def lay_out(objects: list[PrintObject], spec: PlateSpec, scale: float = 1.0) -> 
 
 def solid_of(placed: Placed) -> Any:
     return standing(placed.item.load()).to_manifold().translate(placed.offset_mm)
-
-
-def tag_of(placed: Placed) -> Any:
-    assert placed.tag is not None
-    return tag_mesh(placed.tag.text).to_manifold().translate((placed.tag.x_mm, placed.tag.y_mm, 0))
 
 
 def require_apart(solids: list[Any], gap_mm: float) -> None:
@@ -78,12 +71,9 @@ def meshes(draw: st.DrawFn) -> list[Mesh]:
 
 
 @settings(max_examples=25)
-@given(shapes=meshes(), gap_mm=st.sampled_from([0.0, 0.7, 3.0, 5.5]), label=st.booleans())
-def test_objects_keep_the_gap_the_pose_and_to_the_plate(
-    shapes: list[Mesh], gap_mm: float, label: bool
-) -> None:
-    spec = PlateSpec(90.5, 61, gap_mm, label and gap_mm > 0)
-    label = spec.label
+@given(shapes=meshes(), gap_mm=st.sampled_from([0.0, 0.7, 3.0, 5.5]))
+def test_objects_keep_the_gap_the_pose_and_to_the_plate(shapes: list[Mesh], gap_mm: float) -> None:
+    spec = PlateSpec(90.5, 61, gap_mm)
     layout = lay_out(named(shapes), spec)
     placed = [item for plate in layout.plates for item in plate]
     assert sorted(item.item.id for item in placed) == list(range(len(shapes)))
@@ -92,12 +82,7 @@ def test_objects_keep_the_gap_the_pose_and_to_the_plate(
     for plate in layout.plates:
         solids = [solid_of(item) for item in plate]
         require_apart(solids, gap_mm)
-        tags = [tag_of(item) for item in plate] if label else []
-        require_apart(tags, gap_mm)
-        for (place, solid), (other, tag) in itertools.product(enumerate(solids), enumerate(tags)):
-            least_mm = spec.tag_gap_mm if place == other else gap_mm
-            assert solid.min_gap(tag, least_mm + 1) >= least_mm - 1e-6
-        for thing in [*solids, *tags]:
+        for thing in solids:
             low_x, low_y, low_z, high_x, high_y, _ = thing.bounding_box()
             assert low_x >= -1e-6
             assert low_y >= -1e-6
@@ -110,20 +95,6 @@ def test_objects_keep_the_gap_the_pose_and_to_the_plate(
         assert moved - moved[0] == pytest.approx(shape.vertices_m - shape.vertices_m[0], abs=1e-12)
 
 
-def test_a_tag_is_nearest_to_its_own_object() -> None:
-    spec = PlateSpec(140, 120, 3.0, label=True)
-    (plate,) = lay_out(named([*FEW, *FEW]), spec).plates
-    solids, tags = [solid_of(item) for item in plate], [tag_of(item) for item in plate]
-    for place, tag in enumerate(tags):
-        distances = [solid.min_gap(tag, 20) for solid in solids]
-        assert min(distances) == distances[place] < spec.gap_mm <= sorted(distances)[1] + 1e-6
-
-
-def test_a_tag_moves_into_a_bay() -> None:
-    (piece,) = measure(named([ring(30, 24)]), PlateSpec(60, 60, label=True)).pieces
-    assert piece.cells.shape == measure(named([ring(30, 24)]), PlateSpec(60, 60)).pieces[0].cells.shape
-
-
 def polygon_of(placed: Placed) -> Any:
     """What an object covers of its plate, as shapely has it."""
     rings = [np.add(ring, (placed.x_mm, placed.y_mm)) for ring in placed.outline.rings]
@@ -133,35 +104,13 @@ def polygon_of(placed: Placed) -> Any:
     return whole
 
 
-@settings(max_examples=40)
-@given(
-    shapes=st.lists(st.sampled_from([*FEW, *GROUPS]), min_size=2, max_size=6),
-    gap_mm=st.one_of(st.floats(0.2, 2), st.floats(2, 40)),
-)
-def test_a_tag_lies_nearer_to_its_object_than_to_any_other(shapes: list[Mesh], gap_mm: float) -> None:
-    spec = PlateSpec(170, 150, gap_mm, label=True)
-    for plate in lay_out(named(shapes), spec).plates:
-        bodies = [polygon_of(placed) for placed in plate]
-        for place, placed in enumerate(plate):
-            tag = placed.tag
-            assert tag is not None
-            sides = shapely.box(tag.x_mm, tag.y_mm, tag.x_mm + tag.width_mm, tag.y_mm + tag.depth_mm)
-            distances = [body.distance(sides) for body in bodies]
-            own = distances.pop(place)
-            assert spec.tag_gap_mm - 1e-6 <= own < 0.8 * gap_mm
-            assert min(distances, default=gap_mm) >= gap_mm - 1e-6
-
-
 @settings(max_examples=25)
 @given(
     shapes=st.lists(st.sampled_from([*GROUPS, box(6, 6), ring(11, 5)]), min_size=2, max_size=8),
     gap_mm=st.sampled_from([0.0, 1.0, 3.0]),
-    label=st.booleans(),
 )
-def test_nothing_stands_among_the_parts_of_another_object(
-    shapes: list[Mesh], gap_mm: float, label: bool
-) -> None:
-    spec = PlateSpec(110, 100, gap_mm, label and gap_mm > 0)
+def test_nothing_stands_among_the_parts_of_another_object(shapes: list[Mesh], gap_mm: float) -> None:
+    spec = PlateSpec(110, 100, gap_mm)
     for plate in lay_out(named(shapes), spec).plates:
         for one, other in itertools.permutations(plate, 2):
             if one.outline.parts > 1:
@@ -186,19 +135,6 @@ def test_the_map_shows_which_parts_belong_together(tmp_path: Path) -> None:
 
 def grid_points(width_mm: int, depth_mm: int) -> list[tuple[float, float]]:
     return [(x + 0.5, y + 0.5) for x in range(0, width_mm, 2) for y in range(0, depth_mm, 2)]
-
-
-@pytest.mark.parametrize("gap_mm", [0.0, 0.1])
-def test_tags_without_room_between_objects_are_refused(gap_mm: float) -> None:
-    with pytest.raises(InputError, match=r"--label with --gap .*next: --gap 0\.2"):
-        PlateSpec(100, 100, gap_mm, label=True)
-
-
-def test_tags_that_would_be_the_same_are_refused() -> None:
-    twice = [*named([box(5, 5)], "test"), *named([box(6, 6)], "train")]
-    with pytest.raises(InputError, match="test-0-00000 and train-0-00000 have the same id 0"):
-        lay_out(twice, TAGGED)
-    assert len(lay_out(twice, SMALL).plates[0]) == 2
 
 
 @pytest.mark.parametrize(
@@ -252,7 +188,6 @@ def test_a_plate_can_be_filled_to_its_edges() -> None:
     [
         (box(101, 10), SMALL, "it needs 101.0 x 10.0 mm, the plate is 100 x 80 mm"),
         (box(10, 80.1), SMALL, "it needs 10.0 x 80.1 mm"),
-        (box(100, 80), TAGGED, "with its tag it needs 100.0 x 90.6 mm"),
     ],
 )
 def test_what_is_larger_than_the_plate_is_named(
@@ -280,7 +215,7 @@ def test_plates_and_gaps_that_no_printer_has_are_refused(plate: str, gap_mm: flo
 
 
 def test_a_plate_holds_named_objects_where_the_table_says(tmp_path: Path) -> None:
-    made = write_plates(lay_out(named(FEW), TAGGED), str(tmp_path))
+    made = write_plates(lay_out(named(FEW), SMALL), str(tmp_path))
     rows = list(csv.DictReader(io.StringIO((tmp_path / "plates.csv").read_text())))
     assert sorted(int(row["id"]) for row in rows) == list(range(len(FEW)))
     assert len(made.rows) == len(rows)
@@ -292,41 +227,31 @@ def test_a_plate_holds_named_objects_where_the_table_says(tmp_path: Path) -> Non
         items = read_build((tmp_path / plate.file).read_bytes())
         assert [item.name for item in items] == [row["name"] for row in mine]
         for item, row in zip(items, mine, strict=True):
-            body, tag = item.parts
-            assert (body.name, tag.name) == (row["name"], f"{row['name']} tag")
-            require_at(body, row, "x_mm", "y_mm", "width_mm", "depth_mm")
-            require_at(tag, row, "tag_x_mm", "tag_y_mm", "tag_width_mm", "tag_depth_mm")
-            verdict = judge(Mesh(body.vertices_mm / 1e3, body.faces))
+            low, high = item.vertices_mm.min(axis=0), item.vertices_mm.max(axis=0)
+            found = (low[0], low[1], high[0] - low[0], high[1] - low[1])
+            columns = ("x_mm", "y_mm", "width_mm", "depth_mm")
+            assert found == pytest.approx([float(row[column]) for column in columns], abs=1e-3)
+            verdict = check_manifold(Mesh(item.vertices_mm / 1e3, item.faces))
             assert verdict.problem is None
             assert verdict.volume_mm3 == pytest.approx(float(row["volume_mm3"]), abs=2e-3)
-            assert body.vertices_mm[:, 2].max() == pytest.approx(float(row["height_mm"]), abs=1e-3)
-
-
-def require_at(part: Part, row: dict[str, str], *columns: str) -> None:
-    low, high = part.vertices_mm.min(axis=0), part.vertices_mm.max(axis=0)
-    found = (low[0], low[1], high[0] - low[0], high[1] - low[1])
-    assert found == pytest.approx([float(row[column]) for column in columns], abs=1e-3)
+            assert item.vertices_mm[:, 2].max() == pytest.approx(float(row["height_mm"]), abs=1e-3)
 
 
 def test_the_model_keeps_to_the_core_specification(tmp_path: Path) -> None:
-    write_plates(lay_out(named(FEW[:3]), TAGGED), str(tmp_path))
+    write_plates(lay_out(named(FEW[:3]), SMALL), str(tmp_path))
     with zipfile.ZipFile(tmp_path / "plate-01.3mf") as archive:
         assert archive.namelist() == ["[Content_Types].xml", "_rels/.rels", "3D/3dmodel.model"]
         root = ElementTree.fromstring(archive.read("3D/3dmodel.model"))
     assert root.tag == f"{CORE}model"
     assert root.get("unit") == "millimeter"
     objects = {element.get("id"): element for element in root.iter(f"{CORE}object")}
-    assert len(objects) == 9
-    seen: set[str | None] = set()
+    assert len(objects) == 3
     for identity, element in objects.items():
         assert int(identity or 0) > 0
-        # An object may refer only to objects that stand before it.
-        assert all(part.get("objectid") in seen for part in element.iter(f"{CORE}component"))
-        seen.add(identity)
         for triangle in element.iter(f"{CORE}triangle"):
             assert len({triangle.get(corner) for corner in ("v1", "v2", "v3")}) == 3
     for item in root.iter(f"{CORE}item"):
-        assert objects[item.get("objectid")].find(f"{CORE}components") is not None
+        assert objects[item.get("objectid")].find(f"{CORE}mesh") is not None
         matrix = [float(number) for number in (item.get("transform") or "1 0 0 0 1 0 0 0 1 0 0 0").split()]
         assert matrix[:9] == [1, 0, 0, 0, 1, 0, 0, 0, 1]
         assert matrix[11] == 0
@@ -335,15 +260,14 @@ def test_the_model_keeps_to_the_core_specification(tmp_path: Path) -> None:
 @pytest.mark.parametrize("name", ["a", "<&\"'>", "ä 七"])
 def test_names_come_back_as_they_were(name: str) -> None:
     shape = box(2, 3, 4)
-    part = Part(name, shape.vertices_m * 1e3, shape.faces)
-    (back,) = read_build(write_build([BuildItem(name, (part,), (7.0, 8.0, 0.5))]))
-    assert (back.name, back.parts[0].name) == (name, name)
-    assert back.parts[0].vertices_mm.min(axis=0).tolist() == [7, 8, 0.5]
+    (back,) = read_build(write_build([BuildItem(name, shape.vertices_m * 1e3, shape.faces, (7.0, 8.0, 0.5))]))
+    assert back.name == name
+    assert back.vertices_mm.min(axis=0).tolist() == [7, 8, 0.5]
 
 
 def test_the_same_objects_give_the_same_bytes(tmp_path: Path) -> None:
     for place in ("a", "b"):
-        write_plates(lay_out(named(FEW), TAGGED), str(tmp_path / place))
+        write_plates(lay_out(named(FEW), SMALL), str(tmp_path / place))
     assert folder_bytes(tmp_path / "a") == folder_bytes(tmp_path / "b")
 
 

@@ -15,7 +15,7 @@ import pytest
 from tactile_toolkit.errors import InputError, ItemError, StorageError
 from tactile_toolkit.mesh.files import FORMATS, read_mesh
 from tactile_toolkit.mesh.mesh import Mesh
-from tactile_toolkit.mesh.solid_check import judge
+from tactile_toolkit.mesh.solid_check import check_manifold
 from tactile_toolkit.printing.checked import write_checked
 from tactile_toolkit.printing.objects import parse_ids, standing
 from tactile_toolkit.printing.singles import export_files, forecast_files
@@ -34,7 +34,7 @@ def test_every_format_comes_back_as_the_solid_on_the_plate(ending: str, tmp_path
     assert sorted(path.name for path in (tmp_path / "out").iterdir()) == names
     for shape, file in zip(raised, made.files, strict=True):
         back = read_mesh(tmp_path / "out" / file.file)
-        assert judge(back).problem is None
+        assert check_manifold(back).problem is None
         expected = shape.bounds_m - (0, 0, 0.05)
         assert back.bounds_m == pytest.approx(expected, abs=1e-7)
         assert file.size_mm == pytest.approx(np.ptp(shape.bounds_m, axis=0) * 1e3)
@@ -51,8 +51,8 @@ def test_scale_is_a_factor_on_all_lengths(tmp_path: Path) -> None:
 def test_corners_that_a_data_set_stores_twice_are_joined() -> None:
     shape = ring(12, 6)
     loose = Mesh(shape.vertices_m[shape.faces].reshape(-1, 3), np.arange(shape.faces.size).reshape(-1, 3))
-    assert judge(loose).problem == "not-manifold"
-    assert judge(standing(loose)).problem is None
+    assert check_manifold(loose).problem == "not-manifold"
+    assert check_manifold(standing(loose)).problem is None
 
 
 def test_what_is_no_solid_is_named_and_does_not_stop_the_others(tmp_path: Path) -> None:
@@ -83,7 +83,7 @@ def test_a_solid_that_the_format_cannot_hold_leaves_no_file(tmp_path: Path) -> N
     """Far from the origin, single precision lets the corners of a small solid fall together."""
     small = box(0.05, 0.05, 0.05)
     away = Mesh(small.vertices_m + np.array([5_000.0, 0.0, 0.0]), small.faces)
-    assert judge(standing(away)).problem is None
+    assert check_manifold(standing(away)).problem is None
     made = export_files(named([away, box(5, 5)]), str(tmp_path), "stl")
     assert [path.name for path in tmp_path.iterdir()] == ["test-1-00001.stl"]
     (failure,) = made.failures
@@ -211,7 +211,7 @@ def test_a_killed_export_leaves_whole_files_only(tmp_path: Path) -> None:
     names = {path.name for path in tmp_path.glob("out/test-*")}
     assert len(names) >= 20
     for path in tmp_path.glob("out/test-*"):
-        assert judge(read_mesh(path)).problem is None
+        assert check_manifold(read_mesh(path)).problem is None
     objects = named([ring(12 + n / 100, 6) for n in range(len(names))])
     made = export_files(objects, str(tmp_path / "out"), "3mf")
     assert {file.state for file in made.files} == {"kept"}
