@@ -204,9 +204,9 @@ def _map_file(number: int) -> str:
 
 def _item(placed: Placed, layout: Layout) -> BuildItem:
     mesh = standing(placed.item.load(), layout.scale)
-    return BuildItem(
-        placed.item.name, np.asarray(mesh.vertices_m, np.float64) * MM_PER_M, mesh.faces, placed.offset_mm
-    )
+    # Adding zero writes -0 as 0, as plates always had it: the bytes of an export stay those of the last one.
+    vertices_mm = np.asarray(mesh.vertices_m, np.float64) * MM_PER_M + 0.0
+    return BuildItem(placed.item.name, vertices_mm, mesh.faces, placed.offset_mm)
 
 
 def _map_of(layout: Layout, number: int) -> bytes:
