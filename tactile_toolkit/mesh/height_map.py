@@ -6,13 +6,9 @@ Where a map lies and what it means stands here; how triangles become pixels, in
 
 from __future__ import annotations
 
-import contextlib
 import hashlib
-import os
-import threading
 import zlib
-from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from numbers import Real
 from pathlib import Path
 from typing import Any
@@ -20,10 +16,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from tactile_toolkit.cache import DiskCache
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.mesh.mesh import as_mesh
 from tactile_toolkit.mesh.raster import highest_values
-from tactile_toolkit.read.parquet import cache_folder
 
 __all__ = ["HeightCache", "HeightMap", "MOST_PIXELS", "Window", "content_key", "top_surface", "window_of"]
 
@@ -149,13 +145,7 @@ def top_surface(mesh: Any, pitch_m: float) -> HeightMap:
 
 
 def window_of(vertices_m: NDArray[np.floating[Any]], pitch_m: float) -> Window:
-    """Return the pixels that touch the bounding box of some vertices.
-
-    Raises
-    ------
-    InputError
-        As :func:`top_surface`.
-    """
+    """Return the pixels that touch the bounding box of some vertices; raises as :func:`top_surface`."""
     if not _is_length(pitch_m):
         message = f"the pitch of a height map is {pitch_m!r} m; expected a positive length such as 0.0002"
         raise InputError(message)
@@ -193,96 +183,48 @@ _VERSION = 1
 """Raised whenever the same mesh and pitch would give other heights than before."""
 
 _CHECKSUM_BYTES = 4
-_LIMIT_BYTES = 4 << 30
-_SIZED_ANEW_AFTER = 16
-"""The folder is sized anew after writing one part in so many of the limit: others write there too."""
 
 
 @dataclass
-class HeightCache:
-    """Height maps on disk.
+class HeightCache(DiskCache):
+    """Height maps on disk, in ``heights`` of the cache folder by default.
 
-    Parameters
-    ----------
-    folder : Path, optional
-        Where they are kept; ``heights`` in the cache folder (``$TACTILE_TOOLKIT_CACHE``) by default.
-    limit_bytes : int
-        What they may fill, 4 GiB by default; the ones used longest ago leave first.
-
-    Notes
-    -----
-    Files appear whole or not at all, and damaged ones are made again. Threads and processes may share a
-    folder. A folder that cannot be written costs speed, never a map.
+    Damaged files are made again. They are not flushed to the disk, which would take longer than making the
+    map: the checksum tells what a power cut has spoiled.
     """
 
-    folder: Path | None = None
-    limit_bytes: int = _LIMIT_BYTES
-    _unsized_bytes: int | None = field(default=None, repr=False)
+    folder: Path | str = "heights"
+    limit_bytes: int = 4 << 30
+    durable: bool = False
 
     def get(self, mesh: Any, pitch_m: float) -> HeightMap:
-        """Return the height map of a mesh, from disk where it is there.
-
-        Raises
-        ------
-        InputError
-            As :func:`env_assets.top_surface`.
-        """
+        """Return the height map of a mesh, from disk where it is there; raises as :func:`top_surface`."""
         mesh = as_mesh(mesh)
         window = window_of(mesh.vertices_m, pitch_m)
-        place = self._folder() / f"{content_key(mesh, pitch_m)}.heights"
-        heights_m = _read(place, window)
+        name = f"{content_key(mesh, pitch_m)}.heights"
+        heights_m = self._stored(self.path(name), window)
         if heights_m is not None:
             return HeightMap(heights_m, window)
         made = top_surface(mesh, pitch_m)
-        with contextlib.suppress(OSError):
-            self._write(place, _pack(made.heights_m))
+        content = _pack(made.heights_m)
+        self.write(name, len(content), lambda stream: stream.write(content))
         return made
 
-    def _folder(self) -> Path:
-        return cache_folder() / "heights" if self.folder is None else self.folder
-
-    def _write(self, place: Path, content: bytes) -> None:
-        self._make_room(place.parent, len(content))
-        place.parent.mkdir(parents=True, exist_ok=True)
-        temporary = place.with_name(f".writing-{os.getpid()}-{threading.get_ident()}-{place.name}")
-        # Not flushed to the disk, which would take longer than making the map: the checksum tells what a
-        # power cut has spoiled.
+    def _stored(self, path: Path, window: Window) -> NDArray[np.float32] | None:
+        """Read a map; None where it is not there or is not what it should be."""
         try:
-            temporary.write_bytes(content)
-            temporary.replace(place)
-        except BaseException:
-            temporary.unlink(missing_ok=True)
-            raise
-
-    def _make_room(self, folder: Path, needed_bytes: int) -> None:
-        """Remove what was used longest ago when the folder may have passed its limit."""
-        unsized = self._unsized_bytes
-        if unsized is not None and unsized + needed_bytes <= self.limit_bytes // _SIZED_ANEW_AFTER:
-            self._unsized_bytes = unsized + needed_bytes
-            return
-        self._unsized_bytes = needed_bytes
-        files = sorted(_files(folder))
-        # Room for what is written before the next look, so that the limit holds between looks too.
-        ahead = max(needed_bytes, self.limit_bytes // _SIZED_ANEW_AFTER)
-        excess = sum(size for _, size, _ in files) + ahead - self.limit_bytes
-        for _, size, file in files:
-            if excess <= 0:
-                return
-            with contextlib.suppress(OSError):
-                file.unlink()
-            excess -= size
+            content = path.read_bytes()
+        except OSError:
+            return None
+        values, checksum = content[:-_CHECKSUM_BYTES], int.from_bytes(content[-_CHECKSUM_BYTES:], "little")
+        if len(values) != 4 * window.rows * window.columns or zlib.crc32(values) != checksum:
+            return None
+        self.mark_used(path)
+        return np.frombuffer(values, "<f4").reshape(window.rows, window.columns)
 
 
 def content_key(mesh: Any, pitch_m: float) -> str:
-    """Name the height map of a mesh: equal vertices, triangles and pitch give an equal name.
-
-    Parameters
-    ----------
-    mesh : Mesh or record
-        Anything with ``vertices_m`` and ``faces``.
-    pitch_m : float
-        Side of a pixel, metres.
-    """
+    """Name the height map of a mesh: equal vertices, triangles and pitch give an equal name."""
     vertices_m, faces = np.ascontiguousarray(mesh.vertices_m), np.ascontiguousarray(mesh.faces)
     digest = hashlib.sha256(repr((_VERSION, float(pitch_m), vertices_m.dtype.str, faces.dtype.str)).encode())
     digest.update(vertices_m.data)
@@ -294,28 +236,3 @@ def _pack(heights_m: NDArray[np.float32]) -> bytes:
     """Return the heights row by row as little-endian float32, and their CRC-32."""
     values = heights_m.astype("<f4", copy=False).tobytes()
     return values + zlib.crc32(values).to_bytes(_CHECKSUM_BYTES, "little")
-
-
-def _read(place: Path, window: Window) -> NDArray[np.float32] | None:
-    """Read a map; None where it is not there or is not what it should be."""
-    try:
-        content = place.read_bytes()
-    except OSError:
-        return None
-    values, checksum = content[:-_CHECKSUM_BYTES], int.from_bytes(content[-_CHECKSUM_BYTES:], "little")
-    if len(values) != 4 * window.rows * window.columns or zlib.crc32(values) != checksum:
-        return None
-    with contextlib.suppress(OSError):
-        os.utime(place)  # the time of last use decides what leaves a full cache first
-    return np.frombuffer(values, "<f4").reshape(window.rows, window.columns)
-
-
-def _files(folder: Path) -> Iterator[tuple[int, int, Path]]:
-    """Yield time of last use, size and place of files, those of killed writers too.
-
-    Other processes may remove some meanwhile.
-    """
-    for file in folder.glob("*"):
-        with contextlib.suppress(FileNotFoundError):
-            facts = file.stat()
-            yield facts.st_mtime_ns, facts.st_size, file
