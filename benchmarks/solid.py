@@ -8,17 +8,20 @@ from __future__ import annotations
 import argparse
 import io
 import statistics
+import sys
 import time
 from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 
-from mnist3d.comparison import symmetric_distances_mm
 from mnist3d.ink import count_bodies_and_holes
 from mnist3d.solid import SolidSpec, ink_mask, literal_solid, solidify
 from tactile_toolkit.mesh.mesh import MM_PER_M, Mesh
 from tactile_toolkit.mesh.printability import PrintReport, inspect
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+from tests.mnist3d.surface_distances import symmetric_distances_mm
 
 DIGITS = Path(__file__).resolve().parents[2] / "shared" / "digits" / "png"
 

@@ -12,10 +12,9 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from mnist3d.dataset import MeshDataset, MeshRecord, MeshStream, load
-    from mnist3d.digit import DigitCatalog, DigitImage
     from mnist3d.generation import GenerateSpec, generate
     from mnist3d.solid import SolidSpec, solidify
-    from mnist3d.sources import DigitSource
+    from mnist3d.sources import DigitCatalog, DigitImage, DigitSource
     from mnist3d.splits import SPLITS, SplitSpec, plan_splits
     from tactile_toolkit.mesh.files import read_mesh, write_mesh
     from tactile_toolkit.mesh.mesh import Mesh
@@ -46,10 +45,9 @@ __all__ = [
 
 _HOMES = {
     "mnist3d.dataset": ("MeshDataset", "MeshRecord", "MeshStream", "load"),
-    "mnist3d.digit": ("DigitCatalog", "DigitImage"),
     "mnist3d.generation": ("GenerateSpec", "generate"),
     "mnist3d.solid": ("SolidSpec", "solidify"),
-    "mnist3d.sources": ("DigitSource",),
+    "mnist3d.sources": ("DigitCatalog", "DigitImage", "DigitSource"),
     "mnist3d.splits": ("SPLITS", "SplitSpec", "plan_splits"),
     "tactile_toolkit.mesh.files": ("read_mesh", "write_mesh"),
     "tactile_toolkit.mesh.mesh": ("Mesh",),

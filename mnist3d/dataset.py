@@ -7,15 +7,13 @@ from typing import Literal, overload
 import numpy as np
 from numpy.typing import NDArray
 
-from mnist3d.digit import NO_WRITER
-from mnist3d.rows import CLASS_NAMES
+from mnist3d.kind import KIND
+from mnist3d.sources import NO_WRITER
 from tactile_toolkit.catalog.locate import find_shards
 from tactile_toolkit.catalog.published import place_of
-from tactile_toolkit.mesh.columns import class_names, require_mesh_columns
 from tactile_toolkit.mesh.mesh import MM_PER_M
-from tactile_toolkit.mesh.records import RecordStream, SolidRecord
+from tactile_toolkit.mesh.records import RecordStream, SolidRecord, open_solids
 from tactile_toolkit.read.dataset import RecordDataset
-from tactile_toolkit.read.parquet import ShardedTable
 
 __all__ = ["MeshDataset", "MeshRecord", "MeshStream", "load"]
 
@@ -38,13 +36,6 @@ class MeshRecord(SolidRecord):
     def source(self) -> str:
         """Name of the source of the digit; empty in data sets that do not say."""
         return str(self._row.value("source")) if self._row.has("source") else ""
-
-    @property
-    def volume_m3(self) -> float:
-        """Volume in cubic metres: the stored one, or that of the mesh where none is stored."""
-        if self._row.has("volume_m3"):
-            return float(self._row.value("volume_m3"))
-        return float(self.mesh.volume)
 
     def __repr__(self) -> str:
         return (
@@ -129,8 +120,4 @@ def load(
         The repository cannot be reached or does not exist.
     """
     shards = find_shards(place_of(name), split, revision=revision, streaming=streaming)
-    table = ShardedTable(shards)
-    require_mesh_columns(table.schema, name, "mnist3d generate")
-    if streaming:
-        return MeshStream(shards, MeshRecord, CLASS_NAMES)
-    return MeshDataset([table], label_names=class_names(table.schema, CLASS_NAMES, name))
+    return open_solids(shards, name, MeshDataset, KIND, streaming=streaming)

@@ -10,9 +10,9 @@ from typing import Any
 import numpy as np
 
 from mnist3d.dataset import MeshDataset, MeshRecord, load
-from mnist3d.digit import NO_WRITER
 from mnist3d.kind import KIND
 from mnist3d.rows import REPORT_FILE
+from mnist3d.sources import NO_WRITER
 from tactile_toolkit.catalog.choose import Choice, chosen_rows, portions, short_name, splits_to_show
 from tactile_toolkit.catalog.kinds import require_kind
 from tactile_toolkit.gallery.items import NONE, Facet, Gallery, Item, Measure

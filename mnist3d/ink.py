@@ -16,7 +16,14 @@ from tactile_toolkit.errors import ItemError
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-__all__ = ["binarise", "clean", "count_bodies_and_holes", "otsu_threshold", "repair_corners"]
+__all__ = [
+    "binarise",
+    "clean",
+    "count_bodies_and_holes",
+    "join_bodies",
+    "otsu_threshold",
+    "repair_corners",
+]
 
 MIN_SIDE_PX = 8
 """Smaller images cannot show a digit."""
@@ -25,24 +32,10 @@ _CORNERS_CONNECT = np.ones((3, 3), dtype=bool)
 
 
 def binarise(pixels: NDArray[Any], threshold: float | None = None) -> NDArray[np.bool_]:
-    """Tell ink from paper.
+    """Tell ink (True) from paper, in grey levels from 0 (ink) to 255 (paper) of any dtype.
 
-    Parameters
-    ----------
-    pixels : ndarray, shape (H, W)
-        Grey levels from 0 (ink) to 255 (paper): uint8, another integer type, or floats.
-    threshold : float, optional
-        Pixels up to this level are ink. By default Otsu's threshold of the image.
-
-    Returns
-    -------
-    ndarray of bool, shape (H, W)
-        True where there is ink.
-
-    Raises
-    ------
-    ItemError
-        ``bad-shape``, ``not-finite``, ``bad-range``, ``no-ink`` or ``all-ink``.
+    Pixels up to the threshold are ink; by default that is Otsu's of the image. Raises ItemError
+    ``bad-shape``, ``bad-dtype``, ``not-finite``, ``bad-range``, ``no-ink`` or ``all-ink``.
     """
     levels = _as_levels(pixels)
     darkest, lightest = int(levels.min()), int(levels.max())
@@ -50,111 +43,13 @@ def binarise(pixels: NDArray[Any], threshold: float | None = None) -> NDArray[np
         message = f"the image has one grey level only ({darkest}); expected dark ink on light paper"
         raise ItemError("no-ink" if darkest > 127 else "all-ink", message)
     mask = levels <= (otsu_threshold(levels) if threshold is None else threshold)
-    _refuse_blank(mask)
-    return mask
-
-
-def otsu_threshold(levels: NDArray[np.uint8]) -> int:
-    """Split the grey levels so that the two groups differ most (Otsu 1979).
-
-    Parameters
-    ----------
-    levels : ndarray of uint8
-        Grey levels of any shape.
-
-    Returns
-    -------
-    int
-        The highest level of the darker group.
-    """
-    counts = np.bincount(levels.ravel(), minlength=256).astype(np.float64)
-    below = np.cumsum(counts)
-    weighted = np.cumsum(counts * np.arange(256))
-    with np.errstate(divide="ignore", invalid="ignore"):
-        spread = (weighted[-1] * below / below[-1] - weighted) ** 2 / (below * (below[-1] - below))
-    return int(np.nanargmax(np.where(np.isfinite(spread), spread, -1.0)))
-
-
-def clean(
-    mask: NDArray[np.bool_], *, pixel_pitch_mm: float, min_speck_mm2: float, min_pinhole_mm2: float
-) -> NDArray[np.bool_]:
-    """Take away specks and pinholes and settle contacts at corners.
-
-    Parameters
-    ----------
-    mask : ndarray of bool, shape (H, W)
-        True where there is ink.
-    pixel_pitch_mm : float
-        Side of a pixel in mm.
-    min_speck_mm2, min_pinhole_mm2 : float
-        Smaller pieces of ink are removed, smaller spots of paper inside the ink are filled.
-
-    Returns
-    -------
-    ndarray of bool, shape (H, W)
-        The ink that is left. 4- and 8-connectivity agree on it.
-
-    Raises
-    ------
-    ItemError
-        ``no-ink`` when nothing but specks was there.
-    """
-    pixel_mm2 = pixel_pitch_mm**2
-    cleaned = np.zeros_like(mask)
-    window = _inked_window(mask)
-    # Corners first: whole pieces that go later cannot leave a new contact at a corner behind.
-    inked = repair_corners(np.pad(mask[window], 1))
-    inked = ~_without_small(~inked, min_pinhole_mm2 / pixel_mm2, always=(0, 0))
-    cleaned[window] = _without_small(inked, min_speck_mm2 / pixel_mm2)[1:-1, 1:-1]
-    mask = cleaned
     if not mask.any():
-        message = f"no piece of ink is as large as {min_speck_mm2} mm^2 (min_speck_mm2); expected a digit"
+        message = "no pixel is dark enough to be ink; expected a digit"
         raise ItemError(reason="no-ink", message=message)
+    if mask.all():
+        message = "every pixel is dark enough to be ink; expected a digit on lighter paper"
+        raise ItemError(reason="all-ink", message=message)
     return mask
-
-
-def repair_corners(mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Fill one pixel wherever two pixels of ink touch at a corner alone.
-
-    Parameters
-    ----------
-    mask : ndarray of bool, shape (H, W)
-        True where there is ink.
-
-    Returns
-    -------
-    ndarray of bool, shape (H, W)
-        The mask without 2x2 checkerboards; ink is only ever added.
-    """
-    mask = mask.copy()
-    while True:
-        upper_left, upper_right = mask[:-1, :-1], mask[:-1, 1:]
-        lower_left, lower_right = mask[1:, :-1], mask[1:, 1:]
-        falling = upper_left & lower_right & ~upper_right & ~lower_left
-        rising = upper_right & lower_left & ~upper_left & ~lower_right
-        if not (falling.any() or rising.any()):
-            return mask
-        mask[1:, :-1] |= falling
-        mask[1:, 1:] |= rising
-
-
-def count_bodies_and_holes(mask: NDArray[np.bool_]) -> tuple[int, int]:
-    """Count the pieces of ink and the spots of paper that ink encloses.
-
-    Parameters
-    ----------
-    mask : ndarray of bool, shape (H, W)
-        A mask from :func:`clean`; paper is taken to go on outside of it.
-
-    Returns
-    -------
-    bodies, holes : int
-    """
-    from scipy import ndimage
-
-    bodies = ndimage.label(mask)[1]
-    papers = ndimage.label(np.pad(~mask, 1, constant_values=True), _CORNERS_CONNECT)[1]
-    return int(bodies), int(papers) - 1
 
 
 def _as_levels(pixels: NDArray[Any]) -> NDArray[np.uint8]:
@@ -177,20 +72,52 @@ def _as_levels(pixels: NDArray[Any]) -> NDArray[np.uint8]:
     return np.round(image).astype(np.uint8)
 
 
-def _refuse_blank(mask: NDArray[np.bool_]) -> None:
-    if not mask.any():
-        message = "no pixel is dark enough to be ink; expected a digit"
-        raise ItemError(reason="no-ink", message=message)
-    if mask.all():
-        message = "every pixel is dark enough to be ink; expected a digit on lighter paper"
-        raise ItemError(reason="all-ink", message=message)
+def otsu_threshold(levels: NDArray[np.uint8]) -> int:
+    """Return the highest level of the darker of the two groups that differ most (Otsu 1979)."""
+    # scikit-image finds the same, but importing it costs every process up to a second.
+    counts = np.bincount(levels.ravel(), minlength=256).astype(np.float64)
+    below = np.cumsum(counts)
+    weighted = np.cumsum(counts * np.arange(256))
+    with np.errstate(divide="ignore", invalid="ignore"):
+        spread = (weighted[-1] * below / below[-1] - weighted) ** 2 / (below * (below[-1] - below))
+    return int(np.nanargmax(np.where(np.isfinite(spread), spread, -1.0)))
 
 
-def _inked_window(mask: NDArray[np.bool_]) -> tuple[slice, slice]:
+def clean(
+    mask: NDArray[np.bool_], *, pixel_pitch_mm: float, min_speck_mm2: float, min_pinhole_mm2: float
+) -> NDArray[np.bool_]:
+    """Take away specks and pinholes and settle contacts at corners, so that 4- and 8-connectivity agree.
+
+    Raises ItemError ``no-ink`` when nothing but specks was there.
+    """
+    pixel_mm2 = pixel_pitch_mm**2
+    cleaned = np.zeros_like(mask)
     rows, columns = np.flatnonzero(mask.any(axis=1)), np.flatnonzero(mask.any(axis=0))
-    if not len(rows):
-        return slice(0, 0), slice(0, 0)
-    return slice(rows[0], rows[-1] + 1), slice(columns[0], columns[-1] + 1)
+    if len(rows):
+        # Only the window that holds ink is worked on: most of a page is paper.
+        window = (slice(rows[0], rows[-1] + 1), slice(columns[0], columns[-1] + 1))
+        # Corners first: whole pieces that go later cannot leave a new contact at a corner behind.
+        inked = repair_corners(np.pad(mask[window], 1))
+        inked = ~_without_small(~inked, min_pinhole_mm2 / pixel_mm2, always=(0, 0))
+        cleaned[window] = _without_small(inked, min_speck_mm2 / pixel_mm2)[1:-1, 1:-1]
+    if not cleaned.any():
+        message = f"no piece of ink is as large as {min_speck_mm2} mm^2 (min_speck_mm2); expected a digit"
+        raise ItemError(reason="no-ink", message=message)
+    return cleaned
+
+
+def repair_corners(mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Fill one pixel wherever two pixels of ink touch at a corner alone; ink is only ever added."""
+    mask = mask.copy()
+    while True:
+        upper_left, upper_right = mask[:-1, :-1], mask[:-1, 1:]
+        lower_left, lower_right = mask[1:, :-1], mask[1:, 1:]
+        falling = upper_left & lower_right & ~upper_right & ~lower_left
+        rising = upper_right & lower_left & ~upper_left & ~lower_right
+        if not (falling.any() or rising.any()):
+            return mask
+        mask[1:, :-1] |= falling
+        mask[1:, 1:] |= rising
 
 
 def _without_small(
@@ -205,3 +132,56 @@ def _without_small(
         keep[labels[always]] = True
     keep[0] = False
     return np.asarray(keep[labels])
+
+
+def count_bodies_and_holes(mask: NDArray[np.bool_]) -> tuple[int, int]:
+    """Count the pieces of clean ink and the spots of paper that ink encloses; outside the mask is paper."""
+    from scipy import ndimage
+
+    bodies = ndimage.label(mask)[1]
+    papers = ndimage.label(np.pad(~mask, 1, constant_values=True), _CORNERS_CONNECT)[1]
+    return int(bodies), int(papers) - 1
+
+
+def join_bodies(mask: NDArray[np.bool_], width_px: float) -> NDArray[np.bool_]:
+    """Join pieces of clean ink by straight bars until one is left, so that the digit prints in one piece.
+
+    Each round joins the first piece to the one nearest to it, where the two come closest. A bar reaches into
+    the ink at both ends by half its width, so that the joint is as wide as the bar.
+    """
+    from scipy import ndimage
+
+    while True:
+        labels, count = ndimage.label(mask)
+        if count < 2:
+            return mask
+        start, end = _closest_points(labels == 1, labels > 1)
+        mask = repair_corners(mask | _bar(mask.shape, start, end, width_px))
+
+
+def _closest_points(
+    one: NDArray[np.bool_], others: NDArray[np.bool_]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    from scipy.spatial import cKDTree
+
+    here, there = np.argwhere(one).astype(np.float64), np.argwhere(others).astype(np.float64)
+    found = cKDTree(there).query(here)
+    distances, nearest = np.asarray(found[0]), np.asarray(found[1])
+    # Two straight edges are close along a stretch: its middle makes a better bridge than its end.
+    close = np.flatnonzero(distances <= distances.min() + 0.5)
+    middle = int(close[len(close) // 2])
+    return here[middle], there[nearest[middle]]
+
+
+def _bar(
+    shape: tuple[int, ...], start: NDArray[np.float64], end: NDArray[np.float64], width_px: float
+) -> NDArray[np.bool_]:
+    length = float(np.hypot(*(end - start)))
+    along = (end - start) / length
+    rows, columns = np.ogrid[: shape[0], : shape[1]]
+    down, across = rows - start[0], columns - start[1]
+    way = down * along[0] + across * along[1]
+    aside = across * along[0] - down * along[1]
+    # Half a pixel on top joins pieces that lie diagonally, however thin the bar.
+    half = max(width_px / 2, 0.75)
+    return np.asarray((np.abs(aside) <= half) & (way >= -half) & (way <= length + half))

@@ -9,11 +9,20 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any, Literal
 
-from mnist3d.ink import binarise, clean
+from mnist3d.ink import binarise, clean, join_bodies
 from mnist3d.lattice import lattice_solid
-from mnist3d.literal import decimate, literal_solid
 from mnist3d.spec import PROFILES, SolidSpec
-from mnist3d.steps import erode, erosion_radii_px, marching_cubes, mirror, scale, smooth, stack
+from mnist3d.steps import (
+    decimate,
+    erode,
+    erosion_radii_px,
+    literal_solid,
+    marching_cubes,
+    mirror,
+    scale,
+    smooth,
+    stack,
+)
 from tactile_toolkit.errors import InputError
 
 if TYPE_CHECKING:
@@ -62,7 +71,7 @@ def solidify(
     Raises
     ------
     ItemError
-        The image is no usable digit; ``reason`` is one of ``bad-shape``, ``bad-dtype``, ``bad-range``,
+        The image is not a usable digit; ``reason`` is one of ``bad-shape``, ``bad-dtype``, ``bad-range``,
         ``not-finite``, ``no-ink``, ``all-ink``, ``topology``.
     InputError
         An unknown method.
@@ -78,21 +87,7 @@ def solidify(
 def ink_mask(pixels: NDArray[Any], spec: SolidSpec) -> NDArray[np.bool_]:
     """Find the ink that becomes the solid: binarised, cleaned and, if asked for, joined.
 
-    Parameters
-    ----------
-    pixels : ndarray, shape (H, W)
-        Grey levels from 0 (ink) to 255 (paper).
-    spec : SolidSpec
-        Thresholds.
-
-    Returns
-    -------
-    ndarray of bool, shape (H, W)
-
-    Raises
-    ------
-    ItemError
-        As :func:`solidify`.
+    Raises ItemError as :func:`solidify`.
     """
     mask = clean(
         binarise(pixels, spec.threshold),
@@ -102,6 +97,4 @@ def ink_mask(pixels: NDArray[Any], spec: SolidSpec) -> NDArray[np.bool_]:
     )
     if not spec.join_bodies:
         return mask
-    from mnist3d.bridges import join_bodies
-
     return join_bodies(mask, width_px=spec.bridge_width_mm / spec.pixel_pitch_mm)

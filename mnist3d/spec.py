@@ -1,4 +1,10 @@
-"""Every number that turns ink into a solid."""
+"""Every number that turns ink into a solid, and the side view that they describe.
+
+In the functions of the side view all lengths are in pixels: ``s_px`` is the distance of a point from the
+outline of the ink, positive inside, ``z_px`` its height above the mid-plane. In the round profile the outline
+draws in along a quarter circle whose radius is the half thickness, which gives the published meshes' round
+shoulders.
+"""
 
 from __future__ import annotations
 
@@ -6,15 +12,20 @@ import math
 from dataclasses import asdict, dataclass, fields
 from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
+
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.wording import plain_number
 
-__all__ = ["PROFILES", "SolidSpec"]
+__all__ = ["PROFILES", "SolidSpec", "depth_px", "erosion_radius_px", "half_height_px"]
+
+Floats = NDArray[np.floating[Any]]
 
 PROFILES = ("round", "linear", "flat")
 
 LARGEST_HALF_THICKNESS_PX = 100
-"""Squares of distances in pixels have to fit 16 bits."""
+"""Squares of distances in pixels have to fit 16 bits (:func:`mnist3d.lattice.distance_px`)."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -80,15 +91,13 @@ class SolidSpec:
         for name in ("min_speck_mm2", "min_pinhole_mm2", "vertex_quantum_mm"):
             value = getattr(self, name)
             self._require(value == 0 or _is_positive(value), name, "zero or a positive number")
-        in_reach = 1 <= self.half_thickness_px <= LARGEST_HALF_THICKNESS_PX
         thinnest_mm = self.pixel_pitch_mm
         reach = f"{thinnest_mm:g} to {thinnest_mm * LARGEST_HALF_THICKNESS_PX:g} mm at this pixel_pitch_mm"
+        in_reach = 1 <= self.half_thickness_px <= LARGEST_HALF_THICKNESS_PX
         self._require(in_reach, "half_thickness_mm", reach)
-        pitch = self.lattice_pitch_mm
-        self._require(
-            pitch is None or _is_positive(pitch), "lattice_pitch_mm", "None or a positive number of mm"
-        )
-        level = self.threshold
+        pitch_mm, level = self.lattice_pitch_mm, self.threshold
+        usable = pitch_mm is None or _is_positive(pitch_mm)
+        self._require(usable, "lattice_pitch_mm", "None or a positive number of mm")
         self._require(level is None or 0 <= level <= 255, "threshold", "None or a grey level from 0 to 255")
         self._require(self.target_vertices >= 100, "target_vertices", "100 or more")
         for name in ("smoothing_iterations", "literal_smoothing_iterations"):
@@ -143,3 +152,34 @@ class SolidSpec:
 
 def _is_positive(value: float) -> bool:
     return math.isfinite(value) and value > 0
+
+
+def erosion_radius_px(z_px: Floats, spec: SolidSpec) -> Floats:
+    """Return how far the ink is eroded at heights from 0 to the half thickness; grows with the height."""
+    half_px = spec.half_thickness_px
+    if spec.profile == "round":
+        return np.asarray(half_px - np.sqrt(np.maximum(half_px**2 - z_px**2, 0)))
+    return z_px if spec.profile == "linear" else np.zeros_like(z_px)
+
+
+def half_height_px(s_px: Floats, spec: SolidSpec) -> Floats:
+    """Return how high the solid stands above the mid-plane; 0 outside the ink."""
+    half_px = spec.half_thickness_px
+    depth = np.clip(s_px, 0, half_px)
+    if spec.profile == "round":
+        return np.asarray(np.sqrt(depth * (2 * half_px - depth)))
+    return depth if spec.profile == "linear" else np.where(s_px > 0, np.float32(half_px), np.float32(0))
+
+
+def depth_px(s_px: Floats, z_px: Floats, spec: SolidSpec) -> Floats:
+    """Return how deep points lie in the solid, positive inside; the two shapes broadcast.
+
+    The values are true distances wherever one side of the solid is nearest, so that their zero is found
+    exactly between two nodes of a lattice; a stack of binary layers would place it half way instead.
+    """
+    half_px = spec.half_thickness_px
+    if spec.profile == "round":
+        return np.asarray(half_px - np.sqrt(np.maximum(half_px - s_px, 0) ** 2 + z_px**2))
+    # The side of a linear profile is a plane at 45 degrees.
+    side = (s_px - z_px) * np.float32(0.5**0.5) if spec.profile == "linear" else s_px
+    return np.asarray(np.minimum(side, half_px - z_px))

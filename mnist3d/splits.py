@@ -13,7 +13,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from mnist3d.digit import NO_WRITER, DigitCatalog
+from mnist3d.sources import NO_WRITER, DigitCatalog
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.wording import plain_number, plain_pairs
 
@@ -74,38 +74,23 @@ class SplitSpec:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SplitPlan:
-    """The division of a source's digits.
+    """The division of a source's digits: ids and labels of each split, shape (n,).
 
-    Attributes
-    ----------
-    ids : mapping of split to ndarray of int64, shape (n,)
-        Ids of each split in row order (a seeded shuffle that mixes the classes).
-    labels : mapping of split to ndarray of int64, shape (n,)
-        Label of each id.
+    They are in row order, a seeded shuffle that mixes the classes.
     """
 
     ids: Mapping[str, NDArray[np.int64]]
     labels: Mapping[str, NDArray[np.int64]]
 
     def rows(self, split: str, per_class: int | None = None, limit: int | None = None) -> NDArray[np.int64]:
-        """Return the ids to make of one split.
-
-        Parameters
-        ----------
-        split : str
-            One of :data:`SPLITS`.
-        per_class : int, optional
-            Keep only the first so many of each class.
-        limit : int, optional
-            Then keep only the first so many rows.
-
-        Returns
-        -------
-        ndarray of int64, shape (n,)
-        """
+        """Return the ids to make of a split: the first ``per_class`` of each class, then ``limit`` rows."""
         ids, labels = self.ids[split], self.labels[split]
         if per_class is not None:
-            ids = ids[_rank_in_class(labels) < per_class]
+            rank_in_class = np.empty(len(labels), dtype=np.int64)
+            for label in range(_CLASSES):
+                members = np.flatnonzero(labels == label)
+                rank_in_class[members] = np.arange(len(members))
+            ids = ids[rank_in_class < per_class]
         return ids if limit is None else ids[:limit]
 
 
@@ -114,33 +99,45 @@ def plan_splits(catalog: DigitCatalog, spec: SplitSpec) -> SplitPlan:
 
     No digit is in two splits, and where a digit goes depends on the seed and the ids of its source alone.
 
+    Parameters
+    ----------
+    catalog : DigitCatalog
+        What the source holds.
+    spec : SplitSpec
+        How it is divided.
+
+    Returns
+    -------
+    SplitPlan
+        ``ids`` and ``labels`` of each split.
+
     Raises
     ------
     InputError
         When a class has fewer digits than ``spec.sizes`` asks for, or writers are asked for and unknown.
     """
-    parts = _by_writer(catalog, spec) if spec.by == "writer" else _by_digit(catalog, spec)
+    positions = _by_writer(catalog, spec) if spec.by == "writer" else _by_digit(catalog, spec)
     # A key of its own orders the rows, so that the rank that chose the split does not show in them.
     order = _keys(catalog.ids, spec.seed, stream=1)
-    rows = {split: positions[np.argsort(order[positions])] for split, positions in parts.items()}
+    rows = {split: found[np.argsort(order[found])] for split, found in positions.items()}
     return SplitPlan(
-        {split: catalog.ids[positions] for split, positions in rows.items()},
-        {split: catalog.labels[positions] for split, positions in rows.items()},
+        {split: catalog.ids[found] for split, found in rows.items()},
+        {split: catalog.labels[found] for split, found in rows.items()},
     )
 
 
 def _by_digit(catalog: DigitCatalog, spec: SplitSpec) -> dict[str, NDArray[np.int64]]:
     """Positions in the catalog of the digits of each split."""
     keys = _keys(catalog.ids, spec.seed, stream=0)
-    parts: dict[str, list[NDArray[np.int64]]] = {split: [] for split in SPLITS}
+    positions: dict[str, list[NDArray[np.int64]]] = {split: [] for split in SPLITS}
     for label in range(_CLASSES):
         members = np.flatnonzero(catalog.labels == label)
         members = members[np.argsort(keys[members])]
         sizes = _class_sizes(len(members), label, spec)
         stops = np.cumsum([sizes[split] for split in SPLITS])
         for split, stop in zip(SPLITS, stops, strict=True):
-            parts[split].append(members[stop - sizes[split] : stop])
-    return {split: np.concatenate(chunks) for split, chunks in parts.items()}
+            positions[split].append(members[stop - sizes[split] : stop])
+    return {split: np.concatenate(chunks) for split, chunks in positions.items()}
 
 
 def _class_sizes(available: int, label: int, spec: SplitSpec) -> dict[str, int]:
@@ -165,10 +162,6 @@ def _published_sizes(available: int) -> dict[str, int]:
     by_remainder = sorted(SPLITS, key=lambda split: sizes[split] - quotas[split])
     for split in by_remainder[: available - sum(sizes.values())]:
         sizes[split] += 1
-    return _one_each(sizes)
-
-
-def _one_each(sizes: dict[str, int]) -> dict[str, int]:
     # A split of a tiny source is empty only when there are fewer digits than splits: then the later ones are.
     for split in SPLITS:
         largest = max(SPLITS, key=lambda name: sizes[name])
@@ -186,52 +179,31 @@ def _by_writer(catalog: DigitCatalog, spec: SplitSpec) -> dict[str, NDArray[np.i
             "the writer column (--writer-column) or split by digit"
         )
         raise InputError(message)
-    writers, counts = np.unique(catalog.writers, return_counts=True)
-    chosen = _share_writers(writers, counts, _shares(spec), spec.seed)
-    return {
-        split: np.flatnonzero(np.isin(catalog.writers, writers[chosen == rank]))
-        for rank, split in enumerate(SPLITS)
-    }
-
-
-def _shares(spec: SplitSpec) -> NDArray[np.float64]:
     sizes = PUBLISHED_SIZES if spec.sizes is None else dict(spec.sizes)
     shares = np.array([sizes.get(split, 0) for split in SPLITS], dtype=np.float64)
     if shares.sum() == 0:
         message = "all split sizes are 0; expected at least one split with digits"
         raise InputError(message)
-    return np.asarray(shares / shares.sum(), dtype=np.float64)
+    writers, counts = np.unique(catalog.writers, return_counts=True)
+    split_of = _share_writers(writers, counts, shares / shares.sum(), spec.seed)
+    return {
+        split: np.flatnonzero(np.isin(catalog.writers, writers[split_of == index]))
+        for index, split in enumerate(SPLITS)
+    }
 
 
 def _share_writers(
     writers: NDArray[np.int64], counts: NDArray[np.int64], shares: NDArray[np.float64], seed: int
 ) -> NDArray[np.int64]:
-    """Return the rank of the split of each writer; every split with a share gets one while writers last."""
-    wanted = shares * counts.sum()
-    given = np.zeros(len(SPLITS))
-    chosen = np.full(len(writers), -1, dtype=np.int64)
-    queue = list(np.argsort(_keys(writers, seed, stream=2)))
-    for rank in np.flatnonzero(shares)[: len(queue)]:
-        _give(chosen, given, counts, queue.pop(0), int(rank))
-    for writer in queue:
-        _give(chosen, given, counts, writer, int(np.argmax(wanted - given)))
-    return chosen
-
-
-def _give(
-    chosen: NDArray[np.int64], given: NDArray[np.float64], counts: NDArray[np.int64], writer: int, rank: int
-) -> None:
-    chosen[writer] = rank
-    given[rank] += counts[writer]
-
-
-def _rank_in_class(labels: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Return for each row how many rows of its class stand before it."""
-    ranks = np.empty(len(labels), dtype=np.int64)
-    for label in range(_CLASSES):
-        members = np.flatnonzero(labels == label)
-        ranks[members] = np.arange(len(members))
-    return ranks
+    """Return the index of each writer's split; every split with a share gets one while writers last."""
+    wanted, given = shares * counts.sum(), np.zeros(len(SPLITS))
+    split_of = np.full(len(writers), -1, dtype=np.int64)
+    unserved = [int(split) for split in np.flatnonzero(shares)]
+    for writer in np.argsort(_keys(writers, seed, stream=2)):
+        split = unserved.pop(0) if unserved else int(np.argmax(wanted - given))
+        split_of[writer] = split
+        given[split] += counts[writer]
+    return split_of
 
 
 def _keys(ids: Sequence[int] | NDArray[np.int64], seed: int, stream: int) -> NDArray[np.uint64]:

@@ -1,8 +1,8 @@
 """The published steps from ink to mesh, one function each (Tactile MNIST paper, algorithm on MNIST 3D).
 
-Arrays of pixels are (rows, columns), stacks of layers (rows, columns, height). Surfaces are pairs of
-vertices and faces; their coordinates are (row, column, height above the mid-plane) in pixels until
-:func:`scale`.
+Arrays of pixels are (rows, columns), stacks of layers (rows, columns, height). Surfaces are pairs of vertices
+(float32, shape (V, 3)) and faces (int32, shape (F, 3), counter-clockwise seen from outside); their
+coordinates are (row, column, height above the mid-plane) in pixels until :func:`scale`.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from mnist3d.profile import erosion_radius
+from mnist3d.spec import erosion_radius_px
 from tactile_toolkit.mesh.mesh import MM_PER_M, Mesh
 
 if TYPE_CHECKING:
@@ -21,46 +21,54 @@ if TYPE_CHECKING:
 
     from mnist3d.spec import SolidSpec
 
-__all__ = ["erode", "erosion_radii_px", "marching_cubes", "mirror", "scale", "smooth", "stack"]
+__all__ = [
+    "decimate",
+    "erode",
+    "erosion_radii_px",
+    "literal_solid",
+    "marching_cubes",
+    "mirror",
+    "scale",
+    "smooth",
+    "stack",
+]
 
 TAUBIN_RATIO = -1.06
 """Step outward over step inward that lets smoothing keep the volume (Taubin 1995: slightly above one)."""
 
+FIRST_TOLERANCE_MM = 0.03
+TOLERANCE_GROWTH = 1.25
+
+
+def literal_solid(mask: NDArray[np.bool_], spec: SolidSpec, *, decimated: bool = True) -> Mesh:
+    """Build the solid of clean ink as the algorithm is printed: the oracle that the fast way is held to.
+
+    Binary layers at full resolution, marching cubes on the binary stack, smoothing, and only then a
+    decimation to the vertex budget (left out with ``decimated=False``). Slow and plain on purpose.
+    """
+    layers = [erode(mask, radius) for radius in erosion_radii_px(spec)]
+    # A margin of empty voxels closes the surface; the shift by one pixel undoes it.
+    volume = np.pad(mirror(stack(layers)), 1)
+    vertices, faces = marching_cubes(volume, 0.5)
+    vertices = smooth(vertices, faces, spec.literal_smoothing_iterations, spec.smoothing_factor)
+    mesh = scale(vertices - np.float32(1), faces, (mask.shape[0], mask.shape[1]), spec)
+    return decimate(mesh, spec.target_vertices) if decimated else mesh
+
 
 def erosion_radii_px(spec: SolidSpec) -> NDArray[np.float64]:
-    """List the erosion radius of each layer above the mid-plane.
+    """List the erosion radius of each layer above the mid-plane, in increasing order.
 
-    Parameters
-    ----------
-    spec : SolidSpec
-        Half thickness, pixel pitch and profile.
-
-    Returns
-    -------
-    ndarray of float64, shape (L,)
-        Pixels, in increasing order: layer k is one pixel thick and its middle lies k + 0.5 px up.
+    Layer k is one pixel thick and its middle lies k + 0.5 px up.
     """
-    layers = round(spec.half_thickness_px)
-    heights = np.arange(layers) + 0.5
-    return np.asarray(erosion_radius(heights, spec.half_thickness_px, spec.profile), dtype=np.float64)
+    heights = np.arange(round(spec.half_thickness_px)) + 0.5
+    return np.asarray(erosion_radius_px(heights, spec), dtype=np.float64)
 
 
 def erode(mask: NDArray[np.bool_], radius_px: float) -> NDArray[np.bool_]:
-    """Let the ink draw in from its outline, as binary erosion with a disc does.
+    """Let the ink draw in from its outline, as binary erosion with a disc does; beyond the image is paper.
 
     The outline lies half a pixel outside the outermost centres, so the disc holds the offsets shorter than
     ``radius_px + 0.5``.
-
-    Parameters
-    ----------
-    mask : ndarray of bool, shape (H, W)
-        True where there is ink; beyond the image there is paper.
-    radius_px : float
-        How far the outline draws in, in pixels.
-
-    Returns
-    -------
-    ndarray of bool, shape (H, W)
     """
     from scipy import ndimage
 
@@ -69,60 +77,26 @@ def erode(mask: NDArray[np.bool_], radius_px: float) -> NDArray[np.bool_]:
 
 
 def stack(layers: Sequence[NDArray[Any]]) -> NDArray[Any]:
-    """Put layers on top of one another.
-
-    Parameters
-    ----------
-    layers : sequence of ndarray, shape (H, W)
-        From the mid-plane up.
-
-    Returns
-    -------
-    ndarray, shape (H, W, L)
-    """
+    """Put layers of shape (H, W) on top of one another, from the mid-plane up."""
     return np.stack(layers, axis=2)
 
 
 def mirror(volume: NDArray[Any]) -> NDArray[Any]:
-    """Add the lower half of the solid.
-
-    Parameters
-    ----------
-    volume : ndarray, shape (H, W, L)
-        The layers above the mid-plane.
-
-    Returns
-    -------
-    ndarray, shape (H, W, 2 L)
-        The layers from the lowest to the highest.
-    """
+    """Add the lower half to the layers above the mid-plane."""
     return np.concatenate([volume[:, :, ::-1], volume], axis=2)
 
 
 def marching_cubes(
     volume: NDArray[Any], level: float, spacing: tuple[float, float, float] = (1.0, 1.0, 1.0)
 ) -> tuple[NDArray[np.float32], NDArray[np.int32]]:
-    """Extract the surface at which a volume passes a level.
+    """Extract the surface at which a volume, larger inside the solid, passes a level.
 
-    Parameters
-    ----------
-    volume : ndarray, shape (A, B, C)
-        Larger values inside the solid.
-    level : float
-        Value on the surface.
-    spacing : tuple of float
-        Distance of the nodes along each axis.
-
-    Returns
-    -------
-    vertices : ndarray of float32, shape (V, 3)
-        In the order of the axes, 0 at the first node.
-    faces : ndarray of int32, shape (F, 3)
-        Counter-clockwise seen from outside.
+    Coordinates are in the order of the axes, 0 at the first node, ``spacing`` between nodes.
     """
     from skimage import measure
 
     extract: Any = measure.marching_cubes
+    # "descent", scikit-image's default, would turn the triangles of such a volume inwards.
     vertices, faces, _, _ = extract(
         np.ascontiguousarray(volume, dtype=np.float32), level, spacing=spacing, gradient_direction="ascent"
     )
@@ -138,23 +112,9 @@ def smooth(
 ) -> NDArray[np.floating[Any]]:
     """Even out a surface without shrinking it (Taubin 1995).
 
-    Parameters
-    ----------
-    vertices : ndarray, shape (V, 3)
-        Positions.
-    faces : ndarray of int32, shape (F, 3)
-        Triangles.
-    iterations : int
-        Rounds, each of one step inward and a slightly longer one outward.
-    factor : float
-        Share of the way to the middle of the neighbours that the step inward goes.
-    held : ndarray of bool, shape (V,), optional
-        Vertices that keep their last coordinate. With the rim of the upper half of a mirrored surface held,
-        the half moves exactly as it would within the whole.
-
-    Returns
-    -------
-    ndarray, shape (V, 3)
+    Each round is a step of ``factor`` of the way to the middle of the neighbours and a slightly longer one
+    back. Vertices that are ``held`` keep their last coordinate: with the rim of the upper half of a mirrored
+    surface held, the half moves exactly as it would within the whole.
     """
     average = _neighbour_average(faces, len(vertices))
     for _ in range(iterations):
@@ -166,29 +126,24 @@ def smooth(
     return vertices
 
 
+def _neighbour_average(faces: NDArray[np.int32], count: int) -> Any:
+    from scipy import sparse
+
+    ends = faces[:, [0, 1, 2, 1, 2, 0]].T.reshape(-1)
+    others = faces[:, [1, 2, 0, 0, 1, 2]].T.reshape(-1)
+    weights = np.ones(len(ends), dtype=np.float32)
+    sums = sparse.csr_matrix((weights, (ends, others)), shape=(count, count))
+    shares = np.float32(1) / np.maximum(np.asarray(sums.sum(axis=1)).ravel(), 1)
+    return sparse.diags(shares.astype(np.float32)) @ sums
+
+
 def scale(
-    vertices: NDArray[np.floating[Any]],
-    faces: NDArray[np.int32],
-    shape: tuple[int, int],
-    spec: SolidSpec,
+    vertices: NDArray[np.floating[Any]], faces: NDArray[np.int32], shape: tuple[int, int], spec: SolidSpec
 ) -> Mesh:
-    """Turn pixels into metres and set the solid on the plate.
+    """Turn pixels of an image of that shape into metres and set the solid on the plate.
 
-    Parameters
-    ----------
-    vertices : ndarray, shape (V, 3)
-        (row, column, height) in pixels of the whole image.
-    faces : ndarray of int32, shape (F, 3)
-        Triangles.
-    shape : tuple of int
-        Rows and columns of the image; its middle becomes the origin.
-    spec : SolidSpec
-        Pixel pitch and storage grid.
-
-    Returns
-    -------
-    Mesh
-        Lowest point at z = 0, vertices in float32 on the storage grid.
+    The middle of the image becomes the origin, the lowest point lies at z = 0; vertices end on the storage
+    grid.
     """
     row, column, height = vertices.astype(np.float64).T
     centred = np.stack([column - (shape[1] - 1) / 2, (shape[0] - 1) / 2 - row, height], axis=1)
@@ -200,12 +155,16 @@ def scale(
     return Mesh((vertices_mm / MM_PER_M).astype(np.float32), faces)
 
 
-def _neighbour_average(faces: NDArray[np.int32], count: int) -> Any:
-    from scipy import sparse
-
-    ends = faces[:, [0, 1, 2, 1, 2, 0]].T.reshape(-1)
-    others = faces[:, [1, 2, 0, 0, 1, 2]].T.reshape(-1)
-    weights = np.ones(len(ends), dtype=np.float32)
-    sums = sparse.csr_matrix((weights, (ends, others)), shape=(count, count))
-    shares = np.float32(1) / np.maximum(np.asarray(sums.sum(axis=1)).ravel(), 1)
-    return sparse.diags(shares.astype(np.float32)) @ sums
+def decimate(mesh: Mesh, target_vertices: int) -> Mesh:
+    """Drop the vertices that matter least until the budget is met; a mesh within it comes back itself."""
+    if len(mesh.vertices_m) <= target_vertices:
+        return mesh
+    solid, tolerance_mm = mesh.to_manifold(), FIRST_TOLERANCE_MM
+    # Many careful passes: one pass with a wide tolerance leaves more vertices, and worse placed ones.
+    while solid.num_vert() > target_vertices:
+        solid = solid.simplify(tolerance_mm)
+        tolerance_mm *= TOLERANCE_GROWTH
+    simplified = solid.to_mesh64()
+    vertices_m = np.asarray(simplified.vert_properties)[:, :3] / MM_PER_M
+    vertices_m[:, 2] -= vertices_m[:, 2].min()
+    return Mesh(vertices_m.astype(np.float32), np.asarray(simplified.tri_verts).astype(np.int32))

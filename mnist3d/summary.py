@@ -16,22 +16,10 @@ __all__ = ["SplitSummary", "summarise"]
 
 @dataclass(frozen=True, slots=True)
 class SplitSummary:
-    """One split in numbers.
+    """One split: the counts of the manifest, rows of each class, and what the printability report says.
 
-    Attributes
-    ----------
-    split : str
-        Its name.
-    rows, shards, bytes, skipped : int
-        As in the manifest.
-    per_class : tuple of int
-        Rows of each class.
-    height_mm, volume_mm3, thinnest_wall_mm : tuple of float
-        Smallest, median and largest value over the split.
-    bodies : dict of int to int
-        How many digits have so many separate bodies.
-    warnings : dict of str to int
-        How many digits carry each print warning.
+    ``height_mm``, ``volume_mm3`` and ``thinnest_wall_mm`` are the smallest, the median and the largest value;
+    ``bodies`` counts digits by their number of separate bodies, ``warnings`` by print warning.
     """
 
     split: str
@@ -54,26 +42,27 @@ class SplitSummary:
 def summarise(manifest: Manifest, report: Any) -> list[SplitSummary]:
     """Sum up each split of a data set from its manifest and its printability report, an Arrow table."""
     splits = np.asarray(report["split"].to_pylist())
-    return [
-        _split_summary(split, report.filter(splits == split), entry)
-        for split, entry in manifest.split_table().items()
-    ]
+    summaries = []
+    for split, entry in manifest.split_table().items():
+        rows = report.filter(splits == split)
+        warnings = Counter(warning for found in rows["warnings"].to_pylist() for warning in found)
+        summaries.append(
+            SplitSummary(
+                split=split,
+                **entry,
+                per_class=tuple(np.bincount(_column(rows, "label").astype(np.int64), minlength=10).tolist()),
+                height_mm=_spread(_column(rows, "size_z_mm")),
+                volume_mm3=_spread(_column(rows, "volume_mm3")),
+                thinnest_wall_mm=_spread(_column(rows, "thinnest_wall_mm")),
+                bodies=dict(sorted(Counter(_column(rows, "bodies").tolist()).items())),
+                warnings=dict(sorted(warnings.items())),
+            )
+        )
+    return summaries
 
 
-def _split_summary(split: str, report: Any, entry: dict[str, int]) -> SplitSummary:
-    def column(name: str) -> NDArray[Any]:
-        return np.asarray(report[name].to_numpy())
-
-    return SplitSummary(
-        split=split,
-        **entry,
-        per_class=tuple(np.bincount(column("label").astype(np.int64), minlength=10).tolist()),
-        height_mm=_spread(column("size_z_mm")),
-        volume_mm3=_spread(column("volume_mm3")),
-        thinnest_wall_mm=_spread(column("thinnest_wall_mm")),
-        bodies=dict(sorted(Counter(column("bodies").tolist()).items())),
-        warnings=dict(sorted(Counter(w for ws in report["warnings"].to_pylist() for w in ws).items())),
-    )
+def _column(report: Any, name: str) -> NDArray[Any]:
+    return np.asarray(report[name].to_numpy())
 
 
 def _spread(values: NDArray[Any]) -> tuple[float, ...]:

@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from mnist3d.digit import NO_WRITER, DigitCatalog, DigitImage
+from mnist3d.sources import NO_WRITER, DigitCatalog, DigitImage
 from mnist3d.sources.canvas import fit
 from mnist3d.sources.picture import read_picture
 from tactile_toolkit.errors import InputError, ItemError

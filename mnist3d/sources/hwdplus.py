@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from mnist3d.digit import NO_WRITER, DigitCatalog, DigitImage
+from mnist3d.sources import NO_WRITER, DigitCatalog, DigitImage
 from mnist3d.sources.canvas import as_grey, fit
 from mnist3d.sources.npy import NpyFile, open_npy
 from tactile_toolkit.errors import InputError, ItemError

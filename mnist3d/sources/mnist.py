@@ -20,7 +20,7 @@ from urllib.error import URLError
 import numpy as np
 from numpy.typing import NDArray
 
-from mnist3d.digit import NO_WRITER, DigitCatalog, DigitImage
+from mnist3d.sources import NO_WRITER, DigitCatalog, DigitImage
 from mnist3d.sources.canvas import SIDE_PX, enlarge
 from mnist3d.sources.idx import IMAGES_MAGIC, LABELS_MAGIC, read_idx, unusable
 from tactile_toolkit.errors import HubError, InputError, ItemError, MissingExtraError, StorageError

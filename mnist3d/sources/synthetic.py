@@ -7,7 +7,7 @@ from operator import index
 
 import numpy as np
 
-from mnist3d.digit import DigitCatalog, DigitImage
+from mnist3d.sources import DigitCatalog, DigitImage
 from mnist3d.sources.handwriting.dice import Dice
 from mnist3d.sources.handwriting.glyphs import ALLOGRAPHS, Variation, choose_allograph
 from mnist3d.sources.handwriting.hand import Hand, hand_of

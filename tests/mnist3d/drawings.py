@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 from scipy import ndimage
 
-from mnist3d.distance import signed_distance_px
+from mnist3d.lattice import signed_distance_px
 from tactile_toolkit.mesh.mesh import Mesh
 
 DIGITS = Path(__file__).resolve().parents[2].parent / "shared" / "digits" / "png"

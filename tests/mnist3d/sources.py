@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mnist3d.digit import DigitCatalog, DigitImage
+from mnist3d.sources import DigitCatalog, DigitImage
 from mnist3d.sources.synthetic import SyntheticSource
 from tactile_toolkit.errors import ItemError
 

@@ -13,8 +13,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from PIL import Image
 
-from mnist3d.digit import NO_WRITER
-from mnist3d.sources import DigitSource
+from mnist3d.sources import NO_WRITER, DigitSource
 from mnist3d.sources.folder import FolderSource, _natural
 from tactile_toolkit.errors import InputError, ItemError
 

@@ -14,8 +14,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from mnist3d.digit import NO_WRITER
-from mnist3d.sources import DigitSource
+from mnist3d.sources import NO_WRITER, DigitSource
 from mnist3d.sources.hwdplus import HwdPlusSource
 from tactile_toolkit.errors import InputError, ItemError
 

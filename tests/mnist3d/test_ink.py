@@ -9,8 +9,7 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 from scipy import ndimage
 
-from mnist3d.bridges import join_bodies
-from mnist3d.ink import binarise, clean, count_bodies_and_holes, otsu_threshold, repair_corners
+from mnist3d.ink import binarise, clean, count_bodies_and_holes, join_bodies, otsu_threshold, repair_corners
 from tactile_toolkit.errors import ItemError
 
 MASKS = hnp.arrays(bool, st.tuples(st.integers(8, 40), st.integers(8, 40)))

@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from mnist3d.digit import NO_WRITER
-from mnist3d.sources import DigitSource
+from mnist3d.sources import NO_WRITER, DigitSource
 from mnist3d.sources.canvas import enlarge, fit
 from mnist3d.sources.mnist import MnistSource
 from tactile_toolkit.errors import ItemError

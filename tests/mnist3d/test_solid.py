@@ -14,7 +14,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import ndimage
 
-from mnist3d.comparison import symmetric_distances_mm
 from mnist3d.ink import count_bodies_and_holes
 from mnist3d.solid import (
     SolidSpec,
@@ -25,6 +24,7 @@ from mnist3d.solid import (
 from tactile_toolkit.errors import InputError, ItemError
 from tactile_toolkit.mesh.printability import inspect
 from tests.mnist3d.drawings import DIGITS, disc, drawn, seven, six, size_mm, stroke, volume_mm3
+from tests.mnist3d.surface_distances import symmetric_distances_mm
 
 # --- the whole way --------------------------------------------------------------------------------
 

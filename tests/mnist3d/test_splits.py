@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mnist3d.digit import NO_WRITER, DigitCatalog
+from mnist3d.sources import NO_WRITER, DigitCatalog
 from mnist3d.splits import PUBLISHED_SIZES, SPLITS, SplitSpec, plan_splits
 from tactile_toolkit.errors import InputError
 

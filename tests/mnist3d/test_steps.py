@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 from scipy import ndimage
 
-from mnist3d.distance import distance_px
+from mnist3d.lattice import distance_px
 from mnist3d.solid import (
     SolidSpec,
     decimate,

@@ -14,7 +14,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import ndimage
 
-from mnist3d.digit import DigitImage
+from mnist3d.sources import DigitImage
 from mnist3d.sources.handwriting.dice import Dice
 from mnist3d.sources.handwriting.glyphs import ALLOGRAPHS, choose_allograph
 from mnist3d.sources.synthetic import DRAWING_VERSION, SyntheticSource
