@@ -7,11 +7,10 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from cli.application import new_app, run
-from cli.failures import reports_errors
-from cli.options import DryRun, Folder, Json, Out, Overwrite, Quiet
+from cli.application import command, new_app, run
+from cli.folders import add_verify
+from cli.options import DryRun, Json, Out, Overwrite
 from cli.output import Sink
-from cli.verification import verify_folder
 from env_assets.wrench.kind import KIND
 
 if TYPE_CHECKING:
@@ -24,9 +23,9 @@ app = new_app("env-assets", "Assets of environments: the wrench, and what a fold
 Length = Annotated[float | None, typer.Option(metavar="MM", help="Instead of the usual proportion.")]
 
 
-@app.command()
-@reports_errors
+@command(app)
 def wrench(
+    *,
     size: Annotated[
         str, typer.Option(metavar="MM|M8", help="Nut of the first jaw: width across flats, or its thread.")
     ] = "13",
@@ -59,8 +58,7 @@ def wrench(
     ] = None,
     overwrite: Overwrite = False,
     dry_run: DryRun = False,
-    as_json: Json = False,
-    quiet: Quiet = False,
+    sink: Sink,
 ) -> None:
     """Make a printable open-end wrench, as a data set of one row.
 
@@ -85,11 +83,10 @@ def wrench(
     facts = wrench_facts(spec)
     if not dry_run:
         write_wrench(spec, str(out), mesh_file=stl, overwrite=overwrite)
-    _print_wrench(Sink(as_json, quiet), facts, out, stl, written=not dry_run)
+    _print_wrench(sink, facts, out, stl, written=not dry_run)
 
 
-@app.command()
-@reports_errors
+@command(app)
 def info(
     root: Annotated[Path, typer.Argument(metavar="DIR", help="Folder of an AssetProvider.")] = Path(
         "tactile-assets"
@@ -127,14 +124,7 @@ def info(
             sink.line(f"{summary.name} {summary.split}: {summary.problem}")
 
 
-@app.command()
-@reports_errors
-def verify(folder: Folder, as_json: Json = False, quiet: Quiet = False) -> None:
-    """Check every checksum, row count, schema and id of the folder of a wrench.
-
-    Exit code 3 when something is damaged; each damaged file is named.
-    """
-    verify_folder(Sink(as_json, quiet), str(folder), KIND)
+add_verify(app, KIND, "the folder of a wrench")
 
 
 def main() -> None:

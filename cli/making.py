@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
+from cli.options import Making
 from cli.output import Sink, bytes_text, duration_text
+from tactile_toolkit.kind import DatasetKind
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -16,7 +18,7 @@ if TYPE_CHECKING:
     from tactile_toolkit.store.forecast import Forecast
     from tactile_toolkit.store.manifest import Manifest
 
-__all__ = ["Made", "make_with_progress", "print_forecast"]
+__all__ = ["Made", "make_with_progress", "print_conclusion", "print_forecast"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -27,16 +29,11 @@ class Made:
     items: int
     elapsed_s: float
 
-    def sentence(self, unit: str, out: Path) -> str:
-        """Say what was made and where."""
-        done = f"made {self.items:,} {unit} in {duration_text(self.elapsed_s)}"
-        return f"{done if self.items else 'nothing was left to make'}; the data set is in {out}"
-
 
 def make_with_progress(
     sink: Sink, what: str, unit: str, make: Callable[[Callable[[Progress], None]], Manifest]
 ) -> Made:
-    """Run ``make`` with a progress bar; it takes the function that is told of each shard."""
+    """Run ``make`` with a progress bar; it takes the function that is called after each shard."""
     start_s = time.monotonic()
     items = 0
     with sink.progress(what, unit) as update:
@@ -50,17 +47,29 @@ def make_with_progress(
     return Made(manifest, items, time.monotonic() - start_s)
 
 
-def print_forecast(sink: Sink, view: Forecast, unit: str, out: Path, workers: int) -> None:
+def print_conclusion(sink: Sink, kind: DatasetKind, made: Made, out: Path, splits: Sequence[str]) -> None:
+    """Say what was made and where, and which commands come next."""
+    done = f"made {made.items:,} {kind.nouns} in {duration_text(made.elapsed_s)}"
+    sink.line(f"{done if made.items else 'nothing was left to make'}; the data set is in {out}")
+    table = made.manifest.split_table()
+    split = next((name for name in splits if name in table and table[name]["rows"]), splits[0])
+    sink.line(
+        f"next: {kind.command} validate {out}   or in Python: "
+        f"{kind.package}.load({str(out)!r}, split={split!r})"
+    )
+
+
+def print_forecast(sink: Sink, kind: DatasetKind, view: Forecast, out: Path, making: Making) -> None:
     """Print what a run would make."""
     sink.document(view.to_dict())
-    header = ("split", unit, "shards", "finished already")
+    header = ("split", kind.nouns, "shards", "finished already")
     sink.table(header, [(entry.split, entry.rows, entry.shards, entry.finished) for entry in view.splits])
     if view.replaced is not None:
         parts = ", ".join(f"{split} {rows:,}" for split, rows in view.replaced.items())
         held = f"{sum(view.replaced.values()):,} rows ({parts})" if parts else "no rows"
         sink.line(f"would replace the data set in {out}: {held}")
     sink.line(
-        f"would make {view.rows_to_make:,} {unit} in {out}: about {bytes_text(view.bytes)} of Parquet, about "
-        f"{duration_text(view.seconds)} with {workers} workers (measured on {view.sampled} {unit}); nothing "
-        "was written"
+        f"would make {view.rows_to_make:,} {kind.nouns} in {out}: about {bytes_text(view.bytes)} of Parquet, "
+        f"about {duration_text(view.seconds)} with {making.processes} workers (measured on {view.sampled} "
+        f"{kind.nouns}); nothing was written"
     )

@@ -22,6 +22,7 @@ __all__ = [
     "Split",
     "Workers",
     "local_place",
+    "process_count",
 ]
 
 
@@ -65,7 +66,7 @@ Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="No progress and no t
 
 @dataclass(frozen=True, slots=True)
 class Making:
-    """Options of all commands that make a data set folder, in the order of their help."""
+    """Options of all commands that make a data set folder."""
 
     workers: Workers = 0
     overwrite: Overwrite = False
@@ -74,4 +75,9 @@ class Making:
     @property
     def processes(self) -> int:
         """Number of worker processes."""
-        return self.workers or os.cpu_count() or 1
+        return process_count(self.workers)
+
+
+def process_count(workers: int) -> int:
+    """Return what ``--workers`` asks for: 0 means one process per processor core."""
+    return workers or os.cpu_count() or 1

@@ -7,19 +7,17 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from cli.application import new_app, run
-from cli.card_commands import add_card
-from cli.failures import reports_errors
+from cli.application import command, new_app, run
+from cli.folders import add_card, print_unfinished
 from cli.gallery_commands import add_touch_gallery
 from cli.hub_download import add_download
 from cli.hub_upload import add_upload
-from cli.options import Json, Quiet, Split
+from cli.options import Json, Split
 from cli.output import Sink, counted
 from cli.preview_commands import preview_touches
 from cli.touch_conversions import add_conversions
 from cli.touch_options import Revision, TouchSet
 from cli.touch_tables import print_made, print_summary, raise_findings, tell_fetching
-from cli.unfinished import print_unfinished
 from realtouch.kind import KIND
 
 if TYPE_CHECKING:
@@ -30,15 +28,14 @@ __all__ = ["app", "main"]
 app = new_app("realtouch", "Real touches: load, check, filter and convert the recordings of a GelSight Mini.")
 
 
-@app.command()
-@reports_errors
+@command(app)
 def load(
+    *,
     name: TouchSet,
     split: Annotated[str, typer.Option("--split", metavar="NAME", help="Split to open.")] = "train",
     revision: Revision = None,
     check: Annotated[bool, typer.Option(help="Check every round and the headers of its pictures.")] = True,
-    as_json: Json = False,
-    quiet: Quiet = False,
+    sink: Sink,
 ) -> None:
     """Download what is missing, check it, and print what it holds.
 
@@ -47,7 +44,6 @@ def load(
     from realtouch.opening import load as open_set
     from realtouch.summary import summarise
 
-    sink = Sink(as_json, quiet)
     dataset = open_set(name, split, revision=revision)
     if check:
         raise_findings(_verified(sink, name, split, revision, quick=True), name)
@@ -57,8 +53,7 @@ def load(
     sink.line(f"next in Python: realtouch.load({name!r}, {split!r}).touches()")
 
 
-@app.command()
-@reports_errors
+@command(app)
 def info(name: TouchSet, split: Split = None, revision: Revision = None, as_json: Json = False) -> None:
     """Show what each split of a data set holds and, for one of ours, how it was made.
 
@@ -98,15 +93,14 @@ def info(name: TouchSet, split: Split = None, revision: Revision = None, as_json
         )
 
 
-@app.command()
-@reports_errors
+@command(app)
 def verify(
+    *,
     name: TouchSet,
     split: Split = None,
     revision: Revision = None,
     quick: Annotated[bool, typer.Option("--quick", help="Read headers of pictures; decode none.")] = False,
-    as_json: Json = False,
-    quiet: Quiet = False,
+    sink: Sink,
 ) -> None:
     """Check every file, round, touch and frame, and list all that is wrong.
 
@@ -114,7 +108,6 @@ def verify(
 
     Example: realtouch verify real-single-64x64 --split test
     """
-    sink = Sink(as_json, quiet)
     result = _verified(sink, name, split, revision, quick=quick)
     findings = [
         {"file": f.file, "row": f.row, "touch": f.touch, "field": f.field, "problem": f.problem}

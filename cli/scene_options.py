@@ -1,16 +1,18 @@
-"""How the options of ``starstruck generate`` describe scenes."""
+"""Groups of options of ``starstruck generate``, and what they describe."""
 
 from __future__ import annotations
 
 import re
-from enum import StrEnum
-from typing import TYPE_CHECKING
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Annotated, Literal
+
+import typer
 
 if TYPE_CHECKING:
     from starstruck_gen.shapes import Shape
     from starstruck_gen.spec import SceneSpec
 
-__all__ = ["CollisionName", "scene_spec", "split_sizes"]
+__all__ = ["SceneOptions", "split_sizes"]
 
 
 # Notches at half the radius, as published, are no notches between 3 tips.
@@ -21,59 +23,88 @@ _LONGEST_COUNT = 18
 _BETWEEN_SHAPES = re.compile(r",(?![^(]*\))")  # a comma within brackets belongs to a shape
 
 
-class CollisionName(StrEnum):
-    """Collision rules on the command line."""
+@dataclass(frozen=True, slots=True)
+class SceneOptions:
+    """What stands in a scene, and how close."""
 
-    circles = "circles"
-    exact = "exact"
-
-
-def scene_spec(
-    stars: str,
-    distractors: str,
-    star_points: int | None,
-    star_inner_mm: float | None,
-    shapes: str,
-    radius_mm: float,
-    heights_mm: str,
-    cell_mm: str,
-    collision: CollisionName,
-    clearance_mm: float,
-) -> SceneSpec:
-    """Make the specification that the options describe."""
-    from starstruck_gen.shapes import Shape
-    from starstruck_gen.spec import SceneSpec
-    from tactile_toolkit.errors import InputError
-
-    sides_m = _lengths_m("--cell-mm", cell_mm.replace("x", ","))
-    if len(sides_m) > 2:
-        message = f"--cell-mm is {cell_mm!r}; expected one length such as 120, or two such as 120x130"
-        raise InputError(message)
-    radius_m = radius_mm / 1e3
-    return SceneSpec(
-        cell_m=(sides_m[0], sides_m[-1]),
-        stars=_counts("--stars", stars),
-        distractors=_least_and_most("--distractors", distractors),
-        star=_star(star_points, star_inner_mm, radius_mm),
-        distractor_shapes=tuple(
-            Shape.parse(text, radius_m) for text in _BETWEEN_SHAPES.split(shapes) if text.strip()
+    stars: Annotated[
+        str, typer.Option(metavar="1-3|1,2,5", help="Number of stars of each class; a class for each number.")
+    ] = "1-3"
+    distractors: Annotated[
+        str, typer.Option(metavar="0-5", help="Least and most objects of a scene that are no stars.")
+    ] = "0-5"
+    star_points: Annotated[int | None, typer.Option(metavar="N", help="Tips of a star; 5 as published.")] = (
+        None
+    )
+    star_inner_mm: Annotated[
+        float | None,
+        typer.Option(
+            metavar="MM",
+            help="Radius of a star's notches; half of --radius-mm as published, a quarter with 3 points.",
         ),
-        heights_m=_lengths_m("--heights-mm", heights_mm),
-        collision=collision.value,
-        clearance_m=clearance_mm / 1e3,
+    ] = None
+    shapes: Annotated[
+        str,
+        typer.Option(
+            metavar="box,disc",
+            help="Shapes of distractors: box, disc, triangle, hexagon, ring, cross, crescent; with "
+            "proportions of their own such as ring(hole_ratio=0.3).",
+        ),
+    ] = "box,disc"
+    radius_mm: Annotated[
+        float, typer.Option(metavar="MM", help="Radius of the circle around every object.")
+    ] = 10.0
+    heights_mm: Annotated[
+        str, typer.Option(metavar="5|4,6", help="Heights of objects, each with equal chance.")
+    ] = "5"
+    cell_mm: Annotated[str, typer.Option(metavar="120|120x120", help="Size of the cell along x and y.")] = (
+        "120"
+    )
+    collision: Annotated[
+        Literal["circles", "exact"],
+        typer.Option(help="What must not meet: circles around objects, or their exact outlines."),
+    ] = "circles"
+    clearance_mm: Annotated[float, typer.Option(metavar="MM", help="Least distance kept between those.")] = (
+        0.0
     )
 
+    def spec(self) -> SceneSpec:
+        """Return the specification of scenes. Raises InputError for what cannot be read or made."""
+        from starstruck_gen.shapes import Shape
+        from starstruck_gen.spec import SceneSpec
+        from tactile_toolkit.errors import InputError
 
-def _star(points: int | None, inner_mm: float | None, radius_mm: float) -> Shape:
-    from starstruck_gen.shapes import STAR, Shape, Star
+        sides_m = _lengths_m("--cell-mm", self.cell_mm.replace("x", ","))
+        if len(sides_m) > 2:
+            message = (
+                f"--cell-mm is {self.cell_mm!r}; expected one length such as 120, or two such as 120x130"
+            )
+            raise InputError(message)
+        radius_m = self.radius_mm / 1e3
+        return SceneSpec(
+            cell_m=(sides_m[0], sides_m[-1]),
+            stars=_counts("--stars", self.stars),
+            distractors=_least_and_most("--distractors", self.distractors),
+            star=self._star(),
+            distractor_shapes=tuple(
+                Shape.parse(text, radius_m) for text in _BETWEEN_SHAPES.split(self.shapes) if text.strip()
+            ),
+            heights_m=_lengths_m("--heights-mm", self.heights_mm),
+            collision=self.collision,
+            clearance_m=self.clearance_mm / 1e3,
+        )
 
-    plain = Shape(STAR, radius_mm / 1e3)  # a radius that cannot be is told first, not a ratio that follows
-    numbers: dict[str, float] = {} if points is None else {"points": points}
-    if inner_mm is not None:
-        numbers["inner_ratio"] = inner_mm / radius_mm
-    elif points == _FEWEST_POINTS:
-        numbers["inner_ratio"] = _RATIO_OF_FEWEST
-    return Shape(STAR, plain.radius_m, Star.from_dict(numbers))
+    def _star(self) -> Shape:
+        from starstruck_gen.shapes import STAR, Shape, Star
+
+        # A radius that cannot be is refused first, not a ratio that follows from it.
+        plain = Shape(STAR, self.radius_mm / 1e3)
+        numbers: dict[str, float] = {} if self.star_points is None else {"points": self.star_points}
+        if self.star_inner_mm is not None:
+            numbers["inner_ratio"] = self.star_inner_mm / self.radius_mm
+        elif self.star_points == _FEWEST_POINTS:
+            numbers["inner_ratio"] = _RATIO_OF_FEWEST
+        return Shape(STAR, plain.radius_m, Star.from_dict(numbers))
 
 
 def _counts(option: str, text: str) -> tuple[int, ...]:

@@ -2,53 +2,46 @@
 
 from __future__ import annotations
 
-import os
-from enum import StrEnum
+import time
+from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
-from cli.application import new_app, run
-from cli.card_commands import add_card
+from cli.application import command, new_app, run
 from cli.copies import print_copy
 from cli.export_commands import add_export
-from cli.failures import EXIT_FAILED, reports_errors
+from cli.failures import EXIT_FAILED
+from cli.folders import add_card, add_verify, least_to_most, print_made, print_spec
 from cli.gallery_commands import add_mesh_gallery
 from cli.hub_download import add_download
 from cli.hub_upload import add_upload
-from cli.making import make_with_progress, print_forecast
-from cli.options import DryRun, Folder, Json, Limit, Out, Overwrite, Quiet, Seed, Workers
-from cli.output import Sink, flat_lines
+from cli.making import make_with_progress, print_conclusion, print_forecast
+from cli.options import Folder, Json, Limit, Making, Out, Seed, Workers, process_count
+from cli.output import Sink, bytes_text
 from cli.preview_commands import preview_scenes
-from cli.scene_options import CollisionName, scene_spec, split_sizes
-from cli.scene_room import tells_of_failures
-from cli.scene_tables import print_acceptance, print_made
-from cli.verification import verify_folder
+from cli.scene_options import SceneOptions, split_sizes
 from starstruck_gen.kind import KIND
 
 if TYPE_CHECKING:
-    from starstruck_gen.generation import GenerateSpec
+    from tactile_toolkit.store.manifest import Manifest
 
 __all__ = ["app", "main"]
+
+_TRIAL_INTERVAL_S = 2.0
 
 app = new_app(
     "starstruck", "Starstruck: scenes of stars among other objects, as validated data sets of meshes."
 )
 
-
-class SplitName(StrEnum):
-    """Splits of Starstruck on the command line."""
-
-    train = "train"
-    test = "test"
-    all = "all"
+SceneSplit = Literal["train", "test", "all"]
 
 
-@app.command()
-@reports_errors
+@command(app)
 def generate(
-    split: Annotated[SplitName, typer.Option(help="Split to make.")] = SplitName.all,
+    *,
+    split: Annotated[SceneSplit, typer.Option(help="Split to make.")] = "all",
     out: Out = Path("starstruck-data"),
     scenes: Annotated[
         str | None,
@@ -56,53 +49,11 @@ def generate(
             metavar="N|train=N,test=N", help="Scenes of each split instead of the published 3,000 and 300."
         ),
     ] = None,
-    stars: Annotated[
-        str, typer.Option(metavar="1-3|1,2,5", help="Number of stars of each class; a class for each number.")
-    ] = "1-3",
-    distractors: Annotated[
-        str, typer.Option(metavar="0-5", help="Least and most objects of a scene that are no stars.")
-    ] = "0-5",
-    star_points: Annotated[
-        int | None, typer.Option(metavar="N", help="Tips of a star; 5 as published.")
-    ] = None,
-    star_inner_mm: Annotated[
-        float | None,
-        typer.Option(
-            metavar="MM",
-            help="Radius of a star's notches; half of --radius-mm as published, a quarter with 3 points.",
-        ),
-    ] = None,
-    shapes: Annotated[
-        str,
-        typer.Option(
-            metavar="box,disc",
-            help="Shapes of distractors: box, disc, triangle, hexagon, ring, cross, crescent; with "
-            "proportions of their own such as ring(hole_ratio=0.3).",
-        ),
-    ] = "box,disc",
-    radius_mm: Annotated[
-        float, typer.Option(metavar="MM", help="Radius of the circle around every object.")
-    ] = 10.0,
-    heights_mm: Annotated[
-        str, typer.Option(metavar="5|4,6", help="Heights of objects, each with equal chance.")
-    ] = "5",
-    cell_mm: Annotated[
-        str, typer.Option(metavar="120|120x120", help="Size of the cell along x and y.")
-    ] = "120",
-    collision: Annotated[
-        CollisionName,
-        typer.Option(help="What must not meet: circles around objects, or their exact outlines."),
-    ] = CollisionName.circles,
-    clearance_mm: Annotated[
-        float, typer.Option(metavar="MM", help="Least distance kept between those.")
-    ] = 0.0,
+    scene: SceneOptions,
     seed: Seed = 0,
     limit: Limit = None,
-    workers: Workers = 0,
-    overwrite: Overwrite = False,
-    dry_run: DryRun = False,
-    as_json: Json = False,
-    quiet: Quiet = False,
+    making: Making,
+    sink: Sink,
 ) -> None:
     """Make a data set of scenes.
 
@@ -110,49 +61,57 @@ def generate(
 
     A run that was stopped goes on when the same command is given again; finished shards are never made twice.
     """
-    from starstruck_gen.generation import PUBLISHED_SIZES, GenerateSpec
+    from starstruck_gen.generation import PUBLISHED_SIZES, GenerateSpec, forecast
+    from starstruck_gen.generation import generate as make
     from starstruck_gen.streams import SPLITS
+    from tactile_toolkit.run.worker import stay_on_one_core
+    from tactile_toolkit.store.folder import DataFolder
+    from tactile_toolkit.store.manifest import manifest_so_far
 
-    scene = scene_spec(
-        stars,
-        distractors,
-        star_points,
-        star_inner_mm,
-        shapes,
-        radius_mm,
-        heights_mm,
-        cell_mm,
-        collision,
-        clearance_mm,
-    )
     sizes = PUBLISHED_SIZES if scenes is None else split_sizes(scenes)
-    spec = GenerateSpec(scene, sizes, seed, limit)
-    splits = SPLITS if split is SplitName.all else (split.value,)
-    sink = Sink(as_json, quiet)
-    count = workers or os.cpu_count() or 1
-    if dry_run:
-        from starstruck_gen.generation import forecast
-
+    spec = GenerateSpec(scene.spec(), sizes, seed, limit)
+    splits = SPLITS if split == "all" else (split,)
+    on_failure = trial_reporter(sink)
+    if making.dry_run:
         view = forecast(
-            spec, str(out), splits, count, overwrite=overwrite, on_failure=tells_of_failures(sink)
+            spec, str(out), splits, making.processes, overwrite=making.overwrite, on_failure=on_failure
         )
-        print_forecast(sink, view, "scenes", out, count)
-    else:
-        _run_generate(sink, spec, out, splits, count, overwrite)
+        print_forecast(sink, KIND, view, out, making)
+        return
+    if scene.collision == "exact":
+        # Outlines are measured by manifold3d: 5.9 s of processor time with one thread, 7.1 s with its own
+        # ones. Circles do without it, and would only pay for the 0.1 s that the setting costs.
+        stay_on_one_core()
+    made = make_with_progress(
+        sink,
+        "making scenes",
+        "scenes",
+        lambda on_progress: make(
+            spec,
+            str(out),
+            splits,
+            workers=making.processes,
+            overwrite=making.overwrite,
+            on_progress=on_progress,
+            on_failure=on_failure,
+        ),
+    )
+    # Another split may be unfinished: what is finished of it stays and is shown, as `info` shows it.
+    _print_made(sink, manifest_so_far(DataFolder(str(out))) or made.manifest, out, made.elapsed_s)
+    print_conclusion(sink, KIND, made, out, splits)
 
 
-@app.command()
-@reports_errors
+@command(app)
 def validate(
+    *,
     paths: Annotated[
         list[Path],
         typer.Argument(metavar="DIR|FILE...", help="Data set folders, or Parquet files of scenes."),
     ],
-    split: Annotated[SplitName, typer.Option(help="Split of a data set folder.")] = SplitName.all,
+    split: Annotated[SceneSplit, typer.Option(help="Split of a data set folder.")] = "all",
     limit: Limit = None,
     workers: Workers = 1,
-    as_json: Json = False,
-    quiet: Quiet = False,
+    sink: Sink,
 ) -> None:
     """Prove scenes as read back from disk: solids that never overlap, and as many stars as the label says.
 
@@ -162,9 +121,8 @@ def validate(
     """
     from starstruck_gen.validate import validate_folder
 
-    sink = Sink(as_json, quiet)
-    chosen = None if split is SplitName.all else split.value
-    count = workers or os.cpu_count() or 1
+    chosen = None if split == "all" else split
+    count = process_count(workers)
     with sink.progress("checking", "scenes") as update:
         results = [validate_folder(str(path), chosen, limit, count, on_progress=update) for path in paths]
     sink.document([result.to_dict() for result in results])
@@ -182,10 +140,10 @@ def validate(
         raise typer.Exit(EXIT_FAILED)
 
 
-@app.command()
-@reports_errors
+@command(app)
 def info(folder: Folder, as_json: Json = False) -> None:
     """Show what a data set folder holds, how it was made, and how hard it was to place objects."""
+    from starstruck_gen.summary import summarise
     from tactile_toolkit.store.folder import DataFolder
     from tactile_toolkit.store.manifest import manifest_so_far
 
@@ -195,23 +153,60 @@ def info(folder: Folder, as_json: Json = False) -> None:
         print_copy(sink, folder, KIND)
         return
     KIND.refuse_other(manifest, str(folder))
-    print_made(sink, manifest, folder)
-    print_acceptance(sink, manifest)
-    sink.line(f"made by tactile-toolkit {manifest.toolkit_version}; spec:")
-    for line in flat_lines(manifest.spec):
-        sink.line(f"  {line}")
+    _print_made(sink, manifest, folder)
+    for summary in summarise(manifest):
+        counts = summary.acceptance
+        rows = [
+            (number, placed, tried, f"{tried / placed:.3f}")
+            for number, (placed, tried) in enumerate(
+                zip(counts.objects, counts.attempts, strict=True), start=1
+            )
+            if placed
+        ]
+        header = ("object", "placed", "positions drawn", "per object")
+        sink.table(header, rows, f"{summary.split}: positions drawn by object of a scene")
+    print_spec(sink, manifest, "spec")
 
 
-@app.command()
-@reports_errors
-def verify(folder: Folder, as_json: Json = False, quiet: Quiet = False) -> None:
-    """Check every checksum, row count, schema and id of a data set folder.
+def _print_made(sink: Sink, manifest: Manifest, out: Path, elapsed_s: float | None = None) -> None:
+    from starstruck_gen.summary import summarise
 
-    Exit code 3 when something is damaged; each damaged file is named.
+    summaries = summarise(manifest)
+    rows = [
+        (
+            summary.split,
+            summary.rows,
+            least_to_most(summary.acceptance.classes),
+            bytes_text(summary.bytes),
+            round(summary.bytes_per_scene),
+            f"{100 * summary.acceptance.accepted:.1f} %",
+            summary.acceptance.restarts,
+        )
+        for summary in summaries
+    ]
+    header = ("split", "scenes", "per class", "Parquet", "bytes per scene", "accepted", "started over")
+    splits = [summary.to_dict() for summary in summaries]
+    print_made(sink, KIND, manifest, out, splits, elapsed_s, (header, rows))
+
+
+def trial_reporter(sink: Sink) -> Callable[[int, int], None]:
+    """Return a function that takes each layout that failed, and says so every few seconds.
+
+    It is tried whether the fullest scene has room before anything is made, which may take minutes.
     """
-    verify_folder(Sink(as_json, quiet), str(folder), KIND)
+    last_s = time.monotonic()
+
+    def report(failed: int, allowed: int) -> None:
+        nonlocal last_s
+        now_s = time.monotonic()
+        if now_s - last_s >= _TRIAL_INTERVAL_S:
+            last_s = now_s
+            sink.talk(f"trying whether the fullest scene has room: {failed:,} of {allowed:,} layouts failed")
+
+    return report
 
 
+add_verify(app, KIND, "a data set folder")
 app.command("preview")(preview_scenes)
 add_card(app, KIND)
 add_upload(app, KIND)
@@ -223,38 +218,3 @@ add_export(app, KIND)
 def main() -> None:
     """Run the command line."""
     run(app)
-
-
-def _run_generate(
-    sink: Sink, spec: GenerateSpec, out: Path, splits: tuple[str, ...], workers: int, overwrite: bool
-) -> None:
-    from starstruck_gen.generation import generate as make
-    from tactile_toolkit.run.worker import stay_on_one_core
-    from tactile_toolkit.store.folder import DataFolder
-    from tactile_toolkit.store.manifest import manifest_so_far
-
-    if spec.scene.collision == CollisionName.exact:
-        # Outlines are measured by manifold3d: 5.9 s of processor time with one thread, 7.1 s with its own
-        # ones. Circles do without it, and would only pay for the 0.1 s that the setting costs.
-        stay_on_one_core()
-    made = make_with_progress(
-        sink,
-        "making scenes",
-        "scenes",
-        lambda tell: make(
-            spec,
-            str(out),
-            splits,
-            workers=workers,
-            overwrite=overwrite,
-            on_progress=tell,
-            on_failure=tells_of_failures(sink),
-        ),
-    )
-    # Another split may be unfinished: what is finished of it stays and is told, as `info` tells it.
-    print_made(sink, manifest_so_far(DataFolder(str(out))) or made.manifest, out, made.elapsed_s)
-    sink.line(made.sentence("scenes", out))
-    sink.line(
-        f"next: starstruck validate {out}   or in Python: "
-        f"starstruck_gen.load({str(out)!r}, split={made.manifest.splits[0]!r})"
-    )

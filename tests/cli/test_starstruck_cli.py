@@ -11,7 +11,7 @@ import pytest
 from typer.testing import CliRunner
 
 import starstruck_gen
-from cli import scene_room
+from cli import starstruck
 from cli.output import Sink
 from cli.starstruck import app
 
@@ -198,8 +198,8 @@ def test_finished_split_is_told_beside_what_an_unfinished_one_keeps(tmp_path):
 
 def test_trial_of_room_is_told_after_a_while(monkeypatch, capsys):
     now_s = [0.0]
-    monkeypatch.setattr(scene_room.time, "monotonic", lambda: now_s[0])
-    tell = scene_room.tells_of_failures(Sink())
+    monkeypatch.setattr(starstruck.time, "monotonic", lambda: now_s[0])
+    tell = starstruck.trial_reporter(Sink())
     tell(1, 1_001)
     assert capsys.readouterr().err == ""
     now_s[0] = 60.0

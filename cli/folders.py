@@ -1,0 +1,163 @@
+"""A data set folder on the command line: what it holds, whether it is whole, and its card."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import typer
+
+from cli.application import command
+from cli.options import Folder
+from cli.output import Sink, bytes_text, counted, flat_lines
+from tactile_toolkit.kind import DatasetKind
+
+if TYPE_CHECKING:
+    from tactile_toolkit.store.manifest import Manifest
+
+__all__ = ["add_card", "add_verify", "least_to_most", "print_made", "print_spec", "print_unfinished"]
+
+
+def print_made(
+    sink: Sink,
+    kind: DatasetKind,
+    manifest: Manifest,
+    out: Path,
+    splits: Any,
+    elapsed_s: float | None,
+    table: tuple[Sequence[str], Sequence[Sequence[object]]],
+    **further: Any,
+) -> None:
+    """Print what a folder holds: ``table`` where its run is finished, and how it goes on where not.
+
+    ``splits`` and ``further`` are JSON values for the document.
+    """
+    sink.document(
+        {
+            "folder": str(out),
+            "complete": manifest.complete,
+            "toolkit_version": manifest.toolkit_version,
+            "elapsed_s": None if elapsed_s is None else round(elapsed_s, 3),
+            "shards_planned": _shards_planned(manifest),
+            "splits": splits,
+            **further,
+            "spec": manifest.spec,
+        }
+    )
+    if manifest.complete:
+        sink.table(*table)
+    else:
+        print_unfinished(sink, manifest, out, kind.nouns, kind.made_by)
+
+
+def least_to_most(counts: Sequence[int]) -> str:
+    """Write how many rows classes have: ``"10"`` where all have as many, else ``"8-10"``."""
+    least, most = min(counts), max(counts)
+    return str(most) if least == most else f"{least}-{most}"
+
+
+def print_spec(sink: Sink, manifest: Manifest, what: str) -> None:
+    """Print what made a folder, one value a line."""
+    sink.line(f"made by tactile-toolkit {manifest.toolkit_version}; {what}:")
+    for line in flat_lines(manifest.spec):
+        sink.line(f"  {line}")
+
+
+def print_unfinished(sink: Sink, manifest: Manifest, out: Path, unit: str, command: str) -> None:
+    """Say that a folder is unfinished, what it holds so far, and which command goes on."""
+    from tactile_toolkit.store.folder import DataFolder
+    from tactile_toolkit.store.origin import read_record
+
+    record = read_record(DataFolder(str(out)))
+    if record is None:
+        found, next_step = "no shard is finished yet", f"the same `{command}` goes on where it stopped"
+    else:
+        found = "the download is under way or was interrupted"
+        next_step = f"download {record.repo_id} there again, it goes on where it stopped"
+    table = manifest.split_table()
+    if not table:
+        sink.line(f"{out}: unfinished, {found}; {next_step}")
+        return
+    sink.line(f"{out}: unfinished, the run is under way or was interrupted; {next_step}")
+    rows = [
+        (split, f"{held['shards']:,} of {planned:,}", held["rows"], bytes_text(held["bytes"]))
+        for (split, held), planned in zip(table.items(), _shards_planned(manifest).values(), strict=True)
+    ]
+    sink.table(("split", "shards finished", unit, "Parquet"), rows)
+
+
+def _shards_planned(manifest: Manifest) -> dict[str, int]:
+    """Return how many shards each split is to have, as far as a finished one tells."""
+    return {split: manifest.shards_of(split)[0].shard.count for split in manifest.splits}
+
+
+def add_verify(app: typer.Typer, kind: DatasetKind, what: str) -> None:
+    """Add the command ``verify`` for folders that are checked by checksum, schema and ids alone."""
+
+    def verify(folder: Folder, sink: Sink) -> None:
+        from tactile_toolkit.cards.checks import check_card
+        from tactile_toolkit.errors import IntegrityError
+        from tactile_toolkit.store.folder import DataFolder
+        from tactile_toolkit.store.manifest import read_manifest
+        from tactile_toolkit.store.origin import read_record
+        from tactile_toolkit.store.verify import verify
+
+        place = DataFolder(str(folder))
+        kind.refuse_other(read_manifest(place), place.address())
+        result = verify(place, None if kind.schema is None else kind.schema(), check_card=check_card)
+        findings = [{"file": finding.file, "problem": finding.problem} for finding in result.findings]
+        counts_of = {"files": result.files, "rows": result.rows}
+        sink.document({"ok": result.ok, "witness": result.reference, **counts_of, "findings": findings})
+        if result.ok:
+            size = bytes_text(result.bytes)
+            counts = f"{counted(result.files, 'files')}, {counted(result.rows, 'rows')}, {size}"
+            sink.line(f"{folder}: {counts}: all as {result.reference} says")
+            return
+        for finding in result.findings:
+            # Said to those too who want to hear nothing else: the error below only counts.
+            sys.stderr.write(f"damaged: {finding.file}: {finding.problem}\n")
+        record = read_record(place)
+        if record is None:
+            cure = f"run the same `{kind.made_by}` again, it makes the damaged shards anew"
+        else:
+            cure = f"download {record.repo_id} there again, only what is damaged is fetched"
+        message = f"{counted(len(findings), 'problems')} in {str(folder)!r}; next: {cure}"
+        raise IntegrityError(message)
+
+    verify.__doc__ = f"""Check every checksum, row count, schema and id of {what}.
+
+    Exit code 3 when something is damaged; each damaged file is named.
+    """
+    command(app)(verify)
+
+
+def add_card(app: typer.Typer, kind: DatasetKind) -> None:
+    """Add the command ``card`` to a command line."""
+
+    @command(app)
+    def card(folder: Folder, sink: Sink) -> None:
+        """Write the data card (README.md) of a folder anew, with the picture that it shows, and check it.
+
+        All numbers are those of the data; loading lines say FOLDER until the folder is uploaded.
+        """
+        from tactile_toolkit.cards.card import CARD_FILE
+        from tactile_toolkit.cards.checks import check_card
+        from tactile_toolkit.cards.pictures import PREVIEW_FOLDER
+        from tactile_toolkit.catalog.kinds import finished_manifest, require_manifest
+        from tactile_toolkit.errors import IntegrityError
+        from tactile_toolkit.store.folder import DataFolder
+
+        place = DataFolder(str(folder))
+        manifest_of = require_manifest if kind.needs_manifest else finished_manifest
+        kind.write_card(place, manifest_of(kind, place))
+        findings = check_card(place)
+        if findings:
+            message = f"{findings[0].file} of {str(folder)!r}: {findings[0].problem}"
+            raise IntegrityError(message)
+        pictures = [
+            f"{PREVIEW_FOLDER}/{name}" for name in place.names(PREVIEW_FOLDER) if name.endswith(".png")
+        ]
+        sink.document({"folder": str(folder), "card": CARD_FILE, "previews": pictures})
+        sink.line(f"{folder}: wrote {', '.join([CARD_FILE, *pictures])}; all of it matches the data")
