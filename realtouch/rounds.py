@@ -22,14 +22,14 @@ from realtouch.columns.poses import (
 )
 from realtouch.contact import require_method
 from realtouch.integrity.damage import damaged, missing_column
-from realtouch.media.clips import SensorClips, contact_frames_of, contact_windows_of, decode_frames
 from realtouch.media.images import SensorImages, in_parallel, positions_of
+from realtouch.media.round_clips import SensorClips, contact_frames_of, contact_windows_of, decode_frames
 from realtouch.poses import Poses, PoseSequences, bad_pose, rigid_transform
 from tactile_toolkit.errors import InputError, IntegrityError, ToolkitError
 from tactile_toolkit.read.dataset import Record, Row
 from tactile_toolkit.read.parquet import RowGroup
 from tactile_toolkit.touch.jpeg import Pixels
-from tactile_toolkit.touch.rows import flat_table, take_touches
+from tactile_toolkit.touch.rows import flat_row, take_touches
 
 __all__ = ["Info", "TouchRound", "TouchSeqRound", "TouchSingleRound", "has_info", "read_info"]
 
@@ -184,7 +184,7 @@ class TouchRound(Record):
     def with_touches(self, touches: Sequence[int]) -> Self:
         """Return a round of some of the touches, in the order given; a copy of their stored bytes."""
         row = whole_row(self._row)
-        table = flat_table(row.group.table.slice(row.index, 1))
+        table = flat_row(row)
         chosen = take_touches(table, touches, self.touch_count)
         return type(self)(Row(RowGroup(chosen, row.path, row.number), 0))
 

@@ -8,10 +8,11 @@ from __future__ import annotations
 
 import operator
 from collections.abc import Callable, Iterable
-from dataclasses import asdict
 from functools import partial
 from os import PathLike, fspath
 from typing import Any, Literal, SupportsIndex
+
+import numpy as np
 
 from realtouch.card import SYNTHETIC, is_synthetic, write_card
 from realtouch.contact import MIN_CONTACT_HEIGHT_M, require_method
@@ -23,20 +24,19 @@ from realtouch.convert.image_files import (
     repeated_ids,
     write_index,
 )
-from realtouch.convert.plan import Conversion, RowChoice, Source, convert
-from realtouch.convert.resize import ResizeMedia
-from realtouch.convert.select import KeepTouches, Selection, choose_rows
-from realtouch.convert.snapshots import TakeSnapshots
+from realtouch.convert.plan import Conversion, RowChoice, Source, plan_conversion, refuse_source
+from realtouch.convert.steps import KeepTouches, ResizeMedia, TakeContactFrames
+from realtouch.dataset import dataset_of
 from tactile_toolkit.errors import InputError
-from tactile_toolkit.run.processes import Runner
-from tactile_toolkit.store.build import Progress
+from tactile_toolkit.run.processes import Runner, runner_for
+from tactile_toolkit.store.build import Progress, build
 from tactile_toolkit.store.folder import DataFolder
 from tactile_toolkit.store.manifest import Manifest
 from tactile_toolkit.touch.jpeg import MAX_IMAGE_PIXELS
 
 __all__ = ["frames", "resize", "select", "to_single"]
 
-_SNAPSHOT_ROWS = 16
+_CONTACT_FRAME_ROWS = 16
 _INDEX_ROWS = 16
 
 
@@ -96,17 +96,19 @@ def to_single(
     """
     method = require_method(frame)
     opened = Source.open(source, split=split)
-    _require_clips(opened)
+    if opened.kind != "seq":
+        message = f"{opened.name!r} holds single images already; expected a data set of clips (seq)"
+        raise InputError(message)
     conversion = Conversion(
         opened,
         "to-single",
         {"frame": method, "limit": limit},
-        TakeSnapshots(method),
+        TakeContactFrames(method),
         _first_rows(opened, limit),
-        rows_per_shard=_SNAPSHOT_ROWS,
-        rows_per_group=_SNAPSHOT_ROWS // 2,
+        rows_per_shard=_CONTACT_FRAME_ROWS,
+        rows_per_group=_CONTACT_FRAME_ROWS // 2,
     )
-    return _finish(conversion, out, workers, overwrite, on_progress)
+    return _convert(conversion, out, "single", workers, overwrite, on_progress)
 
 
 def resize(
@@ -156,7 +158,7 @@ def resize(
         ResizeMedia(width, height, quality),
         _first_rows(opened, limit),
     )
-    return _finish(conversion, out, workers, overwrite, on_progress)
+    return _convert(conversion, out, opened.kind, workers, overwrite, on_progress)
 
 
 def select(
@@ -203,22 +205,47 @@ def select(
     InputError, SpecMismatchError, StorageError
         As :func:`to_single`.
     """
-    wanted = Selection(
-        contact,
-        float(min_height_m),
-        recalibrate_z,
-        tuple(map(str, labels)),
-        tuple(map(_object_id, objects)),
-        _require_limit(limit),
-    )
-    opened = Source.open(source, split=split)
     options: dict[str, Any] = {
-        **asdict(wanted),
-        "labels": list(wanted.labels),
-        "objects": list(wanted.objects),
+        "contact": contact,
+        "min_height_m": float(min_height_m),
+        "recalibrate_z": recalibrate_z,
+        "labels": [str(label) for label in labels],
+        "objects": [_object_id(each) for each in objects],
+        "limit": _require_limit(limit),
     }
-    conversion = Conversion(opened, "select", options, KeepTouches(contact), choose_rows(opened, wanted))
-    return _finish(conversion, out, workers, overwrite, on_progress)
+    opened = Source.open(source, split=split)
+    choices = {each: _chosen_rows(opened, each, **options) for each in opened.shards}
+    conversion = Conversion(opened, "select", options, KeepTouches(contact), choices)
+    return _convert(conversion, out, opened.kind, workers, overwrite, on_progress)
+
+
+def _chosen_rows(
+    source: Source,
+    split: str,
+    *,
+    contact: bool,
+    min_height_m: float,
+    recalibrate_z: bool,
+    labels: list[str],
+    objects: list[int],
+    limit: int | None,
+) -> list[RowChoice]:
+    """Decide which rows and touches of a split :func:`select` keeps; reads small columns only."""
+    dataset = dataset_of(source.shards[split], source.kind)
+    if labels:
+        known = dataset.label_names
+        wanted = [name if name in known or not name.isdecimal() else int(name) for name in labels]
+        dataset = dataset.filter_labels(wanted)
+    if objects:
+        dataset = dataset[np.isin(dataset.column("object_id"), objects)]
+    rows = dataset.row_numbers.tolist()
+    if not contact:
+        return [RowChoice(row) for row in rows[:limit]]
+    touches = dataset.touches().with_contact(min_height_m, recalibrate_z)
+    kept: list[list[int]] = [[] for _ in rows]
+    for position, touch in zip(touches.round_positions.tolist(), touches.touch_indices.tolist(), strict=True):
+        kept[position].append(touch)
+    return [RowChoice(row, tuple(chosen)) for row, chosen in zip(rows, kept, strict=True) if chosen][:limit]
 
 
 def frames(
@@ -276,21 +303,24 @@ def frames(
         extra_dirs=(IMAGE_FOLDER, INDEX_FILE),
         extras_intact=partial(pictures_are_whole, folder),
     )
-    manifest = convert(conversion, out, workers=workers, overwrite=overwrite, on_progress=on_progress)
-    write_card(folder, manifest, "frames")
+    manifest = _convert(conversion, out, "frames", workers, overwrite, on_progress)
     return write_index(folder, manifest)
 
 
-def _finish(
+def _convert(
     conversion: Conversion,
     out: str | PathLike[str],
+    card: Literal["seq", "single", "frames"],
     workers: int | Runner,
     overwrite: bool,
     on_progress: Callable[[Progress], None],
 ) -> Manifest:
-    manifest = convert(conversion, out, workers=workers, overwrite=overwrite, on_progress=on_progress)
-    kind = "single" if conversion.operation == "to-single" else conversion.source.kind
-    write_card(DataFolder(fspath(out)), manifest, kind)
+    """Write a conversion as a data set folder with a card; an interrupted one goes on where it stopped."""
+    folder = DataFolder(fspath(out))
+    refuse_source(folder, conversion.source)
+    plan, runner = plan_conversion(conversion), runner_for(workers)
+    manifest = build(folder, plan, runner, overwrite=overwrite, on_progress=on_progress)
+    write_card(folder, manifest, card)
     return manifest
 
 
@@ -315,9 +345,3 @@ def _object_id(value: SupportsIndex) -> int:
     except TypeError as error:
         message = f"objects holds {value!r}; expected whole numbers, such as 12"
         raise InputError(message) from error
-
-
-def _require_clips(source: Source) -> None:
-    if source.kind != "seq":
-        message = f"{source.name!r} holds single images already; expected a data set of clips (seq)"
-        raise InputError(message)

@@ -8,14 +8,16 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, Literal
 
+import pyarrow as pa
+
 from realtouch.columns.poses import clip_poses, poses, touch_total, vectors
 from realtouch.contact import ContactMethod
 from realtouch.convert.plan import RowChoice, Source
-from realtouch.convert.snapshots import snapshot_frame
+from realtouch.convert.steps import contact_frame_of
 from realtouch.dataset import dataset_of
 from realtouch.integrity.damage import damaged
-from realtouch.media.clips import SensorClips
 from realtouch.media.images import SensorImages
+from realtouch.media.round_clips import SensorClips
 from realtouch.rounds import TouchSeqRound, TouchSingleRound
 from tactile_toolkit.read.dataset import Row
 from tactile_toolkit.read.parquet import Shard
@@ -37,6 +39,31 @@ __all__ = [
 IMAGE_FOLDER = "images"
 INDEX_FILE = "index.csv"
 
+_NUMBER_COLUMNS = (
+    "pos_in_cell_x_m",
+    "pos_in_cell_y_m",
+    "gel_x_m",
+    "gel_y_m",
+    "gel_z_m",
+    "gel_qx",
+    "gel_qy",
+    "gel_qz",
+    "gel_qw",
+)
+_INDEX_SCHEMA = pa.schema(
+    [
+        ("id", pa.string()),
+        ("file", pa.string()),
+        ("sha256", pa.string()),
+        ("round_id", pa.string()),
+        ("touch", pa.int64()),
+        ("frame", pa.int64()),
+        ("label", pa.int64()),
+        ("object_id", pa.int64()),
+        *((name, pa.float64()) for name in _NUMBER_COLUMNS),
+    ]
+)
+
 _JPEG_START = b"\xff\xd8"
 _MOST_NAME_BYTES = 255
 """Longest name of a file on the usual file systems."""
@@ -44,18 +71,9 @@ _MOST_NAME_BYTES = 255
 
 @dataclass(frozen=True)
 class WritePictures:
-    """Step of ``frames``: writes the pictures of a row, and gives their lines of the index.
+    """Step of ``frames``: writes the pictures of a row below a folder, and gives their lines of the index.
 
-    Attributes
-    ----------
-    folder : DataFolder
-        Where the pictures go.
-    kind : "png" or "jpeg"
-        Their format. Stored JPEGs pass through as they are.
-    method : str
-        Which frame of a clip.
-    repeated : mapping of str to frozenset of int
-        Rows of each split whose id stands in a row before them; see :func:`repeated_ids`.
+    Stored JPEGs pass through as they are. ``repeated``: see :func:`repeated_ids`.
     """
 
     folder: DataFolder
@@ -63,44 +81,23 @@ class WritePictures:
     method: ContactMethod
     repeated: Mapping[str, frozenset[int]] = field(default_factory=dict, repr=False)
 
-    def schema(self, source: Any) -> Any:
+    def schema(self, source: Any) -> pa.Schema:
         """Return the columns of the index."""
-        import pyarrow as pa
-
-        numbers = [(name, pa.float64()) for name in _NUMBER_COLUMNS]
-        return pa.schema(
-            [
-                ("id", pa.string()),
-                ("file", pa.string()),
-                ("sha256", pa.string()),
-                ("round_id", pa.string()),
-                ("touch", pa.int64()),
-                ("frame", pa.int64()),
-                ("label", pa.int64()),
-                ("object_id", pa.int64()),
-                *numbers,
-            ]
-        )
+        return _INDEX_SCHEMA
 
     def apply(self, row: Row, choice: RowChoice, split: str) -> Any:
         """Write the pictures of a row and return its lines of the index.
 
-        A row with a damaged touch is left out as a whole: none of its pictures is written.
-
-        Raises
-        ------
-        IntegrityError
-            Something of the row is damaged, or its id cannot name a folder of its own.
+        A row with a damaged touch, or whose id cannot name a folder of its own, is left out as a whole: none
+        of its pictures is written.
         """
-        import pyarrow as pa
-
         if choice.row in self.repeated.get(split, ()):
             problem = f"{row.value('id')!r} stands in an earlier round of split {split!r} too"
             raise damaged(row, "id", f"{problem}; expected ids that differ")
         made = [self._picture(row, touch, split) for touch in range(touch_total(row))]
         for line, encoded in made:
             self.folder.write_bytes(line["file"], encoded)
-        return pa.Table.from_pylist([line for line, _ in made], schema=self.schema(None))
+        return pa.Table.from_pylist([line for line, _ in made], schema=_INDEX_SCHEMA)
 
     def _picture(self, row: Row, touch: int, split: str) -> tuple[dict[str, Any], bytes]:
         record = TouchSingleRound(row) if row.has("sensor_image") else TouchSeqRound(row)
@@ -133,7 +130,7 @@ class WritePictures:
 
     def _seq(self, row: Row, touch: int) -> tuple[bytes, int, list[Any]]:
         clip = SensorClips(row)[touch]
-        frame = snapshot_frame(clip, self.method)
+        frame = contact_frame_of(clip, self.method)
         pose = clip_poses(row, touch)
         encoded = self._encoded(clip[frame], clip.encoded(frame) if clip.has_index else b"")
         return encoded, frame, [*pose.position_m[frame], *pose.quaternion[frame]]
@@ -145,27 +142,8 @@ class WritePictures:
         return encode_image(pixels, self.kind)
 
 
-_NUMBER_COLUMNS = (
-    "pos_in_cell_x_m",
-    "pos_in_cell_y_m",
-    "gel_x_m",
-    "gel_y_m",
-    "gel_z_m",
-    "gel_qx",
-    "gel_qy",
-    "gel_qz",
-    "gel_qw",
-)
-
-
 def repeated_ids(source: Source, choices: Mapping[str, Sequence[RowChoice]]) -> dict[str, frozenset[int]]:
-    """Find the rows whose id stands in a row before them; reads the column of ids only.
-
-    Raises
-    ------
-    InputError
-        The data set has no ids.
-    """
+    """Find the rows of each split whose id stands in a row before them; reads the column of ids only."""
     repeated = {}
     for split, chosen in choices.items():
         ids = dataset_of(source.shards[split], source.kind).ids
@@ -186,13 +164,7 @@ def pictures_are_whole(folder: DataFolder, record: ShardRecord) -> bool:
 
 
 def _folder_name(row: Row, name: str) -> str:
-    """Return the id of a round as the name of its folder: one that leads nowhere else on any system.
-
-    Raises
-    ------
-    IntegrityError
-        It is no such name.
-    """
+    """Return the id of a round as the name of its folder: one that leads nowhere else on any system."""
     safe = name.isprintable() and not set(name) & set("/\\") and not name.startswith(TEMPORARY_PREFIX)
     if name in ("", ".", "..") or not safe or len(name.encode(errors="replace")) > _MOST_NAME_BYTES:
         shown = name if len(name) <= 80 else f"{name[:80]}..."

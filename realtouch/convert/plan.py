@@ -1,4 +1,4 @@
-"""What all conversions share: the rows, the tasks, and the finished folder.
+"""What all conversions share: the source, the rows, the tasks, and the finished folder.
 
 A conversion is planned from footers and small columns alone; each task reads its own rows, block by block,
 and makes one shard. See :mod:`tactile_toolkit.store.build` for resuming and byte-identical results.
@@ -13,39 +13,40 @@ from os import PathLike, fspath
 from pathlib import Path
 from typing import Any, Protocol
 
-from realtouch.kind import KIND
+import pyarrow as pa
+
 from realtouch.names import repository_of
 from realtouch.opening import open_shards
 from tactile_toolkit.catalog.locate import splits_of
 from tactile_toolkit.errors import InputError, IntegrityError, ItemError
 from tactile_toolkit.read.dataset import Row
 from tactile_toolkit.read.parquet import Shard
-from tactile_toolkit.run.processes import Runner, runner_for
-from tactile_toolkit.store.build import Progress, build
 from tactile_toolkit.store.folder import DataFolder
-from tactile_toolkit.store.manifest import Manifest
 from tactile_toolkit.store.parquet import ParquetStyle
 from tactile_toolkit.store.plan import BuildPlan, ShardContent
 from tactile_toolkit.store.shards import ShardName, ShardRecord, Skipped
-from tactile_toolkit.touch.rows import with_features
-from tactile_toolkit.touch.schema import Kind, class_names, kind_of, require_types
+from tactile_toolkit.touch.schema import (
+    MEDIA_COLUMN,
+    Kind,
+    class_names,
+    flat_schema,
+    kind_of,
+    require_types,
+    with_features,
+)
 
-__all__ = ["Conversion", "RowChoice", "Source", "Step", "convert", "plan_conversion", "refuse_source"]
+__all__ = ["KIND", "Conversion", "RowChoice", "Source", "Step", "plan_conversion", "refuse_source"]
+
+KIND = "realtouch"
+
+_SHARD_BYTES = 256 << 20
+_GROUP_BYTES = 32 << 20
+_MOST_ROWS_PER_SHARD = 64
 
 
 @dataclass(frozen=True)
 class Source:
-    """A data set to convert.
-
-    Attributes
-    ----------
-    name : str
-        Folder, file, short name or Hub repository, as the user gave it.
-    shards : mapping of str to tuple of Shard
-        Shards of each split.
-    kind : "seq" or "single"
-        What it holds.
-    """
+    """A data set to convert: its name as the user gave it, the shards of each split, and what it holds."""
 
     name: str
     shards: Mapping[str, tuple[Shard, ...]]
@@ -53,21 +54,9 @@ class Source:
 
     @classmethod
     def open(cls, name: str | PathLike[str], revision: str | None = None, split: str | None = None) -> Source:
-        """Find the splits of a data set, fetching them first where they are on the Hub; read their footers.
+        """Find the splits of a data set (or the one given), fetching them first where they are on the Hub.
 
-        Parameters
-        ----------
-        name : str or path
-            Folder, file, short name or Hub repository.
-        revision : str, optional
-            Branch, tag or commit of a Hub repository.
-        split : str, optional
-            Only this split, of which alone files are fetched; all by default.
-
-        Raises
-        ------
-        InputError, IntegrityError, HubError
-            As :func:`realtouch.load`.
+        Reads footers. Raises as :func:`realtouch.load`.
         """
         name = fspath(name)
         splits = (split,) if split is not None else splits_of(repository_of(name), revision=revision)
@@ -77,40 +66,36 @@ class Source:
         return cls(name, shards, kind_of(shards[splits[0]][0].schema, name))
 
     @property
-    def schema(self) -> Any:
+    def schema(self) -> pa.Schema:
         """Arrow schema of the first shard."""
         return next(iter(self.shards.values()))[0].schema
 
-    @property
-    def label_names(self) -> tuple[str, ...]:
-        """Name of each class."""
-        return class_names(self.schema)
-
     def row_bytes(self) -> int:
-        """Return the size of a row unpacked, on average over the data set."""
-        shards = [shard for found in self.shards.values() for shard in found]
+        """Return the size of a row unpacked, on average over the data set; at least 1."""
         groups = [
             shard.metadata.row_group(index)
-            for shard in shards
+            for found in self.shards.values()
+            for shard in found
             for index in range(shard.metadata.num_row_groups)
         ]
         rows = sum(group.num_rows for group in groups)
-        return int(sum(group.total_byte_size for group in groups) // max(rows, 1))
+        return max(int(sum(group.total_byte_size for group in groups) // max(rows, 1)), 1)
 
     def fingerprint(self) -> dict[str, list[dict[str, Any]]]:
-        """Return JSON values that identify the rows: names, sizes and footers of the files."""
+        """Return JSON values that identify the rows: names, sizes and footers of the files.
+
+        The footer holds offset and size of every column chunk: other content gives another footer, and
+        reading 28 GB to plan a conversion would cost minutes.
+        """
         return {split: [_file_fingerprint(shard) for shard in found] for split, found in self.shards.items()}
 
 
 def _file_fingerprint(shard: Shard) -> dict[str, Any]:
-    # The footer holds place and size of every column chunk: other content gives another footer, and reading
-    # 28 GB to plan a conversion would cost minutes.
     with Path(shard.path).open("rb") as stream:
-        stream.seek(-8, 2)
+        size = stream.seek(-8, 2) + 8
         footer_bytes = int.from_bytes(stream.read(4), "little")
         stream.seek(-8 - footer_bytes, 2)
         footer = stream.read(footer_bytes)
-    size = Path(shard.path).stat().st_size
     return {
         "file": Path(shard.path).name,
         "rows": len(shard),
@@ -120,22 +105,16 @@ def _file_fingerprint(shard: Shard) -> dict[str, Any]:
 
 
 def refuse_source(folder: DataFolder, source: Source) -> None:
-    """Refuse to write where the source is read, be it by another name or through a link.
-
-    Raises
-    ------
-    InputError
-        The folder holds a file of the source, or lies in its folder.
-    """
+    """Refuse to write where the source is read, be it by another name or through a link (InputError)."""
     if not folder.is_local:
         return
     out = Path(folder.address()).resolve()
     home = Path(source.name).expanduser().resolve()
     files = [Path(shard.path).absolute() for shards in source.shards.values() for shard in shards]
     real = [file.resolve() for file in files]
-    if _any_below(out, real):
+    if any(file.is_relative_to(out) for file in real):
         found = "holds the source"
-    elif home.is_dir() and out.is_relative_to(home) and _any_below(home, [*real, *files]):
+    elif home.is_dir() and out.is_relative_to(home) and any(f.is_relative_to(home) for f in [*real, *files]):
         found = "lies in the source"
     else:
         return
@@ -144,15 +123,6 @@ def refuse_source(folder: DataFolder, source: Source) -> None:
         "choose a folder outside it"
     )
     raise InputError(message)
-
-
-def _any_below(folder: Path, files: Sequence[Path]) -> bool:
-    return any(file.is_relative_to(folder) for file in files)
-
-
-_SHARD_BYTES = 256 << 20
-_GROUP_BYTES = 32 << 20
-_MOST_ROWS_PER_SHARD = 64
 
 
 @dataclass(frozen=True, slots=True)
@@ -166,17 +136,14 @@ class RowChoice:
 class Step(Protocol):
     """What a conversion does to one row; small and picklable."""
 
-    def schema(self, source: Any) -> Any:
+    def schema(self, source: pa.Schema) -> pa.Schema:
         """Return the flat schema that it writes, for the flat schema that it reads."""
         ...
 
-    def apply(self, row: Row, choice: RowChoice, split: str) -> Any:
+    def apply(self, row: Row, choice: RowChoice, split: str) -> pa.Table:
         """Return the new rows as a table of that schema.
 
-        Raises
-        ------
-        IntegrityError, ItemError
-            The row cannot be used; it is left out and listed.
+        A row that raises IntegrityError or ItemError is left out and listed.
         """
         ...
 
@@ -185,24 +152,9 @@ class Step(Protocol):
 class Conversion:
     """A conversion, decided down to its rows.
 
-    Attributes
-    ----------
-    source : Source
-        What is read.
-    operation : str
-        Its name.
-    options : mapping
-        Its options as JSON values.
-    step : Step
-        What is done to a row.
-    choices : mapping of str to sequence of RowChoice
-        Rows of each split, in order.
-    rows_per_shard, rows_per_group : int or None
-        Layout; by the size of the source's rows where None.
-    extra_dirs : tuple of str
-        What the step writes beside the rows; see :class:`tactile_toolkit.store.plan.BuildPlan`.
-    extras_intact : callable
-        Tells whether what the step wrote there for a finished shard is still whole.
+    ``options`` are JSON values, ``choices`` the rows of each split in order; the layout follows from the size
+    of the source's rows where it is None. ``extra_dirs`` names what the step writes beside the rows,
+    ``extras_intact`` tells whether what it wrote there for a finished shard is still whole.
     """
 
     source: Source
@@ -224,7 +176,7 @@ class _ConvertShard:
     paths: tuple[str, ...] = field(repr=False)
     choices: tuple[RowChoice, ...] = field(repr=False)
     step: Step = field(repr=False)
-    schema: Any = field(repr=False)
+    schema: pa.Schema = field(repr=False)
 
     @property
     def size(self) -> int:
@@ -233,10 +185,8 @@ class _ConvertShard:
 
     def make(self) -> ShardContent:
         """Convert the rows; damaged ones are left out and listed."""
-        import pyarrow as pa
-
         tables, skipped = [self.schema.empty_table()], []
-        for choice, row in _chosen_rows(self.paths, self.choices):
+        for choice, row in self._rows():
             try:
                 tables.append(self.step.apply(row, choice, self.shard.split).cast(self.schema))
             except IntegrityError as error:
@@ -245,45 +195,38 @@ class _ConvertShard:
                 skipped.append(Skipped(choice.row, error.reason, error.message))
         return ShardContent(pa.concat_tables(tables).combine_chunks(), tuple(skipped))
 
-
-def _chosen_rows(paths: Sequence[str], choices: Sequence[RowChoice]) -> Iterator[tuple[RowChoice, Row]]:
-    """Read the blocks that hold chosen rows, one at a time, in order."""
-    wanted = {choice.row: choice for choice in choices}
-    first, last = min(wanted), max(wanted)
-    start = 0
-    for shard in map(Shard, paths):
-        for index, group_start in enumerate(shard.group_starts[:-1]):
-            begin, end = start + group_start, start + shard.group_starts[index + 1]
-            if end <= first or begin > last:
-                continue
-            for group in shard.blocks(index):
-                for place in range(len(group.table)):
-                    number = start + group.first_row + place
-                    if number in wanted:
-                        yield wanted[number], Row(group, place)
-        start += len(shard)
+    def _rows(self) -> Iterator[tuple[RowChoice, Row]]:
+        """Read the blocks that hold chosen rows, one at a time, in order."""
+        wanted = {choice.row: choice for choice in self.choices}
+        first, last = min(wanted), max(wanted)
+        start = 0
+        for shard in map(Shard, self.paths):
+            for index, group_start in enumerate(shard.group_starts[:-1]):
+                if start + shard.group_starts[index + 1] <= first or start + group_start > last:
+                    continue
+                for group in shard.blocks(index):
+                    for position in range(len(group.table)):
+                        number = start + group.first_row + position
+                        if number in wanted:
+                            yield wanted[number], Row(group, position)
+            start += len(shard)
 
 
 def plan_conversion(conversion: Conversion) -> BuildPlan:
-    """Decide which shards hold which rows; pure, reads nothing.
-
-    Raises
-    ------
-    InputError
-        Nothing is left to convert.
-    """
-    from tactile_toolkit.touch.rows import flat_schema
-
-    source = conversion.source
-    schema = with_features(conversion.step.schema(flat_schema(source.schema)), source.label_names)
-    row_bytes = max(source.row_bytes(), 1)
+    """Decide which shards hold which rows; reads footers only. InputError when nothing is left to convert."""
+    source, step = conversion.source, conversion.step
+    schema = with_features(step.schema(flat_schema(source.schema)), class_names(source.schema))
+    row_bytes = source.row_bytes()
     per_shard = conversion.rows_per_shard or max(1, min(_MOST_ROWS_PER_SHARD, _SHARD_BYTES // row_bytes))
     per_group = conversion.rows_per_group or max(1, min(per_shard, _GROUP_BYTES // row_bytes))
-    tasks = [
-        task
-        for split, choices in conversion.choices.items()
-        for task in _split_tasks(conversion, split, choices, per_shard, schema)
-    ]
+    tasks = []
+    for split, choices in conversion.choices.items():
+        paths = tuple(shard.path for shard in source.shards[split])
+        chunks = [tuple(choices[start : start + per_shard]) for start in range(0, len(choices), per_shard)]
+        tasks += [
+            _ConvertShard(ShardName(split, index, len(chunks)), paths, chunk, step, schema)
+            for index, chunk in enumerate(chunks)
+        ]
     if not tasks:
         message = (
             f"nothing is left of {source.name!r} after {conversion.operation!r}; next: choose fewer filters"
@@ -295,58 +238,16 @@ def plan_conversion(conversion: Conversion) -> BuildPlan:
         "rows_per_shard": per_shard,
         "source": source.fingerprint(),
     }
-    style = ParquetStyle(per_group, compression_level=3, encodings=_plain_media(schema))
+    # JPEG does not compress again, and a dictionary or statistics of pictures would only take space.
+    media = [name for name in MEDIA_COLUMN.values() if schema.get_field_index(name) >= 0]
+    encodings = tuple((f"{name}.list.element.bytes", "PLAIN") for name in media)
     return BuildPlan(
-        KIND.name,
+        KIND,
         spec,
         tuple(source.shards),
         tuple(tasks),
-        style,
+        ParquetStyle(per_group, compression_level=3, encodings=encodings),
         extra_dirs=conversion.extra_dirs,
         extras_intact=conversion.extras_intact,
         needs_rows=True,
     )
-
-
-def _plain_media(schema: Any) -> tuple[tuple[str, str], ...]:
-    # JPEG does not compress again, and a dictionary or statistics of pictures would only take space.
-    media = [name for name in ("sensor_image", "sensor_video") if schema.get_field_index(name) >= 0]
-    return tuple((f"{name}.list.element.bytes", "PLAIN") for name in media)
-
-
-def _split_tasks(
-    conversion: Conversion, split: str, choices: Sequence[RowChoice], per_shard: int, schema: Any
-) -> list[_ConvertShard]:
-    paths = tuple(shard.path for shard in conversion.source.shards[split])
-    chunks = [tuple(choices[start : start + per_shard]) for start in range(0, len(choices), per_shard)]
-    return [
-        _ConvertShard(ShardName(split, index, len(chunks)), paths, chunk, conversion.step, schema)
-        for index, chunk in enumerate(chunks)
-    ]
-
-
-def convert(
-    conversion: Conversion,
-    out: str | PathLike[str],
-    *,
-    workers: int | Runner = 1,
-    overwrite: bool = False,
-    on_progress: Callable[[Progress], None] = lambda _: None,
-) -> Manifest:
-    """Write a conversion as a data set folder; an interrupted one goes on where it stopped.
-
-    Raises
-    ------
-    InputError
-        The folder to write holds the source, or lies in it; nothing was touched.
-    IntegrityError
-        Every round is damaged; nothing is left behind.
-    SpecMismatchError
-        The folder holds something made by another specification.
-    StorageError
-        The folder cannot be written. What was finished stays.
-    """
-    folder = DataFolder(fspath(out))
-    refuse_source(folder, conversion.source)
-    runner = runner_for(workers)
-    return build(folder, plan_conversion(conversion), runner, overwrite=overwrite, on_progress=on_progress)

@@ -17,8 +17,7 @@ from realtouch.rounds import TouchRound, TouchSeqRound, TouchSingleRound, has_in
 from tactile_toolkit.errors import InputError, IntegrityError, MissingExtraError
 from tactile_toolkit.read.dataset import Row
 from tactile_toolkit.touch.jpeg import decode_image, image_size
-from tactile_toolkit.touch.rows import PER_TOUCH_COLUMNS
-from tactile_toolkit.touch.schema import MEDIA_COLUMN
+from tactile_toolkit.touch.schema import MEDIA_COLUMN, PER_TOUCH_COLUMNS
 
 __all__ = ["check_round"]
 

@@ -1,9 +1,12 @@
-"""The published schema of real touches: which columns there are, of which type, and what makes a kind."""
+"""The published schema of touches: which columns there are, of which type, and what makes a kind."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import json
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, Literal
+
+import pyarrow as pa
 
 from tactile_toolkit.errors import InputError, IntegrityError
 from tactile_toolkit.read.columns import column_names, stored_class_names
@@ -12,58 +15,92 @@ from tactile_toolkit.read.nested import list_depth
 __all__ = [
     "CLASS_NAMES",
     "MEDIA_COLUMN",
+    "MEDIA_TYPE",
+    "PER_TOUCH_COLUMNS",
     "PLATE_COLUMN",
     "Kind",
     "class_names",
     "column_type",
+    "flat_schema",
+    "is_per_touch",
     "kind_of",
     "require_types",
+    "with_features",
 ]
 
 Kind = Literal["seq", "single"]
 MEDIA_COLUMN: dict[Kind, str] = {"seq": "sensor_video", "single": "sensor_image"}
 """The column that makes a data set one of clips or one of images."""
 
+MEDIA_TYPE = pa.struct([("bytes", pa.binary()), ("path", pa.string())])
+"""Arrow type of an image or clip: its bytes, and the name it once had."""
+
 PLATE_COLUMN = "plate_z_m"
 """Height of the plate in a round from which `select` took touches, metres, cell frame."""
 
 CLASS_NAMES = tuple(str(digit) for digit in range(10))
 
+_Tests = tuple[Callable[[Any], bool], ...]
+_WHOLE: _Tests = (pa.types.is_integer,)
+_TEXT: _Tests = (pa.types.is_string, pa.types.is_large_string, pa.types.is_integer)
+_FLOAT: _Tests = (pa.types.is_float32, pa.types.is_float64)
+_TIME: _Tests = (pa.types.is_duration, *_FLOAT)
+_BYTES: _Tests = (pa.types.is_binary, pa.types.is_large_binary)
+_COLUMNS: dict[str, tuple[int, _Tests, str]] = {
+    "id": (0, _TEXT, "a string"),
+    "label": (0, _WHOLE, "a whole number"),
+    "object_id": (0, _WHOLE, "a whole number"),
+    PLATE_COLUMN: (0, _FLOAT, "a float: metres"),
+    "pos_in_cell": (2, _FLOAT, "two floats per touch"),
+    "gel_pose_cell_frame.position": (2, _FLOAT, "three floats per touch"),
+    "gel_pose_cell_frame.quaternion": (2, _FLOAT, "four floats per touch"),
+    "sensor_image": (1, _BYTES, "a struct of bytes and path per touch"),
+    "video_length_frames": (1, _WHOLE, "a whole number per touch"),
+    "gel_pose_cell_frame_seq.position": (3, _FLOAT, "three floats per frame of each touch"),
+    "gel_pose_cell_frame_seq.quaternion": (3, _FLOAT, "four floats per frame of each touch"),
+    "time_stamp_rel_seq": (2, _TIME, "a duration or float seconds per frame of each touch"),
+    "touch_start_time_rel": (1, _TIME, "a duration or float seconds per touch"),
+    "touch_end_time_rel": (1, _TIME, "a duration or float seconds per touch"),
+    "sensor_video": (1, _BYTES, "a struct of bytes and path per touch"),
+}
+"""Depth of nesting, tests of the innermost type of which one must hold, and words for it."""
 
-def kind_of(schema: Any, where: str) -> Kind:
-    """Tell whether a data set holds clips (``seq``) or images (``single``).
+PER_TOUCH_COLUMNS = tuple(name for name, (depth, _, _) in _COLUMNS.items() if depth)
+"""Columns that hold one entry per touch."""
 
-    Raises
-    ------
-    InputError
-        It holds neither, or both.
-    """
+
+def is_per_touch(name: str, data_type: pa.DataType) -> bool:
+    """Tell whether a column may hold an entry per touch: known ones, and lists of vectors in ``info``."""
+    return name in PER_TOUCH_COLUMNS or (name.startswith("info.") and list_depth(data_type)[0] >= 2)
+
+
+def kind_of(schema: pa.Schema | None, where: str) -> Kind:
+    """Tell whether a data set holds clips (``seq``) or images (``single``); InputError if neither or both."""
     names = column_names(schema) if schema is not None else ()
     kinds = [kind for kind, column in MEDIA_COLUMN.items() if column in names]
     if len(kinds) != 1:
         message = (
-            f"{where!r} is no data set of real touches: expected a column 'sensor_video' or 'sensor_image', "
+            f"{where!r} is not a data set of touches: expected a column 'sensor_video' or 'sensor_image', "
             f"found {', '.join(names) or 'no columns'}; next: name one, such as real-single-64x64"
         )
         raise InputError(message)
     return kinds[0]
 
 
-def require_types(schema: Any, where: str) -> None:
+def require_types(schema: pa.Schema, where: str) -> None:
     """Check the type of every known column that is there, and that the class names can be read.
 
-    Raises
-    ------
-    IntegrityError
-        A column has a type that its values cannot be read from; names file and column.
+    Raises IntegrityError, which names file and column.
     """
     class_names(schema, where)
-    for name, (depth, fits, expected) in _TYPES.items():
+    for name, (depth, tests, expected) in _COLUMNS.items():
         data_type = column_type(schema, name)
         if data_type is None:
             continue
         found_depth, leaf = list_depth(data_type)
-        if found_depth != depth or not fits(leaf):
+        if pa.types.is_struct(leaf) and leaf.get_field_index("bytes") >= 0:
+            leaf = leaf.field("bytes").type
+        if found_depth != depth or not any(test(leaf) for test in tests):
             message = (
                 f"{where!r}, field {name!r}: the column has the type {data_type}; expected {expected}; "
                 "next: download or convert the data set again"
@@ -71,10 +108,8 @@ def require_types(schema: Any, where: str) -> None:
             raise IntegrityError(message)
 
 
-def column_type(schema: Any, name: str) -> Any:
-    """Return the Arrow type of a column by dotted name, flat or inside structs; None when it is not there."""
-    import pyarrow as pa
-
+def column_type(schema: pa.Schema, name: str) -> Any:
+    """Return the type of a column by dotted name, flat or inside structs; None when it is not there."""
     parts = name.split(".")
     for count in range(len(parts), 0, -1):
         index = schema.get_field_index(".".join(parts[:count]))
@@ -82,73 +117,53 @@ def column_type(schema: Any, name: str) -> Any:
             continue
         found = schema.field(index).type
         for part in parts[count:]:
-            place = found.get_field_index(part) if pa.types.is_struct(found) else -1
-            if place < 0:
+            inner = found.get_field_index(part) if pa.types.is_struct(found) else -1
+            if inner < 0:
                 return None
-            found = found.field(place).type
+            found = found.field(inner).type
         return found
     return None
 
 
-def class_names(schema: Any, where: str = "") -> tuple[str, ...]:
+def class_names(schema: pa.Schema, where: str = "") -> tuple[str, ...]:
     """Return the class names that `datasets` stored in the schema, or the ten digits.
 
-    Raises
-    ------
-    IntegrityError
-        What is stored there is no description of features; names the file, ``where``.
+    Raises IntegrityError when what is stored there is not a description of features; it names the file.
     """
     found = stored_class_names(schema, where)
     return CLASS_NAMES if found is None else found
 
 
-def _is_text(leaf: Any) -> bool:
-    import pyarrow as pa
-
-    return bool(pa.types.is_string(leaf) or pa.types.is_large_string(leaf) or pa.types.is_integer(leaf))
-
-
-def _is_whole(leaf: Any) -> bool:
-    import pyarrow as pa
-
-    return bool(pa.types.is_integer(leaf))
+def flat_schema(schema: pa.Schema) -> pa.Schema:
+    """Return the fields of a schema with structs ``a{b, c}`` as flat columns ``a.b``, ``a.c``."""
+    table = schema.empty_table()
+    while any(pa.types.is_struct(field.type) for field in table.schema):
+        table = table.flatten()
+    return pa.schema([pa.field(field.name, _plain_type(field.type)) for field in table.schema])
 
 
-def _is_float(leaf: Any) -> bool:
-    import pyarrow as pa
-
-    return bool(pa.types.is_float32(leaf) or pa.types.is_float64(leaf))
-
-
-def _is_time(leaf: Any) -> bool:
-    import pyarrow as pa
-
-    return bool(pa.types.is_duration(leaf)) or _is_float(leaf)
+def _plain_type(data_type: pa.DataType) -> pa.DataType:
+    """Return a type whose lists carry no names of their own; pickling would change those, and the bytes."""
+    if pa.types.is_fixed_size_list(data_type):
+        return pa.list_(_plain_type(data_type.value_type), data_type.list_size)
+    return pa.list_(_plain_type(data_type.value_type)) if list_depth(data_type)[0] else data_type
 
 
-def _is_bytes(leaf: Any) -> bool:
-    import pyarrow as pa
-
-    if pa.types.is_struct(leaf) and leaf.get_field_index("bytes") >= 0:
-        leaf = leaf.field(leaf.get_field_index("bytes")).type
-    return bool(pa.types.is_binary(leaf) or pa.types.is_large_binary(leaf))
+def with_features(schema: pa.Schema, label_names: Sequence[str]) -> pa.Schema:
+    """Add the metadata from which `datasets` reads the features: classes, images, videos, numbers."""
+    features = {field.name: _feature(field.name, field.type, label_names) for field in schema}
+    return schema.with_metadata({"huggingface": json.dumps({"info": {"features": features}})})
 
 
-_TYPES: dict[str, tuple[int, Callable[[Any], bool], str]] = {
-    "id": (0, _is_text, "a string"),
-    "label": (0, _is_whole, "a whole number"),
-    "object_id": (0, _is_whole, "a whole number"),
-    PLATE_COLUMN: (0, _is_float, "a float: metres"),
-    "pos_in_cell": (2, _is_float, "two floats per touch"),
-    "gel_pose_cell_frame.position": (2, _is_float, "three floats per touch"),
-    "gel_pose_cell_frame.quaternion": (2, _is_float, "four floats per touch"),
-    "sensor_image": (1, _is_bytes, "a struct of bytes and path per touch"),
-    "video_length_frames": (1, _is_whole, "a whole number per touch"),
-    "gel_pose_cell_frame_seq.position": (3, _is_float, "three floats per frame of each touch"),
-    "gel_pose_cell_frame_seq.quaternion": (3, _is_float, "four floats per frame of each touch"),
-    "time_stamp_rel_seq": (2, _is_time, "a duration or float seconds per frame of each touch"),
-    "touch_start_time_rel": (1, _is_time, "a duration or float seconds per touch"),
-    "touch_end_time_rel": (1, _is_time, "a duration or float seconds per touch"),
-    "sensor_video": (1, _is_bytes, "a struct of bytes and path per touch"),
-}
-"""Depth of nesting, test of the innermost type, and its words."""
+def _feature(name: str, data_type: pa.DataType, label_names: Sequence[str]) -> Mapping[str, Any]:
+    if name == "label":
+        return {"names": list(label_names), "_type": "ClassLabel"}
+    if list_depth(data_type)[0]:
+        length = data_type.list_size if pa.types.is_fixed_size_list(data_type) else -1
+        inner = _feature(name, data_type.value_type, label_names)
+        # "Sequence" is the spelling that both old and new releases of `datasets` read as a list.
+        return {"feature": inner, "length": length, "_type": "Sequence"}
+    if name in MEDIA_COLUMN.values():
+        return {"_type": {"sensor_image": "Image", "sensor_video": "Video"}[name]}
+    numpy_names = {"double": "float64", "float": "float32"}
+    return {"dtype": numpy_names.get(str(data_type), str(data_type)), "_type": "Value"}

@@ -229,7 +229,7 @@ def conversions(source: str, out: str, runner: Any) -> None:
 def test_workers_and_interruptions_change_no_byte(
     seq_folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("realtouch.convert.api._SNAPSHOT_ROWS", 1)
+    monkeypatch.setattr("realtouch.convert.api._CONTACT_FRAME_ROWS", 1)
     conversions(str(seq_folder), str(tmp_path / "a"), 1)
     conversions(str(seq_folder), str(tmp_path / "b"), ProcessRunner(2))
     assert folder_bytes(tmp_path / "a") == folder_bytes(tmp_path / "b")

@@ -1,0 +1,179 @@
+"""What ``to-single``, ``resize`` and ``select`` do to one row."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+from numpy.typing import NDArray
+
+from realtouch.columns.poses import contact_z_m, touch_total, vectors
+from realtouch.contact import ContactMethod
+from realtouch.convert.plan import RowChoice
+from realtouch.media.clips import TouchClip
+from realtouch.media.images import SensorImages
+from realtouch.media.round_clips import SensorClips
+from tactile_toolkit.errors import InputError, ItemError
+from tactile_toolkit.read.dataset import Row
+from tactile_toolkit.touch.avi import write_avi
+from tactile_toolkit.touch.jpeg import Pixels, encode_image, resized
+from tactile_toolkit.touch.rows import bytes_lists, flat_row, number_lists, take_touches
+from tactile_toolkit.touch.schema import (
+    MEDIA_COLUMN,
+    MEDIA_TYPE,
+    PLATE_COLUMN,
+    Kind,
+    column_type,
+    is_per_touch,
+)
+
+__all__ = ["KeepTouches", "ResizeMedia", "TakeContactFrames", "contact_frame_of"]
+
+_POSE, _POSE_SEQUENCE = "gel_pose_cell_frame", "gel_pose_cell_frame_seq"
+_SEQ_ONLY = (
+    "video_length_frames",
+    "time_stamp_rel_seq",
+    "touch_start_time_rel",
+    "touch_end_time_rel",
+    "sensor_video",
+)
+
+
+@dataclass(frozen=True)
+class TakeContactFrames:
+    """Step of ``to-single``: one frame of each clip, with the pose of the gel at that moment."""
+
+    method: ContactMethod
+
+    def schema(self, source: pa.Schema) -> pa.Schema:
+        """Return the published ``single`` schema with the columns of the source; InputError without poses."""
+        leaf = column_type(source, f"{_POSE_SEQUENCE}.position")
+        if leaf is None:
+            message = f"the source has no column '{_POSE_SEQUENCE}.position'; expected poses of each frame"
+            raise InputError(message)
+        number = pa.float64() if "double" in str(leaf) else pa.float32()
+        video = column_type(source, "sensor_video")
+        count = video.list_size if pa.types.is_fixed_size_list(video) else -1
+        return pa.schema(
+            [
+                *(field for field in source if not _is_seq_only(field.name)),
+                pa.field(f"{_POSE}.position", pa.list_(pa.list_(number, 3), count)),
+                pa.field(f"{_POSE}.quaternion", pa.list_(pa.list_(number, 4), count)),
+                pa.field("sensor_image", pa.list_(MEDIA_TYPE, count)),
+            ]
+        )
+
+    def apply(self, row: Row, choice: RowChoice, split: str) -> pa.Table:
+        """Take a frame of each clip of a row; its JPEG passes through as it is stored."""
+        flat = flat_row(row)
+        schema = self.schema(flat.schema)
+        positions: list[NDArray[Any]] = [np.empty((0, 3))]
+        quaternions: list[NDArray[Any]] = [np.empty((0, 4))]
+        pictures: list[bytes | memoryview] = []
+        for touch in range(touch_total(row)):
+            clip = TouchClip(row, touch)
+            frame = contact_frame_of(clip, self.method)
+            pixels = clip[frame]  # decoded in any case: what passes through must be whole
+            pictures.append(clip.encoded(frame) if clip.has_index else encode_image(pixels))
+            pose = clip.poses[frame : frame + 1]
+            positions.append(pose.position_m)
+            quaternions.append(pose.quaternion)
+        made = {
+            f"{_POSE}.position": number_lists(
+                [np.concatenate(positions)], schema.field(f"{_POSE}.position").type
+            ),
+            f"{_POSE}.quaternion": number_lists(
+                [np.concatenate(quaternions)], schema.field(f"{_POSE}.quaternion").type
+            ),
+            "sensor_image": bytes_lists([pictures], "jpg", schema.field("sensor_image").type),
+        }
+        if row.has("pos_in_cell"):
+            vectors(row, "pos_in_cell", 2)  # checked here, passed through below
+        columns = [made[name] if name in made else flat.column(name) for name in schema.names]
+        return pa.table(columns, schema=schema)
+
+
+def _is_seq_only(name: str) -> bool:
+    return name in _SEQ_ONLY or name.startswith(f"{_POSE_SEQUENCE}.")
+
+
+def contact_frame_of(clip: TouchClip, method: ContactMethod) -> int:
+    """Choose the frame of a clip; the last one of registered contact where ``"median"`` sees none."""
+    try:
+        return clip.contact_index(method)
+    except ItemError:
+        return clip.contact_index("contact_end")
+
+
+@dataclass(frozen=True)
+class ResizeMedia:
+    """Step of ``resize``: pixels are averaged, and only what changes is encoded again."""
+
+    width: int
+    height: int
+    quality: int
+
+    def schema(self, source: pa.Schema) -> pa.Schema:
+        """Return the schema of the source: only the pixels change."""
+        return source
+
+    def apply(self, row: Row, choice: RowChoice, split: str) -> pa.Table:
+        """Resize the images or clips of a row; one of the wanted size already passes through untouched."""
+        size = (self.height, self.width)
+        if row.has("sensor_image"):
+            name, suffix, images = "sensor_image", "jpg", SensorImages(row)
+            blobs = [
+                images.encoded(touch) if images.size(touch) == size else self._encode(images[touch])
+                for touch in range(len(images))
+            ]
+        else:
+            name, suffix = "sensor_video", "avi"
+            blobs = [clip.data if clip.size == size else self._clip(clip) for clip in SensorClips(row)]
+        flat = flat_row(row)
+        index = flat.schema.get_field_index(name)
+        field = flat.schema.field(index)
+        return flat.set_column(index, field, bytes_lists([blobs], suffix, field.type))
+
+    def _clip(self, clip: TouchClip) -> bytes:
+        return write_avi([self._encode(frame) for frame in clip.frames()], self.width, self.height, clip.fps)
+
+    def _encode(self, pixels: Pixels) -> bytes:
+        return encode_image(resized(pixels, self.width, self.height), "jpeg", self.quality)
+
+
+@dataclass(frozen=True)
+class KeepTouches:
+    """Step of ``select``; where rounds lose touches, they differ in length."""
+
+    some_touches: bool
+
+    def schema(self, source: pa.Schema) -> pa.Schema:
+        """Return the schema of the source; where rounds differ, lists over touches have no fixed length.
+
+        Rounds that lose touches keep the height of their plate: the touches that showed it may be gone.
+        """
+        if not self.some_touches:
+            return source
+        fields = [
+            pa.field(field.name, pa.list_(field.type.value_type))
+            if is_per_touch(field.name, field.type)
+            else field
+            for field in source
+        ]
+        if column_type(source, PLATE_COLUMN) is None:
+            fields.append(pa.field(PLATE_COLUMN, pa.float64()))
+        return pa.schema(fields)
+
+    def apply(self, row: Row, choice: RowChoice, split: str) -> pa.Table:
+        """Pass a row on, with the touches chosen; no image or clip is decoded."""
+        flat = flat_row(row)
+        if choice.touches is None:
+            return flat
+        kept = take_touches(flat, choice.touches, touch_total(row))
+        if row.has(PLATE_COLUMN):
+            return kept
+        kind: Kind = "single" if row.has(MEDIA_COLUMN["single"]) else "seq"
+        plate_m = contact_z_m(row, kind).min(initial=np.inf)
+        return kept.append_column(PLATE_COLUMN, pa.array([plate_m], pa.float64()))
