@@ -9,8 +9,7 @@ from typing import Any, Literal
 import pyarrow as pa
 
 from tactile_toolkit.errors import InputError, IntegrityError
-from tactile_toolkit.read.columns import column_names, stored_class_names
-from tactile_toolkit.read.nested import list_depth
+from tactile_toolkit.read.columns import column_names, list_depth, stored_class_names
 
 __all__ = [
     "CLASS_NAMES",
