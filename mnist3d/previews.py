@@ -76,7 +76,7 @@ def plan_previews(name: str, spec: PreviewSpec) -> PicturePlan:
         return _plan_file("object", name, spec, partial(draw_object, mesh=mesh, title=path.name))
     if ending in _IMAGES:
         from mnist3d.sources.canvas import fit
-        from mnist3d.sources.picture import read_picture
+        from mnist3d.sources.folder import read_picture
 
         pixels = fit(read_picture(path))
         draw = partial(draw_steps, pixels=pixels, spec=SolidSpec(), title=path.name)

@@ -21,36 +21,35 @@ SIDE_PX = 500
 _PAPER = 255
 _HALF_LEVEL = 0.5 / 255
 _MESH = 5
+"""Samples per original pixel at which the ink is smoothed before it is drawn."""
+
 _BLUR_PX = 0.6
 
 
 def as_grey(values: NDArray[Any], full_scale: float, where: str) -> NDArray[np.uint8]:
-    """Turn the numbers of one image into grey levels.
+    """Turn brightness (0 for black, `full_scale`, 1 or 255, for white) into the nearest grey levels.
 
-    Parameters
-    ----------
-    values : ndarray of bool, integers or floats, shape (H, W)
-        Brightness, 0 for black.
-    full_scale : float
-        The value that stands for white: 1 or 255.
-    where : str
-        File and row, for the message.
-
-    Returns
-    -------
-    ndarray of uint8, shape (H, W)
-        Rounded to the nearest level.
-
-    Raises
-    ------
-    ItemError
-        ``"not-finite"`` for NaN or infinite values, ``"bad-pixels"`` for values more than half a grey level
-        outside 0 to `full_scale`.
+    `where` names file and row. Raises ItemError ``"not-finite"`` for NaN or infinite values, ``"bad-pixels"``
+    for values more than half a grey level outside the scale.
     """
     if values.dtype == np.uint8 and full_scale == _PAPER:
         return np.array(values, order="C")
-    _require_finite(values, where)
-    _require_range(values, full_scale, where)
+    if values.dtype.kind == "f" and not np.isfinite(values).all():
+        reason, count = "not-finite", int(np.count_nonzero(~np.isfinite(values)))
+        message = (
+            f"{where}: found {count} pixels that are NaN or infinite, expected finite grey levels; "
+            "next: repair this image in the file, or leave it out"
+        )
+        raise ItemError(reason, message)
+    low, high = float(values.min()), float(values.max())
+    slack = full_scale * _HALF_LEVEL
+    if low < -slack or high > full_scale + slack:
+        reason = "bad-pixels"
+        message = (
+            f"{where}: found pixels from {low:g} to {high:g}, expected 0 to {full_scale:g}; "
+            "next: rescale this image in the file, or leave it out"
+        )
+        raise ItemError(reason, message)
     if values.dtype.kind in "iu" and full_scale == _PAPER:
         return values.astype(np.uint8, order="C")
     levels = np.rint(values.astype(np.float64) * (_PAPER / full_scale))
@@ -60,96 +59,46 @@ def as_grey(values: NDArray[Any], full_scale: float, where: str) -> NDArray[np.u
 def fit(pixels: NDArray[np.uint8]) -> NDArray[np.uint8]:
     """Bring a dark-on-light image of any size onto the sheet: aspect kept, centred on white paper.
 
-    Larger images are shrunk with antialiasing, smaller ones go through :func:`enlarge`; an image of
-    500 x 500 px comes back as it is.
-
-    Parameters
-    ----------
-    pixels : ndarray of uint8, shape (H, W)
-        Ink 0, paper 255.
-
-    Returns
-    -------
-    ndarray of uint8, shape (500, 500)
+    Larger images are shrunk with antialiasing, smaller ones go through :func:`enlarge`; one of 500 x 500 px
+    comes back as it is.
     """
     height, width = pixels.shape
     scale = SIDE_PX / max(height, width)
     if height == width == SIDE_PX:
         return pixels
-    size = (max(1, round(height * scale)), max(1, round(width * scale)))
-    resized = enlarge(pixels, size) if scale > 1 else _shrink(pixels, size)
-    return _centred(resized)
+    height, width = max(1, round(height * scale)), max(1, round(width * scale))
+    if scale > 1:
+        resized = enlarge(pixels, (height, width))
+    else:
+        from PIL import Image
+
+        resized = np.asarray(Image.fromarray(pixels).resize((width, height), Image.Resampling.LANCZOS))
+    sheet = np.full((SIDE_PX, SIDE_PX), _PAPER, np.uint8)
+    top, left = (SIDE_PX - height) // 2, (SIDE_PX - width) // 2
+    sheet[top : top + height, left : left + width] = resized
+    return sheet
 
 
 def enlarge(pixels: NDArray[np.uint8], size: tuple[int, int]) -> NDArray[np.uint8]:
-    """Enlarge a small dark-on-light image so that its outlines become smooth curves.
+    """Enlarge a small dark-on-light image so that its outlines become smooth curves, some 3 px wide.
 
     The outline is where the interpolating cubic spline through the pixels crosses half ink. That curve still
-    winds around the pixel rows (greys of small images are often clipped), so the ink it bounds is smoothed
-    by a Gaussian of 0.6 original pixels before the outline is drawn: enough to straighten a slanted edge,
-    too little to close a loop or cut a stroke of one pixel.
-
-    Parameters
-    ----------
-    pixels : ndarray of uint8, shape (H, W)
-        Ink 0, paper 255.
-    size : tuple of int
-        Height and width of the result, at least those of `pixels`.
-
-    Returns
-    -------
-    ndarray of uint8, shape `size`
-        Solid ink on white with an antialiased edge some 3 px wide.
-
-    Examples
-    --------
-    >>> enlarge(np.full((4, 4), 255, np.uint8), (40, 40)).min()
-    np.uint8(255)
+    winds around the pixel rows (greys of small images are often clipped), so the ink it bounds is smoothed by
+    a Gaussian of 0.6 original pixels before the outline is drawn: enough to straighten a slanted edge, too
+    little to close a loop or cut a stroke of one pixel.
     """
     ink = 1 - pixels.astype(np.float32) / np.float32(_PAPER)
     rows, columns = (_spline_matrix(count) for count in ink.shape)
     solid = np.clip((_both_ways(rows, columns, ink) - 0.5) * 4 + 0.5, 0, 1)
     down, across = (_blur_matrix(count, out) for count, out in zip(ink.shape, size, strict=True))
+    levels = _both_ways(down, across, solid)
+    # The blur has made the edge as wide as itself: it is made steeper again about half ink.
     gain = max(1.0, _BLUR_PX * size[0] / ink.shape[0])
-    return _drawn(_both_ways(down, across, solid), gain)
-
-
-def _require_finite(values: NDArray[Any], where: str) -> None:
-    if values.dtype.kind != "f" or np.isfinite(values).all():
-        return
-    reason, count = "not-finite", int(np.count_nonzero(~np.isfinite(values)))
-    message = (
-        f"{where}: found {count} pixels that are NaN or infinite, expected finite grey levels; "
-        "next: repair this image in the file, or leave it out"
-    )
-    raise ItemError(reason, message)
-
-
-def _require_range(values: NDArray[Any], full_scale: float, where: str) -> None:
-    low, high = float(values.min()), float(values.max())
-    reason, slack = "bad-pixels", full_scale * _HALF_LEVEL
-    if low >= -slack and high <= full_scale + slack:
-        return
-    message = (
-        f"{where}: found pixels from {low:g} to {high:g}, expected 0 to {full_scale:g}; "
-        "next: rescale this image in the file, or leave it out"
-    )
-    raise ItemError(reason, message)
-
-
-def _shrink(pixels: NDArray[np.uint8], size: tuple[int, int]) -> NDArray[np.uint8]:
-    from PIL import Image
-
-    small = Image.fromarray(pixels).resize((size[1], size[0]), Image.Resampling.LANCZOS)
-    return np.asarray(small)
-
-
-def _centred(pixels: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    height, width = pixels.shape
-    sheet = np.full((SIDE_PX, SIDE_PX), _PAPER, np.uint8)
-    top, left = (SIDE_PX - height) // 2, (SIDE_PX - width) // 2
-    sheet[top : top + height, left : left + width] = pixels
-    return sheet
+    levels -= np.float32(0.5)
+    levels *= np.float32(-_PAPER * gain)
+    levels += np.float32(_PAPER / 2)
+    np.clip(levels, 0, _PAPER, out=levels)
+    return np.rint(levels, out=levels).astype(np.uint8)
 
 
 def _centres(count: int, out: int) -> NDArray[np.floating[Any]]:
@@ -168,15 +117,6 @@ def _cubic_basis(count: int, at: NDArray[np.floating[Any]]) -> NDArray[np.floati
     basis[:, 0] += bumps[:, :margin].sum(axis=1)
     basis[:, -1] += bumps[:, margin + count :].sum(axis=1)
     return basis
-
-
-def _drawn(ink: NDArray[np.float32], gain: float) -> NDArray[np.uint8]:
-    """Turn shares of ink into grey levels, the edge at half ink made steeper `gain` times."""
-    ink -= np.float32(0.5)
-    ink *= np.float32(-_PAPER * gain)
-    ink += np.float32(_PAPER / 2)
-    np.clip(ink, 0, _PAPER, out=ink)
-    return np.rint(ink, out=ink).astype(np.uint8)
 
 
 def _both_ways(down: csr_array, across: csr_array, values: NDArray[Any]) -> NDArray[np.float32]:

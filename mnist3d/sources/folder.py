@@ -1,24 +1,28 @@
-"""A folder of pictures of digits."""
+"""A folder of pictures of digits, whatever their mode, depth and polarity."""
 
 from __future__ import annotations
 
 import hashlib
 import os
 import re
-from collections.abc import Iterator
+import warnings
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
-from typing import NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
+from mnist3d.ink import otsu_threshold
 from mnist3d.sources import NO_WRITER, DigitCatalog, DigitImage
-from mnist3d.sources.canvas import fit
-from mnist3d.sources.picture import read_picture
+from mnist3d.sources.canvas import as_grey, fit
 from tactile_toolkit.errors import InputError, ItemError
 
-__all__ = ["FolderSource"]
+if TYPE_CHECKING:
+    from PIL.Image import Image
+
+__all__ = ["FolderSource", "read_picture"]
 
 _SUFFIXES = frozenset(
     {".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".webp", ".gif", ".pgm", ".ppm", ".pbm"}
@@ -27,6 +31,10 @@ _INKS = ("auto", "dark", "light")
 _DIGITS = frozenset("0123456789")
 _LABEL = re.compile(r"(?<![a-z])label[_=-]?([0-9])(?![0-9])", re.IGNORECASE)
 _WRITER = re.compile(r"(?<![a-z])writer[_=-]?([0-9]{1,18})", re.IGNORECASE)
+_CONTRAST = 24
+"""A picture whose grey levels span less shows nothing but paper."""
+
+_CLEAR_SHARE = 0.75
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,7 +74,7 @@ class FolderSource:
         ------
         InputError
             When the folder is missing, holds no picture, has sub-folders that are not digits, or pictures
-            whose label is unknown; or when `ink` is none of its words.
+            whose label is unknown; or when `ink` is not one of its words.
         """
         pictures = self._pictures()
         labels = np.array([picture.label for picture in pictures], np.int64)
@@ -79,7 +87,7 @@ class FolderSource:
         Raises
         ------
         ItemError
-            ``"unknown-id"``, or one of the reasons of :func:`~mnist3d.sources.picture.read_picture`.
+            ``"unknown-id"``, or one of the reasons of :func:`read_picture`.
         """
         pictures = self._pictures()
         if not 0 <= digit_id < len(pictures):
@@ -108,7 +116,10 @@ class FolderSource:
         if self.ink not in _INKS:
             message = f"ink: found {self.ink!r}, expected one of {', '.join(_INKS)}; next: choose one of them"
             raise InputError(message)
-        return _listing(self.root, _stamps(self.root))
+        # Listed again when one of the folders has changed since.
+        folders = [Path(self.root), *(Path(self.root, digit) for digit in sorted(_DIGITS))]
+        stamps = tuple(folder.stat().st_mtime_ns if folder.is_dir() else 0 for folder in folders)
+        return _listing(self.root, stamps)
 
 
 class _Picture(NamedTuple):
@@ -129,18 +140,17 @@ def _digest(root: str, name: str) -> bytes:
     return b"%s\0%d\0%s" % (os.fsencode(name), size, content)
 
 
-def _stamps(root: str) -> tuple[int, ...]:
-    """Return when each folder of pictures last changed, so that a listing is made again when needed."""
-    folders = [Path(root), *(Path(root, digit) for digit in sorted(_DIGITS))]
-    return tuple(folder.stat().st_mtime_ns if folder.is_dir() else 0 for folder in folders)
-
-
 @lru_cache(maxsize=4)
 def _listing(root: str, stamps: tuple[int, ...]) -> tuple[_Picture, ...]:
     folders, files = _visible(root, "")
-    _refuse_others(root, folders)
-    labelled = zip(_labels(root, files), files, strict=True)
-    found = [_Picture(label, name, _writer(name)) for label, name in labelled]
+    others = [name for name in folders if name not in _DIGITS]
+    if others:
+        message = (
+            f"{root}: found the folders {_some(others)}, expected only folders named 0 to 9; "
+            "next: rename them or move them away"
+        )
+        raise InputError(message)
+    found = [_Picture(label, name, _writer(name)) for name, label in _labels(root, files).items()]
     for folder in folders:
         inner, names = _visible(root, folder)
         if inner:
@@ -158,50 +168,38 @@ def _listing(root: str, stamps: tuple[int, ...]) -> tuple[_Picture, ...]:
 
 def _visible(root: str, folder: str) -> tuple[list[str], list[str]]:
     """Names, relative to `root`, of the sub-folders and the pictures in one folder, hidden ones left out."""
+    path = Path(root, folder)
     folders, files = [], []
-    for entry in _entries(Path(root, folder)):
-        name = f"{folder}/{entry.name}" if folder else entry.name
-        if entry.name.startswith("."):
-            continue
-        if entry.is_dir():
-            folders.append(name)
-        elif Path(name).suffix.lower() in _SUFFIXES:
-            files.append(name)
-    return sorted(folders), sorted(files)
-
-
-def _entries(folder: Path) -> Iterator[os.DirEntry[str]]:
     try:
-        with os.scandir(folder) as entries:
-            yield from entries
+        with os.scandir(path) as entries:
+            for entry in entries:
+                name = f"{folder}/{entry.name}" if folder else entry.name
+                if entry.name.startswith("."):
+                    continue
+                if entry.is_dir():
+                    folders.append(name)
+                elif Path(name).suffix.lower() in _SUFFIXES:
+                    files.append(name)
     except OSError as error:
         message = (
-            f"{folder}: cannot be listed ({error.strerror}), expected a folder of pictures; "
+            f"{path}: cannot be listed ({error.strerror}), expected a folder of pictures; "
             "next: check the path"
         )
         raise InputError(message) from error
+    return sorted(folders), sorted(files)
 
 
-def _refuse_others(root: str, folders: list[str]) -> None:
-    others = [name for name in folders if name not in _DIGITS]
-    if others:
+def _labels(root: str, names: list[str]) -> dict[str, int]:
+    matches = {name: _LABEL.search(name) for name in names}
+    unlabelled = [name for name, match in matches.items() if match is None]
+    if unlabelled:
         message = (
-            f"{root}: found the folders {_some(others)}, expected only folders named 0 to 9; "
-            "next: rename them or move them away"
+            f"{root}: found pictures without a digit in their names: {_some(unlabelled)}, expected names "
+            "with label<digit> such as a_label7_b.png; next: rename them or sort them into folders named 0 "
+            "to 9"
         )
         raise InputError(message)
-
-
-def _labels(root: str, names: list[str]) -> list[int]:
-    matches = [_LABEL.search(name) for name in names]
-    lost = [name for name, match in zip(names, matches, strict=True) if match is None]
-    if lost:
-        message = (
-            f"{root}: found pictures without a digit in their names: {_some(lost)}, expected names with "
-            "label<digit> such as a_label7_b.png; next: rename them or sort them into folders named 0 to 9"
-        )
-        raise InputError(message)
-    return [int(match[1]) for match in matches if match]
+    return {name: int(match[1]) for name, match in matches.items() if match}
 
 
 def _writer(name: str) -> int:
@@ -217,3 +215,101 @@ def _natural(name: str) -> tuple[list[str | int], str]:
 def _some(names: list[str]) -> str:
     shown = ", ".join(repr(name) for name in names[:5])
     return shown if len(names) <= 5 else f"{shown} and {len(names) - 5} more"
+
+
+def read_picture(path: Path, ink: str = "auto") -> NDArray[np.uint8]:
+    """Read a picture of a digit in its own size, ink 0 and paper 255.
+
+    Colours become grey, transparency shows paper, the orientation in EXIF is followed, and of an animation
+    the first frame counts. Grey levels are then stretched so that paper is white and ink black; a picture of
+    black on white comes back unchanged, and one without contrast (an empty page) is not stretched. With
+    ``"auto"`` the margin of the picture is paper, so the ink is whatever the margin is not, on either side of
+    Otsu's threshold.
+
+    Raises ItemError ``"unreadable"``; ``"unclear-ink"`` when less than three quarters of the margin are on
+    one side of the threshold; ``"not-finite"`` or ``"bad-pixels"`` for floating-point pictures.
+    """
+    grey = _brightness(_decoded(path), ink, path)
+    if np.ptp(grey) < _CONTRAST:
+        return 255 - grey if ink == "light" else grey
+    threshold = otsu_threshold(grey)
+    if ink == "light" or (ink == "auto" and _paper_is_dark(grey, threshold, path)):
+        grey, threshold = 255 - grey, 254 - threshold
+    dark = grey <= threshold
+    if dark.all() or not dark.any():
+        return grey
+    # Ink of thin strokes is mostly edge, so its median would be too light; single dark pixels are specks.
+    darkest, paper = float(np.percentile(grey[dark], 10)), float(np.median(grey[~dark]))
+    table = np.clip((np.arange(256) - darkest) * (255 / (paper - darkest)), 0, 255)
+    levels: NDArray[np.uint8] = np.rint(table).astype(np.uint8)[grey]
+    return levels
+
+
+def _decoded(path: Path) -> Image:
+    from PIL import Image, ImageOps
+
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            warnings.simplefilter("error", Image.DecompressionBombWarning)
+            with Image.open(path) as picture:
+                upright = ImageOps.exif_transpose(picture)
+        if upright.mode in ("F", "I") or upright.mode.startswith("I;16"):
+            return upright
+        if upright.has_transparency_data:
+            return upright.convert("RGBA")
+        return upright.convert("L" if upright.mode in ("1", "L") else "RGB")
+    # Decoders of broken files raise whatever comes: OSError, SyntaxError, ValueError, struct.error, ...
+    except Exception as error:
+        reason = "unreadable"
+        message = (
+            f"{path}: cannot be read as a picture ({type(error).__name__}: {error}), expected a whole image "
+            "file; next: replace or remove it"
+        )
+        raise ItemError(reason, message) from error
+
+
+def _brightness(picture: Image, ink: str, path: Path) -> NDArray[np.uint8]:
+    if picture.mode == "RGBA":
+        return _over_paper(picture, ink)
+    if picture.mode in ("L", "RGB"):
+        return np.asarray(picture.convert("L"))
+    # More than 8 bits: 16-bit files use their whole range, floats end at 1 or 255.
+    values = np.asarray(picture)
+    largest = float(np.fmax.reduce(values, axis=None, initial=0))
+    if picture.mode == "F":
+        white = 1.0 if largest <= 1 else 255.0
+    else:
+        white = 65535.0 if picture.mode != "I" or largest > 255 else 255.0
+    return as_grey(values, white, str(path))
+
+
+def _over_paper(picture: Image, ink: str) -> NDArray[np.uint8]:
+    """Lay a transparent picture on white paper, or on black if light ink is all there is on it."""
+    alpha = np.asarray(picture.getchannel("A"), np.float32) / 255
+    light = np.asarray(picture.convert("RGB").convert("L"), np.float32)
+    cut_out = ink == "auto" and _margin(alpha).mean() < 0.5
+    bright_ink = cut_out and (light * alpha).sum() > 127.5 * alpha.sum()
+    paper = 0 if ink == "light" or bright_ink else 255
+    return np.rint(light * alpha + paper * (1 - alpha)).astype(np.uint8)
+
+
+def _paper_is_dark(grey: NDArray[np.uint8], threshold: int, path: Path) -> bool:
+    light = float((_margin(grey) > threshold).mean())
+    if 1 - _CLEAR_SHARE < light < _CLEAR_SHARE:
+        reason = "unclear-ink"
+        message = (
+            f"{path}: the ink cannot be told from the paper, found {light:.0%} of the margin light and the "
+            "rest dark, expected nearly all of it to be paper; next: say --ink dark or --ink light, or crop "
+            "the image"
+        )
+        raise ItemError(reason, message)
+    return light <= 1 - _CLEAR_SHARE
+
+
+def _margin(values: NDArray[Any]) -> NDArray[Any]:
+    """Pixels of a frame along the edge, a fiftieth of the shorter side wide."""
+    wide = max(1, min(values.shape) // 50)
+    inside = np.zeros(values.shape, bool)
+    inside[wide:-wide, wide:-wide] = True
+    return values[~inside]

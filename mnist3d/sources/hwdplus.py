@@ -1,26 +1,29 @@
-"""HWD+ as its authors publish it: an array of images and an array about their writers."""
+"""HWD+ as its authors publish it: an array of images and an array about their writers, in ``.npy`` files."""
 
 from __future__ import annotations
 
 import hashlib
 import re
+import warnings
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Any
+from math import prod
+from pathlib import Path
+from typing import Any, BinaryIO
 
 import numpy as np
 from numpy.typing import NDArray
 
 from mnist3d.sources import NO_WRITER, DigitCatalog, DigitImage
 from mnist3d.sources.canvas import as_grey, fit
-from mnist3d.sources.npy import NpyFile, open_npy
 from tactile_toolkit.errors import InputError, ItemError
 
-__all__ = ["HwdPlusSource"]
+__all__ = ["HwdPlusSource", "NpyFile", "open_npy"]
 
 _SCALE_SAMPLE = 16
 _FINGERPRINT_SAMPLE = 64
 _INTEGER = re.compile(r"\s*([+-]?[0-9]{1,18})(\.0*)?\s*")
+_MAGIC = b"\x93NUMPY"
 
 
 @dataclass(frozen=True, slots=True)
@@ -117,22 +120,19 @@ class HwdPlusSource:
         }
 
     def _stack(self) -> NpyFile:
-        return _image_stack(open_npy(self.images))
+        file = open_npy(self.images)
+        shape = file.shape
+        squarish = len(shape) == 3 and min(shape) > 0 and max(shape[1:]) <= 1.5 * min(shape[1:])
+        if squarish and file.dtype.kind in "biuf":
+            return file
+        message = (
+            f"{file.path}: found shape {shape} of {file.dtype}, expected (N, 500, 500) of integers or "
+            "floats; next: give the file 'Images(500x500).npy' of HWD+"
+        )
+        raise InputError(message)
 
     def _people(self) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
         return _labels_and_writers(open_npy(self.writer_info), self.writer_column)
-
-
-def _image_stack(file: NpyFile) -> NpyFile:
-    shape = file.shape
-    squarish = len(shape) == 3 and min(shape) > 0 and max(shape[1:]) <= 1.5 * min(shape[1:])
-    if squarish and file.dtype.kind in "biuf":
-        return file
-    message = (
-        f"{file.path}: found shape {shape} of {file.dtype}, expected (N, 500, 500) of integers or floats; "
-        "next: give the file 'Images(500x500).npy' of HWD+"
-    )
-    raise InputError(message)
 
 
 # Keyed by the file's size and time too (both are part of NpyFile), so a replaced file is read again.
@@ -142,14 +142,13 @@ def _full_scale(stack: NpyFile) -> float:
         return 255.0
     if stack.dtype.kind == "b":
         return 1.0
-    brightest = [_largest(stack.row(row)) for row in _evenly_spaced(stack.shape[0], _SCALE_SAMPLE)]
-    known = [value for value in brightest if np.isfinite(value)]
-    return 1.0 if known and float(np.median(known)) <= 1 + 0.5 / 255 else 255.0
-
-
-def _largest(values: NDArray[Any]) -> float:
-    finite = values[np.isfinite(values)]
-    return float(finite.max()) if finite.size else float("nan")
+    brightest = []
+    for row in _evenly_spaced(stack.shape[0], _SCALE_SAMPLE):
+        values = stack.row(row)
+        finite = values[np.isfinite(values)]
+        if finite.size:
+            brightest.append(float(finite.max()))
+    return 1.0 if brightest and float(np.median(brightest)) <= 1 + 0.5 / 255 else 255.0
 
 
 def _evenly_spaced(count: int, wanted: int) -> list[int]:
@@ -161,21 +160,27 @@ def _evenly_spaced(count: int, wanted: int) -> list[int]:
 def _labels_and_writers(
     file: NpyFile, writer_column: int | None
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    columns = _columns(file)
-    labels = _whole_numbers(columns, 0, file.path)
+    if len(file.shape) not in (1, 2) or min(file.shape) <= 0 or file.dtype.kind not in "biufUS":
+        message = (
+            f"{file.path}: found shape {file.shape} of {file.dtype}, expected one row per image with the "
+            "digit in column 0, as numbers or strings of digits; next: give the file 'WriterInfo.npy' of HWD+"
+        )
+        raise InputError(message)
+    table = file.read().reshape(file.shape[0], -1)
+    labels = _int_column(table, 0, file.path)
     wrong = np.flatnonzero((labels < 0) | (labels > 9))
     if wrong.size:
         raise _bad_cell(file.path, int(wrong[0]), 0, labels[wrong[0]], "a digit from 0 to 9")
-    writers = _writers(columns, writer_column, file.path)
+    writers = _writers(table, writer_column, file.path)
     for shared in (labels, writers):
         shared.flags.writeable = False
     return labels, writers
 
 
-def _writers(columns: NDArray[Any], writer_column: int | None, path: str) -> NDArray[np.int64]:
+def _writers(table: NDArray[Any], writer_column: int | None, path: str) -> NDArray[np.int64]:
     if writer_column is None:
-        return np.full(len(columns), NO_WRITER, np.int64)
-    width = columns.shape[1]
+        return np.full(len(table), NO_WRITER, np.int64)
+    width = table.shape[1]
     if not 1 <= writer_column < width:
         there = (
             f"expected 1 to {width - 1}" if width > 1 else "expected none, as there is no column of writers"
@@ -185,20 +190,10 @@ def _writers(columns: NDArray[Any], writer_column: int | None, path: str) -> NDA
             "column 0 is the digit); next: change --writer-column"
         )
         raise InputError(message)
-    return _whole_numbers(columns, writer_column, path)
+    return _int_column(table, writer_column, path)
 
 
-def _columns(file: NpyFile) -> NDArray[Any]:
-    if len(file.shape) not in (1, 2) or min(file.shape) <= 0 or file.dtype.kind not in "biufUS":
-        message = (
-            f"{file.path}: found shape {file.shape} of {file.dtype}, expected one row per image with the "
-            "digit in column 0, as numbers or strings of digits; next: give the file 'WriterInfo.npy' of HWD+"
-        )
-        raise InputError(message)
-    return file.read().reshape(file.shape[0], -1)
-
-
-def _whole_numbers(table: NDArray[Any], column: int, path: str) -> NDArray[np.int64]:
+def _int_column(table: NDArray[Any], column: int, path: str) -> NDArray[np.int64]:
     cells = table[:, column]
     if cells.dtype.kind in "biu":
         return cells.astype(np.int64)
@@ -222,3 +217,110 @@ def _bad_cell(path: str, row: int, column: int, value: Any, expected: str) -> In
         f"{path}: row {row}, column {column}: found {shown!r}, expected {expected}; "
         "next: check that this file belongs to the images and is not damaged"
     )
+
+
+@dataclass(frozen=True, slots=True)
+class NpyFile:
+    """What the header of a ``.npy`` file says, and the way to its numbers.
+
+    In ``fortran`` order the first axis varies fastest; ``offset`` counts the bytes before the first number.
+    The ``stamp`` (size in bytes, time of change in ns) and `path` identify the content for caches.
+    """
+
+    path: str
+    shape: tuple[int, ...]
+    dtype: np.dtype[Any]
+    fortran: bool
+    offset: int
+    stamp: tuple[int, int]
+
+    def read(self) -> NDArray[Any]:
+        """Read the whole array, shape `shape`."""
+        return np.array(self._map(0, self.shape, "F" if self.fortran else "C"))
+
+    def row(self, index: int) -> NDArray[Any]:
+        """Read entry `index` of the first of three axes, shape ``shape[1:]``.
+
+        Only that entry is mapped, and unmapped again: pages of a mapping that stays count as memory of the
+        process, so one mapping of the whole file would seem to grow up to the size of the file.
+        """
+        count, height, width = self.shape
+        if not self.fortran:
+            return np.array(self._map(index * height * width, (height, width), "C"))
+        out = np.empty((height, width), self.dtype)
+        for column in range(width):
+            out[:, column] = self._map(column * height * count, (height, count), "C")[:, index]
+        return out
+
+    def _map(self, first: int, shape: tuple[int, ...], order: Any) -> NDArray[Any]:
+        at = self.offset + first * self.dtype.itemsize
+        try:
+            return np.memmap(self.path, self.dtype, "r", at, shape, order)
+        except (OSError, ValueError) as error:
+            message = (
+                f"{self.path}: cannot be read at byte {at} ({error}), expected {shape} numbers there; "
+                "next: leave the file alone during a run and start again"
+            )
+            raise InputError(message) from error
+
+
+def open_npy(path: str) -> NpyFile:
+    """Check a ``.npy`` file without reading its numbers.
+
+    Raises InputError when the file is missing, is not a ``.npy`` file, is shorter than its header promises,
+    or holds pickled Python objects (which are never loaded: they can run code).
+    """
+    try:
+        status = Path(path).stat()
+        return _checked(path, status.st_size, status.st_mtime_ns)
+    except FileNotFoundError:
+        message = f"{path}: no such file, expected a .npy file; next: check the path"
+        raise InputError(message) from None
+    except OSError as error:
+        message = f"{path}: cannot be opened ({error.strerror}), expected a .npy file; next: check the path"
+        raise InputError(message) from error
+
+
+@lru_cache(maxsize=8)
+def _checked(path: str, size: int, time_ns: int) -> NpyFile:
+    with Path(path).open("rb") as stream:
+        shape, fortran, dtype = _header(stream, path)
+        offset = stream.tell()
+    if dtype.hasobject:
+        message = (
+            f"{path}: holds pickled Python objects, expected plain numbers or strings; next: save it again "
+            "with a numeric dtype, such as numpy.save(path, array.astype(int))"
+        )
+        raise InputError(message)
+    promised = offset + prod(shape) * dtype.itemsize
+    if size < promised:
+        message = (
+            f"{path}: is cut off, found {size} bytes, expected {promised} for {shape} of {dtype}; "
+            "next: download or copy it again"
+        )
+        raise InputError(message)
+    return NpyFile(path, shape, dtype, fortran, offset, (size, time_ns))
+
+
+def _header(stream: BinaryIO, path: str) -> tuple[tuple[int, ...], bool, np.dtype[Any]]:
+    start = stream.read(len(_MAGIC))
+    if start != _MAGIC:
+        message = (
+            f"{path}: is not a .npy file, found {start!r} at its start, expected {_MAGIC!r}; "
+            "next: give a file written by numpy.save"
+        )
+        raise InputError(message)
+    stream.seek(0)
+    try:
+        with warnings.catch_warnings():
+            # A file written by Python 2 reads well; that it is old is no news to its user.
+            warnings.simplefilter("ignore", UserWarning)
+            if np.lib.format.read_magic(stream) == (1, 0):
+                return np.lib.format.read_array_header_1_0(stream)
+            return np.lib.format.read_array_header_2_0(stream)
+    except (ValueError, EOFError) as error:
+        message = (
+            f"{path}: the header of this .npy file is damaged ({error}), expected shape and dtype; "
+            "next: download or copy it again"
+        )
+        raise InputError(message) from error

@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
+import gzip
 import hashlib
 import socket
 import ssl
+import struct
 import sys
 import tempfile
-from collections.abc import Iterator
-from contextlib import contextmanager, redirect_stdout
+import zlib
+from contextlib import redirect_stdout
 from dataclasses import dataclass
 from functools import lru_cache
 from http.client import HTTPException
 from itertools import product
+from math import prod
 from pathlib import Path
 from typing import Any
 from urllib.error import URLError
@@ -22,10 +25,15 @@ from numpy.typing import NDArray
 
 from mnist3d.sources import NO_WRITER, DigitCatalog, DigitImage
 from mnist3d.sources.canvas import SIDE_PX, enlarge
-from mnist3d.sources.idx import IMAGES_MAGIC, LABELS_MAGIC, read_idx, unusable
 from tactile_toolkit.errors import HubError, InputError, ItemError, MissingExtraError, StorageError
 
-__all__ = ["MnistSource", "download_mnist"]
+__all__ = ["IMAGES_MAGIC", "LABELS_MAGIC", "MnistSource", "download_mnist", "read_idx"]
+
+IMAGES_MAGIC = 0x803
+"""First number of a file of images: unsigned bytes (8) in three dimensions (3)."""
+
+LABELS_MAGIC = 0x801
+"""First number of a file of labels: unsigned bytes (8) in one dimension (1)."""
 
 _PREFIXES = {"train": "train", "test": "t10k"}
 _FOLDERS = (".", "MNIST/raw", "raw")
@@ -117,27 +125,21 @@ class MnistSource:
         return {"name": self.name, "parts": parts}
 
     def _parts(self) -> list[Part]:
-        return [_load(*_files(self.root, prefix)) for prefix in _chosen(self.root, self.part)]
+        parts = []
+        for prefix in _chosen(self.root, self.part):
+            images, labels = (
+                _find(self.root, prefix, kind) or _missing(self.root, prefix, kind) for kind in _KINDS
+            )
+            parts.append(_read_pair(images, labels, _stamp(images), _stamp(labels)))
+        return parts
 
 
 def download_mnist(root: str) -> None:
     """Fetch the four files of MNIST into ``root/MNIST/raw`` with torchvision, unless they are in `root`.
 
-    Only whole, checked files are put there; an interrupted download leaves nothing behind.
-
-    Parameters
-    ----------
-    root : str
-        Folder, made when it is not there.
-
-    Raises
-    ------
-    MissingExtraError
-        When torchvision is not installed.
-    HubError
-        When the servers cannot be reached or send damaged files.
-    StorageError
-        When the folder cannot be written.
+    Only whole, checked files are put there; an interrupted download leaves nothing behind. Raises
+    MissingExtraError without torchvision, HubError when the servers cannot be reached or send damaged files,
+    and StorageError when the folder cannot be written.
     """
     if all(_find(root, prefix, kind) for prefix, kind in product(_PREFIXES.values(), _KINDS)):
         return
@@ -146,11 +148,20 @@ def download_mnist(root: str) -> None:
     except ImportError:
         feature = "Downloading MNIST"
         raise MissingExtraError(feature, "torchvision", "torch") from None
-    with _storage_errors(root):
+    try:
         Path(root).mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryDirectory(prefix=".mnist-", dir=root) as half_done:
             _fetch(MNIST, half_done)
-            _move_files(Path(half_done, "MNIST", "raw"), Path(root, "MNIST", "raw"))
+            target = Path(root, "MNIST", "raw")
+            target.mkdir(parents=True, exist_ok=True)
+            for path in Path(half_done, "MNIST", "raw").iterdir():
+                path.replace(target / path.name)
+    except OSError as error:
+        message = (
+            f"{root}: MNIST could not be stored there ({error.strerror or error}), expected a folder that "
+            "can be written, with 70 MB of room; next: make room or choose another folder"
+        )
+        raise StorageError(message) from error
 
 
 def _fetch(dataset: Any, folder: str) -> None:
@@ -180,24 +191,6 @@ def _fetch(dataset: Any, folder: str) -> None:
         socket.setdefaulttimeout(patience)
 
 
-def _move_files(source: Path, target: Path) -> None:
-    target.mkdir(parents=True, exist_ok=True)
-    for path in source.iterdir():
-        path.replace(target / path.name)
-
-
-@contextmanager
-def _storage_errors(root: str) -> Iterator[None]:
-    try:
-        yield
-    except OSError as error:
-        message = (
-            f"{root}: MNIST could not be stored there ({error.strerror or error}), expected a folder that "
-            "can be written, with 70 MB of room; next: make room or choose another folder"
-        )
-        raise StorageError(message) from error
-
-
 def _chosen(root: str, part: str) -> list[str]:
     if part in _PREFIXES:
         return [_PREFIXES[part]]
@@ -209,11 +202,6 @@ def _chosen(root: str, part: str) -> list[str]:
     # One file of a pair is enough to choose the part: the missing one is then reported by its name.
     there = [prefix for prefix in _PREFIXES.values() if any(_find(root, prefix, kind) for kind in _KINDS)]
     return there or list(_PREFIXES.values())
-
-
-def _files(root: str, prefix: str) -> tuple[Path, Path]:
-    images, labels = (_find(root, prefix, kind) or _missing(root, prefix, kind) for kind in _KINDS)
-    return images, labels
 
 
 def _find(root: str, prefix: str, kind: str) -> Path | None:
@@ -235,10 +223,6 @@ def _missing(root: str, prefix: str, kind: str) -> Path:
     raise InputError(message)
 
 
-def _load(images: Path, labels: Path) -> Part:
-    return _read_pair(images, labels, _stamp(images), _stamp(labels))
-
-
 def _stamp(path: Path) -> tuple[int, int]:
     status = path.stat()
     return status.st_size, status.st_mtime_ns
@@ -251,12 +235,49 @@ def _read_pair(
     images = read_idx(images_path, IMAGES_MAGIC)
     labels = read_idx(labels_path, LABELS_MAGIC)
     if images.shape[1:] != (28, 28):
-        raise unusable(images_path, f"found images of {images.shape[1:]} pixels, expected (28, 28)")
+        raise _unusable(images_path, f"found images of {images.shape[1:]} pixels, expected (28, 28)")
     if len(images) != len(labels) or not len(labels):
         found = f"found {len(labels)} labels for {len(images)} images of {images_path.name}"
-        raise unusable(labels_path, f"{found}, expected one for each and at least one")
+        raise _unusable(labels_path, f"{found}, expected one for each and at least one")
     wrong = np.flatnonzero(labels > 9)
     if wrong.size:
         found = f"found label {labels[wrong[0]]} in row {wrong[0]}"
-        raise unusable(labels_path, f"{found}, expected digits from 0 to 9")
+        raise _unusable(labels_path, f"{found}, expected digits from 0 to 9")
     return images, labels
+
+
+def read_idx(path: Path, magic: int) -> NDArray[np.uint8]:
+    """Read a file of unsigned bytes, plain or (when its name ends in ``.gz``) gzipped, read-only.
+
+    The first number of the file must be ``magic``, whose last byte is the number of dimensions. Raises
+    InputError when the file cannot be read, is damaged, cut off or too long, or is of another kind.
+    """
+    data = _unpacked(path)
+    dimensions = magic & 0xFF
+    start = 4 + 4 * dimensions
+    if len(data) < start:
+        raise _unusable(path, f"is cut off, found {len(data)} bytes, expected a header of {start}")
+    found, *shape = struct.unpack_from(f">{1 + dimensions}I", data)
+    if found != magic:
+        raise _unusable(path, f"found magic number {found}, expected {magic}")
+    promised = start + prod(shape)
+    if len(data) != promised:
+        raise _unusable(path, f"found {len(data)} bytes, expected {promised} for an array of shape {shape}")
+    return np.frombuffer(data, np.uint8, offset=start).reshape(shape)
+
+
+def _unusable(path: Path, story: str) -> InputError:
+    """Say what is wrong with a file that has to be fetched again."""
+    return InputError(f"{path}: {story}; next: remove it, then download or copy it again")
+
+
+def _unpacked(path: Path) -> bytes:
+    try:
+        if path.suffix != ".gz":
+            return path.read_bytes()
+        with gzip.open(path) as stream:
+            return stream.read()
+    except (EOFError, gzip.BadGzipFile, zlib.error) as error:
+        raise _unusable(path, f"is damaged or cut off ({error}), expected a whole gzip file") from error
+    except OSError as error:
+        raise _unusable(path, f"cannot be read ({error.strerror}), expected an IDX file") from error

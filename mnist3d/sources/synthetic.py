@@ -8,12 +8,9 @@ from operator import index
 import numpy as np
 
 from mnist3d.sources import DigitCatalog, DigitImage
-from mnist3d.sources.handwriting.dice import Dice
 from mnist3d.sources.handwriting.glyphs import ALLOGRAPHS, Variation, choose_allograph
-from mnist3d.sources.handwriting.hand import Hand, hand_of
-from mnist3d.sources.handwriting.pen import draw
-from mnist3d.sources.handwriting.pose import on_page
-from mnist3d.sources.handwriting.shape import Stroke
+from mnist3d.sources.handwriting.hand import Hand, KeyedRng, hand_of
+from mnist3d.sources.handwriting.pen import draw, on_page
 from tactile_toolkit.errors import InputError
 
 __all__ = ["DRAWING_VERSION", "HWD_PLUS_COUNT", "SyntheticSource"]
@@ -98,32 +95,11 @@ class SyntheticSource:
         return DigitCatalog(ids, ids % _PER_WRITER // _PER_CLASS, ids // _PER_WRITER)
 
     def hand(self, writer: int) -> Hand:
-        """Return the traits of a writer.
-
-        Parameters
-        ----------
-        writer : int
-            0 or more.
-
-        Returns
-        -------
-        Hand
-            Slant, proportions, pen and habits, the same for all digits of this writer.
-        """
-        return hand_of(Dice(_HAND, self.seed, writer))
+        """Return the traits of a writer, counted from 0; they are the same in all the writer's digits."""
+        return hand_of(KeyedRng(_HAND, self.seed, writer))
 
     def image(self, digit_id: int) -> DigitImage:
-        """Draw one digit.
-
-        Parameters
-        ----------
-        digit_id : int
-            From 0 to ``count - 1``.
-
-        Returns
-        -------
-        DigitImage
-            Pixels uint8 of shape (500, 500), 0 is ink and 255 is paper.
+        """Draw one digit, 500 x 500 px.
 
         Raises
         ------
@@ -140,22 +116,16 @@ class SyntheticSource:
             )
             raise InputError(msg)
         writer, label = digit_id // _PER_WRITER, digit_id % _PER_WRITER // _PER_CLASS
-        hand, dice = self.hand(writer), Dice(_DIGIT, self.seed, digit_id)
-        height_px = hand.height_px * (1.0 + _SIZE_JITTER * hand.jitter * dice.bell())
-        pen_px = hand.pen_px * (1.0 + _SIZE_JITTER * hand.jitter * dice.bell())
-        strokes = self._strokes(writer, label, hand, _share(pen_px, height_px, hand.aspect), dice)
-        paths = on_page(strokes, hand, height_px, pen_px, dice)
-        pixels = draw(paths, pen_px, hand, Dice(_INK, self.seed, digit_id))
-        return DigitImage(digit_id, label, pixels, writer)
-
-    def _strokes(self, writer: int, label: int, hand: Hand, pen: float, dice: Dice) -> list[Stroke]:
-        fashion = Dice(_FASHION, self.seed, label)
-        choice = choose_allograph(label, writer, fashion, dice, hand.fidelity)
-        vary = Variation(Dice(_HABIT, self.seed, writer, label, choice), dice, hand.jitter)
+        hand, rng = self.hand(writer), KeyedRng(_DIGIT, self.seed, digit_id)
+        height_px = hand.height_px * (1.0 + _SIZE_JITTER * hand.jitter * rng.approx_normal())
+        pen_px = hand.pen_px * (1.0 + _SIZE_JITTER * hand.jitter * rng.approx_normal())
+        fashion = KeyedRng(_FASHION, self.seed, label)
+        choice = choose_allograph(label, writer, fashion, rng, hand.fidelity)
+        vary = Variation(KeyedRng(_HABIT, self.seed, writer, label, choice), rng, hand.jitter)
         shape, _ = ALLOGRAPHS[label][choice]
-        return shape(vary, pen)
-
-
-def _share(pen_px: float, height_px: float, aspect: float) -> float:
-    """Return the pen's width as a share of the height between middle lines, larger in narrow hands."""
-    return pen_px / (height_px - pen_px) / min(aspect, 1.0)
+        # The pen's width as a share of the height between middle lines, larger in narrow hands.
+        strokes = shape(vary, pen_px / (height_px - pen_px) / min(hand.aspect, 1.0))
+        paths = on_page(strokes, hand, height_px, pen_px, rng)
+        # Ink has a stream of its own: how it flows does not depend on how many numbers the shape took.
+        pixels = draw(paths, pen_px, hand, KeyedRng(_INK, self.seed, digit_id))
+        return DigitImage(digit_id, label, pixels, writer)

@@ -346,8 +346,7 @@ def test_real_pictures_come_back_as_they_are() -> None:
 
 @needs_mnist
 def test_mnist_as_pictures_looks_like_mnist(tmp_path: Path) -> None:
-    from mnist3d.sources.idx import IMAGES_MAGIC, read_idx
-    from mnist3d.sources.mnist import MnistSource
+    from mnist3d.sources.mnist import IMAGES_MAGIC, MnistSource, read_idx
 
     source = MnistSource(str(SHARED / "mnist"))
     images = read_idx(SHARED / "mnist" / "t10k-images-idx3-ubyte.gz", IMAGES_MAGIC)

@@ -15,8 +15,8 @@ from hypothesis import strategies as st
 from scipy import ndimage
 
 from mnist3d.sources import DigitImage
-from mnist3d.sources.handwriting.dice import Dice
 from mnist3d.sources.handwriting.glyphs import ALLOGRAPHS, choose_allograph
+from mnist3d.sources.handwriting.hand import KeyedRng
 from mnist3d.sources.synthetic import DRAWING_VERSION, SyntheticSource
 from tactile_toolkit.errors import InputError
 
@@ -184,7 +184,7 @@ def test_every_shape_has_its_share_of_writers() -> None:
     for label, shapes in enumerate(ALLOGRAPHS):
         total = sum(weight for _, weight in shapes)
         assert total == pytest.approx(1.0)
-        chosen = [choose_allograph(label, w, Dice(1, label), Dice(2, w), 1.0) for w in range(97)]
+        chosen = [choose_allograph(label, w, KeyedRng(1, label), KeyedRng(2, w), 1.0) for w in range(97)]
         for index, (_, weight) in enumerate(shapes):
             assert np.mean(np.array(chosen) == index) == pytest.approx(weight, abs=0.04)
 
@@ -205,13 +205,13 @@ def test_rings_stay_open_under_thick_pens() -> None:
 
 def test_dice_are_pinned_to_the_raw_stream() -> None:
     words = np.random.PCG64(np.random.SeedSequence((2, 5, 6))).random_raw(64)
-    assert Dice(5, 6).units(64).tolist() == [float(word >> np.uint64(11)) / 2**53 for word in words]
-    assert Dice(5).unit() != Dice(5, 0).unit()
+    assert KeyedRng(5, 6).units(64).tolist() == [float(word >> np.uint64(11)) / 2**53 for word in words]
+    assert KeyedRng(5).unit() != KeyedRng(5, 0).unit()
 
 
 @given(key=st.integers(0, 2**64), low=st.floats(-5, 0), high=st.floats(0, 5))
 def test_dice_stay_in_bounds(key: int, low: float, high: float) -> None:
-    dice = Dice(key)
-    assert low <= dice.uniform(low, high) <= high
-    assert abs(dice.bell()) < 3.5
-    assert dice.pick((0.0, 1.0, 0.0)) == 1
+    rng = KeyedRng(key)
+    assert low <= rng.uniform(low, high) <= high
+    assert abs(rng.approx_normal()) < 3.5
+    assert rng.pick((0.0, 1.0, 0.0)) == 1

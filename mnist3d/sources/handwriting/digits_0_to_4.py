@@ -1,9 +1,8 @@
-"""Pen paths of the digits 0 to 4; :mod:`mnist3d.sources.handwriting.shape` has the conventions."""
+"""Pen paths of the digits 0 to 4; :mod:`mnist3d.sources.handwriting.strokes` has the conventions."""
 
 from __future__ import annotations
 
-from mnist3d.sources.handwriting.curve import Point, arc
-from mnist3d.sources.handwriting.shape import CLEAR, Run, Stroke, Vary
+from mnist3d.sources.handwriting.strokes import CLEAR, Point, Run, Stroke, Vary, arc
 
 __all__ = [
     "one_plain",

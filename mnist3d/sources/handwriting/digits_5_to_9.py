@@ -1,9 +1,8 @@
-"""Pen paths of the digits 5 to 9; :mod:`mnist3d.sources.handwriting.shape` has the conventions."""
+"""Pen paths of the digits 5 to 9; :mod:`mnist3d.sources.handwriting.strokes` has the conventions."""
 
 from __future__ import annotations
 
-from mnist3d.sources.handwriting.curve import Point, arc
-from mnist3d.sources.handwriting.shape import CLEAR, Ring, Run, Stroke, Vary, lean
+from mnist3d.sources.handwriting.strokes import CLEAR, Point, Ring, Run, Stroke, Vary, arc, lean
 
 __all__ = [
     "five_one_stroke",

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from mnist3d.sources.handwriting import digits_0_to_4 as low
 from mnist3d.sources.handwriting import digits_5_to_9 as high
-from mnist3d.sources.handwriting.dice import Dice, index_at
-from mnist3d.sources.handwriting.shape import Shape
+from mnist3d.sources.handwriting.hand import KeyedRng, index_at
+from mnist3d.sources.handwriting.strokes import Shape
 
 __all__ = ["ALLOGRAPHS", "Variation", "choose_allograph"]
 
@@ -51,47 +51,30 @@ _STRIDES = (
 class Variation:
     """Gives every number of a shape its value for one writer and one digit.
 
-    Parameters
-    ----------
-    writer : Dice
-        Stream of this writer and shape: the same in all the writer's digits of that shape.
-    digit : Dice
-        Stream of this digit.
-    jitter : float
-        Weight of the second stream.
+    `writer` is the stream of this writer and shape, the same in all the writer's digits of that shape;
+    `jitter` is the weight of the stream of this `digit`.
     """
 
     __slots__ = ("_digit", "_jitter", "_writer")
 
-    def __init__(self, writer: Dice, digit: Dice, jitter: float) -> None:
+    def __init__(self, writer: KeyedRng, digit: KeyedRng, jitter: float) -> None:
         self._writer = writer
         self._digit = digit
         self._jitter = jitter
 
     def __call__(self, mean: float, spread: float) -> float:
-        """Return `mean` plus a bell-shaped deviation of size `spread`."""
-        habit, whim = self._writer.bell(), self._digit.bell()
+        """Return `mean` plus a nearly normal deviation of size `spread`."""
+        habit, whim = self._writer.approx_normal(), self._digit.approx_normal()
         return mean + spread * (_BETWEEN_WRITERS * habit + self._jitter * whim)
 
 
-def choose_allograph(label: int, writer: int, seed_dice: Dice, digit: Dice, fidelity: float) -> int:
-    """Return which shape of `label` to draw: the writer's own, or now and then another.
+def choose_allograph(label: int, writer: int, fashion: KeyedRng, digit: KeyedRng, fidelity: float) -> int:
+    """Return which shape of `label` to draw: with the chance `fidelity` the writer's own, else any.
 
     Writers take their shapes by turns along a low-discrepancy sequence, so that a few dozen writers already
-    show every shape in about its share, with any seed.
-
-    Parameters
-    ----------
-    label : int
-        0 to 9.
-    writer : int
-        Number of the writer.
-    seed_dice, digit : Dice
-        Streams of this seed and label, and of this digit.
-    fidelity : float
-        Chance of the writer's own shape.
+    show every shape in about its share, with any seed. `fashion` is the stream of this seed and label.
     """
     weights = [weight for _, weight in ALLOGRAPHS[label]]
-    mark = (seed_dice.unit() + writer * _STRIDES[label]) % 1.0
+    mark = (fashion.unit() + writer * _STRIDES[label]) % 1.0
     preferred, other = index_at(weights, mark), index_at(weights, digit.unit())
     return preferred if digit.unit() < fidelity else other

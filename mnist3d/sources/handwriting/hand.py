@@ -1,12 +1,81 @@
-"""What stays the same in all digits of one writer."""
+"""The numbers behind a hand, and what stays the same in all digits of one writer."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
-from mnist3d.sources.handwriting.dice import Dice
+import numpy as np
+from numpy.typing import NDArray
 
-__all__ = ["Hand", "hand_of"]
+__all__ = ["Hand", "KeyedRng", "hand_of", "index_at"]
+
+_BLOCK = 64
+_UNIT = 2.0**-53
+_ROOT_3 = 1.7320508075688772
+"""The sum of four uniform numbers has the variance 1/3."""
+
+
+class KeyedRng:
+    """A stream of numbers named by a key of non-negative integers; another key gives an independent one.
+
+    Only the raw words of PCG64 and :class:`numpy.random.SeedSequence` are used, whose streams numpy
+    promises to keep (NEP 19); the methods of ``Generator`` may change between versions. All that follows
+    is addition and multiplication, which IEEE 754 rounds the same way everywhere.
+    """
+
+    __slots__ = ("_bits", "_left")
+
+    def __init__(self, *key: int) -> None:
+        # The length goes in, because SeedSequence pads short keys with zeros.
+        self._bits = np.random.PCG64(np.random.SeedSequence((len(key), *key)))
+        self._left: list[float] = []
+
+    def unit(self) -> float:
+        """Return the next number, uniform in [0, 1)."""
+        if not self._left:
+            self._left = self.units(_BLOCK).tolist()
+        return self._left.pop()
+
+    def units(self, number: int) -> NDArray[np.float64]:
+        """Return `number` fresh numbers, uniform in [0, 1), shape (number,)."""
+        return (self._bits.random_raw(number) >> np.uint64(11)).astype(np.float64) * _UNIT
+
+    def uniform(self, low: float, high: float) -> float:
+        """Return a number, uniform between `low` and `high`."""
+        return low + (high - low) * self.unit()
+
+    def approx_normal(self) -> float:
+        """Return a number from nearly a normal distribution: mean 0, standard deviation 1, never beyond 3.5.
+
+        The sum of four uniform numbers: unlike a normal number it needs no logarithm, whose last bit
+        differs between platforms, and has no tail that would tear a glyph apart.
+        """
+        return (self.unit() + self.unit() + self.unit() + self.unit() - 2.0) * _ROOT_3
+
+    def approx_normals(self, number: int) -> NDArray[np.float64]:
+        """Return `number` of them, shape (number,)."""
+        units = self.units(4 * number)
+        return (units[0::4] + units[1::4] + units[2::4] + units[3::4] - 2.0) * _ROOT_3
+
+    def bytes(self, number: int) -> NDArray[np.uint8]:
+        """Return `number` uniform bytes, shape (number,)."""
+        words = self._bits.random_raw(-(-number // 8)).astype("<u8")
+        return words.view(np.uint8)[:number]
+
+    def pick(self, weights: Sequence[float]) -> int:
+        """Return an index, each with a chance in proportion to its weight."""
+        return index_at(weights, self.unit())
+
+
+def index_at(weights: Sequence[float], mark: float) -> int:
+    """Return the index under `mark` when the weights divide [0, 1) in their proportions."""
+    left = mark * sum(weights)
+    for index, weight in enumerate(weights):
+        left -= weight
+        if left < 0.0:
+            return index
+    return len(weights) - 1
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,27 +130,27 @@ class Hand:
     fidelity: float
 
 
-def hand_of(dice: Dice) -> Hand:
+def hand_of(rng: KeyedRng) -> Hand:
     """Draw a writer's traits.
 
     The ranges of height and pen width are those of HWD+ (Beaulac and Rosenthal 2022): ink 250 to 330 px
     tall, strokes 20 to 45 px wide.
     """
     return Hand(
-        slant=0.13 + 0.165 * dice.bell(),
-        tilt=0.03 * dice.bell(),
-        aspect=1.14 + 0.105 * dice.bell(),
-        bow=0.02 * dice.bell(),
-        height_px=dice.uniform(258.0, 322.0),
-        pen_px=min(42.0, max(22.0, 33.0 + 4.8 * dice.bell())),
-        nib=max(0.0, dice.uniform(-0.15, 0.20)),
-        nib_lean=dice.uniform(-1.0, 1.0),
-        pressure=dice.uniform(0.02, 0.09),
-        roundness=int(5.0 * dice.unit()),
-        jitter=dice.uniform(0.3, 0.6),
-        tremor_px=dice.uniform(0.3, 1.4),
-        roughness_px=dice.uniform(0.5, 1.4),
-        gaps=dice.uniform(0.0, 7.0),
-        specks=dice.uniform(0.0, 4.0),
-        fidelity=dice.uniform(0.86, 1.0),
+        slant=0.13 + 0.165 * rng.approx_normal(),
+        tilt=0.03 * rng.approx_normal(),
+        aspect=1.14 + 0.105 * rng.approx_normal(),
+        bow=0.02 * rng.approx_normal(),
+        height_px=rng.uniform(258.0, 322.0),
+        pen_px=min(42.0, max(22.0, 33.0 + 4.8 * rng.approx_normal())),
+        nib=max(0.0, rng.uniform(-0.15, 0.20)),
+        nib_lean=rng.uniform(-1.0, 1.0),
+        pressure=rng.uniform(0.02, 0.09),
+        roundness=int(5.0 * rng.unit()),
+        jitter=rng.uniform(0.3, 0.6),
+        tremor_px=rng.uniform(0.3, 1.4),
+        roughness_px=rng.uniform(0.5, 1.4),
+        gaps=rng.uniform(0.0, 7.0),
+        specks=rng.uniform(0.0, 4.0),
+        fidelity=rng.uniform(0.86, 1.0),
     )

@@ -1,4 +1,4 @@
-"""From pen paths to ink on paper."""
+"""From a shape in the unit square to pen paths on the page, and from those to ink on paper."""
 
 from __future__ import annotations
 
@@ -7,12 +7,24 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from mnist3d.sources.handwriting.dice import Dice
-from mnist3d.sources.handwriting.hand import Hand
-from mnist3d.sources.handwriting.pose import PAGE_PX, SPACING_PX
+from mnist3d.sources.handwriting.hand import Hand, KeyedRng
+from mnist3d.sources.handwriting.strokes import Stroke, resample, smooth, through
 
-__all__ = ["draw"]
+__all__ = ["PAGE_PX", "draw", "on_page"]
 
+PAGE_PX = 500
+"""Side of the square page."""
+SPACING_PX = 7.0
+"""Distance of samples along a path."""
+_SLANT_JITTER, _TILT_JITTER, _ASPECT_JITTER, _BOW_JITTER = 0.10, 0.03, 0.05, 0.015
+"""Standard deviations between the digits of a writer whose jitter is 1."""
+_WIDEST_PX = 380.0
+_MARGIN_PX = 15.0
+_OFF_CENTRE_PX = 16.0
+_WAVE_PX = 45.0
+"""Wavelength of the tremor."""
+_GRID = 64.0
+"""Positions are multiples of 1/64 px."""
 _CELL_PX = 4
 _NODES = PAGE_PX // _CELL_PX + 1
 _COARSE = 4
@@ -28,45 +40,79 @@ _DRY, _WIDE = 0.75, 1.25
 """Bounds of the stroke width, relative to the pen's."""
 _PRESSURE_WAVE_PX = 70.0
 
+Paths = list[NDArray[np.float64]]
 Floats = NDArray[np.float32]
 
 
-def draw(paths: list[NDArray[np.float64]], pen_px: float, hand: Hand, dice: Dice) -> NDArray[np.uint8]:
+def on_page(strokes: list[Stroke], hand: Hand, height_px: float, pen_px: float, rng: KeyedRng) -> Paths:
+    """Lean, stretch, scale and place a shape as its writer would.
+
+    Ink height and pen width are those of this digit. Each path, one for each stroke, has shape (N, 2): x to
+    the right, y down, in pixels, samples about 7 px apart.
+    """
+    joined = [np.concatenate([through(run) for run in stroke]) for stroke in strokes]
+    leant = _lean(joined, hand, rng)
+    low, high = _bounds(leant)
+    height, widest = height_px - pen_px, _WIDEST_PX - pen_px
+    scale = min(height / (high[1] - low[1]), widest / max(high[0] - low[0], 1e-6))
+    paths = [_relax((path - low) * scale, hand, rng) for path in leant]
+    low, high = _bounds(paths)
+    wish = 0.5 * PAGE_PX - 0.5 * (low + high) + _OFF_CENTRE_PX * rng.approx_normals(2)
+    edge = 0.5 * pen_px + _MARGIN_PX
+    shift = np.clip(wish, edge - low, PAGE_PX - edge - high)
+    # Compiled interpolation may fuse multiply and add on some machines; a grid hides the last bit.
+    return [np.floor((path + shift) * _GRID + 0.5) / _GRID for path in paths]
+
+
+def _lean(paths: Paths, hand: Hand, rng: KeyedRng) -> Paths:
+    slant = hand.slant + _SLANT_JITTER * hand.jitter * rng.approx_normal()
+    tilt = hand.tilt + _TILT_JITTER * hand.jitter * rng.approx_normal()
+    aspect = hand.aspect + _ASPECT_JITTER * hand.jitter * rng.approx_normal()
+    bow = 4.0 * (hand.bow + _BOW_JITTER * hand.jitter * rng.approx_normal())
+    leant = []
+    for path in paths:
+        x, y = aspect * path[:, 0], path[:, 1]
+        bent = x + slant * (1.0 - y) + bow * y * (1.0 - y)
+        leant.append(np.stack([bent, y - tilt * x], axis=1))
+    return leant
+
+
+def _bounds(paths: Paths) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    points = np.concatenate(paths)
+    return points.min(axis=0), points.max(axis=0)
+
+
+def _relax(path: NDArray[np.float64], hand: Hand, rng: KeyedRng) -> NDArray[np.float64]:
+    path = resample(path, SPACING_PX)
+    knots = int(len(path) * SPACING_PX / _WAVE_PX) + 3
+    at = np.arange(len(path)) * ((knots - 1) / len(path))
+    for axis in (0, 1):
+        path[:, axis] += np.interp(at, np.arange(knots), hand.tremor_px * rng.approx_normals(knots))
+    return smooth(path, 1 + hand.roundness)
+
+
+def draw(paths: list[NDArray[np.float64]], pen_px: float, hand: Hand, rng: KeyedRng) -> NDArray[np.uint8]:
     """Ink the paths with the writer's pen.
 
     The distance to the ink's edge is found on a grid of 4 px near the strokes only, roughened there and
     then interpolated: a sixteenth of the work, and noise of that grain looks like a felt tip on paper.
 
-    Parameters
-    ----------
-    paths : list of ndarray of float64, shape (N, 2)
-        In pixels, evenly sampled.
-    pen_px : float
-        Mean width of a stroke.
-    hand : Hand
-        Of the writer.
-    dice : Dice
-        Of this digit.
-
-    Returns
-    -------
-    ndarray of uint8, shape (500, 500)
-        0 is ink, 255 is paper.
+    Paths are in pixels, evenly sampled; `pen_px` is the mean width of a stroke.
     """
-    radii = [_radii(path, 0.5 * pen_px, hand, dice) for path in paths]
+    radii = [_radii(path, 0.5 * pen_px, hand, rng) for path in paths]
     field = np.full(_NODES * _NODES, _FAR_PX, dtype=np.float32)
     for path, radius in zip(paths, radii, strict=True):
         _stamp(field, path.astype(np.float32), radius)
-    page = _develop(field.reshape(_NODES, _NODES) + _roughness(hand.roughness_px, dice))
-    _fleck(page, paths, radii, hand, dice)
+    page = _develop(field.reshape(_NODES, _NODES) + _roughness(hand.roughness_px, rng))
+    _fleck(page, paths, radii, hand, rng)
     return page
 
 
-def _radii(path: NDArray[np.float64], half_px: float, hand: Hand, dice: Dice) -> Floats:
+def _radii(path: NDArray[np.float64], half_px: float, hand: Hand, rng: KeyedRng) -> Floats:
     number = len(path)
     knots = int(number * SPACING_PX / _PRESSURE_WAVE_PX) + 3
     at = np.arange(number) * ((knots - 1) / number)
-    press = 1.0 + hand.pressure * np.interp(at, np.arange(knots), dice.bells(knots))
+    press = 1.0 + hand.pressure * np.interp(at, np.arange(knots), rng.approx_normals(knots))
     step = path[np.minimum(np.arange(number) + 1, number - 1)] - path[np.maximum(np.arange(number) - 1, 0)]
     along = step[:, 0] + hand.nib_lean * step[:, 1]
     square = (step[:, 0] * step[:, 0] + step[:, 1] * step[:, 1]) * (1.0 + hand.nib_lean * hand.nib_lean)
@@ -96,11 +142,11 @@ def _stamp(field: Floats, path: Floats, radius: Floats) -> None:
     np.minimum.at(field, (row[:, :, None] * _NODES + column[:, None, :]).ravel(), away.ravel())
 
 
-def _roughness(size_px: float, dice: Dice) -> Floats:
+def _roughness(size_px: float, rng: KeyedRng) -> Floats:
     """Return edge noise of two grains on the grid, each within +-`size_px`."""
     wide = _NODES // _COARSE + 2
-    coarse = dice.bytes(wide * wide).reshape(wide, wide)
-    fine = dice.bytes(_NODES * _NODES).reshape(_NODES, _NODES)
+    coarse = rng.bytes(wide * wide).reshape(wide, wide)
+    fine = rng.bytes(_NODES * _NODES).reshape(_NODES, _NODES)
     unit = np.float32(size_px / 127.5)
     grain = _enlarge(coarse.astype(np.float32), _COARSE)[:_NODES, :_NODES]
     return (grain - np.float32(127.5)) * unit + (fine.astype(np.float32) - np.float32(127.5)) * unit
@@ -131,23 +177,23 @@ def _develop(field: Floats) -> NDArray[np.uint8]:
 
 
 def _fleck(
-    page: NDArray[np.uint8], paths: list[NDArray[np.float64]], radii: list[Floats], hand: Hand, dice: Dice
+    page: NDArray[np.uint8], paths: list[NDArray[np.float64]], radii: list[Floats], hand: Hand, rng: KeyedRng
 ) -> None:
     """Leave light flecks in the ink and dark specks beside it."""
     for number, light in ((hand.gaps, True), (hand.specks, False)):
-        for _ in range(int(number * 2.0 * dice.unit())):
-            stroke = dice.pick([float(len(path)) for path in paths])
-            sample = int(dice.unit() * len(paths[stroke]))
+        for _ in range(int(number * 2.0 * rng.unit())):
+            stroke = rng.pick([float(len(path)) for path in paths])
+            sample = int(rng.unit() * len(paths[stroke]))
             radius = float(radii[stroke][sample])
-            aside = dice.uniform(-0.75, 0.75) * radius if light else radius + dice.uniform(4.0, 30.0)
-            _dot(page, paths[stroke][sample], aside, light, dice)
+            aside = rng.uniform(-0.75, 0.75) * radius if light else radius + rng.uniform(4.0, 30.0)
+            _dot(page, paths[stroke][sample], aside, light, rng)
 
 
-def _dot(page: NDArray[np.uint8], at: NDArray[np.float64], aside: float, light: bool, dice: Dice) -> None:
-    lean_x, lean_y = dice.uniform(-1.0, 1.0), dice.uniform(-1.0, 1.0)
+def _dot(page: NDArray[np.uint8], at: NDArray[np.float64], aside: float, light: bool, rng: KeyedRng) -> None:
+    lean_x, lean_y = rng.uniform(-1.0, 1.0), rng.uniform(-1.0, 1.0)
     norm = math.sqrt(lean_x * lean_x + lean_y * lean_y + 1e-9)
     x, y = float(at[0]) + aside * lean_x / norm, float(at[1]) + aside * lean_y / norm
-    half_x, half_y = dice.uniform(0.7, 2.6), dice.uniform(0.7, 2.6)
+    half_x, half_y = rng.uniform(0.7, 2.6), rng.uniform(0.7, 2.6)
     low, high = _EDGE_PX + _DOT_PX, PAGE_PX - 1 - _EDGE_PX - _DOT_PX
     column, row = int(min(max(x, low), high)), int(min(max(y, low), high))
     offsets = np.arange(-_DOT_PX, _DOT_PX + 1, dtype=np.float64)

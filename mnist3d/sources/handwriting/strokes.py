@@ -1,37 +1,67 @@
-"""From a handful of points to a smooth path with evenly spaced samples."""
+"""What the pen path of a digit is made of, and how a few points become a smooth, evenly sampled path.
+
+A shape is a function of `vary`, which gives a number its value for this writer and this digit, and of `pen`,
+the pen width as a share of the height. It returns strokes; a stroke is a list of runs that join in corners; a
+run is a list of points that a smooth curve passes through. The top of a digit is near y = 0, its foot near y
+= 1, its left edge near x = 0. A run may reach a little beyond: the page scales what it gets.
+"""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["Point", "arc", "resample", "smooth", "through"]
+__all__ = [
+    "CLEAR",
+    "Point",
+    "Ring",
+    "Run",
+    "Shape",
+    "Stroke",
+    "Vary",
+    "arc",
+    "lean",
+    "resample",
+    "smooth",
+    "through",
+]
 
 Point = tuple[float, float]
 """x to the right, y down."""
 
+Vary = Callable[[float, float], float]
+"""(mean, spread) -> value."""
+Run = list[Point]
+Stroke = list[Run]
+Shape = Callable[[Vary, float], list[Stroke]]
+Ring = tuple[Point, Point]
+"""Middle and half axes."""
+
+CLEAR = 0.06
+"""Half width of the paper that a ring keeps free inside, as a share of the height: people with thick pens
+write larger rings."""
+
 _STEPS = 8
+"""Samples of the curve between two points."""
+
 _TINY = 1e-9
+
+
+def lean(run: Run, slant: float, axis_y: float) -> Run:
+    """Return the run sheared sideways by `slant` per unit of height above `axis_y`."""
+    return [(x + slant * (axis_y - y), y) for x, y in run]
 
 
 def arc(
     centre: Point, radii: Point, start_deg: float, stop_deg: float, number: int, egg: float = 0.0
 ) -> list[Point]:
-    """Return points on an ellipse.
+    """Return `number` points on an ellipse, both ends included.
 
-    Parameters
-    ----------
-    centre, radii : Point
-        Middle and half axes.
-    start_deg, stop_deg : float
-        0 is right, 90 is below, 180 left, 270 or -90 above; falling angles run anticlockwise on paper.
-    number : int
-        How many points, both ends included.
-    egg : float
-        Widens the lower half by this share and narrows the upper half as much.
+    0 degrees is right, 90 is below, 180 left, 270 or -90 above; falling angles run anticlockwise on paper.
+    `egg` widens the lower half by this share and narrows the upper half as much.
     """
     points = []
     for index in range(number):
@@ -43,19 +73,10 @@ def arc(
 
 
 def through(points: Sequence[Point]) -> NDArray[np.float64]:
-    """Return a centripetal Catmull-Rom curve through `points`.
+    """Return a centripetal Catmull-Rom curve, shape (N, 2), through at least two points.
 
-    Centripetal, because it neither loops nor overshoots when points lie unevenly (Yuksel, Schaefer and
-    Keyser 2011).
-
-    Parameters
-    ----------
-    points : sequence of Point
-        At least two; consecutive ones differ.
-
-    Returns
-    -------
-    ndarray of float64, shape (N, 2)
+    Centripetal, because it neither loops nor overshoots when points lie unevenly (Yuksel, Schaefer and Keyser
+    2011).
     """
     inner = np.asarray(points, dtype=np.float64)
     if len(inner) == 2:
@@ -70,33 +91,17 @@ def through(points: Sequence[Point]) -> NDArray[np.float64]:
     chord_in, chord, chord_out = slope[:-2], slope[1:-1], slope[2:]
     leave = here * (chord_in * here + chord * before) / (before + here)
     arrive = here * (chord * after + chord_out * here) / (here + after)
-    return _hermite(inner, leave, arrive)
-
-
-def _hermite(
-    knots: NDArray[np.float64], leave: NDArray[np.float64], arrive: NDArray[np.float64]
-) -> NDArray[np.float64]:
+    # Hermite's cubic between neighbours, from the slopes at which it leaves and arrives.
     t = (np.arange(_STEPS) / _STEPS)[None, :, None]
-    start, end = knots[:-1, None], knots[1:, None]
+    start, end = inner[:-1, None], inner[1:, None]
     rise = t * t * (3.0 - 2.0 * t)
     out, into = t * (1.0 - t) * (1.0 - t), t * t * (t - 1.0)
     curve = start + (end - start) * rise + leave[:, None] * out + arrive[:, None] * into
-    return np.concatenate([curve.reshape(-1, 2), knots[-1:]])
+    return np.concatenate([curve.reshape(-1, 2), inner[-1:]])
 
 
 def resample(path: NDArray[np.float64], spacing: float) -> NDArray[np.float64]:
-    """Return the path with samples about `spacing` apart, both ends kept.
-
-    Parameters
-    ----------
-    path : ndarray of float64, shape (N, 2)
-    spacing : float
-        In the unit of `path`.
-
-    Returns
-    -------
-    ndarray of float64, shape (M, 2), M >= 2
-    """
+    """Return the path with samples about `spacing` (in its unit) apart, at least two, both ends kept."""
     step = path[1:] - path[:-1]
     walked = np.concatenate([[0.0], np.cumsum(np.sqrt(step[:, 0] * step[:, 0] + step[:, 1] * step[:, 1]))])
     number = max(2, int(walked[-1] / spacing) + 1)
@@ -107,15 +112,7 @@ def resample(path: NDArray[np.float64], spacing: float) -> NDArray[np.float64]:
 def smooth(path: NDArray[np.float64], rounds: int) -> NDArray[np.float64]:
     """Return an evenly sampled path with its corners rounded; both ends stay.
 
-    Parameters
-    ----------
-    path : ndarray of float64, shape (N, 2)
-    rounds : int
-        Each averages a sample with its neighbours once.
-
-    Returns
-    -------
-    ndarray of float64, shape (N, 2)
+    Each round averages a sample with its neighbours once.
     """
     path = path.copy()
     for _ in range(rounds):
