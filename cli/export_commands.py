@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+import os
 import sys
+from dataclasses import dataclass
 from enum import StrEnum
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from cli.failures import EXIT_FAILED, reports_errors
+from cli.application import command
+from cli.failures import EXIT_FAILED
 from cli.options import Json, Limit, Out, Quiet, Workers
 from cli.output import Sink, bytes_text, counted
 from tactile_toolkit.kind import DatasetKind
@@ -18,7 +21,6 @@ if TYPE_CHECKING:
     from tactile_toolkit.printing.checked import Failure
     from tactile_toolkit.printing.objects import PrintObject
     from tactile_toolkit.printing.packing import PlateSpec
-    from tactile_toolkit.printing.plates import PlateExport
 
 __all__ = ["add_export"]
 
@@ -35,58 +37,54 @@ class MeshFormat(StrEnum):
     glb = "glb"
 
 
+@dataclass(frozen=True, slots=True)
+class ExportOptions:
+    """Options of the command, in the order of its help."""
+
+    name: Annotated[
+        str, typer.Argument(metavar="DIR", help="Data set: a folder, a Parquet file or a Hub repository.")
+    ]
+    split: Annotated[str, typer.Option(metavar="NAME", help="Split to export, or all.")] = "all"
+    file_format: Annotated[
+        MeshFormat | None,
+        typer.Option(
+            "--format", help="Format of the files, mm (glb: m). Default stl; plates are always 3mf."
+        ),
+    ] = None
+    ids: Annotated[
+        str | None, typer.Option(metavar="3,17,40-60", help="Only the objects with these ids.")
+    ] = None
+    labels: Annotated[str | None, typer.Option(metavar="3,7", help="Only the objects of these classes.")] = (
+        None
+    )
+    limit: Limit = None
+    scale: Annotated[float, typer.Option(metavar="FACTOR", help="Factor on all lengths.")] = 1.0
+    plate: Annotated[
+        str | None,
+        typer.Option(metavar="256x256", help="Pack the objects on build plates of this size, in mm."),
+    ] = None
+    gap: Annotated[
+        float | None,
+        typer.Option(metavar="MM", help="Distance between objects on a plate.", show_default="3"),
+    ] = None
+    out: Out = Path("prints")
+    workers: Workers = 1
+    overwrite: Annotated[
+        bool, typer.Option("--overwrite", help="Replace files of an earlier export that differ.")
+    ] = False
+    dry_run: Annotated[
+        bool,
+        typer.Option("--dry-run", help="Say which files would be made and how large; write nothing."),
+    ] = False
+    as_json: Json = False
+    quiet: Quiet = False
+
+
 def add_export(app: typer.Typer, kind: DatasetKind) -> None:
-    """Add the command to a room's command line.
+    """Add the command for a kind of data set of meshes to its command line."""
 
-    Parameters
-    ----------
-    app : typer.Typer
-        The room's commands.
-    kind : DatasetKind
-        The kind of data set of meshes that it is for.
-    """
-
-    @app.command()
-    @reports_errors
-    def export(
-        name: Annotated[
-            str, typer.Argument(metavar="DIR", help="Data set: a folder, a Parquet file or a Hub repository.")
-        ],
-        split: Annotated[str, typer.Option(metavar="NAME", help="Split to export, or all.")] = "all",
-        file_format: Annotated[
-            MeshFormat | None,
-            typer.Option(
-                "--format", help="Format of the files, mm (glb: m). Default stl; plates are always 3mf."
-            ),
-        ] = None,
-        ids: Annotated[
-            str | None, typer.Option(metavar="3,17,40-60", help="Only the objects with these ids.")
-        ] = None,
-        labels: Annotated[
-            str | None, typer.Option(metavar="3,7", help="Only the objects of these classes.")
-        ] = None,
-        limit: Limit = None,
-        scale: Annotated[float, typer.Option(metavar="FACTOR", help="Factor on all lengths.")] = 1.0,
-        plate: Annotated[
-            str | None,
-            typer.Option(metavar="256x256", help="Pack the objects on build plates of this size, in mm."),
-        ] = None,
-        gap: Annotated[
-            float | None,
-            typer.Option(metavar="MM", help="Distance between objects on a plate.", show_default="3"),
-        ] = None,
-        out: Out = Path("prints"),
-        workers: Workers = 1,
-        overwrite: Annotated[
-            bool, typer.Option("--overwrite", help="Replace files of an earlier export that differ.")
-        ] = False,
-        dry_run: Annotated[
-            bool,
-            typer.Option("--dry-run", help="Say which files would be made and how large; write nothing."),
-        ] = False,
-        as_json: Json = False,
-        quiet: Quiet = False,
-    ) -> None:
+    @command(app)
+    def export(options: ExportOptions) -> None:
         """Write files for printing: one per object, or packed on build plates.
 
         Objects keep the pose that they have, their lowest point at z = 0.
@@ -97,14 +95,13 @@ def add_export(app: typer.Typer, kind: DatasetKind) -> None:
 
         Exit code 1 when an object or plate could not be written as a solid.
         """
-        spec = _plate_spec(plate, gap, file_format)
-        objects = _chosen(kind, name, split, ids, labels, limit)
-        sink = Sink(as_json, quiet)
+        spec = _plate_spec(options)
+        objects = _chosen(kind, options)
+        sink = Sink(options.as_json, options.quiet)
         if spec is None:
-            ending = (file_format or MeshFormat.stl).value
-            failures = _export_files(sink, objects, out, ending, scale, overwrite, workers, dry_run)
+            failures = _export_files(sink, objects, options)
         else:
-            failures = _export_plates(sink, objects, out, spec, scale, overwrite, dry_run)
+            failures = _export_plates(sink, objects, spec, options)
         for failure in failures:
             # Errors are said even to those who want to hear nothing else.
             sys.stderr.write(f"failed: {failure.name}: {failure.detail}\n")
@@ -112,65 +109,62 @@ def add_export(app: typer.Typer, kind: DatasetKind) -> None:
             raise typer.Exit(EXIT_FAILED)
 
 
-def _plate_spec(plate: str | None, gap: float | None, file_format: MeshFormat | None) -> PlateSpec | None:
+def _plate_spec(options: ExportOptions) -> PlateSpec | None:
     from tactile_toolkit.errors import InputError
     from tactile_toolkit.printing.packing import PlateSpec
 
-    if plate is None:
-        if gap is not None:
+    if options.plate is None:
+        if options.gap is not None:
             message = "--gap is about build plates; next: add --plate 256x256"
             raise InputError(message)
         return None
-    if file_format not in (None, MeshFormat.threemf):
-        message = f"--plate writes 3mf, which holds named objects; --format {file_format} does not"
+    if options.file_format not in (None, MeshFormat.threemf):
+        message = f"--plate writes 3mf, which holds named objects; --format {options.file_format} does not"
         raise InputError(message)
-    return PlateSpec.parse(plate, 3.0 if gap is None else gap)
+    return PlateSpec.parse(options.plate, 3.0 if options.gap is None else options.gap)
 
 
-def _chosen(
-    kind: DatasetKind, name: str, split: str, ids: str | None, labels: str | None, limit: int | None
-) -> list[PrintObject]:
+def _chosen(kind: DatasetKind, options: ExportOptions) -> list[PrintObject]:
     from tactile_toolkit.catalog.locate import splits_of
     from tactile_toolkit.printing.objects import choose, parse_ids
 
-    splits = splits_of(name) if split == "all" else (split,)
-    classes = None if labels is None else [word.strip() for word in labels.split(",")]
-    numbers = None if ids is None else parse_ids(ids)
-    return choose(
-        ((each, kind.load(name, each)) for each in splits), ids=numbers, labels=classes, limit=limit
-    )
+    splits = splits_of(options.name) if options.split == "all" else (options.split,)
+    labels = None if options.labels is None else [word.strip() for word in options.labels.split(",")]
+    ids = None if options.ids is None else parse_ids(options.ids)
+    datasets = ((split, kind.load(options.name, split)) for split in splits)
+    return choose(datasets, ids=ids, labels=labels, limit=options.limit)
 
 
-def _export_files(
-    sink: Sink,
-    objects: list[PrintObject],
-    out: Path,
-    kind: str,
-    scale: float,
-    overwrite: bool,
-    workers: int,
-    dry_run: bool,
-) -> tuple[Failure, ...]:
-    import os
-
+def _export_files(sink: Sink, objects: list[PrintObject], options: ExportOptions) -> tuple[Failure, ...]:
     from tactile_toolkit.printing.singles import export_files, forecast_files
 
-    if dry_run:
-        view = forecast_files(objects, kind, scale, out=str(out), overwrite=overwrite)
+    ending, out = (options.file_format or MeshFormat.stl).value, options.out
+    if options.dry_run:
+        view = forecast_files(objects, ending, options.scale, out=str(out), overwrite=options.overwrite)
         sink.document({"out": str(out), **view.to_dict()})
         sink.line(
-            f"would write {counted(view.files, f'{kind} files')} to {out}, about {bytes_text(view.bytes)} "
+            f"would write {counted(view.files, f'{ending} files')} to {out}, about {bytes_text(view.bytes)} "
             f"(measured on {view.sampled}); nothing was written"
         )
         return view.failures
     with sink.progress("writing", "files") as update:
-        count = workers or os.cpu_count() or 1
         made = export_files(
-            objects, str(out), kind, scale=scale, overwrite=overwrite, workers=count, on_progress=update
+            objects,
+            str(out),
+            ending,
+            scale=options.scale,
+            overwrite=options.overwrite,
+            workers=options.workers or os.cpu_count() or 1,
+            on_progress=update,
         )
     sink.document({"out": str(out), **made.to_dict()})
     if made.files and len(made.files) <= _ROWS_SHOWN:
-        sink.table(("file", "size mm", "volume mm³", "bytes", ""), [_file_row(file) for file in made.files])
+        sizes = [" x ".join(f"{side:.1f}" for side in file.size_mm) for file in made.files]
+        rows = [
+            (file.file, size, f"{file.volume_mm3:.0f}", file.bytes, file.state)
+            for file, size in zip(made.files, sizes, strict=True)
+        ]
+        sink.table(("file", "size mm", "volume mm³", "bytes", ""), rows)
     kept = sum(file.state == "kept" for file in made.files)
     size = bytes_text(sum(file.bytes for file in made.files))
     sink.line(
@@ -180,19 +174,14 @@ def _export_files(
 
 
 def _export_plates(
-    sink: Sink,
-    objects: list[PrintObject],
-    out: Path,
-    spec: PlateSpec,
-    scale: float,
-    overwrite: bool,
-    dry_run: bool,
+    sink: Sink, objects: list[PrintObject], spec: PlateSpec, options: ExportOptions
 ) -> tuple[Failure, ...]:
     from tactile_toolkit.printing.layout import arrange, measure
-    from tactile_toolkit.printing.plates import forecast_plates, write_plates
+    from tactile_toolkit.printing.plates import TABLE_FILE, forecast_plates, write_plates
 
+    out, dry_run, overwrite = options.out, options.dry_run, options.overwrite
     with sink.progress("measuring", "objects") as update:
-        measured = measure(objects, spec, scale, update)
+        measured = measure(objects, spec, options.scale, update)
     with sink.progress("packing", "objects") as update:
         layout = arrange(measured, update)
     if dry_run:
@@ -204,34 +193,19 @@ def _export_plates(
     if made.removed:
         verb = "would remove" if dry_run else "removed"
         sink.talk(f"{verb} plates of the export that was there before: {', '.join(made.removed)}")
-    _print_plates(sink, made, out, spec, dry_run)
-    return made.failures
-
-
-def _print_plates(sink: Sink, made: PlateExport, out: Path, spec: PlateSpec, dry_run: bool) -> None:
-    from tactile_toolkit.printing.plates import TABLE_FILE
-
     rows = [
         (plate.file, plate.objects, f"{plate.share:.0%}", bytes_text(plate.bytes)) for plate in made.plates
     ]
     sink.table(("plate", "objects", "needed of the plate", "size"), rows)
     verb = "would write" if dry_run else "wrote"
-    ending = (
-        "nothing was written"
-        if dry_run
-        else f"maps beside them, and {TABLE_FILE} says which object lies where"
-    )
+    ending = f"maps beside them, and {TABLE_FILE} says which object lies where"
     kept = sum(plate.state == "kept" for plate in made.plates)
-    objects, plates = counted(len(made.rows), "objects"), counted(len(made.plates), "plates")
+    placed, plates = counted(len(made.rows), "objects"), counted(len(made.plates), "plates")
     sink.line(
-        f"{verb} {objects} on {plates} of {spec.text} to {out} (no packing "
-        f"needs fewer than {made.least_plates}){_kept(kept)}; {ending}"
+        f"{verb} {placed} on {plates} of {spec.text} to {out} (no packing needs fewer than "
+        f"{made.least_plates}){_kept(kept)}; {'nothing was written' if dry_run else ending}"
     )
-
-
-def _file_row(file: Any) -> tuple[object, ...]:
-    size = " x ".join(f"{side:.1f}" for side in file.size_mm)
-    return file.file, size, f"{file.volume_mm3:.0f}", file.bytes, file.state
+    return made.failures
 
 
 def _kept(count: int) -> str:

@@ -2,24 +2,25 @@
 
 from __future__ import annotations
 
+import math
 from collections import Counter
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from tactile_toolkit.catalog.locate import find_shards, splits_to_check
+from tactile_toolkit.catalog.checking import CheckedRow, check_rows, shards_to_check
 from tactile_toolkit.errors import InputError
+from tactile_toolkit.mesh.columns import FACES, VERTICES
+from tactile_toolkit.mesh.files import read_mesh
 from tactile_toolkit.mesh.mesh import Mesh
 from tactile_toolkit.mesh.printability import UNREADABLE, PrintProfile, PrintReport, inspect, unreadable
-from tactile_toolkit.read.columns import null_fields
-from tactile_toolkit.read.parquet import RowGroup, Shard
-from tactile_toolkit.run.processes import runner_for
+from tactile_toolkit.read.dataset import Row
 
 __all__ = ["Checked", "CheckedItem", "validate_paths"]
 
 _ROWS_SHOWN = 20
-_COLUMNS = ("id", "label", "mesh.vertices", "mesh.faces")
+_COLUMNS = ("id", "label", VERTICES, FACES)
 
 
 @dataclass(frozen=True, slots=True)
@@ -93,46 +94,22 @@ class Checked:
         return header, [_table_row(item) for item in shown], title
 
 
-@dataclass(frozen=True)
-class _CheckRowGroup:
-    """Picklable: check the meshes of one row group."""
+@dataclass(frozen=True, slots=True)
+class _Inspect:
+    """Picklable: inspect the mesh of one row."""
 
-    profile: PrintProfile = field(default_factory=PrintProfile)
+    profile: PrintProfile
 
-    def __call__(self, task: _RowGroupTask) -> tuple[_RowGroupTask, tuple[CheckedItem, ...]]:
-        import pyarrow as pa
-
-        table = task.shard.read(groups=[task.group]).slice(0, task.rows).combine_chunks()
-        nulls = null_fields(table, _COLUMNS)
-        whole = [row for row in range(len(table)) if row not in nulls]
-        # One null spoils its whole column; without such rows the others can be read.
-        group = RowGroup(table.take(pa.array(whole, pa.int64())).combine_chunks() if nulls else table)
-        vertices, faces = group.ragged("mesh.vertices"), group.ragged("mesh.faces")
-        reports = {
-            row: inspect(Mesh(vertices[place], faces[place]), self.profile) for place, row in enumerate(whole)
-        }
-        first_row = task.shard.group_starts[task.group]
-        for row, name in nulls.items():
-            where = f"split {task.split!r}, row {first_row + row} of {Path(task.shard.path).name}"
-            reports[row] = unreadable(f"{where}: field {name!r} is null; expected a value")
-        ids = table["id"].to_pylist()
-        return task, tuple(
-            CheckedItem(f"{task.split} {_named(ids[row], first_row + row)}", reports[row])
-            for row in range(len(table))
-        )
+    def __call__(self, row: Row) -> PrintReport:
+        return inspect(Mesh(row.array(VERTICES), row.array(FACES)), self.profile)
 
 
-def _named(digit_id: int | None, row: int) -> str:
-    return f"row {row}" if digit_id is None else str(digit_id)
-
-
-@dataclass(frozen=True, order=True)
-class _RowGroupTask:
-    split: str
-    position: int
-    shard: Shard = field(compare=False)
-    group: int
-    rows: int
+def _item(row: CheckedRow[PrintReport]) -> CheckedItem:
+    report = row.found
+    if report is None:
+        where = f"split {row.split!r}, row {row.row} of {row.file}"
+        report = unreadable(f"{where}: field {row.null_field!r} is null; expected a value")
+    return CheckedItem(f"{row.split} {f'row {row.row}' if row.id is None else row.id}", report)
 
 
 def validate_paths(
@@ -149,7 +126,8 @@ def validate_paths(
     Parameters
     ----------
     paths : sequence of str
-        Folders of data sets, and STL, 3MF, PLY, OBJ or GLB files.
+        Folders of data sets, and STL, 3MF, PLY, OBJ or GLB files. A file that cannot be read is reported as
+        one, and does not stop the others.
     split : str, optional
         Only this split of folders.
     limit : int, optional
@@ -159,12 +137,7 @@ def validate_paths(
     profile : PrintProfile, optional
         Printer and material.
     on_progress : callable
-        Told meshes done and in all.
-
-    Returns
-    -------
-    list of Checked
-        One per path. A file that cannot be read is reported as no solid, and does not stop the others.
+        Called with meshes done and in all.
 
     Raises
     ------
@@ -181,57 +154,20 @@ def validate_paths(
     results = []
     for path in paths:
         if Path(path).is_dir():
-            items = _check_folder(path, split, limit, workers, profile, on_progress)
+            shards = shards_to_check(path, split, "mnist3d generate")
+            rows = check_rows(shards, _Inspect(profile), _COLUMNS, limit, workers, on_progress)
+            items = [_item(row) for row in rows]
         else:
-            items = (_check_file(path, profile),)
-        results.append(Checked(path, items))
+            try:
+                report = inspect(read_mesh(path), profile)
+            except InputError as error:
+                report = unreadable(str(error))
+            items = [CheckedItem(Path(path).name, report)]
+        results.append(Checked(path, tuple(items)))
     return results
 
 
-def _check_file(path: str, profile: PrintProfile) -> CheckedItem:
-    from tactile_toolkit.mesh.files import read_mesh
-
-    try:
-        report = inspect(read_mesh(path), profile)
-    except InputError as error:
-        report = unreadable(str(error))
-    return CheckedItem(Path(path).name, report)
-
-
-def _check_folder(
-    path: str,
-    split: str | None,
-    limit: int | None,
-    workers: int,
-    profile: PrintProfile,
-    on_progress: Callable[[int, int], None],
-) -> tuple[CheckedItem, ...]:
-    splits = [split] if split else splits_to_check(path)
-    tasks = [task for name in splits for task in _tasks(path, name, limit)]
-    total = sum(task.rows for task in tasks)
-    done = 0
-    found = {}
-    for task, items in runner_for(workers).run(_CheckRowGroup(profile), tasks):
-        found[task] = items
-        done += task.rows
-        on_progress(done, total)
-    return tuple(item for task in tasks for item in found[task])
-
-
-def _tasks(path: str, split: str, limit: int | None) -> Iterator[_RowGroupTask]:
-    left = limit
-    for position, shard in enumerate(find_shards(path, split)):
-        for group in range(shard.metadata.num_row_groups):
-            rows = shard.group_starts[group + 1] - shard.group_starts[group]
-            take = rows if left is None else min(rows, left)
-            if take:
-                yield _RowGroupTask(split, position, shard, group, take)
-            left = None if left is None else left - take
-
-
 def _json_row(report: PrintReport) -> dict[str, Any]:
-    import math
-
     values = {**report.to_row(), "warnings": list(report.warnings)}
     # JSON has no NaN: what is unknown of a broken mesh is null.
     return {

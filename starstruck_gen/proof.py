@@ -23,20 +23,7 @@ __all__ = ["require_sound"]
 
 
 def require_sound(spec: SceneSpec, rows: SceneRows) -> None:
-    """Prove rows before they are written.
-
-    Parameters
-    ----------
-    spec : SceneSpec
-        How they were made.
-    rows : SceneRows
-        The rows.
-
-    Raises
-    ------
-    IntegrityError
-        When a row breaks its promise; the message names the scene.
-    """
+    """Prove rows before they are written; raises IntegrityError naming a scene that breaks a promise."""
     for number, (scene, label) in enumerate(zip(rows.scenes, rows.labels, strict=True)):
         wrong = _miscounted(spec, scene, label) or _misplaced(spec, scene)
         if wrong is not None:

@@ -1,26 +1,26 @@
-"""Proving the stored scenes of a whole data set."""
+"""Proving the stored scenes of a whole data set, with manifold3d."""
 
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
-from itertools import islice
-from pathlib import Path
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, dataclass
 from typing import Any
 
-from starstruck_gen.checking import check_scene, inspect_scene
+import numpy as np
+
 from starstruck_gen.dataset import SceneRecord
 from starstruck_gen.rows import CLASS_NAMES
-from starstruck_gen.shapes import Proportions
+from starstruck_gen.shapes import KINDS, Proportions, outline
 from starstruck_gen.solid import own_kinds, register_shape
-from tactile_toolkit.catalog.locate import find_shards, splits_of, splits_to_check
+from starstruck_gen.stamping import stamp
+from tactile_toolkit.catalog.checking import check_rows, shards_to_check
 from tactile_toolkit.errors import InputError
-from tactile_toolkit.mesh.columns import FACES, VERTICES, class_names, require_mesh_columns
-from tactile_toolkit.read.columns import column_names, null_fields
+from tactile_toolkit.mesh.columns import FACES, VERTICES, class_names
+from tactile_toolkit.mesh.mesh import MM_PER_M, Mesh
+from tactile_toolkit.mesh.solid_check import check_manifold
+from tactile_toolkit.read.columns import column_names
 from tactile_toolkit.read.dataset import Row
-from tactile_toolkit.read.parquet import RowGroup, Shard
-from tactile_toolkit.run.processes import runner_for
 
 __all__ = ["Checked", "Failure", "check_scene", "validate_folder"]
 
@@ -36,17 +36,7 @@ _SHOWN = 20
 
 @dataclass(frozen=True, slots=True)
 class Failure:
-    """A scene that breaks a promise.
-
-    Attributes
-    ----------
-    split : str
-        Its split.
-    id : int
-        Its id.
-    problem : str
-        What was found and what was expected.
-    """
+    """A scene that breaks a promise: where it is, and what was found and what was expected."""
 
     split: str
     id: int
@@ -93,7 +83,7 @@ class Checked:
             "bodies": self.bodies,
             "stars": self.stars,
             "declared": self.declared,
-            "failures": [{"split": f.split, "id": f.id, "problem": f.problem} for f in self.failures],
+            "failures": [asdict(failure) for failure in self.failures],
         }
 
     def table(self) -> tuple[Sequence[str], Sequence[Sequence[object]], str]:
@@ -124,7 +114,7 @@ def validate_folder(
     workers : int
         Processes that check.
     on_progress : callable
-        Told scenes done and in all.
+        Called with scenes done and in all.
 
     Raises
     ------
@@ -134,111 +124,157 @@ def validate_folder(
         A shard is damaged, or the run that makes the data set is not finished.
     """
     path = os.fspath(path)
-    parts = [part for name in _splits(path, split) for part in _parts(path, name, limit)]
-    total, done = sum(part.rows for part in parts), 0
-    results: dict[_Part, _Found] = {}
-    for part, found in runner_for(workers).run(_check_part, parts):
-        results[part] = found
-        done += part.rows
-        on_progress(done, total)
-    ordered = [results[part] for part in parts]
+    shards = shards_to_check(path, split, "starstruck generate")
+    check = _Prove({shard.path: class_names(shard.schema, CLASS_NAMES) for _, shard in shards}, own_kinds())
+    rows = check_rows(shards, check, _COLUMNS, limit, workers, on_progress)
+    failures = []
+    for row in rows:
+        problem = f"field {row.null_field!r} of row {row.row} is null; expected a value"
+        if row.found is not None:
+            problem = row.found.problem
+        if problem:
+            failures.append(Failure(row.split, _NO_ID if row.id is None else row.id, problem))
+    sound = [row.found for row in rows if row.found is not None and not row.found.problem]
     return Checked(
         path,
-        total,
-        sum(found.bodies for found in ordered),
-        sum(found.stars for found in ordered),
-        tuple(failure for found in ordered for failure in found.failures),
-        any("placements" in column_names(part.shard.schema) for part in parts),
+        len(rows),
+        sum(found.bodies for found in sound),
+        sum(found.stars for found in sound),
+        tuple(failures),
+        any("placements" in column_names(shard.schema) for _, shard in shards),
     )
 
 
 @dataclass(frozen=True, slots=True)
-class _Part:
-    """A block of rows to check: small and picklable."""
-
-    split: str
-    shard: Shard
-    group: int
-    rows: int
-    kinds: tuple[type[Proportions], ...]
+class _Found:
+    problem: str
+    bodies: int = 0
+    stars: int = 0
 
 
 @dataclass(frozen=True, slots=True)
-class _Found:
-    bodies: int
-    stars: int
-    failures: tuple[Failure, ...]
+class _Prove:
+    """Picklable: prove the scene of one row; a new process must know the user's own shapes first."""
+
+    names: Mapping[str, Sequence[str]]
+    kinds: tuple[type[Proportions], ...]
+
+    def __call__(self, row: Row) -> _Found:
+        for kind in self.kinds:
+            if KINDS.get(kind.name) is not kind:
+                register_shape(kind)
+        record = SceneRecord(row)
+        try:
+            problem, bodies = inspect_scene(record, self.names[row.path])
+            return _Found(problem or "", bodies, record.star_count if record.has_placements else 0)
+        except (TypeError, ValueError, OverflowError) as error:
+            # Columns of other types than those of a data set of scenes.
+            return _Found(f"cannot be read as a scene: {error}")
 
 
-def _check_part(part: _Part) -> tuple[_Part, _Found]:
-    for kind in part.kinds:
-        register_shape(kind)
-    names = class_names(part.shard.schema, CLASS_NAMES)
-    bodies = stars = 0
-    failures = []
-    for scene_id, checked in islice(_checked_rows(part, names), part.rows):
-        if isinstance(checked, str):
-            failures.append(Failure(part.split, scene_id, checked))
-            continue
-        bodies += checked[0]
-        stars += checked[1]
-    return part, _Found(bodies, stars, tuple(failures))
+_VOLUME_TOLERANCE = 1e-9
+"""Relative difference of two volumes that double precision explains."""
+
+_PLACE_TOLERANCE_M = 1e-7
+"""How far a stored corner may lie from the declared object: other processors round in other ways."""
 
 
-def _checked_rows(part: _Part, names: Sequence[str]) -> Iterator[tuple[int, str | tuple[int, int]]]:
-    """Yield the id of each row with what is wrong with it, or how many bodies and declared stars it has."""
-    import pyarrow as pa
+def check_scene(record: SceneRecord, names: Sequence[str] = CLASS_NAMES) -> str | None:
+    """Prove one stored scene the long way, from its triangles; return what is wrong, None when all holds.
 
-    first_row = part.shard.group_starts[part.group]
-    for block in part.shard.blocks(part.group):
-        nulls = null_fields(block.table, _COLUMNS)
-        whole = [row for row in range(len(block.table)) if row not in nulls]
-        # One null spoils its whole column; without such rows the others can be read.
-        readable = (
-            RowGroup(block.table.take(pa.array(whole, pa.int64())).combine_chunks()) if nulls else block
-        )
-        places = {row: place for place, row in enumerate(whole)}
-        for row in range(len(block.table)):
-            if row in nulls:
-                found = f"field {nulls[row]!r} of row {first_row + row} is null; expected a value"
-                yield _id_of(block, row), found
-            else:
-                yield _id_of(block, row), _checked_row(SceneRecord(Row(readable, places[row])), names)
-        first_row += len(block.table)
+    The triangles bound solids; the volumes of the solids add up to that of their union, so that none overlap;
+    they stand on z = 0; there is one for each declared object, and it is that object; there are as many stars
+    as the class says. A scene without declared objects (the published data set) is held to its solids alone.
+    """
+    return inspect_scene(record, names)[0]
 
 
-def _checked_row(record: SceneRecord, names: Sequence[str]) -> str | tuple[int, int]:
+def inspect_scene(record: SceneRecord, names: Sequence[str] = CLASS_NAMES) -> tuple[str | None, int]:
+    """Return what is wrong with a scene, as :func:`check_scene` does, and how many bodies it has."""
+    mesh = Mesh(record.vertices_m, record.faces)
+    verdict = check_manifold(mesh)
+    if verdict.problem is not None:
+        return f"{verdict.problem}: {verdict.detail}", verdict.bodies
+    solids = verdict.manifold.decompose()
+    problem = (
+        _overlapping(solids)
+        or _afloat(mesh, solids)
+        or _undeclared(mesh, verdict.bodies, record)
+        or _miscounted(record, names)
+    )
+    return problem, verdict.bodies
+
+
+def _overlapping(bodies: Sequence[Any]) -> str | None:
+    import manifold3d
+
+    apart_mm3 = sum(body.volume() for body in bodies)
+    union_mm3 = manifold3d.Manifold.batch_boolean(bodies, manifold3d.OpType.Add).volume()
+    if abs(apart_mm3 - union_mm3) <= _VOLUME_TOLERANCE * apart_mm3:
+        return None
+    return (
+        f"bodies overlap: their volumes add up to {apart_mm3:.6f} mm^3, their union has {union_mm3:.6f} mm^3"
+    )
+
+
+def _afloat(mesh: Mesh, bodies: Sequence[Any]) -> str | None:
+    lowest_m = float(mesh.bounds_m[0, 2])
+    if lowest_m != 0.0:
+        return f"the lowest point is at z = {lowest_m} m; expected 0"
+    standing = [body for body in bodies if body.volume() > 0]  # the others are hollows inside them
+    for number, body in enumerate(standing, start=1):
+        lowest_m = body.bounding_box()[2] / MM_PER_M
+        if lowest_m > _PLACE_TOLERANCE_M:
+            return (
+                f"the lowest point of body {number} of {len(standing)} is at z = {lowest_m:g} m; expected 0"
+            )
+    return None
+
+
+def _undeclared(mesh: Mesh, bodies: int, record: SceneRecord) -> str | None:
+    if not record.has_placements:
+        return None
+    strange = _strange(record)
+    if strange is not None:
+        return strange
+    if bodies != len(record.placements):
+        return f"{bodies} bodies stand there, {len(record.placements)} objects are declared"
+    declared = stamp([record.placements])[0]
+    same = declared.vertices_m.shape == mesh.vertices_m.shape and np.array_equal(declared.faces, mesh.faces)
+    if not same or not np.abs(declared.vertices_m - mesh.vertices_m).max() <= _PLACE_TOLERANCE_M:
+        return "the mesh is not that of the declared objects"
+    return _turned(mesh)
+
+
+def _turned(mesh: Mesh) -> str | None:
+    """Return what is wrong with caps that face into their prism: a solid of many triangles can hide it."""
+    corners = mesh.vertices_m.astype(np.float64)[mesh.faces]
+    level = (corners[:, :, 2] == corners[:, :1, 2]).all(axis=1)
+    a, b, c = np.moveaxis(corners[level], 1, 0)
+    doubled = (b - a)[:, 0] * (c - a)[:, 1] - (b - a)[:, 1] * (c - a)[:, 0]
+    wrong = int((np.where(a[:, 2] > 0, doubled, -doubled) <= 0).sum())
+    return f"{wrong} triangles of flat faces are turned over or have no area" if wrong else None
+
+
+def _strange(record: SceneRecord) -> str | None:
+    """Return what is wrong with a declared shape that nobody can draw."""
     try:
-        problem, bodies = inspect_scene(record, names)
-        return problem or (bodies, record.star_count if record.has_placements else 0)
-    except (TypeError, ValueError, OverflowError) as error:
-        # Columns of other types than those of a data set of scenes.
-        return f"cannot be read as a scene: {error}"
+        for placement in record.placements:
+            outline(placement.shape)
+    except InputError as error:
+        return f"an object is declared that cannot be: {error}"
+    return None
 
 
-def _id_of(block: RowGroup, row: int) -> int:
-    scene_id = block.arrow("id")[row].as_py()
-    return scene_id if isinstance(scene_id, int) else _NO_ID
-
-
-def _splits(path: str, split: str | None) -> Sequence[str]:
-    if split is not None:
-        return [split]
-    if Path(path).is_file():
-        return splits_of(path)
-    if not Path(path).is_dir():
-        message = f"{path!r} does not exist; expected a data set folder or a Parquet file"
-        raise InputError(message)
-    return splits_to_check(path)
-
-
-def _parts(path: str, split: str, limit: int | None) -> Iterator[_Part]:
-    left = limit
-    for shard in find_shards(path, split):
-        require_mesh_columns(shard.schema, path, "starstruck generate")
-        for group in range(shard.metadata.num_row_groups):
-            rows = shard.metadata.row_group(group).num_rows
-            take = rows if left is None else min(rows, left)
-            if take:
-                yield _Part(split, shard, group, take, own_kinds())
-            left = None if left is None else left - take
+def _miscounted(record: SceneRecord, names: Sequence[str]) -> str | None:
+    declared = record.star_count
+    if not 0 <= record.label < len(names) or names[record.label] != str(declared):
+        return f"{declared} stars are declared, the class is {record.label} of {', '.join(names)}"
+    if not record.has_placements:
+        return None
+    stars = sum(placement.is_star for placement in record.placements)
+    others = len(record.placements) - stars
+    if stars != declared or others != record.distractor_count:
+        expected = f"{declared} and {record.distractor_count}"
+        return f"{stars} stars and {others} others stand there, {expected} are declared"
+    return None

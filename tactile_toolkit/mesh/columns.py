@@ -41,20 +41,7 @@ def vectors_type(value_type: Any, width: int = 3) -> Any:
 
 
 def ragged_array(column: RaggedColumn, value_type: Any) -> Any:
-    """Pack rows that already lie one after another into an Arrow list column.
-
-    Parameters
-    ----------
-    column : RaggedColumn
-        Values of shape (n, width) and offsets of shape (rows + 1,).
-    value_type : pyarrow.DataType
-        Type of one number.
-
-    Returns
-    -------
-    pyarrow.ListArray
-        ``list<fixed_size_list<value_type>[width]>``; no number passes through a Python list.
-    """
+    """Pack rows that already lie one after another into ``list<value_type[width]>``, with no Python list."""
     import pyarrow as pa
 
     width = column.values.shape[1]
@@ -89,31 +76,16 @@ def feature_metadata(features: Mapping[str, Any]) -> dict[str, str]:
 def class_names(schema: Any, default: tuple[str, ...], where: str = "") -> tuple[str, ...]:
     """Read the names of the classes from a schema; ``default`` where it names none.
 
-    Raises
-    ------
-    IntegrityError
-        What is stored there is no description of features; names the data set, ``where``.
+    Raises IntegrityError, naming the data set, ``where``, for what does not describe features.
     """
     found = stored_class_names(schema, where)
     return default if found is None else found
 
 
 def require_mesh_columns(schema: Any, name: str, made_by: str) -> None:
-    """Refuse a data set that lacks a column of the published mesh layout.
+    """Refuse the data set ``name`` where it lacks a column of the published mesh layout.
 
-    Parameters
-    ----------
-    schema : pyarrow.Schema
-        What was found.
-    name : str
-        The data set, in the user's words.
-    made_by : str
-        Command that writes such data sets, for the message.
-
-    Raises
-    ------
-    InputError
-        When ``id``, ``label`` or a mesh column is missing.
+    ``made_by`` is the command that writes such data sets, for the message of the InputError.
     """
     from tactile_toolkit.read.columns import column_names
 
@@ -121,7 +93,7 @@ def require_mesh_columns(schema: Any, name: str, made_by: str) -> None:
     missing = [column for column in ("id", "label", VERTICES, FACES) if column not in found]
     if missing:
         message = (
-            f"{name!r} is no data set of meshes: column {missing[0]!r} is missing (found "
+            f"{name!r} is not a data set of meshes: column {missing[0]!r} is missing (found "
             f"{', '.join(found)}); next: name a data set such as one written by `{made_by}`"
         )
         raise InputError(message)

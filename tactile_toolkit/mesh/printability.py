@@ -215,17 +215,7 @@ def inspect(mesh: MeshLike, profile: PrintProfile | None = None) -> PrintReport:
 
 
 def unreadable(detail: str) -> PrintReport:
-    """Report a file that no mesh could be read from.
-
-    Parameters
-    ----------
-    detail : str
-        Why.
-
-    Returns
-    -------
-    PrintReport
-    """
+    """Report a file that no mesh could be read from, and why."""
     return _refusal(ManifoldCheck(None, "NotTried", UNREADABLE, detail), {"vertices": 0, "faces": 0})
 
 

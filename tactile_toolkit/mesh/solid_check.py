@@ -61,17 +61,7 @@ class ManifoldCheck:
 
 
 def check_manifold(mesh: Mesh) -> ManifoldCheck:
-    """Decide whether a mesh bounds a solid.
-
-    Parameters
-    ----------
-    mesh : Mesh
-        In metres.
-
-    Returns
-    -------
-    ManifoldCheck
-    """
+    """Decide whether a mesh, in metres, bounds a solid."""
     problem = _array_problem(mesh)
     if problem is not None:
         return ManifoldCheck(None, "NotTried", *problem)

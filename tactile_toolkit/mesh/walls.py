@@ -34,17 +34,10 @@ _LEAST_SQUARED_MM2 = np.float32(1e-3)
 
 
 def thinnest_width_mm(outlines_mm: Sequence[NDArray[np.float64]]) -> float:
-    """Measure the narrowest wall between two facing stretches of the outline.
+    """Measure the narrowest wall between two facing stretches of the outline, mm; 0 without outlines.
 
-    Parameters
-    ----------
-    outlines_mm : sequence of ndarray of float64, shape (N, 2)
-        Closed polygons in mm with the material on their left: outer ones counter-clockwise, holes clockwise.
-
-    Returns
-    -------
-    float
-        Millimetres; 0 without outlines.
+    Outlines are closed polygons, shape (N, 2), with the material on their left: outer ones counter-clockwise,
+    holes clockwise.
     """
     outlines = [outline for outline in outlines_mm if len(outline) > 2]
     if not outlines:

@@ -9,14 +9,13 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
-from starstruck_gen.checking import check_scene
 from starstruck_gen.dataset import load
 from starstruck_gen.generation import GenerateSpec, generate
 from starstruck_gen.placement import Placement
 from starstruck_gen.rows import make_rows, scene_table
 from starstruck_gen.spec import SceneSpec
 from starstruck_gen.stamping import stamp
-from starstruck_gen.validate import validate_folder
+from starstruck_gen.validate import check_scene, validate_folder
 from tactile_toolkit.errors import IntegrityError
 from tactile_toolkit.mesh.mesh import Mesh
 from tactile_toolkit.mesh.solid_check import check_manifold

@@ -44,5 +44,7 @@ def test_class_names_are_read_from_the_schema_or_default():
 def test_missing_column_is_named():
     flat = pa.schema([(name, pa.int64()) for name in ("id", "label", "mesh.vertices", "mesh.faces")])
     require_mesh_columns(flat, "set", "make it")
-    with pytest.raises(InputError, match=r"'set' is no data set of meshes: column 'mesh.faces' .* `make it`"):
+    with pytest.raises(
+        InputError, match=r"'set' is not a data set of meshes: column 'mesh.faces' .* `make it`"
+    ):
         require_mesh_columns(flat.remove(3), "set", "make it")

@@ -1,0 +1,152 @@
+"""Checking every row of a data set as it is read back from disk, whoever wrote it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from itertools import islice
+from pathlib import Path
+from typing import Generic, TypeVar
+
+from tactile_toolkit.catalog.locate import find_shards, splits_of, splits_to_check
+from tactile_toolkit.errors import InputError
+from tactile_toolkit.mesh.columns import require_mesh_columns
+from tactile_toolkit.read.columns import RowGroup, null_fields
+from tactile_toolkit.read.dataset import Row
+from tactile_toolkit.read.parquet import Shard
+from tactile_toolkit.run.processes import runner_for
+
+__all__ = ["CheckedRow", "RowsToCheck", "check_rows", "shards_to_check"]
+
+T = TypeVar("T")
+
+
+@dataclass(frozen=True, slots=True)
+class CheckedRow(Generic[T]):
+    """What was found about one row.
+
+    Attributes
+    ----------
+    split, file : str
+        Its split and the name of its file.
+    row : int
+        Its number in that file.
+    id : int or None
+        Its id, where it has one.
+    found : T or None
+        What the check returned; None where a field is null.
+    null_field : str
+        That field.
+    """
+
+    split: str
+    file: str
+    row: int
+    id: int | None
+    found: T | None
+    null_field: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class RowsToCheck:
+    """The first rows of one row group: small and picklable."""
+
+    split: str
+    shard: Shard
+    group: int
+    rows: int
+
+
+def shards_to_check(path: str, split: str | None, made_by: str) -> list[tuple[str, Shard]]:
+    """Return the files of a local data set of meshes, each with its split; ``made_by`` writes such data sets.
+
+    Raises InputError where there is none, IntegrityError where a shard is damaged or missing.
+    """
+    if split is not None:
+        splits: Sequence[str] = [split]
+    elif Path(path).is_file():
+        splits = splits_of(path)
+    elif Path(path).is_dir():
+        splits = splits_to_check(path)
+    else:
+        message = f"{path!r} does not exist; expected a data set folder or a Parquet file"
+        raise InputError(message)
+    shards = [(name, shard) for name in splits for shard in find_shards(path, name)]
+    for _, shard in shards:
+        require_mesh_columns(shard.schema, path, made_by)
+    return shards
+
+
+def check_rows(
+    shards: Sequence[tuple[str, Shard]],
+    check: Callable[[Row], T],
+    columns: Sequence[str],
+    limit: int | None = None,
+    workers: int = 1,
+    on_progress: Callable[[int, int], None] = lambda _done, _total: None,
+) -> list[CheckedRow[T]]:
+    """Check rows in processes and return what was found, in the order of the rows.
+
+    Parameters
+    ----------
+    shards : sequence of (str, Shard)
+        Split and file.
+    check : callable
+        Picklable; is given each row in which none of ``columns`` is null at any depth.
+    columns : sequence of str
+        Columns that need values.
+    limit : int, optional
+        Only the first so many rows of each split.
+    workers : int
+        Processes that check.
+    on_progress : callable
+        Called with rows done and in all.
+    """
+    parts = list(_parts(shards, limit))
+    total, done = sum(part.rows for part in parts), 0
+    results: dict[tuple[str, int], list[CheckedRow[T]]] = {}
+    for part, found in runner_for(workers).run(_CheckPart(check, tuple(columns)), parts):
+        results[part.shard.path, part.group] = found
+        done += part.rows
+        on_progress(done, total)
+    return [row for part in parts for row in results[part.shard.path, part.group]]
+
+
+def _parts(shards: Sequence[tuple[str, Shard]], limit: int | None) -> Iterator[RowsToCheck]:
+    left: dict[str, int] = {}
+    for split, shard in shards:
+        for group, (start, stop) in enumerate(zip(shard.group_starts, shard.group_starts[1:], strict=False)):
+            rows = stop - start if limit is None else min(stop - start, left.get(split, limit))
+            if limit is not None:
+                left[split] = left.get(split, limit) - rows
+            if rows:
+                yield RowsToCheck(split, shard, group, rows)
+
+
+@dataclass(frozen=True, slots=True)
+class _CheckPart(Generic[T]):
+    check: Callable[[Row], T]
+    columns: tuple[str, ...]
+
+    def __call__(self, part: RowsToCheck) -> tuple[RowsToCheck, list[CheckedRow[T]]]:
+        return part, list(islice(self._rows(part), part.rows))
+
+    def _rows(self, part: RowsToCheck) -> Iterator[CheckedRow[T]]:
+        import pyarrow as pa
+
+        file = Path(part.shard.path).name
+        for block in part.shard.blocks(part.group):
+            nulls = null_fields(block.table, self.columns)
+            readable = block
+            if nulls:
+                # One null spoils its whole column; without such rows the others can be read.
+                whole = pa.array([row for row in range(len(block.table)) if row not in nulls], pa.int64())
+                readable = RowGroup(block.table.take(whole).combine_chunks(), block.path)
+            index = 0
+            for row, row_id in enumerate(block.table["id"].to_pylist(), block.first_row):
+                known_id = row_id if isinstance(row_id, int) else None
+                null_field, found = nulls.get(row - block.first_row, ""), None
+                if not null_field:
+                    found = self.check(Row(readable, index))
+                    index += 1
+                yield CheckedRow(part.split, file, row, known_id, found, null_field)
