@@ -132,12 +132,18 @@ def merge_equal_vertices(
     vertices: NDArray[np.float64], faces: NDArray[np.integer[Any]]
 ) -> tuple[NDArray[np.float64], NDArray[np.int32]]:
     """Make one vertex of those with exactly the same coordinates, in the order in which they first appear."""
-    # trimesh would merge within a tolerance; adding zero makes -0.0 and 0.0 the same.
-    _, first, inverse = np.unique(vertices + 0.0, axis=0, return_index=True, return_inverse=True)
-    order = np.argsort(first)
-    number = np.empty(len(first), dtype=np.int32)
-    number[order] = np.arange(len(first), dtype=np.int32)
-    return vertices[first[order]], number[inverse.reshape(-1)][faces]
+    # trimesh would merge within a tolerance, and numpy's unique rows take three times as long.
+    rows = vertices + 0.0  # -0.0 and 0.0 are the same place
+    order = np.lexsort(rows.T)
+    in_order = rows[order]
+    is_new = np.concatenate([[True], (in_order[1:] != in_order[:-1]).any(axis=1)])[: len(rows)]
+    group = np.empty(len(rows), np.int64)
+    group[order] = np.cumsum(is_new) - 1
+    first = order[is_new]
+    by_appearance = np.argsort(first)
+    number = np.empty(len(first), np.int32)
+    number[by_appearance] = np.arange(len(first), dtype=np.int32)
+    return vertices[first[by_appearance]], number[group][faces]
 
 
 def _ending(path: Path) -> str:

@@ -184,67 +184,78 @@ def inspect(mesh: MeshLike, profile: PrintProfile | None = None) -> PrintReport:
     """
     mesh = as_mesh(mesh)
     profile = PrintProfile() if profile is None else profile
-    sound = check_manifold(mesh)
-    counts = {"vertices": len(mesh.vertices_m), "faces": len(mesh.faces)}
-    if sound.problem is not None:
-        return _refusal(sound, counts)
+    check = check_manifold(mesh)
+    counts = (len(mesh.vertices_m), len(mesh.faces))
+    if check.problem is not None:
+        return _report(check, *counts, **_NOT_MEASURED)
     vertices_mm = np.asarray(mesh.vertices_m, dtype=np.float64) * MM_PER_M
     low, high = vertices_mm.min(axis=0), vertices_mm.max(axis=0)
     size_mm = (float(high[0] - low[0]), float(high[1] - low[1]), float(high[2] - low[2]))
-    middle = sound.manifold.slice((low[2] + high[2]) / 2 + _OFF_VERTICES * size_mm[2]).to_polygons()
+    # Vertices that lie in the mid-plane would make the cut run along edges: it is taken just above them.
+    middle = check.manifold.slice((low[2] + high[2]) / 2 + _OFF_VERTICES * size_mm[2]).to_polygons()
     overhang_mm2 = _overhang_mm2(vertices_mm, mesh.faces, profile)
-    contact_mm2 = float(sound.manifold.slice(low[2] + profile.layer_height_mm).area())
+    contact_mm2 = float(check.manifold.slice(low[2] + profile.layer_height_mm).area())
     wall_mm = min(thinnest_width_mm(middle), size_mm[2])
-    area_mm2 = max(section_area_mm2(middle), 1e-9)
-    return PrintReport(
-        is_solid=True,
-        status=sound.status,
-        problem=None,
-        detail=None,
-        **counts,
-        bodies=sound.bodies,
-        genus=sound.genus,
-        volume_mm3=sound.volume_mm3,
-        mass_g=sound.volume_mm3 * profile.density_g_cm3 / 1000.0,
+    overhang_share = overhang_mm2 / max(section_area_mm2(middle), 1e-9)
+    # Turned on the plate, the longer side of the print goes along the longer one of the plate.
+    sides = zip(sorted(size_mm[:2]), sorted(profile.plate_mm), strict=True)
+    found = {
+        "thin-wall": wall_mm < profile.min_wall_mm,
+        "separate-bodies": check.bodies > 1,
+        "overhang": overhang_share > profile.max_overhang_share,
+        "small-contact": contact_mm2 < profile.min_contact_mm2,
+        "larger-than-plate": any(side > room for side, room in sides),
+        "too-tall": size_mm[2] > profile.max_height_mm,
+    }
+    return _report(
+        check,
+        *counts,
+        mass_g=check.volume_mm3 * profile.density_g_cm3 / 1000.0,
         size_mm=size_mm,
         thinnest_wall_mm=wall_mm,
         overhang_mm2=overhang_mm2,
         contact_mm2=contact_mm2,
-        warnings=_warnings(profile, sound, size_mm, wall_mm, overhang_mm2 / area_mm2, contact_mm2),
+        warnings=tuple(name for name in WARNINGS if found[name]),
     )
 
 
 def unreadable(detail: str) -> PrintReport:
     """Report a file that no mesh could be read from, and why."""
-    return _refusal(ManifoldCheck(None, "NotTried", UNREADABLE, detail), {"vertices": 0, "faces": 0})
+    return _report(ManifoldCheck(None, "NotTried", UNREADABLE, detail), 0, 0, **_NOT_MEASURED)
 
 
 _OFF_VERTICES = 1e-7
 """Share of the height by which the middle section avoids the vertices that lie in the mid-plane."""
 
 
-def _refusal(sound: ManifoldCheck, counts: dict[str, int]) -> PrintReport:
-    unknown = math.nan
+_NOT_MEASURED: dict[str, Any] = {
+    "mass_g": math.nan,
+    "size_mm": (math.nan, math.nan, math.nan),
+    "thinnest_wall_mm": math.nan,
+    "overhang_mm2": math.nan,
+    "contact_mm2": math.nan,
+    "warnings": (),
+}
+
+
+def _report(check: ManifoldCheck, vertices: int, faces: int, **measured: Any) -> PrintReport:
     return PrintReport(
-        is_solid=False,
-        status=sound.status,
-        problem=sound.problem,
-        detail=sound.detail,
-        **counts,
-        bodies=sound.bodies,
-        genus=sound.genus,
-        volume_mm3=sound.volume_mm3,
-        mass_g=unknown,
-        size_mm=(unknown, unknown, unknown),
-        thinnest_wall_mm=unknown,
-        overhang_mm2=unknown,
-        contact_mm2=unknown,
-        warnings=(),
+        is_solid=check.problem is None,
+        status=check.status,
+        problem=check.problem,
+        detail=check.detail,
+        vertices=vertices,
+        faces=faces,
+        bodies=check.bodies,
+        genus=check.genus,
+        volume_mm3=check.volume_mm3,
+        **measured,
     )
 
 
 def _overhang_mm2(vertices_mm: NDArray[np.float64], faces: NDArray[np.int32], profile: PrintProfile) -> float:
     heights = vertices_mm[:, 2]
+    # What lies within the first layer rests on the bed, whatever way it faces.
     aloft = (heights > heights.min() + profile.layer_height_mm)[faces].any(axis=1)
     x, y, z = (vertices_mm[:, axis][faces[aloft]] for axis in range(3))
     normal_x, normal_y, normal_z = (_minor(*pair) for pair in ((y, z), (z, x), (x, y)))
@@ -256,26 +267,3 @@ def _overhang_mm2(vertices_mm: NDArray[np.float64], faces: NDArray[np.int32], pr
 def _minor(u: NDArray[np.float64], v: NDArray[np.float64]) -> NDArray[np.float64]:
     """Cross two sides of each triangle: one component, from two coordinates of the corners."""
     return np.asarray((u[:, 1] - u[:, 0]) * (v[:, 2] - v[:, 0]) - (u[:, 2] - u[:, 0]) * (v[:, 1] - v[:, 0]))
-
-
-def _warnings(
-    profile: PrintProfile,
-    sound: ManifoldCheck,
-    size_mm: tuple[float, float, float],
-    wall_mm: float,
-    overhang_share: float,
-    contact_mm2: float,
-) -> tuple[str, ...]:
-    found = {
-        "thin-wall": wall_mm < profile.min_wall_mm,
-        "separate-bodies": sound.bodies > 1,
-        "overhang": overhang_share > profile.max_overhang_share,
-        "small-contact": contact_mm2 < profile.min_contact_mm2,
-        "larger-than-plate": _exceeds(size_mm[:2], profile.plate_mm),
-        "too-tall": size_mm[2] > profile.max_height_mm,
-    }
-    return tuple(name for name in WARNINGS if found[name])
-
-
-def _exceeds(size_mm: tuple[float, float], plate_mm: tuple[float, float]) -> bool:
-    return any(side > room for side, room in zip(sorted(size_mm), sorted(plate_mm), strict=True))

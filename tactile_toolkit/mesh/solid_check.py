@@ -31,6 +31,7 @@ PROBLEMS = (
 
 OVERLAP_MM3 = 1e-6
 FLAT_MM3 = 1e-6
+"""Less, a cube of 10 um, is what rounding leaves of bodies that only touch, or of a flat sheet."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -18,21 +18,9 @@ _PITCH_M = 0.0002
 def relief(
     vertices_m: NDArray[np.floating[Any]], faces: NDArray[np.integer[Any]], pitch_m: float = _PITCH_M
 ) -> NDArray[np.uint8]:
-    """Draw a mesh from above in shaded relief.
+    """Draw a mesh from above in shaded relief, one pixel every ``pitch_m``.
 
-    Parameters
-    ----------
-    vertices_m : ndarray of float, shape (V, 3)
-        Metres, z towards the viewer.
-    faces : ndarray of int, shape (F, 3)
-        Triangles, counter-clockwise seen from outside.
-    pitch_m : float
-        Side of a pixel.
-
-    Returns
-    -------
-    ndarray of uint8, shape (H, W)
-        255 is empty paper; row 0 is the largest y.
+    Returns levels of uint8, shape (H, W): 255 is empty paper; row 0 is the largest y.
     """
     from tactile_toolkit.mesh.raster import highest_faces
     from tactile_toolkit.pictures.render import shades
@@ -41,26 +29,15 @@ def relief(
     low, high = vertices[:, :2].min(axis=0), vertices[:, :2].max(axis=0)
     width, height = (np.ceil((high - low) / pitch_m).astype(int) + 9).tolist()
     columns, rows = ((vertices[:, :2] - low) / pitch_m + 4).T
+    # Rows grow with y here, so that triangles keep their orientation; the picture is turned over at the end.
     seen = highest_faces(np.stack([columns, rows, vertices[:, 2]]), faces, (height, width))
     return np.append(shades(vertices, faces), np.uint8(255))[seen[::-1]]
 
 
 def relief_of(mesh: Mesh, px_per_mm: float, smoothing: int = 3) -> NDArray[np.uint8]:
-    """Draw a mesh from above with smooth edges: larger first, then averaged.
+    """Draw a mesh as :func:`relief` with smooth edges: so many times larger first, then averaged.
 
-    Parameters
-    ----------
-    mesh : Mesh
-        Metres.
-    px_per_mm : float
-        Scale of the picture.
-    smoothing : int
-        How many times larger it is drawn.
-
-    Returns
-    -------
-    ndarray of uint8, shape (H, W)
-        As :func:`relief`, with a margin of one to two pixels.
+    The margin is one to two pixels.
     """
     from tactile_toolkit.pictures.render import averaged
 

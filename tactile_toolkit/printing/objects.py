@@ -6,6 +6,7 @@ import bisect
 import math
 import re
 import unicodedata
+from collections import Counter
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -107,17 +108,17 @@ def choose(
         if ranges is not None:
             wanted, found = _within(rows.ids, ranges)
             seen |= found
-        names = list(rows.label_names)
+        classes = list(rows.label_names)
         if labels is not None:
-            unknown = [label for label in labels if label not in names]
+            unknown = [label for label in labels if label not in classes]
             if unknown:
-                message = f"no class {unknown[0]!r} in split {split!r}; expected one of {', '.join(names)}"
+                message = f"no class {unknown[0]!r} in split {split!r}; expected one of {', '.join(classes)}"
                 raise InputError(message)
-            wanted &= np.isin(rows.labels, [names.index(label) for label in labels])
+            wanted &= np.isin(rows.labels, [classes.index(label) for label in labels])
         chosen = np.flatnonzero(wanted)[:limit]
         columns = (chosen.tolist(), rows.ids[chosen].tolist(), rows.labels[chosen].tolist())
         for row, number, label in zip(*columns, strict=True):
-            word = names[label] if 0 <= label < len(names) else str(label)
+            word = classes[label] if 0 <= label < len(classes) else str(label)
             name = "-".join(part for part in (_safe(split), _safe(word), f"{number:0{_ID_DIGITS}d}") if part)
             objects.append(PrintObject(name, split, word, number, partial(_row, rows, row)))
     _require_found(ranges or (), seen)
@@ -126,7 +127,13 @@ def choose(
             "no object is chosen; expected rows of the split with the ids and classes that were asked for"
         )
         raise InputError(message)
-    _require_unique(objects)
+    names = Counter(item.name for item in objects)
+    twice = next((name for name, count in names.items() if count > 1), None)
+    if twice is not None:
+        message = (
+            f"two objects would be called {twice!r}: an id stands twice in a split; next: verify the data set"
+        )
+        raise InputError(message)
     return objects
 
 
@@ -171,16 +178,6 @@ def _require_found(ranges: Sequence[tuple[int, int]], seen: NDArray[np.bool_]) -
         message = (
             f"no object with {what} in what was chosen{more}; next: look at the ids of the split, or name "
             "another --split"
-        )
-        raise InputError(message)
-
-
-def _require_unique(objects: Sequence[PrintObject]) -> None:
-    names = [item.name for item in objects]
-    if len(set(names)) < len(names):
-        twice = next(name for name in names if names.count(name) > 1)
-        message = (
-            f"two objects would be called {twice!r}: an id stands twice in a split; next: verify the data set"
         )
         raise InputError(message)
 

@@ -180,6 +180,25 @@ def test_merging_keeps_the_order_and_the_triangles() -> None:
     assert faces.tolist() == [[0, 1, 2], [1, 0, 3]]
 
 
+def test_merging_nothing_gives_nothing() -> None:
+    vertices, faces = merge_equal_vertices(np.zeros((0, 3)), np.zeros((0, 3), np.int32))
+    assert (vertices.shape, faces.shape) == ((0, 3), (0, 3))
+
+
+def test_a_number_that_is_none_is_refused_and_not_cut_off(tmp_path: Path) -> None:
+    facet = "facet normal 0 0 0\nouter loop\nvertex 0 0 0\nvertex 0 1 0\nvertex 1 0 0\nendloop\nendfacet\n"
+    (tmp_path / "a.stl").write_text(f"solid a\n{facet}{facet.replace('1 0 0', 'one 0 0')}endsolid a\n")
+    with pytest.raises(InputError, match=r"a\.stl: not a readable STL file"):
+        read_mesh(tmp_path / "a.stl")
+
+
+def test_the_name_of_a_binary_file_may_begin_as_a_text_does(ring: Mesh, tmp_path: Path) -> None:
+    write_mesh(tmp_path / "a.stl", ring)
+    data = (tmp_path / "a.stl").read_bytes()
+    (tmp_path / "a.stl").write_bytes(b"solid facet".ljust(80) + data[80:])
+    assert inspect(read_mesh(tmp_path / "a.stl")).is_solid
+
+
 PRODUCTION = "http://schemas.microsoft.com/3dmanufacturing/production/2015/06"
 BODY = (
     '<object id="1" type="model"><mesh><vertices><vertex x="0" y="0" z="0"/><vertex x="2" y="0" z="0"/>'
