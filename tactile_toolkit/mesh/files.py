@@ -123,6 +123,7 @@ def pack_mesh(mesh: Mesh, ending: str, name: str = "") -> bytes:
         return write_build([BuildItem(name, vertices_mm, mesh.faces)])
     import trimesh
 
+    # glTF, whose binary form GLB is, fixes the metre; the others name no unit, and slicers take millimetres.
     vertices = mesh.vertices_m if ending == ".glb" else vertices_mm
     packed = trimesh.Trimesh(vertices, mesh.faces, process=False).export(file_type=ending[1:])
     return packed.encode() if isinstance(packed, str) else bytes(packed)

@@ -160,6 +160,7 @@ def window_of(vertices_m: NDArray[np.floating[Any]], pitch_m: float) -> Window:
         message = "a mesh with vertices that are NaN or infinite has no height map; next: make it again"
         raise InputError(message)
     with np.errstate(over="ignore", invalid="ignore"):  # of a tiny pitch, which is refused below
+        # Counted from the origin and not from the mesh: two meshes of one frame share their pixels.
         first, stop = np.floor(low / float(pitch_m)), np.ceil(high / float(pitch_m))
         columns, rows = np.maximum(stop - first, 1).tolist()
     if not columns * rows <= MOST_PIXELS:

@@ -147,6 +147,7 @@ def _prepared(
     last = np.minimum(np.floor(np.maximum.reduce(corners) + _EDGE_PX), last_pixel)
     (ab_x, ab_y), (ac_x, ac_y) = corners[1] - corners[0], corners[2] - corners[0]
     area = ab_x * ac_y - ab_y * ac_x  # twice the area as seen from above
+    # Upright triangles, of no area, would only repeat the edges of their neighbours.
     faces_seen = (area != 0) if both_sides else (area > 0)
     kept = np.flatnonzero(faces_seen & (first[0] <= last[0]) & (first[1] <= last[1]))
     area, named = area[kept], faces[kept].T

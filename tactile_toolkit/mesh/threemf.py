@@ -221,6 +221,7 @@ def write_build(items: Sequence[BuildItem]) -> bytes:
 
 
 def _object(item: BuildItem, number: int) -> str:
+    # Nine digits give every float32 back exactly, and stored meshes are float32.
     corners = "".join(
         f'<vertex x="{x:.9g}" y="{y:.9g}" z="{z:.9g}"/>' for x, y, z in item.vertices_mm.tolist()
     )

@@ -28,9 +28,10 @@ NORMAL_SPAN = 2
 LEAST_CONTACT_SINE = 0.9
 """Sine of half the angle between the two contacts, seen from the middle of the disc: 128 degrees."""
 
+# Every point is compared with every other: the first bounds the time, the second the memory (12 MB a block).
 MAX_POINTS = 6000
 _BLOCK = 512
-_LEAST_SQUARED_MM2 = np.float32(1e-3)
+_LEAST_SQUARED_MM2 = np.float32(1e-3)  # the point itself, at distance 0, must not decide its own disc
 
 
 def thinnest_width_mm(outlines_mm: Sequence[NDArray[np.float64]]) -> float:

@@ -43,7 +43,7 @@ WRITTEN, KEPT = "written", "kept"
 
 _BOUNDS_TOLERANCE_MM = 1e-3
 _VOLUME_TOLERANCE = 1e-3
-"""Share of the volume: STL holds single precision."""
+"""Share of the volume. STL and GLB hold single precision, 1e-5 mm on an object of 20 cm."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -96,7 +96,7 @@ def write_checked(path: Path, content: bytes, check: Callable[[Path], None]) -> 
     """
     with named_failures(str(path)), atomic_file(path) as stream:
         stream.write(content)
-        stream.flush()
+        stream.flush()  # the check opens the file by its name
         try:
             check(Path(stream.name))
         except InputError as error:

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
 __all__ = ["IdChoice", "PrintObject", "choose", "parse_ids", "require_scale", "standing"]
 
-_ID_DIGITS = 5
+_ID_DIGITS = 5  # file names sort as the ids do, up to 99,999
 _UNSAFE = re.compile(r"[^\w+-]+")
 _IDS = re.compile(r"(-?\d{1,20})(?:-(\d{1,20}))?", re.ASCII)
 

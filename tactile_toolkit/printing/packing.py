@@ -29,7 +29,7 @@ __all__ = ["Outline", "PlateSpec", "Spot", "Weights", "cells_touched", "outline_
 Rings = Sequence["NDArray[np.float64]"]
 
 _ARC_SEGMENTS = 64
-_SAMPLES_PER_CELL = 8
+_SAMPLES_PER_CELL = 8  # steps along an edge: it cannot pass through a cell unseen but at a corner
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -165,6 +165,7 @@ class PlateSpec:
         """
         cell_mm = np.array(self.cell_mm)
         columns, rows = (
+            # Less a little: an object as large as the plate must not need one cell more than the plate has.
             math.ceil((side_mm + self.gap_mm) / side_of_cell_mm - 1e-6)
             for side_mm, side_of_cell_mm in zip(outline.size_mm, self.cell_mm, strict=True)
         )
@@ -227,6 +228,8 @@ class Weights:
 
 
 _TRIED_WEIGHTS = (Weights(), Weights(12, 0.05, 0.6), Weights(8, 0.2, 0.3))
+# The time of a search grows with the square of the number of shapes: many are searched once, and only the
+# largest of those that are left are tried at each step.
 _MOST_SHAPES_FOR_ALL_WEIGHTS = 150
 _TRIED_AT_ONCE = 100
 

@@ -41,7 +41,7 @@ _MOST_SPOTS = 600
 _LONGER_SIDE_PX = 1_200
 _LEAST_PX_PER_MM = 4.0
 _LONGEST_SIDE_PX = 4_000
-_SUPERSAMPLING = 2
+_SUPERSAMPLING = 2  # drawn so many times larger: PIL's own lines have no smooth edges
 _LINE_PX = _SUPERSAMPLING
 """Width of a thin line."""
 _MARGIN_PX = 60

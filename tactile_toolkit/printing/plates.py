@@ -49,7 +49,9 @@ __all__ = [
 TABLE_FILE = "plates.csv"
 _PLATE_FILE = re.compile(r"plate-\d{2,}\.3mf", re.ASCII)
 _SAMPLED = 4
-_EDGE_TOLERANCE_MM = 1e-3
+"""Objects that a forecast packs to tell the size of all."""
+
+_EDGE_TOLERANCE_MM = 1e-3  # 3MF is written with nine digits, and no printer knows a micrometre
 
 
 @dataclass(frozen=True, slots=True)
@@ -170,6 +172,7 @@ def write_plates(
         on_progress(number, len(layout.plates))
     written = {plate.file for plate in plates}
     rows = [row for row in _rows(layout) if row["file"] in written]
+    # Last: what it lists is there and was checked.
     settle(folder / TABLE_FILE, _table_csv(rows))
     return PlateExport(tuple(plates), tuple(rows), layout.least_plates, tuple(failures), tuple(unknown))
 

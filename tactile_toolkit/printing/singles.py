@@ -29,6 +29,7 @@ from tactile_toolkit.run.processes import runner_for
 __all__ = ["FileExport", "FileForecast", "WrittenFile", "export_files", "forecast_files"]
 
 _SAMPLED = 32
+"""Objects that a forecast packs, from all over the list, to tell the size of all."""
 
 
 @dataclass(frozen=True, slots=True)
