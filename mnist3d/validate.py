@@ -25,31 +25,33 @@ _COLUMNS = ("id", "label", VERTICES, FACES)
 
 @dataclass(frozen=True, slots=True)
 class CheckedItem:
-    """One mesh and what was found about it.
-
-    Attributes
-    ----------
-    name : str
-        File name, or split and id of a row.
-    report : PrintReport
-        The findings.
-    """
+    """One mesh, by file name or by split and id of a row, and what was found about it."""
 
     name: str
     report: PrintReport
 
+    def to_dict(self) -> dict[str, Any]:
+        """Return JSON values."""
+        values = {"name": self.name, **self.report.to_row(), "warnings": list(self.report.warnings)}
+        # JSON has no NaN: what is unknown of a broken mesh is null.
+        return {
+            name: None if isinstance(value, float) and math.isnan(value) else value
+            for name, value in values.items()
+        }
+
+    def table_row(self) -> tuple[object, ...]:
+        """Return what a table shows of it."""
+        report = self.report
+        if not report.is_solid:
+            return (self.name, "NO", "-", "-", report.bodies, "-", report.detail or report.problem or "")
+        size = " x ".join(f"{side:.1f}" for side in report.size_mm)
+        numbers = (f"{report.volume_mm3:.0f}", size, report.bodies, f"{report.thinnest_wall_mm:.2f}")
+        return (self.name, "yes", *numbers, ", ".join(report.warnings) or "none")
+
 
 @dataclass(frozen=True)
 class Checked:
-    """Everything found below one path.
-
-    Attributes
-    ----------
-    path : str
-        As given.
-    items : tuple of CheckedItem
-        One per mesh.
-    """
+    """Everything found below one path."""
 
     path: str
     items: tuple[CheckedItem, ...]
@@ -61,7 +63,7 @@ class Checked:
 
     @property
     def failed(self) -> int:
-        """How many of them bound no solid."""
+        """How many of them do not bound a solid."""
         return sum(not item.report.is_solid for item in self.items)
 
     @property
@@ -80,7 +82,7 @@ class Checked:
             "checked": self.checked,
             "failed": self.failed,
             "warnings": self.warnings(),
-            "meshes": [{"name": item.name, **_json_row(item.report)} for item in self.items],
+            "meshes": [item.to_dict() for item in self.items],
         }
 
     def table(self) -> tuple[Sequence[str], Sequence[Sequence[object]], str]:
@@ -91,7 +93,7 @@ class Checked:
         shown = self.items if len(self.items) <= _ROWS_SHOWN else worth[:_ROWS_SHOWN]
         words = ", ".join(f"{word} {count:,}" for word, count in self.warnings().items())
         title = f"{self.path}: {self.checked:,} checked, {self.failed:,} failed; warnings: {words or 'none'}"
-        return header, [_table_row(item) for item in shown], title
+        return header, [item.table_row() for item in shown], title
 
 
 @dataclass(frozen=True, slots=True)
@@ -165,29 +167,3 @@ def validate_paths(
             items = [CheckedItem(Path(path).name, report)]
         results.append(Checked(path, tuple(items)))
     return results
-
-
-def _json_row(report: PrintReport) -> dict[str, Any]:
-    values = {**report.to_row(), "warnings": list(report.warnings)}
-    # JSON has no NaN: what is unknown of a broken mesh is null.
-    return {
-        name: None if isinstance(value, float) and math.isnan(value) else value
-        for name, value in values.items()
-    }
-
-
-def _table_row(item: CheckedItem) -> tuple[object, ...]:
-    report = item.report
-    if not report.is_solid:
-        return (item.name, "NO", "-", "-", report.bodies, "-", report.detail or report.problem or "")
-    size = " x ".join(f"{side:.1f}" for side in report.size_mm)
-    words = ", ".join(report.warnings) or "none"
-    return (
-        item.name,
-        "yes",
-        f"{report.volume_mm3:.0f}",
-        size,
-        report.bodies,
-        f"{report.thinnest_wall_mm:.2f}",
-        words,
-    )

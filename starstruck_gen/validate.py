@@ -45,21 +45,10 @@ class Failure:
 
 @dataclass(frozen=True, slots=True)
 class Checked:
-    """Everything found in one data set.
+    """Everything found in one data set: how many scenes were checked, and those that break a promise.
 
-    Attributes
-    ----------
-    path : str
-        As given.
-    checked : int
-        How many scenes were checked.
-    bodies, stars : int
-        How many bodies stand in the sound ones, and how many of them are declared stars; the published data
-        set declares none.
-    failures : tuple of Failure
-        Scenes that break a promise.
-    declared : bool
-        Whether the data set declares what stands where.
+    ``bodies`` stand in the sound scenes; ``stars`` of them are declared stars. The published data set is not
+    ``declared``: it does not say what stands where.
     """
 
     path: str
@@ -101,27 +90,11 @@ def validate_folder(
     *,
     on_progress: Callable[[int, int], None] = lambda _done, _total: None,
 ) -> Checked:
-    """Prove the scenes of a data set as they are read back from disk.
+    """Prove the scenes of a data set, or of a Parquet file, as they are read back from disk.
 
-    Parameters
-    ----------
-    path : str or path-like
-        Data set folder, or a Parquet file.
-    split : str, optional
-        Only this split.
-    limit : int, optional
-        Only the first so many rows of each split.
-    workers : int
-        Processes that check.
-    on_progress : callable
-        Called with scenes done and in all.
-
-    Raises
-    ------
-    InputError
-        The path does not exist, or holds no data set of scenes.
-    IntegrityError
-        A shard is damaged, or the run that makes the data set is not finished.
+    Only one split, and only the first ``limit`` rows of each, where asked for; ``on_progress`` is called with
+    scenes done and in all. Raises InputError where there is no data set of scenes, and IntegrityError where a
+    shard is damaged or the run that makes the data set is not finished.
     """
     path = os.fspath(path)
     shards = shards_to_check(path, split, "starstruck generate")
@@ -234,36 +207,24 @@ def _afloat(mesh: Mesh, bodies: Sequence[Any]) -> str | None:
 def _undeclared(mesh: Mesh, bodies: int, record: SceneRecord) -> str | None:
     if not record.has_placements:
         return None
-    strange = _strange(record)
-    if strange is not None:
-        return strange
+    try:
+        for placement in record.placements:
+            outline(placement.shape)
+    except InputError as error:
+        return f"an object is declared that cannot be: {error}"
     if bodies != len(record.placements):
         return f"{bodies} bodies stand there, {len(record.placements)} objects are declared"
     declared = stamp([record.placements])[0]
     same = declared.vertices_m.shape == mesh.vertices_m.shape and np.array_equal(declared.faces, mesh.faces)
     if not same or not np.abs(declared.vertices_m - mesh.vertices_m).max() <= _PLACE_TOLERANCE_M:
         return "the mesh is not that of the declared objects"
-    return _turned(mesh)
-
-
-def _turned(mesh: Mesh) -> str | None:
-    """Return what is wrong with caps that face into their prism: a solid of many triangles can hide it."""
+    # Caps that face into their prism, which a solid of many triangles can hide from the check of its whole.
     corners = mesh.vertices_m.astype(np.float64)[mesh.faces]
     level = (corners[:, :, 2] == corners[:, :1, 2]).all(axis=1)
     a, b, c = np.moveaxis(corners[level], 1, 0)
     doubled = (b - a)[:, 0] * (c - a)[:, 1] - (b - a)[:, 1] * (c - a)[:, 0]
     wrong = int((np.where(a[:, 2] > 0, doubled, -doubled) <= 0).sum())
     return f"{wrong} triangles of flat faces are turned over or have no area" if wrong else None
-
-
-def _strange(record: SceneRecord) -> str | None:
-    """Return what is wrong with a declared shape that nobody can draw."""
-    try:
-        for placement in record.placements:
-            outline(placement.shape)
-    except InputError as error:
-        return f"an object is declared that cannot be: {error}"
-    return None
 
 
 def _miscounted(record: SceneRecord, names: Sequence[str]) -> str | None:
