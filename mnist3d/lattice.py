@@ -78,8 +78,10 @@ def lattice_solid(mask: NDArray[np.bool_], spec: SolidSpec) -> Mesh:
 
     Raises ItemError ``topology`` where no lattice down to one pixel keeps the bodies and holes of the ink.
     """
+    # Two nodes of paper on each side even at the coarsest pitch, so that the surface closes.
     (top, left), crop = _crop(mask, margin_px=math.ceil(2 * LARGEST_PITCH_PX))
     counts = count_bodies_and_holes(crop)
+    # Deeper than the half thickness the surface is flat; 4 px more keep the cut-off out of the blur there.
     distance = signed_distance_px(crop, math.ceil(spec.half_thickness_px) + 4, 2 * LARGEST_PITCH_PX)
     for lattice in _lattices(distance, spec):
         if not _may_hold(lattice, counts):
@@ -156,7 +158,7 @@ def _fitting_pitch_px(distance: NDArray[np.float32], spec: SolidSpec) -> float:
     before the surface is made, and it falls with the square of the pitch.
     """
     pitch = FIRST_PITCH_PX
-    for _ in range(2):
+    for _ in range(2):  # the second round corrects for what the first lattice was too coarse to see
         rows, columns = (np.arange(0, side - 1, pitch).round().astype(np.intp) for side in distance.shape)
         crossed = _crossed_edges(distance[np.ix_(rows, columns)], pitch, spec)
         pitch = float(np.clip(pitch * math.sqrt(crossed / spec.target_vertices), 1.0, LARGEST_PITCH_PX))
@@ -214,6 +216,7 @@ def _upper_surface(lattice: PlaneLattice, spec: SolidSpec) -> tuple[NDArray[np.f
     heights = np.arange(0, spec.half_thickness_px + 2 * pitch, pitch).astype(np.float32)
     depth = depth_px(lattice.s_px[:, :, None], heights, spec)
     depth += np.float32(CHORD_LOSS * pitch**2 / spec.half_thickness_px)
+    # A node on the surface itself would give triangles without area.
     least = np.float32(NUDGE * pitch)
     depth = np.where(np.abs(depth) < least, np.where(depth > 0, least, -least), depth)
     vertices, faces = marching_cubes(depth, 0.0)

@@ -25,7 +25,7 @@ class SceneRecord(SolidRecord):
 
     Frame of the mesh: origin at the cell's centre, x right, y away from the robot, z up, objects standing on
     z = 0; metres. Data sets without our columns (the published one) give ``id``, ``label``, ``star_count``
-    and the mesh.
+    and the mesh; what is not stored raises :class:`~tactile_toolkit.errors.InputError`.
     """
 
     __slots__ = ()
@@ -37,13 +37,7 @@ class SceneRecord(SolidRecord):
 
     @property
     def distractor_count(self) -> int:
-        """Number of objects that are not stars.
-
-        Raises
-        ------
-        InputError
-            When the data set does not store it.
-        """
+        """Number of objects that are not stars; InputError where it is not stored."""
         return int(self._required("distractor_count"))
 
     @property
@@ -53,37 +47,19 @@ class SceneRecord(SolidRecord):
 
     @property
     def placements(self) -> tuple[Placement, ...]:
-        """Objects in the order of placing, stars first.
-
-        Raises
-        ------
-        InputError
-            When the data set does not store them.
-        """
+        """Objects in the order of placing, stars first; InputError where they are not stored."""
         return self._once(
             "placements", lambda: tuple(Placement(**entry) for entry in self._required("placements"))
         )
 
     @property
     def seed(self) -> int:
-        """Seed of the scene: with the specification and the star count it makes the scene again.
-
-        Raises
-        ------
-        InputError
-            When the data set does not store it.
-        """
+        """Seed of the scene: with the specification and the star count it makes the scene again."""
         return int(self._required("seed"))
 
     @property
     def scene(self) -> Scene:
-        """The scene: what stands where, and what it took to place it.
-
-        Raises
-        ------
-        InputError
-            When the data set does not store it.
-        """
+        """The scene: what stands where, and what it took to place it."""
         attempts = tuple(int(count) for count in self._required("attempts"))
         return Scene(self.star_count, self.placements, attempts, int(self._required("restarts")))
 

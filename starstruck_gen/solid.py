@@ -34,26 +34,14 @@ _REACH_TOLERANCE = 1e-9
 class Prism:
     """The solid of a shape, up to its size; lengths in units of the circumscribed radius.
 
-    Attributes
-    ----------
-    corners : ndarray of float64, shape (n, 2)
-        All rings of the outline one after another.
-    cap : ndarray of int32, shape (T, 3)
-        Triangles over ``corners``, counter-clockwise; every corner is used, none lies on another's edge.
-    faces : ndarray of int32, shape (F, 3)
-        Triangles of the solid, outward. Vertex 2i is corner i on the plate, vertex 2i + 1 the one above it.
-    area : float
-        Area of the outline.
-    thinnest : float
-        Least height of a triangle of the cap: corners that move by less than half of it turn no triangle
-        over.
+    Vertex 2i of the solid is corner i on the plate, vertex 2i + 1 the one above it. Arrays are read-only.
     """
 
-    corners: NDArray[np.float64]
-    cap: NDArray[np.int32]
-    faces: NDArray[np.int32]
-    area: float
-    thinnest: float
+    corners: NDArray[np.float64]  # (n, 2): all rings of the outline one after another
+    cap: NDArray[np.int32]  # (T, 3): triangles over all corners, counter-clockwise, none on another's edge
+    faces: NDArray[np.int32]  # (F, 3): triangles of the solid, outward
+    area: float  # of the outline
+    thinnest: float  # least height of a triangle of the cap: moves below half of it turn no triangle over
 
     @property
     def vertex_count(self) -> int:
@@ -80,8 +68,9 @@ def prism(key: str) -> Prism:
     rings = outline(key)
     corners = np.concatenate(rings)
     cap = np.asarray(manifold3d.triangulate(list(rings)), dtype=np.int32)
-    # A triangle's height is twice its area over its longest side.
-    doubled_areas = _doubled_areas(corners, cap)
+    a, b, c = (corners[cap[:, index]] for index in range(3))
+    doubled_areas = (b - a)[:, 0] * (c - a)[:, 1] - (b - a)[:, 1] * (c - a)[:, 0]
+    # A triangle's least height is twice its area over its longest side.
     sides = np.linalg.norm(corners[cap] - corners[np.roll(cap, 1, axis=1)], axis=2)
     made = Prism(
         corners,
@@ -116,11 +105,6 @@ def _faces(ring_sizes: list[int], cap: NDArray[np.int32]) -> NDArray[np.int32]:
         np.stack([2 * here, 2 * following + 1, 2 * here + 1], axis=1),
     ]
     return np.concatenate([2 * cap + 1, 2 * cap[:, ::-1], *walls]).astype(np.int32)
-
-
-def _doubled_areas(corners: NDArray[np.float64], cap: NDArray[np.int32]) -> NDArray[np.float64]:
-    a, b, c = (corners[cap[:, index]] for index in range(3))
-    return np.asarray((b - a)[:, 0] * (c - a)[:, 1] - (b - a)[:, 1] * (c - a)[:, 0])
 
 
 @lru_cache(_MOST_KEPT)

@@ -17,11 +17,11 @@ SPLITS = ("train", "test")
 """Splits of Starstruck (Tactile MNIST paper, section Starstruck)."""
 
 MOST_SCENES = 10**9
-"""Scenes that a split can hold; ids of a split begin at its place in :data:`SPLITS` times this number."""
+"""Scenes that a split can hold; ids of a split begin at its index in :data:`SPLITS` times this number."""
 
-_BLOCK = 48
+_BLOCK = 48  # numbers drawn at once: nine published scenes of ten need no more
 _WORD = (1 << 64) - 1
-_GOLDEN = 0x9E3779B97F4A7C15
+_GOLDEN = 0x9E3779B97F4A7C15  # 2**64 over the golden ratio: the step of SplitMix64
 
 
 def scene_seed(seed: int, split: str, index: int) -> int:
@@ -49,7 +49,7 @@ def scene_seed(seed: int, split: str, index: int) -> int:
     mixed = (_split_start(seed, split) + (index + 1) * _GOLDEN) & _WORD
     mixed = ((mixed ^ (mixed >> 30)) * 0xBF58476D1CE4E5B9) & _WORD
     mixed = ((mixed ^ (mixed >> 27)) * 0x94D049BB133111EB) & _WORD
-    return (mixed ^ (mixed >> 31)) >> 1
+    return (mixed ^ (mixed >> 31)) >> 1  # 63 bits fit the int64 column of the rows
 
 
 def scene_id(split: str, index: int) -> int:

@@ -15,27 +15,13 @@ __all__ = ["Acceptance", "SplitSummary", "count_scenes", "summarise"]
 
 @dataclass(frozen=True, slots=True)
 class Acceptance:
-    """Acceptance statistics of scenes, counted so that shards add up.
+    """Acceptance statistics of scenes, counted so that shards add up."""
 
-    Attributes
-    ----------
-    classes : tuple of int
-        Scenes of each class.
-    distractors : tuple of int
-        Scenes with 0, 1, 2, ... distractors.
-    objects : tuple of int
-        Scenes that have a first object, a second one, ...
-    attempts : tuple of int
-        Positions drawn for the first objects, the second ones, ..., all layouts together.
-    restarts : int
-        How often scenes were started over.
-    """
-
-    classes: tuple[int, ...]
-    distractors: tuple[int, ...]
-    objects: tuple[int, ...]
-    attempts: tuple[int, ...]
-    restarts: int
+    classes: tuple[int, ...]  # scenes of each class
+    distractors: tuple[int, ...]  # scenes with 0, 1, 2, ... distractors
+    objects: tuple[int, ...]  # scenes that have a first object, a second one, ...
+    attempts: tuple[int, ...]  # positions drawn for the first objects, the second ones, ..., in all layouts
+    restarts: int  # how often scenes were started over
 
     @property
     def attempts_per_object(self) -> tuple[float, ...]:

@@ -70,11 +70,8 @@ class FolderSource:
     def catalog(self) -> DigitCatalog:
         """List the folder and return ids, labels and writers.
 
-        Raises
-        ------
-        InputError
-            When the folder is missing, holds no picture, has sub-folders that are not digits, or pictures
-            whose label is unknown; or when `ink` is not one of its words.
+        Raises InputError when the folder is missing, holds no picture, has sub-folders that are not digits,
+        or pictures whose label is unknown; or when `ink` is not one of its words.
         """
         pictures = self._pictures()
         labels = np.array([picture.label for picture in pictures], np.int64)
@@ -84,10 +81,7 @@ class FolderSource:
     def image(self, digit_id: int) -> DigitImage:
         """Read one picture and fit it into 500 x 500 px.
 
-        Raises
-        ------
-        ItemError
-            ``"unknown-id"``, or one of the reasons of :func:`read_picture`.
+        Raises ItemError ``"unknown-id"``, or one of the reasons of :func:`read_picture`.
         """
         pictures = self._pictures()
         if not 0 <= digit_id < len(pictures):
@@ -101,10 +95,7 @@ class FolderSource:
     def fingerprint(self) -> dict[str, object]:
         """Return `ink`, the count, and one SHA-256 of all names, sizes and contents.
 
-        Raises
-        ------
-        InputError
-            See :meth:`catalog`; also when a file cannot be opened.
+        Raises InputError see :meth:`catalog`; also when a file cannot be opened.
         """
         pictures = self._pictures()
         total = hashlib.sha256()

@@ -63,11 +63,8 @@ class HwdPlusSource:
     def catalog(self) -> DigitCatalog:
         """Check both files and return ids, labels and writers.
 
-        Raises
-        ------
-        InputError
-            When a file is missing, damaged or of another shape or type, when the two differ in rows, or when
-            a label is not a whole number from 0 to 9.
+        Raises InputError when a file is missing, damaged or of another shape or type, when the two differ in
+        rows, or when a label is not a whole number from 0 to 9.
         """
         stack, (labels, writers) = self._stack(), self._people()
         if len(labels) != stack.shape[0]:
@@ -81,11 +78,8 @@ class HwdPlusSource:
     def image(self, digit_id: int) -> DigitImage:
         """Read the image of row `digit_id`, and nothing else of the file.
 
-        Raises
-        ------
-        ItemError
-            ``"unknown-id"``, ``"not-finite"`` (NaN or infinite pixels) or ``"bad-pixels"`` (values outside
-            the grey scale of the file).
+        Raises ItemError ``"unknown-id"``, ``"not-finite"`` (NaN or infinite pixels) or ``"bad-pixels"``
+        (values outside the grey scale of the file).
         """
         stack, (labels, writers) = self._stack(), self._people()
         where = f"{self.images}, row {digit_id}"
@@ -101,10 +95,7 @@ class HwdPlusSource:
 
         A sample, because hashing gigabytes would take longer than the first shard.
 
-        Raises
-        ------
-        InputError
-            When a file cannot be used; see :meth:`catalog`.
+        Raises InputError when a file cannot be used; see :meth:`catalog`.
         """
         stack, (labels, writers) = self._stack(), self._people()
         sample = hashlib.sha256()
@@ -148,6 +139,7 @@ def _full_scale(stack: NpyFile) -> float:
         finite = values[np.isfinite(values)]
         if finite.size:
             brightest.append(float(finite.max()))
+    # Half a grey level of slack: rounding may have left white a little above 1.
     return 1.0 if brightest and float(np.median(brightest)) <= 1 + 0.5 / 255 else 255.0
 
 

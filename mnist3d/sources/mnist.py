@@ -38,7 +38,7 @@ LABELS_MAGIC = 0x801
 _PREFIXES = {"train": "train", "test": "t10k"}
 _FOLDERS = (".", "MNIST/raw", "raw")
 _KINDS = {"images": "idx3-ubyte", "labels": "idx1-ubyte"}
-_TIMEOUT_S = 60.0
+_TIMEOUT_S = 60.0  # torchvision sets none: a server that stalls would hold the command for ever
 
 Part = tuple[NDArray[np.uint8], NDArray[np.uint8]]
 """Images of shape (N, 28, 28), white on black, and labels of shape (N,)."""
@@ -78,10 +78,7 @@ class MnistSource:
     def catalog(self) -> DigitCatalog:
         """Read and check the files and return ids and labels.
 
-        Raises
-        ------
-        InputError
-            When files are missing, damaged, not MNIST, or do not belong together.
+        Raises InputError when files are missing, damaged, not MNIST, or do not belong together.
         """
         labels = np.concatenate([labels for _, labels in self._parts()]).astype(np.int64)
         return DigitCatalog(np.arange(len(labels)), labels, np.full_like(labels, NO_WRITER))
@@ -89,10 +86,7 @@ class MnistSource:
     def image(self, digit_id: int) -> DigitImage:
         """Draw one digit, 500 x 500 px.
 
-        Raises
-        ------
-        ItemError
-            ``"unknown-id"`` when there is no such digit.
+        Raises ItemError ``"unknown-id"`` when there is no such digit.
         """
         index = digit_id
         for images, labels in self._parts():
@@ -109,10 +103,7 @@ class MnistSource:
     def fingerprint(self) -> dict[str, object]:
         """Return count and SHA-256 of the unpacked images and labels of each part.
 
-        Raises
-        ------
-        InputError
-            See :meth:`catalog`.
+        Raises InputError see :meth:`catalog`.
         """
         parts = [
             {

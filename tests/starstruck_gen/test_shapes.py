@@ -1,15 +1,27 @@
 from __future__ import annotations
 
+import hashlib
+import json
 import math
+import pickle
+from dataclasses import FrozenInstanceError
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
-from starstruck_gen.shapes import OUTLINES, Shape, outline
+from starstruck_gen.proof import require_sound
+from starstruck_gen.rows import make_rows, scene_table
+from starstruck_gen.scene import Scene
+from starstruck_gen.shapes import KINDS, OUTLINES, Crescent, Cross, Disc, Ring, Shape, Star, outline
 from starstruck_gen.solid import prism
+from starstruck_gen.spec import SceneSpec
+from starstruck_gen.validate import check_scene
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.mesh.mesh import Mesh
 from tactile_toolkit.mesh.solid_check import check_manifold
+from tests.starstruck_gen.strategies import DRAWN, shapes
 
 AREAS = {
     "star": 5 * 0.5 * math.sin(math.pi / 5),
@@ -105,3 +117,200 @@ def test_outline_that_bounds_no_area_is_refused(monkeypatch, ring, reason):
     monkeypatch.setattr(solid, "outline", lambda _: (np.array(ring, dtype=float),))
     with pytest.raises(InputError, match=reason):
         prism.__wrapped__("wrong")
+
+
+def test_defaults_are_the_published_numbers():
+    assert Shape("star").proportions == Star(points=5, inner_ratio=0.5)
+    assert Shape("disc").proportions == Disc(segments=32)
+    for name in KINDS:
+        assert Shape(name).key == name
+        for ring, same in zip(outline(name), OUTLINES[name](), strict=True):
+            assert np.array_equal(ring, same)
+
+
+def test_published_outlines_are_bit_for_bit_what_they_were():
+    """Outlines decide every byte of a data set; the sums are older than the parameters."""
+    sums = {
+        name: [hashlib.sha256(ring.tobytes()).hexdigest()[:16] for ring in outline(name)] for name in KINDS
+    }
+    assert sums == {
+        "star": ["0faa11a658ae2d70"],
+        "box": ["56f2c6be174910be"],
+        "disc": ["41ce81b48cc6f27a"],
+        "triangle": ["8633d44e546d8910"],
+        "hexagon": ["6ce56e6617d1d8fa"],
+        "ring": ["41ce81b48cc6f27a", "f55aad812a1af18b"],
+        "cross": ["bc653f7cba8d434d"],
+        "crescent": ["de6051c12d8906cc"],
+    }
+
+
+@given(shapes())
+def test_key_names_the_outline_and_comes_back(shape):
+    again = Shape.parse(shape.key, shape.radius_m)
+    assert again == shape
+    assert again.key == shape.key
+    for ring, same in zip(outline(shape.key), shape.proportions.rings(), strict=True):
+        assert np.array_equal(ring, same)
+    assert Shape.from_dict(json.loads(json.dumps(shape.to_dict()))) == shape
+    assert pickle.loads(pickle.dumps(shape)).key == shape.key
+
+
+@given(st.one_of(*DRAWN.values()))
+def test_every_allowed_shape_is_one_solid_of_radius_one(proportions):
+    shape = Shape(proportions.name, 0.01, proportions)
+    made = prism(shape.key)
+    assert np.linalg.norm(made.corners, axis=1).max() == pytest.approx(1.0, abs=1e-12)
+    verdict = check_manifold(Mesh(made.vertices(0.5) * 0.01, made.faces))
+    assert (verdict.problem, verdict.bodies) == (None, 1)
+    assert verdict.genus == (1 if proportions.name == "ring" else 0)
+
+
+@pytest.mark.parametrize(
+    ("proportions", "area"),
+    [
+        (Star(7, 0.3), 7 * 0.3 * math.sin(math.pi / 7)),
+        (Disc(100), 50 * math.sin(math.tau / 100)),
+        (Ring(0.25, 64), (1 - 0.25**2) * 32 * math.sin(math.tau / 64)),
+        (Cross(0.2), 4 * 0.2 * (2 * math.sqrt(1 - 0.2**2) - 0.2)),
+    ],
+)
+def test_area_follows_from_the_proportions(proportions, area):
+    assert prism(Shape(proportions.name, 0.01, proportions).key).area == pytest.approx(area, rel=1e-12)
+
+
+def test_crescent_keeps_its_horns_where_they_are_asked_for():
+    (ring,) = Crescent(horn_rad=0.8, bite_ratio=0.5).rings()
+    assert ring[0] == pytest.approx([math.cos(0.8), math.sin(0.8)])
+    assert ring[32] == pytest.approx([math.cos(0.8), -math.sin(0.8)])
+    middle = ring[40]
+    assert middle == pytest.approx([0.5 - math.hypot(math.cos(0.8) - 0.5, math.sin(0.8)), 0.0], abs=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("make", "message"),
+    [
+        (lambda: Star(points=2), "points of shape 'star' is 2; expected a whole number from 3 to 64"),
+        (lambda: Star(points=5.5), "points of shape 'star' is 5.5; expected a whole number"),
+        (lambda: Star(points=True), "points of shape 'star' is True"),
+        (lambda: Star(points="5"), "points of shape 'star' is '5'"),
+        (lambda: Star(inner_ratio=0.9), r"inner_ratio .* 0.9; expected at most 0.8009 with 5 points"),
+        (lambda: Star(points=3), "inner_ratio .* 0.5; expected at most 0.495 with 3 points"),
+        (lambda: Ring(hole_ratio=1.0), "hole_ratio of shape 'ring' is 1.0; expected 0.05 to 0.95"),
+        (lambda: Ring(segments=3), "segments of shape 'ring' is 3; expected a whole number from 8 to 256"),
+        (lambda: Disc(10**9), "segments of shape 'disc' is 1000000000"),
+        (lambda: Cross(math.nan), "arm_ratio of shape 'cross' is nan"),
+        (lambda: Crescent(bite_ratio=None), "bite_ratio of shape 'crescent' is None"),
+        (lambda: Shape("ring", 0.01, Star()), r"proportions of shape 'ring' are Star\(.*expected Ring"),
+        (
+            lambda: Shape.parse("ring(hole=0.3)"),
+            "unknown proportion 'hole' of shape 'ring'; expected one of hole_r",
+        ),
+        (lambda: Shape.parse("box(side=1)"), "unknown proportion 'side' of shape 'box'; expected none"),
+        (
+            lambda: Shape.parse("ring(0.3)"),
+            "'0.3' in shape 'ring.0.3.' is not a proportion; expected NAME=NUMBER",
+        ),
+        (
+            lambda: Shape.parse("ring(hole_ratio=.3,hole_ratio=.4)"),
+            "gives 'hole_ratio' 2 times; expected each number once",
+        ),
+        (lambda: Shape("star", "10"), "radius_m of shape 'star' is '10'; expected 0.0001 to 1"),
+        (lambda: Shape.parse("ring(hole_ratio=0.3"), "is not a shape; expected a name such as ring"),
+        (lambda: outline("star(points=1e9)"), "points of shape 'star' is 1000000000.0"),
+        (lambda: outline("moon"), "unknown shape 'moon'; expected one of star, box"),
+    ],
+)
+def test_unusable_proportions_are_named_with_what_was_expected(make, message):
+    with pytest.raises(InputError, match=message):
+        make()
+
+
+def test_proportions_cannot_be_changed():
+    with pytest.raises(FrozenInstanceError):
+        Star().points = 6
+
+
+def test_numbers_of_other_types_are_the_same_shape():
+    shape = Shape("star", 0.01, Star(np.int64(6), np.float32(0.5)))
+    assert shape == Shape("star", 0.01, Star(6, 0.5))
+    assert shape.key == "star(points=6)"
+    assert json.dumps(Shape("star", np.float32(0.5)).to_dict()["radius_m"]) == "0.5"
+    assert json.dumps(shape.to_dict()["proportions"]) == '{"points": 6, "inner_ratio": 0.5}'
+
+
+FANCY = SceneSpec(
+    star=Shape("star", 0.008, Star(points=7, inner_ratio=0.35)),
+    distractor_shapes=(
+        Shape("ring", 0.008, Ring(hole_ratio=0.8, segments=12)),
+        Shape("ring", 0.006),
+        Shape("crescent", 0.008, Crescent(bite_ratio=0.4)),
+    ),
+    distractors=(2, 4),
+)
+
+
+@pytest.fixture(scope="module")
+def fancy_file(tmp_path_factory):
+    import pyarrow.parquet as pq
+
+    rows = make_rows(FANCY, "train", 0, 0, 60)
+    require_sound(FANCY, rows)
+    path = tmp_path_factory.mktemp("fancy") / "train-00000-of-00001.parquet"
+    pq.write_table(scene_table(rows), path)
+    return path
+
+
+def test_scenes_of_other_proportions_are_proved_from_their_stored_rows_alone(fancy_file):
+    import starstruck_gen
+
+    scenes = starstruck_gen.load(str(fancy_file))
+    assert [check_scene(record) for record in scenes] == [None] * 60
+    assert {p.shape for record in scenes for p in record.placements} == {
+        "star(points=7,inner_ratio=0.35)",
+        "ring(hole_ratio=0.8,segments=12)",
+        "ring",
+        "crescent(bite_ratio=0.4)",
+    }
+    assert all(p.is_star == p.shape.startswith("star") for record in scenes for p in record.placements)
+    first = scenes[0].scene
+    assert Scene.from_json(first.to_json()) == first
+    assert first.draw(px_per_mm=1.0).size == (120, 120)
+
+
+def test_stored_object_of_no_known_shape_is_a_finding(fancy_file, tmp_path):
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    from starstruck_gen.validate import validate_folder
+
+    table = pq.ParquetFile(fancy_file).read(use_threads=False)
+    rows = table.slice(0, 3).to_pylist()
+    rows[1]["placements"][0]["shape"] = "star(points=1e9)"
+    changed = tmp_path / "train-00000-of-00001.parquet"
+    pq.write_table(pa.Table.from_pylist(rows, schema=table.schema), changed)
+    checked = validate_folder(str(changed))
+    assert [(failure.id, checked.checked) for failure in checked.failures] == [(1, 3)]
+    assert "points of shape 'star'" in checked.failures[0].problem
+
+
+def test_specification_with_proportions_goes_through_json():
+    values = json.loads(json.dumps(FANCY.to_dict()))
+    assert values["star"]["proportions"] == {"points": 7, "inner_ratio": 0.35}
+    assert SceneSpec.from_dict(values) == FANCY
+
+
+def test_specification_without_proportions_means_the_published_ones():
+    """Manifests written before proportions were stored name a shape and its radius only."""
+    values = SceneSpec().to_dict()
+    for entry in (values["star"], *values["distractor_shapes"]):
+        entry.pop("proportions", None)
+    assert SceneSpec.from_dict(values) == SceneSpec()
+
+
+@pytest.mark.parametrize(
+    "star", [{"name": "star", "proportions": {"tips": 6}}, {"name": "star", "proportions": 3}]
+)
+def test_wrong_proportions_in_json_are_refused(star):
+    with pytest.raises(InputError, match=r"unknown proportion 'tips'|scene specification"):
+        SceneSpec.from_dict({"star": star})

@@ -80,54 +80,24 @@ def index_at(weights: Sequence[float], mark: float) -> int:
 
 @dataclass(frozen=True, slots=True)
 class Hand:
-    """The stable traits of a writer.
+    """The stable traits of a writer."""
 
-    Attributes
-    ----------
-    slant : float
-        Sideways shift of the top per unit of height; positive leans right.
-    tilt : float
-        Rise of the writing line per unit of width.
-    aspect : float
-        Factor on the width of every glyph.
-    bow : float
-        How much verticals bend, as a share of the height.
-    height_px, pen_px : float
-        Ink height and pen width.
-    nib : float
-        0 for a round tip; 0.2 for a chisel tip whose stroke varies by 20 % with its direction.
-    nib_lean : float
-        Slope of the chisel's edge.
-    pressure : float
-        Relative change of the stroke width along a stroke.
-    roundness : int
-        Smoothing rounds on corners.
-    jitter : float
-        Size of the changes from digit to digit, relative to those between writers.
-    tremor_px, roughness_px : float
-        Deviation of the pen's path, and of the edge of the ink.
-    gaps, specks : float
-        Mean number of light flecks in the ink, and of stray dots beside it.
-    fidelity : float
-        Chance that a digit takes the writer's preferred shape.
-    """
-
-    slant: float
-    tilt: float
-    aspect: float
-    bow: float
-    height_px: float
+    slant: float  # sideways shift of the top per unit of height; positive leans right
+    tilt: float  # rise of the writing line per unit of width
+    aspect: float  # factor on the width of every glyph
+    bow: float  # how much verticals bend, as a share of the height
+    height_px: float  # of the ink
     pen_px: float
-    nib: float
-    nib_lean: float
-    pressure: float
-    roundness: int
-    jitter: float
-    tremor_px: float
-    roughness_px: float
-    gaps: float
-    specks: float
-    fidelity: float
+    nib: float  # 0 for a round tip; 0.2 for a chisel tip whose stroke varies by 20 % with its direction
+    nib_lean: float  # slope of the chisel's edge
+    pressure: float  # relative change of the stroke width along a stroke
+    roundness: int  # smoothing rounds on corners
+    jitter: float  # size of the changes from digit to digit, relative to those between writers
+    tremor_px: float  # deviation of the pen's path
+    roughness_px: float  # deviation of the edge of the ink
+    gaps: float  # mean number of light flecks in the ink
+    specks: float  # mean number of stray dots beside it
+    fidelity: float  # chance that a digit takes the writer's preferred shape
 
 
 def hand_of(rng: KeyedRng) -> Hand:
