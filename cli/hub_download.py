@@ -16,7 +16,7 @@ from tactile_toolkit.kind import DatasetKind
 
 if TYPE_CHECKING:
     from tactile_toolkit.catalog.published import SetState
-    from tactile_toolkit.exchange.download_plan import DownloadPlan
+    from tactile_toolkit.exchange.download import DownloadPlan
 
 __all__ = ["add_download"]
 
@@ -71,7 +71,7 @@ def add_download(app: typer.Typer, kind: DatasetKind) -> None:
         A download that broke off goes on where it stopped when the same command is given again. `list` shows
         the names of the published sets.
         """
-        from tactile_toolkit.exchange.download_plan import plan_download
+        from tactile_toolkit.exchange.download import plan_download
 
         sink = Sink(as_json, quiet)
         _refuse_other_kind(name, kind)

@@ -32,7 +32,7 @@ def print_made(sink: Sink, manifest: Manifest, out: Path) -> None:
 def tell_fetching(sink: Sink, name: str, split: str | None) -> None:
     """Say what of a data set on the Hub is about to be fetched: a published one may have many gigabytes."""
     from realtouch.names import repository_of
-    from tactile_toolkit.hub.names import hub_name
+    from tactile_toolkit.hub.repository import hub_name
 
     place = repository_of(name)
     if hub_name(place) is None or Path(place).expanduser().exists():

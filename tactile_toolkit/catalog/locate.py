@@ -8,8 +8,7 @@ from pathlib import Path
 
 from tactile_toolkit.errors import InputError, IntegrityError
 from tactile_toolkit.hub.errors import named_failures
-from tactile_toolkit.hub.names import HubName, hub_name
-from tactile_toolkit.hub.repository import HubRepository
+from tactile_toolkit.hub.repository import HubName, HubRepository, hub_name
 from tactile_toolkit.read.parquet import Shard
 from tactile_toolkit.store.folder import DataFolder
 from tactile_toolkit.store.manifest import MANIFEST_FILE, Manifest, manifest_so_far, read_manifest
@@ -76,10 +75,10 @@ def find_shards(
     repository = HubRepository(named.repo_id, named.revision)
     if _is_file(named):
         _require_split(named.path, split)
-        return (_hub_shard(repository, named.path, streaming),)
-    with repository.told_apart(f"split {split!r}"):
+        return _hub_shards(repository, [named.path], streaming)
+    with repository.missing_as_not_cached(f"split {split!r}"):
         files = files_of_split(_shards_below(repository, named.path), split, name)
-    return tuple(_hub_shard(repository, file.path, streaming) for file in files)
+    return _hub_shards(repository, [file.path for file in files], streaming)
 
 
 def find_files(
@@ -109,7 +108,7 @@ def find_files(
         if named is not None and _is_file(named):
             key = HubName(named.repo_id, named.revision, "")
             repository = repositories.setdefault(key, HubRepository(named.repo_id, named.revision))
-            shards.append(_hub_shard(repository, named.path, streaming))
+            shards += _hub_shards(repository, [named.path], streaming)
         elif place is not None and place.is_file():
             shards.append(Shard(str(place)))
         else:
@@ -181,12 +180,13 @@ def _require_split(path: str, split: str) -> None:
         raise no_split(split, (str(told),), path)
 
 
-def _hub_shard(repository: HubRepository, path: str, streaming: bool) -> Shard:
-    repository.expected(path)  # a file that is not there is told now, not when it is read
+def _hub_shards(repository: HubRepository, paths: Sequence[str], streaming: bool) -> tuple[Shard, ...]:
     if not streaming:
-        return Shard(repository.fetch(path))
+        return tuple(map(Shard, repository.fetch(paths)))
+    for path in paths:
+        repository.expected(path)  # a file that is not there is told now, not when it is read
     failures = functools.partial(named_failures, repository.repo_id, repository.revision, "streaming")
-    return Shard(repository.address(path), failures=failures)
+    return tuple(Shard(repository.address(path), failures=failures) for path in paths)
 
 
 def _shards_below(repository: HubRepository, folder: str) -> list[ShardFile]:

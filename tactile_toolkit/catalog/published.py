@@ -9,7 +9,8 @@ from pathlib import Path
 
 from tactile_toolkit.catalog.locate import shard_files
 from tactile_toolkit.errors import ToolkitError
-from tactile_toolkit.hub.snapshot import HubSnapshot, RepositoryCache, look_at
+from tactile_toolkit.hub.cache import RepositoryCache
+from tactile_toolkit.hub.repository import HubSnapshot, look_at
 from tactile_toolkit.kind import DatasetKind, PublishedSet, kinds
 from tactile_toolkit.store.manifest import MANIFEST_FILE
 from tactile_toolkit.store.shards import DATA_FOLDER

@@ -1,116 +1,318 @@
-"""Downloading data sets of the Hub: only the splits wanted, every file proved, into the cache or a folder."""
+"""Downloading data sets of the Hub: only the splits wanted, every file checked, into the cache or a folder.
+
+First everything is looked at and nothing is changed (:func:`plan_download`); then the plan is carried out
+(:func:`download`).
+"""
 
 from __future__ import annotations
 
 import re
 import shutil
-from collections.abc import Callable
-from dataclasses import replace
-from pathlib import Path
-from typing import TYPE_CHECKING
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path, PurePosixPath
 
 from tactile_toolkit.cards.card import CARD_FILE
-from tactile_toolkit.cards.facts import FolderFacts, folder_facts
+from tactile_toolkit.cards.facts import folder_facts
 from tactile_toolkit.cards.head import configs, dataset_info, head_text, size_category
-from tactile_toolkit.errors import StorageError, ToolkitError
-from tactile_toolkit.exchange.download_plan import DownloadPlan, labels_of
-from tactile_toolkit.hub.errors import ends_a_download, named_failures
-from tactile_toolkit.hub.fetch import fetch_whole, remember_whole
+from tactile_toolkit.catalog.locate import files_of_split, repository_named, repository_shards, shard_files
+from tactile_toolkit.catalog.published import published_set
+from tactile_toolkit.errors import HubError, IntegrityError, SpecMismatchError, StorageError, ToolkitError
+from tactile_toolkit.hub.cache import RepositoryCache, is_whole, remember_whole
+from tactile_toolkit.hub.errors import named_failures, not_cached, storage_failure_as_hub_error
+from tactile_toolkit.hub.repository import HubRepository, Transfers
+from tactile_toolkit.hub.retry import is_unanswered
 from tactile_toolkit.store.folder import DataFolder, atomic_file
-from tactile_toolkit.store.manifest import MANIFEST_FILE, Manifest, write_manifest
+from tactile_toolkit.store.manifest import MANIFEST_FILE, Manifest, read_manifest, write_manifest
 from tactile_toolkit.store.origin import DownloadRecord, HubFile, read_record, write_record
+from tactile_toolkit.store.plan import refuse_unknown_files
 from tactile_toolkit.store.shards import DATA_FOLDER
 
-if TYPE_CHECKING:
-    from tactile_toolkit.exchange.download_plan import DownloadPlan
+__all__ = ["DownloadPlan", "download", "plan_download"]
 
-__all__ = ["card_of_part", "download"]
-
+_EXTRA_FOLDERS = ("reports", "previews")
+_EXTRA_FILES = ("LICENSE", "LICENSE.md", "LICENSE.txt")
+_PICTURE_FOLDER = "images"
+_STAGE_FOLDER = ".downloading"
 _CARD = re.compile(r"---\r?\n(?P<head>.*?)\n---\r?\n(?P<body>.*)", flags=re.DOTALL)
 
 
-def card_of_part(content: bytes, folder: DataFolder, plan: DownloadPlan) -> bytes:
-    """Return a card whose YAML head names the splits that are here, and whose text says so.
+@dataclass(frozen=True, slots=True)
+class DownloadPlan:
+    """What is wanted, what of it is here, and what must go.
 
-    ``datasets.load_dataset(folder)`` fails over a split that the head names and the folder lacks. A card
-    without a head that can be read is left as it is.
-
-    Parameters
+    Attributes
     ----------
-    content : bytes
-        Card of the whole data set.
-    folder : DataFolder
-        Folder with the shards (and the manifest, if there is one) in place.
-    plan : DownloadPlan
-        The download.
+    repository : HubRepository
+        Where from.
+    folder : DataFolder or None
+        Where to; None for the Hub's own cache.
+    commit : str
+        Commit that all files are of.
+    splits : tuple of str
+        Splits that will be there.
+    all_splits : tuple of str
+        Splits of the repository.
+    files : tuple of HubFile
+        All files wanted, but for card and manifest of a folder, which are fitted to its splits.
+    missing : tuple of HubFile
+        Those of them that are to be fetched.
+    leftover : tuple of str
+        Files of an earlier download that the repository has no more; they are removed. None where the cache
+        answers for the Hub: what it does not list may well be there.
+    is_done : bool
+        Whether there is nothing to do at all.
     """
-    import yaml
 
-    text = content.decode("utf-8", errors="replace")
-    match = _CARD.fullmatch(text)
+    repository: HubRepository
+    folder: DataFolder | None
+    commit: str
+    splits: tuple[str, ...]
+    all_splits: tuple[str, ...]
+    files: tuple[HubFile, ...]
+    missing: tuple[HubFile, ...]
+    leftover: tuple[str, ...] = ()
+    is_done: bool = False
+
+    @property
+    def bytes(self) -> int:
+        """Size of all files wanted."""
+        return sum(file.size_bytes for file in self.files)
+
+    @property
+    def missing_bytes(self) -> int:
+        """Size of the files to be fetched."""
+        return sum(file.size_bytes for file in self.missing)
+
+    @property
+    def manifest(self) -> Manifest | None:
+        """Manifest of the data set; None where it has none."""
+        return read_manifest(self.folder) if self.is_done and self.folder else self.repository.manifest
+
+
+@storage_failure_as_hub_error()
+def plan_download(
+    name: str,
+    splits: Sequence[str] = (),
+    *,
+    revision: str | None = None,
+    out: str | None = None,
+    on_wait: Callable[[str], None] = lambda _: None,
+) -> DownloadPlan:
+    """Find out what a download has to do; changes nothing in the target.
+
+    ``name`` is a short name of a published set, or ``USER/NAME``; ``out`` a folder to fill instead of the
+    Hub's cache. No split named means all; splits that are in the folder already stay in step with them.
+    Raises InputError (not a repository, no such split, somebody's own files in the folder),
+    SpecMismatchError (the folder holds another data set) or HubError; then nothing in the folder was touched.
+    """
+    known = published_set(name)
+    repository = replace(repository_named(known.repo_id if known else name, revision), on_wait=on_wait)
     try:
-        head = yaml.safe_load(match["head"]) if match else None
-        facts = folder_facts(folder)
-    except (yaml.YAMLError, ToolkitError):
-        return content
-    if match is None or not isinstance(head, dict):
-        return content
-    return (head_text(_fitted(head, facts)) + _note(plan) + match["body"]).encode()
+        return _plan(repository, splits, out)
+    except ToolkitError:
+        if not repository.is_cached_for_now:
+            raise
+    # What the cache cannot give is worth waiting for a Hub in trouble.
+    return _plan(replace(repository, must_be_online=True), splits, out)
 
 
-def _fitted(head: dict[str, object], facts: FolderFacts) -> dict[str, object]:
-    fitted = {**head, "configs": configs(facts)}
-    if "size_categories" in head:
-        fitted["size_categories"] = [size_category(facts.rows)]
-    if "dataset_info" in head:
-        fitted["dataset_info"] = dataset_info(facts)
-    return fitted
+def _plan(repository: HubRepository, splits: Sequence[str], out: str | None) -> DownloadPlan:
+    if out is None:
+        return _plan_for_cache(repository, splits)
+    folder = DataFolder(out)
+    record = _own_record(folder, repository)
+    try:
+        is_offline = repository.snapshot.is_cache
+    except HubError as error:
+        done = _plan_by_record(repository, folder, record, splits)
+        if done is None or not is_unanswered(error):
+            raise
+        return done
+    done = _plan_by_record(repository, folder, record, splits) if is_offline else None
+    if done is not None:
+        return done
+    if record is not None and is_offline:
+        return _plan_by_cache(repository, folder, record, splits)
+    return _plan_for_folder(repository, folder, record, splits)
 
 
-def _note(plan: DownloadPlan) -> str:
-    here = ", ".join(f"`{split}`" for split in plan.splits)
-    return (
-        f"\n> This folder holds {here} of `{plan.repository.repo_id}` (commit `{plan.commit[:12]}`); the "
-        "text below describes the whole data set.\n\n"
+def _plan_for_cache(repository: HubRepository, splits: Sequence[str]) -> DownloadPlan:
+    _require_known_splits(repository, splits)
+    chosen, all_splits, shards = _chosen_splits(repository, splits)
+    files = _wanted(repository, [*_extras(repository, chosen, fitted=True), *shards])
+    missing = tuple(file for file in files if repository.cached(file.path) is None)
+    _require_cached_if_offline(repository, [file.path for file in missing])
+    commit = repository.snapshot.commit
+    return DownloadPlan(repository, None, commit, chosen, all_splits, files, missing, is_done=not missing)
+
+
+def _plan_for_folder(
+    repository: HubRepository, folder: DataFolder, record: DownloadRecord | None, splits: Sequence[str]
+) -> DownloadPlan:
+    _require_known_splits(repository, splits)
+    now = {file.split for file in repository_shards(repository)}
+    before = [file.split for file in shard_files(record.files)] if record else []
+    wanted = [*splits, *(split for split in before if split in now)] if splits else []
+    chosen, all_splits, shards = _chosen_splits(repository, wanted)
+    files = _wanted(repository, [*_extras(repository, chosen, fitted=False), *shards])
+    missing = tuple(file for file in files if not _is_here(folder, file))
+    kept = {file.path for file in files}
+    leftover = tuple(path for path in (record.files if record else ()) if path not in kept)
+    labels, commit = _labels_of(repository), repository.snapshot.commit
+    _require_cached_if_offline(repository, [*(file.path for file in missing), *labels])
+    same = record is not None and record.finished and record.commit == commit
+    done = same and not leftover and not missing and _is_labelled(folder, labels)
+    return DownloadPlan(repository, folder, commit, chosen, all_splits, files, missing, leftover, done)
+
+
+def _plan_by_cache(
+    repository: HubRepository, folder: DataFolder, record: DownloadRecord, splits: Sequence[str]
+) -> DownloadPlan:
+    """Plan for a folder while the cache answers for the Hub: it can mend and add, never tell what is gone."""
+    if repository.snapshot.commit != record.commit:
+        what = f"commit {record.commit[:12]}, which {folder.address()!r} holds,"
+        raise not_cached(repository.repo_id, what)
+    here = {file.split for file in shard_files(record.files)}
+    further = [split for split in splits if split not in here]
+    files = dict(record.files)
+    if further:
+        shards = _chosen_splits(repository, further)[2]
+        added = _wanted(repository, [*_extras(repository, further, fitted=False), *shards])
+        files |= {file.path: file for file in added}
+    missing = tuple(file for file in files.values() if not _is_here(folder, file))
+    _require_cached_if_offline(repository, [*(file.path for file in missing), *record.labels])
+    chosen = tuple(split for split in record.splits if split in {*here, *further})
+    return DownloadPlan(
+        repository, folder, record.commit, chosen, record.splits, tuple(files.values()), missing
     )
 
 
-_STAGE_FOLDER = ".downloading"
+def _plan_by_record(
+    repository: HubRepository, folder: DataFolder, record: DownloadRecord | None, splits: Sequence[str]
+) -> DownloadPlan | None:
+    """Return a plan with nothing to do if all that is wanted is there; for a Hub that cannot be asked."""
+    if record is None or not record.finished or record.revision != repository.revision:
+        return None
+    here = {file.split for file in shard_files(record.files)}
+    files = tuple(record.files.values())
+    if not set(splits or record.splits) <= here or not _is_labelled(folder, record.labels):
+        return None
+    if not all(_is_here(folder, file) for file in files):
+        return None
+    chosen = tuple(split for split in record.splits if split in here)
+    return DownloadPlan(repository, folder, record.commit, chosen, record.splits, files, (), is_done=True)
 
-Tell = Callable[[int, int], None]
+
+def _own_record(folder: DataFolder, repository: HubRepository) -> DownloadRecord | None:
+    """Return the record of an earlier download of the same repository; refuse a folder of anything else."""
+    record = read_record(folder)
+    if record is not None and record.repo_id == repository.repo_id:
+        return record
+    found = f"a download of {record.repo_id!r}" if record is not None else "a data set of another origin"
+    if record is not None or folder.exists(MANIFEST_FILE) or folder.names(DATA_FOLDER):
+        message = (
+            f"{folder.address()!r} holds {found}, not one of {repository.repo_id!r}; nothing in it was "
+            "changed; next: choose another folder with --out"
+        )
+        raise SpecMismatchError(message)
+    refuse_unknown_files(folder)
+    return None
 
 
-@ends_a_download()
+def _require_known_splits(repository: HubRepository, splits: Sequence[str]) -> None:
+    """Refuse to take what the cache lists for all that there is, while the Hub may still answer."""
+    if splits or repository.must_be_online or repository.manifest is not None:
+        return
+    if repository.is_cached_for_now:
+        message = f"the Hub does not say now which splits {repository.repo_id!r} has; next: try again later"
+        raise HubError(message)
+
+
+def _require_cached_if_offline(repository: HubRepository, paths: Iterable[str]) -> None:
+    """Make sure, before anything is touched, that the cache has what is wanted if it answers for the Hub."""
+    if repository.snapshot.is_cache:
+        for path in paths:
+            if repository.cached(path) is None:
+                raise not_cached(repository.repo_id, repr(path))
+
+
+def _chosen_splits(
+    repository: HubRepository, splits: Sequence[str]
+) -> tuple[tuple[str, ...], tuple[str, ...], list[str]]:
+    """Return the splits wanted (all, where none is named), all splits, and the paths of the shards wanted."""
+    found = repository_shards(repository)
+    order = repository.manifest.split_order if repository.manifest is not None else ()
+    names = {file.split for file in found}
+    known = tuple(split for split in order if split in names) or tuple(sorted(names))
+    chosen = tuple(split for split in known if split in splits) if splits else known
+    shards = []
+    for split in dict.fromkeys([*chosen, *splits] or ["train"]):
+        with repository.missing_as_not_cached(f"split {split!r}"):
+            shards += [file.path for file in files_of_split(found, split, repository.repo_id)]
+    return chosen, known, shards
+
+
+def _extras(repository: HubRepository, splits: Sequence[str], *, fitted: bool) -> list[str]:
+    """Return what goes with the shards of some splits: small files, and pictures where the set has any.
+
+    With ``fitted``, card and manifest too, as they are.
+    """
+    manifest = repository.manifest
+    listed = set(manifest.files or ()) if manifest is not None else set()
+
+    def is_extra(path: str) -> bool:
+        if path in (CARD_FILE, MANIFEST_FILE):
+            return fitted
+        return path in listed or path in _EXTRA_FILES or PurePosixPath(path).parts[0] in _EXTRA_FOLDERS
+
+    found = [path for path in repository.files() if is_extra(path)]
+    if manifest is None:
+        return found
+    # Data sets of plain pictures name them in their rows: without the files, those are names of nothing.
+    folders = tuple(f"{_PICTURE_FOLDER}/{split}/" for split in splits)
+    return [*found, *(path for path in repository.files() if path.startswith(folders))]
+
+
+def _wanted(repository: HubRepository, paths: Iterable[str]) -> tuple[HubFile, ...]:
+    """Return wanted files with what proves them: the manifest's checksums, or else the Hub's."""
+    return tuple(HubFile(path, repository.size_bytes(path), repository.expected(path)) for path in paths)
+
+
+def _is_here(folder: DataFolder, file: HubFile) -> bool:
+    path = Path(folder.address(file.path))
+    if not path.is_file() or path.stat().st_size != file.size_bytes or file.digest is None:
+        return False
+    return is_whole(path, file.digest)
+
+
+def _labels_of(repository: HubRepository) -> tuple[str, ...]:
+    """Return which of card and manifest a repository has."""
+    return tuple(name for name in (CARD_FILE, MANIFEST_FILE) if name in repository.snapshot.files)
+
+
+def _is_labelled(folder: DataFolder, labels: Iterable[str]) -> bool:
+    """Tell whether a folder has its card, and a manifest that says that nothing is left to do."""
+    if not all(folder.exists(name) for name in labels):
+        return False
+    try:
+        manifest = read_manifest(folder)
+    except IntegrityError:
+        return False
+    return manifest is None or manifest.complete
+
+
+@storage_failure_as_hub_error()
 def download(
     plan: DownloadPlan,
-    on_progress: Tell = lambda _done, _total: None,
+    on_progress: Callable[[int, int], None] = lambda _done, _total: None,
     on_wait: Callable[[str], None] = lambda _: None,
 ) -> str:
-    """Carry out a plan.
+    """Carry out a plan and return the folder that holds the files: that of a commit in the cache, or its own.
 
-    Parameters
-    ----------
-    plan : DownloadPlan
-        What to do.
-    on_progress : callable
-        Told the bytes that have arrived and the bytes in all.
-    on_wait : callable
-        Told, in a sentence, why there is a wait.
-
-    Returns
-    -------
-    str
-        The folder that now holds the files: the one asked for, or that of the commit in the Hub's cache.
-
-    Raises
-    ------
-    IntegrityError
-        A file arrived damaged twice; nothing of it is kept, whole files are.
-    HubError
-        The Hub or the network failed; the same call goes on where it stopped.
-    StorageError
-        There is no space; nothing was begun, or what has arrived is kept. Its exit code is that of
-        :class:`tactile_toolkit.errors.HubError`.
+    ``on_progress`` is told the bytes that have arrived and the bytes in all. Raises IntegrityError (a file
+    arrived damaged twice; nothing of it is kept, whole files are), HubError (the same call goes on where it
+    stopped) or StorageError, with the exit code of HubError.
     """
     arrived = 0
 
@@ -120,10 +322,12 @@ def download(
         on_progress(arrived, plan.missing_bytes)
 
     _require_space(plan)
+    transfers = Transfers(on_bytes, on_wait)
     if plan.folder is None:
-        return _into_cache(plan, on_bytes, on_wait)
+        plan.repository.fetch([file.path for file in plan.missing], transfers)
+        return str(RepositoryCache(plan.repository.repo_id).snapshot_folder(plan.commit))
     if not plan.is_done:
-        _into_folder(plan, plan.folder, on_bytes, on_wait)
+        _fill(plan, plan.folder, transfers)
     return plan.folder.address()
 
 
@@ -131,7 +335,7 @@ def _require_space(plan: DownloadPlan) -> None:
     from huggingface_hub import constants
 
     target = Path(plan.folder.address() if plan.folder else constants.HF_HUB_CACHE)
-    there = next(place for place in (target, *target.absolute().parents) if place.exists())
+    there = next(path for path in (target, *target.absolute().parents) if path.exists())
     free = shutil.disk_usage(there).free
     if plan.missing_bytes > free:
         message = (
@@ -141,87 +345,93 @@ def _require_space(plan: DownloadPlan) -> None:
         raise StorageError(message)
 
 
-def _into_cache(plan: DownloadPlan, on_bytes: Callable[[int], None], on_wait: Callable[[str], None]) -> str:
-    from tactile_toolkit.hub.snapshot import RepositoryCache
-
-    for file in plan.missing:
-        plan.repository.fetch(file.path, on_bytes, on_wait)
-    return str(RepositoryCache(plan.repository.repo_id).folder / "snapshots" / plan.commit)
-
-
-def _into_folder(
-    plan: DownloadPlan, folder: DataFolder, on_bytes: Callable[[int], None], on_wait: Callable[[str], None]
-) -> None:
+def _fill(plan: DownloadPlan, folder: DataFolder, transfers: Transfers) -> None:
     """Bring a folder to the commit of the plan; a reader never takes a mixture for a finished data set."""
+    repository, manifest = plan.repository, plan.repository.manifest
     folder.require_folder()
     for sub in ("", DATA_FOLDER):
         folder.remove_stale_files(sub)
-    _announce(plan, folder)
+    record = DownloadRecord(
+        repository.repo_id,
+        plan.commit,
+        repository.revision,
+        {file.path: file for file in plan.files},
+        plan.all_splits,
+        _labels_of(repository),
+    )
+    # What the folder is to become is written down first, so that a killed download is known for what it is.
+    earlier = read_record(folder)
+    files = {**(earlier.files if earlier else {}), **record.files}
+    write_record(folder, replace(record, files=files, finished=False))
+    if manifest is not None and (plan.missing or plan.leftover):
+        write_manifest(folder, replace(manifest, shards=(), complete=False))
     for path in (*plan.leftover, *(file.path for file in plan.missing)):
         folder.remove(path)
-    for file in plan.missing:
-        _bring(plan, folder, file, on_bytes, on_wait)
-    _label(plan, folder, on_wait)
-    write_record(folder, _record(plan))
+    transfers.each(lambda file: _bring(plan, folder, file, transfers), plan.missing)
+    _label(plan, folder, manifest)
+    write_record(folder, record)
     shutil.rmtree(folder.address(_STAGE_FOLDER), ignore_errors=True)
 
 
-def _announce(plan: DownloadPlan, folder: DataFolder) -> None:
-    """Write down first what the folder is to become, so that a killed download is known for what it is."""
-    earlier = read_record(folder)
-    record = _record(plan)
-    files = {**(earlier.files if earlier else {}), **record.files}
-    write_record(folder, replace(record, files=files, finished=False))
-    manifest = plan.repository.manifest
-    if manifest is not None and (plan.missing or plan.leftover):
-        write_manifest(folder, replace(manifest, shards=(), complete=False))
-
-
-def _record(plan: DownloadPlan) -> DownloadRecord:
-    repository = plan.repository
-    files = {file.path: file for file in plan.files}
-    return DownloadRecord(
-        repository.repo_id, plan.commit, repository.revision, files, plan.all_splits, labels_of(repository)
-    )
-
-
-def _bring(
-    plan: DownloadPlan,
-    folder: DataFolder,
-    file: HubFile,
-    on_bytes: Callable[[int], None],
-    on_wait: Callable[[str], None],
-) -> None:
+def _bring(plan: DownloadPlan, folder: DataFolder, file: HubFile, transfers: Transfers) -> None:
     """Bring one file into the folder: copied where the Hub's cache has it whole, fetched where not."""
-    place = Path(folder.address(file.path))
-    cached = plan.repository.cached(file.path)
-    with named_failures(plan.repository.repo_id, plan.repository.revision, f"fetching {file.path!r} of"):
-        if cached is None:
-            transfer = plan.repository.transfer(file.path, on_bytes, on_wait)
-            stage = Path(folder.address(f"{_STAGE_FOLDER}/{transfer.digest.value}.incomplete"))
-            fetch_whole(transfer, place, stage)
-            return
-        with cached.open("rb") as source, atomic_file(place) as target:
-            shutil.copyfileobj(source, target, 1 << 20)
-        on_bytes(file.size_bytes)
+    repository, target = plan.repository, Path(folder.address(file.path))
+    cached = repository.cached(file.path)
+    with named_failures(repository.repo_id, repository.revision, f"fetching {file.path!r} of"):
+        if cached is not None:
+            with cached.open("rb") as source, atomic_file(target) as stream:
+                shutil.copyfileobj(source, stream, 1 << 20)
+            transfers.count(file.size_bytes)
+        else:
+            # Beside its place until it is checked: what has the name of a file of the data set is whole.
+            staged = repository.download(file.path, transfers, Path(folder.address(_STAGE_FOLDER)))
+            target.parent.mkdir(parents=True, exist_ok=True)
+            staged.replace(target)
     if file.digest is not None:
-        remember_whole(place, file.digest)
+        remember_whole(target, file.digest)
 
 
-def _label(plan: DownloadPlan, folder: DataFolder, on_wait: Callable[[str], None]) -> None:
+def _label(plan: DownloadPlan, folder: DataFolder, manifest: Manifest | None) -> None:
     """Write manifest and card, fitted to the splits that are there."""
-    manifest = plan.repository.manifest
     is_part = set(plan.splits) < set(plan.all_splits)
-    if manifest is not None:
-        _write_manifest(plan, folder, manifest, is_part)
-    if CARD_FILE in plan.repository.files():
-        content = Path(plan.repository.fetch(CARD_FILE, on_wait=on_wait)).read_bytes()
-        folder.write_bytes(CARD_FILE, card_of_part(content, folder, plan) if is_part else content)
-
-
-def _write_manifest(plan: DownloadPlan, folder: DataFolder, manifest: Manifest, is_part: bool) -> None:
-    if is_part:
+    names = [name for name in (MANIFEST_FILE, CARD_FILE) if name in plan.repository.files()]
+    contents = {
+        name: Path(path).read_bytes() for name, path in zip(names, plan.repository.fetch(names), strict=True)
+    }
+    if manifest is not None and is_part:
         records = [record for record in manifest.shards if record.shard.split in plan.splits]
         write_manifest(folder, replace(manifest, shards=tuple(records)))
-    else:
-        folder.write_bytes(MANIFEST_FILE, Path(plan.repository.fetch(MANIFEST_FILE)).read_bytes())
+    elif manifest is not None:
+        folder.write_bytes(MANIFEST_FILE, contents[MANIFEST_FILE])
+    if CARD_FILE in contents:
+        card = contents[CARD_FILE]
+        folder.write_bytes(CARD_FILE, _card_of_part(card, folder, plan) if is_part else card)
+
+
+def _card_of_part(content: bytes, folder: DataFolder, plan: DownloadPlan) -> bytes:
+    """Return a card whose YAML head names the splits that are here, and whose text says so.
+
+    ``datasets.load_dataset(folder)`` fails over a split that the head names and the folder lacks. A card
+    without a head that can be read is left as it is. Shards and manifest must be in place.
+    """
+    import yaml
+
+    match = _CARD.fullmatch(content.decode("utf-8", errors="replace"))
+    try:
+        head = yaml.safe_load(match["head"]) if match else None
+        facts = folder_facts(folder)
+    except (yaml.YAMLError, ToolkitError):
+        return content
+    if match is None or not isinstance(head, dict):
+        return content
+    head["configs"] = configs(facts)
+    if "size_categories" in head:
+        head["size_categories"] = [size_category(facts.rows)]
+    if "dataset_info" in head:
+        head["dataset_info"] = dataset_info(facts)
+    here = ", ".join(f"`{split}`" for split in plan.splits)
+    note = (
+        f"\n> This folder holds {here} of `{plan.repository.repo_id}` (commit `{plan.commit[:12]}`); the "
+        "text below describes the whole data set.\n\n"
+    )
+    return (head_text(head) + note + match["body"]).encode()

@@ -9,7 +9,6 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from fnmatch import fnmatch
-from importlib import import_module
 from pathlib import Path
 from typing import Any
 
@@ -30,6 +29,7 @@ from tactile_toolkit.exchange.upload_target import (
     collect,
     staged,
 )
+from tactile_toolkit.hub.errors import require_repository_name
 from tactile_toolkit.hub.retry import ask
 from tactile_toolkit.store.folder import DataFolder
 from tactile_toolkit.store.manifest import MANIFEST_FILE, Manifest, read_manifest
@@ -137,7 +137,12 @@ class _Sending:
         """Send, and try again what fails in passing, but never what has had its effect."""
         target = self._prepared.target
         return ask(
-            self._send, target.repo_id, target.branch, "uploading to", look=self._look, on_wait=target.on_wait
+            self._send,
+            target.repo_id,
+            target.branch,
+            "uploading to",
+            find_result=self._look,
+            on_wait=target.on_wait,
         )
 
     def _send(self) -> Sent:
@@ -241,7 +246,7 @@ def prepare_upload(
         Not logged in, not allowed, or the Hub cannot be reached.
     """
     chosen = options or UploadOptions()
-    _require_name(repo_id)
+    require_repository_name(repo_id)
     root, manifest = _finished(folder)
     _require_sound(root, list((check or _verified)(DataFolder(str(root)))))
     target = UploadTarget(repo_id, chosen.revision or MAIN, on_wait)
@@ -280,26 +285,6 @@ def run_upload(prepared: PreparedUpload) -> UploadResult:
         prepared.removed if did_send else (),
         tuple(tagged(prepared, sent)),
     )
-
-
-def _require_name(repo_id: str) -> None:
-    """Refuse what is no ``USER/NAME``: the Hub would make a repository of a bare name, and lose it.
-
-    Raises
-    ------
-    InputError
-        It is none.
-    """
-    from huggingface_hub.errors import HFValidationError
-
-    client: Any = import_module("huggingface_hub.utils")  # its names are not exported to type checkers
-    try:
-        if repo_id.count("/") != 1:
-            raise HFValidationError
-        client.validate_repo_id(repo_id)
-    except HFValidationError as error:
-        message = f"{repo_id!r} is no name of a repository; next: give USER/NAME"
-        raise InputError(message) from error
 
 
 def _refuse_taken_names(target: UploadTarget, options: UploadOptions, state: RemoteState) -> None:

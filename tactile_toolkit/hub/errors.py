@@ -11,22 +11,24 @@ import errno
 import os
 import re
 from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+from importlib import import_module
+from typing import Any
 
 from tactile_toolkit.errors import HubError, InputError, StorageError, ToolkitError
 
 __all__ = [
     "cause_chain",
-    "ends_a_download",
     "failure_of",
     "is_connection_failure",
     "is_scrubbed",
     "named_failures",
     "not_cached",
+    "require_repository_name",
     "scrub",
     "shown_cause",
     "status_of",
-    "token_state",
-    "whose_token",
+    "storage_failure_as_hub_error",
 ]
 
 _TOKEN = re.compile(r"\b(?:hf|api_org)_[A-Za-z0-9]{6,}")
@@ -35,15 +37,9 @@ _HEADER = re.compile(r"(?i)\b(bearer|authorization:?)\s+(?!bearer)[^\s'\"]+")
 _QUERY = re.compile(r"(https?://[^\s'\"<>?]+)\?[^\s'\"<>]+")
 _HIDDEN = "hf_***"
 
-
-def token_state() -> str:
-    """Return where the token in use comes from (``"HF_TOKEN"`` or ``"stored login"``); empty without one."""
-    from huggingface_hub import get_token
-
-    if not get_token():
-        return ""
-    named = any(os.environ.get(name) for name in ("HF_TOKEN", "HUGGING_FACE_HUB_TOKEN"))
-    return "HF_TOKEN" if named else "stored login"
+_FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
+_FORBIDDEN = (errno.EACCES, errno.EPERM, errno.EROFS)
+_LOGIN = "log in with `hf auth login` (or set HF_TOKEN)"
 
 
 def scrub(text: str) -> str:
@@ -59,108 +55,6 @@ def scrub(text: str) -> str:
 def is_scrubbed(errors: Iterable[BaseException]) -> bool:
     """Tell whether errors can be shown as they are, without a token in any of them."""
     return all(scrub(str(error)) == str(error) for error in errors)
-
-
-def whose_token() -> tuple[str, str, tuple[str, ...]]:
-    """Ask the Hub for name, role and organisations of the token in use; empty when it does not say."""
-    from huggingface_hub import HfApi
-
-    try:
-        person = HfApi().whoami()
-        role = str(person.get("auth", {}).get("accessToken", {}).get("role", ""))
-        return str(person["name"]), role, tuple(str(entry["name"]) for entry in person.get("orgs", ()))
-    except Exception:
-        # Only to word a refusal better: whatever goes wrong here must not hide that refusal.
-        return "", "", ()
-
-
-_NEXT_LOGIN = "log in with `hf auth login` (or set HF_TOKEN)"
-_FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
-_FORBIDDEN = (errno.EACCES, errno.EPERM, errno.EROFS)
-
-
-@contextlib.contextmanager
-def named_failures(repo_id: str, revision: str | None = None, doing: str = "reading") -> Iterator[None]:
-    """Turn every failure of the Hub, the network and its cache into an error of the toolkit.
-
-    Parameters
-    ----------
-    repo_id : str
-        ``USER/NAME``, for the message.
-    revision : str, optional
-        Branch, tag or commit that was asked for.
-    doing : str
-        What is done to the repository: ``"reading"``, ``"uploading to"``, ...
-
-    Raises
-    ------
-    HubError
-        Not logged in, not allowed, not there, not reached, or refused; the message says which and what to do.
-    StorageError
-        The disk is full or may not be written to.
-    InputError
-        ``repo_id`` is no name of a repository.
-    """
-    try:
-        yield
-    except Exception as error:
-        failure = failure_of(error, repo_id, revision, doing)
-        if failure is None:
-            raise
-        raise failure from shown_cause(error)
-
-
-def failure_of(
-    error: Exception, repo_id: str, revision: str | None = None, doing: str = "reading", tries: int = 1
-) -> ToolkitError | None:
-    """Name a failure; None for an error that has nothing to do with the Hub.
-
-    Parameters
-    ----------
-    error : Exception
-        As it was raised.
-    repo_id, revision, doing
-        As for :func:`named_failures`.
-    tries : int
-        How often it was tried before giving up.
-    """
-    chain = cause_chain(error)
-    if any(isinstance(link, ToolkitError) for link in chain):
-        return None
-    subject = f"Hub data set {repo_id!r}"
-    for find in (_storage_failure, _named_failure, _status_failure, _network_failure, _other_failure):
-        for link in chain:
-            found = find(link, subject, repo_id, revision, doing)
-            if found is not None:
-                often = f" (tried {tries} times)" if tries > 1 else ""
-                head, next_step, rest = str(found).partition("; next: ")
-                return type(found)(scrub(f"{head}{often}{next_step}{rest}"))
-    return None
-
-
-@contextlib.contextmanager
-def ends_a_download() -> Iterator[None]:
-    """Give a disk that takes no more the exit code of a :class:`HubError`.
-
-    To scripts it is the download that did not come to its end, whatever stopped it.
-    """
-    try:
-        yield
-    except StorageError as error:
-        error.exit_code = HubError.exit_code
-        raise
-
-
-def not_cached(repo_id: str, what: str) -> HubError:
-    """Say what is missing in the cache while the Hub cannot be asked."""
-    from huggingface_hub import constants
-
-    if constants.HF_HUB_OFFLINE:
-        why, then = "HF_HUB_OFFLINE forbids to fetch it", "unset HF_HUB_OFFLINE once"
-    else:
-        why = f"the Hub at {constants.ENDPOINT} gives no answer now"
-        then = "check the network, and run the same command again"
-    return HubError(f"{what} of Hub data set {repo_id!r} is not in the cache, and {why}; next: {then}")
 
 
 def shown_cause(error: Exception) -> Exception | None:
@@ -180,8 +74,7 @@ def cause_chain(error: BaseException) -> list[BaseException]:
 
 def status_of(error: BaseException) -> int | None:
     """Return the HTTP status that an error carries."""
-    response = getattr(error, "response", None)
-    status = getattr(response, "status_code", None)
+    status = getattr(getattr(error, "response", None), "status_code", None)
     return int(status) if status is not None else None
 
 
@@ -192,118 +85,254 @@ def is_connection_failure(error: BaseException) -> bool:
     return status_of(error) is None and bool(roots & libraries)
 
 
-def _storage_failure(
-    error: BaseException, subject: str, repo_id: str, revision: str | None, doing: str
+@contextlib.contextmanager
+def named_failures(repo_id: str, revision: str | None = None, doing: str = "reading") -> Iterator[None]:
+    """Turn every failure of the Hub, the network and its cache into an error of the toolkit.
+
+    ``doing`` says what is done to the repository: ``"reading"``, ``"uploading to"``, ... Raises HubError (not
+    allowed, not there, not reached), StorageError (no space, no permission) or InputError (not a name).
+    """
+    try:
+        yield
+    except Exception as error:
+        failure = failure_of(error, repo_id, revision, doing)
+        if failure is None:
+            raise
+        raise failure from shown_cause(error)
+
+
+@contextlib.contextmanager
+def storage_failure_as_hub_error() -> Iterator[None]:
+    """Give a full disk the exit code of HubError: to scripts it is a download that did not end."""
+    try:
+        yield
+    except StorageError as error:
+        error.exit_code = HubError.exit_code
+        raise
+
+
+def not_cached(repo_id: str, what: str) -> HubError:
+    """Say what is missing in the cache while the Hub cannot be asked."""
+    from huggingface_hub import constants
+
+    if constants.HF_HUB_OFFLINE:
+        why, then = "HF_HUB_OFFLINE forbids to fetch it", "unset HF_HUB_OFFLINE once"
+    else:
+        why = f"the Hub at {constants.ENDPOINT} gives no answer now"
+        then = "check the network, and run the same command again"
+    return HubError(f"{what} of Hub data set {repo_id!r} is not in the cache, and {why}; next: {then}")
+
+
+def require_repository_name(repo_id: str) -> None:
+    """Refuse what is not ``USER/NAME``: the Hub would make a repository of a bare name, and lose it."""
+    from huggingface_hub import errors
+
+    client: Any = import_module("huggingface_hub.utils")  # its names are not exported to type checkers
+    with named_failures(repo_id):
+        if repo_id.count("/") != 1:
+            raise errors.HFValidationError
+        client.validate_repo_id(repo_id)
+
+
+def failure_of(
+    error: Exception, repo_id: str, revision: str | None = None, doing: str = "reading", tries: int = 1
 ) -> ToolkitError | None:
-    if not isinstance(error, OSError) or status_of(error) is not None:
+    """Name a failure that came after so many tries; None for one that has nothing to do with the Hub."""
+    chain = cause_chain(error)
+    if any(isinstance(link, ToolkitError) for link in chain):
         return None
-    where = f" ({error.filename!r})" if error.filename else ""
-    if error.errno in _FULL:
-        return StorageError(
-            f"no space is left on the device{where} while {doing} {subject}; nothing half-written counts as "
-            "whole; next: free some space, or choose another place with --out or HF_HOME, and run it again"
-        )
-    if error.errno in _FORBIDDEN:
-        return StorageError(
-            f"may not write{where} while {doing} {subject}: {error.strerror}; next: choose another place "
-            "with --out or HF_HOME"
-        )
+    request = _Request(repo_id, revision, doing)
+    # The most telling question first, of every link: what wraps an error says less than the error itself.
+    questions = (request.storage, request.client_error, request.status, request.network, request.other)
+    for question in questions:
+        for link in chain:
+            found = question(link)
+            if found is not None:
+                often = f" (tried {tries} times)" if tries > 1 else ""
+                head, next_step, rest = str(found).partition("; next: ")
+                return type(found)(scrub(f"{head}{often}{next_step}{rest}"))
     return None
 
 
-def _named_failure(
-    error: BaseException, subject: str, repo_id: str, revision: str | None, doing: str
-) -> ToolkitError | None:
-    """Name the errors that the client has a type of its own for."""
-    from huggingface_hub import constants, errors
+@dataclass(frozen=True, slots=True)
+class _Request:
+    """What was asked of the Hub; each method names one sort of failure, or returns None for any other."""
 
-    page = f"{constants.ENDPOINT}/datasets/{repo_id}"
-    if isinstance(error, errors.HFValidationError):
-        return InputError(f"{repo_id!r} is no name of a repository; next: give USER/NAME")
-    if isinstance(error, errors.LocalTokenNotFoundError):
-        return HubError(f"{doing} {subject} needs a login, and there is no token here; next: {_NEXT_LOGIN}")
-    if isinstance(error, errors.GatedRepoError):
-        login = "" if token_state() else f", and {_NEXT_LOGIN}"
-        return HubError(f"{subject} is gated; next: accept its terms at {page}{login}")
-    if isinstance(error, errors.RepositoryNotFoundError):
-        return HubError(f"{subject} was not found, or is private{_why_unseen()}")
-    if isinstance(error, errors.RevisionNotFoundError):
-        return HubError(f"{subject} has no revision {revision!r}; next: see its branches and tags at {page}")
-    if isinstance(error, errors.RemoteEntryNotFoundError):
-        return HubError(f"{subject} has no file {_file_of(error)}; next: see what it has at {page}/tree/main")
-    return None
+    repo_id: str
+    revision: str | None
+    doing: str
 
+    @property
+    def subject(self) -> str:
+        return f"Hub data set {self.repo_id!r}"
 
-def _why_unseen() -> str:
-    if token_state():
-        return (
-            " and your token may not see it; next: check the name, or log in with `hf auth login` as someone "
-            "who may"
+    def storage(self, error: BaseException) -> ToolkitError | None:
+        if not isinstance(error, OSError) or status_of(error) is not None:
+            return None
+        where = f" ({error.filename!r})" if error.filename else ""
+        if error.errno in _FULL:
+            return StorageError(
+                f"no space is left on the device{where} while {self.doing} {self.subject}; nothing "
+                "half-written counts as whole; next: free some space, or choose another place with --out or "
+                "HF_HOME, and run it again"
+            )
+        if error.errno in _FORBIDDEN:
+            return StorageError(
+                f"may not write{where} while {self.doing} {self.subject}: {error.strerror}; next: choose "
+                "another place with --out or HF_HOME"
+            )
+        return None
+
+    def client_error(self, error: BaseException) -> ToolkitError | None:
+        """Name the errors that the client has a type of its own for."""
+        from huggingface_hub import constants, errors
+
+        page, logged_in = f"{constants.ENDPOINT}/datasets/{self.repo_id}", bool(_token_source())
+        accept = f"accept its terms at {page}" + ("" if logged_in else f", and {_LOGIN}")
+        unseen = (
+            "your token may not see it; next: check the name, or log in with `hf auth login` as someone who "
+            "may"
+            if logged_in
+            else f"you are not logged in; next: check the name, or {_LOGIN}"
         )
-    return f" and you are not logged in; next: check the name, or {_NEXT_LOGIN}"
+        address = str(getattr(getattr(error, "response", None), "url", ""))
+        file = re.sub(r".*/resolve/[^/]+/|[?#].*", "", address)
+        words: dict[type[Exception], str] = {
+            errors.LocalTokenNotFoundError: self._needs_login(),
+            errors.GatedRepoError: f"{self.subject} is gated; next: {accept}",
+            errors.RepositoryNotFoundError: f"{self.subject} was not found, or is private and {unseen}",
+            errors.RevisionNotFoundError: (
+                f"{self.subject} has no revision {self.revision!r}; next: see its branches and tags at {page}"
+            ),
+            errors.RemoteEntryNotFoundError: (
+                f"{self.subject} has no file {file!r}; next: see what it has at {page}/tree/main"
+            ),
+        }
+        if isinstance(error, errors.HFValidationError):
+            return InputError(f"{self.repo_id!r} is not a name of a repository; next: give USER/NAME")
+        return next((HubError(text) for kind, text in words.items() if isinstance(error, kind)), None)
 
+    def status(self, error: BaseException) -> ToolkitError | None:
+        """Name what the Hub answered with a bare status."""
+        status = status_of(error)
+        if status is None:
+            return None
+        doing = f"{self.doing} {self.subject}"
+        words = {
+            409: f"{self.subject} has that already: {_server_words(error)}; next: choose another name",
+            412: f"{self.subject} was changed by someone else meanwhile; next: run the same command again",
+            429: (
+                f"the Hub wants fewer requests (429) while {doing}; next: try again {_when(error)}, what has "
+                "arrived is kept"
+            ),
+        }
+        if status == 401:
+            return HubError(self._unauthorized())
+        if status == 403:
+            return HubError(self._forbidden(error))
+        if status >= 500:
+            return HubError(
+                f"the Hub is in trouble while {doing}: it answered {status}; next: try again later, what has "
+                "arrived is kept"
+            )
+        refused = f"the Hub refused {doing} ({status}): {_server_words(error)}; next: mend what it names"
+        return HubError(words.get(status, refused))
 
-def _file_of(error: BaseException) -> str:
-    path = str(getattr(getattr(error, "response", None), "url", ""))
-    return repr(re.sub(r".*/resolve/[^/]+/|[?#].*", "", path))
+    def network(self, error: BaseException) -> ToolkitError | None:
+        from huggingface_hub import constants, errors
 
-
-def _status_failure(
-    error: BaseException, subject: str, repo_id: str, revision: str | None, doing: str
-) -> ToolkitError | None:
-    """Name what the Hub answered with a bare status."""
-    status = status_of(error)
-    if status == 401:
-        return HubError(_unauthorized(subject, doing))
-    if status == 403:
-        return HubError(_forbidden(error, subject, repo_id, doing))
-    if status == 409:
-        return HubError(f"{subject} has that already: {_server_words(error)}; next: choose another name")
-    if status == 412:
-        return HubError(f"{subject} was changed by someone else meanwhile; next: run the same command again")
-    if status == 429:
-        return HubError(f"the Hub wants fewer requests (429) while {doing} {subject}{_when_again(error)}")
-    if status is not None and status >= 500:
+        doing = f"{self.doing} {self.subject}"
+        not_here = isinstance(error, errors.LocalEntryNotFoundError) and constants.HF_HUB_OFFLINE
+        if isinstance(error, errors.OfflineModeIsEnabled) or not_here:
+            if self.doing.startswith("uploading"):
+                return HubError(f"HF_HUB_OFFLINE forbids {doing}; next: unset HF_HUB_OFFLINE")
+            return HubError(
+                f"{self.subject} is not in the cache as far as asked for, and HF_HUB_OFFLINE forbids to "
+                "fetch it; next: unset HF_HUB_OFFLINE once"
+            )
+        if not is_connection_failure(error) and not isinstance(error, (TimeoutError, ConnectionError)):
+            return None
+        kind, hub = type(error).__name__, f"the Hub at {constants.ENDPOINT}"
+        again = "next: check the network, and HF_ENDPOINT if you set it, and run the same command again"
+        cached = ", which is not in the cache as far as asked for" if self.doing == "reading" else ""
+        if not re.match(r"https?://[^/]", constants.ENDPOINT):
+            return HubError(
+                f"HF_ENDPOINT is {constants.ENDPOINT!r}, which is not an address, so that {doing} cannot "
+                "begin; next: unset it, or set one such as https://huggingface.co"
+            )
+        if isinstance(error, TimeoutError) or "Timeout" in kind:
+            return HubError(f"{hub} does not answer in time while {doing}{cached}; {again}")
+        if isinstance(error, ConnectionRefusedError) or kind in ("ConnectError", "ClientConnectorError"):
+            return HubError(f"{hub} cannot be reached ({kind}) while {doing}{cached}; {again}")
         return HubError(
-            f"the Hub is in trouble while {doing} {subject}: it answered {status}; next: try again later, "
-            "what has arrived is kept"
+            f"the connection to the Hub broke while {doing}; next: run the same command again, it goes on "
+            "where it stopped"
         )
-    if status is not None:
-        words = _server_words(error)
-        return HubError(f"the Hub refused {doing} {subject} ({status}): {words}; next: mend what it names")
-    return None
 
+    def other(self, error: BaseException) -> ToolkitError | None:
+        """Name what is left of the client's and the system's errors."""
+        from huggingface_hub import constants, errors
 
-def _unauthorized(subject: str, doing: str) -> str:
-    source = token_state()
-    if not source:
-        return f"{doing} {subject} needs a login, and there is no token here; next: {_NEXT_LOGIN}"
-    renew = "set another one, or unset it" if source == "HF_TOKEN" else "`hf auth login --force`"
-    return (
-        f"the Hub does not know the token ({source}), it is mistyped, expired or deleted; nothing can be "
-        f"read with it, not even {subject}; next: {renew}"
-    )
+        if isinstance(error, errors.FileMetadataError):
+            return HubError(f"{constants.ENDPOINT} does not answer as a Hub does; next: check HF_ENDPOINT")
+        if isinstance(error, errors.LocalEntryNotFoundError):
+            return HubError(
+                f"{self.subject} is not in the cache as far as asked for, and could not be fetched; next: "
+                "check the network and run the same command again"
+            )
+        if isinstance(error, OSError):
+            what = f"{type(error).__name__}: {_server_words(error)}"
+            return HubError(f"{self.doing} {self.subject} failed: {what}; next: try again")
+        return None
 
+    def _needs_login(self) -> str:
+        return f"{self.doing} {self.subject} needs a login, and there is no token here; next: {_LOGIN}"
 
-def _forbidden(error: BaseException, subject: str, repo_id: str, doing: str) -> str:
-    """Ask the Hub whose token this is: its refusals read the same for a weak token and a wrong namespace."""
-    namespace = repo_id.partition("/")[0]
-    name, role, organizations = whose_token()
-    if role == "read":
+    def _unauthorized(self) -> str:
+        source = _token_source()
+        if not source:
+            return self._needs_login()
+        renew = "set another one, or unset it" if source == "HF_TOKEN" else "`hf auth login --force`"
         return (
-            f"the token of {name!r} has no write access, which {doing} {subject} needs; next: make one of "
-            "role `write` in your settings on the Hub and `hf auth login` with it"
+            f"the Hub does not know the token ({source}), it is mistyped, expired or deleted; nothing can be "
+            f"read with it, not even {self.subject}; next: {renew}"
         )
-    if name and namespace not in (name, *organizations):
-        own = ", ".join([name, *organizations])
+
+    def _forbidden(self, error: BaseException) -> str:
+        """Ask the Hub whose token this is: its refusals read the same for a weak token and another's name."""
+        from huggingface_hub import HfApi
+
+        doing, namespace = f"{self.doing} {self.subject}", self.repo_id.partition("/")[0]
+        person: dict[str, Any] = {}
+        # Only to word the refusal better: whatever goes wrong here must not hide that refusal.
+        with contextlib.suppress(Exception):
+            person = HfApi().whoami()
+        name = str(person.get("name", ""))
+        if person.get("auth", {}).get("accessToken", {}).get("role") == "read":
+            return (
+                f"the token of {name!r} has no write access, which {doing} needs; next: make one of role "
+                "`write` in your settings on the Hub and `hf auth login` with it"
+            )
+        own = [name, *(str(entry["name"]) for entry in person.get("orgs", ()))]
+        if name and namespace not in own:
+            return (
+                f"{name!r} may not write under the name {namespace!r}, which is someone else's ({doing}); "
+                f"next: use a name of your own: {', '.join(own)}"
+            )
         return (
-            f"{name!r} may not write under the name {namespace!r}, which is someone else's ({doing} "
-            f"{subject}); next: use a name of your own: {own}"
+            f"the Hub forbids {doing}: {_server_words(error)}; next: check what your token may do in your "
+            "settings on the Hub"
         )
-    return (
-        f"the Hub forbids {doing} {subject}: {_server_words(error)}; next: check what your token may do in "
-        "your settings on the Hub"
-    )
+
+
+def _token_source() -> str:
+    """Return where the token in use comes from (``"HF_TOKEN"`` or ``"stored login"``); empty without one."""
+    from huggingface_hub import get_token
+
+    if not get_token():
+        return ""
+    named = any(os.environ.get(name) for name in ("HF_TOKEN", "HUGGING_FACE_HUB_TOKEN"))
+    return "HF_TOKEN" if named else "stored login"
 
 
 def _server_words(error: BaseException) -> str:
@@ -312,67 +341,6 @@ def _server_words(error: BaseException) -> str:
     return lines[0][:300] if lines else type(error).__name__
 
 
-def _when_again(error: BaseException) -> str:
-    headers = getattr(getattr(error, "response", None), "headers", {})
-    wait = headers.get("Retry-After")
-    when = f"in {wait} s" if wait and str(wait).isdigit() else "in some minutes"
-    return f"; next: try again {when}, what has arrived is kept"
-
-
-def _network_failure(
-    error: BaseException, subject: str, repo_id: str, revision: str | None, doing: str
-) -> ToolkitError | None:
-    from huggingface_hub import constants, errors
-
-    if isinstance(error, errors.OfflineModeIsEnabled) or (
-        isinstance(error, errors.LocalEntryNotFoundError) and constants.HF_HUB_OFFLINE
-    ):
-        if doing.startswith("uploading"):
-            return HubError(f"HF_HUB_OFFLINE forbids {doing} {subject}; next: unset HF_HUB_OFFLINE")
-        return HubError(
-            f"{subject} is not in the cache as far as asked for, and HF_HUB_OFFLINE forbids to fetch it; "
-            "next: unset HF_HUB_OFFLINE once"
-        )
-    if not is_connection_failure(error) and not isinstance(error, (TimeoutError, ConnectionError)):
-        return None
-    return HubError(_unreached(error, subject, doing))
-
-
-def _unreached(error: BaseException, subject: str, doing: str) -> str:
-    from huggingface_hub import constants
-
-    kind, hub = type(error).__name__, f"the Hub at {constants.ENDPOINT}"
-    again = "next: check the network, and HF_ENDPOINT if you set it, and run the same command again"
-    cached = ", which is not in the cache as far as asked for" if doing == "reading" else ""
-    if not re.match(r"https?://[^/]", constants.ENDPOINT):
-        return (
-            f"HF_ENDPOINT is {constants.ENDPOINT!r}, which is no address, so that {doing} {subject} cannot "
-            "begin; next: unset it, or set one such as https://huggingface.co"
-        )
-    if isinstance(error, TimeoutError) or "Timeout" in kind:
-        return f"{hub} does not answer in time while {doing} {subject}{cached}; {again}"
-    if isinstance(error, ConnectionRefusedError) or kind in ("ConnectError", "ClientConnectorError"):
-        return f"{hub} cannot be reached ({kind}) while {doing} {subject}{cached}; {again}"
-    return (
-        f"the connection to the Hub broke while {doing} {subject}; next: run the same command again, it goes "
-        "on where it stopped"
-    )
-
-
-def _other_failure(
-    error: BaseException, subject: str, repo_id: str, revision: str | None, doing: str
-) -> ToolkitError | None:
-    """Name what is left of the client's and the system's errors."""
-    from huggingface_hub import constants, errors
-
-    if isinstance(error, errors.FileMetadataError):
-        return HubError(f"{constants.ENDPOINT} does not answer as a Hub does; next: check HF_ENDPOINT")
-    if isinstance(error, errors.LocalEntryNotFoundError):
-        return HubError(
-            f"{subject} is not in the cache as far as asked for, and could not be fetched; next: check the "
-            "network and run the same command again"
-        )
-    if isinstance(error, OSError):
-        words = _server_words(error)
-        return HubError(f"{doing} {subject} failed: {type(error).__name__}: {words}; next: try again")
-    return None
+def _when(error: BaseException) -> str:
+    wait = getattr(getattr(error, "response", None), "headers", {}).get("Retry-After")
+    return f"in {wait} s" if wait and str(wait).isdigit() else "in some minutes"

@@ -1,22 +1,232 @@
-"""Reading data sets from the Hugging Face Hub: every file is whole, or is not handed out."""
+"""A data set repository of the Hub at one commit: what it holds, and its files, whole or not handed out."""
 
 from __future__ import annotations
 
 import contextlib
+import functools
 import json
-from collections.abc import Callable, Iterator
+import os
+import re
+import threading
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from concurrent.futures import FIRST_EXCEPTION, ThreadPoolExecutor, wait
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
+from typing import Any, TypeVar
 
-from tactile_toolkit.errors import HubError, InputError, IntegrityError
-from tactile_toolkit.hub.errors import named_failures, not_cached
-from tactile_toolkit.hub.fetch import Transfer, fetch_whole, is_whole
-from tactile_toolkit.hub.snapshot import HubSnapshot, RepositoryCache, look_at
+from tactile_toolkit.errors import HubError, InputError, IntegrityError, ToolkitError
+from tactile_toolkit.hub.cache import RepositoryCache, is_whole, remove_with_content
+from tactile_toolkit.hub.errors import cause_chain, failure_of, not_cached, shown_cause
+from tactile_toolkit.hub.retry import ask, is_passing, is_unanswered
 from tactile_toolkit.store.manifest import MANIFEST_FILE, Manifest
 from tactile_toolkit.store.origin import Digest, HubFile
 
-__all__ = ["HubRepository"]
+__all__ = ["HubName", "HubRepository", "HubSnapshot", "Transfers", "hub_name", "look_at"]
+
+_PREFIX = "hf://datasets/"
+# Names of branches that hold a slash are written %2F, but for the two kinds that the Hub makes itself.
+_NAME = re.compile(
+    r"(?P<repo>[\w.-]+/[\w.-]+)"
+    r"(?:@(?P<revision>refs/convert/[\w.-]+|refs/pr/\d+|[^/@]+))?"
+    r"(?:/(?P<path>[^/].*?))?/?"
+)
+_PROBE_TIMEOUT_S = 5.0
+_MAIN = "main"
+_DIGEST_OF_LENGTH = {64: "sha256", 40: "git-sha1"}
+_FILES_AT_ONCE = 8  # as many as the Hub's own client fetches at once
+
+T = TypeVar("T")
+R = TypeVar("R")
+
+
+@dataclass(frozen=True, slots=True)
+class HubName:
+    """What a name of the Hub means: ``USER/NAME``, a revision if one is named, a path inside or ``""``."""
+
+    repo_id: str
+    revision: str | None
+    path: str
+
+
+def hub_name(name: str, revision: str | None = None) -> HubName | None:
+    """Read ``USER/NAME[@REVISION]`` or ``hf://datasets/USER/NAME[@REVISION][/PATH]``; None for other names.
+
+    A revision may be given beside the name instead; two different ones are an InputError.
+    """
+    match = _NAME.fullmatch(name.removeprefix(_PREFIX))
+    is_address = name.startswith(_PREFIX)
+    if match is None or name.startswith((".", "~")) or (match["path"] and not is_address):
+        return None
+    named = match["revision"].replace("%2F", "/") if match["revision"] else None
+    if named and revision and named != revision:
+        message = (
+            f"{name!r} names the revision {named!r}, and {revision!r} is given beside it; "
+            "next: leave one of them away"
+        )
+        raise InputError(message)
+    return HubName(match["repo"], named or revision, match["path"] or "")
+
+
+@dataclass(frozen=True, slots=True)
+class HubSnapshot:
+    """What a commit holds.
+
+    Attributes
+    ----------
+    repo_id, commit : str
+        Repository and full commit.
+    files : dict of str to HubFile
+        By path. Of a snapshot that was read from the cache, only those in the cache.
+    is_cache : bool
+        Whether the cache answered because the Hub could not be asked.
+    may_pass : bool
+        Whether that is a trouble of the kind that passes: the Hub is overloaded, a connection broke.
+    licence : str or None
+        What its card says, if it says so.
+    """
+
+    repo_id: str
+    commit: str
+    files: Mapping[str, HubFile]
+    is_cache: bool = False
+    licence: str | None = None
+    may_pass: bool = False
+
+
+def look_at(
+    repo_id: str,
+    revision: str | None = None,
+    *,
+    patient: bool = True,
+    must_be_online: bool = False,
+    on_wait: Callable[[str], None] = lambda _: None,
+) -> HubSnapshot:
+    """Ask the Hub, once and quickly, what a revision holds (``main`` by default); if it is silent, the cache.
+
+    Waits for a Hub in trouble if nothing of the revision is in the cache (unless not ``patient``), or if
+    something is wanted that the cache does not have (``must_be_online``). Raises HubError when the Hub
+    refused, or cannot be reached and the revision is not in the cache.
+    """
+    from huggingface_hub import HfApi, constants
+
+    def info(timeout_s: float) -> Any:
+        return HfApi().dataset_info(repo_id, revision=revision, files_metadata=True, timeout=timeout_s)
+
+    cache = RepositoryCache(repo_id)
+    known = cache.commit_of(revision or _MAIN)
+    has_files = known is not None and bool(cache.files(known))
+    try:
+        if not patient or (has_files and not must_be_online):
+            answer = info(_PROBE_TIMEOUT_S)
+        else:
+            answer = ask(lambda: info(constants.HF_HUB_ETAG_TIMEOUT), repo_id, revision, on_wait=on_wait)
+    except Exception as error:
+        failure = error if isinstance(error, ToolkitError) else failure_of(error, repo_id, revision)
+        if known is not None and has_files and isinstance(failure, HubError) and is_unanswered(error):
+            return _cached_snapshot(cache, known, may_pass=is_passing(error))
+        if failure is None or failure is error:
+            raise
+        raise failure from shown_cause(error)
+    cache.remember_commit(revision or _MAIN, answer.sha)
+    files = {}
+    for entry in answer.siblings or ():
+        large = entry.lfs
+        digest = Digest("sha256", large.sha256) if large else Digest("git-sha1", entry.blob_id)
+        files[entry.rfilename] = HubFile(entry.rfilename, int(entry.size), digest)
+    licence = getattr(answer.card_data, "license", None)
+    return HubSnapshot(repo_id, answer.sha, files, licence=licence if isinstance(licence, str) else None)
+
+
+def _cached_snapshot(cache: RepositoryCache, commit: str, *, may_pass: bool) -> HubSnapshot:
+    files = {}
+    for path, file in cache.files(commit).items():
+        # The name of a blob tells what it holds; a cache without links has none.
+        name = Path(os.path.realpath(file)).name
+        kind = _DIGEST_OF_LENGTH.get(len(name)) if file.is_symlink() else None
+        files[path] = HubFile(path, file.stat().st_size, Digest(kind, name) if kind else None)
+    return HubSnapshot(cache.repo_id, commit, files, is_cache=True, may_pass=may_pass)
+
+
+class _StoppedError(Exception):
+    """Another file failed, or the user does not want to wait."""
+
+
+@dataclass
+class Transfers:
+    """Files that are fetched side by side: they are counted together, and one that fails stops the others.
+
+    ``on_bytes`` is told the number of bytes each time some have arrived, negative when some were thrown away;
+    ``on_wait``, in a sentence, why there is a wait. Both are called by one thread at a time.
+    """
+
+    on_bytes: Callable[[int], None] = lambda _: None
+    on_wait: Callable[[str], None] = lambda _: None
+    _stopped: threading.Event = field(default_factory=threading.Event, init=False)
+    _lock: threading.RLock = field(default_factory=threading.RLock, init=False)
+
+    def each(self, action: Callable[[T], R], items: Sequence[T]) -> list[R]:
+        """Call a function for each item, several at once; the first failure is raised, Ctrl-C ends all."""
+        with ThreadPoolExecutor(_FILES_AT_ONCE) as pool:
+            running = [pool.submit(action, item) for item in items]
+            try:
+                for finished in wait(running, return_when=FIRST_EXCEPTION).done:
+                    finished.result()
+                return [each.result() for each in running]
+            except BaseException:
+                self._stopped.set()
+                pool.shutdown(wait=False, cancel_futures=True)
+                raise
+
+    def count(self, size_bytes: int) -> None:
+        """Pass on that bytes have arrived; in a transfer that is to stop, this is where it stops."""
+        if self._stopped.is_set() and size_bytes > 0:
+            raise _StoppedError
+        with self._lock:
+            self.on_bytes(size_bytes)
+
+    def say(self, text: str) -> None:
+        """Pass on why there is a wait."""
+        with self._lock:
+            self.on_wait(text)
+
+
+class _ProgressBar:
+    """What the client takes for a class of progress bars, and for a bar: it passes on what arrives."""
+
+    def __init__(self, transfers: Transfers) -> None:
+        self._transfers = transfers
+        self._arrived_bytes = 0
+
+    def __call__(self, **_: Any) -> _ProgressBar:
+        return self
+
+    def __enter__(self) -> _ProgressBar:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        pass
+
+    def update(self, size_bytes: float | None = 1) -> None:
+        self._arrived_bytes += int(size_bytes or 0)
+        self._transfers.count(int(size_bytes or 0))
+
+    def take_back(self) -> None:
+        """Count what has arrived as thrown away."""
+        self._transfers.count(-self._arrived_bytes)
+        self._arrived_bytes = 0
+
+    def update_transfer(self, size_bytes: float | None = 1) -> None:
+        """Pass over what is received of a file in compressed pieces; `update` counts what is written."""
+
+    def set_postfix_str(self, *_: Any, **__: Any) -> None:
+        pass
+
+    set_transfer_postfix_str = set_postfix_str
+    total: int | None = None
+
+    def close(self) -> None:
+        pass
 
 
 @dataclass(frozen=True)
@@ -30,7 +240,7 @@ class HubRepository:
     revision : str or None
         Branch, tag or commit. What it names is looked up on first use and stays so for this object, so that
         all files are of one commit.
-    insists : bool
+    must_be_online : bool
         Wait for a Hub in trouble even where the cache could answer in its place.
     on_wait : callable
         Told, in a sentence, why there is a wait.
@@ -43,35 +253,36 @@ class HubRepository:
 
     repo_id: str
     revision: str | None = None
-    insists: bool = False
+    must_be_online: bool = False
     on_wait: Callable[[str], None] = field(default=lambda _: None, repr=False, compare=False)
 
     @cached_property
     def snapshot(self) -> HubSnapshot:
-        """What the repository holds; from the cache when the Hub cannot be reached.
-
-        Raises
-        ------
-        HubError
-            The repository is unknown, private or gated, or the Hub cannot be reached and it is not cached.
-        """
-        return look_at(self.repo_id, self.revision, insists=self.insists, on_wait=self.on_wait)
+        """What the repository holds; from the cache when the Hub cannot be reached, see :func:`look_at`."""
+        return look_at(self.repo_id, self.revision, must_be_online=self.must_be_online, on_wait=self.on_wait)
 
     @cached_property
     def manifest(self) -> Manifest | None:
-        """The manifest of a data set made by the toolkit; None of any other.
-
-        Raises
-        ------
-        IntegrityError
-            The manifest is damaged.
-        HubError
-            As :attr:`snapshot`.
-        """
+        """The manifest of a data set made by the toolkit; None of any other, or IntegrityError."""
         if MANIFEST_FILE not in self.snapshot.files:
             return None
         text = Path(self._fetch(MANIFEST_FILE)).read_text(encoding="utf-8", errors="replace")
-        return Manifest.from_json(text, f"{self.repo_id}/{MANIFEST_FILE}") if _is_ours(text) else None
+        try:
+            values = json.loads(text)
+        except ValueError:
+            return None
+        # Other tools write files of that name too.
+        is_ours = isinstance(values, dict) and {"schema_version", "shards"} <= values.keys()
+        return Manifest.from_json(text, f"{self.repo_id}/{MANIFEST_FILE}") if is_ours else None
+
+    @cached_property
+    def _listed_shards(self) -> dict[str, HubFile]:
+        """The shards that the manifest lists, by path."""
+        found = {}
+        for record in self.manifest.shards if self.manifest is not None else ():
+            path = record.shard.data_path
+            found[path] = HubFile(path, record.bytes, Digest("sha256", record.sha256))
+        return found
 
     @property
     def has_answered(self) -> bool:
@@ -80,32 +291,19 @@ class HubRepository:
         return seen is not None and not seen.is_cache
 
     @property
-    def may_answer_later(self) -> bool:
+    def is_cached_for_now(self) -> bool:
         """Whether the cache answered for a Hub whose trouble may pass; asks nobody."""
         seen: HubSnapshot | None = self.__dict__.get("snapshot")
         return seen is not None and seen.may_pass
 
     def files(self) -> list[str]:
-        """List the paths of all files.
-
-        Returns
-        -------
-        list of str
-            When the Hub cannot be asked, those in the cache and those that a cached manifest lists.
-
-        Raises
-        ------
-        HubError
-            As :attr:`snapshot`.
-        """
-        listed = set(self.snapshot.files)
-        if self.snapshot.is_cache and self.manifest is not None:
-            listed |= {record.shard.data_path for record in self.manifest.shards}
-        return sorted(listed)
+        """List the paths of all files; without the Hub, those in the cache and in a cached manifest."""
+        listed = self._listed_shards if self.snapshot.is_cache else {}
+        return sorted({*self.snapshot.files, *listed})
 
     @contextlib.contextmanager
-    def told_apart(self, what: str) -> Iterator[None]:
-        """Call missing what is only not cached by that name, when the Hub could not be asked."""
+    def missing_as_not_cached(self, what: str) -> Iterator[None]:
+        """Say of what is missing that it is not cached, when the Hub could not be asked."""
         try:
             yield
         except (InputError, IntegrityError) as error:
@@ -113,53 +311,16 @@ class HubRepository:
                 raise
             raise not_cached(self.repo_id, what) from error
 
-    def fetch(
-        self,
-        path: str,
-        on_bytes: Callable[[int], None] = lambda _: None,
-        on_wait: Callable[[str], None] | None = None,
-    ) -> str:
-        """Bring one file into the Hub's cache, or find it there, and return its local path.
-
-        Parameters
-        ----------
-        path : str
-            Place of the file in the repository.
-        on_bytes : callable
-            Told the number of bytes each time some have arrived.
-        on_wait : callable, optional
-            Told, in a sentence, why there is a wait; that of the repository by default.
-
-        Returns
-        -------
-        str
-            The file has the checksum of the manifest, where there is one, and else that of the Hub. It is
-            read for that once, and again only after it has changed.
-
-        Raises
-        ------
-        IntegrityError
-            It arrived damaged twice, or is not what the manifest says; nothing of it is kept.
-        HubError
-            It is not there, or cannot be fetched now.
-        StorageError
-            The cache cannot hold it.
-        """
-        self.expected(path)
-        return self._fetch(path, on_bytes, on_wait)
-
     def expected(self, path: str) -> Digest | None:
         """Return what a file must be: what the manifest says, or else the Hub; None where neither is known.
 
-        Raises
-        ------
-        IntegrityError
-            The manifest and the Hub disagree: fetching it would not help.
-        HubError
-            There is no such file.
+        Raises IntegrityError where the two disagree (fetching it would not help), HubError for no such file.
         """
-        manifest = None if path == MANIFEST_FILE else self.manifest
-        listed = _listed(manifest, path) if manifest is not None else None
+        if path == MANIFEST_FILE or self.manifest is None:
+            return self._entry(path).digest
+        sha256 = (self.manifest.files or {}).get(path)
+        of_file = Digest("sha256", sha256) if sha256 else None
+        listed = self._listed_shards[path].digest if path in self._listed_shards else of_file
         if listed is not None and path not in self.snapshot.files:
             return listed
         on_hub = self._entry(path).digest
@@ -174,54 +335,89 @@ class HubRepository:
         return listed
 
     def size_bytes(self, path: str) -> int:
-        """Return the size of a file as the Hub, or a cached manifest, tells it.
-
-        Raises
-        ------
-        HubError
-            There is no such file.
-        """
-        records = self.manifest.shards if self.manifest is not None else ()
-        listed = {record.shard.data_path: record.bytes for record in records}
-        return listed[path] if path in listed else self._entry(path).size_bytes
+        """Return the size of a file as a manifest, or else the Hub, tells it."""
+        return (self._listed_shards.get(path) or self._entry(path)).size_bytes
 
     def address(self, path: str) -> str:
-        """Return the fsspec address of a file at the commit, for reading it without downloading it whole.
-
-        Raises
-        ------
-        HubError
-            As :attr:`snapshot`.
-        """
+        """Return the fsspec address of a file at the commit, for reading it without downloading it whole."""
         # The commit, not what it is called: a branch may move on while its files are read in turn.
-        return f"hf://datasets/{self.repo_id}@{self.snapshot.commit}/{path}"
+        return f"{_PREFIX}{self.repo_id}@{self.snapshot.commit}/{path}"
 
     def cached(self, path: str) -> Path | None:
         """Return a file that is in the Hub's cache, whole; None otherwise. Asks nobody, fetches nothing."""
-        place = RepositoryCache(self.repo_id).file(self.snapshot.commit, path)
-        if place is None:
+        file = RepositoryCache(self.repo_id).file(self.snapshot.commit, path)
+        if file is None:
             return None
         digest = self.expected(path)
-        return place if digest is None or is_whole(place, digest) else None
+        return file if digest is None or is_whole(file, digest) else None
 
-    def transfer(
-        self, path: str, on_bytes: Callable[[int], None], on_wait: Callable[[str], None]
-    ) -> Transfer:
-        """Return how to fetch one file.
+    def fetch(self, paths: Sequence[str], transfers: Transfers | None = None) -> list[str]:
+        """Bring files into the Hub's cache, or find them there, and return their local paths.
 
-        Raises
-        ------
-        HubError
-            The Hub cannot be reached.
+        Each has the checksum of the manifest, where there is one, and else that of the Hub; it is read for
+        that once, and again only after it has changed. Raises IntegrityError for one that arrived damaged
+        twice or is not what the manifest says (nothing of it is kept), HubError, StorageError.
         """
-        from huggingface_hub import hf_hub_url
+        for path in paths:
+            self.expected(path)  # what cannot be had is told before anything is fetched
+        together = transfers or Transfers(on_wait=self.on_wait)
+        return together.each(lambda path: self._fetch(path, together), paths)
 
-        entry = self._entry(path)
-        digest = self.expected(path)
-        if self.snapshot.is_cache or digest is None:
+    def _fetch(self, path: str, transfers: Transfers | None = None) -> str:
+        found = RepositoryCache(self.repo_id).file(self.snapshot.commit, path)
+        if found is not None:
+            whole = self.cached(path)
+            if whole is not None:
+                return str(whole)
+            remove_with_content(found)
+        return str(self.download(path, transfers or Transfers(on_wait=self.on_wait)))
+
+    def download(self, path: str, transfers: Transfers, folder: Path | None = None) -> Path:
+        """Fetch a file into the Hub's cache, or into a folder, and check it; one damaged is fetched again."""
+        from huggingface_hub import hf_hub_download
+
+        digest = None if self.snapshot.is_cache else self.expected(path)
+        if digest is None:
             raise not_cached(self.repo_id, repr(path))
-        url = hf_hub_url(self.repo_id, path, repo_type="dataset", revision=self.snapshot.commit)
-        return Transfer(self.repo_id, path, url, entry.size_bytes, digest, on_bytes, on_wait)
+
+        def fetched(bar: Any, *, anew: bool) -> Path:
+            try:
+                file = hf_hub_download(
+                    self.repo_id,
+                    path,
+                    repo_type="dataset",
+                    revision=self.snapshot.commit,
+                    local_dir=folder,
+                    force_download=anew,
+                    tqdm_class=bar,
+                )
+                with Path(file).open("rb") as stream:
+                    os.fsync(stream.fileno())  # before it counts as whole: a power cut must not empty it
+            except BaseException:
+                bar.take_back()
+                raise
+            return Path(file)
+
+        for anew in (False, True):
+            bar = _ProgressBar(transfers)
+            file = ask(
+                functools.partial(fetched, bar, anew=anew),
+                self.repo_id,
+                self.revision,
+                f"fetching {path!r} of",
+                may_repeat=_may_repeat_download,
+                on_wait=transfers.say,
+            )
+            if is_whole(file, digest):
+                return file
+            found = digest.of(file)
+            remove_with_content(file)
+            bar.take_back()
+        message = (
+            f"{path!r} of Hub data set {self.repo_id!r} arrived damaged twice: {found}, expected {digest}; "
+            "nothing of it was kept; next: try again later or through another network"
+        )
+        raise IntegrityError(message)
 
     def _entry(self, path: str) -> HubFile:
         entry = self.snapshot.files.get(path)
@@ -232,43 +428,13 @@ class HubRepository:
         message = f"Hub data set {self.repo_id!r} has no file {path!r}; next: see what it has on its page"
         raise HubError(message)
 
-    def _fetch(
-        self,
-        path: str,
-        on_bytes: Callable[[int], None] = lambda _: None,
-        on_wait: Callable[[str], None] | None = None,
-    ) -> str:
-        cache = RepositoryCache(self.repo_id)
-        found = cache.file(self.snapshot.commit, path)
-        if found is not None:
-            whole = self.cached(path)
-            if whole is not None:
-                return str(whole)
-            cache.remove(self.snapshot.commit, path)
-        transfer = self.transfer(path, on_bytes, on_wait or self.on_wait)
-        # The cache calls a content by what the Hub says of it, which a manifest may not know.
-        name = self._entry(path).digest or transfer.digest
-        blob = cache.blob(name)
-        with named_failures(self.repo_id, self.revision, f"fetching {path!r} of"):
-            if blob.exists() and not is_whole(blob, transfer.digest):
-                blob.unlink()
-            fetch_whole(transfer, blob, cache.stage(name))
-            return str(cache.link(self.snapshot.commit, path, blob))
 
+def _may_repeat_download(error: Exception) -> bool:
+    """Tell a failure of a download that may pass; what the client itself waited for in vain is not one."""
+    from huggingface_hub import errors
 
-def _listed(manifest: Manifest, path: str) -> Digest | None:
-    """Return what a manifest says of a file; None when it does not list it."""
-    for record in manifest.shards:
-        if record.shard.data_path == path:
-            return Digest("sha256", record.sha256)
-    checksum = (manifest.files or {}).get(path)
-    return Digest("sha256", checksum) if checksum else None
-
-
-def _is_ours(text: str) -> bool:
-    """Tell a manifest of the toolkit from a file of the same name that other tools write."""
-    try:
-        values = json.loads(text)
-    except ValueError:
+    chain = cause_chain(error)
+    if any(isinstance(link, errors.LocalEntryNotFoundError) for link in chain):
         return False
-    return isinstance(values, dict) and {"schema_version", "shards"} <= values.keys()
+    is_cut_short = any(isinstance(link, OSError) and "Consistency check" in str(link) for link in chain)
+    return is_cut_short or is_passing(error)

@@ -262,7 +262,7 @@ def _read(terminal: int) -> bytes:
             NAME,
             "'stranger' may not write under the name 'someone', which is someone else's",
         ),
-        (("someone", "write"), "a/b/c", "'a/b/c' is no name of a repository; next: give USER/NAME"),
+        (("someone", "write"), "a/b/c", "'a/b/c' is not a name of a repository; next: give USER/NAME"),
     ],
 )
 def test_refusals_are_told_in_one_line(server, folder, capsys, monkeypatch, account, name, words):

@@ -263,7 +263,7 @@ def test_branches_and_tags_do_not_share_names(server, folder):
 
 @pytest.mark.parametrize("name", ["stars", "someone/", "a/b/c", "", "someone/my stars", "https://a.b/c/d"])
 def test_what_is_no_name_is_refused_before_anything_is_asked(server, folder, name):
-    with pytest.raises(InputError, match="is no name of a repository; next: give USER/NAME"):
+    with pytest.raises(InputError, match="is not a name of a repository; next: give USER/NAME"):
         upload(folder, name)
     assert server.requests == []
     assert server.repositories == {}

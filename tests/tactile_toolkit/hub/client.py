@@ -7,6 +7,7 @@ import io
 import os
 import subprocess
 import sys
+import time
 import warnings
 from collections.abc import Iterator
 from pathlib import Path
@@ -63,13 +64,20 @@ def run_here(script: str, environment: dict[str, str], home: Path) -> subprocess
     return subprocess.CompletedProcess(script, 0, out.getvalue(), err.getvalue())
 
 
+class _NoWaits:
+    """The module `time` as the client sees it: it waits between its own tries, up to half a minute in all."""
+
+    sleep = staticmethod(lambda _seconds: None)
+    time, monotonic = staticmethod(time.time), staticmethod(time.monotonic)
+
+
 _RESOLVE = "/{repo_id}/resolve/{revision}/{filename}"
 
 
 @contextlib.contextmanager
 def _as_client(environment: dict[str, str]) -> Iterator[None]:
-    from huggingface_hub import close_session, constants
-    from huggingface_hub.utils import disable_progress_bars, enable_progress_bars
+    from huggingface_hub import close_session, constants, file_download
+    from huggingface_hub.utils import _http, disable_progress_bars, enable_progress_bars
 
     home = environment["HF_HOME"]
     swapped = {
@@ -84,6 +92,8 @@ def _as_client(environment: dict[str, str]) -> Iterator[None]:
     with (
         mock.patch.dict(os.environ, environment, clear=True),
         mock.patch.multiple(constants, **swapped),
+        mock.patch.object(_http, "time", _NoWaits()),
+        mock.patch.object(file_download, "time", _NoWaits()),
     ):
         disable_progress_bars()
         try:

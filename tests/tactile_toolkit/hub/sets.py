@@ -55,8 +55,7 @@ FULL = (
 
 SCRIPT = """
 import json
-from tactile_toolkit.exchange.download import download
-from tactile_toolkit.exchange.download_plan import plan_download
+from tactile_toolkit.exchange.download import download, plan_download
 from tactile_toolkit.errors import ToolkitError
 try:
     plan = plan_download({name!r}, {splits!r}, revision={revision!r}, out={out!r})

@@ -150,13 +150,13 @@ def test_offline_forbids_to_upload(tmp_path):
 @pytest.mark.parametrize("endpoint", ["notaurl", "localhost:1234"])
 def test_an_endpoint_that_is_no_address_is_named(tmp_path, endpoint):
     text = said(endpoint, tmp_path, "with named_failures('someone/set'): api.dataset_info('someone/set')")
-    assert text.startswith(f"4 HubError HF_ENDPOINT is {endpoint!r}, which is no address")
+    assert text.startswith(f"4 HubError HF_ENDPOINT is {endpoint!r}, which is not an address")
     assert "https://huggingface.co" in text
 
 
 def test_a_name_that_is_none(server, tmp_path):
     text = said(server, tmp_path, "with named_failures('a b'): api.dataset_info('a/b/c d')")
-    assert text.startswith("2 InputError 'a b' is no name of a repository; next: give USER/NAME")
+    assert text.startswith("2 InputError 'a b' is not a name of a repository; next: give USER/NAME")
 
 
 def test_a_full_disk(server, tmp_path):
@@ -205,7 +205,7 @@ def test_a_lost_commit_is_looked_for_before_it_is_made_again(server, tmp_path):
     server.faults.lose_reply("*/commit/main")
     there = "api.file_exists('someone/set', 'a', repo_type='dataset')"
     look = f"lambda: api.dataset_info('someone/set').sha if {there} else None"
-    action = f"ask(lambda: commit().oid, 'someone/set', look={look})"
+    action = f"ask(lambda: commit().oid, 'someone/set', find_result={look})"
     assert said(server, tmp_path, action, token=server.account("someone")) == "done"
     assert sum("/commit/" in request.path for request in server.requests) == 1
     assert len(server.repository("someone/set").history) == 3

@@ -10,7 +10,7 @@ import pytest
 
 from tactile_toolkit.catalog.locate import find_files, find_shards, repository_named, shard_files, splits_of
 from tactile_toolkit.errors import InputError
-from tactile_toolkit.hub.names import HubName, hub_name
+from tactile_toolkit.hub.repository import HubName, hub_name
 
 
 @pytest.mark.parametrize(

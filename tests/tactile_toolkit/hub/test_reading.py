@@ -23,7 +23,7 @@ LOAD = """
 from tactile_toolkit.errors import ToolkitError
 from tactile_toolkit.hub.repository import HubRepository
 try:
-    print('path', HubRepository({name!r}).fetch({path!r}))
+    print('path', HubRepository({name!r}).fetch([{path!r}])[0])
 except ToolkitError as error:
     print(error.exit_code, type(error).__name__, error)
 """
