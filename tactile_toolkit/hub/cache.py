@@ -10,8 +10,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from tactile_toolkit.cache import cache_folder
-from tactile_toolkit.store.origin import Digest
 from tactile_toolkit.store.folder import atomic_file
+from tactile_toolkit.store.origin import Digest
 
 __all__ = ["RepositoryCache", "is_whole", "remember_whole", "remove_with_content"]
 
