@@ -11,8 +11,8 @@ import numpy as np
 
 from realtouch.contact import MIN_CONTACT_HEIGHT_M
 from realtouch.dataset import dataset_of
+from realtouch.media.sheets import contact_sheet
 from realtouch.rounds import TouchRound, TouchSeqRound, TouchSingleRound
-from realtouch.show.html import contact_sheet
 from realtouch.touches import Touch
 from tactile_toolkit.cards.card import (
     HWD_PLUS,

@@ -1,25 +1,25 @@
-"""Data sets of rounds: lazy sequences of typed records, with the flat view of their touches."""
+"""Data sets and streams of rounds: lazy sequences of typed records, with the flat view of their touches."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from functools import cached_property, partial
+from functools import cached_property
 from typing import Any, ClassVar, Self, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from realtouch.columns.light import LightGroup, LightRow
 from realtouch.columns.poses import known_contact_z_m, touch_contact_z_m
-from realtouch.integrity.agreement import class_names_of, stored_touch_counts
-from realtouch.integrity.damage import Damage
+from realtouch.columns.without_media import GroupWithoutMedia, RowWithoutMedia
+from realtouch.damage import Damage, unreadable_rows
+from realtouch.integrity.agreement import stated_class_names, stored_touch_counts
+from realtouch.integrity.check_round import check_round
 from realtouch.rounds import TouchRound, TouchSeqRound, TouchSingleRound
-from realtouch.stream import TouchStream
 from realtouch.touches import Touches
 from tactile_toolkit.errors import InputError, IntegrityError
 from tactile_toolkit.read.dataset import RecordDataset, Row
 from tactile_toolkit.read.parquet import RowGroup, Shard, ShardedTable
-from tactile_toolkit.touch.schema import MEDIA_COLUMN, PLATE_COLUMN, Kind, column_type
+from tactile_toolkit.touch.schema import CLASS_NAMES, MEDIA_COLUMN, PLATE_COLUMN, Kind
 
 __all__ = ["TouchDataset", "TouchSeqDataset", "TouchSingleDataset", "TouchStream", "dataset_of"]
 
@@ -66,21 +66,30 @@ class TouchDataset(RecordDataset[R]):
     @cached_property
     def touch_counts(self) -> NDArray[np.int64]:
         """T of each round, shape (len,), int64; reads at most the column of intended positions."""
-        return self._joined_counts[self.row_numbers]
+        return self._stored_counts[self.row_numbers]
+
+    @cached_property
+    def _stored_counts(self) -> NDArray[np.int64]:
+        parts = [table.per_shard("touches", _touch_counts) for table in self._tables]
+        return np.concatenate(parts or [np.zeros(0, np.int64)])
 
     @cached_property
     def _lost_touches(self) -> frozenset[tuple[int, int]]:
         """Stored row and number in the round of each touch that was left out."""
-        return frozenset(
-            (row, damage.touch)
-            for row, damage in self._skipped
-            if row is not None and damage.touch is not None
-        )
+        lost = set()
+        for row, damage in self._skipped:
+            if row is not None and damage.touch is not None:
+                lost.add((row, damage.touch))
+        return frozenset(lost)
 
     @property
     def row_numbers(self) -> NDArray[np.int64]:
-        """Place of each round in the stored tables, shape (len,), int64."""
+        """Number of each round in the stored tables, shape (len,), int64."""
         return np.asarray(self._rows, np.int64)
+
+    def has_column(self, name: str) -> bool:
+        """Tell whether the data set has a column, by dotted name."""
+        return all(name in table.shards[0].types for table in self._tables)
 
     def contact_z_m(self) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
         """Read the height of the gel at the deepest press of every stored touch.
@@ -90,8 +99,8 @@ class TouchDataset(RecordDataset[R]):
         Returns
         -------
         z_m : ndarray, shape (touches of all stored rows,), float64
-            Metres, cell frame, not recalibrated. Not a number for touches that were left out on loading, and
-            in rows that are not in this view, where it cannot be read.
+            Metres, cell frame, not recalibrated. NaN for touches that were left out on loading, and in rows
+            that are not in this view, where it cannot be read.
         starts : ndarray of int64, shape (stored rows + 1,)
             Where the touches of each stored row begin in ``z_m``.
 
@@ -101,32 +110,32 @@ class TouchDataset(RecordDataset[R]):
             The height of a touch of this view cannot be read; names file, row and touch.
         """
         z_m, starts = self.known_contact_z_m()
-        unknown = np.flatnonzero(np.isnan(z_m))
-        rows = np.searchsorted(starts, unknown, side="right") - 1
-        left_out = self._lost_touches
-        for row, touch in zip(rows.tolist(), (unknown - starts[rows]).tolist(), strict=True):
-            for position in np.flatnonzero(self.row_numbers == row)[:1].tolist():
-                if (row, touch) not in left_out:
-                    touch_contact_z_m(self[position]._row, self.kind, touch)
+        unknown = np.isnan(z_m)
+        for position, row in enumerate(self.row_numbers.tolist() if unknown.any() else ()):
+            for touch in np.flatnonzero(unknown[starts[row] : starts[row + 1]]).tolist():
+                if (row, touch) not in self._lost_touches:
+                    touch_contact_z_m(self[position]._row, self.kind, touch)  # says what is wrong
         return z_m, starts
 
     def known_contact_z_m(self) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
-        """Return what :meth:`contact_z_m` does; not a number wherever a height cannot be read."""
+        """Return what :meth:`contact_z_m` does; NaN wherever a height cannot be read."""
         suffix = "gel_pose_cell_frame" if self.kind == "single" else "gel_pose_cell_frame_seq"
         columns = ["pos_in_cell", "video_length_frames", f"{suffix}.position"]
-        compute = partial(_contact_z_m, self.kind)
+
+        def compute(group: RowGroup) -> NDArray[np.float64]:
+            rows = [known_contact_z_m(Row(group, index), self.kind) for index in range(len(group.table))]
+            return np.concatenate(rows or [np.zeros(0)])
+
         try:
             parts = [table.derive("contact z", columns, compute) for table in self._tables]
         except InputError:
-            if any(column_type(table.schema, columns[-1]) is None for table in self._tables):
+            if not self.has_column(columns[-1]):
                 raise
             # Without stated lengths only clips tell padding from frames; without positions, pictures tell T.
             columns.append(MEDIA_COLUMN[self.kind])
             parts = [table.derive("contact z", columns, compute) for table in self._tables]
-        z_m, starts = (
-            np.concatenate(parts or [np.zeros(0)]),
-            np.concatenate([[0], np.cumsum(self._joined_counts)]),
-        )
+        z_m = np.concatenate(parts or [np.zeros(0)])
+        starts = np.concatenate([[0], np.cumsum(self._stored_counts)])
         if len(z_m) != starts[-1]:
             message = (
                 f"{len(z_m):,} poses of touches for {starts[-1]:,} touches; expected one each; next: run "
@@ -138,12 +147,18 @@ class TouchDataset(RecordDataset[R]):
     def plates_z_m(self) -> NDArray[np.float64]:
         """Read the stored height of the plate of every stored row, shape (stored rows,), metres, cell frame.
 
-        Not a number where none is stored, as in the published sets: the deepest touch shows it there.
+        NaN where none is stored, as in the published sets: the deepest touch shows it there.
         """
-        parts = [_plates_z_m(shard) for table in self._tables for shard in table.shards]
-        return np.concatenate(parts or [np.zeros(0)])
+        plates: list[NDArray[np.float64]] = []
+        for shard in (shard for table in self._tables for shard in table.shards):
+            if PLATE_COLUMN in shard.types:
+                stored = ShardedTable((shard,)).column(PLATE_COLUMN)
+                plates.append(np.asarray(stored, np.float64))
+            else:
+                plates.append(np.full(len(shard), np.nan))
+        return np.concatenate(plates or [np.zeros(0)])
 
-    def light_rounds(self) -> Iterator[tuple[int, R]]:
+    def rounds_without_media(self) -> Iterator[tuple[int, R]]:
         """Yield stored row number and round, row by row, without opening images or clips until asked for."""
         number = 0
         wanted = set(self.row_numbers.tolist())
@@ -152,16 +167,13 @@ class TouchDataset(RecordDataset[R]):
             columns = [name for name in shard.schema.names if name != media]
             for index in range(shard.metadata.num_row_groups):
                 for block, group in enumerate(shard.blocks(index, columns)):
-                    light = LightGroup(group, shard, index, block)
+                    rows = GroupWithoutMedia(
+                        group.table, group.path, group.first_row, shard=shard, index=index, block=block
+                    )
                     for row in range(len(group.table)):
                         if number + row in wanted:
-                            yield number + row, self._make(LightRow(light, row))
+                            yield number + row, self._make(RowWithoutMedia(rows, row))
                     number += len(group.table)
-
-    @cached_property
-    def _joined_counts(self) -> NDArray[np.int64]:
-        parts = [_touch_counts(table) for table in self._tables]
-        return np.concatenate(parts or [np.zeros(0, np.int64)])
 
     def __add__(self, other: Self) -> Self:
         if type(other) is not type(self):
@@ -189,27 +201,107 @@ class TouchSeqDataset(TouchDataset[TouchSeqRound]):
     kind = "seq"
 
 
-def _touch_counts(table: ShardedTable) -> NDArray[np.int64]:
-    return table.per_shard(
-        "touches",
-        lambda shard: [stored_touch_counts(shard, each) for each in range(shard.metadata.num_row_groups)],
-    )
+def _touch_counts(shard: Shard) -> list[NDArray[np.int64]]:
+    return [stored_touch_counts(shard, index) for index in range(shard.metadata.num_row_groups)]
 
 
-def _plates_z_m(shard: Shard) -> NDArray[np.float64]:
-    if column_type(shard.schema, PLATE_COLUMN) is None:
-        return np.full(len(shard), np.nan)
-    return np.asarray(ShardedTable((shard,)).column(PLATE_COLUMN), np.float64)
-
-
-def _contact_z_m(kind: Kind, group: RowGroup) -> NDArray[np.float64]:
-    rows = [known_contact_z_m(Row(group, index), kind) for index in range(len(group.table))]
-    return np.concatenate(rows) if rows else np.zeros(0)
-
-
-def dataset_of(shards: tuple[Shard, ...], kind: Kind) -> TouchSeqDataset | TouchSingleDataset:
-    """Return the data set of some shards of one kind."""
-    names = class_names_of(shards)
+def dataset_of(
+    shards: Sequence[Shard],
+    kind: Kind,
+    rows: NDArray[np.int64] | None = None,
+    skipped: Sequence[tuple[int | None, Damage]] = (),
+) -> TouchSeqDataset | TouchSingleDataset:
+    """Return the data set of some shards of one kind: of all rows, or those that are not skipped."""
+    stated = stated_class_names(shards)
+    names = CLASS_NAMES if stated is None else stated
     if kind == "seq":
-        return TouchSeqDataset([ShardedTable(shards)], label_names=names)
-    return TouchSingleDataset([ShardedTable(shards)], label_names=names)
+        return TouchSeqDataset([ShardedTable(tuple(shards))], rows, names, skipped)
+    return TouchSingleDataset([ShardedTable(tuple(shards))], rows, names, skipped)
+
+
+class TouchStream:
+    """Rounds one after another, read from their address piece by piece; nothing is stored locally.
+
+    Parameters
+    ----------
+    shards : tuple of Shard
+        Shards to read in turn.
+    kind : "seq" or "single"
+        What they hold.
+    skip_damage : bool
+        Check each round before it is given: leave out damaged rounds, and damaged touches of the others, and
+        rows that cannot be read.
+    expected_touches : int, optional
+        T that each round must have to pass that check.
+    left_out : sequence of Damage
+        Files that were left out beforehand.
+
+    Attributes
+    ----------
+    skipped : list of Damage
+        What was left out so far, since the stream was last begun.
+    """
+
+    def __init__(
+        self,
+        shards: tuple[Shard, ...],
+        kind: Kind,
+        *,
+        skip_damage: bool = False,
+        expected_touches: int | None = None,
+        left_out: Sequence[Damage] = (),
+    ) -> None:
+        self.shards = shards
+        self.kind = kind
+        self.skip_damage = skip_damage
+        self.skipped = list(left_out)
+        self._expected_touches = expected_touches
+        self._left_out = tuple(left_out)
+        self._stated_names = stated_class_names(shards)
+
+    @property
+    def label_names(self) -> tuple[str, ...]:
+        """Name of each class."""
+        return CLASS_NAMES if self._stated_names is None else self._stated_names
+
+    def part(self, index: int, count: int) -> TouchStream:
+        """Return every ``count``-th shard from ``index`` on, for workers that share the work."""
+        part = TouchStream(
+            self.shards[index::count],
+            self.kind,
+            skip_damage=self.skip_damage,
+            expected_touches=self._expected_touches,
+            left_out=self._left_out[index::count],
+        )
+        part._stated_names = self._stated_names
+        return part
+
+    def __iter__(self) -> Iterator[TouchRound]:
+        """Yield rounds; a bounded block of rows is in memory at a time."""
+        self.skipped[:] = self._left_out
+        record = TouchSingleRound if self.kind == "single" else TouchSeqRound
+        for shard in self.shards:
+            for index in range(shard.metadata.num_row_groups):
+                try:
+                    for group in shard.blocks(index):
+                        for row in range(len(group.table)):
+                            yield from self._undamaged(record(Row(group, row)))
+                except IntegrityError as error:
+                    if not self.skip_damage:
+                        raise
+                    self.skipped.append(unreadable_rows(shard, index, error))
+
+    def _undamaged(self, record: TouchRound) -> Iterator[TouchRound]:
+        """Yield a round, or what is whole of it; nothing where it is damaged as a whole."""
+        if not self.skip_damage:
+            yield record
+            return
+        found = check_round(record._row, self._expected_touches, class_names=self._stated_names)
+        self.skipped += found
+        lost = {damage.touch for damage in found}
+        if None not in lost:
+            kept = [touch for touch in range(record.touch_count) if touch not in lost]
+            yield record.with_touches(kept) if lost else record
+
+    def __repr__(self) -> str:
+        return f"TouchStream({self.kind}, {len(self.shards)} shards)"

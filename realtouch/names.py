@@ -1,13 +1,19 @@
-"""Short names of the published data sets."""
+"""What names of data sets of touches mean: short names, repositories, folders, files."""
 
 from __future__ import annotations
 
-from os import PathLike
+from collections.abc import Iterable, Sequence
+from os import PathLike, fsdecode
+from pathlib import Path
+from typing import Any
 
 from realtouch.kind import KIND
-from tactile_toolkit.catalog.published import place_of
+from tactile_toolkit.catalog.locate import find_files, find_shards
+from tactile_toolkit.catalog.published import place_of as place_of_name
+from tactile_toolkit.errors import InputError
+from tactile_toolkit.read.parquet import Shard
 
-__all__ = ["Name", "Place", "SHORT_NAMES", "repository_of"]
+__all__ = ["Name", "Place", "SHORT_NAMES", "open_shards", "place_of", "repository_of"]
 
 SHORT_NAMES = {
     name: entry.repo_id.partition("/")[2] for entry in KIND.published for name in (entry.name, *entry.aliases)
@@ -20,10 +26,48 @@ def repository_of(name: str) -> str:
 
     Any other name is returned as it is.
     """
-    return place_of(name)
+    return place_of_name(name)
 
 
 Name = str | PathLike[str]
-
-
 Place = str | tuple[str, ...]
+"""A path, a repository of the Hub, or several files."""
+
+
+def place_of(name: Name | Sequence[Name]) -> Place:
+    """Return what a name means: a local path, a repository of the Hub, or several files.
+
+    Raises InputError when it is not a name.
+    """
+    if not isinstance(name, (str, PathLike)):
+        return tuple(_file_names(name))
+    place = repository_of(fsdecode(name))
+    try:
+        return str(Path(place).expanduser()) if place.startswith("~") else place
+    except RuntimeError:  # the home of somebody unknown; refused where it is opened
+        return place
+
+
+def open_shards(
+    name: Name | Sequence[Name], split: str, *, revision: str | None = None, streaming: bool = False
+) -> tuple[Shard, ...]:
+    """Find the shards of one split of whatever :func:`realtouch.load` understands; InputError without any."""
+    if isinstance(name, (str, PathLike)):
+        place = repository_of(fsdecode(name))
+        return find_shards(place, split, revision=revision, streaming=streaming)
+    return find_files(_file_names(name), revision=revision, streaming=streaming)
+
+
+def _file_names(names: Any) -> list[str]:
+    """Return names of files as text; whatever else was given for a name of a data set is refused here."""
+    is_list = isinstance(names, Iterable) and not isinstance(names, (bytes, bytearray))
+    files = list(names) if is_list else [names]
+    for file in files:
+        if not isinstance(file, (str, PathLike)):
+            message = (
+                f"{file!r} ({type(file).__name__}) is not a name of a data set; expected a short name "
+                "such as 'real-single-64x64', USER/NAME on the Hub, a folder, a Parquet file, or several of "
+                "these files"
+            )
+            raise InputError(message)
+    return [fsdecode(file) for file in files]

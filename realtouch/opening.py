@@ -2,20 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
-from os import PathLike, fsdecode
-from pathlib import Path
+from collections.abc import Sequence
 from typing import Literal, overload
 
 from realtouch.dataset import TouchSeqDataset, TouchSingleDataset, TouchStream, dataset_of
-from realtouch.integrity.agreement import require_alike
-from realtouch.names import Name, Place, repository_of
-from tactile_toolkit.catalog.locate import find_files, find_shards
+from realtouch.integrity.agreement import TouchFiles, usual_touch_count
+from realtouch.integrity.skip import find_damage
+from realtouch.names import Name, open_shards, place_of
 from tactile_toolkit.errors import InputError
-from tactile_toolkit.read.parquet import Shard
-from tactile_toolkit.touch.schema import kind_of
 
-__all__ = ["load", "open_shards", "place_of"]
+__all__ = ["load"]
 
 
 @overload
@@ -102,65 +98,18 @@ def load(
         message = f"on_error is {on_error!r}; expected 'raise' or 'skip'"
         raise InputError(message)
     place = place_of(name)
-    shards = open_shards(place, split, revision=revision, streaming=streaming)
-    if on_error == "skip":
-        from realtouch.integrity.skip import load_undamaged
-
-        return load_undamaged(shards, place, streaming=streaming)
-    require_alike(shards, str(name))
-    kind = kind_of(shards[0].schema, str(name))
-    return TouchStream(shards, kind) if streaming else dataset_of(shards, kind)
-
-
-def place_of(name: Name | Sequence[Name]) -> Place:
-    """Return what a name means: a local path, a repository of the Hub, or several files.
-
-    Raises
-    ------
-    InputError
-        It is no name.
-    """
-    if isinstance(name, (str, PathLike)):
-        return _at_home(repository_of(fsdecode(name)))
-    return tuple(_file_names(name))
-
-
-def _at_home(name: str) -> str:
-    try:
-        return str(Path(name).expanduser()) if name.startswith("~") else name
-    except RuntimeError:  # the home of somebody unknown; refused where it is opened
-        return name
-
-
-def open_shards(
-    name: Name | Sequence[Name], split: str, *, revision: str | None = None, streaming: bool = False
-) -> tuple[Shard, ...]:
-    """Find the shards of one split of whatever :func:`load` understands.
-
-    Raises
-    ------
-    InputError
-        Nothing is there.
-    """
-    if isinstance(name, (str, PathLike)):
-        place = repository_of(fsdecode(name))
-        return find_shards(place, split, revision=revision, streaming=streaming)
-    return find_files(_file_names(name), revision=revision, streaming=streaming)
-
-
-def _file_names(names: object) -> list[str]:
-    """Return names of files as text; whatever else was given for a name of a data set is refused here."""
-    if isinstance(names, (bytes, bytearray)) or not isinstance(names, Iterable):
-        raise _no_name(names)
-    files = list(names)
-    for file in files:
-        if not isinstance(file, (str, PathLike)):
-            raise _no_name(file)
-    return [fsdecode(file) for file in files]
-
-
-def _no_name(found: object) -> InputError:
-    return InputError(
-        f"{found!r} ({type(found).__name__}) is no name of a data set; expected a short name such as "
-        "'real-single-64x64', USER/NAME on the Hub, a folder, a Parquet file, or several of these files"
-    )
+    found = open_shards(place, split, revision=revision, streaming=streaming)
+    files = TouchFiles(str(name))
+    if on_error == "raise":
+        for shard in found:
+            files.add(shard)
+        shards = tuple(files.shards)
+        return TouchStream(shards, files.kind) if streaming else dataset_of(shards, files.kind)
+    left_out = files.add_undamaged(found, at_least_one=True)
+    expected = usual_touch_count(files.shards, place)
+    if streaming:
+        return TouchStream(
+            tuple(files.shards), files.kind, skip_damage=True, expected_touches=expected, left_out=left_out
+        )
+    whole, rows, damage = find_damage(files.shards, expected)
+    return dataset_of(whole, files.kind, rows, [*((None, each) for each in left_out), *damage])

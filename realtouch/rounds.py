@@ -3,137 +3,30 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
-from realtouch.columns.light import whole_row
-from realtouch.columns.per_touch import intended_positions, plain_value, stored_value
-from realtouch.columns.poses import (
-    clip_lengths,
-    frame_times,
-    media_count,
-    pose_sequences,
-    poses,
-    touch_durations,
-    touch_total,
-)
+from realtouch.columns.info import read_info
+from realtouch.columns.per_frame import clip_lengths, frame_times, touch_durations
+from realtouch.columns.per_touch import int_value, intended_positions, media_count, plain_value, touch_total
+from realtouch.columns.poses import pose_sequences, poses
+from realtouch.columns.without_media import whole_row
 from realtouch.contact import require_method
-from realtouch.integrity.damage import damaged, missing_column
+from realtouch.damage import missing_column
 from realtouch.media.images import SensorImages, in_parallel, positions_of
 from realtouch.media.round_clips import SensorClips, contact_frames_of, contact_windows_of, decode_frames
-from realtouch.poses import Poses, PoseSequences, bad_pose, rigid_transform
+from realtouch.poses import Poses, PoseSequences
 from tactile_toolkit.errors import InputError, IntegrityError, ToolkitError
 from tactile_toolkit.read.dataset import Record, Row
 from tactile_toolkit.read.parquet import RowGroup
 from tactile_toolkit.touch.jpeg import Pixels
 from tactile_toolkit.touch.rows import flat_row, take_touches
 
-__all__ = ["Info", "TouchRound", "TouchSeqRound", "TouchSingleRound", "has_info", "read_info"]
+__all__ = ["TouchRound", "TouchSeqRound", "TouchSingleRound"]
 
-_POSE = {"position": 3, "quaternion": 4}
-
-
-class Info(Mapping[str, Any]):
-    """A mapping that cannot be written to; pickles and copies, other than Python's own."""
-
-    __slots__ = ("_values",)
-
-    def __init__(self, values: Mapping[str, Any]) -> None:
-        self._values = dict(values)
-
-    def __getitem__(self, name: str) -> Any:
-        return self._values[name]
-
-    def __iter__(self) -> Iterator[str]:
-        return iter(self._values)
-
-    def __len__(self) -> int:
-        return len(self._values)
-
-    def __or__(self, other: Mapping[str, Any]) -> dict[str, Any]:
-        return self._values | dict(other)
-
-    def copy(self) -> dict[str, Any]:
-        """Return a copy that can be written to."""
-        return dict(self._values)
-
-    def __repr__(self) -> str:
-        return f"Info({self._values!r})"
-
-
-def has_info(row: Row) -> bool:
-    """Tell whether a round has metadata."""
-    return row.has("info") or any(name.startswith("info.") for name in row.group.names)
-
-
-def read_info(row: Row) -> Info:
-    """Read the metadata of a round.
-
-    Raises
-    ------
-    IntegrityError
-        A pose is none, or one name stands for a value and for a group of values.
-    InputError
-        The data set has no metadata.
-    """
-    if not has_info(row):
-        raise missing_column(row, "info")
-    nested: dict[str, Any] = {}
-    for name in (name for name in row.group.names if name.startswith("info.")):
-        *outer, last = name.split(".")[1:]
-        place = nested
-        for part in outer:
-            place = place.setdefault(part, {})
-            if not isinstance(place, dict):
-                raise _ambiguous(row, name)
-        if last in place:
-            raise _ambiguous(row, name)
-        place[last] = stored_value(row, name)
-    return Info(_with_poses(row, nested, "info"))
-
-
-def _with_poses(row: Row, values: dict[str, Any], name: str) -> Any:
-    if values.keys() == _POSE.keys():
-        return _pose(row, values, name)
-    return {
-        key: _with_poses(row, value, f"{name}.{key}") if isinstance(value, dict) else value
-        for key, value in values.items()
-    }
-
-
-def _pose(row: Row, values: dict[str, Any], name: str) -> Any:
-    """Make the pose, or the poses where there is one per touch."""
-    position, quaternion = (_numbers(row, values[part], f"{name}.{part}") for part in _POSE)
-    one = position.shape == (3,) and quaternion.shape == (4,)
-    count = len(position) if position.ndim else 0
-    if not one and (position.shape != (count, 3) or quaternion.shape != (count, 4)):
-        problem = (
-            f"position {position.shape} and quaternion {quaternion.shape}; expected (3,) and (4,), or (n, 3) "
-            "and (n, 4)"
-        )
-        raise damaged(row, name, problem)
-    wrong = bad_pose(position.reshape(-1, 3), quaternion.reshape(-1, 4))
-    if wrong is not None:  # the metadata of a round are one thing: none of it can be given
-        raise damaged(row, name, wrong[1] if one else f"pose {wrong[0]}: {wrong[1]}")
-    return rigid_transform(position, quaternion) if one else Poses(position, quaternion)
-
-
-def _numbers(row: Row, values: Any, name: str) -> NDArray[np.float64]:
-    try:
-        return np.asarray(values, np.float64)
-    except (TypeError, ValueError) as error:
-        problem = "values that are no numbers, or vectors of several lengths; expected a pose's numbers"
-        raise damaged(row, name, problem) from error
-
-
-def _ambiguous(row: Row, name: str) -> Exception:
-    return damaged(row, name, "the name of a value and of a group of values; expected one of them")
-
-
-_LARGEST = 1 << 63
 _MOST_THREADS = 4
 
 
@@ -154,12 +47,12 @@ class TouchRound(Record):
     @property
     def label(self) -> int:
         """Class of the object; the digit, 0 to 9, in the MNIST sets."""
-        return self._whole_number("label")
+        return int_value(self._row, "label")
 
     @property
     def object_id(self) -> int:
         """Id of the touched mesh in its data set of meshes."""
-        return self._whole_number("object_id")
+        return int_value(self._row, "object_id")
 
     @property
     def info(self) -> Mapping[str, Any]:
@@ -188,15 +81,6 @@ class TouchRound(Record):
         chosen = take_touches(table, touches, self.touch_count)
         return type(self)(Row(RowGroup(chosen, row.path, row.number), 0))
 
-    def _whole_number(self, name: str) -> int:
-        value = plain_value(self._row, name)
-        if isinstance(value, float) and np.isfinite(value):  # a null beside it made numpy's column inexact
-            value = stored_value(self._row, name)
-        if not np.isfinite(value) or int(value) != value or not 0 <= value < _LARGEST:
-            problem = f"the value is {value}; expected a whole number of 0 or more, below 2**63"
-            raise damaged(self._row, name, problem)
-        return int(value)
-
     def shown(self, name: str, in_words: Callable[[Any], str] = repr) -> str | None:
         """Return a plain field in words, for people, whatever it holds; None when there is no such column."""
         try:
@@ -214,7 +98,7 @@ class TouchRound(Record):
 
     def _repr_html_(self) -> str:
         """Show touches in a notebook; what is not stored and pictures that are damaged are left out."""
-        from realtouch.show.html import MOST_TILES, evenly_spaced, round_html
+        from realtouch.media.sheets import MOST_TILES, evenly_spaced, round_html
 
         named = {"label": self.shown("label", str), "object": self.shown("object_id", str)}
         words = [f"{word} {value}" for word, value in named.items() if value is not None]
@@ -245,7 +129,11 @@ class TouchSingleRound(TouchRound):
     @property
     def sensor_image(self) -> SensorImages:
         """Images, T of them, decoded on demand: int -> (H, W, 3) uint8, else (n, H, W, 3)."""
-        return self._once("sensor_image", lambda: _images(self._row))
+        return self._once("sensor_image", self._images)
+
+    def _images(self) -> SensorImages:
+        media_count(self._row, "sensor_image")  # refuses a round with more or less than T images
+        return SensorImages(self._row)
 
     def _contact_image(self, touch: int) -> Pixels:
         return self.sensor_image[touch]
@@ -353,8 +241,3 @@ class TouchSeqRound(TouchRound):
 
 def _cores(threads: int | None) -> int:
     return threads or min(os.cpu_count() or 1, _MOST_THREADS)
-
-
-def _images(row: Row) -> SensorImages:
-    media_count(row, "sensor_image")
-    return SensorImages(row)

@@ -8,12 +8,11 @@ from typing import Any
 
 import numpy as np
 
-from realtouch.columns.poses import clip_length
+from realtouch.columns.per_frame import clip_length
 from realtouch.dataset import TouchDataset
 from realtouch.rounds import TouchSingleRound
 from realtouch.touches import Touch, Touches
 from tactile_toolkit.errors import InputError
-from tactile_toolkit.touch.schema import column_type
 
 __all__ = ["Summary", "summarise"]
 
@@ -81,7 +80,7 @@ def summarise(dataset: TouchDataset[Any]) -> Summary:
         kind=dataset.kind,
         rounds=len(dataset),
         touches=int(counts.sum()),
-        objects=len(np.unique(dataset.int_column("object_id"))) if _has(dataset, "object_id") else 0,
+        objects=len(np.unique(dataset.int_column("object_id"))) if dataset.has_column("object_id") else 0,
         touches_per_round=(int(counts.min()), int(counts.max())),
         contact_share=_contact_share(touches),
         labels=_labels(dataset),
@@ -92,12 +91,8 @@ def summarise(dataset: TouchDataset[Any]) -> Summary:
     )
 
 
-def _has(dataset: TouchDataset[Any], name: str) -> bool:
-    return column_type(dataset._tables[0].schema, name) is not None
-
-
 def _labels(dataset: TouchDataset[Any]) -> dict[str, int]:
-    if not _has(dataset, "label"):
+    if not dataset.has_column("label"):
         return {}
     return {name: len(rows) for name, rows in dataset.by_label().items()}
 
@@ -111,14 +106,14 @@ def _picture(touch: Touch) -> tuple[int, int, float | None]:
 
 def _contact_share(touches: Touches[Any]) -> float | None:
     suffix = "" if touches.dataset.kind == "single" else "_seq"
-    if not _has(touches.dataset, f"gel_pose_cell_frame{suffix}.position"):
+    if not touches.dataset.has_column(f"gel_pose_cell_frame{suffix}.position"):
         return None
     return len(touches.with_contact()) / len(touches)
 
 
 def _clip_frames(touches: Touches[Any]) -> tuple[int, int, int] | None:
     dataset = touches.dataset
-    if dataset.kind == "single" or not _has(dataset, "video_length_frames"):
+    if dataset.kind == "single" or not dataset.has_column("video_length_frames"):
         return None
     shown: dict[int, list[int]] = {}
     rows = dataset.row_numbers[touches.round_positions].tolist()
@@ -126,7 +121,7 @@ def _clip_frames(touches: Touches[Any]) -> tuple[int, int, int] | None:
         shown.setdefault(row, []).append(touch)
     lengths = [
         clip_length(record._row, touch)
-        for row, record in dataset.light_rounds()
+        for row, record in dataset.rounds_without_media()
         for touch in shown.get(row, ())
     ]
     known = [length for length in lengths if length is not None]
@@ -134,7 +129,7 @@ def _clip_frames(touches: Touches[Any]) -> tuple[int, int, int] | None:
 
 
 def _gel_ids(dataset: TouchDataset[Any]) -> dict[str, int]:
-    if not _has(dataset, "info.gel_id"):
+    if not dataset.has_column("info.gel_id"):
         return {}
-    ids = Counter(str(record.info["gel_id"]) for _, record in dataset.light_rounds())
+    ids = Counter(str(record.info["gel_id"]) for _, record in dataset.rounds_without_media())
     return dict(sorted(ids.items()))

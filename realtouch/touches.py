@@ -5,22 +5,26 @@ from __future__ import annotations
 import operator
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import suppress
-from typing import TYPE_CHECKING, Any, Generic, TypeVar, overload
+from itertools import groupby
+from operator import itemgetter
+from typing import TYPE_CHECKING, Any, Generic, Protocol, TypeVar, overload
 
 import numpy as np
 from numpy.typing import NDArray
 
+from realtouch.columns.per_frame import clip_times, touch_times
 from realtouch.columns.per_touch import intended_position
-from realtouch.columns.poses import clip_poses, clip_times, touch_contact_z_m, touch_pose, touch_times
+from realtouch.columns.poses import clip_poses, touch_contact_z_m, touch_pose
 from realtouch.contact import MIN_CONTACT_HEIGHT_M, contact_heights_m, contact_window
+from realtouch.damage import missing_column
 from realtouch.media.clips import TouchClip
-from realtouch.media.images import positions_of
+from realtouch.media.images import SensorImages, positions_of
 from realtouch.rounds import TouchRound, TouchSeqRound, TouchSingleRound
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.touch.jpeg import Pixels, room_for
+from tactile_toolkit.touch.schema import Kind
 
 if TYPE_CHECKING:
-    from realtouch.dataset import TouchDataset
     from realtouch.poses import Pose
 
 __all__ = ["Touch", "Touches"]
@@ -106,8 +110,6 @@ class Touch:
             The data set holds images.
         """
         if not isinstance(self.round, TouchSeqRound):
-            from realtouch.integrity.damage import missing_column
-
             raise missing_column(self.round._row, "sensor_video")
         return self.round.sensor_video[self._place]
 
@@ -130,7 +132,7 @@ class Touch:
 
     def _repr_html_(self) -> str:
         """Show the picture of the contact in a notebook."""
-        from realtouch.show.html import touch_html
+        from realtouch.media.sheets import touch_html
 
         label = self.round.shown("label", str)
         words = [*([] if label is None else [f"label {label}"]), f"touch {self.touch_index}"]
@@ -141,6 +143,47 @@ class Touch:
 
 
 R = TypeVar("R", bound=TouchRound)
+R_co = TypeVar("R_co", bound=TouchRound, covariant=True)
+
+
+class Rounds(Protocol[R_co]):
+    """What a view of touches must know of its rounds; :class:`realtouch.TouchDataset` is one."""
+
+    kind: Kind
+
+    @property
+    def touch_counts(self) -> NDArray[np.int64]:
+        """T of each round."""
+
+    @property
+    def row_numbers(self) -> NDArray[np.int64]:
+        """Number of each round in the stored tables."""
+
+    @property
+    def labels(self) -> NDArray[np.int64]:
+        """Label of each round."""
+
+    def __len__(self) -> int: ...
+
+    def __getitem__(self, index: int, /) -> R_co: ...
+
+    def has_column(self, name: str) -> bool:
+        """Tell whether there is a column."""
+
+    def int_column(self, name: str) -> NDArray[np.int64]:
+        """Read one column of integers."""
+
+    def filter_labels(self, labels: Iterable[int | str]) -> Rounds[R_co]:
+        """Return the rounds of some classes."""
+
+    def known_contact_z_m(self) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+        """Heights of all stored touches, NaN where unknown, and where those of each stored row begin."""
+
+    def plates_z_m(self) -> NDArray[np.float64]:
+        """Height of the plate of every stored row, NaN where unknown."""
+
+    def rounds_without_media(self) -> Iterator[tuple[int, R_co]]:
+        """Yield stored row number and round, without opening images or clips until asked for."""
 
 
 class Touches(Sequence[Touch], Generic[R]):
@@ -157,16 +200,17 @@ class Touches(Sequence[Touch], Generic[R]):
         Which touches, counted through all rounds of the data set; all by default.
     """
 
-    def __init__(self, dataset: TouchDataset[R], chosen: NDArray[np.int64] | None = None) -> None:
+    def __init__(self, dataset: Rounds[R], chosen: NDArray[np.int64] | None = None) -> None:
         self.dataset = dataset
-        self._starts = np.concatenate([[0], np.cumsum(dataset.touch_counts)])
-        self._chosen = chosen
         counts = dataset.touch_counts
+        self._starts = np.concatenate([[0], np.cumsum(counts)])
+        self._chosen = chosen
+        self._length = int(self._starts[-1]) if chosen is None else len(chosen)
         # Rounds of one length, the common case, are found by a division.
         self._per_round = int(counts[0]) if len(counts) and (counts == counts[0]).all() else 0
 
     def __len__(self) -> int:
-        return int(self._starts[-1]) if self._chosen is None else len(self._chosen)
+        return self._length
 
     @overload
     def __getitem__(self, index: int) -> Touch: ...
@@ -175,33 +219,32 @@ class Touches(Sequence[Touch], Generic[R]):
     def __getitem__(self, index: Any) -> Touch | Touches[R]:
         """Return a touch (int) or a view (slice, ints, boolean mask)."""
         if isinstance(index, (slice, list, tuple, np.ndarray)):
-            places = np.asarray(positions_of(index, len(self)), np.int64)
-            return Touches(self.dataset, places if self._chosen is None else self._chosen[places])
+            wanted = np.asarray(positions_of(index, len(self)), np.int64)
+            return Touches(self.dataset, wanted if self._chosen is None else self._chosen[wanted])
         position, touch = self.locate(operator.index(index))
         return Touch(self.dataset[position], touch)
 
     def __iter__(self) -> Iterator[Touch]:
         last, current = -1, None
-        for place in range(len(self)):
-            position, touch = self.locate(place)
+        for index in range(len(self)):
+            position, touch = self.locate(index)
             if position != last or current is None:
                 last, current = position, self.dataset[position]
             yield Touch(current, touch)
 
     def locate(self, index: int) -> tuple[int, int]:
-        """Return the place of a touch: number of its round in the data set, and of the touch in the round.
+        """Return the number of a touch's round in the data set, and its own in the round.
 
         Raises
         ------
         IndexError
             There is no such touch.
         """
-        length = len(self)
+        length = self._length
         if not -length <= index < length:
             message = f"index {index} is out of range for {length} touches"
             raise IndexError(message)
-        place = index + length if index < 0 else index
-        flat = place if self._chosen is None else int(self._chosen[place])
+        flat = index % length if self._chosen is None else int(self._chosen[index])
         if self._per_round:
             return divmod(flat, self._per_round)
         position = int(np.searchsorted(self._starts, flat, side="right")) - 1
@@ -242,22 +285,18 @@ class Touches(Sequence[Touch], Generic[R]):
         """
         z_m, starts = self.dataset.known_contact_z_m()
         plates_m = self.dataset.plates_z_m()
-        rows = self.dataset.row_numbers
-        heights = np.empty(int(self._starts[-1]))
-        for position, row in enumerate(rows):
-            place = slice(int(self._starts[position]), int(self._starts[position + 1]))
+        heights = np.full(int(self._starts[-1]), np.nan)
+        for position, row in enumerate(self.dataset.row_numbers):
             touched_m = z_m[starts[row] : starts[row + 1]]
+            of_round = heights[self._starts[position] : self._starts[position + 1]]
             known = ~np.isnan(touched_m)
-            heights[place][known] = contact_heights_m(touched_m[known], recalibrate_z, plates_m[row])
-            heights[place][~known] = np.nan
+            of_round[known] = contact_heights_m(touched_m[known], recalibrate_z, plates_m[row])
         chosen = heights[self._flat]
-        for index in np.flatnonzero(np.isnan(chosen))[:1].tolist():
-            self._refuse_height(index)
+        unknown = np.isnan(chosen)
+        if unknown.any():
+            position, touch = self.locate(int(np.argmax(unknown)))
+            touch_contact_z_m(self.dataset[position]._row, self.dataset.kind, touch)  # says what is wrong
         return chosen
-
-    def _refuse_height(self, index: int) -> None:
-        position, touch = self.locate(index)
-        touch_contact_z_m(self.dataset[position]._row, self.dataset.kind, touch)
 
     def with_contact(
         self, min_height_m: float = MIN_CONTACT_HEIGHT_M, recalibrate_z: bool = True
@@ -302,15 +341,14 @@ class Touches(Sequence[Touch], Generic[R]):
 
         Images and clips are read only when the function asks for them.
         """
-        order = self.dataset.row_numbers
         keep = np.zeros(len(self), bool)
-        positions, touches = self.round_positions, self.touch_indices
+        touches = self.touch_indices
         by_row: dict[int, list[int]] = {}
-        for place, row in enumerate(order[positions].tolist()):
-            by_row.setdefault(row, []).append(place)
-        for row, record in self.dataset.light_rounds():
-            for place in by_row.get(row, ()):
-                keep[place] = bool(predicate(Touch(record, int(touches[place]))))
+        for index, row in enumerate(self.dataset.row_numbers[self.round_positions].tolist()):
+            by_row.setdefault(row, []).append(index)
+        for row, record in self.dataset.rounds_without_media():
+            for index in by_row.get(row, ()):
+                keep[index] = bool(predicate(Touch(record, int(touches[index]))))
         return self[keep]
 
     def without(self, lost: Iterable[tuple[int, int | None]]) -> Touches[R]:
@@ -343,36 +381,27 @@ class Touches(Sequence[Touch], Generic[R]):
         IntegrityError
             An image is damaged or of another size; names file, row and touch.
         """
-        places = [self.locate(place) for place in positions_of(index, len(self))]
-        if not places:
-            return self._no_images() if out is None else out
-        height, width = self._images_of(places[0][0]).size(places[0][1])
-        if out is None:
-            out = np.empty((len(places), height, width, 3), np.uint8)
-        room_for(len(places), (height, width), out)
+        wanted = [self.locate(each) for each in positions_of(index, len(self))]
+        if not wanted:
+            has_any = len(self.dataset) and self.dataset[0].touch_count
+            size = self._images_of(0).size() if has_any else (0, 0)
+            return room_for(0, size) if out is None else out
+        size = self._images_of(wanted[0][0]).size(wanted[0][1])
+        out = np.empty((len(wanted), *size, 3), np.uint8) if out is None else out
+        room_for(len(wanted), size, out)
         start = 0
-        while start < len(places):
-            position = places[start][0]
-            stop = start + 1
-            while stop < len(places) and places[stop][0] == position:
-                stop += 1
-            wanted = [touch for _, touch in places[start:stop]]
-            self._images_of(position).decode_into(out[start:stop], wanted, threads=threads)
+        for position, of_round in groupby(wanted, key=itemgetter(0)):
+            touches = [touch for _, touch in of_round]
+            stop = start + len(touches)
+            self._images_of(position).decode_into(out[start:stop], touches, threads=threads)
             start = stop
         return out
 
-    def _no_images(self) -> Pixels:
-        rounds = self.dataset
-        size = self._images_of(0).size() if len(rounds) and rounds[0].touch_count else (0, 0)
-        return room_for(0, size)
-
-    def _images_of(self, position: int) -> Any:
+    def _images_of(self, position: int) -> SensorImages:
         record = self.dataset[position]
-        if isinstance(record, TouchSingleRound):
-            return record.sensor_image
-        from realtouch.integrity.damage import missing_column
-
-        raise missing_column(record._row, "sensor_image")
+        if not isinstance(record, TouchSingleRound):
+            raise missing_column(record._row, "sensor_image")
+        return record.sensor_image
 
     @property
     def _flat(self) -> NDArray[np.int64]:

@@ -10,80 +10,78 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from realtouch.integrity.damage import damaged, missing_column
+from realtouch.damage import damaged, missing_column
+from tactile_toolkit.read.columns import NestedColumn
 from tactile_toolkit.read.dataset import Row
-from tactile_toolkit.read.nested import NestedColumn, nested_column
 
 __all__ = [
     "column_of",
+    "entries_of",
+    "int_value",
     "intended_position",
     "intended_positions",
     "media_count",
     "per_touch",
     "plain_value",
-    "require_count",
     "stored_value",
-    "touch_count",
     "touch_total",
     "value_of",
     "vector_of",
     "vectors",
 ]
 
-_POSITIONS = ("gel_pose_cell_frame.position", "gel_pose_cell_frame_seq.position")
+# The first of these that is there says how many touches a round has; poses only where they were read alone.
+_COUNTED = (
+    "pos_in_cell",
+    "sensor_image",
+    "sensor_video",
+    "gel_pose_cell_frame.position",
+    "gel_pose_cell_frame_seq.position",
+)
+_INT_LIMIT = 1 << 63
 
 
 def column_of(row: Row, name: str) -> NestedColumn:
-    """Return the column of a row.
-
-    Raises
-    ------
-    InputError
-        The data set has no such column.
-    """
+    """Return the column of a row; InputError when the data set has none of that name."""
     try:
-        return nested_column(row.group, name)
+        return row.group.nested(name)
     except KeyError as error:
         raise missing_column(row, name) from error
 
 
-def touch_count(row: Row, name: str) -> int:
-    """Return for how many touches a row holds values of a column."""
-    start, stop = column_of(row, name).inside(0, row.index, row.index + 1)
-    return stop - start
+def touch_total(row: Row) -> int:
+    """Return T: the number of intended positions, or else of images or clips, or of poses read alone."""
+    starts = row.group.once("starts of touches", lambda: _touch_starts(row))
+    return starts if isinstance(starts, int) else int(starts[row.index + 1] - starts[row.index])
+
+
+def _touch_starts(row: Row) -> NDArray[Any] | int:
+    for name in _COUNTED:
+        if row.has(name):
+            return row.group.nested(name).levels[0]
+    raise missing_column(row, _COUNTED[0])
+
+
+def entries_of(row: Row, name: str) -> tuple[NestedColumn, int, int]:
+    """Return a column and the range of its entries that are the round's; IntegrityError unless they are T."""
+    column = column_of(row, name)
+    start, stop = column.inside(0, row.index, row.index + 1)
+    expected = touch_total(row)
+    if stop - start != expected:
+        raise damaged(row, name, f"{stop - start} touches; expected {expected} as in 'pos_in_cell'")
+    return column, start, stop
 
 
 def media_count(row: Row, name: str) -> int:
-    """Return for how many touches a row holds images or clips.
-
-    Raises
-    ------
-    IntegrityError
-        There are not T of them.
-    """
-    count = touch_count(row, name)
-    require_count(row, name, count)
-    return count
-
-
-def touch_total(row: Row) -> int:
-    """Return T: the number of intended positions, or else of images or clips, or of poses read alone."""
-    for name in ("pos_in_cell", "sensor_image", "sensor_video", *_POSITIONS):
-        if row.has(name):
-            return touch_count(row, name)
-    raise missing_column(row, "pos_in_cell")
+    """Return for how many touches a row holds images or clips; IntegrityError unless they are T."""
+    _, start, stop = entries_of(row, name)
+    return stop - start
 
 
 def per_touch(row: Row, name: str) -> NDArray[Any]:
-    """Return one value per touch, shape (T,).
-
-    Raises
-    ------
-    IntegrityError
-        There are not T values.
-    """
-    values = column_of(row, name).flat(0, row.index, row.index + 1)
-    require_count(row, name, len(values))
+    """Return one value per touch, shape (T,); IntegrityError where there are more or less."""
+    column, start, stop = entries_of(row, name)
+    values: NDArray[Any] = column.values[start:stop]
     return values
 
 
@@ -91,46 +89,32 @@ def value_of(row: Row, name: str, touch: int) -> Any:
     """Return one value of a column with one per touch, without looking at the others."""
     column = column_of(row, name)
     start, stop = column.inside(0, row.index, row.index + 1)
-    if not touch < stop - start:
-        require_count(row, name, stop - start)
+    if touch >= stop - start:
+        entries_of(row, name)  # says how many are lacking
     return column.values[start + touch]
 
 
 def vectors(row: Row, name: str, width: int) -> NDArray[np.floating]:
-    """Return one vector per touch, shape (T, width), a view.
-
-    Raises
-    ------
-    IntegrityError
-        There are not T vectors of ``width`` values.
-    """
-    values = column_of(row, name).flat(0, row.index, row.index + 1)
-    touches = touch_count(row, name)
-    require_count(row, name, touches)
+    """Return one vector per touch, shape (T, width), a view; IntegrityError for other numbers of values."""
+    column, start, stop = entries_of(row, name)
+    values = column.flat(1, start, stop)
+    touches = stop - start
     if len(values) != touches * width:
-        problem = f"{len(values)} values for {touches} touches; expected {width} each"
-        raise damaged(row, name, problem)
+        raise damaged(row, name, f"{len(values)} values for {touches} touches; expected {width} each")
     return values.reshape(touches, width)
 
 
 def vector_of(row: Row, name: str, touch: int, width: int) -> NDArray[np.floating]:
     """Return the vector of one touch, shape (width,), a view; looks at no other touch.
 
-    Raises
-    ------
-    IntegrityError
-        It has not ``width`` values.
-    IndexError
-        There is no such touch.
+    Raises IntegrityError for another number of values, IndexError when there is no such touch.
     """
-    column = column_of(row, name)
-    first, last = column.inside(0, row.index, row.index + 1)
-    require_count(row, name, last - first)
+    column, first, last = entries_of(row, name)
     if not -(last - first) <= touch < last - first:
         message = f"touch {touch} is out of range for {last - first} touches"
         raise IndexError(message)
-    place = (first if touch >= 0 else last) + touch
-    values = column.flat(1, place, place + 1)
+    entry = (first if touch >= 0 else last) + touch
+    values = column.flat(1, entry, entry + 1)
     if len(values) != width:
         raise damaged(row, name, f"{len(values)} values; expected {width}", touch)
     return values
@@ -139,16 +123,13 @@ def vector_of(row: Row, name: str, touch: int, width: int) -> NDArray[np.floatin
 def intended_positions(row: Row) -> NDArray[np.floating]:
     """Return where each touch was meant to be, shape (T, 2), metres, cell frame, a view.
 
-    Raises
-    ------
-    IntegrityError
-        There are not T positions, or one is missing or not finite; names the touch.
+    Raises IntegrityError, which names the touch, for positions that are missing or not finite.
     """
     positions = vectors(row, "pos_in_cell", 2)
     # One sum tells of any value that is not finite, and costs a tenth of looking at each.
     if not np.isfinite(positions.sum()):
-        for touch in np.flatnonzero(~np.isfinite(positions).all(axis=1)).tolist():
-            raise _no_position(row, touch, positions[touch])
+        for touch in range(len(positions)):
+            intended_position(row, touch)
     return positions
 
 
@@ -156,36 +137,15 @@ def intended_position(row: Row, touch: int) -> NDArray[np.floating]:
     """Return where one touch was meant to be, shape (2,); see :func:`intended_positions`."""
     position = vector_of(row, "pos_in_cell", touch, 2)
     if not np.isfinite(position.sum()):
-        raise _no_position(row, touch, position)
+        raise damaged(row, "pos_in_cell", f"a position {position}; expected metres", touch)
     return position
-
-
-def _no_position(row: Row, touch: int, found: NDArray[np.floating]) -> Exception:
-    return damaged(row, "pos_in_cell", f"a position {found}; expected metres", touch)
-
-
-def require_count(row: Row, name: str, found: int) -> None:
-    """Hold the number of entries of a column against T.
-
-    Raises
-    ------
-    IntegrityError
-        They differ.
-    """
-    expected = touch_total(row)
-    if found != expected:
-        raise damaged(row, name, f"{found} touches; expected {expected} as in 'pos_in_cell'")
 
 
 def plain_value(row: Row, name: str) -> Any:
     """Return a field as numpy's scalar or Python's object.
 
-    Raises
-    ------
-    InputError
-        The data set has no such column.
-    IntegrityError
-        No value is stored, or text that is no Unicode.
+    Raises InputError when the data set has no such column, IntegrityError when no value is stored, or text
+    that is not Unicode.
     """
     try:
         value = row.value(name)
@@ -198,13 +158,20 @@ def plain_value(row: Row, name: str) -> Any:
     return value
 
 
+def int_value(row: Row, name: str) -> int:
+    """Return a field as an int from 0 to below 2**63; IntegrityError for any other, else as plain_value."""
+    value = plain_value(row, name)
+    if isinstance(value, float) and np.isfinite(value):  # a null beside it made numpy's column inexact
+        value = stored_value(row, name)
+    if not np.isfinite(value) or int(value) != value or not 0 <= value < _INT_LIMIT:
+        raise damaged(row, name, f"the value is {value}; expected a whole number of 0 or more, below 2**63")
+    return int(value)
+
+
 def stored_value(row: Row, name: str) -> Any:
     """Return a field of any type as Python's objects, looking at no other row.
 
-    Raises
-    ------
-    IntegrityError
-        Text that is no Unicode is stored.
+    Raises IntegrityError for text that is not Unicode.
     """
     try:
         return row.group.arrow(name)[row.index].as_py()

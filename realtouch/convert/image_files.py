@@ -10,12 +10,13 @@ from typing import Any, Literal
 
 import pyarrow as pa
 
-from realtouch.columns.poses import clip_poses, poses, touch_total, vectors
+from realtouch.columns.per_touch import touch_total, vectors
+from realtouch.columns.poses import clip_poses, poses
 from realtouch.contact import ContactMethod
 from realtouch.convert.plan import RowChoice, Source
 from realtouch.convert.steps import contact_frame_of
+from realtouch.damage import damaged
 from realtouch.dataset import dataset_of
-from realtouch.integrity.damage import damaged
 from realtouch.media.images import SensorImages
 from realtouch.media.round_clips import SensorClips
 from realtouch.rounds import TouchSeqRound, TouchSingleRound

@@ -15,8 +15,7 @@ from typing import Any, Protocol
 
 import pyarrow as pa
 
-from realtouch.names import repository_of
-from realtouch.opening import open_shards
+from realtouch.names import open_shards, repository_of
 from tactile_toolkit.catalog.locate import splits_of
 from tactile_toolkit.errors import InputError, IntegrityError, ItemError
 from tactile_toolkit.read.dataset import Row
@@ -62,7 +61,7 @@ class Source:
         splits = (split,) if split is not None else splits_of(repository_of(name), revision=revision)
         shards = {each: open_shards(name, each, revision=revision) for each in splits}
         for shard in (shard for found in shards.values() for shard in found):
-            require_types(shard.schema, shard.path)
+            require_types(shard)
         return cls(name, shards, kind_of(shards[splits[0]][0].schema, name))
 
     @property

@@ -9,7 +9,8 @@ import numpy as np
 import pyarrow as pa
 from numpy.typing import NDArray
 
-from realtouch.columns.poses import contact_z_m, touch_total, vectors
+from realtouch.columns.per_touch import touch_total, vectors
+from realtouch.columns.poses import contact_z_m
 from realtouch.contact import ContactMethod
 from realtouch.convert.plan import RowChoice
 from realtouch.media.clips import TouchClip

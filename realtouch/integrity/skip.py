@@ -1,24 +1,22 @@
-"""Leaving out what is damaged: files, rows that cannot be read, rounds and touches."""
+"""Finding what is damaged in files before they are read: rows that cannot be read, rounds and touches."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
-from realtouch.dataset import TouchDataset, TouchSeqDataset, TouchSingleDataset, TouchStream, dataset_of
-from realtouch.integrity.agreement import require_alike, sort_out, stated_class_names, usual_touch_count
+from realtouch.damage import Damage, unreadable_rows
+from realtouch.integrity.agreement import stated_class_names
 from realtouch.integrity.check_round import check_round
-from realtouch.integrity.damage import Damage, unreadable_rows
-from realtouch.names import Place
 from tactile_toolkit.errors import IntegrityError
 from tactile_toolkit.read.dataset import Row
-from tactile_toolkit.read.parquet import RowGroup, Shard, ShardedTable
-from tactile_toolkit.touch.schema import kind_of
+from tactile_toolkit.read.parquet import RowGroup, Shard
 
-__all__ = ["PartialShard", "load_undamaged", "without_damage"]
+__all__ = ["PartialShard", "find_damage"]
 
 
 @dataclass(frozen=True)
@@ -26,14 +24,7 @@ class PartialShard(Shard):
     """A Parquet file whose unreadable row groups count as rows without values when columns are read.
 
     Rows keep their numbers, so that the others are found and named as in the whole file. Whoever holds one
-    asks for no unreadable row by itself.
-
-    Parameters
-    ----------
-    path, rows, failures
-        As for :class:`tactile_toolkit.read.parquet.Shard`.
-    lost : frozenset of int
-        Row groups that cannot be read.
+    asks for no row of the groups in ``lost`` by itself.
     """
 
     lost: frozenset[int] = frozenset()
@@ -65,74 +56,49 @@ class PartialShard(Shard):
         return pa.table([pa.nulls(rows, field.type) for field in schema], schema=schema)
 
 
-D = TypeVar("D", bound=TouchDataset[Any])
+def find_damage(
+    shards: Sequence[Shard], expected_touches: int | None
+) -> tuple[list[Shard], NDArray[np.int64], list[tuple[int | None, Damage]]]:
+    """Check every round of some files, of which each must have ``expected_touches``, where that is said.
 
-
-def load_undamaged(
-    shards: Sequence[Shard], place: Place, *, streaming: bool
-) -> TouchSeqDataset | TouchSingleDataset | TouchStream:
-    """Open what is not damaged of some files; see ``on_error`` of :func:`realtouch.load`.
-
-    Raises
-    ------
-    InputError
-        They are no data set of touches.
-    IntegrityError
-        No file is left.
+    Returns
+    -------
+    shards : list of Shard
+        The files; those with row groups that cannot be read as :class:`PartialShard`.
+    rows : ndarray of int64
+        Rows of all files that are not lost. One is lost when it cannot be read or something is wrong with the
+        round as a whole (a column, its number of touches); a round with damaged touches stays.
+    found : list of (int, Damage)
+        All damage, each with the number of its row.
     """
-    readable, left_out = sort_out(shards, str(place))
-    if not readable:
-        require_alike(shards, str(place))
-    kind = kind_of(readable[0].schema, readable[0].path)
-    expected = usual_touch_count(readable, place)
-    if streaming:
-        return TouchStream(readable, kind, skip_damage=True, expected_touches=expected, left_out=left_out)
-    return without_damage(dataset_of(readable, kind), expected, left_out)
-
-
-def without_damage(dataset: D, expected_touches: int | None, left_out: Sequence[Damage] = ()) -> D:
-    """Return a data set without its damaged rounds; its ``touches()`` lack the damaged touches too.
-
-    A round is left out when it cannot be read or something is wrong with it as a whole (a column, its number
-    of touches); one with damaged touches stays. All damage is listed in ``skipped``.
-
-    Parameters
-    ----------
-    dataset : TouchDataset
-        All rounds of its files.
-    expected_touches : int or None
-        T that each round must have; None where rounds are meant to differ.
-    left_out : sequence of Damage
-        Files that were left out beforehand.
-    """
-    found: list[tuple[int | None, Damage]] = [(None, damage) for damage in left_out]
-    tables = []
-    lost = np.zeros(len(dataset), bool)
-    names = stated_class_names(shard for table in dataset._tables for shard in table.shards)
+    found: list[tuple[int | None, Damage]] = []
+    whole: list[Shard] = []
+    lost = np.zeros(sum(map(len, shards)), bool)
+    names = stated_class_names(shards)
     start = 0
-    for table in dataset._tables:
-        whole: list[Shard] = []
-        for shard in table.shards:
-            unreadable = set()
-            for index, first in enumerate(shard.group_starts[:-1]):
-                try:
-                    damage = [
-                        each
-                        for row in _unpacked(shard, index)
-                        for each in check_round(row, expected_touches, class_names=names)
-                    ]
-                except IntegrityError as error:
-                    unreadable.add(index)
-                    found.append((start + first, unreadable_rows(shard, index, error)))
-                    lost[start + first : start + shard.group_starts[index + 1]] = True
-                    continue
-                found += [(start + int(each.row or 0), each) for each in damage]
-                lost[[start + int(each.row or 0) for each in damage if each.touch is None]] = True
-            lacking = PartialShard(shard.path, shard.rows, shard.failures, frozenset(unreadable))
-            whole.append(lacking if unreadable else shard)
-            start += len(shard)
-        tables.append(ShardedTable(tuple(whole)))
-    return type(dataset)(tables, np.flatnonzero(~lost), dataset.label_names, found)
+    for shard in shards:
+        unreadable = set()
+        for index, first in enumerate(shard.group_starts[:-1]):
+            try:
+                damage = [
+                    each
+                    for row in _unpacked(shard, index)
+                    for each in check_round(row, expected_touches, class_names=names)
+                ]
+            except IntegrityError as error:
+                unreadable.add(index)
+                found.append((start + first, unreadable_rows(shard, index, error)))
+                lost[start + first : start + shard.group_starts[index + 1]] = True
+                continue
+            for each in damage:
+                row_number = start + int(each.row or 0)
+                found.append((row_number, each))
+                lost[row_number] |= each.touch is None
+        if unreadable:
+            shard = PartialShard(shard.path, shard.rows, shard.failures, frozenset(unreadable))
+        whole.append(shard)
+        start += len(shard)
+    return whole, np.flatnonzero(~lost), found
 
 
 def _unpacked(shard: Shard, index: int) -> Iterator[Row]:
@@ -140,4 +106,4 @@ def _unpacked(shard: Shard, index: int) -> Iterator[Row]:
     rows = shard.metadata.row_group(index).num_rows
     for block in range(-(-rows // shard.block_rows[index])):
         group = shard.block(index, block)
-        yield from (Row(group, place) for place in range(len(group.table)))
+        yield from (Row(group, number) for number in range(len(group.table)))

@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
-from typing import Any
 
-from realtouch.columns.per_touch import plain_value
-from realtouch.columns.poses import touch_total
-from realtouch.integrity.agreement import local_folder, sort_out, stated_class_names, usual_touch_count
+from realtouch.columns.per_touch import plain_value, touch_total
+from realtouch.damage import Damage, unreadable_rows
+from realtouch.integrity.agreement import TouchFiles, local_folder, usual_touch_count
 from realtouch.integrity.check_round import check_round
-from realtouch.integrity.damage import Damage, unreadable_rows
-from realtouch.names import Name, Place
-from realtouch.opening import open_shards, place_of
+from realtouch.names import Name, open_shards, place_of
 from tactile_toolkit.cards.checks import check_card
 from tactile_toolkit.catalog.locate import splits_of
 from tactile_toolkit.errors import InputError, IntegrityError
@@ -85,21 +83,27 @@ def verify(
     findings = [] if folder is None else _file_findings(folder)
     if folder is not None and _holds_pictures(folder):
         return _verify_pictures(folder, findings, on_progress, decode=not quick)
+    if not isinstance(place, str):
+        parts: tuple[str, ...] = ("train",)  # files come without a split
+    else:
+        parts = (split,) if split is not None else splits_of(place, revision=revision)
     splits = []
-    for part in _shards_of(place, split, revision):
-        readable, unreadable = sort_out(part, str(name))
-        splits.append(readable)
-        findings += [*unreadable, *_lacking_columns(readable)]
-    total = sum(len(shard) for shards in splits for shard in shards)
+    for part in parts:
+        files = TouchFiles(str(name))
+        findings += files.add_undamaged(open_shards(place, part, revision=revision), at_least_one=False)
+        findings += _lacking_columns(files.shards)
+        splits.append(files)
+    total = sum(len(shard) for files in splits for shard in files.shards)
     rounds = touches = 0
     seen: dict[str, str] = {}
-    for shards in splits:
-        expected, class_names = usual_touch_count(shards, place), stated_class_names(shards)
-        for row in _rows(shards, findings):
+    for files in splits:
+        expected = usual_touch_count(files.shards, place)
+        for row in _rows(files.shards, findings):
             rounds += 1
-            findings += check_round(row, expected, decode=not quick, class_names=class_names)
+            findings += check_round(row, expected, decode=not quick, class_names=files.stated_names)
             findings += _repeated_id(row, seen)
-            touches += _touches_or_none(row)
+            with suppress(InputError, IntegrityError):
+                touches += touch_total(row)
             on_progress(rounds, total)
     return TouchVerification(rounds, touches, tuple(findings))
 
@@ -125,14 +129,6 @@ def _holds_pictures(folder: DataFolder) -> bool:
     return manifest is not None and manifest.spec.get("operation") == "frames"
 
 
-def _no_picture(folder: DataFolder, line: Mapping[str, Any], decode: bool) -> list[Damage]:
-    try:
-        (decode_image if decode else image_size)(folder.read_bytes(line["file"]))
-    except ValueError as error:
-        return [Damage(line["file"], None, line["touch"], "", str(error))]
-    return []
-
-
 def _verify_pictures(
     folder: DataFolder, findings: list[Damage], on_progress: Callable[[int, int], None], *, decode: bool
 ) -> TouchVerification:
@@ -148,18 +144,12 @@ def _verify_pictures(
             problem = f"its sha256 differs from the index, which says {line['sha256']}"
             findings.append(Damage(line["file"], None, line["touch"], "", problem))
         else:
-            findings += _no_picture(folder, line, decode)
+            try:
+                (decode_image if decode else image_size)(folder.read_bytes(line["file"]))
+            except ValueError as error:
+                findings.append(Damage(line["file"], None, line["touch"], "", str(error)))
         on_progress(done, len(lines))
     return TouchVerification(len({line["round_id"] for line in lines}), len(lines), tuple(findings))
-
-
-def _shards_of(name: Place, split: str | None, revision: str | None) -> list[tuple[Shard, ...]]:
-    """Find the shards of each split."""
-    if not isinstance(name, str):
-        splits: tuple[str, ...] = ("train",)  # files come without a split
-    else:
-        splits = (split,) if split is not None else splits_of(name, revision=revision)
-    return [open_shards(name, part, revision=revision) for part in splits]
 
 
 def _lacking_columns(shards: Sequence[Shard]) -> list[Damage]:
@@ -197,10 +187,3 @@ def _repeated_id(row: Row, seen: dict[str, str]) -> list[Damage]:
     if first == here:
         return []
     return [Damage(row.path, row.number, None, "id", f"{name!r} is not unique, it also stands in {first}")]
-
-
-def _touches_or_none(row: Row) -> int:
-    try:
-        return touch_total(row)
-    except (InputError, IntegrityError):
-        return 0

@@ -13,13 +13,8 @@ from typing import TYPE_CHECKING, Any, TypeVar
 import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
-from realtouch.columns.poses import (
-    clip_length,
-    clip_poses,
-    clip_times,
-    touch_times,
-)
-from realtouch.columns.stored_clips import stored_clip
+from realtouch.columns.per_frame import clip_length, clip_times, stored_clip, touch_times
+from realtouch.columns.poses import clip_poses
 from realtouch.contact import (
     DEFAULT_MIN_AREA,
     DEFAULT_MIN_CHANGE,
@@ -28,13 +23,13 @@ from realtouch.contact import (
     most_changed_frame,
     require_method,
 )
-from realtouch.integrity.damage import damaged
-from realtouch.media.ffmpeg import ffmpeg_count, ffmpeg_fps, ffmpeg_frames, ffmpeg_size
+from realtouch.damage import damaged
 from realtouch.media.images import in_parallel, positions_of
 from realtouch.poses import Poses
 from tactile_toolkit.errors import InputError, ItemError, MissingExtraError
 from tactile_toolkit.read.dataset import Row
 from tactile_toolkit.touch.avi import Avi, AviIndex, NoIndexError
+from tactile_toolkit.touch.ffmpeg import ffmpeg_count, ffmpeg_fps, ffmpeg_frames, ffmpeg_size
 from tactile_toolkit.touch.jpeg import Pixels, decode_image, image_size, room_for
 
 if TYPE_CHECKING:

@@ -10,9 +10,9 @@ from typing import Any
 
 import numpy as np
 
-from realtouch.integrity.damage import damaged
+from realtouch.damage import damaged
+from tactile_toolkit.read.columns import BytesColumn
 from tactile_toolkit.read.dataset import Row
-from tactile_toolkit.read.nested import BytesColumn, nested_column
 from tactile_toolkit.touch.jpeg import Pixels, decode_image, image_size, room_for
 
 __all__ = ["SensorImages", "in_parallel", "positions_of"]
@@ -30,7 +30,7 @@ class SensorImages(Sequence[Pixels]):
     __slots__ = ("_blobs", "_count", "_name", "_row", "_start")
 
     def __init__(self, row: Row, name: str = "sensor_image") -> None:
-        column = nested_column(row.group, name)
+        column = row.group.nested(name)
         start, stop = column.inside(0, row.index, row.index + 1)
         self._row, self._name = row, name
         self._blobs: BytesColumn = column.values

@@ -9,19 +9,15 @@ from typing import Any, overload
 import numpy as np
 from numpy.typing import NDArray
 
-from realtouch.columns.poses import (
-    clip_lengths,
-    media_count,
-    padded_times,
-    pose_sequences,
-    times_of_touches,
-)
+from realtouch.columns.per_frame import clip_lengths, padded_times, times_of_touches
+from realtouch.columns.per_touch import media_count
+from realtouch.columns.poses import pose_sequences
 from realtouch.contact import ContactMethod, contact_windows, deepest_frame
-from realtouch.integrity.damage import damaged
+from realtouch.damage import damaged
 from realtouch.media.clips import TouchClip
 from realtouch.media.images import in_parallel, positions_of
+from tactile_toolkit.read.columns import BytesColumn
 from tactile_toolkit.read.dataset import Row
-from tactile_toolkit.read.nested import BytesColumn, nested_column
 from tactile_toolkit.touch.avi import Avi
 from tactile_toolkit.touch.jpeg import Pixels, decode_image, room_for
 
@@ -36,7 +32,7 @@ class SensorClips(Sequence[TouchClip]):
     def __init__(self, row: Row) -> None:
         self.row = row
         self._count = media_count(row, "sensor_video")
-        column = nested_column(row.group, "sensor_video")
+        column = row.group.nested("sensor_video")
         self._start = column.inside(0, row.index, row.index + 1)[0]
         self._blobs: BytesColumn = column.values
         self._lengths: list[int] | None = None

@@ -10,12 +10,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from realtouch.columns.info import has_info
 from realtouch.contact import MIN_CONTACT_HEIGHT_M
 from realtouch.dataset import TouchDataset
 from realtouch.media.clips import TouchClip
 from realtouch.names import repository_of
 from realtouch.opening import load
-from realtouch.rounds import TouchRound, TouchSeqRound, has_info
+from realtouch.rounds import TouchRound, TouchSeqRound
 from realtouch.touches import Touch
 from tactile_toolkit.catalog.choose import Choice, chosen_rows, portions, short_name, splits_to_show
 from tactile_toolkit.errors import InputError

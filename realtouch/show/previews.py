@@ -12,9 +12,9 @@ from realtouch.columns.poses import contact_z_m, plate_z_m
 from realtouch.contact import MIN_CONTACT_HEIGHT_M, contact_heights_m
 from realtouch.dataset import TouchDataset
 from realtouch.media.clips import TouchClip
+from realtouch.media.sheets import evenly_spaced, fitted
 from realtouch.opening import load
 from realtouch.rounds import TouchRound, TouchSeqRound
-from realtouch.show.html import evenly_spaced, fitted
 from realtouch.show.overlay import cell_map, overlay, placed_touches
 from realtouch.touches import Touch
 from tactile_toolkit.errors import InputError
@@ -239,7 +239,7 @@ def gel_drift(dataset: TouchDataset[Any]) -> tuple[NDArray[np.float64], tuple[st
     levels_m = np.where(np.isnan(stored), deepest, stored)
     if column_type(dataset._tables[0].schema, "info.gel_id") is None:
         return levels_m, ("",) * len(dataset)
-    by_row = {row: record.info["gel_id"] for row, record in dataset.light_rounds()}
+    by_row = {row: record.info["gel_id"] for row, record in dataset.rounds_without_media()}
     gels = [by_row[row] for row in rows.tolist()]
     return levels_m, tuple("unknown gel" if gel is None else f"gel {gel}" for gel in gels)
 

@@ -23,7 +23,13 @@ from numpy.typing import NDArray
 
 from tactile_toolkit.cache import CACHE_VARIABLE, DiskCache, MemoryCache, cache_folder
 from tactile_toolkit.errors import IntegrityError
-from tactile_toolkit.read.columns import RowGroup, column_types, plain_schema, plain_table
+from tactile_toolkit.read.columns import (
+    RowGroup,
+    column_types,
+    plain_schema,
+    plain_table,
+    stored_class_names,
+)
 from tactile_toolkit.store.folder import DataFolder
 
 __all__ = ["CACHE_VARIABLE", "RowGroup", "Shard", "ShardedTable", "cache_folder"]
@@ -102,6 +108,11 @@ class Shard:
     def types(self) -> dict[str, Any]:
         """Arrow type of each column, and of each struct, by dotted name."""
         return column_types(self.schema)
+
+    @cached_property
+    def class_names(self) -> tuple[str, ...] | None:
+        """Names of the classes, where `datasets` stored them; IntegrityError where they cannot be read."""
+        return stored_class_names(self.schema, self.path)
 
     @cached_property
     def group_starts(self) -> list[int]:

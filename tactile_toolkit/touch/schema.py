@@ -9,7 +9,8 @@ from typing import Any, Literal
 import pyarrow as pa
 
 from tactile_toolkit.errors import InputError, IntegrityError
-from tactile_toolkit.read.columns import column_names, list_depth, stored_class_names
+from tactile_toolkit.read.columns import column_names, column_types, list_depth, stored_class_names
+from tactile_toolkit.read.parquet import Shard
 
 __all__ = [
     "CLASS_NAMES",
@@ -86,14 +87,14 @@ def kind_of(schema: pa.Schema | None, where: str) -> Kind:
     return kinds[0]
 
 
-def require_types(schema: pa.Schema, where: str) -> None:
+def require_types(shard: Shard) -> None:
     """Check the type of every known column that is there, and that the class names can be read.
 
-    Raises IntegrityError, which names file and column.
+    Raises IntegrityError, which names file and column, for a type that values cannot be read from.
     """
-    class_names(schema, where)
+    _ = shard.class_names
     for name, (depth, tests, expected) in _COLUMNS.items():
-        data_type = column_type(schema, name)
+        data_type = shard.types.get(name)
         if data_type is None:
             continue
         found_depth, leaf = list_depth(data_type)
@@ -101,34 +102,19 @@ def require_types(schema: pa.Schema, where: str) -> None:
             leaf = leaf.field("bytes").type
         if found_depth != depth or not any(test(leaf) for test in tests):
             message = (
-                f"{where!r}, field {name!r}: the column has the type {data_type}; expected {expected}; "
+                f"{shard.path!r}, field {name!r}: the column has the type {data_type}; expected {expected}; "
                 "next: download or convert the data set again"
             )
             raise IntegrityError(message)
 
 
 def column_type(schema: pa.Schema, name: str) -> Any:
-    """Return the type of a column by dotted name, flat or inside structs; None when it is not there."""
-    parts = name.split(".")
-    for count in range(len(parts), 0, -1):
-        index = schema.get_field_index(".".join(parts[:count]))
-        if index < 0:
-            continue
-        found = schema.field(index).type
-        for part in parts[count:]:
-            inner = found.get_field_index(part) if pa.types.is_struct(found) else -1
-            if inner < 0:
-                return None
-            found = found.field(inner).type
-        return found
-    return None
+    """Return the Arrow type of a column by dotted name, flat or inside structs; None when it is not there."""
+    return column_types(schema).get(name)
 
 
 def class_names(schema: pa.Schema, where: str = "") -> tuple[str, ...]:
-    """Return the class names that `datasets` stored in the schema, or the ten digits.
-
-    Raises IntegrityError when what is stored there is not a description of features; it names the file.
-    """
+    """Return the class names that `datasets` stored in the schema of a file, or the ten digits."""
     found = stored_class_names(schema, where)
     return CLASS_NAMES if found is None else found
 

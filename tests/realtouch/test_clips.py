@@ -215,7 +215,7 @@ def test_an_avi_of_ours_reads_back_and_in_ffmpeg() -> None:
     assert data == write_avi(jpegs, 24, 16, 25.0)
     index = read_index(memoryview(data))
     assert [bytes(index.frame(memoryview(data), frame)) for frame in range(10)] == jpegs
-    from realtouch.media.ffmpeg import ffmpeg_count, ffmpeg_fps, ffmpeg_frames
+    from tactile_toolkit.touch.ffmpeg import ffmpeg_count, ffmpeg_fps, ffmpeg_frames
 
     assert (ffmpeg_count(memoryview(data)), ffmpeg_fps(memoryview(data))) == (10, 25.0)
     pixels = ffmpeg_frames(memoryview(data), range(10), 10)

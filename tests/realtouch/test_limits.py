@@ -13,9 +13,9 @@ import numpy as np
 import pytest
 
 import realtouch
-from realtouch.media.ffmpeg import ffmpeg_count, ffmpeg_frames
 from tactile_toolkit.errors import InputError, IntegrityError
 from tactile_toolkit.touch.avi import read_index, write_avi
+from tactile_toolkit.touch.ffmpeg import ffmpeg_count, ffmpeg_frames
 from tactile_toolkit.touch.jpeg import MAX_BATCH_PIXELS
 from tests.realtouch import factories
 from tests.realtouch.factories import Layout
@@ -85,7 +85,7 @@ def test_images_that_unpack_to_gigabytes_are_refused(single_rows: list[dict], tm
 def test_frames_of_ffmpeg_are_counted_as_they_come(monkeypatch: pytest.MonkeyPatch) -> None:
     frames = np.zeros((12, 64, 64, 3), np.uint8)
     data = memoryview(factories.encode_avi(frames, "mpeg4", "matroska"))
-    monkeypatch.setattr("realtouch.media.ffmpeg.MAX_BATCH_PIXELS", 4 * 64 * 64)
+    monkeypatch.setattr("tactile_toolkit.touch.ffmpeg.MAX_BATCH_PIXELS", 4 * 64 * 64)
     assert ffmpeg_frames(data, [1, 11, 3, 1], 12).shape == (4, 64, 64, 3)
     with pytest.raises(ValueError, match="5 frames of 64 x 64 pixels at once; the limit is 16,384 pixels"):
         ffmpeg_frames(data, range(5), 12)

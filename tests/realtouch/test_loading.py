@@ -233,7 +233,7 @@ def test_short_names_reach_the_published_repositories(
         asked.append((name, split, options))
         raise InputError(name)
 
-    monkeypatch.setattr("realtouch.opening.find_shards", find)
+    monkeypatch.setattr("realtouch.names.find_shards", find)
     with pytest.raises(InputError, match="touch-real-seq"):
         realtouch.load("real-seq", revision="main", streaming=True)
     assert asked == [

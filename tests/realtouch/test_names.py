@@ -20,7 +20,7 @@ from tests.tactile_toolkit.hub.client import run_here, settings
 
 @pytest.mark.parametrize("name", [None, 123, b"real-seq", [None], [b"a.parquet"]])
 def test_what_is_no_name_is_refused(name: Any) -> None:
-    with pytest.raises(InputError, match="is no name of a data set; expected a short name such as"):
+    with pytest.raises(InputError, match="is not a name of a data set; expected a short name such as"):
         realtouch.load(name)
 
 

@@ -14,7 +14,7 @@ import pyarrow.parquet as pq
 import pytest
 
 import realtouch
-from realtouch.rounds import Info
+from realtouch.columns.info import Info
 from realtouch.touches import Touch
 from tactile_toolkit.errors import InputError, IntegrityError
 from tests.realtouch import factories
@@ -30,7 +30,7 @@ def test_a_touch_kept_from_a_filter_carries_its_picture(single_folder: Path, seq
         alone = kept[8].round.with_touches([3])
         for same in (pickle.loads(pickle.dumps(kept[8])), kept[8].alone(), Touch(alone, 3, 0)):
             np.testing.assert_array_equal(same.image, expected)
-        light = next(record for row, record in touches.dataset.light_rounds() if row == 1)
+        light = next(record for row, record in touches.dataset.rounds_without_media() if row == 1)
         np.testing.assert_array_equal(Touch(pickle.loads(pickle.dumps(light)), 3).image, expected)
 
 

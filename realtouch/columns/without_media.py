@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
 
@@ -9,30 +10,21 @@ from tactile_toolkit.read.columns import column_names
 from tactile_toolkit.read.dataset import Row
 from tactile_toolkit.read.parquet import RowGroup, Shard
 
-__all__ = ["LightGroup", "LightRow", "whole_row"]
+__all__ = ["GroupWithoutMedia", "RowWithoutMedia", "whole_row"]
 
 
-class LightGroup(RowGroup):
-    """Rows without some of their columns.
+@dataclass(frozen=True, eq=False)
+class GroupWithoutMedia(RowGroup):
+    """Rows of which some columns were not read; ``shard``, ``index`` and ``block`` say where those are."""
 
-    Parameters
-    ----------
-    group : RowGroup
-        The columns that were read.
-    shard : Shard
-        Where the others are.
-    index, block : int
-        Row group of the shard, and block of it.
-    """
-
-    def __init__(self, group: RowGroup, shard: Shard, index: int, block: int) -> None:
-        super().__init__(group.table, group.path, group.first_row)
-        object.__setattr__(self, "_home", (shard, index, block))
+    shard: Shard = field(kw_only=True)
+    index: int = field(kw_only=True)
+    block: int = field(kw_only=True)
 
     @cached_property
     def names(self) -> tuple[str, ...]:
         """Columns by dotted name, those not read yet included."""
-        return column_names(self._home[0].schema)  # type: ignore[attr-defined]
+        return column_names(self.shard.schema)
 
     def arrow(self, name: str) -> Any:
         """Return a column, opening the whole rows where it was left out."""
@@ -43,13 +35,11 @@ class LightGroup(RowGroup):
 
     def whole(self) -> RowGroup:
         """Return the same rows with all their columns."""
-        shard, index, block = self._home  # type: ignore[attr-defined]
-        group: RowGroup = shard.block(index, block)
-        return group
+        return self.shard.block(self.index, self.block)
 
 
-class LightRow(Row):
-    """A row of a :class:`LightGroup`; pickles with all its columns."""
+class RowWithoutMedia(Row):
+    """A row of a :class:`GroupWithoutMedia`; pickles with all its columns."""
 
     __slots__ = ()
 
@@ -59,4 +49,4 @@ class LightRow(Row):
 
 def whole_row(row: Row) -> Row:
     """Return a row of which all columns are in its table."""
-    return Row(row.group.whole(), row.index) if isinstance(row.group, LightGroup) else row
+    return Row(row.group.whole(), row.index) if isinstance(row.group, GroupWithoutMedia) else row
