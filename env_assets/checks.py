@@ -7,8 +7,10 @@ from typing import Any
 import numpy as np
 
 from env_assets.measures import Measurable, bounds_m, volumes_m3
-from env_assets.mesh_sets import DigitMeshes, SceneMeshes, WrenchMeshes
+from env_assets.mesh_sets import DATASETS
+from env_assets.missing import KINDS
 from tactile_toolkit.errors import InputError
+from tactile_toolkit.kind import DatasetKind
 from tactile_toolkit.mesh.mesh import MM_PER_M
 
 __all__ = [
@@ -24,33 +26,26 @@ __all__ = [
 _SLACK_M = 1e-3
 """What a scene may stand out of its cell: less than the sensor's gel gives."""
 
-_EXPECTED: dict[str, tuple[type, str]] = {
-    "mnist3d": (DigitMeshes, "digits"),
-    "starstruck": (SceneMeshes, "scenes of stars"),
-    # The published wrench has none of our columns: anything that is not known to be something else will do.
-    "wrench": (WrenchMeshes, "a wrench"),
-}
-
 
 def require_kind(meshes: Any, name: str) -> None:
-    """Refuse meshes of another kind than their name promises.
+    """Refuse meshes of another kind than their name promises, with an InputError.
 
-    Raises
-    ------
-    InputError
-        ``name`` is that of a kind and the data set is of another one.
+    The published wrench has none of our columns: what is not known to be of another kind will do for one.
     """
-    if name not in _EXPECTED or isinstance(meshes, _EXPECTED[name][0]):
+    expected, found = KINDS.get(name), _kind_of(meshes)
+    if expected is None or found is expected or (found is None and not expected.published):
         return
-    if name == "wrench" and not isinstance(meshes, (DigitMeshes, SceneMeshes)):
-        return
-    expected = _EXPECTED[name][1]
     classes = ", ".join(meshes.label_names) or "without names"
+    what = "other meshes" if found is None else found.nouns
     message = (
-        f"{name!r} was expected to hold {expected}, found {_what(meshes)} (classes {classes}); next: give "
-        f"the data set by another name, or put one of {expected} in its place"
+        f"{name!r} was expected to hold {expected.nouns}, found {what} (classes {classes}); next: give the "
+        f"data set by another name, or put {expected.nouns} in its place"
     )
     raise InputError(message)
+
+
+def _kind_of(meshes: Any) -> DatasetKind | None:
+    return next((KINDS[name] for name, opened in DATASETS.items() if isinstance(meshes, opened)), None)
 
 
 def require_scene(record: Any) -> None:
@@ -184,10 +179,3 @@ def require_outward(meshes: Measurable, where: str) -> None:
             "not closed; next: run `validate` on the data set and generate it again"
         )
         raise InputError(message)
-
-
-def _what(meshes: Any) -> str:
-    for kind, words in _EXPECTED.values():
-        if isinstance(meshes, kind):
-            return words
-    return "other meshes"

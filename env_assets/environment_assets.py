@@ -7,7 +7,6 @@ from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
 from env_assets.environment_checks import (
-    CLASS_NAMES,
     refuse_strangers,
     refuse_unfit_meshes,
     refuse_unfit_noise,
@@ -15,6 +14,7 @@ from env_assets.environment_checks import (
 )
 from env_assets.environment_ids import PublishedEnvironment
 from env_assets.linked_files import folder_of_links
+from env_assets.missing import KINDS
 from env_assets.plain_meshes import as_records
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.read.dataset import RecordDataset
@@ -102,7 +102,7 @@ def _data_set(meshes: Any, name: str, where: str) -> Any:
     """Return what a source gave as a data set; a plain sequence of records becomes one."""
     if isinstance(meshes, RecordDataset):
         return meshes
-    plain = as_records(meshes, CLASS_NAMES[name])
+    plain = as_records(meshes, KINDS[name].class_names)
     if plain is None:
         message = (
             f"the provider's meshes of {where} are a {type(meshes).__name__}; expected a sequence of records "

@@ -16,27 +16,17 @@ from env_assets.checks import (
     require_outward,
 )
 from env_assets.environment_ids import Assets
-from env_assets.mesh_sets import DigitMeshes, SceneMeshes, measurable
-from env_assets.wrench.kind import KIND as WRENCH
-from mnist3d.rows import CLASS_NAMES as DIGIT_NAMES
-from starstruck_gen.rows import CLASS_NAMES as STAR_NAMES
+from env_assets.mesh_sets import measurable
+from env_assets.missing import KINDS
 from tactile_toolkit.errors import InputError
 
 __all__ = [
-    "CLASS_NAMES",
     "refuse_strangers",
     "refuse_unfit_meshes",
     "refuse_unfit_noise",
     "refuse_unfit_rounds",
     "refuse_unknown_settings",
 ]
-
-CLASS_NAMES: dict[str, tuple[str, ...]] = {
-    "mnist3d": DIGIT_NAMES,
-    "starstruck": STAR_NAMES,
-    "wrench": WRENCH.class_names,
-}
-"""Classes of each kind of assets; those of a tool may be called otherwise."""
 
 
 def refuse_unfit_meshes(meshes: Any, assets: Assets, where: str, cell_size_m: tuple[float, float]) -> None:
@@ -64,11 +54,11 @@ def refuse_unfit_meshes(meshes: Any, assets: Assets, where: str, cell_size_m: tu
     if not len(meshes):
         message = f"{where} holds no mesh; next: choose another split, or generate it"
         raise InputError(message)
-    if assets != "wrench":
-        require_classes(meshes, CLASS_NAMES[assets], where)
-        require_labels(meshes, where)
-    elif isinstance(meshes, (DigitMeshes, SceneMeshes)):
+    if assets == "wrench":  # classes of a tool may be called anything
         require_kind(meshes, assets)
+    else:
+        require_classes(meshes, KINDS[assets].class_names, where)
+        require_labels(meshes, where)
     solids = measurable(meshes)
     require_fitting(solids, cell_size_m, where)
     if assets == "starstruck":

@@ -10,7 +10,8 @@ import numpy as np
 
 from env_assets.measures import bounds_m, volumes_m3
 from env_assets.mesh_memory import MeshMemory
-from env_assets.mesh_sets import kind_of, open_meshes
+from env_assets.mesh_sets import open_meshes
+from tactile_toolkit.catalog.kinds import kind_of_meshes
 from tactile_toolkit.catalog.locate import find_shards, splits_of
 from tactile_toolkit.errors import InputError, ToolkitError
 from tactile_toolkit.mesh.mesh import MM_PER_M
@@ -97,13 +98,13 @@ def _summary(place: Path, split: str) -> AssetSummary:
         if "pos_in_cell" in schema.names:
             return AssetSummary(place.name, split, "touches", sum(len(shard) for shard in shards))
         meshes = open_meshes(shards, place.name, MeshMemory(0))
+        kind = kind_of_meshes(schema)
+        name = "meshes" if kind is None else kind.name
         if not len(meshes):
-            return AssetSummary(place.name, split, kind_of(schema), 0, meshes.label_names)
+            return AssetSummary(place.name, split, name, 0, meshes.label_names)
         corners_mm, volumes_mm3 = bounds_m(meshes) * MM_PER_M, volumes_m3(meshes) * MM_PER_M**3
     except ToolkitError as error:
         return AssetSummary(place.name, split, problem=str(error))
     largest_mm = tuple(np.max(corners_mm[:, 1] - corners_mm[:, 0], axis=0).round(3).tolist())
     volume_mm3 = (round(float(volumes_mm3.min()), 3), round(float(volumes_mm3.max()), 3))
-    return AssetSummary(
-        place.name, split, kind_of(schema), len(meshes), meshes.label_names, largest_mm, volume_mm3
-    )
+    return AssetSummary(place.name, split, name, len(meshes), meshes.label_names, largest_mm, volume_mm3)

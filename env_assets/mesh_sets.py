@@ -10,16 +10,19 @@ from numpy.typing import NDArray
 
 from env_assets.mesh_memory import MeshMemory, Remembering
 from env_assets.plain_meshes import PlainMeshes
+from env_assets.wrench.kind import KIND as WRENCH
 from mnist3d.dataset import MeshDataset, MeshRecord
-from mnist3d.rows import CLASS_NAMES as DIGIT_NAMES
+from mnist3d.kind import KIND as DIGITS
 from starstruck_gen.dataset import SceneMeshDataset, SceneRecord
-from starstruck_gen.rows import CLASS_NAMES as STAR_NAMES
+from starstruck_gen.kind import KIND as SCENES
+from tactile_toolkit.catalog.kinds import kind_of_meshes
 from tactile_toolkit.mesh.columns import class_names, require_mesh_columns
 from tactile_toolkit.mesh.records import SolidDataset, SolidRecord
 from tactile_toolkit.read.dataset import RecordDataset
 from tactile_toolkit.read.parquet import Shard, ShardedTable
 
 __all__ = [
+    "DATASETS",
     "DigitMeshes",
     "MeshSet",
     "SceneMeshes",
@@ -28,7 +31,6 @@ __all__ = [
     "WrenchDataset",
     "WrenchMeshes",
     "WrenchRecord",
-    "kind_of",
     "measurable",
     "open_meshes",
 ]
@@ -93,29 +95,11 @@ class SolidMeshes(Remembering[SolidRecord], SolidDataset):
 
 MeshSet = DigitMeshes | SceneMeshes | WrenchMeshes | SolidMeshes
 
-_KINDS: dict[str, tuple[Any, tuple[str, ...]]] = {
-    "mnist3d": (DigitMeshes, DIGIT_NAMES),
-    "starstruck": (SceneMeshes, STAR_NAMES),
-    "wrench": (WrenchMeshes, ("wrench",)),
-    "meshes": (SolidMeshes, ()),
+DATASETS: dict[str, Any] = {
+    DIGITS.name: DigitMeshes,
+    SCENES.name: SceneMeshes,
+    WRENCH.name: WrenchMeshes,
 }
-_COLUMNS = {"star_count": "starstruck", "opening_mm": "wrench", "writer": "mnist3d"}
-"""Columns that only one kind has; the published data sets have none of them."""
-
-
-def kind_of(schema: Any) -> str:
-    """Tell the kind of a data set of meshes by its columns, or else by the names of its classes.
-
-    Returns
-    -------
-    str
-        ``"mnist3d"``, ``"starstruck"``, ``"wrench"``, or ``"meshes"`` for anything else.
-    """
-    for column, kind in _COLUMNS.items():
-        if column in schema.names:
-            return kind
-    known = {DIGIT_NAMES: "mnist3d", STAR_NAMES: "starstruck"}
-    return known.get(class_names(schema, ()), "meshes")
 
 
 def open_meshes(shards: tuple[Shard, ...], name: str, memory: MeshMemory) -> MeshSet:
@@ -137,9 +121,11 @@ def open_meshes(shards: tuple[Shard, ...], name: str, memory: MeshMemory) -> Mes
     """
     _import_readers()
     table = ShardedTable(shards)
-    require_mesh_columns(table.schema, name, "mnist3d generate")
-    dataset, names = _KINDS[kind_of(table.schema)]
-    opened: MeshSet = dataset([table], label_names=class_names(table.schema, names)).with_memory(memory)
+    require_mesh_columns(table.schema, name, DIGITS.made_by)
+    kind = kind_of_meshes(table.schema)
+    dataset = SolidMeshes if kind is None else DATASETS.get(kind.name, SolidMeshes)
+    names = class_names(table.schema, () if kind is None else kind.class_names)
+    opened: MeshSet = dataset([table], label_names=names).with_memory(memory)
     return opened
 
 

@@ -59,7 +59,7 @@ def as_touch_dataset(rounds: Sequence[Any], *, cache_size: CacheSize = 0) -> Sto
     Parameters
     ----------
     rounds : realtouch.TouchSingleDataset
-        Such as ``realtouch.load("single-320x240")``.
+        Such as ``realtouch.load("real-single-320x240")``.
     cache_size : int or "full"
         How many rounds are kept once read.
 

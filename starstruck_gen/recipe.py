@@ -29,8 +29,8 @@ class SceneRecipe:
         """Return the recipe of a folder with this specification."""
         counts = spec.get("scenes")
         most = max(counts.values(), default=0) if isinstance(counts, Mapping) else 0
-        per_class = most // len(KIND.class_names)
-        return SceneRecipe(spec.get("seed", 0), per_class) if per_class else None
+        seed, per_class = spec.get("seed", 0), most // len(KIND.class_names)
+        return SceneRecipe(seed, per_class) if per_class and isinstance(seed, int) else None
 
     def arguments(self, split: str) -> str:
         """Return the arguments of the command that makes a split."""

@@ -132,8 +132,8 @@ class DatasetKind:
         The published data sets of this kind.
     plan_previews, plan_gallery : callable
         Plan pictures, or a page, of a data set, where the command line offers that.
-    recipe : callable or None
-        Takes a seed and a number per class, returns the :class:`Recipe` of what needs no input.
+    recipe : callable
+        Takes a seed and a number per class, returns the :class:`Recipe` of what needs no input, if any does.
     """
 
     name: str
@@ -153,7 +153,7 @@ class DatasetKind:
     published: tuple[PublishedSet, ...] = ()
     plan_previews: Callable[..., Any] = _not_offered
     plan_gallery: Callable[..., Any] = _not_offered
-    recipe: Callable[[int, int | None], Recipe] | None = None
+    recipe: Callable[[int, int | None], Recipe] = _not_offered
 
     def load(self, name: str, split: str) -> Any:
         """Open a split as the kind's package does."""

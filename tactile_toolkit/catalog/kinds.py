@@ -18,12 +18,12 @@ __all__ = ["finished_manifest", "kind_of_meshes", "require_kind", "require_manif
 
 
 def kind_of_meshes(schema: Any) -> DatasetKind | None:
-    """Tell the kind of meshes by a column that only one kind has, or else by the names of their classes."""
+    """Tell the kind of meshes by a column that only it has, or else by the classes of its published set."""
     for kind in kinds():
         if any(column in schema.names for column in kind.columns):
             return kind
     names = class_names(schema, ())
-    return next((kind for kind in kinds() if names and kind.class_names == names), None)
+    return next((kind for kind in kinds() if kind.published and kind.class_names == names), None)
 
 
 def require_kind(kind: DatasetKind, command: str, name: str, datasets: Iterable[RecordDataset[Any]]) -> None:

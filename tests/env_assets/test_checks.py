@@ -73,7 +73,7 @@ def test_a_published_wrench_has_none_of_our_columns(tmp_path):
 
 def test_digits_are_no_wrench(tmp_path):
     write_meshes(tmp_path / "wrench", [SMALL.to_trimesh()], tuple("0123456789"))
-    with pytest.raises(InputError, match="expected to hold a wrench, found digits"):
+    with pytest.raises(InputError, match="expected to hold wrenches, found digits"):
         env_assets.AssetProvider(tmp_path).meshes("wrench")
 
 

@@ -224,7 +224,7 @@ def test_what_is_no_data_set_is_named(provider, assets, tmp_path):
 
 def test_another_kind_under_the_name_of_a_kind_is_refused(assets, tmp_path):
     provider = env_assets.AssetProvider(tmp_path, places={"starstruck": assets / "mnist3d"})
-    with pytest.raises(InputError, match="'starstruck' was expected to hold scenes of stars, found digits"):
+    with pytest.raises(InputError, match="'starstruck' was expected to hold scenes, found digits"):
         provider.meshes("starstruck", "test")
 
 
