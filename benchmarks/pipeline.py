@@ -26,9 +26,9 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from tactile_toolkit.run.worker import stay_on_one_core
+from tactile_toolkit.run.limits import limit_threads
 
-stay_on_one_core()
+limit_threads()
 
 import numpy as np
 

@@ -29,9 +29,9 @@ def reports_errors(command: Callable[P, R]) -> Callable[P, R]:
     def guarded(*args: P.args, **kwargs: P.kwargs) -> R:
         try:
             # Besides taking a second, pyarrow's import of pandas swallows a Ctrl-C that comes during it.
-            from tactile_toolkit.run.worker import leave_pandas_out
+            from tactile_toolkit.run.limits import skip_pandas
 
-            leave_pandas_out()
+            skip_pandas()
             return command(*args, **kwargs)
         except ToolkitError as error:
             if os.environ.get(DEBUG_VARIABLE):

@@ -51,7 +51,7 @@ def generate(
     from mnist3d.generation import GenerateSpec, forecast
     from mnist3d.generation import generate as make
     from mnist3d.splits import SPLITS
-    from tactile_toolkit.run.worker import become_worker
+    from tactile_toolkit.run.limits import prepare_batch_process
     from tactile_toolkit.store.folder import DataFolder
     from tactile_toolkit.store.manifest import manifest_so_far
 
@@ -67,7 +67,7 @@ def generate(
         view = forecast(spec, str(out), splits, making.processes, overwrite=making.overwrite)
         print_forecast(sink, KIND, view, out, making)
         return
-    become_worker()
+    prepare_batch_process()
     made = make_with_progress(
         sink,
         "making digits",

@@ -64,7 +64,7 @@ def generate(
     from starstruck_gen.generation import PUBLISHED_SIZES, GenerateSpec, forecast
     from starstruck_gen.generation import generate as make
     from starstruck_gen.streams import SPLITS
-    from tactile_toolkit.run.worker import stay_on_one_core
+    from tactile_toolkit.run.limits import limit_threads
     from tactile_toolkit.store.folder import DataFolder
     from tactile_toolkit.store.manifest import manifest_so_far
 
@@ -81,7 +81,7 @@ def generate(
     if scene.collision == "exact":
         # Outlines are measured by manifold3d: 5.9 s of processor time with one thread, 7.1 s with its own
         # ones. Circles do without it, and would only pay for the 0.1 s that the setting costs.
-        stay_on_one_core()
+        limit_threads()
     made = make_with_progress(
         sink,
         "making scenes",

@@ -21,7 +21,7 @@ from dataclasses import dataclass
 from typing import Protocol, TypeVar
 
 from tactile_toolkit.errors import ToolkitError
-from tactile_toolkit.run.worker import become_worker
+from tactile_toolkit.run.limits import prepare_batch_process
 
 __all__ = ["InlineRunner", "ProcessRunner", "Runner", "runner_for"]
 
@@ -55,38 +55,36 @@ class InlineRunner:
             yield result
 
 
+# Tried instead (2 cores, Linux): the executor alone runs a caller's script again in each worker and fails
+# where it has no `if __name__ == "__main__"`; loky 3.7 does not, but takes 1.7 s to start two workers, where
+# these take 0.65 s. With both, workers outlive a parent that was killed and go on writing into its folder,
+# and a task whose worker died is lost.
 @dataclass(frozen=True)
 class ProcessRunner:
     """Runs tasks in local worker processes.
 
-    Parameters
-    ----------
-    workers : int
-        Number of processes.
-    attempts : int
-        How often a task is tried when its worker dies (killed by the system for want of memory, say)
-        before the run gives up. An exception raised by the task itself is never retried.
+    A task is tried ``attempts`` times when its worker dies (killed by the system for want of memory, say)
+    before the run gives up. An exception raised by the task itself is never retried.
     """
 
     workers: int
     attempts: int = 3
 
     def run(self, function: Callable[[T], R], tasks: Iterable[T]) -> Iterator[R]:
-        """Yield results as they finish.
-
-        Raises
-        ------
-        ToolkitError
-            When the worker of one task died ``attempts`` times.
-        """
+        """Yield results as they finish; ToolkitError when one task's worker died ``attempts`` times."""
         waiting = deque((task, 1) for task in tasks)
         while waiting:
             yield from self._run_pool(function, waiting)
 
     def _run_pool(self, function: Callable[[T], R], waiting: deque[tuple[T, int]]) -> Iterator[R]:
         """Work in one pool until nothing waits or a worker died; then the lost tasks wait again."""
-        pool = _new_pool(min(self.workers, len(waiting)))
-        main = _main_hidden if _needs_no_main(function, waiting[0][0]) else contextlib.nullcontext
+        # spawn: workers start clean whatever threads and file handles the caller's notebook holds.
+        context = multiprocessing.get_context("spawn")
+        pool = ProcessPoolExecutor(
+            min(self.workers, len(waiting)), mp_context=context, initializer=_prepare_worker
+        )
+        needs_main = b"__main__" in pickle.dumps((function, waiting[0][0]))
+        start_context = contextlib.nullcontext if needs_main else _main_hidden
         running: dict[Future[R], tuple[T, int]] = {}
         finished = False
         try:
@@ -94,7 +92,7 @@ class ProcessRunner:
                 # Only what the workers hold is submitted, so that a dead worker costs few attempts.
                 while waiting and len(running) < self.workers:
                     task, attempt = waiting.popleft()
-                    with main():
+                    with start_context():
                         running[pool.submit(function, task)] = (task, attempt)
                 done, _ = wait(running, return_when=FIRST_COMPLETED)
                 for future in done:
@@ -103,19 +101,23 @@ class ProcessRunner:
                     yield result
             finished = True
         except BrokenProcessPool:
-            self._requeue(running, waiting)
+            # All workers of a pool go with the one that died: nobody knows whose task it was.
+            for task, attempt in running.values():
+                if attempt >= self.attempts:
+                    message = (
+                        f"the worker process died {attempt} times while it made {task}; out of memory is the "
+                        "usual cause; next: run the same command with fewer --workers (finished shards are "
+                        "kept)"
+                    )
+                    raise ToolkitError(message) from None
+                waiting.appendleft((task, attempt + 1))
         finally:
-            _close(pool, at_once=not finished)
-
-    def _requeue(self, running: dict[Future[R], tuple[T, int]], waiting: deque[tuple[T, int]]) -> None:
-        for task, attempt in running.values():
-            if attempt >= self.attempts:
-                message = (
-                    f"the worker process died {attempt} times while it made {task}; out of memory is the "
-                    "usual cause; next: run the same command with fewer --workers (finished shards are kept)"
-                )
-                raise ToolkitError(message)
-            waiting.appendleft((task, attempt + 1))
+            processes = [] if finished else list((pool._processes or {}).values())
+            pool.shutdown(wait=finished, cancel_futures=True)
+            for process in processes:
+                process.kill()
+            for process in processes:
+                process.join()
 
 
 def runner_for(workers: int | Runner) -> Runner:
@@ -123,17 +125,6 @@ def runner_for(workers: int | Runner) -> Runner:
     if not isinstance(workers, int):
         return workers
     return InlineRunner() if workers == 1 else ProcessRunner(workers)
-
-
-def _new_pool(workers: int) -> ProcessPoolExecutor:
-    # spawn: workers start clean whatever threads and file handles the caller's notebook holds.
-    context = multiprocessing.get_context("spawn")
-    return ProcessPoolExecutor(workers, mp_context=context, initializer=_prepare_worker)
-
-
-def _needs_no_main(function: object, task: object) -> bool:
-    """Tell whether the work refers to nothing that the caller's own script defines."""
-    return b"__main__" not in pickle.dumps((function, task))
 
 
 @contextlib.contextmanager
@@ -157,22 +148,13 @@ def _main_hidden() -> Iterator[None]:
 def _prepare_worker() -> None:
     # Ctrl-C goes to the whole process group: the parent alone decides what happens to the work.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    become_worker()
+    prepare_batch_process()
     parent = multiprocessing.parent_process()
     if parent is not None:
-        threading.Thread(target=_leave_with, args=(parent,), daemon=True).start()
+        threading.Thread(target=_exit_with, args=(parent,), daemon=True).start()
 
 
-def _leave_with(parent: multiprocessing.process.BaseProcess) -> None:
+def _exit_with(parent: multiprocessing.process.BaseProcess) -> None:
     # A parent killed with SIGKILL cannot tell its workers; they must not go on writing into its folder.
     parent.join()
     os._exit(1)
-
-
-def _close(pool: ProcessPoolExecutor, *, at_once: bool) -> None:
-    processes = list((pool._processes or {}).values()) if at_once else []
-    pool.shutdown(wait=not at_once, cancel_futures=True)
-    for process in processes:
-        process.kill()
-    for process in processes:
-        process.join()
