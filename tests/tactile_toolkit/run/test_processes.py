@@ -1,0 +1,58 @@
+"""Workers: the caller's script is left alone, and a task's own exception is nobody else's business."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from tactile_toolkit.run.processes import ProcessRunner
+
+REPOSITORY = Path(__file__).resolve().parents[3]
+
+UNGUARDED = """
+print("started")
+import math
+from tactile_toolkit.run.processes import ProcessRunner
+print(sorted(ProcessRunner(2).run(math.sqrt, [1.0, 4.0, 9.0])))
+"""
+
+
+def test_a_script_without_a_guard_runs_once(tmp_path: Path) -> None:
+    script = tmp_path / "script.py"
+    script.write_text(UNGUARDED)
+    for command in ([str(script)], ["-c", UNGUARDED]):
+        done = subprocess.run(
+            [sys.executable, *command], cwd=REPOSITORY, capture_output=True, text=True, check=False
+        )
+        assert done.stdout == "started\n[1.0, 2.0, 3.0]\n", done.stderr
+
+
+def fails(path: str) -> None:
+    with Path(path).open("a") as stream:
+        stream.write("tried\n")
+    message = "of the task"
+    raise ZeroDivisionError(message)
+
+
+def test_an_exception_of_a_task_is_raised_as_it_is_and_not_retried(tmp_path: Path) -> None:
+    tries = tmp_path / "tries"
+    with pytest.raises(ZeroDivisionError, match="of the task"):
+        list(ProcessRunner(2).run(fails, [str(tries)]))
+    assert tries.read_text() == "tried\n"
+
+
+def test_workers_and_command_lines_do_without_pandas() -> None:
+    code = """
+import sys
+from tactile_toolkit.run.limits import skip_pandas
+skip_pandas()
+import pyarrow as pa
+pa.array([1, 2]), pa.Table.from_pylist([{"x": "a"}])
+assert "pandas" not in sys.modules
+import pandas  # whoever wants it has it
+"""
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
