@@ -1,0 +1,73 @@
+"""What the store tells of Parquet files without reading them again."""
+
+from __future__ import annotations
+
+import io
+from pathlib import Path
+
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+
+from tactile_toolkit.read.parquet import Shard
+from tactile_toolkit.store.parquet import ParquetStyle, encode_parquet, unpacked_bytes, write_parquet
+
+MEDIA = pa.struct([("bytes", pa.binary()), ("path", pa.string())])
+PLACEMENT = pa.struct([("shape", pa.string()), ("x_m", pa.float64())])
+SCHEMA = pa.schema(
+    [
+        ("id", pa.int64()),
+        ("mesh.vertices", pa.list_(pa.list_(pa.float32(), 3))),
+        ("name", pa.string()),
+        ("info", pa.struct([("notes", pa.string()), ("used", pa.bool_())])),
+        ("placements", pa.list_(PLACEMENT)),
+        ("images", pa.list_(pa.field("frame", MEDIA))),
+        ("words", pa.large_list(pa.string())),
+    ]
+)
+
+
+def table(rows: int) -> pa.Table:
+    values = [
+        {
+            "id": row,
+            "mesh.vertices": [[row, 1, 2]] * (row % 4),
+            "name": None if row % 3 == 0 else "digit" * (row % 5),
+            "info": {"notes": "ä" * row, "used": row % 2 == 0},
+            "placements": [{"shape": "box", "x_m": 0.5}] * (row % 3),
+            "images": [{"bytes": bytes(row), "path": f"{row}.jpg"}],
+            "words": None if row % 7 == 0 else ["a", None, "bc"],
+        }
+        for row in range(rows)
+    ]
+    return pa.Table.from_pylist(values, schema=SCHEMA)
+
+
+@pytest.mark.parametrize("rows", [0, 1, 5, 23])
+def test_the_size_of_rows_is_the_same_before_and_after_reading(tmp_path: Path, rows: int) -> None:
+    made = table(rows)
+    content, footer = write_parquet(made, ParquetStyle(rows_per_group=5))
+    (tmp_path / "train-00000-of-00001.parquet").write_bytes(content)
+    shard = Shard(str(tmp_path / "train-00000-of-00001.parquet"))
+    read = unpacked_bytes(shard.metadata, shard.schema, shard.read)
+    assert unpacked_bytes(footer, made.schema, lambda _: made) == read
+
+
+def test_columns_are_encoded_as_asked_whatever_their_nesting() -> None:
+    """The names of columns inside others follow from the schema alone, as Parquet spells them."""
+    encodings = (
+        ("mesh.vertices.list.element.list.element", "BYTE_STREAM_SPLIT"),
+        ("placements.list.element.x_m", "PLAIN"),
+        ("images.list.element.bytes", "PLAIN"),
+        ("info.notes", "DELTA_BYTE_ARRAY"),
+    )
+    content = encode_parquet(table(23), ParquetStyle(rows_per_group=50, encodings=encodings))
+    group = pq.ParquetFile(io.BytesIO(content)).metadata.row_group(0)
+    columns = {group.column(index).path_in_schema: group.column(index) for index in range(group.num_columns)}
+    for path, encoding in encodings:
+        assert encoding in columns[path].encodings
+        assert not columns[path].has_dictionary_page
+        assert not columns[path].is_stats_set
+    others = set(columns) - {path for path, _ in encodings}
+    assert {path for path in others if columns[path].has_dictionary_page} == others - {"info.used"}
+    assert all(columns[path].is_stats_set for path in others)
