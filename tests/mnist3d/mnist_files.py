@@ -10,9 +10,6 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from mnist3d.sources.mnist import MnistSource
-from tactile_toolkit.errors import InputError
-
 SHARED = Path(__file__).resolve().parents[2].parent / "shared" / "mnist"
 needs_shared = pytest.mark.skipif(not SHARED.is_dir(), reason=f"no MNIST files in {SHARED}")
 
@@ -52,12 +49,3 @@ def write(
     for kind, array in contents.items():
         data = gzip.compress(idx(array)) if end else idx(array)
         (folder / name_of(part, kind, mark, end)).write_bytes(data)
-
-
-def refusal(made: MnistSource) -> str:
-    with pytest.raises(InputError) as caught:
-        made.catalog()
-    message = str(caught.value)
-    assert "expected" in message
-    assert "; next: " in message
-    return message

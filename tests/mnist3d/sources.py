@@ -1,14 +1,15 @@
-"""A source that fails on purpose, for tests of runs."""
+"""A source that fails on purpose, for tests of runs, and what every source says when it cannot be used."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
 import numpy as np
+import pytest
 
-from mnist3d.sources import DigitCatalog, DigitImage
+from mnist3d.sources import DigitCatalog, DigitImage, DigitSource
 from mnist3d.sources.synthetic import SyntheticSource
-from tactile_toolkit.errors import ItemError
+from tactile_toolkit.errors import InputError, ItemError
 
 BLANK, FULL, UNREADABLE = 3, 11, 17
 
@@ -39,3 +40,13 @@ class FlawedSource:
             return DigitImage(digit_id, label, np.full((500, 500), grey, np.uint8), digit_id % 3)
         drawn = SyntheticSource(self.seed).image(label * 14 + digit_id % 3)
         return DigitImage(digit_id, label, drawn.pixels, digit_id % 3)
+
+
+def refusal(made: DigitSource) -> str:
+    """Return the message with which a source refuses its files."""
+    with pytest.raises(InputError) as caught:
+        made.catalog()
+    message = str(caught.value)
+    assert "expected" in message
+    assert "; next: " in message
+    return message

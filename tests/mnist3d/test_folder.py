@@ -16,6 +16,7 @@ from PIL import Image
 from mnist3d.sources import NO_WRITER, DigitSource
 from mnist3d.sources.folder import FolderSource, _natural
 from tactile_toolkit.errors import InputError, ItemError
+from tests.mnist3d.sources import refusal
 
 SHARED = Path(__file__).resolve().parents[2].parent / "shared"
 PICTURES = SHARED / "digits" / "png"
@@ -51,15 +52,6 @@ def read(root: Path, ink: str = "auto") -> NDArray[np.uint8]:
     assert pixels.shape == (500, 500)
     assert pixels.dtype == np.uint8
     return pixels
-
-
-def refusal(made: FolderSource) -> str:
-    with pytest.raises(InputError) as caught:
-        made.catalog()
-    message = str(caught.value)
-    assert "expected" in message
-    assert "; next: " in message
-    return message
 
 
 def item_refusal(root: Path, reason: str, ink: str = "auto") -> str:

@@ -16,7 +16,8 @@ from numpy.typing import NDArray
 
 from mnist3d.sources import NO_WRITER, DigitSource
 from mnist3d.sources.hwdplus import HwdPlusSource
-from tactile_toolkit.errors import InputError, ItemError
+from tactile_toolkit.errors import ItemError
+from tests.mnist3d.sources import refusal
 
 SHARED = Path(__file__).resolve().parents[2].parent / "shared" / "digits"
 needs_shared = pytest.mark.skipif(not SHARED.is_dir(), reason=f"no real digits in {SHARED}")
@@ -43,15 +44,6 @@ def source(
     np.save(folder / "Images(500x500).npy", images)
     np.save(folder / "WriterInfo.npy", info)
     return HwdPlusSource(str(folder / "Images(500x500).npy"), str(folder / "WriterInfo.npy"), **options)
-
-
-def refusal(made: HwdPlusSource) -> str:
-    with pytest.raises(InputError) as caught:
-        made.catalog()
-    message = str(caught.value)
-    assert "expected" in message
-    assert "; next: " in message
-    return message
 
 
 def test_rows_are_ids_and_pixels_come_back_as_they_are(tmp_path: Path) -> None:

@@ -20,7 +20,8 @@ from mnist3d.sources import NO_WRITER, DigitSource
 from mnist3d.sources.canvas import enlarge, fit
 from mnist3d.sources.mnist import MnistSource, download_mnist
 from tactile_toolkit.errors import HubError, ItemError, MissingExtraError, StorageError
-from tests.mnist3d.mnist_files import PREFIXES, SHARED, bars, idx, name_of, needs_shared, refusal, write
+from tests.mnist3d.mnist_files import PREFIXES, SHARED, bars, idx, name_of, needs_shared, write
+from tests.mnist3d.sources import refusal
 
 
 @pytest.mark.parametrize("end", ["", ".gz"])
