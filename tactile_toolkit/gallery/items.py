@@ -2,11 +2,29 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Protocol
 
-__all__ = ["NONE", "SPLIT", "Facet", "Gallery", "Item", "ItemTask", "Measure"]
+import numpy as np
+
+from tactile_toolkit.catalog.choose import Choice, chosen_rows, portions, short_name, splits_to_show
+from tactile_toolkit.catalog.kinds import require_kind
+from tactile_toolkit.kind import DatasetKind
+from tactile_toolkit.read.dataset import RecordDataset
+
+__all__ = [
+    "NONE",
+    "SPLIT",
+    "Facet",
+    "Gallery",
+    "Item",
+    "ItemTask",
+    "Measure",
+    "RowsTask",
+    "gallery_of_meshes",
+    "gallery_of_rows",
+]
 
 NONE = "none"
 """Facet value of items that have none, so that these can be looked at too."""
@@ -17,16 +35,9 @@ SPLIT = "split"
 
 @dataclass(frozen=True, slots=True)
 class Facet:
-    """Something that items are filtered by.
+    """Something that items are filtered by; ``name`` is its key in :attr:`Item.facets`.
 
-    Attributes
-    ----------
-    name : str
-        Key in :attr:`Item.facets`.
-    title : str
-        What readers call it.
-    values : tuple of str
-        Values in the order to show them in; others that items have follow in natural order.
+    ``values`` are shown in their order, others that items have follow in natural order.
     """
 
     name: str
@@ -36,55 +47,27 @@ class Facet:
 
 @dataclass(frozen=True, slots=True)
 class Measure:
-    """A number of each item, shown with it and sorted by.
-
-    Attributes
-    ----------
-    name : str
-        Key in :attr:`Item.measures`.
-    title : str
-        What readers call it.
-    unit : str
-        Unit as it is shown; empty for counts.
-    decimals : int
-        Decimals shown and stored.
-    """
+    """A number of each item, shown with it and sorted by; ``name`` is its key in :attr:`Item.measures`."""
 
     name: str
     title: str
-    unit: str = ""
+    unit: str = ""  # as it is shown; empty for counts
     decimals: int = 0
 
 
 @dataclass(frozen=True, slots=True)
 class Item:
-    """One item as a worker hands it over.
+    """One item as a worker hands it over."""
 
-    Attributes
-    ----------
-    id : str
-        What it is searched by.
-    title : str
-        What it is, in few words: ``"digit 3"``.
-    facets : mapping of str to sequence of str
-        Its values of each :class:`Facet`.
-    measures : mapping of str to float or None
-        Its value of each :class:`Measure`; None (or no entry) where it is unknown.
-    thumbnail : bytes
-        A small picture, PNG.
-    content : mapping
-        JSON values that the page loads when the item is opened: ``"notes"`` (pairs of a title and a text)
-        and either ``"mesh"`` (see :func:`tactile_toolkit.gallery.meshes.packed_mesh`) or ``"touches"``.
-    media : mapping of str to bytes
-        Further files by the end of their name, such as ``"000.jpg"``.
-    """
-
-    id: str
+    id: str  # what it is searched by
     title: str
     facets: Mapping[str, Sequence[str]]
-    measures: Mapping[str, float | None]
-    thumbnail: bytes = field(repr=False)
+    measures: Mapping[str, float | None]  # None, or no entry, where it is unknown
+    thumbnail: bytes = field(repr=False)  # PNG
+    # JSON values that the page loads when the item is opened: "notes" (pairs of a title and a text) and
+    # either "mesh" (see tactile_toolkit.gallery.packing.packed_mesh) or "touches".
     content: Mapping[str, Any] = field(repr=False)
+    # Further files by the end of their name, such as "000.jpg".
     media: Mapping[str, bytes] = field(default_factory=dict, repr=False)
 
 
@@ -103,35 +86,95 @@ class ItemTask(Protocol):
 
 @dataclass(frozen=True)
 class Gallery:
-    """What a site is to hold.
+    """What a site is to hold, and the tasks that make its items, in the order of the page."""
 
-    Attributes
-    ----------
-    kind : str
-        Kind of data set, such as ``"mnist3d"``.
-    title : str
-        Heading of the page.
-    nouns : tuple of str
-        One item and several: ``("digit", "digits")``.
-    facets : tuple of Facet
-        What the page filters by.
-    measures : tuple of Measure
-        Numbers of each item.
-    tasks : tuple of ItemTask
-        Work that makes the items, in the order of the page.
-    splits : mapping of str to int
-        How many items of each split are shown.
-    """
-
-    kind: str
+    kind: str  # of the data set, such as "mnist3d"
     title: str
-    nouns: tuple[str, str]
+    nouns: tuple[str, str]  # one item and several
     facets: tuple[Facet, ...]
     measures: tuple[Measure, ...]
     tasks: tuple[ItemTask, ...]
-    splits: Mapping[str, int]
+    splits: Mapping[str, int]  # how many items of each are shown
 
     @property
     def size(self) -> int:
         """How many items there are."""
         return sum(task.size for task in self.tasks)
+
+
+@dataclass(frozen=True)
+class RowsTask:
+    """Makes the items of some rows of a split, from each row and what was known of it beforehand.
+
+    Pickles with what is known of these rows alone; ``item`` takes record, split, class names and the known.
+    """
+
+    dataset: RecordDataset[Any]
+    split: str
+    item: Callable[[Any, str, tuple[str, ...], Any], Item]
+    known: tuple[Any, ...] = field(repr=False)
+
+    @property
+    def size(self) -> int:
+        """How many items it makes."""
+        return len(self.dataset)
+
+    def make(self) -> list[Item]:
+        """Make the items, in order."""
+        names = self.dataset.label_names
+        return [
+            self.item(record, self.split, names, known)
+            for record, known in zip(self.dataset, self.known, strict=True)
+        ]
+
+
+def gallery_of_rows(
+    kind: DatasetKind,
+    choice: Choice,
+    title: str,
+    facets: tuple[Facet, ...],
+    measures: tuple[Measure, ...],
+    item: Callable[[Any, str, tuple[str, ...], Any], Item],
+    rows_per_task: int,
+    known: Callable[[Any, str], Sequence[Any]],
+    splits: Iterable[tuple[str, RecordDataset[Any]]],
+) -> Gallery:
+    """Plan a gallery of the rows that are chosen of some splits; see :class:`RowsTask` for ``item``.
+
+    ``known`` takes the chosen rows and their split, and says what is known of each beforehand.
+    """
+    tasks: list[ItemTask] = []
+    shown: dict[str, int] = {}
+    for split, dataset in splits:
+        rows = dataset[chosen_rows(dataset.labels, choice.limit, choice.per_class)]
+        shown[split] = len(rows)
+        told = known(rows, split)
+        for portion in portions(np.arange(len(rows)), rows_per_task):
+            tasks.append(RowsTask(rows[portion], split, item, tuple(told[row] for row in portion)))
+    heading = f"{title} · {short_name(choice.name)}"
+    return Gallery(kind.name, heading, (kind.noun, kind.nouns), facets, measures, tuple(tasks), shown)
+
+
+def gallery_of_meshes(
+    kind: DatasetKind,
+    choice: Choice,
+    title: str,
+    facets: tuple[Facet, ...],
+    measures: tuple[Measure, ...],
+    item: Callable[[Any, str, tuple[str, ...], Any], Item],
+    rows_per_task: int,
+    known: Callable[[Any, str], Sequence[Any]] = lambda rows, _: [None] * len(rows),
+) -> Gallery:
+    """Plan a gallery of a data set of meshes; reads ids and labels, no mesh.
+
+    InputError: no such data set or split, or one of another kind. IntegrityError: it is damaged or
+    unfinished. HubError: the repository cannot be reached or does not exist.
+    """
+
+    def opened() -> Iterable[tuple[str, RecordDataset[Any]]]:
+        for split in splits_to_show(choice.name, choice.split):
+            dataset = kind.load(choice.name, split)
+            require_kind(kind, "gallery", choice.name, [dataset])
+            yield split, dataset
+
+    return gallery_of_rows(kind, choice, title, facets, measures, item, rows_per_task, known, opened())

@@ -22,67 +22,56 @@ def is_unfinished(name: str) -> bool:
 
 
 @contextlib.contextmanager
-def staged_folder(place: Path, refuse: Callable[[Path], None] = lambda _folder: None) -> Iterator[Path]:
-    """Give a new folder whose content is at ``place`` in the end.
+def staged_folder(path: Path, refuse: Callable[[Path], None] = lambda _folder: None) -> Iterator[Path]:
+    """Give a new folder whose content is at ``path``, which is not a symbolic link, in the end.
 
-    A folder that stands at ``place`` stays and what it holds is replaced: whoever is in it stays in it. An
-    exception removes what was made; what a killed process left is removed by the next run.
-
-    Parameters
-    ----------
-    place : Path
-        Where the content goes: no symbolic link.
-    refuse : callable
-        Takes a folder and raises where that holds what may not be replaced. Asked at the very end, of what
-        stands at ``place`` and of what was moved out of it: hours may lie between.
-
-    Raises
-    ------
-    OSError
-        As the file system raises it.
+    A folder that stands there stays and what it holds is replaced: whoever is in it stays in it. An exception
+    removes what was made; what a killed process left is removed by the next run. ``refuse`` takes a folder
+    and raises where that holds what may not be replaced. It is asked at the very end, of what stands at
+    ``path`` and of what was moved out of it: hours may lie between.
     """
-    place.parent.mkdir(parents=True, exist_ok=True)
+    path.parent.mkdir(parents=True, exist_ok=True)
     # Within a folder that is there, which may be all that may be written, or a file system of its own.
-    home = place if place.is_dir() else place.parent
-    for left in (*stale_files(place.parent, _PREFIX), *stale_files(place, _PREFIX)):
+    home = path if path.is_dir() else path.parent
+    for left in (*stale_files(path.parent, _PREFIX), *stale_files(path, _PREFIX)):
         shutil.rmtree(left, ignore_errors=True)
-    staging = home / temporary_name(place.name, _PREFIX)
+    staging = home / temporary_name(path.name, _PREFIX)
     staging.mkdir()
     try:
         yield staging
-        _put_in_place(staging, place, refuse)
+        _put_in_place(staging, path, refuse)
     finally:
         shutil.rmtree(staging, ignore_errors=True)
 
 
-def _put_in_place(staging: Path, place: Path, refuse: Callable[[Path], None]) -> None:
-    if not place.exists():
+def _put_in_place(staging: Path, path: Path, refuse: Callable[[Path], None]) -> None:
+    if not path.exists():
         try:
-            staging.rename(place)
+            staging.rename(path)
         except OSError:
             # Another run may have been faster: its folder holds something.
-            if not place.is_dir():
+            if not path.is_dir():
                 raise
         else:
             return
-    with _alone(place):
-        refuse(place)
-        _exchange(staging, place, refuse)
+    with _alone(path):
+        refuse(path)
+        _exchange(staging, path, refuse)
 
 
-def _exchange(staging: Path, place: Path, refuse: Callable[[Path], None]) -> None:
+def _exchange(staging: Path, path: Path, refuse: Callable[[Path], None]) -> None:
     """Put the content of a folder in place of another's, which comes back when that fails."""
-    former = place / temporary_name("former", _PREFIX)
+    former = path / temporary_name("former", _PREFIX)
     former.mkdir()
     arrived: list[str] = []
     try:
-        _move(place, former, [])
+        _move(path, former, [])
         refuse(former)
-        _move(staging, place, arrived)
+        _move(staging, path, arrived)
     except BaseException:
         for name in arrived:
-            (place / name).rename(staging / name)
-        _move(former, place, [])
+            (path / name).rename(staging / name)
+        _move(former, path, [])
         former.rmdir()
         raise
     shutil.rmtree(former, ignore_errors=True)
@@ -97,9 +86,9 @@ def _move(source: Path, target: Path, moved: list[str]) -> None:
 
 
 @contextlib.contextmanager
-def _alone(place: Path) -> Iterator[None]:
+def _alone(path: Path) -> Iterator[None]:
     """Keep other runs from changing a folder, where the file system can."""
-    handle = os.open(place, os.O_RDONLY)
+    handle = os.open(path, os.O_RDONLY)
     try:
         with contextlib.suppress(OSError):
             fcntl.flock(handle, fcntl.LOCK_EX)

@@ -95,7 +95,7 @@ def test_refusals_and_overwrite(folders, tmp_path, capsys):
     assert (
         call("starstruck", "gallery", folders["starstruck"], "--out", folders["mnist3d"], "--overwrite") == 2
     )
-    assert "is no part of a gallery; nothing was changed" in capsys.readouterr().err
+    assert "is not part of a gallery; nothing was changed" in capsys.readouterr().err
     assert call("mnist3d", "gallery", tmp_path / "absent", "--out", tmp_path / "new") == 2
     assert call("mnist3d", "gallery", folders["realtouch"], "--out", tmp_path / "new") == 2
     assert "no data set of meshes" in capsys.readouterr().err
@@ -110,13 +110,13 @@ def test_refusals_and_overwrite(folders, tmp_path, capsys):
 def test_ctrl_c_leaves_nothing_and_says_so(folders, tmp_path):
     code = (
         "import pathlib, sys, time\n"
-        "import starstruck_gen.gallery as gallery\n"
+        "from tactile_toolkit.gallery.items import RowsTask\n"
         "from cli.starstruck import main\n"
         "alive = sys.argv.pop()\n"
         "def wait(task):\n"
         "    pathlib.Path(alive).touch()\n"
         "    time.sleep(600)\n"
-        "gallery._SceneTask.make = wait\n"
+        "RowsTask.make = wait\n"
         "main()\n"
     )
     alive, place = tmp_path / "alive", tmp_path / "place"

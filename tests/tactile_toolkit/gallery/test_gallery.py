@@ -14,9 +14,8 @@ import pytest
 from tactile_toolkit.errors import InputError, IntegrityError, ItemError, StorageError, ToolkitError
 from tactile_toolkit.gallery import site as site_module
 from tactile_toolkit.gallery.items import Gallery
-from tactile_toolkit.gallery.library import viewer_library
+from tactile_toolkit.gallery.page import ASSETS, asset, viewer_library
 from tactile_toolkit.gallery.site import MARKER_FILE, MOST_ITEMS, build_site, forecast_site
-from tactile_toolkit.gallery.texts import ASSETS, asset
 from tactile_toolkit.run.processes import InlineRunner, ProcessRunner
 from tests.gallery_toy import HOSTILE, ToyTask, toy_gallery
 from tests.tactile_toolkit.toy import folder_bytes
@@ -114,11 +113,11 @@ def test_another_folder_is_refused_even_with_overwrite(tmp_path):
     (tmp_path / "mine" / "thesis.txt").write_text("years of work")
     for overwrite in (False, True):
         with pytest.raises(
-            InputError, match=r"'thesis.txt', which is no part of a gallery; nothing was changed"
+            InputError, match=r"'thesis.txt', which is not part of a gallery; nothing was changed"
         ):
             build(tmp_path / "mine", overwrite=overwrite)
     (tmp_path / "file").write_text("x")
-    with pytest.raises(InputError, match="no part of a gallery"):
+    with pytest.raises(InputError, match="not part of a gallery"):
         build(tmp_path / "file", overwrite=True)
     assert entries(tmp_path) == ["file", "mine"]
     assert (tmp_path / "mine" / "thesis.txt").read_text() == "years of work"
@@ -150,7 +149,7 @@ def test_an_empty_folder_is_used(tmp_path):
 def test_a_marker_of_somebody_else_is_no_gallery(tmp_path):
     for content in ("{}", "[]", "not json", '{"what": "something"}'):
         (tmp_path / MARKER_FILE).write_text(content)
-        with pytest.raises(InputError, match="no part of a gallery"):
+        with pytest.raises(InputError, match="not part of a gallery"):
             build(tmp_path, overwrite=True)
 
 
@@ -338,7 +337,7 @@ def test_files_put_in_its_place_meanwhile_are_kept(tmp_path, there, overwrite):
             (out / "items").mkdir(parents=True, exist_ok=True)
             (out / "items" / "thesis.txt").write_text("years of work")
 
-    with pytest.raises(InputError, match=r"no part of a gallery; nothing was changed"):
+    with pytest.raises(InputError, match=r"not part of a gallery; nothing was changed"):
         build(out, toy_gallery(16), overwrite=overwrite, on_progress=put)
     assert (out / "items" / "thesis.txt").read_text() == "years of work"
     whole = build(tmp_path / "same").files if there == "a gallery" else 0
@@ -370,7 +369,7 @@ def build_over(out: Path) -> None:
     build(out, toy_gallery(4), overwrite=True)
 
 
-def test_a_stranger_that_hides_until_the_end_comes_back(tmp_path, monkeypatch):
+def test_an_unknown_file_that_hides_until_the_end_comes_back(tmp_path, monkeypatch):
     out = tmp_path / "site"
     build(out)
     before = folder_bytes(out)
@@ -382,7 +381,7 @@ def test_a_stranger_that_hides_until_the_end_comes_back(tmp_path, monkeypatch):
         return rename(self, target)
 
     monkeypatch.setattr(Path, "rename", late)
-    with pytest.raises(InputError, match=r"'items/thesis.txt', which is no part of a gallery"):
+    with pytest.raises(InputError, match=r"'items/thesis.txt', which is not part of a gallery"):
         build(out, toy_gallery(4), overwrite=True)
     assert folder_bytes(out) == {**before, "items/thesis.txt": b"years of work"}
 

@@ -14,11 +14,16 @@ from hypothesis import strategies as st
 
 from tactile_toolkit.catalog.choose import chosen_rows, portions, short_name
 from tactile_toolkit.errors import IntegrityError
-from tactile_toolkit.gallery.index import IndexBuilder, natural_order
 from tactile_toolkit.gallery.items import Facet, Gallery, Item
-from tactile_toolkit.gallery.meshes import STEP_MM, packed_mesh, require_mesh
-from tactile_toolkit.gallery.pictures import THUMBNAIL_PX, thumbnail, top_view
-from tactile_toolkit.gallery.texts import script_json
+from tactile_toolkit.gallery.packing import (
+    STEP_MM,
+    THUMBNAIL_PX,
+    packed_mesh,
+    require_mesh,
+    thumbnail,
+    top_view,
+)
+from tactile_toolkit.gallery.page import IndexBuilder, natural_order, script_json
 from tests.gallery_toy import CORNERS_M, FACES
 
 
