@@ -91,9 +91,12 @@ class IndexBuilder:
         for measure in self.gallery.measures:
             value = item.measures.get(measure.name)
             # NaN stands for "not measured" in reports, and JSON has no NaN.
-            known = value is not None and value == value
-            number = round(float(value), measure.decimals) if known else None
-            self._measures[measure.name].append(number if measure.decimals or number is None else int(number))
+            if value is not None and value == value:
+                value = round(float(value), measure.decimals)
+                value = int(value) if measure.decimals == 0 else value
+            else:
+                value = None
+            self._measures[measure.name].append(value)
         return len(self._ids) - 1
 
     def __len__(self) -> int:
