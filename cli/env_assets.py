@@ -14,7 +14,7 @@ from cli.output import Sink
 from env_assets.wrench.kind import KIND
 
 if TYPE_CHECKING:
-    from env_assets.wrench.facts import WrenchFacts
+    from env_assets.wrench.card import WrenchFacts
 
 __all__ = ["app", "main"]
 
@@ -64,7 +64,7 @@ def wrench(
 
     Example: env-assets wrench --size 13 --out assets/wrench --stl wrench.stl
     """
-    from env_assets.wrench.facts import wrench_facts
+    from env_assets.wrench.card import wrench_facts
     from env_assets.wrench.generation import mesh_file_at, write_wrench
     from env_assets.wrench.spec import WrenchSpec
 

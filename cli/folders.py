@@ -142,9 +142,8 @@ def add_card(app: typer.Typer, kind: DatasetKind) -> None:
 
         All numbers are those of the data; loading lines say FOLDER until the folder is uploaded.
         """
-        from tactile_toolkit.cards.card import CARD_FILE
+        from tactile_toolkit.cards.card import CARD_FILE, PREVIEW_FOLDER
         from tactile_toolkit.cards.checks import check_card
-        from tactile_toolkit.cards.pictures import PREVIEW_FOLDER
         from tactile_toolkit.catalog.kinds import finished_manifest, require_manifest
         from tactile_toolkit.errors import IntegrityError
         from tactile_toolkit.store.folder import DataFolder

@@ -1,49 +1,54 @@
-"""The data card of a data set of digits."""
+"""The data card of a data set of digits, and what it says of the source that they were made from."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import dataclass
+from itertools import islice
 from typing import Any
 
-from mnist3d.card_picture import PREVIEW_FILE, digit_sheet
-from mnist3d.card_sources import SourceWords, words_of
-from mnist3d.rows import REPORT_FILE, mesh_schema
+from mnist3d.kind import KIND
+from mnist3d.rows import CLASS_NAMES, REPORT_FILE, mesh_schema
 from mnist3d.summary import SplitSummary, summarise
 from tactile_toolkit.cards.card import (
     HWD_PLUS,
+    MESH_COLUMNS,
+    MESH_TASKS,
     MNIST,
     TACTILE_MNIST,
-    Column,
+    between,
     bibtex,
     field_table,
+    first_rows,
     json_block,
     markdown_table,
     megabytes,
-    picture,
-    render_card,
-    write_card_text,
+    skipped_text,
+    write_card_files,
 )
 from tactile_toolkit.cards.facts import FolderFacts, recorded_facts
-from tactile_toolkit.cards.head import card_head, head_text
-from tactile_toolkit.cards.pictures import write_previews
 from tactile_toolkit.mesh.columns import FACES, VERTICES
+from tactile_toolkit.pictures.relief import relief
+from tactile_toolkit.pictures.sheets import Sheet, Tile, sheet
+from tactile_toolkit.pictures.writing import png_bytes
+from tactile_toolkit.read.dataset import Row
 from tactile_toolkit.store.folder import DataFolder
 from tactile_toolkit.store.manifest import Manifest
 from tactile_toolkit.store.parquet import read_report
 
-__all__ = ["write_card"]
+__all__ = ["SourceWords", "words_of", "write_card"]
 
-_COLUMNS: dict[str, Column] = {
+_COLUMNS = {
+    **MESH_COLUMNS,
     "id": ("", "number of the digit in its source, unique over all splits"),
     "label": ("", "the digit"),
-    VERTICES: ("V x 3, m, frame below", "corner positions"),
-    FACES: ("F x 3", "triangles: rows of the corners, counter-clockwise seen from outside"),
     "writer": ("", "number of the writer in the source, -1 where unknown"),
     "volume_m3": ("m³", "enclosed volume"),
     "source": ("", "digit source"),
 }
 
-_CAPTION = "The first digit of each class that is there, seen from above"
+_PITCH_M = 0.0004
+_ROWS_SEEN = 200
 
 
 def write_card(folder: DataFolder, manifest: Manifest, report: Any = None) -> None:
@@ -55,50 +60,52 @@ def write_card(folder: DataFolder, manifest: Manifest, report: Any = None) -> No
     if report is None:
         report = read_report(folder, REPORT_FILE)
     facts = recorded_facts(folder, manifest, mesh_schema())
-    sheet = digit_sheet(facts)
-    if sheet is not None:
-        write_previews(folder, {PREVIEW_FILE: sheet})
-    words = words_of(str(manifest.spec["source"]["name"]))
-    head = card_head(
-        facts,
-        license=words.licence,
-        pretty_name="MNIST 3D",
-        task_categories=["robotics", "reinforcement-learning"],
-        task_ids=["task-planning"],
-        tags=["tactile", "active-perception", "3d", "mesh", "mnist", "digits", "3d-printing"],
-    )
-    body = render_card("mnist3d.md", _values(manifest, report, facts, words, sheet is not None))
-    write_card_text(folder, head_text(head) + "\n" + body)
-
-
-def _values(
-    manifest: Manifest, report: Any, facts: FolderFacts, words: SourceWords, drawn: bool
-) -> dict[str, str]:
     summaries = summarise(manifest, report)
-    profile = manifest.spec["print_profile"]
-    return {
-        "rows": f"{facts.rows:,}",
-        "picture": picture(PREVIEW_FILE if drawn else None, _CAPTION),
-        "version": manifest.toolkit_version,
-        "schema_version": str(manifest.schema_version),
-        "source_text": words.describe(manifest.spec["source"]),
-        "split_rule": _split_rule(manifest.spec),
-        "solid_text": _solid_text(manifest.spec["solid"]),
-        "skipped": _skipped(manifest),
-        "spec": json_block(manifest.spec),
+    spec = manifest.spec
+    words = words_of(str(spec["source"]["name"]))
+    profile = spec["print_profile"]
+    values = {
+        "source_text": words.describe(spec["source"]),
+        "split_rule": _split_rule(spec),
+        "solid_text": _solid_text(spec["solid"]),
+        "skipped": skipped_text(manifest, "for "),
+        "spec": json_block(spec),
         "split_table": _split_table(summaries, facts),
-        "field_table": field_table(facts, _COLUMNS, {}),
+        "field_table": field_table(facts, _COLUMNS),
         "print_table": _print_table(summaries),
         "report_columns": ", ".join(f"`{name}`" for name in report.schema.names),
         "nozzle_mm": f"{profile['nozzle_mm']:g}",
         "min_wall_mm": f"{profile['min_wall_mm']:g}",
         "overhang_deg": f"{profile['overhang_deg']:g}",
         "limits": _limits(manifest, summaries, words),
-        "first_split": facts.splits[0].split,
         "licence_text": words.licence_text,
         "citation_text": words.citation_text,
         "bibtex": bibtex(TACTILE_MNIST, *((MNIST,) if words.name == "mnist" else ()), HWD_PLUS),
     }
+    write_card_files(
+        folder,
+        facts,
+        manifest,
+        KIND.card_template,
+        values,
+        ("digits.png", _sheet(facts), "The first digit of each class that is there, seen from above"),
+        license=words.licence,
+        pretty_name="MNIST 3D",
+        **MESH_TASKS,
+        tags=["tactile", "active-perception", "3d", "mesh", "mnist", "digits", "3d-printing"],
+    )
+
+
+def _sheet(facts: FolderFacts) -> bytes | None:
+    """Draw the first digit of each class in the first rows, as PNG at 0.4 mm per pixel; None without rows."""
+    first: dict[int, Row] = {}
+    for row in islice(first_rows(facts, ["label", VERTICES, FACES]), _ROWS_SEEN):
+        first.setdefault(int(row.value("label")), row)
+        if len(first) == len(CLASS_NAMES):
+            break
+    rows = [first[label] for label in sorted(first)]
+    tiles = [Tile(relief(row.array(VERTICES), row.array(FACES), _PITCH_M)) for row in rows]
+    return png_bytes(sheet(tiles, Sheet(5, margin_px=8))) if tiles else None
 
 
 def _split_rule(spec: Mapping[str, Any]) -> str:
@@ -109,12 +116,11 @@ def _split_rule(spec: Mapping[str, Any]) -> str:
         for name, unit in (("per_class", "of each class of a split"), ("limit", "rows of a split"))
         if spec[name] is not None
     ]
-    sizes = "published sizes" if split["sizes"] is None else f"digits per class: {_listed(split['sizes'])}"
+    sizes = "published sizes"
+    if split["sizes"] is not None:
+        listed = ", ".join(f"{split} {size:,}" for split, size in dict(split["sizes"]).items())
+        sizes = f"digits per class: {listed}"
     return ", ".join([whole, f"seed {split['seed']}", sizes, *cuts])
-
-
-def _listed(sizes: Any) -> str:
-    return ", ".join(f"{split} {size:,}" for split, size in dict(sizes).items())
 
 
 def _solid_text(solid: Mapping[str, Any]) -> str:
@@ -126,21 +132,13 @@ def _solid_text(solid: Mapping[str, Any]) -> str:
     )
 
 
-def _skipped(manifest: Manifest) -> str:
-    reasons = manifest.skipped_reasons()
-    if not reasons:
-        return "none"
-    listed = ", ".join(f"{count:,} for {reason}" for reason, count in reasons.items())
-    return f"{listed}; `manifest.json` names each"
-
-
 def _split_table(summaries: list[SplitSummary], facts: FolderFacts) -> str:
     header = ("split", "digits", "per class", "shards", "Parquet", "unpacked", "left out")
     rows = [
         (
             s.split,
             f"{s.rows:,}",
-            _between(s.per_class),
+            between(min(s.per_class), max(s.per_class)),
             s.shards,
             megabytes(s.bytes),
             megabytes(split.unpacked_bytes),
@@ -151,29 +149,23 @@ def _split_table(summaries: list[SplitSummary], facts: FolderFacts) -> str:
     return markdown_table(header, rows)
 
 
-def _between(counts: tuple[int, ...]) -> str:
-    least, most = min(counts), max(counts)
-    return f"{most:,}" if least == most else f"{least:,} to {most:,}"
-
-
 def _print_table(summaries: list[SplitSummary]) -> str:
+    def spread(values: tuple[float, ...]) -> str:
+        return f"{values[0]:,.1f} to {values[2]:,.1f} (median {values[1]:,.1f})" if values else "-"
+
     header = ("split", "height, mm", "volume, mm³", "thinnest wall, mm", "digits x bodies", "print warnings")
     rows = [
         (
             s.split,
-            _range(s.height_mm),
-            _range(s.volume_mm3),
-            _range(s.thinnest_wall_mm),
+            spread(s.height_mm),
+            spread(s.volume_mm3),
+            spread(s.thinnest_wall_mm),
             ", ".join(f"{count:,} x {bodies}" for bodies, count in s.bodies.items()) or "-",
             ", ".join(f"{count:,} {word}" for word, count in s.warnings.items()) or "none",
         )
         for s in summaries
     ]
     return markdown_table(header, rows)
-
-
-def _range(spread: tuple[float, ...]) -> str:
-    return f"{spread[0]:,.1f} to {spread[2]:,.1f} (median {spread[1]:,.1f})" if spread else "-"
 
 
 def _limits(manifest: Manifest, summaries: list[SplitSummary], words: SourceWords) -> str:
@@ -191,3 +183,79 @@ def _limits(manifest: Manifest, summaries: list[SplitSummary], words: SourceWord
         *(["This is a cut of the full splits; it is not meant for comparing results."] if cut else []),
     ]
     return "\n".join(f"- {line}" for line in lines)
+
+
+@dataclass(frozen=True)
+class SourceWords:
+    """What a card says about a source of digits: where it is from, its terms, its limits, whom to cite."""
+
+    name: str  # as in the manifest
+    text: str  # what it is; fields of its fingerprint in braces
+    licence: str  # the Hub's word for the licence of meshes made of it
+    licence_text: str
+    limit: str
+    citation_text: str
+
+    def describe(self, fingerprint: Mapping[str, Any]) -> str:
+        """Fill the text with the fingerprint of the source."""
+        fields = dict(fingerprint)
+        if self.name == "mnist":  # which comes in parts
+            fields["images"] = sum(part["images"] for part in fields["parts"])
+            fields["marks"] = ", ".join(f"`{part['images_sha256']:.12}`" for part in fields["parts"])
+        return f"`{self.name}`: {self.text.format(**fields)}"
+
+
+_PUBLISHED = (
+    "Algorithm and splits: Schneider et al. 2025. The published MNIST 3D was made from the handwriting of "
+    "HWD+ (Beaulac and Rosenthal 2022)"
+)
+
+_SOURCES = (
+    SourceWords(
+        "synthetic",
+        "strokes drawn by the toolkit, seed {seed}, {count:,} digits, drawing version {drawing_version}",
+        "mit",
+        "MIT, as the toolkit: no one's handwriting is in it.",
+        "The strokes are drawn by a program. They vary like handwriting, but they are no one's.",
+        f"{_PUBLISHED}; this copy stands in for it with drawn digits.",
+    ),
+    SourceWords(
+        "hwdplus",
+        "the high-resolution digits of HWD+, array of shape {shape}, dtype `{dtype}`, fingerprint "
+        "`{images_sample_sha256:.12}`",
+        "other",
+        "The digits carry the terms of HWD+: see its authors' page before passing the meshes on.",
+        "97 writers, 14 images of each digit by each: the same hand returns, unless splits divide whole "
+        "writers.",
+        f"{_PUBLISHED}, as this copy was.",
+    ),
+    SourceWords(
+        "mnist",
+        "{images:,} images of 28 x 28 pixels, fingerprint {marks}",
+        "cc-by-sa-3.0",
+        "CC BY-SA 3.0, as MNIST.",
+        "Images of 28 x 28 pixels are enlarged first: outlines are smoother than any pen draws.",
+        f"{_PUBLISHED}; this copy is made from MNIST (LeCun et al. 1998).",
+    ),
+    SourceWords(
+        "folder",
+        "{images:,} pictures of a folder, ink {ink}, fingerprint `{sha256:.12}`",
+        "other",
+        "The meshes carry the terms of the pictures that they were made from.",
+        "The pictures are a collection of their maker; nothing is known of how they were gathered.",
+        f"{_PUBLISHED}; this copy is made from other pictures, whose makers want to be named too.",
+    ),
+)
+
+
+def words_of(name: str) -> SourceWords:
+    """Return the words about a source; those of one that a user brought along claim nothing."""
+    known = {words.name: words for words in _SOURCES}
+    return known.get(name) or SourceWords(
+        name,
+        "a source of its maker's own; its fingerprint is in the specification below",
+        "other",
+        "The meshes carry the terms of the images that they were made from.",
+        "Nothing is known here of how the images were gathered.",
+        f"{_PUBLISHED}; this copy is made from other images, whose makers want to be named too.",
+    )

@@ -3,44 +3,48 @@
 from __future__ import annotations
 
 import math
+from itertools import islice
 
-from starstruck_gen.card_picture import PREVIEW_FILE, scene_sheet
+import numpy as np
+
+from starstruck_gen.kind import KIND
+from starstruck_gen.picture import draw_scene
+from starstruck_gen.placement import Placement
 from starstruck_gen.rows import scene_schema
 from starstruck_gen.spec import SceneSpec
 from starstruck_gen.streams import SPLITS, scene_id
 from starstruck_gen.summary import SplitSummary, summarise
 from tactile_toolkit.cards.card import (
-    TACTILE_MNIST,
-    Column,
-    bibtex,
+    MESH_COLUMNS,
+    MESH_TASKS,
+    between,
     field_table,
+    first_rows,
     json_block,
     markdown_table,
     megabytes,
-    picture,
-    render_card,
-    write_card_text,
+    write_card_files,
 )
 from tactile_toolkit.cards.facts import FolderFacts, recorded_facts
-from tactile_toolkit.cards.head import card_head, head_text
-from tactile_toolkit.cards.pictures import write_previews
-from tactile_toolkit.mesh.columns import FACES, VERTICES
+from tactile_toolkit.pictures.sheets import Sheet, Tile, sheet
+from tactile_toolkit.pictures.writing import png_bytes
 from tactile_toolkit.store.folder import DataFolder
 from tactile_toolkit.store.manifest import Manifest
 from tactile_toolkit.wording import counted
 
 __all__ = ["write_card"]
 
+_SCENES_SHOWN = 12
+_TILE_PX = 140
 _RULES = {
     "circles": "the circumscribed circles of two objects do not meet",
     "exact": "the outlines of two objects do not touch",
 }
 
-_COLUMNS: dict[str, Column] = {
+_COLUMNS = {
+    **MESH_COLUMNS,
     "id": ("", f"number of the scene: from 0 in train, from {scene_id(SPLITS[1], 0):,} in test"),
     "label": ("", "the class, named by the number of stars"),
-    VERTICES: ("V x 3, m, frame below", "corner positions"),
-    FACES: ("F x 3", "triangles: rows of the corners, counter-clockwise seen from outside"),
     "star_count": ("", "number of stars"),
     "distractor_count": ("", "number of objects that are no stars"),
     "placements": (
@@ -61,68 +65,56 @@ def write_card(folder: DataFolder, manifest: Manifest, _report: object = None) -
     """
     spec = SceneSpec.from_dict(manifest.spec["scene"])
     facts = recorded_facts(folder, manifest, scene_schema(spec.class_names))
-    sheet = scene_sheet(facts, spec.cell_m)
-    if sheet is not None:
-        write_previews(folder, {PREVIEW_FILE: sheet})
-    head = card_head(
-        facts,
-        license="mit",
-        pretty_name="Starstruck",
-        task_categories=["robotics", "reinforcement-learning"],
-        task_ids=["task-planning"],
-        tags=["tactile", "active-perception", "3d", "mesh", "counting"],
-    )
-    body = render_card("starstruck.md", _values(manifest, spec, facts, sheet is not None))
-    write_card_text(folder, head_text(head) + "\n" + body)
-
-
-def _values(manifest: Manifest, spec: SceneSpec, facts: FolderFacts, drawn: bool) -> dict[str, str]:
     summaries = summarise(manifest)
-    return {
-        "rows": f"{facts.rows:,}",
-        "picture": picture(PREVIEW_FILE if drawn else None, "The first scenes from above; stars are orange"),
-        "version": manifest.toolkit_version,
-        "schema_version": str(manifest.schema_version),
+    least, most = spec.distractors
+    turned = math.degrees(spec.rotation_rad)
+    radii = sorted({shape.radius_m for shape in (spec.star, *spec.distractor_shapes)})
+    widths = " to ".join(dict.fromkeys(f"{2e3 * radius:g}" for radius in (radii[0], radii[-1])))
+    values = {
         "seed": str(manifest.spec["seed"]),
         "cell_mm": " x ".join(f"{1e3 * side:g}" for side in spec.cell_m),
         "reach_x_mm": f"{1e3 * spec.half_area_m[0]:g}",
         "reach_y_mm": f"{1e3 * spec.half_area_m[1]:g}",
         "classes": ", ".join(spec.class_names),
         "class_count": str(len(spec.class_names)),
-        "distractors": _distractors(spec),
-        "shapes": _shapes(spec),
-        "rotation": _rotation(spec),
+        "distractors": (counted(most, "objects") if least == most else f"{between(least, most)} objects"),
+        "shapes": ", ".join(dict.fromkeys(shape.key for shape in spec.distractor_shapes)) or "none",
+        "rotation": f" by 0 to {turned:g} degrees about z" if turned else " by 0 degrees",
         "heights": " or ".join(f"{1e3 * height:g}" for height in spec.heights_m) + " mm",
-        "rule": _rule(spec),
+        "rule": _RULES[spec.collision]
+        + (f" and keep {1e3 * spec.clearance_m:g} mm" if spec.clearance_m else ""),
         "attempts": f"{spec.attempts:,}",
         "spec": json_block(manifest.spec),
         "split_table": _split_table(summaries, facts),
-        "field_table": field_table(facts, _COLUMNS, {}),
+        "field_table": field_table(facts, _COLUMNS),
         "acceptance_table": _acceptance_table(summaries),
-        "print_text": _print_text(spec),
+        "print_text": f"The circles around them are {widths} mm wide; a scene prints as loose objects.",
         "limits": _limits(manifest, spec),
-        "first_split": facts.splits[0].split,
-        "bibtex": bibtex(TACTILE_MNIST),
     }
+    write_card_files(
+        folder,
+        facts,
+        manifest,
+        KIND.card_template,
+        values,
+        ("scenes.png", _sheet(facts, spec.cell_m), "The first scenes from above; stars are orange"),
+        license="mit",
+        pretty_name="Starstruck",
+        **MESH_TASKS,
+        tags=["tactile", "active-perception", "3d", "mesh", "counting"],
+    )
 
 
-def _distractors(spec: SceneSpec) -> str:
-    least, most = spec.distractors
-    return counted(most, "objects") if least == most else f"{least:,} to {most:,} objects"
-
-
-def _rule(spec: SceneSpec) -> str:
-    apart = f" and keep {1e3 * spec.clearance_m:g} mm" if spec.clearance_m else ""
-    return _RULES[spec.collision] + apart
-
-
-def _shapes(spec: SceneSpec) -> str:
-    return ", ".join(dict.fromkeys(shape.key for shape in spec.distractor_shapes)) or "none"
-
-
-def _rotation(spec: SceneSpec) -> str:
-    turned = math.degrees(spec.rotation_rad)
-    return f" by 0 to {turned:g} degrees about z" if turned else " by 0 degrees"
+def _sheet(facts: FolderFacts, cell_m: tuple[float, float]) -> bytes | None:
+    """Draw the first scenes as PNG, the longer side of each 140 pixels; None without rows."""
+    px_per_mm = _TILE_PX / (1e3 * max(cell_m))
+    tiles = []
+    for row in islice(first_rows(facts, ["placements"]), _SCENES_SHOWN):
+        # As Python objects: numpy's way of lists of structs imports pandas, which takes a second.
+        (stored,) = row.group.table.slice(row.index, 1).to_pylist()
+        placements = [Placement(**entry) for entry in stored["placements"]]
+        tiles.append(Tile(np.asarray(draw_scene(placements, cell_m, px_per_mm))))
+    return png_bytes(sheet(tiles, Sheet(6, margin_px=8))) if tiles else None
 
 
 def _split_table(summaries: list[SplitSummary], facts: FolderFacts) -> str:
@@ -154,12 +146,6 @@ def _acceptance_table(summaries: list[SplitSummary]) -> str:
         for s in summaries
     ]
     return markdown_table(header, rows)
-
-
-def _print_text(spec: SceneSpec) -> str:
-    radii = sorted({shape.radius_m for shape in (spec.star, *spec.distractor_shapes)})
-    sizes = " to ".join(dict.fromkeys(f"{2e3 * radius:g}" for radius in (radii[0], radii[-1])))
-    return f"The circles around them are {sizes} mm wide; a scene prints as loose objects."
 
 
 def _limits(manifest: Manifest, spec: SceneSpec) -> str:

@@ -1,39 +1,26 @@
-"""The data card of a wrench."""
+"""The data card of a wrench, and what a wrench is like before or after it is written."""
 
 from __future__ import annotations
 
-from env_assets.wrench.facts import WrenchFacts, wrench_facts
+from dataclasses import asdict, dataclass
+from typing import TYPE_CHECKING, Any
+
+from env_assets.wrench.kind import KIND
 from env_assets.wrench.spec import WrenchSpec
-from tactile_toolkit.cards.card import (
-    TACTILE_MNIST,
-    Column,
-    bibtex,
-    field_table,
-    json_block,
-    markdown_table,
-    megabytes,
-    picture,
-    render_card,
-    write_card_text,
-)
-from tactile_toolkit.cards.facts import FolderFacts, recorded_facts
-from tactile_toolkit.cards.head import card_head, head_text
-from tactile_toolkit.cards.pictures import PREVIEW_FOLDER, png_bytes, write_previews
-from tactile_toolkit.mesh.columns import FACES, VERTICES
-from tactile_toolkit.mesh.mesh import Mesh
-from tactile_toolkit.store.folder import DataFolder
-from tactile_toolkit.store.manifest import Manifest
+from env_assets.wrench.wrench import wrench_mesh
 
-__all__ = ["write_card"]
+if TYPE_CHECKING:
+    from tactile_toolkit.mesh.mesh import Mesh
+    from tactile_toolkit.mesh.printability import PrintReport
+    from tactile_toolkit.store.folder import DataFolder
+    from tactile_toolkit.store.manifest import Manifest
 
-_PREVIEW_FILE = f"{PREVIEW_FOLDER}/wrench.png"
+__all__ = ["WrenchFacts", "wrench_facts", "write_card"]
+
 _PITCH_M = 0.0002
-
-_COLUMNS: dict[str, Column] = {
+_COLUMNS = {
     "id": ("", "0"),
     "label": ("", "the one class"),
-    VERTICES: ("V x 3, m, frame below", "corner positions"),
-    FACES: ("F x 3", "triangles: rows of the corners, counter-clockwise seen from outside"),
     "volume_m3": ("m³", "enclosed volume"),
     "opening_mm": ("mm", "width across flats of the nut that the first jaw takes"),
     "second_opening_mm": ("mm", "the same of the second jaw; 0 where that end is plain"),
@@ -43,35 +30,61 @@ _COLUMNS: dict[str, Column] = {
 }
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class WrenchFacts:
+    """A wrench: its lengths, its solid, and what a printer needs to know about it."""
+
+    spec: WrenchSpec
+    mesh: Mesh
+    report: PrintReport
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return JSON values."""
+        report = self.report
+        return {
+            "spec": asdict(self.spec),
+            "size_mm": [round(side, 3) for side in report.size_mm],
+            "volume_mm3": round(report.volume_mm3, 3),
+            "mass_g": round(report.mass_g, 3),
+            "thinnest_wall_mm": round(report.thinnest_wall_mm, 3),
+            "vertices": report.vertices,
+            "faces": report.faces,
+            "warnings": list(report.warnings),
+        }
+
+
+def wrench_facts(spec: WrenchSpec) -> WrenchFacts:
+    """Make a wrench and inspect it; InputError as :func:`env_assets.wrench_mesh`."""
+    from tactile_toolkit.mesh.printability import inspect
+
+    mesh = wrench_mesh(spec)
+    return WrenchFacts(spec, mesh, inspect(mesh))
+
+
 def write_card(folder: DataFolder, manifest: Manifest) -> None:
-    """Write ``README.md`` of the folder of a wrench and the picture that it shows.
-
-    Raises
-    ------
-    StorageError
-        When the folder cannot be written.
-    """
-    wrench, facts = wrench_facts(WrenchSpec(**manifest.spec)), recorded_facts(folder, manifest)
-    write_previews(folder, {_PREVIEW_FILE: _drawn(wrench.mesh)})
-    head = card_head(
-        facts,
-        license="mit",
-        pretty_name="Open-end wrench",
-        task_categories=["robotics", "reinforcement-learning"],
-        task_ids=["task-planning"],
-        tags=["tactile", "active-perception", "3d", "mesh", "pose-estimation", "3d-printing"],
+    """Write ``README.md`` of the folder of a wrench and the picture that it shows."""
+    from tactile_toolkit.cards.card import (
+        MESH_COLUMNS,
+        MESH_TASKS,
+        field_table,
+        json_block,
+        markdown_table,
+        megabytes,
+        write_card_files,
     )
-    body = render_card("wrench.md", _values(wrench, manifest, facts))
-    write_card_text(folder, head_text(head) + "\n" + body)
+    from tactile_toolkit.cards.facts import recorded_facts
+    from tactile_toolkit.pictures.relief import relief
+    from tactile_toolkit.pictures.writing import png_bytes
 
-
-def _values(wrench: WrenchFacts, manifest: Manifest, facts: FolderFacts) -> dict[str, str]:
+    wrench, facts = wrench_facts(WrenchSpec(**manifest.spec)), recorded_facts(folder, manifest)
     spec, report = wrench.spec, wrench.report
-    return {
-        "picture": picture(_PREVIEW_FILE, "The wrench from above, the first jaw on the right"),
-        "version": manifest.toolkit_version,
-        "schema_version": str(manifest.schema_version),
-        "openings": _openings(spec),
+    second = f" and {spec.second_opening_mm:g} mm" if spec.second_opening_mm else ", one end plain"
+    sizes = [
+        (s.split, s.rows, len(s.shards), megabytes(s.file_bytes), megabytes(s.unpacked_bytes))
+        for s in facts.splits
+    ]
+    values = {
+        "openings": f"{spec.opening_mm:g} mm{second}",
         "clearance_mm": f"{spec.clearance_mm:g}",
         "jaw_angle_deg": f"{spec.jaw_angle_deg:g}",
         # Of the solid: jaws cut away the outermost points between which the specified length is measured.
@@ -79,37 +92,25 @@ def _values(wrench: WrenchFacts, manifest: Manifest, facts: FolderFacts) -> dict
         "thickness_mm": f"{spec.thickness_mm:g}",
         "chamfer_mm": f"{spec.chamfer_mm:g}",
         "spec": json_block(manifest.spec),
-        "split_table": _split_table(facts),
-        "field_table": field_table(facts, _COLUMNS, {}),
+        "split_table": markdown_table(("split", "meshes", "shards", "Parquet", "unpacked"), sizes),
+        "field_table": field_table(facts, {**_COLUMNS, **MESH_COLUMNS}),
         "size_mm": " x ".join(f"{side:.1f}" for side in report.size_mm),
         "volume_mm3": f"{report.volume_mm3:,.0f}",
         "mass_g": f"{report.mass_g:.1f}",
         "thinnest_wall_mm": f"{report.thinnest_wall_mm:.1f}",
         "warnings": ", ".join(report.warnings) or "none",
         "split": facts.splits[0].split,
-        "bibtex": bibtex(TACTILE_MNIST),
     }
-
-
-def _openings(spec: WrenchSpec) -> str:
-    first = f"{spec.opening_mm:g} mm"
-    return (
-        f"{first} and {spec.second_opening_mm:g} mm" if spec.second_opening_mm else f"{first}, one end plain"
+    drawn = png_bytes(relief(wrench.mesh.vertices_m, wrench.mesh.faces, _PITCH_M))
+    write_card_files(
+        folder,
+        facts,
+        manifest,
+        KIND.card_template,
+        values,
+        ("wrench.png", drawn, "The wrench from above, the first jaw on the right"),
+        license="mit",
+        pretty_name="Open-end wrench",
+        **MESH_TASKS,
+        tags=["tactile", "active-perception", "3d", "mesh", "pose-estimation", "3d-printing"],
     )
-
-
-def _split_table(facts: FolderFacts) -> str:
-    header = ("split", "meshes", "shards", "Parquet", "unpacked")
-    rows = [
-        (s.split, s.rows, len(s.shards), megabytes(s.file_bytes), megabytes(s.unpacked_bytes))
-        for s in facts.splits
-    ]
-    return markdown_table(header, rows)
-
-
-def _drawn(mesh: Mesh) -> bytes:
-    from PIL import Image
-
-    from tactile_toolkit.pictures.relief import relief
-
-    return png_bytes(Image.fromarray(relief(mesh.vertices_m, mesh.faces, _PITCH_M)))

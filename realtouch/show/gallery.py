@@ -15,10 +15,10 @@ from realtouch.contact import MIN_CONTACT_HEIGHT_M
 from realtouch.dataset import TouchDataset
 from realtouch.kind import KIND
 from realtouch.media.clips import TouchClip
+from realtouch.media.sheets import evenly_spaced
 from realtouch.names import repository_of
 from realtouch.opening import load
 from realtouch.rounds import TouchRound, TouchSeqRound
-from realtouch.show.html import evenly_spaced
 from realtouch.touches import Touch
 from tactile_toolkit.catalog.choose import Choice, splits_to_show
 from tactile_toolkit.errors import InputError

@@ -1,53 +1,112 @@
-"""Data cards: the README of a data set folder, filled from the data set at hand."""
+"""Data cards: the README of a data set folder, filled from the data set at hand, and the picture it shows."""
 
 from __future__ import annotations
 
 import json
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from functools import cache
 from importlib.resources import files
 from string import Template
 from typing import Any
 
 from tactile_toolkit.cards.facts import FolderFacts
+from tactile_toolkit.cards.head import card_head, head_text
+from tactile_toolkit.mesh.columns import FACES, VERTICES
+from tactile_toolkit.read.dataset import Row
 from tactile_toolkit.store.folder import DataFolder
+from tactile_toolkit.store.manifest import Manifest
 
 __all__ = [
     "CARD_FILE",
     "Column",
     "FOLDER_NAME",
     "HWD_PLUS",
+    "MESH_COLUMNS",
+    "MESH_TASKS",
     "MNIST",
+    "PREVIEW_FOLDER",
     "TACTILE_MNIST",
     "addressed",
+    "between",
     "bibtex",
     "column_type_text",
     "field_table",
+    "first_rows",
     "json_block",
     "markdown_table",
     "megabytes",
-    "picture",
     "placeholders",
     "render_card",
-    "write_card_text",
+    "skipped_text",
+    "write_card_files",
 ]
 
 CARD_FILE = "README.md"
+PREVIEW_FOLDER = "previews"
 FOLDER_NAME = "FOLDER"
 """Stands for the data set in lines that load it, as long as it is a folder and has no name on the Hub."""
 
+Column = tuple[str, str]
+"""Shape, unit and frame of a column, and its meaning."""
+
+MESH_TASKS = {
+    "task_categories": ["robotics", "reinforcement-learning"],
+    "task_ids": ["task-planning"],
+}
+"""What the Hub is told that meshes are for."""
+
+MESH_COLUMNS: dict[str, Column] = {
+    VERTICES: ("V x 3, m, frame below", "corner positions"),
+    FACES: ("F x 3", "triangles: rows of the corners, counter-clockwise seen from outside"),
+}
+
+_UNKNOWN: Column = ("", "a column of this copy; the published schema has none of this name")
 _LOADED_NAME = re.compile(r'datasets\.load_dataset\("(?P<name>[^"]+)"')
 
 
-def render_card(template: str, values: Mapping[str, str]) -> str:
-    """Fill a template of ``data_cards``.
+def write_card_files(
+    folder: DataFolder,
+    facts: FolderFacts,
+    manifest: Manifest | None,
+    template: str,
+    values: Mapping[str, str],
+    picture: tuple[str, bytes | None, str],
+    **head: Any,
+) -> None:
+    """Write card and picture of a folder; files that already are as they should be are left alone.
 
-    Raises
-    ------
-    KeyError
-        When a placeholder has no value: never a gap in the card.
+    ``values`` fill the template of ``data_cards`` with what facts and manifest do not say. ``picture`` is a
+    file name, its PNG (None where there are no rows to draw) and a caption. ``head`` are the fields of the
+    YAML head that do not follow from the folder.
     """
+    name, content, caption = picture
+    path = f"{PREVIEW_FOLDER}/{name}"
+    common = {
+        "rows": f"{facts.rows:,}",
+        "first_split": facts.splits[0].split,
+        "picture": "There are no rows to draw.",
+        "bibtex": bibtex(TACTILE_MNIST),
+    }
+    if manifest is not None:
+        common["version"] = manifest.toolkit_version
+        common["schema_version"] = str(manifest.schema_version)
+    if content is not None:
+        common["picture"] = f"![{caption}]({path})\n\n*{caption}*"
+        folder.remove_stale_files(PREVIEW_FOLDER)
+        _write_changed(folder, path, content)
+    body = render_card(template, common | values)
+    text = head_text(card_head(facts, **head)) + "\n" + body
+    _write_changed(folder, CARD_FILE, text.encode())
+
+
+def _write_changed(folder: DataFolder, path: str, content: bytes) -> None:
+    if not folder.exists(path) or folder.read_bytes(path) != content:
+        folder.write_bytes(path, content)
+
+
+def render_card(template: str, values: Mapping[str, str]) -> str:
+    """Fill a template of ``data_cards``; KeyError where a placeholder has no value: no gap in a card."""
     text = files("data_cards").joinpath(template).read_text(encoding="utf-8")
     return Template(text).substitute(values)
 
@@ -61,24 +120,18 @@ def placeholders() -> frozenset[str]:
 
 
 def addressed(card: str, name: str) -> str:
-    """Return a card whose lines of code load the data set by another name.
-
-    Parameters
-    ----------
-    card : str
-        Text of a card.
-    name : str
-        Folder or repository (``USER/NAME``) that takes the place of the one in the card.
-    """
+    """Return a card whose lines of code load the data set by another name: a folder or repository."""
     found = _LOADED_NAME.search(card)
     return card if found is None else card.replace(f'"{found["name"]}"', f'"{name}"')
 
 
-def write_card_text(folder: DataFolder, text: str) -> None:
-    """Write the card unless it already reads so."""
-    content = text.encode()
-    if not folder.exists(CARD_FILE) or folder.read_bytes(CARD_FILE) != content:
-        folder.write_bytes(CARD_FILE, content)
+def first_rows(facts: FolderFacts, columns: Sequence[str]) -> Iterator[Row]:
+    """Yield the rows of the first split that has any, reading some columns block by block."""
+    split = next((split for split in facts.splits if split.rows), None)
+    for shard in split.shards if split is not None else ():
+        for number in range(shard.metadata.num_row_groups):
+            for block in shard.blocks(number, list(columns)):
+                yield from (Row(block, index) for index in range(len(block.table)))
 
 
 TACTILE_MNIST = """\
@@ -119,12 +172,6 @@ def bibtex(*entries: str) -> str:
     return "```bibtex\n" + "\n\n".join(entries) + "\n```"
 
 
-Column = tuple[str, str]
-"""Shape, unit and frame of a column, and its meaning."""
-
-_UNKNOWN: Column = ("", "a column of this copy; the published schema has none of this name")
-
-
 def markdown_table(header: Sequence[str], rows: Sequence[Sequence[object]]) -> str:
     """Lay out a table in Markdown; a bar inside a cell stays part of its text."""
     lines = [header, ["---"] * len(header), *rows]
@@ -133,23 +180,18 @@ def markdown_table(header: Sequence[str], rows: Sequence[Sequence[object]]) -> s
     )
 
 
-def field_table(facts: FolderFacts, known: Mapping[str, Column], families: Mapping[str, Column]) -> str:
+def field_table(
+    facts: FolderFacts, known: Mapping[str, Column], families: Mapping[str, Column] | None = None
+) -> str:
     """Lay out the columns of a folder: name, type as stored, shape and unit, meaning.
 
-    Parameters
-    ----------
-    facts : FolderFacts
-        The folder; only columns that it has are listed, and all of them.
-    known : mapping of str to Column
-        What is known of each column by its name.
-    families : mapping of str to Column
-        What is known of columns by the beginning of their names.
+    Only columns that it has are listed, and all of them; ``known`` is by name, ``families`` by how it begins.
     """
     rows = []
     for entry in _flat(facts.features):
         name = entry["name"]
-        family = next((told for start, told in families.items() if name.startswith(start)), _UNKNOWN)
-        rows.append((f"`{name}`", column_type_text(entry), *known.get(name, family)))
+        told = (told for start, told in (families or {}).items() if name.startswith(start))
+        rows.append((f"`{name}`", column_type_text(entry), *(known.get(name) or next(told, _UNKNOWN))))
     return markdown_table(("column", "type", "shape, unit, frame", "meaning"), rows)
 
 
@@ -189,6 +231,12 @@ def megabytes(size: int) -> str:
     return f"{size / 1e6:,.2f} MB" if size >= 1e5 else f"{size / 1e3:,.1f} kB"
 
 
-def picture(path: str | None, caption: str) -> str:
-    """Show a picture of the folder; a sentence where there are no rows to draw."""
-    return "There are no rows to draw." if path is None else f"![{caption}]({path})\n\n*{caption}*"
+def between(least: int, most: int) -> str:
+    """Write a range of counts: ``"3 to 5"``, or the one count."""
+    return f"{most:,}" if least == most else f"{least:,} to {most:,}"
+
+
+def skipped_text(manifest: Manifest, link: str = "") -> str:
+    """Write how many rows were left out for which reason; ``link`` stands between the two."""
+    listed = [f"{count:,} {link}{reason}" for reason, count in manifest.skipped_reasons().items()]
+    return f"{', '.join(listed)}; `manifest.json` names each" if listed else "none"

@@ -12,15 +12,7 @@ _LIMITS = ("1K", "10K", "100K", "1M", "10M", "100M", "1B", "10B", "100B", "1T")
 
 
 def card_head(facts: FolderFacts, **fields: Any) -> dict[str, Any]:
-    """Return the head of a card: the given fields, then what follows from the folder.
-
-    Parameters
-    ----------
-    facts : FolderFacts
-        The folder.
-    **fields
-        ``license``, ``pretty_name``, ``task_categories``, ``task_ids``, ``tags``.
-    """
+    """Return the head of a card: the given fields, then what follows from the folder."""
     return {
         **fields,
         "size_categories": [size_category(facts.rows)],
@@ -51,10 +43,10 @@ def dataset_info(facts: FolderFacts) -> dict[str, Any]:
 def size_category(rows: int) -> str:
     """Return the Hub's word for a number of rows, such as ``"1K<n<10K"``."""
     numbers = [10 ** (3 + power) for power in range(len(_LIMITS))]
-    place = next((place for place, limit in enumerate(numbers) if rows < limit), None)
-    if place is None:
+    above = sum(rows >= number for number in numbers)
+    if above == len(_LIMITS):
         return f"n>{_LIMITS[-1]}"
-    return f"n<{_LIMITS[0]}" if place == 0 else f"{_LIMITS[place - 1]}<n<{_LIMITS[place]}"
+    return f"n<{_LIMITS[0]}" if above == 0 else f"{_LIMITS[above - 1]}<n<{_LIMITS[above]}"
 
 
 def head_text(head: dict[str, Any]) -> str:

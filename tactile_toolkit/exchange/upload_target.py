@@ -13,8 +13,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, TypeVar
 
-from tactile_toolkit.cards.card import CARD_FILE
-from tactile_toolkit.cards.pictures import PREVIEW_FOLDER
+from tactile_toolkit.cards.card import CARD_FILE, PREVIEW_FOLDER
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.exchange.upload_plan import LocalFile, RemoteFile, UploadPlan
 from tactile_toolkit.hub.retry import ask

@@ -261,7 +261,7 @@ FINGERPRINTS = {
     ],
 )
 def test_sources_of_digits_are_named_with_their_terms(name, licence, words):
-    from mnist3d.card_sources import words_of
+    from mnist3d.card import words_of
 
     source = words_of(name)
     assert source.licence == licence

@@ -23,10 +23,8 @@ from mnist3d.solid import SolidSpec
 from mnist3d.sources.synthetic import SyntheticSource
 from tactile_toolkit.cards.card import addressed, column_type_text, markdown_table, megabytes, render_card
 from tactile_toolkit.cards.checks import check_card
-from tactile_toolkit.cards.facts import folder_facts
-from tactile_toolkit.cards.features import yaml_features
+from tactile_toolkit.cards.facts import folder_facts, yaml_features
 from tactile_toolkit.cards.head import size_category
-from tactile_toolkit.cards.pictures import tile_sheet
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.store.folder import DataFolder
 from tactile_toolkit.store.verify import verify
@@ -304,15 +302,6 @@ def test_types_for_people(entry, text):
 def test_tables_keep_their_columns():
     table = markdown_table(("a", "b"), [("x|y", 1)])
     assert table.splitlines() == ["| a | b |", "| --- | --- |", "| x\\|y | 1 |"]
-
-
-def test_tiles_stand_in_the_middle_of_equal_cells():
-    from PIL import Image
-
-    sheet = tile_sheet([Image.new("L", (10, 20)), Image.new("L", (30, 10)), Image.new("L", (30, 20))], 2)
-    assert sheet.size == (2 * 38 + 8, 2 * 28 + 8)
-    assert sheet.getpixel((8 + 15, 8 + 10)) == (0, 0, 0)
-    assert sheet.getpixel((8 + 2, 8 + 10)) == (255, 255, 255), "left of the narrow one is paper"
 
 
 def test_the_same_rows_give_the_same_picture_and_card(made, tmp_path):
