@@ -95,7 +95,7 @@ def write_card_files(
         common["picture"] = f"![{caption}]({path})\n\n*{caption}*"
         folder.remove_stale_files(PREVIEW_FOLDER)
         _write_changed(folder, path, content)
-    body = render_card(template, common | values)
+    body = render_card(template, {**common, **values})
     text = head_text(card_head(facts, **head)) + "\n" + body
     _write_changed(folder, CARD_FILE, text.encode())
 
