@@ -23,7 +23,7 @@ def kind_of_meshes(schema: Any) -> DatasetKind | None:
         if any(column in schema.names for column in kind.columns):
             return kind
     names = class_names(schema, ())
-    return next((kind for kind in kinds() if kind.published and kind.class_names == names), None)
+    return next((kind for kind in kinds() if names and kind.published and kind.class_names == names), None)
 
 
 def require_kind(kind: DatasetKind, command: str, name: str, datasets: Iterable[RecordDataset[Any]]) -> None:

@@ -47,8 +47,8 @@ def library_versions() -> dict[str, str]:
     return {name: version(name) for name in LIBRARIES}
 
 
-def public_names() -> dict[str, list[str]]:
-    return {package: sorted(import_module(package).__all__) for package in PACKAGES}
+def public_names(package: str) -> list[str]:
+    return sorted(import_module(package).__all__)
 
 
 def helps(command_line: str) -> str:
@@ -101,7 +101,11 @@ def _digest(file: Path) -> Any:
 def main() -> None:
     with tempfile.TemporaryDirectory() as folder:
         digests = data_sets(Path(folder))
-    found = {"libraries": library_versions(), "names": public_names(), "parquet": digests}
+    found = {
+        "libraries": library_versions(),
+        "names": {package: public_names(package) for package in PACKAGES},
+        "parquet": digests,
+    }
     (FOLDER / "record.json").write_text(json.dumps(found, indent=1) + "\n", encoding="utf-8")
     for command_line in COMMAND_LINES:
         (FOLDER / f"{command_line}.txt").write_text(helps(command_line), encoding="utf-8")
