@@ -23,20 +23,9 @@ T = TypeVar("T")
 
 @dataclass(frozen=True, slots=True)
 class CheckedRow(Generic[T]):
-    """What was found about one row.
+    """What was found about one row, by its number in a file, and by its id where it has one.
 
-    Attributes
-    ----------
-    split, file : str
-        Its split and the name of its file.
-    row : int
-        Its number in that file.
-    id : int or None
-        Its id, where it has one.
-    found : T or None
-        What the check returned; None where a field is null.
-    null_field : str
-        That field.
+    ``found`` is what the check returned, or None where ``null_field`` is null.
     """
 
     split: str
@@ -87,20 +76,9 @@ def check_rows(
 ) -> list[CheckedRow[T]]:
     """Check rows in processes and return what was found, in the order of the rows.
 
-    Parameters
-    ----------
-    shards : sequence of (str, Shard)
-        Split and file.
-    check : callable
-        Picklable; is given each row in which none of ``columns`` is null at any depth.
-    columns : sequence of str
-        Columns that need values.
-    limit : int, optional
-        Only the first so many rows of each split.
-    workers : int
-        Processes that check.
-    on_progress : callable
-        Called with rows done and in all.
+    ``check``, which has to be picklable, is given each row in which none of ``columns`` is null at any depth;
+    only the first ``limit`` rows of each split, where given. ``on_progress`` is called with rows done and in
+    all.
     """
     parts = list(_parts(shards, limit))
     total, done = sum(part.rows for part in parts), 0

@@ -32,14 +32,9 @@ Indices = NDArray[np.int64]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ScanLines:
-    """Runs of covered pixels, each within one row.
+    """Runs of covered pixels, each within one row: triangle, row, first column and number of pixels.
 
-    Attributes
-    ----------
-    face, row, column, count : ndarray of int64, shape (n,)
-        Triangle, row, first column and number of pixels.
-    height, rise : ndarray of float64, shape (n,)
-        Height above the first pixel, and what it grows by from one pixel to the next.
+    ``height`` is that above the first pixel, ``rise`` what it grows by from one pixel to the next.
     """
 
     face: Indices

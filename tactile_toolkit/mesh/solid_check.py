@@ -36,29 +36,19 @@ FLAT_MM3 = 1e-6
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ManifoldCheck:
-    """The verdict on one mesh.
-
-    Attributes
-    ----------
-    manifold : manifold3d.Manifold or None
-        The solid in mm where there is one.
-    status : str
-        manifold3d's word; ``"NotTried"`` where the arrays could not even be handed over.
-    problem, detail : str or None
-        A word of :data:`PROBLEMS` and the story; None for a solid.
-    bodies, genus : int
-        Separate pieces, and holes through them in total.
-    volume_mm3 : float
-        Enclosed volume, negative inside out, NaN where unknown.
-    """
+    """The verdict on one mesh: ``problem``, a word of :data:`PROBLEMS`, and its story; None for a solid."""
 
     manifold: Any
+    """The solid, a manifold3d.Manifold in mm, where there is one."""
     status: str
+    """manifold3d's word; ``"NotTried"`` where the arrays could not even be handed over."""
     problem: str | None = None
     detail: str | None = None
     bodies: int = 0
     genus: int = 0
+    """Holes through all bodies in total."""
     volume_mm3: float = math.nan
+    """Enclosed volume, negative inside out, NaN where unknown."""
 
 
 def check_manifold(mesh: Mesh) -> ManifoldCheck:

@@ -42,18 +42,9 @@ _MOST_BYTES = 2 * 2**30
 
 @dataclass(frozen=True, slots=True, eq=False)
 class BuildItem:
-    """One thing to build.
+    """One thing to build, by the name that slicers list.
 
-    Attributes
-    ----------
-    name : str
-        What slicers list.
-    vertices_mm : ndarray of float, shape (V, 3)
-        Corners in mm.
-    faces : ndarray of int32, shape (F, 3)
-        Rows of ``vertices_mm``, counter-clockwise seen from outside.
-    offset_mm : tuple of float
-        Where the origin of the vertices lies on the plate: x right, y back, z up.
+    ``offset_mm`` is where the origin of its vertices lies on the plate: x right, y back, z up.
     """
 
     name: str

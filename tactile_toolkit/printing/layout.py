@@ -29,20 +29,10 @@ def _silent(_done: int, _total: int) -> None:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Piece:
-    """An object made ready for packing.
+    """An object made ready for packing: its outline, and the cells and the area that it needs of a plate.
 
-    Attributes
-    ----------
-    item : PrintObject
-        The object.
-    outline : Outline
-        What it covers.
-    height_mm, volume_mm3 : float
-        Of the object.
-    cells : ndarray of bool, shape (rows, columns)
-        Cells that it needs; an object of several parts needs what lies among them too.
-    area_mm2 : float
-        What it needs of the plate, grown by half the gap.
+    Cells are of shape (rows, columns); an object of several parts needs what lies among them too. The area is
+    that of the outline grown by half the gap.
     """
 
     item: PrintObject
@@ -86,22 +76,10 @@ class Measured:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Layout:
-    """A packing.
+    """A packing: what lies on each plate, from front to back, and objects left out as they are not solids.
 
-    Attributes
-    ----------
-    spec : PlateSpec
-        Of the plates.
-    scale : float
-        Factor on all lengths.
-    plates : tuple of tuple of Placed
-        What lies on each, from front to back.
-    least_plates : int
-        No packing needs fewer: the area that all need, over that of a plate.
-    shares : tuple of float
-        Share of each plate that is needed, so counted.
-    failures : tuple of Failure
-        Objects that are not solids and were left out.
+    No packing needs fewer than ``least_plates``: the area that all need, over that of a plate. ``shares``
+    are those of each plate that are needed, so counted.
     """
 
     spec: PlateSpec

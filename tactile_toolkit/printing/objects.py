@@ -36,19 +36,10 @@ IdChoice: TypeAlias = Sequence[int | tuple[int, int]]
 
 @dataclass(frozen=True, slots=True)
 class PrintObject:
-    """One object to print.
+    """One object to print, by a name that is unique and fit for a file: ``printed_test-7-00042``.
 
-    Attributes
-    ----------
-    name : str
-        Unique, and fit for a file name: ``printed_test-7-00042``.
-    split, label : str
-        Where it comes from and the name of its class; both may be empty.
-    id : int
-        Its number in the split.
-    load : callable
-        Gives its triangles; called each time that they are needed, so that a thousand objects take no more
-        memory than one. Picklable where worker processes are used.
+    Its split and the name of its class may be empty. ``load`` gives its triangles, each time that they are
+    needed, so that a thousand objects take no more memory than one; picklable for worker processes.
     """
 
     name: str
@@ -81,24 +72,11 @@ def choose(
     labels: Sequence[str] | None = None,
     limit: int | None = None,
 ) -> list[PrintObject]:
-    """Choose rows of data sets, in their order; no mesh is read.
+    """Choose rows of splits, each with its name, in their order; no mesh is read.
 
-    Parameters
-    ----------
-    datasets : iterable of (str, RecordDataset)
-        Split and its rows.
-    ids : sequence of int or (int, int), optional
-        Only these rows; a pair stands for all ids from its first to its last that are there.
-    labels : sequence of str, optional
-        Only these classes, by name.
-    limit : int, optional
-        Only the first so many of what is left of each split.
-
-    Raises
-    ------
-    InputError
-        An id or a class is not there, none of a range of ids is, an id stands twice in a split, or nothing is
-        left.
+    Only rows with these ``ids`` (a pair stands for all from its first to its last that are there), of these
+    classes, and of what is left the first ``limit`` of each split. Raises InputError where an id or a class
+    is not there, none of a range of ids is, an id stands twice in a split, or nothing is left.
     """
     objects: list[PrintObject] = []
     ranges = None if ids is None else [entry if isinstance(entry, tuple) else (entry, entry) for entry in ids]

@@ -36,14 +36,8 @@ _SAMPLES_PER_CELL = 8  # steps along an edge: it cannot pass through a cell unse
 class Outline:
     """What an object covers of the plate, its lower left corner at the origin.
 
-    Attributes
-    ----------
-    rings : tuple of ndarray of float64, shape (n, 2)
-        Closed rings in mm, holes turned the other way round.
-    size_mm : tuple of float
-        Along x and y.
-    low_mm : tuple of float
-        Where the lower left corner is in the object's own frame.
+    Rings of shape (n, 2) are closed, in mm, holes turned the other way round; ``low_mm`` is where the lower
+    left corner is in the object's own frame.
     """
 
     rings: tuple[NDArray[np.float64], ...]
@@ -99,13 +93,6 @@ class PlateSpec:
     A plate and half a gap around it are divided into cells. An object needs the cells that it touches when
     grown by half the gap. Objects that share no cell, each moved by whole cells, are therefore at least a gap
     apart.
-
-    Attributes
-    ----------
-    width_mm, depth_mm : float
-        Sides along x and y.
-    gap_mm : float
-        Least distance between objects.
     """
 
     width_mm: float = 256.0
@@ -210,21 +197,14 @@ class Spot:
 
 @dataclass(frozen=True, slots=True)
 class Weights:
-    """What the search prefers. Found by trial on the digits of ``printed_test``.
-
-    Attributes
-    ----------
-    rim_cells : int
-        How far around a shape neighbours count as touching. A wide rim also fills bays.
-    front : float
-        Dislike of positions far from the front edge.
-    large : float
-        Bonus of the largest shape.
-    """
+    """What the search prefers. Found by trial on the digits of ``printed_test``."""
 
     rim_cells: int = 12
+    """How far around a shape neighbours count as touching. A wide rim also fills bays."""
     front: float = 0.1
+    """Dislike of positions far from the front edge."""
     large: float = 0.3
+    """Bonus of the largest shape."""
 
 
 _TRIED_WEIGHTS = (Weights(), Weights(12, 0.05, 0.6), Weights(8, 0.2, 0.3))
@@ -240,23 +220,10 @@ def pack(
     least_plates: int = 1,
     on_progress: Callable[[int, int], None] = lambda _done, _total: None,
 ) -> list[list[Spot]]:
-    """Put every shape on a plate, none on another's cells.
+    """Put every shape, none larger than a plate of so many rows and columns, on a plate.
 
-    Parameters
-    ----------
-    shapes : sequence of ndarray of bool
-        Cells that each needs; none larger than the plate.
-    plate : tuple of int
-        Rows and columns of a plate.
-    least_plates : int
-        Known lower bound: the search ends when it is reached.
-    on_progress : callable
-        Called with shapes placed and in all, over all attempts.
-
-    Returns
-    -------
-    list of list of Spot
-        One list per plate; the same input always gives the same list.
+    No two have a cell in common. The search ends when it reaches ``least_plates``, a known lower bound;
+    progress counts shapes placed over all attempts. Returns one list per plate, the same for the same input.
     """
     attempts = _TRIED_WEIGHTS if len(shapes) <= _MOST_SHAPES_FOR_ALL_WEIGHTS else _TRIED_WEIGHTS[:1]
     total = len(attempts) * len(shapes)

@@ -54,26 +54,11 @@ Points = list[tuple[float, float]]
 def draw_map(
     plate: Sequence[Placed], spec: PlateSpec, title: str, labels: Sequence[str], shared: Collection[int] = ()
 ) -> bytes:
-    """Draw a plate from above.
+    """Draw a plate from above, a PNG file with the front edge at the bottom, as the printer is looked at.
 
-    Parameters
-    ----------
-    plate : sequence of Placed
-        What lies on it.
-    spec : PlateSpec
-        Its sides.
-    title : str
-        Written above it.
-    labels : sequence of str
-        Classes, which choose the colours.
-    shared : collection of int
-        Ids that several objects of the export have: words name the split too.
-
-    Returns
-    -------
-    bytes
-        A PNG file with the front edge at the bottom, as the printer is looked at; the same input always
-        gives the same bytes. What belongs to one object of several parts stands on a white field of its own.
+    ``labels`` are all classes, which choose the colours. Where several objects of the export have an id in
+    common, one of ``shared``, words name the split too. What belongs to one object of several parts stands on
+    a white field of its own. The same input always gives the same bytes.
     """
     sheet = _Sheet(spec.sides_mm, title)
     _draw_plate(sheet, spec)
@@ -92,14 +77,9 @@ def draw_map(
 
 
 class _Sheet:
-    """A drawing in millimetres, y upwards; its words are in pixels of the finished picture.
+    """A drawing in millimetres, y upwards, below its title; words are in pixels of the finished picture.
 
-    Parameters
-    ----------
-    sides_mm : tuple of float
-        Along x and y. Pixels grow with them up to a limit, so that words keep their room.
-    title : str
-        Written above it.
+    Pixels grow with the sides up to a limit, so that words keep their room.
     """
 
     def __init__(self, sides_mm: tuple[float, float], title: str) -> None:

@@ -56,20 +56,10 @@ _EDGE_TOLERANCE_MM = 1e-3  # 3MF is written with nine digits, and no printer kno
 
 @dataclass(frozen=True, slots=True)
 class PlateFile:
-    """A plate.
+    """A plate: its 3MF file and PNG map, how many objects lie on it and which share of it they need.
 
-    Attributes
-    ----------
-    file, map : str
-        Its 3MF file and its PNG map.
-    objects : int
-        How many lie on it.
-    share : float
-        Share of the plate that they need.
-    bytes : int
-        Size of the 3MF file; about, where it is only planned.
-    state : str
-        ``"written"``, ``"kept"`` where the very same file was there already, or ``"planned"``.
+    ``bytes`` is the size of the 3MF file, about, where ``state`` is ``"planned"``; ``"written"`` and
+    ``"kept"``, where the very same file was there already, are the others.
     """
 
     file: str
@@ -86,20 +76,10 @@ class PlateFile:
 
 @dataclass(frozen=True, slots=True)
 class PlateExport:
-    """What lies on which plate.
+    """What lies on which plate: the plates, the rows of the table, and the least number of plates for these.
 
-    Attributes
-    ----------
-    plates : tuple of PlateFile
-        One per plate.
-    rows : tuple of dict
-        Rows of the table.
-    least_plates : int
-        No packing needs fewer.
-    failures : tuple of Failure
-        Objects that were left out, and plates that could not be written.
-    removed : tuple of str
-        Plates and maps of the export that was here before, which this one has not.
+    ``failures`` are objects that were left out and plates that could not be written; ``removed``, files of
+    the export that was here before, which this one has not.
     """
 
     plates: tuple[PlateFile, ...]
@@ -126,30 +106,15 @@ def write_plates(
     overwrite: bool = False,
     on_progress: Callable[[int, int], None] = lambda _done, _total: None,
 ) -> PlateExport:
-    """Write the plates of a layout.
+    """Write the plates of a layout into a folder, which is made where it is not there.
 
     Each 3MF file is read back from disk: every object has to be the same solid under the same name, and
     inside the plate, before the file gets its name. Files that are there already with the very same bytes are
-    kept. The table is written last.
+    kept. With ``overwrite``, the plates of another export are replaced, and those that this one has not are
+    removed: what the table of that export lists, and no other files.
 
-    Parameters
-    ----------
-    layout : Layout
-        What lies where.
-    out : str
-        Folder; made where it is not there.
-    overwrite : bool
-        Replace the plates of another export, and remove those of its plates that this one has not: what the
-        table of that export lists, and no other files.
-    on_progress : callable
-        Called with plates done and in all.
-
-    Raises
-    ------
-    InputError
-        Plates of another export stand in the folder: nothing was written.
-    StorageError
-        The folder cannot be written; finished files stay.
+    Raises InputError where plates of another export stand in the folder, before anything is written, and
+    StorageError where the folder cannot be written; finished files stay.
     """
     folder = prepare(out)
     unknown = _unknown_files(layout, folder)

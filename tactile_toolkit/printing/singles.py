@@ -76,18 +76,9 @@ class FileExport:
 
 @dataclass(frozen=True, slots=True)
 class FileForecast:
-    """What :func:`export_files` would write.
+    """What :func:`export_files` would write: how many files, and about how many bytes in all.
 
-    Attributes
-    ----------
-    files : int
-        How many, less those of the objects looked at that are not solids.
-    bytes : int
-        How large they are in all, about.
-    sampled : int
-        How many objects were looked at.
-    failures : tuple of Failure
-        Those of them of which there will be no file.
+    So many objects were ``sampled``; ``failures`` are those of them that are not solids.
     """
 
     files: int
@@ -155,29 +146,13 @@ def export_files(
     Each file is read back from disk and has to be the same solid before it gets its name. A file that is
     there already with the very same bytes is kept, so a stopped export goes on where it was.
 
-    Parameters
-    ----------
-    objects : sequence of PrintObject
-        What to write; those that are not solids are listed in the result, and do not stop the others.
-    out : str
-        Folder; made where it is not there.
-    kind : str
-        ``"stl"``, ``"3mf"``, ``"ply"``, ``"obj"`` (millimetres) or ``"glb"`` (metres).
-    scale : float
-        Factor on all lengths.
-    overwrite : bool
-        Replace files of the same name that hold something else; that of an object that fails is removed.
-    workers : int
-        Processes.
-    on_progress : callable
-        Called with files done and in all.
+    Objects that are not solids are listed in the result, and do not stop the others. ``kind`` is ``"stl"``,
+    ``"3mf"``, ``"ply"``, ``"obj"`` (millimetres) or ``"glb"`` (metres); ``scale`` a factor on all lengths.
+    With ``overwrite``, files of the same name that hold something else are replaced, and that of an object
+    that fails is removed.
 
-    Raises
-    ------
-    InputError
-        Unknown format, a scale that is not positive, or files in the way: nothing was written.
-    StorageError
-        The folder cannot be written; finished files stay.
+    Raises InputError for an unknown format, a scale that is not positive, or files in the way, before
+    anything is written, and StorageError where the folder cannot be written; finished files stay.
     """
     ending = _ending(kind)
     require_scale(scale)
