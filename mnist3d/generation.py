@@ -183,7 +183,7 @@ def generate(
     overwrite : bool
         Start again in a folder that holds another data set of this toolkit.
     on_progress : callable
-        Told after each shard.
+        Called with the :class:`~tactile_toolkit.store.build.Progress` after each shard.
 
     Returns
     -------

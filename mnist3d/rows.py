@@ -8,15 +8,7 @@ from functools import cache
 from typing import Any
 
 from mnist3d.kind import KIND
-from tactile_toolkit.mesh.columns import (
-    FACES,
-    VERTICES,
-    feature_metadata,
-    label_feature,
-    value_feature,
-    vectors_feature,
-    vectors_type,
-)
+from tactile_toolkit.mesh.columns import FACES, VERTICES, mesh_set_schema
 from tactile_toolkit.mesh.mesh import Mesh
 from tactile_toolkit.mesh.printability import REPORT_COLUMNS, PrintReport
 from tactile_toolkit.read.columns import list_array
@@ -64,28 +56,12 @@ class MeshRow:
 
 @cache
 def mesh_schema() -> Any:
-    """Return the Arrow schema of a shard, with the metadata that `datasets` reads features from."""
+    """Return the Arrow schema of a shard."""
     import pyarrow as pa
 
-    fields = [
-        pa.field("id", pa.int64()),
-        pa.field("label", pa.int64()),
-        pa.field(VERTICES, vectors_type(pa.float32())),
-        pa.field(FACES, vectors_type(pa.int32())),
-        pa.field("writer", pa.int64()),
-        pa.field("volume_m3", pa.float64()),
-        pa.field("source", pa.string()),
-    ]
-    features = {
-        "id": value_feature("int64"),
-        "label": label_feature(CLASS_NAMES),
-        VERTICES: vectors_feature("float32"),
-        FACES: vectors_feature("int32"),
-        "writer": value_feature("int64"),
-        "volume_m3": value_feature("float64"),
-        "source": value_feature("string"),
-    }
-    return pa.schema(fields, metadata=feature_metadata(features))
+    return mesh_set_schema(
+        CLASS_NAMES, [("writer", pa.int64()), ("volume_m3", pa.float64()), ("source", pa.string())]
+    )
 
 
 def mesh_table(rows: Sequence[MeshRow], source: str) -> Any:

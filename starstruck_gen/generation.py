@@ -171,9 +171,9 @@ def generate(
     overwrite : bool
         Start again in a folder that holds another data set of this toolkit.
     on_progress : callable
-        Told after each shard.
+        Called with the :class:`~tactile_toolkit.store.build.Progress` after each shard.
     on_failure : callable
-        Told after each layout that failed while it is tried whether the fullest scene has room.
+        Called after each layout that failed while it is tried whether the fullest scene has room.
 
     Returns
     -------

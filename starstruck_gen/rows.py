@@ -16,16 +16,7 @@ from starstruck_gen.scene import Scene
 from starstruck_gen.spec import SceneSpec
 from starstruck_gen.stamping import SceneMeshes, stamp
 from starstruck_gen.streams import scene_id, scene_seed
-from tactile_toolkit.mesh.columns import (
-    FACES,
-    VERTICES,
-    feature_metadata,
-    label_feature,
-    ragged_array,
-    value_feature,
-    vectors_feature,
-    vectors_type,
-)
+from tactile_toolkit.mesh.columns import FACES, VERTICES, mesh_set_schema, ragged_array
 from tactile_toolkit.store.parquet import ParquetStyle
 
 __all__ = ["CLASS_NAMES", "PARQUET_STYLE", "SceneRows", "make_rows", "scene_schema", "scene_table"]
@@ -78,39 +69,20 @@ def make_rows(spec: SceneSpec, split: str, seed: int, start: int, count: int) ->
 
 @cache
 def scene_schema(class_names: tuple[str, ...] = CLASS_NAMES) -> Any:
-    """Return the Arrow schema of a shard, with the metadata that `datasets` reads features from."""
+    """Return the Arrow schema of a shard."""
     import pyarrow as pa
 
-    fields = [
-        pa.field("id", pa.int64()),
-        pa.field("label", pa.int64()),
-        pa.field(VERTICES, vectors_type(pa.float32())),
-        pa.field(FACES, vectors_type(pa.int32())),
-        pa.field("star_count", pa.int64()),
-        pa.field("distractor_count", pa.int64()),
-        pa.field("placements", pa.list_(_placement_type())),
-        pa.field("seed", pa.int64()),
-        pa.field("attempts", pa.list_(pa.int32())),
-        pa.field("restarts", pa.int32()),
-    ]
-    return pa.schema(fields, metadata=feature_metadata(_features(class_names)))
-
-
-def _features(class_names: tuple[str, ...]) -> dict[str, Any]:
-    numbers = {name: value_feature("float64") for name in Placement._fields if name != "shape"}
-    return {
-        "id": value_feature("int64"),
-        "label": label_feature(class_names),
-        VERTICES: vectors_feature("float32"),
-        FACES: vectors_feature("int32"),
-        "star_count": value_feature("int64"),
-        "distractor_count": value_feature("int64"),
-        # A list of one description is the spelling of a list of structs in all releases of `datasets`.
-        "placements": [{"shape": value_feature("string"), **numbers}],
-        "seed": value_feature("int64"),
-        "attempts": {"feature": value_feature("int32"), "_type": "Sequence"},
-        "restarts": value_feature("int32"),
-    }
+    return mesh_set_schema(
+        class_names,
+        [
+            ("star_count", pa.int64()),
+            ("distractor_count", pa.int64()),
+            ("placements", pa.list_(_placement_type())),
+            ("seed", pa.int64()),
+            ("attempts", pa.list_(pa.int32())),
+            ("restarts", pa.int32()),
+        ],
+    )
 
 
 def scene_table(rows: SceneRows) -> Any:

@@ -12,15 +12,7 @@ from env_assets.wrench.kind import KIND
 from env_assets.wrench.spec import WrenchSpec
 from env_assets.wrench.wrench import wrench_mesh
 from tactile_toolkit.errors import InputError, StorageError
-from tactile_toolkit.mesh.columns import (
-    FACES,
-    VERTICES,
-    feature_metadata,
-    label_feature,
-    value_feature,
-    vectors_feature,
-    vectors_type,
-)
+from tactile_toolkit.mesh.columns import mesh_set_schema
 from tactile_toolkit.mesh.files import FORMATS, write_mesh
 from tactile_toolkit.mesh.mesh import Mesh
 from tactile_toolkit.read.columns import list_array
@@ -126,26 +118,11 @@ def write_wrench(
 
 @cache
 def wrench_schema() -> Any:
-    """Return the Arrow schema: the published flat columns first, then ours."""
+    """Return the Arrow schema of the shard."""
     import pyarrow as pa
 
-    fields = [
-        pa.field("id", pa.int64()),
-        pa.field("label", pa.int64()),
-        pa.field(VERTICES, vectors_type(pa.float32())),
-        pa.field(FACES, vectors_type(pa.int32())),
-        pa.field("volume_m3", pa.float64()),
-        *(pa.field(name, pa.float64()) for name in LENGTHS),
-    ]
-    features = {
-        "id": value_feature("int64"),
-        "label": label_feature(KIND.class_names),
-        VERTICES: vectors_feature("float32"),
-        FACES: vectors_feature("int32"),
-        "volume_m3": value_feature("float64"),
-        **{name: value_feature("float64") for name in LENGTHS},
-    }
-    return pa.schema(fields, metadata=feature_metadata(features))
+    lengths = [(name, pa.float64()) for name in LENGTHS]
+    return mesh_set_schema(KIND.class_names, [("volume_m3", pa.float64()), *lengths])
 
 
 def mesh_file_at(place: str | Path) -> Path:

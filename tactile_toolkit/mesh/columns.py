@@ -7,7 +7,7 @@ such column to the mesh class, so that no other column may begin so (package tac
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 from tactile_toolkit.errors import InputError
@@ -19,10 +19,9 @@ __all__ = [
     "class_names",
     "feature_metadata",
     "label_feature",
+    "mesh_set_schema",
     "ragged_array",
     "require_mesh_columns",
-    "value_feature",
-    "vectors_feature",
     "vectors_type",
 ]
 
@@ -31,6 +30,8 @@ VERTICES = "mesh.vertices"
 
 FACES = "mesh.faces"
 """Column of triangles: ``list<int32[3]>``, rows of the vertices."""
+
+_NAMES = {"float": "float32", "double": "float64"}  # what Arrow calls otherwise than `datasets`
 
 
 def vectors_type(value_type: Any, width: int = 3) -> Any:
@@ -51,16 +52,32 @@ def ragged_array(column: RaggedColumn, value_type: Any) -> Any:
     return pa.ListArray.from_arrays(offsets, inner, type=vectors_type(value_type, width))
 
 
-def value_feature(dtype: str) -> dict[str, Any]:
-    """Describe a plain column to `datasets`."""
-    return {"dtype": dtype, "_type": "Value"}
+def mesh_set_schema(class_names: tuple[str, ...], further: Sequence[tuple[str, Any]] = ()) -> Any:
+    """Return the Arrow schema of a set of meshes: the published flat columns, then ``further`` of ours.
+
+    Its metadata describe all columns to `datasets`.
+    """
+    import pyarrow as pa
+
+    numbers = [("id", pa.int64()), ("label", pa.int64())]
+    vectors = [(VERTICES, vectors_type(pa.float32())), (FACES, vectors_type(pa.int32()))]
+    schema = pa.schema([*numbers, *vectors, *further])
+    features = {field.name: _feature(field.type) for field in schema}
+    return schema.with_metadata(feature_metadata({**features, "label": label_feature(class_names)}))
 
 
-def vectors_feature(dtype: str, width: int = 3) -> dict[str, Any]:
-    """Describe a column of lists of vectors to `datasets`."""
-    # "Sequence" is the spelling that both old and new releases of `datasets` read as a list.
-    inner = {"feature": value_feature(dtype), "length": width, "_type": "Sequence"}
-    return {"feature": inner, "_type": "Sequence"}
+def _feature(data_type: Any) -> Any:
+    """Describe a column to `datasets`, in the spellings that both old and new releases read."""
+    import pyarrow as pa
+
+    if pa.types.is_list(data_type) and pa.types.is_struct(data_type.value_type):
+        return [{field.name: _feature(field.type) for field in data_type.value_type}]
+    if pa.types.is_fixed_size_list(data_type):
+        inner = _feature(data_type.value_type)
+        return {"feature": inner, "length": data_type.list_size, "_type": "Sequence"}
+    if pa.types.is_list(data_type):
+        return {"feature": _feature(data_type.value_type), "_type": "Sequence"}
+    return {"dtype": _NAMES.get(str(data_type), str(data_type)), "_type": "Value"}
 
 
 def label_feature(names: tuple[str, ...]) -> dict[str, Any]:

@@ -121,10 +121,10 @@ def file_sha256(folder: DataFolder, path: str) -> str:
 def unpacked_bytes(footer: Any, schema: Any, read_text: Callable[[list[str]], Any]) -> int:
     """Return the size of a shard's rows in Arrow's memory, which `datasets` calls ``num_bytes``.
 
-    Told by the footer, but for text, whose size a dictionary hides from it: ``read_text`` gives a table with
-    these columns, and maybe others. Within some bytes per row group for numbers and text; pictures and clips
-    count as they lie in the file uncompressed, which is more by their page headers, and the names beside
-    them not at all; offsets of inner lists are left out.
+    It follows from the footer, except for text, whose size a dictionary hides there: ``read_text`` takes the
+    paths of such columns and returns a table that has them, and maybe others. Exact within some bytes per row
+    group for numbers and text. Pictures and clips count as they lie in the file uncompressed, which is more
+    by their page headers, and the names beside them not at all; offsets of inner lists are left out.
     """
     import pyarrow as pa
 

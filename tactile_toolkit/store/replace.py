@@ -211,7 +211,7 @@ class FolderBefore:
         folder that holds nothing and refuses every other specification.
         """
         wanted = {task.shard for task in state.todo}
-        # The failure that ended the run is the one to be told, even where the disk does not let us tidy up.
+        # The failure that ended the run is the one to report, even where the disk does not let us tidy up.
         with contextlib.suppress(StorageError):
             if not any(record.shard in wanted for record in _with_rows(folder)):
                 self._restore(folder, plan, state)

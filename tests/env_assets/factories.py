@@ -9,15 +9,7 @@ from typing import Any
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from tactile_toolkit.mesh.columns import (
-    FACES,
-    VERTICES,
-    feature_metadata,
-    label_feature,
-    value_feature,
-    vectors_feature,
-    vectors_type,
-)
+from tactile_toolkit.mesh.columns import mesh_set_schema
 from tactile_toolkit.read.columns import list_array
 from tests.realtouch import factories
 
@@ -69,18 +61,6 @@ def write_meshes(folder: Path, meshes: Sequence[Any], names: tuple[str, ...] = D
     names : tuple of str
         Class names.
     """
-    features = {
-        "id": value_feature("int64"),
-        "label": label_feature(names),
-        VERTICES: vectors_feature("float32"),
-        FACES: vectors_feature("int32"),
-    }
-    fields = [
-        pa.field("id", pa.int64()),
-        pa.field("label", pa.int64()),
-        pa.field(VERTICES, vectors_type(pa.float32())),
-        pa.field(FACES, vectors_type(pa.int32())),
-    ]
     numbers = pa.array(range(len(meshes)), pa.int64())
     columns = [
         numbers,
@@ -88,9 +68,7 @@ def write_meshes(folder: Path, meshes: Sequence[Any], names: tuple[str, ...] = D
         list_array([mesh.vertices for mesh in meshes], pa.float32()),
         list_array([mesh.faces for mesh in meshes], pa.int32()),
     ]
-    schema = pa.schema(fields, metadata=feature_metadata(features))
+    table = pa.Table.from_arrays(columns, schema=mesh_set_schema(names))
     (folder / "data").mkdir(parents=True)
-    pq.write_table(
-        pa.Table.from_arrays(columns, schema=schema), folder / "data" / "train-00000-of-00001.parquet"
-    )
+    pq.write_table(table, folder / "data" / "train-00000-of-00001.parquet")
     return folder

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import shutil
 from collections.abc import Callable
 from pathlib import Path
@@ -18,6 +19,7 @@ from huggingface_hub import DatasetCard, DatasetCardData
 from hypothesis import given
 from hypothesis import strategies as st
 
+from mnist3d.card import write_card
 from mnist3d.generation import GenerateSpec, generate
 from mnist3d.solid import SolidSpec
 from mnist3d.sources.synthetic import SyntheticSource
@@ -27,6 +29,7 @@ from tactile_toolkit.cards.facts import folder_facts, yaml_features
 from tactile_toolkit.cards.head import size_category
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.store.folder import DataFolder
+from tactile_toolkit.store.manifest import read_manifest
 from tactile_toolkit.store.verify import verify
 
 
@@ -105,6 +108,18 @@ def test_the_hubs_own_classes_read_the_card(made):
 def test_a_true_card_has_no_findings(made):
     assert problems(made) == []
     assert verify(DataFolder(str(made)), check_card=check_card).ok
+
+
+def test_a_folder_whose_manifest_records_no_sizes_gets_the_same_card(folder, made):
+    """Version 0.1.0 recorded none: its files are read."""
+    manifest = json.loads((folder / "manifest.json").read_text())
+    for shard in manifest["shards"]:
+        assert shard.pop("unpacked_bytes") > 0
+    (folder / "manifest.json").write_text(json.dumps(manifest))
+    (folder / "README.md").unlink()
+    place = DataFolder(str(folder))
+    write_card(place, read_manifest(place))
+    assert (folder / "README.md").read_bytes() == (made / "README.md").read_bytes()
 
 
 def _drop_split(head: dict) -> None:
