@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from cli.failures import reports_errors
-from cli.hub_words import listed
 from cli.options import Json, Quiet, local_place
 from cli.output import Sink, bytes_text, counted
 from tactile_toolkit.kind import DatasetKind
@@ -18,9 +18,11 @@ if TYPE_CHECKING:
     from tactile_toolkit.catalog.published import SetState
     from tactile_toolkit.exchange.download import DownloadPlan
 
-__all__ = ["add_download"]
+__all__ = ["FILES_SHOWN", "add_download", "listed"]
 
 _LARGE_BYTES = 1_000_000_000
+FILES_SHOWN = 8
+"""Files of a longer list that are named."""
 
 Name = Annotated[
     str, typer.Argument(metavar="NAME", help="Short name (see `list`), or USER/NAME on the Hugging Face Hub.")
@@ -41,6 +43,12 @@ OutFolder = Annotated[
 ]
 DryRun = Annotated[bool, typer.Option("--dry-run", help="Say what would be fetched; fetch nothing.")]
 Yes = Annotated[bool, typer.Option("--yes", "-y", help="Do not ask before a large download.")]
+
+
+def listed(paths: Sequence[str]) -> str:
+    """Name some files, and how many more there are."""
+    more = f" and {len(paths) - FILES_SHOWN:,} more" if len(paths) > FILES_SHOWN else ""
+    return ", ".join(paths[:FILES_SHOWN]) + more
 
 
 def add_download(app: typer.Typer, kind: DatasetKind) -> None:

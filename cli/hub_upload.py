@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from cli.failures import EXIT_FAILED, reports_errors
-from cli.hub_words import SHOWN, listed
+from cli.hub_download import FILES_SHOWN, listed
 from cli.options import Folder, Json, Quiet
 from cli.output import Sink, bytes_text, counted
 from tactile_toolkit.kind import DatasetKind
@@ -64,8 +64,7 @@ def add_upload(app: typer.Typer, kind: DatasetKind) -> None:
         Run again after an interruption, it goes on; run again after success, it sends nothing and says so.
         """
         from tactile_toolkit.catalog.kinds import require_manifest
-        from tactile_toolkit.exchange.check import check_folder
-        from tactile_toolkit.exchange.upload import UploadOptions, prepare_upload, run_upload
+        from tactile_toolkit.exchange.upload import UploadOptions, check_folder, prepare_upload, run_upload
         from tactile_toolkit.store.folder import DataFolder
 
         sink = Sink(as_json, quiet)
@@ -137,10 +136,10 @@ def _print_plan(sink: Sink, prepared: PreparedUpload) -> None:
     rows = [
         (file.path, bytes_text(file.size), "new" if file.path in new else "changed") for file in plan.to_send
     ]
-    sink.table(("file", "size", "on the Hub"), rows[:SHOWN])
-    if len(rows) > SHOWN:
-        sink.line(f"  and {len(rows) - SHOWN:,} more")
-    for path in prepared.removed[:SHOWN]:
+    sink.table(("file", "size", "on the Hub"), rows[:FILES_SHOWN])
+    if len(rows) > FILES_SHOWN:
+        sink.line(f"  and {len(rows) - FILES_SHOWN:,} more")
+    for path in prepared.removed[:FILES_SHOWN]:
         sink.line(f"  to remove: {path}")
     sink.line(
         f"{len(plan.to_send):,} of {len(payload.files):,} files to send, {bytes_text(plan.send_bytes)} of "
@@ -195,14 +194,14 @@ def _held(prepared: PreparedUpload, pull: str | None) -> str:
 
 
 def _where(prepared: PreparedUpload) -> str:
-    from tactile_toolkit.exchange.upload_target import MAIN
+    from tactile_toolkit.exchange.upload import MAIN
 
     branch = prepared.target.branch
     return prepared.target.repo_id if branch == MAIN else f"{prepared.target.repo_id} ({branch})"
 
 
 def _address(prepared: PreparedUpload, result: UploadResult | None) -> str:
-    from tactile_toolkit.exchange.upload_target import MAIN
+    from tactile_toolkit.exchange.upload import MAIN
 
     page, branch = prepared.target.page, prepared.target.branch
     if result is not None and result.pull is not None:
@@ -211,7 +210,7 @@ def _address(prepared: PreparedUpload, result: UploadResult | None) -> str:
 
 
 def _python_lines(kind: DatasetKind, prepared: PreparedUpload, result: UploadResult | None) -> list[str]:
-    from tactile_toolkit.exchange.upload_target import MAIN
+    from tactile_toolkit.exchange.upload import MAIN
 
     branch = result.pull if result is not None and result.pull else prepared.target.branch
     revision = None if branch == MAIN else branch

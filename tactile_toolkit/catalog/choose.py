@@ -31,23 +31,8 @@ D = TypeVar("D", bound=RecordDataset[Any])
 def open_splits(name: str, split: str | None, load: Callable[[str, str], D], things: str) -> dict[str, D]:
     """Open one split of a local data set, or all of them; those without rows are left out.
 
-    Parameters
-    ----------
-    name : str
-        Folder or Parquet file.
-    split : str or None
-        Split wanted; all by default.
-    load : callable
-        Opens a split of a place.
-    things : str
-        What the rows are, for messages, such as ``"digits"``.
-
-    Raises
-    ------
-    InputError
-        No such split, or nothing in it.
-    IntegrityError
-        The data set is damaged or unfinished.
+    ``load`` opens a split of a path; ``things`` is what the rows are, for messages, such as ``"digits"``.
+    InputError where there is no such split, or nothing in it.
     """
     known = splits_of(name)
     if split is not None and split not in known:
@@ -69,10 +54,7 @@ def chosen_records(
 ) -> list[tuple[str, Any]]:
     """Return the records of some ids with their splits, or the first of all when no id is given.
 
-    Raises
-    ------
-    InputError
-        There is no row of some id.
+    Raises InputError where there is no row of some id.
     """
     if not ids:
         split, dataset = next(iter(datasets.items()))
@@ -105,17 +87,7 @@ def class_by_class(dataset: RecordDataset[Any], ids: Sequence[int], per_class: i
 
 @dataclass(frozen=True, slots=True)
 class Choice:
-    """Which rows of a data set to show.
-
-    Attributes
-    ----------
-    name : str
-        Short name, folder, Parquet file or repository of the Hub, as the room's ``load`` takes it.
-    split : str or None
-        Only this split.
-    limit, per_class : int or None
-        Only the first so many rows of each split, and of each class of a split.
-    """
+    """Which rows of a data set to show: one split or all, the first rows of each split and of each class."""
 
     name: str
     split: str | None = None
@@ -126,17 +98,7 @@ class Choice:
 def chosen_rows(labels: NDArray[np.int64], limit: int | None, per_class: int | None) -> NDArray[np.int64]:
     """Choose rows of one split: the first ``per_class`` of each class, and of these the first ``limit``.
 
-    Parameters
-    ----------
-    labels : ndarray of int64, shape (N,)
-        Class of each row.
-    limit, per_class : int, optional
-        No bound by default.
-
-    Returns
-    -------
-    ndarray of int64, shape (n,)
-        Row numbers, rising.
+    Takes the class of each row, returns row numbers, rising.
     """
     rows = np.arange(len(labels))
     if per_class is not None:
@@ -152,15 +114,7 @@ def portions(rows: NDArray[np.int64], size: int) -> Iterator[NDArray[np.int64]]:
 
 
 def splits_to_show(name: str, split: str | None, revision: str | None = None) -> tuple[str, ...]:
-    """Return the splits of a data set, or the one asked for.
-
-    Raises
-    ------
-    InputError
-        There is no such data set.
-    HubError
-        The repository cannot be reached or does not exist.
-    """
+    """Return the splits of a data set, or the one asked for."""
     return splits_of(name, revision=revision) if split is None else (split,)
 
 

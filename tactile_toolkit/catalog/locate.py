@@ -11,7 +11,7 @@ from tactile_toolkit.hub.errors import named_failures
 from tactile_toolkit.hub.repository import HubName, HubRepository, hub_name
 from tactile_toolkit.read.parquet import Shard
 from tactile_toolkit.store.folder import DataFolder
-from tactile_toolkit.store.manifest import MANIFEST_FILE, Manifest, manifest_so_far, read_manifest
+from tactile_toolkit.store.manifest import MANIFEST_FILE, manifest_so_far, read_manifest
 from tactile_toolkit.store.shards import (
     DATA_FOLDER,
     ShardFile,
@@ -43,27 +43,11 @@ def find_shards(
 ) -> tuple[Shard, ...]:
     """Find the shards of one split, fetching them first where they are on the Hub.
 
-    Parameters
-    ----------
-    name : str
-        Local folder, Parquet file, or repository of the Hub: ``USER/NAME[@REVISION]``, or the address of it,
-        or of a folder or file in it, ``hf://datasets/USER/NAME[@REVISION][/PATH]``.
-    split : str
-        Split wanted; only its shards are fetched. A single file whose name tells no split is taken for
-        whatever split, and any file for ``train``.
-    revision : str, optional
-        Branch, tag or commit of the repository.
-    streaming : bool
-        Give remote addresses that are read piece by piece instead of fetching files.
-
-    Raises
-    ------
-    InputError
-        No such folder, or no such split in it.
-    IntegrityError
-        The folder's manifest is damaged, or says that its run was interrupted in this split.
-    HubError
-        The repository cannot be reached or does not exist.
+    ``name`` is a local folder, a Parquet file, or a repository of the Hub: ``USER/NAME[@REVISION]``, or the
+    address of it, or of a folder or file in it, ``hf://datasets/USER/NAME[@REVISION][/PATH]``. A file whose
+    name tells no split is taken for whatever split, and any file for ``train``. With ``streaming``, shards
+    have remote addresses that are read piece by piece. Raises InputError (no such folder or split),
+    IntegrityError (a damaged manifest, an interrupted run) or HubError.
     """
     place = _local_place(name)
     if place is not None and place.is_file():
@@ -84,22 +68,7 @@ def find_shards(
 def find_files(
     names: Sequence[str], *, revision: str | None = None, streaming: bool = False
 ) -> tuple[Shard, ...]:
-    """Find Parquet files that belong together, fetching first those on the Hub.
-
-    Parameters
-    ----------
-    names : sequence of str
-        Local files, or addresses ``hf://datasets/USER/NAME[@REVISION]/PATH``.
-    revision, streaming
-        As for :func:`find_shards`.
-
-    Raises
-    ------
-    InputError
-        No files are given, or one of them is not there.
-    HubError
-        As for :func:`find_shards`.
-    """
+    """Find Parquet files that belong together, local or on the Hub, as :func:`find_shards` does."""
     shards: list[Shard] = []
     repositories: dict[HubName, HubRepository] = {}  # one each, so that its files are of one commit
     for name in names:
@@ -121,13 +90,7 @@ def find_files(
 
 
 def repository_named(name: str, revision: str | None = None) -> HubRepository:
-    """Return the repository that a name means.
-
-    Raises
-    ------
-    InputError
-        It is no name of one, or names a file or folder in it.
-    """
+    """Return the repository that a name means; InputError for other names, and for a part of one."""
     named = _named_on_hub(name, revision)
     if named.path:
         message = f"{name!r} is a part of a repository; expected all of it; next: leave {named.path!r} away"
@@ -195,23 +158,7 @@ def _shards_below(repository: HubRepository, folder: str) -> list[ShardFile]:
 
 
 def splits_of(name: str, *, revision: str | None = None) -> tuple[str, ...]:
-    """List the splits of a data set by its name.
-
-    Parameters
-    ----------
-    name : str
-        Local folder, Parquet file (of the split that its name tells, or else ``train``), or repository of the
-        Hub.
-    revision : str, optional
-        Branch, tag or commit of the repository.
-
-    Raises
-    ------
-    InputError
-        When the name is none of these, or holds no Parquet files.
-    HubError
-        The repository cannot be reached or does not exist.
-    """
+    """List the splits of a data set by its name; InputError where it holds no Parquet files."""
     place = _local_place(name)
     named = _named_on_hub(name, revision) if place is None else None
     if place is not None and place.is_file():
@@ -282,13 +229,6 @@ def repository_shards(repository: HubRepository) -> list[ShardFile]:
 
     A manifest tells which files belong to the data set: shards of an older layout may lie beside them,
     because an upload removes nothing that it was not told to remove.
-
-    Raises
-    ------
-    IntegrityError
-        The manifest is damaged.
-    HubError
-        The repository cannot be read.
     """
     files = shard_files(repository.files())
     if repository.manifest is None:
@@ -298,21 +238,21 @@ def repository_shards(repository: HubRepository) -> list[ShardFile]:
 
 
 def splits_to_check(path: str) -> tuple[str, ...]:
-    """List the splits of a local data set folder that is to be checked as a whole.
+    """List the splits of a local folder that is to be checked as a whole; InputError where it holds none.
 
-    Raises
-    ------
-    InputError
-        The folder holds no data set.
-    IntegrityError
-        The run that makes it is under way or was interrupted: a check of the rest would pass for one of all.
+    Raises IntegrityError when the run that makes it is under way or was interrupted: a check of the rest
+    would pass for one of all.
     """
     folder = DataFolder(path)
     manifest = read_manifest(folder)
     if manifest is not None and not manifest.complete:
-        unfinished = _unfinished_split(folder, manifest)
-        if unfinished is not None:
-            find_shards(path, unfinished)
+        so_far = manifest_so_far(folder)
+        # A split that was begun is named before one that was not.
+        for split in (*(so_far.splits if so_far is not None else ()), *manifest.split_order):
+            records = manifest.shards_of(split)
+            if not records or len(records) < records[0].shard.count:
+                find_shards(path, split)  # says what is unfinished about it
+                break
     splits = available_splits(folder)
     if not splits:
         message = (
@@ -320,14 +260,3 @@ def splits_to_check(path: str) -> tuple[str, ...]:
         )
         raise InputError(message)
     return splits
-
-
-def _unfinished_split(folder: DataFolder, manifest: Manifest) -> str | None:
-    """Return a split that lacks shards, one that was begun before one that was not."""
-    so_far = manifest_so_far(folder)
-    begun = so_far.splits if so_far is not None else ()
-    for split in (*begun, *manifest.split_order):
-        records = manifest.shards_of(split)
-        if not records or len(records) < records[0].shard.count:
-            return split
-    return None

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
@@ -55,20 +56,10 @@ def _is_data(place: Path) -> bool:
 
 @dataclass(frozen=True, slots=True)
 class SetState:
-    """A published set, what of it is on this machine, and how large it is on the Hub.
+    """A published set, what of it is in the Hub's cache, and how large it is on the Hub, if that says.
 
-    Attributes
-    ----------
-    published : PublishedSet
-        The set.
-    local_bytes : int
-        Size of what is in the Hub's cache.
-    local_splits : tuple of str
-        Splits of which files are in the cache, at the commit last looked at.
-    hub_bytes : int or None
-        Size on the Hub; None when it did not say.
-    licence : str or None
-        As its publishers state it, or else as its card on the Hub does.
+    ``local_splits`` have files in the cache, at the commit last looked at; the licence is as its publishers
+    state it, or else as its card on the Hub does.
     """
 
     published: PublishedSet
@@ -81,23 +72,18 @@ class SetState:
 def states(sets: Sequence[PublishedSet]) -> list[SetState]:
     """Look up what is local and, for all sets at once and without patience, ask the Hub for sizes."""
     with ThreadPoolExecutor(_THREADS) as pool:
-        snapshots = list(pool.map(_snapshot, sets))
-    return [_state(entry, snapshot) for entry, snapshot in zip(sets, snapshots, strict=True)]
+        return list(pool.map(_state, sets))
 
 
-def _snapshot(entry: PublishedSet) -> HubSnapshot | None:
-    try:
+def _state(entry: PublishedSet) -> SetState:
+    found: HubSnapshot | None = None
+    with contextlib.suppress(ToolkitError):
         found = look_at(entry.repo_id, patient=False)
-    except ToolkitError:
-        return None
-    return None if found.is_cache else found
-
-
-def _state(entry: PublishedSet, snapshot: HubSnapshot | None) -> SetState:
+    snapshot = None if found is None or found.is_cache else found
     cache = RepositoryCache(entry.repo_id)
     commit = snapshot.commit if snapshot else cache.commit_of("main")
     paths = list(cache.files(commit)) if commit else []
     splits = tuple(dict.fromkeys(file.split for file in shard_files(paths)))
-    size = sum(file.size_bytes for file in snapshot.files.values()) if snapshot else None
+    size_bytes = sum(file.size_bytes for file in snapshot.files.values()) if snapshot else None
     licence = entry.licence or (snapshot.licence if snapshot else None)
-    return SetState(entry, cache.size_bytes(), splits, size, licence)
+    return SetState(entry, cache.size_bytes(), splits, size_bytes, licence)

@@ -6,204 +6,291 @@ the Hub already. Then what is missing is sent (:func:`run_upload`), and what arr
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import replace
-from fnmatch import fnmatch
+import glob
+import warnings
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
-from tactile_toolkit.cards.card import CARD_FILE, addressed
+from tactile_toolkit.cards.card import CARD_FILE
 from tactile_toolkit.cards.checks import check_card
-from tactile_toolkit.cards.head import head_text
+from tactile_toolkit.catalog.kinds import require_manifest
 from tactile_toolkit.errors import InputError, IntegrityError
-from tactile_toolkit.exchange.upload_plan import compare
-from tactile_toolkit.exchange.upload_target import (
+from tactile_toolkit.exchange.upload_plan import (
     MAIN,
     Payload,
-    PreparedUpload,
-    RemoteState,
-    Sent,
+    RemoteFile,
     UploadOptions,
-    UploadResult,
-    UploadTarget,
+    UploadPlan,
+    card_for_hub,
     collect,
+    compare,
     staged,
 )
 from tactile_toolkit.hub.errors import require_repository_name
 from tactile_toolkit.hub.retry import ask
+from tactile_toolkit.kind import DatasetKind
 from tactile_toolkit.store.folder import DataFolder
 from tactile_toolkit.store.manifest import MANIFEST_FILE, Manifest, read_manifest
-from tactile_toolkit.store.shards import Finding
+from tactile_toolkit.store.shards import DATA_FOLDER, Finding
 from tactile_toolkit.store.verify import verify
 
 __all__ = [
+    "MAIN",
     "PreparedUpload",
     "UploadOptions",
     "UploadResult",
-    "card_for_hub",
-    "ensure_sent",
-    "holding_pull",
+    "check_folder",
     "prepare_upload",
-    "require_arrival",
     "run_upload",
-    "tagged",
 ]
 
-_FENCE = "---\n"
+_KIND = "dataset"
+_PULLS_SEEN = 10
+
+T = TypeVar("T")
 
 
-def card_for_hub(text: str, repo_id: str, shards: Mapping[str, Sequence[str]], others: Iterable[str]) -> str:
-    """Render the card of a folder for a repository.
+@dataclass(frozen=True)
+class RemoteState:
+    """A branch of a repository as it is now.
 
-    Parameters
+    Attributes
     ----------
-    text : str
-        Card of the folder.
-    repo_id : str
-        ``USER/NAME``, which takes the place of the folder in lines that load the data set.
-    shards : mapping of str to sequence of str
-        Files of each split in the folder.
-    others : iterable of str
-        Files that stay in the repository though the folder lacks them. Where the pattern of a split would
-        take them for its own, the split's files are named one by one instead.
+    exists : bool
+        Whether there is such a repository.
+    private : bool
+        Whether only its owner sees it.
+    head : str or None
+        Commit that the branch points to, or that it will start at: the head of ``main``.
+    files : dict of str to RemoteFile
+        What that commit holds.
+    tags : dict of str to str
+        Commit of each tag.
+    branches : frozenset of str
+        Names of the branches.
+    has_branch : bool
+        Whether the branch is there; False where it is still to be made.
     """
-    named = addressed(text, repo_id)
-    foreign = list(others)
-    _, head, body = named.split(_FENCE, 2)
-    values = _parsed(head)
-    if not any(_takes(entry, foreign) for entry in _data_files(values)):
-        return named
-    for entry in _data_files(values):
-        if _takes(entry, foreign):
-            entry["path"] = list(shards[entry["split"]])
-    return head_text(values) + body
+
+    exists: bool
+    private: bool = False
+    head: str | None = None
+    files: dict[str, RemoteFile] = field(default_factory=dict)
+    tags: dict[str, str] = field(default_factory=dict)
+    branches: frozenset[str] = frozenset()
+    has_branch: bool = False
 
 
-def _parsed(head: str) -> dict[str, Any]:
-    import yaml
+@dataclass(frozen=True, slots=True)
+class Sent:
+    """Where a commit went: its id, and the pull request it opened, such as ``"refs/pr/3"``."""
 
-    values: dict[str, Any] = yaml.safe_load(head)
-    return values
-
-
-def _data_files(values: Mapping[str, Any]) -> list[dict[str, Any]]:
-    entries: list[dict[str, Any]] = values["configs"][0]["data_files"]
-    return entries
+    commit: str
+    pull: str | None = None
 
 
-def _takes(entry: Mapping[str, Any], paths: Sequence[str]) -> bool:
-    pattern = entry["path"]
-    return isinstance(pattern, str) and any(fnmatch(path, pattern) for path in paths)
+@dataclass(frozen=True)
+class UploadTarget:
+    """A branch of a data set repository, or a pull request to be opened; ``on_wait`` is told of each wait."""
 
+    repo_id: str
+    branch: str = MAIN
+    on_wait: Callable[[str], None] = field(default=lambda _: None, repr=False, compare=False)
 
-def holding_pull(prepared: PreparedUpload, author: str) -> str | None:
-    """Return an open pull request of ours that holds everything already."""
-    for pull in prepared.target.open_pulls(author):
-        plan = compare(prepared.payload.files, prepared.target.files_at(pull))
-        if plan.is_done(delete=prepared.options.delete):
-            return pull
-    return None
+    @property
+    def page(self) -> str:
+        """Address of the repository for people."""
+        from huggingface_hub import constants
 
+        return f"{constants.ENDPOINT}/datasets/{self.repo_id}"
 
-def ensure_sent(prepared: PreparedUpload) -> tuple[Sent, bool]:
-    """Make the Hub hold the folder; tell where, and whether anything had to be sent for it.
+    def who(self) -> str:
+        """Return the name of the account that is logged in; HubError if nobody is."""
+        return str(self._ask(lambda: self._api().whoami()["name"]))
 
-    Raises
-    ------
-    HubError
-        The Hub refused, or failed more often than is worth waiting.
-    """
-    target, options = prepared.target, prepared.options
-    if prepared.pull is not None:
-        return Sent(target.commit_of(prepared.pull), prepared.pull), False
-    if not prepared.state.exists:
-        target.create(private=options.private)
-    if not prepared.state.has_branch and target.branch != MAIN:
-        target.create_branch(prepared.state.head)
-    if prepared.is_done and prepared.state.head is not None:
-        return Sent(prepared.state.head), False
-    return _Sending(prepared).until_there(), True
+    def state(self) -> RemoteState:
+        """Look what the branch holds; a repository or branch that does not exist is no error."""
+        return self._ask(self._state)
 
+    def files_at(self, revision: str) -> dict[str, RemoteFile]:
+        """List the files of a commit, tag, branch or pull request."""
+        return self._ask(lambda: self._tree(revision))
 
-class _Sending:
-    """Sending until it is there: each try starts from what the Hub holds at that moment."""
+    def open_pulls(self, author: str) -> list[str]:
+        """List the newest open pull requests of an account, such as ``refs/pr/3``; newest first."""
 
-    def __init__(self, prepared: PreparedUpload) -> None:
-        self._prepared = prepared
-        self._plan = prepared.plan
-        self._head = prepared.state.head
-
-    def until_there(self) -> Sent:
-        """Send, and try again what fails in passing, but never what has had its effect."""
-        target = self._prepared.target
-        return ask(
-            self._send,
-            target.repo_id,
-            target.branch,
-            "uploading to",
-            find_result=self._look,
-            on_wait=target.on_wait,
-        )
-
-    def _send(self) -> Sent:
-        prepared = self._prepared
-        with staged(prepared.payload, self._plan.to_send) as stage:
-            return prepared.target.send(
-                stage,
-                prepared.message,
-                delete=[file.path for file in self._plan.remote_only] if prepared.options.delete else [],
-                parent=self._head,
-                pull=prepared.options.create_pr,
+        def pulls() -> list[int]:
+            found = self._api().get_repo_discussions(
+                self.repo_id,
+                repo_type=_KIND,
+                author=author,
+                discussion_type="pull_request",
+                discussion_status="open",
             )
+            return sorted((entry.num for entry in found), reverse=True)
 
-    def _look(self) -> Sent | None:
-        """Look whether the commit was made although its answer did not arrive."""
-        prepared, target = self._prepared, self._prepared.target
-        if prepared.options.create_pr:
-            pull = holding_pull(prepared, target.who())
-            return None if pull is None else Sent(target.commit_of(pull), pull)
-        state = target.state()
-        self._plan, self._head = compare(prepared.payload.files, state.files), state.head
-        if state.head is not None and self._plan.is_done(delete=prepared.options.delete):
-            return Sent(state.head)
-        return None
+        return [f"refs/pr/{number}" for number in self._ask(pulls)[:_PULLS_SEEN]]
 
-
-def require_arrival(prepared: PreparedUpload, sent: Sent) -> None:
-    """Compare every file of the commit with the folder, by checksum.
-
-    Raises
-    ------
-    IntegrityError
-        A file is missing there or differs; names it.
-    """
-    arrived = compare(prepared.payload.files, prepared.target.files_at(sent.commit))
-    wrong = [
-        *(f"{file.path} is missing" for file in arrived.new),
-        *(f"{f.path} differs" for f in arrived.changed),
-    ]
-    if prepared.options.delete:
-        wrong += [f"{file.path} is still there" for file in arrived.remote_only]
-    if wrong:
-        message = (
-            f"{prepared.target.repo_id!r} does not hold what was sent (commit {sent.commit[:12]}): "
-            f"{'; '.join(wrong[:3])} ({len(wrong)} such files); next: run the same upload again, it sends "
-            "what is missing"
+    def commit_of(self, revision: str) -> str:
+        """Return the commit that a branch or pull request points to."""
+        return self._ask(
+            lambda: str(self._api().repo_info(self.repo_id, repo_type=_KIND, revision=revision).sha)
         )
-        raise IntegrityError(message)
+
+    def create(self, *, private: bool) -> None:
+        """Create the repository; one that is there already stays as it is."""
+        api = self._api()
+        self._ask(lambda: api.create_repo(self.repo_id, repo_type=_KIND, private=private, exist_ok=True))
+
+    def create_branch(self, start: str | None) -> None:
+        """Create the branch at a commit, or at the head of ``main``; one that is there stays as it is."""
+        api = self._api()
+        self._ask(
+            lambda: api.create_branch(
+                self.repo_id, branch=self.branch, revision=start, repo_type=_KIND, exist_ok=True
+            )
+        )
+
+    def send(self, stage: Path, message: str, *, delete: list[str], parent: str | None, pull: bool) -> Sent:
+        """Send all of a folder as a commit, once: a lost answer is looked into, not repeated, by the caller.
+
+        ``parent`` is the commit that the branch must still point to.
+        """
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # the client library's own, which no user can heed
+            made = self._api().upload_folder(
+                repo_id=self.repo_id,
+                folder_path=stage,
+                repo_type=_KIND,
+                commit_message=message,
+                revision=None if pull else self.branch,
+                create_pr=pull,
+                parent_commit=None if pull else parent,
+                delete_patterns=[glob.escape(path) for path in delete] or None,
+            )
+        return Sent(made.oid, made.pr_revision)
+
+    def set_tag(self, name: str, commit: str, there: str | None) -> None:
+        """Make a tag name a commit; one that names another is moved."""
+        api = self._api()
+        if there is not None:
+            self._ask(lambda: api.delete_tag(self.repo_id, tag=name, repo_type=_KIND))
+        self._ask(
+            lambda: api.create_tag(self.repo_id, tag=name, revision=commit, repo_type=_KIND, exist_ok=True)
+        )
+
+    def _ask(self, action: Callable[[], T]) -> T:
+        return ask(action, self.repo_id, self.branch, "uploading to", on_wait=self.on_wait)
+
+    def _api(self) -> Any:
+        from huggingface_hub import HfApi
+
+        return HfApi()
+
+    def _state(self) -> RemoteState:
+        from huggingface_hub import errors
+
+        api = self._api()
+        try:
+            private = bool(api.repo_info(self.repo_id, repo_type=_KIND).private)
+        except errors.GatedRepoError:
+            raise
+        except errors.RepositoryNotFoundError:
+            return RemoteState(exists=False)
+        refs = api.list_repo_refs(self.repo_id, repo_type=_KIND)
+        tags = {ref.name: str(ref.target_commit) for ref in refs.tags}
+        heads = {ref.name: str(ref.target_commit) for ref in refs.branches}
+        there = heads.get(self.branch)
+        if there is None and self.branch.startswith("refs/"):  # a pull request that is written to
+            there = str(api.repo_info(self.repo_id, repo_type=_KIND, revision=self.branch).sha)
+        head = there or heads.get(MAIN)
+        files = self._tree(head) if head is not None else {}
+        return RemoteState(True, private, head, files, tags, frozenset(heads), there is not None)
+
+    def _tree(self, revision: str) -> dict[str, RemoteFile]:
+        from huggingface_hub.hf_api import RepoFile
+
+        entries = self._api().list_repo_tree(self.repo_id, recursive=True, revision=revision, repo_type=_KIND)
+        return {
+            entry.path: RemoteFile(
+                entry.path, entry.size, entry.blob_id, entry.lfs.sha256 if entry.lfs is not None else None
+            )
+            for entry in entries
+            if isinstance(entry, RepoFile)
+        }
 
 
-def tagged(prepared: PreparedUpload, sent: Sent) -> Iterator[str]:
-    """Set the names that do not name the commit yet, and yield them."""
-    for tag in prepared.tags:
-        there = prepared.state.tags.get(tag)
-        if there != sent.commit:
-            prepared.target.set_tag(tag, sent.commit, there)
-            yield tag
+@dataclass(frozen=True)
+class PreparedUpload:
+    """An upload that is decided and not begun; ``pull`` is an open pull request that holds everything."""
+
+    target: UploadTarget
+    options: UploadOptions
+    manifest: Manifest
+    payload: Payload
+    state: RemoteState
+    plan: UploadPlan
+    pull: str | None = None
+
+    @property
+    def is_done(self) -> bool:
+        """Whether nothing is to be sent or removed."""
+        return self.pull is not None or self.plan.is_done(delete=self.options.delete)
+
+    @property
+    def removed(self) -> tuple[str, ...]:
+        """Files of the repository that are to be removed."""
+        return tuple(file.path for file in self.plan.remote_only) if self.options.delete else ()
+
+    @property
+    def kept(self) -> tuple[str, ...]:
+        """Files of the repository that the folder lacks and that stay."""
+        return () if self.options.delete else tuple(file.path for file in self.plan.remote_only)
+
+    @property
+    def mixed(self) -> tuple[str, ...]:
+        """Files among those kept that have names of shards of the folder's splits, but are none."""
+        shards = tuple(f"{DATA_FOLDER}/{split}-" for split in self.manifest.splits)
+        return tuple(path for path in self.kept if path.startswith(shards))
+
+    @property
+    def tags(self) -> tuple[str, ...]:
+        """Names that the commit gets: the schema version's on the main branch, and the user's."""
+        if self.options.create_pr or self.target.branch.startswith("refs/"):
+            return ()
+        schema = [f"schema-{self.manifest.schema_version}"] if self.target.branch == MAIN else []
+        return tuple(dict.fromkeys([*schema, *([self.options.tag] if self.options.tag else [])]))
+
+    @property
+    def message(self) -> str:
+        """First line of the commit."""
+        made = f"{self.manifest.kind} made by tactile-toolkit {self.manifest.toolkit_version}"
+        return self.options.message or f"Upload {made}"
 
 
-Check = Callable[[DataFolder], Iterable[Finding]]
-"""Lists what is wrong with a folder."""
+@dataclass(frozen=True)
+class UploadResult:
+    """What an upload did: files sent and removed and names set by this call, and where the folder is now.
+
+    ``pull`` is the pull request that holds the commit, if it is not on a branch.
+    """
+
+    commit: str
+    pull: str | None = None
+    sent: tuple[str, ...] = ()
+    removed: tuple[str, ...] = ()
+    tags: tuple[str, ...] = ()
+
+
+def check_folder(kind: DatasetKind, folder: DataFolder) -> Iterable[Finding]:
+    """List what is wrong with a folder of a kind: files, rows, columns, ids, pictures, card."""
+    if kind.check is not None:
+        found: Iterable[Finding] = kind.check(folder)
+        return found
+    require_manifest(kind, folder)
+    return verify(folder, None if kind.schema is None else kind.schema(), check_card=check_card).findings
 
 
 def prepare_upload(
@@ -211,44 +298,21 @@ def prepare_upload(
     repo_id: str,
     options: UploadOptions | None = None,
     *,
-    check: Check | None = None,
+    check: Callable[[DataFolder], Iterable[Finding]] | None = None,
     dry_run: bool = False,
     on_wait: Callable[[str], None] = lambda _: None,
 ) -> PreparedUpload:
     """Verify a folder, render its card, and compare it with the repository; nothing is changed anywhere.
 
-    Parameters
-    ----------
-    folder : str
-        Local folder of a finished data set.
-    repo_id : str
-        ``USER/NAME``.
-    options : UploadOptions, optional
-        What the user decides.
-    check : callable, optional
-        Lists what is wrong with the folder; `tactile_toolkit.store.verify.verify` with the card if not given.
-    dry_run : bool
-        Do without a login where the repository can be seen without one.
-    on_wait : callable
-        Told, in a sentence, of each wait before a request is tried again.
-
-    Returns
-    -------
-    PreparedUpload
-
-    Raises
-    ------
-    InputError
-        No finished data set is there, or an option cannot be used.
-    IntegrityError
-        The folder is damaged, or its card does not tell the truth.
-    HubError
-        Not logged in, not allowed, or the Hub cannot be reached.
+    ``check`` lists what is wrong with the folder: checksums and card by default. A dry run does without a
+    login where the repository can be seen without one. Raises InputError (not a finished data set, an option
+    that cannot be used), IntegrityError (damage, a card that does not tell the truth) or HubError.
     """
     chosen = options or UploadOptions()
     require_repository_name(repo_id)
     root, manifest = _finished(folder)
-    _require_sound(root, list((check or _verified)(DataFolder(str(root)))))
+    found = DataFolder(str(root))
+    _require_sound(root, list(check(found) if check else verify(found, check_card=check_card).findings))
     target = UploadTarget(repo_id, chosen.revision or MAIN, on_wait)
     name = "" if dry_run else target.who()
     state = target.state()
@@ -259,32 +323,45 @@ def prepare_upload(
     prepared = PreparedUpload(target, chosen, manifest, payload, state, plan)
     _refuse_other_tag(prepared)
     if chosen.create_pr and state.exists and name and not prepared.is_done:
-        return replace(prepared, pull=holding_pull(prepared, name))
+        return replace(prepared, pull=_holding_pull(prepared, name))
     return prepared
 
 
-def run_upload(prepared: PreparedUpload) -> UploadResult:
-    """Send what is missing, compare what arrived, and name it.
+def _finished(folder: str) -> tuple[Path, Manifest]:
+    place = DataFolder(folder)
+    if not place.is_local:
+        message = f"{folder!r} is not a local folder; next: copy it to this machine, then upload it"
+        raise InputError(message)
+    manifest = read_manifest(place)
+    if manifest is None:
+        message = (
+            f"no {MANIFEST_FILE} in {place.address()!r}: only data sets made by this toolkit can be proved "
+            "whole before they are sent; next: give the folder of one"
+        )
+        raise InputError(message)
+    return Path(place.address()), manifest
 
-    A commit whose answer was lost is looked for before it is tried again, so that none is made twice.
 
-    Raises
-    ------
-    HubError
-        The Hub refused, or failed more often than is worth waiting. What was sent stays there, and the same
-        call goes on from it.
-    IntegrityError
-        What the Hub holds afterwards is not what the folder has.
-    """
-    sent, did_send = ensure_sent(prepared)
-    require_arrival(prepared, sent)
-    return UploadResult(
-        sent.commit,
-        sent.pull,
-        tuple(file.path for file in prepared.plan.to_send) if did_send else (),
-        prepared.removed if did_send else (),
-        tuple(tagged(prepared, sent)),
-    )
+def _require_sound(root: Path, findings: Sequence[Finding]) -> None:
+    if not findings:
+        return
+    told = [f"{finding.file} {finding.problem}".partition("; next: ")[0] for finding in findings[:3]]
+    listed = "; ".join(told)
+    more = f" and {len(findings) - 3} more" if len(findings) > 3 else ""
+    only_card = all(CARD_FILE in (finding.file, *finding.problem.split()) for finding in findings)
+    cure = "write it with the command `card`, or mend it by hand"
+    cure = cure if only_card else "run the command that made it again, or `card` for the card alone"
+    message = f"{str(root)!r} is not fit to be sent, nothing was: {listed}{more}; next: {cure}"
+    raise IntegrityError(message)
+
+
+def _refuse_exposure(target: UploadTarget, options: UploadOptions, state: RemoteState) -> None:
+    if options.private and state.exists and not state.private:
+        message = (
+            f"{target.repo_id!r} exists and everyone can see it, --private was asked for; nothing was sent; "
+            f"next: make it private at {target.page}/settings, or leave --private out"
+        )
+        raise InputError(message)
 
 
 def _refuse_taken_names(target: UploadTarget, options: UploadOptions, state: RemoteState) -> None:
@@ -299,36 +376,16 @@ def _refuse_taken_names(target: UploadTarget, options: UploadOptions, state: Rem
     raise InputError(message)
 
 
-def _finished(folder: str) -> tuple[Path, Manifest]:
-    place = DataFolder(folder)
-    if not place.is_local:
-        message = f"{folder!r} is no local folder; next: copy it to this machine, then upload it"
-        raise InputError(message)
-    manifest = read_manifest(place)
-    if manifest is None:
+def _refuse_other_tag(prepared: PreparedUpload) -> None:
+    """Refuse a name of the user's that another commit has: only the schema's name moves along."""
+    tag = prepared.options.tag
+    there = prepared.state.tags.get(tag) if tag else None
+    if there is not None and not (prepared.is_done and there == prepared.state.head):
         message = (
-            f"no {MANIFEST_FILE} in {place.address()!r}: only data sets made by this toolkit can be proved "
-            "whole before they are sent; next: give the folder of one"
+            f"tag {tag!r} of {prepared.target.repo_id!r} names commit {there[:12]} already; nothing was "
+            "sent; next: choose another --tag, or delete that one on the Hub"
         )
         raise InputError(message)
-    return Path(place.address()), manifest
-
-
-def _verified(folder: DataFolder) -> Sequence[Finding]:
-    return verify(folder, check_card=check_card).findings
-
-
-def _require_sound(root: Path, findings: Sequence[Finding]) -> None:
-    if not findings:
-        return
-    told = [f"{finding.file} {finding.problem}".partition("; next: ")[0] for finding in findings[:3]]
-    listed = "; ".join(told)
-    more = f" and {len(findings) - 3} more" if len(findings) > 3 else ""
-    only_card = all(CARD_FILE in (finding.file, *finding.problem.split()) for finding in findings)
-    cure = "write it with the command `card`, or mend it by hand"
-    cure = cure if only_card else "run the command that made it again, or `card` for the card alone"
-    message = f"{str(root)!r} is not fit to be sent, nothing was: {listed}{more}; next: {cure}"
-    raise IntegrityError(message)
 
 
 def _payload(
@@ -345,22 +402,94 @@ def _payload(
     return payload.with_card(text.encode())
 
 
-def _refuse_exposure(target: UploadTarget, options: UploadOptions, state: RemoteState) -> None:
-    if options.private and state.exists and not state.private:
-        message = (
-            f"{target.repo_id!r} exists and everyone can see it, --private was asked for; nothing was sent; "
-            f"next: make it private at {target.page}/settings, or leave --private out"
-        )
-        raise InputError(message)
+def run_upload(prepared: PreparedUpload) -> UploadResult:
+    """Send what is missing, compare what arrived, and name it.
+
+    A commit whose answer was lost is looked for before it is tried again, so that none is made twice. Raises
+    HubError (what was sent stays there, and the same call goes on from it) or IntegrityError (what the Hub
+    holds afterwards is not what the folder has).
+    """
+    sent, did_send = _ensure_sent(prepared)
+    _require_arrival(prepared, sent)
+    return UploadResult(
+        sent.commit,
+        sent.pull,
+        tuple(file.path for file in prepared.plan.to_send) if did_send else (),
+        prepared.removed if did_send else (),
+        tuple(_tagged(prepared, sent)),
+    )
 
 
-def _refuse_other_tag(prepared: PreparedUpload) -> None:
-    """Refuse a name of the user's that another commit has: only the schema's name moves along."""
-    tag = prepared.options.tag
-    there = prepared.state.tags.get(tag) if tag else None
-    if there is not None and not (prepared.is_done and there == prepared.state.head):
+def _ensure_sent(prepared: PreparedUpload) -> tuple[Sent, bool]:
+    """Make the Hub hold the folder; tell where, and whether anything had to be sent for it."""
+    target, options = prepared.target, prepared.options
+    if prepared.pull is not None:
+        return Sent(target.commit_of(prepared.pull), prepared.pull), False
+    if not prepared.state.exists:
+        target.create(private=options.private)
+    if not prepared.state.has_branch and target.branch != MAIN:
+        target.create_branch(prepared.state.head)
+    if prepared.is_done and prepared.state.head is not None:
+        return Sent(prepared.state.head), False
+    plan, head = prepared.plan, prepared.state.head
+
+    def send() -> Sent:
+        with staged(prepared.payload, plan.to_send) as stage:
+            return target.send(
+                stage,
+                prepared.message,
+                delete=[file.path for file in plan.remote_only] if options.delete else [],
+                parent=head,
+                pull=options.create_pr,
+            )
+
+    def find_commit() -> Sent | None:
+        """Look whether it was made though its answer was lost; if not, what is still to send, and on what."""
+        nonlocal plan, head
+        if options.create_pr:
+            pull = _holding_pull(prepared, target.who())
+            return None if pull is None else Sent(target.commit_of(pull), pull)
+        state = target.state()
+        plan, head = compare(prepared.payload.files, state.files), state.head
+        return Sent(head) if head is not None and plan.is_done(delete=options.delete) else None
+
+    sent = ask(
+        send, target.repo_id, target.branch, "uploading to", find_result=find_commit, on_wait=target.on_wait
+    )
+    return sent, True
+
+
+def _holding_pull(prepared: PreparedUpload, author: str) -> str | None:
+    """Return an open pull request of ours that holds everything already."""
+    for pull in prepared.target.open_pulls(author):
+        plan = compare(prepared.payload.files, prepared.target.files_at(pull))
+        if plan.is_done(delete=prepared.options.delete):
+            return pull
+    return None
+
+
+def _require_arrival(prepared: PreparedUpload, sent: Sent) -> None:
+    """Compare every file of the commit with the folder, by checksum; IntegrityError names what differs."""
+    arrived = compare(prepared.payload.files, prepared.target.files_at(sent.commit))
+    wrong = [
+        *(f"{file.path} is missing" for file in arrived.new),
+        *(f"{f.path} differs" for f in arrived.changed),
+    ]
+    if prepared.options.delete:
+        wrong += [f"{file.path} is still there" for file in arrived.remote_only]
+    if wrong:
         message = (
-            f"tag {tag!r} of {prepared.target.repo_id!r} names commit {there[:12]} already; nothing was "
-            "sent; next: choose another --tag, or delete that one on the Hub"
+            f"{prepared.target.repo_id!r} does not hold what was sent (commit {sent.commit[:12]}): "
+            f"{'; '.join(wrong[:3])} ({len(wrong)} such files); next: run the same upload again, it sends "
+            "what is missing"
         )
-        raise InputError(message)
+        raise IntegrityError(message)
+
+
+def _tagged(prepared: PreparedUpload, sent: Sent) -> Iterator[str]:
+    """Set the names that do not name the commit yet, and yield them."""
+    for tag in prepared.tags:
+        there = prepared.state.tags.get(tag)
+        if there != sent.commit:
+            prepared.target.set_tag(tag, sent.commit, there)
+            yield tag

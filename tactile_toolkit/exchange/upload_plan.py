@@ -1,30 +1,101 @@
-"""What an upload has to send: local files compared with the Hub's tree. Pure; no disk, no network."""
+"""What an upload has to send, decided before anything is: files of the folder compared with the Hub's."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+import contextlib
+import hashlib
+import re
+import tempfile
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from fnmatch import fnmatch
+from pathlib import Path
+from typing import Any
 
-__all__ = ["LocalFile", "RemoteFile", "UploadPlan", "compare"]
+from tactile_toolkit.cards.card import CARD_FILE, PREVIEW_FOLDER, addressed
+from tactile_toolkit.cards.head import head_text
+from tactile_toolkit.errors import InputError
+from tactile_toolkit.store.manifest import MANIFEST_FILE, Manifest
 
+__all__ = [
+    "MAIN",
+    "LocalFile",
+    "Payload",
+    "RemoteFile",
+    "UploadOptions",
+    "UploadPlan",
+    "card_for_hub",
+    "collect",
+    "compare",
+    "staged",
+]
+
+MAIN = "main"
+_COMMIT = re.compile(r"[0-9a-f]{40}")
+# Written by the Hub itself; every repository has them.
 _HUBS_OWN = frozenset({".gitattributes"})
-"""Files that the Hub writes itself and that every repository has."""
+_PICTURE_FOLDER = "images"
+_MOST_IN_GIT_BYTES = 10 << 20  # from here on the Hub keeps every file as a large one
+_FENCE = "---\n"
+
+
+@dataclass(frozen=True, slots=True)
+class UploadOptions:
+    """What the user decides about an upload.
+
+    Attributes
+    ----------
+    private : bool
+        Create the repository so that only its owner sees it.
+    revision : str or None
+        Branch (made if it is not there) or pull request (``refs/pr/3``) to write to; ``main`` where None.
+    create_pr : bool
+        Open a pull request instead of writing to the branch.
+    message : str or None
+        First line of the commit.
+    tag : str or None
+        Name to give to the commit, beside that of the schema version.
+    delete : bool
+        Remove files from the repository that the folder does not have.
+    """
+
+    private: bool = False
+    revision: str | None = None
+    create_pr: bool = False
+    message: str | None = None
+    tag: str | None = None
+    delete: bool = False
+
+    def __post_init__(self) -> None:
+        if self.create_pr and self.revision not in (None, MAIN):
+            message = (
+                f"--create-pr and --revision {self.revision} exclude each other: pull requests are opened "
+                "against the main branch; next: leave one of them out"
+            )
+            raise InputError(message)
+        pull = "--create-pr" if self.create_pr else f"--revision {self.revision}"
+        if self.tag is not None and (self.create_pr or (self.revision or "").startswith("refs/")):
+            message = (
+                f"{pull} and --tag {self.tag} exclude each other: what is not merged yet gets no name; "
+                "next: leave one of them out"
+            )
+            raise InputError(message)
+        # Such names for a branch or tag would be read as something else ever after.
+        for option, name in (("--revision", self.revision), ("--tag", self.tag)):
+            if name is not None and _COMMIT.fullmatch(name):
+                message = f"{option} {name} is the name of a commit; next: give a branch or tag of your own"
+                raise InputError(message)
+        if self.tag is not None and self.tag == (self.revision or MAIN):
+            message = f"--tag {self.tag} is the name of the branch that is written to; next: choose another"
+            raise InputError(message)
 
 
 @dataclass(frozen=True, slots=True)
 class LocalFile:
     """A file of the folder, as it is to be on the Hub.
 
-    Attributes
-    ----------
-    path : str
-        Path inside folder and repository.
-    size : int
-        Bytes.
-    sha256 : str
-        Checksum of the content.
-    git_oid : str or None
-        Name that git gives to the content; None for files so large that the Hub never keeps them in git.
+    ``git_oid`` is the name that git gives to the content; None for files so large that the Hub never keeps
+    them in git.
     """
 
     path: str
@@ -37,16 +108,8 @@ class LocalFile:
 class RemoteFile:
     """A file of a repository.
 
-    Attributes
-    ----------
-    path : str
-        Path inside the repository.
-    size : int
-        Bytes.
-    git_oid : str
-        Name of its blob in git: of the content, or of the pointer to a large file.
-    sha256 : str or None
-        Checksum of a large file; None for one that is kept in git.
+    ``git_oid`` names its blob in git: the content, or the pointer to a large file, whose checksum is
+    ``sha256``; that is None for a file kept in git.
     """
 
     path: str
@@ -63,14 +126,9 @@ class RemoteFile:
 
 @dataclass(frozen=True, slots=True)
 class UploadPlan:
-    """The difference between a folder and a repository.
+    """The difference between a folder and a repository: files that it lacks, has otherwise, has already.
 
-    Attributes
-    ----------
-    new, changed, same : tuple of LocalFile
-        Files that the repository lacks, has with another content, has already.
-    remote_only : tuple of RemoteFile
-        Files that the folder lacks; those that the Hub writes itself are not among them.
+    ``remote_only`` are those that the folder lacks, but for what the Hub writes itself.
     """
 
     new: tuple[LocalFile, ...]
@@ -94,15 +152,7 @@ class UploadPlan:
 
 
 def compare(local: Iterable[LocalFile], remote: Mapping[str, RemoteFile]) -> UploadPlan:
-    """Compare a folder with a repository by checksums.
-
-    Parameters
-    ----------
-    local : iterable of LocalFile
-        Everything that is to be in the repository.
-    remote : mapping of str to RemoteFile
-        Its files by path; empty for a repository that does not exist yet.
-    """
+    """Compare all that is to be in a repository with its files by path, by checksums."""
     files = sorted(local, key=lambda file: file.path)
     known = {file.path for file in files}
     same = tuple(file for file in files if file.path in remote and remote[file.path].holds(file))
@@ -114,3 +164,113 @@ def compare(local: Iterable[LocalFile], remote: Mapping[str, RemoteFile]) -> Upl
             remote[path] for path in sorted(remote) if path not in known and path not in _HUBS_OWN
         ),
     )
+
+
+@dataclass(frozen=True)
+class Payload:
+    """What is sent of a folder: its files, with the card as it is to be on the Hub.
+
+    ``left_out`` lies in the folder and does not belong to the data set; a folder is named once.
+    """
+
+    root: Path
+    card: bytes
+    files: tuple[LocalFile, ...]
+    left_out: tuple[str, ...]
+
+    @property
+    def size(self) -> int:
+        """Bytes of all files."""
+        return sum(file.size for file in self.files)
+
+    def with_card(self, card: bytes) -> Payload:
+        """Return the same with another card."""
+        others = tuple(file for file in self.files if file.path != CARD_FILE)
+        return replace(self, card=card, files=(_of_content(CARD_FILE, card), *others))
+
+
+def collect(root: Path, manifest: Manifest, card: bytes) -> Payload:
+    """List a verified folder's files with their checksums: those of the manifest, the card, the pictures."""
+    known = {record.shard.data_path: record.sha256 for record in manifest.shards}
+    known |= dict(manifest.files or {})
+    others = [MANIFEST_FILE]
+    for folder in (PREVIEW_FOLDER, _PICTURE_FOLDER):
+        found = (path.relative_to(root) for path in sorted((root / folder).rglob("*")) if path.is_file())
+        # Names with a dot in front are of writers that have not finished.
+        others += [path.as_posix() for path in found if not any(part[0] == "." for part in path.parts)]
+    files = [
+        _of_content(CARD_FILE, card),
+        *(_of_file(root, path, known.get(path)) for path in dict.fromkeys([*known, *others])),
+    ]
+    sent = {file.path for file in files}
+    holding = {parent.as_posix() for path in sent for parent in Path(path).parents}
+    return Payload(root, card, tuple(files), tuple(_unsent(root, root, sent, holding)))
+
+
+def _of_content(path: str, content: bytes) -> LocalFile:
+    # Git's name of a blob; no secret depends on it.
+    oid = hashlib.sha1(b"blob %d\0" % len(content) + content, usedforsecurity=False).hexdigest()
+    return LocalFile(path, len(content), hashlib.sha256(content).hexdigest(), oid)
+
+
+def _of_file(root: Path, path: str, sha256: str | None) -> LocalFile:
+    file = root / path
+    size = file.stat().st_size
+    if size <= _MOST_IN_GIT_BYTES:
+        return _of_content(path, file.read_bytes())
+    if sha256 is None:
+        with file.open("rb") as stream:
+            sha256 = hashlib.file_digest(stream, "sha256").hexdigest()
+    return LocalFile(path, size, sha256, None)
+
+
+def _unsent(root: Path, folder: Path, sent: set[str], holding: set[str]) -> Iterator[str]:
+    """Yield what is not sent; a folder of which nothing is sent is named once, with a slash."""
+    for entry in sorted(folder.iterdir()):
+        path = entry.relative_to(root).as_posix()
+        if not entry.is_dir():
+            if path not in sent:
+                yield path
+        elif path not in holding:
+            yield f"{path}/"
+        else:
+            yield from _unsent(root, entry, sent, holding)
+
+
+@contextlib.contextmanager
+def staged(payload: Payload, files: Iterable[LocalFile]) -> Iterator[Path]:
+    """Lay out some files of a payload in a folder of their own: links, and the card as it is to be.
+
+    What is not among them cannot be sent by mistake, and what the Hub has already is not even read.
+    """
+    with tempfile.TemporaryDirectory(prefix="tactile-upload-") as name:
+        stage = Path(name)
+        for file in files:
+            place = stage / file.path
+            place.parent.mkdir(parents=True, exist_ok=True)
+            if file.path == CARD_FILE:
+                place.write_bytes(payload.card)
+            else:
+                place.symlink_to((payload.root / file.path).resolve())
+        yield stage
+
+
+def card_for_hub(text: str, repo_id: str, shards: Mapping[str, Sequence[str]], others: Iterable[str]) -> str:
+    """Render the card of a folder for a repository, whose name takes the folder's place in its examples.
+
+    ``shards`` are the files of each split; ``others`` stay in the repository though the folder lacks them.
+    Where the pattern of a split would take those for its own, the split's files are named one by one instead.
+    """
+    import yaml
+
+    named, foreign = addressed(text, repo_id), list(others)
+    _, head, body = named.split(_FENCE, 2)
+    values: dict[str, Any] = yaml.safe_load(head)
+    taking = [
+        entry
+        for entry in values["configs"][0]["data_files"]
+        if isinstance(entry["path"], str) and any(fnmatch(path, entry["path"]) for path in foreign)
+    ]
+    for entry in taking:
+        entry["path"] = list(shards[entry["split"]])
+    return head_text(values) + body if taking else named

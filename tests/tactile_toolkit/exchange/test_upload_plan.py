@@ -10,9 +10,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from starstruck_gen.generation import GenerateSpec, generate
-from tactile_toolkit.exchange.upload import card_for_hub
-from tactile_toolkit.exchange.upload_plan import LocalFile, RemoteFile, compare
-from tactile_toolkit.exchange.upload_target import collect, staged
+from tactile_toolkit.exchange.upload_plan import (
+    LocalFile,
+    RemoteFile,
+    card_for_hub,
+    collect,
+    compare,
+    staged,
+)
 from tactile_toolkit.store.folder import DataFolder
 from tactile_toolkit.store.manifest import read_manifest
 
