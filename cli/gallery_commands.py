@@ -46,15 +46,7 @@ Replace = Annotated[
 
 
 def add_mesh_gallery(app: typer.Typer, kind: DatasetKind) -> None:
-    """Add ``gallery`` to the command line of a room of meshes.
-
-    Parameters
-    ----------
-    app : typer.Typer
-        The room's commands.
-    kind : DatasetKind
-        The kind of data set that it is for.
-    """
+    """Add ``gallery`` to the command line of a kind of meshes."""
 
     @app.command()
     @reports_errors
@@ -78,8 +70,8 @@ def add_mesh_gallery(app: typer.Typer, kind: DatasetKind) -> None:
         """
         from tactile_toolkit.catalog.choose import Choice
 
-        run = _Run(Sink(as_json, quiet), kind.nouns, out, workers or os.cpu_count() or 1, overwrite)
-        run.go(kind.plan_gallery(Choice(name, split, limit, per_class)), dry_run)
+        plan = kind.plan_gallery(Choice(name, split, limit, per_class))
+        _make(Sink(as_json, quiet), plan, out, workers, overwrite=overwrite, dry_run=dry_run)
 
 
 def add_touch_gallery(app: typer.Typer) -> None:
@@ -112,67 +104,42 @@ def _touches(
     """
     from realtouch.show.gallery import RoundChoice, plan_gallery
 
-    run = _Run(Sink(as_json, quiet), "rounds", out, workers or os.cpu_count() or 1, overwrite)
-    run.go(plan_gallery(RoundChoice(name, split, limit, per_class, touches, revision)), dry_run)
+    plan = plan_gallery(RoundChoice(name, split, limit, per_class, touches, revision))
+    _make(Sink(as_json, quiet), plan, out, workers, overwrite=overwrite, dry_run=dry_run)
 
 
-class _Run:
-    """What the three commands share: progress while a site is made, then what was made."""
+def _make(sink: Sink, gallery: Gallery, out: Path, workers: int, *, overwrite: bool, dry_run: bool) -> None:
+    """Make a gallery with progress and say what was made, or only say what would be made."""
+    from tactile_toolkit.gallery.site import build_site, forecast_site
 
-    def __init__(self, sink: Sink, nouns: str, out: Path, workers: int, overwrite: bool) -> None:
-        self.sink, self.nouns, self.out, self.workers = sink, nouns, out, workers
-        self.overwrite = overwrite
-
-    def go(self, gallery: Gallery, dry_run: bool) -> None:
-        """Make the gallery, or only say what would be made."""
-        if dry_run:
-            self._forecast(gallery)
-        else:
-            self._make(gallery)
-
-    def _forecast(self, gallery: Gallery) -> None:
-        from tactile_toolkit.gallery.site import forecast_site
-
-        view = forecast_site(gallery, str(self.out), self.workers, overwrite=self.overwrite)
-        self.sink.document(view.to_dict())
-        self._table(view.splits)
-        self.sink.line(
-            f"would make {self.out}: {counted(view.files, 'files')}, about {bytes_text(view.bytes)}, about "
-            f"{duration_text(view.seconds)} with {counted(self.workers, 'workers')} (measured on "
-            f"{counted(view.sampled, self.nouns)}); nothing was written"
+    nouns = gallery.nouns[1]
+    workers = workers or os.cpu_count() or 1
+    if dry_run:
+        view = forecast_site(gallery, str(out), workers, overwrite=overwrite)
+        sink.document(view.to_dict())
+        sink.table(("split", nouns), list(view.splits.items()))
+        sink.line(
+            f"would make {out}: {counted(view.files, 'files')}, about {bytes_text(view.bytes)}, about "
+            f"{duration_text(view.seconds)} with {counted(workers, 'workers')} (measured on "
+            f"{counted(view.sampled, nouns)}); nothing was written"
         )
         if not view.fits:
-            self.sink.talk("that is too large and would be refused; choose fewer with --limit or --split")
-
-    def _make(self, gallery: Gallery) -> None:
-        from tactile_toolkit.gallery.site import build_site
-
-        start_s = time.monotonic()
-        try:
-            with self.sink.progress("making the gallery", self.nouns) as update:
-                site = build_site(
-                    gallery, str(self.out), self.workers, overwrite=self.overwrite, on_progress=update
-                )
-        except KeyboardInterrupt as error:
-            sys.stderr.write(f"interrupted; nothing was left behind, {self.out} is as it was before\n")
-            raise typer.Exit(EXIT_INTERRUPTED) from error
-        page = str(Path(site.path) / "index.html")
-        self.sink.document(
-            {
-                "page": page,
-                "items": site.items,
-                "files": site.files,
-                "bytes": site.bytes,
-                "splits": site.splits,
-            }
-        )
-        self._table(site.splits)
-        took = duration_text(time.monotonic() - start_s)
-        self.sink.line(
-            f"made {self.out} in {took}: {counted(site.items, self.nouns)}, {counted(site.files, 'files')}, "
-            f"{bytes_text(site.bytes)}"
-        )
-        self.sink.line(f"next: open {page} in a browser")
-
-    def _table(self, splits: dict[str, int]) -> None:
-        self.sink.table(("split", self.nouns), list(splits.items()))
+            sink.talk("that is too large and would be refused; choose fewer with --limit or --split")
+        return
+    start_s = time.monotonic()
+    try:
+        with sink.progress("making the gallery", nouns) as update:
+            site = build_site(gallery, str(out), workers, overwrite=overwrite, on_progress=update)
+    except KeyboardInterrupt as error:
+        sys.stderr.write(f"interrupted; nothing was left behind, {out} is as it was before\n")
+        raise typer.Exit(EXIT_INTERRUPTED) from error
+    page = str(Path(site.path) / "index.html")
+    made = {"items": site.items, "files": site.files, "bytes": site.bytes, "splits": site.splits}
+    sink.document({"page": page, **made})
+    sink.table(("split", nouns), list(site.splits.items()))
+    took = duration_text(time.monotonic() - start_s)
+    sink.line(
+        f"made {out} in {took}: {counted(site.items, nouns)}, {counted(site.files, 'files')}, "
+        f"{bytes_text(site.bytes)}"
+    )
+    sink.line(f"next: open {page} in a browser")

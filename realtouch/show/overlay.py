@@ -4,18 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from realtouch.media.images import in_parallel
-from realtouch.rounds import TouchRound, TouchSeqRound, TouchSingleRound
+from realtouch.rounds import TouchRound, TouchSeqRound
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.touch.jpeg import Pixels
-
-if TYPE_CHECKING:
-    from scipy.spatial.transform import RigidTransform
 
 __all__ = [
     "CELL_M",
@@ -42,15 +39,9 @@ _MOST_THREADS = 4
 class Placed:
     """A touch and where it was.
 
-    Attributes
-    ----------
-    pixels : ndarray of uint8, shape (H, W, 3)
-        Its picture.
-    centre_m : ndarray, shape (2,)
-        Where the middle of the picture lies: x and y, metres, cell frame.
-    axes : ndarray, shape (2, 2)
-        Directions along x and y in which the columns and the rows of the picture grow, one a row; shorter
-        than one where the gel was tilted.
+    ``centre_m``, shape (2,), is where the middle of the picture lies: x and y, metres, cell frame. ``axes``,
+    shape (2, 2), are the directions along x and y in which its columns and rows grow, one a row; shorter than
+    one where the gel was tilted.
     """
 
     pixels: Pixels
@@ -60,20 +51,12 @@ class Placed:
 
 @dataclass(frozen=True, slots=True)
 class CellMap:
-    """A map of the cell, x right and y up.
-
-    Attributes
-    ----------
-    size_px : tuple of int
-        Width and height.
-    px_per_m : float
-        Scale; the origin of the cell is in the middle.
-    """
+    """A map of the cell, x right and y up, the origin of the cell in its middle."""
 
     size_px: tuple[int, int]
     px_per_m: float
 
-    def place_px(self, point_m: Sequence[float] | NDArray[Any]) -> tuple[float, float]:
+    def point_px(self, point_m: Sequence[float] | NDArray[Any]) -> tuple[float, float]:
         """Return where a point of the cell lies: column and row, 0 at the outer edge of the first pixel."""
         x, y = float(point_m[0]), float(point_m[1])
         return self.size_px[0] / 2 + x * self.px_per_m, self.size_px[1] / 2 - y * self.px_per_m
@@ -83,18 +66,13 @@ def placed_touches(record: TouchRound, touches: Sequence[int]) -> list[Placed]:
     """Read the pictures of some touches and where the gel was; of clips, the last frame of contact.
 
     Where the data set stores no pose of the gel, its intended position is taken and no rotation.
-
-    Raises
-    ------
-    IntegrityError
-        A picture or pose is damaged.
     """
     placed: list[Any] = [None] * len(touches)
 
-    def place(number: int) -> None:
+    def read(number: int) -> None:
         placed[number] = _placed(record, int(touches[number]))
 
-    in_parallel(place, len(touches), _MOST_THREADS)
+    in_parallel(read, len(touches), _MOST_THREADS)
     return placed
 
 
@@ -109,27 +87,11 @@ def cell_map(touches: Sequence[Placed], px_per_mm: float, cell_m: tuple[float, f
 
 
 def overlay(touches: Sequence[Placed], cell: CellMap) -> Pixels:
-    """Paste touches into one picture of the cell.
+    """Paste touches, pictures of one size, into one picture of the cell, (H, W, 3); white where no touch was.
 
     Where touches lie on top of one another, each counts the more the more it differs from the gel at rest
     (the median of all touches), so that what was felt stays visible beneath touches of bare plate.
-
-    Parameters
-    ----------
-    touches : sequence of Placed
-        Pictures of one size.
-    cell : CellMap
-        The map.
-
-    Returns
-    -------
-    ndarray of uint8, shape (H, W, 3)
-        White where no touch was.
-
-    Raises
-    ------
-    InputError
-        The pictures differ in size.
+    InputError: the pictures differ in size.
     """
     sizes = sorted({touch.pixels.shape[1::-1] for touch in touches})
     if len(sizes) > 1:
@@ -156,26 +118,17 @@ def overlay(touches: Sequence[Placed], cell: CellMap) -> Pixels:
     return np.round(mixed).astype(np.uint8)
 
 
-def _placed(record: TouchRound, touch: int) -> Placed:
+def _placed(record: TouchRound, number: int) -> Placed:
     from realtouch.touches import Touch
 
-    one = Touch(record, touch)
-    pose = _pose(record, one)
-    if pose is None:
-        return Placed(one.image, np.asarray(one.pos_in_cell_m, np.float64), np.diag([1.0, -1.0]))
+    touch = Touch(record, number)
+    suffix = "_seq" if isinstance(record, TouchSeqRound) else ""
+    if not record._row.has(f"gel_pose_cell_frame{suffix}.position"):
+        return Placed(touch.image, np.asarray(touch.pos_in_cell_m, np.float64), np.diag([1.0, -1.0]))
+    pose = touch.gel_pose
     # Columns of the picture grow along +x of the gel, rows along -y (package tactile-mnist 0.13.0).
     turned = pose.rotation.apply([[1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
-    return Placed(one.image, np.asarray(pose.translation[:2], np.float64), np.asarray(turned[:, :2]))
-
-
-def _pose(record: TouchRound, touch: Any) -> RigidTransform | None:
-    suffix = "_seq" if isinstance(record, TouchSeqRound) else ""
-    if isinstance(record, (TouchSeqRound, TouchSingleRound)) and record._row.has(
-        f"gel_pose_cell_frame{suffix}.position"
-    ):
-        pose: RigidTransform = touch.gel_pose
-        return pose
-    return None
+    return Placed(touch.image, np.asarray(pose.translation[:2], np.float64), np.asarray(turned[:, :2]))
 
 
 def _weight(pixels: Pixels, rest: NDArray[np.float64]) -> NDArray[np.float32]:
@@ -197,7 +150,7 @@ def _back_to_touch(touch: Placed, cell: CellMap) -> tuple[tuple[slice, slice], t
     to_map = touch.axes.T * cell.px_per_m * np.array([[1.0], [-1.0]])
     per_px = np.array([SENSING_AREA_M[0] / width, SENSING_AREA_M[1] / height])
     forward = to_map * per_px
-    centre = np.array(cell.place_px(touch.centre_m))
+    centre = np.array(cell.point_px(touch.centre_m))
     half = np.abs(forward * np.array([width, height]) / 2).sum(axis=1)
     low = np.maximum(np.floor(centre - half).astype(int), 0)
     high = np.minimum(np.ceil(centre + half).astype(int), cell.size_px)

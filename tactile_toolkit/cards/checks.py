@@ -29,21 +29,10 @@ _REQUIRED = ("license", "pretty_name", "task_categories", "tags")
 def check_card(
     folder: DataFolder, text: str | None = None, *, held: Collection[str] | None = None
 ) -> list[Finding]:
-    """Compare the card of a folder with its manifest, its Parquet files and its pictures.
+    """List all in the card of a finished folder that manifest, Parquet files or pictures contradict.
 
-    Parameters
-    ----------
-    folder : DataFolder
-        A finished data set.
-    text : str, optional
-        Card to check instead of the stored one.
-    held : collection of str, optional
-        Files that will lie beside the card, where it is to stand elsewhere; its pictures must be among them.
-
-    Returns
-    -------
-    list of Finding
-        Everything that is wrong; empty for a card that tells the truth.
+    ``text`` is a card to check instead of the stored one; ``held`` are files that will lie beside it where it
+    is to stand elsewhere: its pictures must be among them.
     """
     if text is None:
         if not folder.exists(CARD_FILE):
@@ -56,7 +45,8 @@ def check_card(
         return [_finding(f"cannot be compared with the data: {error}")]
     except ValueError as error:
         return [_finding(f"its YAML head cannot be read: {_first_line(error)}")]
-    problems = [*_missing(head), *_wrong_files(head, facts), *_wrong_info(head, facts), *_gaps(text)]
+    missing = [f"its head has no {name!r}" for name in _REQUIRED if not head.get(name)]
+    problems = [*missing, *_wrong_files(head, facts), *_wrong_info(head, facts), *_gaps(text)]
     return [*map(_finding, problems), *_pictures(folder, text, held)]
 
 
@@ -65,13 +55,7 @@ def _finding(problem: str) -> Finding:
 
 
 def _head(text: str) -> dict[str, Any]:
-    """Read the YAML head with the Hub's own class.
-
-    Raises
-    ------
-    ValueError
-        There is none, or it is not what the Hub takes.
-    """
+    """Read the YAML head with the Hub's own class; ValueError where there is none, or none that it takes."""
     import yaml
     from huggingface_hub import DatasetCard
 
@@ -84,12 +68,6 @@ def _head(text: str) -> dict[str, Any]:
 
 def _first_line(error: Exception) -> str:
     return (str(error).splitlines() or [type(error).__name__])[0]
-
-
-def _missing(head: Mapping[str, Any]) -> Iterator[str]:
-    for name in _REQUIRED:
-        if not head.get(name):
-            yield f"its head has no {name!r}"
 
 
 def _wrong_files(head: Mapping[str, Any], facts: FolderFacts) -> Iterator[str]:
@@ -105,21 +83,18 @@ def _wrong_files(head: Mapping[str, Any], facts: FolderFacts) -> Iterator[str]:
     if set(told) != set(there):
         yield f"its 'configs' name the splits {sorted(told)}; the folder has {sorted(there)}"
     for split in sorted(set(told) & set(there)):
-        matched = sorted(path for path in _all_paths(facts) if _matches(path, told[split]))
+        patterns = [told[split]] if isinstance(told[split], str) else list(told[split] or ())
+        matched = sorted(
+            path
+            for each in facts.splits
+            for path in each.paths
+            if any(fnmatch(path, str(pattern)) for pattern in patterns)
+        )
         if matched != sorted(there[split]):
             yield (
                 f"{told[split]!r} of split {split!r} finds {len(matched)} files; its {len(there[split])} "
                 f"are {there[split][0]} and so on"
             )
-
-
-def _all_paths(facts: FolderFacts) -> list[str]:
-    return [path for split in facts.splits for path in split.paths]
-
-
-def _matches(path: str, patterns: Any) -> bool:
-    listed = [patterns] if isinstance(patterns, str) else list(patterns or ())
-    return any(fnmatch(path, str(pattern)) for pattern in listed)
 
 
 def _wrong_info(head: Mapping[str, Any], facts: FolderFacts) -> Iterator[str]:

@@ -48,18 +48,10 @@ _DARKEST, _RANGE = 60, 180
 
 @dataclass(frozen=True, slots=True)
 class View:
-    """From where a mesh is looked at, without perspective.
+    """From where a mesh is looked at, without perspective."""
 
-    Attributes
-    ----------
-    azimuth_deg : float
-        How far the viewer has walked around the z axis, counter-clockwise from -y, degrees.
-    elevation_deg : float
-        How high the viewer stands: 90 looks straight down, with x right and y up in the picture.
-    """
-
-    azimuth_deg: float
-    elevation_deg: float
+    azimuth_deg: float  # how far the viewer has walked around the z axis, counter-clockwise from -y
+    elevation_deg: float  # how high the viewer stands: 90 looks straight down, with x right and y up
 
     @property
     def axes(self) -> NDArray[np.float64]:
@@ -88,16 +80,9 @@ OBLIQUE = View(-25.0, 42.0)
 
 
 def averaged(pixels: NDArray[np.uint8], factor: int, paper: int = 255) -> NDArray[np.uint8]:
-    """Return a picture so many times smaller, each pixel the mean of those that it covers.
+    """Return a picture, (H, W) or (H, W, 3), so many times smaller, each pixel the mean of those it covers.
 
-    Parameters
-    ----------
-    pixels : ndarray of uint8, shape (H, W) or (H, W, 3)
-        The picture; sides that are no multiple of ``factor`` are filled up with ``paper`` first.
-    factor : int
-        How many times smaller.
-    paper : int
-        Level beyond the edge.
+    Sides that are not a multiple of ``factor`` are filled up with the level ``paper`` first.
     """
     height, width = (-(-side // factor) for side in pixels.shape[:2])
     spread = [(0, height * factor - pixels.shape[0]), (0, width * factor - pixels.shape[1])]
@@ -108,14 +93,9 @@ def averaged(pixels: NDArray[np.uint8], factor: int, paper: int = 255) -> NDArra
 
 
 def shades(points: NDArray[np.float64], faces: NDArray[np.integer[Any]]) -> NDArray[np.uint8]:
-    """Return how bright each triangle is, shape (F,), 60 to 240.
+    """Return how bright each triangle is, (F,), 60 to 240; points, (V, 3), are right, up and to the viewer.
 
-    Parameters
-    ----------
-    points : ndarray of float64, shape (V, 3)
-        Right, up and towards the viewer.
-    faces : ndarray of int, shape (F, 3)
-        Triangles. One that faces away is lit as if it did not, so that damaged meshes show something, too.
+    One that faces away is lit as if it did not, so that damaged meshes show something, too.
     """
     corners = points[np.asarray(faces)]
     normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
@@ -136,17 +116,7 @@ _SECONDS_TO_DRAW = 120.0
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Body:
-    """Something to draw.
-
-    Attributes
-    ----------
-    mesh : Mesh
-        Metres.
-    colour : tuple of int
-        Red, green and blue, 0 to 255.
-    lit : bool
-        False draws it in its plain colour.
-    """
+    """A mesh to draw in a colour, red, green and blue; without ``lit`` in its plain colour."""
 
     mesh: Mesh
     colour: tuple[int, int, int]
@@ -155,22 +125,10 @@ class Body:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Picture3d:
-    """A picture of bodies, without perspective: lengths along the picture plane keep their scale everywhere.
-
-    Attributes
-    ----------
-    bodies : tuple of Body
-        What stands there.
-    size_px : tuple of int
-        Width and height.
-    px_per_m : float
-        Scale.
-    view : View
-        From where.
-    """
+    """A picture of bodies, without perspective: lengths along the picture plane keep their scale."""
 
     bodies: tuple[Body, ...]
-    size_px: tuple[int, int]
+    size_px: tuple[int, int]  # width and height
     px_per_m: float
     view: View = OBLIQUE
 
@@ -275,13 +233,7 @@ def send(stream: IO[bytes], words: dict[str, Any], arrays: dict[str, NDArray[Any
 
 
 def receive(stream: IO[bytes]) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
-    """Read a message from a pipe.
-
-    Raises
-    ------
-    EOFError
-        The other side is gone.
-    """
+    """Read a message from a pipe; EOFError where the other side is gone."""
     head = stream.read(_LENGTH.size)
     if len(head) < _LENGTH.size:
         raise EOFError
@@ -379,40 +331,28 @@ def _answer(output: IO[bytes], words: dict[str, Any], arrays: dict[str, NDArray[
     plotter = pv.Plotter(off_screen=True, window_size=words["size_px"], lighting="none")
     plotter.set_background("white")
     for number, body in enumerate(words["bodies"]):
-        _add(plotter, arrays[f"vertices{number}"], arrays[f"faces{number}"], body)
-    _light(plotter)
-    _aim(plotter, words, np.concatenate([values for name, values in arrays.items() if name[0] == "v"]))
-    pixels = np.array(plotter.screenshot(return_img=True), np.uint8)
-    plotter.close()
-    send(output, {}, {"pixels": pixels[:, :, :3]})
-
-
-def _add(plotter: Any, vertices_m: NDArray[Any], faces: NDArray[Any], body: dict[str, Any]) -> None:
-    import pyvista as pv
-
-    surface = pv.PolyData.from_regular_faces(vertices_m * 1e3, faces)
-    plotter.add_mesh(
-        surface,
-        color=body["colour"],
-        lighting=body["lit"],
-        smooth_shading=body["lit"],
-        split_sharp_edges=body["lit"],
-        feature_angle=_SHARP_EDGE_DEG,
-        ambient=_AMBIENT,
-        diffuse=_DIFFUSE,
-        specular=_SPECULAR,
-        specular_power=12,
-        show_scalar_bar=False,
-    )
-
-
-def _light(plotter: Any) -> None:
-    import pyvista as pv
-
+        surface = pv.PolyData.from_regular_faces(arrays[f"vertices{number}"] * 1e3, arrays[f"faces{number}"])
+        plotter.add_mesh(
+            surface,
+            color=body["colour"],
+            lighting=body["lit"],
+            smooth_shading=body["lit"],
+            split_sharp_edges=body["lit"],
+            feature_angle=_SHARP_EDGE_DEG,
+            ambient=_AMBIENT,
+            diffuse=_DIFFUSE,
+            specular=_SPECULAR,
+            specular_power=12,
+            show_scalar_bar=False,
+        )
     for direction, strength in _LIGHTS:
         light = pv.Light(light_type="camera light", intensity=strength)
         light.position, light.focal_point = direction, (0.0, 0.0, 0.0)
         plotter.add_light(light)
+    _aim(plotter, words, np.concatenate([values for name, values in arrays.items() if name[0] == "v"]))
+    pixels = np.array(plotter.screenshot(return_img=True), np.uint8)
+    plotter.close()
+    send(output, {}, {"pixels": pixels[:, :, :3]})
 
 
 def _aim(plotter: Any, words: dict[str, Any], points_m: NDArray[Any]) -> None:

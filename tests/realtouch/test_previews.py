@@ -73,7 +73,7 @@ def test_what_was_felt_lands_where_it_was_felt(angle, flipped, centre_m, mark):
     touch = placed(pixels, centre_m, pose)
     cell = cell_map([touch], 8.0)
     drawn = overlay([touch], cell)
-    x, y = cell.place_px(felt_at_m(pose, centre_m, column + 6, row + 6, (320, 240)))
+    x, y = cell.point_px(felt_at_m(pose, centre_m, column + 6, row + 6, (320, 240)))
     assert drawn[int(y), int(x)].tolist() == [255, 0, 0]
     rows, columns = np.nonzero((drawn == (255, 0, 0)).all(axis=2))
     assert (columns.mean() + 0.5, rows.mean() + 0.5) == pytest.approx((x, y), abs=0.5)
@@ -91,7 +91,7 @@ def test_touches_side_by_side_give_back_the_world_that_they_felt():
         pose, centre_m = gel(random.uniform(-30, 30), True), tuple(random.uniform(-0.045, 0.045, 2))
         rows, columns = np.mgrid[0:48, 0:64] + 0.5
         corner, right, down = (
-            np.array(cell.place_px(felt_at_m(pose, centre_m, *place, (64, 48))))
+            np.array(cell.point_px(felt_at_m(pose, centre_m, *place, (64, 48))))
             for place in ((0, 0), (1, 0), (0, 1))
         )
         felt = corner + columns.reshape(-1, 1) * (right - corner) + rows.reshape(-1, 1) * (down - corner)
@@ -124,7 +124,7 @@ def test_the_map_holds_the_cell_and_every_touch_whole(centres):
     assert cell.size_px[0] >= CELL_M[0] * 5000 - 1e-3
     for touch, centre in zip(touches, centres, strict=True):
         for column, row in ((0, 0), (4, 0), (0, 3), (4, 3)):
-            x, y = cell.place_px(felt_at_m(gel(30, True), centre, column, row, (4, 3)))
+            x, y = cell.point_px(felt_at_m(gel(30, True), centre, column, row, (4, 3)))
             assert -0.01 <= x <= cell.size_px[0] + 0.01
             assert -0.01 <= y <= cell.size_px[1] + 0.01
         assert touch.pixels.shape == (3, 4, 3)
