@@ -173,11 +173,11 @@ def _limits(manifest: Manifest, summaries: list[SplitSummary], words: SourceWord
     pieces = sum(count for s in summaries for bodies, count in s.bodies.items() if bodies > 1)
     warned = sum(count for s in summaries for count in s.warnings.values())
     in_one = "None of the digits is in several pieces"
-    told = f"{pieces:,} of {rows:,} digits are in several pieces that print apart" if pieces else in_one
+    in_pieces = f"{pieces:,} of {rows:,} digits are in several pieces that print apart" if pieces else in_one
     cut = manifest.spec["per_class"] is not None or manifest.spec["limit"] is not None
     lines = [
         words.limit,
-        f"{told}; `--join-bodies` makes bridges.",
+        f"{in_pieces}; `--join-bodies` makes bridges.",
         f"The print profile raises {warned:,} warnings; one says what to look at, not that it fails.",
         "Heights and shoulders are inferred from the published meshes: the erosion sizes were not published.",
         *(["This is a cut of the full splits; it is not meant for comparing results."] if cut else []),

@@ -82,8 +82,8 @@ def shown_layers(radii_px: NDArray[np.float64]) -> tuple[int, ...]:
 def layer_map(layers: Sequence[NDArray[np.bool_]], shown: Sequence[int]) -> NDArray[np.uint8]:
     """Draw layers one on top of the other, the higher the darker: shape (H, W, 3)."""
     picture = np.full((*layers[0].shape, 3), 255, np.uint8)
-    for place, number in enumerate(shown):
-        picture[layers[number]] = _tint(place / max(1, len(shown) - 1))
+    for order, number in enumerate(shown):
+        picture[layers[number]] = _tint(order / max(1, len(shown) - 1))
     return picture
 
 
@@ -141,8 +141,8 @@ def _window(mask: NDArray[np.bool_]) -> tuple[slice, slice]:
     rows, columns = np.flatnonzero(mask.any(axis=1)), np.flatnonzero(mask.any(axis=0))
     half = (max(np.ptp(rows), np.ptp(columns)) + 1) // 2 + _MARGIN_PX
     spans = []
-    for places, side in ((rows, mask.shape[0]), (columns, mask.shape[1])):
-        middle = (int(places[0]) + int(places[-1]) + 1) // 2
+    for inked, side in ((rows, mask.shape[0]), (columns, mask.shape[1])):
+        middle = (int(inked[0]) + int(inked[-1]) + 1) // 2
         spans.append(slice(max(0, middle - half), min(side, middle + half)))
     return spans[0], spans[1]
 

@@ -261,26 +261,26 @@ def write_card(
 ) -> None:
     """Write ``README.md`` of a folder of touches and the picture that it shows.
 
-    A copy of a published set has no manifest, and its card says so. ``kind`` is what the folder holds, told
+    A copy of a published set has no manifest, and its card says so. ``kind`` is what the folder holds, taken
     from manifest and columns where None. InputError: it holds no touches. IntegrityError: a file is missing
     or damaged.
     """
     facts = recorded_facts(folder, manifest)
-    told = _card_kind(facts, manifest, folder.address(), kind)
-    stored: Literal["seq", "single"] = "seq" if told == "seq" else "single"
+    card = _card_kind(facts, manifest, folder.address(), kind)
+    stored: Literal["seq", "single"] = "seq" if card == "seq" else "single"
     options = {} if manifest is None else manifest.spec.get("options", {})
     # Of plain pictures the manifest alone knows whether the touches were rendered.
-    rendered = told == "synthetic" or (told == "frames" and options.get("touches") == SYNTHETIC)
-    licence, licence_text = _SYNTHETIC_LICENCE if rendered else _LICENCES.get(told, _LICENCE)
+    rendered = card == "synthetic" or (card == "frames" and options.get("touches") == SYNTHETIC)
+    licence, licence_text = _SYNTHETIC_LICENCE if rendered else _LICENCES.get(card, _LICENCE)
     figures: list[_SplitFigures] = []
     size: tuple[int, int] | None = None
-    if told == "frames":
+    if card == "frames":
         sheet, columns = _index_sheet(facts, folder), _INDEX_COLUMNS
     else:
         sheet, size = _touch_sheet(facts, stored), _picture_size(facts, stored)
         figures = [_split_figures(split, stored) for split in facts.splits]
         columns = _SYNTHETIC_COLUMNS if rendered else _COLUMNS
-    title = _RENDERED_PICTURES if rendered and told == "frames" else _TITLES[told]
+    title = _RENDERED_PICTURES if rendered and card == "frames" else _TITLES[card]
     counts = [figure.touches for figure in figures if figure.touches is not None]
     known = len(counts) == len(figures)
     values = {
@@ -293,18 +293,18 @@ def write_card(
         "contact_mm": f"{1e3 * MIN_CONTACT_HEIGHT_M:g}",
         "field_table": field_table(facts, columns, _FAMILIES),
         "frames": _FRAMES,
-        "limits": "\n".join(f"- {line}" for line in _LIMITS["synthetic" if rendered else told]),
+        "limits": "\n".join(f"- {line}" for line in _LIMITS["synthetic" if rendered else card]),
         "printability": _PRINTABILITY["synthetic" if rendered else "real"],
         "licence_text": licence_text,
         "citation_text": _CITATIONS["synthetic" if rendered else "real"],
         "bibtex": bibtex(TACTILE_MNIST, *(() if rendered else (HWD_PLUS,))),
     }
-    real_tags = ["mnist", "digits", "video"] if told == "seq" else ["mnist", "digits"]
+    real_tags = ["mnist", "digits", "video"] if card == "seq" else ["mnist", "digits"]
     write_card_files(
         folder,
         facts,
         manifest,
-        KIND.card_template.format(told),
+        KIND.card_template.format(card),
         values,
         ("touches.png", sheet, "Some touches, each at contact"),
         license=licence,

@@ -54,7 +54,7 @@ MESH_TASKS = {
     "task_categories": ["robotics", "reinforcement-learning"],
     "task_ids": ["task-planning"],
 }
-"""What the Hub is told that meshes are for."""
+"""What meshes are for, in words of the Hub."""
 
 MESH_COLUMNS: dict[str, Column] = {
     VERTICES: ("V x 3, m, frame below", "corner positions"),
@@ -190,8 +190,8 @@ def field_table(
     rows = []
     for entry in _flat(facts.features):
         name = entry["name"]
-        told = (told for start, told in (families or {}).items() if name.startswith(start))
-        rows.append((f"`{name}`", column_type_text(entry), *(known.get(name) or next(told, _UNKNOWN))))
+        family = (column for start, column in (families or {}).items() if name.startswith(start))
+        rows.append((f"`{name}`", column_type_text(entry), *(known.get(name) or next(family, _UNKNOWN))))
     return markdown_table(("column", "type", "shape, unit, frame", "meaning"), rows)
 
 

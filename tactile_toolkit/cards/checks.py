@@ -75,15 +75,15 @@ def _wrong_files(head: Mapping[str, Any], facts: FolderFacts) -> Iterator[str]:
     found = head.get("configs")
     try:
         (config,) = list(found or [])
-        told = {entry["split"]: entry["path"] for entry in config["data_files"]}
+        stated = {entry["split"]: entry["path"] for entry in config["data_files"]}
     except (TypeError, KeyError, ValueError):
         yield f"its 'configs' are {found!r}; expected one configuration with data_files of each split"
         return
     there = {split.split: split.paths for split in facts.splits}
-    if set(told) != set(there):
-        yield f"its 'configs' name the splits {sorted(told)}; the folder has {sorted(there)}"
-    for split in sorted(set(told) & set(there)):
-        patterns = [told[split]] if isinstance(told[split], str) else list(told[split] or ())
+    if set(stated) != set(there):
+        yield f"its 'configs' name the splits {sorted(stated)}; the folder has {sorted(there)}"
+    for split in sorted(set(stated) & set(there)):
+        patterns = [stated[split]] if isinstance(stated[split], str) else list(stated[split] or ())
         matched = sorted(
             path
             for each in facts.splits
@@ -92,30 +92,30 @@ def _wrong_files(head: Mapping[str, Any], facts: FolderFacts) -> Iterator[str]:
         )
         if matched != sorted(there[split]):
             yield (
-                f"{told[split]!r} of split {split!r} finds {len(matched)} files; its {len(there[split])} "
+                f"{stated[split]!r} of split {split!r} finds {len(matched)} files; its {len(there[split])} "
                 f"are {there[split][0]} and so on"
             )
 
 
 def _wrong_info(head: Mapping[str, Any], facts: FolderFacts) -> Iterator[str]:
     """Yield every number or column in ``dataset_info`` that the Parquet files contradict."""
-    told = head.get("dataset_info")
-    if not isinstance(told, dict):
+    stated = head.get("dataset_info")
+    if not isinstance(stated, dict):
         yield "its head has no 'dataset_info'; next: write the card anew with the command `card`"
         return
     expected = dataset_info(facts)
-    yield from _wrong_splits(told.get("splits"), expected["splits"])
+    yield from _wrong_splits(stated.get("splits"), expected["splits"])
     for name in ("download_size", "dataset_size"):
-        if told.get(name) != expected[name]:
-            yield f"its {name!r} is {told.get(name)!r}, expected {expected[name]}"
-    yield from _wrong_columns(told.get("features"), facts)
+        if stated.get(name) != expected[name]:
+            yield f"its {name!r} is {stated.get(name)!r}, expected {expected[name]}"
+    yield from _wrong_columns(stated.get("features"), facts)
     category = [size_category(facts.rows)]
     if head.get("size_categories") not in (category, category[0]):
         yield f"its 'size_categories' are {head.get('size_categories')!r}, expected {category}"
 
 
-def _wrong_splits(told: Any, expected: list[dict[str, Any]]) -> Iterator[str]:
-    listed = [entry for entry in told or () if isinstance(entry, dict)]
+def _wrong_splits(stated: Any, expected: list[dict[str, Any]]) -> Iterator[str]:
+    listed = [entry for entry in stated or () if isinstance(entry, dict)]
     by_name = {entry.get("name"): entry for entry in listed}
     for entry in expected:
         found = by_name.pop(entry["name"], None)
@@ -129,20 +129,20 @@ def _wrong_splits(told: Any, expected: list[dict[str, Any]]) -> Iterator[str]:
         yield f"its 'dataset_info' names split {name!r}, which the folder does not have"
 
 
-def _wrong_columns(told: Any, facts: FolderFacts) -> Iterator[str]:
+def _wrong_columns(stated: Any, facts: FolderFacts) -> Iterator[str]:
     expected = {entry["name"]: entry for entry in facts.features}
-    listed = {entry.get("name"): entry for entry in told or () if isinstance(entry, dict)}
+    listed = {entry.get("name"): entry for entry in stated or () if isinstance(entry, dict)}
     for name in [*expected, *(name for name in listed if name not in expected)]:
         if listed.get(name) != expected.get(name):
-            told_of, stored = _told(listed.get(name)), _told(expected.get(name))
-            yield f"column {name!r} is {told_of} in it, {stored} in the data"
+            in_card, stored = _described(listed.get(name)), _described(expected.get(name))
+            yield f"column {name!r} is {in_card} in it, {stored} in the data"
     for split in facts.splits:
         for shard, path in zip(split.shards, split.paths, strict=True):
             if not shard.schema.equals(facts.schema):
                 yield f"columns of {path} differ from those of {facts.splits[0].paths[0]}"
 
 
-def _told(entry: Mapping[str, Any] | None) -> str:
+def _described(entry: Mapping[str, Any] | None) -> str:
     if entry is None:
         return "missing"
     return str({key: value for key, value in entry.items() if key != "name"})

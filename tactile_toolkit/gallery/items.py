@@ -148,9 +148,9 @@ def gallery_of_rows(
     for split, dataset in splits:
         rows = dataset[chosen_rows(dataset.labels, choice.limit, choice.per_class)]
         shown[split] = len(rows)
-        told = known(rows, split)
+        given = known(rows, split)
         for portion in portions(np.arange(len(rows)), rows_per_task):
-            tasks.append(RowsTask(rows[portion], split, item, tuple(told[row] for row in portion)))
+            tasks.append(RowsTask(rows[portion], split, item, tuple(given[row] for row in portion)))
     heading = f"{title} · {short_name(choice.name)}"
     return Gallery(kind.name, heading, (kind.noun, kind.nouns), facets, measures, tuple(tasks), shown)
 
