@@ -98,7 +98,7 @@ def test_refusals_and_overwrite(folders, tmp_path, capsys):
     assert "is not part of a gallery; nothing was changed" in capsys.readouterr().err
     assert call("mnist3d", "gallery", tmp_path / "absent", "--out", tmp_path / "new") == 2
     assert call("mnist3d", "gallery", folders["realtouch"], "--out", tmp_path / "new") == 2
-    assert "no data set of meshes" in capsys.readouterr().err
+    assert "is not a data set of meshes" in capsys.readouterr().err
     for program, other in (("mnist3d", "starstruck"), ("starstruck", "mnist3d")):
         assert call(program, "gallery", folders[other], "--out", tmp_path / "new") == 2
         assert f"next: run `{other} gallery " in capsys.readouterr().err
