@@ -52,20 +52,10 @@ _MEDIAN_FRAMES = 15
 def contact_window(time_s: NDArray[np.float64], start_s: float, end_s: float) -> slice:
     """Return the frames between the first and the last registered contact, both included.
 
-    Parameters
-    ----------
-    time_s : ndarray, shape (N,), float64
-        Time stamp of each frame, seconds, rising.
-    start_s, end_s : float
-        Times of first and last contact, seconds, on the same clock.
-
-    Returns
-    -------
-    slice
-        ``start`` is the first frame at or after ``start_s``, ``stop`` one more than the last frame at or
-        before ``end_s``; times within :data:`CLOCK_TOLERANCE_S` count as equal. Where no frame lies between
-        them, the one frame nearest to ``end_s`` (the earlier of two equally near) is returned, so that a
-        window always holds a frame of a clip that has any.
+    ``time_s``, shape (N,), rises. ``start`` is the first frame at or after ``start_s``, ``stop`` one more
+    than the last at or before ``end_s``; times within :data:`CLOCK_TOLERANCE_S` count as equal. Where no
+    frame lies between them, the one frame nearest to ``end_s`` (the earlier of two equally near) is returned,
+    so that a window always holds a frame of a clip that has any.
     """
     start = int(np.searchsorted(time_s, start_s - CLOCK_TOLERANCE_S, side="left"))
     stop = int(np.searchsorted(time_s, end_s + CLOCK_TOLERANCE_S, side="right"))
@@ -81,21 +71,9 @@ def contact_windows(
     start_s: NDArray[np.float64],
     end_s: NDArray[np.float64],
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Return :func:`contact_window` of several clips at once.
+    """Return start and stop of :func:`contact_window` of T clips at once, shapes (T,).
 
-    Parameters
-    ----------
-    time_s : ndarray, shape (T, N), float64
-        Time stamps of each clip, seconds, rising; what lies behind its length is not looked at.
-    lengths : ndarray, shape (T,), int64
-        Number of frames of each clip, at most N.
-    start_s, end_s : ndarray, shape (T,), float64
-        Times of first and last contact, seconds.
-
-    Returns
-    -------
-    starts, stops : ndarray, shape (T,), int64
-        First frame of each window, and one more than the last.
+    ``time_s`` has the shape (T, N); what lies behind the length of a clip, at most N, is not looked at.
     """
     stored = np.arange(time_s.shape[1]) < lengths[:, None]
     starts = (stored & (time_s < start_s[:, None] - CLOCK_TOLERANCE_S)).sum(axis=1)
@@ -107,40 +85,19 @@ def contact_windows(
 
 
 def deepest_frame(z_m: NDArray[np.floating]) -> int:
-    """Return the frame of the deepest press: the lowest gel.
-
-    Parameters
-    ----------
-    z_m : ndarray, shape (N,)
-        Height of the gel in each frame, metres, cell frame.
-
-    Returns
-    -------
-    int
-        The earliest of equally low frames.
-    """
+    """Return the frame of the deepest press, the lowest gel; the earliest of equally low ones."""
     return int(np.argmin(z_m))
 
 
 def changed_area(
     frames: NDArray[np.uint8], min_change: float = DEFAULT_MIN_CHANGE
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Compare each frame of a clip with the clip's median.
+    """Compare each frame of a clip, shape (N, H, W, 3), uint8, with the clip's median.
 
-    Parameters
-    ----------
-    frames : ndarray, shape (N, H, W, 3), uint8
-        A clip. The median of each pixel and channel is taken over up to 15 frames, evenly spaced from first
-        to last.
-    min_change : float
-        Grey levels, averaged over the channels, by which a pixel must differ to count as changed.
-
-    Returns
-    -------
-    area : ndarray, shape (N,), float64
-        Share of changed pixels, 0 to 1.
-    change : ndarray, shape (N,), float64
-        Mean difference of all pixels, grey levels.
+    The median of each pixel and channel is taken over up to 15 frames, evenly spaced from first to last. A
+    pixel counts as changed when it differs by ``min_change`` grey levels, averaged over the channels. Returns
+    the share of changed pixels, 0 to 1, and the mean difference of all pixels, grey levels, each of shape
+    (N,).
     """
     chosen = np.unique(np.linspace(0, len(frames) - 1, _MEDIAN_FRAMES).round().astype(int))
     median = np.median(frames[chosen], axis=0).astype(np.int16)
@@ -156,22 +113,10 @@ def most_changed_frame(
     min_change: float = DEFAULT_MIN_CHANGE,
     min_area: float = DEFAULT_MIN_AREA,
 ) -> int | None:
-    """Return the frame that differs most from the clip's median.
+    """Return the frame that differs most from the clip's median, see :func:`changed_area`.
 
-    Parameters
-    ----------
-    frames : ndarray, shape (N, H, W, 3), uint8
-        A clip.
-    min_change : float
-        See :func:`changed_area`; grey levels.
-    min_area : float
-        Share of changed pixels, 0 to 1, that the frame must reach.
-
-    Returns
-    -------
-    int or None
-        The frame with the largest changed area; among equal ones that of the largest mean difference, then
-        the earliest. None when no frame reaches ``min_area``: the clip shows no contact.
+    That is the one with the largest changed area; among equal ones that of the largest mean difference, then
+    the earliest. None when no frame reaches ``min_area``, a share of 0 to 1: the clip shows no contact.
     """
     if len(frames) == 0:
         return None
@@ -183,23 +128,12 @@ def most_changed_frame(
 def contact_heights_m(
     z_m: NDArray[np.floating], recalibrate_z: bool = True, plate_z_m: float = math.nan
 ) -> NDArray[np.float64]:
-    """Return how high above the plate the gel stopped in each touch of one round.
+    """Return how high above the plate the gel stopped in each touch of one round, shape (T,), metres.
 
-    Parameters
-    ----------
-    z_m : ndarray, shape (T,)
-        Height of the gel at the deepest press of each touch, metres, cell frame; not a number where it is
-        not known, and neither is the result then.
-    recalibrate_z : bool
-        The zero of z drifts by up to 3 mm between rounds: take the deepest touch of the round as the plate.
-    plate_z_m : float
-        Height of the plate in this round, metres, cell frame, where it is known: the deepest touch may have
-        been taken out of the round. Not a number where it is not.
-
-    Returns
-    -------
-    ndarray, shape (T,), float64
-        Metres.
+    ``z_m`` is the height of the gel at the deepest press of each touch, cell frame; NaN where it is not
+    known, and so is the result then. The zero of z drifts by up to 3 mm between rounds: ``recalibrate_z``
+    takes the deepest touch of the round as the plate, or ``plate_z_m`` unless it is NaN: the deepest touch
+    may have been taken out of the round.
     """
     heights = np.asarray(z_m, np.float64)
     if not recalibrate_z or not len(heights):
@@ -218,13 +152,7 @@ def is_contact(
 
 
 def require_method(method: str) -> ContactMethod:
-    """Return the method when there is one of that name.
-
-    Raises
-    ------
-    InputError
-        When there is none.
-    """
+    """Return the method of that name; InputError when there is none."""
     for known in CONTACT_METHODS:
         if known == method:
             return known

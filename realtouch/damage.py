@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from contextlib import suppress
 from dataclasses import dataclass
 
 from tactile_toolkit.errors import InputError, IntegrityError
@@ -65,7 +66,11 @@ def damaged(row: Row, field: str, problem: str, touch: int | None = None) -> Dam
 
 def missing_column(row: Row, field: str) -> InputError:
     """Return the error for a column that was asked for and that the data set does not have."""
-    there = ", ".join(_stored_columns(row))
+    names = row.group.names
+    if "://" not in row.path:  # else asking would take a download; a row may have been read with few columns
+        with suppress(IntegrityError):
+            names = column_names(Shard(row.path).schema)
+    there = ", ".join(names)
     return InputError(
         f"{row.path!r} has no column {field!r} (it has {there}); next: use a data set that has it, such as "
         "the `seq` or the `single` form of the same touches"
@@ -93,13 +98,3 @@ def _cause(path: str, error: IntegrityError) -> str:
     """Return what an error says, without the file and the next step, which a list names once for all."""
     words = " ".join(str(error).split()).partition("; next: ")[0]
     return words.removeprefix(repr(path)).lstrip(",: ")
-
-
-def _stored_columns(row: Row) -> tuple[str, ...]:
-    """Return the columns that the file has, where it can be asked at once; else those that were read."""
-    if "://" in row.path:
-        return row.group.names
-    try:
-        return column_names(Shard(row.path).schema)
-    except IntegrityError:
-        return row.group.names

@@ -4,15 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, overload
+from typing import Any, overload
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import RigidTransform, Rotation
-
-if TYPE_CHECKING:
-    from scipy.spatial.transform import Rotation
-
 
 __all__ = ["Pose", "PoseSequences", "Poses", "angle_of", "bad_pose", "rigid_transform"]
 
@@ -69,8 +65,6 @@ class Poses(Sequence["Pose"]):
     @property
     def rotation(self) -> Rotation:
         """All orientations as one rotation of length n."""
-        from scipy.spatial.transform import Rotation
-
         return Rotation.from_quat(np.array(self.quaternion))
 
     @property
@@ -145,20 +139,7 @@ def rigid_transform(position_m: NDArray[Any], quaternion: NDArray[Any]) -> Pose:
 
 
 def bad_pose(position_m: NDArray[Any], quaternion: NDArray[Any]) -> tuple[int, str] | None:
-    """Find the first pose that is none.
-
-    Parameters
-    ----------
-    position_m : ndarray, shape (n, 3)
-        Positions.
-    quaternion : ndarray, shape (n, 4)
-        Orientations.
-
-    Returns
-    -------
-    tuple of int and str, or None
-        Its number and what is wrong with it; None when all are poses.
-    """
+    """Find the first of n poses that is none: its number and what is wrong with it; None when all are."""
     norms = np.einsum("ij,ij->i", quaternion, quaternion)
     with np.errstate(invalid="ignore", over="ignore"):  # infinite values of both signs add up to none
         # One sum tells of any value that is not finite, and costs a tenth of looking at each.
@@ -171,10 +152,8 @@ def bad_pose(position_m: NDArray[Any], quaternion: NDArray[Any]) -> tuple[int, s
         return None
     index = int(wrong[0])
     if not finite[index]:
-        return (
-            index,
-            f"a pose that is not finite: position {position_m[index]}, quaternion {quaternion[index]}",
-        )
+        found = f"position {position_m[index]}, quaternion {quaternion[index]}"
+        return index, f"a pose that is not finite: {found}"
     return index, f"a quaternion of length {float(np.sqrt(norms[index])):.3g}; expected length one"
 
 
@@ -183,11 +162,6 @@ class Pose(RigidTransform):
 
     ``translation``, ``rotation`` and ``single`` mean the same in both. ``inv`` is the inverse, as published;
     ``inv()`` gives the same, as in scipy. Positions are metres.
-
-    Parameters
-    ----------
-    matrix, normalize, copy
-        As for :class:`scipy.spatial.transform.RigidTransform`.
     """
 
     @classmethod

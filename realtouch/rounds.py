@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from realtouch.columns.info import read_info
 from realtouch.columns.per_frame import clip_lengths, frame_times, touch_durations
-from realtouch.columns.per_touch import int_value, intended_positions, media_count, plain_value, touch_total
+from realtouch.columns.per_touch import entries_of, int_value, intended_positions, plain_value, touch_total
 from realtouch.columns.poses import pose_sequences, poses
 from realtouch.columns.without_media import whole_row
 from realtouch.contact import require_method
@@ -132,7 +132,7 @@ class TouchSingleRound(TouchRound):
         return self._once("sensor_image", self._images)
 
     def _images(self) -> SensorImages:
-        media_count(self._row, "sensor_image")  # refuses a round with more or less than T images
+        entries_of(self._row, "sensor_image")  # refuses a round with more or less than T images
         return SensorImages(self._row)
 
     def _contact_image(self, touch: int) -> Pixels:

@@ -20,7 +20,6 @@ __all__ = [
     "int_value",
     "intended_position",
     "intended_positions",
-    "media_count",
     "per_touch",
     "plain_value",
     "stored_value",
@@ -70,12 +69,6 @@ def entries_of(row: Row, name: str) -> tuple[NestedColumn, int, int]:
     if stop - start != expected:
         raise damaged(row, name, f"{stop - start} touches; expected {expected} as in 'pos_in_cell'")
     return column, start, stop
-
-
-def media_count(row: Row, name: str) -> int:
-    """Return for how many touches a row holds images or clips; IntegrityError unless they are T."""
-    _, start, stop = entries_of(row, name)
-    return stop - start
 
 
 def per_touch(row: Row, name: str) -> NDArray[Any]:

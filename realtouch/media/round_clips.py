@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from realtouch.columns.per_frame import clip_lengths, padded_times, times_of_touches
-from realtouch.columns.per_touch import media_count
+from realtouch.columns.per_touch import entries_of
 from realtouch.columns.poses import pose_sequences
 from realtouch.contact import ContactMethod, contact_windows, deepest_frame
 from realtouch.damage import damaged
@@ -31,9 +31,8 @@ class SensorClips(Sequence[TouchClip]):
 
     def __init__(self, row: Row) -> None:
         self.row = row
-        self._count = media_count(row, "sensor_video")
-        column = row.group.nested("sensor_video")
-        self._start = column.inside(0, row.index, row.index + 1)[0]
+        column, self._start, stop = entries_of(row, "sensor_video")
+        self._count = stop - self._start
         self._blobs: BytesColumn = column.values
         self._lengths: list[int] | None = None
 
