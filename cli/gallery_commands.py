@@ -11,9 +11,8 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from cli.failures import EXIT_INTERRUPTED, reports_errors
-from cli.options import DryRun, Json, Limit, Quiet, Split, Workers, local_place
+from cli.options import DryRun, Json, Limit, Quiet, Revision, Split, TouchSet, Workers, local_place
 from cli.output import Sink, bytes_text, counted, duration_text
-from cli.touch_options import Revision, TouchSet
 from tactile_toolkit.kind import DatasetKind
 
 if TYPE_CHECKING:

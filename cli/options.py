@@ -18,8 +18,10 @@ __all__ = [
     "Out",
     "Overwrite",
     "Quiet",
+    "Revision",
     "Seed",
     "Split",
+    "TouchSet",
     "Workers",
     "local_place",
     "process_count",
@@ -46,6 +48,12 @@ Out = Annotated[
 ]
 Split = Annotated[
     str | None, typer.Option("--split", metavar="NAME", help="Only this split; all by default.")
+]
+TouchSet = Annotated[
+    str, typer.Argument(metavar="NAME|DIR", help="Short name (real-single-64x64), Hub id, folder or file.")
+]
+Revision = Annotated[
+    str | None, typer.Option("--revision", metavar="REV", help="Branch, tag or commit of a Hub data set.")
 ]
 Seed = Annotated[int, typer.Option("--seed", min=0, help="Seed of everything that is drawn at random.")]
 Workers = Annotated[

@@ -9,9 +9,8 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from cli.failures import reports_errors
-from cli.options import Json, Quiet, Split, local_place
+from cli.options import Json, Quiet, Revision, Split, TouchSet, local_place
 from cli.output import Sink, bytes_text
-from cli.touch_options import Revision, TouchSet
 
 if TYPE_CHECKING:
     from tactile_toolkit.pictures.writing import PicturePlan

@@ -12,12 +12,11 @@ from cli.folders import add_card, print_unfinished
 from cli.gallery_commands import add_touch_gallery
 from cli.hub_download import add_download
 from cli.hub_upload import add_upload
-from cli.options import Json, Split
+from cli.options import Json, Revision, Split, TouchSet
 from cli.output import Sink, counted
 from cli.preview_commands import preview_touches
 from cli.touch_conversions import add_conversions
-from cli.touch_options import Revision, TouchSet
-from cli.touch_tables import print_made, print_summary, raise_findings, tell_fetching
+from cli.touch_tables import announce_fetching, print_made, print_summary, raise_findings
 from realtouch.kind import KIND
 
 if TYPE_CHECKING:
@@ -74,7 +73,7 @@ def info(name: TouchSet, split: Split = None, revision: Revision = None, as_json
     if manifest is not None and manifest.spec.get("operation") == "frames":
         print_made(sink, manifest, Path(name))
         return
-    tell_fetching(sink, name, split)
+    announce_fetching(sink, name, split)
     source = Source.open(name, revision, split)
     summaries = {each: summarise(dataset_of(shards, source.kind)) for each, shards in source.shards.items()}
     sink.document(

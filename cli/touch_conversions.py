@@ -2,22 +2,30 @@
 
 from __future__ import annotations
 
-import os
 import re
 from collections.abc import Callable
+from dataclasses import dataclass
 from enum import StrEnum
-from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
-from cli.failures import reports_errors
+from cli.application import command
 from cli.making import make_with_progress
-from cli.options import Json, Limit, Overwrite, Quiet, Split, Workers, local_place
+from cli.options import (
+    Json,
+    Limit,
+    Overwrite,
+    Quiet,
+    Split,
+    TouchSet,
+    Workers,
+    local_place,
+    process_count,
+)
 from cli.output import Sink
-from cli.touch_options import TouchSet
-from cli.touch_tables import print_made, tell_fetching
+from cli.touch_tables import announce_fetching, print_made
 
 if TYPE_CHECKING:
     from tactile_toolkit.store.manifest import Manifest
@@ -44,24 +52,55 @@ Frame = Annotated[
 ]
 
 
+@dataclass(frozen=True, slots=True)
+class Converting:
+    """Options of all conversions."""
+
+    split: Split = None
+    limit: Limit = None
+    workers: Workers = 0
+    overwrite: Overwrite = False
+    as_json: Json = False
+    quiet: Quiet = False
+
+    def run(
+        self, convert: Callable[..., Manifest], source: str, out: Path, *values: Any, **options: Any
+    ) -> None:
+        """Say what will be fetched, convert with a progress bar, and say what was made."""
+        sink = Sink(self.as_json, self.quiet)
+        announce_fetching(sink, source, self.split)
+        made = make_with_progress(
+            sink,
+            "converting",
+            "rounds",
+            lambda on_progress: convert(
+                source,
+                str(out),
+                *values,
+                **options,
+                split=self.split,
+                limit=self.limit,
+                workers=process_count(self.workers),
+                overwrite=self.overwrite,
+                on_progress=on_progress,
+            ),
+        )
+        print_made(sink, made.manifest, out)
+
+
 def add_conversions(app: typer.Typer) -> None:
     """Add the commands to a command line."""
-    app.command("to-single")(to_single)
-    for command in (resize, frames, select):
-        app.command()(command)
+    command(app, "to-single")(to_single)
+    for each in (resize, frames, select):
+        command(app)(each)
 
 
-@reports_errors
 def to_single(
+    *,
     source: TouchSet,
     out: Target,
     frame: Frame = FrameName.contact_end,
-    split: Split = None,
-    limit: Limit = None,
-    workers: Workers = 0,
-    overwrite: Overwrite = False,
-    as_json: Json = False,
-    quiet: Quiet = False,
+    converting: Converting,
 ) -> None:
     """Make a data set of single images of one of clips: a frame of each, with the pose at that moment.
 
@@ -69,22 +108,16 @@ def to_single(
     """
     from realtouch.convert.api import to_single as convert
 
-    convert_to = partial(convert, source, str(out), frame.value, split=split, limit=limit)
-    _run(_sink(source, split, as_json, quiet), convert_to, out, workers, overwrite)
+    converting.run(convert, source, out, frame.value)
 
 
-@reports_errors
 def resize(
+    *,
     source: TouchSet,
     out: Target,
     size: Annotated[str, typer.Option("--size", metavar="WIDTHxHEIGHT", help="Size wanted, pixels.")],
     quality: Annotated[int, typer.Option(min=1, max=100, help="JPEG quality of what is encoded again.")] = 95,
-    split: Split = None,
-    limit: Limit = None,
-    workers: Workers = 0,
-    overwrite: Overwrite = False,
-    as_json: Json = False,
-    quiet: Quiet = False,
+    converting: Converting,
 ) -> None:
     """Write the same data set with pictures or clips of another size.
 
@@ -92,23 +125,17 @@ def resize(
     """
     from realtouch.convert.api import resize as convert
 
-    convert_to = partial(convert, source, str(out), *_size(size), quality=quality, split=split, limit=limit)
-    _run(_sink(source, split, as_json, quiet), convert_to, out, workers, overwrite)
+    converting.run(convert, source, out, *_size(size), quality=quality)
 
 
-@reports_errors
 def frames(
+    *,
     source: TouchSet,
     out: Target,
     png: Annotated[bool, typer.Option("--png", help="Write PNG (the default); pixels stay exact.")] = False,
     jpeg: Annotated[bool, typer.Option("--jpeg", help="Write the stored JPEGs as they are.")] = False,
     frame: Frame = FrameName.contact_end,
-    split: Split = None,
-    limit: Limit = None,
-    workers: Workers = 0,
-    overwrite: Overwrite = False,
-    as_json: Json = False,
-    quiet: Quiet = False,
+    converting: Converting,
 ) -> None:
     """Write touches as plain image files with an index in CSV and Parquet.
 
@@ -121,12 +148,11 @@ def frames(
         message = "--png and --jpeg were both given; expected one of them"
         raise InputError(message)
     kind: Literal["png", "jpeg"] = "jpeg" if jpeg else "png"
-    convert_to = partial(convert, source, str(out), kind, frame.value, split=split, limit=limit)
-    _run(_sink(source, split, as_json, quiet), convert_to, out, workers, overwrite)
+    converting.run(convert, source, out, kind, frame.value)
 
 
-@reports_errors
 def select(
+    *,
     source: TouchSet,
     out: Target,
     contact: Annotated[bool, typer.Option("--contact", help="Only touches that met an object.")] = False,
@@ -139,12 +165,7 @@ def select(
     ] = True,
     labels: Annotated[str | None, typer.Option(metavar="3,5", help="Only these classes.")] = None,
     objects: Annotated[str | None, typer.Option(metavar="ID,ID", help="Only these objects.")] = None,
-    split: Split = None,
-    limit: Limit = None,
-    workers: Workers = 0,
-    overwrite: Overwrite = False,
-    as_json: Json = False,
-    quiet: Quiet = False,
+    converting: Converting,
 ) -> None:
     """Write some rounds and touches of a data set; pictures pass through byte for byte.
 
@@ -152,39 +173,16 @@ def select(
     """
     from realtouch.convert.api import select as convert
 
-    convert_to = partial(
+    converting.run(
         convert,
         source,
-        str(out),
+        out,
         contact=contact,
         min_height_m=min_height_mm / 1000,
         recalibrate_z=recalibrate,
         labels=_listed(labels),
-        objects=[_whole(text) for text in _listed(objects)],
-        split=split,
-        limit=limit,
+        objects=[_object_id(text) for text in _listed(objects)],
     )
-    _run(_sink(source, split, as_json, quiet), convert_to, out, workers, overwrite)
-
-
-def _sink(source: str, split: str | None, as_json: bool, quiet: bool) -> Sink:
-    """Return what a conversion prints with, once it has said what it will fetch."""
-    sink = Sink(as_json, quiet)
-    tell_fetching(sink, source, split)
-    return sink
-
-
-def _run(sink: Sink, convert_to: Callable[..., Manifest], out: Path, workers: int, overwrite: bool) -> None:
-    """Run a conversion with a progress bar and say what it made."""
-    made = make_with_progress(
-        sink,
-        "converting",
-        "rounds",
-        lambda tell: convert_to(
-            workers=workers or os.cpu_count() or 1, overwrite=overwrite, on_progress=tell
-        ),
-    )
-    print_made(sink, made.manifest, out)
 
 
 def _size(text: str) -> tuple[int, int]:
@@ -202,7 +200,7 @@ def _listed(text: str | None) -> list[str]:
     return [part.strip() for part in text.split(",") if part.strip()] if text else []
 
 
-def _whole(text: str) -> int:
+def _object_id(text: str) -> int:
     from tactile_toolkit.errors import InputError
 
     if not text.isdecimal():

@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from realtouch.summary import Summary
     from tactile_toolkit.store.manifest import Manifest
 
-__all__ = ["print_made", "print_summary", "raise_findings", "tell_fetching"]
+__all__ = ["print_made", "print_summary", "raise_findings", "announce_fetching"]
 
 
 def print_made(sink: Sink, manifest: Manifest, out: Path) -> None:
@@ -29,7 +29,7 @@ def print_made(sink: Sink, manifest: Manifest, out: Path) -> None:
     sink.line(f"the data set is in {out}")
 
 
-def tell_fetching(sink: Sink, name: str, split: str | None) -> None:
+def announce_fetching(sink: Sink, name: str, split: str | None) -> None:
     """Say what of a data set on the Hub is about to be fetched: a published one may have many gigabytes."""
     from realtouch.names import repository_of
     from tactile_toolkit.hub.repository import hub_name

@@ -12,14 +12,14 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from env_assets.environments import make
     from env_assets.mesh_sets import SolidDataset, WrenchDataset, WrenchRecord
     from env_assets.provider import AssetProvider
+    from env_assets.published.datasets import as_mesh_dataset, as_touch_dataset
+    from env_assets.published.environments import make
     from env_assets.source import AssetSource
-    from env_assets.tactile_mnist import as_mesh_dataset, as_touch_dataset
     from env_assets.wrench.generation import write_wrench
+    from env_assets.wrench.solid import wrench_mesh
     from env_assets.wrench.spec import WrenchSpec
-    from env_assets.wrench.wrench import wrench_mesh
     from tactile_toolkit.mesh.height_map import HeightMap, top_surface
 
 __all__ = [
@@ -39,14 +39,14 @@ __all__ = [
 ]
 
 _HOMES = {
-    "env_assets.environments": ("make",),
+    "env_assets.published.environments": ("make",),
     "env_assets.mesh_sets": ("SolidDataset", "WrenchDataset", "WrenchRecord"),
     "env_assets.provider": ("AssetProvider",),
     "env_assets.source": ("AssetSource",),
-    "env_assets.tactile_mnist": ("as_mesh_dataset", "as_touch_dataset"),
+    "env_assets.published.datasets": ("as_mesh_dataset", "as_touch_dataset"),
     "env_assets.wrench.generation": ("write_wrench",),
     "env_assets.wrench.spec": ("WrenchSpec",),
-    "env_assets.wrench.wrench": ("wrench_mesh",),
+    "env_assets.wrench.solid": ("wrench_mesh",),
     "tactile_toolkit.mesh.height_map": ("HeightMap", "top_surface"),
 }
 

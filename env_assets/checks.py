@@ -1,4 +1,8 @@
-"""Whether assets are what they were taken for: found out before anything is made of them."""
+"""Whether assets are what they were taken for: found out before anything is made of them.
+
+Each function raises InputError, which names the first mesh that is wrong; ``where`` is the data set in the
+user's words, cells are (width, depth) in metres.
+"""
 
 from __future__ import annotations
 
@@ -10,7 +14,6 @@ from env_assets.measures import Measurable, bounds_m, volumes_m3
 from env_assets.mesh_sets import DATASETS
 from env_assets.missing import KINDS
 from tactile_toolkit.errors import InputError
-from tactile_toolkit.kind import DatasetKind
 from tactile_toolkit.mesh.mesh import MM_PER_M
 
 __all__ = [
@@ -28,11 +31,12 @@ _SLACK_M = 1e-3
 
 
 def require_kind(meshes: Any, name: str) -> None:
-    """Refuse meshes of another kind than their name promises, with an InputError.
+    """Refuse meshes of another kind than their name promises.
 
     The published wrench has none of our columns: what is not known to be of another kind will do for one.
     """
-    expected, found = KINDS.get(name), _kind_of(meshes)
+    expected = KINDS.get(name)
+    found = next((KINDS[kind] for kind, opened in DATASETS.items() if isinstance(meshes, opened)), None)
     if expected is None or found is expected or (found is None and not expected.published):
         return
     classes = ", ".join(meshes.label_names) or "without names"
@@ -44,18 +48,8 @@ def require_kind(meshes: Any, name: str) -> None:
     raise InputError(message)
 
 
-def _kind_of(meshes: Any) -> DatasetKind | None:
-    return next((KINDS[name] for name, opened in DATASETS.items() if isinstance(meshes, opened)), None)
-
-
 def require_scene(record: Any) -> None:
-    """Refuse a record that is no scene.
-
-    Raises
-    ------
-    InputError
-        It cannot say what stands where.
-    """
+    """Refuse a record that is not a scene: it cannot say what stands where."""
     if not hasattr(type(record), "placements"):
         message = (
             f"only scenes have placements, found a {type(record).__name__}; next: give a record of "
@@ -65,22 +59,7 @@ def require_scene(record: Any) -> None:
 
 
 def require_classes(meshes: Any, names: tuple[str, ...], where: str) -> None:
-    """Refuse meshes whose classes are not those expected.
-
-    Parameters
-    ----------
-    meshes : RecordDataset
-        The meshes.
-    names : tuple of str
-        Classes expected, in order.
-    where : str
-        The data set, in the user's words.
-
-    Raises
-    ------
-    InputError
-        Other names, or another order.
-    """
+    """Refuse meshes whose classes are not those expected, in that order."""
     if tuple(meshes.label_names) != names:
         found = ", ".join(meshes.label_names) or "without names"
         message = (
@@ -91,22 +70,7 @@ def require_classes(meshes: Any, names: tuple[str, ...], where: str) -> None:
 
 
 def require_fitting(meshes: Measurable, cell_m: tuple[float, float], where: str) -> None:
-    """Refuse meshes that are larger than the cell they are to lie in.
-
-    Parameters
-    ----------
-    meshes : data set of a provider
-        The meshes.
-    cell_m : (float, float)
-        Width and depth of the cell, metres.
-    where : str
-        The data set, in the user's words.
-
-    Raises
-    ------
-    InputError
-        Names the first that is too large.
-    """
+    """Refuse meshes that are larger than the cell they are to lie in."""
     corners_m = bounds_m(meshes)
     size_m = (corners_m[:, 1] - corners_m[:, 0])[:, :2]
     wrong = np.flatnonzero(~(size_m <= np.asarray(cell_m)).all(axis=1))
@@ -122,13 +86,7 @@ def require_fitting(meshes: Measurable, cell_m: tuple[float, float], where: str)
 
 
 def require_inside(meshes: Measurable, cell_m: tuple[float, float], where: str) -> None:
-    """Refuse scenes that reach out of the cell: their frame is that of the cell, its middle the origin.
-
-    Raises
-    ------
-    InputError
-        Names the first.
-    """
+    """Refuse scenes that reach out of the cell: their frame is that of the cell, its middle the origin."""
     corners_m = bounds_m(meshes)
     reach_m = np.abs(corners_m[:, :, :2]).max(axis=1)
     wrong = np.flatnonzero(~(reach_m <= np.asarray(cell_m) / 2 + _SLACK_M).all(axis=1))
@@ -144,13 +102,7 @@ def require_inside(meshes: Measurable, cell_m: tuple[float, float], where: str) 
 
 
 def require_labels(meshes: Any, where: str) -> None:
-    """Refuse labels that are no class.
-
-    Raises
-    ------
-    InputError
-        Names the first.
-    """
+    """Refuse labels that are not numbers of a class."""
     labels, classes = np.asarray(meshes.labels), len(meshes.label_names)
     wrong = np.flatnonzero((labels < 0) | (labels >= classes))
     if len(wrong):
@@ -163,13 +115,7 @@ def require_labels(meshes: Any, where: str) -> None:
 
 
 def require_outward(meshes: Measurable, where: str) -> None:
-    """Refuse meshes that enclose no positive volume: nothing can be touched or measured of them.
-
-    Raises
-    ------
-    InputError
-        Names the first.
-    """
+    """Refuse meshes that enclose no positive volume: nothing can be touched or measured of them."""
     volumes = volumes_m3(meshes)
     wrong = np.flatnonzero(~(volumes > 0))
     if len(wrong):

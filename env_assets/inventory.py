@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 
 from env_assets.measures import bounds_m, volumes_m3
-from env_assets.mesh_memory import MeshMemory
 from env_assets.mesh_sets import open_meshes
+from tactile_toolkit.cache import MemoryCache
 from tactile_toolkit.catalog.kinds import kind_of_meshes
 from tactile_toolkit.catalog.locate import find_shards, splits_of
 from tactile_toolkit.errors import InputError, ToolkitError
@@ -22,24 +22,11 @@ __all__ = ["AssetSummary", "inventory"]
 
 @dataclass(frozen=True, slots=True)
 class AssetSummary:
-    """One split of one data set.
+    """One split of one data set of a provider's folder.
 
-    Attributes
-    ----------
-    name, split : str
-        By which a provider gives it.
-    kind : str
-        ``"mnist3d"``, ``"starstruck"``, ``"wrench"``, ``"meshes"``, ``"touches"``, or ``""`` where unknown.
-    rows : int
-        Meshes, or rounds of touches.
-    classes : tuple of str
-        Names of the classes.
-    largest_mm : tuple of float or None
-        Largest extent of a mesh along x, y and z.
-    volume_mm3 : tuple of float or None
-        Least and greatest volume of a mesh.
-    problem : str or None
-        Why it cannot be used.
+    ``kind`` is ``"mnist3d"``, ``"starstruck"``, ``"wrench"``, ``"meshes"``, ``"touches"``, or ``""`` where
+    unknown; ``rows`` are meshes, or rounds of touches; ``largest_mm`` the largest extents of a mesh along x,
+    y and z, ``volume_mm3`` the least and greatest volume; ``problem`` says why it cannot be used.
     """
 
     name: str
@@ -59,20 +46,8 @@ class AssetSummary:
 def inventory(root: Path) -> list[AssetSummary]:
     """Look into every data set folder of a provider's folder, reading the vertices of all meshes.
 
-    Parameters
-    ----------
-    root : Path
-        The provider's folder.
-
-    Returns
-    -------
-    list of AssetSummary
-        By name; splits in the order of the data set. A data set that cannot be used is named with the reason.
-
-    Raises
-    ------
-    InputError
-        When there is no such folder.
+    By name, splits in the order of the data set; one that cannot be used is named with the reason. InputError
+    when there is no such folder.
     """
     if not root.is_dir():
         message = f"no folder {str(root)!r}; next: give the folder of an AssetProvider"
@@ -97,7 +72,7 @@ def _summary(place: Path, split: str) -> AssetSummary:
         schema = ShardedTable(shards).schema
         if "pos_in_cell" in schema.names:
             return AssetSummary(place.name, split, "touches", sum(len(shard) for shard in shards))
-        meshes = open_meshes(shards, place.name, MeshMemory(0))
+        meshes = open_meshes(shards, place.name, MemoryCache(0))
         kind = kind_of_meshes(schema)
         name = "meshes" if kind is None else kind.name
         if not len(meshes):

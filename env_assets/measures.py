@@ -7,8 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from env_assets.mesh_memory import Remembering
-from env_assets.plain_meshes import PlainMeshes
+from env_assets.mesh_sets import PlainMeshes, Remembering
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.mesh.columns import FACES, VERTICES
 from tactile_toolkit.mesh.mesh import Mesh
@@ -26,11 +25,6 @@ def volumes_m3(meshes: Measurable) -> NDArray[np.float64]:
 
     Reads the column of volumes alone where there is one, and else vertices and faces, once for each data set
     that was opened.
-
-    Raises
-    ------
-    InputError
-        A mesh whose triangles name vertices that it does not have.
     """
     if isinstance(meshes, PlainMeshes):
         return np.array([_volume_m3(mesh.vertices_m, mesh.faces, f"mesh {mesh.id}") for mesh in meshes])
@@ -41,13 +35,7 @@ def volumes_m3(meshes: Measurable) -> NDArray[np.float64]:
 
 
 def bounds_m(meshes: Measurable) -> NDArray[np.float64]:
-    """Return lowest and highest corner of each mesh, shape (n, 2, 3), metres; reads vertices alone.
-
-    Raises
-    ------
-    InputError
-        A mesh without vertices.
-    """
+    """Return lowest and highest corner of each mesh, shape (n, 2, 3), metres; reads vertices alone."""
     if isinstance(meshes, PlainMeshes):
         return np.array([_some_bounds_m(mesh.vertices_m, f"mesh {mesh.id}") for mesh in meshes])
     return meshes.measured("bounds of the meshes", ["id", VERTICES], _bounds_m)
@@ -77,16 +65,13 @@ def _row_of(group: RowGroup, row: int) -> str:
 
 def _volume_m3(vertices_m: NDArray[Any], faces: NDArray[Any], where: str) -> float:
     if len(faces) and not (faces.min() >= 0 and faces.max() < len(vertices_m)):
+        missing = faces[(faces < 0) | (faces >= len(vertices_m))]
         message = (
-            f"{where} has triangles that name vertex {_stranger(faces, len(vertices_m))}, but only "
+            f"{where} has triangles that name vertex {missing[0]}, but only "
             f"{len(vertices_m):,} vertices; next: run `validate` on the data set and generate it again"
         )
         raise InputError(message)
     return float(Mesh(vertices_m, faces).volume_m3)
-
-
-def _stranger(faces: NDArray[Any], count: int) -> int:
-    return int(faces[(faces < 0) | (faces >= count)][0])
 
 
 def _some_bounds_m(vertices_m: NDArray[Any], where: str) -> NDArray[np.float64]:

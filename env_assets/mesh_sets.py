@@ -1,39 +1,89 @@
-"""Data sets of meshes of any kind: recognised by their columns, opened as what they are."""
+"""Data sets of meshes of any kind: recognised by their columns, opened as what they are.
+
+Those of a provider remember the records used last, with the meshes that they have built, and can be measured
+all at once.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from importlib import import_module
-from typing import Any
+from typing import Any, Self, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from env_assets.mesh_memory import MeshMemory, Remembering
-from env_assets.plain_meshes import PlainMeshes
 from env_assets.wrench.kind import KIND as WRENCH
 from mnist3d.dataset import MeshDataset, MeshRecord
 from mnist3d.kind import KIND as DIGITS
 from starstruck_gen.dataset import SceneMeshDataset, SceneRecord
 from starstruck_gen.kind import KIND as SCENES
+from tactile_toolkit.cache import MemoryCache
 from tactile_toolkit.catalog.kinds import kind_of_meshes
+from tactile_toolkit.errors import InputError
 from tactile_toolkit.mesh.columns import class_names, require_mesh_columns
 from tactile_toolkit.mesh.records import SolidDataset, SolidRecord
-from tactile_toolkit.read.dataset import RecordDataset
-from tactile_toolkit.read.parquet import Shard, ShardedTable
+from tactile_toolkit.read.dataset import RecordDataset, Row, positions
+from tactile_toolkit.read.parquet import RowGroup, Shard, ShardedTable
 
 __all__ = [
     "DATASETS",
     "DigitMeshes",
     "MeshSet",
+    "PlainMeshes",
+    "Remembering",
     "SceneMeshes",
     "SolidDataset",
     "SolidMeshes",
     "WrenchDataset",
     "WrenchMeshes",
     "WrenchRecord",
+    "as_records",
     "measurable",
     "open_meshes",
 ]
+
+R = TypeVar("R")
+Memory = MemoryCache[Any, Any]
+_FIELDS = ("id", "label", "vertices_m", "faces", "mesh")
+
+
+class Remembering(RecordDataset[R]):
+    """Mixin of the data sets of a provider.
+
+    Records, and so the meshes that they have built, come from a memory, and all rows can be measured at once.
+    """
+
+    memory: Memory | None = None
+
+    def with_memory(self, memory: Memory) -> Self:
+        """Use a memory from now on, also in views; returns itself."""
+        self.memory = memory
+        return self
+
+    def measured(
+        self, key: str, columns: Sequence[str], measure: Callable[[RowGroup], NDArray[np.float64]]
+    ) -> NDArray[np.float64]:
+        """Measure all rows from a few columns, once for each data set that was opened.
+
+        ``measure`` gives one value, or one array of values, for each row of a group; they are kept under
+        ``key``.
+        """
+        parts = [table.derive(key, columns, measure) for table in self._tables]
+        return np.concatenate(parts)[np.asarray(self._rows, np.int64)]
+
+    def _make(self, row: Row) -> R:
+        if self.memory is None:
+            return super()._make(row)
+        make = super()._make
+        kept: R = self.memory.get_or_make((type(self), row.path, row.number), lambda: make(row))
+        return kept
+
+    def _view(self, tables: Any, rows: Any) -> Self:
+        view = super()._view(tables, rows)
+        view.memory = self.memory
+        return view
 
 
 class WrenchRecord(SolidRecord):
@@ -102,23 +152,8 @@ DATASETS: dict[str, Any] = {
 }
 
 
-def open_meshes(shards: tuple[Shard, ...], name: str, memory: MeshMemory) -> MeshSet:
-    """Open shards as the data set that they are.
-
-    Parameters
-    ----------
-    shards : tuple of Shard
-        Of one split.
-    name : str
-        The data set, in the user's words.
-    memory : MeshMemory
-        Where its records are kept.
-
-    Raises
-    ------
-    InputError
-        When these are no meshes.
-    """
+def open_meshes(shards: tuple[Shard, ...], name: str, memory: Memory) -> MeshSet:
+    """Open the shards of one split as the data set that they are; InputError when these are not meshes."""
     _import_readers()
     table = ShardedTable(shards)
     require_mesh_columns(table.schema, name, DIGITS.made_by)
@@ -145,3 +180,55 @@ def _import_readers() -> None:
         import_module(module)
     # The first time that Arrow makes an array of numpy, it looks for pandas.
     import_module("pyarrow").array([0]).to_numpy()
+
+
+@dataclass(frozen=True, eq=False)
+class PlainMeshes(Sequence[Any]):
+    """Records in memory, in the part of the shape of ``RecordDataset`` that environments use.
+
+    What each has, :meth:`env_assets.AssetSource.meshes` says.
+    """
+
+    records: Sequence[Any]
+    label_names: tuple[str, ...]
+
+    def __len__(self) -> int:
+        return len(self.records)
+
+    def __getitem__(self, key: Any) -> Any:
+        """Return a record (int), or some of them (slice, ints, mask)."""
+        if isinstance(key, (int, np.integer)):
+            return self.records[int(key)]
+        rows = range(len(self))[key] if isinstance(key, slice) else positions(key, len(self)).tolist()
+        return PlainMeshes([self.records[row] for row in rows], self.label_names)
+
+    @property
+    def ids(self) -> NDArray[np.int64]:
+        """Id of each record, shape (len,)."""
+        return self.column("id")
+
+    @property
+    def labels(self) -> NDArray[np.int64]:
+        """Label of each record, shape (len,)."""
+        return self.column("label")
+
+    def column(self, name: str) -> NDArray[np.int64]:
+        """Return ids or labels, shape (len,)."""
+        if name not in ("id", "label"):
+            message = f"no column {name!r} in these meshes"
+            raise InputError(message)
+        return np.array([getattr(record, name) for record in self.records], np.int64)
+
+
+def as_records(meshes: Any, label_names: Sequence[str] = ()) -> PlainMeshes | None:
+    """Take a sequence for meshes; None where it holds something else.
+
+    ``label_names`` are the classes of a sequence that does not name its own; numbers by default.
+    """
+    if not isinstance(meshes, Sequence) or isinstance(meshes, (str, bytes)):
+        return None
+    if not all(hasattr(record, name) for record in meshes[:1] for name in _FIELDS):
+        return None
+    names = tuple(getattr(meshes, "label_names", label_names))
+    most = max((int(record.label) for record in meshes), default=-1)
+    return PlainMeshes(meshes, names or tuple(str(label) for label in range(most + 1)))

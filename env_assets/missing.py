@@ -34,19 +34,6 @@ _LOG = logging.getLogger(__name__)
 class AssetMaker:
     """Makes assets in a folder, each kind in a folder of its name.
 
-    Attributes
-    ----------
-    root : Path
-        The folder.
-    seed : int
-        Seed of digits and scenes.
-    per_class : int or None
-        Make only so many of each class of a split.
-    workers : int
-        Number of processes that work.
-
-    Notes
-    -----
     The folder of a kind is filled split by split. What an interrupted process has finished is kept by the
     next one. Processes that want the same assets at once wait for the first of them; the system lets the
     next one in should that one die.
@@ -72,13 +59,7 @@ class AssetMaker:
         return self.root / kind
 
     def require_split(self, kind: str, split: str) -> None:
-        """Refuse a split that a kind does not have.
-
-        Raises
-        ------
-        InputError
-            Names the splits that it has.
-        """
+        """Refuse a split that a kind does not have."""
         known = self._recipe(kind).splits
         if split not in known:
             message = f"unknown split {split!r} of {kind}; expected one of {', '.join(known)}"
@@ -113,13 +94,7 @@ class AssetMaker:
 
     @contextlib.contextmanager
     def alone(self, kind: str) -> Iterator[None]:
-        """Wait until nobody else on this machine makes assets of a kind here, and keep others waiting.
-
-        Raises
-        ------
-        StorageError
-            The folder cannot be written.
-        """
+        """Wait until nobody else on this machine makes assets of a kind here, and keep others waiting."""
         lock = self.root / f".{kind}.lock"
         with named_failures(str(lock)):
             self.root.mkdir(parents=True, exist_ok=True)
@@ -134,17 +109,7 @@ class AssetMaker:
             os.close(handle)
 
     def make(self, kind: str, split: str) -> None:
-        """Make one split of a kind, going on where an interrupted run stopped.
-
-        Raises
-        ------
-        InputError
-            The kind has no such split.
-        SpecMismatchError
-            The folder holds a data set that was made otherwise.
-        StorageError
-            The folder cannot be written. What was finished stays.
-        """
+        """Make one split of a kind, going on where an interrupted run stopped."""
         _LOG.info("making split %r of %s in %s", split, kind, self.place(kind))
         self.require_split(kind, split)
         self._recipe(kind).make(str(self.place(kind)), split, self.workers)
@@ -156,13 +121,7 @@ def _stored(recipe: Recipe) -> Any:
 
 
 def require_whole(name: str, value: Any, least: int) -> None:
-    """Refuse what is no whole number, or too small a one.
-
-    Raises
-    ------
-    InputError
-        Names the number.
-    """
+    """Refuse what is no whole number, or too small a one."""
     try:
         fits = operator.index(value) >= least
     except TypeError:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
 from os import PathLike, fspath
 from pathlib import Path
@@ -12,10 +13,9 @@ from numpy.typing import NDArray
 
 from env_assets.checks import require_kind, require_scene
 from env_assets.measures import mesh_bounds_m, volumes_m3
-from env_assets.mesh_memory import MeshMemory
 from env_assets.mesh_sets import DigitMeshes, MeshSet, SceneMeshes, WrenchMeshes, open_meshes
 from env_assets.missing import KINDS, AssetMaker, require_whole
-from env_assets.pinning import Pins
+from tactile_toolkit.cache import MemoryCache
 from tactile_toolkit.catalog.locate import find_shards
 from tactile_toolkit.errors import InputError, IntegrityError
 from tactile_toolkit.mesh.height_map import HeightCache, HeightMap
@@ -26,7 +26,9 @@ if TYPE_CHECKING:
     from realtouch.dataset import TouchSeqDataset, TouchSingleDataset
     from starstruck_gen.placement import Placement
 
-__all__ = ["AssetProvider"]
+__all__ = ["AssetProvider", "Pins", "repository_id"]
+
+_REPOSITORY = re.compile(r"(?:hf://datasets/)?(?P<repo>[\w.-]+/[\w.-]+)")
 
 
 class AssetProvider:
@@ -92,7 +94,7 @@ class AssetProvider:
         self._pins = Pins(revision)
         self._generate = generate
         require_whole("cache_meshes", cache_meshes, 0)
-        self._memory = MeshMemory(cache_meshes)
+        self._memory = MemoryCache[Any, Any](cache_meshes)
         self._heights = HeightCache()
         self._opened: dict[tuple[str, str, str], Any] = {}
 
@@ -280,3 +282,32 @@ def _held(place: str) -> str:
         return str(local.absolute()) if local.exists() else place
     except (OSError, RuntimeError, ValueError):  # too long a name, an unknown user's home, a null byte
         return place
+
+
+class Pins:
+    """The commits of repositories of the Hub, each looked up on first use and kept."""
+
+    def __init__(self, revision: str | None) -> None:
+        self._revision = revision
+        self._commits: dict[str, str] = {}
+
+    def commit_of(self, place: str) -> str | None:
+        """Return the commit of a repository; None for a folder or a file."""
+        repo_id = repository_id(place)
+        if repo_id is None:
+            return None
+        commit = self._commits.get(repo_id)
+        if commit is None:
+            from tactile_toolkit.hub.repository import HubRepository
+
+            # The first answer stays, whichever thread it came from.
+            commit = self._commits.setdefault(repo_id, HubRepository(repo_id, self._revision).snapshot.commit)
+        return commit
+
+
+def repository_id(place: str) -> str | None:
+    """Return the repository (``USER/NAME``) that a place names; None for what is, or can only be, a path."""
+    if place.startswith((".", "/", "~")) or Path(place).expanduser().exists():
+        return None
+    match = _REPOSITORY.fullmatch(place)
+    return None if match is None else match["repo"]

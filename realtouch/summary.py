@@ -11,7 +11,7 @@ import numpy as np
 from realtouch.columns.per_frame import clip_length
 from realtouch.dataset import TouchDataset
 from realtouch.rounds import TouchSingleRound
-from realtouch.touches import Touch, Touches
+from realtouch.touches import Touches
 from tactile_toolkit.errors import InputError
 
 __all__ = ["Summary", "summarise"]
@@ -63,6 +63,15 @@ class Summary:
 def summarise(dataset: TouchDataset[Any]) -> Summary:
     """Count what a data set holds; reads small columns and one image or clip.
 
+    Parameters
+    ----------
+    dataset : TouchDataset
+        One split, or a part of it.
+
+    Returns
+    -------
+    Summary
+
     Raises
     ------
     InputError
@@ -75,7 +84,13 @@ def summarise(dataset: TouchDataset[Any]) -> Summary:
         message = "an empty data set has no summary; next: choose other filters"
         raise InputError(message)
     counts = np.bincount(touches.round_positions, minlength=len(dataset))
-    height, width, fps = _picture(touches[0])
+    first, fps = touches[0], None
+    if isinstance(first.round, TouchSingleRound):
+        height, width = first.round.sensor_image.size(first.touch_index)
+    else:
+        clip = first.clip
+        (height, width), fps = clip.size, clip.fps
+    by_label = dataset.by_label() if dataset.has_column("label") else {}
     return Summary(
         kind=dataset.kind,
         rounds=len(dataset),
@@ -83,25 +98,15 @@ def summarise(dataset: TouchDataset[Any]) -> Summary:
         objects=len(np.unique(dataset.int_column("object_id"))) if dataset.has_column("object_id") else 0,
         touches_per_round=(int(counts.min()), int(counts.max())),
         contact_share=_contact_share(touches),
-        labels=_labels(dataset),
+        labels={
+            name: len(rows)
+            for name, rows in (dataset.by_label() if dataset.has_column("label") else {}).items()
+        },
         image_size=(width, height),
         clip_frames=_clip_frames(touches),
         fps=fps,
         gel_ids=_gel_ids(dataset),
     )
-
-
-def _labels(dataset: TouchDataset[Any]) -> dict[str, int]:
-    if not dataset.has_column("label"):
-        return {}
-    return {name: len(rows) for name, rows in dataset.by_label().items()}
-
-
-def _picture(touch: Touch) -> tuple[int, int, float | None]:
-    if isinstance(touch.round, TouchSingleRound):
-        return (*touch.round.sensor_image.size(touch.touch_index), None)
-    clip = touch.clip
-    return (*clip.size, clip.fps)
 
 
 def _contact_share(touches: Touches[Any]) -> float | None:

@@ -9,8 +9,8 @@ from pathlib import Path
 from typing import Any
 
 from env_assets.wrench.kind import KIND
+from env_assets.wrench.solid import wrench_mesh
 from env_assets.wrench.spec import WrenchSpec
-from env_assets.wrench.wrench import wrench_mesh
 from tactile_toolkit.errors import InputError, StorageError
 from tactile_toolkit.mesh.columns import mesh_set_schema
 from tactile_toolkit.mesh.files import FORMATS, write_mesh
@@ -44,15 +44,7 @@ _PARQUET_STYLE = ParquetStyle(rows_per_group=32, compression="zstd", compression
 
 @dataclass(frozen=True)
 class WrenchShard:
-    """The task of the one shard.
-
-    Attributes
-    ----------
-    spec : WrenchSpec
-        Lengths of the wrench.
-    shard : ShardName
-        Its only shard.
-    """
+    """The task of the one shard."""
 
     spec: WrenchSpec
     shard: ShardName = field(default=ShardName(SPLIT, 0, 1))
@@ -128,15 +120,16 @@ def wrench_schema() -> Any:
 def mesh_file_at(place: str | Path) -> Path:
     """Return where a mesh file is to be written; a leading ``~`` is the user's home.
 
-    Raises
-    ------
-    InputError
-        The ending is unknown.
-    StorageError
-        There is no folder to write it in, or a folder has its name.
+    InputError for an unknown ending, StorageError when there is no folder to write it in or a folder has its
+    name.
     """
     mesh_file = Path(place).expanduser()
-    _require_ending(mesh_file)
+    if mesh_file.suffix.lower() not in FORMATS:
+        message = (
+            f"{mesh_file}: files ending in {mesh_file.suffix!r} are not known; expected one of "
+            f"{', '.join(FORMATS)}; nothing was written"
+        )
+        raise InputError(message)
     parent = mesh_file.parent
     if mesh_file.is_dir() or not parent.is_dir():
         found = "it is a folder" if mesh_file.is_dir() else f"there is no folder {str(parent)!r}"
@@ -149,15 +142,6 @@ def mesh_file_at(place: str | Path) -> Path:
         )
         raise StorageError(message)
     return mesh_file
-
-
-def _require_ending(mesh_file: Path) -> None:
-    if mesh_file.suffix.lower() not in FORMATS:
-        message = (
-            f"{mesh_file}: files ending in {mesh_file.suffix!r} are not known; expected one of "
-            f"{', '.join(FORMATS)}; nothing was written"
-        )
-        raise InputError(message)
 
 
 def _table(spec: WrenchSpec, mesh: Mesh) -> Any:

@@ -1,40 +1,175 @@
-"""From an outline to a plate with chamfered edges."""
+"""An open-end wrench from a handful of lengths: a plane outline by constructive geometry, made a solid."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from env_assets.wrench.spec import WrenchSpec
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.mesh.mesh import MM_PER_M, Mesh
 from tactile_toolkit.mesh.solid_check import check_manifold
 
-__all__ = ["chamfered_plate"]
+__all__ = ["chamfered_plate", "wrench_mesh", "wrench_outline"]
+
+_SEGMENTS = 96
+"""Sides of a whole circle: 0.03 mm from round at 60 mm across, less than a printer can show."""
+
+_TIDY_MM = 1e-3
+"""Corners that matter less than this are dropped."""
+
+_NOTHING_MM2 = 0.01
+"""Area that tidying may take from where a nut is held."""
 
 Line = NDArray[np.float64]
 
 
-def chamfered_plate(outline: Sequence[Line], thickness_mm: float, chamfer_mm: float) -> Mesh:
-    """Make a plate that lies on z = 0, its edges cut at 45 degrees above and below.
+def wrench_mesh(spec: WrenchSpec) -> Mesh:
+    """Make the solid of a wrench.
 
     Parameters
     ----------
-    outline : sequence of ndarray, shape (n, 2)
-        Closed lines in millimetres, the material on their left.
-    thickness_mm, chamfer_mm : float
-        Height of the plate, and how far the chamfer goes in and down; 0 gives sharp edges.
+    spec : WrenchSpec
+        Its lengths.
 
     Returns
     -------
     Mesh
-        Float32 metres; a solid by :func:`tactile_toolkit.mesh.solid_check.check_manifold`.
+        Float32 metres. Frame: origin on the axis of the handle, half way along the length; x along the handle
+        towards the first jaw, z up, the wrench lying on z = 0. A published environment that estimates poses
+        takes origin and x axis of this frame as the pose.
 
     Raises
     ------
     InputError
-        The outline is too narrow or too sharp for the chamfer.
+        The chamfer is too large for the outline.
+    """
+    return chamfered_plate(wrench_outline(spec), spec.thickness_mm, spec.chamfer_mm)
+
+
+def wrench_outline(spec: WrenchSpec) -> list[NDArray[np.float64]]:
+    """Draw a wrench: closed lines in millimetres, shapes (n, 2), the material on their left.
+
+    The frame is that of :func:`wrench_mesh`. InputError when the chamfer leaves less than a whole wrench.
+    """
+    body = _body(spec)
+    for place_mm, opening_mm, turned_deg in _jaws(spec):
+        body -= _jaw(spec, opening_mm).rotate(turned_deg).translate((place_mm, 0.0))
+    tidy = _opened(body, _tip_radius_mm(spec)).simplify(_TIDY_MM)
+    _require_whole(spec, body, tidy)
+    return [np.asarray(line, np.float64) for line in tidy.to_polygons()]
+
+
+def _tip_radius_mm(spec: WrenchSpec) -> float:
+    """Return how tips of jaws and other outer corners are rounded: wide enough to carry the chamfer.
+
+    Rounding takes away what is narrower than its disc, so no jaw may become shorter than the sides of its
+    nut: the disc between the jaw's flat side (at half the width w) and the circle of the head (of radius R)
+    still touches that side at the nut's corner, ``(R - r)^2 - (w / 2 + r)^2 >= w^2 / 12``.
+    """
+    heads_mm = (spec.head_mm, spec.second_head_mm)
+    most_mm = []
+    for head_mm, (_, opening_mm, _) in zip(heads_mm, _jaws(spec), strict=False):
+        width_mm = opening_mm + spec.clearance_mm
+        most_mm.append((head_mm**2 / 4 - width_mm**2 / 3) / (head_mm + width_mm))
+    return min(max(1.0, 2.0 * spec.chamfer_mm), *most_mm)
+
+
+def _require_whole(spec: WrenchSpec, body: Any, tidy: Any) -> None:
+    """Refuse what is not one piece, below and above the chamfer, or does not hold every nut any more."""
+    for piece in (tidy, _grown(tidy, -spec.chamfer_mm)):
+        if piece.num_contour() != 1:
+            message = (
+                f"a chamfer of {spec.chamfer_mm:g} mm cuts this wrench into {piece.num_contour()} parts; "
+                "next: choose a smaller chamfer_mm, or a larger handle_mm, head_mm or second_head_mm"
+            )
+            raise InputError(message)
+    lost = body - tidy
+    for place_mm, opening_mm, turned_deg in _jaws(spec):
+        flats = _flats(spec, opening_mm).rotate(turned_deg).translate((place_mm, 0.0))
+        if (lost ^ flats).area() > _NOTHING_MM2:
+            message = (
+                f"a chamfer of {spec.chamfer_mm:g} mm leaves no whole jaw for {opening_mm:g} mm; next: "
+                "choose a smaller chamfer_mm, or a larger head_mm or second_head_mm"
+            )
+            raise InputError(message)
+
+
+def _body(spec: WrenchSpec) -> Any:
+    """Two discs and the handle between them, the joints filled."""
+    from manifold3d import CrossSection
+
+    (first_mm, second_mm) = _middles_mm(spec)
+    handle = CrossSection.square((first_mm - second_mm, spec.handle_mm)).translate(
+        (second_mm, -spec.handle_mm / 2)
+    )
+    discs = [
+        CrossSection.circle(diameter_mm / 2, _SEGMENTS).translate((place_mm, 0.0))
+        for place_mm, diameter_mm in ((first_mm, spec.head_mm), (second_mm, spec.second_head_mm))
+    ]
+    return _closed(handle + discs[0] + discs[1], spec.fillet_mm)
+
+
+def _middles_mm(spec: WrenchSpec) -> tuple[float, float]:
+    """Return where along x the middles of both ends lie."""
+    return (spec.length_mm - spec.head_mm) / 2, (spec.second_head_mm - spec.length_mm) / 2
+
+
+def _jaws(spec: WrenchSpec) -> list[tuple[float, float, float]]:
+    """Return middle, opening and direction of each jaw."""
+    first_mm, second_mm = _middles_mm(spec)
+    jaws = [(first_mm, spec.opening_mm, spec.jaw_angle_deg)]
+    if spec.second_opening_mm:
+        jaws.append((second_mm, spec.second_opening_mm, 180.0 + spec.jaw_angle_deg))
+    return jaws
+
+
+def _jaw(spec: WrenchSpec, opening_mm: float) -> Any:
+    """Return what a nut needs: its hexagon, and the way out along x."""
+    from manifold3d import CrossSection
+
+    width_mm = opening_mm + spec.clearance_mm
+    angles = np.radians(np.arange(0, 360, 60))
+    corners = width_mm / math.sqrt(3) * np.stack([np.cos(angles), np.sin(angles)], axis=1)
+    way_out = CrossSection.square((spec.length_mm, width_mm)).translate((0.0, -width_mm / 2))
+    # A round root breaks less easily than a sharp one, and a printer rounds it anyway.
+    return _opened(CrossSection([corners]) + way_out, 0.1 * opening_mm)
+
+
+def _flats(spec: WrenchSpec, opening_mm: float) -> Any:
+    """Return where the jaw bears on the outer half of two opposite sides of the nut."""
+    from manifold3d import CrossSection
+
+    width_mm, deep_mm = opening_mm + spec.clearance_mm, 0.1
+    size_mm = (width_mm / (2 * math.sqrt(3)), width_mm + 2 * deep_mm)
+    return CrossSection.square(size_mm).translate((0.0, -size_mm[1] / 2))
+
+
+def _closed(shape: Any, radius_mm: float) -> Any:
+    """Fill inner corners with a radius."""
+    return _grown(_grown(shape, radius_mm), -radius_mm)
+
+
+def _opened(shape: Any, radius_mm: float) -> Any:
+    """Round outer corners with a radius."""
+    return _grown(_grown(shape, -radius_mm), radius_mm)
+
+
+def _grown(shape: Any, by_mm: float) -> Any:
+    from manifold3d import JoinType
+
+    return shape.offset(by_mm, JoinType.Round, 2.0, _SEGMENTS) if by_mm else shape
+
+
+def chamfered_plate(outline: Sequence[Line], thickness_mm: float, chamfer_mm: float) -> Mesh:
+    """Make a plate that lies on z = 0, its edges cut at 45 degrees above and below; a solid, float32 metres.
+
+    The outline is closed lines in millimetres, the material on their left; 0 gives sharp edges. InputError
+    when it is too narrow or too sharp for the chamfer.
     """
     inner = [_moved_in(line, chamfer_mm) for line in outline]
     levels: list[tuple[Sequence[Line], float]] = [(inner, 0.0), (inner, thickness_mm)]

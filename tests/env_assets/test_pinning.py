@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 import starstruck_gen
-from env_assets.pinning import repository_id
+from env_assets.provider import repository_id
 from tests.hub_server import hub
 
 

@@ -9,7 +9,7 @@ import difflib
 from dataclasses import dataclass
 from typing import Any, Literal
 
-from env_assets.environment_packages import published_package
+from env_assets.published.packages import published_package
 from tactile_toolkit.errors import InputError
 
 __all__ = ["FAMILIES", "Family", "PublishedEnvironment", "published_environment"]
@@ -25,14 +25,7 @@ _SPARSE = "-sparse"
 class Family:
     """Environments that share assets and task; the rest of an id is sensor, split and variant.
 
-    Attributes
-    ----------
-    assets : str
-        Data set of meshes.
-    task : str
-        What is asked of the agent.
-    recorded : bool
-        Whether touches are recorded ones (of the real sensor) instead of simulated ones.
+    ``recorded``: touches are recorded ones of the real sensor instead of simulated ones.
     """
 
     assets: Assets
@@ -74,18 +67,9 @@ FAMILIES: dict[str, Family] = {
 
 @dataclass(frozen=True)
 class PublishedEnvironment:
-    """One registered id.
+    """One registered id; ``spec`` is its registration in gymnasium, settings included.
 
-    Attributes
-    ----------
-    family : Family
-        Assets and task.
-    split : str
-        ``"train"`` or ``"test"``.
-    sparse : bool
-        Whether the reward is withheld until the episode ends.
-    spec : gymnasium.envs.registration.EnvSpec
-        Its registration, settings included.
+    ``sparse``: the reward is withheld until the episode ends.
     """
 
     family: Family
@@ -100,19 +84,9 @@ class PublishedEnvironment:
 
 
 def published_environment(env_id: str) -> PublishedEnvironment:
-    """Look up an environment by the id under which the package registers it.
+    """Look up an environment by the id of its registration, with or without ``tactile_mnist:`` in front.
 
-    Parameters
-    ----------
-    env_id : str
-        Such as ``"TactileMNIST-Depth-train-v0"``, with or without ``tactile_mnist:`` in front.
-
-    Raises
-    ------
-    InputError
-        No such environment, or one whose assets this toolkit does not provide.
-    MissingExtraError
-        The packages are not installed.
+    Raises InputError when there is none, or its assets are not among those that this toolkit provides.
     """
     published_package("tactile_mnist")
     name = env_id.removeprefix(_PACKAGE_PREFIX)

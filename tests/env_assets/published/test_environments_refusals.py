@@ -12,7 +12,7 @@ import trimesh
 
 import env_assets
 import realtouch
-from env_assets.environment_sensors import BACKENDS, require_sensor
+from env_assets.published.packages import BACKENDS, require_sensor
 from tactile_toolkit.errors import InputError, MissingExtraError
 from tests.env_assets.factories import write_meshes
 

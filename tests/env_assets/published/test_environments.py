@@ -12,7 +12,14 @@ import pytest
 import env_assets
 import realtouch
 from tactile_toolkit.errors import InputError
-from tests.env_assets.rollouts import CONTACT_HEIGHT_M, PRESS_DEPTH_M, Rollout, Step, expected_depth_m, roll
+from tests.env_assets.published.rollouts import (
+    CONTACT_HEIGHT_M,
+    PRESS_DEPTH_M,
+    Rollout,
+    Step,
+    expected_depth_m,
+    roll,
+)
 
 pytestmark = [pytest.mark.env, pytest.mark.filterwarnings("ignore")]
 

@@ -1,4 +1,7 @@
-"""Whether assets and settings fit an environment: found out before it starts."""
+"""Whether assets and settings fit an environment: found out before it starts.
+
+Each function raises InputError; ``where`` is the data set and its split in the user's words.
+"""
 
 from __future__ import annotations
 
@@ -15,13 +18,13 @@ from env_assets.checks import (
     require_labels,
     require_outward,
 )
-from env_assets.environment_ids import Assets
 from env_assets.mesh_sets import measurable
 from env_assets.missing import KINDS
+from env_assets.published.ids import Assets
 from tactile_toolkit.errors import InputError
 
 __all__ = [
-    "refuse_strangers",
+    "refuse_unknown_objects",
     "refuse_unfit_meshes",
     "refuse_unfit_noise",
     "refuse_unfit_rounds",
@@ -32,24 +35,8 @@ __all__ = [
 def refuse_unfit_meshes(meshes: Any, assets: Assets, where: str, cell_size_m: tuple[float, float]) -> None:
     """Refuse meshes of another kind than the environment's, too large for its cell, or inside out.
 
-    Reads the vertices of all meshes once, 0.3 ms each, and of data sets that store no volumes the faces.
-
-    Parameters
-    ----------
-    meshes : RecordDataset of SolidRecord
-        What the environment is to use.
-    assets : str
-        Kind of meshes that it is made for.
-    where : str
-        Name of the data set and its split, in the user's words.
-    cell_size_m : (float, float)
-        Width and depth of the cell, metres.
-
-    Raises
-    ------
-    InputError
-        No mesh, other classes, a label that is no class, a mesh wider than the cell, a scene outside of it,
-        or a volume that is not positive.
+    Reads the vertices of all meshes once, 0.3 ms each, and of data sets that store no volumes the faces. The
+    cell is (width, depth), metres.
     """
     if not len(meshes):
         message = f"{where} holds no mesh; next: choose another split, or generate it"
@@ -67,13 +54,7 @@ def refuse_unfit_meshes(meshes: Any, assets: Assets, where: str, cell_size_m: tu
 
 
 def refuse_unfit_rounds(rounds: Any, step_limit: int, where: str) -> None:
-    """Refuse rounds with fewer touches than an episode takes.
-
-    Raises
-    ------
-    InputError
-        No round, or too few touches for the steps of an episode.
-    """
+    """Refuse rounds with fewer touches than an episode takes."""
     if not len(rounds):
         message = f"{where} holds no round; next: choose another split"
         raise InputError(message)
@@ -88,13 +69,7 @@ def refuse_unfit_rounds(rounds: Any, step_limit: int, where: str) -> None:
 
 
 def refuse_unfit_noise(rounds: Any, files: Sequence[str], where: str) -> None:
-    """Refuse touches from which the package cannot take the noise of a ``-DR`` environment.
-
-    Raises
-    ------
-    InputError
-        No round, no images, or files that are read from the Hub piece by piece.
-    """
+    """Refuse touches from which the package cannot take the noise of a ``-DR`` environment."""
     if not len(rounds) or not hasattr(rounds.record, "sensor_image"):
         found = "no round" if not len(rounds) else "clips"
         message = f"{where} holds {found}; the noise of a -DR environment needs touches with one image each"
@@ -108,32 +83,20 @@ def refuse_unfit_noise(rounds: Any, files: Sequence[str], where: str) -> None:
         raise InputError(message)
 
 
-def refuse_strangers(rounds: Any, meshes: Any, where: str) -> None:
-    """Refuse rounds of objects that are not among the meshes.
-
-    Raises
-    ------
-    InputError
-        When a round's object has no mesh.
-    """
-    strangers = np.setdiff1d(rounds.column("object_id"), meshes.ids)
-    if len(strangers):
+def refuse_unknown_objects(rounds: Any, meshes: Any, where: str) -> None:
+    """Refuse rounds of objects that are not among the meshes."""
+    unknown = np.setdiff1d(rounds.column("object_id"), meshes.ids)
+    if len(unknown):
         message = (
-            f"{where} holds touches of {len(strangers)} objects without a mesh, such as object "
-            f"{strangers[0]}; next: give the meshes of the printed digits (splits printed_train and "
+            f"{where} holds touches of {len(unknown)} objects without a mesh, such as object "
+            f"{unknown[0]}; next: give the meshes of the printed digits (splits printed_train and "
             "printed_test of MNIST 3D)"
         )
         raise InputError(message)
 
 
 def refuse_unknown_settings(config: Mapping[str, Any], known: tuple[str, ...]) -> None:
-    """Refuse settings that the package's config class does not have, and the data set, which is ours to give.
-
-    Raises
-    ------
-    InputError
-        Names the setting.
-    """
+    """Refuse settings that the config class of the package does not have; the data set is ours to give."""
     for name in config:
         if name == "dataset" or name not in known:
             choice = ", ".join(sorted(set(known) - {"dataset"}))

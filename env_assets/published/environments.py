@@ -1,29 +1,48 @@
 """Making the published environments on assets of the provider instead of the Hub's.
 
 An environment is made from the package's own registration: its settings, classes and wrappers, of which only
-the step that fetches data from the Hub is replaced. Nothing in the packages is patched.
+the step that fetches data from the Hub is replaced. Nothing in the packages is patched. What an environment
+consumes is fetched from the provider, and checked before the environment starts.
 """
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
-from collections.abc import Callable, Mapping
+import hashlib
+from collections.abc import Callable, Mapping, Sequence
 from importlib.metadata import version
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from env_assets.environment_assets import assets_for
-from env_assets.environment_checks import refuse_unknown_settings
-from env_assets.environment_ids import PublishedEnvironment, published_environment
-from env_assets.environment_packages import published_package, require_screenless_drawing
-from env_assets.environment_sensors import require_sensor, sensor_factories
+from env_assets.mesh_sets import as_records
+from env_assets.missing import KINDS
+from env_assets.published.fit import (
+    refuse_unfit_meshes,
+    refuse_unfit_noise,
+    refuse_unfit_rounds,
+    refuse_unknown_objects,
+    refuse_unknown_settings,
+)
+from env_assets.published.ids import PublishedEnvironment, published_environment
+from env_assets.published.packages import (
+    published_package,
+    require_screenless_drawing,
+    require_sensor,
+    sensor_factories,
+)
+from tactile_toolkit.cache import cache_folder
 from tactile_toolkit.errors import InputError
+from tactile_toolkit.read.dataset import RecordDataset
+from tactile_toolkit.store.folder import named_failures
+from tactile_toolkit.store.shards import ShardName
 
 if TYPE_CHECKING:
     from env_assets.source import AssetSource
 
-__all__ = ["make"]
+__all__ = ["TOUCHES", "assets_for", "folder_of_links", "make"]
 
 _SPARSE_SINGLE_BROKEN = ("0.7.1",)
 """Versions of ap-gym whose own wrapper for sparse rewards fails with a single environment."""
@@ -141,3 +160,88 @@ def _creator(
         return sparsify(env) if environment.sparse else env
 
     return create
+
+
+TOUCHES = "real-single"
+"""Data set of the recorded touches: the published one of 256 touches a round, 320 x 240 pixels."""
+
+
+def assets_for(
+    environment: PublishedEnvironment, provider: AssetSource, settings: Mapping[str, Any]
+) -> dict[str, Any]:
+    """Fetch the data sets of an environment, as the settings that hold them.
+
+    ``settings`` are those of the registration, overridden by the user's own. InputError when assets are
+    absent or do not fit the environment.
+    """
+    if not environment.family.recorded:
+        found = {"dataset": _meshes(environment, provider, environment.split, settings)}
+        noise = settings.get("sensor_noise")
+        if getattr(noise, "real_base_depth_dataset", None) is not None:
+            found["sensor_noise"] = _noise_from(provider, noise)
+        return found
+    from env_assets.published.datasets import as_touch_dataset
+
+    rounds = provider.touches(TOUCHES, environment.split)
+    found = {"dataset": as_touch_dataset(rounds)}
+    refuse_unfit_rounds(rounds, settings.get("step_limit", 16), f"{TOUCHES!r}, split {environment.split!r},")
+    if "mesh_dataset" not in settings:
+        found["mesh_dataset"] = _meshes(environment, provider, f"printed_{environment.split}", settings)
+        refuse_unknown_objects(rounds, found["mesh_dataset"].meshes, f"{TOUCHES!r}")
+    return found
+
+
+def _meshes(
+    environment: PublishedEnvironment, provider: AssetSource, split: str, settings: Mapping[str, Any]
+) -> Any:
+    from env_assets.published.datasets import CELL_SIZE_M, as_mesh_dataset
+
+    family = environment.family
+    name = family.assets
+    where = f"{name!r}, split {split!r},"
+    given = provider.meshes(name, split)
+    # A source other than ours may give a plain sequence of records.
+    meshes: Any = given if isinstance(given, RecordDataset) else as_records(given, KINDS[name].class_names)
+    if meshes is None:
+        message = (
+            f"the provider's meshes of {where} are a {type(given).__name__}; expected a sequence of records "
+            "with id, label, vertices_m, faces and mesh; next: see `env_assets.AssetSource`"
+        )
+        raise InputError(message)
+    # The registration keeps the one mesh of a tool; digits and scenes are read anew each episode.
+    points = as_mesh_dataset(meshes, cache_size="full" if family.assets == "wrench" else 0)
+    width, depth = settings.get("cell_size", CELL_SIZE_M)
+    refuse_unfit_meshes(meshes, family.assets, where, (width, depth))
+    return points
+
+
+def _noise_from(provider: AssetSource, noise: Any) -> Any:
+    """Let the noise of a ``-DR`` environment come from the provider's touches.
+
+    The package takes a name that ``datasets.load_dataset`` knows; a folder of Parquet files is one.
+    """
+    rounds: Any = provider.touches(TOUCHES, "train")
+    files = [shard.path for table in rounds._tables for shard in table.shards]
+    refuse_unfit_noise(rounds, files, f"{TOUCHES!r}, split 'train',")
+    return dataclasses.replace(noise, real_base_depth_dataset=str(folder_of_links(files)))
+
+
+def folder_of_links(files: Sequence[str]) -> Path:
+    """Return a folder with links to files, as the shards of a split ``train``.
+
+    It lies in the cache folder and is the same one for the same files, so that a program that remembers what
+    it has read of a folder (as ``datasets`` does) need not read it again.
+    """
+    targets = [Path(file).resolve() for file in files]
+    # Size and time as well: a link does not tell that its file was written anew.
+    facts = [(str(target), target.stat().st_size, target.stat().st_mtime_ns) for target in targets]
+    folder = cache_folder() / "linked" / hashlib.sha256(repr(facts).encode()).hexdigest()[:32]
+    with named_failures(str(folder)):
+        for number, target in enumerate(targets):
+            link = folder / ShardName("train", number, len(targets)).data_path
+            link.parent.mkdir(parents=True, exist_ok=True)
+            # One folder for each list of files, so a link that is there is the right one.
+            if not link.is_symlink():
+                with contextlib.suppress(FileExistsError):  # another process was faster
+                    link.symlink_to(target)
+    return folder

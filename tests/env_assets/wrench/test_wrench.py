@@ -11,15 +11,15 @@ from hypothesis import strategies as st
 import env_assets
 import mnist3d
 from env_assets.wrench.generation import wrench_schema, write_wrench
-from env_assets.wrench.sizes import (
+from env_assets.wrench.solid import wrench_mesh
+from env_assets.wrench.spec import (
     LARGEST_MM,
     SMALLEST_MM,
     WIDTHS_ACROSS_FLATS_MM,
+    WrenchSpec,
     next_smaller_mm,
     width_across_flats_mm,
 )
-from env_assets.wrench.spec import WrenchSpec
-from env_assets.wrench.wrench import wrench_mesh
 from tactile_toolkit.cards.checks import check_card
 from tactile_toolkit.errors import InputError, SpecMismatchError
 from tactile_toolkit.mesh.height_map import top_surface
