@@ -98,10 +98,7 @@ def summarise(dataset: TouchDataset[Any]) -> Summary:
         objects=len(np.unique(dataset.int_column("object_id"))) if dataset.has_column("object_id") else 0,
         touches_per_round=(int(counts.min()), int(counts.max())),
         contact_share=_contact_share(touches),
-        labels={
-            name: len(rows)
-            for name, rows in (dataset.by_label() if dataset.has_column("label") else {}).items()
-        },
+        labels={name: len(rows) for name, rows in by_label.items()},
         image_size=(width, height),
         clip_frames=_clip_frames(touches),
         fps=fps,
