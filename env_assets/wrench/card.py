@@ -6,8 +6,8 @@ from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING, Any
 
 from env_assets.wrench.kind import KIND
+from env_assets.wrench.solid import wrench_mesh
 from env_assets.wrench.spec import WrenchSpec
-from env_assets.wrench.wrench import wrench_mesh
 
 if TYPE_CHECKING:
     from tactile_toolkit.mesh.mesh import Mesh
