@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -14,7 +15,7 @@ from cli.output import Sink
 from env_assets.wrench.kind import KIND
 
 if TYPE_CHECKING:
-    from env_assets.wrench.card import WrenchFacts
+    from env_assets.wrench.spec import WrenchSpec
 
 __all__ = ["app", "main"]
 
@@ -23,17 +24,18 @@ app = new_app("env-assets", "Assets of environments: the wrench, and what a fold
 Length = Annotated[float | None, typer.Option(metavar="MM", help="Instead of the usual proportion.")]
 
 
-@command(app)
-def wrench(
-    *,
+@dataclass(frozen=True, slots=True)
+class WrenchOptions:
+    """The lengths of a wrench; those that were not given follow from the sizes of its nuts."""
+
     size: Annotated[
         str, typer.Option(metavar="MM|M8", help="Nut of the first jaw: width across flats, or its thread.")
-    ] = "13",
+    ] = "13"
     second_size: Annotated[
         str | None,
         typer.Option(metavar="MM|M6", help="Nut of the second jaw instead of the next smaller one."),
-    ] = None,
-    single: Annotated[bool, typer.Option("--single", help="Make no second jaw.")] = False,
+    ] = None
+    single: Annotated[bool, typer.Option("--single", help="Make no second jaw.")] = False
     length_mm: Annotated[
         float | None,
         typer.Option(
@@ -41,16 +43,29 @@ def wrench(
             help="Between the outermost points of the circles of both ends; jaws cut into those, so that the "
             "solid is a little shorter.",
         ),
-    ] = None,
-    thickness_mm: Length = None,
-    handle_mm: Length = None,
+    ] = None
+    thickness_mm: Length = None
+    handle_mm: Length = None
     jaw_angle_deg: Annotated[
         float, typer.Option(metavar="DEGREES", help="Between the handle and the jaws.")
-    ] = 15.0,
-    clearance_mm: Annotated[
-        float, typer.Option(metavar="MM", help="What a jaw is wider than its nut.")
-    ] = 0.2,
-    chamfer_mm: Annotated[float, typer.Option(metavar="MM", help="Slope around top and bottom.")] = 0.6,
+    ] = 15.0
+    clearance_mm: Annotated[float, typer.Option(metavar="MM", help="What a jaw is wider than its nut.")] = 0.2
+    chamfer_mm: Annotated[float, typer.Option(metavar="MM", help="Slope around top and bottom.")] = 0.6
+
+    def spec(self) -> WrenchSpec:
+        """Return the specification. Raises InputError for lengths that give no wrench."""
+        from env_assets.wrench.spec import WrenchSpec
+
+        lengths = asdict(self)
+        size, second, single = (lengths.pop(name) for name in ("size", "second_size", "single"))
+        given = {name: value for name, value in lengths.items() if value is not None}
+        return WrenchSpec.for_size(size, second, single=single, **given)
+
+
+@command(app)
+def wrench(
+    *,
+    options: WrenchOptions,
     out: Out = Path("wrench-data"),
     stl: Annotated[
         Path | None,
@@ -66,24 +81,25 @@ def wrench(
     """
     from env_assets.wrench.card import wrench_facts
     from env_assets.wrench.generation import mesh_file_at, write_wrench
-    from env_assets.wrench.spec import WrenchSpec
 
     stl = None if stl is None else mesh_file_at(stl)
-    asked = {"length_mm": length_mm, "thickness_mm": thickness_mm, "handle_mm": handle_mm}
-    lengths = {name: value for name, value in asked.items() if value is not None}
-    spec = WrenchSpec.for_size(
-        size,
-        second_size,
-        single=single,
-        jaw_angle_deg=jaw_angle_deg,
-        clearance_mm=clearance_mm,
-        chamfer_mm=chamfer_mm,
-        **lengths,
-    )
+    spec = options.spec()
     facts = wrench_facts(spec)
     if not dry_run:
         write_wrench(spec, str(out), mesh_file=stl, overwrite=overwrite)
-    _print_wrench(sink, facts, out, stl, written=not dry_run)
+    places = {"folder": str(out), "mesh_file": None if stl is None else str(stl), "written": not dry_run}
+    sink.document({**places, **facts.to_dict()})
+    report = facts.report
+    second = f" and {spec.second_opening_mm:g}" if spec.second_opening_mm else ""
+    size = " x ".join(f"{side:.1f}" for side in report.size_mm)
+    sink.line(
+        f"wrench for {spec.opening_mm:g}{second} mm across flats: {size} mm, {report.mass_g:.1f} g of PLA, "
+        f"thinnest wall {report.thinnest_wall_mm:.1f} mm, {report.faces:,} triangles"
+    )
+    for warning in report.warnings:
+        sink.line(f"warning: {warning}")
+    files = f"{out}" if stl is None else f"{out} and {stl}"
+    sink.line(f"would be written to {files}; nothing was written" if dry_run else f"written to {files}")
 
 
 @command(app)
@@ -130,19 +146,3 @@ add_verify(app, KIND, "the folder of a wrench")
 def main() -> None:
     """Run the command line."""
     run(app)
-
-
-def _print_wrench(sink: Sink, facts: WrenchFacts, out: Path, stl: Path | None, *, written: bool) -> None:
-    spec, report = facts.spec, facts.report
-    places = {"folder": str(out), "mesh_file": None if stl is None else str(stl), "written": written}
-    sink.document({**places, **facts.to_dict()})
-    second = f" and {spec.second_opening_mm:g}" if spec.second_opening_mm else ""
-    size = " x ".join(f"{side:.1f}" for side in report.size_mm)
-    sink.line(
-        f"wrench for {spec.opening_mm:g}{second} mm across flats: {size} mm, {report.mass_g:.1f} g of PLA, "
-        f"thinnest wall {report.thinnest_wall_mm:.1f} mm, {report.faces:,} triangles"
-    )
-    for warning in report.warnings:
-        sink.line(f"warning: {warning}")
-    files = f"{out}" if stl is None else f"{out} and {stl}"
-    sink.line(f"written to {files}" if written else f"would be written to {files}; nothing was written")
