@@ -84,7 +84,7 @@ def highest_values(
     """
     highest = np.full(shape[0] * shape[1], -np.inf, np.float32)
     for lines in scan_lines(points, faces, shape):
-        for pixel, height, _ in _pixels(lines, shape[1]):
+        for _, pixel, height in _pixels(lines, shape[1]):
             np.maximum.at(highest, pixel, height.astype(np.float32))
     return highest.reshape(shape)
 
@@ -102,10 +102,10 @@ def highest_faces(
     low, span = float(used.min()), max(float(np.ptp(used)), 1e-12)
     highest = np.full(shape[0] * shape[1], -1, np.int64)
     for lines in scan_lines(points, faces, shape, both_sides):
-        for pixel, height, face in _pixels(lines, shape[1]):
+        for line, pixel, height in _pixels(lines, shape[1]):
             # The height in the upper bits and the triangle in the lower: one maximum finds both.
             steps = ((height - low) * (_DEPTH_STEPS / span)).astype(np.int64)
-            np.maximum.at(highest, pixel, (steps << 32) | face)
+            np.maximum.at(highest, pixel, (steps << 32) | lines.face[line])
     return np.where(highest < 0, -1, highest & 0xFFFFFFFF).reshape(shape)
 
 
@@ -206,15 +206,13 @@ def _cut(triangles: _Triangles, owner: Indices, row: Indices, last_column: int) 
     return ScanLines(triangles.face[owner], row, column, steps + 1, start, rise)
 
 
-def _pixels(lines: ScanLines, columns: int) -> Iterator[tuple[Indices, Numbers, Indices]]:
-    """Yield number, height and triangle of the pixels of lines, some lines at a time."""
+def _pixels(lines: ScanLines, columns: int) -> Iterator[tuple[Indices, Indices, Numbers]]:
+    """Yield line, number and height of the pixels of lines, some lines at a time."""
     for start, stop in _parts(lines.count):
-        some = slice(start, stop)
-        count = lines.count[some]
-        within = _counted(count)
-        pixel = np.repeat(lines.row[some] * columns + lines.column[some], count) + within
-        height = np.repeat(lines.height[some], count) + np.repeat(lines.rise[some], count) * within
-        yield pixel, height, np.repeat(lines.face[some], count)
+        count = lines.count[start:stop]
+        line, within = np.repeat(np.arange(start, stop), count), _counted(count)
+        pixel = (lines.row * columns + lines.column)[line] + within
+        yield line, pixel, lines.height[line] + lines.rise[line] * within
 
 
 def _parts(counts: Indices) -> Iterator[tuple[int, int]]:
