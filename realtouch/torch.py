@@ -102,8 +102,8 @@ class TouchTensors(torch.utils.data.Dataset):  # type: ignore[misc]
         batch = torch.from_numpy(pixels).permute(0, 3, 1, 2)
         images = _tv_tensors().Image(batch)
         return [
-            _given(self.touches[index], _tv_tensors().Image(images[place]), None, self.transform, self.target)
-            for place, index in enumerate(indices)
+            _given(self.touches[index], _tv_tensors().Image(image), None, self.transform, self.target)
+            for index, image in zip(indices, images, strict=True)
         ]
 
 
@@ -186,11 +186,11 @@ def _shuffled(touches: Iterator[Touch], size: int, random: np.random.Generator) 
         if len(buffer) < size:
             buffer.append(touch.alone())
             continue
-        place = int(random.integers(size))
-        drawn, buffer[place] = buffer[place], touch.alone()
+        slot = int(random.integers(size))
+        drawn, buffer[slot] = buffer[slot], touch.alone()
         yield drawn
-    for place in random.permutation(len(buffer)):
-        yield buffer[place]
+    for slot in random.permutation(len(buffer)):
+        yield buffer[slot]
 
 
 def _item(touch: Touch, frames: str | None, transform: Transform | None, target: Target) -> Any:

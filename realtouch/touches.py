@@ -46,15 +46,15 @@ class Touch:
     holds this one touch.
     """
 
-    __slots__ = ("_place", "round", "touch_index")
+    __slots__ = ("_index_in_row", "round", "touch_index")
     round: TouchRound
     touch_index: int
-    _place: int
+    _index_in_row: int
 
-    def __init__(self, round: TouchRound, touch_index: int, place: int | None = None) -> None:
+    def __init__(self, round: TouchRound, touch_index: int, index_in_row: int | None = None) -> None:
         object.__setattr__(self, "round", round)
         object.__setattr__(self, "touch_index", touch_index)
-        object.__setattr__(self, "_place", touch_index if place is None else place)
+        object.__setattr__(self, "_index_in_row", touch_index if index_in_row is None else index_in_row)
 
     def __setattr__(self, name: str, value: object) -> None:
         message = f"Touch is frozen; {name!r} cannot be set"
@@ -78,7 +78,7 @@ class Touch:
     @property
     def pos_in_cell_m(self) -> NDArray[np.floating]:
         """Intended position, shape (2,), metres, cell frame."""
-        return intended_position(self.round._row, self._place)
+        return intended_position(self.round._row, self._index_in_row)
 
     @property
     def gel_pose(self) -> Pose:
@@ -86,7 +86,7 @@ class Touch:
 
         Reads this touch only, and opens no clip where the times of its frames are stored.
         """
-        row, touch = self.round._row, self._place
+        row, touch = self.round._row, self._index_in_row
         if isinstance(self.round, TouchSingleRound):
             return touch_pose(row, touch)
         if not (row.has("time_stamp_rel_seq") and row.has("video_length_frames")):
@@ -98,7 +98,7 @@ class Touch:
     @property
     def image(self) -> Pixels:
         """Picture of the contact, shape (H, W, 3), uint8; of a clip, its last frame of contact."""
-        return self.round._contact_image(self._place)
+        return self.round._contact_image(self._index_in_row)
 
     @property
     def clip(self) -> TouchClip:
@@ -111,11 +111,11 @@ class Touch:
         """
         if not isinstance(self.round, TouchSeqRound):
             raise missing_column(self.round._row, "sensor_video")
-        return self.round.sensor_video[self._place]
+        return self.round.sensor_video[self._index_in_row]
 
     def alone(self) -> Touch:
         """Return the touch with a copy of its own bytes, which keeps no other touch in memory."""
-        return Touch(self.round.with_touches([self._place]), self.touch_index, 0)
+        return Touch(self.round.with_touches([self._index_in_row]), self.touch_index, 0)
 
     def __reduce__(self) -> tuple[Any, ...]:
         alone = self.alone()
@@ -377,7 +377,7 @@ class Touches(Sequence[Touch], Generic[R]):
         Raises
         ------
         InputError
-            ``out`` is no writable array of that shape and dtype, each image C-contiguous.
+            ``out`` is not a writable array of that shape and dtype, each image C-contiguous.
         IntegrityError
             An image is damaged or of another size; names file, row and touch.
         """

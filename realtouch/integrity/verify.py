@@ -18,7 +18,7 @@ from tactile_toolkit.read.columns import column_names
 from tactile_toolkit.read.dataset import Row
 from tactile_toolkit.read.parquet import Shard
 from tactile_toolkit.store.folder import DataFolder
-from tactile_toolkit.store.manifest import read_manifest
+from tactile_toolkit.store.manifest import Manifest, read_manifest
 from tactile_toolkit.store.origin import read_record
 from tactile_toolkit.store.parquet import file_sha256
 from tactile_toolkit.store.shards import Finding
@@ -80,9 +80,15 @@ def verify(
     """
     place = place_of(name)
     folder = local_folder(place)
-    findings = [] if folder is None else _file_findings(folder)
-    if folder is not None and _holds_pictures(folder):
-        return _verify_pictures(folder, findings, on_progress, decode=not quick)
+    findings: list[Damage] = []
+    if folder is not None:
+        manifest = read_manifest(folder)
+        # Files of a folder of ours are held against its manifest and card, others against what the Hub said.
+        if manifest is not None or read_record(folder) is not None:
+            for finding in verify_files(folder, check_card=check_card).findings:
+                findings.append(Damage(finding.file, None, None, "", finding.problem))
+        if manifest is not None and manifest.spec.get("operation") == "frames":
+            return _verify_pictures(folder, manifest, findings, on_progress, decode=not quick)
     if not isinstance(place, str):
         parts: tuple[str, ...] = ("train",)  # files come without a split
     else:
@@ -114,27 +120,16 @@ def check_folder(folder: DataFolder) -> list[Finding]:
     return [Finding(damage.file, f"({damage})") for damage in found] if found else list(check_card(folder))
 
 
-def _file_findings(folder: DataFolder) -> list[Damage]:
-    """Check files against the manifest of a folder of ours, with its card, or against what the Hub said."""
-    if read_manifest(folder) is None and read_record(folder) is None:
-        return []
-    return [
-        Damage(finding.file, None, None, "", finding.problem)
-        for finding in verify_files(folder, check_card=check_card).findings
-    ]
-
-
-def _holds_pictures(folder: DataFolder) -> bool:
-    manifest = read_manifest(folder)
-    return manifest is not None and manifest.spec.get("operation") == "frames"
-
-
 def _verify_pictures(
-    folder: DataFolder, findings: list[Damage], on_progress: Callable[[int, int], None], *, decode: bool
+    folder: DataFolder,
+    manifest: Manifest,
+    findings: list[Damage],
+    on_progress: Callable[[int, int], None],
+    *,
+    decode: bool,
 ) -> TouchVerification:
     """Check the files that ``realtouch frames`` wrote against its index, and that they are pictures."""
-    manifest = read_manifest(folder)
-    paths = [folder.address(record.shard.data_path) for record in manifest.shards] if manifest else []
+    paths = [folder.address(record.shard.data_path) for record in manifest.shards]
     tables = [Shard(path).read(columns=["round_id", "touch", "file", "sha256"]) for path in paths]
     lines = [line for table in tables for line in table.to_pylist()]
     for done, line in enumerate(lines, 1):
