@@ -8,8 +8,9 @@ import json
 import os
 import re
 import threading
+import time
+from collections import deque
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from concurrent.futures import FIRST_EXCEPTION, ThreadPoolExecutor, wait
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
@@ -35,6 +36,7 @@ _PROBE_TIMEOUT_S = 5.0
 _MAIN = "main"
 _DIGEST_OF_LENGTH = {64: "sha256", 40: "git-sha1"}
 _FILES_AT_ONCE = 8  # as many as the Hub's own client fetches at once
+_STOP_WITHIN_S = 2.0
 
 T = TypeVar("T")
 R = TypeVar("R")
@@ -167,16 +169,41 @@ class Transfers:
 
     def each(self, action: Callable[[T], R], items: Sequence[T]) -> list[R]:
         """Call a function for each item, several at once; the first failure is raised, Ctrl-C ends all."""
-        with ThreadPoolExecutor(_FILES_AT_ONCE) as pool:
-            running = [pool.submit(action, item) for item in items]
-            try:
-                for finished in wait(running, return_when=FIRST_EXCEPTION).done:
-                    finished.result()
-                return [each.result() for each in running]
-            except BaseException:
+        waiting = deque(enumerate(items))
+        results: dict[int, R] = {}
+        failures: list[BaseException] = []
+
+        def work() -> None:
+            while not self._stopped.is_set():
+                try:
+                    index, item = waiting.popleft()
+                except IndexError:
+                    return
+                try:
+                    results[index] = action(item)
+                except BaseException as error:
+                    failures.append(error)
+                    self._stopped.set()
+
+        # Daemons, not an executor, whose threads the interpreter waits for: a stalled connection is given up
+        # only after a minute, and nobody wants to wait for it after Ctrl-C.
+        count = min(_FILES_AT_ONCE, len(items))
+        threads = [threading.Thread(target=work, daemon=True) for _ in range(count)]
+        for thread in threads:
+            thread.start()
+        try:
+            for thread in threads:
+                while thread.is_alive() and not self._stopped.is_set():
+                    thread.join(0.1)
+        finally:
+            if len(results) < len(items):
                 self._stopped.set()
-                pool.shutdown(wait=False, cancel_futures=True)
-                raise
+            deadline_s = time.monotonic() + _STOP_WITHIN_S
+            for thread in threads:
+                thread.join(max(0.0, deadline_s - time.monotonic()))
+        if failures:
+            raise failures[0]
+        return [results[index] for index in range(len(items))]
 
     def count(self, size_bytes: int) -> None:
         """Pass on that bytes have arrived; in a transfer that is to stop, this is where it stops."""
