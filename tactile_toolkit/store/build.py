@@ -139,7 +139,8 @@ def build(
     # Shards of a split that another run began stay its own until that run is given again.
     begun = pending_beside(folder, manifest)
     finished = replace(manifest, files=files, complete=not begun)
-    if read_manifest(folder) != finished:
+    # A run that had nothing to do leaves the file as it is, with its time.
+    if state.todo or read_manifest(folder) != finished:
         write_manifest(folder, finished)
     _remove_stale_files(folder, plan)  # once more: workers of a killed run may have lived on for a moment
     remove_pending(folder, keep=begun)
