@@ -270,7 +270,7 @@ def test_refusals_are_told_in_one_line(server, folder, capsys, monkeypatch, acco
     monkeypatch.setenv("HF_TOKEN", token or "")
     code = call("starstruck", "upload", folder, name, "--yes")
     printed = capsys.readouterr()
-    assert code == (2 if "no name" in words else 4)
+    assert code == (2 if "not a name" in words else 4)
     (line,) = [line for line in printed.err.splitlines() if line.startswith("error: ")]
     assert words in line
     assert not token or token not in printed.out + printed.err
