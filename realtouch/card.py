@@ -365,26 +365,21 @@ def _split_table(facts: FolderFacts, figures: list[_SplitFigures], manifest: Man
         rows = [(s.split, f"{s.rows:,}", *size) for s, size in zip(facts.splits, sizes, strict=True)]
         return markdown_table(("split", "pictures", "shards", "Parquet", "unpacked"), rows)
     header = ("split", "rounds", "touches", "per round", "objects", "contact", "left out")
+
+    def number(count: int | None) -> str:
+        return "-" if count is None else f"{count:,}"
+
     counted = [
         (
             s.split,
             f"{s.rows:,}",
-            *_figures(figure),
+            number(figure.touches),
+            "-" if figure.per_round is None else between(*figure.per_round),
+            number(figure.objects),
+            "-" if figure.contact_share is None else f"{100 * figure.contact_share:.1f} %",
             str(left_out[s.split]["skipped"]) if s.split in left_out else "-",
             *size,
         )
         for s, figure, size in zip(facts.splits, figures, sizes, strict=True)
     ]
     return markdown_table((*header, "shards", "Parquet", "unpacked"), counted)
-
-
-def _figures(figures: _SplitFigures) -> tuple[str, str, str, str]:
-    def counted(count: int | None) -> str:
-        return "-" if count is None else f"{count:,}"
-
-    return (
-        counted(figures.touches),
-        "-" if figures.per_round is None else between(*figures.per_round),
-        counted(figures.objects),
-        "-" if figures.contact_share is None else f"{100 * figures.contact_share:.1f} %",
-    )

@@ -90,6 +90,11 @@ def summarise(dataset: TouchDataset[Any]) -> Summary:
     else:
         clip = first.clip
         (height, width), fps = clip.size, clip.fps
+    suffix = "" if dataset.kind == "single" else "_seq"
+    has_poses = dataset.has_column(f"gel_pose_cell_frame{suffix}.position")
+    gels: Counter[str] = Counter()
+    if dataset.has_column("info.gel_id"):
+        gels.update(str(record.info["gel_id"]) for _, record in dataset.rounds_without_media())
     by_label = dataset.by_label() if dataset.has_column("label") else {}
     return Summary(
         kind=dataset.kind,
@@ -97,20 +102,13 @@ def summarise(dataset: TouchDataset[Any]) -> Summary:
         touches=int(counts.sum()),
         objects=len(np.unique(dataset.int_column("object_id"))) if dataset.has_column("object_id") else 0,
         touches_per_round=(int(counts.min()), int(counts.max())),
-        contact_share=_contact_share(touches),
+        contact_share=len(touches.with_contact()) / len(touches) if has_poses else None,
         labels={name: len(rows) for name, rows in by_label.items()},
         image_size=(width, height),
         clip_frames=_clip_frames(touches),
         fps=fps,
-        gel_ids=_gel_ids(dataset),
+        gel_ids=dict(sorted(gels.items())),
     )
-
-
-def _contact_share(touches: Touches[Any]) -> float | None:
-    suffix = "" if touches.dataset.kind == "single" else "_seq"
-    if not touches.dataset.has_column(f"gel_pose_cell_frame{suffix}.position"):
-        return None
-    return len(touches.with_contact()) / len(touches)
 
 
 def _clip_frames(touches: Touches[Any]) -> tuple[int, int, int] | None:
@@ -128,10 +126,3 @@ def _clip_frames(touches: Touches[Any]) -> tuple[int, int, int] | None:
     ]
     known = [length for length in lengths if length is not None]
     return min(known), int(np.median(known)), max(known)
-
-
-def _gel_ids(dataset: TouchDataset[Any]) -> dict[str, int]:
-    if not dataset.has_column("info.gel_id"):
-        return {}
-    ids = Counter(str(record.info["gel_id"]) for _, record in dataset.rounds_without_media())
-    return dict(sorted(ids.items()))

@@ -163,15 +163,13 @@ class TouchStreamTensors(torch.utils.data.IterableDataset):  # type: ignore[misc
         """Yield items; each worker reads its own shards, or its own touches where there are fewer shards."""
         worker = torch.utils.data.get_worker_info()
         index, count = (worker.id, worker.num_workers) if worker is not None else (0, 1)
-        touches = self._touches(index, count)
+        if len(self.stream.shards) >= count:
+            touches = _all_touches(self.stream.part(index, count))
+        else:
+            touches = islice(_all_touches(self.stream), index, None, count)
         random = np.random.default_rng([self.seed, self.epoch, index])
         for touch in _shuffled(touches, self.shuffle_buffer, random) if self.shuffle_buffer else touches:
             yield _item(touch, self.frames, self.transform, self.target)
-
-    def _touches(self, index: int, count: int) -> Iterator[Touch]:
-        if len(self.stream.shards) >= count:
-            return _all_touches(self.stream.part(index, count))
-        return islice(_all_touches(self.stream), index, None, count)
 
 
 def _all_touches(stream: TouchStream) -> Iterator[Touch]:

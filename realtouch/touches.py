@@ -412,13 +412,7 @@ class Touches(Sequence[Touch], Generic[R]):
 
 
 def _listed(wanted: Iterable[Any], types: tuple[type, ...], expected: str) -> list[Any]:
-    """Lay what was given, values and sequences of them, in one list.
-
-    Raises
-    ------
-    InputError
-        A value is of none of the types.
-    """
+    """Lay values and sequences of them in one list; InputError where one is of none of the types."""
     values: list[Any] = []
     for item in wanted:
         if isinstance(item, np.ndarray):

@@ -183,7 +183,7 @@ def cut(row: Row, name: str, width: int) -> tuple[NDArray[Any], ...]:
         lengths = np.array([_length_by_clip(row, touch) for touch in range(last - first)], np.int64)
     padded = _padded(column, first, last, width)
     if padded is not None and lengths is not None and padded.shape[1] >= lengths.max(initial=0):
-        return tuple(map(_head, padded, lengths.tolist()))
+        return tuple(values[:length] for values, length in zip(padded, lengths.tolist(), strict=True))
     return tuple(
         cut_touch(row, name, touch, None if lengths is None else int(lengths[touch]), width)
         for touch in range(last - first)
@@ -234,10 +234,6 @@ def stored_clip(row: Row, touch: int) -> memoryview:
     if blob is None or len(blob) == 0:
         raise damaged(row, "sensor_video", "no bytes are stored; expected an AVI", touch)
     return blob
-
-
-def _head(values: NDArray[Any], length: int) -> NDArray[Any]:
-    return values[:length]
 
 
 def _padded(column: NestedColumn, first: int, last: int, width: int) -> NDArray[Any] | None:

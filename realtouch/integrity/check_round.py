@@ -53,14 +53,20 @@ def check_round(
             int_value(row, "object_id")
     if row.has("label"):
         with noted():
-            _check_label(row, class_names)
+            label = int_value(row, "label")
+            if class_names is not None and label >= len(class_names):
+                limit = f"expected less than {len(class_names)}, the number of named classes"
+                raise damaged(row, "label", f"the value is {label}; {limit}")
     if has_info(row):
         with noted():
             read_info(row)
     for name in PER_TOUCH_COLUMNS:
         if row.has(name):
             with noted():
-                _check_count(row, name)
+                # A list of fixed length would hide a null.
+                if not row.group.arrow(name)[row.index].is_valid:
+                    raise damaged(row, name, "no values are stored")
+                entries_of(row, name)
             if found and found[-1].field == "pos_in_cell":
                 return found  # nothing says how many touches there should be
     count = touch_total(row)
@@ -89,7 +95,8 @@ def check_round(
                 continue
             clip = TouchClip(row, touch)
             with noted():
-                _check_times(row, clip)
+                timed = row.has("touch_start_time_rel") and row.has("touch_end_time_rel")
+                _ = clip.contact_window if timed else clip.timestamps_s
             size = _check_frames(row, clip, decode)
             if size is not None:
                 sizes[touch] = size
@@ -108,27 +115,6 @@ def _noted(found: list[Damage], row: Row) -> Iterator[None]:
     except (InputError, IntegrityError, ValueError) as error:
         problem = str(error).partition("; next: ")[0]
         found.append(Damage(row.path, row.number, None, "", problem))
-
-
-def _check_label(row: Row, class_names: Sequence[str] | None) -> None:
-    label = int_value(row, "label")
-    if class_names is not None and label >= len(class_names):
-        problem = f"the value is {label}; expected less than {len(class_names)}, the number of named classes"
-        raise damaged(row, "label", problem)
-
-
-def _check_count(row: Row, name: str) -> None:
-    """Refuse a column of less or more than T touches, and a null, which a list of fixed length would hide."""
-    if not row.group.arrow(name)[row.index].is_valid:
-        raise damaged(row, name, "no values are stored")
-    entries_of(row, name)
-
-
-def _check_times(row: Row, clip: TouchClip) -> None:
-    if row.has("touch_start_time_rel") and row.has("touch_end_time_rel"):
-        _ = clip.contact_window
-    else:
-        _ = clip.timestamps_s
 
 
 def _check_frames(row: Row, clip: TouchClip, decode: bool) -> Size | None:

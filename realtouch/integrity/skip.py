@@ -61,15 +61,10 @@ def find_damage(
 ) -> tuple[list[Shard], NDArray[np.int64], list[tuple[int | None, Damage]]]:
     """Check every round of some files, of which each must have ``expected_touches``, where that is said.
 
-    Returns
-    -------
-    shards : list of Shard
-        The files; those with row groups that cannot be read as :class:`PartialShard`.
-    rows : ndarray of int64
-        Rows of all files that are not lost. One is lost when it cannot be read or something is wrong with the
-        round as a whole (a column, its number of touches); a round with damaged touches stays.
-    found : list of (int, Damage)
-        All damage, each with the number of its row.
+    Returns the files, those with row groups that cannot be read as :class:`PartialShard`; the rows of all
+    files that are not lost; and all damage, each with the number of its row. A row is lost when it cannot be
+    read or something is wrong with the round as a whole (a column, its number of touches); a round with
+    damaged touches stays.
     """
     found: list[tuple[int | None, Damage]] = []
     whole: list[Shard] = []
@@ -80,11 +75,12 @@ def find_damage(
         unreadable = set()
         for index, first in enumerate(shard.group_starts[:-1]):
             try:
-                damage = [
-                    each
-                    for row in _unpacked(shard, index)
-                    for each in check_round(row, expected_touches, class_names=names)
-                ]
+                damage: list[Damage] = []
+                rows = shard.metadata.row_group(index).num_rows
+                for block in range(-(-rows // shard.block_rows[index])):
+                    group = shard.block(index, block)  # unpacked into the cache, where it is read from later
+                    for row in range(len(group.table)):
+                        damage += check_round(Row(group, row), expected_touches, class_names=names)
             except IntegrityError as error:
                 unreadable.add(index)
                 found.append((start + first, unreadable_rows(shard, index, error)))
@@ -99,11 +95,3 @@ def find_damage(
         whole.append(shard)
         start += len(shard)
     return whole, np.flatnonzero(~lost), found
-
-
-def _unpacked(shard: Shard, index: int) -> Iterator[Row]:
-    """Yield the rows of a row group, unpacked into the cache, where they are read from later."""
-    rows = shard.metadata.row_group(index).num_rows
-    for block in range(-(-rows // shard.block_rows[index])):
-        group = shard.block(index, block)
-        yield from (Row(group, number) for number in range(len(group.table)))

@@ -104,7 +104,7 @@ def verify(
     seen: dict[str, str] = {}
     for files in splits:
         expected = usual_touch_count(files.shards, place)
-        for row in _rows(files.shards, findings):
+        for row in _readable_rows(files.shards, findings):
             rounds += 1
             findings += check_round(row, expected, decode=not quick, class_names=files.stated_names)
             findings += _repeated_id(row, seen)
@@ -160,7 +160,7 @@ def _lacking_columns(shards: Sequence[Shard]) -> list[Damage]:
     ]
 
 
-def _rows(shards: Sequence[Shard], findings: list[Damage]) -> Iterator[Row]:
+def _readable_rows(shards: Sequence[Shard], findings: list[Damage]) -> Iterator[Row]:
     for shard in shards:
         for index in range(shard.metadata.num_row_groups):
             try:

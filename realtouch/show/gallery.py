@@ -75,23 +75,18 @@ def plan_gallery(choice: RoundChoice) -> Gallery:
     """
 
     def known(rows: TouchDataset[Any], _split: str) -> list[tuple[int, NDArray[np.float64] | None]]:
-        heights = _heights_m(rows)
-        return [(choice.touches, None if heights is None else heights[row]) for row in range(len(rows))]
+        if not len(rows):
+            return []
+        try:
+            heights_m = rows.touches().heights_m()
+        except InputError:  # without poses
+            return [(choice.touches, None)] * len(rows)
+        by_round = np.split(heights_m, np.cumsum(rows.touch_counts)[:-1])
+        return [(choice.touches, heights_m) for heights_m in by_round]
 
     splits = splits_to_show(repository_of(choice.name), choice.split, choice.revision)
     opened = ((split, load(choice.name, split, revision=choice.revision)) for split in splits)
     return gallery_of_rows(KIND, choice, "Real touches", _FACETS, _MEASURES, _item, 1, known, opened)
-
-
-def _heights_m(dataset: TouchDataset[Any]) -> list[NDArray[np.float64]] | None:
-    """Return the heights of all touches, round by round; None where the data set has no poses."""
-    if not len(dataset):
-        return []
-    try:
-        heights = dataset.touches().heights_m()
-    except InputError:
-        return None
-    return np.split(heights, np.cumsum(dataset.touch_counts)[:-1])
 
 
 def _item(
@@ -107,7 +102,14 @@ def _item(
     media = {"stills.jpg": stills}
     listed = []
     for touch in touches:
-        entry = _touch_entry(touch, heights_m)
+        height_m = math.nan if heights_m is None else float(heights_m[touch.touch_index])
+        height_mm = _millimetres(height_m)
+        entry: dict[str, Any] = {
+            "number": touch.touch_index,
+            "contact": None if height_mm is None else height_m >= MIN_CONTACT_HEIGHT_M,
+            "height_mm": None if height_mm is None else round(height_mm, 2),
+            "film": None,
+        }
         if isinstance(record, TouchSeqRound):
             name = f"{touch.touch_index:03d}.jpg"
             media[name], entry["film"] = film_of(touch.clip, name)
@@ -143,17 +145,6 @@ def _item(
         content={"notes": notes, "touches": {"tile": list(tile_px), "columns": columns, "list": listed}},
         media=media,
     )
-
-
-def _touch_entry(touch: Touch, heights_m: NDArray[np.float64] | None) -> dict[str, Any]:
-    height_m = math.nan if heights_m is None else float(heights_m[touch.touch_index])
-    height_mm = _millimetres(height_m)
-    return {
-        "number": touch.touch_index,
-        "contact": None if height_mm is None else height_m >= MIN_CONTACT_HEIGHT_M,
-        "height_mm": None if height_mm is None else round(height_mm, 2),
-        "film": None,
-    }
 
 
 def _millimetres(height_m: float) -> float | None:

@@ -194,7 +194,11 @@ def timeline(count: int, contact: slice, shown: tuple[int, ...], width_px: int) 
 
 def draw_grid(record: TouchRound, most: int) -> Drawing:
     """Draw touches of a round, evenly spaced, with their numbers; those that met an object are framed."""
-    heights_m = _heights_m(record)
+    kind: Kind = "seq" if isinstance(record, TouchSeqRound) else "single"
+    heights_m = None
+    suffix = "_seq" if kind == "seq" else ""
+    if record._row.has(f"gel_pose_cell_frame{suffix}.position"):
+        heights_m = contact_heights_m(contact_z_m(record._row, kind), plate_z_m=plate_z_m(record._row))
     tiles = []
     for touch in evenly_spaced(record.touch_count, most):
         caption, frame = f"{touch}", None
@@ -259,15 +263,6 @@ def draw_drift(dataset: TouchDataset[Any], title: str) -> Drawing:
     spread = f"{rounds}; from {z_mm.min():.2f} to {z_mm.max():.2f} mm, median {np.median(z_mm):.2f} mm"
     points = Points(title, "round", "deepest touch, z in mm", np.arange(len(z_mm)), z_mm, gels)
     return Drawing(plot_points(points, spread))
-
-
-def _heights_m(record: TouchRound) -> NDArray[np.float64] | None:
-    """Return how high above the deepest touch the gel stopped, shape (T,); None without poses."""
-    kind: Kind = "seq" if isinstance(record, TouchSeqRound) else "single"
-    name = "gel_pose_cell_frame_seq" if kind == "seq" else "gel_pose_cell_frame"
-    if not record._row.has(f"{name}.position"):
-        return None
-    return contact_heights_m(contact_z_m(record._row, kind), plate_z_m=plate_z_m(record._row))
 
 
 def _title(record: TouchRound) -> str:

@@ -190,6 +190,7 @@ _CHECKSUM_BYTES = 4
 class HeightCache(DiskCache):
     """Height maps on disk, in ``heights`` of the cache folder by default.
 
+    A file holds the heights row by row as little-endian float32, and their CRC-32.
     Damaged files are made again. They are not flushed to the disk, which would take longer than making the
     map: the checksum tells what a power cut has spoiled.
     """
@@ -207,7 +208,8 @@ class HeightCache(DiskCache):
         if heights_m is not None:
             return HeightMap(heights_m, window)
         made = top_surface(mesh, pitch_m)
-        content = _pack(made.heights_m)
+        values = made.heights_m.astype("<f4", copy=False).tobytes()
+        content = values + zlib.crc32(values).to_bytes(_CHECKSUM_BYTES, "little")
         self.write(name, len(content), lambda stream: stream.write(content))
         return made
 
@@ -231,9 +233,3 @@ def content_key(mesh: Any, pitch_m: float) -> str:
     digest.update(vertices_m.data)
     digest.update(faces.data)
     return digest.hexdigest()[:32]
-
-
-def _pack(heights_m: NDArray[np.float32]) -> bytes:
-    """Return the heights row by row as little-endian float32, and their CRC-32."""
-    values = heights_m.astype("<f4", copy=False).tobytes()
-    return values + zlib.crc32(values).to_bytes(_CHECKSUM_BYTES, "little")

@@ -105,22 +105,9 @@ class Mesh:
 
 
 def as_mesh(thing: MeshLike) -> Mesh:
-    """Return the triangles of whatever holds some.
+    """Return a mesh as it is, and a record or a trimesh.Trimesh, in metres too, as a mesh of its arrays.
 
-    Parameters
-    ----------
-    thing : Mesh, record of a data set, or trimesh.Trimesh
-        In metres, all of them.
-
-    Returns
-    -------
-    Mesh
-        A mesh as it is; of the others, a mesh of the same arrays.
-
-    Raises
-    ------
-    InputError
-        It is something else.
+    InputError: it is something else.
     """
     if isinstance(thing, Mesh):
         return thing

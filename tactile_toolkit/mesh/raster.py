@@ -112,18 +112,11 @@ def highest_faces(
 def scan_lines(
     points: Numbers, faces: NDArray[np.integer[Any]], shape: tuple[int, int], both_sides: bool = False
 ) -> Iterator[ScanLines]:
-    """Cut triangles into scan lines, some at a time.
+    """Cut triangles, of which upright ones cover nothing, into scan lines, some at a time.
 
-    Parameters
-    ----------
-    points : ndarray, shape (3, V)
-        Column and row, in pixels whose centres have whole numbers, and height of each vertex.
-    faces : ndarray of int, shape (F, 3)
-        Triangles; upright ones cover nothing.
-    shape : tuple of int
-        Rows and columns; what lies outside is cut off.
-    both_sides : bool
-        Whether triangles that run clockwise seen from above have lines too.
+    ``points``, shape (3, V), are column and row, in pixels whose centres have whole numbers, and height of
+    each vertex; ``shape`` is rows and columns, and what lies outside is cut off. Triangles that run clockwise
+    seen from above have lines only with ``both_sides``.
     """
     triangles = _prepared(points, np.asarray(faces), shape, both_sides)
     for start, stop in _parts(triangles.rows):

@@ -50,17 +50,18 @@ class SolidRecord(Record):
     @property
     def mesh(self) -> trimesh.Trimesh:
         """The mesh, metres. Vertices stay as they are stored: none is merged, dropped or moved."""
-        return self._once("mesh", self._build_mesh)
+
+        def build() -> trimesh.Trimesh:
+            import trimesh
+
+            return trimesh.Trimesh(self.vertices_m, self.faces, process=False)
+
+        return self._once("mesh", build)
 
     @property
     def volume_m3(self) -> float:
         """Volume in cubic metres: the stored one, or that of the mesh where none is stored."""
         return float(self._row.value("volume_m3") if self._row.has("volume_m3") else self.mesh.volume)
-
-    def _build_mesh(self) -> trimesh.Trimesh:
-        import trimesh
-
-        return trimesh.Trimesh(self.vertices_m, self.faces, process=False)
 
 
 class SolidDataset(RecordDataset[SolidRecord]):

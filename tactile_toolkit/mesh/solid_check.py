@@ -62,7 +62,12 @@ def check_manifold(mesh: Mesh) -> ManifoldCheck:
         return ManifoldCheck(None, status, "not-manifold", _edge_story(mesh))
     parts = manifold.decompose()
     volume_mm3 = float(manifold.volume())
-    problem = _volume_problem(volume_mm3, parts) or _overlap_problem(parts)
+    if not parts or abs(volume_mm3) < FLAT_MM3:
+        problem = "no-volume", "the surface is closed but encloses nothing"
+    elif volume_mm3 < 0:
+        problem = "inside-out", f"the triangles face inwards, the volume is {volume_mm3:.3f} mm^3"
+    else:
+        problem = _overlap_problem(parts)
     outer = [part for part in parts if part.volume() > 0]
     genus = sum(part.genus() for part in parts)
     if problem is not None:
@@ -83,14 +88,6 @@ def _array_problem(mesh: Mesh) -> tuple[str, str] | None:
     if faces.min() < 0 or faces.max() >= len(vertices):
         found = f"faces name vertices {faces.min()} to {faces.max()}"
         return "index-out-of-range", f"{found}; there are 0 to {len(vertices) - 1}"
-    return None
-
-
-def _volume_problem(volume_mm3: float, parts: list[Any]) -> tuple[str, str] | None:
-    if not parts or abs(volume_mm3) < FLAT_MM3:
-        return "no-volume", "the surface is closed but encloses nothing"
-    if volume_mm3 < 0:
-        return "inside-out", f"the triangles face inwards, the volume is {volume_mm3:.3f} mm^3"
     return None
 
 
@@ -116,20 +113,16 @@ def _pairs_with_meeting_boxes(parts: list[Any]) -> list[tuple[int, int]]:
 
 
 def _encloses(body: Any, cavity: Any) -> bool:
-    if not _pairs_with_meeting_boxes([body, cavity]):
-        return False
-    filling = _turned(cavity)
-    return bool((filling ^ body).volume() >= filling.volume() - OVERLAP_MM3)
-
-
-def _turned(part: Any) -> Any:
     import manifold3d
 
-    mesh = part.to_mesh64()
+    if not _pairs_with_meeting_boxes([body, cavity]):
+        return False
+    mesh = cavity.to_mesh64()
     # manifold3d hands out arrays that cannot be written, and takes none.
     faces = np.array(mesh.tri_verts[:, ::-1], dtype=np.uint64, order="C")
     vertices = np.array(mesh.vert_properties[:, :3], dtype=np.float64, order="C")
-    return manifold3d.Manifold(manifold3d.Mesh64(vertices, faces))
+    filling = manifold3d.Manifold(manifold3d.Mesh64(vertices, faces))
+    return bool((filling ^ body).volume() >= filling.volume() - OVERLAP_MM3)
 
 
 def _edge_story(mesh: Mesh) -> str:

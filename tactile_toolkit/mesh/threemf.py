@@ -124,7 +124,13 @@ class _Package:
         element = model.objects[identity]
         mesh = element.find("m:mesh", _NS)
         if mesh is not None:
-            return [_surface_of(mesh)]
+            vertices = mesh.iterfind("m:vertices/m:vertex", _NS)
+            triangles = mesh.iterfind("m:triangles/m:triangle", _NS)
+            points = [[float(vertex.attrib[axis]) for axis in "xyz"] for vertex in vertices]
+            faces = [
+                [int(triangle.attrib[corner]) for corner in ("v1", "v2", "v3")] for triangle in triangles
+            ]
+            return [(np.array(points, np.float64).reshape(-1, 3), np.array(faces, np.int32).reshape(-1, 3))]
         parts = []
         for component in element.iterfind("m:components/m:component", _NS):
             other, name = self._named(component, model)
@@ -145,15 +151,6 @@ class _Package:
             (vertices * ratio @ matrix[:3] + matrix[3], faces[:, ::-1] if mirrored else faces)
             for vertices, faces in self._parts_of(model, identity, depth)
         ]
-
-
-def _surface_of(mesh: ElementTree.Element) -> Surface:
-    corners = [[float(v.attrib[axis]) for axis in "xyz"] for v in mesh.iterfind("m:vertices/m:vertex", _NS)]
-    triangles = [
-        [int(t.attrib[corner]) for corner in ("v1", "v2", "v3")]
-        for t in mesh.iterfind("m:triangles/m:triangle", _NS)
-    ]
-    return np.array(corners, dtype=np.float64).reshape(-1, 3), np.array(triangles, np.int32).reshape(-1, 3)
 
 
 def joined(surfaces: Sequence[Surface]) -> Surface:
@@ -195,9 +192,11 @@ _EPOCH = (1980, 1, 1, 0, 0, 0)
 
 def write_build(items: Sequence[BuildItem]) -> bytes:
     """Pack things, in the order in which slicers list them; the same things always give the same bytes."""
-    build = "".join(
-        f'<item objectid="{number}"{_transform(item.offset_mm)}/>' for number, item in enumerate(items, 1)
-    )
+    build = ""
+    for number, item in enumerate(items, 1):
+        x, y, z = (f"{value:.9g}" for value in item.offset_mm)
+        moved = f' transform="1 0 0 0 1 0 0 0 1 {x} {y} {z}"' if any(item.offset_mm) else ""
+        build += f'<item objectid="{number}"{moved}/>'
     resources = "".join(_object(item, number) for number, item in enumerate(items, 1))
     model = (
         f'<?xml version="1.0" encoding="UTF-8"?><model unit="millimeter" xml:lang="en-US" xmlns="{_CORE}">'
@@ -222,10 +221,3 @@ def _object(item: BuildItem, number: int) -> str:
         f'<object id="{number}" type="model"{name}><mesh><vertices>{corners}</vertices>'
         f"<triangles>{triangles}</triangles></mesh></object>"
     )
-
-
-def _transform(offset_mm: tuple[float, float, float]) -> str:
-    if not any(offset_mm):
-        return ""
-    x, y, z = (f"{value:.9g}" for value in offset_mm)
-    return f' transform="1 0 0 0 1 0 0 0 1 {x} {y} {z}"'

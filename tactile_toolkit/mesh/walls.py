@@ -70,7 +70,11 @@ def _outline_points(
     spacing_mm = max(SPACING_MM, sum(lengths) / MAX_POINTS)
     points, inward = [], []
     for outline, length in zip(outlines, lengths, strict=True):
-        even = _resample(outline, max(16, round(length / spacing_mm)))
+        count = max(16, round(length / spacing_mm))
+        way = np.concatenate([[0.0], np.cumsum(_edge_lengths(outline))])
+        stops = np.arange(count) * (way[-1] / count)
+        closed = np.concatenate([outline, outline[:1]])
+        even = np.stack([np.interp(stops, way, closed[:, axis]) for axis in (0, 1)], axis=1)
         along = np.roll(even, -NORMAL_SPAN, axis=0) - np.roll(even, NORMAL_SPAN, axis=0)
         left = np.stack([-along[:, 1], along[:, 0]], axis=1)
         points.append(even)
@@ -82,13 +86,6 @@ def _outline_points(
 def _edge_lengths(outline: NDArray[np.float64]) -> NDArray[np.float64]:
     edges = np.roll(outline, -1, axis=0) - outline
     return np.hypot(edges[:, 0], edges[:, 1])
-
-
-def _resample(outline: NDArray[np.float64], count: int) -> NDArray[np.float64]:
-    way = np.concatenate([[0.0], np.cumsum(_edge_lengths(outline))])
-    stops = np.arange(count) * (way[-1] / count)
-    closed = np.concatenate([outline, outline[:1]])
-    return np.stack([np.interp(stops, way, closed[:, axis]) for axis in (0, 1)], axis=1)
 
 
 def _largest_discs(

@@ -349,13 +349,7 @@ def _answer(output: IO[bytes], words: dict[str, Any], arrays: dict[str, NDArray[
         light = pv.Light(light_type="camera light", intensity=strength)
         light.position, light.focal_point = direction, (0.0, 0.0, 0.0)
         plotter.add_light(light)
-    _aim(plotter, words, np.concatenate([values for name, values in arrays.items() if name[0] == "v"]))
-    pixels = np.array(plotter.screenshot(return_img=True), np.uint8)
-    plotter.close()
-    send(output, {}, {"pixels": pixels[:, :, :3]})
-
-
-def _aim(plotter: Any, words: dict[str, Any], points_m: NDArray[Any]) -> None:
+    points_m = np.concatenate([values for name, values in arrays.items() if name[0] == "v"])
     right, up, towards = np.array(words["axes"])
     depths = points_m @ towards
     middle_mm = 1e3 * (
@@ -369,6 +363,9 @@ def _aim(plotter: Any, words: dict[str, Any], points_m: NDArray[Any]) -> None:
     camera.up = up.tolist()
     camera.parallel_scale = 1e3 * words["size_px"][1] / (2 * words["px_per_m"])
     camera.clipping_range = (reach_mm * 0.5, reach_mm * 3.5)
+    pixels = np.array(plotter.screenshot(return_img=True), np.uint8)
+    plotter.close()
+    send(output, {}, {"pixels": pixels[:, :, :3]})
 
 
 if __name__ == "__main__":

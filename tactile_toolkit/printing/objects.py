@@ -99,7 +99,16 @@ def choose(
             word = classes[label] if 0 <= label < len(classes) else str(label)
             name = "-".join(part for part in (_safe(split), _safe(word), f"{number:0{_ID_DIGITS}d}") if part)
             objects.append(PrintObject(name, split, word, number, partial(_row, rows, row)))
-    _require_found(ranges or (), seen)
+    missing = [pair for pair, there in zip(ranges or (), seen, strict=True) if not there]
+    if missing:
+        low, high = missing[0]
+        what = f"id {low}" if low == high else f"an id from {low} to {high}"
+        more = f" ({len(missing)} of the ids and ranges are not there)" if len(missing) > 1 else ""
+        message = (
+            f"no object with {what} in what was chosen{more}; next: look at the ids of the split, or name "
+            "another --split"
+        )
+        raise InputError(message)
     if not objects:
         message = (
             "no object is chosen; expected rows of the split with the ids and classes that were asked for"
@@ -145,19 +154,6 @@ def _within(
     for first, end in zip(firsts, ends, strict=True):
         wanted[order[first:end]] = True
     return wanted, np.array(ends, np.int64) > np.array(firsts, np.int64)
-
-
-def _require_found(ranges: Sequence[tuple[int, int]], seen: NDArray[np.bool_]) -> None:
-    missing = [pair for pair, there in zip(ranges, seen, strict=True) if not there]
-    if missing:
-        low, high = missing[0]
-        what = f"id {low}" if low == high else f"an id from {low} to {high}"
-        more = f" ({len(missing)} of the ids and ranges are not there)" if len(missing) > 1 else ""
-        message = (
-            f"no object with {what} in what was chosen{more}; next: look at the ids of the split, or name "
-            "another --split"
-        )
-        raise InputError(message)
 
 
 def parse_ids(text: str) -> list[int | tuple[int, int]]:

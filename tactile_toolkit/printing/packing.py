@@ -301,7 +301,12 @@ class _Filling:
             tried = fitting
             if best is not None:
                 spot = best[1]
-                self._take(spot, shapes[spot.shape])
+                cells, rim = shapes[spot.shape], self._weights.rim_cells
+                rows, columns = cells.shape
+                view = self._taken[rim + spot.row :, rim + spot.column :][:rows, :columns]
+                view += cells
+                self._free -= int(cells.sum())
+                self._spectrum = fft.rfft2(self._taken, self._size)
                 tried = [shape for shape in tried if shape.number != spot.shape]
                 spots.append(spot)
                 placed(len(spots))
@@ -317,14 +322,6 @@ class _Filling:
             for part in (body, rim)
         )
         return _Shape(number, cells, int(cells.sum()), int(rim.sum()), *spectra)
-
-    def _take(self, spot: Spot, cells: NDArray[np.bool_]) -> None:
-        rim = self._weights.rim_cells
-        rows, columns = cells.shape
-        view = self._taken[rim + spot.row :, rim + spot.column :][:rows, :columns]
-        view += cells
-        self._free -= int(cells.sum())
-        self._spectrum = fft.rfft2(self._taken, self._size)
 
     def _best_spot(self, shape: _Shape) -> tuple[float, Spot] | None:
         """Return the best score of a shape and where it has it; None where it does not fit."""

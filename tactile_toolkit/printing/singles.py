@@ -103,7 +103,13 @@ class _Export:
 
     def __call__(self, item: PrintObject) -> tuple[str, WrittenFile | Failure | bool]:
         try:
-            return item.name, self._done(item)
+            mesh = standing(item.load(), self.scale)
+            verdict = require_solid(mesh)
+            content = pack_mesh(mesh, self.ending, item.name)
+            path = self.path_of(item)
+            if self.only_look:
+                return item.name, holds(path, content)
+            state = settle(path, content, lambda found: require_same_solid(read_mesh(found), mesh, verdict))
         except ItemError as error:
             detail, path = str(error), self.path_of(item)
             # What an earlier export left under this name would pass for this object.
@@ -111,24 +117,15 @@ class _Export:
                 remove([path])
                 detail += f"; {path.name} of an earlier export was removed"
             return item.name, Failure(item.name, error.reason, detail)
+        width, depth, height = (np.ptp(mesh.bounds_m, axis=0) * MM_PER_M).tolist()
+        return item.name, WrittenFile(
+            *(item.name, path.name, item.split, item.label, item.id),
+            *((width, depth, height), verdict.volume_mm3, len(content), state),
+        )
 
     def path_of(self, item: PrintObject) -> Path:
         """Return where the file of an object stands."""
         return Path(self.folder) / f"{item.name}{self.ending}"
-
-    def _done(self, item: PrintObject) -> WrittenFile | bool:
-        mesh = standing(item.load(), self.scale)
-        verdict = require_solid(mesh)
-        content = pack_mesh(mesh, self.ending, item.name)
-        path = self.path_of(item)
-        if self.only_look:
-            return holds(path, content)
-        state = settle(path, content, lambda found: require_same_solid(read_mesh(found), mesh, verdict))
-        width, depth, height = (np.ptp(mesh.bounds_m, axis=0) * MM_PER_M).tolist()
-        return WrittenFile(
-            *(item.name, path.name, item.split, item.label, item.id),
-            *((width, depth, height), verdict.volume_mm3, len(content), state),
-        )
 
 
 def export_files(

@@ -117,19 +117,13 @@ class BytesColumn:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class NestedColumn:
-    """A column of lists in lists: rows of touches of frames of vectors, padded or ragged.
-
-    Attributes
-    ----------
-    levels : tuple of (ndarray of int, or int)
-        Per level of nesting, from the rows inwards: where each list begins (one more than there are lists),
-        or the length that all lists share.
-    values : ndarray or BytesColumn
-        What the innermost lists hold, one after another; a view of Arrow's memory where it has no nulls.
-    """
+    """A column of lists in lists: rows of touches of frames of vectors, padded or ragged."""
 
     levels: tuple[NDArray[Any] | int, ...]
+    """Per level of nesting, from the rows inwards: where each list begins (one more than there are lists), or
+    the length that all lists share."""
     values: Any
+    """What the innermost lists hold, an array or a BytesColumn; a view of Arrow's memory without nulls."""
 
     def inside(self, level: int, start: int, stop: int) -> tuple[int, int]:
         """Return the range of the next level that lists ``start`` to ``stop`` of a level cover."""

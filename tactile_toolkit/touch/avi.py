@@ -34,23 +34,14 @@ class NoIndexError(ValueError):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class AviIndex:
-    """Where all frames of a clip lie.
+    """Where all frames of a clip lie: first byte and number of bytes of each, shape (N,)."""
 
-    Attributes
-    ----------
-    fps : float
-        Frames per second that the file states.
-    starts, sizes : ndarray of int64, shape (N,)
-        First byte and number of bytes of each frame in the file.
-    slots : ndarray of int64, shape (N,), or None
-        Number of each frame in the file's own count, in which a repeated frame takes a slot without bytes;
-        None when there are no repeated frames.
-    """
-
-    fps: float
+    fps: float  # frames per second that the file states
     starts: NDArray[np.int64]
     sizes: NDArray[np.int64]
     slots: NDArray[np.int64] | None
+    """Number of each frame in the file's own count, in which a repeated frame takes a slot without bytes;
+    None when there are no repeated frames."""
 
     def __len__(self) -> int:
         return len(self.starts)
@@ -117,12 +108,8 @@ class Avi:
     def index(self) -> AviIndex:
         """Read the whole index.
 
-        Raises
-        ------
-        NoIndexError
-            The index lists no frame, or does not point at frames.
-        ValueError
-            It points outside of the file, has frames overlap, or exceeds :data:`MAX_CLIP_FRAMES`.
+        NoIndexError: it lists no frame, or does not point at frames. ValueError: it points outside of the
+        file, has frames overlap, or exceeds :data:`MAX_CLIP_FRAMES`.
         """
         words = np.frombuffer(self.data, "<u4", self.entry_count * 4, self._entries_start).reshape(-1, 4)
         compressed, plain = (int.from_bytes(name, "little") for name in self._names)

@@ -77,11 +77,11 @@ def test_one_split_alone(clips, tmp_path, capsys):
 
 def test_what_is_fetched_is_told(capsys):
     from cli.output import Sink
-    from cli.touch_tables import tell_fetching
+    from cli.touch_tables import announce_fetching
 
-    tell_fetching(Sink(), "real-seq", None)
-    tell_fetching(Sink(), "someone/touches", "test")
-    tell_fetching(Sink(), "./nothing-here", None)
+    announce_fetching(Sink(), "real-seq", None)
+    announce_fetching(Sink(), "someone/touches", "test")
+    announce_fetching(Sink(), "./nothing-here", None)
     told = capsys.readouterr().err.splitlines()
     assert len(told) == 2
     assert "tactile-mnist-touch-real-seq" in told[0]
