@@ -10,11 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from realtouch.columns.poses import known_contact_z_m, touch_contact_z_m
-from realtouch.columns.without_media import GroupWithoutMedia, RowWithoutMedia
 from realtouch.damage import Damage, unreadable_rows
 from realtouch.integrity.agreement import stated_class_names, stored_touch_counts
 from realtouch.integrity.check_round import check_round
-from realtouch.rounds import TouchRound, TouchSeqRound, TouchSingleRound
+from realtouch.rounds import GroupWithoutMedia, RowWithoutMedia, TouchRound, TouchSeqRound, TouchSingleRound
 from realtouch.touches import Touches
 from tactile_toolkit.errors import InputError, IntegrityError
 from tactile_toolkit.read.dataset import RecordDataset, Row

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Any, Self
 
 import numpy as np
@@ -13,21 +15,60 @@ from realtouch.columns.info import read_info
 from realtouch.columns.per_frame import clip_lengths, frame_times, touch_durations
 from realtouch.columns.per_touch import entries_of, int_value, intended_positions, plain_value, touch_total
 from realtouch.columns.poses import pose_sequences, poses
-from realtouch.columns.without_media import whole_row
 from realtouch.contact import require_method
 from realtouch.damage import missing_column
 from realtouch.media.images import SensorImages, in_parallel, positions_of
 from realtouch.media.round_clips import SensorClips, contact_frames_of, contact_windows_of, decode_frames
 from realtouch.poses import Poses, PoseSequences
 from tactile_toolkit.errors import InputError, IntegrityError, ToolkitError
+from tactile_toolkit.read.columns import column_names
 from tactile_toolkit.read.dataset import Record, Row
-from tactile_toolkit.read.parquet import RowGroup
+from tactile_toolkit.read.parquet import RowGroup, Shard
 from tactile_toolkit.touch.jpeg import Pixels
 from tactile_toolkit.touch.rows import flat_row, take_touches
 
-__all__ = ["TouchRound", "TouchSeqRound", "TouchSingleRound"]
+__all__ = ["GroupWithoutMedia", "RowWithoutMedia", "TouchRound", "TouchSeqRound", "TouchSingleRound"]
 
 _MOST_THREADS = 4
+
+
+@dataclass(frozen=True, eq=False)
+class GroupWithoutMedia(RowGroup):
+    """Rows of which images or clips were not read; ``shard``, ``index`` and ``block`` say where those are."""
+
+    shard: Shard = field(kw_only=True)
+    index: int = field(kw_only=True)
+    block: int = field(kw_only=True)
+
+    @cached_property
+    def names(self) -> tuple[str, ...]:
+        """Columns by dotted name, those not read yet included."""
+        return column_names(self.shard.schema)
+
+    def arrow(self, name: str) -> Any:
+        """Return a column, opening the whole rows where it was left out."""
+        try:
+            return super().arrow(name)
+        except KeyError:
+            return self.whole().arrow(name)
+
+    def whole(self) -> RowGroup:
+        """Return the same rows with all their columns."""
+        return self.shard.block(self.index, self.block)
+
+
+class RowWithoutMedia(Row):
+    """A row of a :class:`GroupWithoutMedia`; pickles with all its columns."""
+
+    __slots__ = ()
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return _whole_row(self).__reduce__()
+
+
+def _whole_row(row: Row) -> Row:
+    """Return a row of which all columns are in its table."""
+    return Row(row.group.whole(), row.index) if isinstance(row.group, GroupWithoutMedia) else row
 
 
 class TouchRound(Record):
@@ -76,7 +117,7 @@ class TouchRound(Record):
 
     def with_touches(self, touches: Sequence[int]) -> Self:
         """Return a round of some of the touches, in the order given; a copy of their stored bytes."""
-        row = whole_row(self._row)
+        row = _whole_row(self._row)
         table = flat_row(row)
         chosen = take_touches(table, touches, self.touch_count)
         return type(self)(Row(RowGroup(chosen, row.path, row.number), 0))
@@ -129,11 +170,12 @@ class TouchSingleRound(TouchRound):
     @property
     def sensor_image(self) -> SensorImages:
         """Images, T of them, decoded on demand: int -> (H, W, 3) uint8, else (n, H, W, 3)."""
-        return self._once("sensor_image", self._images)
 
-    def _images(self) -> SensorImages:
-        entries_of(self._row, "sensor_image")  # refuses a round with more or less than T images
-        return SensorImages(self._row)
+        def images() -> SensorImages:
+            entries_of(self._row, "sensor_image")  # refuses a round with more or less than T images
+            return SensorImages(self._row)
+
+        return self._once("sensor_image", images)
 
     def _contact_image(self, touch: int) -> Pixels:
         return self.sensor_image[touch]

@@ -67,10 +67,23 @@ def placed_touches(record: TouchRound, touches: Sequence[int]) -> list[Placed]:
 
     Where the data set stores no pose of the gel, its intended position is taken and no rotation.
     """
+    from realtouch.touches import Touch
+
     placed: list[Any] = [None] * len(touches)
+    suffix = "_seq" if isinstance(record, TouchSeqRound) else ""
+    has_poses = record._row.has(f"gel_pose_cell_frame{suffix}.position")
 
     def read(number: int) -> None:
-        placed[number] = _placed(record, int(touches[number]))
+        touch = Touch(record, int(touches[number]))
+        if not has_poses:
+            centre_m = np.asarray(touch.pos_in_cell_m, np.float64)
+            placed[number] = Placed(touch.image, centre_m, np.diag([1.0, -1.0]))
+            return
+        pose = touch.gel_pose
+        # Columns of the picture grow along +x of the gel, rows along -y (package tactile-mnist 0.13.0).
+        turned = pose.rotation.apply([[1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
+        centre_m = np.asarray(pose.translation[:2], np.float64)
+        placed[number] = Placed(touch.image, centre_m, np.asarray(turned[:, :2]))
 
     in_parallel(read, len(touches), _MOST_THREADS)
     return placed
@@ -116,19 +129,6 @@ def overlay(touches: Sequence[Placed], cell: CellMap) -> Pixels:
         weights[rows, columns] += share
     mixed = np.where(weights > 0, sums / np.where(weights > 0, weights, 1.0), 255.0)
     return np.round(mixed).astype(np.uint8)
-
-
-def _placed(record: TouchRound, number: int) -> Placed:
-    from realtouch.touches import Touch
-
-    touch = Touch(record, number)
-    suffix = "_seq" if isinstance(record, TouchSeqRound) else ""
-    if not record._row.has(f"gel_pose_cell_frame{suffix}.position"):
-        return Placed(touch.image, np.asarray(touch.pos_in_cell_m, np.float64), np.diag([1.0, -1.0]))
-    pose = touch.gel_pose
-    # Columns of the picture grow along +x of the gel, rows along -y (package tactile-mnist 0.13.0).
-    turned = pose.rotation.apply([[1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
-    return Placed(touch.image, np.asarray(pose.translation[:2], np.float64), np.asarray(turned[:, :2]))
 
 
 def _weight(pixels: Pixels, rest: NDArray[np.float64]) -> NDArray[np.float32]:
