@@ -140,8 +140,7 @@ def info(folder: Folder, as_json: Json = False) -> None:
 
 
 def _print_made(sink: Sink, manifest: Manifest, out: Path, elapsed_s: float | None = None) -> None:
-    from mnist3d.rows import REPORT_FILE
-    from mnist3d.summary import summarise
+    from mnist3d.rows import REPORT_FILE, summarise
     from tactile_toolkit.store.folder import DataFolder
     from tactile_toolkit.store.parquet import read_report
 

@@ -8,8 +8,7 @@ from itertools import islice
 from typing import Any
 
 from mnist3d.kind import KIND
-from mnist3d.rows import CLASS_NAMES, REPORT_FILE, mesh_schema
-from mnist3d.summary import SplitSummary, summarise
+from mnist3d.rows import CLASS_NAMES, REPORT_FILE, SplitSummary, mesh_schema, summarise
 from tactile_toolkit.cards.card import (
     HWD_PLUS,
     MESH_COLUMNS,

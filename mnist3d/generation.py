@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from typing import Any
 
@@ -26,7 +26,7 @@ from tactile_toolkit.store.plan import BuildPlan, ShardContent, require_known_sp
 from tactile_toolkit.store.shards import ShardName, Skipped, shard_ranges
 from tactile_toolkit.wording import positive_or_none
 
-__all__ = ["DigitShard", "GenerateSpec", "forecast", "generate", "make_row", "plan_build"]
+__all__ = ["DigitRecipe", "DigitShard", "GenerateSpec", "forecast", "generate", "make_row", "plan_build"]
 
 _SAMPLED = 8
 _LARGEST_SHARD = 128
@@ -238,3 +238,32 @@ def _measure(spec: GenerateSpec, ids: Sequence[int]) -> Sample:
     size = len(encode_parquet(mesh_table(rows, spec.source.name), PARQUET_STYLE))
     elapsed_s = time.perf_counter() - start_s
     return Sample(len(ids), size / max(1, len(rows)), elapsed_s / max(1, len(ids) - 1))
+
+
+@dataclass(frozen=True, slots=True)
+class DigitRecipe:
+    """How a data set of digits is made without any input: from the embedded synthetic source."""
+
+    seed: int
+    per_class: int | None
+    splits: tuple[str, ...] = SPLITS
+
+    def spec(self) -> Any:
+        """Return the specification."""
+        from mnist3d.sources.synthetic import SyntheticSource
+
+        source = SyntheticSource(seed=self.seed)
+        return GenerateSpec(source, split=SplitSpec(seed=self.seed), per_class=self.per_class)
+
+    def begun(self, spec: Mapping[str, Any]) -> DigitRecipe:
+        """Return the recipe of a folder with this specification."""
+        return DigitRecipe(dict(spec.get("split") or {}).get("seed", 0), spec.get("per_class"))
+
+    def arguments(self, split: str) -> str:
+        """Return the arguments of the command that makes a split."""
+        limit = "" if self.per_class is None else f" --per-class {self.per_class}"
+        return f"--split {split}{limit}" + (f" --seed {self.seed}" if self.seed else "")
+
+    def make(self, out: str, split: str, workers: int) -> None:
+        """Make one split."""
+        generate(self.spec(), out, (split,), workers=workers)

@@ -14,13 +14,12 @@ if TYPE_CHECKING:
     from starstruck_gen.dataset import SceneMeshDataset, SceneRecord, load
     from starstruck_gen.endless import SceneDataset
     from starstruck_gen.generation import GenerateSpec, generate
-    from starstruck_gen.placement import Placement
+    from starstruck_gen.placement import Placement, SceneMeshes, stamp
     from starstruck_gen.sampling import SamplingExhausted, sample_scene, sample_scenes
     from starstruck_gen.scene import Scene
     from starstruck_gen.shapes import OUTLINES, Crescent, Cross, Disc, Proportions, Ring, Shape, Star
     from starstruck_gen.solid import register_shape
     from starstruck_gen.spec import SceneSpec
-    from starstruck_gen.stamping import SceneMeshes, stamp
     from starstruck_gen.streams import SPLITS, scene_rng, scene_seed
 
 __all__ = [
@@ -56,7 +55,7 @@ _HOMES = {
     "starstruck_gen.dataset": ("SceneMeshDataset", "SceneRecord", "load"),
     "starstruck_gen.endless": ("SceneDataset",),
     "starstruck_gen.generation": ("GenerateSpec", "generate"),
-    "starstruck_gen.placement": ("Placement",),
+    "starstruck_gen.placement": ("Placement", "SceneMeshes", "stamp"),
     "starstruck_gen.sampling": ("SamplingExhausted", "sample_scene", "sample_scenes"),
     "starstruck_gen.scene": ("Scene",),
     "starstruck_gen.shapes": (
@@ -71,7 +70,6 @@ _HOMES = {
     ),
     "starstruck_gen.solid": ("register_shape",),
     "starstruck_gen.spec": ("SceneSpec",),
-    "starstruck_gen.stamping": ("SceneMeshes", "stamp"),
     "starstruck_gen.streams": ("SPLITS", "scene_rng", "scene_seed"),
 }
 

@@ -10,11 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from starstruck_gen.dataset import SceneMeshDataset
+from starstruck_gen.placement import SceneMeshes, stamp
 from starstruck_gen.rows import make_rows, scene_schema, scene_table
 from starstruck_gen.sampling import sample_scenes
 from starstruck_gen.scene import Scene
 from starstruck_gen.spec import SceneSpec
-from starstruck_gen.stamping import SceneMeshes, stamp
 from starstruck_gen.streams import MOST_SCENES, SPLITS, scene_id, scene_seed
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.mesh.columns import FACES, VERTICES

@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import os
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
 from starstruck_gen.card import write_card
 from starstruck_gen.kind import KIND
-from starstruck_gen.proof import require_sound
-from starstruck_gen.rows import PARQUET_STYLE, make_rows, scene_table
+from starstruck_gen.rows import PARQUET_STYLE, make_rows, require_sound, scene_table
 from starstruck_gen.sampling import LayoutFailed, SamplingExhausted, require_feasible
 from starstruck_gen.spec import SceneSpec
 from starstruck_gen.streams import MOST_SCENES, SPLITS, scene_seed
@@ -27,7 +26,15 @@ from tactile_toolkit.store.plan import BuildPlan, ShardContent, require_known_sp
 from tactile_toolkit.store.shards import ShardName, shard_ranges
 from tactile_toolkit.wording import is_whole, plain_number, plain_pairs, positive_or_none
 
-__all__ = ["PUBLISHED_SIZES", "GenerateSpec", "SceneShard", "forecast", "generate", "plan_build"]
+__all__ = [
+    "GenerateSpec",
+    "PUBLISHED_SIZES",
+    "SceneRecipe",
+    "SceneShard",
+    "forecast",
+    "generate",
+    "plan_build",
+]
 
 PUBLISHED_SIZES = (("train", 3_000), ("test", 300))
 """Scenes of each split (Tactile MNIST paper, section Starstruck)."""
@@ -237,3 +244,37 @@ def _measure(spec: GenerateSpec, split: str) -> Sample:
     start_s = time.perf_counter()
     size = encoded_bytes(sampled)
     return Sample(sampled, size / sampled, (time.perf_counter() - start_s) / sampled)
+
+
+@dataclass(frozen=True, slots=True)
+class SceneRecipe:
+    """How a data set of scenes is made without any input: as published, or with fewer scenes."""
+
+    seed: int
+    per_class: int | None
+    splits: tuple[str, ...] = SPLITS
+
+    def spec(self) -> Any:
+        """Return the specification."""
+        return GenerateSpec(scenes=self._scenes(), seed=self.seed)
+
+    def begun(self, spec: Mapping[str, Any]) -> SceneRecipe | None:
+        """Return the recipe of a folder with this specification."""
+        counts = spec.get("scenes")
+        most = max(counts.values(), default=0) if isinstance(counts, Mapping) else 0
+        seed, per_class = spec.get("seed", 0), most // len(KIND.class_names)
+        return SceneRecipe(seed, per_class) if per_class and isinstance(seed, int) else None
+
+    def arguments(self, split: str) -> str:
+        """Return the arguments of the command that makes a split."""
+        sizes = ",".join(f"{name}={size}" for name, size in self._scenes())
+        scenes = "" if self.per_class is None else f" --scenes {sizes}"
+        return f"--split {split}{scenes}" + (f" --seed {self.seed}" if self.seed else "")
+
+    def make(self, out: str, split: str, workers: int) -> None:
+        """Make one split."""
+        generate(self.spec(), out, (split,), workers=workers)
+
+    def _scenes(self) -> tuple[tuple[str, int], ...]:
+        most = None if self.per_class is None else self.per_class * len(KIND.class_names)
+        return tuple((split, size if most is None else min(size, most)) for split, size in PUBLISHED_SIZES)

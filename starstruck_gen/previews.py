@@ -24,11 +24,10 @@ from starstruck_gen.picture import (
     paint_object,
     reduced,
 )
-from starstruck_gen.placement import Placement, Rejected
+from starstruck_gen.placement import Placement, Rejected, stamp
 from starstruck_gen.sampling import SceneTrace, trace_scene
 from starstruck_gen.shapes import outline
 from starstruck_gen.spec import SceneSpec
-from starstruck_gen.stamping import stamp
 from starstruck_gen.streams import scene_rng
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.mesh.mesh import MM_PER_M, Mesh

@@ -57,7 +57,7 @@ class Scene:
             Arrays ``vertices_m`` and ``faces``, with ``volume_m3`` and ``bounds_m``; its ``to_trimesh()`` is
             the `trimesh.Trimesh` that ``mesh`` of a record is.
         """
-        from starstruck_gen.stamping import stamp
+        from starstruck_gen.placement import stamp
 
         return stamp([self.placements])[0]
 

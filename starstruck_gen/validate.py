@@ -10,10 +10,10 @@ from typing import Any
 import numpy as np
 
 from starstruck_gen.dataset import SceneRecord
+from starstruck_gen.placement import stamp
 from starstruck_gen.rows import CLASS_NAMES
 from starstruck_gen.shapes import KINDS, Proportions, outline
 from starstruck_gen.solid import own_kinds, register_shape
-from starstruck_gen.stamping import stamp
 from tactile_toolkit.catalog.checking import check_rows, shards_to_check
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.mesh.columns import FACES, VERTICES, class_names

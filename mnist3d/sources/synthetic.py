@@ -8,8 +8,7 @@ from operator import index
 import numpy as np
 
 from mnist3d.sources import DigitCatalog, DigitImage
-from mnist3d.sources.handwriting.glyphs import ALLOGRAPHS, Variation, choose_allograph
-from mnist3d.sources.handwriting.hand import Hand, KeyedRng, hand_of
+from mnist3d.sources.handwriting.hand import ALLOGRAPHS, Hand, KeyedRng, Variation, choose_allograph, hand_of
 from mnist3d.sources.handwriting.pen import draw, on_page
 from tactile_toolkit.errors import InputError
 

@@ -15,8 +15,7 @@ from hypothesis import strategies as st
 from scipy import ndimage
 
 from mnist3d.sources import DigitImage
-from mnist3d.sources.handwriting.glyphs import ALLOGRAPHS, choose_allograph
-from mnist3d.sources.handwriting.hand import KeyedRng
+from mnist3d.sources.handwriting.hand import ALLOGRAPHS, KeyedRng, choose_allograph
 from mnist3d.sources.synthetic import DRAWING_VERSION, SyntheticSource
 from tactile_toolkit.errors import InputError
 

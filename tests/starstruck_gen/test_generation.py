@@ -14,13 +14,11 @@ import pyarrow.parquet as pq
 import pytest
 
 from starstruck_gen.generation import GenerateSpec, generate, plan_build
-from starstruck_gen.placement import Placement
-from starstruck_gen.proof import require_sound
-from starstruck_gen.rows import make_rows, scene_schema
+from starstruck_gen.placement import Placement, stamp
+from starstruck_gen.rows import make_rows, require_sound, scene_schema
 from starstruck_gen.sampling import SamplingExhausted
 from starstruck_gen.shapes import Disc, Shape, Star
 from starstruck_gen.spec import SceneSpec
-from starstruck_gen.stamping import stamp
 from starstruck_gen.summary import count_scenes, summarise
 from starstruck_gen.validate import validate_folder
 from tactile_toolkit.errors import InputError, IntegrityError, SpecMismatchError

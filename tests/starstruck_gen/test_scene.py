@@ -9,11 +9,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from starstruck_gen.endless import SceneDataset
+from starstruck_gen.placement import stamp
 from starstruck_gen.sampling import sample_scenes
 from starstruck_gen.scene import Scene
 from starstruck_gen.solid import prism
 from starstruck_gen.spec import SceneSpec
-from starstruck_gen.stamping import stamp
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.mesh.solid_check import check_manifold
 from tests.starstruck_gen.strategies import placements, specs

@@ -11,8 +11,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from starstruck_gen.proof import require_sound
-from starstruck_gen.rows import make_rows, scene_table
+from starstruck_gen.rows import make_rows, require_sound, scene_table
 from starstruck_gen.scene import Scene
 from starstruck_gen.shapes import KINDS, OUTLINES, Crescent, Cross, Disc, Ring, Shape, Star, outline
 from starstruck_gen.solid import prism

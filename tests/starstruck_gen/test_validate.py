@@ -11,10 +11,9 @@ import pytest
 
 from starstruck_gen.dataset import load
 from starstruck_gen.generation import GenerateSpec, generate
-from starstruck_gen.placement import Placement
+from starstruck_gen.placement import Placement, stamp
 from starstruck_gen.rows import make_rows, scene_table
 from starstruck_gen.spec import SceneSpec
-from starstruck_gen.stamping import stamp
 from starstruck_gen.validate import check_scene, validate_folder
 from tactile_toolkit.errors import IntegrityError
 from tactile_toolkit.mesh.mesh import Mesh

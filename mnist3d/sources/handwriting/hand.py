@@ -1,4 +1,4 @@
-"""The numbers behind a hand, and what stays the same in all digits of one writer."""
+"""The numbers behind a hand, what stays the same in all digits of a writer, and the shapes it prefers."""
 
 from __future__ import annotations
 
@@ -8,7 +8,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["Hand", "KeyedRng", "hand_of", "index_at"]
+from mnist3d.sources.handwriting import digits
+from mnist3d.sources.handwriting.strokes import Shape
+
+__all__ = ["ALLOGRAPHS", "Hand", "KeyedRng", "Variation", "choose_allograph", "hand_of", "index_at"]
 
 _BLOCK = 64
 _UNIT = 2.0**-53
@@ -124,3 +127,79 @@ def hand_of(rng: KeyedRng) -> Hand:
         specks=rng.uniform(0.0, 4.0),
         fidelity=rng.uniform(0.86, 1.0),
     )
+
+
+ALLOGRAPHS: tuple[tuple[tuple[Shape, float], ...], ...] = (
+    ((digits.zero_narrow, 0.40), (digits.zero_round, 0.35), (digits.zero_overlapping, 0.25)),
+    (
+        (digits.one_plain, 0.77),
+        (digits.one_with_flag, 0.10),
+        (digits.one_with_upstroke, 0.08),
+        (digits.one_with_foot, 0.05),
+    ),
+    ((digits.two_round, 0.50), (digits.two_looped, 0.28), (digits.two_angular, 0.22)),
+    ((digits.three_round, 0.60), (digits.three_looped, 0.25), (digits.three_flat_topped, 0.15)),
+    (
+        (digits.four_open, 0.47),
+        (digits.four_closed, 0.16),
+        (digits.four_one_stroke, 0.22),
+        (digits.four_low_stem, 0.15),
+    ),
+    ((digits.five_with_bar, 0.45), (digits.five_one_stroke, 0.35), (digits.five_round, 0.20)),
+    ((digits.six_curved, 0.55), (digits.six_straight, 0.25), (digits.six_curled, 0.20)),
+    ((digits.seven_plain, 0.52), (digits.seven_crossed, 0.26), (digits.seven_serif, 0.22)),
+    ((digits.eight_s_first, 0.60), (digits.eight_two_rings, 0.12), (digits.eight_open, 0.28)),
+    ((digits.nine_straight, 0.66), (digits.nine_curved, 0.24), (digits.nine_g_shaped, 0.10)),
+)
+"""For each digit the shapes and the share of writers who prefer them.
+
+The shapes are those seen in MNIST and in collections of pen strokes; the shares are estimates by eye, with
+mostly bare 1s and open 4s, as North Americans write.
+"""
+
+_BETWEEN_WRITERS = 1.1
+_STRIDES = (
+    0.41421356,
+    0.73205081,
+    0.23606798,
+    0.64575131,
+    0.31662479,
+    0.60555128,
+    0.12310563,
+    0.35889894,
+    0.79583152,
+    0.38516481,
+)
+"""Fractions of the square roots of the first ten primes: no two digits repeat in step."""
+
+
+class Variation:
+    """Gives every number of a shape its value for one writer and one digit.
+
+    `writer` is the stream of this writer and shape, the same in all the writer's digits of that shape;
+    `jitter` is the weight of the stream of this `digit`.
+    """
+
+    __slots__ = ("_digit", "_jitter", "_writer")
+
+    def __init__(self, writer: KeyedRng, digit: KeyedRng, jitter: float) -> None:
+        self._writer = writer
+        self._digit = digit
+        self._jitter = jitter
+
+    def __call__(self, mean: float, spread: float) -> float:
+        """Return `mean` plus a nearly normal deviation of size `spread`."""
+        habit, whim = self._writer.approx_normal(), self._digit.approx_normal()
+        return mean + spread * (_BETWEEN_WRITERS * habit + self._jitter * whim)
+
+
+def choose_allograph(label: int, writer: int, fashion: KeyedRng, digit: KeyedRng, fidelity: float) -> int:
+    """Return which shape of `label` to draw: with the chance `fidelity` the writer's own, else any.
+
+    Writers take their shapes by turns along a low-discrepancy sequence, so that a few dozen writers already
+    show every shape in about its share, with any seed. `fashion` is the stream of this seed and label.
+    """
+    weights = [weight for _, weight in ALLOGRAPHS[label]]
+    mark = (fashion.unit() + writer * _STRIDES[label]) % 1.0
+    preferred, other = index_at(weights, mark), index_at(weights, digit.unit())
+    return preferred if digit.unit() < fidelity else other

@@ -1,21 +1,36 @@
-"""Pen paths of the digits 0 to 4; :mod:`mnist3d.sources.handwriting.strokes` has the conventions."""
+"""Pen paths of the digits; :mod:`mnist3d.sources.handwriting.strokes` has the conventions."""
 
 from __future__ import annotations
 
-from mnist3d.sources.handwriting.strokes import CLEAR, Point, Run, Stroke, Vary, arc
+from mnist3d.sources.handwriting.strokes import CLEAR, Point, Ring, Run, Stroke, Vary, arc, lean
 
 __all__ = [
-    "one_plain",
-    "one_with_flag",
-    "one_with_foot",
-    "one_with_upstroke",
-    "three_flat_topped",
-    "three_looped",
-    "three_round",
+    "eight_open",
+    "eight_s_first",
+    "eight_two_rings",
+    "five_one_stroke",
+    "five_round",
+    "five_with_bar",
     "four_closed",
     "four_low_stem",
     "four_one_stroke",
     "four_open",
+    "nine_curved",
+    "nine_g_shaped",
+    "nine_straight",
+    "one_plain",
+    "one_with_flag",
+    "one_with_foot",
+    "one_with_upstroke",
+    "seven_crossed",
+    "seven_plain",
+    "seven_serif",
+    "six_curled",
+    "six_curved",
+    "six_straight",
+    "three_flat_topped",
+    "three_looped",
+    "three_round",
     "two_angular",
     "two_looped",
     "two_round",
@@ -210,3 +225,178 @@ def four_one_stroke(vary: Vary, pen: float) -> list[Stroke]:
     cup = [arm, (0.02, 0.5 * bar), (0.07, bar - 0.05), (0.20, bar), (right - 0.07, bar - 0.10)]
     top = (right + vary(0.03, 0.03), vary(0.06, 0.06))
     return [[[*cup, top], [top, (right, 0.5), (right + vary(-0.05, 0.04), 1.0)]]]
+
+
+def _belly(vary: Vary, neck: Point) -> Run:
+    """Return the bow of a 5 from its neck on."""
+    half, deep = vary(0.25, 0.04), 0.5 * (1.0 - neck[1]) + vary(0.02, 0.01)
+    # Further round, the end would close on the neck and the 5 would be a 6.
+    start_deg, end_deg = vary(-90.0, 14.0), min(vary(145.0, 18.0), 162.0)
+    turn = arc((vary(0.20, 0.04), 1.0 - deep), (half, deep), start_deg, end_deg, 8)
+    return [neck, *turn]
+
+
+def five_with_bar(vary: Vary, pen: float) -> list[Stroke]:
+    """Draw neck and belly, then a bar on top as a stroke of its own."""
+    neck = (vary(0.05, 0.03), vary(0.45, 0.05))
+    top = (vary(0.16, 0.06), vary(0.03, 0.02))
+    bar = [(top[0] - vary(0.01, 0.01), top[1] + vary(0.01, 0.01)), (vary(0.62, 0.10), vary(-0.01, 0.04))]
+    return [[[top, neck], _belly(vary, neck)], [bar]]
+
+
+def five_one_stroke(vary: Vary, pen: float) -> list[Stroke]:
+    """Draw bar, neck and belly without lifting the pen."""
+    neck = (vary(0.05, 0.03), vary(0.44, 0.05))
+    top = (vary(0.15, 0.06), vary(0.03, 0.02))
+    end = (vary(0.62, 0.10), vary(-0.01, 0.035))
+    bar = [end, (0.5 * (end[0] + top[0]), 0.5 * (end[1] + top[1]) + vary(0.005, 0.012)), top]
+    return [[bar, [top, neck], _belly(vary, neck)]]
+
+
+def five_round(vary: Vary, pen: float) -> list[Stroke]:
+    """Draw a 5 near to an S."""
+    head = [(vary(0.56, 0.07), vary(0.01, 0.03)), (0.28, vary(0.01, 0.01)), (vary(0.09, 0.02), 0.13)]
+    neck = (vary(0.08, 0.03), vary(0.36, 0.03))
+    return [[[*head, neck, *_belly(vary, (neck[0], neck[1] + 0.03))[2:]]]]
+
+
+def _bowl(vary: Vary, pen: float, left: float) -> Run:
+    """Return the ring of a 6, from its left round by the foot and back to the stem."""
+    half = max(vary(0.235, 0.04), 0.5 * pen + CLEAR + 0.02)
+    deep = max(vary(0.22, 0.03), 0.5 * pen + CLEAR + 0.01)
+    ring = arc((left + half, 1.0 - deep), (half, deep), 150.0, vary(-165.0, 16.0), 11)
+    return lean(ring, vary(0.12, 0.10), 1.0 - deep)
+
+
+def six_curved(vary: Vary, pen: float) -> list[Stroke]:
+    """Draw a bowed stem that runs into the ring."""
+    left = vary(0.02, 0.02)
+    stem = [(vary(0.33, 0.07), 0.0), (vary(0.15, 0.035), vary(0.23, 0.03)), (left + 0.03, 0.54)]
+    return [[stem + _bowl(vary, pen, left)]]
+
+
+def six_straight(vary: Vary, pen: float) -> list[Stroke]:
+    """Draw a nearly straight stem with a ring."""
+    left = vary(0.02, 0.02)
+    stem = [(vary(0.20, 0.08), 0.0), (vary(0.11, 0.03), 0.28), (left + 0.03, 0.58)]
+    return [[stem + _bowl(vary, pen, left)]]
+
+
+def six_curled(vary: Vary, pen: float) -> list[Stroke]:
+    """Draw a C with a ring whose end closes on the stem."""
+    left = vary(0.0, 0.02)
+    tip = (vary(0.42, 0.05), vary(0.08, 0.03))
+    stem = [tip, (vary(0.30, 0.03), 0.0), (vary(0.10, 0.03), 0.22), (left, 0.54)]
+    return [[stem + _bowl(vary, pen, left)]]
+
+
+def _seven(vary: Vary) -> tuple[Run, Run]:
+    """Return bar and stem of a 7."""
+    corner, foot = (vary(0.58, 0.06), vary(0.02, 0.045)), (vary(0.26, 0.08), 1.0)
+    start = (vary(0.0, 0.04), vary(0.05, 0.04))
+    bar = [start, (0.5 * corner[0], 0.5 * (start[1] + corner[1]) + vary(-0.005, 0.015)), corner]
+    middle = (vary(0.55, 0.06), 0.5)
+    return bar, [corner, (foot[0] + middle[0] * (corner[0] - foot[0]) - 0.04, middle[1]), foot]
+
+
+def seven_plain(vary: Vary, pen: float) -> list[Stroke]:
+    """Draw a bar and a stem."""
+    return [list(_seven(vary))]
+
+
+def seven_crossed(vary: Vary, pen: float) -> list[Stroke]:
+    """Draw a 7 with a short bar through its stem."""
+    bar, stem = _seven(vary)
+    x, y = stem[1]
+    half, rise = vary(0.18, 0.04), vary(0.01, 0.025)
+    return [[bar, stem], [[(x - half, y + 0.02 + rise), (x + half, y + 0.02 - rise)]]]
+
+
+def seven_serif(vary: Vary, pen: float) -> list[Stroke]:
+    """Draw a 7 whose bar begins with a tick."""
+    bar, stem = _seven(vary)
+    start = (bar[0][0] - vary(0.01, 0.01), bar[0][1] + vary(0.15, 0.05))
+    return [[[start, bar[0]], bar, stem]]
+
+
+def _rings(vary: Vary, pen: float) -> tuple[Ring, Ring]:
+    """Return the upper and the lower ring of an 8."""
+    waist = vary(0.51, 0.04)
+    upper = max(vary(0.18, 0.028), 0.5 * pen + 0.8 * CLEAR)
+    lower = max(vary(0.165, 0.028), 0.5 * pen + 0.8 * CLEAR)
+    x = vary(0.24, 0.01)
+    top = ((x + vary(0.05, 0.045), 0.5 * waist), (upper, 0.5 * waist))
+    return top, ((x, 0.5 * (1.0 + waist)), (lower, 0.5 * (1.0 - waist)))
+
+
+def _figure_eight(vary: Vary, upper: Ring, lower: Ring, start_deg: float, stop_deg: float) -> Run:
+    """Return an S through both rings and the way back up to the start.
+
+    The earlier the pen leaves a ring, the more its two halves cross like an X.
+    """
+    cross = vary(36.0, 8.0)
+    descent = arc(*upper, start_deg, -180.0 - cross, 7)
+    bowl = arc(*lower, -cross, 180.0 + cross, 8)
+    return descent + bowl + arc(*upper, cross, stop_deg, 4)
+
+
+def eight_s_first(vary: Vary, pen: float) -> list[Stroke]:
+    """Draw an S and return upward across it."""
+    upper, lower = _rings(vary, pen)
+    return [[_figure_eight(vary, upper, lower, vary(-38.0, 12.0), vary(-45.0, 14.0))]]
+
+
+def eight_open(vary: Vary, pen: float) -> list[Stroke]:
+    """Draw an 8 whose two ends cross or miss each other at the top right."""
+    upper, lower = _rings(vary, pen)
+    path = _figure_eight(vary, upper, lower, vary(-48.0, 12.0), 8.0)
+    (x, y), (wide, _) = upper
+    path[-2:] = [(x + 0.9 * wide, y - 0.02), (x + wide + vary(0.06, 0.03), vary(0.06, 0.035))]
+    return [[path]]
+
+
+def eight_two_rings(vary: Vary, pen: float) -> list[Stroke]:
+    """Draw one ring on another."""
+    upper, lower = _rings(vary, pen)
+    over = vary(5.0, 8.0)
+    return [
+        [arc(*upper, 90.0, -270.0 - over, 12)],
+        [arc(*lower, vary(-85.0, 15.0), -445.0 - over, 12)],
+    ]
+
+
+def _head(vary: Vary, pen: float) -> Run:
+    """Return the ring of a 9, from its right shoulder round to the right again."""
+    half = max(vary(0.21, 0.03), 0.5 * pen + CLEAR)
+    deep = max(vary(0.245, 0.03), 0.5 * pen + CLEAR)
+    slant = vary(0.20, 0.12)
+    ring = arc((half, deep), (half, deep), vary(-35.0, 15.0), -320.0, 9)
+    return [*lean(ring, slant, deep), (2.0 * half + vary(0.02, 0.02), vary(0.12, 0.06))]
+
+
+def nine_straight(vary: Vary, pen: float) -> list[Stroke]:
+    """Draw a ring and a straight stem."""
+    ring = _head(vary, pen)
+    x, _ = ring[-1]
+    foot = vary(-0.06, 0.06)
+    return [[ring, [ring[-1], (x + 0.5 * foot + vary(0.0, 0.015), 0.55), (x + foot, 1.0)]]]
+
+
+def nine_curved(vary: Vary, pen: float) -> list[Stroke]:
+    """Draw a ring and a stem that bends to the left."""
+    ring = _head(vary, pen)
+    x, _ = ring[-1]
+    return [[ring, [ring[-1], (x - vary(0.02, 0.015), 0.55), (vary(0.24, 0.05), 1.0)]]]
+
+
+def nine_g_shaped(vary: Vary, pen: float) -> list[Stroke]:
+    """Draw a slim ring and a stem that curls back below it like a g."""
+    half = max(vary(0.125, 0.025), 0.5 * pen + 0.4 * CLEAR)
+    deep = max(vary(0.20, 0.03), 0.5 * pen + 0.8 * CLEAR)
+    middle, slant = vary(0.21, 0.035), vary(0.13, 0.10)
+    ring = arc((middle, deep), (half, deep), vary(-35.0, 15.0), -325.0, 9)
+    right, low = middle + half, vary(0.17, 0.03)
+    belly = right + vary(0.08, 0.045)
+    hook = arc((0.5 * belly, 1.0 - low), (0.5 * belly, low), 5.0, vary(142.0, 22.0), 6)
+    start = (right + 0.5 * slant * deep, vary(0.11, 0.05))
+    return [[lean(ring, slant, deep), [start, (right + 0.2 * (belly - right), 0.48), *hook]]]
