@@ -62,11 +62,16 @@ def write_card(folder: DataFolder, manifest: Manifest, report: Any = None) -> No
     summaries = summarise(manifest, report)
     spec = manifest.spec
     words = words_of(str(spec["source"]["name"]))
-    profile = spec["print_profile"]
+    profile, solid = spec["print_profile"], spec["solid"]
+    joined = ", separate pieces bridged" if solid["join_bodies"] else ""
     values = {
         "source_text": words.describe(spec["source"]),
         "split_rule": _split_rule(spec),
-        "solid_text": _solid_text(spec["solid"]),
+        "solid_text": (
+            f"{solid['profile']} profile, {solid['half_thickness_mm']:g} mm half thickness, "
+            f"{solid['pixel_pitch_mm']:g} mm per pixel, about {solid['target_vertices']:,} vertices, "
+            f"{solid['smoothing_iterations']} rounds of smoothing{joined}"
+        ),
         "skipped": skipped_text(manifest, "for "),
         "spec": json_block(spec),
         "split_table": _split_table(summaries, facts),
@@ -120,15 +125,6 @@ def _split_rule(spec: Mapping[str, Any]) -> str:
         listed = ", ".join(f"{split} {size:,}" for split, size in dict(split["sizes"]).items())
         sizes = f"digits per class: {listed}"
     return ", ".join([whole, f"seed {split['seed']}", sizes, *cuts])
-
-
-def _solid_text(solid: Mapping[str, Any]) -> str:
-    joined = ", separate pieces bridged" if solid["join_bodies"] else ""
-    return (
-        f"{solid['profile']} profile, {solid['half_thickness_mm']:g} mm half thickness, "
-        f"{solid['pixel_pitch_mm']:g} mm per pixel, about {solid['target_vertices']:,} vertices, "
-        f"{solid['smoothing_iterations']} rounds of smoothing{joined}"
-    )
 
 
 def _split_table(summaries: list[SplitSummary], facts: FolderFacts) -> str:

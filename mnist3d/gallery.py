@@ -48,25 +48,18 @@ _MEASURES = (
 
 def plan_gallery(choice: Choice) -> Gallery:
     """Say what a gallery of digits shows; see :func:`~tactile_toolkit.gallery.items.gallery_of_meshes`."""
-    reports = _stored_reports(choice.name)
+    # What the data set's own report says of each digit; nothing where it has none.
+    reports: dict[tuple[str, int], Mapping[str, Any]] = {}
+    if Path(choice.name).expanduser().is_dir() and (folder := DataFolder(choice.name)).exists(REPORT_FILE):
+        table = read_report(folder, REPORT_FILE)
+        wanted = [measure.name for measure in _MEASURES] + ["split", "id", "bodies", "warnings"]
+        rows = table.select([column for column in wanted if column in table.column_names]).to_pylist()
+        reports = {(row["split"], row["id"]): row for row in rows}
 
     def known(rows: MeshDataset, split: str) -> list[Mapping[str, Any] | None]:
         return [reports.get((split, int(number))) for number in rows.ids]
 
     return gallery_of_meshes(KIND, choice, "3D digits", _FACETS, _MEASURES, _item, _ROWS_PER_TASK, known)
-
-
-def _stored_reports(name: str) -> dict[tuple[str, int], Mapping[str, Any]]:
-    """Read what the data set's own report says of each digit; nothing where it has none."""
-    if not Path(name).expanduser().is_dir():
-        return {}
-    folder = DataFolder(name)
-    if not folder.exists(REPORT_FILE):
-        return {}
-    table = read_report(folder, REPORT_FILE)
-    wanted = [measure.name for measure in _MEASURES] + ["split", "id", "bodies", "warnings"]
-    rows = table.select([column for column in wanted if column in table.column_names]).to_pylist()
-    return {(row["split"], row["id"]): row for row in rows}
 
 
 def _item(record: MeshRecord, split: str, names: tuple[str, ...], report: Mapping[str, Any] | None) -> Item:

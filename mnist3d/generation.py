@@ -221,23 +221,23 @@ def forecast(
     plan = plan_build(spec, splits)
     ids = [digit_id for task in plan.tasks if isinstance(task, DigitShard) for digit_id in task.ids]
     sample = ids[:: max(1, len(ids) // _SAMPLED)][:_SAMPLED]  # spread over the splits asked for
-    return forecast_build(out, plan, workers, lambda: _measure(spec, sample), overwrite=overwrite)
 
+    def measure() -> Sample:
+        rows = []
+        start_s = 0.0
+        for count, digit_id in enumerate(sample):
+            try:
+                rows.append(make_row(digit_id, spec)[0])
+            except ItemError:
+                continue
+            finally:
+                # The first digit pays for the imports.
+                start_s = time.perf_counter() if count == 0 else start_s
+        size = len(encode_parquet(mesh_table(rows, spec.source.name), PARQUET_STYLE))
+        elapsed_s = time.perf_counter() - start_s
+        return Sample(len(sample), size / max(1, len(rows)), elapsed_s / max(1, len(sample) - 1))
 
-def _measure(spec: GenerateSpec, ids: Sequence[int]) -> Sample:
-    rows = []
-    start_s = 0.0
-    for count, digit_id in enumerate(ids):
-        try:
-            rows.append(make_row(digit_id, spec)[0])
-        except ItemError:
-            continue
-        finally:
-            # The first digit pays for the imports.
-            start_s = time.perf_counter() if count == 0 else start_s
-    size = len(encode_parquet(mesh_table(rows, spec.source.name), PARQUET_STYLE))
-    elapsed_s = time.perf_counter() - start_s
-    return Sample(len(ids), size / max(1, len(rows)), elapsed_s / max(1, len(ids) - 1))
+    return forecast_build(out, plan, workers, measure, overwrite=overwrite)
 
 
 @dataclass(frozen=True, slots=True)

@@ -150,27 +150,19 @@ def join_bodies(mask: NDArray[np.bool_], width_px: float) -> NDArray[np.bool_]:
     the ink at both ends by half its width, so that the joint is as wide as the bar.
     """
     from scipy import ndimage
+    from scipy.spatial import cKDTree
 
     while True:
         labels, count = ndimage.label(mask)
         if count < 2:
             return mask
-        start, end = _closest_points(labels == 1, labels > 1)
-        mask = repair_corners(mask | _bar(mask.shape, start, end, width_px))
-
-
-def _closest_points(
-    one: NDArray[np.bool_], others: NDArray[np.bool_]
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    from scipy.spatial import cKDTree
-
-    here, there = np.argwhere(one).astype(np.float64), np.argwhere(others).astype(np.float64)
-    found = cKDTree(there).query(here)
-    distances, nearest = np.asarray(found[0]), np.asarray(found[1])
-    # Two straight edges are close along a stretch: its middle makes a better bridge than its end.
-    close = np.flatnonzero(distances <= distances.min() + 0.5)
-    middle = int(close[len(close) // 2])
-    return here[middle], there[nearest[middle]]
+        here, there = (np.argwhere(part).astype(np.float64) for part in (labels == 1, labels > 1))
+        found = cKDTree(there).query(here)
+        distances, nearest = np.asarray(found[0]), np.asarray(found[1])
+        # Two straight edges are close along a stretch: its middle makes a better bridge than its end.
+        close = np.flatnonzero(distances <= distances.min() + 0.5)
+        middle = int(close[len(close) // 2])
+        mask = repair_corners(mask | _bar(mask.shape, here[middle], there[nearest[middle]], width_px))
 
 
 def _bar(

@@ -79,7 +79,10 @@ def lattice_solid(mask: NDArray[np.bool_], spec: SolidSpec) -> Mesh:
     Raises ItemError ``topology`` where no lattice down to one pixel keeps the bodies and holes of the ink.
     """
     # Two nodes of paper on each side even at the coarsest pitch, so that the surface closes.
-    (top, left), crop = _crop(mask, margin_px=math.ceil(2 * LARGEST_PITCH_PX))
+    margin_px = math.ceil(2 * LARGEST_PITCH_PX)
+    rows, columns = np.flatnonzero(mask.any(axis=1)), np.flatnonzero(mask.any(axis=0))
+    top, left = int(rows[0]) - margin_px, int(columns[0]) - margin_px
+    crop = np.pad(mask[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1], margin_px)
     counts = count_bodies_and_holes(crop)
     # Deeper than the half thickness the surface is flat; 4 px more keep the cut-off out of the blur there.
     distance = signed_distance_px(crop, math.ceil(spec.half_thickness_px) + 4, 2 * LARGEST_PITCH_PX)
@@ -92,13 +95,6 @@ def lattice_solid(mask: NDArray[np.bool_], spec: SolidSpec) -> Mesh:
             return scale(vertices + corner, faces, (mask.shape[0], mask.shape[1]), spec)
     message = f"no lattice keeps the {counts[0]} bodies and {counts[1]} holes of the ink"
     raise ItemError(reason="topology", message=message)
-
-
-def _crop(mask: NDArray[np.bool_], margin_px: int) -> tuple[tuple[int, int], NDArray[np.bool_]]:
-    rows, columns = np.flatnonzero(mask.any(axis=1)), np.flatnonzero(mask.any(axis=0))
-    inked = mask[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1]
-    corner = (int(rows[0]) - margin_px, int(columns[0]) - margin_px)
-    return corner, np.pad(inked, margin_px)
 
 
 def signed_distance_px(mask: NDArray[np.bool_], inside_px: float, outside_px: float) -> NDArray[np.float32]:

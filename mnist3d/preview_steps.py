@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from mnist3d.solid import ink_mask
 from mnist3d.steps import erode, erosion_radii_px, marching_cubes, mirror, scale, smooth, stack
 from tactile_toolkit.errors import InputError, ItemError
-from tactile_toolkit.mesh.mesh import MM_PER_M, Mesh
+from tactile_toolkit.mesh.mesh import MM_PER_M
 from tactile_toolkit.pictures.render import OBLIQUE, Body, Picture3d, Renderer, averaged
 from tactile_toolkit.pictures.sheets import Sheet, Tile, sheet, with_scale_bar
 from tactile_toolkit.pictures.writing import Drawing
@@ -50,7 +50,10 @@ def draw_steps(renderer: Renderer, pixels: NDArray[Any], spec: SolidSpec, title:
     mask = ink[window]
     radii = erosion_radii_px(spec)
     layers = [erode(mask, radius) for radius in radii]
-    raw, smoothed = _surfaces(layers, spec)
+    vertices, faces = marching_cubes(np.pad(mirror(stack(layers)), 1), 0.5)
+    even = smooth(vertices, faces, spec.literal_smoothing_iterations, spec.smoothing_factor)
+    shape = (mask.shape[0], mask.shape[1])
+    raw, smoothed = (scale(each - np.float32(1), faces, shape, spec) for each in (vertices, even))
     px_per_mm = _PANEL_PX / (max(mask.shape) * spec.pixel_pitch_mm)
     size_px = (_PANEL_PX, _PANEL_PX)
     views = [
@@ -145,14 +148,6 @@ def _window(mask: NDArray[np.bool_]) -> tuple[slice, slice]:
         middle = (int(inked[0]) + int(inked[-1]) + 1) // 2
         spans.append(slice(max(0, middle - half), min(side, middle + half)))
     return spans[0], spans[1]
-
-
-def _surfaces(layers: Sequence[NDArray[np.bool_]], spec: SolidSpec) -> tuple[Mesh, Mesh]:
-    vertices, faces = marching_cubes(np.pad(mirror(stack(layers)), 1), 0.5)
-    even = smooth(vertices, faces, spec.literal_smoothing_iterations, spec.smoothing_factor)
-    shape = (layers[0].shape[0], layers[0].shape[1])
-    first, last = (scale(each - np.float32(1), faces, shape, spec) for each in (vertices, even))
-    return first, last
 
 
 def _stack_view(layers: Sequence[NDArray[np.bool_]], spec: SolidSpec, px_per_mm: float) -> NDArray[np.uint8]:

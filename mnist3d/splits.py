@@ -133,24 +133,21 @@ def _by_digit(catalog: DigitCatalog, spec: SplitSpec) -> dict[str, NDArray[np.in
     for label in range(_CLASSES):
         members = np.flatnonzero(catalog.labels == label)
         members = members[np.argsort(keys[members])]
-        sizes = _class_sizes(len(members), label, spec)
+        if spec.sizes is None or not len(members):  # a class that the source does not have is in no split
+            sizes = _published_sizes(len(members))
+        else:
+            sizes = {split: dict(spec.sizes).get(split, 0) for split in SPLITS}
+            wanted = sum(sizes.values())
+            if wanted > len(members):
+                message = (
+                    f"the split sizes ask for {wanted} digits per class, the source has {len(members)} of "
+                    f"class {label}; next: ask for smaller sizes or use a larger source"
+                )
+                raise InputError(message)
         stops = np.cumsum([sizes[split] for split in SPLITS])
         for split, stop in zip(SPLITS, stops, strict=True):
             positions[split].append(members[stop - sizes[split] : stop])
     return {split: np.concatenate(chunks) for split, chunks in positions.items()}
-
-
-def _class_sizes(available: int, label: int, spec: SplitSpec) -> dict[str, int]:
-    if spec.sizes is None or available == 0:  # a class that the source does not have is in no split
-        return _published_sizes(available)
-    wanted = {split: dict(spec.sizes).get(split, 0) for split in SPLITS}
-    if sum(wanted.values()) > available:
-        message = (
-            f"the split sizes ask for {sum(wanted.values())} digits per class, the source has {available} of "
-            f"class {label}; next: ask for smaller sizes or use a larger source"
-        )
-        raise InputError(message)
-    return wanted
 
 
 def _published_sizes(available: int) -> dict[str, int]:

@@ -116,7 +116,14 @@ def smooth(
     back. Vertices that are ``held`` keep their last coordinate: with the rim of the upper half of a mirrored
     surface held, the half moves exactly as it would within the whole.
     """
-    average = _neighbour_average(faces, len(vertices))
+    from scipy import sparse
+
+    ends = faces[:, [0, 1, 2, 1, 2, 0]].T.reshape(-1)
+    others = faces[:, [1, 2, 0, 0, 1, 2]].T.reshape(-1)
+    weights = np.ones(len(ends), dtype=np.float32)
+    sums: Any = sparse.csr_matrix((weights, (ends, others)), shape=(len(vertices), len(vertices)))
+    shares = np.float32(1) / np.maximum(np.asarray(sums.sum(axis=1)).ravel(), 1)
+    average: Any = sparse.diags(shares.astype(np.float32)) @ sums
     for _ in range(iterations):
         for share in (factor, factor * TAUBIN_RATIO):
             moved = vertices + np.float32(share) * (average @ vertices - vertices)
@@ -124,17 +131,6 @@ def smooth(
                 moved[held, 2] = vertices[held, 2]
             vertices = moved
     return vertices
-
-
-def _neighbour_average(faces: NDArray[np.int32], count: int) -> Any:
-    from scipy import sparse
-
-    ends = faces[:, [0, 1, 2, 1, 2, 0]].T.reshape(-1)
-    others = faces[:, [1, 2, 0, 0, 1, 2]].T.reshape(-1)
-    weights = np.ones(len(ends), dtype=np.float32)
-    sums = sparse.csr_matrix((weights, (ends, others)), shape=(count, count))
-    shares = np.float32(1) / np.maximum(np.asarray(sums.sum(axis=1)).ravel(), 1)
-    return sparse.diags(shares.astype(np.float32)) @ sums
 
 
 def scale(

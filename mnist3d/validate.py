@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from tactile_toolkit.catalog.checking import CheckedRow, check_rows, shards_to_check
+from tactile_toolkit.catalog.checking import check_rows, shards_to_check
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.mesh.columns import FACES, VERTICES
 from tactile_toolkit.mesh.files import read_mesh
@@ -106,14 +106,6 @@ class _Inspect:
         return inspect(Mesh(row.array(VERTICES), row.array(FACES)), self.profile)
 
 
-def _item(row: CheckedRow[PrintReport]) -> CheckedItem:
-    report = row.found
-    if report is None:
-        where = f"split {row.split!r}, row {row.row} of {row.file}"
-        report = unreadable(f"{where}: field {row.null_field!r} is null; expected a value")
-    return CheckedItem(f"{row.split} {f'row {row.row}' if row.id is None else row.id}", report)
-
-
 def validate_paths(
     paths: Sequence[str],
     split: str | None = None,
@@ -158,7 +150,14 @@ def validate_paths(
         if Path(path).is_dir():
             shards = shards_to_check(path, split, "mnist3d generate")
             rows = check_rows(shards, _Inspect(profile), _COLUMNS, limit, workers, on_progress)
-            items = [_item(row) for row in rows]
+            items = []
+            for row in rows:
+                report = row.found
+                if report is None:
+                    where = f"split {row.split!r}, row {row.row} of {row.file}"
+                    report = unreadable(f"{where}: field {row.null_field!r} is null; expected a value")
+                number = f"row {row.row}" if row.id is None else row.id
+                items.append(CheckedItem(f"{row.split} {number}", report))
         else:
             try:
                 report = inspect(read_mesh(path), profile)

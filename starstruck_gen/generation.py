@@ -230,20 +230,20 @@ def forecast(
     plan = plan_build(spec, splits)
     require_feasible(spec.scene, spec.seed, on_failure)
     first = plan.tasks[0].shard.split
-    return forecast_build(out, plan, workers, lambda: _measure(spec, first), overwrite=overwrite)
 
-
-def _measure(spec: GenerateSpec, split: str) -> Sample:
     def encoded_bytes(count: int) -> int:
-        rows = make_rows(spec.scene, split, spec.seed, 0, count)
+        rows = make_rows(spec.scene, first, spec.seed, 0, count)
         require_sound(spec.scene, rows)
         return len(encode_parquet(scene_table(rows), PARQUET_STYLE))
 
-    encoded_bytes(1)  # the first scene pays for imports and for the solids of the shapes
-    sampled = min(_SAMPLED, spec.rows(split))
-    start_s = time.perf_counter()
-    size = encoded_bytes(sampled)
-    return Sample(sampled, size / sampled, (time.perf_counter() - start_s) / sampled)
+    def measure() -> Sample:
+        encoded_bytes(1)  # the first scene pays for imports and for the solids of the shapes
+        sampled = min(_SAMPLED, spec.rows(first))
+        start_s = time.perf_counter()
+        size = encoded_bytes(sampled)
+        return Sample(sampled, size / sampled, (time.perf_counter() - start_s) / sampled)
+
+    return forecast_build(out, plan, workers, measure, overwrite=overwrite)
 
 
 @dataclass(frozen=True, slots=True)

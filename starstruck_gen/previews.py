@@ -74,36 +74,36 @@ def plan_previews(name: str, spec: PreviewSpec) -> PicturePlan:
     opened: MeshPreviews[SceneMeshDataset] = MeshPreviews(KIND, name, spec)
     made_by = SceneSpec.from_dict(opened.made_by["scene"]) if opened.made_by else None
     known = any(dataset[0].has_placements for dataset in opened.datasets.values())
+
+    def scene(split: str, record: SceneRecord) -> PlannedPicture:
+        view = "with rejected positions" if record.has_placements and made_by is not None else "from above"
+        title = f"Scene {record.id} ({opened.stem}, {split})"
+        return PlannedPicture(
+            f"{opened.stem}-{split}-{record.id}-scene.png",
+            f"scene {record.id} {view}, and obliquely",
+            partial(draw_one, record=record, spec=made_by, title=title),
+        )
+
+    def counts(split: str, dataset: SceneMeshDataset) -> list[Bars]:
+        bars = [class_bars(split, dataset, "scenes", "stars")]
+        if dataset[0].has_placements:
+            others = np.bincount(dataset.column("distractor_count"))
+            names = tuple(map(str, range(len(others))))
+            heading = f"{split}: other objects"
+            bars.append(Bars(heading, names, tuple(others.tolist()), "other objects", "scenes"))
+        return bars
+
     plans = {
         "sheet": lambda: opened.plan_sheets(
             lambda rows, title: draw_sheet(list(rows), made_by or SceneSpec(), spec.per_class, title)
         ),
-        "scene": lambda: [_plan_scene(opened.stem, split, each, made_by) for split, each in opened.records],
+        "scene": lambda: [scene(split, each) for split, each in opened.records],
         "histogram": lambda: opened.plan_histogram(
-            lambda: [bars for split, rows in opened.datasets.items() for bars in _counts(split, rows)],
+            lambda: [bars for split, rows in opened.datasets.items() for bars in counts(split, rows)],
             " and number of others" if known else "",
         ),
     }
     return opened.plan(plans, ("sheet", "histogram"), "scene")
-
-
-def _plan_scene(stem: str, split: str, record: SceneRecord, made_by: SceneSpec | None) -> PlannedPicture:
-    traceable = record.has_placements and made_by is not None
-    view = "with rejected positions" if traceable else "from above"
-    draw = partial(draw_one, record=record, spec=made_by, title=f"Scene {record.id} ({stem}, {split})")
-    return PlannedPicture(
-        f"{stem}-{split}-{record.id}-scene.png", f"scene {record.id} {view}, and obliquely", draw
-    )
-
-
-def _counts(split: str, dataset: SceneMeshDataset) -> list[Bars]:
-    bars = [class_bars(split, dataset, "scenes", "stars")]
-    if dataset[0].has_placements:
-        others = np.bincount(dataset.column("distractor_count"))
-        names = tuple(map(str, range(len(others))))
-        heading = f"{split}: other objects"
-        bars.append(Bars(heading, names, tuple(others.tolist()), "other objects", "scenes"))
-    return bars
 
 
 def draw_sheet(records: Sequence[SceneRecord], spec: SceneSpec, per_row: int, title: str) -> Drawing:
@@ -185,23 +185,16 @@ def draw_trace(
             box = (x - radius, y - radius, x + radius, y + radius)
             pen.ellipse(box, outline=_AREA, width=SUPERSAMPLING)
     for lost in sorted(rejected, key=lambda each: not each.given_up):
-        _mark_rejected(picture, lost, scale)
+        colour = _AREA if lost.given_up else REJECTED
+        if not lost.given_up:
+            for ring in outline(lost.candidate.shape):
+                edge = corners_px(ring, lost.candidate, picture.size, scale)
+                pen.line([*edge, edge[0]], fill=colour, width=SUPERSAMPLING)
+        x, y = centre_px(lost.candidate, picture.size, scale)
+        for slope in (1, -1):
+            line = (x - _CROSS, y - slope * _CROSS, x + _CROSS, y + slope * _CROSS)
+            pen.line(line, fill=colour, width=2 * SUPERSAMPLING)
     return reduced(picture)
-
-
-def _mark_rejected(picture: Image, lost: Rejected, px_per_m: float) -> None:
-    from PIL import ImageDraw
-
-    pen = ImageDraw.Draw(picture)
-    colour = _AREA if lost.given_up else REJECTED
-    if not lost.given_up:
-        for ring in outline(lost.candidate.shape):
-            corners = corners_px(ring, lost.candidate, picture.size, px_per_m)
-            pen.line([*corners, corners[0]], fill=colour, width=SUPERSAMPLING)
-    x, y = centre_px(lost.candidate, picture.size, px_per_m)
-    for slope in (1, -1):
-        line = (x - _CROSS, y - slope * _CROSS, x + _CROSS, y + slope * _CROSS)
-        pen.line(line, fill=colour, width=2 * SUPERSAMPLING)
 
 
 def _from_above(record: SceneRecord, spec: SceneSpec, px_per_mm: float) -> NDArray[np.uint8]:

@@ -99,7 +99,11 @@ def scene_table(rows: SceneRows) -> Any:
     """Pack rows into an Arrow table of :func:`scene_schema`."""
     import pyarrow as pa
 
-    scenes = rows.scenes
+    scenes, kind = rows.scenes, _placement_type()
+    ends = np.cumsum([0, *(len(scene.placements) for scene in scenes)])
+    fields = zip(*(placement for scene in scenes for placement in scene.placements), strict=True)
+    values = [pa.array(field, each.type) for field, each in zip(fields, kind, strict=True)]
+    objects = pa.StructArray.from_arrays(values, fields=list(kind))
     columns = [
         pa.array(rows.ids, pa.int64()),
         pa.array(rows.labels, pa.int64()),
@@ -107,7 +111,7 @@ def scene_table(rows: SceneRows) -> Any:
         ragged_array(rows.meshes.faces, pa.int32()),
         pa.array([scene.star_count for scene in scenes], pa.int64()),
         pa.array([scene.distractor_count for scene in scenes], pa.int64()),
-        _placements_array([scene.placements for scene in scenes]),
+        pa.ListArray.from_arrays(pa.array(ends, pa.int32()), objects, type=pa.list_(kind)),
         pa.array(rows.seeds, pa.int64()),
         pa.array([scene.attempts for scene in scenes], pa.list_(pa.int32())),
         pa.array([scene.restarts for scene in scenes], pa.int32()),
@@ -122,16 +126,6 @@ def _placement_type() -> Any:
     return pa.struct([("shape", pa.string()), *numbers])
 
 
-def _placements_array(layouts: Sequence[Sequence[Placement]]) -> Any:
-    import pyarrow as pa
-
-    offsets = np.cumsum([0, *map(len, layouts)])
-    fields = zip(*(placement for layout in layouts for placement in layout), strict=True)
-    columns = [pa.array(values, kind.type) for values, kind in zip(fields, _placement_type(), strict=True)]
-    objects = pa.StructArray.from_arrays(columns, fields=list(_placement_type()))
-    return pa.ListArray.from_arrays(pa.array(offsets, pa.int32()), objects, type=pa.list_(_placement_type()))
-
-
 def require_sound(spec: SceneSpec, rows: SceneRows) -> None:
     """Prove rows before they are written; raises IntegrityError naming a scene that breaks a promise.
 
@@ -141,7 +135,7 @@ def require_sound(spec: SceneSpec, rows: SceneRows) -> None:
     validate`` proves the same from the stored triangles.
     """
     for number, (scene, label) in enumerate(zip(rows.scenes, rows.labels, strict=True)):
-        wrong = _miscounted(spec, scene, label) or _misplaced(spec, scene)
+        wrong = _broken_promise(spec, scene, label)
         if wrong is not None:
             raise _broken(rows.ids[number], wrong)
     turned = _turned_scene(rows)
@@ -149,16 +143,12 @@ def require_sound(spec: SceneSpec, rows: SceneRows) -> None:
         raise _broken(rows.ids[turned], "rounding to float32 turned a triangle over")
 
 
-def _miscounted(spec: SceneSpec, scene: Scene, label: int) -> str | None:
+def _broken_promise(spec: SceneSpec, scene: Scene, label: int) -> str | None:
+    """Hold a scene to its number of stars, the valid area and the collision rule."""
     stars = sum(placement.is_star for placement in scene.placements)
-    if stars == scene.star_count == spec.stars[label]:
-        return None
-    return (
-        f"{stars} stars stand there, {scene.star_count} are declared, class {label} has {spec.stars[label]}"
-    )
-
-
-def _misplaced(spec: SceneSpec, scene: Scene) -> str | None:
+    if not stars == scene.star_count == spec.stars[label]:
+        declared = f"{scene.star_count} are declared, class {label} has {spec.stars[label]}"
+        return f"{stars} stars stand there, {declared}"
     half_x_m, half_y_m = spec.half_area_m
     for placement in scene.placements:
         if abs(placement.x_m) > half_x_m or abs(placement.y_m) > half_y_m:

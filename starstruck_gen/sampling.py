@@ -213,7 +213,13 @@ def _scene(
     reached: list[int] = []
     hopeless = False
     while not hopeless and len(reached) <= spec.restarts:
-        placements = _layout(spec, shapes, uniform, attempts, clear)
+        placements: list[Placement] = []
+        for number, shape in enumerate(shapes):
+            placement, tried = _place(spec, shape, placements, uniform, clear)
+            attempts[number] += tried
+            if placement is None:
+                break
+            placements.append(placement)
         if len(placements) == len(shapes):
             return Scene(star_count, tuple(placements), tuple(attempts), len(reached))
         reached.append(len(placements))
@@ -233,20 +239,6 @@ def _scene(
 
 def _area_mm(spec: SceneSpec) -> tuple[float, float]:
     return (2 * MM_PER_M * spec.half_area_m[0], 2 * MM_PER_M * spec.half_area_m[1])
-
-
-def _layout(
-    spec: SceneSpec, shapes: list[Shape], uniform: Uniform, attempts: list[int], clear: Clear
-) -> list[Placement]:
-    """Place objects one after another until all stand or one finds no position; count positions drawn."""
-    placed: list[Placement] = []
-    for number, shape in enumerate(shapes):
-        placement, tried = _place(spec, shape, placed, uniform, clear)
-        attempts[number] += tried
-        if placement is None:
-            break
-        placed.append(placement)
-    return placed
 
 
 def _place(

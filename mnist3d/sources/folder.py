@@ -100,7 +100,17 @@ class FolderSource:
         pictures = self._pictures()
         total = hashlib.sha256()
         for picture in pictures:
-            total.update(_digest(self.root, picture.name))
+            path = Path(self.root, picture.name)
+            try:
+                with path.open("rb") as stream:
+                    content = hashlib.file_digest(stream, "sha256").digest()
+                    size = stream.tell()
+            except OSError as error:
+                message = (
+                    f"{path}: cannot be opened ({error.strerror}), expected a picture; next: check the file"
+                )
+                raise InputError(message) from error
+            total.update(b"%s\0%d\0%s" % (os.fsencode(picture.name), size, content))
         return {"name": self.name, "ink": self.ink, "images": len(pictures), "sha256": total.hexdigest()}
 
     def _pictures(self) -> tuple[_Picture, ...]:
@@ -119,18 +129,6 @@ class _Picture(NamedTuple):
     writer: int
 
 
-def _digest(root: str, name: str) -> bytes:
-    path = Path(root, name)
-    try:
-        with path.open("rb") as stream:
-            content = hashlib.file_digest(stream, "sha256").digest()
-            size = stream.tell()
-    except OSError as error:
-        message = f"{path}: cannot be opened ({error.strerror}), expected a picture; next: check the file"
-        raise InputError(message) from error
-    return b"%s\0%d\0%s" % (os.fsencode(name), size, content)
-
-
 @lru_cache(maxsize=4)
 def _listing(root: str, stamps: tuple[int, ...]) -> tuple[_Picture, ...]:
     folders, files = _visible(root, "")
@@ -141,7 +139,16 @@ def _listing(root: str, stamps: tuple[int, ...]) -> tuple[_Picture, ...]:
             "next: rename them or move them away"
         )
         raise InputError(message)
-    found = [_Picture(label, name, _writer(name)) for name, label in _labels(root, files).items()]
+    matches = {name: _LABEL.search(name) for name in files}
+    unlabelled = [name for name, match in matches.items() if match is None]
+    if unlabelled:
+        message = (
+            f"{root}: found pictures without a digit in their names: {_some(unlabelled)}, expected names "
+            "with label<digit> such as a_label7_b.png; next: rename them or sort them into folders named 0 "
+            "to 9"
+        )
+        raise InputError(message)
+    found = [_Picture(int(match[1]), name, _writer(name)) for name, match in matches.items() if match]
     for folder in folders:
         inner, names = _visible(root, folder)
         if inner:
@@ -178,19 +185,6 @@ def _visible(root: str, folder: str) -> tuple[list[str], list[str]]:
         )
         raise InputError(message) from error
     return sorted(folders), sorted(files)
-
-
-def _labels(root: str, names: list[str]) -> dict[str, int]:
-    matches = {name: _LABEL.search(name) for name in names}
-    unlabelled = [name for name, match in matches.items() if match is None]
-    if unlabelled:
-        message = (
-            f"{root}: found pictures without a digit in their names: {_some(unlabelled)}, expected names "
-            "with label<digit> such as a_label7_b.png; next: rename them or sort them into folders named 0 "
-            "to 9"
-        )
-        raise InputError(message)
-    return {name: int(match[1]) for name, match in matches.items() if match}
 
 
 def _writer(name: str) -> int:

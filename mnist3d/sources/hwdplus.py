@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from functools import lru_cache
 from math import prod
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -276,7 +276,28 @@ def open_npy(path: str) -> NpyFile:
 @lru_cache(maxsize=8)
 def _checked(path: str, size: int, time_ns: int) -> NpyFile:
     with Path(path).open("rb") as stream:
-        shape, fortran, dtype = _header(stream, path)
+        start = stream.read(len(_MAGIC))
+        if start != _MAGIC:
+            message = (
+                f"{path}: is not a .npy file, found {start!r} at its start, expected {_MAGIC!r}; "
+                "next: give a file written by numpy.save"
+            )
+            raise InputError(message)
+        stream.seek(0)
+        try:
+            with warnings.catch_warnings():
+                # A file written by Python 2 reads well; that it is old is no news to its user.
+                warnings.simplefilter("ignore", UserWarning)
+                if np.lib.format.read_magic(stream) == (1, 0):
+                    shape, fortran, dtype = np.lib.format.read_array_header_1_0(stream)
+                else:
+                    shape, fortran, dtype = np.lib.format.read_array_header_2_0(stream)
+        except (ValueError, EOFError) as error:
+            message = (
+                f"{path}: the header of this .npy file is damaged ({error}), expected shape and dtype; "
+                "next: download or copy it again"
+            )
+            raise InputError(message) from error
         offset = stream.tell()
     if dtype.hasobject:
         message = (
@@ -292,27 +313,3 @@ def _checked(path: str, size: int, time_ns: int) -> NpyFile:
         )
         raise InputError(message)
     return NpyFile(path, shape, dtype, fortran, offset, (size, time_ns))
-
-
-def _header(stream: BinaryIO, path: str) -> tuple[tuple[int, ...], bool, np.dtype[Any]]:
-    start = stream.read(len(_MAGIC))
-    if start != _MAGIC:
-        message = (
-            f"{path}: is not a .npy file, found {start!r} at its start, expected {_MAGIC!r}; "
-            "next: give a file written by numpy.save"
-        )
-        raise InputError(message)
-    stream.seek(0)
-    try:
-        with warnings.catch_warnings():
-            # A file written by Python 2 reads well; that it is old is no news to its user.
-            warnings.simplefilter("ignore", UserWarning)
-            if np.lib.format.read_magic(stream) == (1, 0):
-                return np.lib.format.read_array_header_1_0(stream)
-            return np.lib.format.read_array_header_2_0(stream)
-    except (ValueError, EOFError) as error:
-        message = (
-            f"{path}: the header of this .npy file is damaged ({error}), expected shape and dtype; "
-            "next: download or copy it again"
-        )
-        raise InputError(message) from error

@@ -118,9 +118,20 @@ class MnistSource:
     def _parts(self) -> list[Part]:
         parts = []
         for prefix in _chosen(self.root, self.part):
-            images, labels = (
-                _find(self.root, prefix, kind) or _missing(self.root, prefix, kind) for kind in _KINDS
-            )
+            pair = []
+            for kind in _KINDS:
+                path = _find(self.root, prefix, kind)
+                if path is None:
+                    there = Path(self.root)
+                    names = sorted(each.name for each in there.iterdir())[:8] if there.is_dir() else None
+                    message = (
+                        f"{self.root}: found {'no such folder' if names is None else names}, expected "
+                        f"{prefix}-{kind}-{_KINDS[kind]} or the same with .gz, there or in MNIST/raw; next: "
+                        "check the folder, or fetch the files with --download"
+                    )
+                    raise InputError(message)
+                pair.append(path)
+            images, labels = pair
             parts.append(_read_pair(images, labels, _stamp(images), _stamp(labels)))
         return parts
 
@@ -203,17 +214,6 @@ def _find(root: str, prefix: str, kind: str) -> Path | None:
     return next((path for path in paths if path.is_file()), None)
 
 
-def _missing(root: str, prefix: str, kind: str) -> Path:
-    found = (
-        sorted(path.name for path in Path(root).iterdir())[:8] if Path(root).is_dir() else "no such folder"
-    )
-    message = (
-        f"{root}: found {found}, expected {prefix}-{kind}-{_KINDS[kind]} or the same with .gz, there or in "
-        "MNIST/raw; next: check the folder, or fetch the files with --download"
-    )
-    raise InputError(message)
-
-
 def _stamp(path: Path) -> tuple[int, int]:
     status = path.stat()
     return status.st_size, status.st_mtime_ns
@@ -243,7 +243,13 @@ def read_idx(path: Path, magic: int) -> NDArray[np.uint8]:
     The first number of the file must be ``magic``, whose last byte is the number of dimensions. Raises
     InputError when the file cannot be read, is damaged, cut off or too long, or is of another kind.
     """
-    data = _unpacked(path)
+    try:
+        with gzip.open(path) if path.suffix == ".gz" else path.open("rb") as stream:
+            data = stream.read()
+    except (EOFError, gzip.BadGzipFile, zlib.error) as error:
+        raise _unusable(path, f"is damaged or cut off ({error}), expected a whole gzip file") from error
+    except OSError as error:
+        raise _unusable(path, f"cannot be read ({error.strerror}), expected an IDX file") from error
     dimensions = magic & 0xFF
     start = 4 + 4 * dimensions
     if len(data) < start:
@@ -260,15 +266,3 @@ def read_idx(path: Path, magic: int) -> NDArray[np.uint8]:
 def _unusable(path: Path, story: str) -> InputError:
     """Say what is wrong with a file that has to be fetched again."""
     return InputError(f"{path}: {story}; next: remove it, then download or copy it again")
-
-
-def _unpacked(path: Path) -> bytes:
-    try:
-        if path.suffix != ".gz":
-            return path.read_bytes()
-        with gzip.open(path) as stream:
-            return stream.read()
-    except (EOFError, gzip.BadGzipFile, zlib.error) as error:
-        raise _unusable(path, f"is damaged or cut off ({error}), expected a whole gzip file") from error
-    except OSError as error:
-        raise _unusable(path, f"cannot be read ({error.strerror}), expected an IDX file") from error

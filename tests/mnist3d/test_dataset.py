@@ -103,7 +103,7 @@ def test_other_columns_are_refused(tmp_path):
 
     pq.write_table(pa.table({"id": [1], "text": ["x"]}), tmp_path / "train.parquet")
     with pytest.raises(
-        InputError, match=r"no data set of meshes: column 'label' is missing \(found id, text\)"
+        InputError, match=r"is not a data set of meshes: column 'label' is missing \(found id, text\)"
     ):
         mnist3d.load(str(tmp_path))
 
