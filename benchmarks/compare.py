@@ -28,6 +28,7 @@ from typing import Any
 
 ROOT = Path(__file__).resolve().parents[1]
 ROUNDS, TOUCHES = 3, 256
+ROUND_TRIP_S = 0.05
 Job = Callable[[Path], float]
 
 
@@ -204,7 +205,7 @@ def help_text(_: Path) -> float:
 
 
 def download(data: Path) -> float:
-    """A data set of 60 files from a Hub on 127.0.0.1; the time that passes."""
+    """A data set of 60 files from a Hub on 127.0.0.1 that answers after 50 ms; the time that passes."""
     with tempfile.TemporaryDirectory(dir=data) as home:
         os.environ.update(HF_HOME=home, TACTILE_TOOLKIT_CACHE=f"{home}/cache")
         code = (
@@ -282,9 +283,17 @@ def _longer(row: dict[str, Any], touches: int) -> dict[str, Any]:
 
 @contextmanager
 def served(data: Path) -> Iterator[dict[str, str]]:
-    """Give the settings of a client of the Hub that serves the data set to download."""
+    """Give the settings of a client of a Hub that is as far away as a real one: each answer takes its time."""
     from tests.hub_server import hub
+    from tests.hub_server import server as module
 
+    at_once = module.answer
+
+    def answer(asked: Any) -> Any:
+        time.sleep(ROUND_TRIP_S)
+        return at_once(asked)
+
+    module.answer = answer
     with hub(data / "hub") as server:
         yield {
             "HF_ENDPOINT": server.endpoint,
