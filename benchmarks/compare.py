@@ -283,7 +283,7 @@ def _longer(row: dict[str, Any], touches: int) -> dict[str, Any]:
 
 @contextmanager
 def served(data: Path) -> Iterator[dict[str, str]]:
-    """Give the settings of a client of a Hub that is as far away as a real one: each answer takes its time."""
+    """Give the settings of a client of a Hub as far away as a real one: each answer takes its time."""
     from tests.hub_server import hub
     from tests.hub_server import server as module
 
