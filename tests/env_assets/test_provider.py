@@ -168,6 +168,7 @@ def test_no_memory_keeps_nothing(assets):
     assert digits[0].mesh is not digits[0].mesh
 
 
+@pytest.mark.own_process
 @pytest.mark.parametrize("method", ["fork", "spawn"])
 @pytest.mark.filterwarnings("ignore:This process .* is multi-threaded:DeprecationWarning")
 def test_processes_see_the_same(provider, method):

@@ -132,6 +132,7 @@ def test_damage_in_a_batch_is_named(truth: list[RoundTruth], tmp_path: Path) -> 
         data.__getitems__([0, 7])
 
 
+@pytest.mark.own_process
 @pytest.mark.parametrize("method", ["fork", "spawn"])
 def test_workers_that_stay_see_the_epoch(single_folder: Path, method: str) -> None:
     from realtouch.torch import TouchStreamTensors
@@ -176,6 +177,7 @@ def test_transforms_apply(single_folder: Path) -> None:
         assert 0 <= float(image.min()) <= float(image.max()) <= 1
 
 
+@pytest.mark.own_process
 @pytest.mark.parametrize("method", ["fork", "spawn", "forkserver"])
 def test_workers_of_every_start_method(images: Any, method: str) -> None:
     _ = images[0]  # opened in the parent, too

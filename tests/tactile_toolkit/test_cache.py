@@ -129,6 +129,7 @@ def test_threads_get_one_value(tmp_path):
     assert len(set(map(id, found))) == 1
 
 
+@pytest.mark.own_process
 def test_a_copy_in_another_process_starts_empty():
     memory: MemoryCache[str, bytes] = MemoryCache(10, len)
     memory.put("a", b"1")

@@ -164,6 +164,7 @@ def _sum_in_process(dataset: ToyDataset, queue) -> None:
     queue.put(sum(record.id for record in dataset))
 
 
+@pytest.mark.own_process
 @pytest.mark.parametrize("method", ["fork", "spawn"])
 def test_reads_in_other_processes(dataset, method):
     dataset[0].points  # noqa: B018 - open in the parent first
