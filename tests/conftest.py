@@ -60,7 +60,7 @@ _OWN_PROCESS = "TESTED_IN_A_PROCESS_OF_ITS_OWN"
 
 @pytest.hookimpl(tryfirst=True)
 def pytest_pyfunc_call(pyfuncitem: pytest.Function) -> bool | None:
-    """Run a test that forks in a fresh interpreter: JAX, once any test has imported it, forbids every fork."""
+    """Run a test that forks in a fresh interpreter: JAX, once a test has imported it, forbids forks."""
     if pyfuncitem.get_closest_marker("own_process") is None or _OWN_PROCESS in os.environ:
         return None
     kept = {name: value for name, value in os.environ.items() if not name.startswith("PYTEST_")}
