@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
-import os
 import sys
 import time
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from cli.failures import EXIT_INTERRUPTED, reports_errors
-from cli.options import DryRun, Json, Limit, Quiet, Revision, Split, TouchSet, Workers, local_place
+from cli.application import command
+from cli.failures import EXIT_INTERRUPTED
+from cli.options import DryRun, Limit, Revision, Split, TouchSet, Workers, local_place, process_count
 from cli.output import Sink, bytes_text, counted, duration_text
 from tactile_toolkit.kind import DatasetKind
 
@@ -44,22 +45,28 @@ Replace = Annotated[
 ]
 
 
+@dataclass(frozen=True, slots=True)
+class Page:
+    """How a page is made."""
+
+    workers: Workers = 0
+    overwrite: Replace = False
+    dry_run: DryRun = False
+
+
 def add_mesh_gallery(app: typer.Typer, kind: DatasetKind) -> None:
     """Add ``gallery`` to the command line of a kind of meshes."""
 
-    @app.command()
-    @reports_errors
+    @command(app)
     def gallery(
+        *,
         name: Name,
         out: SiteOut = Path("gallery"),
         split: Split = None,
         per_class: PerClass = None,
         limit: Limit = None,
-        workers: Workers = 0,
-        overwrite: Replace = False,
-        dry_run: DryRun = False,
-        as_json: Json = False,
-        quiet: Quiet = False,
+        page: Page,
+        sink: Sink,
     ) -> None:
         """Make a page of thumbnails, filters and 3D views that opens without a network or a server.
 
@@ -69,17 +76,16 @@ def add_mesh_gallery(app: typer.Typer, kind: DatasetKind) -> None:
         """
         from tactile_toolkit.catalog.choose import Choice
 
-        plan = kind.plan_gallery(Choice(name, split, limit, per_class))
-        _make(Sink(as_json, quiet), plan, out, workers, overwrite=overwrite, dry_run=dry_run)
+        _make(sink, kind.plan_gallery(Choice(name, split, limit, per_class)), out, page)
 
 
 def add_touch_gallery(app: typer.Typer) -> None:
     """Add ``gallery`` to the command line of touches."""
-    app.command("gallery")(_touches)
+    command(app, "gallery")(_touches)
 
 
-@reports_errors
 def _touches(
+    *,
     name: TouchSet,
     out: SiteOut = Path("gallery"),
     split: Split = None,
@@ -89,11 +95,8 @@ def _touches(
         int, typer.Option("--touches", min=1, metavar="N", help="Most touches of a round, evenly spaced.")
     ] = _TOUCHES,
     revision: Revision = None,
-    workers: Workers = 0,
-    overwrite: Replace = False,
-    dry_run: DryRun = False,
-    as_json: Json = False,
-    quiet: Quiet = False,
+    page: Page,
+    sink: Sink,
 ) -> None:
     """Make a page of rounds: touches as a grid, clips frame by frame; no network or server is needed.
 
@@ -103,18 +106,17 @@ def _touches(
     """
     from realtouch.show.gallery import RoundChoice, plan_gallery
 
-    plan = plan_gallery(RoundChoice(name, split, limit, per_class, touches, revision))
-    _make(Sink(as_json, quiet), plan, out, workers, overwrite=overwrite, dry_run=dry_run)
+    _make(sink, plan_gallery(RoundChoice(name, split, limit, per_class, touches, revision)), out, page)
 
 
-def _make(sink: Sink, gallery: Gallery, out: Path, workers: int, *, overwrite: bool, dry_run: bool) -> None:
+def _make(sink: Sink, gallery: Gallery, out: Path, page: Page) -> None:
     """Make a gallery with progress and say what was made, or only say what would be made."""
     from tactile_toolkit.gallery.site import build_site, forecast_site
 
     nouns = gallery.nouns[1]
-    workers = workers or os.cpu_count() or 1
-    if dry_run:
-        view = forecast_site(gallery, str(out), workers, overwrite=overwrite)
+    workers = process_count(page.workers)
+    if page.dry_run:
+        view = forecast_site(gallery, str(out), workers, overwrite=page.overwrite)
         sink.document(view.to_dict())
         sink.table(("split", nouns), list(view.splits.items()))
         sink.line(
@@ -128,17 +130,17 @@ def _make(sink: Sink, gallery: Gallery, out: Path, workers: int, *, overwrite: b
     start_s = time.monotonic()
     try:
         with sink.progress("making the gallery", nouns) as update:
-            site = build_site(gallery, str(out), workers, overwrite=overwrite, on_progress=update)
+            site = build_site(gallery, str(out), workers, overwrite=page.overwrite, on_progress=update)
     except KeyboardInterrupt as error:
         sys.stderr.write(f"interrupted; nothing was left behind, {out} is as it was before\n")
         raise typer.Exit(EXIT_INTERRUPTED) from error
-    page = str(Path(site.path) / "index.html")
+    index = str(Path(site.path) / "index.html")
     made = {"items": site.items, "files": site.files, "bytes": site.bytes, "splits": site.splits}
-    sink.document({"page": page, **made})
+    sink.document({"page": index, **made})
     sink.table(("split", nouns), list(site.splits.items()))
     took = duration_text(time.monotonic() - start_s)
     sink.line(
         f"made {out} in {took}: {counted(site.items, nouns)}, {counted(site.files, 'files')}, "
         f"{bytes_text(site.bytes)}"
     )
-    sink.line(f"next: open {page} in a browser")
+    sink.line(f"next: open {index} in a browser")

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from cli.failures import reports_errors
-from cli.options import Json, Quiet, local_place
+from cli.application import command
+from cli.options import Json, local_place
 from cli.output import Sink, bytes_text, counted
 from tactile_toolkit.kind import DatasetKind
 
@@ -52,27 +52,18 @@ def listed(paths: Sequence[str]) -> str:
 
 
 def add_download(app: typer.Typer, kind: DatasetKind) -> None:
-    """Add ``download`` and ``list`` to a command line.
+    """Add ``download`` and ``list`` to the command line of a kind of data set."""
 
-    Parameters
-    ----------
-    app : typer.Typer
-        The command line.
-    kind : DatasetKind
-        The kind of data set that it is for.
-    """
-
-    @app.command()
-    @reports_errors
+    @command(app)
     def download(
+        *,
         name: Name,
         split: Splits = None,
         revision: Revision = None,
         out: OutFolder = None,
         dry_run: DryRun = False,
         yes: Yes = False,
-        as_json: Json = False,
-        quiet: Quiet = False,
+        sink: Sink,
     ) -> None:
         """Fetch a data set of the Hub, or some of its splits, and check every file.
 
@@ -81,7 +72,6 @@ def add_download(app: typer.Typer, kind: DatasetKind) -> None:
         """
         from tactile_toolkit.exchange.download import plan_download
 
-        sink = Sink(as_json, quiet)
         _refuse_other_kind(name, kind)
         plan = plan_download(
             name,
@@ -98,8 +88,7 @@ def add_download(app: typer.Typer, kind: DatasetKind) -> None:
         sink.document({**_facts(plan), "dry_run": dry_run, "folder": place or None})
         _conclude(sink, plan, place, kind)
 
-    @app.command("list")
-    @reports_errors
+    @command(app, "list")
     def list_sets(as_json: Json = False) -> None:
         """List the published data sets: what they hold, their terms, what is here, and how large they are."""
         _print_sets(Sink(as_json), kind)

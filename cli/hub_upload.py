@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import sys
+from dataclasses import asdict, dataclass
 from functools import partial
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from cli.failures import EXIT_FAILED, reports_errors
+from cli.application import command
+from cli.failures import EXIT_FAILED
 from cli.hub_download import FILES_SHOWN, listed
-from cli.options import Folder, Json, Quiet
+from cli.options import Folder
 from cli.output import Sink, bytes_text, counted
 from tactile_toolkit.kind import DatasetKind
 
@@ -40,24 +42,30 @@ DryRun = Annotated[bool, typer.Option("--dry-run", help="Say what would be sent;
 Yes = Annotated[bool, typer.Option("--yes", "-y", help="Send without asking.")]
 
 
+@dataclass(frozen=True, slots=True)
+class Sending:
+    """What the user decides of an upload; named as the fields of ``UploadOptions``."""
+
+    private: Private = False
+    revision: Revision = None
+    create_pr: CreatePr = False
+    message: Message = None
+    tag: Tag = None
+    delete: Delete = False
+
+
 def add_upload(app: typer.Typer, kind: DatasetKind) -> None:
     """Add the command ``upload`` to a command line."""
 
-    @app.command()
-    @reports_errors
+    @command(app)
     def upload(
+        *,
         folder: Folder,
         repository: Repository,
-        private: Private = False,
-        revision: Revision = None,
-        create_pr: CreatePr = False,
-        message: Message = None,
-        tag: Tag = None,
-        delete: Delete = False,
+        sending: Sending,
         dry_run: DryRun = False,
         yes: Yes = False,
-        as_json: Json = False,
-        quiet: Quiet = False,
+        sink: Sink,
     ) -> None:
         """Verify a data set folder and bring it to the Hugging Face Hub; only what is missing there is sent.
 
@@ -67,8 +75,7 @@ def add_upload(app: typer.Typer, kind: DatasetKind) -> None:
         from tactile_toolkit.exchange.upload import UploadOptions, check_folder, prepare_upload, run_upload
         from tactile_toolkit.store.folder import DataFolder
 
-        sink = Sink(as_json, quiet)
-        options = UploadOptions(private, revision, create_pr, message, tag, delete)
+        options = UploadOptions(**asdict(sending))
         require_manifest(kind, DataFolder(str(folder)))
         sink.talk(f"checking {folder}")
         check = partial(check_folder, kind)

@@ -176,7 +176,7 @@ def _range(spread: tuple[float, ...]) -> str:
 
 
 add_verify(app, KIND, "a data set folder")
-app.command("preview")(preview_digits)
+command(app, "preview")(preview_digits)
 add_card(app, KIND)
 add_upload(app, KIND)
 add_download(app, KIND)

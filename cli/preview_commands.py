@@ -8,8 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from cli.failures import reports_errors
-from cli.options import Json, Quiet, Revision, Split, TouchSet, local_place
+from cli.options import Revision, Split, TouchSet, local_place
 from cli.output import Sink, bytes_text
 
 if TYPE_CHECKING:
@@ -46,8 +45,8 @@ class DigitPicture(StrEnum):
     all = "all"
 
 
-@reports_errors
 def preview_digits(
+    *,
     path: Annotated[
         str,
         typer.Argument(
@@ -78,8 +77,7 @@ def preview_digits(
     ] = None,
     out: PictureOut = _FOLDER,
     dry_run: PictureDryRun = False,
-    as_json: Json = False,
-    quiet: Quiet = False,
+    sink: Sink,
 ) -> None:
     """Write pictures of digits as PNG, without a screen: sheets, single objects, steps, plots.
 
@@ -92,7 +90,7 @@ def preview_digits(
 
     kinds = tuple(each.value for each in kind or ())
     spec = DigitPreviewSpec(kinds, split, parse_ids("--ids", ids), per_class, images, writer_info)
-    _write(Sink(as_json, quiet), plan_previews(path, spec), out, dry_run)
+    _write(sink, plan_previews(path, spec), out, dry_run)
 
 
 class ScenePicture(StrEnum):
@@ -104,8 +102,8 @@ class ScenePicture(StrEnum):
     all = "all"
 
 
-@reports_errors
 def preview_scenes(
+    *,
     path: Annotated[
         str, typer.Argument(metavar="DIR|FILE", help="Data set folder, or Parquet file of scenes.")
     ],
@@ -120,8 +118,7 @@ def preview_scenes(
     per_class: Annotated[int, typer.Option(min=1, metavar="N", help="Scenes of each class on a sheet.")] = 8,
     out: PictureOut = _FOLDER,
     dry_run: PictureDryRun = False,
-    as_json: Json = False,
-    quiet: Quiet = False,
+    sink: Sink,
 ) -> None:
     """Write pictures of scenes as PNG, without a screen: sheets, single scenes, class counts.
 
@@ -136,7 +133,7 @@ def preview_scenes(
 
     kinds = tuple(each.value for each in kind or ())
     spec = PreviewSpec(kinds, split, parse_ids("--ids", ids), per_class)
-    _write(Sink(as_json, quiet), plan_previews(path, spec), out, dry_run)
+    _write(sink, plan_previews(path, spec), out, dry_run)
 
 
 class TouchPicture(StrEnum):
@@ -149,8 +146,8 @@ class TouchPicture(StrEnum):
     all = "all"
 
 
-@reports_errors
 def preview_touches(
+    *,
     name: TouchSet,
     kind: Annotated[
         list[TouchPicture] | None,
@@ -177,8 +174,7 @@ def preview_touches(
     ] = None,
     revision: Revision = None,
     dry_run: PictureDryRun = False,
-    as_json: Json = False,
-    quiet: Quiet = False,
+    sink: Sink,
 ) -> None:
     """Write pictures of touches as PNG, without a screen.
 
@@ -192,7 +188,7 @@ def preview_touches(
     kinds = tuple(each.value for each in kind or ())
     plan = plan_previews(name, TouchPreviewSpec(kinds, split, row, touches, touch, revision))
     place = out or (_FOLDER if kinds else Path("touches.png"))
-    _write(Sink(as_json, quiet), plan, place, dry_run)
+    _write(sink, plan, place, dry_run)
 
 
 def _write(sink: Sink, plan: PicturePlan, out: Path, dry_run: bool) -> None:

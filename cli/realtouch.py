@@ -120,7 +120,7 @@ def verify(
 
 
 add_conversions(app)
-app.command("preview")(preview_touches)
+command(app, "preview")(preview_touches)
 add_card(app, KIND)
 add_upload(app, KIND)
 add_download(app, KIND)

@@ -207,7 +207,7 @@ def trial_reporter(sink: Sink) -> Callable[[int, int], None]:
 
 
 add_verify(app, KIND, "a data set folder")
-app.command("preview")(preview_scenes)
+command(app, "preview")(preview_scenes)
 add_card(app, KIND)
 add_upload(app, KIND)
 add_download(app, KIND)
