@@ -6,6 +6,7 @@ through FFmpeg (PyAV, the extra ``video``).
 
 from __future__ import annotations
 
+import contextlib
 import operator
 from collections.abc import Callable, Iterator, Sequence
 from typing import TYPE_CHECKING, Any, TypeVar
@@ -145,11 +146,11 @@ class TouchClip(Sequence[Pixels]):
 
     def __iter__(self) -> Iterator[dict[str, Any]]:  # type: ignore[override]
         """Yield ``{"data", "pts"}``: a (3, H, W) uint8 tensor (without torch an array), and seconds."""
-        to_data: Callable[[Pixels], Any]
-        try:
-            from torch import from_numpy as to_data
-        except ImportError:
-            to_data = np.asarray
+        to_data: Callable[[Pixels], Any] = np.asarray
+        with contextlib.suppress(ImportError):
+            import torch
+
+            to_data = torch.from_numpy
         for frame, time_s in enumerate(self.media_times_s):
             pixels = np.ascontiguousarray(self[frame].transpose(2, 0, 1))
             yield {"data": to_data(pixels), "pts": float(time_s)}
