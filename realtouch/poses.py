@@ -4,13 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import Any, overload
+from typing import TYPE_CHECKING, Any, overload
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
-from scipy.spatial.transform import RigidTransform, Rotation
+from numpy.typing import NDArray
 
-__all__ = ["Pose", "PoseSequences", "Poses", "angle_of", "bad_pose", "rigid_transform"]
+if TYPE_CHECKING:
+    from scipy.spatial.transform import Rotation
+
+    from realtouch.pose import Pose
+
+__all__ = ["PoseSequences", "Poses", "bad_pose", "rigid_transform"]
 
 _SHORTEST_QUATERNION = 1e-6
 
@@ -65,6 +69,8 @@ class Poses(Sequence["Pose"]):
     @property
     def rotation(self) -> Rotation:
         """All orientations as one rotation of length n."""
+        from scipy.spatial.transform import Rotation
+
         return Rotation.from_quat(np.array(self.quaternion))
 
     @property
@@ -135,6 +141,8 @@ class PoseSequences(Sequence[Poses]):
 
 def rigid_transform(position_m: NDArray[Any], quaternion: NDArray[Any]) -> Pose:
     """Make rigid transforms of positions (..., 3) in metres and quaternions (..., 4) x, y, z, w."""
+    from realtouch.pose import Pose
+
     return Pose.of(position_m, quaternion)
 
 
@@ -155,94 +163,3 @@ def bad_pose(position_m: NDArray[Any], quaternion: NDArray[Any]) -> tuple[int, s
         found = f"position {position_m[index]}, quaternion {quaternion[index]}"
         return index, f"a pose that is not finite: {found}"
     return index, f"a quaternion of length {float(np.sqrt(norms[index])):.3g}; expected length one"
-
-
-class Pose(RigidTransform):
-    """One rigid transform, or several: scipy's, with the attributes of the published type beside its own.
-
-    ``translation``, ``rotation`` and ``single`` mean the same in both. ``inv`` is the inverse, as published;
-    ``inv()`` gives the same, as in scipy. Positions are metres.
-    """
-
-    @classmethod
-    def of(cls, position_m: NDArray[Any], quaternion: NDArray[Any]) -> Pose:
-        """Make poses of positions (..., 3) in metres and quaternions (..., 4) x, y, z, w."""
-        rotation = Rotation.from_quat(np.array(quaternion))  # a copy: scipy takes no empty read-only view
-        matrix = np.zeros((*np.shape(position_m)[:-1], 4, 4))
-        matrix[..., :3, :3], matrix[..., :3, 3], matrix[..., 3, 3] = rotation.as_matrix(), position_m, 1.0
-        made = cls(matrix, normalize=False, copy=False)
-        # Kept: quaternions of opposite sign are one rotation; a matrix does not tell which was stored.
-        made._rotation = rotation
-        return made
-
-    _rotation: Rotation | None = None
-
-    @property
-    def rotation(self) -> Rotation:
-        """Orientation."""
-        return super().rotation if self._rotation is None else self._rotation
-
-    @property
-    def matrix(self) -> NDArray[np.float64]:
-        """Homogeneous matrix, shape (4, 4), or (n, 4, 4) of several."""
-        return np.asarray(self.as_matrix())
-
-    @property
-    def quaternion(self) -> NDArray[np.float64]:
-        """Orientation x, y, z, w of length one, shape (4,) or (n, 4)."""
-        return np.asarray(self.rotation.as_quat())
-
-    @property
-    def rotvec(self) -> NDArray[np.float64]:
-        """Orientation as axis times angle, radians, shape (3,) or (n, 3)."""
-        return np.asarray(self.rotation.as_rotvec())
-
-    @property
-    def angle(self) -> NDArray[np.float64]:
-        """Angle of the rotation, radians, 0 to pi."""
-        return angle_of(self.quaternion)
-
-    @property
-    def inv(self) -> InversePose:
-        """Inverse; may be called for the same, as scipy's method is."""
-        return InversePose(super().inv().as_matrix(), normalize=False)
-
-    def to_dict(self) -> dict[str, list[Any]]:
-        """Return ``translation`` and ``rotation`` (x, y, z, w) as lists."""
-        return {"translation": self.translation.tolist(), "rotation": self.quaternion.tolist()}
-
-    def transform(self, other: RigidTransform | ArrayLike, inverse: bool = False) -> Any:
-        """Apply to a pose, which gives a :class:`Pose`, or to positions, shape (3,) or (n, 3), metres."""
-        if not isinstance(other, RigidTransform):
-            return self.apply(np.array(other), inverse=inverse)  # a copy: scipy takes no read-only view
-        first: RigidTransform = super().inv() if inverse else self
-        return Pose(RigidTransform.__mul__(first, other).as_matrix(), normalize=False)
-
-    def __mul__(self, other: Any) -> Any:
-        return self.transform(other)
-
-    def __matmul__(self, other: Any) -> Any:
-        return self.transform(other)
-
-    def __getitem__(self, index: Any) -> Pose:
-        return Pose(super().__getitem__(index).as_matrix(), normalize=False)
-
-    def __setitem__(self, index: Any, value: RigidTransform) -> None:
-        super().__setitem__(index, value)
-        self._rotation = None
-
-    def __reduce__(self) -> tuple[Any, ...]:
-        return (Pose.of, (self.translation, self.quaternion))
-
-
-class InversePose(Pose):
-    """An inverse, which was asked for as an attribute or by a call."""
-
-    def __call__(self) -> Pose:
-        return Pose(self.as_matrix(), normalize=False)
-
-
-def angle_of(quaternion: NDArray[Any]) -> NDArray[np.float64]:
-    """Return the angle of rotations given as x, y, z, w, shape (..., 4): radians, shape (...,), 0 to pi."""
-    sine, cosine = np.linalg.norm(quaternion[..., :3], axis=-1), np.abs(quaternion[..., 3])
-    return np.asarray(2.0 * np.arctan2(sine, cosine))

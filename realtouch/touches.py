@@ -25,7 +25,7 @@ from tactile_toolkit.touch.jpeg import Pixels, room_for
 from tactile_toolkit.touch.schema import Kind
 
 if TYPE_CHECKING:
-    from realtouch.poses import Pose
+    from realtouch.pose import Pose
 
 __all__ = ["Touch", "Touches"]
 

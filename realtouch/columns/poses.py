@@ -21,7 +21,7 @@ from tactile_toolkit.read.dataset import Row
 from tactile_toolkit.touch.schema import PLATE_COLUMN, Kind
 
 if TYPE_CHECKING:
-    from realtouch.poses import Pose
+    from realtouch.pose import Pose
 
 __all__ = [
     "clip_poses",

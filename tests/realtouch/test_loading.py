@@ -256,6 +256,20 @@ def test_import_is_quick_and_light() -> None:
     assert run.stdout.strip() == ""
 
 
+def test_touches_and_conversions_import_no_geometry(seq_folder: Path, tmp_path: Path) -> None:
+    """Poses are arrays until a transform is asked for: scipy costs more to import than a conversion."""
+    code = (
+        "import sys, realtouch\n"
+        "touch = realtouch.load(sys.argv[1]).touches()[0]\n"
+        "touch.image, touch.label\n"
+        "realtouch.to_single(sys.argv[1], sys.argv[2])\n"
+        "assert 'scipy' not in sys.modules\n"
+        "touch.gel_pose\n"
+        "assert 'scipy.spatial' in sys.modules"
+    )
+    subprocess.run([sys.executable, "-c", code, str(seq_folder), str(tmp_path / "single")], check=True)
+
+
 def test_public_names_exist() -> None:
     for name in realtouch.__all__:
         for _ in range(2):  # a module of the same name must not take the place of a function

@@ -1,0 +1,106 @@
+"""Rigid transforms that also answer to the names of the published poses (package `transformation3d`).
+
+In a file of its own: scipy.spatial takes longer to import than a conversion of a small set to run.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.spatial.transform import RigidTransform, Rotation
+
+__all__ = ["InversePose", "Pose", "angle_of"]
+
+
+class Pose(RigidTransform):
+    """One rigid transform, or several: scipy's, with the attributes of the published type beside its own.
+
+    ``translation``, ``rotation`` and ``single`` mean the same in both. ``inv`` is the inverse, as published;
+    ``inv()`` gives the same, as in scipy. Positions are metres.
+    """
+
+    @classmethod
+    def of(cls, position_m: NDArray[Any], quaternion: NDArray[Any]) -> Pose:
+        """Make poses of positions (..., 3) in metres and quaternions (..., 4) x, y, z, w."""
+        rotation = Rotation.from_quat(np.array(quaternion))  # a copy: scipy takes no empty read-only view
+        matrix = np.zeros((*np.shape(position_m)[:-1], 4, 4))
+        matrix[..., :3, :3], matrix[..., :3, 3], matrix[..., 3, 3] = rotation.as_matrix(), position_m, 1.0
+        made = cls(matrix, normalize=False, copy=False)
+        # Kept: quaternions of opposite sign are one rotation; a matrix does not tell which was stored.
+        made._rotation = rotation
+        return made
+
+    _rotation: Rotation | None = None
+
+    @property
+    def rotation(self) -> Rotation:
+        """Orientation."""
+        return super().rotation if self._rotation is None else self._rotation
+
+    @property
+    def matrix(self) -> NDArray[np.float64]:
+        """Homogeneous matrix, shape (4, 4), or (n, 4, 4) of several."""
+        return np.asarray(self.as_matrix())
+
+    @property
+    def quaternion(self) -> NDArray[np.float64]:
+        """Orientation x, y, z, w of length one, shape (4,) or (n, 4)."""
+        return np.asarray(self.rotation.as_quat())
+
+    @property
+    def rotvec(self) -> NDArray[np.float64]:
+        """Orientation as axis times angle, radians, shape (3,) or (n, 3)."""
+        return np.asarray(self.rotation.as_rotvec())
+
+    @property
+    def angle(self) -> NDArray[np.float64]:
+        """Angle of the rotation, radians, 0 to pi."""
+        return angle_of(self.quaternion)
+
+    @property
+    def inv(self) -> InversePose:
+        """Inverse; may be called for the same, as scipy's method is."""
+        return InversePose(super().inv().as_matrix(), normalize=False)
+
+    def to_dict(self) -> dict[str, list[Any]]:
+        """Return ``translation`` and ``rotation`` (x, y, z, w) as lists."""
+        return {"translation": self.translation.tolist(), "rotation": self.quaternion.tolist()}
+
+    def transform(self, other: RigidTransform | ArrayLike, inverse: bool = False) -> Any:
+        """Apply to a pose, which gives a :class:`Pose`, or to positions, shape (3,) or (n, 3), metres."""
+        if not isinstance(other, RigidTransform):
+            return self.apply(np.array(other), inverse=inverse)  # a copy: scipy takes no read-only view
+        first: RigidTransform = super().inv() if inverse else self
+        return Pose(RigidTransform.__mul__(first, other).as_matrix(), normalize=False)
+
+    def __mul__(self, other: Any) -> Any:
+        return self.transform(other)
+
+    def __matmul__(self, other: Any) -> Any:
+        return self.transform(other)
+
+    def __getitem__(self, index: Any) -> Pose:
+        return Pose(super().__getitem__(index).as_matrix(), normalize=False)
+
+    def __setitem__(self, index: Any, value: RigidTransform) -> None:
+        super().__setitem__(index, value)
+        self._rotation = None
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return (Pose.of, (self.translation, self.quaternion))
+
+
+class InversePose(Pose):
+    """An inverse, which was asked for as an attribute or by a call."""
+
+    def __call__(self) -> Pose:
+        """Return the inverse as a plain pose."""
+        return Pose(self.as_matrix(), normalize=False)
+
+
+def angle_of(quaternion: NDArray[Any]) -> NDArray[np.float64]:
+    """Return the angle of rotations given as x, y, z, w, shape (..., 4): radians, shape (...,), 0 to pi."""
+    sine, cosine = np.linalg.norm(quaternion[..., :3], axis=-1), np.abs(quaternion[..., 3])
+    return np.asarray(2.0 * np.arctan2(sine, cosine))
