@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from cli.options import Making
-from cli.output import Sink, bytes_text, duration_text
+from cli.output import Sink, bytes_text, counted, duration_text
 from tactile_toolkit.kind import DatasetKind
 
 if TYPE_CHECKING:
@@ -23,10 +23,11 @@ __all__ = ["Made", "make_with_progress", "print_conclusion", "print_forecast"]
 
 @dataclass(frozen=True, slots=True)
 class Made:
-    """A finished run: its manifest, how many items it made, and how long it took."""
+    """A finished run: its manifest, how many rows it made, how many items gave none, and how long it took."""
 
     manifest: Manifest
-    items: int
+    rows: int
+    skipped: int
     elapsed_s: float
 
 
@@ -35,22 +36,27 @@ def make_with_progress(
 ) -> Made:
     """Run ``make`` with a progress bar; it takes the function that is called after each shard."""
     start_s = time.monotonic()
-    items = 0
+    rows = skipped = 0
     with sink.progress(what, unit) as update:
 
         def on_progress(progress: Progress) -> None:
-            nonlocal items
-            items = progress.done
+            nonlocal rows, skipped
+            if progress.record is not None:
+                rows += progress.record.rows
+                skipped += len(progress.record.skipped)
             update(progress.done, progress.total)
 
         manifest = make(on_progress)
-    return Made(manifest, items, time.monotonic() - start_s)
+    return Made(manifest, rows, skipped, time.monotonic() - start_s)
 
 
 def print_conclusion(sink: Sink, kind: DatasetKind, made: Made, out: Path, splits: Sequence[str]) -> None:
     """Say what was made and where, and which commands come next."""
-    done = f"made {made.items:,} {kind.nouns} in {duration_text(made.elapsed_s)}"
-    sink.line(f"{done if made.items else 'nothing was left to make'}; the data set is in {out}")
+    done = "nothing was left to make"
+    if made.rows or made.skipped:
+        left_out = f", {made.skipped:,} left out," if made.skipped else ""
+        done = f"made {counted(made.rows, kind.nouns)}{left_out} in {duration_text(made.elapsed_s)}"
+    sink.line(f"{done}; the data set is in {out}")
     table = made.manifest.split_table()
     split = next((name for name in splits if name in table and table[name]["rows"]), splits[0])
     sink.line(
@@ -69,7 +75,7 @@ def print_forecast(sink: Sink, kind: DatasetKind, view: Forecast, out: Path, mak
         held = f"{sum(view.replaced.values()):,} rows ({parts})" if parts else "no rows"
         sink.line(f"would replace the data set in {out}: {held}")
     sink.line(
-        f"would make {view.rows_to_make:,} {kind.nouns} in {out}: about {bytes_text(view.bytes)} of Parquet, "
-        f"about {duration_text(view.seconds)} with {making.processes} workers (measured on {view.sampled} "
-        f"{kind.nouns}); nothing was written"
+        f"would make {counted(view.rows_to_make, kind.nouns)} in {out}: about {bytes_text(view.bytes)} of "
+        f"Parquet, about {duration_text(view.seconds)} with {counted(making.processes, 'workers')} (measured "
+        f"on {counted(view.sampled, kind.nouns)}); nothing was written"
     )

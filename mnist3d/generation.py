@@ -24,7 +24,7 @@ from tactile_toolkit.store.manifest import Manifest
 from tactile_toolkit.store.parquet import encode_parquet
 from tactile_toolkit.store.plan import BuildPlan, ShardContent, require_known_splits
 from tactile_toolkit.store.shards import ShardName, Skipped, shard_ranges
-from tactile_toolkit.wording import positive_or_none
+from tactile_toolkit.wording import counted, positive_or_none
 
 __all__ = ["DigitRecipe", "DigitShard", "GenerateSpec", "forecast", "generate", "make_row", "plan_build"]
 
@@ -224,18 +224,25 @@ def forecast(
 
     def measure() -> Sample:
         rows = []
+        failures: list[ItemError] = []
         start_s = 0.0
         for count, digit_id in enumerate(sample):
             try:
                 rows.append(make_row(digit_id, spec)[0])
-            except ItemError:
-                continue
+            except ItemError as error:
+                failures.append(error)
             finally:
                 # The first digit pays for the imports.
                 start_s = time.perf_counter() if count == 0 else start_s
+        if not rows:
+            message = (
+                f"none of {counted(len(sample), 'digits')} that were tried gives a solid; the first: "
+                f"{failures[0].message}; nothing was written; next: mend the source, or choose another one"
+            )
+            raise InputError(message)
         size = len(encode_parquet(mesh_table(rows, spec.source.name), PARQUET_STYLE))
         elapsed_s = time.perf_counter() - start_s
-        return Sample(len(sample), size / max(1, len(rows)), elapsed_s / max(1, len(sample) - 1))
+        return Sample(len(rows), size / len(rows), elapsed_s / max(1, len(sample) - 1))
 
     return forecast_build(out, plan, workers, measure, overwrite=overwrite)
 

@@ -23,7 +23,7 @@ from tactile_toolkit.read.parquet import Shard
 from tactile_toolkit.store.folder import DataFolder
 from tactile_toolkit.store.parquet import ParquetStyle
 from tactile_toolkit.store.plan import BuildPlan, ShardContent
-from tactile_toolkit.store.shards import ShardName, ShardRecord, Skipped
+from tactile_toolkit.store.shards import DAMAGED, ShardName, ShardRecord, Skipped
 from tactile_toolkit.touch.schema import (
     MEDIA_COLUMN,
     Kind,
@@ -189,7 +189,7 @@ class _ConvertShard:
             try:
                 tables.append(self.step.apply(row, choice, self.shard.split).cast(self.schema))
             except IntegrityError as error:
-                skipped.append(Skipped(choice.row, "damaged", str(error)))
+                skipped.append(Skipped(choice.row, DAMAGED, str(error)))
             except ItemError as error:
                 skipped.append(Skipped(choice.row, error.reason, error.message))
         return ShardContent(pa.concat_tables(tables).combine_chunks(), tuple(skipped))
@@ -248,5 +248,4 @@ def plan_conversion(conversion: Conversion) -> BuildPlan:
         ParquetStyle(per_group, compression_level=3, encodings=encodings),
         extra_dirs=conversion.extra_dirs,
         extras_intact=conversion.extras_intact,
-        needs_rows=True,
     )

@@ -7,12 +7,12 @@ behaviour: interrupted work goes on, finished work is never made twice, another 
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import chain
 from typing import Any
 
-from tactile_toolkit.errors import IntegrityError
+from tactile_toolkit.errors import InputError, IntegrityError
 from tactile_toolkit.run.processes import Runner
 from tactile_toolkit.store.folder import DataFolder, folders_below, named_failures
 from tactile_toolkit.store.manifest import (
@@ -35,9 +35,11 @@ from tactile_toolkit.store.parquet import (
 )
 from tactile_toolkit.store.plan import BuildPlan, BuildState, ShardTask, inspect_folder
 from tactile_toolkit.store.replace import FolderBefore, FormerSet, recover
-from tactile_toolkit.store.shards import DATA_FOLDER, PENDING_FOLDER, ShardRecord
+from tactile_toolkit.store.shards import DAMAGED, DATA_FOLDER, PENDING_FOLDER, ShardRecord, Skipped
 
 __all__ = ["Progress", "build"]
+
+_CAUSES_SHOWN = 3
 
 WriteCard = Callable[[DataFolder, Manifest, Any], None]
 """Writes the card of a finished folder; the last argument is the merged report, or None without one."""
@@ -104,8 +106,8 @@ def build(
         The folder holds a data set of another specification, and ``overwrite`` is False.
     InputError
         The folder holds files that are not a data set of this toolkit.
-    IntegrityError
-        The plan needs rows, and every item was left out; the folder is as it was.
+    InputError, IntegrityError
+        Every item was left out, IntegrityError where all are damaged; the folder is as it was.
     StorageError
         The folder cannot be written, or the disk is full. Finished shards stay.
     """
@@ -125,7 +127,7 @@ def build(
             write_manifest(folder, replace(state.manifest, shards=kept, complete=False))
         records = [*state.kept, *_run(folder, plan, runner, state, on_progress, former)]
         manifest = state.manifest.with_shards(records)
-        _require_rows(plan, manifest)
+        _require_rows(records)
     except BaseException:
         _remove_stale_files(folder, plan)  # of workers that were stopped in the middle of a file
         before.restore_unless_finished(folder, plan, state)
@@ -174,14 +176,20 @@ def _run(
         yield record
 
 
-def _require_rows(plan: BuildPlan, manifest: Manifest) -> None:
-    skipped = [item for record in manifest.shards for item in record.skipped]
-    if plan.needs_rows and skipped and not any(record.rows for record in manifest.shards):
-        message = (
-            f"no row is left: all {len(skipped):,} were left out, nothing was written; the first: "
-            f"{skipped[0].message}"
-        )
-        raise IntegrityError(message)
+def _require_rows(records: Sequence[ShardRecord]) -> None:
+    """Refuse a run that left every item out: its source, not its items, is what is wrong."""
+    skipped = [item for record in records for item in record.skipped]
+    if not skipped or any(record.rows for record in records):
+        return
+    first: dict[str, Skipped] = {}
+    for item in skipped:
+        first.setdefault(item.reason, item)
+    causes = "; ".join(f"{reason}: {item.message}" for reason, item in list(first.items())[:_CAUSES_SHOWN])
+    message = (
+        f"no row is left: all {len(skipped):,} were left out, nothing was written; the first of each reason: "
+        f"{causes}; next: mend the source, or choose another one"
+    )
+    raise (IntegrityError if set(first) == {DAMAGED} else InputError)(message)
 
 
 def _merge_reports(folder: DataFolder, path: str, manifest: Manifest) -> tuple[Any, str]:

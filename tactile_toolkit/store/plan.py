@@ -82,8 +82,6 @@ class BuildPlan:
         their own.
     extras_intact : callable
         Tells whether all that a finished shard wrote into ``extra_dirs`` is still whole.
-    needs_rows : bool
-        Whether a run that leaves every item out has failed: its source, not its items, is what is wrong.
     """
 
     kind: str
@@ -94,7 +92,6 @@ class BuildPlan:
     report_file: str | None = None
     extra_dirs: tuple[str, ...] = ()
     extras_intact: Callable[[ShardRecord], bool] = field(default=lambda _: True, repr=False)
-    needs_rows: bool = False
 
     def __post_init__(self) -> None:
         # What is compared with a manifest has gone through JSON there: tuples became lists.

@@ -13,6 +13,7 @@ from typing import Any
 from tactile_toolkit.errors import InputError, IntegrityError
 
 __all__ = [
+    "DAMAGED",
     "DATA_FOLDER",
     "PENDING_FOLDER",
     "Finding",
@@ -26,6 +27,9 @@ __all__ = [
     "shard_files",
     "shard_ranges",
 ]
+
+DAMAGED = "damaged"
+"""Reason to leave an item out whose stored data is damaged."""
 
 DATA_FOLDER = "data"
 PENDING_FOLDER = ".pending"

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from PIL import Image
 
 import mnist3d
 from tests.tactile_toolkit.toy import folder_bytes
@@ -284,3 +285,36 @@ def test_the_next_step_names_a_split_that_has_rows(tmp_path, capsys):
     options = ("--split-sizes", "train=0,test=1", "--vertices", "500", "--workers", "1")
     assert call("generate", *options, "--out", tmp_path / "set") == 0
     assert "split='test'" in capsys.readouterr().out
+
+
+def pictures(folder: Path, *greys: int) -> Path:
+    """Pages for label 3: a stroke where the grey level is 0, otherwise one grey level only."""
+    (folder / "3").mkdir(parents=True)
+    for number, grey in enumerate(greys):
+        page = np.full((120, 120), grey or 255, np.uint8)
+        page[30:90, 50:70] = grey
+        Image.fromarray(page).save(folder / "3" / f"{number}.png")
+    return folder
+
+
+def test_generate_counts_what_was_made(tmp_path, capsys):
+    source = ("--source", "folder", "--images", pictures(tmp_path / "some", 0, 255, 0), "--vertices", 600)
+    sizes = ("--split", "test", "--split-sizes", "test=3", "--workers", 1)
+    assert call("generate", *source, *sizes, "--out", tmp_path / "set") == 0
+    assert "made 2 digits, 1 left out, in" in capsys.readouterr().out
+    assert json.loads((tmp_path / "set" / "manifest.json").read_text())["skipped"] == {"no-ink": 1}
+    assert call("generate", *source, *sizes, "--out", tmp_path / "set") == 0
+    assert "nothing was left to make" in capsys.readouterr().out
+
+
+def test_generate_in_which_nothing_can_be_made_is_refused(tmp_path, capsys):
+    source = ("--source", "folder", "--images", pictures(tmp_path / "none", 255, 255), "--split", "test")
+    sizes = ("--split-sizes", "test=2", "--workers", 1, "--out", tmp_path / "set")
+    assert call("generate", *source, *sizes) == 2
+    printed = capsys.readouterr()
+    assert "no row is left: all 2 were left out" in printed.err
+    assert "no-ink: digit " in printed.err
+    assert "made" not in printed.out
+    assert not (tmp_path / "set").exists()
+    assert call("generate", *source, *sizes, "--dry-run") == 2
+    assert "none of 2 digits that were tried gives a solid" in capsys.readouterr().err

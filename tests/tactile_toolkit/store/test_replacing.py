@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from tactile_toolkit.errors import InputError, IntegrityError, StorageError
+from tactile_toolkit.errors import InputError, StorageError
 from tactile_toolkit.run.processes import InlineRunner, ProcessRunner
 from tactile_toolkit.store.build import build
 from tactile_toolkit.store.folder import DataFolder, temporary_name
@@ -146,18 +146,27 @@ def test_a_set_that_cannot_be_moved_stays(finished, monkeypatch):
     assert folder_bytes(finished) == before
 
 
-def test_a_plan_that_needs_rows_fails_without_any_and_leaves_nothing(finished, tmp_path):
-    plan = replace(other_plan(), needs_rows=True)
+def test_a_run_that_leaves_everything_out_fails_and_leaves_nothing(finished, tmp_path):
+    plan = other_plan()
     empty = replace(plan, tasks=tuple(replace(task, ids=(109, 119)) for task in plan.tasks))
     before = folder_bytes(finished)
-    with pytest.raises(IntegrityError, match=r"no row is left: all 4 were left out.*109 ends with 9"):
+    with pytest.raises(InputError, match=r"no row is left: all 4 were left out.*nine: 109 ends with 9"):
         make(finished, empty, overwrite=True)
     assert folder_bytes(finished) == before
     for runner in (InlineRunner(), ProcessRunner(2)):
-        with pytest.raises(IntegrityError, match="no row is left"):
+        with pytest.raises(InputError, match="no row is left"):
             make(tmp_path / "fresh", empty, runner)
         assert not (tmp_path / "fresh").exists()
-    assert make(tmp_path / "other", replace(empty, needs_rows=False)).complete
+
+
+def test_a_split_of_which_nothing_is_left_is_refused_beside_a_finished_one(tmp_path):
+    make(tmp_path / "set", toy_plan(("train",)))
+    before = folder_bytes(tmp_path / "set")
+    plan = toy_plan(("test",))
+    nothing = replace(plan, tasks=tuple(replace(task, ids=(109, 119)) for task in plan.tasks))
+    with pytest.raises(InputError, match="no row is left"):
+        make(tmp_path / "set", nothing)
+    assert folder_bytes(tmp_path / "set") == before
 
 
 def test_a_remote_folder_is_started_again():
