@@ -1,43 +1,66 @@
-"""What all command lines have in common: how they are built, and the words that are understood everywhere."""
+"""What all command lines have in common: how they are built, the options of every command, how they end."""
 
 from __future__ import annotations
 
 import inspect
 import os
 import sys
-from collections.abc import Callable
-from dataclasses import MISSING, fields, is_dataclass
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, redirect_stderr, redirect_stdout
+from dataclasses import MISSING, dataclass, fields, is_dataclass
 from functools import wraps
-from typing import Any, TypeVar, get_type_hints
+from typing import Annotated, Any, TypeVar, get_type_hints
 
 import typer
 
-from cli.failures import DEBUG_VARIABLE, reports_errors
+from tactile_toolkit.errors import ToolkitError
 
-__all__ = ["command", "new_app", "run"]
+__all__ = ["EXIT_FAILED", "EXIT_INTERRUPTED", "command", "new_app", "run"]
+
+EXIT_FAILED = 1
+EXIT_INTERRUPTED = 130
+_EXIT_CLOSED_PIPE = 141
+"""128 and the number of SIGPIPE: what a shell tells of `cat`, `grep` and others whose reader left."""
+
+_DEBUG_VARIABLE = "TACTILE_TOOLKIT_DEBUG"
 
 F = TypeVar("F", bound=Callable[..., None])
 
 
+def _print_version(wanted: bool) -> None:
+    if wanted:
+        from tactile_toolkit.versions import toolkit_version
+
+        sys.stdout.write(f"tactile-toolkit {toolkit_version()}\n")
+        raise typer.Exit
+
+
+Debug = Annotated[bool, typer.Option("--debug", help="Show the traceback of an error.")]
+Version = Annotated[
+    bool,
+    typer.Option("--version", callback=_print_version, is_eager=True, help="Print the version and exit."),
+]
+
+
+@dataclass(frozen=True, slots=True)
+class _Everywhere:
+    """Options of every command."""
+
+    debug: Debug = False
+    version: Version = False
+
+
 def new_app(name: str, purpose: str) -> typer.Typer:
-    """Return an application without commands.
+    """Return an application without commands."""
+    app = typer.Typer(name=name, help=purpose, no_args_is_help=True, pretty_exceptions_enable=False)
 
-    ``--version`` and ``--debug`` are not options of it: :func:`run` understands them.
-    """
-    app = typer.Typer(
-        name=name,
-        help=purpose,
-        epilog="--version prints the version; --debug, at any place, shows the traceback of an error.",
-        no_args_is_help=True,
-        pretty_exceptions_enable=False,
-        add_completion=False,
-    )
-    app.callback()(_no_options)
+    def before_the_command(debug: Debug = False, version: Version = False) -> None:
+        if debug:
+            os.environ[_DEBUG_VARIABLE] = "1"
+
+    # Besides its options, this keeps the names of commands even of an application with one command.
+    app.callback()(before_the_command)
     return app
-
-
-def _no_options() -> None:
-    """Keep the names of commands on the command line, even of an application with one command."""
 
 
 def command(app: typer.Typer, name: str | None = None) -> Callable[[F], F]:
@@ -49,14 +72,14 @@ def command(app: typer.Typer, name: str | None = None) -> Callable[[F], F]:
     """
 
     def add(function: F) -> F:
-        app.command(name)(reports_errors(_with_groups(function)))
+        app.command(name)(_with_groups(function))
         return function
 
     return add
 
 
 def _with_groups(function: Callable[..., None]) -> Callable[..., None]:
-    """Return a function that takes the fields of option groups one by one."""
+    """Return a function that takes the fields of option groups one by one, and those of every command."""
     hints = get_type_hints(function, include_extras=True)
     groups: dict[str, Any] = {name: hint for name, hint in hints.items() if is_dataclass(hint)}
     parameters: list[inspect.Parameter] = []
@@ -67,12 +90,16 @@ def _with_groups(function: Callable[..., None]) -> Callable[..., None]:
             parameters.append(
                 parameter.replace(kind=parameter.KEYWORD_ONLY, annotation=hints[parameter.name])
             )
+    parameters += _parameters_of(_Everywhere)
 
     @wraps(function)
     def call(**values: Any) -> None:
-        for name, group in groups.items():
-            values[name] = group(**{field.name: values.pop(field.name) for field in fields(group)})
-        function(**values)
+        def taken(group: Any) -> Any:
+            return group(**{field.name: values.pop(field.name) for field in fields(group)})
+
+        everywhere = taken(_Everywhere)
+        with _errors_reported(everywhere.debug):
+            function(**{name: taken(group) for name, group in groups.items()}, **values)
 
     # Typer asks both; two options of one name are refused by `Signature`.
     call.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]
@@ -93,17 +120,62 @@ def _parameters_of(group: Any) -> list[inspect.Parameter]:
     ]
 
 
-def run(app: typer.Typer) -> None:
-    """Run a command line; ``--debug`` is understood at any place, ``--version`` at the first."""
-    if "--debug" in sys.argv[1:]:
-        os.environ[DEBUG_VARIABLE] = "1"
-        sys.argv = [argument for argument in sys.argv if argument != "--debug"]
-    if sys.argv[1:2] == ["--version"]:
-        from tactile_toolkit.versions import toolkit_version
+@contextmanager
+def _errors_reported(debug: bool) -> Iterator[None]:
+    """Turn the toolkit's errors into messages and exit codes, or let the traceback through."""
+    try:
+        # Besides taking a second, pyarrow's import of pandas swallows a Ctrl-C that comes during it.
+        from tactile_toolkit.run.limits import skip_pandas
 
-        sys.stdout.write(f"tactile-toolkit {toolkit_version()}\n")
-        raise SystemExit(0)
-    _dispatch(app)
+        skip_pandas()
+        yield
+    except ToolkitError as error:
+        if debug or os.environ.get(_DEBUG_VARIABLE):
+            raise
+        sys.stderr.write(f"error: {error}\n")
+        raise typer.Exit(error.exit_code) from error
+    except KeyboardInterrupt as error:
+        sys.stderr.write("interrupted; what was finished is kept, the same command goes on from there\n")
+        raise typer.Exit(EXIT_INTERRUPTED) from error
+
+
+class _Output:
+    """A standard stream whose closed pipe ends the command, quietly, as it ends other tools.
+
+    Caught here, because rich and click would each end with another exit code, and because the same error of a
+    connection to the Hub is not the end.
+    """
+
+    def __init__(self, stream: Any) -> None:
+        self._stream = stream
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._stream, name)
+
+    def write(self, text: str) -> int:
+        return int(self._unless_closed(self._stream.write, text))
+
+    def flush(self) -> None:
+        self._unless_closed(self._stream.flush)
+
+    def _unless_closed(self, act: Callable[..., Any], *arguments: str) -> Any:
+        try:
+            return act(*arguments)
+        except BrokenPipeError as error:
+            # What is left in the buffer must go somewhere when Python ends.
+            os.dup2(os.open(os.devnull, os.O_WRONLY), self._stream.fileno())
+            raise SystemExit(_EXIT_CLOSED_PIPE) from error
+
+
+def run(app: typer.Typer) -> None:
+    """Run a command line, and end the process."""
+    output: Any = _Output(sys.stdout)
+    talk: Any = _Output(sys.stderr)
+    with redirect_stdout(output), redirect_stderr(talk):
+        try:
+            _dispatch(app)
+        finally:
+            output.flush()
 
 
 def _dispatch(app: typer.Typer) -> None:
@@ -121,4 +193,4 @@ def _dispatch(app: typer.Typer) -> None:
             )
             command.main(sys.argv[2:], prog_name=f"{app.info.name} {word}")
             return
-    app()
+    app(prog_name=app.info.name)

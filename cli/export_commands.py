@@ -11,8 +11,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from cli.application import command
-from cli.failures import EXIT_FAILED
+from cli.application import EXIT_FAILED, command
 from cli.options import Json, Limit, Out, Quiet, Workers
 from cli.output import Sink, bytes_text, counted
 from tactile_toolkit.kind import DatasetKind

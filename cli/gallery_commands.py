@@ -10,8 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from cli.application import command
-from cli.failures import EXIT_INTERRUPTED
+from cli.application import EXIT_INTERRUPTED, command
 from cli.options import DryRun, Limit, Revision, Split, TouchSet, Workers, local_place, process_count
 from cli.output import Sink, bytes_text, counted, duration_text
 from tactile_toolkit.kind import DatasetKind

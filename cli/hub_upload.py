@@ -9,8 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from cli.application import command
-from cli.failures import EXIT_FAILED
+from cli.application import EXIT_FAILED, command
 from cli.hub_download import FILES_SHOWN, listed
 from cli.options import Folder
 from cli.output import Sink, bytes_text, counted

@@ -8,11 +8,10 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from cli.application import command, new_app, run
+from cli.application import EXIT_FAILED, command, new_app, run
 from cli.copies import print_copy
 from cli.digit_options import DigitSplit, DivisionOptions, SolidOptions, SourceOptions
 from cli.export_commands import add_export
-from cli.failures import EXIT_FAILED
 from cli.folders import add_card, add_verify, least_to_most, print_made, print_spec
 from cli.gallery_commands import add_mesh_gallery
 from cli.hub_download import add_download

@@ -38,7 +38,10 @@ __all__ = [
     "write_wrench",
 ]
 
+__version__: str
+
 _HOMES = {
+    "tactile_toolkit": ("__version__",),
     "env_assets.published.environments": ("make",),
     "env_assets.mesh_sets": ("SolidDataset", "WrenchDataset", "WrenchRecord"),
     "env_assets.provider": ("AssetProvider",),

@@ -43,7 +43,10 @@ __all__ = [
     "write_mesh",
 ]
 
+__version__: str
+
 _HOMES = {
+    "tactile_toolkit": ("__version__",),
     "mnist3d.dataset": ("MeshDataset", "MeshRecord", "MeshStream", "load"),
     "mnist3d.generation": ("GenerateSpec", "generate"),
     "mnist3d.solid": ("SolidSpec", "solidify"),

@@ -46,7 +46,10 @@ __all__ = [
     "verify",
 ]
 
+__version__: str
+
 _HOMES = {
+    "tactile_toolkit": ("__version__",),
     "realtouch.convert.api": ("frames", "resize", "select", "to_single"),
     "realtouch.dataset": ("TouchDataset", "TouchSeqDataset", "TouchSingleDataset", "TouchStream"),
     "realtouch.integrity.verify": ("verify",),

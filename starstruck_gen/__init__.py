@@ -51,7 +51,10 @@ __all__ = [
     "stamp",
 ]
 
+__version__: str
+
 _HOMES = {
+    "tactile_toolkit": ("__version__",),
     "starstruck_gen.dataset": ("SceneMeshDataset", "SceneRecord", "load"),
     "starstruck_gen.endless": ("SceneDataset",),
     "starstruck_gen.generation": ("GenerateSpec", "generate"),

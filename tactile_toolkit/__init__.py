@@ -18,8 +18,18 @@
 
 from __future__ import annotations
 
-from tactile_toolkit.versions import toolkit_version
+from typing import Any
 
 __all__ = ["__version__"]
 
-__version__ = toolkit_version()
+__version__: str
+
+
+def __getattr__(name: str) -> Any:
+    # On first use: looking it up takes longer than all that a help imports of the toolkit.
+    if name == "__version__":
+        from tactile_toolkit.versions import toolkit_version
+
+        return toolkit_version()
+    message = f"module 'tactile_toolkit' has no attribute {name!r}"
+    raise AttributeError(message)

@@ -11,7 +11,6 @@ from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from functools import cache
 from importlib import import_module
-from importlib.metadata import entry_points
 from typing import Any, Protocol
 
 from tactile_toolkit.errors import InputError
@@ -182,6 +181,9 @@ class DatasetKind:
 @cache
 def kinds() -> tuple[DatasetKind, ...]:
     """Return all kinds that are installed, by name; takes 30 ms once, so ask a known kind where you can."""
+    # Here and not above: every command line starts with this file, and few ask.
+    from importlib.metadata import entry_points
+
     found = [entry.load() for entry in entry_points(group="tactile_toolkit.kinds")]
     return tuple(sorted(found, key=lambda kind: kind.name))
 

@@ -1,8 +1,13 @@
-"""Groups of options: a dataclass in the signature of a command stands for its fields."""
+"""What all command lines share: groups of options, common options, errors, completion, closed pipes."""
 
 from __future__ import annotations
 
+import os
+import subprocess
+import sys
 from dataclasses import dataclass
+from importlib import import_module
+from importlib.metadata import version
 from typing import Annotated
 
 import pytest
@@ -60,3 +65,101 @@ def test_two_options_of_one_name_are_a_mistake_of_ours():
         @command(new_app("toy", "A toy."))
         def twice(*, sink: Sink, quiet: Quiet = False) -> None:
             """Take --quiet twice."""
+
+
+def test_every_command_documents_version_and_debug():
+    from cli import env_assets, mnist3d, realtouch, starstruck
+
+    for module in (mnist3d, starstruck, realtouch, env_assets):
+        group = typer.main.get_command(module.app)
+        assert {"--install-completion", "--show-completion"} <= _options(group)
+        for name, each in {"": group, **group.commands}.items():
+            assert {"--version", "--debug", "--help"} <= _options(each), (module.__name__, name)
+
+
+def _options(command) -> set[str]:
+    context = typer.Context(command)
+    return {option for parameter in command.get_params(context) for option in parameter.opts}
+
+
+@pytest.mark.parametrize("place", ["before", "after"])
+def test_debug_lets_the_traceback_through(place, monkeypatch):
+    monkeypatch.delenv("TACTILE_TOOLKIT_DEBUG", raising=False)
+    monkeypatch.setattr("os.environ", dict(os.environ))
+    app = new_app("toy", "A toy.")
+
+    @command(app, "break")
+    def broken(sink: Sink) -> None:
+        message = "it is damaged"
+        raise IntegrityError(message)
+
+    words = ["--debug", "break"] if place == "before" else ["break", "--debug"]
+    assert isinstance(CliRunner().invoke(app, words).exception, IntegrityError)
+
+
+PACKAGES = {
+    "mnist3d": "mnist3d",
+    "starstruck_gen": "starstruck",
+    "realtouch": "realtouch",
+    "env_assets": "env-assets",
+}
+
+
+@pytest.mark.parametrize("package", PACKAGES)
+def test_packages_have_a_version_and_run_as_modules(package):
+    assert import_module(package).__version__ == version("tactile-toolkit")
+    for words in (["--version"], ["info", "--version"]):
+        done = _ran(package, *words)
+        assert (done.returncode, done.stdout, done.stderr) == (
+            0,
+            f"tactile-toolkit {version('tactile-toolkit')}\n",
+            "",
+        )
+    done = _ran(package, "inf")
+    assert done.returncode == 2
+    assert f"Usage: {PACKAGES[package]} " in done.stderr
+    assert "Did you mean 'info'?" in done.stderr
+
+
+@pytest.mark.parametrize("package", PACKAGES)
+def test_shells_complete_commands_options_and_choices(package):
+    name = PACKAGES[package]
+    assert "info" in _completed(package, f"{name} inf")
+    assert "--json" in _completed(package, f"{name} info --j")
+    script = _ran(package, "--show-completion", "bash", _TYPER_COMPLETE_TEST_DISABLE_SHELL_DETECTION="1")
+    assert (script.returncode, script.stderr) == (0, "")
+    assert f"complete -o default -F _{name.replace('-', '_')}_completion {name}" in script.stdout
+
+
+def _completed(package: str, line: str) -> list[str]:
+    variable = f"_{PACKAGES[package].replace('-', '_').upper()}_COMPLETE"
+    settings = {variable: "complete_bash", "COMP_WORDS": line, "COMP_CWORD": str(line.count(" "))}
+    return _ran(package, **settings).stdout.split()
+
+
+def _ran(package: str, *words: str, **settings: str) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(
+        [sys.executable, "-m", package, *words],
+        env={**os.environ, **settings},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+
+
+@pytest.mark.parametrize(
+    "words", [["--help"], ["info", "--help"], ["--version"], ["info", "."], ["info", "missing"]]
+)
+def test_a_closed_pipe_ends_a_command_as_it_ends_other_tools(tmp_path, words):
+    reader, writer = os.pipe()
+    os.close(reader)
+    with os.fdopen(writer, "w") as closed:
+        done = subprocess.run(
+            [sys.executable, "-m", "env_assets", *words],
+            cwd=tmp_path,
+            stdout=closed,
+            stderr=closed if words[-1] == "missing" else subprocess.PIPE,
+            text=True,
+            check=False,
+        )
+    assert (done.returncode, done.stderr or "") == (141, "")

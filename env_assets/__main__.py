@@ -1,0 +1,7 @@
+"""``python -m env_assets``: the command line, also where its command is not on the path."""
+
+from __future__ import annotations
+
+from cli.env_assets import main
+
+main()

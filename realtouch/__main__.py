@@ -1,0 +1,7 @@
+"""``python -m realtouch``: the command line, also where its command is not on the path."""
+
+from __future__ import annotations
+
+from cli.realtouch import main
+
+main()

@@ -1,0 +1,7 @@
+"""``python -m starstruck_gen``: the command line, also where its command is not on the path."""
+
+from __future__ import annotations
+
+from cli.starstruck import main
+
+main()
