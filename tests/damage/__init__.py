@@ -1,0 +1,1 @@
+"""Damage done at random, and what becomes of it."""
