@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import contextlib
 import os
+import time
 import warnings
 from collections import OrderedDict
 from collections.abc import Callable, Hashable
@@ -61,7 +62,8 @@ class DiskCache:
     def mark_used(self, path: Path) -> None:
         """Note that a file was used now; one that is gone, or in a read-only folder, is passed over."""
         with contextlib.suppress(OSError):
-            os.utime(path)
+            # The other time stays that of the content: it tells whether that was changed.
+            os.utime(path, ns=(time.time_ns(), path.stat().st_mtime_ns))
 
     def drop(self, path: Path) -> None:
         """Remove a file, such as a damaged one, where that is possible."""
@@ -103,7 +105,7 @@ class DiskCache:
         for file in folder.glob("*"):
             with contextlib.suppress(OSError):  # other processes may remove some meanwhile
                 facts = file.stat()
-                files.append((facts.st_mtime_ns, facts.st_size, file))
+                files.append((max(facts.st_atime_ns, facts.st_mtime_ns), facts.st_size, file))
         # Room for what is written before the next look, so that the limit holds between looks too.
         excess = sum(size for _, size, _ in files) + max(needed_bytes, between_looks) - self.limit_bytes
         for _, size, file in sorted(files):

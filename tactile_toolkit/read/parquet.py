@@ -16,13 +16,14 @@ from dataclasses import dataclass, field
 from functools import cached_property
 from itertools import accumulate
 from pathlib import Path
-from typing import Any
+from typing import IO, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from tactile_toolkit.cache import CACHE_VARIABLE, DiskCache, MemoryCache, cache_folder
-from tactile_toolkit.errors import IntegrityError
+from tactile_toolkit.errors import IntegrityError, ToolkitError
+from tactile_toolkit.read.blocks import file_identity, map_block, write_blocks
 from tactile_toolkit.read.columns import (
     RowGroup,
     column_types,
@@ -30,11 +31,14 @@ from tactile_toolkit.read.columns import (
     plain_table,
     stored_class_names,
 )
-from tactile_toolkit.store.folder import DataFolder
+from tactile_toolkit.store.folder import DataFolder, unreadable
+from tactile_toolkit.store.parquet import open_checked
 
 __all__ = ["CACHE_VARIABLE", "RowGroup", "Shard", "ShardedTable", "cache_folder"]
 
 _BLOCK_BYTES = 64 << 20
+_TELLING = ("size", "ETag", "etag", "blob_id", "mtime", "created")
+"""What stores say of a file, under which name each, that changes with its content."""
 
 
 class MemoryBlocks(MemoryCache[tuple[str, int], RowGroup]):
@@ -96,8 +100,25 @@ class Shard:
 
     @cached_property
     def metadata(self) -> Any:
-        """The Parquet footer: row groups, columns, schema; IntegrityError where the file has none."""
-        return self._parquet().metadata
+        """The Parquet footer: row groups, columns, schema.
+
+        Raises IntegrityError where the file has none, or another number of rows than was said beforehand.
+        """
+        metadata = self._parquet().metadata
+        if self.rows not in (None, metadata.num_rows):
+            message = (
+                f"{self.path!r}: {metadata.num_rows} rows; expected {self.rows} by the manifest; next: run "
+                "`verify` on the data set, then generate, convert or download it again"
+            )
+            raise IntegrityError(message)
+        return metadata
+
+    def meet(self) -> None:
+        """Take note of which file is there now, where that costs next to nothing."""
+        if not self._is_remote:
+            # What is missing is named when it is asked for.
+            with contextlib.suppress(ToolkitError):
+                _ = self.identity
 
     @cached_property
     def schema(self) -> Any:
@@ -121,8 +142,11 @@ class Shard:
         return [0, *accumulate(counts)]
 
     def __getstate__(self) -> dict[str, Any]:
-        """Pickle without footers; they are read again where needed."""
-        return {"path": self.path, "rows": self.rows, "failures": self.failures}
+        """Pickle without footers; they are read again where needed, and must be of the same file."""
+        state = {"path": self.path, "rows": self.rows, "failures": self.failures}
+        if "identity" in self.__dict__:
+            state["identity"] = self.identity
+        return state
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         for name, value in state.items():
@@ -156,28 +180,25 @@ class Shard:
         A cache that cannot be written (full, read-only) costs speed, never the data: the blocks used last are
         then kept in the memory of this process, see :class:`MemoryBlocks`.
         """
-        name = f"{self._identity}-{index:05d}"
+        digest = hashlib.sha256(repr(self.identity).encode()).hexdigest()
+        name = f"{digest[:32]}-{index:05d}"
         kept = MEMORY.get((name, block))
         if kept is not None:
             return kept
-        table = _mapped_table(name, block)
-        if table is None and self._unpack(name, index):
-            table = _mapped_table(name, block)
+        path = _UNPACKED.path(f"{name}.arrow")
+        table = _mapped_table(path, block)
+        if table is None and self._unpack(path.name, index):
+            table = _mapped_table(path, block)
         if table is None:
             return MEMORY.block(name, block, lambda: self.blocks(index))
         first_row = self.group_starts[index] + block * self.block_rows[index]
         return RowGroup(table, self.path, first_row, mapped=True)
 
-    def _unpack(self, name: str, index: int) -> bool:
-        import pyarrow as pa
+    def _unpack(self, file_name: str, index: int) -> bool:
+        def fill(stream: IO[bytes]) -> None:
+            write_blocks(stream, file_name, self.schema, (group.table for group in self.blocks(index)))
 
-        def fill(stream: Any) -> None:
-            with pa.ipc.new_file(stream, self.schema) as writer:
-                for group in self.blocks(index):  # each becomes one record batch
-                    writer.write_table(group.table)
-
-        size_bytes = int(self.metadata.row_group(index).total_byte_size)
-        return _UNPACKED.write(f"{name}.arrow", size_bytes, fill)
+        return _UNPACKED.write(file_name, int(self.metadata.row_group(index).total_byte_size), fill)
 
     def blocks(self, index: int, columns: Sequence[str] | None = None) -> Iterator[RowGroup]:
         """Decode the blocks of a row group one after another, keeping none; all columns or those named."""
@@ -210,25 +231,47 @@ class Shard:
             yield waiting.combine_chunks()
 
     @cached_property
-    def _identity(self) -> str:
-        # Content changes without a change of size or time only on purpose; hashing gigabytes would cost more.
-        parts: list[object] = [self.path]
-        if "://" not in self.path:
-            real = Path(self.path).resolve()
-            with self._named_damage():
-                facts = real.stat()
-            parts = [str(real), facts.st_size, facts.st_mtime_ns, facts.st_ino]
-        return hashlib.sha256(repr(parts).encode()).hexdigest()[:32]
+    def identity(self) -> tuple[object, ...]:
+        """What told the file from any other when it was met first; it is compared whenever it is opened.
+
+        Content changes without it on purpose only; hashing gigabytes would cost more.
+        """
+        with self._named_damage():
+            return self._opened()[1] if self._is_remote else self._found_now()
+
+    def _found_now(self) -> tuple[object, ...]:
+        real = Path(self.path).resolve()
+        return str(real), *file_identity(real)
+
+    def _opened(self) -> tuple[Any, tuple[object, ...]]:
+        """Open the file, and return with it what tells it from any other."""
+        if not self._is_remote:
+            # After opening: what takes its place from now on is not what was opened.
+            return open_checked(self.path), self._found_now()
+        folder, _, name = self.path.rpartition("/")
+        store = DataFolder(folder)
+        stream = store.open(name)
+        facts = getattr(stream, "details", None) or store.facts(name)
+        return open_checked(stream), (
+            self.path,
+            *((key, str(facts[key])) for key in _TELLING if key in facts),
+        )
+
+    @property
+    def _is_remote(self) -> bool:
+        return "://" in self.path
 
     def _parquet(self) -> Any:
-        import pyarrow.parquet as pq
-
-        folder, _, name = self.path.rpartition("/")
+        expected = self.identity
         with self._named_damage():
-            # Buffering ahead starts a thread of Arrow's, which aborts about 1 % of interpreters at their end.
-            if "://" in self.path:
-                return pq.ParquetFile(DataFolder(folder).open(name), pre_buffer=False)
-            return pq.ParquetFile(self.path, memory_map=True, pre_buffer=False)
+            parquet, found = self._opened()
+        if found != expected:
+            message = (
+                f"{self.path!r} was replaced or changed after the data set was loaded: none of its rows were "
+                "read, for old and new ones would mix; next: load the data set again"
+            )
+            raise IntegrityError(message)
+        return parquet
 
     @contextlib.contextmanager
     def _named_damage(self) -> Iterator[None]:
@@ -237,10 +280,12 @@ class Shard:
         try:
             with self.failures():
                 yield
+        except PermissionError as error:
+            raise unreadable(self.path) from error
         except FileNotFoundError as error:
             message = f"{self.path!r} is missing; next: generate or download the data set again"
             raise IntegrityError(message) from error
-        except (pa.ArrowInvalid, OSError) as error:
+        except (pa.ArrowException, OSError, UnicodeDecodeError) as error:
             message = (
                 f"{self.path!r} is damaged, a whole Parquet file was expected ({error}); next: run `verify` "
                 "on the data set, then generate or download it again"
@@ -248,21 +293,17 @@ class Shard:
             raise IntegrityError(message) from error
 
 
-def _mapped_table(name: str, number: int) -> Any:
+def _mapped_table(path: Path, number: int) -> Any:
     """Map one block of an unpacked row group; None when it is not there, or was damaged (it goes)."""
-    import pyarrow as pa
-
-    path = _UNPACKED.path(f"{name}.arrow")
     try:
-        # From the map's own buffer, still without a copy: from the map, Arrow would read in its own threads.
-        batch = pa.ipc.open_file(pa.memory_map(str(path)).read_buffer()).get_batch(number)
+        table = map_block(path, number)
     except FileNotFoundError:
         return None
-    except (pa.ArrowInvalid, IndexError, OSError):
+    except (ValueError, OSError):
         _UNPACKED.drop(path)
         return None
     _UNPACKED.mark_used(path)
-    return pa.Table.from_batches([batch])
+    return table
 
 
 @dataclass(frozen=True)
@@ -270,6 +311,10 @@ class ShardedTable:
     """The rows of several shards, in their order, under one numbering; reads nothing until asked."""
 
     shards: tuple[Shard, ...]
+
+    def __post_init__(self) -> None:
+        for shard in self.shards:
+            shard.meet()
 
     @cached_property
     def _starts(self) -> list[int]:

@@ -13,7 +13,7 @@ import os
 import re
 import socket
 import uuid
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path, PurePosixPath
@@ -32,6 +32,7 @@ __all__ = [
     "remove_tree",
     "stale_files",
     "temporary_name",
+    "unreadable",
 ]
 
 TEMPORARY_PREFIX = ".writing-"
@@ -126,6 +127,23 @@ def named_failures(address: str) -> Iterator[None]:
         raise StorageError(message) from error
 
 
+def unreadable(address: str) -> InputError:
+    """Return the error for a file or folder that is there, and may be whole, but not for this user."""
+    message = (
+        f"{address!r} cannot be read by this user (permission denied); next: change its permissions, or ask "
+        "its owner to"
+    )
+    return InputError(message)
+
+
+@contextlib.contextmanager
+def _readable(address: str) -> Iterator[None]:
+    try:
+        yield
+    except PermissionError as error:
+        raise unreadable(address) from error
+
+
 @contextlib.contextmanager
 def atomic_file(path: Path, *, durable: bool = True) -> Iterator[IO[bytes]]:
     """Open a local file for writing that appears under its name when all of it is on the disk, or never.
@@ -195,7 +213,9 @@ class DataFolder:
     def exists(self, path: str = "") -> bool:
         """Tell whether a file (or, without an argument, the folder) is there."""
         if self.is_local:
-            return Path(self.address(path)).exists()
+            # Who asks for the folder itself is about to write there, and says so.
+            with _readable(self.address(path)) if path else contextlib.nullcontext():
+                return Path(self.address(path)).exists()
         file_system, root = self._remote
         return bool(file_system.exists(f"{root}/{path}" if path else root))
 
@@ -203,7 +223,8 @@ class DataFolder:
         """List the file names directly in a sub-folder, sorted; an absent sub-folder is empty."""
         if self.is_local:
             path = Path(self.address(folder))
-            return sorted(entry.name for entry in path.iterdir()) if path.is_dir() else []
+            with _readable(str(path)):
+                return sorted(entry.name for entry in path.iterdir()) if path.is_dir() else []
         file_system, root = self._remote
         try:
             found = file_system.ls(f"{root}/{folder}" if folder else root, detail=False)
@@ -214,17 +235,25 @@ class DataFolder:
     def size_bytes(self, path: str) -> int:
         """Return the size of a file."""
         if self.is_local:
-            return Path(self.address(path)).stat().st_size
+            with _readable(self.address(path)):
+                return Path(self.address(path)).stat().st_size
         file_system, root = self._remote
         return int(file_system.size(f"{root}/{path}"))
 
     def open(self, path: str) -> IO[bytes]:
         """Open a file for reading."""
         if self.is_local:
-            return Path(self.address(path)).open("rb")
+            with _readable(self.address(path)):
+                return Path(self.address(path)).open("rb")
         file_system, root = self._remote
         opened: IO[bytes] = file_system.open(f"{root}/{path}", "rb")
         return opened
+
+    def facts(self, path: str) -> Mapping[str, Any]:
+        """Return what a remote store says of a file."""
+        file_system, root = self._remote
+        found: Mapping[str, Any] = file_system.info(f"{root}/{path}")
+        return found
 
     def read_bytes(self, path: str) -> bytes:
         """Read a whole (small) file; IntegrityError when it is not there or cannot be read."""

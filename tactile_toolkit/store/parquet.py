@@ -5,19 +5,25 @@ from __future__ import annotations
 import contextlib
 import hashlib
 import io
+import re
+import struct
+import zlib
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from typing import Any
+from pathlib import Path
+from typing import IO, Any
 
 from tactile_toolkit.errors import IntegrityError
-from tactile_toolkit.store.folder import DataFolder
+from tactile_toolkit.store.folder import DataFolder, unreadable
 
 __all__ = [
     "REPORT_STYLE",
     "ParquetStyle",
     "encode_parquet",
     "file_sha256",
+    "has_page_checksums",
     "named_damage",
+    "open_checked",
     "open_parquet",
     "read_report",
     "sha256_hex",
@@ -26,6 +32,13 @@ __all__ = [
 ]
 
 _OFFSET_BYTES = 4
+
+_TAIL = struct.Struct("<I4s")  # length of the footer and Parquet's mark: how a file ends
+_FOOTER_CHECKSUM = struct.Struct("<4sI")
+_FOOTER_MARK = b"TTFC"
+"""Stands before the CRC-32 of the footer that follows. Parquet has checksums of pages, none of the footer; what
+lies between them is passed over by readers that do not know of it."""
+_TAIL_BYTES = 1 << 16
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,9 +77,13 @@ def write_parquet(table: Any, style: ParquetStyle) -> tuple[bytes, Any]:
         column_encoding=encodings or None,
         write_statistics=others,
         data_page_size=1 << 20,
+        write_page_checksum=True,
         metadata_collector=footers,
     )
-    return stream.getvalue(), footers[0]
+    content = stream.getvalue()
+    start = len(content) - _TAIL.size - _TAIL.unpack_from(content, len(content) - _TAIL.size)[0]
+    checksum = _FOOTER_CHECKSUM.pack(_FOOTER_MARK, zlib.crc32(memoryview(content)[start : -_TAIL.size]))
+    return b"".join((content[:start], checksum, content[start:])), footers[0]
 
 
 def encode_parquet(table: Any, style: ParquetStyle) -> bytes:
@@ -76,25 +93,81 @@ def encode_parquet(table: Any, style: ParquetStyle) -> bytes:
 
 @contextlib.contextmanager
 def named_damage(address: str) -> Iterator[None]:
-    """Turn Arrow's errors about a Parquet file into an IntegrityError that names it."""
+    """Turn Arrow's errors about a Parquet file into an IntegrityError that names it.
+
+    Raises InputError for a file that this user may not read.
+    """
     import pyarrow as pa
 
     try:
         yield
-    except (pa.ArrowInvalid, OSError) as error:
+    except PermissionError as error:
+        raise unreadable(address) from error
+    except (pa.ArrowException, OSError, UnicodeDecodeError) as error:
         message = f"{address!r} is not a whole Parquet file: {error}"
         raise IntegrityError(message) from error
 
 
 def open_parquet(folder: DataFolder, path: str) -> Any:
     """Open a stored Parquet file; IntegrityError when it is missing or damaged."""
+    with named_damage(folder.address(path)):
+        return open_checked(folder.address(path) if folder.is_local else io.BytesIO(folder.read_bytes(path)))
+
+
+def open_checked(source: str | IO[bytes]) -> Any:
+    """Open a Parquet file, by its path or as a stream, so that what was damaged is refused when it is read.
+
+    A flipped bit may unpack to other numbers without a word. Raises pyarrow.ArrowInvalid for a footer that
+    does not match its checksum; reading pages that do not match theirs raises OSError.
+    """
+    import pyarrow as pa
     import pyarrow.parquet as pq
 
-    with named_damage(folder.address(path)):
-        # Buffering ahead starts a thread of Arrow's, which aborts about 1 % of interpreters at their end.
-        if folder.is_local:
-            return pq.ParquetFile(folder.address(path), memory_map=True, pre_buffer=False)
-        return pq.ParquetFile(io.BytesIO(folder.read_bytes(path)), pre_buffer=False)
+    with Path(source).open("rb") if isinstance(source, str) else contextlib.nullcontext(source) as stream:
+        size = stream.seek(0, io.SEEK_END)
+        # One read: streams from afar fetch this much at least.
+        stream.seek(max(0, size - _TAIL_BYTES))
+        tail = stream.read()
+        length = _TAIL.unpack_from(tail, len(tail) - _TAIL.size)[0] if len(tail) > _TAIL.size else 0
+        wanted = _FOOTER_CHECKSUM.size + length + _TAIL.size
+        if len(tail) < wanted <= size:
+            stream.seek(size - wanted)
+            tail = stream.read()
+        if wanted <= len(tail):
+            mark, checksum = _FOOTER_CHECKSUM.unpack_from(tail, len(tail) - wanted)
+            footer = memoryview(tail)[len(tail) - _TAIL.size - length : -_TAIL.size]
+            if mark == _FOOTER_MARK and zlib.crc32(footer) != checksum:
+                message = "the footer does not match its checksum"
+                raise pa.ArrowInvalid(message)
+    # Buffering ahead starts a thread of Arrow's, which aborts about 1 % of interpreters at their end.
+    return pq.ParquetFile(
+        source, memory_map=isinstance(source, str), pre_buffer=False, page_checksum_verification=True
+    )
+
+
+def has_page_checksums(folder: DataFolder, path: str) -> bool:
+    """Tell whether the pages of a Parquet file carry checksums, by the first page of each column.
+
+    Raises IntegrityError when the file is damaged.
+    """
+    footer = open_parquet(folder, path).metadata
+    columns = [
+        footer.row_group(group).column(index)
+        for group in range(footer.num_row_groups)
+        for index in range(footer.num_columns)
+    ]
+    with folder.open(path) as stream:
+        for column in columns:
+            if column.num_values:
+                stream.seek(min(filter(None, (column.dictionary_page_offset, column.data_page_offset))))
+                if not _CHECKED_PAGE.match(stream.read(32)):
+                    return False
+    return True
+
+
+_CHECKED_PAGE = re.compile(rb"(?:\x15[\x80-\xff]*[\x00-\x7f]){4}", re.DOTALL)
+"""How the head of a page with a checksum begins: four whole numbers (type, two sizes, the checksum), each
+after the mark of a field that follows on the one before it (Thrift's compact protocol)."""
 
 
 def read_report(folder: DataFolder, path: str) -> Any:

@@ -1,0 +1,107 @@
+"""Files of unpacked blocks: written once, mapped into memory, checked before any of it is believed.
+
+One Arrow stream for each block, then where each lies and its checksum, then the checksum of that. A disk may
+change what it holds, and a file of another program may bear the name of one of ours: neither may be served.
+"""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Iterable
+from pathlib import Path
+from typing import IO, Any
+
+__all__ = ["file_identity", "map_block", "write_blocks"]
+
+_MARK = b"TTBLOCK1"
+_BLOCK = struct.Struct("<QQQ")  # start, size in bytes, checksum
+_END = struct.Struct("<QQ8s")  # number of blocks, checksum of what lies where, mark
+_ALIGNMENT = 64  # what Arrow recommends for its buffers
+
+_checked: dict[tuple[Path, int], tuple[int, ...]] = {}
+"""Blocks that this process has checked, by file and number, with what the file was then."""
+
+
+class _Checksummed:
+    """A stream that is written to, with size and checksum of what was."""
+
+    def __init__(self, stream: IO[bytes]) -> None:
+        import xxhash
+
+        self._stream = stream
+        self._digest = xxhash.xxh3_64()
+        self.size = 0
+        self.closed = False
+
+    def write(self, data: Any) -> int:
+        self._digest.update(data)
+        self.size += memoryview(data).nbytes
+        return self._stream.write(data)
+
+    def flush(self) -> None:
+        """Do nothing; Arrow calls it."""
+
+    def checksum(self) -> int:
+        return self._digest.intdigest()
+
+
+def write_blocks(stream: IO[bytes], file_name: str, schema: Any, tables: Iterable[Any]) -> None:
+    """Write tables of one schema, each of one chunk per column, as the blocks of a file of that name."""
+    import pyarrow as pa
+
+    position = 0
+    entries = b""
+    for table in tables:
+        block = _Checksummed(stream)
+        with pa.ipc.new_stream(pa.PythonFile(block, mode="w"), schema) as writer:
+            writer.write_table(table)
+        entries += _BLOCK.pack(position, block.size, block.checksum())
+        padding = -block.size % _ALIGNMENT
+        stream.write(bytes(padding))
+        position += block.size + padding
+    stream.write(entries)
+    stream.write(_END.pack(len(entries) // _BLOCK.size, _list_checksum(file_name, entries), _MARK))
+
+
+def _list_checksum(file_name: str, entries: bytes) -> int:
+    import xxhash
+
+    return xxhash.xxh3_64_intdigest(file_name.encode() + b"\0" + entries)
+
+
+def map_block(path: Path, number: int) -> Any:
+    """Map a block into memory as a table, without a copy; its checksum is compared once in each process.
+
+    Raises OSError; ValueError when the file is not whole, was changed, is of another program or another name,
+    or has fewer blocks.
+    """
+    import pyarrow as pa
+    import xxhash
+
+    # From the map's own buffer, still without a copy: from the map, Arrow would read in its own threads. The
+    # map is as long as the file is now: of one that was cut off the end is missing, and no more is touched.
+    mapped = pa.memory_map(str(path)).read_buffer()
+    identity = file_identity(path)
+    content = memoryview(mapped)
+    end = len(content) - _END.size
+    count, checksum, mark = _END.unpack_from(content, end) if end >= 0 else (0, 0, b"")
+    entries_start = end - count * _BLOCK.size
+    if mark != _MARK or entries_start < 0:
+        message = f"{len(content):,} bytes that are not a file of blocks"
+        raise ValueError(message)
+    if _list_checksum(path.name, bytes(content[entries_start:end])) != checksum or number >= count:
+        message = f"the list of {count} blocks is damaged or of another file, or lacks block {number}"
+        raise ValueError(message)
+    start, size, checksum = _BLOCK.unpack_from(content, entries_start + number * _BLOCK.size)
+    if _checked.get((path, number)) != identity:
+        if xxhash.xxh3_64_intdigest(content[start : start + size]) != checksum:
+            message = f"block {number} does not match its checksum"
+            raise ValueError(message)
+        _checked[path, number] = identity
+    return pa.Table.from_batches([pa.ipc.open_stream(mapped.slice(start, size)).read_next_batch()])
+
+
+def file_identity(path: Path) -> tuple[int, ...]:
+    """Return what tells a file from one that took its place, or from itself with other content."""
+    facts = path.stat()
+    return facts.st_dev, facts.st_ino, facts.st_size, facts.st_mtime_ns
