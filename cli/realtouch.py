@@ -112,11 +112,24 @@ def verify(
         {"file": f.file, "row": f.row, "touch": f.touch, "field": f.field, "problem": f.problem}
         for f in result.findings
     ]
-    sink.document({"ok": result.ok, "rounds": result.rounds, "touches": result.touches, "findings": findings})
+    sink.document(
+        {
+            "ok": result.ok,
+            "rounds": result.rounds,
+            "touches": result.touches,
+            "findings": findings,
+            "unprotected": list(result.unprotected),
+        }
+    )
     raise_findings(result, name)
     how = "every header was read" if quick else "every picture was decoded"
     counts = f"{counted(result.rounds, 'rounds')}, {counted(result.touches, 'touches')}"
     sink.line(f"{name}: {counts}: nothing is wrong; {how}")
+    if result.unprotected:
+        sink.line(
+            f"{counted(len(result.unprotected), 'files')} unprotected, {result.unprotected[0]!r} first: no "
+            "checksums of pages and none by a manifest or the Hub, so that a changed number shows nowhere"
+        )
 
 
 add_conversions(app)

@@ -5,12 +5,13 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
+from pathlib import Path
 
 from realtouch.columns.per_touch import plain_value, touch_total
 from realtouch.damage import Damage, unreadable_rows
 from realtouch.integrity.agreement import TouchFiles, local_folder, usual_touch_count
 from realtouch.integrity.check_round import check_round
-from realtouch.names import Name, open_shards, place_of
+from realtouch.names import Name, Place, open_shards, place_of
 from tactile_toolkit.cards.checks import check_card
 from tactile_toolkit.catalog.locate import splits_of
 from tactile_toolkit.errors import InputError, IntegrityError
@@ -20,7 +21,7 @@ from tactile_toolkit.read.parquet import Shard
 from tactile_toolkit.store.folder import DataFolder
 from tactile_toolkit.store.manifest import Manifest, read_manifest
 from tactile_toolkit.store.origin import read_record
-from tactile_toolkit.store.parquet import file_sha256
+from tactile_toolkit.store.parquet import file_sha256, has_page_checksums
 from tactile_toolkit.store.shards import Finding
 from tactile_toolkit.store.verify import verify as verify_files
 from tactile_toolkit.touch.jpeg import decode_image, image_size
@@ -38,11 +39,15 @@ class TouchVerification:
         How many were checked.
     findings : tuple of Damage
         All that is wrong.
+    unprotected : tuple of str
+        Files of which nothing says what they should be: their pages carry no checksums, and neither a
+        manifest nor the Hub gave one. A number that was changed in them since then shows nowhere.
     """
 
     rounds: int
     touches: int
     findings: tuple[Damage, ...]
+    unprotected: tuple[str, ...] = ()
 
     @property
     def ok(self) -> bool:
@@ -81,10 +86,12 @@ def verify(
     place = place_of(name)
     folder = local_folder(place)
     findings: list[Damage] = []
+    vouched_for = False
     if folder is not None:
         manifest = read_manifest(folder)
         # Files of a folder of ours are held against its manifest and card, others against what the Hub said.
-        if manifest is not None or read_record(folder) is not None:
+        vouched_for = manifest is not None or read_record(folder) is not None
+        if vouched_for:
             for finding in verify_files(folder, check_card=check_card).findings:
                 findings.append(Damage(finding.file, None, None, "", finding.problem))
         if manifest is not None and manifest.spec.get("operation") == "frames":
@@ -93,11 +100,13 @@ def verify(
         parts: tuple[str, ...] = ("train",)  # files come without a split
     else:
         parts = (split,) if split is not None else splits_of(place, revision=revision)
-    splits = []
+    splits, unprotected = [], []
     for part in parts:
         files = TouchFiles(str(name))
         findings += files.add_undamaged(open_shards(place, part, revision=revision), at_least_one=False)
         findings += _lacking_columns(files.shards)
+        if not vouched_for:
+            unprotected += [shard.path for shard in files.shards if _is_unprotected(shard, place)]
         splits.append(files)
     total = sum(len(shard) for files in splits for shard in files.shards)
     rounds = touches = 0
@@ -111,7 +120,16 @@ def verify(
             with suppress(InputError, IntegrityError):
                 touches += touch_total(row)
             on_progress(rounds, total)
-    return TouchVerification(rounds, touches, tuple(findings))
+    return TouchVerification(rounds, touches, tuple(findings), tuple(unprotected))
+
+
+def _is_unprotected(shard: Shard, place: Place) -> bool:
+    """Tell whether nothing says what a file should be; files of the Hub were compared when they came."""
+    given = (place,) if isinstance(place, str) else place
+    if not any(Path(name).exists() for name in given if name == shard.path or Path(name).is_dir()):
+        return False
+    file = Path(shard.path)
+    return not has_page_checksums(DataFolder(str(file.parent)), file.name)
 
 
 def check_folder(folder: DataFolder) -> list[Finding]:

@@ -36,8 +36,8 @@ _OFFSET_BYTES = 4
 _TAIL = struct.Struct("<I4s")  # length of the footer and Parquet's mark: how a file ends
 _FOOTER_CHECKSUM = struct.Struct("<4sI")
 _FOOTER_MARK = b"TTFC"
-"""Stands before the CRC-32 of the footer that follows. Parquet has checksums of pages, none of the footer; what
-lies between them is passed over by readers that do not know of it."""
+"""Stands before the CRC-32 of the footer that follows. Parquet has checksums of pages, none of the footer;
+what lies between them is passed over by readers that do not know of it."""
 _TAIL_BYTES = 1 << 16
 
 

@@ -53,6 +53,16 @@ def test_it_takes_what_load_takes(
         realtouch.verify(3)
 
 
+def test_files_without_any_checksum_are_said_to_be_unprotected(single_folder: Path, tmp_path: Path) -> None:
+    files = sorted(map(str, (single_folder / "data").glob("*.parquet")))
+    assert sorted(realtouch.verify(single_folder, quick=True).unprotected) == files
+    assert realtouch.verify(files[:2], quick=True).unprotected == tuple(files[:2])
+    realtouch.select(str(single_folder), str(tmp_path / "chosen"), labels=[0, 1])
+    assert realtouch.verify(tmp_path / "chosen", quick=True).unprotected == ()
+    (tmp_path / "chosen" / "manifest.json").unlink()
+    assert realtouch.verify(tmp_path / "chosen", quick=True).unprotected == ()  # by their own pages
+
+
 def test_pictures_of_another_size(single_rows: list[dict], tmp_path: Path) -> None:
     def smaller(row: dict[str, Any]) -> None:
         row["sensor_image"][3]["bytes"] = factories.encode_jpeg(np.zeros((50, 40, 3), np.uint8))

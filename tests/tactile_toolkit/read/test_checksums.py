@@ -1,0 +1,219 @@
+"""What a disk has changed is refused by name or made anew, never served: shards and blocks of the cache."""
+
+from __future__ import annotations
+
+import os
+import pickle
+import subprocess
+import sys
+from collections import Counter
+from pathlib import Path
+
+import fsspec
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+
+from tactile_toolkit.cache import CACHE_VARIABLE
+from tactile_toolkit.errors import IntegrityError, ToolkitError
+from tactile_toolkit.read.columns import list_array
+from tactile_toolkit.read.parquet import Shard, ShardedTable
+from tactile_toolkit.store.folder import DataFolder
+from tactile_toolkit.store.parquet import ParquetStyle, encode_parquet, has_page_checksums
+
+VERTICES = "mesh.vertices"
+NAME = "train-00000-of-00001.parquet"
+STYLE = ParquetStyle(20, encodings=((f"{VERTICES}.list.element.list.element", "BYTE_STREAM_SPLIT"),))
+
+
+def rows(seed: int = 0) -> pa.Table:
+    rng = np.random.default_rng(seed)
+    vertices = [rng.normal(size=(50, 3)).astype(np.float32) for _ in range(60)]
+    metadata = {"huggingface": '{"info": {"features": {"label": {"names": ["zero", "one"]}}}}'}
+    columns = {"id": pa.array(range(60)), VERTICES: list_array(vertices, pa.float32())}
+    return pa.table({**columns, "text": ["word"] * 60}).replace_schema_metadata(metadata)
+
+
+@pytest.fixture
+def shard_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.setenv(CACHE_VARIABLE, str(tmp_path / "cache"))
+    file = tmp_path / NAME
+    file.write_bytes(encode_parquet(rows(), STYLE))
+    return file
+
+
+def flipped(content: bytes, place: int, bit: int) -> bytes:
+    changed = bytearray(content)
+    changed[place] ^= 1 << bit
+    return bytes(changed)
+
+
+def read_all(file: Path) -> pa.Table:
+    shard = Shard(str(file))
+    groups = range(shard.metadata.num_row_groups)
+    return pa.concat_tables(block.table for group in groups for block in shard.blocks(group))
+
+
+def outcome(file: Path, expected: pa.Table) -> str:
+    try:
+        return "right" if read_all(file).equals(expected, check_metadata=True) else "SILENT"
+    except IntegrityError as error:
+        return "named" if NAME in str(error) else str(error)
+
+
+@pytest.mark.parametrize("where", ["anywhere", "footer"])
+def test_a_flipped_bit_is_always_found(shard_file: Path, where: str) -> None:
+    """Pages by Parquet's own checksums; class names and columns, in the footer, by ours."""
+    expected, content, rng = read_all(shard_file), shard_file.read_bytes(), np.random.default_rng(1)
+    first = 0 if where == "anywhere" else len(content) - 8 - int.from_bytes(content[-8:-4], "little")
+    found: Counter[str] = Counter()
+    for place, bit in zip(rng.integers(first, len(content), 300), rng.integers(8, size=300), strict=True):
+        shard_file.write_bytes(flipped(content, int(place), int(bit)))
+        found[outcome(shard_file, expected)] += 1
+    assert found.total() == found["named"] + found["right"], found
+    # Heads of pages hold a few bits that decide nothing.
+    assert found["named"] >= (290 if where == "anywhere" else 300), found
+
+
+def test_single_columns_and_other_readers(shard_file: Path) -> None:
+    content = shard_file.read_bytes()
+    read = pq.read_table(shard_file, page_checksum_verification=True)
+    assert read.equals(read_all(shard_file), check_metadata=True)
+    assert read.to_pylist() == rows().to_pylist()
+    column = pq.ParquetFile(shard_file).metadata.row_group(1).column(0)
+    shard_file.write_bytes(
+        flipped(content, column.dictionary_page_offset + column.total_compressed_size - 3, 2)
+    )
+    with pytest.raises(IntegrityError, match=f"{NAME}' is damaged"):
+        Shard(str(shard_file)).column("id")
+    assert len(Shard(str(shard_file)).column("text")) == 60
+
+
+def test_who_carries_checksums(shard_file: Path, tmp_path: Path) -> None:
+    folder = DataFolder(str(tmp_path))
+    assert has_page_checksums(folder, NAME)
+    for name, options in {
+        "plain": {},
+        "new": {"data_page_version": "2.0"},
+        "none": {"compression": None},
+    }.items():
+        for checked in (True, False):
+            pq.write_table(rows(), tmp_path / name, write_page_checksum=checked, **options)
+            assert has_page_checksums(folder, name) is checked
+    pq.write_table(rows().slice(0, 0), tmp_path / "empty")
+    assert has_page_checksums(folder, "empty")  # nothing in it could be changed unseen
+
+
+def values_of(file: Path) -> list[list[float]]:
+    table = ShardedTable((Shard(str(file)),))
+    return [group.ragged(VERTICES)[row].ravel().tolist() for group, row in map(table.locate, range(60))]
+
+
+def mutations(content: bytes, count: int) -> list[tuple[str, bytes]]:
+    rng = np.random.default_rng(2)
+    found = []
+    for number in range(count):
+        place, length = int(rng.integers(len(content))), int(rng.integers(1, 5000))
+        kind = ("flip", "cut", "zeros", "noise", "longer", "moved", "foreign", "empty")[number % 8]
+        end = content[place + length :]
+        changed = {
+            "flip": flipped(content, place, number % 7),
+            "cut": content[:place],
+            "zeros": content[:place] + bytes(len(content[place : place + length])) + end,
+            "noise": content[:place] + rng.bytes(len(content[place : place + length])) + end,
+            "longer": content + rng.bytes(length),
+            "moved": content[:place] + end,
+            "foreign": b"ARROW1\0\0" + rng.bytes(length),
+            "empty": b"",
+        }[kind]
+        found.append((kind, changed))
+    return found
+
+
+def test_damaged_blocks_are_made_anew(shard_file: Path, tmp_path: Path) -> None:
+    expected = values_of(shard_file)
+    files = sorted((tmp_path / "cache" / "blocks").iterdir())
+    assert len(files) == 3
+    content = files[1].read_bytes()
+    for kind, changed in mutations(content, 80):
+        files[1].write_bytes(changed)
+        assert values_of(shard_file) == expected, kind
+        assert files[1].read_bytes() == content or kind in ("flip", "zeros", "noise"), kind  # not padding
+    files[1].write_bytes(files[0].read_bytes())  # whole, and of other rows
+    assert values_of(shard_file) == expected
+
+
+def test_a_block_is_checked_once_in_each_process(shard_file: Path, tmp_path: Path) -> None:
+    values_of(shard_file)
+    code = (
+        "import sys, xxhash; from tests.tactile_toolkit.read.test_checksums import values_of; "
+        "from pathlib import Path; whole = xxhash.xxh3_64_intdigest; sizes = []\n"
+        "xxhash.xxh3_64_intdigest = lambda data: sizes.append(len(data)) or whole(data)\n"
+        "values_of(Path(sys.argv[1])); values_of(Path(sys.argv[1])); print(sum(s > 1000 for s in sizes))"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", code, str(shard_file)],
+        check=True,
+        capture_output=True,
+        text=True,
+        env=os.environ | {CACHE_VARIABLE: str(tmp_path / "cache")},
+    )
+    assert done.stdout.strip() == "3"
+
+
+def replaced(file: Path) -> None:
+    other = file.with_name("other")
+    other.write_bytes(encode_parquet(rows(1), STYLE))
+    other.replace(file)
+
+
+def test_a_file_replaced_under_an_open_set_is_refused(shard_file: Path, tmp_path: Path) -> None:
+    table = ShardedTable((Shard(str(shard_file)),))
+    first = table.locate(0)[0].ragged(VERTICES)[0].tolist()
+    copy = pickle.dumps(table)
+    replaced(shard_file)
+    for held in (table, pickle.loads(copy)):
+        with pytest.raises(IntegrityError, match=r"replaced or changed.*next: load the data set again"):
+            held.locate(59)
+        with pytest.raises(IntegrityError, match="replaced or changed"):
+            held.column("id")
+    assert table.locate(0)[0].ragged(VERTICES)[0].tolist() == first  # what was open stays as it was
+    assert ShardedTable((Shard(str(shard_file)),)).locate(0)[0].ragged(VERTICES)[0].tolist() != first
+
+
+def test_a_shard_replaced_before_it_was_opened_is_refused(shard_file: Path, tmp_path: Path) -> None:
+    """Known by its manifest alone, so that loading opened only the first."""
+    second = tmp_path / "second.parquet"
+    second.write_bytes(shard_file.read_bytes())
+    table = ShardedTable((Shard(str(shard_file), 60), Shard(str(second), 60)))
+    table.locate(0)
+    replaced(second)
+    with pytest.raises(IntegrityError, match=r"second\.parquet' was replaced or changed"):
+        table.locate(60)
+
+
+def test_a_remote_file_replaced_under_an_open_set_is_refused(shard_file: Path) -> None:
+    address = f"memory://replaced/{NAME}"
+    store = fsspec.filesystem("memory")
+    store.pipe_file(f"/replaced/{NAME}", shard_file.read_bytes())
+    table = ShardedTable((Shard(address),))
+    table.locate(0)
+    store.pipe_file(f"/replaced/{NAME}", encode_parquet(rows(1), STYLE))
+    with pytest.raises(IntegrityError, match="replaced or changed"):
+        table.locate(59)
+    assert ShardedTable((Shard(address),)).locate(59)[1] == 19
+
+
+def test_a_file_that_may_not_be_read_is_not_called_damaged(
+    shard_file: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    shard = Shard(str(shard_file))
+
+    def refuse(path: Path, mode: str) -> None:
+        raise PermissionError(13, "Permission denied", str(path))
+
+    monkeypatch.setattr(Path, "open", refuse)
+    with pytest.raises(ToolkitError, match="cannot be read by this user") as caught:
+        _ = shard.metadata
+    assert caught.value.exit_code == 2
