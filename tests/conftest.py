@@ -12,19 +12,21 @@ from pathlib import Path
 import pytest
 from hypothesis import HealthCheck, settings
 
-# A slow or busy machine must not fail a property; on a server the same examples are drawn every time, so that
-# what lands does not depend on luck (hypothesis looks for new ones on every other machine).
+from tests.real_input import NO_REAL_INPUT, SHARED
+
+# A slow or busy machine must not fail a property. A server draws the same examples every time, and new ones
+# in a run that prints its seed (`FRESH_EXAMPLES`, .ci/run); every other machine always draws new ones.
 settings.register_profile("anywhere", deadline=None, suppress_health_check=[HealthCheck.too_slow])
 settings.register_profile("server", parent=settings.get_profile("anywhere"), derandomize=True)
-settings.load_profile("server" if os.environ.get("CI") else "anywhere")
+settings.load_profile(
+    "server" if os.environ.get("CI") and not os.environ.get("FRESH_EXAMPLES") else "anywhere"
+)
 
 # A shell that starts a job in the background has it ignore Ctrl-C, and so would all that tests interrupt.
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
     signal.signal(signal.SIGINT, signal.default_int_handler)
 
 _EXTRAS = ("browser", "env", "pictures", "slicer", "torch")
-_NO_REAL_INPUT = "real input is not here: the folder ../shared beside the repository is absent"
-SHARED = Path(__file__).resolve().parents[1].parent / "shared"
 
 
 @pytest.fixture(autouse=True)
@@ -39,8 +41,20 @@ def _own_cache(tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest.Mon
 def shared() -> Path:
     """Folder of real input beside the repository."""
     if not SHARED.is_dir():
-        pytest.skip(_NO_REAL_INPUT)
+        pytest.skip(NO_REAL_INPUT)
     return SHARED
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_make_collect_report(
+    collector: pytest.Collector,
+) -> Generator[None, pytest.CollectReport, pytest.CollectReport]:
+    """Fail where a whole file is skipped although all extras are said to be installed."""
+    report = yield
+    if report.skipped and os.environ.get("REQUIRE_EXTRAS") and NO_REAL_INPUT not in str(report.longrepr):
+        report.outcome = "failed"
+        report.longrepr = f"skipped although REQUIRE_EXTRAS is set: {report.longrepr}"
+    return report
 
 
 @pytest.hookimpl(wrapper=True)
@@ -48,7 +62,7 @@ def pytest_runtest_makereport(item: pytest.Item) -> Generator[None, pytest.TestR
     """Fail instead of skipping for want of a package where all extras are said to be installed."""
     report = yield
     needs_extra = any(item.get_closest_marker(extra) for extra in _EXTRAS)
-    wants_package = _NO_REAL_INPUT not in str(report.longrepr)  # real input is no package
+    wants_package = NO_REAL_INPUT not in str(report.longrepr)  # real input is no package
     if report.skipped and needs_extra and wants_package and os.environ.get("REQUIRE_EXTRAS"):
         report.outcome = "failed"
         report.longrepr = f"skipped although REQUIRE_EXTRAS is set: {report.longrepr}"

@@ -4,15 +4,15 @@ from __future__ import annotations
 
 import math
 from itertools import pairwise
-from pathlib import Path
 
 import numpy as np
 from scipy import ndimage
 
 from mnist3d.lattice import signed_distance_px
 from tactile_toolkit.mesh.mesh import Mesh
+from tests.real_input import SHARED
 
-DIGITS = Path(__file__).resolve().parents[2].parent / "shared" / "digits" / "png"
+DIGITS = SHARED / "digits" / "png"
 ROWS, COLUMNS = np.mgrid[:500, :500]
 
 

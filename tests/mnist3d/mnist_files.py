@@ -7,11 +7,7 @@ import struct
 from pathlib import Path
 
 import numpy as np
-import pytest
 from numpy.typing import NDArray
-
-SHARED = Path(__file__).resolve().parents[2].parent / "shared" / "mnist"
-needs_shared = pytest.mark.skipif(not SHARED.is_dir(), reason=f"no MNIST files in {SHARED}")
 
 PREFIXES = {"train": "train", "test": "t10k"}
 

@@ -17,11 +17,9 @@ from mnist3d.sources import NO_WRITER, DigitSource
 from mnist3d.sources.folder import FolderSource, _natural
 from tactile_toolkit.errors import InputError, ItemError
 from tests.mnist3d.sources import refusal
+from tests.real_input import SHARED, needs_shared
 
-SHARED = Path(__file__).resolve().parents[2].parent / "shared"
 PICTURES = SHARED / "digits" / "png"
-needs_pictures = pytest.mark.skipif(not PICTURES.is_dir(), reason=f"no real digits in {PICTURES}")
-needs_mnist = pytest.mark.skipif(not (SHARED / "mnist").is_dir(), reason=f"no MNIST files in {SHARED}/mnist")
 
 
 def bar(height: int = 500, width: int = 500) -> NDArray[np.uint8]:
@@ -320,7 +318,7 @@ def test_a_changed_folder_is_listed_again(tmp_path: Path) -> None:
     assert made.catalog().labels.tolist() == [0, 1]
 
 
-@needs_pictures
+@needs_shared
 def test_real_pictures_come_back_as_they_are() -> None:
     made = FolderSource(str(PICTURES))
     catalog = made.catalog()
@@ -336,7 +334,7 @@ def test_real_pictures_come_back_as_they_are() -> None:
             np.testing.assert_array_equal(digit.pixels, np.asarray(picture))
 
 
-@needs_mnist
+@needs_shared
 def test_mnist_as_pictures_looks_like_mnist(tmp_path: Path) -> None:
     from mnist3d.sources.mnist import IMAGES_MAGIC, MnistSource, read_idx
 

@@ -18,9 +18,7 @@ from mnist3d.sources import NO_WRITER, DigitSource
 from mnist3d.sources.hwdplus import HwdPlusSource
 from tactile_toolkit.errors import ItemError
 from tests.mnist3d.sources import refusal
-
-SHARED = Path(__file__).resolve().parents[2].parent / "shared" / "digits"
-needs_shared = pytest.mark.skipif(not SHARED.is_dir(), reason=f"no real digits in {SHARED}")
+from tests.real_input import SHARED, needs_shared
 
 SIDE = 500
 
@@ -349,12 +347,12 @@ def test_memory_does_not_grow_with_the_file(tmp_path: Path, order: str, count: i
 def test_real_layout_equals_the_pictures_of_the_same_digits() -> None:
     from PIL import Image
 
-    layout = SHARED / "hwd_layout"
+    layout = SHARED / "digits" / "hwd_layout"
     made = HwdPlusSource(str(layout / "Images(500x500).npy"), str(layout / "WriterInfo.npy"), writer_column=1)
     catalog = made.catalog()
     assert np.bincount(catalog.labels).tolist() == [10] * 10
     pictures = {}
-    for path in sorted((SHARED / "png").glob("*.png")):
+    for path in sorted((SHARED / "digits" / "png").glob("*.png")):
         found = re.fullmatch(r"\d+_label(\d)_writer(\d+)", path.stem)
         assert found is not None
         with Image.open(path) as picture:

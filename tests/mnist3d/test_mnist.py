@@ -20,8 +20,9 @@ from mnist3d.sources import NO_WRITER, DigitSource
 from mnist3d.sources.canvas import enlarge, fit
 from mnist3d.sources.mnist import MnistSource, download_mnist
 from tactile_toolkit.errors import HubError, ItemError, MissingExtraError, StorageError
-from tests.mnist3d.mnist_files import PREFIXES, SHARED, bars, idx, name_of, needs_shared, write
+from tests.mnist3d.mnist_files import PREFIXES, bars, idx, name_of, write
 from tests.mnist3d.sources import refusal
+from tests.real_input import SHARED, needs_shared
 
 
 @pytest.mark.parametrize("end", ["", ".gz"])
@@ -260,7 +261,7 @@ def test_flat_images_stay_flat(value: int, shape: tuple[int, int]) -> None:
 @needs_shared
 class TestRealFiles:
     def test_labels_count(self) -> None:
-        catalog = MnistSource(str(SHARED)).catalog()
+        catalog = MnistSource(str(SHARED / "mnist")).catalog()
         expected = [980, 1135, 1032, 1010, 982, 892, 958, 1028, 974, 1009]
         assert np.bincount(catalog.labels).tolist() == expected
         assert catalog.labels[:10].tolist() == [7, 2, 1, 0, 4, 1, 4, 9, 5, 9]
@@ -269,8 +270,8 @@ class TestRealFiles:
         from scipy.ndimage import distance_transform_edt
         from skimage.morphology import skeletonize
 
-        source = MnistSource(str(SHARED))
-        raw = gzip.decompress((SHARED / name_of("test", "images", end=".gz")).read_bytes())
+        source = MnistSource(str(SHARED / "mnist"))
+        raw = gzip.decompress((SHARED / "mnist" / name_of("test", "images", end=".gz")).read_bytes())
         small = 255 - np.frombuffer(raw, np.uint8, offset=16).reshape(-1, 28, 28)
         widths, heights, ours, nearest = [], [], [], []
         for digit_id in range(0, 10_000, 250):

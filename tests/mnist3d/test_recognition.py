@@ -12,9 +12,9 @@ import numpy as np
 import pytest
 
 from mnist3d.sources.synthetic import SyntheticSource
+from tests.real_input import NO_REAL_INPUT, SHARED
 
 ROOT = Path(__file__).resolve().parents[2]
-SHARED = ROOT.parent / "shared"
 TRAIN_COUNT = 1_940
 """Even over writers and classes; the benchmark has the full sizes."""
 
@@ -39,15 +39,15 @@ def synthetic(recognition: ModuleType) -> object:
 
 @pytest.fixture(scope="module")
 def mnist(recognition: ModuleType) -> object:
-    if not (SHARED / "mnist" / "t10k-images-idx3-ubyte.gz").is_file():
-        pytest.skip("the MNIST test images are not in ../shared/mnist")
+    if not SHARED.is_dir():
+        pytest.skip(NO_REAL_INPUT)
     return recognition.load_mnist(SHARED / "mnist")
 
 
 @pytest.fixture(scope="module")
 def digits(recognition: ModuleType) -> object:
-    if not (SHARED / "digits" / "png").is_dir():
-        pytest.skip("the real high-resolution digits are not in ../shared/digits")
+    if not SHARED.is_dir():
+        pytest.skip(NO_REAL_INPUT)
     return recognition.load_digits(SHARED / "digits")
 
 

@@ -25,6 +25,7 @@ from tactile_toolkit.errors import InputError, ItemError
 from tactile_toolkit.mesh.printability import inspect
 from tests.mnist3d.drawings import DIGITS, disc, drawn, seven, six, size_mm, stroke, volume_mm3
 from tests.mnist3d.surface_distances import symmetric_distances_mm
+from tests.real_input import needs_shared
 
 # --- the whole way --------------------------------------------------------------------------------
 
@@ -99,7 +100,7 @@ def test_the_fast_solid_is_the_literal_one(pixels: np.ndarray) -> None:
     assert fast.volume_m3 == pytest.approx(literal.volume_m3, rel=0.015)
 
 
-@pytest.mark.skipif(not DIGITS.is_dir(), reason="the real digits of ../shared/digits are not there")
+@needs_shared
 @pytest.mark.parametrize("place", [100, 240])
 def test_the_fast_solid_is_the_literal_one_on_real_digits(place: int) -> None:
     from PIL import Image
