@@ -29,6 +29,7 @@ KIND = DatasetKind(
     check=lazy("realtouch.integrity.verify:check_folder"),
     needs_manifest=False,
     loader=_loader,
+    extra_files=("images/*/*/*.png", "images/*/*/*.jpg", "index.csv"),
     published=(
         tactile_mnist_set(
             "real-seq",

@@ -129,6 +129,9 @@ class DatasetKind:
         Columns that no other kind of meshes has; published data sets have none of them.
     published : tuple of PublishedSet
         The published data sets of this kind.
+    extra_files : tuple of str
+        Patterns of the files that such data sets may have beside the usual ones, such as ``images/*.png``;
+        of all others in these places ``--overwrite`` knows that they are somebody's.
     plan_previews, plan_gallery : callable
         Plan pictures, or a page, of a data set, where the command line offers that.
     recipe : callable
@@ -150,6 +153,7 @@ class DatasetKind:
     class_names: tuple[str, ...] = ()
     columns: tuple[str, ...] = ()
     published: tuple[PublishedSet, ...] = ()
+    extra_files: tuple[str, ...] = ()
     plan_previews: Callable[..., Any] = _not_offered
     plan_gallery: Callable[..., Any] = _not_offered
     recipe: Callable[[int, int | None], Recipe] = _not_offered

@@ -22,8 +22,9 @@ from realtouch.media.round_clips import SensorClips
 from realtouch.rounds import TouchSeqRound, TouchSingleRound
 from tactile_toolkit.read.dataset import Row
 from tactile_toolkit.read.parquet import Shard
-from tactile_toolkit.store.folder import TEMPORARY_PREFIX, DataFolder
+from tactile_toolkit.store.folder import DataFolder
 from tactile_toolkit.store.manifest import Manifest, write_manifest
+from tactile_toolkit.store.names import problem_of_name
 from tactile_toolkit.store.parquet import file_sha256, sha256_hex
 from tactile_toolkit.store.shards import ShardRecord
 from tactile_toolkit.touch.jpeg import Pixels, encode_image
@@ -66,8 +67,6 @@ _INDEX_SCHEMA = pa.schema(
 )
 
 _JPEG_START = b"\xff\xd8"
-_MOST_NAME_BYTES = 255
-"""Longest name of a file on the usual file systems."""
 
 
 @dataclass(frozen=True)
@@ -166,11 +165,10 @@ def pictures_are_whole(folder: DataFolder, record: ShardRecord) -> bool:
 
 def _folder_name(row: Row, name: str) -> str:
     """Return the id of a round as the name of its folder: one that leads nowhere else on any system."""
-    safe = name.isprintable() and not set(name) & set("/\\") and not name.startswith(TEMPORARY_PREFIX)
-    if name in ("", ".", "..") or not safe or len(name.encode(errors="replace")) > _MOST_NAME_BYTES:
+    problem = "has slashes" if "/" in name else problem_of_name(name)
+    if problem:
         shown = name if len(name) <= 80 else f"{name[:80]}..."
-        problem = f"{shown!r} cannot name a folder; expected one name of 1 to {_MOST_NAME_BYTES} bytes"
-        raise damaged(row, "id", f"{problem}, printable and without / and \\")
+        raise damaged(row, "id", f"{shown!r} cannot name a folder: it {problem}")
     return name
 
 

@@ -14,6 +14,7 @@ from tactile_toolkit.cards.facts import FolderFacts, folder_facts
 from tactile_toolkit.cards.head import dataset_info, size_category
 from tactile_toolkit.errors import ToolkitError
 from tactile_toolkit.store.folder import DataFolder
+from tactile_toolkit.store.names import problem_of_name
 from tactile_toolkit.store.shards import DATA_FOLDER, Finding
 
 __all__ = ["check_card"]
@@ -161,7 +162,10 @@ def _pictures(folder: DataFolder, text: str, held: Collection[str] | None) -> It
     for path in dict.fromkeys(match["path"] for match in _PICTURE.finditer(text)):
         if "://" in path or path.startswith(DATA_FOLDER):
             continue
-        if held is not None and normpath(path) not in held:
+        problem = problem_of_name(normpath(path))
+        if problem:
+            yield Finding(CARD_FILE, f"shows the picture {path!r}, which {problem}")
+        elif held is not None and normpath(path) not in held:
             yield Finding(path, f"is shown by {CARD_FILE} and is no part of what is sent (previews/ is)")
         elif not folder.exists(path) and held is None:
             yield Finding(path, f"is missing; {CARD_FILE} shows it")

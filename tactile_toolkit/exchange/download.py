@@ -17,13 +17,21 @@ from tactile_toolkit.cards.facts import folder_facts
 from tactile_toolkit.cards.head import configs, dataset_info, head_text, size_category
 from tactile_toolkit.catalog.locate import files_of_split, repository_named, repository_shards, shard_files
 from tactile_toolkit.catalog.published import published_set
-from tactile_toolkit.errors import HubError, IntegrityError, SpecMismatchError, StorageError, ToolkitError
+from tactile_toolkit.errors import (
+    HubError,
+    InputError,
+    IntegrityError,
+    SpecMismatchError,
+    StorageError,
+    ToolkitError,
+)
 from tactile_toolkit.hub.cache import RepositoryCache, is_whole, remember_whole
 from tactile_toolkit.hub.errors import named_failures, not_cached, storage_failure_as_hub_error
 from tactile_toolkit.hub.repository import HubRepository, Transfers
 from tactile_toolkit.hub.retry import is_unanswered
 from tactile_toolkit.store.folder import DataFolder, atomic_file
 from tactile_toolkit.store.manifest import MANIFEST_FILE, Manifest, read_manifest, write_manifest
+from tactile_toolkit.store.names import names_inside
 from tactile_toolkit.store.origin import DownloadRecord, HubFile, read_record, write_record
 from tactile_toolkit.store.plan import refuse_unknown_files
 from tactile_toolkit.store.shards import DATA_FOLDER
@@ -157,8 +165,10 @@ def _plan_for_folder(
     chosen, all_splits, shards = _chosen_splits(repository, wanted)
     files = _wanted(repository, [*_extras(repository, chosen, fitted=False), *shards])
     missing = tuple(file for file in files if not _is_here(folder, file))
+    recorded = record.files if record else {}
+    _refuse_own_files(folder, [file.path for file in missing if file.path not in recorded])
     kept = {file.path for file in files}
-    leftover = tuple(path for path in (record.files if record else ()) if path not in kept)
+    leftover = tuple(path for path in recorded if path not in kept)
     labels, commit = _labels_of(repository), repository.snapshot.commit
     _require_cached_if_offline(repository, [*(file.path for file in missing), *labels])
     same = record is not None and record.finished and record.commit == commit
@@ -220,6 +230,17 @@ def _own_record(folder: DataFolder, repository: HubRepository) -> DownloadRecord
     return None
 
 
+def _refuse_own_files(folder: DataFolder, paths: Iterable[str]) -> None:
+    """Refuse to write over what no download has brought."""
+    own = [path for path in paths if folder.exists(path)]
+    if own:
+        message = (
+            f"{folder.address()!r} holds a file of your own where the data set has one ({own[0]!r}); nothing "
+            "was changed; next: move it away, or choose another folder with --out"
+        )
+        raise InputError(message)
+
+
 def _require_known_splits(repository: HubRepository, splits: Sequence[str]) -> None:
     """Refuse to take what the cache lists for all that there is, while the Hub may still answer."""
     if splits or repository.must_be_online or repository.manifest is not None:
@@ -276,7 +297,8 @@ def _extras(repository: HubRepository, splits: Sequence[str], *, fitted: bool) -
 
 def _wanted(repository: HubRepository, paths: Iterable[str]) -> tuple[HubFile, ...]:
     """Return wanted files with what proves them: the manifest's checksums, or else the Hub's."""
-    return tuple(HubFile(path, repository.size_bytes(path), repository.expected(path)) for path in paths)
+    names = names_inside(paths, f"Hub data set {repository.repo_id!r}")
+    return tuple(HubFile(path, repository.size_bytes(path), repository.expected(path)) for path in names)
 
 
 def _is_here(folder: DataFolder, file: HubFile) -> bool:

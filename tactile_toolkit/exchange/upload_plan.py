@@ -15,7 +15,10 @@ from typing import Any
 from tactile_toolkit.cards.card import CARD_FILE, PREVIEW_FOLDER, addressed
 from tactile_toolkit.cards.head import head_text
 from tactile_toolkit.errors import InputError
+from tactile_toolkit.store.folder import DataFolder
 from tactile_toolkit.store.manifest import MANIFEST_FILE, Manifest
+from tactile_toolkit.store.names import problem_of_name
+from tactile_toolkit.store.verify import problem_of_place
 
 __all__ = [
     "MAIN",
@@ -193,11 +196,11 @@ def collect(root: Path, manifest: Manifest, card: bytes) -> Payload:
     """List a verified folder's files with their checksums: those of the manifest, the card, the pictures."""
     known = {record.shard.data_path: record.sha256 for record in manifest.shards}
     known |= dict(manifest.files or {})
-    others = [MANIFEST_FILE]
+    place, others = DataFolder(str(root)), [MANIFEST_FILE]
     for folder in (PREVIEW_FOLDER, _PICTURE_FOLDER):
-        found = (path.relative_to(root) for path in sorted((root / folder).rglob("*")) if path.is_file())
-        # Names with a dot in front are of writers that have not finished.
-        others += [path.as_posix() for path in found if not any(part[0] == "." for part in path.parts)]
+        found = [path.relative_to(root).as_posix() for path in sorted((root / folder).rglob("*"))]
+        # Names with a dot in front are of writers that have not finished; links may lead to anything.
+        others += [path for path in found if not problem_of_name(path) and not problem_of_place(place, path)]
     files = [
         _of_content(CARD_FILE, card),
         *(_of_file(root, path, known.get(path)) for path in dict.fromkeys([*known, *others])),

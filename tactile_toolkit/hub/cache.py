@@ -11,6 +11,7 @@ from pathlib import Path
 
 from tactile_toolkit.cache import cache_folder
 from tactile_toolkit.store.folder import atomic_file
+from tactile_toolkit.store.names import problem_of_name
 from tactile_toolkit.store.origin import Digest
 
 __all__ = ["RepositoryCache", "is_whole", "remember_whole", "remove_with_content"]
@@ -64,13 +65,15 @@ class RepositoryCache:
         """Return the commit that a revision named when it was last looked at; None when it never was."""
         if _COMMIT.fullmatch(revision):
             return revision
-        with contextlib.suppress(OSError):
-            return (self.folder / "refs" / revision).read_text().strip()
-        return None
+        found = ""
+        if not problem_of_name(revision):
+            with contextlib.suppress(OSError, UnicodeDecodeError):
+                found = (self.folder / "refs" / revision).read_text().strip()
+        return found if _COMMIT.fullmatch(found) else None
 
     def remember_commit(self, revision: str, commit: str) -> None:
         """Note which commit a revision names; a cache that cannot be written is not an error."""
-        if _COMMIT.fullmatch(revision) or self.commit_of(revision) == commit:
+        if problem_of_name(revision) or _COMMIT.fullmatch(revision) or self.commit_of(revision) == commit:
             return
         with contextlib.suppress(OSError), atomic_file(self.folder / "refs" / revision) as stream:
             stream.write(commit.encode())

@@ -21,6 +21,7 @@ from tactile_toolkit.hub.cache import RepositoryCache, is_whole, remove_with_con
 from tactile_toolkit.hub.errors import cause_chain, failure_of, not_cached, shown_cause
 from tactile_toolkit.hub.retry import ask, is_passing, is_unanswered
 from tactile_toolkit.store.manifest import MANIFEST_FILE, Manifest
+from tactile_toolkit.store.names import names_inside, problem_of_name
 from tactile_toolkit.store.origin import Digest, HubFile
 
 __all__ = ["HubName", "HubRepository", "HubSnapshot", "Transfers", "hub_name", "look_at"]
@@ -34,7 +35,7 @@ _NAME = re.compile(
 )
 _PROBE_TIMEOUT_S = 5.0
 _MAIN = "main"
-_DIGEST_OF_LENGTH = {64: "sha256", 40: "git-sha1"}
+_SHA256_DIGITS = 64
 _FILES_AT_ONCE = 8  # as many as the Hub's own client fetches at once
 _STOP_WITHIN_S = 2.0
 
@@ -130,14 +131,22 @@ def look_at(
         if failure is None or failure is error:
             raise
         raise failure from shown_cause(error)
-    cache.remember_commit(revision or _MAIN, answer.sha)
     files = {}
-    for entry in answer.siblings or ():
-        large = entry.lfs
-        digest = Digest("sha256", large.sha256) if large else Digest("git-sha1", entry.blob_id)
-        files[entry.rfilename] = HubFile(entry.rfilename, int(entry.size), digest)
+    try:
+        commit = Digest("git-sha1", answer.sha).value
+        for entry in answer.siblings or ():
+            large = entry.lfs
+            digest = Digest("sha256", large.sha256) if large else Digest("git-sha1", entry.blob_id)
+            files[entry.rfilename] = HubFile(entry.rfilename, int(entry.size), digest)
+    except (TypeError, ValueError, AttributeError) as error:
+        message = (
+            f"{constants.ENDPOINT} does not answer as a Hub does about data set {repo_id!r} ({error}); next: "
+            "check HF_ENDPOINT"
+        )
+        raise HubError(message) from error
+    cache.remember_commit(revision or _MAIN, commit)
     licence = getattr(answer.card_data, "license", None)
-    return HubSnapshot(repo_id, answer.sha, files, licence=licence if isinstance(licence, str) else None)
+    return HubSnapshot(repo_id, commit, files, licence=licence if isinstance(licence, str) else None)
 
 
 def _cached_snapshot(cache: RepositoryCache, commit: str, *, may_pass: bool) -> HubSnapshot:
@@ -145,8 +154,11 @@ def _cached_snapshot(cache: RepositoryCache, commit: str, *, may_pass: bool) -> 
     for path, file in cache.files(commit).items():
         # The name of a blob tells what it holds; a cache without links has none.
         name = Path(os.path.realpath(file)).name
-        kind = _DIGEST_OF_LENGTH.get(len(name)) if file.is_symlink() else None
-        files[path] = HubFile(path, file.stat().st_size, Digest(kind, name) if kind else None)
+        digest = None
+        if file.is_symlink():
+            with contextlib.suppress(ValueError):
+                digest = Digest("sha256" if len(name) == _SHA256_DIGITS else "git-sha1", name)
+        files[path] = HubFile(path, file.stat().st_size, digest)
     return HubSnapshot(cache.repo_id, commit, files, is_cache=True, may_pass=may_pass)
 
 
@@ -341,8 +353,10 @@ class HubRepository:
     def expected(self, path: str) -> Digest | None:
         """Return what a file must be: what the manifest says, or else the Hub; None where neither is known.
 
-        Raises IntegrityError where the two disagree (fetching it would not help), HubError for no such file.
+        Raises IntegrityError where the two disagree (fetching it would not help) and for a name that is not
+        that of a file in a folder, HubError for no such file.
         """
+        names_inside((path,), f"Hub data set {self.repo_id!r}")
         if path == MANIFEST_FILE or self.manifest is None:
             return self._entry(path).digest
         sha256 = (self.manifest.files or {}).get(path)
@@ -372,10 +386,10 @@ class HubRepository:
 
     def cached(self, path: str) -> Path | None:
         """Return a file that is in the Hub's cache, whole; None otherwise. Asks nobody, fetches nothing."""
+        digest = self.expected(path)
         file = RepositoryCache(self.repo_id).file(self.snapshot.commit, path)
         if file is None:
             return None
-        digest = self.expected(path)
         return file if digest is None or is_whole(file, digest) else None
 
     def fetch(self, paths: Sequence[str], transfers: Transfers | None = None) -> list[str]:
@@ -385,18 +399,19 @@ class HubRepository:
         that once, and again only after it has changed. Raises IntegrityError for one that arrived damaged
         twice or is not what the manifest says (nothing of it is kept), HubError, StorageError.
         """
+        names_inside(paths, f"Hub data set {self.repo_id!r}")
         for path in paths:
             self.expected(path)  # what cannot be had is told before anything is fetched
         together = transfers or Transfers(on_wait=self.on_wait)
         return together.each(lambda path: self._fetch(path, together), paths)
 
     def _fetch(self, path: str, transfers: Transfers | None = None) -> str:
-        found = RepositoryCache(self.repo_id).file(self.snapshot.commit, path)
-        if found is not None:
-            whole = self.cached(path)
-            if whole is not None:
-                return str(whole)
-            remove_with_content(found)
+        whole = self.cached(path)
+        if whole is not None:
+            return str(whole)
+        damaged = RepositoryCache(self.repo_id).file(self.snapshot.commit, path)
+        if damaged is not None:
+            remove_with_content(damaged)
         return str(self.download(path, transfers or Transfers(on_wait=self.on_wait)))
 
     def download(self, path: str, transfers: Transfers, folder: Path | None = None) -> Path:
@@ -406,6 +421,7 @@ class HubRepository:
         digest = None if self.snapshot.is_cache else self.expected(path)
         if digest is None:
             raise not_cached(self.repo_id, repr(path))
+        _guard_client()
 
         def fetched(bar: Any, *, anew: bool) -> Path:
             try:
@@ -454,6 +470,23 @@ class HubRepository:
             raise not_cached(self.repo_id, repr(path))
         message = f"Hub data set {self.repo_id!r} has no file {path!r}; next: see what it has on its page"
         raise HubError(message)
+
+
+def _guard_client() -> None:
+    """Let the client refuse an answer whose head would lead it out of its cache: it names files by that."""
+    from huggingface_hub import get_session
+
+    hooks = get_session().event_hooks["response"]
+    if _refuse_wild_head not in hooks:
+        hooks.append(_refuse_wild_head)
+
+
+def _refuse_wild_head(response: Any) -> None:
+    for name in ("etag", "x-linked-etag", "x-repo-commit") if response.request.method == "HEAD" else ():
+        value = response.headers.get(name, "").removeprefix("W/").strip('"')
+        if value and ("/" in value or problem_of_name(value)):
+            message = f"the Hub calls a file {value[:80]!r}, which is not a digest; next: check HF_ENDPOINT"
+            raise HubError(message)
 
 
 def _may_repeat_download(error: Exception) -> bool:

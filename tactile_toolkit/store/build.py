@@ -137,7 +137,8 @@ def build(
     files = dict(manifest.files or {})
     report = None
     if plan.report_file is not None:
-        report, files[plan.report_file] = _merge_reports(folder, plan.report_file, manifest)
+        report, checksum = _merge_reports(folder, plan.report_file, manifest)
+        files |= {plan.report_file: checksum} if report is not None else {}
     # Shards of a split that another run began stay its own until that run is given again.
     begun = pending_beside(folder, manifest)
     finished = replace(manifest, files=files, complete=not begun)

@@ -12,6 +12,7 @@ import errno
 import os
 import re
 import socket
+import stat
 import uuid
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
@@ -29,6 +30,7 @@ __all__ = [
     "is_being_written",
     "is_stale",
     "named_failures",
+    "open_regular",
     "remove_tree",
     "stale_files",
     "temporary_name",
@@ -172,6 +174,20 @@ def atomic_file(path: Path, *, durable: bool = True) -> Iterator[IO[bytes]]:
             os.close(handle)
 
 
+def open_regular(path: Path) -> IO[bytes]:
+    """Open a local file for reading; IntegrityError for what is not one.
+
+    A pipe would be waited for, and a device may have no end.
+    """
+    unwaiting = getattr(os, "O_NONBLOCK", 0)
+    stream = open(path, "rb", opener=lambda name, flags: os.open(name, flags | unwaiting))  # noqa: SIM115
+    if not stat.S_ISREG(os.fstat(stream.fileno()).st_mode):
+        stream.close()
+        message = f"{str(path)!r} is not a file (it is a pipe or a device); nothing was read from it"
+        raise IntegrityError(message)
+    return stream
+
+
 @dataclass(frozen=True)
 class DataFolder:
     """A data set folder, by its path or any fsspec address.
@@ -207,8 +223,27 @@ class DataFolder:
             object.__setattr__(self, name, value)
 
     def address(self, path: str = "") -> str:
-        """Return the full address of a file of the folder, for messages and readers."""
-        return f"{self._root}/{path}" if path else self._root
+        """Return the full address of a file of the folder, for messages and readers.
+
+        Everything that is done with a file starts here. Raises StorageError for a path that leads out of the
+        folder: names from outside are refused where they are read (:mod:`tactile_toolkit.store.names`), and
+        nothing is done even with one that was forgotten there.
+        """
+        if not path:
+            return self._root
+        parts = PurePosixPath(path)
+        if parts.is_absolute() or ".." in parts.parts or "\0" in path:
+            message = (
+                f"{path!r} leads out of {self._root!r} or is not a path; expected a path inside; nothing was "
+                "done"
+            )
+            raise StorageError(message)
+        return f"{self._root}/{path}"
+
+    def _remote_address(self, path: str = "") -> str:
+        """Return what the remote file system calls a file."""
+        root = self._remote[1]
+        return root + self.address(path).removeprefix(self._root)
 
     def exists(self, path: str = "") -> bool:
         """Tell whether a file (or, without an argument, the folder) is there."""
@@ -216,8 +251,7 @@ class DataFolder:
             # Who asks for the folder itself is about to write there, and says so.
             with _readable(self.address(path)) if path else contextlib.nullcontext():
                 return Path(self.address(path)).exists()
-        file_system, root = self._remote
-        return bool(file_system.exists(f"{root}/{path}" if path else root))
+        return bool(self._remote[0].exists(self._remote_address(path)))
 
     def names(self, folder: str = "") -> list[str]:
         """List the file names directly in a sub-folder, sorted; an absent sub-folder is empty."""
@@ -225,9 +259,8 @@ class DataFolder:
             path = Path(self.address(folder))
             with _readable(str(path)):
                 return sorted(entry.name for entry in path.iterdir()) if path.is_dir() else []
-        file_system, root = self._remote
         try:
-            found = file_system.ls(f"{root}/{folder}" if folder else root, detail=False)
+            found = self._remote[0].ls(self._remote_address(folder), detail=False)
         except FileNotFoundError:
             return []
         return sorted(PurePosixPath(name).name for name in found)
@@ -237,22 +270,19 @@ class DataFolder:
         if self.is_local:
             with _readable(self.address(path)):
                 return Path(self.address(path)).stat().st_size
-        file_system, root = self._remote
-        return int(file_system.size(f"{root}/{path}"))
+        return int(self._remote[0].size(self._remote_address(path)))
 
     def open(self, path: str) -> IO[bytes]:
-        """Open a file for reading."""
+        """Open a file for reading; IntegrityError for what is not a file, such as a pipe or a device."""
         if self.is_local:
             with _readable(self.address(path)):
-                return Path(self.address(path)).open("rb")
-        file_system, root = self._remote
-        opened: IO[bytes] = file_system.open(f"{root}/{path}", "rb")
+                return open_regular(Path(self.address(path)))
+        opened: IO[bytes] = self._remote[0].open(self._remote_address(path), "rb")
         return opened
 
     def facts(self, path: str) -> Mapping[str, Any]:
         """Return what a remote store says of a file."""
-        file_system, root = self._remote
-        found: Mapping[str, Any] = file_system.info(f"{root}/{path}")
+        found: Mapping[str, Any] = self._remote[0].info(self._remote_address(path))
         return found
 
     def read_bytes(self, path: str) -> bytes:
@@ -270,22 +300,14 @@ class DataFolder:
         Raises StorageError for a path that leads out of the folder, and where the file system refuses; then
         nothing is left behind under any name.
         """
-        # Names in stored data may be anybody's.
-        parts = PurePosixPath(path)
-        if parts.is_absolute() or ".." in parts.parts or "\0" in path:
-            message = (
-                f"{path!r} leads out of {self._root!r} or is not a path; expected a path inside; nothing was "
-                "written"
-            )
-            raise StorageError(message)
         with named_failures(self.address(path)):
             if self.is_local:
                 with atomic_file(Path(self.address(path))) as stream:
                     stream.write(content)
             else:
-                file_system, root = self._remote
-                file_system.makedirs(str(PurePosixPath(f"{root}/{path}").parent), exist_ok=True)
-                file_system.pipe_file(f"{root}/{path}", content)
+                target = self._remote_address(path)
+                self._remote[0].makedirs(str(PurePosixPath(target).parent), exist_ok=True)
+                self._remote[0].pipe_file(target, content)
 
     def remove(self, path: str) -> None:
         """Remove a file, if it is there."""
@@ -293,8 +315,7 @@ class DataFolder:
             if self.is_local:
                 Path(self.address(path)).unlink(missing_ok=True)
             elif self.exists(path):
-                file_system, root = self._remote
-                file_system.rm_file(f"{root}/{path}")
+                self._remote[0].rm_file(self._remote_address(path))
 
     def remove_empty(self, folder: str) -> None:
         """Remove a sub-folder when nothing is left in it."""
@@ -304,8 +325,7 @@ class DataFolder:
             if self.is_local:
                 Path(self.address(folder)).rmdir()
             elif folder:  # never the root, which may be a bucket; most object stores know no folders at all
-                file_system, root = self._remote
-                file_system.rmdir(f"{root}/{folder}")
+                self._remote[0].rmdir(self._remote_address(folder))
 
     def require_folder(self) -> None:
         """Create the folder, and prove that it can be written to.

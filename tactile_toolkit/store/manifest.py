@@ -14,6 +14,8 @@ from typing import Any
 
 from tactile_toolkit.errors import IntegrityError
 from tactile_toolkit.store.folder import DataFolder
+from tactile_toolkit.store.names import names_inside
+from tactile_toolkit.store.origin import Digest
 from tactile_toolkit.store.shards import PENDING_FOLDER, ShardRecord, add_up
 
 __all__ = [
@@ -131,8 +133,12 @@ class Manifest:
                 files=values["files"],
                 schema_version=version,
                 complete=values["complete"],
-                extra_dirs=tuple(map(str, values.get("trees", ()))),
+                extra_dirs=tuple(values.get("trees", ())),
             )
+            paths = (record.shard.data_path for record in manifest.shards)
+            names_inside((*paths, *(manifest.files or ()), *manifest.extra_dirs), repr(where))
+            for sha256 in (*(manifest.files or {}).values(), *(record.sha256 for record in manifest.shards)):
+                Digest("sha256", sha256)
         except (ValueError, KeyError, TypeError, AttributeError) as error:
             message = f"{where!r} is not a manifest of this toolkit ({type(error).__name__}: {error})"
             raise IntegrityError(message) from error

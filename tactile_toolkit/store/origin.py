@@ -8,29 +8,37 @@ from __future__ import annotations
 
 import hashlib
 import json
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
 from tactile_toolkit.errors import IntegrityError
-from tactile_toolkit.store.folder import DataFolder
+from tactile_toolkit.store.folder import DataFolder, open_regular
+from tactile_toolkit.store.names import names_inside
 
 __all__ = ["RECORD_FILE", "Digest", "DownloadRecord", "HubFile", "read_record", "write_record"]
 
 RECORD_FILE = ".download.json"
 
 _PIECE_BYTES = 1 << 20
+_DIGEST_PATTERNS = {"sha256": "[0-9a-f]{64}", "git-sha1": "[0-9a-f]{40}"}
 
 
 @dataclass(frozen=True, slots=True)
 class Digest:
-    """Hexadecimal digest of a file's content.
+    """Hexadecimal digest of a file's content; ValueError where it is none.
 
     ``kind`` is ``"sha256"`` for large files and all that a manifest lists, ``"git-sha1"`` for files in git.
     """
 
     kind: str
     value: str
+
+    def __post_init__(self) -> None:
+        if not re.fullmatch(_DIGEST_PATTERNS.get(self.kind, ""), str(self.value)):
+            message = f"{self.value!r} is not a digest of the kind {self.kind!r} in hexadecimal digits"
+            raise ValueError(message)
 
     def __str__(self) -> str:
         return f"{self.kind} {self.value}"
@@ -41,7 +49,7 @@ class Digest:
         if self.kind == "git-sha1":
             # Git hashes a head with the size before the content.
             found.update(b"blob %d\0" % file.stat().st_size)
-        with file.open("rb") as stream:
+        with open_regular(file) as stream:
             while piece := stream.read(_PIECE_BYTES):
                 found.update(piece)
         return Digest(self.kind, found.hexdigest())
@@ -84,13 +92,15 @@ def read_record(folder: DataFolder) -> DownloadRecord | None:
             path: HubFile(path, entry["bytes"], Digest(entry["kind"], entry["digest"]))
             for path, entry in values["files"].items()
         }
+        labels = tuple(values["labels"])
+        names_inside((*files, *labels), repr(folder.address(RECORD_FILE)))
         return DownloadRecord(
             values["repository"],
             values["commit"],
             values["revision"],
             files,
             tuple(values["splits"]),
-            tuple(values["labels"]),
+            labels,
             bool(values.get("finished", True)),
         )
     except (ValueError, KeyError, TypeError, AttributeError) as error:

@@ -13,9 +13,11 @@ from __future__ import annotations
 import contextlib
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
+from fnmatch import fnmatch
 from pathlib import Path
 
 from tactile_toolkit.errors import InputError, IntegrityError, StorageError
+from tactile_toolkit.kind import kinds
 from tactile_toolkit.store.folder import (
     TEMPORARY_PREFIX,
     DataFolder,
@@ -95,19 +97,26 @@ def require_replaceable(folder: DataFolder, extra_dirs: tuple[str, ...]) -> tupl
 
     Raises InputError when the folder holds more than a data set of ours.
     """
-    both = tuple(dict.fromkeys((*_extra_dirs_of(folder), *extra_dirs)))
+    before = _extra_dirs_of(folder)
+    both = tuple(dict.fromkeys((*before, *extra_dirs)))
     if not folder.exists(MANIFEST_FILE):
         refuse_unknown_files(folder)
         return both
-    refuse_unknown_files(folder, (*_FOLDERS, *both, _CARD, MANIFEST_FILE))
-    for path, is_ours in _OWN_NAMES.items():
-        for name in folder.names(path):
-            if not name.startswith(".") and not is_ours(name):
-                message = (
-                    f"{folder.address()!r} holds more than a data set (found '{path}/{name}'); nothing was "
-                    "changed; next: move that file away, or choose an empty or new folder (--out or OUT)"
-                )
-                raise InputError(message)
+    # What only the new set is to have is not of the former one: it is somebody's.
+    refuse_unknown_files(folder, (*_FOLDERS, *before, _CARD, MANIFEST_FILE))
+    found = [
+        f"{path}/{name}"
+        for path, is_ours in _OWN_NAMES.items()
+        for name in folder.names(path)
+        if not name.startswith(".") and not is_ours(name)
+    ]
+    found += [file for path in before for file in _files_below(folder, path) if not _is_extra(file)]
+    if found:
+        message = (
+            f"{folder.address()!r} holds more than a data set (found {found[0]!r}); nothing was changed; "
+            "next: move that file away, or choose an empty or new folder (--out or OUT)"
+        )
+        raise InputError(message)
     # A damaged manifest of ours has shards beside it; other programs have files of that name, too.
     if not folder.names(DATA_FOLDER) and not folder.names(PENDING_FOLDER):
         try:
@@ -186,8 +195,32 @@ def _extra_dirs_of(folder: DataFolder) -> tuple[str, ...]:
     except IntegrityError:
         return ()
     names = () if manifest is None else manifest.extra_dirs
-    # A manifest may be anybody's, of a data set from the Hub: what it names is removed in the end.
-    return tuple(name for name in names if name not in ("", ".", "..") and not set(name) & set("/\\\0"))
+    # A manifest may be anybody's, of a data set from the Hub, and what is returned is removed in the end.
+    known = {pattern.partition("/")[0] for pattern in _extra_files()} if names else set()
+    return tuple(name for name in names if name in known)
+
+
+def _extra_files() -> list[str]:
+    return [pattern for kind in kinds() for pattern in kind.extra_files]
+
+
+def _is_extra(path: str) -> bool:
+    """Tell whether data sets of some kind have files of such a name, or a run that was killed left one."""
+    parts = path.split("/")
+    if parts[-1].startswith(TEMPORARY_PREFIX):
+        return True
+    patterns = (pattern.split("/") for pattern in _extra_files())
+    return any(len(each) == len(parts) and all(map(fnmatch, parts, each)) for each in patterns)
+
+
+def _files_below(folder: DataFolder, path: str) -> list[str]:
+    """List the files in a sub-folder, or the file of that name; not what lies behind links, which stays."""
+    if not folder.exists(path) or (folder.is_local and Path(folder.address(path)).is_symlink()):
+        return []
+    names = folder.names(path)
+    if not names or names == [path.rpartition("/")[2]]:  # object stores list a file as if it held itself
+        return [] if folder.is_local and Path(folder.address(path)).is_dir() else [path]
+    return [file for name in names for file in _files_below(folder, f"{path}/{name}")]
 
 
 @dataclass(frozen=True)

@@ -135,7 +135,7 @@ class ShardRecord:
         """Rebuild a record from :meth:`to_dict`; IntegrityError where fields are missing or wrong."""
         try:
             shard = ShardName.parse(str(values["file"]).rpartition("/")[2])
-            if shard is None:
+            if shard is None or shard.data_path != values["file"]:
                 name = "file"
                 raise KeyError(name)
             return cls(

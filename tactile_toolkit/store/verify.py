@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections import Counter
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
@@ -15,7 +16,7 @@ from tactile_toolkit.store.origin import RECORD_FILE, DownloadRecord, read_recor
 from tactile_toolkit.store.parquet import file_sha256, named_damage, open_parquet
 from tactile_toolkit.store.shards import DATA_FOLDER, Finding, ShardRecord
 
-__all__ = ["Finding", "Verification", "verify"]
+__all__ = ["Finding", "Verification", "problem_of_place", "verify"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -98,8 +99,9 @@ def _verify_copy(folder: DataFolder, record: DownloadRecord, on_file: Callable[[
     rows = 0
     for path, file in record.files.items():
         on_file(path)
-        if not folder.exists(path):
-            findings.append(Finding(path, "is missing"))
+        problem = problem_of_place(folder, path)
+        if problem:
+            findings.append(Finding(path, problem))
             continue
         found = None if file.digest is None else file.digest.of(Path(folder.address(path)))
         if file.digest is not None and found != file.digest:
@@ -115,6 +117,23 @@ def _verify_copy(folder: DataFolder, record: DownloadRecord, on_file: Callable[[
     size = sum(file.size_bytes for file in record.files.values())
     reference = f"{record.repo_id} at {record.commit[:12]}"
     return Verification(len(record.files), rows, size, tuple(findings), reference)
+
+
+def problem_of_place(folder: DataFolder, path: str) -> str:
+    """Say why a path of a folder is not one of its own files; empty where it is one.
+
+    A link may lead to another file of the folder, and from a snapshot of the Hub's cache to its contents.
+    What lies elsewhere is not read: the folder may be anybody's.
+    """
+    if not folder.exists(path):
+        return "is missing"
+    if not folder.is_local:
+        return ""
+    root, place = (Path(os.path.realpath(folder.address(each))) for each in ("", path))
+    blobs = root.parent.parent / "blobs"
+    if not place.is_relative_to(root) and not (root.parent.name == "snapshots" and place.parent == blobs):
+        return f"is a link that leads out of the folder, to {str(place)!r}; next: put the file there itself"
+    return "" if place.is_file() else "is not a file (it is a folder, a pipe or a device)"
 
 
 def _incomplete(folder: DataFolder, manifest: Manifest) -> list[Finding]:
@@ -134,8 +153,9 @@ def _incomplete(folder: DataFolder, manifest: Manifest) -> list[Finding]:
 
 
 def _check_file(folder: DataFolder, path: str, checksum: str) -> list[Finding]:
-    if not folder.exists(path):
-        return [Finding(path, "is missing")]
+    problem = problem_of_place(folder, path)
+    if problem:
+        return [Finding(path, problem)]
     found = file_sha256(folder, path)
     return [] if found == checksum else [Finding(path, f"sha256 is {found}, expected {checksum}")]
 

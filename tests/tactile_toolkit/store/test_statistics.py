@@ -9,7 +9,7 @@ from tactile_toolkit.store.shards import ShardName, ShardRecord, add_up
 
 
 def record(split, index, statistics):
-    return ShardRecord(ShardName(split, index, 2), 1, 10, "00", statistics=statistics)
+    return ShardRecord(ShardName(split, index, 2), 1, 10, "0" * 64, statistics=statistics)
 
 
 @pytest.mark.parametrize(

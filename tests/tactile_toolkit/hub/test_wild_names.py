@@ -1,0 +1,170 @@
+"""A Hub that means harm: names and digests that lead elsewhere are refused, nothing outside is touched."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from tests.hub_server import Blob, HubServer
+from tests.tactile_toolkit.hub.client import run_here, settings
+from tests.tactile_toolkit.hub.sets import BIG, NAME, SHARD, big_parquet, fetch, script, two_sets
+from tests.tactile_toolkit.toy import folder_bytes
+
+CONTENT = big_parquet(rows=9)
+SHARD_NAME = "train-00000-of-00001.parquet"
+
+
+@pytest.fixture
+def server(tmp_path) -> Iterator[HubServer]:
+    with two_sets(tmp_path / "root") as running:
+        yield running
+
+
+@pytest.fixture
+def home(tmp_path) -> Path:
+    """Where the client is at home, deep enough that what leads out of it can be seen."""
+    home = tmp_path / "a" / "b" / "home"
+    home.mkdir(parents=True)
+    (tmp_path / "a" / "victim.txt").write_text("years of work")
+    return home
+
+
+def outside(tmp_path: Path, home: Path) -> dict[str, bytes]:
+    found = folder_bytes(tmp_path)
+    ours = (str(home.relative_to(tmp_path)), "root")
+    return {path: content for path, content in found.items() if not path.startswith(ours)}
+
+
+WILD = [
+    f"../../victim/{SHARD_NAME}",
+    f"data/../../../{SHARD_NAME}",
+    f"/tmp/evil/{SHARD_NAME}",
+    f"C:\\{SHARD_NAME}",
+    f"data\\..\\..\\{SHARD_NAME}",
+    f".git/{SHARD_NAME}",
+    f"con/{SHARD_NAME}",
+    f"data/x\0/{SHARD_NAME}",
+    f"data/\u202e/{SHARD_NAME}",
+    f"data/{'x' * 200}/{SHARD_NAME}",
+]
+
+
+@pytest.mark.parametrize("name", WILD)
+def test_a_shard_with_a_wild_name_is_not_fetched(server, tmp_path, home, name):
+    server.create(BIG, {name: CONTENT, "README.md": b"#"})
+    before = outside(tmp_path, home)
+    for text in (script(BIG), script(BIG, out=home / "out")):
+        code, kind, words = fetch(server, home, text)
+        assert (code, kind) == (3, "IntegrityError")
+        assert f"Hub data set {BIG!r} names the file {ascii(name)[:40]}" in words
+        assert words.isprintable()
+    assert outside(tmp_path, home) == before
+    assert not (home / "out").exists()
+    assert server.fetched == []
+
+
+@pytest.mark.parametrize(
+    "name", ["reports/../../../victim.txt", "previews/.hidden.png", "images/train/\\x.png"]
+)
+def test_what_goes_with_shards_has_plain_names_too(server, tmp_path, home, name):
+    files = {path: blob.content for path, blob in server.repository(NAME).head.files.items()}
+    server.create("someone/wild", {**files, name: b"evil"})
+    before = outside(tmp_path, home)
+    code, kind, words = fetch(server, home, script("someone/wild", out=home / "deep" / "out"))
+    assert (code, kind) == (3, "IntegrityError")
+    assert f"names the file {name!a}" in words
+    assert outside(tmp_path, home) == before
+
+
+def test_names_that_nobody_wants_do_no_harm(server, home):
+    """Repositories have all sorts of files; only what is fetched must have a plain name."""
+    server.create(BIG, {SHARD: CONTENT, ".gitattributes": b"", "notes/../x": b"", "a\\b": b""})
+    place = fetch(server, home, script(BIG, out=home / "out"))[0]
+    assert sorted(folder_bytes(Path(place))) == [".download.json", SHARD]
+
+
+def test_two_files_that_are_one_elsewhere_are_refused(server, home):
+    other = "Data/train-00000-of-00001.parquet"
+    server.create(BIG, {SHARD: CONTENT, other: CONTENT})
+    assert "is the same file as" in fetch(server, home, script(BIG, out=home / "out"))[2]
+
+
+def test_a_manifest_of_the_hub_is_read_as_warily(server, tmp_path, home):
+    files = {path: blob.content for path, blob in server.repository(NAME).head.files.items()}
+    values = json.loads(files["manifest.json"])
+    before = outside(tmp_path, home)
+    for wild in ({"../../../evil": "0" * 64}, {"reports/x.txt": "../../../evil"}):
+        text = json.dumps({**values, "files": {**values["files"], **wild}}).encode()
+        server.create("someone/wild", {**files, "manifest.json": text, "reports/x.txt": b"evil"})
+        code, kind, words = fetch(server, home, script("someone/wild", out=home / "deep" / "out"))
+        assert (code, kind) == (3, "IntegrityError")
+        assert "someone/wild/manifest.json" in words
+    assert outside(tmp_path, home) == before
+    assert not (home / "deep").exists()
+
+
+def test_a_file_of_somebody_in_the_folder_is_not_overwritten(server, home):
+    out = home / "out"
+    fetch(server, home, script(BIG, out=out))
+    (out / "reports").mkdir()
+    (out / "reports" / "mine.txt").write_text("mine")
+    server.repository(BIG).commit({"reports/mine.txt": Blob(b"theirs", is_lfs=False)}, "a report")
+    before = folder_bytes(out)
+    code, kind, words = fetch(server, home, script(BIG, out=out))
+    assert (code, kind) == (2, "InputError")
+    assert "holds a file of your own where the data set has one ('reports/mine.txt')" in words
+    assert folder_bytes(out) == before
+
+
+@pytest.mark.parametrize("part", ["oid", "sha256"])
+def test_digests_of_the_hub_are_digests(server, tmp_path, home, monkeypatch, part):
+    before = outside(tmp_path, home)
+    monkeypatch.setattr(Blob, part, property(lambda _: "../../../../../../evil"))
+    code, kind, words = fetch(server, home, script(BIG, out=home / "out"))
+    assert (code, kind) == (4, "HubError")
+    assert "does not answer as a Hub does about data set 'someone/big'" in words
+    assert outside(tmp_path, home) == before
+
+
+HEAD = """
+from tactile_toolkit.errors import ToolkitError
+from tactile_toolkit.hub.repository import HubRepository
+from tests.hub_server import Blob
+repository = HubRepository({name!r})
+repository.files()
+Blob.{part} = property(lambda _: "../../../../../../evil")
+try:
+    print(repository.fetch(["README.md"]))
+except ToolkitError as error:
+    print(error.exit_code, type(error).__name__, error)
+"""
+
+
+def test_the_client_does_not_name_files_by_what_the_hub_calls_them(server, tmp_path, home, monkeypatch):
+    """The client's cache takes its file names from the heads of answers."""
+    before = outside(tmp_path, home)
+    monkeypatch.setattr(Blob, "oid", Blob.oid)  # puts back what the script changes
+    text = HEAD.format(name=BIG, part="oid")
+    done = run_here(text, settings(server, home), home)
+    assert "4 HubError the Hub calls a file '../../../../../../evil', which is not a digest" in done.stdout
+    assert outside(tmp_path, home) == before
+
+
+REVISION = """
+from tactile_toolkit.hub.cache import RepositoryCache
+cache = RepositoryCache("someone/big")
+cache.remember_commit({revision!r}, "0" * 40)
+print(cache.commit_of({revision!r}))
+"""
+
+
+@pytest.mark.parametrize("revision", ["../../../../evil", "..", "/tmp/evil-revision", "a\0b"])
+def test_revisions_are_remembered_inside_the_cache_only(server, tmp_path, home, revision):
+    before = outside(tmp_path, home)
+    done = run_here(REVISION.format(revision=revision), settings(server, home), home)
+    assert done.stdout.strip() == "None"
+    assert outside(tmp_path, home) == before
+    assert not Path("/tmp/evil-revision").exists()

@@ -1,0 +1,277 @@
+"""Names from outside: whatever a manifest, record or link says, nothing outside of the folder is touched."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+from dataclasses import replace
+from pathlib import Path, PurePosixPath, PureWindowsPath
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from tactile_toolkit.cards.checks import check_card
+from tactile_toolkit.catalog.locate import find_shards
+from tactile_toolkit.errors import InputError, IntegrityError, StorageError, ToolkitError
+from tactile_toolkit.run.processes import InlineRunner
+from tactile_toolkit.store.build import build
+from tactile_toolkit.store.folder import DataFolder
+from tactile_toolkit.store.names import names_inside, problem_of_name
+from tactile_toolkit.store.origin import RECORD_FILE, read_record
+from tactile_toolkit.store.verify import verify
+from tests.tactile_toolkit.toy import SCHEMA, folder_bytes, toy_plan
+
+WILD = [
+    "../victim",
+    "reports/../../victim",
+    "/etc/passwd",
+    "/dev/zero",
+    "..",
+    ".",
+    "",
+    "reports//x",
+    "./reports/x",
+    "reports/",
+    "..\\victim",
+    "reports\\..\\..\\victim",
+    "\\\\server\\share\\x",
+    "C:\\victim",
+    "C:victim",
+    "c:/victim",
+    "reports/x\0.txt",
+    "reports/x\n.txt",
+    "reports/\x1b[2J",
+    "reports/\u202etxt.exe",
+    "reports/\udcff",
+    ".git",
+    ".git/config",
+    "reports/.hidden",
+    ".pending/x.json",
+    ".download.json",
+    "CON",
+    "reports/nul.parquet",
+    "reports/com¹.txt",
+    "aux .txt",
+    "reports/x.",
+    "reports/x ",
+    "reports/" + "x" * 151,
+    "/".join("x" * 100 for _ in range(11)),
+    7,
+    None,
+    ["reports/x"],
+]
+SOME = ["../victim", "reports/../../victim", "/etc/passwd", ".git", "C:\\victim", "reports/nul.parquet"]
+FINE = [
+    "data/train-00000-of-00002.parquet",
+    "reports/printability.parquet",
+    "images/train/日本 ü.1/000.png",
+    "images/train/2024-01-01T10:00:00/000.png",
+    "console.txt",
+    "x" * 150,
+]
+
+
+@pytest.mark.parametrize("name", WILD)
+def test_a_wild_name_is_refused_by_name(name):
+    with pytest.raises(IntegrityError, match="here names the file") as told:
+        names_inside(["reports/fine.parquet", name], "here")
+    assert str(told.value).isprintable()
+    assert len(str(told.value)) < 400
+
+
+def test_plain_names_pass():
+    assert names_inside(FINE, "here") == tuple(FINE)
+
+
+@pytest.mark.parametrize(
+    ("one", "other"),
+    [("data/A.parquet", "data/a.parquet"), ("Straße", "STRASSE"), ("e\u0301", "é")],
+    ids=["case", "folding", "normal form"],
+)
+def test_two_names_of_one_file_are_refused(one, other):
+    with pytest.raises(IntegrityError, match="is the same file as"):
+        names_inside([one, other], "here")
+    assert names_inside([one, one], "here") == (one,)
+
+
+parts = st.sampled_from(["..", ".", "", "a", "C:", "\\", "..\\", "~", "nul", "a\0", "é", "/"]) | st.text(
+    max_size=8
+)
+
+
+@given(st.lists(parts, min_size=1, max_size=6).map("/".join))
+def test_what_passes_stays_inside_on_every_system(name):
+    if problem_of_name(name):
+        return
+    for path in (PurePosixPath(name), PureWindowsPath(name)):
+        assert not path.is_absolute()
+        assert not path.drive
+        assert not path.root
+        assert ".." not in path.parts
+        assert path.as_posix() == name
+
+
+@pytest.fixture(scope="module")
+def built(tmp_path_factory):
+    place = tmp_path_factory.mktemp("built") / "set"
+    build(DataFolder(str(place)), toy_plan(), InlineRunner())
+    return place
+
+
+@pytest.fixture
+def finished(built, tmp_path):
+    """A finished set beside files of somebody."""
+    shutil.copytree(built, tmp_path / "set")
+    (tmp_path / "victim").write_text("years of work")
+    return tmp_path / "set"
+
+
+def edited(folder: Path, **changes: object) -> None:
+    values = json.loads((folder / "manifest.json").read_text())
+    (folder / "manifest.json").write_text(json.dumps({**values, **changes}))
+
+
+@pytest.mark.parametrize("field", ["files", "trees", "shards"])
+@pytest.mark.parametrize("name", SOME)
+def test_a_wild_manifest_is_refused_and_nothing_is_touched(finished, tmp_path, field, name):
+    """Verified, opened, made again or started again: all of it starts with reading the manifest."""
+    shard = {**json.loads((finished / "manifest.json").read_text())["shards"][0], "file": name}
+    wild = {"files": {name: "0" * 64}, "trees": [name], "shards": [shard]}
+    edited(finished, **{field: wild[field]})
+    before, words = folder_bytes(tmp_path), r"manifest\.json|damaged shard record"
+    with pytest.raises(IntegrityError, match=words):
+        verify(DataFolder(str(finished)))
+    with pytest.raises(IntegrityError, match=words):
+        find_shards(str(finished), "train")
+    with pytest.raises(IntegrityError, match=words):
+        build(DataFolder(str(finished)), toy_plan(), InlineRunner())
+    assert folder_bytes(tmp_path) == before
+    build(DataFolder(str(finished)), toy_plan(spec={"seed": 2}), InlineRunner(), overwrite=True)
+    assert (tmp_path / "victim").read_text() == "years of work"
+
+
+@pytest.mark.parametrize("digest", ["../../../evil", "0" * 63, "0" * 64 + "\n", "G" * 64, 0, None])
+@pytest.mark.parametrize("field", ["files", "shards"])
+def test_digests_of_a_manifest_are_digests(finished, field, digest):
+    shards = json.loads((finished / "manifest.json").read_text())["shards"]
+    shards[0]["sha256"] = digest
+    edited(finished, **({"shards": shards} if field == "shards" else {"files": {"reports/x": digest}}))
+    with pytest.raises(IntegrityError, match=r"manifest\.json.*is not a digest of the kind 'sha256'"):
+        verify(DataFolder(str(finished)))
+
+
+@pytest.mark.parametrize("name", ["notes", "data", "images", "index.csv"])
+def test_overwriting_removes_only_what_sets_of_ours_have(finished, name):
+    """A manifest may say that anything is its own."""
+    edited(finished, trees=[name])
+    (finished / name).mkdir(exist_ok=True)
+    (finished / name / "thesis.tex").write_text("years of work")
+    before = folder_bytes(finished)
+    with pytest.raises(InputError, match=rf"holds more than a data set \(found '{name}.*nothing was changed"):
+        build(DataFolder(str(finished)), toy_plan(spec={"seed": 2}), InlineRunner(), overwrite=True)
+    assert folder_bytes(finished) == before
+
+
+def test_a_new_set_does_not_take_over_a_folder_of_somebody(finished):
+    """The pictures of the new set would lie in `images`; those that lie there are not of the former one."""
+    photo = finished / "images" / "2019" / "beach" / "001.png"
+    photo.parent.mkdir(parents=True)
+    photo.write_bytes(b"sand")
+    before, plan = folder_bytes(finished), replace(toy_plan(spec={"seed": 2}), extra_dirs=("images",))
+    with pytest.raises(InputError, match=r"found 'images'\); nothing was changed"):
+        build(DataFolder(str(finished)), plan, InlineRunner(), overwrite=True)
+    assert folder_bytes(finished) == before
+
+
+@pytest.mark.parametrize("name", SOME)
+def test_a_wild_record_of_a_download_is_refused(tmp_path, name):
+    file = {"bytes": 1, "kind": "sha256", "digest": "0" * 64}
+    values = {"repository": "a/b", "commit": "0" * 40, "revision": None, "splits": [], "labels": []}
+    for wild in ({"files": {name: file}}, {"files": {}, "labels": [name]}):
+        (tmp_path / RECORD_FILE).write_text(json.dumps({**values, **wild}))
+        with pytest.raises(IntegrityError, match="names the file"):
+            read_record(DataFolder(str(tmp_path)))
+    (tmp_path / RECORD_FILE).write_text(json.dumps({**values, "files": {"x": {**file, "digest": "../../x"}}}))
+    with pytest.raises(IntegrityError, match="is not a digest"):
+        read_record(DataFolder(str(tmp_path)))
+
+
+ACTIONS = {
+    "exists": lambda folder, path: folder.exists(path),
+    "names": lambda folder, path: folder.names(path),
+    "size": lambda folder, path: folder.size_bytes(path),
+    "open": lambda folder, path: folder.open(path),
+    "read": lambda folder, path: folder.read_bytes(path),
+    "write": lambda folder, path: folder.write_bytes(path, b""),
+    "remove": lambda folder, path: folder.remove(path),
+    "remove empty": lambda folder, path: folder.remove_empty(path),
+    "address": lambda folder, path: folder.address(path),
+}
+
+
+@pytest.mark.parametrize("action", ACTIONS.values(), ids=ACTIONS.keys())
+@pytest.mark.parametrize("remote", [False, True])
+def test_a_folder_does_nothing_outside_of_itself(tmp_path, action, remote):
+    """The last line: even a name that nobody looked at leads nowhere."""
+    folder = DataFolder("memory://bucket/set" if remote else str(tmp_path / "set"))
+    (tmp_path / "victim").write_text("years of work")
+    for path in ("../victim", "data/../../victim", str(tmp_path / "victim"), "data/x\0y"):
+        with pytest.raises(StorageError, match="leads out of"):
+            action(folder, path)
+    assert folder_bytes(tmp_path) == {"victim": b"years of work"}
+
+
+SHARD = "data/train-00001-of-00004.parquet"
+
+
+def findings(folder: Path) -> dict[str, str]:
+    return {each.file: each.problem for each in verify(DataFolder(str(folder)), SCHEMA).findings}
+
+
+@pytest.mark.parametrize("path", [SHARD, "reports/toy.parquet"])
+def test_pipes_and_devices_are_not_waited_for(finished, path):
+    (finished / path).unlink()
+    os.mkfifo(finished / path)
+    assert findings(finished) == {path: "is not a file (it is a folder, a pipe or a device)"}
+    with pytest.raises(IntegrityError, match="pipe or a device"):
+        DataFolder(str(finished)).open(path)
+    (finished / path).unlink()
+    (finished / path).symlink_to("/dev/zero")
+    assert "leads out of the folder, to '/dev/zero'" in findings(finished)[path]
+
+
+def test_what_a_link_leads_to_outside_is_not_read(finished, tmp_path):
+    (tmp_path / "victim").write_bytes((finished / SHARD).read_bytes())
+    (finished / SHARD).unlink()
+    (finished / SHARD).symlink_to(tmp_path / "victim")
+    assert "is a link that leads out of the folder" in findings(finished)[SHARD]
+    (finished / SHARD).unlink()
+    (finished / SHARD).symlink_to("nowhere")
+    assert findings(finished) == {SHARD: "is missing"}
+
+
+def test_links_inside_the_folder_and_of_the_hubs_cache_are_files(finished, tmp_path):
+    (finished / "previews").mkdir()
+    (finished / SHARD).rename(finished / "previews" / "moved")
+    (finished / SHARD).symlink_to("../previews/moved")
+    assert findings(finished) == {}
+    blobs, snapshot = tmp_path / "cache" / "blobs", tmp_path / "cache" / "snapshots" / ("0" * 40)
+    blobs.mkdir(parents=True)
+    snapshot.parent.mkdir()
+    finished.rename(snapshot)
+    (snapshot / "previews" / "moved").rename(blobs / "of-the-hub")
+    (snapshot / SHARD).unlink()
+    (snapshot / SHARD).symlink_to("../../../blobs/of-the-hub")
+    assert findings(snapshot) == {}
+
+
+@pytest.mark.parametrize("path", ["../../victim.png", "/etc/passwd", "previews/../../victim.png"])
+def test_a_card_shows_only_pictures_of_its_folder(finished, path):
+    (finished / "README.md").write_text(f"---\nlicense: mit\n---\n![a picture]({path})\n")
+    try:
+        problems = [each.problem for each in check_card(DataFolder(str(finished)))]
+    except ToolkitError as error:  # pragma: no cover - said so below
+        problems = [str(error)]
+    assert any(problem.startswith(f"shows the picture '{path}', which ") for problem in problems)
