@@ -152,7 +152,15 @@ def plan_build(spec: GenerateSpec, splits: Sequence[str]) -> BuildPlan:
             "next: choose another --split, or --split-sizes"
         )
         raise InputError(message)
-    return BuildPlan(KIND.name, spec.to_dict(), SPLITS, tuple(tasks), PARQUET_STYLE, REPORT_FILE)
+    return BuildPlan(
+        KIND.name,
+        spec.to_dict(),
+        SPLITS,
+        tuple(tasks),
+        PARQUET_STYLE,
+        REPORT_FILE,
+        libraries=("manifold3d", "numpy", "pillow", "pyarrow", "scikit-image", "scipy"),
+    )
 
 
 def generate(

@@ -17,6 +17,7 @@ import numpy as np
 from mnist3d.ink import count_bodies_and_holes, repair_corners
 from mnist3d.spec import depth_px, half_height_px
 from mnist3d.steps import marching_cubes, scale, smooth
+from tactile_toolkit.arithmetic import decay
 from tactile_toolkit.errors import ItemError
 
 if TYPE_CHECKING:
@@ -47,7 +48,10 @@ height would otherwise go up and down with where the nodes happen to lie.
 """
 
 GRAIN_PX = 2.0**-12
-"""Sampled distances are rounded to this, so that no processor's way of adding up shows in a mesh."""
+"""Sampled distances are rounded to this."""
+
+_FACTOR_GRAIN_PX, _WEIGHT_GRAIN = 2.0**-16, 2.0**-24
+"""Grids of what is sampled, below 2^7 px, and of weights, below 2: their sums need no more than 50 bits."""
 
 NUDGE = 0.03
 """Least depth of a node in pitches: it keeps the vertices on the edges around a node apart."""
@@ -184,19 +188,24 @@ def _blurred(
 ) -> NDArray[np.float32]:
     down = _weights(rows, distance.shape[0], sigma_px)
     across = _weights(columns, distance.shape[1], sigma_px)
-    sampled = down @ distance.astype(np.float64) @ across.T
-    return np.asarray(np.round(sampled / GRAIN_PX) * GRAIN_PX, dtype=np.float32)
+    # Factors on grids so coarse that every product and every sum of them is exact in double precision: so
+    # matrix products, which add up in an order of the processor's own, give the same bits everywhere.
+    halfway = _on_grid(down @ _on_grid(distance.astype(np.float64), _FACTOR_GRAIN_PX), _FACTOR_GRAIN_PX)
+    return _on_grid(halfway @ across.T, GRAIN_PX).astype(np.float32)
+
+
+def _on_grid(values: NDArray[np.float64], grain: float) -> NDArray[np.float64]:
+    return np.asarray(np.round(values * (1 / grain)) * grain)
 
 
 def _weights(nodes: NDArray[np.float64], count: int, sigma_px: float) -> NDArray[np.float64]:
     # Twice a Gaussian less a wider one: it lets the waves pass that a Gaussian wears down, so that tips,
     # notches and ridges lose less than half as much, and still holds back what the lattice cannot carry.
     away = (nodes[:, None] - np.arange(count)) / (2 * sigma_px)
-    wide = np.exp(-away * away)
+    wide = decay(away * away)
     narrow = wide * wide
-    return np.asarray(
-        narrow * (2 / narrow.sum(axis=1, keepdims=True)) - wide / wide.sum(axis=1, keepdims=True)
-    )
+    weights = narrow * (2 / narrow.sum(axis=1, keepdims=True)) - wide / wide.sum(axis=1, keepdims=True)
+    return _on_grid(weights, _WEIGHT_GRAIN)
 
 
 def _may_hold(lattice: PlaneLattice, counts: tuple[int, int]) -> bool:

@@ -146,7 +146,14 @@ def plan_build(spec: GenerateSpec, splits: Sequence[str]) -> BuildPlan:
             f"no scenes to make for {', '.join(splits)}: --scenes gives {dict(spec.scenes)}; next: raise it"
         )
         raise InputError(message)
-    return BuildPlan(KIND.name, spec.to_dict(), SPLITS, tuple(tasks), PARQUET_STYLE)
+    return BuildPlan(
+        KIND.name,
+        spec.to_dict(),
+        SPLITS,
+        tuple(tasks),
+        PARQUET_STYLE,
+        libraries=("manifold3d", "numpy", "pillow", "pyarrow"),
+    )
 
 
 def generate(

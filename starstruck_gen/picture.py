@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from starstruck_gen.placement import Placement
 from starstruck_gen.shapes import outline
+from tactile_toolkit.arithmetic import cosine_sine, moved
 from tactile_toolkit.errors import InputError
 
 if TYPE_CHECKING:
@@ -100,6 +101,7 @@ def corners_px(
     ring: NDArray[np.float64], placement: Placement, size_px: tuple[int, int], px_per_m: float
 ) -> list[tuple[float, float]]:
     """Return where the corners of an outline, (n, 2) in radii, lie in a picture."""
-    c, s = math.cos(placement.angle_rad), math.sin(placement.angle_rad)
-    standing_m = placement.radius_m * (ring @ np.array([[c, s], [-s, c]])) + (placement.x_m, placement.y_m)
+    c, s = cosine_sine(placement.angle_rad)
+    turned = moved(ring, np.array([[c, s], [-s, c]]))
+    standing_m = placement.radius_m * turned + (placement.x_m, placement.y_m)
     return [(x, y) for x, y in (standing_m * px_per_m * (1.0, -1.0) + np.array(size_px) / 2).tolist()]

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from types import MappingProxyType
@@ -13,6 +12,7 @@ from numpy.typing import NDArray
 
 from starstruck_gen.shapes import STAR
 from starstruck_gen.solid import Prism, prism, prism_solid
+from tactile_toolkit.arithmetic import cosine_sine
 from tactile_toolkit.mesh.mesh import MM_PER_M, Mesh
 from tactile_toolkit.read.columns import RaggedColumn
 
@@ -108,7 +108,7 @@ CLEAR: Mapping[str, Clear] = MappingProxyType({"circles": circles_clear, "exact"
 
 def _standing(placement: Placement) -> Any:
     """Return the solid of an object where it stands, millimetres, 1 mm high."""
-    c, s = math.cos(placement.angle_rad), math.sin(placement.angle_rad)
+    c, s = cosine_sine(placement.angle_rad)
     x_mm, y_mm = placement.x_m * MM_PER_M, placement.y_m * MM_PER_M
     matrix = np.array([[c, -s, 0.0, x_mm], [s, c, 0.0, y_mm], [0.0, 0.0, 1.0, 0.0]])
     return prism_solid(placement.shape, placement.radius_m).transform(matrix)
@@ -173,11 +173,10 @@ def _vertices(
     placements: Sequence[Placement], prisms: Sequence[Prism], counts: NDArray[np.int64]
 ) -> NDArray[np.float32]:
     """Turn, scale and move the corners of all objects, each standing twice: on the plate and above it."""
-    # numpy's own cosine may round differently from one processor to the next and by the length of the array;
-    # the same bytes in any batch need the C library's.
     poses = [
-        (x, y, math.cos(angle) * radius, math.sin(angle) * radius, height)
+        (x, y, cosine * radius, sine * radius, height)
         for _, x, y, angle, radius, height in placements
+        for cosine, sine in (cosine_sine(angle),)
     ]
     x, y, c, s, height = np.repeat(np.array(poses, dtype=np.float64).reshape(-1, 5).T, counts, axis=1)
     corners = _joined([made.corners for made in prisms], 2, np.float64)

@@ -19,6 +19,7 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
+from tactile_toolkit.arithmetic import cosine_sine
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.wording import plain_number
 
@@ -148,8 +149,8 @@ def _arc(
     radius: float, start_rad: float, sweep_rad: float, corners: int, centre_x: float = 0.0
 ) -> list[tuple[float, float]]:
     """Return corners at equal steps of an arc, its end left out."""
-    angles = [start_rad + sweep_rad * step / corners for step in range(corners)]
-    return [(centre_x + radius * math.cos(angle), radius * math.sin(angle)) for angle in angles]
+    turns = [cosine_sine(start_rad + sweep_rad * step / corners) for step in range(corners)]
+    return [(centre_x + radius * cosine, radius * sine) for cosine, sine in turns]
 
 
 def _ring_of(corners: list[tuple[float, float]]) -> NDArray[np.float64]:
@@ -314,8 +315,9 @@ class Crescent(Proportions):
 
     def rings(self) -> Outline:
         """Return one ring: the rim from horn to horn, then the bite back."""
-        horn_x, horn_y = math.cos(self.horn_rad), math.sin(self.horn_rad)
-        bite_rad = math.atan2(horn_y, horn_x - self.bite_ratio)
+        horn_x, horn_y = cosine_sine(self.horn_rad)
+        # Rounded to where all processors agree.
+        bite_rad = round(math.atan2(horn_y, horn_x - self.bite_ratio), 12)
         bite_radius = math.hypot(horn_x - self.bite_ratio, horn_y)
         back = _arc(1.0, self.horn_rad, math.tau - 2 * self.horn_rad, self.segments)
         bite = _arc(bite_radius, -bite_rad, 2 * bite_rad - math.tau, self.segments // 2, self.bite_ratio)

@@ -3,6 +3,7 @@
 ::
 
     errors wording versions     exception tree, numbers in words, versions of libraries
+    arithmetic                  what every processor rounds alike
     kind                        all that the rest must know of a kind of data set, in one object
     run                         where tasks run
     store                       a data set folder: shards, manifest, build, resume, replace, verify

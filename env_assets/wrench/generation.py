@@ -57,7 +57,14 @@ class WrenchShard:
 
 def plan_build(spec: WrenchSpec) -> BuildPlan:
     """Return what the folder of a wrench holds."""
-    return BuildPlan(KIND.name, spec.to_dict(), (SPLIT,), (WrenchShard(spec),), _PARQUET_STYLE)
+    return BuildPlan(
+        KIND.name,
+        spec.to_dict(),
+        (SPLIT,),
+        (WrenchShard(spec),),
+        _PARQUET_STYLE,
+        libraries=("manifold3d", "numpy", "pillow", "pyarrow"),
+    )
 
 
 def write_wrench(

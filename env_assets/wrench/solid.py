@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from env_assets.wrench.spec import WrenchSpec
+from tactile_toolkit.arithmetic import cosine_sine
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.mesh.mesh import MM_PER_M, Mesh
 from tactile_toolkit.mesh.solid_check import check_manifold
@@ -133,8 +134,7 @@ def _jaw(spec: WrenchSpec, opening_mm: float) -> Any:
     from manifold3d import CrossSection
 
     width_mm = opening_mm + spec.clearance_mm
-    angles = np.radians(np.arange(0, 360, 60))
-    corners = width_mm / math.sqrt(3) * np.stack([np.cos(angles), np.sin(angles)], axis=1)
+    corners = width_mm / math.sqrt(3) * np.array([cosine_sine(math.tau * side / 6) for side in range(6)])
     way_out = CrossSection.square((spec.length_mm, width_mm)).translate((0.0, -width_mm / 2))
     # A round root breaks less easily than a sharp one, and a printer rounds it anyway.
     return _opened(CrossSection([corners]) + way_out, 0.1 * opening_mm)

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from tactile_toolkit.arithmetic import decay
 from tactile_toolkit.errors import ItemError
 
 if TYPE_CHECKING:
@@ -110,8 +111,9 @@ def _cubic_basis(count: int, at: NDArray[np.floating[Any]]) -> NDArray[np.floati
     """Cubic B-splines of `count` knots at positions `at`, the outer knots repeated beyond the edge."""
     margin = 3
     t = np.abs(at[:, None] - np.arange(-margin, count + margin))
+    beyond = np.clip(2 - t, 0, None)
     bumps: NDArray[np.floating[Any]] = np.where(
-        t < 1, 2 / 3 - t**2 + t**3 / 2, np.clip(2 - t, 0, None) ** 3 / 6
+        t < 1, 2 / 3 - t * t + t * t * t / 2, beyond * beyond * beyond / 6
     )
     basis: NDArray[np.floating[Any]] = bumps[:, margin : margin + count].copy()
     basis[:, 0] += bumps[:, :margin].sum(axis=1)
@@ -129,14 +131,28 @@ def _both_ways(down: csr_array, across: csr_array, values: NDArray[Any]) -> NDAr
 def _spline_matrix(count: int) -> csr_array:
     knots = _cubic_basis(count, np.arange(count, dtype=np.float64))
     fine = _cubic_basis(count, _centres(count, count * _MESH))
-    return _sparse(np.linalg.solve(knots.T, fine.T).T)
+    return _sparse(_solved(knots.T, fine.T).T)
+
+
+def _solved(matrix: NDArray[np.floating[Any]], right: NDArray[np.floating[Any]]) -> NDArray[np.floating[Any]]:
+    """Solve equations of a matrix whose diagonal is heavy and has one neighbour on either side."""
+    # LAPACK would do, but rounds otherwise on another processor.
+    pivots, left = matrix.diagonal().copy(), right.copy()
+    for row in range(1, len(matrix)):
+        share = matrix[row, row - 1] / pivots[row - 1]
+        pivots[row] -= share * matrix[row - 1, row]
+        left[row] -= share * left[row - 1]
+    left[-1] /= pivots[-1]
+    for row in range(len(matrix) - 2, -1, -1):
+        left[row] = (left[row] - matrix[row, row + 1] * left[row + 1]) / pivots[row]
+    return left
 
 
 @lru_cache(maxsize=8)
 def _blur_matrix(count: int, out: int) -> csr_array:
     fine = count * _MESH
     distance = (_centres(fine, out)[:, None] - np.arange(fine)) / (_BLUR_PX * _MESH)
-    return _sparse(np.exp(-0.5 * distance**2))
+    return _sparse(decay(0.5 * distance * distance))
 
 
 def _sparse(weights: NDArray[np.floating[Any]]) -> csr_array:

@@ -248,4 +248,5 @@ def plan_conversion(conversion: Conversion) -> BuildPlan:
         ParquetStyle(per_group, compression_level=3, encodings=encodings),
         extra_dirs=conversion.extra_dirs,
         extras_intact=conversion.extras_intact,
+        libraries=("numpy", "pillow", "pyarrow", "simplejpeg"),
     )

@@ -48,7 +48,7 @@ class Mesh:
         """Centre of mass of the evenly filled solid, shape (3,), metres."""
         signed = self._signed_volumes_m3()
         middles = self._corners_m().sum(axis=1) / 4.0
-        return np.asarray(signed @ middles / signed.sum(), dtype=np.float64)
+        return np.asarray((signed[:, None] * middles).sum(axis=0) / signed.sum(), dtype=np.float64)
 
     @property
     def bounds_m(self) -> NDArray[np.float64]:
@@ -100,8 +100,9 @@ class Mesh:
         return self.vertices_m.astype(np.float64)[self.faces]
 
     def _signed_volumes_m3(self) -> NDArray[np.float64]:
-        a, b, c = np.moveaxis(self._corners_m(), 1, 0)
-        return np.asarray(np.einsum("ij,ij->i", a, np.cross(b, c)) / 6.0)
+        (ax, ay, az), (bx, by, bz), (cx, cy, cz) = np.moveaxis(self._corners_m(), 0, 2)
+        signed = ax * (by * cz - bz * cy) + ay * (bz * cx - bx * cz) + az * (bx * cy - by * cx)
+        return np.asarray(signed / 6.0)
 
 
 def as_mesh(thing: MeshLike) -> Mesh:

@@ -16,6 +16,8 @@ from xml.sax.saxutils import quoteattr
 
 import numpy as np
 
+from tactile_toolkit.arithmetic import moved
+
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
@@ -148,7 +150,7 @@ class _Package:
         ratio = model.mm_per_unit / here.mm_per_unit
         mirrored = np.linalg.det(matrix[:3]) < 0
         return [
-            (vertices * ratio @ matrix[:3] + matrix[3], faces[:, ::-1] if mirrored else faces)
+            (moved(vertices * ratio, matrix[:3]) + matrix[3], faces[:, ::-1] if mirrored else faces)
             for vertices, faces in self._parts_of(model, identity, depth)
         ]
 

@@ -60,7 +60,7 @@ def section_area_mm2(outlines_mm: Sequence[NDArray[np.float64]]) -> float:
 def signed_area_mm2(outline_mm: NDArray[np.float64]) -> float:
     """Return the area within a closed polygon, negative where it is turned clockwise, as holes are."""
     x, y = outline_mm.T
-    return float(x @ np.roll(y, -1) - y @ np.roll(x, -1)) / 2
+    return float((x * np.roll(y, -1) - y * np.roll(x, -1)).sum()) / 2
 
 
 def _outline_points(
@@ -94,15 +94,12 @@ def _largest_discs(
     """Radius of the disc inside at every point, and how far away it touches the outline again."""
     bends = np.empty(len(points), dtype=np.float32)
     contacts = np.empty(len(points), dtype=np.float32)
-    lengths = np.einsum("ij,ij->i", points, points)
+    (x, y), (inward_x, inward_y) = points.T, inward.T
     for start in range(0, len(points), _BLOCK):
         rows = np.arange(start, min(start + _BLOCK, len(points)))
-        squared = points[rows] @ (-2 * points.T)
-        squared += lengths
-        squared += lengths[rows, None]
-        depth = inward[rows] @ points.T
-        depth -= np.einsum("ij,ij->i", inward[rows], points[rows])[:, None]
-        depth[np.arange(len(rows)), rows] = 0
+        away_x, away_y = x - x[rows, None], y - y[rows, None]
+        depth = inward_x[rows, None] * away_x + inward_y[rows, None] * away_y
+        squared = np.add(np.square(away_x, out=away_x), np.square(away_y, out=away_y), out=away_x)
         np.maximum(squared, _LEAST_SQUARED_MM2, out=squared)
         # A disc that touches here and passes through a point at distance d and depth h has the curvature 2
         # h / d^2.

@@ -19,6 +19,7 @@ from typing import IO, TYPE_CHECKING, Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
+from tactile_toolkit.arithmetic import cosine_sine, moved
 from tactile_toolkit.mesh.raster import highest_faces
 
 if TYPE_CHECKING:
@@ -56,20 +57,15 @@ class View:
     @property
     def axes(self) -> NDArray[np.float64]:
         """Directions right, up and towards the viewer, one a row: shape (3, 3), of length one."""
-        azimuth, elevation = math.radians(self.azimuth_deg), math.radians(self.elevation_deg)
-        towards = np.array(
-            [
-                math.cos(elevation) * math.sin(azimuth),
-                -math.cos(elevation) * math.cos(azimuth),
-                math.sin(elevation),
-            ]
-        )
-        right = np.array([math.cos(azimuth), math.sin(azimuth), 0.0])
+        walked, aside = cosine_sine(math.radians(self.azimuth_deg))
+        level, raised = cosine_sine(math.radians(self.elevation_deg))
+        towards = np.array([level * aside, -level * walked, raised])
+        right = np.array([walked, aside, 0.0])
         return np.stack([right, np.cross(towards, right), towards])
 
     def project(self, points: NDArray[np.floating[Any]]) -> NDArray[np.float64]:
         """Turn points, shape (n, 3), into right, up and towards the viewer, in the same unit."""
-        return np.asarray(points, np.float64) @ self.axes.T
+        return moved(np.asarray(points, np.float64), self.axes.T)
 
 
 TOP = View(0.0, 90.0)
@@ -101,7 +97,7 @@ def shades(points: NDArray[np.float64], faces: NDArray[np.integer[Any]]) -> NDAr
     normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     normals *= np.where(normals[:, 2:] < 0, -1.0, 1.0)
     lengths = np.linalg.norm(normals, axis=1)
-    light = (normals / np.where(lengths > 0, lengths, 1.0)[:, None]) @ _LIGHT
+    light = moved(normals / np.where(lengths > 0, lengths, 1.0)[:, None], _LIGHT[:, None])[:, 0]
     return np.asarray(_DARKEST + _RANGE * np.clip(light, 0, 1)).astype(np.uint8)
 
 

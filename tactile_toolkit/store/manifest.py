@@ -9,7 +9,7 @@ from __future__ import annotations
 import json
 from collections import Counter
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 from tactile_toolkit.errors import IntegrityError
@@ -43,6 +43,7 @@ class Manifest:
     Equal ``spec`` (JSON values) and ``toolkit_version`` give equal rows. ``shards`` are in order of split and
     index. ``files`` are checksums of further data files, such as reports, by path. ``complete`` is False
     while a run is under way or after it was interrupted. ``extra_dirs`` are those of the build plan.
+    ``libraries`` are the versions of the libraries that decide bytes, none where a manifest does not say.
     """
 
     kind: str
@@ -54,6 +55,7 @@ class Manifest:
     schema_version: int = SCHEMA_VERSION
     complete: bool = False
     extra_dirs: tuple[str, ...] = ()
+    libraries: Mapping[str, str] = field(default_factory=dict)
 
     @property
     def splits(self) -> tuple[str, ...]:
@@ -104,6 +106,7 @@ class Manifest:
         values = {
             "schema_version": self.schema_version,
             "toolkit_version": self.toolkit_version,
+            **({"libraries": dict(self.libraries)} if self.libraries else {}),
             "kind": self.kind,
             "complete": self.complete,
             "spec": self.spec,
@@ -134,6 +137,7 @@ class Manifest:
                 schema_version=version,
                 complete=values["complete"],
                 extra_dirs=tuple(values.get("trees", ())),
+                libraries={str(name): str(each) for name, each in values.get("libraries", {}).items()},
             )
             paths = (record.shard.data_path for record in manifest.shards)
             names_inside((*paths, *(manifest.files or ()), *manifest.extra_dirs), repr(where))

@@ -12,7 +12,7 @@ from tactile_toolkit.store.folder import DataFolder
 from tactile_toolkit.store.manifest import MANIFEST_FILE, Manifest, pending_records, read_manifest
 from tactile_toolkit.store.parquet import ParquetStyle, file_sha256, read_report, sha256_hex
 from tactile_toolkit.store.shards import ShardName, ShardRecord, Skipped
-from tactile_toolkit.versions import toolkit_version
+from tactile_toolkit.versions import library_versions, toolkit_version
 
 __all__ = [
     "BuildPlan",
@@ -82,6 +82,8 @@ class BuildPlan:
         their own.
     extras_intact : callable
         Tells whether all that a finished shard wrote into ``extra_dirs`` is still whole.
+    libraries : tuple of str
+        Distributions whose versions decide bytes.
     """
 
     kind: str
@@ -92,6 +94,7 @@ class BuildPlan:
     report_file: str | None = None
     extra_dirs: tuple[str, ...] = ()
     extras_intact: Callable[[ShardRecord], bool] = field(default=lambda _: True, repr=False)
+    libraries: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         # What is compared with a manifest has gone through JSON there: tuples became lists.
@@ -99,7 +102,14 @@ class BuildPlan:
 
     def new_manifest(self) -> Manifest:
         """Return the manifest of a folder in which nothing is finished."""
-        return Manifest(self.kind, toolkit_version(), self.spec, self.split_order, extra_dirs=self.extra_dirs)
+        return Manifest(
+            self.kind,
+            toolkit_version(),
+            self.spec,
+            self.split_order,
+            extra_dirs=self.extra_dirs,
+            libraries=library_versions(*self.libraries),
+        )
 
 
 def require_known_splits(splits: Sequence[str], known: Sequence[str]) -> None:
@@ -159,8 +169,26 @@ def inspect_folder(folder: DataFolder, plan: BuildPlan) -> BuildState:
         todo.append(task)
         if record is not None:
             damaged.append(task.shard.data_path)
+    made_again = {task.shard for task in todo}
+    if todo and any(shard not in made_again for shard in known):
+        _refuse_other_libraries(folder, manifest, plan)
+    elif todo:
+        manifest = replace(manifest, libraries=plan.new_manifest().libraries)
     manifest = replace(manifest, extra_dirs=plan.extra_dirs)
     return BuildState(manifest, tuple(kept), tuple(todo), tuple(damaged))
+
+
+def _refuse_other_libraries(folder: DataFolder, manifest: Manifest, plan: BuildPlan) -> None:
+    """Refuse to go on with libraries that write other bytes; a folder that names none was made by 0.1.0."""
+    now = plan.new_manifest().libraries
+    differences = _differences(manifest.libraries, now, "libraries") if manifest.libraries else []
+    if differences:
+        message = (
+            f"{folder.address()!r} was begun with other versions of libraries, which write other bytes: "
+            f"{'; '.join(differences)}; nothing was changed; next: install those versions, or start again "
+            "with --overwrite"
+        )
+        raise SpecMismatchError(message)
 
 
 def _is_unchanged(folder: DataFolder, record: ShardRecord) -> bool:

@@ -13,7 +13,6 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
-import pyarrow.parquet as pq
 import typer.main
 from typer.testing import CliRunner
 
@@ -39,8 +38,6 @@ LIBRARIES = (
     "av",
 )
 """Their versions decide bytes."""
-UNSTABLE_COLUMN = "thinnest_wall_mm"
-"""It passes through BLAS, whose sums depend on the processor."""
 
 
 def library_versions() -> dict[str, str]:
@@ -83,19 +80,13 @@ def data_sets(folder: Path) -> dict[str, Any]:
     realtouch.resize(images, folder / "resized-images", width=48, height=36)
     realtouch.select(images, folder / "selected", contact=True)
     realtouch.frames(clips, folder / "frames")
-    found = {str(file.relative_to(folder)): _digest(file) for file in sorted(folder.rglob("*.parquet"))}
+    found = {
+        str(file.relative_to(folder)): hashlib.sha256(file.read_bytes()).hexdigest()
+        for file in sorted(folder.rglob("*.parquet"))
+    }
     literal = mnist3d.solidify(source.image(1234).pixels, method="literal")
     content = literal.vertices_m.astype("<f4").tobytes() + literal.faces.astype("<i4").tobytes()
     return found | {"the literal solid": hashlib.sha256(content).hexdigest()}
-
-
-def _digest(file: Path) -> Any:
-    if UNSTABLE_COLUMN not in pq.read_schema(file).names:
-        return hashlib.sha256(file.read_bytes()).hexdigest()
-    table = pq.read_table(file)
-    stable = table.drop_columns([UNSTABLE_COLUMN]).to_pylist()
-    text = json.dumps(stable, sort_keys=True, default=str)
-    return [hashlib.sha256(text.encode()).hexdigest(), table[UNSTABLE_COLUMN].to_pylist()]
 
 
 def main() -> None:

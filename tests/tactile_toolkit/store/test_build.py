@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import errno
+import importlib.metadata
 import json
 import os
 import shutil
@@ -333,3 +334,20 @@ def test_half_written_receipt_of_a_killed_writer_is_no_receipt(tmp_path):
     (parts / name).write_text('{"file": "data/tr')
     make(tmp_path / "set")
     assert folder_bytes(tmp_path / "set") == folder_bytes(tmp_path / "whole")
+
+
+def test_other_versions_of_libraries_are_not_mixed(tmp_path, monkeypatch):
+    plan = replace(toy_plan(), libraries=("numpy", "pyarrow"))
+    made = make(tmp_path / "set", plan)
+    assert made.libraries == {name: importlib.metadata.version(name) for name in plan.libraries}
+    monkeypatch.setattr(
+        "tactile_toolkit.store.plan.library_versions", lambda *names: dict.fromkeys(names, "9")
+    )
+    before = folder_bytes(tmp_path / "set")
+    make(tmp_path / "set", plan)  # nothing is left to make, so nothing is mixed
+    assert folder_bytes(tmp_path / "set") == before
+    (tmp_path / "set" / "data" / "test-00000-of-00002.parquet").unlink()
+    with pytest.raises(SpecMismatchError, match=r"libraries\.numpy is '[\d.]+' there, '9' .*--overwrite"):
+        make(tmp_path / "set", plan)
+    shutil.rmtree(tmp_path / "set" / "data")
+    assert make(tmp_path / "set", plan).libraries == {"numpy": "9", "pyarrow": "9"}

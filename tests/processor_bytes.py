@@ -1,0 +1,29 @@
+"""Make a little of every kind of data below a folder, of the touches in another, in a process of its own."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import mnist3d
+import realtouch
+import starstruck_gen
+from mnist3d.sources.canvas import enlarge
+from mnist3d.sources.synthetic import SyntheticSource
+
+
+def main(folder: Path, touches: Path) -> None:
+    source = SyntheticSource(seed=1)
+    mnist3d.generate(mnist3d.GenerateSpec(source, limit=12), folder / "digits", splits=("test",))
+    scenes = starstruck_gen.GenerateSpec(scenes=(("train", 30),))
+    starstruck_gen.generate(scenes, folder / "scenes")
+    realtouch.to_single(touches / "clips", folder / "to-single", frame="peak")
+    realtouch.resize(touches / "images", folder / "resized", width=48, height=36)
+    literal = mnist3d.solidify(source.image(1234).pixels, method="literal")
+    (folder / "literal").write_bytes(literal.vertices_m.tobytes() + literal.faces.tobytes())
+    small = source.image(1234).pixels[::8, ::8]
+    (folder / "enlarged").write_bytes(enlarge(small, (8 * small.shape[0], 8 * small.shape[1])).tobytes())
+
+
+if __name__ == "__main__":
+    main(Path(sys.argv[1]), Path(sys.argv[2]))

@@ -1,0 +1,70 @@
+"""Data sets, reports, cards and pictures have the same bytes on every processor.
+
+Libraries choose their code when they start, by the instructions that they find. Their own switches make them
+take what they would on another processor.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import platform
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tests.realtouch.factories import make_round, seq_rows, single_rows, write_set
+
+ROOT = Path(__file__).parents[1]
+
+# The names of its groups of instructions differ from one version of numpy to the next.
+DISPATCHED = " ".join(np._core._multiarray_umath.__cpu_dispatch__)
+
+PROCESSORS = {
+    "OpenBLAS for Haswell": {"OPENBLAS_CORETYPE": "Haswell"},
+    "OpenBLAS for SkylakeX": {"OPENBLAS_CORETYPE": "SkylakeX"},
+    "no AVX anywhere": {
+        "OPENBLAS_CORETYPE": "Nehalem",
+        "NPY_DISABLE_CPU_FEATURES": DISPATCHED,
+        # The C library: its sine, exponential and logarithm.
+        "GLIBC_TUNABLES": "glibc.cpu.hwcaps=-AVX,-AVX2,-FMA,-FMA4,-AVX512F,-AVX512VL,-AVX512BW,-AVX512DQ",
+        "ARROW_USER_SIMD_LEVEL": "NONE",
+        "JSIMD_FORCENONE": "1",
+    },
+}
+
+
+def made_on(settings: dict[str, str], folder: Path, touches: Path) -> dict[str, str]:
+    environment = {**os.environ, **settings, "TACTILE_TOOLKIT_CACHE": str(folder.with_suffix(".cache"))}
+    # The features of a processor that has fewer cannot be switched off: numpy warns, and goes on.
+    command = [sys.executable, "-W", "ignore", "-m", "tests.processor_bytes", str(folder), str(touches)]
+    result = subprocess.run(command, cwd=ROOT, env=environment, capture_output=True, text=True, check=False)
+    assert result.returncode == 0, result.stderr
+    files = sorted(file for file in folder.rglob("*") if file.is_file())
+    return {str(file.relative_to(folder)): hashlib.sha256(file.read_bytes()).hexdigest() for file in files}
+
+
+@pytest.fixture(scope="module")
+def touches(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("touches")
+    rounds = [make_round(index, 6, (64, 48), (12, 16)) for index in range(2)]
+    write_set(folder / "clips", {"train": seq_rows(rounds)}, "seq")
+    write_set(folder / "images", {"train": single_rows(rounds)}, "single")
+    return folder
+
+
+@pytest.fixture(scope="module")
+def made_here(tmp_path_factory: pytest.TempPathFactory, touches: Path) -> dict[str, str]:
+    return made_on({}, tmp_path_factory.mktemp("here") / "made", touches)
+
+
+@pytest.mark.skipif(platform.machine() not in ("x86_64", "AMD64"), reason="the switches are those of x86-64")
+@pytest.mark.parametrize("processor", PROCESSORS)
+def test_another_processor_writes_the_same(
+    processor: str, made_here: dict[str, str], touches: Path, tmp_path: Path
+) -> None:
+    assert {"digits/reports/printability.parquet", "digits/previews/digits.png"} <= set(made_here)
+    assert made_on(PROCESSORS[processor], tmp_path / "made", touches) == made_here
