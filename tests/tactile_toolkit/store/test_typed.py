@@ -66,7 +66,7 @@ def test_every_value_is_of_its_kind_or_named(toy_set: Path) -> None:
                 continue
             # What decides no row may be anything of its kind.
             harmless = ("spec", "toolkit_version", "skipped", "statistics", "trees", "kind", "libraries")
-            assert place[0] in (*harmless, "shards") or read == whole, (place, other)
+            assert place[0] in (*harmless, "shards") or read == whole or other == {}, (place, other)
             read.to_json()
     assert named > 100
 
