@@ -119,7 +119,9 @@ def add_verify(app: typer.Typer, kind: DatasetKind, what: str) -> None:
             # Said to those too who want to hear nothing else: the error below only counts.
             sys.stderr.write(f"damaged: {finding.file}: {finding.problem}\n")
         record = read_record(place)
-        if record is None:
+        if all("; next: " in finding.problem for finding in result.findings):
+            cure = "do what each of them says"
+        elif record is None:
             cure = f"run the same `{kind.made_by}` again, it makes the damaged shards anew"
         else:
             cure = f"download {record.repo_id} there again, only what is damaged is fetched"

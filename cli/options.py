@@ -36,7 +36,13 @@ def local_place(text: str | Path) -> Path:
     if "://" in str(text):
         message = f"{str(text)!r} is a remote address; expected a local path; next: write there, then copy it"
         raise typer.BadParameter(message)
-    return Path(text).expanduser()
+    from tactile_toolkit.errors import InputError
+    from tactile_toolkit.store.folder import expanded
+
+    try:
+        return expanded(text)
+    except InputError as error:
+        raise typer.BadParameter(str(error)) from error
 
 
 Folder = Annotated[Path, typer.Argument(metavar="DIR", help="Folder of a generated data set.")]

@@ -16,7 +16,7 @@ from pathlib import Path
 from threading import RLock
 from typing import IO, Any, Generic, TypeVar
 
-from tactile_toolkit.store.folder import atomic_file, stale_files
+from tactile_toolkit.store.folder import atomic_file, expanded, stale_files
 
 __all__ = ["CACHE_VARIABLE", "DiskCache", "MemoryCache", "cache_folder"]
 
@@ -28,9 +28,8 @@ def cache_folder() -> Path:
     """Return the cache folder: ``$TACTILE_TOOLKIT_CACHE``, or ours in the user's cache folder."""
     named = os.environ.get(CACHE_VARIABLE)
     if named:
-        return Path(named).expanduser()
-    base = os.environ.get("XDG_CACHE_HOME") or "~/.cache"
-    return Path(base).expanduser() / "tactile-toolkit"
+        return expanded(named, CACHE_VARIABLE)
+    return expanded(os.environ.get("XDG_CACHE_HOME") or "~/.cache", "XDG_CACHE_HOME") / "tactile-toolkit"
 
 
 _SIZED_ANEW_AFTER = 64

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any, TypeVar
 
 import numpy as np
@@ -13,6 +12,7 @@ from numpy.typing import NDArray
 from tactile_toolkit.catalog.locate import splits_of
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.read.dataset import RecordDataset
+from tactile_toolkit.store.folder import expanded
 
 __all__ = [
     "Choice",
@@ -120,5 +120,5 @@ def splits_to_show(name: str, split: str | None, revision: str | None = None) ->
 
 def short_name(name: str) -> str:
     """Return a data set's name without the folders that it lies in: a site may be given to others."""
-    place = Path(name).expanduser()
+    place = expanded(name)
     return place.resolve().name if place.exists() else name

@@ -31,7 +31,9 @@ def require_kind(kind: DatasetKind, command: str, name: str, datasets: Iterable[
 
     Reads no row; ``name`` is the data set in the user's words. Raises InputError.
     """
-    stated = _stated_kind(name)
+    folder = DataFolder(name)
+    manifest = read_manifest(folder) if Path(folder.address()).is_dir() else None
+    stated = None if manifest is None else manifest.kind
     if stated is None:
         schemas = (table.schema for dataset in datasets for table in dataset._tables)
         other: DatasetKind | None = next(filter(None, map(kind_of_meshes, schemas)), kind)
@@ -45,13 +47,6 @@ def require_kind(kind: DatasetKind, command: str, name: str, datasets: Iterable[
         what, next_step = other.nouns, f"run `{other.command} {command} {name}`"
     message = f"{name!r} holds {what}; `{kind.command} {command}` is for {kind.nouns}; next: {next_step}"
     raise InputError(message)
-
-
-def _stated_kind(name: str) -> str | None:
-    """Return what the manifest of a local folder says."""
-    path = Path(name).expanduser()
-    manifest = read_manifest(DataFolder(str(path))) if path.is_dir() else None
-    return None if manifest is None else manifest.kind
 
 
 def finished_manifest(kind: DatasetKind, folder: DataFolder) -> Manifest | None:

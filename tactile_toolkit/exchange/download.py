@@ -149,7 +149,7 @@ def _plan_for_cache(repository: HubRepository, splits: Sequence[str]) -> Downloa
     _require_known_splits(repository, splits)
     chosen, all_splits, shards = _chosen_splits(repository, splits)
     files = _wanted(repository, [*_extras(repository, chosen, fitted=True), *shards])
-    missing = tuple(file for file in files if repository.cached(file.path) is None)
+    missing = _missing(files, lambda file: repository.cached(file.path, anew=True) is not None)
     _require_cached_if_offline(repository, [file.path for file in missing])
     commit = repository.snapshot.commit
     return DownloadPlan(repository, None, commit, chosen, all_splits, files, missing, is_done=not missing)
@@ -164,7 +164,7 @@ def _plan_for_folder(
     wanted = [*splits, *(split for split in before if split in now)] if splits else []
     chosen, all_splits, shards = _chosen_splits(repository, wanted)
     files = _wanted(repository, [*_extras(repository, chosen, fitted=False), *shards])
-    missing = tuple(file for file in files if not _is_here(folder, file))
+    missing = _missing(files, lambda file: _is_here(folder, file))
     recorded = record.files if record else {}
     _refuse_own_files(folder, [file.path for file in missing if file.path not in recorded])
     kept = {file.path for file in files}
@@ -190,7 +190,7 @@ def _plan_by_cache(
         shards = _chosen_splits(repository, further)[2]
         added = _wanted(repository, [*_extras(repository, further, fitted=False), *shards])
         files |= {file.path: file for file in added}
-    missing = tuple(file for file in files.values() if not _is_here(folder, file))
+    missing = _missing(files.values(), lambda file: _is_here(folder, file))
     _require_cached_if_offline(repository, [*(file.path for file in missing), *record.labels])
     chosen = tuple(split for split in record.splits if split in {*here, *further})
     return DownloadPlan(
@@ -208,7 +208,7 @@ def _plan_by_record(
     files = tuple(record.files.values())
     if not set(splits or record.splits) <= here or not _is_labelled(folder, record.labels):
         return None
-    if not all(_is_here(folder, file) for file in files):
+    if _missing(files, lambda file: _is_here(folder, file)):
         return None
     chosen = tuple(split for split in record.splits if split in here)
     return DownloadPlan(repository, folder, record.commit, chosen, record.splits, files, (), is_done=True)
@@ -301,11 +301,18 @@ def _wanted(repository: HubRepository, paths: Iterable[str]) -> tuple[HubFile, .
     return tuple(HubFile(path, repository.size_bytes(path), repository.expected(path)) for path in names)
 
 
+def _missing(files: Iterable[HubFile], is_here: Callable[[HubFile], bool]) -> tuple[HubFile, ...]:
+    """Return the files that are not here, comparing those that are by checksum, several at once."""
+    wanted = list(files)
+    here = Transfers().each(is_here, wanted)
+    return tuple(file for file, there in zip(wanted, here, strict=True) if not there)
+
+
 def _is_here(folder: DataFolder, file: HubFile) -> bool:
     path = Path(folder.address(file.path))
     if not path.is_file() or path.stat().st_size != file.size_bytes or file.digest is None:
         return False
-    return is_whole(path, file.digest)
+    return is_whole(path, file.digest, anew=True)
 
 
 def _labels_of(repository: HubRepository) -> tuple[str, ...]:

@@ -6,9 +6,8 @@ the Hub already. Then what is missing is sent (:func:`run_upload`), and what arr
 
 from __future__ import annotations
 
-import glob
 import warnings
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, TypeVar
@@ -26,7 +25,6 @@ from tactile_toolkit.exchange.upload_plan import (
     card_for_hub,
     collect,
     compare,
-    staged,
 )
 from tactile_toolkit.hub.errors import require_repository_name
 from tactile_toolkit.hub.retry import ask
@@ -153,22 +151,32 @@ class UploadTarget:
             )
         )
 
-    def send(self, stage: Path, message: str, *, delete: list[str], parent: str | None, pull: bool) -> Sent:
-        """Send all of a folder as a commit, once: a lost answer is looked into, not repeated, by the caller.
+    def send(
+        self,
+        files: Mapping[str, bytes | Path],
+        message: str,
+        *,
+        delete: Iterable[str],
+        parent: str | None,
+        pull: bool,
+    ) -> Sent:
+        """Send files as one commit, once: a lost answer is looked into, not repeated, by the caller.
 
         ``parent`` is the commit that the branch must still point to.
         """
+        from huggingface_hub import CommitOperationAdd, CommitOperationDelete
+
+        added = [CommitOperationAdd(path, content) for path, content in files.items()]
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # the client library's own, which no user can heed
-            made = self._api().upload_folder(
+            made = self._api().create_commit(
                 repo_id=self.repo_id,
-                folder_path=stage,
+                operations=[*(CommitOperationDelete(path) for path in delete), *added],
                 repo_type=_KIND,
                 commit_message=message,
                 revision=None if pull else self.branch,
                 create_pr=pull,
                 parent_commit=None if pull else parent,
-                delete_patterns=[glob.escape(path) for path in delete] or None,
             )
         return Sent(made.oid, made.pr_revision)
 
@@ -434,14 +442,13 @@ def _ensure_sent(prepared: PreparedUpload) -> tuple[Sent, bool]:
     plan, head = prepared.plan, prepared.state.head
 
     def send() -> Sent:
-        with staged(prepared.payload, plan.to_send) as stage:
-            return target.send(
-                stage,
-                prepared.message,
-                delete=[file.path for file in plan.remote_only] if options.delete else [],
-                parent=head,
-                pull=options.create_pr,
-            )
+        return target.send(
+            {file.path: prepared.payload.content(file) for file in plan.to_send},
+            prepared.message,
+            delete=[file.path for file in plan.remote_only] if options.delete else [],
+            parent=head,
+            pull=options.create_pr,
+        )
 
     def find_commit() -> Sent | None:
         """Look whether it was made though its answer was lost; if not, what is still to send, and on what."""

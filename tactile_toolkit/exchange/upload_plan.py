@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import contextlib
 import hashlib
 import re
-import tempfile
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from fnmatch import fnmatch
@@ -30,7 +28,6 @@ __all__ = [
     "card_for_hub",
     "collect",
     "compare",
-    "staged",
 ]
 
 MAIN = "main"
@@ -186,6 +183,10 @@ class Payload:
         """Bytes of all files."""
         return sum(file.size for file in self.files)
 
+    def content(self, file: LocalFile) -> bytes | Path:
+        """Return what is sent for a file: where it lies, or the card as it is to be."""
+        return self.card if file.path == CARD_FILE else self.root / file.path
+
     def with_card(self, card: bytes) -> Payload:
         """Return the same with another card."""
         others = tuple(file for file in self.files if file.path != CARD_FILE)
@@ -238,24 +239,6 @@ def _unsent(root: Path, folder: Path, sent: set[str], holding: set[str]) -> Iter
             yield f"{path}/"
         else:
             yield from _unsent(root, entry, sent, holding)
-
-
-@contextlib.contextmanager
-def staged(payload: Payload, files: Iterable[LocalFile]) -> Iterator[Path]:
-    """Lay out some files of a payload in a folder of their own: links, and the card as it is to be.
-
-    What is not among them cannot be sent by mistake, and what the Hub has already is not even read.
-    """
-    with tempfile.TemporaryDirectory(prefix="tactile-upload-") as name:
-        stage = Path(name)
-        for file in files:
-            place = stage / file.path
-            place.parent.mkdir(parents=True, exist_ok=True)
-            if file.path == CARD_FILE:
-                place.write_bytes(payload.card)
-            else:
-                place.symlink_to((payload.root / file.path).resolve())
-        yield stage
 
 
 def card_for_hub(text: str, repo_id: str, shards: Mapping[str, Sequence[str]], others: Iterable[str]) -> str:

@@ -19,11 +19,17 @@ __all__ = ["RepositoryCache", "is_whole", "remember_whole", "remove_with_content
 _COMMIT = re.compile(r"[0-9a-f]{40}")
 
 
-def is_whole(file: Path, digest: Digest) -> bool:
-    """Tell whether a file has a digest; a file that was found whole is not read again until it changes."""
-    if _mark(file, digest).exists():
+def is_whole(file: Path, digest: Digest, *, anew: bool = False) -> bool:
+    """Tell whether a file has a digest; one that was found whole is not read again until it changes.
+
+    A bit that the disk has flipped is no change that shows: ``anew`` reads the file in any case.
+    """
+    mark = _mark(file, digest)
+    if not anew and mark.exists():
         return True
     if digest.of(file) != digest:
+        with contextlib.suppress(OSError):
+            mark.unlink(missing_ok=True)
         return False
     remember_whole(file, digest)
     return True
@@ -40,7 +46,9 @@ def remember_whole(file: Path, digest: Digest) -> None:
 def _mark(file: Path, digest: Digest) -> Path:
     real = Path(os.path.realpath(file))
     facts = real.stat()
-    text = repr((str(real), facts.st_size, facts.st_mtime_ns, facts.st_ino, str(digest)))
+    # The last is when anything of the file was changed last, which programs cannot set.
+    seen = (facts.st_size, facts.st_mtime_ns, facts.st_ino, facts.st_ctime_ns)
+    text = repr((str(real), *seen, str(digest)))
     return cache_folder() / "checked" / hashlib.sha256(text.encode()).hexdigest()[:40]
 
 

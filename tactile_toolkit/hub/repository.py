@@ -384,13 +384,16 @@ class HubRepository:
         # The commit, not what it is called: a branch may move on while its files are read in turn.
         return f"{_PREFIX}{self.repo_id}@{self.snapshot.commit}/{path}"
 
-    def cached(self, path: str) -> Path | None:
-        """Return a file that is in the Hub's cache, whole; None otherwise. Asks nobody, fetches nothing."""
+    def cached(self, path: str, *, anew: bool = False) -> Path | None:
+        """Return a file that is in the Hub's cache, whole; None otherwise. Asks nobody, fetches nothing.
+
+        One that was found whole is read again only where it has changed since, or if ``anew``.
+        """
         digest = self.expected(path)
         file = RepositoryCache(self.repo_id).file(self.snapshot.commit, path)
         if file is None:
             return None
-        return file if digest is None or is_whole(file, digest) else None
+        return file if digest is None or is_whole(file, digest, anew=anew) else None
 
     def fetch(self, paths: Sequence[str], transfers: Transfers | None = None) -> list[str]:
         """Bring files into the Hub's cache, or find them there, and return their local paths.

@@ -26,6 +26,7 @@ __all__ = [
     "TEMPORARY_PREFIX",
     "DataFolder",
     "atomic_file",
+    "expanded",
     "folders_below",
     "is_being_written",
     "is_stale",
@@ -146,6 +147,15 @@ def _readable(address: str) -> Iterator[None]:
         raise unreadable(address) from error
 
 
+def expanded(place: str | Path, what: str = "path") -> Path:
+    """Return a local path with ``~`` as the home folder; InputError for that of a user whom nobody knows."""
+    try:
+        return Path(place).expanduser()
+    except RuntimeError as error:
+        message = f"{what} {str(place)!r}: no home folder is known ({error}); next: write the path in full"
+        raise InputError(message) from error
+
+
 @contextlib.contextmanager
 def atomic_file(path: Path, *, durable: bool = True) -> Iterator[IO[bytes]]:
     """Open a local file for writing that appears under its name when all of it is on the disk, or never.
@@ -199,7 +209,7 @@ class DataFolder:
     _root: str = field(init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
-        root = self.url if "://" in self.url else str(Path(self.url).expanduser().absolute())
+        root = self.url if "://" in self.url else str(expanded(self.url).absolute())
         object.__setattr__(self, "_root", root.removeprefix("file://").rstrip("/") or "/")
 
     @property

@@ -11,7 +11,7 @@ from tactile_toolkit.errors import InputError, IntegrityError, SpecMismatchError
 from tactile_toolkit.store.folder import DataFolder
 from tactile_toolkit.store.manifest import MANIFEST_FILE, Manifest, pending_records, read_manifest
 from tactile_toolkit.store.parquet import ParquetStyle, file_sha256, read_report, sha256_hex
-from tactile_toolkit.store.shards import ShardName, ShardRecord, Skipped
+from tactile_toolkit.store.shards import DATA_FOLDER, ShardName, ShardRecord, Skipped
 from tactile_toolkit.versions import library_versions, toolkit_version
 
 __all__ = [
@@ -156,6 +156,7 @@ def inspect_folder(folder: DataFolder, plan: BuildPlan) -> BuildState:
             "--overwrite"
         )
         raise SpecMismatchError(message)
+    _refuse_strays(folder, plan)
     known = {record.shard: record for record in (*manifest.shards, *pending_records(folder))}
     has_report = _report_check(folder, plan)
     kept, todo, damaged = [], [], []
@@ -189,6 +190,23 @@ def _refuse_other_libraries(folder: DataFolder, manifest: Manifest, plan: BuildP
             "with --overwrite"
         )
         raise SpecMismatchError(message)
+
+
+def _refuse_strays(folder: DataFolder, plan: BuildPlan) -> None:
+    """Refuse a file among the shards that is none, which would be found to be wrong ever after.
+
+    A shard of a split that is not asked for may be of a run that is at work on it.
+    """
+    planned = {task.shard for task in plan.tasks}
+    others = set(plan.split_order) - {shard.split for shard in planned}
+    for name in folder.names(DATA_FOLDER):
+        shard = ShardName.parse(name)
+        if not name.startswith(".") and shard not in planned and (shard is None or shard.split not in others):
+            message = (
+                f"{folder.address(f'{DATA_FOLDER}/{name}')!r} is not a file of this data set; nothing was "
+                "changed; next: remove it, or move it away"
+            )
+            raise InputError(message)
 
 
 def _is_unchanged(folder: DataFolder, record: ShardRecord) -> bool:

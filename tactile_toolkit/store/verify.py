@@ -110,7 +110,7 @@ def _verify_copy(folder: DataFolder, record: DownloadRecord, on_file: Callable[[
             # Ids are the publisher's own: nothing says that they differ between splits.
             rows += open_parquet(folder, path).metadata.num_rows
     findings += [
-        Finding(f"{DATA_FOLDER}/{name}", f"is not listed in {RECORD_FILE}")
+        Finding(f"{DATA_FOLDER}/{name}", f"is not listed in {RECORD_FILE}; next: remove it")
         for name in folder.names(DATA_FOLDER)
         if f"{DATA_FOLDER}/{name}" not in record.files
     ]
@@ -148,7 +148,8 @@ def _incomplete(folder: DataFolder, manifest: Manifest) -> list[Finding]:
             findings.append(Finding(MANIFEST_FILE, f"split {split!r} lacks shards {sorted(missing)}"))
     known = {record.shard.data_path for record in manifest.shards}
     there = [f"{DATA_FOLDER}/{name}" for name in folder.names(DATA_FOLDER)]
-    findings += [Finding(path, f"is not listed in {MANIFEST_FILE}") for path in there if path not in known]
+    stray = f"is not listed in {MANIFEST_FILE}; next: remove it"
+    findings += [Finding(path, stray) for path in there if path not in known]
     return findings
 
 

@@ -12,6 +12,8 @@ from pathlib import Path
 import pytest
 
 from tactile_toolkit.cache import CACHE_VARIABLE, DiskCache, MemoryCache, cache_folder
+from tactile_toolkit.errors import InputError
+from tactile_toolkit.store.folder import DataFolder
 
 
 def names(folder: Path) -> list[str]:
@@ -141,3 +143,13 @@ def test_a_copy_in_another_process_starts_empty():
             os._exit(0 if memory.get("a") is None and memory.size == 0 else 1)
     assert os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == 0
     assert memory.get("a") == b"1"
+
+
+@pytest.mark.parametrize("variable", [CACHE_VARIABLE, "XDG_CACHE_HOME"])
+def test_a_cache_in_the_home_of_nobody_is_named(monkeypatch, variable):
+    monkeypatch.delenv(CACHE_VARIABLE, raising=False)
+    monkeypatch.setenv(variable, "~nobody-of-that-name/x")
+    with pytest.raises(InputError, match=f"{variable} '~nobody-of-that-name/x': no home folder is known"):
+        cache_folder()
+    with pytest.raises(InputError, match="no home folder is known"):
+        DataFolder("~nobody-of-that-name/x")

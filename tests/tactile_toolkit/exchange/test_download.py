@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import hashlib
+import os
 import signal
 import time
 from collections.abc import Iterator
@@ -119,6 +121,28 @@ def test_a_damaged_file_of_the_folder_is_fetched_again(server, tmp_path):
     shard.write_bytes(content)
     assert fetch(server, tmp_path, script(out=out))[1] == ["data/train-00002-of-00004.parquet"]
     assert verify(DataFolder(str(out)), SCHEMA).ok
+
+
+@pytest.mark.parametrize("to_folder", [False, True])
+def test_a_bit_that_the_disk_has_flipped_is_found_though_size_and_time_are_kept(server, tmp_path, to_folder):
+    out = tmp_path / "out" if to_folder else None
+    file = Path(fetch(server, tmp_path, script(BIG, out=out))[0], SHARD).resolve()
+    before = file.stat()
+    with file.open("r+b") as stream:
+        stream.seek(1000)
+        stream.write(bytes([CONTENT[1000] ^ 1]))
+    os.utime(file, ns=(before.st_atime_ns, before.st_mtime_ns))
+    _pretend_unchanged(tmp_path / "toolkit" / "checked", file, CONTENT)
+    assert fetch(server, tmp_path, script(BIG, out=out))[1:] == [[SHARD], [], False]
+    assert Path(fetch(server, tmp_path, script(BIG, out=out))[0], SHARD).read_bytes() == CONTENT
+
+
+def _pretend_unchanged(marks: Path, file: Path, content: bytes) -> None:
+    """Remember a file as whole as it is now: a flipped bit leaves no trace, writing a file does."""
+    facts, digest = file.stat(), f"sha256 {hashlib.sha256(content).hexdigest()}"
+    seen = (facts.st_size, facts.st_mtime_ns, facts.st_ino, facts.st_ctime_ns)
+    text = repr((str(file), *seen, digest))
+    (marks / hashlib.sha256(text.encode()).hexdigest()[:40]).touch()
 
 
 def test_unknown_splits_are_named(server, tmp_path):

@@ -21,6 +21,7 @@ from tactile_toolkit.store.manifest import read_manifest
 from tests.hub_server import HubServer, hub
 from tests.tactile_toolkit.exchange.upload_client import logged_in
 from tests.tactile_toolkit.hub.client import run_here, settings
+from tests.tactile_toolkit.toy import folder_bytes
 
 NAME = "someone/stars"
 
@@ -383,7 +384,10 @@ def test_a_killed_upload_goes_on_with_what_is_missing(server, folder, tmp_path):
     late = shards_of(folder)["data/train-00001-of-00003.parquet"]
     server.faults.fail(f"/lfs/*/{late}", 503, times=10_000)
     token = next(iter(server.accounts))
-    environment = settings(server, tmp_path, token, PYTHONPATH=str(Path.cwd()))
+    scratch = tmp_path / "scratch"
+    scratch.mkdir()
+    environment = settings(server, tmp_path, token, PYTHONPATH=str(Path.cwd()), TMPDIR=str(scratch))
+    before = folder_bytes(folder)
     process = subprocess.Popen(
         [sys.executable, "-c", UPLOAD.format(folder=str(folder), name=NAME)],
         env=environment,
@@ -398,6 +402,8 @@ def test_a_killed_upload_goes_on_with_what_is_missing(server, folder, tmp_path):
     assert process.wait(120) == -signal.SIGKILL
     assert set(server.repository(NAME).objects) == wanted - {late}
     assert server.repository(NAME).head.title == "initial commit"
+    assert list(scratch.iterdir()) == []
+    assert folder_bytes(folder) == before
     server.faults.clear()
     server.requests.clear()
     upload(folder)

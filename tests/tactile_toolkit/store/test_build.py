@@ -137,7 +137,7 @@ def test_file_in_place_of_the_folder(tmp_path):
 def test_damaged_manifest_is_named(tmp_path):
     make(tmp_path / "set")
     (tmp_path / "set" / "manifest.json").write_text('{"schema_version": 1')
-    with pytest.raises(IntegrityError, match=r"manifest\.json' is damaged, a JSON object was"):
+    with pytest.raises(IntegrityError, match=r"manifest\.json' is not a manifest"):
         make(tmp_path / "set")
 
 
@@ -351,3 +351,29 @@ def test_other_versions_of_libraries_are_not_mixed(tmp_path, monkeypatch):
         make(tmp_path / "set", plan)
     shutil.rmtree(tmp_path / "set" / "data")
     assert make(tmp_path / "set", plan).libraries == {"numpy": "9", "pyarrow": "9"}
+
+
+@pytest.mark.parametrize("name", ["notes.txt", "x.parquet", "train-00000-of-00009.parquet"])
+def test_a_stray_file_among_the_shards_is_named_by_all_who_meet_it(tmp_path, name):
+    """`verify` must not send to a run that has nothing to say about it."""
+    folder = DataFolder(str(tmp_path / "set"))
+    build(folder, toy_plan(), InlineRunner())
+    (tmp_path / "set" / "data" / name).write_bytes(b"x")
+    before = folder_bytes(tmp_path)
+    (finding,) = verify(folder, SCHEMA).findings
+    assert (finding.file, finding.problem) == (
+        f"data/{name}",
+        "is not listed in manifest.json; next: remove it",
+    )
+    with pytest.raises(InputError, match=rf"data/{name}' is not a file of this data set.*next: remove it"):
+        build(folder, toy_plan(), InlineRunner())
+    assert folder_bytes(tmp_path) == before
+
+
+def test_a_shard_of_a_split_that_another_run_makes_is_no_stray_file(tmp_path):
+    folder = DataFolder(str(tmp_path / "set"))
+    build(folder, toy_plan(("train",)), InlineRunner())
+    folder.write_bytes("data/test-00000-of-00002.parquet", b"rows whose record is not written yet")
+    build(folder, toy_plan(("train",)), InlineRunner())
+    build(folder, toy_plan(("test",)), InlineRunner())
+    assert verify(folder, SCHEMA).ok

@@ -187,7 +187,8 @@ def test_a_folder_that_another_run_is_replacing_is_left_alone(finished):
 
 
 # Forks a child for every moment, which ends itself as `kill -9` would when it touches the folder for the n-th
-# time; then the same run, and one of the former specification, are given in copies of what it left.
+# time; then the same run, and one of the former specification, are given in copies of what it left. So is the
+# recovery, which is killed at every moment of its own: what the next one makes of that must be the same.
 DIES_EVERYWHERE = """
 import os, shutil, signal, sys
 from dataclasses import replace
@@ -195,6 +196,7 @@ from tactile_toolkit.store.build import build
 from tactile_toolkit.errors import SpecMismatchError
 from tactile_toolkit.run.processes import InlineRunner
 from tactile_toolkit.store.folder import DataFolder
+from tactile_toolkit.store.replace import recover
 from tests.tactile_toolkit.toy import folder_bytes, toy_plan
 from pathlib import Path
 
@@ -206,7 +208,40 @@ new = replace(new, extra_dirs=("images",))
 def run(place, plan, **options):
     return build(DataFolder(str(place)), plan, InlineRunner(), **options)
 
-def child(place, moment):
+def state(place):
+    return {str(path.relative_to(place)): path.is_dir() or path.read_bytes() for path in place.rglob("*")}
+
+def dies_at(moment, place, action):
+    # Do something in a child that dies at a moment; tell whether it came that far.
+    process = os.fork()
+    if process == 0:
+        try:
+            child(place, moment, action)
+        finally:
+            os._exit(1)
+    _, status = os.waitpid(process, 0)
+    assert os.WIFSIGNALED(status) or os.WEXITSTATUS(status) == 0, moment
+    return os.WIFSIGNALED(status)
+
+def kill_recoveries(place, begun):
+    # Kill the recovery of a folder at every moment of its own, and return how many there are.
+    whole = base / "recovered"
+    shutil.copytree(place, whole)
+    recover(DataFolder(str(whole)))
+    expected, moment = state(whole), 0
+    shutil.rmtree(whole)
+    while True:
+        moment += 1
+        again = base / "again"
+        shutil.copytree(place, again)
+        was_killed = dies_at(moment, again, lambda: recover(DataFolder(str(again))))
+        recover(DataFolder(str(again)))
+        assert state(again) == expected, (begun, moment)
+        shutil.rmtree(again)
+        if not was_killed:
+            return moment - 1
+
+def child(place, moment, action):
     seen = 0
     def watch(event, arguments):
         nonlocal seen
@@ -220,24 +255,20 @@ def child(place, moment):
         if seen == moment:
             os.kill(os.getpid(), signal.SIGKILL)
     sys.addaudithook(watch)
-    run(place, new, overwrite=True)
+    action()
     os._exit(0)
 
-moment, back, ahead = 0, 0, 0
+moment, back, ahead, pairs, seen = 0, 0, 0, 0, []
 while True:
     moment += 1
     place = base / f"at-{moment}"
     shutil.copytree(base / "former", place)
-    process = os.fork()
-    if process == 0:
-        try:
-            child(place, moment)
-        finally:
-            os._exit(1)
-    _, status = os.waitpid(process, 0)
-    if os.WIFEXITED(status):
-        assert os.WEXITSTATUS(status) == 0, moment
+    if not dies_at(moment, place, lambda: run(place, new, overwrite=True)):
         break
+    left = {path: None if ".writing-" in path else text for path, text in state(place).items()}
+    if left not in seen:  # most steps change something
+        seen.append(left)
+        pairs += kill_recoveries(place, moment)
     second = base / f"again-{moment}"
     shutil.copytree(place, second)
     run(second, new, overwrite=True)
@@ -253,7 +284,7 @@ while True:
         back += 1
     shutil.rmtree(place)
     shutil.rmtree(second)
-print(back, ahead)
+print(back, ahead, pairs)
 """
 
 
@@ -269,6 +300,7 @@ def test_killed_at_any_moment_the_former_set_comes_back_or_the_new_one_goes_on(t
         check=False,
     )
     assert done.returncode == 0, done.stderr
-    back, ahead = map(int, done.stdout.split())
+    back, ahead, pairs = map(int, done.stdout.split())
     assert back > 10
     assert ahead > 10
+    assert pairs > 100
