@@ -1,7 +1,7 @@
 """Whether triangles bound a solid: manifold3d's verdict and the questions it leaves open.
 
 manifold3d checks how triangles are joined. A mesh that is inside out, or whose bodies run into one another,
-passes that check; here such a mesh is refused too.
+passes that check, and so does one that crosses itself; here such meshes are refused too.
 """
 
 from __future__ import annotations
@@ -12,7 +12,12 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from tactile_toolkit.mesh.crossings import faces_not_proven_free, self_crossing
+from tactile_toolkit.mesh.mesh import MM_PER_M
+
 if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
     from tactile_toolkit.mesh.mesh import Mesh
 
 __all__ = ["PROBLEMS", "ManifoldCheck", "check_manifold"]
@@ -26,6 +31,7 @@ PROBLEMS = (
     "inside-out",
     "no-volume",
     "overlap",
+    "self-crossing",
 )
 """Why a mesh is refused, in the order in which it is asked."""
 
@@ -48,7 +54,9 @@ class ManifoldCheck:
     genus: int = 0
     """Holes through all bodies in total."""
     volume_mm3: float = math.nan
-    """Enclosed volume, negative inside out, NaN where unknown."""
+    """Enclosed volume, negative inside out; NaN where unknown, as where some space is enclosed twice."""
+    back_to_back: bool = False
+    """Proved to be two reliefs whose common rim lies in the level plane at half height, as digits are."""
 
 
 def check_manifold(mesh: Mesh) -> ManifoldCheck:
@@ -62,17 +70,25 @@ def check_manifold(mesh: Mesh) -> ManifoldCheck:
         return ManifoldCheck(None, status, "not-manifold", _edge_story(mesh))
     parts = manifold.decompose()
     volume_mm3 = float(manifold.volume())
+    back_to_back = False
     if not parts or abs(volume_mm3) < FLAT_MM3:
-        problem = "no-volume", "the surface is closed but encloses nothing"
+        problem = "no-volume", "the surface is closed, but what it encloses adds up to nothing"
     elif volume_mm3 < 0:
         problem = "inside-out", f"the triangles face inwards, the volume is {volume_mm3:.3f} mm^3"
     else:
+        vertices_mm, faces = mesh.vertices_m.astype(np.float64) * MM_PER_M, mesh.faces.astype(np.int64)
+        suspects = faces_not_proven_free(vertices_mm, faces)
+        back_to_back = len(suspects) < len(faces)
         problem = _overlap_problem(parts)
+        if problem is None:
+            problem = _crossing_problem(self_crossing(vertices_mm, faces, len(parts), suspects))
     outer = [part for part in parts if part.volume() > 0]
     genus = sum(part.genus() for part in parts)
     if problem is not None:
+        if problem[0] in ("overlap", "self-crossing"):
+            volume_mm3 = math.nan
         return ManifoldCheck(None, status, *problem, len(outer), genus, volume_mm3)
-    return ManifoldCheck(manifold, status, None, None, len(outer), genus, volume_mm3)
+    return ManifoldCheck(manifold, status, None, None, len(outer), genus, volume_mm3, back_to_back)
 
 
 def _array_problem(mesh: Mesh) -> tuple[str, str] | None:
@@ -101,6 +117,13 @@ def _overlap_problem(parts: list[Any]) -> tuple[str, str] | None:
         if not any(_encloses(part, cavity) for part in outer):
             return "inside-out", f"one of {len(parts)} bodies faces inwards without lying inside another one"
     return None
+
+
+def _crossing_problem(place_mm: NDArray[np.float64] | None) -> tuple[str, str] | None:
+    if place_mm is None:
+        return None
+    where = ", ".join(f"{coordinate + 0.0:.2f}" for coordinate in place_mm)
+    return "self-crossing", f"the surface of one body crosses itself, at ({where}) mm among others"
 
 
 def _pairs_with_meeting_boxes(parts: list[Any]) -> list[tuple[int, int]]:
