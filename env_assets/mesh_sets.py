@@ -24,8 +24,9 @@ from tactile_toolkit.catalog.kinds import kind_of_meshes
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.mesh.columns import class_names, require_mesh_columns
 from tactile_toolkit.mesh.records import SolidDataset, SolidRecord
-from tactile_toolkit.read.dataset import RecordDataset, Row, positions
+from tactile_toolkit.read.dataset import RecordDataset, Row
 from tactile_toolkit.read.parquet import RowGroup, Shard, ShardedTable
+from tactile_toolkit.read.sequence import positions
 
 __all__ = [
     "DATASETS",
@@ -120,6 +121,7 @@ class WrenchDataset(RecordDataset[WrenchRecord]):
     """A lazy sequence of :class:`WrenchRecord`."""
 
     record = WrenchRecord
+    things = "wrenches"
 
     @property
     def volumes_m3(self) -> NDArray[np.float64]:
@@ -199,7 +201,7 @@ class PlainMeshes(Sequence[Any]):
         """Return a record (int), or some of them (slice, ints, mask)."""
         if isinstance(key, (int, np.integer)):
             return self.records[int(key)]
-        rows = range(len(self))[key] if isinstance(key, slice) else positions(key, len(self)).tolist()
+        rows = positions(key, len(self)).tolist()
         return PlainMeshes([self.records[row] for row in rows], self.label_names)
 
     @property

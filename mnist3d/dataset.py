@@ -60,6 +60,7 @@ class MeshDataset(RecordDataset[MeshRecord]):
     """A lazy sequence of :class:`MeshRecord`; see :class:`tactile_toolkit.read.dataset.RecordDataset`."""
 
     record = MeshRecord
+    things = "digits"
 
     @property
     def volumes_m3(self) -> NDArray[np.float64]:
@@ -78,18 +79,18 @@ MeshStream = RecordStream[MeshRecord]
 
 @overload
 def load(
-    name: str, split: str = "train", *, streaming: Literal[False] = False, revision: str | None = None
+    name: str, split: str | None = None, *, streaming: Literal[False] = False, revision: str | None = None
 ) -> MeshDataset: ...
 @overload
 def load(
-    name: str, split: str = "train", *, streaming: Literal[True], revision: str | None = None
+    name: str, split: str | None = None, *, streaming: Literal[True], revision: str | None = None
 ) -> MeshStream: ...
 @overload
 def load(
-    name: str, split: str = "train", *, streaming: bool = False, revision: str | None = None
+    name: str, split: str | None = None, *, streaming: bool = False, revision: str | None = None
 ) -> MeshDataset | MeshStream: ...
 def load(
-    name: str, split: str = "train", *, streaming: bool = False, revision: str | None = None
+    name: str, split: str | None = None, *, streaming: bool = False, revision: str | None = None
 ) -> MeshDataset | MeshStream:
     """Open a data set of 3D digits.
 
@@ -98,8 +99,8 @@ def load(
     name : str
         A folder written by ``mnist3d generate``, a Parquet file, or a repository of the Hub with the columns
         of MNIST 3D: ``USER/NAME``, or ``mnist3d`` for the published one.
-    split : str
-        Split to open; only its shards are fetched.
+    split : str, optional
+        Split to open; only its shards are fetched. May be left out where there is only one.
     streaming : bool
         Give an iterable that reads as it goes and keeps nothing, instead of a data set with random access.
     revision : str, optional
@@ -113,7 +114,7 @@ def load(
     Raises
     ------
     InputError
-        No such folder or split, or the columns are not those of MNIST 3D.
+        No such folder or split, several splits and none named, or the columns are not those of MNIST 3D.
     IntegrityError
         The data set is damaged or unfinished.
     HubError

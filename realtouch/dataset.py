@@ -9,6 +9,7 @@ from typing import Any, ClassVar, Self, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from realtouch.columns.per_touch import known_positions
 from realtouch.columns.poses import known_contact_z_m, touch_contact_z_m
 from realtouch.damage import Damage, unreadable_rows
 from realtouch.integrity.agreement import stated_class_names, stored_touch_counts
@@ -16,9 +17,10 @@ from realtouch.integrity.check_round import check_round
 from realtouch.rounds import GroupWithoutMedia, RowWithoutMedia, TouchRound, TouchSeqRound, TouchSingleRound
 from realtouch.touches import Touches
 from tactile_toolkit.errors import InputError, IntegrityError
-from tactile_toolkit.read.dataset import RecordDataset, Row
+from tactile_toolkit.read.dataset import RecordDataset, Row, with_origins
 from tactile_toolkit.read.parquet import RowGroup, Shard, ShardedTable
 from tactile_toolkit.touch.schema import CLASS_NAMES, MEDIA_COLUMN, PLATE_COLUMN, Kind
+from tactile_toolkit.wording import counted
 
 __all__ = ["TouchDataset", "TouchSeqDataset", "TouchSingleDataset", "TouchStream", "dataset_of"]
 
@@ -38,6 +40,7 @@ class TouchDataset(RecordDataset[R]):
     """
 
     kind: Kind
+    things = "rounds"
 
     def __init__(
         self,
@@ -143,6 +146,23 @@ class TouchDataset(RecordDataset[R]):
             raise IntegrityError(message)
         return z_m, starts
 
+    def known_positions_m(self) -> NDArray[np.float64]:
+        """Read where each touch of these rounds was meant to be, NaN where that cannot be read.
+
+        Shape (touches of all rounds of the view, in order, 2), metres, cell frame; reads that column only.
+        """
+
+        def compute(group: RowGroup) -> NDArray[np.float64]:
+            rows = [known_positions(Row(group, index)) for index in range(len(group.table))]
+            return np.concatenate(rows or [np.zeros((0, 2))])
+
+        parts = [table.derive("positions", ["pos_in_cell"], compute) for table in self._tables]
+        positions_m = np.concatenate(parts or [np.zeros((0, 2))])
+        starts = np.concatenate([[0], np.cumsum(self._stored_counts)])
+        wanted = [np.arange(starts[row], starts[row + 1]) for row in self.row_numbers.tolist()]
+        of_view: NDArray[np.float64] = positions_m[np.concatenate(wanted or [np.zeros(0, np.int64)])]
+        return of_view
+
     def plates_z_m(self) -> NDArray[np.float64]:
         """Read the stored height of the plate of every stored row, shape (stored rows,), metres, cell frame.
 
@@ -174,10 +194,30 @@ class TouchDataset(RecordDataset[R]):
                             yield number + row, self._make(RowWithoutMedia(rows, row))
                     number += len(group.table)
 
-    def __add__(self, other: Self) -> Self:
-        if type(other) is not type(self):
+    def _each(self) -> Iterator[tuple[int, R]]:
+        places: dict[int, list[int]] = {}
+        for place, row in enumerate(self.row_numbers.tolist()):
+            places.setdefault(row, []).append(place)
+        for row, record in self.rounds_without_media():
+            for place in places[row]:
+                yield place, record
+
+    def __eq__(self, other: object) -> bool:
+        """Tell whether both hold equal rounds in the same order, and left out the same touches of them."""
+        equal = super().__eq__(other)
+        if not isinstance(other, TouchDataset) or equal is NotImplemented:
             return NotImplemented
-        joined = super().__add__(other)
+        return equal and self._lost_places() == other._lost_places()
+
+    __hash__ = RecordDataset.__hash__
+
+    def _lost_places(self) -> set[tuple[int, int]]:
+        lost = self._lost_touches
+        rows = enumerate(self.row_numbers.tolist()) if lost else ()
+        return {(place, touch) for place, row in rows for lost_row, touch in lost if lost_row == row}
+
+    def _joined(self, other: Self) -> Self:
+        joined = super()._joined(other)
         offset = int(self._starts[-1])
         moved = [(None if row is None else row + offset, damage) for row, damage in other._skipped]
         return type(self)(joined._tables, joined._rows, self._label_names, (*self._skipped, *moved))
@@ -303,4 +343,5 @@ class TouchStream:
             yield record.with_touches(kept) if lost else record
 
     def __repr__(self) -> str:
-        return f"TouchStream({self.kind}, {len(self.shards)} shards)"
+        words = with_origins(counted(len(self.shards), "shards"), [ShardedTable(self.shards)])
+        return f"TouchStream({self.kind}, {', '.join(words)})"

@@ -49,7 +49,7 @@ def place_of(name: Name | Sequence[Name]) -> Place:
 
 
 def open_shards(
-    name: Name | Sequence[Name], split: str, *, revision: str | None = None, streaming: bool = False
+    name: Name | Sequence[Name], split: str | None, *, revision: str | None = None, streaming: bool = False
 ) -> tuple[Shard, ...]:
     """Find the shards of one split of whatever :func:`realtouch.load` understands; InputError without any."""
     if isinstance(name, (str, PathLike)):

@@ -17,7 +17,7 @@ __all__ = ["load"]
 @overload
 def load(
     name: Name | Sequence[Name],
-    split: str = "train",
+    split: str | None = None,
     streaming: Literal[False] = False,
     revision: str | None = None,
     *,
@@ -26,7 +26,7 @@ def load(
 @overload
 def load(
     name: Name | Sequence[Name],
-    split: str = "train",
+    split: str | None = None,
     *,
     streaming: Literal[True],
     revision: str | None = None,
@@ -35,7 +35,7 @@ def load(
 @overload
 def load(
     name: Name | Sequence[Name],
-    split: str,
+    split: str | None,
     streaming: Literal[True],
     revision: str | None = None,
     *,
@@ -44,7 +44,7 @@ def load(
 @overload
 def load(
     name: Name | Sequence[Name],
-    split: str = "train",
+    split: str | None = None,
     streaming: bool = False,
     revision: str | None = None,
     *,
@@ -52,7 +52,7 @@ def load(
 ) -> TouchSeqDataset | TouchSingleDataset | TouchStream: ...
 def load(
     name: Name | Sequence[Name],
-    split: str = "train",
+    split: str | None = None,
     streaming: bool = False,
     revision: str | None = None,
     *,
@@ -67,8 +67,8 @@ def load(
         (``USER/NAME[@REVISION]``), a local folder, a Parquet file, or several Parquet files that belong
         together; files and folders of the Hub as ``hf://datasets/USER/NAME[@REVISION]/PATH``. Local data of
         the same name comes first.
-    split : str
-        Split to open; only its shards are fetched.
+    split : str, optional
+        Split to open; only its shards are fetched. May be left out where there is only one.
     streaming : bool
         Give an iterable that reads as it goes and keeps nothing, instead of a data set with random access.
     revision : str, optional
@@ -87,7 +87,7 @@ def load(
     Raises
     ------
     InputError
-        No such folder or split, or no data set of touches.
+        No such folder or split, several splits and none named, or no data set of touches.
     IntegrityError
         A file is damaged, a column has a wrong type, or files do not belong together: some hold clips and
         others images, or their classes are named otherwise. With ``"skip"`` only when no file is left.

@@ -17,13 +17,14 @@ from realtouch.columns.per_touch import entries_of, int_value, intended_position
 from realtouch.columns.poses import pose_sequences, poses
 from realtouch.contact import require_method
 from realtouch.damage import missing_column
-from realtouch.media.images import SensorImages, in_parallel, positions_of
+from realtouch.media.images import SensorImages, in_parallel
 from realtouch.media.round_clips import SensorClips, contact_frames_of, contact_windows_of, decode_frames
 from realtouch.poses import Poses, PoseSequences
 from tactile_toolkit.errors import InputError, IntegrityError, ToolkitError
 from tactile_toolkit.read.columns import column_names
 from tactile_toolkit.read.dataset import Record, Row
 from tactile_toolkit.read.parquet import RowGroup, Shard
+from tactile_toolkit.read.sequence import positions
 from tactile_toolkit.touch.jpeg import Pixels
 from tactile_toolkit.touch.rows import flat_row, take_touches
 
@@ -270,7 +271,7 @@ class TouchSeqRound(TouchRound):
             The frames of :attr:`realtouch.TouchClip.contact_window` of each touch; views of one array.
         """
         clips = self.sensor_video
-        wanted = np.asarray(positions_of(touches, len(clips)), np.int64)
+        wanted = positions(touches, len(clips))
         starts, stops = (ends[wanted] for ends in contact_windows_of(clips))
         counts = stops - starts
         ends = np.cumsum(counts)

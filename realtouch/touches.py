@@ -2,27 +2,31 @@
 
 from __future__ import annotations
 
-import operator
-from collections.abc import Callable, Iterable, Iterator, Sequence
+import hashlib
+from collections.abc import Collection, Iterable, Iterator
 from contextlib import suppress
 from itertools import groupby
 from operator import itemgetter
-from typing import TYPE_CHECKING, Any, Generic, Protocol, TypeVar, overload
+from typing import TYPE_CHECKING, Any, Generic, Protocol, Self, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from realtouch.columns.per_frame import clip_times, touch_times
-from realtouch.columns.per_touch import intended_position
+from realtouch.columns.per_touch import entries_of, intended_position, touch_total
 from realtouch.columns.poses import clip_poses, touch_contact_z_m, touch_pose
 from realtouch.contact import MIN_CONTACT_HEIGHT_M, contact_heights_m, contact_window
 from realtouch.damage import missing_column
 from realtouch.media.clips import TouchClip
-from realtouch.media.images import SensorImages, positions_of
+from realtouch.media.images import SensorImages
 from realtouch.rounds import TouchRound, TouchSeqRound, TouchSingleRound
 from tactile_toolkit.errors import InputError
+from tactile_toolkit.read.dataset import Row
+from tactile_toolkit.read.sequence import LazySequence, positions
 from tactile_toolkit.touch.jpeg import Pixels, room_for
-from tactile_toolkit.touch.schema import Kind
+from tactile_toolkit.touch.rows import flat_row
+from tactile_toolkit.touch.schema import Kind, is_per_touch
+from tactile_toolkit.wording import counted
 
 if TYPE_CHECKING:
     from realtouch.pose import Pose
@@ -117,6 +121,20 @@ class Touch:
         """Return the touch with a copy of its own bytes, which keeps no other touch in memory."""
         return Touch(self.round.with_touches([self._index_in_row]), self.touch_index, 0)
 
+    def __eq__(self, other: object) -> bool:
+        """Tell whether the other is the same touch of an equal round, by what is stored of it."""
+        if not isinstance(other, Touch):
+            return NotImplemented
+        if hash(self) != hash(other):  # the number in the round, and the round's id
+            return False
+        mine, theirs = self.round._row, other.round._row
+        if mine.group is theirs.group and mine.index == theirs.index:
+            return self._index_in_row == other._index_in_row
+        return self.alone().round == other.alone().round
+
+    def __hash__(self) -> int:
+        return hash((self.touch_index, self.round))
+
     def __reduce__(self) -> tuple[Any, ...]:
         alone = self.alone()
         return (Touch, (alone.round, alone.touch_index, 0))
@@ -142,6 +160,9 @@ class Touch:
         return touch_html(self.image, ", ".join(words))
 
 
+_INDEX = "touch_index"
+_POSITION = ("x_m", "y_m")
+
 R = TypeVar("R", bound=TouchRound)
 R_co = TypeVar("R_co", bound=TouchRound, covariant=True)
 
@@ -163,6 +184,21 @@ class Rounds(Protocol[R_co]):
     def labels(self) -> NDArray[np.int64]:
         """Label of each round."""
 
+    @property
+    def label_names(self) -> tuple[str, ...]:
+        """Name of each class."""
+
+    @property
+    def column_names(self) -> tuple[str, ...]:
+        """Stored columns."""
+
+    @property
+    def _plain_columns(self) -> tuple[str, ...]:
+        """Columns of one value for each round."""
+
+    def column(self, name: str) -> NDArray[Any]:
+        """Read one of these."""
+
     def __len__(self) -> int: ...
 
     def __getitem__(self, index: int, /) -> R_co: ...
@@ -173,24 +209,43 @@ class Rounds(Protocol[R_co]):
     def int_column(self, name: str) -> NDArray[np.int64]:
         """Read one column of integers."""
 
-    def filter_labels(self, labels: Iterable[int | str]) -> Rounds[R_co]:
-        """Return the rounds of some classes."""
-
     def known_contact_z_m(self) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
         """Heights of all stored touches, NaN where unknown, and where those of each stored row begin."""
 
     def plates_z_m(self) -> NDArray[np.float64]:
         """Height of the plate of every stored row, NaN where unknown."""
 
+    def known_positions_m(self) -> NDArray[np.float64]:
+        """Intended position of every touch of these rounds, shape (touches, 2), NaN where unknown."""
+
     def rounds_without_media(self) -> Iterator[tuple[int, R_co]]:
         """Yield stored row number and round, without opening images or clips until asked for."""
 
+    def _each(self) -> Iterator[tuple[int, R_co]]:
+        """Yield place and round, without opening images or clips until asked for."""
 
-class Touches(Sequence[Touch], Generic[R]):
+    def _like(self, item: Any) -> Iterable[int]:
+        """Places of all rounds that may equal one."""
+
+    def _same_rows(self, other: Any) -> bool:
+        """Tell whether others are the same rounds."""
+
+    def _words(self) -> list[str]:
+        """Say what these are."""
+
+    @property
+    def identity(self) -> str:
+        """What tells their files from all others."""
+
+    def __add__(self, other: Any) -> Any: ...
+
+
+class Touches(LazySequence[Touch], Generic[R]):
     """All touches of some rounds, or a selection of them; a view that copies nothing.
 
     ``touches[i]`` gives a :class:`Touch`; a slice, ints or a boolean mask give a view. Filters give views too
-    and read only the columns that they need.
+    and read only the columns that they need. :meth:`split` divides touches, so that parts share rounds and
+    objects: divide the rounds, or by :attr:`object_ids`, where they must not.
 
     Parameters
     ----------
@@ -211,18 +266,6 @@ class Touches(Sequence[Touch], Generic[R]):
 
     def __len__(self) -> int:
         return self._length
-
-    @overload
-    def __getitem__(self, index: int) -> Touch: ...
-    @overload
-    def __getitem__(self, index: slice | Sequence[int] | NDArray[Any]) -> Touches[R]: ...
-    def __getitem__(self, index: Any) -> Touch | Touches[R]:
-        """Return a touch (int) or a view (slice, ints, boolean mask)."""
-        if isinstance(index, (slice, list, tuple, np.ndarray)):
-            wanted = np.asarray(positions_of(index, len(self)), np.int64)
-            return Touches(self.dataset, wanted if self._chosen is None else self._chosen[wanted])
-        position, touch = self.locate(operator.index(index))
-        return Touch(self.dataset[position], touch)
 
     def __iter__(self) -> Iterator[Touch]:
         last, current = -1, None
@@ -262,9 +305,85 @@ class Touches(Sequence[Touch], Generic[R]):
         return indices
 
     @property
-    def label_array(self) -> NDArray[np.int64]:
+    def labels(self) -> NDArray[np.int64]:
         """Label of each touch, shape (len,), int64; reads the label column only."""
         return self.dataset.labels[self.round_positions]
+
+    @property
+    def label_names(self) -> tuple[str, ...]:
+        """Name of each class, in order of the label."""
+        return self.dataset.label_names
+
+    @property
+    def column_names(self) -> tuple[str, ...]:
+        """Stored columns of the rounds, and ``touch_index``: those of :meth:`to_hf`."""
+        return (*self.dataset.column_names, _INDEX)
+
+    @property
+    def _plain_columns(self) -> tuple[str, ...]:
+        where = _POSITION if self.dataset.has_column("pos_in_cell") else ()
+        return (*self.dataset._plain_columns, _INDEX, *where)
+
+    def column(self, name: str) -> NDArray[Any]:
+        """Read one plain column, shape (len,): one of the rounds, ``touch_index``, or ``x_m`` or ``y_m``.
+
+        The last two are the intended position, metres, cell frame, NaN where none can be read.
+
+        Raises
+        ------
+        InputError
+            There is no such column.
+        """
+        if name == _INDEX:
+            return self.touch_indices
+        if name in _POSITION:
+            values: NDArray[Any] = self.dataset.known_positions_m()[self._flat, _POSITION.index(name)]
+            return values
+        return self.dataset.column(name)[self.round_positions]
+
+    def to_hf(self) -> Any:
+        """Return the touches as a data set of the library `datasets`, one row each, with their features.
+
+        Columns with one entry per touch give that entry, all others are repeated, and ``touch_index`` is
+        added. Pictures and clips are not copied where the cache can be written; they stay as they are stored.
+
+        Returns
+        -------
+        datasets.Dataset
+
+        Raises
+        ------
+        IntegrityError
+            A file is damaged, or a column has not one entry per touch.
+        """
+        import pyarrow as pa
+        from datasets import Dataset, DatasetInfo, Features
+
+        places = self.round_positions
+        # Of no touches, the first round tells the columns.
+        rounds = np.unique(places).tolist() or list(range(min(1, len(self.dataset))))
+        if not rounds:
+            return Dataset.from_dict({})
+        rows = [self.dataset[place]._row for place in rounds]
+        first, total = flat_row(rows[0]), touch_total(rows[0])
+        names = [
+            each.name
+            for each in first.schema
+            if is_per_touch(each.name, each.type) and len(first.column(each.name).chunk(0).flatten()) == total
+        ]
+        parts = [_row_of_each_touch(row, names) for row in rows]
+        features = Features.from_arrow_schema(parts[0].schema)
+        for name, feature in Features.from_arrow_schema(rows[0].group.table.schema).flatten().items():
+            features[name] = feature.feature if name in names else feature
+        # Its own fingerprint would be that of all bytes.
+        told = repr([self.dataset.identity, rounds, places.tobytes(), self._flat.tobytes()])
+        whole = Dataset(
+            pa.concat_tables(parts),
+            info=DatasetInfo(features=features),
+            fingerprint=hashlib.sha256(told.encode()).hexdigest()[:16],
+        )
+        starts = np.cumsum([0, *map(len, parts)])
+        return whole.select(starts[np.searchsorted(rounds, places)] + self.touch_indices)
 
     @property
     def object_ids(self) -> NDArray[np.int64]:
@@ -312,18 +431,6 @@ class Touches(Sequence[Touch], Generic[R]):
         """
         return self[self.heights_m(recalibrate_z) >= min_height_m]
 
-    def labels(self, *wanted: int | str | Iterable[int | str]) -> Touches[R]:
-        """Return the touches of some classes, given as numbers or names, or as sequences of them.
-
-        Raises
-        ------
-        InputError
-            There is no such class, or something else than numbers and names is given.
-        """
-        classes = _listed(wanted, (int, np.integer, str), "classes as whole numbers or names")
-        kept = self.dataset.filter_labels(classes).row_numbers
-        return self[np.isin(self.dataset.row_numbers[self.round_positions], kept)]
-
     def objects(self, *wanted: int | Iterable[int]) -> Touches[R]:
         """Return the touches of some objects, by ``object_id``, given as numbers or as sequences of them.
 
@@ -335,21 +442,6 @@ class Touches(Sequence[Touch], Generic[R]):
         numbers = {int(each) for each in _listed(wanted, (int, np.integer), "object ids as whole numbers")}
         known = {int(each) for each in np.unique(self.object_ids)}
         return self[np.isin(self.object_ids, sorted(numbers & known))]
-
-    def where(self, predicate: Callable[[Touch], bool]) -> Touches[R]:
-        """Return the touches for which a function is true.
-
-        Images and clips are read only when the function asks for them.
-        """
-        keep = np.zeros(len(self), bool)
-        touches = self.touch_indices
-        by_row: dict[int, list[int]] = {}
-        for index, row in enumerate(self.dataset.row_numbers[self.round_positions].tolist()):
-            by_row.setdefault(row, []).append(index)
-        for row, record in self.dataset.rounds_without_media():
-            for index in by_row.get(row, ()):
-                keep[index] = bool(predicate(Touch(record, int(touches[index]))))
-        return self[keep]
 
     def without(self, lost: Iterable[tuple[int, int | None]]) -> Touches[R]:
         """Return the touches but some, given as stored row and number in the round."""
@@ -381,7 +473,7 @@ class Touches(Sequence[Touch], Generic[R]):
         IntegrityError
             An image is damaged or of another size; names file, row and touch.
         """
-        wanted = [self.locate(each) for each in positions_of(index, len(self))]
+        wanted = [self.locate(each) for each in positions(index, len(self)).tolist()]
         if not wanted:
             has_any = len(self.dataset) and self.dataset[0].touch_count
             size = self._images_of(0).size() if has_any else (0, 0)
@@ -407,8 +499,58 @@ class Touches(Sequence[Touch], Generic[R]):
     def _flat(self) -> NDArray[np.int64]:
         return np.arange(len(self)) if self._chosen is None else self._chosen
 
-    def __repr__(self) -> str:
-        return f"Touches({len(self):,} of {len(self.dataset):,} rounds)"
+    def _item(self, position: int) -> Touch:
+        place, touch = self.locate(position)
+        return Touch(self.dataset[place], touch)
+
+    def _some(self, chosen: slice | NDArray[np.int64]) -> Self:
+        wanted = positions(chosen, len(self)) if isinstance(chosen, slice) else chosen
+        return type(self)(self.dataset, wanted if self._chosen is None else self._chosen[wanted])
+
+    def _joined(self, other: Self) -> Self:
+        if self.dataset is other.dataset:
+            return type(self)(self.dataset, np.concatenate([self._flat, other._flat]))
+        moved = other._flat + self._starts[-1]
+        return type(self)(self.dataset + other.dataset, np.concatenate([self._flat, moved]))
+
+    def _like(self, item: Any) -> Iterable[int]:
+        if not isinstance(item, Touch):
+            return ()
+        rounds = list(self.dataset._like(item.round))
+        places = np.isin(self.round_positions, rounds) & (self.touch_indices == item.touch_index)
+        return np.flatnonzero(places).tolist()
+
+    def _same_rows(self, other: Self) -> bool:
+        return self.dataset._same_rows(other.dataset) and np.array_equal(self._flat, other._flat)
+
+    def _each(self) -> Iterator[tuple[int, Touch]]:
+        touches = self.touch_indices.tolist()
+        by_round: dict[int, list[int]] = {}
+        for index, place in enumerate(self.round_positions.tolist()):
+            by_round.setdefault(place, []).append(index)
+        for place, record in self.dataset._each():
+            for index in by_round.get(place, ()):
+                yield index, Touch(record, touches[index])
+
+    def _words(self) -> list[str]:
+        of_rounds, *further = self.dataset._words()
+        return [f"{counted(len(self), 'touches')} of {of_rounds}", *further]
+
+
+def _row_of_each_touch(row: Row, per_touch: Collection[str]) -> Any:
+    """Return a table with a row for each touch of a round; columns without one entry each are repeated."""
+    import pyarrow as pa
+
+    table, count = flat_row(row), touch_total(row)
+    columns = {}
+    for name in table.column_names:
+        array = table.column(name).chunk(0)
+        if name in per_touch:
+            entries_of(row, name)  # refuses a round with more or less of them
+            columns[name] = array.flatten()
+        else:
+            columns[name] = array.take(pa.array(np.zeros(count, np.int64)))
+    return pa.table({**columns, _INDEX: np.arange(count)})
 
 
 def _listed(wanted: Iterable[Any], types: tuple[type, ...], expected: str) -> list[Any]:

@@ -87,6 +87,7 @@ class SceneMeshDataset(RecordDataset[SceneRecord]):
     """A lazy sequence of :class:`SceneRecord`; see :class:`tactile_toolkit.read.dataset.RecordDataset`."""
 
     record = SceneRecord
+    things = "scenes"
 
     @property
     def star_counts(self) -> NDArray[np.int64]:
@@ -102,18 +103,18 @@ class SceneMeshDataset(RecordDataset[SceneRecord]):
 
 @overload
 def load(
-    name: str, split: str = "train", *, streaming: Literal[False] = False, revision: str | None = None
+    name: str, split: str | None = None, *, streaming: Literal[False] = False, revision: str | None = None
 ) -> SceneMeshDataset: ...
 @overload
 def load(
-    name: str, split: str = "train", *, streaming: Literal[True], revision: str | None = None
+    name: str, split: str | None = None, *, streaming: Literal[True], revision: str | None = None
 ) -> RecordStream[SceneRecord]: ...
 @overload
 def load(
-    name: str, split: str = "train", *, streaming: bool = False, revision: str | None = None
+    name: str, split: str | None = None, *, streaming: bool = False, revision: str | None = None
 ) -> SceneMeshDataset | RecordStream[SceneRecord]: ...
 def load(
-    name: str, split: str = "train", *, streaming: bool = False, revision: str | None = None
+    name: str, split: str | None = None, *, streaming: bool = False, revision: str | None = None
 ) -> SceneMeshDataset | RecordStream[SceneRecord]:
     """Open a data set of scenes.
 
@@ -122,8 +123,8 @@ def load(
     name : str
         A folder written by ``starstruck generate``, a Parquet file, or a repository of the Hub with the
         columns of Starstruck: ``USER/NAME``, or ``starstruck`` for the published one.
-    split : str
-        Split to open; only its shards are fetched.
+    split : str, optional
+        Split to open; only its shards are fetched. May be left out where there is only one.
     streaming : bool
         Give an iterable that reads as it goes and keeps nothing, instead of a data set with random access.
     revision : str, optional
@@ -137,7 +138,7 @@ def load(
     Raises
     ------
     InputError
-        No such folder or split, or the columns are not those of Starstruck.
+        No such folder or split, several splits and none named, or the columns are not those of Starstruck.
     IntegrityError
         The data set is damaged or unfinished.
     HubError

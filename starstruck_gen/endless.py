@@ -28,7 +28,8 @@ __all__ = ["DEFAULT_SIZE", "SceneDataset", "SceneTable"]
 DEFAULT_SIZE = 300_000
 """Scenes of a split on the fly, where no size is given (package tactile-mnist 0.13.0)."""
 
-_CHUNK = 1_000
+_KNOWN = ("id", "label", "star_count", "seed")
+"""Columns that follow from the number of a scene."""
 
 
 class SceneTable(ShardedTable):
@@ -57,6 +58,16 @@ class SceneTable(ShardedTable):
         """Arrow schema of the rows."""
         return scene_schema(self.spec.class_names)
 
+    @property
+    def identity(self) -> str:
+        """What tells these scenes from all others."""
+        return repr((self.spec, self.split, self.size, self.seed))
+
+    @property
+    def origins(self) -> list[tuple[str, str]]:
+        """The seed, in place of a name, and the split."""
+        return [(f"seed {self.seed}", self.split)]
+
     def locate(self, row: int) -> tuple[RowGroup, int]:
         """Return a row as a group of its own; nothing of it is made yet."""
         return _MadeRow(self, row), 0
@@ -66,7 +77,7 @@ class SceneTable(ShardedTable):
         return scene_table(make_rows(self.spec, self.split, self.seed, start, count))
 
     def column(self, name: str) -> NDArray[Any]:
-        """Return one plain column of all rows; labels, star counts and ids without making any scene."""
+        """Return one column of all rows, of those that need no scene."""
         classes = np.arange(self.size, dtype=np.int64) % len(self.spec.stars)
         if name == "id":
             return np.arange(self.size, dtype=np.int64) + scene_id(self.split, 0)
@@ -78,9 +89,7 @@ class SceneTable(ShardedTable):
             return np.array(
                 [scene_seed(self.seed, self.split, row) for row in range(self.size)], dtype=np.int64
             )
-        starts = range(0, self.size, _CHUNK)
-        tables = [self.made(start, min(_CHUNK, self.size - start)) for start in starts]
-        return np.concatenate([table.column(name).to_numpy() for table in tables])
+        raise KeyError(name)
 
 
 class _MadeRow(RowGroup):
@@ -192,6 +201,18 @@ class SceneDataset(SceneMeshDataset):
             When the records have no such field.
         """
         return self.column(name).astype(np.int64, copy=False)
+
+    def column(self, name: str) -> NDArray[Any]:
+        """Return one plain column, shape (len,); all but id, label, star count and seed make the scenes.
+
+        Raises
+        ------
+        InputError
+            When the records have no such column.
+        """
+        if name in _KNOWN or name not in self._plain_columns:
+            return super().column(name)
+        return np.array([record._row.value(name) for record in self], np.int64)
 
     def _view(self, tables: Sequence[ShardedTable], rows: range | NDArray[np.int64]) -> Self:
         view = type(self).__new__(type(self))

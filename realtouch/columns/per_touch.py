@@ -5,12 +5,14 @@ T is the number of touches of the round.
 
 from __future__ import annotations
 
+from contextlib import suppress
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from realtouch.damage import damaged, missing_column
+from tactile_toolkit.errors import IntegrityError
 from tactile_toolkit.read.columns import NestedColumn
 from tactile_toolkit.read.dataset import Row
 
@@ -20,6 +22,7 @@ __all__ = [
     "int_value",
     "intended_position",
     "intended_positions",
+    "known_positions",
     "per_touch",
     "plain_value",
     "stored_value",
@@ -132,6 +135,18 @@ def intended_position(row: Row, touch: int) -> NDArray[np.floating]:
     if not np.isfinite(position.sum()):
         raise damaged(row, "pos_in_cell", f"a position {position}; expected metres", touch)
     return position
+
+
+def known_positions(row: Row) -> NDArray[np.float64]:
+    """Return what :func:`intended_positions` does, float64; NaN where a position cannot be read."""
+    try:
+        return intended_positions(row).astype(np.float64)
+    except IntegrityError:
+        known = np.full((touch_total(row), 2), np.nan)
+    for touch in range(len(known)):
+        with suppress(IntegrityError):
+            known[touch] = intended_position(row, touch)
+    return known
 
 
 def plain_value(row: Row, name: str) -> Any:

@@ -25,10 +25,11 @@ from realtouch.contact import (
     require_method,
 )
 from realtouch.damage import damaged
-from realtouch.media.images import in_parallel, positions_of
+from realtouch.media.images import in_parallel
 from realtouch.poses import Poses
 from tactile_toolkit.errors import InputError, ItemError, MissingExtraError
 from tactile_toolkit.read.dataset import Row
+from tactile_toolkit.read.sequence import positions
 from tactile_toolkit.touch.avi import Avi, AviIndex, NoIndexError
 from tactile_toolkit.touch.ffmpeg import ffmpeg_count, ffmpeg_fps, ffmpeg_frames, ffmpeg_size
 from tactile_toolkit.touch.jpeg import Pixels, decode_image, image_size, room_for
@@ -135,7 +136,7 @@ class TouchClip(Sequence[Pixels]):
         IntegrityError
             A frame is damaged, or they exceed :data:`tactile_toolkit.touch.jpeg.MAX_BATCH_PIXELS`.
         """
-        wanted = positions_of(index, self._count)
+        wanted = positions(index, self._count).tolist()
         if self._avi is None:
             return self._named(lambda: ffmpeg_frames(self.data, wanted, self._count))
         self._whole_index()  # refuses frames that overlap: few bytes that decode to any amount of pixels

@@ -13,9 +13,10 @@ import numpy as np
 from realtouch.damage import damaged
 from tactile_toolkit.read.columns import BytesColumn
 from tactile_toolkit.read.dataset import Row
+from tactile_toolkit.read.sequence import positions
 from tactile_toolkit.touch.jpeg import Pixels, decode_image, image_size, room_for
 
-__all__ = ["SensorImages", "in_parallel", "positions_of"]
+__all__ = ["SensorImages", "in_parallel"]
 
 _LONGEST_RUN = 16
 
@@ -75,7 +76,7 @@ class SensorImages(Sequence[Pixels]):
         IntegrityError
             As for indexing; or the images exceed :data:`tactile_toolkit.touch.jpeg.MAX_BATCH_PIXELS`.
         """
-        touches = positions_of(index, self._count)
+        touches = positions(index, self._count).tolist()
         first = touches[0] if len(touches) else 0
         size = self.size(first) if self._count else (0, 0)
         try:
@@ -157,25 +158,3 @@ def in_parallel(work: Callable[[int], object], count: int, threads: int) -> None
         share()
         for other in others:
             other.result()
-
-
-def positions_of(index: Any, count: int) -> Sequence[int]:
-    """Turn a slice, ints or a boolean mask into indices from 0 to below ``count``.
-
-    Raises IndexError for an index out of range or a mask of another length, TypeError for anything else.
-    """
-    if isinstance(index, slice):
-        return range(*index.indices(count))
-    chosen = np.asarray(index)
-    if chosen.dtype == bool:
-        if chosen.shape != (count,):
-            message = f"a boolean mask of shape {chosen.shape} for {count} items"
-            raise IndexError(message)
-        return np.flatnonzero(chosen).tolist()
-    if chosen.ndim != 1 or (chosen.size and chosen.dtype.kind not in "iu"):
-        message = f"items are chosen by a slice, ints or booleans, not {chosen.dtype} of shape {chosen.shape}"
-        raise TypeError(message)
-    if chosen.size and not -count <= chosen.min() <= chosen.max() < count:
-        message = f"index {chosen.min()} to {chosen.max()} is out of range for {count} items"
-        raise IndexError(message)
-    return [int(position) % count for position in chosen]

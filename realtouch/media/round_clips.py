@@ -15,9 +15,10 @@ from realtouch.columns.poses import pose_sequences
 from realtouch.contact import ContactMethod, contact_windows, deepest_frame
 from realtouch.damage import damaged
 from realtouch.media.clips import TouchClip
-from realtouch.media.images import in_parallel, positions_of
+from realtouch.media.images import in_parallel
 from tactile_toolkit.read.columns import BytesColumn
 from tactile_toolkit.read.dataset import Row
+from tactile_toolkit.read.sequence import positions
 from tactile_toolkit.touch.avi import Avi
 from tactile_toolkit.touch.jpeg import Pixels, decode_image, room_for
 
@@ -46,7 +47,7 @@ class SensorClips(Sequence[TouchClip]):
     def __getitem__(self, index: Any) -> TouchClip | list[TouchClip]:
         """Open one clip, or some; raises as :class:`TouchClip`."""
         if isinstance(index, (slice, list, tuple, np.ndarray)):
-            return [TouchClip(self.row, touch) for touch in positions_of(index, self._count)]
+            return [TouchClip(self.row, touch) for touch in positions(index, self._count).tolist()]
         touch = operator.index(index)
         if not -self._count <= touch < self._count:
             message = f"touch {touch} is out of range for {self._count} touches"

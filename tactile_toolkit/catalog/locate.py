@@ -39,9 +39,9 @@ _USUAL_SPLIT = "train"
 
 
 def find_shards(
-    name: str, split: str, *, revision: str | None = None, streaming: bool = False
+    name: str, split: str | None, *, revision: str | None = None, streaming: bool = False
 ) -> tuple[Shard, ...]:
-    """Find the shards of one split, fetching them first where they are on the Hub.
+    """Find the shards of one split, fetching them first where they are on the Hub; by default the only split.
 
     ``name`` is a local folder, a Parquet file, or a repository of the Hub: ``USER/NAME[@REVISION]``, or the
     address of it, or of a folder or file in it, ``hf://datasets/USER/NAME[@REVISION][/PATH]``. A file whose
@@ -54,14 +54,19 @@ def find_shards(
         _require_split(str(place), split)
         return (Shard(str(place)),)
     if place is not None:
-        return _local_shards(DataFolder(str(place)), split)
+        folder = DataFolder(str(place))
+        return _local_shards(
+            folder, _split_of(available_splits(folder) if split is None else (), split, name)
+        )
     named = _named_on_hub(name, revision)
     repository = HubRepository(named.repo_id, named.revision)
     if _is_file(named):
         _require_split(named.path, split)
         return _hub_shards(repository, [named.path], streaming)
-    with repository.missing_as_not_cached(f"split {split!r}"):
-        files = files_of_split(_shards_below(repository, named.path), split, name)
+    found = _shards_below(repository, named.path)
+    chosen = _split_of([file.split for file in found], split, name)
+    with repository.missing_as_not_cached(f"split {chosen!r}"):
+        files = files_of_split(found, chosen, name)
     return _hub_shards(repository, [file.path for file in files], streaming)
 
 
@@ -132,14 +137,28 @@ def _told_split(path: str) -> str | None:
     return None if shard is None else shard.split
 
 
-def _require_split(path: str, split: str) -> None:
+def _split_of(known: Sequence[str], split: str | None, name: str) -> str:
+    """Return the split that was named, or else the only one; InputError where there are several."""
+    if split is not None:
+        return split
+    only, *further = dict.fromkeys(known or [_USUAL_SPLIT])
+    if further:
+        listed = ", ".join([only, *further])
+        message = (
+            f"{_shown(name)} has the splits {listed}; expected one of them; next: name it, split={only!r}"
+        )
+        raise InputError(message)
+    return only
+
+
+def _require_split(path: str, split: str | None) -> None:
     """Refuse to take a file of one split for another that was asked for.
 
     ``train`` is what every ``load`` asks for when nobody says anything: a file named alone is opened then,
     whatever its split.
     """
     told = _told_split(path)
-    if told not in (None, split) and split != _USUAL_SPLIT:
+    if split is not None and told not in (None, split) and split != _USUAL_SPLIT:
         raise no_split(split, (str(told),), path)
 
 

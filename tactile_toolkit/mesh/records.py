@@ -10,8 +10,9 @@ from numpy.typing import NDArray
 
 from tactile_toolkit.kind import DatasetKind
 from tactile_toolkit.mesh.columns import FACES, VERTICES, class_names, require_mesh_columns
-from tactile_toolkit.read.dataset import Record, RecordDataset, Row
+from tactile_toolkit.read.dataset import Record, RecordDataset, Row, with_origins
 from tactile_toolkit.read.parquet import Shard, ShardedTable
+from tactile_toolkit.wording import counted
 
 if TYPE_CHECKING:
     import trimesh
@@ -63,11 +64,15 @@ class SolidRecord(Record):
         """Volume in cubic metres: the stored one, or that of the mesh where none is stored."""
         return float(self._row.value("volume_m3") if self._row.has("volume_m3") else self.mesh.volume)
 
+    def __repr__(self) -> str:
+        return f"{type(self).__name__}(id={self.id}, label={self.label}, {len(self.faces):,} faces)"
+
 
 class SolidDataset(RecordDataset[SolidRecord]):
     """A lazy sequence of meshes of no kind of its own: any data set in the published mesh layout."""
 
     record = SolidRecord
+    things = "solids"
 
 
 class RecordStream(Generic[R]):
@@ -92,6 +97,10 @@ class RecordStream(Generic[R]):
     def label_names(self) -> tuple[str, ...]:
         """Name of each class."""
         return class_names(self._shards[0].schema, self._default_names)
+
+    def __repr__(self) -> str:
+        words = with_origins(counted(len(self._shards), "shards"), [ShardedTable(self._shards)])
+        return f"{type(self).__name__}({self._record.__name__}, {', '.join(words)})"
 
     def __iter__(self) -> Iterator[R]:
         """Decode one block of rows at a time."""

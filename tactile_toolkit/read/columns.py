@@ -26,6 +26,7 @@ __all__ = [
     "plain_schema",
     "plain_table",
     "ragged_column",
+    "same_values",
     "stored_class_names",
 ]
 
@@ -228,6 +229,28 @@ def stored_class_names(schema: Any, where: str) -> tuple[str, ...] | None:
         )
         raise IntegrityError(message) from error
     return tuple(found)
+
+
+def same_values(one: Any, other: Any) -> bool:
+    """Tell whether two Arrow arrays hold the same values of the same type; a NaN is the same as that NaN."""
+    import pyarrow as pa
+
+    if one.type != other.type or len(one) != len(other):
+        return False
+    if one.equals(other):
+        return True
+    if one.null_count != other.null_count or not one.is_valid().equals(other.is_valid()):
+        return False
+    if pa.types.is_floating(one.type):
+        bits = {16: pa.int16(), 32: pa.int32(), 64: pa.int64()}[one.type.bit_width]
+        return bool(one.view(bits).equals(other.view(bits)))
+    if pa.types.is_struct(one.type):
+        return all(map(same_values, one.flatten(), other.flatten()))
+    if list_depth(one.type)[0]:
+        return bool(
+            one.value_lengths().equals(other.value_lengths()) and same_values(one.flatten(), other.flatten())
+        )
+    return False
 
 
 def null_fields(table: Any, names: Sequence[str]) -> dict[int, str]:

@@ -2,36 +2,20 @@
 
 from __future__ import annotations
 
-import operator
-from collections.abc import Callable, Iterable, Iterator, Sequence
-from typing import Any, ClassVar, Generic, Self, TypeVar, overload
+import hashlib
+from collections.abc import Callable, Iterable, Sequence
+from typing import Any, ClassVar, Self, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from tactile_toolkit.errors import InputError, IntegrityError
+from tactile_toolkit.read.columns import column_types, same_values
 from tactile_toolkit.read.parquet import RowGroup, ShardedTable
+from tactile_toolkit.read.sequence import LazySequence
+from tactile_toolkit.wording import counted
 
-__all__ = ["Record", "RecordDataset", "Row", "positions"]
-
-
-def positions(index: Any, length: int) -> NDArray[Any]:
-    """Turn ints or a boolean mask into positions, shape (n,), of a sequence of that length.
-
-    Raises IndexError for a mask of another length, TypeError for anything else.
-    """
-    chosen = np.asarray(index)
-    if chosen.dtype == bool:
-        if chosen.shape != (length,):
-            message = f"a boolean mask of shape {chosen.shape} for {length} rows"
-            raise IndexError(message)
-        return np.flatnonzero(chosen)
-    if chosen.size == 0:
-        return chosen.astype(np.int64)
-    if chosen.dtype.kind not in "iu" or chosen.ndim != 1:
-        message = f"rows are chosen by ints or booleans in one dimension, not {chosen.dtype} {chosen.shape}"
-        raise TypeError(message)
-    return chosen
+__all__ = ["Record", "RecordDataset", "Row", "with_origins"]
 
 
 _LARGEST = np.iinfo(np.int64).max
@@ -111,6 +95,21 @@ class Row:
         """Its row number in that file."""
         return self.group.first_row + self.index
 
+    def equals(self, other: Row) -> bool:
+        """Tell whether two rows have the same columns and values, wherever they are stored."""
+        if self.group is other.group and self.index == other.index:
+            return True
+        names = self.group.names
+        if set(names) != set(other.group.names):
+            return False
+        # Ids first: they tell most rows apart, and no mesh or picture is looked at then.
+        return all(
+            same_values(
+                self.group.arrow(name).slice(self.index, 1), other.group.arrow(name).slice(other.index, 1)
+            )
+            for name in sorted(names, key=lambda name: name != "id")
+        )
+
     def __reduce__(self) -> tuple[Any, ...]:
         """Pickle as a table of this one row, not as its whole row group."""
         import pyarrow as pa
@@ -146,6 +145,20 @@ class Record:
     def __reduce__(self) -> tuple[Any, ...]:
         return (type(self), (self._row,))
 
+    def __eq__(self, other: object) -> bool:
+        """Tell whether the other is a record of the same kind with the same stored values."""
+        if not isinstance(other, Record) or type(other) is not type(self):
+            return NotImplemented
+        return self._row.equals(other._row)
+
+    def __hash__(self) -> int:
+        # Of this row alone: a neighbour's damage must not tell a record from its pickled copy.
+        try:
+            number = self._row.group.arrow("id")[self._row.index].as_py()
+        except (KeyError, ValueError):
+            number = None
+        return hash((type(self), number))
+
     def _once(self, name: str, load: Callable[[], T]) -> T:
         """Load a field on its first use and keep it."""
         loaded = self._loaded
@@ -155,12 +168,12 @@ class Record:
         return value
 
 
-class RecordDataset(Sequence[T], Generic[T]):
+class RecordDataset(LazySequence[T]):
     """A lazy sequence of records.
 
     Indexing with an int gives a record; with a slice, a list or array of ints, or a boolean mask gives a
     view that copies no data. ``a + b`` joins data sets of one kind. Opening reads no row; safe to share
-    between threads, to fork and to pickle.
+    between threads, to fork and to pickle. Data sets are equal that hold equal records in the same order.
 
     Parameters
     ----------
@@ -173,6 +186,8 @@ class RecordDataset(Sequence[T], Generic[T]):
     """
 
     record: ClassVar[Any] = Record
+    things: ClassVar[str] = "rows"
+    """What the rows are called."""
 
     def __init__(
         self,
@@ -205,6 +220,76 @@ class RecordDataset(Sequence[T], Generic[T]):
     def ids(self) -> NDArray[Any]:
         """Id of each row, shape (len,); reads the id column only."""
         return self.column("id")
+
+    @property
+    def column_names(self) -> tuple[str, ...]:
+        """Columns that all rows have, as they are stored; a struct goes by its fields: ``info.gel_id``."""
+        return tuple(self._types)
+
+    @property
+    def _plain_columns(self) -> tuple[str, ...]:
+        import pyarrow as pa
+
+        return tuple(
+            [
+                name
+                for name, each in self._types.items()
+                if not (
+                    pa.types.is_nested(each) or pa.types.is_binary(each) or pa.types.is_large_binary(each)
+                )
+            ]
+        )
+
+    def to_hf(self) -> Any:
+        """Return the rows as a data set of the library `datasets`, with their features.
+
+        Nothing is copied where the cache can be written: it views the rows where they lie unpacked, and only
+        row groups that hold some of these rows are unpacked. (Pickled, as for workers that are spawned, it
+        takes its rows along; ours takes their addresses.)
+
+        Returns
+        -------
+        datasets.Dataset
+            The same rows in the same order, with the columns that all of them have.
+
+        Raises
+        ------
+        IntegrityError
+            A file is damaged.
+        """
+        import pyarrow as pa
+        from datasets import Dataset
+
+        starts: dict[tuple[int, str, int], int] = {}
+        parts: list[Any] = []
+        total = 0
+        numbers = np.asarray(self._rows, np.int64)
+        owners = np.searchsorted(self._starts, numbers, side="right") - 1
+        places = np.empty(len(numbers), np.int64)
+        for position, (owner, row) in enumerate(zip(owners.tolist(), numbers.tolist(), strict=True)):
+            group, index = self._tables[owner].locate(row - int(self._starts[owner]))
+            key = (owner, group.path, group.first_row)
+            if key not in starts:
+                starts[key] = total
+                parts.append(group.table)
+                total += len(group.table)
+            places[position] = starts[key] + index
+        schemas = [part.schema for part in parts]
+        schemas = schemas or [table.schema for table in self._tables if table.schema is not None][:1]
+        parts = parts or [schema.empty_table() for schema in schemas]
+        if not parts:
+            return Dataset.from_dict({})
+        names = [
+            each.name
+            for each in schemas[0]
+            if all(other.field(each.name).type == each.type for other in schemas if each.name in other.names)
+            and all(each.name in other.names for other in schemas)
+        ]
+        table = pa.concat_tables([part.select(names) for part in parts])
+        # Its own fingerprint would be that of all bytes.
+        told = repr([names, list(starts), self.identity])
+        whole = Dataset(table, fingerprint=hashlib.sha256(told.encode()).hexdigest()[:16])
+        return whole if np.array_equal(places, np.arange(total)) else whole.select(places)
 
     def column(self, name: str) -> NDArray[Any]:
         """Read one plain column, shape (len,), without touching any other.
@@ -239,81 +324,21 @@ class RecordDataset(Sequence[T], Generic[T]):
             raise InputError(message) from error
 
     @property
+    def identity(self) -> str:
+        """What tells the stored rows that this is a view of from all others, also from later ones there."""
+        return "+".join(table.identity for table in self._tables)
+
+    @property
     def _selection(self) -> slice | NDArray[np.int64]:
         rows = self._rows
         if isinstance(rows, np.ndarray):
             return rows
         return slice(rows.start, rows.stop if rows.stop >= 0 else None, rows.step)
 
-    def filter_labels(self, labels: int | str | Iterable[int | str]) -> Self:
-        """Return the rows of some classes, given as numbers or names.
-
-        Raises
-        ------
-        InputError
-            When a class is not one of :attr:`label_names`.
-        """
-        wanted = [labels] if isinstance(labels, (int, str, np.integer)) else list(labels)
-        return self[np.isin(self.labels, [self._label_number(label) for label in wanted])]
-
-    def by_label(self) -> dict[str, Self]:
-        """Return one view per class, by class name."""
-        labels = self.labels
-        return {name: self[labels == number] for number, name in enumerate(self._label_names)}
-
-    @classmethod
-    def concatenate(cls, datasets: Iterable[Self]) -> Self:
-        """Join data sets of one kind end to end; same as ``a + b + ...``.
-
-        Raises
-        ------
-        InputError
-            When there is nothing to join, or class names differ.
-        """
-        parts = list(datasets)
-        if not parts:
-            message = "nothing to concatenate; expected at least one data set"
-            raise InputError(message)
-        joined = parts[0]
-        for part in parts[1:]:
-            joined = joined + part
-        return joined
-
-    def __add__(self, other: Self) -> Self:
-        if type(other) is not type(self):
-            return NotImplemented
-        if other._label_names != self._label_names:
-            message = f"cannot join data sets with classes {self._label_names} and {other._label_names}"
-            raise InputError(message)
-        offset = int(self._starts[-1])
-        rows = np.concatenate([np.asarray(self._rows, np.int64), np.asarray(other._rows, np.int64) + offset])
-        return self._view((*self._tables, *other._tables), rows)
-
     def __len__(self) -> int:
         return len(self._rows)
 
-    @overload
-    def __getitem__(self, index: int) -> T: ...
-    @overload
-    def __getitem__(self, index: slice | Sequence[int] | Sequence[bool] | NDArray[Any]) -> Self: ...
-    def __getitem__(self, index: Any) -> T | Self:
-        """Return a record (int) or a view (slice, ints, boolean mask)."""
-        if isinstance(index, slice):
-            return self._view(self._tables, self._rows[index])
-        if isinstance(index, (list, tuple, np.ndarray)) and np.ndim(index) > 0:
-            return self._view(self._tables, np.asarray(self._rows, np.int64)[positions(index, len(self))])
-        return self._record_at(operator.index(index))
-
-    def __iter__(self) -> Iterator[T]:
-        for position in range(len(self)):
-            yield self._record_at(position)
-
-    def __repr__(self) -> str:
-        return (
-            f"{type(self).__name__}({len(self):,} rows, classes {', '.join(self._label_names) or 'unknown'})"
-        )
-
-    def _record_at(self, position: int) -> T:
+    def _item(self, position: int) -> T:
         length = len(self._rows)
         if not -length <= position < length:
             message = f"index {position} is out of range for {length} rows"
@@ -331,11 +356,47 @@ class RecordDataset(Sequence[T], Generic[T]):
     def _view(self, tables: Sequence[ShardedTable], rows: range | NDArray[np.int64]) -> Self:
         return type(self)(tables, rows, self._label_names)
 
-    def _label_number(self, label: int | str) -> int:
-        known = self._label_names
-        if isinstance(label, str) and label in known:
-            return known.index(label)
-        if not isinstance(label, str) and 0 <= label < len(known):
-            return int(label)
-        message = f"no class {label!r}; expected a number below {len(known)} or one of {', '.join(known)}"
-        raise InputError(message)
+    def _some(self, chosen: slice | NDArray[np.int64]) -> Self:
+        if isinstance(chosen, slice):
+            return self._view(self._tables, self._rows[chosen])
+        return self._view(self._tables, np.asarray(self._rows, np.int64)[chosen])
+
+    def _joined(self, other: Self) -> Self:
+        offset = int(self._starts[-1])
+        rows = np.concatenate([np.asarray(self._rows, np.int64), np.asarray(other._rows, np.int64) + offset])
+        return self._view((*self._tables, *other._tables), rows)
+
+    def _like(self, item: Any) -> Iterable[int]:
+        if type(item) is not type(self).record:
+            return ()
+        if "id" not in self._plain_columns or not item._row.has("id"):
+            return range(len(self))
+        places: list[int] = np.flatnonzero(self.ids == item._row.value("id")).tolist()
+        return places
+
+    def _same_rows(self, other: Self) -> bool:
+        return self is other or (self.identity == other.identity and np.array_equal(self._rows, other._rows))
+
+    def _words(self) -> list[str]:
+        return with_origins(counted(len(self), type(self).things), self._tables)
+
+    @property
+    def _types(self) -> dict[str, Any]:
+        """Arrow type of each column that all parts store alike, by dotted name; structs are left out."""
+        import pyarrow as pa
+
+        schemas = [table.schema for table in self._tables if table.schema is not None]
+        found, *others = [column_types(schema) for schema in schemas] or [{}]
+        return {
+            name: each
+            for name, each in found.items()
+            if not pa.types.is_struct(each) and all(other.get(name) == each for other in others)
+        }
+
+
+def with_origins(things: str, tables: Iterable[ShardedTable]) -> list[str]:
+    """Say of what data sets and splits some things are, such as ``20 rows``."""
+    origins = [origin for table in tables for origin in table.origins]
+    names = dict.fromkeys(name for name, _ in origins)
+    splits = dict.fromkeys(f"split {split}" for _, split in origins if split)
+    return [f"{things} of {' and '.join(names)}" if names else things, *splits]

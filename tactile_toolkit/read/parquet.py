@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import contextlib
 import hashlib
+import re
 from bisect import bisect_right
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
@@ -33,6 +34,7 @@ from tactile_toolkit.read.columns import (
 )
 from tactile_toolkit.store.folder import DataFolder, unreadable
 from tactile_toolkit.store.parquet import open_checked
+from tactile_toolkit.store.shards import DATA_FOLDER, ShardName
 
 __all__ = ["CACHE_VARIABLE", "RowGroup", "Shard", "ShardedTable", "cache_folder"]
 
@@ -306,6 +308,21 @@ def _mapped_table(path: Path, number: int) -> Any:
     return table
 
 
+def _origin(path: str) -> tuple[str, str]:
+    """Return name in quotes and split of the data set of a shard: a repository of the Hub, or a folder."""
+    shard = ShardName.parse(path.rpartition("/")[2])
+    split = "" if shard is None else shard.split
+    on_hub = re.search(r"(?:^hf://datasets/|/datasets--)([^/]+?)(?:/|--)([^/@]+)(?:@[^/]*)?/", path)
+    if on_hub is not None:
+        return repr(f"{on_hub[1]}/{on_hub[2]}"), split
+    folders = [part for part in path.split("/")[:-1] if part not in ("", ".")]
+    if "://" not in path:
+        folders = list(Path(path).absolute().parts[:-1])
+    if len(folders) > 1 and folders[-1] == DATA_FOLDER:
+        folders.pop()
+    return repr(folders[-1]), split
+
+
 @dataclass(frozen=True)
 class ShardedTable:
     """The rows of several shards, in their order, under one numbering; reads nothing until asked."""
@@ -342,6 +359,16 @@ class ShardedTable:
     def schema(self) -> Any:
         """Arrow schema of the first shard, or None without shards."""
         return self.shards[0].schema if self.shards else None
+
+    @property
+    def identity(self) -> str:
+        """What tells these rows from all others, also from later ones of the same files."""
+        return repr([shard.identity for shard in self.shards])
+
+    @property
+    def origins(self) -> list[tuple[str, str]]:
+        """Name of the data set, and split where that is known, of each shard, by where it lies."""
+        return [_origin(shard.path) for shard in self.shards]
 
     def locate(self, row: int) -> tuple[RowGroup, int]:
         """Return the row group (or block of one) that holds a row, and the row's index in it."""

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from PIL import Image
 
 import realtouch
-from realtouch.media.images import positions_of
+from tactile_toolkit.read.sequence import positions
 from tactile_toolkit.touch.jpeg import MAX_IMAGE_BYTES, decode_image, encode_image, image_size
 from tests.realtouch.factories import encode_jpeg
 
@@ -139,9 +139,9 @@ def test_positions_agree_with_numpy(count: int, index: list[int]) -> None:
         expected = reference[np.asarray(index, int)]
     except IndexError:
         with pytest.raises(IndexError):
-            positions_of(index, count)
+            positions(index, count)
     else:
-        assert list(positions_of(index, count)) == expected.tolist()
+        assert list(positions(index, count)) == expected.tolist()
 
 
 def test_threads_share_a_round(single_folder: Path) -> None:

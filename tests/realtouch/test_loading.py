@@ -119,8 +119,8 @@ def test_filters_never_read_images(seq_folder: Path, monkeypatch: pytest.MonkeyP
 
     monkeypatch.setattr(pq.ParquetFile, "iter_batches", spy)
     dataset = realtouch.load(seq_folder)
-    touches = dataset.touches().with_contact().labels(0, "1").objects(4000, 4001)
-    assert len(touches.where(lambda touch: touch.pos_in_cell_m[0] > 0)) <= len(touches) == 8
+    touches = dataset.touches().with_contact().filter_labels(0, "1").objects(4000, 4001)
+    assert len(touches.filter(lambda touch: touch.pos_in_cell_m[0] > 0)) <= len(touches) == 8
     assert asked
     assert not {"sensor_video", "everything"} & set(asked)
 
@@ -128,7 +128,7 @@ def test_filters_never_read_images(seq_folder: Path, monkeypatch: pytest.MonkeyP
 def test_where_may_look_at_the_picture(single_folder: Path) -> None:
     touches = realtouch.load(single_folder).touches()
     bright = [touch.image.mean() > 120 for touch in touches]
-    assert [touch.round_id for touch in touches.where(lambda touch: touch.image.mean() > 120)] == [
+    assert [touch.round_id for touch in touches.filter(lambda touch: touch.image.mean() > 120)] == [
         touch.round_id for touch, wanted in zip(touches, bright, strict=True) if wanted
     ]
 

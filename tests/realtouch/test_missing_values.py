@@ -98,8 +98,8 @@ def test_labels_and_objects_that_are_missing(single_rows: list[dict], tmp_path: 
     touches = dataset.touches()
     for field, ask in (
         ("label", lambda: dataset.labels),
-        ("label", lambda: touches.label_array),
-        ("label", lambda: touches.labels(0)),
+        ("label", lambda: touches.labels),
+        ("label", lambda: touches.filter_labels(0)),
         ("object_id", lambda: touches.object_ids),
     ):
         with pytest.raises(IntegrityError, match=f"row 1, field '{field}': no value is stored"):

@@ -186,7 +186,7 @@ def test_rows_that_cannot_be_read_are_left_out(column: str, single_rows: list[di
         assert [record.id for record in view] == [single_rows[0]["id"], single_rows[2]["id"]]
         assert view.labels.tolist() == [0, 2]
         assert view.ids.tolist() == [single_rows[0]["id"], single_rows[2]["id"]]
-        assert len(view.touches().with_contact().objects(4000, 4002).where(lambda touch: touch.label)) == 4
+        assert len(view.touches().with_contact().objects(4000, 4002).filter(lambda touch: touch.label)) == 4
         assert realtouch.summarise(view).touches == 10
     stream = realtouch.load(tmp_path, streaming=True, on_error="skip")
     for _ in range(2):  # it counts anew each time

@@ -25,7 +25,7 @@ def test_a_touch_kept_from_a_filter_carries_its_picture(single_folder: Path, seq
     for folder in (single_folder, seq_folder):
         touches = realtouch.load(folder).touches()
         kept: list[Touch] = []
-        touches.where(lambda touch, kept=kept: kept.append(touch) or True)
+        touches.filter(lambda touch, kept=kept: kept.append(touch) or True)
         expected = touches[8].image
         alone = kept[8].round.with_touches([3])
         for same in (pickle.loads(pickle.dumps(kept[8])), kept[8].alone(), Touch(alone, 3, 0)):
@@ -51,7 +51,7 @@ def test_the_pose_of_a_touch_reads_its_own_numbers_only(
     ]
     monkeypatch.setattr(pq.ParquetFile, "iter_batches", spy)
     poses: list[Any] = []
-    realtouch.load(seq_folder).touches().where(lambda touch: poses.append(touch.gel_pose) or True)
+    realtouch.load(seq_folder).touches().filter(lambda touch: poses.append(touch.gel_pose) or True)
     assert asked
     assert not {"sensor_video", "everything"} & set(asked)
     for pose, same in zip(poses, expected, strict=True):
@@ -88,12 +88,12 @@ def test_only_data_sets_of_one_kind_are_joined(single_folder: Path, seq_folder: 
 def test_classes_and_objects_are_given_one_by_one_or_together(single_folder: Path) -> None:
     touches = realtouch.load(single_folder).touches()
     for classes in ((0, "1"), ([0, 1],), (np.array([0, 1]),), (range(2),), (np.int8(0), ["1"])):
-        assert touches.labels(*classes).label_array.tolist() == [0] * 5 + [1] * 5
+        assert touches.filter_labels(*classes).labels.tolist() == [0] * 5 + [1] * 5
     for objects in ((4000, 4001), ([4000, 4001],), (np.array([4000, 4001]),), ({4000}, 4001, -3, 2**70)):
         assert sorted(set(touches.objects(*objects).object_ids.tolist())) == [4000, 4001]
     for classes in (1.5, True, None, [0, 1.0], b"1", np.array([True, False])):
         with pytest.raises(InputError, match="expected classes as whole numbers or names"):
-            touches.labels(classes)
+            touches.filter_labels(classes)
     for objects in ("4000", 4000.0, False, ["4000"]):
         with pytest.raises(InputError, match="expected object ids as whole numbers"):
             touches.objects(objects)

@@ -1,0 +1,493 @@
+"""What every data set can do, whatever its items are: choose, order, divide, count, compare and show them."""
+
+from __future__ import annotations
+
+import html
+import operator
+from abc import abstractmethod
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import suppress
+from dataclasses import asdict, dataclass
+from typing import Any, Generic, Self, TypeVar, overload
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tactile_toolkit.errors import InputError, ToolkitError
+from tactile_toolkit.wording import counted, is_whole, plain_number
+
+__all__ = ["ColumnStatistics", "LazySequence", "Statistics", "positions"]
+
+T = TypeVar("T")
+
+_SHOWN_PICTURES = 8
+_MOST_NAMES = 10
+_ROUNDING = 1e-9
+
+
+@dataclass(frozen=True, slots=True)
+class ColumnStatistics:
+    """What the numbers of one column are like.
+
+    Attributes
+    ----------
+    least, mean, greatest, deviation : float
+        Over the rows that have a value, in the unit of the column; the deviation is the standard one. NaN
+        where no row has any.
+    missing : int
+        Rows without a value, or with NaN.
+    """
+
+    least: float
+    mean: float
+    greatest: float
+    deviation: float
+    missing: int
+
+
+@dataclass(frozen=True, slots=True)
+class Statistics:
+    """Figures of a data set.
+
+    Attributes
+    ----------
+    rows : int
+        How many.
+    classes : dict of str to int
+        Rows of each class, by name, in order of the label; classes without rows too.
+    columns : dict of str to ColumnStatistics
+        Of each plain column of numbers but ids and labels.
+    """
+
+    rows: int
+    classes: dict[str, int]
+    columns: dict[str, ColumnStatistics]
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return JSON values."""
+        return asdict(self)
+
+
+def positions(index: Any, length: int) -> NDArray[np.int64]:
+    """Turn a slice, ints or a boolean mask into positions, shape (n,), 0 to below that length.
+
+    Raises IndexError for a mask of another length and for ints out of range, TypeError for anything else.
+    """
+    if isinstance(index, slice):
+        return np.arange(*index.indices(length))
+    chosen = np.asarray(index)
+    if chosen.dtype == bool:
+        if chosen.shape != (length,):
+            message = f"a boolean mask of shape {chosen.shape} for {length} rows"
+            raise IndexError(message)
+        return np.flatnonzero(chosen)
+    if chosen.ndim != 1 or (chosen.size and chosen.dtype.kind not in "iu"):
+        message = f"rows are chosen by a slice, ints or booleans, not {chosen.dtype} of shape {chosen.shape}"
+        raise TypeError(message)
+    if chosen.size and not -length <= chosen.min() <= chosen.max() < length:
+        message = f"index {chosen.min()} to {chosen.max()} is out of range for {length} rows"
+        raise IndexError(message)
+    return np.where(chosen < 0, chosen + length, chosen).astype(np.int64)
+
+
+class LazySequence(Sequence[T], Generic[T]):
+    """A sequence of items that are read when they are asked for, and the views that can be made of it.
+
+    Every selection is a view of the same kind: nothing is copied or loaded, and views of views, slices and
+    ``a + b`` compose. What is drawn at random follows from the seed and the number of items alone: not from
+    what was read before, the machine or the version of numpy.
+    """
+
+    @property
+    @abstractmethod
+    def labels(self) -> NDArray[np.int64]:
+        """Label of each item, shape (len,), int64; reads the label column only."""
+
+    @property
+    @abstractmethod
+    def label_names(self) -> tuple[str, ...]:
+        """Name of each class, in order of the label."""
+
+    @property
+    @abstractmethod
+    def column_names(self) -> tuple[str, ...]:
+        """Stored columns; a struct goes by its fields, such as ``info.gel_id``."""
+
+    @abstractmethod
+    def column(self, name: str) -> NDArray[Any]:
+        """Read one plain column, shape (len,), without touching any other."""
+
+    @abstractmethod
+    def to_hf(self) -> Any:
+        """Return the items as a ``datasets.Dataset``."""
+
+    @property
+    @abstractmethod
+    def _plain_columns(self) -> tuple[str, ...]:
+        """Columns of one value for each item, no lists: what :meth:`column` reads."""
+
+    @abstractmethod
+    def _item(self, position: int) -> T:
+        """Return one item; IndexError out of range."""
+
+    @abstractmethod
+    def _some(self, chosen: slice | NDArray[np.int64]) -> Self:
+        """Return a view of some items."""
+
+    @abstractmethod
+    def _joined(self, other: Self) -> Self:
+        """Return a view of all items of both."""
+
+    @abstractmethod
+    def _like(self, item: Any) -> Iterable[int]:
+        """Return positions of all items that may equal one, rising; as few as small columns tell."""
+
+    @abstractmethod
+    def _same_rows(self, other: Self) -> bool:
+        """Tell whether two sequences view the same stored rows in the same order, without reading them."""
+
+    @abstractmethod
+    def _words(self) -> list[str]:
+        """Say how many items of what these are, for people."""
+
+    @overload
+    def __getitem__(self, index: int) -> T: ...
+    @overload
+    def __getitem__(self, index: slice | Sequence[int] | Sequence[bool] | NDArray[Any]) -> Self: ...
+    def __getitem__(self, index: Any) -> T | Self:
+        """Return an item (int) or a view (slice, ints, boolean mask).
+
+        Raises
+        ------
+        IndexError
+            An int is out of range, or a mask has another length.
+        TypeError
+            It is something else.
+        """
+        if isinstance(index, slice):
+            return self._some(index)
+        if isinstance(index, (list, tuple, np.ndarray)) and np.ndim(index) > 0:
+            return self._some(positions(index, len(self)))
+        return self._item(operator.index(index))
+
+    def select(self, indices: Iterable[int]) -> Self:
+        """Return the items at some places, in the order given; same as indexing with a list.
+
+        Raises
+        ------
+        IndexError
+            One is out of range.
+        TypeError
+            They are not whole numbers.
+        """
+        return self._some(positions(indices if isinstance(indices, np.ndarray) else list(indices), len(self)))
+
+    def filter(self, function: Callable[[T], Any]) -> Self:
+        """Return the items for which a function is true, in their order.
+
+        Only the fields that the function asks for are read.
+        """
+        kept = np.zeros(len(self), bool)
+        for position, item in self._each():
+            kept[position] = bool(function(item))
+        return self._some(np.flatnonzero(kept))
+
+    def filter_labels(self, *labels: int | str | Iterable[int | str]) -> Self:
+        """Return the items of some classes, given as numbers or names, or as sequences of them.
+
+        Raises
+        ------
+        InputError
+            A class is not one of :attr:`label_names`.
+        """
+        wanted: list[int] = []
+        for given in labels:
+            one = isinstance(given, (str, bytes)) or not isinstance(given, Iterable)
+            wanted += [self._label_number(given)] if one else map(self._label_number, given)
+        return self._some(np.flatnonzero(np.isin(self.labels, wanted)))
+
+    def by_label(self) -> dict[str, Self]:
+        """Return one view per class, by class name."""
+        labels = self.labels
+        return {
+            name: self._some(np.flatnonzero(labels == number)) for number, name in enumerate(self.label_names)
+        }
+
+    def shuffle(self, seed: int) -> Self:
+        """Return all items in a random order, the same for the same seed and length everywhere.
+
+        Parameters
+        ----------
+        seed : int
+            From 0.
+
+        Raises
+        ------
+        InputError
+            The seed is not a whole number from 0.
+        """
+        return self._some(self._order(seed))
+
+    def sample(self, n: int, seed: int) -> Self:
+        """Return so many items, drawn at random without repetition.
+
+        These are the first ``n`` of :meth:`shuffle`: a larger sample of the same seed holds a smaller one.
+
+        Parameters
+        ----------
+        n : int
+            How many, at most as many as there are.
+        seed : int
+            From 0.
+
+        Raises
+        ------
+        InputError
+            There are fewer items, or a number is not a whole one from 0.
+        """
+        count = plain_number(n)
+        if not (is_whole(count) and 0 <= count <= len(self)):
+            message = f"a sample of {n!r} was asked for; expected a whole number from 0 to {len(self):,}"
+            raise InputError(message)
+        return self._some(self._order(seed)[:count])
+
+    def split(self, *parts: float, seed: int, stratify: bool = False) -> tuple[Self, ...]:
+        """Divide the items at random into parts that share none and leave none out.
+
+        As `datasets`, scikit-learn and torch do, items are drawn whatever their classes unless asked
+        otherwise.
+
+        Parameters
+        ----------
+        *parts : float or int
+            Size of each part: shares as floats, which add up to at most 1, or numbers of items as ints. What
+            they leave is one more part, the last: ``train, test = digits.split(0.8, seed=0)``.
+        seed : int
+            From 0.
+        stratify : bool
+            Give each class to all parts in the same shares, up to one item or so.
+
+        Returns
+        -------
+        tuple of views
+            Each in random order. Shares are rounded where they end, so that no part is off by an item or
+            more.
+
+        Raises
+        ------
+        InputError
+            Parts add up to more than there is, are negative or of both kinds; or the seed is not a whole
+            number from 0.
+
+        Notes
+        -----
+        Touches of one round, or rounds of one object, may come into several parts. Divide the objects
+        instead where that matters.
+        """
+        ends = _part_ends([plain_number(part) for part in parts], len(self))
+        order = self._order(seed)
+        if not stratify:
+            return tuple(self._some(part) for part in np.split(order, ends)[: len(ends)])
+        # Each class is spread evenly over 0 to 1, from a start of its own: a cut anywhere divides all classes
+        # alike, up to one item of each.
+        labels = self.labels[order]
+        classes, counts = np.unique(labels, return_counts=True)
+        starts = _numbers(seed, len(order) + len(classes))[len(order) :] / 2.0**64
+        spread = np.empty(len(order))
+        for label, count, start in zip(classes, counts, starts, strict=True):
+            spread[labels == label] = (np.arange(count) + start) / count
+        part_of = np.empty(len(order), np.int64)
+        part_of[np.argsort(spread, kind="stable")] = np.searchsorted(ends, np.arange(len(order)), "right")
+        return tuple(self._some(order[part_of == part]) for part in range(len(ends)))
+
+    def statistics(self) -> Statistics:
+        """Count items and classes, and sum up the plain columns of numbers; reads those columns only.
+
+        Raises
+        ------
+        IntegrityError
+            What is read is damaged.
+        """
+        columns = {}
+        for name in self._plain_columns:
+            values = self.column(name) if name not in ("id", "label") else np.empty(0, object)
+            if values.dtype.kind not in "iufb":
+                continue
+            numbers = values.astype(np.float64)
+            known = numbers[~np.isnan(numbers)]
+            figures = (known.min(), known.mean(), known.max(), known.std()) if len(known) else (np.nan,) * 4
+            least, mean, greatest, deviation = map(float, figures)
+            missing = len(numbers) - len(known)
+            columns[name] = ColumnStatistics(least, mean, greatest, deviation, missing)
+        return Statistics(len(self), self._class_counts(), columns)
+
+    def to_pandas(self) -> Any:
+        """Return the plain columns as a table with one row for each item.
+
+        Meshes, images and other lists stay where they are: ``to_hf().to_pandas()`` has them too.
+
+        Returns
+        -------
+        pandas.DataFrame
+
+        Raises
+        ------
+        InputError
+            pandas is not installed.
+        """
+        try:
+            import pandas as pd
+        except ImportError as error:
+            message = "to_pandas() needs the package 'pandas'; it is not installed; next: pip install pandas"
+            raise InputError(message) from error
+        return pd.DataFrame({name: self.column(name) for name in self._plain_columns})
+
+    @classmethod
+    def concatenate(cls, datasets: Iterable[Self]) -> Self:
+        """Join data sets of one kind end to end; same as ``a + b + ...``.
+
+        Raises
+        ------
+        InputError
+            When there is nothing to join, or class names differ.
+        """
+        parts = list(datasets)
+        if not parts:
+            message = "nothing to concatenate; expected at least one data set"
+            raise InputError(message)
+        joined = parts[0]
+        for part in parts[1:]:
+            joined = joined + part
+        return joined
+
+    def __add__(self, other: Self) -> Self:
+        if type(other) is not type(self):
+            return NotImplemented
+        if other.label_names != self.label_names:
+            message = f"cannot join data sets with classes {self.label_names} and {other.label_names}"
+            raise InputError(message)
+        return self._joined(other)
+
+    def __iter__(self) -> Iterator[T]:
+        for position in range(len(self)):
+            yield self._item(position)
+
+    def __contains__(self, item: object) -> bool:
+        return next(self._places(item), None) is not None
+
+    def index(self, value: Any, start: int = 0, stop: int | None = None) -> int:
+        """Return the place of the first item that equals one.
+
+        Raises
+        ------
+        ValueError
+            There is none.
+        """
+        first, last, _ = slice(start, stop).indices(len(self))
+        for position in self._places(value):
+            if first <= position < last:
+                return position
+        message = f"{value!r} is not in {self!r}"
+        raise ValueError(message)
+
+    def count(self, value: Any) -> int:
+        """Return how many items equal one."""
+        return sum(1 for _ in self._places(value))
+
+    def __eq__(self, other: object) -> bool:
+        """Tell whether both hold equal items in the same order, with the same names of classes."""
+        if not isinstance(other, type(self)) or type(other) is not type(self):
+            return NotImplemented
+        if len(self) != len(other) or self.label_names != other.label_names:
+            return False
+        return self._same_rows(other) or all(one == another for one, another in zip(self, other, strict=True))
+
+    def __hash__(self) -> int:
+        return hash((type(self), len(self), self.label_names))
+
+    def __repr__(self) -> str:
+        return f"{type(self).__name__}({', '.join([*self._words(), self._classes_in_words()])})"
+
+    def _repr_html_(self) -> str:
+        """Show what it is, and small pictures of some items, in a notebook."""
+        pictures = []
+        for position in np.linspace(0, len(self) - 1, min(len(self), _SHOWN_PICTURES)).round().astype(int):
+            with suppress(ToolkitError, ValueError, OSError):  # what is damaged is told when it is asked for
+                pictures.append(getattr(self[int(position)], "_small_html", str)())
+        tiles = f'<div style="display:flex;flex-wrap:wrap;gap:4px">{"".join(pictures)}</div>'
+        return f"<div>{html.escape(repr(self))}{tiles if any(pictures) else ''}</div>"
+
+    def _each(self) -> Iterator[tuple[int, T]]:
+        """Yield place and item of all, in whatever order is quickest, for looking at small fields."""
+        return enumerate(self)
+
+    def _places(self, item: Any) -> Iterator[int]:
+        return (position for position in self._like(item) if self._item(position) == item)
+
+    def _order(self, seed: int) -> NDArray[np.int64]:
+        return np.argsort(_numbers(seed, len(self)), kind="stable")
+
+    def _label_number(self, label: Any) -> int:
+        known, number = self.label_names, plain_number(label)
+        if isinstance(number, str) and number in known:
+            return known.index(number)
+        if is_whole(number) and 0 <= number < len(known):
+            return int(number)
+        if not (is_whole(number) or isinstance(number, str)):
+            message = (
+                f"{label!r} ({type(label).__name__}) was given; expected classes as whole numbers or names"
+            )
+            raise InputError(message)
+        message = f"no class {label!r}; expected a number below {len(known)} or one of {', '.join(known)}"
+        raise InputError(message)
+
+    def _class_counts(self) -> dict[str, int]:
+        if "label" not in self._plain_columns:
+            return {}
+        numbers, counts = np.unique(self.labels, return_counts=True)
+        found = {
+            self._class_name(int(number)): int(count) for number, count in zip(numbers, counts, strict=True)
+        }
+        return dict.fromkeys(self.label_names, 0) | found
+
+    def _class_name(self, number: int) -> str:
+        return self.label_names[number] if 0 <= number < len(self.label_names) else str(number)
+
+    def _classes_in_words(self) -> str:
+        try:
+            names = [name for name, count in self._class_counts().items() if count]
+        except (ToolkitError, ValueError, OSError):
+            return "classes unreadable"
+        if not names:
+            return "no classes"
+        further = len(names) - _MOST_NAMES
+        shown = names if further <= 0 else [*names[:_MOST_NAMES], f"{further:,} more"]
+        return f"{'class' if len(names) == 1 else 'classes'} {', '.join(shown)}"
+
+
+def _numbers(seed: int, count: int) -> NDArray[np.uint64]:
+    """Return random bits: of the stream of PCG64, which numpy promises to keep, unlike its shuffles."""
+    number = plain_number(seed)
+    if not (is_whole(number) and number >= 0):
+        message = f"seed is {seed!r}; expected a whole number from 0"
+        raise InputError(message)
+    return np.asarray(np.random.PCG64(number).random_raw(count), np.uint64)
+
+
+def _part_ends(parts: Sequence[Any], length: int) -> list[int]:
+    """Return where each part ends, the one that is left over included; InputError for impossible sizes."""
+    numbers, shares = is_whole(*parts), all(isinstance(part, float) and 0 <= part <= 1 for part in parts)
+    total, whole = (sum(parts), length) if numbers or shares else (0, 0)
+    whole = whole if numbers else 1
+    if not parts or not (numbers or shares) or total > whole + _ROUNDING or min(parts) < 0:
+        asked = ", ".join(map(repr, parts)) or "nothing"
+        message = (
+            f"a split into {asked} was asked for; expected shares such as 0.8, 0.2 that add up to at most 1, "
+            f"or whole numbers that add up to at most {counted(length, 'rows')}"
+        )
+        raise InputError(message)
+    if numbers:
+        ends = np.cumsum(parts).tolist()
+    else:
+        ends = np.minimum(np.round(np.cumsum(parts) * length), length).astype(int).tolist()
+    return ends if total >= whole - _ROUNDING else [*ends, length]

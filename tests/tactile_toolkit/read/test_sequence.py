@@ -1,0 +1,339 @@
+"""One vocabulary for every data set: what is chosen, divided, compared and handed on."""
+
+from __future__ import annotations
+
+import builtins
+import pickle
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+import mnist3d
+import realtouch
+import starstruck_gen
+from mnist3d.sources.synthetic import SyntheticSource
+from tactile_toolkit.errors import InputError
+from tactile_toolkit.read.columns import same_values
+from tactile_toolkit.read.dataset import Record, RecordDataset
+from tactile_toolkit.read.parquet import Shard, ShardedTable
+from tests.realtouch import factories
+
+LABELS = np.repeat([0, 1, 2], [50, 30, 20])
+
+
+class Rows(RecordDataset[Record]):
+    """Rows of ids, labels and numbers."""
+
+
+def written(folder: Path, **columns: Any) -> Rows:
+    folder.mkdir(parents=True, exist_ok=True)
+    pq.write_table(pa.table(columns), folder / "train-00000-of-00001.parquet", row_group_size=7)
+    return opened(folder)
+
+
+def opened(folder: Path) -> Rows:
+    shard = Shard(str(folder / "train-00000-of-00001.parquet"))
+    return Rows([ShardedTable((shard,))], label_names=("a", "b", "c"))
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("rows") / "some"
+    numbers = np.random.default_rng(0).permutation(100)
+    value = pa.array([None if n % 10 == 0 else float(n) for n in range(100)])
+    lists = pa.array([[float(n), float("nan")] for n in range(100)])
+    written(path, id=numbers, label=LABELS, value=value, name=[f"n{n}" for n in range(100)], points=lists)
+    return path
+
+
+@pytest.fixture
+def rows(folder: Path) -> Rows:
+    return opened(folder)
+
+
+@pytest.fixture(scope="module")
+def every_set(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
+    """A small data set of each kind, and what has no files."""
+    place = tmp_path_factory.mktemp("kinds")
+    spec = mnist3d.SolidSpec(target_vertices=800)
+    made = mnist3d.GenerateSpec(SyntheticSource(), spec, per_class=1)
+    mnist3d.generate(made, place / "digits", splits=("test",))
+    starstruck_gen.generate(starstruck_gen.GenerateSpec(scenes=(("train", 12),)), place / "scenes")
+    rounds = [factories.make_round(number, 4, (48, 32), (12, 16)) for number in range(4)]
+    factories.write_set(place / "images", {"train": factories.single_rows(rounds)}, "single")
+    factories.write_set(place / "clips", {"train": factories.seq_rows(rounds)}, "seq")
+    images, clips = realtouch.load(place / "images"), realtouch.load(place / "clips")
+    return {
+        "digits": mnist3d.load(str(place / "digits")),
+        "scenes": starstruck_gen.load(str(place / "scenes")),
+        "endless": starstruck_gen.SceneDataset(size=12, seed=5),
+        "images": images,
+        "touches": images.touches(),
+        "clips": clips,
+        "touches of clips": clips.touches(),
+    }
+
+
+KINDS = ("digits", "scenes", "endless", "images", "touches", "clips", "touches of clips")
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_one_vocabulary(every_set: dict[str, Any], kind: str) -> None:
+    items = every_set[kind]
+    assert items.labels.dtype == np.int64
+    assert items.labels.tolist() == [item.label for item in items]
+    label = int(items.labels[-1])
+    expected = [item for item in items if item.label == label]
+    for wanted in ((label,), (items.label_names[label],), ([label],), (np.array([label]),)):
+        assert list(items.filter_labels(*wanted)) == expected
+    assert list(items.filter(lambda item: item.label == label)) == expected
+    assert {name: len(view) for name, view in items.by_label().items()} == items.statistics().classes
+    assert items.select(range(3)) == items[:3] == items.select(iter([0, 1, 2]))
+    mixed = items.shuffle(4)
+    assert sorted(map(items.index, mixed)) == list(range(len(items)))
+    assert items.sample(3, 4) == mixed[:3]
+    first, second = items.split(0.5, seed=4)
+    assert first + second == mixed
+    assert len((first[::2] + second[:1]).filter_labels(label)) >= 0
+    table = items.to_pandas()
+    assert table["label"].tolist() == items.labels.tolist()
+    assert type(items).__name__ in repr(items)
+    assert "\n" not in repr(items)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_items_and_sets_are_what_they_stand_for(every_set: dict[str, Any], kind: str) -> None:
+    items = every_set[kind]
+    copy = pickle.loads(pickle.dumps(items))
+    assert copy == items
+    assert hash(copy) == hash(items)
+    assert items[:3] == items[[0, 1, 2]] != items[1:4]
+    for place in (0, len(items) - 1):
+        item, other = items[place], pickle.loads(pickle.dumps(items[place]))
+        assert item == items[place] == other == pickle.loads(pickle.dumps(other))
+        assert len({item, items[place], other}) == 1
+        assert item in items
+        assert other in copy
+        assert (items.index(other), items.count(other)) == (place, 1)
+        assert items.index(other, -len(items)) == place
+        assert item != items[place - 1]
+        assert item not in items[:place] + items[place + 1 :]
+        with pytest.raises(ValueError, match="is not in"):
+            items.index(other, place + 1)
+    twice = items[[1, 0, 1]]
+    assert (twice.index(items[1]), twice.count(items[1])) == (0, 2)
+    for stranger in (3, "3", None, np.arange(3), object()):
+        assert stranger not in items
+        assert items.count(stranger) == 0
+        assert items[0] != stranger if not isinstance(stranger, np.ndarray) else True
+    assert items != list(items)
+
+
+def test_equal_values_from_elsewhere_are_equal(every_set: dict[str, Any], tmp_path: Path) -> None:
+    """Records stand for their values, not for the file that they are in; scenes without files too."""
+    starstruck_gen.generate(
+        starstruck_gen.GenerateSpec(scenes=(("train", 12),), seed=5), tmp_path / "seed-5"
+    )
+    stored, endless = starstruck_gen.load(str(tmp_path / "seed-5")), every_set["endless"]
+    assert [one == other for one, other in zip(stored, endless, strict=True)] == [True] * 12
+    assert {*stored} == {*endless}
+    assert stored[0] != every_set["scenes"][0]
+    assert endless != starstruck_gen.SceneDataset(size=12, seed=6)
+    assert endless[0] != starstruck_gen.SceneDataset(size=12, seed=6)[0]
+
+
+def test_a_changed_value_makes_records_differ(tmp_path: Path) -> None:
+    columns: dict[str, Any] = {"id": [1, 2], "label": [0, 0], "points": [[[1.0, 2.0, np.nan]], []]}
+    points = pa.array(columns["points"], pa.list_(pa.list_(pa.float32(), 3)))
+    one = written(tmp_path / "one", **(columns | {"points": points}))
+    same = written(tmp_path / "same", **(columns | {"points": points}))
+    moved = pa.array([[[1.0, 2.5, np.nan]], []], points.type)
+    other = written(tmp_path / "other", **(columns | {"points": moved}))
+    assert [one[0] == same[0], one[1] == same[1], one == same] == [True] * 3
+    assert [one[0] == other[0], one[1] == other[1], one == other] == [False, True, False]
+    assert one[0] in same
+    assert one[0] not in other
+    written(tmp_path / "same", **(columns | {"points": moved}))
+    assert opened(tmp_path / "same") == other
+
+
+@given(
+    st.recursive(
+        st.none() | st.floats(width=32),
+        lambda inner: st.lists(inner, max_size=3) | st.fixed_dictionaries({"a": inner}),
+        max_leaves=5,
+    ),
+    st.data(),
+)
+def test_values_agree_with_their_pickled_arrow_copy(value: Any, data: st.DataObject) -> None:
+    try:
+        array = pa.array([value, value])
+    except (pa.ArrowInvalid, pa.ArrowTypeError):  # of several types
+        return
+    place = data.draw(st.integers(0, 1))
+    copy = pickle.loads(pickle.dumps(array.slice(place, 1)))
+    assert same_values(array.slice(1 - place, 1), copy)
+    assert not same_values(array, copy)
+
+
+def test_what_is_drawn_is_the_same_everywhere(rows: Rows) -> None:
+    """Golden: numpy's own shuffles may change with its version, the stream of PCG64 may not."""
+    assert rows.shuffle(7)[:8].ids.tolist() == rows.ids[[37, 6, 32, 96, 98, 24, 90, 23]].tolist()
+    _ = [record._row.value("value") for record in rows[::-3]]
+    assert rows.sample(5, 7).ids.tolist() == rows.shuffle(7).ids.tolist()[:5]
+    assert rows.shuffle(7).ids.tolist() != rows.shuffle(8).ids.tolist()
+    for wrong in (-1, 1.5, None, "3", True):
+        with pytest.raises(InputError, match="expected a whole number from 0"):
+            rows.shuffle(wrong)  # type: ignore[arg-type]
+    for wrong in (101, -1, 2.5):
+        with pytest.raises(InputError, match="expected a whole number from 0 to 100"):
+            rows.sample(wrong, 0)  # type: ignore[arg-type]
+    assert (len(rows.sample(0, 1)), len(rows.sample(100, 1))) == (0, 100)
+
+
+@given(st.lists(st.floats(0, 0.4), min_size=1, max_size=4), st.integers(0, 99), st.booleans())
+def test_splits_are_parts_of_the_right_sizes(shares: list[float], seed: int, stratify: bool) -> None:
+    if sum(shares) > 1:
+        shares = [share / sum(shares) for share in shares]
+    rows = Rows([Labelled()], label_names=("a", "b", "c"))
+    parts = rows.split(*shares, seed=seed, stratify=stratify)
+    assert len(parts) in (len(shares), len(shares) + 1)
+    taken = np.concatenate([part._rows for part in parts])
+    assert sorted(taken.tolist()) == list(range(100))
+    for part, share in zip(parts, shares, strict=False):
+        assert abs(len(part) - 100 * share) < 1.0000001
+        if stratify:
+            counts = np.bincount(part.labels, minlength=3)
+            assert (np.abs(counts - share * np.array([50, 30, 20])) < 3).all()
+    assert [part._rows.tolist() for part in rows.split(*shares, seed=seed, stratify=stratify)] == [
+        part._rows.tolist() for part in parts
+    ]
+
+
+class Labelled(ShardedTable):
+    """A hundred rows without a file."""
+
+    def __init__(self) -> None:
+        super().__init__(())
+
+    def __len__(self) -> int:
+        return 100
+
+    def per_shard(self, key: str, compute: Any) -> Any:
+        return np.column_stack([LABELS, np.zeros(100, bool)])
+
+
+def test_splits_by_number_and_wrong_ones(rows: Rows) -> None:
+    assert [len(part) for part in rows.split(60, 30, seed=0)] == [60, 30, 10]
+    assert [len(part) for part in rows.split(60, 40, seed=0)] == [60, 40]
+    assert [len(part) for part in rows.split(0.7, 0.2, 0.1, seed=0)] == [70, 20, 10]
+    assert [len(part) for part in rows.split(np.float32(0.5), seed=0)] == [50, 50]
+    train, test = rows.split(0.8, seed=3, stratify=True)
+    assert np.bincount(train.labels).tolist() == [40, 24, 16]
+    assert train.labels.tolist() != sorted(train.labels.tolist())
+    assert not set(train.ids.tolist()) & set(test.ids.tolist())
+    for wrong in ((), (0.8, 0.3), (101,), (-1,), (-0.1,), (0.5, 3), ("half",), (float("nan"),), (True,)):
+        with pytest.raises(InputError, match="expected shares such as"):
+            rows.split(*wrong, seed=0)  # type: ignore[arg-type]
+
+
+def test_statistics_and_tables_read_plain_columns_only(rows: Rows, monkeypatch: pytest.MonkeyPatch) -> None:
+    asked: list[Any] = []
+    read = Shard.read
+    monkeypatch.setattr(Shard, "read", lambda self, **options: asked.append(options) or read(self, **options))
+    figures = rows.statistics()
+    value = figures.columns.pop("value")
+    assert figures.to_dict() == {"rows": 100, "classes": {"a": 50, "b": 30, "c": 20}, "columns": {}}
+    known = np.array([n for n in range(100) if n % 10])
+    assert (value.least, value.greatest, value.missing) == (1, 99, 10)
+    assert (value.mean, value.deviation) == (pytest.approx(known.mean()), pytest.approx(known.std()))
+    table = rows[::-1].to_pandas()
+    assert table.columns.tolist() == ["id", "label", "value", "name"]
+    assert table["name"].tolist() == [f"n{n}" for n in range(99, -1, -1)]
+    assert rows.column_names == ("id", "label", "value", "name", "points")
+    assert {options["columns"][0] for options in asked} == {"id", "label", "value", "name"}
+    nothing = rows[:0].statistics()
+    assert (nothing.rows, nothing.classes["a"], nothing.columns["value"].missing) == (0, 0, 0)
+
+
+def test_pandas_may_be_absent(rows: Rows, monkeypatch: pytest.MonkeyPatch) -> None:
+    usual = builtins.__import__
+
+    def refuse(name: str, *others: Any, **further: Any) -> Any:
+        if name == "pandas":
+            raise ImportError(name)
+        return usual(name, *others, **further)
+
+    monkeypatch.setattr(builtins, "__import__", refuse)
+    with pytest.raises(InputError, match=r"needs the package 'pandas'.*next: pip install pandas"):
+        rows.to_pandas()
+
+
+def test_a_hugging_face_set_shares_the_rows(every_set: dict[str, Any], rows: Rows) -> None:
+    digits = every_set["digits"]
+    shared = digits.to_hf()
+    assert shared.features["label"].names == list(digits.label_names)
+    assert shared[:]["id"] == digits.ids.tolist()
+    np.testing.assert_array_equal(np.array(shared[3]["mesh.vertices"], np.float32), digits[3].vertices_m)
+    mapped = digits._tables[0].locate(3)[0].table.column("mesh.vertices").chunk(0)
+    there = shared.data.column("mesh.vertices").chunk(0)
+    assert there.values.values.buffers()[1].address == mapped.values.values.buffers()[1].address
+    some = digits[[7, 2, 7]]
+    assert some.to_hf()[:]["id"] == some.ids.tolist()
+    assert (digits[5:] + digits[:2]).to_hf()[:]["id"] == (digits[5:] + digits[:2]).ids.tolist()
+    assert digits[:0].to_hf().features == shared.features
+    assert digits.to_hf()._fingerprint == shared._fingerprint != some.to_hf()._fingerprint
+    assert rows.to_hf()[:]["id"] == rows.ids.tolist()
+    endless = every_set["endless"][4:6]
+    assert endless.to_hf()[:]["seed"] == [scene.seed for scene in endless]
+
+
+@pytest.mark.parametrize("kind", ["touches", "touches of clips"])
+def test_a_hugging_face_set_of_touches_has_a_row_each(every_set: dict[str, Any], kind: str) -> None:
+    touches = every_set[kind][[9, 2, 15, 9]]
+    shared = touches.to_hf()
+    assert shared[:]["id"] == [touch.round_id for touch in touches]
+    assert shared[:]["label"] == touches.labels.tolist()
+    assert shared[:]["touch_index"] == touches.touch_indices.tolist()
+    assert set(shared.column_names) == set(touches.column_names)
+    np.testing.assert_array_equal(shared[:]["pos_in_cell"], [touch.pos_in_cell_m for touch in touches])
+    if kind == "touches":
+        np.testing.assert_array_equal(np.asarray(shared[2]["sensor_image"]), touches[2].image)
+    else:
+        stored = shared.data.column("sensor_video").take([shared._indices.column(0)[2].as_py()])
+        assert stored[0].as_py()["bytes"] == bytes(touches[2].clip.data)
+    assert touches[:0].to_hf().column_names == shared.column_names
+    table = touches.to_pandas()
+    np.testing.assert_array_equal(
+        table[["x_m", "y_m"]].to_numpy(), [touch.pos_in_cell_m for touch in touches]
+    )
+
+
+def test_touches_of_several_sets_are_joined(every_set: dict[str, Any]) -> None:
+    touches = every_set["touches"]
+    other = pickle.loads(pickle.dumps(touches))
+    joined = touches[3:5] + other[::4]
+    assert list(joined) == [*touches[3:5], *touches[::4]]
+    assert len((touches[:2] + touches[5:6]).dataset) == len(touches.dataset)
+
+
+def test_the_only_split_is_opened(tmp_path: Path, every_set: dict[str, Any]) -> None:
+    rounds = [factories.make_round(number, 4, (48, 32)) for number in range(2)]
+    rows = factories.single_rows(rounds)
+    factories.write_set(tmp_path / "one", {"test": rows}, "single")
+    factories.write_set(tmp_path / "two", {"test": rows, "train": rows[:1]}, "single")
+    assert realtouch.load(tmp_path / "one") == realtouch.load(tmp_path / "one", "test")
+    with pytest.raises(InputError, match=r"two' has the splits test, train; expected one of them"):
+        realtouch.load(tmp_path / "two")
+    assert len(realtouch.load(tmp_path / "two", "train")) == 1
+    (tmp_path / "none").mkdir()
+    with pytest.raises(InputError, match="holds no Parquet files"):
+        mnist3d.load(str(tmp_path / "none"))
+    digits, scenes = every_set["digits"], every_set["scenes"]
+    assert (len(digits), len(scenes)) == (10, 12)
