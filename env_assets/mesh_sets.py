@@ -116,6 +116,11 @@ class WrenchRecord(SolidRecord):
 
         return figure_html(relief(self.vertices_m, self.faces), repr(self))
 
+    def _tile_html(self) -> str:
+        from tactile_toolkit.pictures.relief import relief_tile_html
+
+        return relief_tile_html(self.vertices_m, self.faces, f"{self.opening_mm:g} mm, id {self.id}")
+
 
 class WrenchDataset(RecordDataset[WrenchRecord]):
     """A lazy sequence of :class:`WrenchRecord`."""

@@ -55,6 +55,11 @@ class MeshRecord(SolidRecord):
         )
         return figure_html(relief(self.vertices_m, self.faces), caption)
 
+    def _tile_html(self) -> str:
+        from tactile_toolkit.pictures.relief import relief_tile_html
+
+        return relief_tile_html(self.vertices_m, self.faces, f"{self.label}, id {self.id}")
+
 
 class MeshDataset(RecordDataset[MeshRecord]):
     """A lazy sequence of :class:`MeshRecord`; see :class:`tactile_toolkit.read.dataset.RecordDataset`."""

@@ -153,6 +153,13 @@ class TouchRound(Record):
         title = self.shown("id", str) or "Round"
         return round_html(title, [*words, f"{self.touch_count} touches"], pictures)
 
+    def _tile_html(self) -> str:
+        from realtouch.media.sheets import touch_html
+
+        label = self.shown("label", str)
+        words = [*([] if label is None else [f"label {label}"]), f"{self.touch_count} touches"]
+        return touch_html(self._contact_image(self.touch_count // 2), ", ".join(words))
+
     def _contact_image(self, touch: int) -> Pixels:
         """Return the picture of one contact, shape (H, W, 3), uint8; of a clip, its last frame of contact."""
         raise NotImplementedError

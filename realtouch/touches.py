@@ -159,6 +159,8 @@ class Touch:
             words.append(f"x {x_mm:.1f} mm, y {y_mm:.1f} mm")
         return touch_html(self.image, ", ".join(words))
 
+    _tile_html = _repr_html_
+
 
 _INDEX = "touch_index"
 _POSITION = ("x_m", "y_m")

@@ -16,6 +16,7 @@ from tactile_toolkit.errors import InputError
 from tactile_toolkit.mesh.records import RecordStream, SolidRecord, open_solids
 from tactile_toolkit.read.columns import column_names
 from tactile_toolkit.read.dataset import RecordDataset
+from tactile_toolkit.wording import counted
 
 __all__ = ["SceneMeshDataset", "SceneRecord", "load"]
 
@@ -73,14 +74,28 @@ class SceneRecord(SolidRecord):
         return f"SceneRecord(id={self.id}, label={self.label}, star_count={self.star_count})"
 
     def _repr_html_(self) -> str:
-        """Show the scene from above in a notebook; without stored placements, its name alone."""
-        if not self.has_placements:
-            return repr(self)
-        from starstruck_gen.picture import draw_scene
+        """Show the scene from above in a notebook."""
+        from tactile_toolkit.pictures.relief import relief
         from tactile_toolkit.pictures.writing import figure_html
 
+        if not self.has_placements:
+            return figure_html(relief(self.vertices_m, self.faces), repr(self))
         caption = f"scene {self.id}: {self.star_count} stars, {self.distractor_count} distractors"
-        return figure_html(np.asarray(draw_scene(self.placements, (0.12, 0.12), px_per_mm=2.0)), caption)
+        return figure_html(self._drawn(2.0), caption)
+
+    def _tile_html(self) -> str:
+        from tactile_toolkit.pictures.relief import relief_tile_html
+        from tactile_toolkit.pictures.writing import TILE_STYLE, figure_html
+
+        caption = f"{counted(self.star_count, 'stars')}, id {self.id}"
+        if not self.has_placements:
+            return relief_tile_html(self.vertices_m, self.faces, caption)
+        return figure_html(self._drawn(0.8), caption, TILE_STYLE)
+
+    def _drawn(self, px_per_mm: float) -> NDArray[np.uint8]:
+        from starstruck_gen.picture import draw_scene
+
+        return np.asarray(draw_scene(self.placements, (0.12, 0.12), px_per_mm))
 
 
 class SceneMeshDataset(RecordDataset[SceneRecord]):

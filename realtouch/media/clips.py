@@ -27,7 +27,7 @@ from realtouch.contact import (
 from realtouch.damage import damaged
 from realtouch.media.images import in_parallel
 from realtouch.poses import Poses
-from tactile_toolkit.errors import InputError, ItemError, MissingExtraError
+from tactile_toolkit.errors import InputError, IntegrityError, ItemError, MissingExtraError
 from tactile_toolkit.read.dataset import Row
 from tactile_toolkit.read.sequence import positions
 from tactile_toolkit.touch.avi import Avi, AviIndex, NoIndexError
@@ -41,6 +41,7 @@ __all__ = ["TouchClip"]
 
 T = TypeVar("T")
 NO_CONTACT = "no-contact"
+_SHOWN_FRAMES = 8
 
 
 class TouchClip(Sequence[Pixels]):
@@ -381,3 +382,15 @@ class TouchClip(Sequence[Pixels]):
 
     def __repr__(self) -> str:
         return f"TouchClip(touch {self.touch}, {self._count} frames)"
+
+    def _repr_html_(self) -> str:
+        """Show frames from first to last in a notebook; those that are damaged are left out."""
+        from realtouch.media.sheets import evenly_spaced, round_html
+
+        pictures: list[tuple[str, Pixels | None]] = []
+        for frame in evenly_spaced(self._count, _SHOWN_FRAMES):
+            try:
+                pictures.append((f"frame {frame}", self[frame]))
+            except IntegrityError:
+                pictures.append((f"frame {frame}", None))
+        return round_html(f"Touch {self.touch}", [f"{self._count} frames"], pictures)

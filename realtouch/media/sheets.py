@@ -8,7 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from tactile_toolkit.pictures.sheets import Sheet, Tile, sheet
-from tactile_toolkit.pictures.writing import figure_html
+from tactile_toolkit.pictures.writing import TILE_STYLE, figure_html
 from tactile_toolkit.touch.jpeg import Pixels, resized
 
 __all__ = ["MOST_TILES", "contact_sheet", "evenly_spaced", "fitted", "round_html", "touch_html"]
@@ -18,7 +18,6 @@ MOST_TILES = 32
 
 _TILE_WIDTH = 120
 _GAP = 4
-_FIGURE_STYLE = "margin:0;text-align:center;font-size:smaller"
 
 
 def evenly_spaced(count: int, most: int) -> list[int]:
@@ -56,4 +55,4 @@ def round_html(title: str, words: Sequence[str], pictures: Sequence[tuple[str, P
 
 def touch_html(picture: Pixels, caption: str) -> str:
     """Return a notebook's view of a touch: its picture and what it is."""
-    return figure_html(fitted(picture, _TILE_WIDTH), caption, _FIGURE_STYLE)
+    return figure_html(fitted(picture, _TILE_WIDTH), caption, TILE_STYLE)

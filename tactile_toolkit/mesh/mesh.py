@@ -23,7 +23,7 @@ MeshLike: TypeAlias = "Mesh | SolidRecord | trimesh.Trimesh"
 """Whatever :func:`as_mesh` takes."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
 class Mesh:
     """Triangles in space.
 
@@ -37,6 +37,10 @@ class Mesh:
 
     vertices_m: NDArray[np.floating[Any]]
     faces: NDArray[np.int32]
+
+    def __repr__(self) -> str:
+        # As trimesh prints its own.
+        return f"<Mesh(vertices_m.shape={self.vertices_m.shape}, faces.shape={self.faces.shape})>"
 
     @property
     def volume_m3(self) -> float:

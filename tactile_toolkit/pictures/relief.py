@@ -10,9 +10,10 @@ from numpy.typing import NDArray
 if TYPE_CHECKING:
     from tactile_toolkit.mesh.mesh import Mesh
 
-__all__ = ["relief", "relief_of"]
+__all__ = ["relief", "relief_of", "relief_tile_html"]
 
 _PITCH_M = 0.0002
+_TILE_PX = 96
 
 
 def relief(
@@ -32,6 +33,16 @@ def relief(
     # Rows grow with y here, so that triangles keep their orientation; the picture is turned over at the end.
     seen = highest_faces(np.stack([columns, rows, vertices[:, 2]]), faces, (height, width))
     return np.append(shades(vertices, faces), np.uint8(255))[seen[::-1]]
+
+
+def relief_tile_html(
+    vertices_m: NDArray[np.floating[Any]], faces: NDArray[np.integer[Any]], caption: str
+) -> str:
+    """Return what a notebook shows of a mesh among others: a small relief and its caption, plain text."""
+    from tactile_toolkit.pictures.writing import TILE_STYLE, figure_html
+
+    pitch_m = max(float(np.ptp(vertices_m[:, :2], axis=0).max()) / _TILE_PX, 1e-6)
+    return figure_html(relief(vertices_m, faces, pitch_m), caption, TILE_STYLE)
 
 
 def relief_of(mesh: Mesh, px_per_mm: float, smoothing: int = 3) -> NDArray[np.uint8]:

@@ -18,6 +18,7 @@ from tactile_toolkit.pictures.render import Renderer
 from tactile_toolkit.store.folder import DataFolder
 
 __all__ = [
+    "TILE_STYLE",
     "Drawing",
     "PicturePlan",
     "Pixels",
@@ -37,6 +38,9 @@ Pixels: TypeAlias = NDArray[np.uint8]
 """Grey levels of shape (H, W) or colours of shape (H, W, 3); row 0 at the top."""
 
 PNG = ".png"
+
+TILE_STYLE = "margin:0;text-align:center;font-size:smaller"
+"""Style of a small picture among others in a notebook."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -159,6 +159,10 @@ class Record:
             number = None
         return hash((type(self), number))
 
+    def _tile_html(self) -> str:
+        """Return what a notebook shows of the record among others: a small picture, where there is any."""
+        return ""
+
     def _once(self, name: str, load: Callable[[], T]) -> T:
         """Load a field on its first use and keep it."""
         loaded = self._loaded

@@ -411,9 +411,10 @@ class LazySequence(Sequence[T], Generic[T]):
     def _repr_html_(self) -> str:
         """Show what it is, and small pictures of some items, in a notebook."""
         pictures = []
-        for position in np.linspace(0, len(self) - 1, min(len(self), _SHOWN_PICTURES)).round().astype(int):
+        for position in np.linspace(0, len(self) - 1, min(len(self), _SHOWN_PICTURES)).round().tolist():
+            item: Any = self._item(int(position))
             with suppress(ToolkitError, ValueError, OSError):  # what is damaged is told when it is asked for
-                pictures.append(getattr(self[int(position)], "_small_html", str)())
+                pictures.append(item._tile_html())
         tiles = f'<div style="display:flex;flex-wrap:wrap;gap:4px">{"".join(pictures)}</div>'
         return f"<div>{html.escape(repr(self))}{tiles if any(pictures) else ''}</div>"
 

@@ -33,7 +33,7 @@ AVI = factories.encode_avi(FRAMES)
 
 @pytest.fixture(scope="module")
 def clip(seq_folder: Path) -> TouchClip:
-    return realtouch.load(seq_folder)[0].sensor_video[0]
+    return realtouch.load(seq_folder, "train")[0].sensor_video[0]
 
 
 def test_frames_show_what_was_encoded(clip: TouchClip, truth: list[RoundTruth]) -> None:
@@ -86,7 +86,7 @@ def test_times(clip: TouchClip, truth: list[RoundTruth]) -> None:
 
 
 def test_contact_frames_are_the_true_ones(seq_folder: Path, truth: list[RoundTruth]) -> None:
-    for record, expected in zip(realtouch.load(seq_folder), truth, strict=True):
+    for record, expected in zip(realtouch.load(seq_folder, "train"), truth, strict=True):
         for clip, made in zip(record.sensor_video, expected.touches, strict=True):
             assert clip.contact_index("contact_start") == made.contact_start
             assert clip.contact_index("contact_end") == made.contact_end
@@ -98,7 +98,7 @@ def test_contact_frames_are_the_true_ones(seq_folder: Path, truth: list[RoundTru
 
 
 def test_contact_frames_of_a_round(seq_folder: Path) -> None:
-    record = realtouch.load(seq_folder)[1]
+    record = realtouch.load(seq_folder, "train")[1]
     for method in ("contact_end", "peak"):
         expected = np.stack([clip.contact_frame(method) for clip in record.sensor_video])
         np.testing.assert_array_equal(record.contact_frames(method), expected)
@@ -108,7 +108,7 @@ def test_contact_frames_of_a_round(seq_folder: Path) -> None:
 
 
 def test_a_clip_without_contact_has_no_median_frame(seq_folder: Path) -> None:
-    clip = realtouch.load(seq_folder)[0].sensor_video[0]
+    clip = realtouch.load(seq_folder, "train")[0].sensor_video[0]
     with pytest.raises(ItemError, match="shows no contact") as caught:
         clip.contact_index("median", min_area=0.99)
     assert caught.value.reason == "no-contact"
@@ -186,7 +186,7 @@ def test_heights_and_contact_of_touches(
     on_digit = [touch.on_digit for expected in truth for touch in expected.touches]
     drift = np.repeat([expected.z_drift_m for expected in truth], 5)
     for folder in (seq_folder, single_folder):
-        touches = realtouch.load(folder).touches()
+        touches = realtouch.load(folder, "train").touches()
         np.testing.assert_allclose(touches.heights_m(), np.where(on_digit, 0.007, 0.0), atol=1e-9)
         np.testing.assert_allclose(
             touches.heights_m(False), np.where(on_digit, 0.007, 0.0) + drift, atol=1e-9

@@ -39,7 +39,7 @@ def test_single_images_of_clips(seq_folder: Path, truth: list[RoundTruth], tmp_p
             "train": 3,
             "test": 1,
         }
-        source, made = realtouch.load(seq_folder), realtouch.load(out)
+        source, made = realtouch.load(seq_folder, "train"), realtouch.load(out, "train")
         assert isinstance(made, realtouch.TouchSingleDataset)
         for before, record, expected in zip(source, made, truth, strict=True):
             assert (record.id, record.label, record.object_id) == (before.id, before.label, before.object_id)
@@ -71,7 +71,9 @@ def test_nested_and_ragged_sources_give_the_same_images(
     )
     realtouch.to_single(str(seq_folder), str(tmp_path / "a"), "peak")
     realtouch.to_single(str(other), str(tmp_path / "b"), "peak")
-    for one, two in zip(realtouch.load(tmp_path / "a"), realtouch.load(tmp_path / "b"), strict=True):
+    for one, two in zip(
+        realtouch.load(tmp_path / "a", "train"), realtouch.load(tmp_path / "b", "train"), strict=True
+    ):
         np.testing.assert_array_equal(one.gel_pose_cell_frame.position_m, two.gel_pose_cell_frame.position_m)
         np.testing.assert_array_equal(one.sensor_image[:], two.sensor_image[:])
         assert one.info.keys() == two.info.keys()
@@ -80,7 +82,7 @@ def test_nested_and_ragged_sources_give_the_same_images(
 def test_resized_images(single_folder: Path, tmp_path: Path) -> None:
     out = tmp_path / "small"
     realtouch.resize(str(single_folder), str(out), 32, 24)
-    before, after = realtouch.load(single_folder), realtouch.load(out)
+    before, after = realtouch.load(single_folder, "train"), realtouch.load(out, "train")
     for one, two in zip(before, after, strict=True):
         assert two.sensor_image[:].shape == (5, 24, 32, 3)
         expected = resized(one.sensor_image[2], 32, 24)
@@ -98,7 +100,9 @@ def test_the_mean_of_an_image_survives_shrinking() -> None:
 
 def test_images_of_the_wanted_size_pass_through(single_folder: Path, tmp_path: Path) -> None:
     realtouch.resize(str(single_folder), str(tmp_path / "same"), 96, 72)
-    for one, two in zip(realtouch.load(single_folder), realtouch.load(tmp_path / "same"), strict=True):
+    for one, two in zip(
+        realtouch.load(single_folder, "train"), realtouch.load(tmp_path / "same", "train"), strict=True
+    ):
         for touch in range(5):
             assert bytes(one.sensor_image.encoded(touch)) == bytes(two.sensor_image.encoded(touch))
 
@@ -106,7 +110,7 @@ def test_images_of_the_wanted_size_pass_through(single_folder: Path, tmp_path: P
 def test_resized_clips(seq_folder: Path, tmp_path: Path) -> None:
     out = tmp_path / "small"
     realtouch.resize(str(seq_folder), str(out), 48, 36, limit=1)
-    before, after = realtouch.load(seq_folder)[0], realtouch.load(out)[0]
+    before, after = realtouch.load(seq_folder, "train")[0], realtouch.load(out, "train")[0]
     for one, two in zip(before.sensor_video, after.sensor_video, strict=True):
         assert (len(one), one.fps, two.size, two.has_index) == (len(two), two.fps, (36, 48), True)
         assert one.contact_window == two.contact_window
@@ -121,7 +125,7 @@ def test_selected_touches(kind: str, seq_folder: Path, single_folder: Path, tmp_
     source = seq_folder if kind == "seq" else single_folder
     out = tmp_path / "some"
     realtouch.select(str(source), str(out), contact=True, labels=["0", 2], limit=2)
-    before, after = realtouch.load(source), realtouch.load(out)
+    before, after = realtouch.load(source, "train"), realtouch.load(out, "train")
     assert [record.label for record in after] == [0, 2]
     assert after.touch_counts.tolist() == [4, 4]
     kept = [0, 1, 3, 4]
@@ -142,7 +146,7 @@ def test_selected_touches(kind: str, seq_folder: Path, single_folder: Path, tmp_
 
 def test_selected_rounds_pass_through_whole(single_folder: Path, tmp_path: Path) -> None:
     realtouch.select(str(single_folder), str(tmp_path / "some"), objects=[4001, 4003])
-    made = realtouch.load(tmp_path / "some")
+    made = realtouch.load(tmp_path / "some", "train")
     assert [record.object_id for record in made] == [4001]
     assert [record.object_id for record in realtouch.load(tmp_path / "some", "test")] == [4003]
     assert features_of(tmp_path / "some")["pos_in_cell"].length == 5
@@ -255,7 +259,7 @@ def test_another_option_is_refused(seq_folder: Path, tmp_path: Path) -> None:
     with pytest.raises(SpecMismatchError, match="frame is 'contact_end' there, 'peak' was asked for"):
         realtouch.to_single(str(seq_folder), str(tmp_path / "a"), "peak", limit=1)
     realtouch.to_single(str(seq_folder), str(tmp_path / "a"), "peak", limit=1, overwrite=True)
-    assert len(realtouch.load(tmp_path / "a")) == 1
+    assert len(realtouch.load(tmp_path / "a", "train")) == 1
 
 
 def test_what_cannot_be_converted_is_said(seq_folder: Path, single_folder: Path, tmp_path: Path) -> None:

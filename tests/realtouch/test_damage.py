@@ -270,7 +270,7 @@ def test_a_whole_set_has_no_findings(single_folder: Path, seq_folder: Path) -> N
         result = realtouch.verify(str(folder), on_progress=lambda *now, told=told: told.append(now))
         assert (result.findings, result.rounds, result.touches) == ((), 4, 20)
         assert told[-1] == (4, 4)
-        assert realtouch.load(folder, on_error="skip").skipped == ()
+        assert realtouch.load(folder, "train", on_error="skip").skipped == ()
 
 
 def test_repeated_ids_are_found(single_rows: list[dict], tmp_path: Path) -> None:

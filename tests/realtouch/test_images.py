@@ -105,7 +105,7 @@ def test_other_bytes_are_named() -> None:
 
 
 def test_batches(single_folder: Path) -> None:
-    images = realtouch.load(single_folder)[0].sensor_image
+    images = realtouch.load(single_folder, "train")[0].sensor_image
     every = images[:]
     assert every.shape == (5, 72, 96, 3)
     for index in (slice(1, 4), slice(None, None, -2), [0, -1], np.array([3, 3]), np.arange(5) % 2 == 0):
@@ -126,7 +126,7 @@ def test_batches(single_folder: Path) -> None:
 
 
 def test_touches_of_many_rounds_in_one_batch(single_folder: Path) -> None:
-    touches = realtouch.load(single_folder).touches()
+    touches = realtouch.load(single_folder, "train").touches()
     order = [14, 0, 3, 2, 7, 7, 1]
     batch = touches.images(order, threads=2)
     np.testing.assert_array_equal(batch, np.stack([touches[index].image for index in order]))
@@ -145,7 +145,7 @@ def test_positions_agree_with_numpy(count: int, index: list[int]) -> None:
 
 
 def test_threads_share_a_round(single_folder: Path) -> None:
-    images = realtouch.load(single_folder)[0].sensor_image
+    images = realtouch.load(single_folder, "train")[0].sensor_image
     expected, wrong = images[:], []
 
     def read() -> None:
@@ -163,7 +163,7 @@ def test_threads_share_a_round(single_folder: Path) -> None:
 
 def test_records_are_no_reference_cycles(single_folder: Path, seq_folder: Path) -> None:
     for folder in (single_folder, seq_folder):
-        touches = realtouch.load(folder).touches()
+        touches = realtouch.load(folder, "train").touches()
         _ = touches[0].image
         gc.collect()
         gc.disable()

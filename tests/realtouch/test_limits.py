@@ -157,7 +157,7 @@ def test_an_out_that_does_not_fit_is_refused_before_it_is_written_to(
     name: str, single_folder: Path, seq_folder: Path
 ) -> None:
     out: Any = WRONG[name]
-    singles, clips = realtouch.load(single_folder), realtouch.load(seq_folder)
+    singles, clips = realtouch.load(single_folder, "train"), realtouch.load(seq_folder, "train")
     two = clips[0].with_touches([0, 1])
     for ask in (
         lambda: singles[0].sensor_image.batch([0, 1], out=out),
@@ -173,7 +173,7 @@ def test_an_out_that_does_not_fit_is_refused_before_it_is_written_to(
 
 
 def test_an_out_with_room_to_spare_or_between_images_is_filled(single_folder: Path) -> None:
-    touches = realtouch.load(single_folder).touches()
+    touches = realtouch.load(single_folder, "train").touches()
     images, expected = touches[0].round.sensor_image, touches.images([0, 1])
     spare, apart = np.zeros((5, 72, 96, 3), np.uint8), np.zeros((2, 3, 72, 96, 3), np.uint8)[:, 1]
     for out in (spare, apart):
@@ -185,9 +185,9 @@ def test_an_out_with_room_to_spare_or_between_images_is_filled(single_folder: Pa
 
 
 def test_an_empty_choice_has_the_size_of_the_others(single_folder: Path, seq_folder: Path) -> None:
-    dataset = realtouch.load(single_folder)
+    dataset = realtouch.load(single_folder, "train")
     images = dataset[0].sensor_image
     assert np.concatenate([images[:2], images[2:2]]).shape == (2, 72, 96, 3)
     assert dataset.touches().images([]).shape == (0, 72, 96, 3)
     assert dataset[:0].touches().images().shape == (0, 0, 0, 3)
-    assert realtouch.load(seq_folder)[0].sensor_video[0][5:5].shape == (0, 72, 96, 3)
+    assert realtouch.load(seq_folder, "train")[0].sensor_video[0][5:5].shape == (0, 72, 96, 3)

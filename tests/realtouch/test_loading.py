@@ -91,10 +91,10 @@ def test_every_field_of_images(
 
 def test_one_file_several_files_and_a_folder_read_alike(single_folder: Path) -> None:
     files = sorted((single_folder / "data").glob("train-*.parquet"))
-    ids = [record.id for record in realtouch.load(single_folder)]
+    ids = [record.id for record in realtouch.load(single_folder, "train")]
     assert [record.id for record in realtouch.load(files)] == ids
     assert [record.id for file in files for record in realtouch.load(str(file))] == ids
-    assert [record.id for record in realtouch.load(single_folder, streaming=True)] == ids
+    assert [record.id for record in realtouch.load(single_folder, "train", streaming=True)] == ids
     assert len(realtouch.load(single_folder, "test")) == 1
 
 
@@ -104,7 +104,7 @@ def test_opening_reads_no_row(single_folder: Path, monkeypatch: pytest.MonkeyPat
 
     for reader in ("read_row_groups", "iter_batches", "read", "read_row_group"):
         monkeypatch.setattr(pq.ParquetFile, reader, refuse)
-    dataset = realtouch.load(single_folder)
+    dataset = realtouch.load(single_folder, "train")
     assert len(dataset) == 3
     assert len(dataset.touches()) == 15  # the lists have a fixed length in the schema
 
@@ -118,7 +118,7 @@ def test_filters_never_read_images(seq_folder: Path, monkeypatch: pytest.MonkeyP
         return original(self, size, groups, columns, **options)
 
     monkeypatch.setattr(pq.ParquetFile, "iter_batches", spy)
-    dataset = realtouch.load(seq_folder)
+    dataset = realtouch.load(seq_folder, "train")
     touches = dataset.touches().with_contact().filter_labels(0, "1").objects(4000, 4001)
     assert len(touches.filter(lambda touch: touch.pos_in_cell_m[0] > 0)) <= len(touches) == 8
     assert asked
@@ -126,7 +126,7 @@ def test_filters_never_read_images(seq_folder: Path, monkeypatch: pytest.MonkeyP
 
 
 def test_where_may_look_at_the_picture(single_folder: Path) -> None:
-    touches = realtouch.load(single_folder).touches()
+    touches = realtouch.load(single_folder, "train").touches()
     bright = [touch.image.mean() > 120 for touch in touches]
     assert [touch.round_id for touch in touches.filter(lambda touch: touch.image.mean() > 120)] == [
         touch.round_id for touch, wanted in zip(touches, bright, strict=True) if wanted
@@ -134,7 +134,7 @@ def test_where_may_look_at_the_picture(single_folder: Path) -> None:
 
 
 def test_rounds_are_chosen_joined_and_filtered(single_folder: Path) -> None:
-    dataset = realtouch.load(single_folder)
+    dataset = realtouch.load(single_folder, "train")
     assert [record.label for record in dataset[1:]] == [1, 2]
     assert [record.label for record in dataset[[2, 0]]] == [2, 0]
     assert [record.label for record in dataset[np.array([True, False, True])]] == [0, 2]
@@ -148,30 +148,30 @@ def test_rounds_are_chosen_joined_and_filtered(single_folder: Path) -> None:
 
 def test_records_are_frozen_and_pickle(seq_folder: Path, single_folder: Path) -> None:
     for folder in (seq_folder, single_folder):
-        record = realtouch.load(folder)[1]
+        record = realtouch.load(folder, "train")[1]
         with pytest.raises(AttributeError, match="frozen"):
             record.id = "other"
         again = pickle.loads(pickle.dumps(record))
         assert (again.id, again.label) == (record.id, record.label)
         np.testing.assert_array_equal(again.pos_in_cell_m, record.pos_in_cell_m)
-        touch = pickle.loads(pickle.dumps(realtouch.load(folder).touches()[6]))
-        np.testing.assert_array_equal(touch.image, realtouch.load(folder).touches()[6].image)
-    images = pickle.loads(pickle.dumps(realtouch.load(single_folder)[1].sensor_image))
-    np.testing.assert_array_equal(images[3], realtouch.load(single_folder)[1].sensor_image[3])
-    clip = pickle.loads(pickle.dumps(realtouch.load(seq_folder)[1].sensor_video[2]))
-    np.testing.assert_array_equal(clip[9], realtouch.load(seq_folder)[1].sensor_video[2][9])
+        touch = pickle.loads(pickle.dumps(realtouch.load(folder, "train").touches()[6]))
+        np.testing.assert_array_equal(touch.image, realtouch.load(folder, "train").touches()[6].image)
+    images = pickle.loads(pickle.dumps(realtouch.load(single_folder, "train")[1].sensor_image))
+    np.testing.assert_array_equal(images[3], realtouch.load(single_folder, "train")[1].sensor_image[3])
+    clip = pickle.loads(pickle.dumps(realtouch.load(seq_folder, "train")[1].sensor_video[2]))
+    np.testing.assert_array_equal(clip[9], realtouch.load(seq_folder, "train")[1].sensor_video[2][9])
     with pytest.raises(AttributeError, match="frozen"):
         touch.round = record
 
 
 def test_a_pickled_touch_carries_its_own_bytes_only(single_folder: Path) -> None:
-    dataset = realtouch.load(single_folder)
+    dataset = realtouch.load(single_folder, "train")
     touch = dataset.touches()[3]
     assert len(pickle.dumps(touch)) < 0.6 * len(pickle.dumps(dataset[0]))
 
 
 def test_data_sets_pickle_as_their_paths(single_folder: Path) -> None:
-    dataset = realtouch.load(single_folder)
+    dataset = realtouch.load(single_folder, "train")
     dataset.touches().with_contact()
     content = pickle.dumps(dataset.touches())
     assert len(content) < 2000
@@ -211,7 +211,7 @@ def test_what_is_not_there_is_named(tmp_path: Path, single_folder: Path) -> None
     with pytest.raises(InputError, match="no file"):
         realtouch.load([tmp_path / "a.parquet"])
     with pytest.raises(InputError, match="on_error"):
-        realtouch.load(single_folder, on_error="ignore")
+        realtouch.load(single_folder, "train", on_error="ignore")
 
 
 def test_a_file_cut_in_the_middle_is_named(single_folder: Path, tmp_path: Path) -> None:
@@ -239,7 +239,7 @@ def test_short_names_reach_the_published_repositories(
     assert asked == [
         (
             "TimSchneider42/tactile-mnist-touch-real-seq-t256-320x240",
-            "train",
+            None,
             {"revision": "main", "streaming": True},
         )
     ]
@@ -260,7 +260,7 @@ def test_touches_and_conversions_import_no_geometry(seq_folder: Path, tmp_path: 
     """Poses are arrays until a transform is asked for: scipy costs more to import than a conversion."""
     code = (
         "import sys, realtouch\n"
-        "touch = realtouch.load(sys.argv[1]).touches()[0]\n"
+        "touch = realtouch.load(sys.argv[1], 'train').touches()[0]\n"
         "touch.image, touch.label\n"
         "realtouch.to_single(sys.argv[1], sys.argv[2])\n"
         "assert 'scipy' not in sys.modules\n"

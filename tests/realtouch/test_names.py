@@ -41,7 +41,7 @@ def test_local_data_of_a_short_name_comes_first(
     assert repository_of(name).startswith("TimSchneider42/"), "a folder without data is none"
     shutil.copytree(single_folder / "data", Path(name) / "data")
     assert repository_of(name) == name
-    assert len(realtouch.load(name)) == 3
+    assert len(realtouch.load(name, "train")) == 3
     assert realtouch.verify(name).ok
 
 
@@ -85,8 +85,8 @@ REST = "data/train-00001-of-00002.parquet"
 @pytest.mark.parametrize(
     ("arguments", "rows"),
     [
-        (f"'{SINGLE}'", [0, 1, 2]),
-        ("'someone/single@main'", [0, 1, 2]),
+        (f"'{SINGLE}', 'train'", [0, 1, 2]),
+        ("'someone/single@main', 'train'", [0, 1, 2]),
         (f"'{SINGLE}@main', 'test'", [3]),
         (f"'{SINGLE}@main/data', 'test'", [3]),
         (f"'{SINGLE}/{TRAIN}'", [0, 1]),
@@ -95,12 +95,14 @@ REST = "data/train-00001-of-00002.parquet"
         (f"['{SINGLE}/{REST}'], revision='main', streaming=True", [2]),
         (f"'{SINGLE}/{TRAIN}', streaming=True", [0, 1]),
         ("'someone/converted', 'test'", [3]),
+        ("'someone/converted'", [3]),
+        ("'someone/converted', streaming=True", [3]),
     ],
 )
 def test_files_and_revisions_of_the_hub(
     arguments: str, rows: list[int], server: HubServer, single_folder: Path, tmp_path: Path
 ) -> None:
-    sets = [*realtouch.load(single_folder), *realtouch.load(single_folder, "test")]
+    sets = [*realtouch.load(single_folder, "train"), *realtouch.load(single_folder, "test")]
     done = run_here(LOAD.format(arguments=arguments), settings(server, tmp_path), tmp_path)
     assert done.stdout.split() == [sets[row].id for row in rows], done.stdout
 
@@ -119,7 +121,8 @@ def test_files_and_revisions_of_the_hub(
             "'someone/single@main', revision='v9'",
             "InputError 'someone/single@main' names the revision 'main'",
         ),
-        ("'someone/converted'", "InputError no split 'train' in 'someone/converted': it has test"),
+        ("'someone/single'", "InputError 'someone/single' has the splits test, train; expected one of them"),
+        ("'someone/converted', 'train'", "InputError no split 'train' in 'someone/converted': it has test"),
     ],
 )
 def test_what_the_hub_has_not_is_named(arguments: str, words: str, server: HubServer, tmp_path: Path) -> None:
@@ -131,7 +134,7 @@ MOVES: list[Callable[[], None]] = []
 STREAM = """
 import realtouch
 from tests.realtouch import test_names
-rounds = iter(realtouch.load('someone/moving', streaming=True))
+rounds = iter(realtouch.load('someone/moving', 'train', streaming=True))
 print(next(rounds).id)
 test_names.MOVES.pop()()
 print(*(record.id for record in rounds))
@@ -144,6 +147,6 @@ def test_a_stream_is_of_one_commit(server: HubServer, single_folder: Path, tmp_p
     MOVES.append(lambda: repository.commit({REST: repository.blob(REST, other)}, "another second shard"))
     done = run_here(STREAM, settings(server, tmp_path), tmp_path)
     assert not MOVES, "nothing was committed meanwhile"
-    assert done.stdout.split() == [record.id for record in realtouch.load(single_folder)]
+    assert done.stdout.split() == [record.id for record in realtouch.load(single_folder, "train")]
     cached = tmp_path / "hf" / "hub" / "datasets--someone--moving"
     assert [place.name for place in cached.iterdir()] == ["refs"], "files were fetched"

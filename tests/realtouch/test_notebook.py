@@ -29,7 +29,7 @@ def test_notebook_runs(
     names: dict[str, Any] = {}
     shown = [run_cell("".join(cell["source"]), names) for cell in cells if cell["cell_type"] == "code"]
     pictures = [each for each in shown if hasattr(each, "_repr_html_")]
-    assert [type(each).__name__ for each in pictures] == ["TouchSeqRound", "Touch"]
+    assert [type(each).__name__ for each in pictures] == ["TouchSeqDataset", "TouchSeqRound", "Touch"]
     assert all("<img" in each._repr_html_() for each in pictures)
     assert shown[-1] == (5, 72, 96, 3)
     printed = capsys.readouterr().out

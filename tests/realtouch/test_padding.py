@@ -66,7 +66,7 @@ def test_every_frame_counts_and_no_padding_does(
 def test_the_missing_lengths_are_named_where_the_clips_are_not_there_either(
     seq_folder: Path,
 ) -> None:
-    group = realtouch.load(seq_folder)[0]._row.group
+    group = realtouch.load(seq_folder, "train")[0]._row.group
     row = Row(RowGroup(group.table.drop_columns(["video_length_frames", "sensor_video"])), 0)
     for ask in (pose_sequences, lambda row: clip_poses(row, 0), lambda row: contact_z_m(row, "seq")):
         with pytest.raises(InputError, match="no column 'video_length_frames'"):

@@ -30,9 +30,9 @@ def plates_m(truth: list[RoundTruth], kind: str) -> np.ndarray:
 
 
 def test_a_selection_of_contacts_has_contact(source: Path, truth: list[RoundTruth], tmp_path: Path) -> None:
-    before = realtouch.load(source)
+    before = realtouch.load(source, "train")
     realtouch.select(source, tmp_path / "some", contact=True)
-    after = realtouch.load(tmp_path / "some")
+    after = realtouch.load(tmp_path / "some", "train")
     np.testing.assert_array_equal(after.column("plate_z_m"), plates_m(truth, before.kind))
     touches = after.touches()
     assert len(touches) == len(touches.with_contact()) == 12
@@ -58,9 +58,9 @@ def test_it_stays_through_further_conversions(source: Path, tmp_path: Path) -> N
     if source.name.startswith("seq"):
         realtouch.to_single(tmp_path / "some", tmp_path / "images", "peak")
         folders.append(tmp_path / "images")
-    stored = realtouch.load(tmp_path / "some").column("plate_z_m")
+    stored = realtouch.load(tmp_path / "some", "train").column("plate_z_m")
     for folder in folders:
-        made = realtouch.load(folder)
+        made = realtouch.load(folder, "train")
         np.testing.assert_array_equal(made.column("plate_z_m"), stored)
         assert len(made.touches().with_contact()) == len(made.touches()) == 12
 
@@ -72,9 +72,9 @@ def test_whole_rounds_keep_the_published_columns(source: Path, tmp_path: Path) -
 
 
 def test_joined_sets_may_have_it_or_not(source: Path, tmp_path: Path) -> None:
-    whole = realtouch.load(source)
+    whole = realtouch.load(source, "train")
     realtouch.select(source, tmp_path / "some", contact=True)
-    joined = whole + realtouch.load(tmp_path / "some")
+    joined = whole + realtouch.load(tmp_path / "some", "train")
     assert len(joined.touches().with_contact()) == 24
     np.testing.assert_array_equal(
         joined[3:].touches().heights_m(), joined[:3].touches().with_contact().heights_m()
@@ -94,7 +94,7 @@ def test_plain_datasets_read_it(source: Path, tmp_path: Path) -> None:
     realtouch.select(source, tmp_path / "some", contact=True)
     rows: Any = load_dataset(str(tmp_path / "some"), split="train").select_columns(["id", "plate_z_m"])
     assert rows.features["plate_z_m"] == Value("float64")
-    assert rows["plate_z_m"] == realtouch.load(tmp_path / "some").column("plate_z_m").tolist()
+    assert rows["plate_z_m"] == realtouch.load(tmp_path / "some", "train").column("plate_z_m").tolist()
 
 
 @pytest.mark.parametrize("kind", ["seq", "single"])

@@ -134,7 +134,7 @@ def test_the_map_holds_the_cell_and_every_touch_whole(centres):
 def test_stored_touches_are_placed_by_the_measured_pose(
     kind: str, seq_folder: Path, single_folder: Path, truth: list[RoundTruth]
 ) -> None:
-    record = realtouch.load(str(seq_folder if kind == "seq" else single_folder))[1]
+    record = realtouch.load(str(seq_folder if kind == "seq" else single_folder), "train")[1]
     for touch, one in enumerate(placed_touches(record, range(TOUCHES))):
         known = truth[1].touches[touch]
         frame = known.contact_end if kind == "seq" else known.peak
@@ -189,7 +189,7 @@ def test_the_bar_of_time_marks_exactly_the_frames_of_contact(count, data):
 
 
 def test_frames_of_contact_are_framed_in_the_strip(seq_folder: Path, truth: list[RoundTruth]) -> None:
-    record = realtouch.load(str(seq_folder))[0]
+    record = realtouch.load(str(seq_folder), "train")[0]
     for touch in range(2):
         known, clip = truth[0].touches[touch], record.sensor_video[touch]
         assert clip.contact_window == slice(known.contact_start, known.contact_end + 1)
@@ -224,7 +224,7 @@ def _within(window: slice, frame: int) -> bool:
 def test_touches_that_met_the_digit_are_framed_in_the_grid(
     kind: str, seq_folder: Path, single_folder: Path, truth: list[RoundTruth]
 ) -> None:
-    record = realtouch.load(str(seq_folder if kind == "seq" else single_folder))[0]
+    record = realtouch.load(str(seq_folder if kind == "seq" else single_folder), "train")[0]
     pixels = draw_grid(record, 32).pixels
     step = 160 + 6 + 8
     for touch, known in enumerate(truth[0].touches):
@@ -237,7 +237,7 @@ def test_touches_that_met_the_digit_are_framed_in_the_grid(
 
 
 def test_drift_is_that_of_the_recordings(seq_folder: Path, truth: list[RoundTruth]) -> None:
-    dataset = realtouch.load(str(seq_folder))
+    dataset = realtouch.load(str(seq_folder), "train")
     z_m, gels = gel_drift(dataset)
     assert z_m == pytest.approx([min(t.position_m[:, 2].min() for t in each.touches) for each in truth])
     assert z_m == pytest.approx([each.z_drift_m for each in truth], abs=1e-4)

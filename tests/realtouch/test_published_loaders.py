@@ -84,7 +84,7 @@ def assert_same_frames(clip: realtouch.TouchClip, decoder: Any) -> None:
 
 def test_single(published: Any, single_folder: Path) -> None:
     theirs = published.TouchSingleDataset(hub_dataset(single_folder))
-    ours = realtouch.load(single_folder)
+    ours = realtouch.load(single_folder, "train")
     assert ours.label_names == theirs.label_names
     assert len(ours) == len(theirs) == 3
     for row in range(len(ours)):
@@ -93,14 +93,14 @@ def test_single(published: Any, single_folder: Path) -> None:
 
 def test_seq(published: Any, seq_folder: Path) -> None:
     theirs = published.TouchSeqDataset(hub_dataset(seq_folder))
-    ours = realtouch.load(seq_folder)
+    ours = realtouch.load(seq_folder, "train")
     assert len(ours) == len(theirs) == 3
     for row in range(len(ours)):
         assert_same_seq(ours[row], theirs[row])
 
 
 def test_torchcodec_reads_a_clip(published: Any, seq_folder: Path) -> None:
-    clip = realtouch.load(seq_folder)[0].sensor_video[0]
+    clip = realtouch.load(seq_folder, "train")[0].sensor_video[0]
     decoder = clip.to_torchcodec()
     assert len(decoder) == len(clip)
     assert decoder.metadata.average_fps == pytest.approx(clip.fps)
@@ -110,7 +110,7 @@ def test_contact_frames_read_alike(published: Any, seq_folder: Path, tmp_path: P
     out = tmp_path / "single"
     realtouch.to_single(str(seq_folder), str(out), "peak")
     theirs = published.TouchSingleDataset(hub_dataset(out))
-    ours = realtouch.load(out)
+    ours = realtouch.load(out, "train")
     for row in range(len(ours)):
         assert_same_single(ours[row], theirs[row])
     assert theirs.huggingface_dataset.features["pos_in_cell"].length == 5
@@ -119,7 +119,7 @@ def test_contact_frames_read_alike(published: Any, seq_folder: Path, tmp_path: P
 def test_resized_clips_read_alike(published: Any, seq_folder: Path, tmp_path: Path) -> None:
     out = tmp_path / "small"
     realtouch.resize(str(seq_folder), str(out), 48, 36, limit=1)
-    assert_same_seq(realtouch.load(out)[0], published.TouchSeqDataset(hub_dataset(out))[0])
+    assert_same_seq(realtouch.load(out, "train")[0], published.TouchSeqDataset(hub_dataset(out))[0])
 
 
 def test_selected_rounds_read_alike(published: Any, single_folder: Path, tmp_path: Path) -> None:
@@ -137,7 +137,7 @@ def test_selected_clips_read_alike(published: Any, seq_folder: Path, tmp_path: P
     out = tmp_path / "some"
     realtouch.select(str(seq_folder), str(out), contact=True, limit=1)
     theirs = published.TouchSeqDataset(hub_dataset(out))
-    ours = realtouch.load(out)
+    ours = realtouch.load(out, "train")
     assert len(ours) == len(theirs) == 1
     assert ours[0].touch_count == 4
     assert_same_seq(ours[0], theirs[0])

@@ -115,7 +115,7 @@ def test_frames_of_a_round_are_those_of_its_clips(
 
 
 def test_windows_of_some_touches(seq_folder: Path) -> None:
-    record = realtouch.load(seq_folder)[0]
+    record = realtouch.load(seq_folder, "train")[0]
     every = record.contact_windows()
     for wanted in ([3, 0], slice(1, None, 2), np.array([False, True, False, False, True])):
         places = np.arange(5)[wanted]

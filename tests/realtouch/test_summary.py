@@ -11,7 +11,7 @@ from tactile_toolkit.errors import InputError
 
 
 def test_figures_of_clips_and_images(seq_folder: Path, single_folder: Path) -> None:
-    clips = realtouch.summarise(realtouch.load(seq_folder))
+    clips = realtouch.summarise(realtouch.load(seq_folder, "train"))
     assert (clips.kind, clips.rounds, clips.touches, clips.objects) == ("seq", 3, 15, 3)
     assert clips.touches_per_round == (5, 5)
     assert clips.contact_share == pytest.approx(0.8)
@@ -19,17 +19,17 @@ def test_figures_of_clips_and_images(seq_folder: Path, single_folder: Path) -> N
     assert clips.fps == 25.0
     assert clips.gel_ids == {"0": 2, "1": 1}
     assert {name: count for name, count in clips.labels.items() if count} == {"0": 1, "1": 1, "2": 1}
-    lengths = np.concatenate([record.video_length_frames for record in realtouch.load(seq_folder)])
+    lengths = np.concatenate([record.video_length_frames for record in realtouch.load(seq_folder, "train")])
     assert clips.clip_frames == (lengths.min(), int(np.median(lengths)), lengths.max())
-    images = realtouch.summarise(realtouch.load(single_folder))
+    images = realtouch.summarise(realtouch.load(single_folder, "train"))
     assert (images.kind, images.clip_frames, images.fps, images.contact_share) == ("single", None, None, 0.8)
     assert images.to_dict()["touches"] == 15
     with pytest.raises(InputError, match="empty data set"):
-        realtouch.summarise(realtouch.load(single_folder)[:0])
+        realtouch.summarise(realtouch.load(single_folder, "train")[:0])
 
 
 def test_sheets(seq_folder: Path) -> None:
-    frames = realtouch.load(seq_folder)[0].contact_frames()
+    frames = realtouch.load(seq_folder, "train")[0].contact_frames()
     assert contact_sheet(frames).shape == (4 + 94, 4 + 5 * 124, 3)
     assert contact_sheet(frames[:2]).shape == (98, 4 + 2 * 124, 3)
     red, blue = np.zeros((2, 30, 40, 3), np.uint8)
@@ -43,7 +43,7 @@ def test_sheets(seq_folder: Path) -> None:
 
 def test_notebooks_show_rounds_and_touches(seq_folder: Path, single_folder: Path) -> None:
     for folder in (seq_folder, single_folder):
-        dataset = realtouch.load(folder)
+        dataset = realtouch.load(folder, "train")
         shown = dataset[1]._repr_html_()
         assert shown.count("<img") == 5
         assert dataset[1].id in shown

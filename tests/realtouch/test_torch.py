@@ -31,7 +31,7 @@ def squared(touch: realtouch.Touch) -> int:
 def images(single_folder: Path) -> Any:
     from realtouch.torch import TouchTensors
 
-    return TouchTensors(realtouch.load(single_folder))
+    return TouchTensors(realtouch.load(single_folder, "train"))
 
 
 def test_items_are_tv_tensors(images: Any, single_folder: Path, seq_folder: Path) -> None:
@@ -39,29 +39,30 @@ def test_items_are_tv_tensors(images: Any, single_folder: Path, seq_folder: Path
 
     from realtouch.torch import TouchTensors
 
-    touches = realtouch.load(single_folder).touches()
+    touches = realtouch.load(single_folder, "train").touches()
     image, label = images[7]
     assert isinstance(image, Image)
     assert (tuple(image.shape), image.dtype, label) == ((3, 72, 96), torch.uint8, 1)
     np.testing.assert_array_equal(image.numpy().transpose(1, 2, 0), touches[7].image)
 
-    clips = TouchTensors(realtouch.load(seq_folder).touches().with_contact(), target="object_id")
+    clips = TouchTensors(realtouch.load(seq_folder, "train").touches().with_contact(), target="object_id")
     clip, object_id = clips[5]
     assert isinstance(clip, Video)
     expected = clips.touches[5]
     assert object_id == expected.object_id
     np.testing.assert_array_equal(clip.numpy().transpose(0, 2, 3, 1), expected.clip.frames())
-    frame = TouchTensors(realtouch.load(seq_folder), target=None, frames="peak")[3]
+    frame = TouchTensors(realtouch.load(seq_folder, "train"), target=None, frames="peak")[3]
     assert isinstance(frame, Image)
     np.testing.assert_array_equal(
-        frame.numpy().transpose(1, 2, 0), realtouch.load(seq_folder)[0].sensor_video[3].contact_frame("peak")
+        frame.numpy().transpose(1, 2, 0),
+        realtouch.load(seq_folder, "train")[0].sensor_video[3].contact_frame("peak"),
     )
 
 
 def test_targets(single_folder: Path) -> None:
     from realtouch.torch import TouchTensors
 
-    dataset = realtouch.load(single_folder)
+    dataset = realtouch.load(single_folder, "train")
     touch = dataset.touches()[6]
     assert TouchTensors(dataset, target="round_id")[6][1] == touch.round_id
     np.testing.assert_allclose(
@@ -79,7 +80,7 @@ def test_targets(single_folder: Path) -> None:
 def test_the_pose_is_that_of_the_frame(method: str, seq_folder: Path) -> None:
     from realtouch.torch import TouchStreamTensors, TouchTensors
 
-    touches = realtouch.load(seq_folder).touches().with_contact()
+    touches = realtouch.load(seq_folder, "train").touches().with_contact()
     data = TouchTensors(touches, target="gel_position", frames=method)
     clip = touches[4].clip
     frame = clip.contact_index(method)
@@ -89,7 +90,7 @@ def test_the_pose_is_that_of_the_frame(method: str, seq_folder: Path) -> None:
     np.testing.assert_array_equal(position_m, clip.poses.position_m[frame].astype(np.float32))
     np.testing.assert_array_equal(data.__getitems__([4])[0][1], position_m)
     stream = TouchStreamTensors(
-        realtouch.load(seq_folder, streaming=True), target="gel_position", frames=method
+        realtouch.load(seq_folder, "train", streaming=True), target="gel_position", frames=method
     )
     number = int(touches.round_positions[4]) * 5 + int(touches.touch_indices[4])
     np.testing.assert_array_equal(next(itertools.islice(stream, number, None))[1], position_m)
@@ -99,8 +100,8 @@ def test_ways_to_choose_a_frame_are_checked_at_once(seq_folder: Path) -> None:
     from realtouch.torch import TouchStreamTensors, TouchTensors
 
     with pytest.raises(InputError, match="no way 'best' to choose a frame"):
-        TouchTensors(realtouch.load(seq_folder), frames="best")
-    stream = realtouch.load(seq_folder, streaming=True)
+        TouchTensors(realtouch.load(seq_folder, "train"), frames="best")
+    stream = realtouch.load(seq_folder, "train", streaming=True)
     with pytest.raises(InputError, match="no way 'best' to choose a frame"):
         TouchStreamTensors(stream, frames="best")
     with pytest.raises(InputError, match=r"shuffle_buffer is -3; expected 0 or more"):
@@ -138,7 +139,7 @@ def test_workers_that_stay_see_the_epoch(single_folder: Path, method: str) -> No
     from realtouch.torch import TouchStreamTensors
 
     data = TouchStreamTensors(
-        realtouch.load(single_folder, streaming=True), target=identity, shuffle_buffer=6
+        realtouch.load(single_folder, "train", streaming=True), target=identity, shuffle_buffer=6
     )
     loader = torch.utils.data.DataLoader(
         data,
@@ -171,7 +172,7 @@ def test_transforms_apply(single_folder: Path) -> None:
     from realtouch.torch import TouchTensors
 
     pipeline = v2.Compose([v2.Resize((32, 32)), v2.ToDtype(torch.float32, scale=True)])
-    data = TouchTensors(realtouch.load(single_folder), pipeline)
+    data = TouchTensors(realtouch.load(single_folder, "train"), pipeline)
     for image, _ in (data[2], data.__getitems__([2])[0]):
         assert (tuple(image.shape), image.dtype) == ((3, 32, 32), torch.float32)
         assert 0 <= float(image.min()) <= float(image.max()) <= 1
@@ -194,8 +195,10 @@ def test_workers_of_every_start_method(images: Any, method: str) -> None:
 def test_streams_give_every_touch_once(single_folder: Path) -> None:
     from realtouch.torch import TouchStreamTensors
 
-    expected = [(touch.label, touch.touch_index) for touch in realtouch.load(single_folder).touches()]
-    stream = realtouch.load(single_folder, streaming=True)
+    expected = [
+        (touch.label, touch.touch_index) for touch in realtouch.load(single_folder, "train").touches()
+    ]
+    stream = realtouch.load(single_folder, "train", streaming=True)
     data = TouchStreamTensors(stream, target=identity)
     assert [where for _, where in data] == expected
     shuffled = TouchStreamTensors(stream, target=identity, shuffle_buffer=6, seed=1)
@@ -213,9 +216,9 @@ def test_streams_give_every_touch_once(single_folder: Path) -> None:
 def test_drawn_touches_keep_their_own_picture(single_folder: Path) -> None:
     from realtouch.torch import TouchStreamTensors
 
-    touches = realtouch.load(single_folder).touches()
+    touches = realtouch.load(single_folder, "train").touches()
     data = TouchStreamTensors(
-        realtouch.load(single_folder, streaming=True), target=identity, shuffle_buffer=4
+        realtouch.load(single_folder, "train", streaming=True), target=identity, shuffle_buffer=4
     )
     for image, (label, touch_index) in data:
         np.testing.assert_array_equal(

@@ -23,7 +23,7 @@ from tests.realtouch.factories import Layout
 
 def test_a_touch_kept_from_a_filter_carries_its_picture(single_folder: Path, seq_folder: Path) -> None:
     for folder in (single_folder, seq_folder):
-        touches = realtouch.load(folder).touches()
+        touches = realtouch.load(folder, "train").touches()
         kept: list[Touch] = []
         touches.filter(lambda touch, kept=kept: kept.append(touch) or True)
         expected = touches[8].image
@@ -47,16 +47,17 @@ def test_the_pose_of_a_touch_reads_its_own_numbers_only(
         return read(self, size, groups, columns, **options)
 
     expected = [
-        touch.clip.poses[touch.clip.contact_index()] for touch in realtouch.load(seq_folder).touches()
+        touch.clip.poses[touch.clip.contact_index()]
+        for touch in realtouch.load(seq_folder, "train").touches()
     ]
     monkeypatch.setattr(pq.ParquetFile, "iter_batches", spy)
     poses: list[Any] = []
-    realtouch.load(seq_folder).touches().filter(lambda touch: poses.append(touch.gel_pose) or True)
+    realtouch.load(seq_folder, "train").touches().filter(lambda touch: poses.append(touch.gel_pose) or True)
     assert asked
     assert not {"sensor_video", "everything"} & set(asked)
     for pose, same in zip(poses, expected, strict=True):
         np.testing.assert_array_equal(pose.as_matrix(), same.as_matrix())
-    record = realtouch.load(single_folder)[0]
+    record = realtouch.load(single_folder, "train")[0]
     for touch in (0, 4, -1):
         pose = Touch(record, touch).gel_pose.as_matrix()
         np.testing.assert_array_equal(pose, record.gel_pose_cell_frame[touch].as_matrix())
@@ -65,7 +66,7 @@ def test_the_pose_of_a_touch_reads_its_own_numbers_only(
 
 
 def test_metadata_pickle_and_stay_as_they_are(single_folder: Path) -> None:
-    info = realtouch.load(single_folder)[0].info
+    info = realtouch.load(single_folder, "train")[0].info
     for same in (pickle.loads(pickle.dumps(info)), copy.deepcopy(info)):
         assert isinstance(same, Info)
         assert list(same) == list(info) == ["gel_id", "notes", "object_pose"]
@@ -79,14 +80,14 @@ def test_metadata_pickle_and_stay_as_they_are(single_folder: Path) -> None:
 
 
 def test_only_data_sets_of_one_kind_are_joined(single_folder: Path, seq_folder: Path) -> None:
-    dataset = realtouch.load(single_folder)
-    for other in (realtouch.load(seq_folder), 5):
+    dataset = realtouch.load(single_folder, "train")
+    for other in (realtouch.load(seq_folder, "train"), 5):
         with pytest.raises(TypeError, match=r"unsupported operand type\(s\) for \+"):
             _ = dataset + other
 
 
 def test_classes_and_objects_are_given_one_by_one_or_together(single_folder: Path) -> None:
-    touches = realtouch.load(single_folder).touches()
+    touches = realtouch.load(single_folder, "train").touches()
     for classes in ((0, "1"), ([0, 1],), (np.array([0, 1]),), (range(2),), (np.int8(0), ["1"])):
         assert touches.filter_labels(*classes).labels.tolist() == [0] * 5 + [1] * 5
     for objects in ((4000, 4001), ([4000, 4001],), (np.array([4000, 4001]),), ({4000}, 4001, -3, 2**70)):
@@ -111,7 +112,9 @@ def test_heights_of_a_set_without_intended_positions(
 ) -> None:
     factories.write_set(tmp_path, {"train": single_rows}, "single", Layout(leave_out=("pos_in_cell",)))
     touches = realtouch.load(tmp_path).touches()
-    np.testing.assert_array_equal(touches.heights_m(), realtouch.load(single_folder).touches().heights_m())
+    np.testing.assert_array_equal(
+        touches.heights_m(), realtouch.load(single_folder, "train").touches().heights_m()
+    )
     assert "<img" in touches[0]._repr_html_()
 
 

@@ -223,7 +223,7 @@ def test_another_kind_is_refused(packages, assets):
     ):
         env_assets.as_mesh_dataset(rounds)
     with pytest.raises(InputError, match=r"touches with one image each was expected, found MeshDataset"):
-        env_assets.as_touch_dataset(mnist3d.load(str(assets / "mnist3d")))
+        env_assets.as_touch_dataset(mnist3d.load(str(assets / "mnist3d"), "test"))
     with pytest.raises(InputError, match="found list"):
         env_assets.as_mesh_dataset([])
 

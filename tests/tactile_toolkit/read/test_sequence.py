@@ -137,9 +137,7 @@ def test_items_and_sets_are_what_they_stand_for(every_set: dict[str, Any], kind:
 
 def test_equal_values_from_elsewhere_are_equal(every_set: dict[str, Any], tmp_path: Path) -> None:
     """Records stand for their values, not for the file that they are in; scenes without files too."""
-    starstruck_gen.generate(
-        starstruck_gen.GenerateSpec(scenes=(("train", 12),), seed=5), tmp_path / "seed-5"
-    )
+    starstruck_gen.generate(starstruck_gen.GenerateSpec(scenes=(("train", 12),), seed=5), tmp_path / "seed-5")
     stored, endless = starstruck_gen.load(str(tmp_path / "seed-5")), every_set["endless"]
     assert [one == other for one, other in zip(stored, endless, strict=True)] == [True] * 12
     assert {*stored} == {*endless}
@@ -313,6 +311,48 @@ def test_a_hugging_face_set_of_touches_has_a_row_each(every_set: dict[str, Any],
     np.testing.assert_array_equal(
         table[["x_m", "y_m"]].to_numpy(), [touch.pos_in_cell_m for touch in touches]
     )
+
+
+def test_a_repr_says_what_is_there(every_set: dict[str, Any], rows: Rows, tmp_path: Path) -> None:
+    digits, touches = every_set["digits"], every_set["touches"]
+    assert repr(digits[3:4]) == f"MeshDataset(1 digit of 'digits', split test, class {digits[3].label})"
+    assert repr(touches[:4]) == "Touches(4 touches of 4 rounds of 'images', split train, class 0)"
+    assert repr(rows[:60] + rows) == "Rows(160 rows of 'some', split train, classes a, b, c)"
+    assert repr(rows[:0]) == "Rows(0 rows of 'some', split train, no classes)"
+    assert repr(every_set["endless"][:2]) == "SceneDataset(2 scenes of seed 5, split train, classes 1, 2)"
+    hub = Shard("/home/me/hub/datasets--me--my-digits/snapshots/0123/data/test-00000-of-00001.parquet")
+    streamed = Shard("hf://datasets/me/my-digits@0123/data/test-00000-of-00001.parquet")
+    assert ShardedTable((hub, streamed)).origins == [("'me/my-digits'", "test")] * 2
+    hostile = written(tmp_path / "a\x1b[2Jb\u202e<b>", id=[1], label=[0])
+    assert repr(hostile) == "Rows(1 row of 'a\\x1b[2Jb\\u202e<b>', split train, class a)"
+    assert "<b>" not in hostile._repr_html_()
+    (tmp_path / "bad").mkdir()
+    broken = written(tmp_path / "bad", id=[1], label=[None])
+    assert "classes unreadable" in repr(broken)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_notebooks_show_small_pictures(every_set: dict[str, Any], kind: str) -> None:
+    items = every_set[kind]
+    page = items._repr_html_()
+    assert page.count("<img") == min(len(items), 8)
+    assert len(page) < 400_000
+    assert "<img" in items[0]._repr_html_()
+    assert "<img" not in items[:0]._repr_html_()
+
+
+def test_notebooks_show_clips(every_set: dict[str, Any]) -> None:
+    clip = every_set["clips"][0].sensor_video[1]
+    page = clip._repr_html_()
+    assert page.count("<img") == min(len(clip), 8)
+    assert f"{len(clip)} frames" in page
+
+
+def test_meshes_print_as_those_of_trimesh_do(every_set: dict[str, Any]) -> None:
+    digit = every_set["digits"][0]
+    mesh = mnist3d.Mesh(digit.vertices_m, digit.faces)
+    expected = repr(digit.mesh).replace("trimesh.Trimesh", "Mesh").replace("vertices.", "vertices_m.")
+    assert repr(mesh) == expected
 
 
 def test_touches_of_several_sets_are_joined(every_set: dict[str, Any]) -> None:
