@@ -202,8 +202,10 @@ class LazySequence(Sequence[T], Generic[T]):
         """
         wanted: list[int] = []
         for given in labels:
-            one = isinstance(given, (str, bytes)) or not isinstance(given, Iterable)
-            wanted += [self._label_number(given)] if one else map(self._label_number, given)
+            if isinstance(given, Iterable) and not isinstance(given, (str, bytes)):
+                wanted += map(self._label_number, given)
+            else:
+                wanted.append(self._label_number(given))
         return self._some(np.flatnonzero(np.isin(self.labels, wanted)))
 
     def by_label(self) -> dict[str, Self]:
