@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import re
+import tokenize
 import warnings
 from dataclasses import dataclass
 from functools import lru_cache
@@ -273,6 +274,13 @@ def open_npy(path: str) -> NpyFile:
         raise InputError(message) from error
 
 
+_DAMAGED_HEADER = (
+    *(ValueError, TypeError, EOFError, SyntaxError, tokenize.TokenError),
+    *(OverflowError, RecursionError, MemoryError),
+)
+"""What numpy's parsing of a damaged header, which is Python's text, runs into."""
+
+
 @lru_cache(maxsize=8)
 def _checked(path: str, size: int, time_ns: int) -> NpyFile:
     with Path(path).open("rb") as stream:
@@ -286,13 +294,16 @@ def _checked(path: str, size: int, time_ns: int) -> NpyFile:
         stream.seek(0)
         try:
             with warnings.catch_warnings():
-                # A file written by Python 2 reads well; that it is old is no news to its user.
-                warnings.simplefilter("ignore", UserWarning)
+                # A file written by Python 2, or with an old name of a type, reads well: no news to its user.
+                warnings.simplefilter("ignore")
                 if np.lib.format.read_magic(stream) == (1, 0):
                     shape, fortran, dtype = np.lib.format.read_array_header_1_0(stream)
                 else:
                     shape, fortran, dtype = np.lib.format.read_array_header_2_0(stream)
-        except (ValueError, EOFError) as error:
+            if min(shape, default=0) < 0:
+                message = f"shape {shape}"
+                raise ValueError(message)
+        except _DAMAGED_HEADER as error:
             message = (
                 f"{path}: the header of this .npy file is damaged ({error}), expected shape and dtype; "
                 "next: download or copy it again"

@@ -25,6 +25,7 @@ from numpy.typing import NDArray
 
 from mnist3d.sources import NO_WRITER, DigitCatalog, DigitImage
 from mnist3d.sources.canvas import SIDE_PX, enlarge
+from tactile_toolkit.bounds import require_unpackable
 from tactile_toolkit.errors import HubError, InputError, ItemError, MissingExtraError, StorageError
 
 __all__ = ["IMAGES_MAGIC", "LABELS_MAGIC", "MnistSource", "download_mnist", "read_idx"]
@@ -241,26 +242,34 @@ def read_idx(path: Path, magic: int) -> NDArray[np.uint8]:
     """Read a file of unsigned bytes, plain or (when its name ends in ``.gz``) gzipped, read-only.
 
     The first number of the file must be ``magic``, whose last byte is the number of dimensions. Raises
-    InputError when the file cannot be read, is damaged, cut off or too long, or is of another kind.
+    InputError when the file cannot be read, is damaged, cut off or too long, or is of another kind. No more
+    is unpacked than the header promises, and that is bounded, see :mod:`tactile_toolkit.bounds`.
     """
+    dimensions = magic & 0xFF
+    start = 4 + 4 * dimensions
     try:
         with gzip.open(path) if path.suffix == ".gz" else path.open("rb") as stream:
-            data = stream.read()
+            data = stream.read(start)
+            if len(data) < start:
+                story = f"is cut off, found {len(data)} bytes, expected a header of {start}"
+                raise _unusable(path, story)
+            found, *shape = struct.unpack(f">{1 + dimensions}I", data)
+            if found != magic:
+                story = f"found magic number {found}, expected {magic}"
+                raise _unusable(path, story)
+            promised = prod(shape)
+            require_unpackable(promised, str(path))
+            data = stream.read(promised)
+            too_long = stream.read(1)
     except (EOFError, gzip.BadGzipFile, zlib.error) as error:
         raise _unusable(path, f"is damaged or cut off ({error}), expected a whole gzip file") from error
     except OSError as error:
         raise _unusable(path, f"cannot be read ({error.strerror}), expected an IDX file") from error
-    dimensions = magic & 0xFF
-    start = 4 + 4 * dimensions
-    if len(data) < start:
-        raise _unusable(path, f"is cut off, found {len(data)} bytes, expected a header of {start}")
-    found, *shape = struct.unpack_from(f">{1 + dimensions}I", data)
-    if found != magic:
-        raise _unusable(path, f"found magic number {found}, expected {magic}")
-    promised = start + prod(shape)
-    if len(data) != promised:
-        raise _unusable(path, f"found {len(data)} bytes, expected {promised} for an array of shape {shape}")
-    return np.frombuffer(data, np.uint8, offset=start).reshape(shape)
+    if len(data) != promised or too_long:
+        length = f"more than {start + promised}" if too_long else str(start + len(data))
+        story = f"found {length} bytes, expected {start + promised} for an array of shape {shape}"
+        raise _unusable(path, story)
+    return np.frombuffer(data, np.uint8).reshape(shape)
 
 
 def _unusable(path: Path, story: str) -> InputError:

@@ -6,6 +6,7 @@ import contextlib
 import io
 import warnings
 import zipfile
+import zlib
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 from xml.etree import ElementTree
@@ -28,8 +29,9 @@ FORMATS = (".stl", ".3mf", ".ply", ".obj", ".glb")
 """Millimetres in all of them (3MF: the unit that the file names), except GLB, which is metres."""
 
 BROKEN_FILE = (
-    *(ValueError, KeyError, IndexError, TypeError, EOFError),
-    *(zipfile.BadZipFile, ElementTree.ParseError),
+    *(ValueError, KeyError, IndexError, TypeError, EOFError, OverflowError),
+    # RuntimeError: an archive that is encrypted, or packed in a way that Python does not know.
+    *(zipfile.BadZipFile, zlib.error, RuntimeError, ElementTree.ParseError),
 )
 """What parsing a damaged file raises."""
 

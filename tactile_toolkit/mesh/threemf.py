@@ -8,15 +8,17 @@ from __future__ import annotations
 
 import io
 import zipfile
+from array import array
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import IO, TYPE_CHECKING
 from xml.etree import ElementTree
 from xml.sax.saxutils import quoteattr
 
 import numpy as np
 
 from tactile_toolkit.arithmetic import moved
+from tactile_toolkit.bounds import require_unpackable
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -33,13 +35,14 @@ _MM_PER_UNIT = {
 }
 _CORE = "http://schemas.microsoft.com/3dmanufacturing/core/2015/02"
 _NS = {"m": _CORE}
+_MESH, _VERTEX, _TRIANGLE = (f"{{{_CORE}}}{name}" for name in ("mesh", "vertex", "triangle"))
+_LISTS = {f"{{{_CORE}}}{name}" for name in ("vertices", "triangles")}
 _PATH = "{http://schemas.microsoft.com/3dmanufacturing/production/2015/06}path"
 _MODEL_PATH = "3D/3dmodel.model"
 
 # A file of a few bytes can name itself as its own part, or unpack to any size.
 _DEEPEST = 32
 _MOST_PARTS = 100_000
-_MOST_BYTES = 2 * 2**30
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -64,6 +67,7 @@ class _Model:
 
     element: ElementTree.Element
     objects: dict[str, ElementTree.Element]
+    surfaces: dict[ElementTree.Element, Surface]
     mm_per_unit: float
 
 
@@ -78,6 +82,7 @@ class _Package:
         self._names = {name.lower().lstrip("/"): name for name in archive.namelist()}
         self._models: dict[str, _Model] = {}
         self._parts = 0
+        self._built_bytes = 0
 
     def built(self) -> Iterator[BuildItem]:
         """Yield each thing to build where it will be built, all its parts as one."""
@@ -99,13 +104,12 @@ class _Package:
             raise ValueError(message)
         if name not in self._models:
             size = sum(self._archive.getinfo(each).file_size for each in {*self._models, name})
-            if size > _MOST_BYTES:
-                message = f"its models take {size:,} bytes unpacked; expected at most {_MOST_BYTES:,}"
-                raise ValueError(message)
-            element = ElementTree.fromstring(self._archive.read(name))
+            require_unpackable(size, "3MF file: its XML")
+            with self._archive.open(name) as stream:
+                element, surfaces = _parsed(stream)
             objects = {str(each.get("id")): each for each in element.iterfind("m:resources/m:object", _NS)}
             unit = _MM_PER_UNIT[element.get("unit", "millimeter")]
-            self._models[name] = _Model(element, objects, unit)
+            self._models[name] = _Model(element, objects, surfaces, unit)
         return self._models[name]
 
     def _named(self, element: ElementTree.Element, here: _Model) -> tuple[_Model, str]:
@@ -126,13 +130,11 @@ class _Package:
         element = model.objects[identity]
         mesh = element.find("m:mesh", _NS)
         if mesh is not None:
-            vertices = mesh.iterfind("m:vertices/m:vertex", _NS)
-            triangles = mesh.iterfind("m:triangles/m:triangle", _NS)
-            points = [[float(vertex.attrib[axis]) for axis in "xyz"] for vertex in vertices]
-            faces = [
-                [int(triangle.attrib[corner]) for corner in ("v1", "v2", "v3")] for triangle in triangles
-            ]
-            return [(np.array(points, np.float64).reshape(-1, 3), np.array(faces, np.int32).reshape(-1, 3))]
+            surface = model.surfaces[mesh]
+            # A few bytes can name the same object again and again.
+            self._built_bytes += sum(part.nbytes for part in surface)
+            require_unpackable(self._built_bytes, "3MF file: what it builds")
+            return [surface]
         parts = []
         for component in element.iterfind("m:components/m:component", _NS):
             other, name = self._named(component, model)
@@ -155,6 +157,38 @@ class _Package:
         ]
 
 
+def _parsed(stream: IO[bytes]) -> tuple[ElementTree.Element, dict[ElementTree.Element, Surface]]:
+    """Parse a model; its meshes come as arrays, for a million vertices as elements would take a gigabyte."""
+    surfaces: dict[ElementTree.Element, Surface] = {}
+    points, corners = array("d"), array("q")
+    root = None
+    for event, element in ElementTree.iterparse(stream, events=("start", "end")):
+        root = element if root is None else root
+        tag = element.tag
+        if event == "start":
+            if tag == _MESH:
+                points, corners = array("d"), array("q")
+        elif tag == _VERTEX:
+            points.extend([float(element.attrib[axis]) for axis in "xyz"])
+            element.clear()
+        elif tag == _TRIANGLE:
+            corners.extend([int(element.attrib[corner]) for corner in ("v1", "v2", "v3")])
+            element.clear()
+        elif tag in _LISTS:
+            element.clear()
+        elif tag == _MESH:
+            faces = np.array(corners, np.int64)
+            if len(faces) and not (faces.min() >= -(2**31) and faces.max() < 2**31):
+                message = "a triangle names a vertex by a number of more than 32 bits"
+                raise ValueError(message)
+            vertices = np.array(points, np.float64).reshape(-1, 3)
+            surfaces[element] = (vertices, faces.astype(np.int32).reshape(-1, 3))
+    if root is None:  # a parser without an element raises
+        message = "the model holds nothing"
+        raise ValueError(message)
+    return root, surfaces
+
+
 def joined(surfaces: Sequence[Surface]) -> Surface:
     """Make one surface of several."""
     starts = np.cumsum([0, *(len(vertices) for vertices, _ in surfaces)])
@@ -169,7 +203,7 @@ def read_build(data: bytes) -> list[BuildItem]:
     """Read what a file says to build, in its order and where it will be built: each ``offset_mm`` is zero.
 
     Raises ValueError, KeyError, zipfile.BadZipFile or xml.etree.ElementTree.ParseError where the archive, the
-    model or a number in it is damaged.
+    model or a number in it is damaged; InputError where it unpacks to more than the limit.
     """
     with zipfile.ZipFile(io.BytesIO(data)) as archive:
         return list(_Package(archive).built())

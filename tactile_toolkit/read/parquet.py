@@ -22,6 +22,7 @@ from typing import IO, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from tactile_toolkit.bounds import require_unpackable
 from tactile_toolkit.cache import CACHE_VARIABLE, DiskCache, MemoryCache, cache_folder
 from tactile_toolkit.errors import IntegrityError, ToolkitError
 from tactile_toolkit.read.blocks import file_identity, map_block, write_blocks
@@ -39,6 +40,10 @@ from tactile_toolkit.store.shards import DATA_FOLDER, ShardName
 __all__ = ["CACHE_VARIABLE", "RowGroup", "Shard", "ShardedTable", "cache_folder"]
 
 _BLOCK_BYTES = 64 << 20
+_VALUE_BYTES = {"BOOLEAN": 1, "INT64": 8, "DOUBLE": 8, "INT96": 12}
+_MOST_TIMES = 500
+"""Rows take at most so many times the bytes that are stored of them, or might be one row; padding of clips
+takes about 20 times."""
 _TELLING = ("size", "ETag", "etag", "blob_id", "mtime", "created")
 """What stores say of a file, under which name each, that changes with its content."""
 
@@ -145,7 +150,7 @@ class Shard:
 
     def __getstate__(self) -> dict[str, Any]:
         """Pickle without footers; they are read again where needed, and must be of the same file."""
-        state = {"path": self.path, "rows": self.rows, "failures": self.failures}
+        state: dict[str, Any] = {"path": self.path, "rows": self.rows, "failures": self.failures}
         if "identity" in self.__dict__:
             state["identity"] = self.identity
         return state
@@ -161,6 +166,8 @@ class Shard:
         """Decode row groups, all columns or those named (a struct's fields by dotted name)."""
         parquet = self._parquet()
         wanted = range(self.metadata.num_row_groups) if groups is None else groups
+        for index in wanted if columns is None else ():  # a plain column is no larger than its rows
+            self._require_bounded(index)
         with self._named_damage():
             table = parquet.read_row_groups(list(wanted), columns=columns, use_threads=False)
         return plain_table(table)
@@ -204,6 +211,7 @@ class Shard:
 
     def blocks(self, index: int, columns: Sequence[str] | None = None) -> Iterator[RowGroup]:
         """Decode the blocks of a row group one after another, keeping none; all columns or those named."""
+        self._require_bounded(index)
         first_row = self.group_starts[index]
         for table in self._block_tables(index, columns):
             yield RowGroup(table, self.path, first_row)
@@ -215,6 +223,23 @@ class Shard:
                 "footer; next: run `verify` on the data set, then generate or download it again"
             )
             raise IntegrityError(message)
+
+    def _require_bounded(self, index: int) -> None:
+        """Refuse rows that unpack to more than the limit, by what the footer says of them.
+
+        A large row group is no harm, for blocks of it are unpacked; one of which next to nothing is stored
+        may be a single row.
+        """
+        group = self.metadata.row_group(index)
+        columns = [group.column(number) for number in range(group.num_columns)]
+        unpacked = sum(
+            max(column.total_uncompressed_size, column.num_values * _VALUE_BYTES.get(column.physical_type, 4))
+            for column in columns
+        )
+        stored = sum(column.total_compressed_size for column in columns)
+        if unpacked <= _MOST_TIMES * stored:
+            unpacked //= max(group.num_rows, 1)
+        require_unpackable(unpacked, f"{self.path!r}, rows from {self.group_starts[index]}:")
 
     def _block_tables(self, index: int, columns: Sequence[str] | None) -> Iterator[Any]:
         import pyarrow as pa

@@ -151,7 +151,8 @@ class TestRefusals:
         path = tmp_path / name_of("test", "images")
         path.write_bytes((path.read_bytes() + bytes(9))[: 16 + 4 * 784 + change])
         message = refusal(MnistSource(str(tmp_path)))
-        assert f"{path}: found {16 + 3136 + change} bytes, expected 3152 for an array of shape" in message
+        found = "more than 3152" if change > 0 else f"{16 + 3136 + change}"
+        assert f"{path}: found {found} bytes, expected 3152 for an array of shape" in message
 
     def test_empty_file(self, tmp_path: Path) -> None:
         write(tmp_path)

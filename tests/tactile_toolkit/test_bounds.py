@@ -1,0 +1,148 @@
+"""Small files that unpack to gigabytes are refused before they do, by one limit that can be raised."""
+
+from __future__ import annotations
+
+import gzip
+import io
+import struct
+import subprocess
+import sys
+import zipfile
+from pathlib import Path
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+
+from mnist3d.sources.hwdplus import open_npy
+from mnist3d.sources.mnist import IMAGES_MAGIC, read_idx
+from tactile_toolkit.bounds import UNPACKED_VARIABLE, require_unpackable
+from tactile_toolkit.errors import InputError
+from tactile_toolkit.mesh.files import read_mesh
+from tactile_toolkit.mesh.threemf import BuildItem, write_build
+from tactile_toolkit.read.parquet import Shard, ShardedTable
+
+VERTICES = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]], np.float64)
+FACES = np.array([[0, 2, 1], [0, 1, 3], [1, 2, 3], [0, 3, 2]], np.int32)
+
+
+def test_the_limit_is_raised_by_a_variable(monkeypatch: pytest.MonkeyPatch) -> None:
+    require_unpackable(512 << 20, "it")
+    with pytest.raises(InputError, match=rf"it unpacks to 536,870,913 bytes.*set {UNPACKED_VARIABLE}=513"):
+        require_unpackable((512 << 20) + 1, "it")
+    monkeypatch.setenv(UNPACKED_VARIABLE, "513")
+    require_unpackable((512 << 20) + 1, "it")
+    for wrong in ("much", "-1", "1.5", "9" * 400):
+        monkeypatch.setenv(UNPACKED_VARIABLE, wrong)
+        with pytest.raises(InputError, match="expected a whole number of MiB"):
+            require_unpackable(1, "it")
+
+
+def peak_mb(code: str, *arguments: str) -> tuple[float, str]:
+    """Return the peak memory beyond what the imports take, and what the code printed."""
+    lines = f"""
+import resource, sys
+from mnist3d.sources.mnist import IMAGES_MAGIC, read_idx
+from pathlib import Path
+from tactile_toolkit.errors import ToolkitError
+from tactile_toolkit.mesh.files import read_mesh
+import pyarrow.parquet
+from tactile_toolkit.read.parquet import Shard
+before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+try:
+    {code}
+except ToolkitError as error:
+    print(error)
+print((resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before) / 1024)
+"""
+    done = subprocess.run(
+        [sys.executable, "-c", lines, *arguments], check=True, capture_output=True, text=True
+    )
+    said, _, peak = done.stdout.strip().rpartition("\n")
+    return float(peak), said
+
+
+def test_a_gzip_file_is_unpacked_as_far_as_its_header_promises(tmp_path: Path) -> None:
+    file = tmp_path / "train-images-idx3-ubyte.gz"
+    with gzip.open(file, "wb", compresslevel=1) as stream:
+        stream.write(struct.pack(">4I", IMAGES_MAGIC, 2, 28, 28))
+        for _ in range(300):
+            stream.write(bytes(1 << 20))
+    peak, said = peak_mb("read_idx(Path(sys.argv[1]), IMAGES_MAGIC)", str(file))
+    assert "more than 1584 bytes, expected 1584" in said
+    assert peak < 50
+    with gzip.open(file, "wb") as stream:
+        stream.write(struct.pack(">4I", IMAGES_MAGIC, 1 << 20, 28, 28))
+    with pytest.raises(InputError, match="unpacks to 822,083,584 bytes; expected at most"):
+        read_idx(file, IMAGES_MAGIC)
+
+
+def zipped(model: bytes) -> bytes:
+    whole = io.BytesIO(write_build([BuildItem("thing", VERTICES, FACES)]))
+    packed = io.BytesIO()
+    with zipfile.ZipFile(whole) as old, zipfile.ZipFile(packed, "w", zipfile.ZIP_DEFLATED) as new:
+        for name in old.namelist():
+            new.writestr(name, model if name.endswith(".model") else old.read(name))
+    return packed.getvalue()
+
+
+def model_of(vertices: int) -> bytes:
+    whole = zipfile.ZipFile(io.BytesIO(write_build([BuildItem("thing", VERTICES, FACES)])))
+    text = whole.read("3D/3dmodel.model")
+    return text.replace(b"</vertices>", b'<vertex x="0" y="0" z="0"/>' * vertices + b"</vertices>")
+
+
+def test_a_3mf_of_many_vertices_takes_little_more_than_they_do(tmp_path: Path) -> None:
+    (tmp_path / "many.3mf").write_bytes(zipped(model_of(500_000)))
+    peak, said = peak_mb("print(len(read_mesh(sys.argv[1]).vertices_m))", str(tmp_path / "many.3mf"))
+    assert said == "500004"
+    assert peak < 200  # 480 MB when each was an element of a tree
+
+
+def test_a_3mf_beyond_the_limit_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    file = tmp_path / "bomb.3mf"
+    file.write_bytes(zipped(model_of(100_000)))
+    monkeypatch.setenv(UNPACKED_VARIABLE, "2")
+    with pytest.raises(InputError, match="its XML unpacks to 2,70"):
+        read_mesh(file)
+    components = b'<object id="9" type="model"><components>' + b'<component objectid="1"/>' * 20_000
+    text = model_of(0).replace(b"</resources>", components + b"</components></object></resources>")
+    file.write_bytes(zipped(text.replace(b'<item objectid="1"/>', b'<item objectid="9"/>')))
+    with pytest.raises(InputError, match="what it builds unpacks to 2,09"):
+        read_mesh(file)
+
+
+def test_a_row_of_millions_of_vertices_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    count = 6_000_000
+    monkeypatch.setenv(UNPACKED_VARIABLE, "64")
+    flat = pa.FixedSizeListArray.from_arrays(pa.array(np.zeros(3 * count, np.float32)), 3)
+    column = pa.ListArray.from_arrays(pa.array([0, count], pa.int32()), flat)
+    file = tmp_path / "train.parquet"
+    pq.write_table(pa.table({"id": [0], "mesh.vertices": column}), file, compression="zstd")
+    assert file.stat().st_size < 200_000
+    for code in ("Shard(sys.argv[1]).block(0, 0)", "Shard(sys.argv[1]).read()"):
+        peak, said = peak_mb(code, str(file))
+        assert "train.parquet', rows from 0: unpacks to 72,000,0" in said
+        assert peak < 50
+
+
+def test_padded_rows_are_none_of_those(tmp_path: Path) -> None:
+    rows = [[0.0] * 30_000] * 100
+    pq.write_table(pa.table({"id": range(100), "padding": rows}), tmp_path / "train.parquet")
+    assert ShardedTable((Shard(str(tmp_path / "train.parquet")),)).locate(99)[1] == 99
+
+
+def test_a_damaged_header_of_numpy_is_named(tmp_path: Path) -> None:
+    """Each byte of the header, changed in several ways; what still parses is read as what it says."""
+    file = tmp_path / "labels.npy"
+    np.save(file, np.arange(20))
+    content = file.read_bytes()
+    for place in range(128):
+        for value in (content[place] ^ 1, content[place] ^ 8, ord("("), ord("'"), 0, 255):
+            file.write_bytes(content[:place] + bytes([value]) + content[place + 1 :])
+            try:
+                found = open_npy(str(file))
+            except InputError:
+                continue
+            assert all(length >= 0 for length in found.shape)
