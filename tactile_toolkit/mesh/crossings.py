@@ -272,10 +272,15 @@ def _passages(
     return place[certain], place[~certain & (inside >= -tolerance)]
 
 
-_DIRECTIONS: Numbers = np.array(
-    [(x, y, z) for x in (-1, 0, 1) for y in (-1, 0, 1) for z in (-1, 0, 1) if (x, y, z) != (0, 0, 0)],
-    np.float64,
-)
+def _directions() -> Numbers:
+    """Return directions all around, none in a plane that faces of things made by hand lie in."""
+    steps = np.array([-1.0, 0.0, 1.0])
+    grid = np.stack(np.meshgrid(steps, steps, steps), axis=-1).reshape(-1, 3)
+    directions = grid[np.abs(grid).sum(axis=1) > 0] + np.array([0.137, 0.211, 0.293])
+    return np.asarray(directions / np.sqrt((directions * directions).sum(axis=1, keepdims=True)))
+
+
+_DIRECTIONS = _directions()
 
 
 def _winding_numbers(vertices_mm: Numbers, faces: Indices, points_mm: Numbers) -> Numbers:
