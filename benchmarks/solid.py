@@ -120,7 +120,7 @@ def print_sizes(reports: list[PrintReport], meshes: list[Mesh]) -> None:
         "overhang, mm^2": [r.overhang_mm2 for r in reports],
         "overhang per footprint": [r.overhang_mm2 * r.size_mm[2] / r.volume_mm3 for r in reports],
         "contact, mm^2": [r.contact_mm2 for r in reports],
-        "volume, mm^3": [r.volume_mm3 for r in reports],
+        "volume, mm³": [r.volume_mm3 for r in reports],
     }
     print("over the digits                   min       5%      50%      95%      max")
     for name, values in columns.items():

@@ -5,7 +5,7 @@ from __future__ import annotations
 import inspect
 import os
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, redirect_stderr, redirect_stdout
 from dataclasses import MISSING, dataclass, fields, is_dataclass
 from functools import wraps
@@ -91,6 +91,7 @@ def _with_groups(function: Callable[..., None]) -> Callable[..., None]:
                 parameter.replace(kind=parameter.KEYWORD_ONLY, annotation=hints[parameter.name])
             )
     parameters += _parameters_of(_Everywhere)
+    options = {parameter.name: _option(parameter) for parameter in parameters}
 
     @wraps(function)
     def call(**values: Any) -> None:
@@ -98,13 +99,20 @@ def _with_groups(function: Callable[..., None]) -> Callable[..., None]:
             return group(**{field.name: values.pop(field.name) for field in fields(group)})
 
         everywhere = taken(_Everywhere)
-        with _errors_reported(everywhere.debug):
+        with _errors_reported(everywhere.debug, options):
             function(**{name: taken(group) for name, group in groups.items()}, **values)
 
     # Typer asks both; two options of one name are refused by `Signature`.
     call.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]
     call.__annotations__ = {parameter.name: parameter.annotation for parameter in parameters}
     return call
+
+
+def _option(parameter: inspect.Parameter) -> str:
+    """Return an option as users write it."""
+    # Typer keeps the first name that is declared in the place of the default.
+    declared = getattr(getattr(parameter.annotation, "__metadata__", [None])[0], "default", None)
+    return declared if isinstance(declared, str) else f"--{parameter.name.replace('_', '-')}"
 
 
 def _parameters_of(group: Any) -> list[inspect.Parameter]:
@@ -121,7 +129,7 @@ def _parameters_of(group: Any) -> list[inspect.Parameter]:
 
 
 @contextmanager
-def _errors_reported(debug: bool) -> Iterator[None]:
+def _errors_reported(debug: bool, options: Mapping[str, str]) -> Iterator[None]:
     """Turn the toolkit's errors into messages and exit codes, or let the traceback through."""
     try:
         # Besides taking a second, pyarrow's import of pandas swallows a Ctrl-C that comes during it.
@@ -132,11 +140,19 @@ def _errors_reported(debug: bool) -> Iterator[None]:
     except ToolkitError as error:
         if debug or os.environ.get(_DEBUG_VARIABLE):
             raise
-        sys.stderr.write(f"error: {error}\n")
+        sys.stderr.write(f"error: {_with_option(str(error), options)}\n")
         raise typer.Exit(error.exit_code) from error
     except KeyboardInterrupt as error:
         sys.stderr.write("interrupted; what was finished is kept, the same command goes on from there\n")
         raise typer.Exit(EXIT_INTERRUPTED) from error
+
+
+def _with_option(message: str, options: Mapping[str, str]) -> str:
+    """Begin a message about a parameter of the library with the name that it has on the command line."""
+    first, space, rest = message.partition(" ")
+    name = first.rpartition(".")[2]
+    option = options.get(name) or (options.get(f"{name}m", "") and f"{options[f'{name}m']}, in metres,")
+    return f"{option or first}{space}{rest}"
 
 
 class _Output:

@@ -36,10 +36,11 @@ def print_copy(sink: Sink, folder: Path, kind: DatasetKind) -> None:
     from tactile_toolkit.store.folder import DataFolder
     from tactile_toolkit.store.origin import read_record
 
+    place = DataFolder(str(folder))
     if not folder.is_dir():
-        message = f"{str(folder)!r} is no folder; next: give the folder of a generated or downloaded data set"
+        message = f"{place.lacks('data set')}; next: give the folder of a generated or downloaded data set"
         raise InputError(message)
-    record = read_record(DataFolder(str(folder)))
+    record = read_record(place)
     entries = []
     for split, dataset in open_splits(str(folder), None, kind.load, kind.nouns).items():
         paths = [Path(shard.path) for shard in find_shards(str(folder), split)]

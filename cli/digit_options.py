@@ -110,7 +110,7 @@ class SourceOptions:
             if value is not None and value is not False and self.source not in sources:
                 option = f"--{field.name.replace('_', '-')}"
                 message = (
-                    f"{option} does not belong to --source {self.source}; next: leave it away, or name its "
+                    f"{option} does not belong to --source {self.source}; next: leave it out, or name its "
                     f"source (--source {' or '.join(sources)})"
                 )
                 raise InputError(message)
@@ -164,7 +164,9 @@ class SolidOptions:
     half_thickness_mm: Annotated[
         float, typer.Option(help="Height above the mid-plane of ink that is wide enough.")
     ] = 4.0
-    vertices: Annotated[int, typer.Option(metavar="N", help="Vertices of a mesh, about.")] = 5_000
+    target_vertices: Annotated[
+        int, typer.Option("--vertices", metavar="N", help="Vertices of a mesh, about.")
+    ] = 5_000
     join_bodies: Annotated[
         bool, typer.Option("--join-bodies", help="Bridge separate pieces so that a digit prints in one.")
     ] = False
@@ -173,9 +175,4 @@ class SolidOptions:
         """Return the specification of solids."""
         from mnist3d.solid import SolidSpec
 
-        return SolidSpec(
-            profile=self.profile,
-            half_thickness_mm=self.half_thickness_mm,
-            target_vertices=self.vertices,
-            join_bodies=self.join_bodies,
-        )
+        return SolidSpec(**{field.name: getattr(self, field.name) for field in fields(self)})

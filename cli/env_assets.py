@@ -120,7 +120,7 @@ def info(
     sink.document([summary.to_dict() for summary in summaries])
     if not summaries:
         sink.line(f"{root} holds no data sets")
-    header = ("name", "split", "kind", "rows", "classes", "largest mm", "volume mm^3")
+    header = ("name", "split", "kind", "rows", "classes", "largest mm", "volume mm³")
     rows = [
         (
             summary.name,

@@ -36,6 +36,12 @@ class MeshFormat(StrEnum):
     glb = "glb"
 
 
+def _beds(begun: str) -> list[str]:
+    from tactile_toolkit.printing.packing import BEDS_MM
+
+    return [name for name in BEDS_MM if name.startswith(begun)]
+
+
 @dataclass(frozen=True, slots=True)
 class ExportOptions:
     """Options of the command, in the order of its help."""
@@ -60,11 +66,21 @@ class ExportOptions:
     scale: Annotated[float, typer.Option(metavar="FACTOR", help="Factor on all lengths.")] = 1.0
     plate: Annotated[
         str | None,
-        typer.Option(metavar="256x256", help="Pack the objects on build plates of this size, in mm."),
+        typer.Option(
+            "--plate",
+            "--bed",
+            metavar="256x256|prusa-mk4",
+            help="Pack the objects on build plates of this size, in mm, or of this printer.",
+            autocompletion=_beds,
+        ),
     ] = None
     gap: Annotated[
         float | None,
         typer.Option(metavar="MM", help="Distance between objects on a plate.", show_default="3"),
+    ] = None
+    margin: Annotated[
+        float | None,
+        typer.Option(metavar="MM", help="Room at the edges of a plate, for a skirt.", show_default="7"),
     ] = None
     out: Out = Path("prints")
     workers: Workers = 1
@@ -113,14 +129,16 @@ def _plate_spec(options: ExportOptions) -> PlateSpec | None:
     from tactile_toolkit.printing.packing import PlateSpec
 
     if options.plate is None:
-        if options.gap is not None:
-            message = "--gap is about build plates; next: add --plate 256x256"
-            raise InputError(message)
+        for option, value in (("--gap", options.gap), ("--margin", options.margin)):
+            if value is not None:
+                message = f"{option} is about build plates; next: add --plate 256x256"
+                raise InputError(message)
         return None
     if options.file_format not in (None, MeshFormat.threemf):
         message = f"--plate writes 3mf, which holds named objects; --format {options.file_format} does not"
         raise InputError(message)
-    return PlateSpec.parse(options.plate, 3.0 if options.gap is None else options.gap)
+    given = {"gap_mm": options.gap, "margin_mm": options.margin}
+    return PlateSpec.parse(options.plate, **{name: mm for name, mm in given.items() if mm is not None})
 
 
 def _chosen(kind: DatasetKind, options: ExportOptions) -> list[PrintObject]:
@@ -160,7 +178,7 @@ def _export_files(sink: Sink, objects: list[PrintObject], options: ExportOptions
     if made.files and len(made.files) <= _ROWS_SHOWN:
         sizes = [" x ".join(f"{side:.1f}" for side in file.size_mm) for file in made.files]
         rows = [
-            (file.file, size, f"{file.volume_mm3:.0f}", file.bytes, file.state)
+            (file.file, size, f"{file.volume_mm3:,.0f}", file.bytes, file.state)
             for file, size in zip(made.files, sizes, strict=True)
         ]
         sink.table(("file", "size mm", "volume mm³", "bytes", ""), rows)

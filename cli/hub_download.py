@@ -11,7 +11,7 @@ import typer
 
 from cli.application import command
 from cli.options import Json, local_place
-from cli.output import Sink, bytes_text, counted
+from cli.output import BYTES, Sink, bytes_text, counted
 from tactile_toolkit.kind import DatasetKind
 
 if TYPE_CHECKING:
@@ -25,7 +25,8 @@ FILES_SHOWN = 8
 """Files of a longer list that are named."""
 
 Name = Annotated[
-    str, typer.Argument(metavar="NAME", help="Short name (see `list`), or USER/NAME on the Hugging Face Hub.")
+    str,
+    typer.Argument(metavar="NAME", help="Short name of a published set, or USER/NAME on the Hub."),
 ]
 Splits = Annotated[
     list[str] | None, typer.Option("--split", metavar="SPLIT", help="Only this split; may be given again.")
@@ -67,8 +68,8 @@ def add_download(app: typer.Typer, kind: DatasetKind) -> None:
     ) -> None:
         """Fetch a data set of the Hub, or some of its splits, and check every file.
 
-        A download that broke off goes on where it stopped when the same command is given again. `list` shows
-        the names of the published sets.
+        A download that broke off goes on where it stopped when the same command is given again. The command
+        list names the published sets.
         """
         from tactile_toolkit.exchange.download import plan_download
 
@@ -155,10 +156,8 @@ def _require_consent(plan: DownloadPlan, *, yes: bool) -> None:
 def _fetch(sink: Sink, plan: DownloadPlan) -> str:
     from tactile_toolkit.exchange.download import download as carry_out
 
-    with sink.progress("fetching, kB", "kB") as update:
-        return carry_out(
-            plan, lambda done, total: update(done // 1000, max(total // 1000, 1)), on_wait=sink.talk
-        )
+    with sink.progress("fetching", BYTES) as update:
+        return carry_out(plan, lambda done, total: update(done, max(total, 1)), on_wait=sink.talk)
 
 
 def _facts(plan: DownloadPlan) -> dict[str, object]:

@@ -72,7 +72,7 @@ def print_forecast(sink: Sink, kind: DatasetKind, view: Forecast, out: Path, mak
     sink.table(header, [(entry.split, entry.rows, entry.shards, entry.finished) for entry in view.splits])
     if view.replaced is not None:
         parts = ", ".join(f"{split} {rows:,}" for split, rows in view.replaced.items())
-        held = f"{sum(view.replaced.values()):,} rows ({parts})" if parts else "no rows"
+        held = f"{counted(sum(view.replaced.values()), 'rows')} ({parts})" if parts else "no rows"
         sink.line(f"would replace the data set in {out}: {held}")
     sink.line(
         f"would make {counted(view.rows_to_make, kind.nouns)} in {out}: about {bytes_text(view.bytes)} of "

@@ -101,7 +101,7 @@ def validate(
 
     Example: mnist3d validate digits part.stl
 
-    Exit code 1 when a mesh is no valid solid.
+    Exit code 1 when a mesh is not a valid solid.
     """
     from mnist3d.validate import validate_paths
 
@@ -118,7 +118,8 @@ def validate(
         sink.table(*result.table())
     failed = sum(result.failed for result in results)
     checked = sum(result.checked for result in results)
-    sink.line(f"{checked - failed:,} of {checked:,} meshes are valid solids")
+    are = "mesh is a valid solid" if checked == 1 else "meshes are valid solids"
+    sink.line(f"{checked - failed:,} of {checked:,} {are}")
     if failed:
         raise typer.Exit(EXIT_FAILED)
 

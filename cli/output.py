@@ -8,14 +8,23 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from cli.options import Json, Quiet
 from tactile_toolkit.wording import counted
 
-__all__ = ["Sink", "bytes_text", "counted", "duration_text", "flat_lines"]
+if TYPE_CHECKING:
+    from rich.table import Table
+
+__all__ = ["BYTES", "Sink", "bytes_text", "counted", "duration_text", "flat_lines", "rate_text"]
+
+BYTES = "bytes"
+"""A unit of progress: counts are sizes."""
 
 _PLAIN_INTERVAL_S = 5.0
+_SPANS_S = (("s", 1), ("min", 60))
+_SENTENCE = 24
+"""Cells of a table that are longer may be folded between words."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,19 +59,23 @@ class Sink:
         if not rows:
             sys.stdout.write(f"{title}\n" if title else "")
             return
-        from rich import box
         from rich.console import Console
-        from rich.table import Table
 
-        table = Table(*header, title=title or None, title_justify="left", box=box.SIMPLE_HEAD)
-        for column, sample in zip(table.columns, rows[0] if rows else (), strict=False):
-            column.justify = "right" if isinstance(sample, (int, float)) else "left"
-        for row in rows:
-            table.add_row(*(f"{cell:,}" if isinstance(cell, int) else str(cell) for cell in row))
         console = Console(file=sys.stdout)
         # Piped into a file, a table keeps its columns instead of being folded at 80 characters.
         console.width = console.width if console.is_terminal else 160
-        console.print(table)
+        cells = [[f"{cell:,}" if isinstance(cell, int) else str(cell) for cell in row] for row in rows]
+        widths = _widths(header, cells, console.width - 3 * len(header) + 1)
+        # Rendered here and written as all else is: rich has an exit of its own for a closed pipe.
+        with console.capture() as written:
+            if title:
+                console.print(title, markup=False, highlight=False)
+            if widths is None:
+                console.print(_records(header, cells))
+            else:
+                right = [isinstance(sample, (int, float)) for sample in rows[0]]
+                console.print(_grid(header, cells, widths, right))
+        sys.stdout.write(written.get())
 
     @contextmanager
     def progress(self, what: str, unit: str) -> Iterator[Callable[[int, int], None]]:
@@ -82,6 +95,56 @@ class Sink:
             yield _plain_lines(self.talk, what, unit)
 
 
+def _widths(header: Sequence[str], rows: Sequence[Sequence[str]], room: int) -> list[int] | None:
+    """Return the widths of columns that break no word and no short cell; None where there is no room."""
+    columns = [[name, *column] for name, column in zip(header, zip(*rows, strict=True), strict=True)]
+    widths = [max(map(len, column)) for column in columns]
+    least = [
+        max(len(part) for cell in column for part in _unbroken(cell, cell is column[0])) for column in columns
+    ]
+    if sum(least) > room:
+        return None
+    while sum(widths) > room:
+        widest = max(range(len(widths)), key=lambda index: widths[index] - least[index])
+        widths[widest] -= 1
+    return widths
+
+
+def _unbroken(cell: str, is_header: bool) -> list[str]:
+    """Return the parts of a cell that stay on one line: all of it, or the words of a header or a sentence."""
+    return cell.split() or [""] if is_header or len(cell) > _SENTENCE else [cell]
+
+
+def _grid(
+    header: Sequence[str], rows: Sequence[Sequence[str]], widths: Sequence[int], right: Sequence[bool]
+) -> Table:
+    """Lay out rows below their header."""
+    from rich import box
+    from rich.table import Table
+    from rich.text import Text
+
+    table = Table(box=box.SIMPLE_HEAD, pad_edge=False)
+    for name, width, is_number in zip(header, widths, right, strict=True):
+        table.add_column(Text(name), justify="right" if is_number else "left", width=width)
+    for row in rows:
+        table.add_row(*map(Text, row))
+    return table
+
+
+def _records(header: Sequence[str], rows: Sequence[Sequence[str]]) -> Table:
+    """Lay out rows under one another, where a terminal is too narrow for their columns."""
+    from rich.table import Table
+    from rich.text import Text
+
+    table = Table.grid(padding=(0, 2))
+    for row in rows:
+        table.add_row()
+        for name, cell in zip(header, row, strict=True):
+            table.add_row(Text(f"  {name}" if name != header[0] else name), Text(cell))
+    table.add_row()
+    return table
+
+
 @contextmanager
 def _bar(what: str, unit: str) -> Iterator[Callable[[int, int], None]]:
     from rich import progress
@@ -90,16 +153,17 @@ def _bar(what: str, unit: str) -> Iterator[Callable[[int, int], None]]:
     columns = (
         progress.TextColumn("{task.description}"),
         progress.BarColumn(),
-        progress.MofNCompleteColumn(),
+        progress.TextColumn("{task.fields[count]}"),
         progress.TextColumn("{task.fields[rate]}"),
         progress.TimeRemainingColumn(),
     )
     start_s = time.monotonic()
     with progress.Progress(*columns, console=Console(file=sys.stderr)) as bar:
-        task = bar.add_task(what, total=None, rate="")
+        task = bar.add_task(what, total=None, count="", rate="")
 
         def update(done: int, total: int) -> None:
-            bar.update(task, completed=done, total=total, rate=_rate(done, time.monotonic() - start_s, unit))
+            rate = rate_text(done, time.monotonic() - start_s, unit)
+            bar.update(task, completed=done, total=total, count=_count(done, total, unit), rate=rate)
 
         yield update
 
@@ -115,13 +179,26 @@ def _plain_lines(talk: Callable[[str], None], what: str, unit: str) -> Callable[
         last_s = now_s
         elapsed_s = now_s - start_s
         left_s = elapsed_s / done * (total - done)
-        talk(f"{what}: {done:,} of {total:,}, {_rate(done, elapsed_s, unit)}, {duration_text(left_s)} left")
+        rate = rate_text(done, elapsed_s, unit)
+        talk(f"{what}: {_count(done, total, unit)}, {rate}, {duration_text(left_s)} left")
 
     return update
 
 
-def _rate(done: int, elapsed_s: float, unit: str) -> str:
-    return f"{done / elapsed_s:.1f} {unit}/s" if elapsed_s > 0 else ""
+def _count(done: int, total: int, unit: str) -> str:
+    amount = bytes_text if unit == BYTES else "{:,}".format
+    return f"{amount(done)} of {amount(total)}"
+
+
+def rate_text(done: int, elapsed_s: float, unit: str) -> str:
+    """Write how fast it goes, in numbers that can be read: ``"12 digits/s"``, ``"3.0 pictures/min"``."""
+    rate = done / elapsed_s if elapsed_s > 0 else 0.0
+    if not rate or unit == BYTES:
+        return f"{bytes_text(rate)}/s" if rate else ""
+    each, rate = next(
+        ((each, rate * seconds) for each, seconds in _SPANS_S if rate * seconds >= 1), ("h", rate * 3600)
+    )
+    return f"{rate:,.0f} {unit}/{each}" if rate >= 9.95 else f"{rate:.1f} {unit}/{each}"
 
 
 def bytes_text(size: float) -> str:
@@ -144,9 +221,19 @@ def duration_text(seconds: float) -> str:
 
 
 def flat_lines(values: Any, path: str = "") -> list[str]:
-    """Lay out nested values as lines of dotted names."""
+    """Lay out nested values as lines of dotted names, in words."""
     if isinstance(values, dict) and values:
-        return [
-            line for key, value in values.items() for line in flat_lines(value, f"{path}.{key}".lstrip("."))
-        ]
-    return [f"{path} = {values}"]
+        inner = values.items()
+    elif isinstance(values, list) and any(isinstance(value, (dict, list)) for value in values):
+        inner = dict(enumerate(values, 1)).items()
+    else:
+        return [f"{path} = {_in_words(values)}"]
+    return [line for key, value in inner for line in flat_lines(value, f"{path}.{key}".lstrip("."))]
+
+
+def _in_words(value: Any) -> str:
+    if value is None or value in ([], {}):
+        return "none"
+    if isinstance(value, list):
+        return ", ".join(map(_in_words, value))
+    return {True: "yes", False: "no"}[value] if isinstance(value, bool) else str(value)

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 __all__ = ["SceneOptions", "split_sizes"]
 
 
-# Notches at half the radius, as published, are no notches between 3 tips.
+# Notches at half the radius, as published, are not notches any more between 3 tips.
 _FEWEST_POINTS, _RATIO_OF_FEWEST = 3, 0.25
 
 _LONGEST_COUNT = 18
@@ -31,7 +31,7 @@ class SceneOptions:
         str, typer.Option(metavar="1-3|1,2,5", help="Number of stars of each class; a class for each number.")
     ] = "1-3"
     distractors: Annotated[
-        str, typer.Option(metavar="0-5", help="Least and most objects of a scene that are no stars.")
+        str, typer.Option(metavar="0-5", help="Least and most objects of a scene that are not stars.")
     ] = "0-5"
     star_points: Annotated[int | None, typer.Option(metavar="N", help="Tips of a star; 5 as published.")] = (
         None

@@ -18,7 +18,7 @@ from cli.hub_download import add_download
 from cli.hub_upload import add_upload
 from cli.making import make_with_progress, print_conclusion, print_forecast
 from cli.options import Folder, Json, Limit, Making, Out, Seed, Workers, process_count
-from cli.output import Sink, bytes_text
+from cli.output import Sink, bytes_text, counted
 from cli.preview_commands import preview_scenes
 from cli.scene_options import SceneOptions, split_sizes
 from starstruck_gen.kind import KIND
@@ -133,8 +133,9 @@ def validate(
     bodies = sum(result.bodies for result in results)
     stars = sum(result.stars for result in results)
     declared = any(result.declared for result in results)
+    are = "scene is" if checked == 1 else "scenes are"
     which = f", {stars:,} of them stars" if declared else "; which of them are stars is not declared"
-    sink.line(f"{checked - failed:,} of {checked:,} scenes are valid: {bodies:,} solids{which}")
+    sink.line(f"{checked - failed:,} of {checked:,} {are} valid: {counted(bodies, 'solids')}{which}")
     if failed:
         raise typer.Exit(EXIT_FAILED)
 

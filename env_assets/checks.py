@@ -120,7 +120,7 @@ def require_outward(meshes: Measurable, where: str) -> None:
     wrong = np.flatnonzero(~(volumes > 0))
     if len(wrong):
         message = (
-            f"mesh {meshes.ids[wrong[0]]} of {where} has a volume of {volumes[wrong[0]]:.3g} m^3, expected "
+            f"mesh {meshes.ids[wrong[0]]} of {where} has a volume of {volumes[wrong[0]]:.3g} m³, expected "
             f"more than 0 ({len(wrong):,} of {len(meshes):,} have not): its triangles face inwards, or it is "
             "not closed; next: run `validate` on the data set and generate it again"
         )

@@ -16,6 +16,7 @@ from tactile_toolkit.catalog.locate import find_shards, splits_of
 from tactile_toolkit.errors import InputError, ToolkitError
 from tactile_toolkit.mesh.mesh import MM_PER_M
 from tactile_toolkit.read.parquet import ShardedTable
+from tactile_toolkit.store.folder import DataFolder
 
 __all__ = ["AssetSummary", "inventory"]
 
@@ -50,7 +51,7 @@ def inventory(root: Path) -> list[AssetSummary]:
     when there is no such folder.
     """
     if not root.is_dir():
-        message = f"no folder {str(root)!r}; next: give the folder of an AssetProvider"
+        message = f"{DataFolder(str(root)).lacks('data sets')}; next: give the folder of an AssetProvider"
         raise InputError(message)
     places = sorted(place for place in root.iterdir() if place.is_dir() and not place.name.startswith("."))
     return [summary for place in places for summary in _summaries(place)]

@@ -121,7 +121,7 @@ def _stored(recipe: Recipe) -> Any:
 
 
 def require_whole(name: str, value: Any, least: int) -> None:
-    """Refuse what is no whole number, or too small a one."""
+    """Refuse what is not a whole number, or too small a one."""
     try:
         fits = operator.index(value) >= least
     except TypeError:

@@ -223,7 +223,7 @@ class AssetProvider:
         Raises
         ------
         InputError
-            The record is no scene, or its data set does not store what stands where.
+            The record is not a scene, or its data set does not store what stands where.
         """
         require_scene(record)
         found: tuple[Placement, ...] = record.placements

@@ -211,7 +211,7 @@ _SOURCES = (
         "strokes drawn by the toolkit, seed {seed}, {count:,} digits, drawing version {drawing_version}",
         "mit",
         "MIT, as the toolkit: no one's handwriting is in it.",
-        "The strokes are drawn by a program. They vary like handwriting, but they are no one's.",
+        "The strokes are drawn by a program. They vary like handwriting, but nobody wrote them.",
         f"{_PUBLISHED}; this copy stands in for it with drawn digits.",
     ),
     SourceWords(

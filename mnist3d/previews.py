@@ -45,7 +45,6 @@ _IMAGES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".webp")
 _TILE_PX = 132
 _PANEL_PX = (560, 520)
 _FILLED = 0.9
-_MM3_PER_CM3 = 1000.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -82,7 +81,8 @@ def plan_previews(name: str, spec: PreviewSpec) -> PicturePlan:
         draw = partial(draw_steps, pixels=pixels, spec=SolidSpec(), title=path.name)
         return _plan_file("steps", name, spec, draw)
     known = ", ".join((".parquet", *FORMATS, *_IMAGES))
-    message = f"{name!r} ends in {ending!r}; expected a folder, or a file ending in one of {known}"
+    found = f"ends in {ending!r}" if ending else "has no ending"
+    message = f"{name!r} {found}; expected a folder, or a file ending in one of {known}"
     raise InputError(message)
 
 
@@ -232,19 +232,17 @@ def draw_distributions(tables: dict[str, Any], least_wall_mm: float | None, titl
     A line marks the wall below which the print profile warns.
     """
 
-    def spread(heading: str, label: str, column: str, unit: float = 1.0, **more: Any) -> Spread:
+    def spread(heading: str, unit: str, column: str, **more: Any) -> Spread:
         groups = [
-            (split, np.asarray(table[column].to_numpy()) / unit)
-            for split, table in tables.items()
-            if len(table)
+            (split, np.asarray(table[column].to_numpy())) for split, table in tables.items() if len(table)
         ]
-        return Spread(heading, label, tuple(groups), "digits", together="all splits", **more)
+        return Spread(heading, unit, tuple(groups), "digits", together="all splits", **more)
 
     limit = None if least_wall_mm is None else (least_wall_mm, f"warned of below {least_wall_mm:g} mm")
     panels = (
         spread("Height", "mm", "size_z_mm"),
-        spread("Volume", "cm³", "volume_mm3", _MM3_PER_CM3),
-        spread("Vertices", "vertices of a mesh", "vertices"),
+        spread("Volume", "mm³", "volume_mm3"),
+        spread("Vertices", "", "vertices"),
         spread("Thinnest wall", "mm", "thinnest_wall_mm", limit=limit),
     )
     return Drawing(plot_spreads(panels, title))

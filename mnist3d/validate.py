@@ -45,7 +45,7 @@ class CheckedItem:
         if not report.is_solid:
             return (self.name, "NO", "-", "-", report.bodies, "-", report.detail or report.problem or "")
         size = " x ".join(f"{side:.1f}" for side in report.size_mm)
-        numbers = (f"{report.volume_mm3:.0f}", size, report.bodies, f"{report.thinnest_wall_mm:.2f}")
+        numbers = (f"{report.volume_mm3:,.0f}", size, report.bodies, f"{report.thinnest_wall_mm:.2f}")
         return (self.name, "yes", *numbers, ", ".join(report.warnings) or "none")
 
 

@@ -556,7 +556,7 @@ def _row_of_each_touch(row: Row, per_touch: Collection[str]) -> Any:
 
 
 def _listed(wanted: Iterable[Any], types: tuple[type, ...], expected: str) -> list[Any]:
-    """Lay values and sequences of them in one list; InputError where one is of none of the types."""
+    """Lay values and sequences of them in one list; InputError where one has another type."""
     values: list[Any] = []
     for item in wanted:
         if isinstance(item, np.ndarray):

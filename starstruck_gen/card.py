@@ -46,7 +46,7 @@ _COLUMNS = {
     "id": ("", f"number of the scene: from 0 in train, from {scene_id(SPLITS[1], 0):,} in test"),
     "label": ("", "the class, named by the number of stars"),
     "star_count": ("", "number of stars"),
-    "distractor_count": ("", "number of objects that are no stars"),
+    "distractor_count": ("", "number of objects that are not stars"),
     "placements": (
         "one per object: m, rad, frame below",
         "each object in the order of placing, stars first: `shape`, centre `x_m` and `y_m`, `angle_rad` "

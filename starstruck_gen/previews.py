@@ -69,7 +69,8 @@ def plan_previews(name: str, spec: PreviewSpec) -> PicturePlan:
     """
     path = Path(name).expanduser()
     if not path.is_dir() and not (path.is_file() and path.suffix.lower() == ".parquet"):
-        message = f"{name!r} is neither a folder nor a Parquet file; expected a data set of scenes"
+        found = "is not a Parquet file" if path.exists() else "does not exist"
+        message = f"{name!r} {found}; expected the folder or a Parquet file of a data set of scenes"
         raise InputError(message)
     opened: MeshPreviews[SceneMeshDataset] = MeshPreviews(KIND, name, spec)
     made_by = SceneSpec.from_dict(opened.made_by["scene"]) if opened.made_by else None

@@ -69,7 +69,7 @@ def sample_scene(spec: SceneSpec, rng: np.random.Generator, star_count: int | No
     SamplingExhausted
         When an object found no position in any of ``spec.restarts + 1`` layouts.
     InputError
-        When ``star_count`` is none of ``spec.stars``.
+        When ``star_count`` is not in ``spec.stars``.
 
     Examples
     --------

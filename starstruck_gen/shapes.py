@@ -437,7 +437,7 @@ class Shape:
         Raises
         ------
         InputError
-            When the text is no such key.
+            When the text is not such a key.
         """
         proportions = _parse_key(text)
         return cls(proportions.name, radius_m, proportions)

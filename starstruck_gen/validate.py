@@ -185,9 +185,7 @@ def _overlapping(bodies: Sequence[Any]) -> str | None:
     union_mm3 = manifold3d.Manifold.batch_boolean(bodies, manifold3d.OpType.Add).volume()
     if abs(apart_mm3 - union_mm3) <= _VOLUME_TOLERANCE * apart_mm3:
         return None
-    return (
-        f"bodies overlap: their volumes add up to {apart_mm3:.6f} mm^3, their union has {union_mm3:.6f} mm^3"
-    )
+    return f"bodies overlap: their volumes add up to {apart_mm3:.6f} mm³, their union has {union_mm3:.6f} mm³"
 
 
 def _afloat(mesh: Mesh, bodies: Sequence[Any]) -> str | None:

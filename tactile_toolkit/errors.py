@@ -16,6 +16,8 @@ Every message names the file, row or option, what was found, what was expected, 
 
 from __future__ import annotations
 
+import re
+
 __all__ = [
     "ToolkitError",
     "InputError",
@@ -25,6 +27,7 @@ __all__ = [
     "ItemError",
     "IntegrityError",
     "HubError",
+    "install_line",
 ]
 
 
@@ -59,8 +62,7 @@ class MissingExtraError(InputError):
 
     def __init__(self, feature: str, package: str, extra: str) -> None:
         super().__init__(
-            f"{feature} needs the package {package!r}, which is not installed; "
-            f"next: pip install 'tactile-toolkit[{extra}]'"
+            f"{feature} needs the package {package!r}, which is not installed; next: {install_line(extra)}"
         )
         self.package = package
         self.extra = extra
@@ -68,6 +70,20 @@ class MissingExtraError(InputError):
     def __reduce__(self) -> tuple[object, ...]:
         """Rebuild from the message, so that the error crosses process borders."""
         return (_rebuild_missing_extra, (self.args[0], self.package, self.extra))
+
+
+def install_line(extra: str) -> str:
+    """Return what installs the packages of an extra anywhere, with or without a checkout of the toolkit."""
+    import shlex
+    from importlib.metadata import PackageNotFoundError, requires
+
+    try:
+        entries = [entry.partition(";") for entry in requires("tactile-toolkit") or ()]
+    except PackageNotFoundError:
+        entries = []
+    names = [name.strip() for name, _, marker in entries if re.search(rf"extra == ['\"]{extra}['\"]", marker)]
+    packages = " ".join(map(shlex.quote, names)) or f"'.[{extra}]'"
+    return f"pip install {packages} (the extra `{extra}`)"
 
 
 class StorageError(InputError):

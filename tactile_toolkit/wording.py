@@ -8,7 +8,7 @@ from typing import Any
 
 from tactile_toolkit.errors import InputError
 
-__all__ = ["counted", "is_whole", "plain", "plain_number", "plain_pairs", "positive_or_none"]
+__all__ = ["counted", "did_you_mean", "is_whole", "plain", "plain_number", "plain_pairs", "positive_or_none"]
 
 _LONG_PLURALS = ("ches", "shes", "sses", "xes")
 
@@ -18,6 +18,14 @@ def counted(count: int, things: str) -> str:
     if count == 1:
         things = things.removesuffix("es" if things.endswith(_LONG_PLURALS) else "s")
     return f"{count:,} {things}"
+
+
+def did_you_mean(name: str, known: Iterable[str]) -> str:
+    """Name what was probably meant, to stand behind a message: ``"; did you mean 'test'?"``, or ``""``."""
+    import difflib
+
+    close = difflib.get_close_matches(name.lower(), [*known], n=1)
+    return f"; did you mean {close[0]!r}?" if close else ""
 
 
 def plain(value: Any, kind: type[int] | type[float] = int) -> Any:

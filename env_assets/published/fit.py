@@ -105,6 +105,6 @@ def refuse_unknown_settings(config: Mapping[str, Any], known: tuple[str, ...]) -
     if config.get("mesh_dataset", ...) is None:
         message = (
             "mesh_dataset in `config` is None; expected a `tactile_mnist.MeshDataset` of what was touched; "
-            "next: leave it away, the provider's meshes are taken then"
+            "next: leave it out, the provider's meshes are taken then"
         )
         raise InputError(message)

@@ -52,9 +52,9 @@ def has_info(row: Row) -> bool:
 
 
 def read_info(row: Row) -> Info:
-    """Read the metadata of a round; InputError when the data set has none.
+    """Read the metadata of a round; InputError when the data set does not store it.
 
-    Raises IntegrityError for a pose that is none, or one name for a value and for a group of values.
+    Raises IntegrityError for a pose that is not one, or one name for a value and for a group of values.
     """
     if not has_info(row):
         raise missing_column(row, "info")

@@ -44,7 +44,7 @@ _INT_LIMIT = 1 << 63
 
 
 def column_of(row: Row, name: str) -> NestedColumn:
-    """Return the column of a row; InputError when the data set has none of that name."""
+    """Return the column of a row; InputError when the data set has no column of that name."""
     try:
         return row.group.nested(name)
     except KeyError as error:

@@ -114,7 +114,7 @@ def usual_touch_count(shards: Iterable[Shard], place: str | Sequence[str]) -> in
 
 
 def local_folder(place: str | Sequence[str]) -> DataFolder | None:
-    """Return the folder on this machine that is meant; None when it is none."""
+    """Return the folder on this machine that is meant; None when there is no such folder."""
     try:
         return DataFolder(place) if isinstance(place, str) and Path(place).is_dir() else None
     except OSError:  # too long a name

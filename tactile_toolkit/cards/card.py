@@ -61,7 +61,7 @@ MESH_COLUMNS: dict[str, Column] = {
     FACES: ("F x 3", "triangles: rows of the corners, counter-clockwise seen from outside"),
 }
 
-_UNKNOWN: Column = ("", "a column of this copy; the published schema has none of this name")
+_UNKNOWN: Column = ("", "a column of this copy; not in the published schema")
 _LOADED_NAME = re.compile(r'datasets\.load_dataset\("(?P<name>[^"]+)"')
 
 

@@ -166,7 +166,7 @@ def _pictures(folder: DataFolder, text: str, held: Collection[str] | None) -> It
         if problem:
             yield Finding(CARD_FILE, f"shows the picture {path!r}, which {problem}")
         elif held is not None and normpath(path) not in held:
-            yield Finding(path, f"is shown by {CARD_FILE} and is no part of what is sent (previews/ is)")
+            yield Finding(path, f"is shown by {CARD_FILE} and is not part of what is sent (previews/ is)")
         elif not folder.exists(path) and held is None:
             yield Finding(path, f"is missing; {CARD_FILE} shows it")
         elif folder.exists(path) and not _is_whole(folder.read_bytes(path)):

@@ -104,7 +104,7 @@ def folder_facts(folder: DataFolder) -> FolderFacts:
         unpacked = sum(unpacked_bytes(shard.metadata, shard.schema, shard.read) for shard in shards)
         splits.append(SplitFacts(split, shards, paths, rows, file_bytes, unpacked))
     if not splits:
-        message = f"{folder.address()!r} holds no Parquet files; next: give the folder of a data set"
+        message = f"{folder.lacks('Parquet files')}; next: give the folder of a data set"
         raise InputError(message)
     return FolderFacts(tuple(splits), splits[0].shards[0].schema)
 

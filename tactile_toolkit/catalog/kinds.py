@@ -50,7 +50,7 @@ def require_kind(kind: DatasetKind, command: str, name: str, datasets: Iterable[
 
 
 def finished_manifest(kind: DatasetKind, folder: DataFolder) -> Manifest | None:
-    """Read the manifest of a folder; None where it has none.
+    """Read the manifest of a folder; None where there is no manifest.
 
     Raises InputError for another kind or an unfinished run, IntegrityError for a damaged manifest.
     """
@@ -73,7 +73,7 @@ def require_manifest(kind: DatasetKind, folder: DataFolder) -> Manifest:
     manifest = finished_manifest(kind, folder)
     if manifest is None:
         message = (
-            f"no {MANIFEST_FILE} in {folder.address()!r}; next: give the folder of a data set, such as one "
+            f"{folder.lacks(MANIFEST_FILE)}; next: give the folder of a data set, such as one "
             f"made by `{kind.made_by}`"
         )
         raise InputError(message)

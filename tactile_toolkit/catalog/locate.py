@@ -9,6 +9,7 @@ from pathlib import Path
 from tactile_toolkit.errors import InputError, IntegrityError
 from tactile_toolkit.hub.errors import named_failures
 from tactile_toolkit.hub.repository import HubName, HubRepository, hub_name
+from tactile_toolkit.kind import kinds
 from tactile_toolkit.read.parquet import Shard
 from tactile_toolkit.store.folder import DataFolder
 from tactile_toolkit.store.manifest import MANIFEST_FILE, manifest_so_far, read_manifest
@@ -20,6 +21,7 @@ from tactile_toolkit.store.shards import (
     no_split,
     shard_files,
 )
+from tactile_toolkit.wording import did_you_mean
 
 __all__ = [
     "ShardFile",
@@ -106,9 +108,12 @@ def repository_named(name: str, revision: str | None = None) -> HubRepository:
 def _named_on_hub(name: str, revision: str | None) -> HubName:
     named = hub_name(name, revision)
     if named is None:
+        published = {entry.name: kind.command for kind in kinds() for entry in kind.published}
+        lists = ", ".join(f"`{command} list`" for command in dict.fromkeys(published.values()))
         message = (
-            f"{_shown(name)} is neither a folder, nor a Parquet file, nor a repository of the Hub "
-            "(USER/NAME); next: check the name (`list` shows the published sets), or make a data set"
+            f"{_shown(name)} does not exist; expected a folder, a Parquet file, a repository of the Hub "
+            f"(USER/NAME) or a published set{did_you_mean(name, published)}; next: check the name (the "
+            f"published sets: {lists}), or make a data set"
         )
         raise InputError(message)
     return named
@@ -190,7 +195,7 @@ def splits_of(name: str, *, revision: str | None = None) -> tuple[str, ...]:
         files = _shards_below(HubRepository(named.repo_id, named.revision), named.path)
         splits = tuple(dict.fromkeys(file.split for file in files))
     if not splits:
-        message = f"{name!r} holds no Parquet files; next: name the folder or repository of a data set"
+        message = f"no Parquet files in {name!r}; next: give the folder or repository of a data set"
         raise InputError(message)
     return splits
 

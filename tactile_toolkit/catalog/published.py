@@ -42,7 +42,7 @@ def place_of(name: str) -> str:
 
     Any other name is returned as it is.
     """
-    # What has a slash is no short name: most names are paths, and need no list of kinds.
+    # What has a slash is not a short name: most names are paths, and need no list of kinds.
     found = None if "/" in name else published_set(name)
     return name if found is None or _is_data(Path(name)) else found.repo_id
 

@@ -94,7 +94,7 @@ class DownloadPlan:
 
     @property
     def manifest(self) -> Manifest | None:
-        """Manifest of the data set; None where it has none."""
+        """Manifest of the data set; None where there is no manifest."""
         return read_manifest(self.folder) if self.is_done and self.folder else self.repository.manifest
 
 

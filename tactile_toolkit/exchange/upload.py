@@ -109,7 +109,7 @@ class UploadTarget:
         return str(self._ask(lambda: self._api().whoami()["name"]))
 
     def state(self) -> RemoteState:
-        """Look what the branch holds; a repository or branch that does not exist is no error."""
+        """Look what the branch holds; a repository or branch that does not exist is not an error."""
         return self._ask(self._state)
 
     def files_at(self, revision: str) -> dict[str, RemoteFile]:
@@ -259,7 +259,7 @@ class PreparedUpload:
 
     @property
     def mixed(self) -> tuple[str, ...]:
-        """Files among those kept that have names of shards of the folder's splits, but are none."""
+        """Files among those kept that are named like shards of the folder's splits, but are not."""
         shards = tuple(f"{DATA_FOLDER}/{split}-" for split in self.manifest.splits)
         return tuple(path for path in self.kept if path.startswith(shards))
 
@@ -343,7 +343,7 @@ def _finished(folder: str) -> tuple[Path, Manifest]:
     manifest = read_manifest(place)
     if manifest is None:
         message = (
-            f"no {MANIFEST_FILE} in {place.address()!r}: only data sets made by this toolkit can be proved "
+            f"{place.lacks(MANIFEST_FILE)}: only data sets made by this toolkit can be proved "
             "whole before they are sent; next: give the folder of one"
         )
         raise InputError(message)

@@ -27,7 +27,7 @@ __all__ = [
 ]
 
 NONE = "none"
-"""Facet value of items that have none, so that these can be looked at too."""
+"""Facet value of items without a value, so that these can be looked at too."""
 
 SPLIT = "split"
 """Name of the facet of splits; its values stand in the order of the data set."""

@@ -152,7 +152,8 @@ def merge_equal_vertices(
 def _ending(path: Path) -> str:
     ending = path.suffix.lower()
     if ending not in FORMATS:
-        message = f"{path}: files ending in {ending!r} are not known; expected one of {', '.join(FORMATS)}"
+        found = f"files ending in {ending!r}" if ending else "files without an ending"
+        message = f"{path}: {found} are not known; expected one of {', '.join(FORMATS)}"
         raise InputError(message)
     return ending
 

@@ -109,8 +109,8 @@ class PrintReport:
     status : str
         What manifold3d says of the mesh, ``"NoError"`` or a reason.
     problem : str or None
-        Why the mesh is no solid, a short stable word of :data:`tactile_toolkit.mesh.solid_check.PROBLEMS`, or
-        :data:`UNREADABLE`.
+        Why the mesh is not a solid, a short stable word of
+        :data:`tactile_toolkit.mesh.solid_check.PROBLEMS`, or :data:`UNREADABLE`.
     detail : str or None
         The same in a sentence.
     vertices, faces : int
@@ -122,7 +122,7 @@ class PrintReport:
     size_mm : tuple of float
         Bounding box along x, y, z.
     thinnest_wall_mm : float
-        Narrowest wall of the section at half height, at most the height. NaN for a mesh that is no solid,
+        Narrowest wall of the section at half height, at most the height. NaN for a mesh that is not a solid,
         as the next two.
     overhang_mm2 : float
         Area that leans out too far and does not rest on the bed.

@@ -74,7 +74,7 @@ def check_manifold(mesh: Mesh) -> ManifoldCheck:
     if not parts or abs(volume_mm3) < FLAT_MM3:
         problem = "no-volume", "the surface is closed, but what it encloses adds up to nothing"
     elif volume_mm3 < 0:
-        problem = "inside-out", f"the triangles face inwards, the volume is {volume_mm3:.3f} mm^3"
+        problem = "inside-out", f"the triangles face inwards, the volume is {volume_mm3:.3f} mm³"
     else:
         vertices_mm, faces = mesh.vertices_m.astype(np.float64) * MM_PER_M, mesh.faces.astype(np.int64)
         suspects = faces_not_proven_free(vertices_mm, faces)
@@ -112,7 +112,7 @@ def _overlap_problem(parts: list[Any]) -> tuple[str, str] | None:
     for one, other in _pairs_with_meeting_boxes(outer):
         shared_mm3 = (outer[one] ^ outer[other]).volume()
         if shared_mm3 > OVERLAP_MM3:
-            return "overlap", f"two of {len(outer)} bodies overlap by {shared_mm3:.3g} mm^3"
+            return "overlap", f"two of {len(outer)} bodies overlap by {shared_mm3:.3g} mm³"
     for cavity in (part for part in parts if part.volume() < 0):
         if not any(_encloses(part, cavity) for part in outer):
             return "inside-out", f"one of {len(parts)} bodies faces inwards without lying inside another one"

@@ -55,12 +55,12 @@ class Bars:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Spread:
-    """Values of one panel: their name and unit, those of each group, shape (n,), and what has them."""
+    """Values of one panel: name, unit ("" of counts), values of each group, shape (n,), what has them."""
 
     title: str
-    label: str
+    unit: str
     groups: tuple[tuple[str, NDArray[Any]], ...]
-    unit: str  # what has the values, such as "digits"
+    things: str  # what has the values, such as "digits"
     limit: tuple[float, str] | None = None  # a line at a value, and its name
     together: str = "all"  # what all groups are together, such as "all splits"
 
@@ -166,9 +166,10 @@ def _fill_spread(axes: Any, panel: Spread) -> None:
             )
     median = np.median(values) if len(values) else math.nan
     whose = f" of {panel.together}" if len(panel.groups) > 1 else ""
-    axes.set_title(f"{panel.title}: median {median:,.4g}{whose}")
-    axes.set_xlabel(panel.label)
-    axes.set_ylabel(f"% of {panel.unit}")
+    unit = f" {panel.unit}" if panel.unit else ""
+    axes.set_title(f"{panel.title}: median {median:,.4g}{unit}{whose}")
+    axes.set_xlabel(f"{panel.title}, {panel.unit}" if panel.unit else panel.title)
+    axes.set_ylabel(f"% of {panel.things}")
     axes.set_ylim(bottom=0)
     axes.xaxis.set_major_formatter("{x:,.6g}")
     if panel.limit is not None:

@@ -82,8 +82,8 @@ def require_same_solid(found: Mesh, meant: Mesh, verdict: ManifoldCheck) -> None
         back.volume_mm3, verdict.volume_mm3, rtol=_VOLUME_TOLERANCE
     ):
         message = (
-            f"its volume is {back.volume_mm3:.3f} mm^3 and its bounds moved by {moved_mm:.3g} mm; "
-            f"{verdict.volume_mm3:.3f} mm^3 were written"
+            f"its volume is {back.volume_mm3:.3f} mm³ and its bounds moved by {moved_mm:.3g} mm; "
+            f"{verdict.volume_mm3:.3f} mm³ were written"
         )
         raise ItemError(CHANGED, message)
 

@@ -7,13 +7,14 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 from tactile_toolkit.errors import InputError, ItemError
 from tactile_toolkit.printing.checked import Failure, require_solid
 from tactile_toolkit.printing.objects import require_scale, standing
 from tactile_toolkit.printing.packing import Outline, PlateSpec, outline_of, pack
 
 if TYPE_CHECKING:
-    import numpy as np
     from numpy.typing import NDArray
 
     from tactile_toolkit.printing.objects import PrintObject
@@ -112,11 +113,12 @@ def _piece(item: PrintObject, spec: PlateSpec, scale: float) -> Piece:
     verdict = require_solid(standing(item.load(), scale))
     outline = outline_of(verdict.manifold)
     width_mm, depth_mm = outline.size_mm
-    if width_mm > spec.width_mm + 1e-6 or depth_mm > spec.depth_mm + 1e-6:
+    if width_mm > spec.inner_mm[0] + 1e-6 or depth_mm > spec.inner_mm[1] + 1e-6:
+        margins = f" less {spec.margin_mm:g} mm at each edge" if spec.margin_mm else ""
         message = (
             f"{item.name} does not fit on the plate: it needs {width_mm:.1f} x {depth_mm:.1f} mm, the plate "
-            f"is {spec.width_mm:g} x {spec.depth_mm:g} mm; nothing was written; next: a larger --plate, a "
-            "smaller --scale, or other --ids"
+            f"has {spec.width_mm:g} x {spec.depth_mm:g} mm{margins}; nothing was written; next: a larger "
+            f"--plate, a smaller {'--margin or ' if margins else ''}--scale, or other --ids"
         )
         raise InputError(message)
     box = verdict.manifold.bounding_box()
@@ -129,7 +131,8 @@ def _piece(item: PrintObject, spec: PlateSpec, scale: float) -> Piece:
 def arrange(measured: Measured, on_progress: Progress = _silent) -> Layout:
     """Find a place for every object on few plates; objects are moved, never turned.
 
-    The same input gives the same layout; progress counts objects placed over all attempts.
+    What lies on a plate is in its middle. The same input gives the same layout; progress counts objects
+    placed over all attempts.
     """
     spec, pieces = measured.spec, measured.pieces
     least = math.ceil(sum(piece.area_mm2 for piece in pieces) / spec.area_mm2 - 1e-9)
@@ -137,9 +140,14 @@ def arrange(measured: Measured, on_progress: Progress = _silent) -> Layout:
     cell_width_mm, cell_depth_mm = spec.cell_mm
     plates, shares = [], []
     for spots in packed:
+        corners_mm = np.array([(spot.column * cell_width_mm, spot.row * cell_depth_mm) for spot in spots])
+        sizes_mm = np.array([pieces[spot.shape].outline.size_mm for spot in spots])
+        # What lies there is moved to the middle: the bed is flattest and most evenly warm there.
+        reach_mm = corners_mm.min(axis=0) + (corners_mm + sizes_mm).max(axis=0)
+        corners_mm += (np.array(spec.sides_mm) - reach_mm) / 2
         placed = []
-        for spot in spots:
-            piece, x_mm, y_mm = pieces[spot.shape], spot.column * cell_width_mm, spot.row * cell_depth_mm
+        for spot, (x_mm, y_mm) in zip(spots, corners_mm.tolist(), strict=True):
+            piece = pieces[spot.shape]
             figures = (piece.height_mm, piece.volume_mm3)
             placed.append(Placed(piece.item, piece.outline, x_mm, y_mm, *figures))
         plates.append(tuple(sorted(placed, key=lambda each: (each.y_mm, each.x_mm))))

@@ -76,7 +76,7 @@ def choose(
 
     Only rows with these ``ids`` (a pair stands for all from its first to its last that are there), of these
     classes, and of what is left the first ``limit`` of each split. Raises InputError where an id or a class
-    is not there, none of a range of ids is, an id stands twice in a split, or nothing is left.
+    is not there, no id of a range is, an id stands twice in a split, or nothing is left.
     """
     objects: list[PrintObject] = []
     ranges = None if ids is None else [entry if isinstance(entry, tuple) else (entry, entry) for entry in ids]

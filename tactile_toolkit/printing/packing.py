@@ -20,11 +20,22 @@ from scipy import fft, ndimage
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.mesh.raster import highest_values
 from tactile_toolkit.mesh.walls import signed_area_mm2
+from tactile_toolkit.wording import did_you_mean
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-__all__ = ["Outline", "PlateSpec", "Spot", "Weights", "cells_touched", "outline_of", "pack"]
+__all__ = [
+    "BEDS_MM",
+    "MARGIN_MM",
+    "Outline",
+    "PlateSpec",
+    "Spot",
+    "Weights",
+    "cells_touched",
+    "outline_of",
+    "pack",
+]
 
 Rings = Sequence["NDArray[np.float64]"]
 
@@ -80,6 +91,24 @@ def outline_of(manifold: Any) -> Outline:
     return Outline(rings, (right - left, back - front), (left, front))
 
 
+BEDS_MM = {
+    "bambu-a1": (256.0, 256.0),
+    "bambu-a1-mini": (180.0, 180.0),
+    "bambu-p1": (256.0, 256.0),
+    "bambu-x1": (256.0, 256.0),
+    "ender-3": (220.0, 220.0),
+    "prusa-core-one": (250.0, 220.0),
+    "prusa-mini": (180.0, 180.0),
+    "prusa-mk3": (250.0, 210.0),
+    "prusa-mk4": (250.0, 210.0),
+    "prusa-xl": (360.0, 360.0),
+    "ultimaker-s5": (330.0, 240.0),
+}
+"""Width and depth of what printers can reach, as their makers state it."""
+
+MARGIN_MM = 7.0
+"""Room for PrusaSlicer's skirt as it is without settings: one loop, under 1 mm wide, 6 mm around objects."""
+
 _PLATE_TEXT = re.compile(r"(\d+(?:\.\d+)?)x(\d+(?:\.\d+)?)")
 _PITCH_MM = 1.0
 _MOST_CELLS = 400
@@ -88,39 +117,52 @@ _MOST_CELLS = 400
 
 @dataclass(frozen=True, slots=True)
 class PlateSpec:
-    """Build plates: how large they are, and how far apart things lie on them.
+    """Build plates: how large they are, how far apart things lie on them, and how far from their edges.
 
-    A plate and half a gap around it are divided into cells. An object needs the cells that it touches when
-    grown by half the gap. Objects that share no cell, each moved by whole cells, are therefore at least a gap
-    apart.
+    What lies within the margins, and half a gap around it, is divided into cells. An object needs the cells
+    that it touches when grown by half the gap. Objects that share no cell, each moved by whole cells, are
+    therefore at least a gap apart.
     """
 
     width_mm: float = 256.0
     depth_mm: float = 256.0
     gap_mm: float = 3.0
+    margin_mm: float = MARGIN_MM
 
     def __post_init__(self) -> None:
         """Refuse plates that no printer has."""
         if not (1 <= self.width_mm <= 10_000 and 1 <= self.depth_mm <= 10_000):
-            message = f"the plate is {self.width_mm:g} x {self.depth_mm:g} mm; expected 1 to 10,000 mm a side"
+            message = f"--plate is {self.width_mm:g} x {self.depth_mm:g} mm; expected 1 to 10,000 mm a side"
             raise InputError(message)
         if not (math.isfinite(self.gap_mm) and 0 <= self.gap_mm <= 1_000):
-            message = f"the gap between objects is {self.gap_mm:g} mm; expected 0 to 1,000"
+            message = f"--gap is {self.gap_mm:g} mm; expected 0 to 1,000"
+            raise InputError(message)
+        if not (math.isfinite(self.margin_mm) and self.margin_mm >= 0 and min(self.inner_mm) >= 1):
+            message = (
+                f"--margin is {self.margin_mm:g} mm; expected 0 or more, and 1 mm left of the plate of "
+                f"{self.width_mm:g} x {self.depth_mm:g} mm"
+            )
             raise InputError(message)
 
     @classmethod
-    def parse(cls, plate: str, gap_mm: float = 3.0) -> PlateSpec:
-        """Read the sides from text such as ``256x256``; raises InputError for another form."""
-        match = _PLATE_TEXT.fullmatch(plate.strip().lower())
-        if match is None:
-            message = f"--plate is {plate!r}; expected width x depth in mm, such as 256x256"
+    def parse(cls, plate: str, gap_mm: float = 3.0, margin_mm: float = MARGIN_MM) -> PlateSpec:
+        """Read a name of :data:`BEDS_MM` or sides such as ``256x256``; raises InputError for other text."""
+        text = plate.strip().lower()
+        match = _PLATE_TEXT.fullmatch(text)
+        if match is None and text not in BEDS_MM:
+            message = (
+                f"--plate is {plate!r}; expected width x depth in mm, such as 256x256, or one of "
+                f"{', '.join(BEDS_MM)}{did_you_mean(plate, BEDS_MM)}"
+            )
             raise InputError(message)
-        return cls(float(match[1]), float(match[2]), gap_mm)
+        sides_mm = BEDS_MM[text] if match is None else (float(match[1]), float(match[2]))
+        return cls(*sides_mm, gap_mm, margin_mm)
 
     @property
     def text(self) -> str:
-        """Plate and gap for people."""
-        return f"{self.width_mm:g} x {self.depth_mm:g} mm, gap {self.gap_mm:g} mm"
+        """Plate, gap and margin for people."""
+        distances = f"gap {self.gap_mm:g} mm, margin {self.margin_mm:g} mm"
+        return f"{self.width_mm:g} x {self.depth_mm:g} mm, {distances}"
 
     @property
     def sides_mm(self) -> tuple[float, float]:
@@ -128,9 +170,19 @@ class PlateSpec:
         return self.width_mm, self.depth_mm
 
     @property
+    def inner_mm(self) -> tuple[float, float]:
+        """Width and depth of what lies within the margins."""
+        return self.width_mm - 2 * self.margin_mm, self.depth_mm - 2 * self.margin_mm
+
+    @property
+    def _packed_mm(self) -> tuple[float, float]:
+        """Sides of what the cells cover."""
+        return self.inner_mm[0] + self.gap_mm, self.inner_mm[1] + self.gap_mm
+
+    @property
     def cells(self) -> tuple[int, int]:
         """Rows and columns of cells."""
-        width_mm, depth_mm = self.width_mm + self.gap_mm, self.depth_mm + self.gap_mm
+        width_mm, depth_mm = self._packed_mm
         pitch_mm = max(_PITCH_MM, max(width_mm, depth_mm) / _MOST_CELLS)
         return math.ceil(depth_mm / pitch_mm), math.ceil(width_mm / pitch_mm)
 
@@ -138,12 +190,12 @@ class PlateSpec:
     def cell_mm(self) -> tuple[float, float]:
         """Sides of a cell along x and y: whole cells fill the plate exactly."""
         rows, columns = self.cells
-        return (self.width_mm + self.gap_mm) / columns, (self.depth_mm + self.gap_mm) / rows
+        return self._packed_mm[0] / columns, self._packed_mm[1] / rows
 
     @property
     def area_mm2(self) -> float:
         """Area of all cells."""
-        return (self.width_mm + self.gap_mm) * (self.depth_mm + self.gap_mm)
+        return self._packed_mm[0] * self._packed_mm[1]
 
     def cells_of(self, outline: Outline) -> NDArray[np.bool_]:
         """Return the cells that an outline needs, shape (rows, columns).
@@ -297,7 +349,7 @@ class _Filling:
                 fitting.append(shape)
                 if best is None or found[0] > best[0]:
                     best = found
-            # What has no position now will have none later: the plate only gets fuller.
+            # What has no position now will not find one later: the plate only gets fuller.
             tried = fitting
             if best is not None:
                 spot = best[1]

@@ -21,6 +21,7 @@ if TYPE_CHECKING:
 __all__ = ["draw_map"]
 
 _PAPER, _PLATE, _GRID, _INK, _FIELD = "#ffffff", "#f4f2ec", "#e0dcd2", "#222222", "#ffffff"
+_MARGIN = "#b9b3a3"
 _FILLS = (
     *("#9ecae1", "#fdbe85", "#a1d99b", "#fc9f97", "#cbb8dd"),
     *("#d8b49c", "#f5b9d6", "#c4c9cf", "#d9dc8c", "#9fdde2"),
@@ -195,6 +196,9 @@ def _draw_plate(sheet: _Sheet, spec: PlateSpec) -> None:
         sheet.line((0, y_mm), (width_mm, y_mm), _GRID)
         if y_mm % (_TICKS_A_NUMBER * step_mm) == 0 and y_mm:
             sheet.text((0, y_mm), str(y_mm), _SMALL_PX, anchor="rm", shift_px=(-8, 0))
+    margin_mm = spec.margin_mm
+    inner = [sheet.point(margin_mm, depth_mm - margin_mm), sheet.point(width_mm - margin_mm, margin_mm)]
+    sheet.draw.rectangle(inner, outline=_MARGIN, width=_LINE_PX)
     sheet.draw.rectangle(corners, outline=_INK, width=2 * _LINE_PX)
     sheet.text((width_mm / 2, 0), "front", _SMALL_PX, anchor="ma", shift_px=(0, 30))
 

@@ -205,8 +205,10 @@ def _check_plate(path: Path, items: Sequence[BuildItem], spec: PlateSpec) -> Non
             message = f"{item.name}: {error}"
             raise ItemError(error.reason, message) from error
         low, high = back.bounds_m * MM_PER_M
-        if (low < -_EDGE_TOLERANCE_MM).any() or (high[:2] > np.add(spec.sides_mm, _EDGE_TOLERANCE_MM)).any():
-            message = f"{item.name} reaches beyond the plate"
+        edge_mm = spec.margin_mm - _EDGE_TOLERANCE_MM
+        outside = (low[:2] < edge_mm).any() or (high[:2] > np.subtract(spec.sides_mm, edge_mm)).any()
+        if outside or low[2] < -_EDGE_TOLERANCE_MM:
+            message = f"{item.name} reaches beyond the plate or its margin"
             raise ItemError(OFF_PLATE, message)
 
 

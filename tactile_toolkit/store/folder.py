@@ -263,6 +263,15 @@ class DataFolder:
                 return Path(self.address(path)).exists()
         return bool(self._remote[0].exists(self._remote_address(path)))
 
+    def lacks(self, what: str) -> str:
+        """Say what is wrong with a folder in which something was not found: it, or what was looked for."""
+        address = self.address()
+        if self.is_local and not Path(address).exists():
+            return f"{address!r} does not exist"
+        if self.is_local and not Path(address).is_dir():
+            return f"{address!r} is a file, a folder was expected"
+        return f"no {what} in {address!r}"
+
     def names(self, folder: str = "") -> list[str]:
         """List the file names directly in a sub-folder, sorted; an absent sub-folder is empty."""
         if self.is_local:

@@ -156,7 +156,7 @@ class Manifest:
 
 
 def read_manifest(folder: DataFolder) -> Manifest | None:
-    """Read the manifest of a folder; None when it has none, IntegrityError when it is damaged."""
+    """Read the manifest of a folder; None when there is no manifest, IntegrityError when it is damaged."""
     if not folder.exists(MANIFEST_FILE):
         return None
     text = folder.read_bytes(MANIFEST_FILE).decode("utf-8", errors="replace")

@@ -11,6 +11,7 @@ from pathlib import PurePosixPath
 from typing import Any
 
 from tactile_toolkit.errors import InputError, IntegrityError
+from tactile_toolkit.wording import did_you_mean
 
 __all__ = [
     "DAMAGED",
@@ -232,5 +233,7 @@ def files_of_split(files: list[ShardFile], split: str, where: str) -> list[Shard
 
 def no_split(split: str, known: tuple[str, ...], where: str) -> InputError:
     """Return the error for a split that is not there, among those that are."""
-    found = f"it has {', '.join(known)}" if known else "it holds no Parquet files"
+    if not known:
+        return InputError(f"no Parquet files in {where!r}; next: give the folder or repository of a data set")
+    found = f"it has {', '.join(known)}{did_you_mean(split, known)}"
     return InputError(f"no split {split!r} in {where!r}: {found}; next: choose one of them, or make it")

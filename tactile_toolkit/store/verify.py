@@ -73,8 +73,8 @@ def verify(
         record = read_record(folder)
         if record is None:
             message = (
-                f"no {MANIFEST_FILE} in {folder.address()!r}, and no `download` filled it, so that nothing "
-                "says what its files should be; next: give the folder of a generated or downloaded data set"
+                f"{folder.lacks(f'{MANIFEST_FILE} and no record of a download')}; next: give the folder of a "
+                "generated or downloaded data set, whose files can be compared with what those say"
             )
             raise InputError(message)
         return _verify_copy(folder, record, on_file)

@@ -178,7 +178,7 @@ def test_pictures_of_rendered_touches_are_called_so(folders, tmp_path):
 def test_scenes_are_counted_in_words(tmp_path):
     made = ("generate", "--scenes", "4", "--distractors", "2", "--workers", "1", "--quiet")
     assert call("starstruck", *made, "--out", tmp_path / "two") == 0
-    assert "A scene holds 2 objects that are no stars" in card_of(tmp_path / "two")
+    assert "A scene holds 2 objects that are not stars" in card_of(tmp_path / "two")
     assert "in every split their\ncounts differ by one at most" in card_of(tmp_path / "two")
 
 

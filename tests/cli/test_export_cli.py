@@ -126,7 +126,7 @@ def test_quiet_says_nothing(folder: Path, tmp_path: Path, capsys: pytest.Capture
         (("--scale", "0"), ("--scale is 0",)),
         (("--plate", "256"), ("--plate is '256'", "256x256")),
         (("--plate", "20x20"), ("does not fit on the plate", "printed_", "20 x 20 mm")),
-        (("--plate", "256x256", "--gap", "-1"), ("the gap between objects is -1",)),
+        (("--plate", "256x256", "--gap", "-1"), ("--gap is -1",)),
         (("--plate", "256x256", "--format", "stl"), ("--plate writes 3mf",)),
         (("--gap", "3"), ("--gap is about build plates",)),
     ],

@@ -350,7 +350,7 @@ def test_someone_at_a_terminal_is_asked(server, tmp_path, reply, code):
         (("someone/nothing",), 4, "'someone/nothing' was not found, or is private"),
         ((DIGITS, "--split", "train"), 2, "no split 'train' in 'someone/digits': it has holdout, test"),
         ((DIGITS, "--revision", "v9"), 4, "has no revision 'v9'"),
-        (("mnist4d",), 2, "'mnist4d' is neither"),
+        (("mnist4d",), 2, "did you mean 'mnist3d'?"),
         ((DIGITS, "--out", "file"), 2, "a file"),
     ],
 )

@@ -166,7 +166,7 @@ def test_preview_writes_a_picture(clips, tmp_path, capsys):
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        (("load", "nowhere/"), "`list` shows the published sets"),
+        (("load", "nowhere/"), "(the published sets: `mnist3d list`, `realtouch list`"),
         (("load", "{images}", "--split", "holdout"), "no split 'holdout'"),
         (("resize", "{images}", "{out}", "--size", "64"), "expected WIDTHxHEIGHT"),
         (("resize", "{images}", "{out}", "--size", "0x9"), "expected at least 1 x 1"),
@@ -174,7 +174,7 @@ def test_preview_writes_a_picture(clips, tmp_path, capsys):
         (("select", "{images}", "{out}", "--labels", "cat"), "no class 'cat'"),
         (("select", "{images}", "{out}", "--objects", "x"), "expected whole numbers"),
         (("to-single", "{images}", "{out}"), "holds single images already"),
-        (("verify", "{out}/nothing"), "neither a folder"),
+        (("verify", "{out}/nothing"), "does not exist"),
     ],
 )
 def test_bad_input_is_said_in_a_line_with_exit_code_2(arguments, words, images, tmp_path, capsys):

@@ -109,7 +109,7 @@ def test_a_damaged_set_is_not_made_up_for(tmp_path):
 
 
 def test_nothing_but_the_kinds_is_made(tmp_path):
-    with pytest.raises(InputError, match="neither a folder, nor a Parquet file"):
+    with pytest.raises(InputError, match="does not exist; expected a folder, a Parquet file"):
         env_assets.AssetProvider(tmp_path, generate=True).meshes("screwdriver")
     assert not list(tmp_path.iterdir())
 

@@ -215,7 +215,7 @@ def test_a_copy_is_light_and_opens_again(provider):
 
 
 def test_what_is_no_data_set_is_named(provider, assets, tmp_path):
-    with pytest.raises(InputError, match="neither a folder, nor a Parquet file, nor a repository"):
+    with pytest.raises(InputError, match="does not exist; expected a folder, a Parquet file, a repository"):
         provider.meshes("nothing-of-that-name")
     with pytest.raises(InputError, match=r"no split 'tset' .*it has train, test, printed_train"):
         provider.meshes(str(assets / "mnist3d"), "tset")

@@ -101,7 +101,7 @@ def test_forecast_agrees_with_the_run(folder, tmp_path):
 def test_what_cannot_be_shown_is_named(folder, tmp_path):
     with pytest.raises(InputError, match="no split 'holdout'"):
         plan_gallery(Choice(str(folder), "holdout"))
-    with pytest.raises(InputError, match="neither a folder"):
+    with pytest.raises(InputError, match="does not exist; expected a folder"):
         plan_gallery(Choice(str(tmp_path / "absent")))
     copy = Path(shutil.copytree(folder, tmp_path / "copy"))
     (copy / "data" / "test-00000-of-00001.parquet").unlink()

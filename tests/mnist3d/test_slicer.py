@@ -23,6 +23,7 @@ from tactile_toolkit.printing.objects import choose, standing
 from tactile_toolkit.printing.packing import PlateSpec
 from tactile_toolkit.printing.plates import write_plates
 from tactile_toolkit.printing.singles import export_files
+from tests.tactile_toolkit.printing.solids import box, named
 
 SLICER = shutil.which("prusa-slicer") or ""
 pytestmark = [
@@ -112,9 +113,10 @@ def _followed(gcode: str) -> Sliced:
             name = line.removeprefix("; printing object ").rsplit(" id:", 1)[0]
         elif line.startswith(";Z:"):
             z_mm = float(line[3:])
-        elif name and (match := re.match(r"G1 X(\S+) Y(\S+) E", line)):
+        elif match := re.match(r"G1 X(\S+) Y(\S+) E", line):
             points.append((float(match[1]), float(match[2])))
-            tops[name] = max(tops.get(name, 0.0), z_mm)
+            if name:  # a skirt is part of no object
+                tops[name] = max(tops.get(name, 0.0), z_mm)
     low, high = np.min(points, axis=0), np.max(points, axis=0)
     return Sliced(tops, (float(low[0]), float(low[1])), (float(high[0]), float(high[1])))
 
@@ -185,6 +187,19 @@ def test_a_plate_slices_where_it_lies(digits: mnist3d.MeshDataset, tmp_path: Pat
     assert len(sliced.top_mm) == len(plate)
     assert min(sliced.low_mm) >= 0
     assert max(sliced.high_mm) <= PLATE_MM
+
+
+@pytest.mark.parametrize(
+    ("spec", "fits"), [(PlateSpec(PLATE_MM, PLATE_MM), True), (PlateSpec(PLATE_MM, PLATE_MM, 3, 0), False)]
+)
+def test_the_usual_margin_leaves_room_for_a_skirt(spec: PlateSpec, fits: bool, tmp_path: Path) -> None:
+    width_mm, depth_mm = (side - 1 for side in spec.inner_mm)
+    layout = arrange(measure(named([box(width_mm, depth_mm)]), spec))
+    assert not write_plates(layout, str(tmp_path)).failures
+    path = tmp_path / "plate-01.3mf"
+    distance = ("--skirts", "1", "--skirt-distance", "6")
+    sliced = slice_file(path, tmp_path, "--dont-arrange", *distance)
+    assert (min(sliced.low_mm) >= 0 and max(sliced.high_mm) <= PLATE_MM) == fits
 
 
 def test_the_check_sees_a_broken_file(digits: mnist3d.MeshDataset, tmp_path: Path) -> None:

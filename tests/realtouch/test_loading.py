@@ -204,7 +204,7 @@ def test_a_set_of_neither_kind_is_refused(single_rows: list[dict], tmp_path: Pat
 
 
 def test_what_is_not_there_is_named(tmp_path: Path, single_folder: Path) -> None:
-    with pytest.raises(InputError, match="neither a folder"):
+    with pytest.raises(InputError, match="does not exist; expected a folder"):
         realtouch.load(str(tmp_path / "nowhere"))
     with pytest.raises(InputError, match="no split 'holdout'"):
         realtouch.load(single_folder, "holdout")

@@ -238,7 +238,7 @@ def test_histogram_of_all_splits(folder):
 
 
 def test_bad_input_is_named(folder, tmp_path):
-    with pytest.raises(InputError, match="is neither a folder nor a Parquet file"):
+    with pytest.raises(InputError, match="does not exist; expected the folder or a Parquet file"):
         plan_previews(str(tmp_path / "absent"), PreviewSpec())
     with pytest.raises(InputError, match="no Parquet files"):
         plan_previews(str(tmp_path), PreviewSpec())

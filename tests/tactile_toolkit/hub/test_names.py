@@ -89,7 +89,7 @@ def test_a_local_copy_of_the_conversion_branch_has_its_splits(tmp_path):
 @pytest.mark.parametrize("name", ["~nobody-of-that-name/x", "x" * 5000, "a\0b", "nowhere"])
 def test_names_that_no_place_can_have_are_refused(name):
     for ask in (lambda: find_shards(name, "train"), lambda: splits_of(name)):
-        with pytest.raises(InputError, match="neither a folder, nor a Parquet file") as caught:
+        with pytest.raises(InputError, match="does not exist; expected a folder, a Parquet file") as caught:
             ask()
         assert len(str(caught.value)) < 500
     with pytest.raises(InputError, match="no file '"):

@@ -43,7 +43,7 @@ GROUPS = [
         manifold3d.Manifold.cube((5, 30, 5)) + manifold3d.Manifold.cube((5, 30, 5)).translate((30, 10, 0))
     ),
 ]
-SMALL = PlateSpec(100, 80, 3.0)
+SMALL = PlateSpec(100, 80, 3.0, 0.0)
 
 
 def lay_out(objects: list[PrintObject], spec: PlateSpec, scale: float = 1.0) -> Layout:
@@ -71,9 +71,11 @@ def meshes(draw: st.DrawFn) -> list[Mesh]:
 
 
 @settings(max_examples=25)
-@given(shapes=meshes(), gap_mm=st.sampled_from([0.0, 0.7, 3.0, 5.5]))
-def test_objects_keep_the_gap_the_pose_and_to_the_plate(shapes: list[Mesh], gap_mm: float) -> None:
-    spec = PlateSpec(90.5, 61, gap_mm)
+@given(shapes=meshes(), gap_mm=st.sampled_from([0.0, 0.7, 3.0, 5.5]), margin_mm=st.sampled_from([0.0, 8.3]))
+def test_objects_keep_the_gap_the_pose_and_to_the_plate(
+    shapes: list[Mesh], gap_mm: float, margin_mm: float
+) -> None:
+    spec = PlateSpec(106.5, 77, gap_mm, margin_mm)
     layout = lay_out(named(shapes), spec)
     placed = [item for plate in layout.plates for item in plate]
     assert sorted(item.item.id for item in placed) == list(range(len(shapes)))
@@ -84,11 +86,14 @@ def test_objects_keep_the_gap_the_pose_and_to_the_plate(shapes: list[Mesh], gap_
         require_apart(solids, gap_mm)
         for thing in solids:
             low_x, low_y, low_z, high_x, high_y, _ = thing.bounding_box()
-            assert low_x >= -1e-6
-            assert low_y >= -1e-6
-            assert high_x <= spec.width_mm + 1e-6
-            assert high_y <= spec.depth_mm + 1e-6
+            assert low_x >= margin_mm - 1e-6
+            assert low_y >= margin_mm - 1e-6
+            assert high_x <= spec.width_mm - margin_mm + 1e-6
+            assert high_y <= spec.depth_mm - margin_mm + 1e-6
             assert low_z == pytest.approx(0, abs=1e-9)
+        boxes = np.array([thing.bounding_box() for thing in solids])
+        middle_mm = (boxes[:, :2].min(axis=0) + boxes[:, 3:5].max(axis=0)) / 2
+        assert middle_mm == pytest.approx((spec.width_mm / 2, spec.depth_mm / 2), abs=1e-6)
     for item, shape in ((item, shapes[item.item.id]) for item in placed):
         # Moved, neither turned nor mirrored.
         moved = np.asarray(standing(item.item.load()).vertices_m)
@@ -110,7 +115,7 @@ def polygon_of(placed: Placed) -> Any:
     gap_mm=st.sampled_from([0.0, 1.0, 3.0]),
 )
 def test_nothing_stands_among_the_parts_of_another_object(shapes: list[Mesh], gap_mm: float) -> None:
-    spec = PlateSpec(110, 100, gap_mm)
+    spec = PlateSpec(110, 100, gap_mm, 0)
     for plate in lay_out(named(shapes), spec).plates:
         for one, other in itertools.permutations(plate, 2):
             if one.outline.parts > 1:
@@ -148,7 +153,7 @@ def grid_points(width_mm: int, depth_mm: int) -> list[tuple[float, float]]:
     ],
 )
 def test_pixels_of_maps_grow_with_the_plate(plate: str, shape: tuple[int, int]) -> None:
-    spec = PlateSpec.parse(plate)
+    spec = PlateSpec.parse(plate, margin_mm=0)
     picture = np.asarray(Image.open(io.BytesIO(draw_map((), spec, "empty", ()))).convert("L"))
     assert picture.shape[0] == shape[0]
     assert shape[1] <= picture.shape[1] <= shape[1] + 60
@@ -167,17 +172,17 @@ def test_words_on_a_map_name_the_split_where_ids_are_shared() -> None:
 def test_outlines_pack_tighter_than_boxes() -> None:
     """Four angles, two by two in one another's arms, and a box in each ring."""
     objects = named([ell(50, 8)] * 4 + [ring(22, 17), box(18, 18)])
-    assert len(lay_out(objects, PlateSpec(120, 112, 2)).plates) == 1
+    assert len(lay_out(objects, PlateSpec(120, 112, 2, 0)).plates) == 1
     boxes_mm2 = sum(
         (placed.outline.size_mm[0] + 2) * (placed.outline.size_mm[1] + 2)
-        for placed in lay_out(objects, PlateSpec(120, 112, 2)).plates[0]
+        for placed in lay_out(objects, PlateSpec(120, 112, 2, 0)).plates[0]
     )
     assert boxes_mm2 < 122 * 114 * 1.2
 
 
 def test_a_plate_can_be_filled_to_its_edges() -> None:
     tiles = named([box(31, 24) for _ in range(9)])
-    layout = lay_out(tiles, PlateSpec(99, 78, 3))
+    layout = lay_out(tiles, PlateSpec(99, 78, 3, 0))
     assert [len(plate) for plate in layout.plates] == [9]
     assert layout.shares[0] == pytest.approx(1, abs=0.01)
     assert layout.least_plates == 1
@@ -186,8 +191,11 @@ def test_a_plate_can_be_filled_to_its_edges() -> None:
 @pytest.mark.parametrize(
     ("shape", "spec", "words"),
     [
-        (box(101, 10), SMALL, "it needs 101.0 x 10.0 mm, the plate is 100 x 80 mm"),
+        (box(101, 10), SMALL, "it needs 101.0 x 10.0 mm, the plate has 100 x 80 mm;"),
         (box(10, 80.1), SMALL, "it needs 10.0 x 80.1 mm"),
+        (box(10, 90), SMALL, "it needs 10.0 x 90.0 mm"),
+        (box(90, 10), PlateSpec(100, 80), "the plate has 100 x 80 mm less 7 mm at each edge"),
+        (box(10, 70), PlateSpec(100, 80), "next: a larger --plate, a smaller --margin or --scale"),
     ],
 )
 def test_what_is_larger_than_the_plate_is_named(
@@ -198,6 +206,35 @@ def test_what_is_larger_than_the_plate_is_named(
         lay_out(objects, spec)
     assert words in str(caught.value)
     assert len(lay_out(objects, spec, scale=0.5).plates[0]) == 2
+
+
+def test_what_fits_one_side_only_fits_that_side() -> None:
+    for spec in (SMALL, PlateSpec(114, 94)):
+        ((placed,),) = lay_out(named([box(99, 10)]), spec).plates
+        assert (placed.x_mm, placed.y_mm) == pytest.approx((spec.width_mm / 2 - 49.5, spec.depth_mm / 2 - 5))
+
+
+@pytest.mark.parametrize("sides_mm", [(500, 5), (5, 500)])
+def test_a_file_that_leaves_the_plate_by_either_side_is_removed(
+    sides_mm: tuple[float, float], tmp_path: Path
+) -> None:
+    shapes = iter([box(5, 5), *[box(*sides_mm)] * 9])
+    layout = lay_out([PrintObject("odd", "", "", 1, lambda: next(shapes))], SMALL)
+    (failure,) = write_plates(layout, str(tmp_path)).failures
+    assert failure.problem == "off-plate"
+
+
+def test_beds_have_names() -> None:
+    assert PlateSpec.parse("Prusa-MK4") == PlateSpec(250, 210)
+    assert PlateSpec.parse("250x210", 1, 0) == PlateSpec(250, 210, 1, 0)
+    with pytest.raises(InputError, match=r"expected .* prusa-mk4, .*; did you mean 'prusa-mk4'\?"):
+        PlateSpec.parse("prusa-mk5")
+
+
+@pytest.mark.parametrize("margin_mm", [-1.0, 49.6, float("nan"), float("inf")])
+def test_margins_that_leave_no_plate_are_refused(margin_mm: float) -> None:
+    with pytest.raises(InputError, match="--margin is"):
+        PlateSpec(100, 100, 3, margin_mm)
 
 
 @pytest.mark.parametrize("text", ["256", "256x", "ax3", "1e3x5", "-5x5", "5x5x5", ""])
@@ -332,7 +369,7 @@ def test_a_plate_that_reads_back_otherwise_is_removed_and_not_in_the_table(tmp_p
     made = write_plates(layout, str(tmp_path), overwrite=True)
     (failure,) = made.failures
     assert (failure.name, failure.problem) == ("plate-01.3mf", "off-plate")
-    assert "odd reaches beyond the plate; the file was removed" in failure.detail
+    assert "odd reaches beyond the plate or its margin; the file was removed" in failure.detail
     assert made.rows == ()
     assert [path.name for path in tmp_path.iterdir()] == ["plates.csv"]
 

@@ -244,10 +244,10 @@ def test_unfinished_split_is_refused(tmp_path):
 def test_no_such_place_or_split(folder, tmp_path):
     with pytest.raises(InputError, match=r"no split 'holdout'.*it has train, test"):
         find_shards(str(folder), "holdout")
-    with pytest.raises(InputError, match="neither a folder"):
+    with pytest.raises(InputError, match="does not exist; expected a folder"):
         find_shards(str(tmp_path / "nowhere"), "train")
     (tmp_path / "empty").mkdir()
-    with pytest.raises(InputError, match="holds no Parquet files"):
+    with pytest.raises(InputError, match="no Parquet files in"):
         find_shards(str(tmp_path / "empty"), "train")
 
 

@@ -1,0 +1,119 @@
+"""What commands print: tables that a narrow terminal can show, rates and sizes that can be read."""
+
+from __future__ import annotations
+
+import fcntl
+import os
+import pty
+import re
+import struct
+import subprocess
+import sys
+import termios
+
+import pytest
+
+from cli.output import BYTES, Sink, flat_lines, rate_text
+from tactile_toolkit.wording import did_you_mean
+
+HEADER = ("mesh", "solid", "volume mm³", "size mm", "bodies", "thinnest wall mm", "findings")
+ROWS = [
+    ("test 12623", "yes", "4,595", "36.6 x 60.8 x 8.1", 1, "6.88", "none"),
+    ("test 9082", "NO", "6,299", "39.0 x 60.2 x 8.1", 12, "6.68", "two of 12 bodies overlap by 0.3 mm³"),
+]
+PRINTED = f"from cli.output import Sink\nSink().table({HEADER!r}, {ROWS!r}, 'checked [b]digits[/b]')"
+
+
+def in_terminal(columns: int, code: str) -> str:
+    """Run Python code in a terminal of so many columns, and return what stands there."""
+    leader, follower = pty.openpty()
+    fcntl.ioctl(follower, termios.TIOCSWINSZ, struct.pack("HHHH", 40, columns, 0, 0))
+    settings = {name: value for name, value in os.environ.items() if name not in ("COLUMNS", "LINES")}
+    with subprocess.Popen(
+        [sys.executable, "-c", code],
+        stdin=follower,
+        stdout=follower,
+        stderr=follower,
+        env={**settings, "NO_COLOR": "1"},
+    ) as process:
+        os.close(follower)
+        text = b""
+        while True:
+            try:
+                part = os.read(leader, 65536)
+            except OSError:  # Linux says so when nobody has the other side open
+                break
+            if not part:
+                break
+            text += part
+    os.close(leader)
+    assert process.returncode == 0, text.decode()
+    return re.sub(r"\x1b\[[0-9;]*m", "", text.decode()).replace("\r\n", "\n")
+
+
+@pytest.mark.parametrize("columns", [40, 60, 80, 100, 200])
+def test_no_cell_is_cut_in_any_terminal(columns):
+    text = in_terminal(columns, PRINTED)
+    assert "checked [b]digits[/b]" in text
+    assert "…" not in text
+    assert max(map(len, text.splitlines())) <= columns
+    whole = " ".join(text.split())
+    for row in ROWS:
+        for cell in map(str, row[:-1]):
+            assert cell in text
+    for word in (*HEADER[0].split(), *ROWS[1][-1].split(), "thinnest"):
+        assert word in whole.split()
+    # Under one another where columns have no room.
+    assert (columns < 80) == ("\n  findings" in text)
+
+
+def test_a_table_in_a_pipe_keeps_its_columns(capsys):
+    Sink().table(HEADER, ROWS)
+    lines = [line for line in capsys.readouterr().out.splitlines() if "test" in line]
+    assert len(lines) == len(ROWS)
+
+
+@pytest.mark.parametrize(
+    ("done", "elapsed_s", "unit", "text"),
+    [
+        (0, 5.0, "pictures", ""),
+        (1, 0.0, "pictures", ""),
+        (1, 40.0, "pictures", "1.5 pictures/min"),
+        (1, 7200.0, "pictures", "0.5 pictures/h"),
+        (30, 2.0, "digits", "15 digits/s"),
+        (30, 8.0, "digits", "3.8 digits/s"),
+        (5_000_000, 2.0, "rows", "2,500,000 rows/s"),
+        (897_737_000, 10.0, BYTES, "89.8 MB/s"),
+    ],
+)
+def test_rates_are_numbers_that_can_be_read(done, elapsed_s, unit, text):
+    assert rate_text(done, elapsed_s, unit) == text
+
+
+def test_sizes_are_sizes_while_they_are_fetched(capsys, monkeypatch):
+    monkeypatch.setattr("cli.output._PLAIN_INTERVAL_S", 0.0)
+    with Sink().progress("fetching", BYTES) as update:
+        update(12_300_000, 45_600_000)
+    assert capsys.readouterr().err.startswith("fetching: 12.3 MB of 45.6 MB, ")
+
+
+def test_specifications_are_told_in_words():
+    values = {
+        "a": {"size_m": [0.1, 0.2], "on": True, "limit": None},
+        "shapes": [{"name": "box"}, {"name": "disc"}],
+    }
+    assert flat_lines(values) == [
+        "a.size_m = 0.1, 0.2",
+        "a.on = yes",
+        "a.limit = none",
+        "shapes.1.name = box",
+        "shapes.2.name = disc",
+    ]
+
+
+@pytest.mark.parametrize(
+    ("name", "words"),
+    [("tset", "; did you mean 'test'?"), ("Train", "; did you mean 'train'?"), ("holdout", "")],
+)
+def test_a_mistyped_name_is_told_what_was_meant(name, words):
+    assert did_you_mean(name, ["train", "test"]) == words
