@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 import contextlib
-import fcntl
 import json
 import logging
 import operator
-import os
 import shlex
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -19,6 +17,7 @@ from mnist3d.kind import KIND as DIGITS
 from starstruck_gen.kind import KIND as SCENES
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.kind import DatasetKind, Recipe
+from tactile_toolkit.run.system import locked
 from tactile_toolkit.store.folder import DataFolder, named_failures
 from tactile_toolkit.store.manifest import read_manifest
 
@@ -98,15 +97,9 @@ class AssetMaker:
         lock = self.root / f".{kind}.lock"
         with named_failures(str(lock)):
             self.root.mkdir(parents=True, exist_ok=True)
-            handle = os.open(lock, os.O_RDWR | os.O_CREAT, 0o666)
-        try:
-            # Held by this open file: threads wait for one another too, and a killed process lets go of it.
-            fcntl.flock(handle, fcntl.LOCK_EX)
+            lock.touch()
+        with locked(lock):
             yield
-        finally:
-            # Said, not left to closing: a child forked meanwhile has the file open too.
-            fcntl.flock(handle, fcntl.LOCK_UN)
-            os.close(handle)
 
     def make(self, kind: str, split: str) -> None:
         """Make one split of a kind, going on where an interrupted run stopped."""

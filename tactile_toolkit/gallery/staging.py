@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import contextlib
-import fcntl
-import os
 import shutil
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
+from tactile_toolkit.run.system import locked
 from tactile_toolkit.store.folder import stale_files, temporary_name
 
 __all__ = ["is_unfinished", "staged_folder"]
@@ -54,7 +53,7 @@ def _put_in_place(staging: Path, path: Path, refuse: Callable[[Path], None]) -> 
                 raise
         else:
             return
-    with _alone(path):
+    with locked(path):
         refuse(path)
         _exchange(staging, path, refuse)
 
@@ -83,15 +82,3 @@ def _move(source: Path, target: Path, moved: list[str]) -> None:
         if not is_unfinished(entry.name):
             entry.rename(target / entry.name)
             moved.append(entry.name)
-
-
-@contextlib.contextmanager
-def _alone(path: Path) -> Iterator[None]:
-    """Keep other runs from changing a folder, where the file system can."""
-    handle = os.open(path, os.O_RDONLY)
-    try:
-        with contextlib.suppress(OSError):
-            fcntl.flock(handle, fcntl.LOCK_EX)
-        yield
-    finally:
-        os.close(handle)

@@ -10,7 +10,6 @@ import contextlib
 import multiprocessing
 import os
 import pickle
-import signal
 import sys
 import threading
 from collections import deque
@@ -22,6 +21,7 @@ from typing import Protocol, TypeVar
 
 from tactile_toolkit.errors import ToolkitError
 from tactile_toolkit.run.limits import prepare_batch_process
+from tactile_toolkit.run.system import ignore_interrupts
 
 __all__ = ["InlineRunner", "ProcessRunner", "Runner", "runner_for"]
 
@@ -147,7 +147,7 @@ def _main_hidden() -> Iterator[None]:
 
 def _prepare_worker() -> None:
     # Ctrl-C goes to the whole process group: the parent alone decides what happens to the work.
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    ignore_interrupts()
     prepare_batch_process()
     parent = multiprocessing.parent_process()
     if parent is not None:

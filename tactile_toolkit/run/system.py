@@ -86,7 +86,7 @@ def ignore_interrupts() -> None:
 
 def is_running(process: int) -> bool:
     """Tell whether a process of this machine is at work; a zombie is not."""
-    if Path("/proc/self/stat").exists():
+    if _has_proc():
         fields = _proc_stat(process)
         return fields is not None and fields[0] not in _ENDED_STATES
     if os.name == "nt":
@@ -118,6 +118,10 @@ def process_start(process: int) -> str | None:
     """Return when a process began, in clock ticks since the machine started; None where that is not known."""
     fields = _proc_stat(process)
     return None if fields is None else fields[19]
+
+
+def _has_proc() -> bool:
+    return Path("/proc/self/stat").exists()
 
 
 def _proc_stat(process: int) -> list[str] | None:

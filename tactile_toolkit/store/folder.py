@@ -21,6 +21,7 @@ from pathlib import Path, PurePosixPath
 from typing import IO, Any
 
 from tactile_toolkit.errors import InputError, IntegrityError, StorageError
+from tactile_toolkit.run.system import is_running, process_start, sync_folder
 
 __all__ = [
     "TEMPORARY_PREFIX",
@@ -42,13 +43,12 @@ TEMPORARY_PREFIX = ".writing-"
 """How the name of every unfinished file begins."""
 
 _WRITER = re.compile(r"(?P<process>\d+)(?:\.(?P<began>\d+))?-")
-_ENDED_STATES = ("Z", "X")  # a zombie has ended; its parent has not asked for its exit status yet
 
 
 def temporary_name(name: str, prefix: str = TEMPORARY_PREFIX) -> str:
     """Return a name, new each time, under which this process may write ``name`` until it is finished."""
     process = os.getpid()
-    began = _start_time(process)
+    began = process_start(process)
     # Process ids are used again: with the start time, a stale file is told from one of a new process.
     writer = str(process) if began is None else f"{process}.{began}"
     return f"{prefix}{socket.gethostname()}-{writer}-{uuid.uuid4().hex[:8]}-{name}"
@@ -61,7 +61,7 @@ def is_stale(name: str, prefix: str = TEMPORARY_PREFIX) -> bool:
     if writer is None:
         return False
     process, began = int(writer["process"]), writer["began"]
-    return not _is_running(process) or (began is not None and began != _start_time(process))
+    return not is_running(process) or (began is not None and began != process_start(process))
 
 
 def is_being_written(name: str) -> bool:
@@ -72,39 +72,6 @@ def is_being_written(name: str) -> bool:
 def stale_files(folder: Path, prefix: str = TEMPORARY_PREFIX) -> Iterator[Path]:
     """Yield the stale temporary files directly in a local folder."""
     yield from (entry for entry in folder.glob(f"{prefix}*") if is_stale(entry.name, prefix))
-
-
-def _is_running(process: int) -> bool:
-    if _has_proc():
-        fields = _proc_stat(process)
-        return fields is not None and fields[0] not in _ENDED_STATES
-    try:
-        os.kill(process, 0)  # sends nothing, only asks
-    except ProcessLookupError:
-        return False
-    except OSError:
-        return True  # somebody else's
-    return True
-
-
-def _start_time(process: int) -> str | None:
-    """Return when a process began, in clock ticks since the machine started; None where that is not known."""
-    fields = _proc_stat(process)
-    return None if fields is None else fields[19]
-
-
-def _proc_stat(process: int) -> list[str] | None:
-    """Return the fields of Linux's ``/proc/PID/stat`` (proc(5)) from the third, the state, onwards."""
-    try:
-        line = Path(f"/proc/{process}/stat").read_text()
-    except OSError:
-        return None
-    # The second field, the program's name in brackets, may hold blanks and brackets itself.
-    return line.rpartition(")")[2].split()
-
-
-def _has_proc() -> bool:
-    return Path("/proc/self/stat").exists()
 
 
 _HINTS = {
@@ -176,12 +143,7 @@ def atomic_file(path: Path, *, durable: bool = True) -> Iterator[IO[bytes]]:
         temporary.unlink(missing_ok=True)
         raise
     if durable:
-        # A rename survives a power cut only once the folder itself is on the disk.
-        handle = os.open(path.parent, os.O_RDONLY)
-        try:
-            os.fsync(handle)
-        finally:
-            os.close(handle)
+        sync_folder(path.parent)
 
 
 def open_regular(path: Path) -> IO[bytes]:

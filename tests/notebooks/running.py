@@ -1,4 +1,4 @@
-"""Run notebooks without Jupyter, and write what they show into them: ``python -m tests.notebooks.running``."""
+"""Run notebooks without Jupyter, and store what they show: ``python -m tests.notebooks.running``."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ import contextlib
 import io
 import json
 import os
+import re
 import tempfile
 from dataclasses import replace
 from pathlib import Path
@@ -37,12 +38,14 @@ def _run_cell(source: str, names: dict[str, Any], number: int) -> list[dict[str,
     if printed.getvalue():
         shown.append({"output_type": "stream", "name": "stdout", "text": _lines(printed.getvalue())})
     if value is not None:
-        data = {"text/plain": _lines(repr(value))}
+        data: dict[str, Any] = {"text/plain": _lines(re.sub(r" at 0x[0-9A-Fa-f]+", "", repr(value)))}
         if hasattr(value, "_repr_html_"):
             data["text/html"] = _lines(value._repr_html_())
         if hasattr(value, "_repr_png_"):
             data["image/png"] = base64.b64encode(value._repr_png_()).decode()
-        shown.append({"output_type": "execute_result", "execution_count": number, "metadata": {}, "data": data})
+        shown.append(
+            {"output_type": "execute_result", "execution_count": number, "metadata": {}, "data": data}
+        )
     return shown
 
 

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from tactile_toolkit.store import folder as folder_module
+from tactile_toolkit.run import system
 from tactile_toolkit.store.folder import DataFolder, is_stale, temporary_name
 from tests.processes import alive
 
@@ -64,8 +64,8 @@ def test_of_a_writer_whose_number_another_process_has_now(tmp_path):
 @pytest.mark.parametrize("has_proc", [True, False])
 def test_of_the_dead_and_of_the_living(tmp_path, monkeypatch, has_proc):
     if not has_proc:  # macOS
-        monkeypatch.setattr(folder_module, "_has_proc", lambda: False)
-        monkeypatch.setattr(folder_module, "_proc_stat", lambda _process: None)
+        monkeypatch.setattr(system, "_has_proc", lambda: False)
+        monkeypatch.setattr(system, "_proc_stat", lambda _process: None)
     dead = f".writing-{HOST}-999999999-abc-{NAME}"
     dead_too = f".writing-{HOST}-999999999.17-abc-{NAME}"
     init = f".writing-{HOST}-1-abc-{NAME}"

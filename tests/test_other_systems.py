@@ -1,0 +1,142 @@
+"""Nothing asks for what only some systems have: all is imported, a set made, loaded and verified without it.
+
+Python runs without the modules and functions that Windows lacks, and without ``/proc``, which macOS lacks.
+"""
+
+from __future__ import annotations
+
+import ast
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[1]
+PACKAGES = sorted(
+    path.parent.name for path in ROOT.glob("*/__init__.py") if path.parent.name not in ("tests", "benchmarks")
+)
+POSIX_MODULES = ("fcntl", "grp", "posix_ipc", "pty", "pwd", "resource", "syslog", "termios", "tty")
+POSIX_FUNCTIONS = (
+    *("fork", "forkpty", "getuid", "geteuid", "getgid", "getpgid", "setsid", "killpg", "mkfifo"),
+    *("sched_getaffinity", "sched_setaffinity", "chown", "O_DIRECTORY", "O_NOFOLLOW"),
+)
+
+# A worker process imports this file too, as `sitecustomize`.
+HIDE = f"""
+import os, sys
+class Hidden:
+    def find_spec(self, name, *_):
+        if name.partition(".")[0] in {POSIX_MODULES!r}:
+            raise ImportError(f"this system has no {{name}}", name=name)
+for name in {POSIX_MODULES!r}:
+    sys.modules.pop(name, None)
+sys.meta_path.insert(0, Hidden())
+if "HIDE_FUNCTIONS" in os.environ:
+    for name in {POSIX_FUNCTIONS!r}:
+        if hasattr(os, name):
+            delattr(os, name)
+"""
+
+
+def hidden(folder: Path, code: str, *, functions: bool) -> str:
+    """Run Python code on a system without these modules, and without these functions too."""
+    (folder / "sitecustomize.py").write_text(HIDE)
+    settings = {**os.environ, "PYTHONPATH": f"{folder}{os.pathsep}{ROOT}", "HF_HUB_OFFLINE": "1"}
+    settings |= {"HIDE_FUNCTIONS": "1"} if functions else {}
+    done = subprocess.run(
+        [sys.executable, "-c", code], cwd=folder, env=settings, capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 0, done.stderr
+    return done.stdout
+
+
+def test_every_module_is_imported(tmp_path: Path) -> None:
+    code = f"""
+import importlib, json, pkgutil, sys
+from tactile_toolkit.errors import MissingExtraError
+imported = []
+for package in {PACKAGES!r}:
+    found = [m.name for m in pkgutil.walk_packages([f"{ROOT}/{{package}}"], f"{{package}}.")]
+    for name in [package, *found]:
+        if not name.endswith("__main__"):
+            try:
+                importlib.import_module(name)
+            except (MissingExtraError, ModuleNotFoundError):  # an extra
+                continue
+            imported.append(name)
+print(json.dumps(imported))
+"""
+    imported = json.loads(hidden(tmp_path, code, functions=False).splitlines()[-1])
+    assert {"tactile_toolkit.run.system", "cli.application", "mnist3d.generation"} <= set(imported)
+    assert set(PACKAGES) <= set(imported)
+
+
+def test_a_set_is_made_loaded_and_verified(tmp_path: Path) -> None:
+    code = """
+import sys
+from pathlib import Path
+import tactile_toolkit.run.system as system
+system._has_proc, system._proc_stat = lambda: False, lambda process: None
+
+def main():
+    import env_assets, starstruck_gen
+    from tactile_toolkit.store.folder import DataFolder, is_stale, temporary_name
+    from tactile_toolkit.store.verify import verify
+
+    spec = starstruck_gen.GenerateSpec(scenes=(("train", 8), ("test", 2)))
+    starstruck_gen.generate(spec, "scenes", workers=2)
+    scenes = starstruck_gen.load("scenes", "train")
+    assert len(scenes) == 8 and scenes[3].mesh.is_watertight
+    assert verify(DataFolder("scenes")).ok
+    provider = env_assets.AssetProvider("assets", generate=True, per_class=1)
+    assert provider.meshes("wrench", "train")[0].mesh.is_watertight
+    with system.locked(Path("a.lock")), system.locked(Path("scenes")):
+        pass
+    assert not is_stale(temporary_name("x"))
+    sys.argv = ["starstruck", "gallery", "scenes", "--limit", "1", "--out", "page", "-q"]
+    import cli.starstruck
+    cli.starstruck.main()
+
+if __name__ == "__main__":
+    main()
+"""
+    (tmp_path / "work.py").write_text(code)
+    hidden(tmp_path, "import runpy; runpy.run_path('work.py', run_name='__main__')", functions=True)
+    assert (tmp_path / "page" / "index.html").is_file()
+
+
+def test_only_one_module_knows_of_systems() -> None:
+    found = {
+        (path.relative_to(ROOT).as_posix(), name)
+        for package in PACKAGES
+        for path in (ROOT / package).rglob("*.py")
+        for name in _imports(path)
+        if name in (*POSIX_MODULES, "signal", "msvcrt", "winreg")
+    }
+    assert found == {("tactile_toolkit/run/system.py", "signal")}
+
+
+def _imports(path: Path) -> set[str]:
+    tree = ast.parse(path.read_text(encoding="utf-8"))
+    whole = {alias.name for node in ast.walk(tree) if isinstance(node, ast.Import) for alias in node.names}
+    return whole | {node.module or "" for node in ast.walk(tree) if isinstance(node, ast.ImportFrom)}
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="asks how a system with the module does it")
+def test_a_lock_keeps_others_waiting(tmp_path: Path) -> None:
+    from tactile_toolkit.run.system import locked
+
+    code = f"""
+from pathlib import Path
+from tactile_toolkit.run.system import locked
+with locked(Path({str(tmp_path / "lock")!r})):
+    print("got it", flush=True)
+"""
+    with locked(tmp_path / "lock"):
+        other = subprocess.Popen([sys.executable, "-c", code], cwd=ROOT, stdout=subprocess.PIPE, text=True)
+        with pytest.raises(subprocess.TimeoutExpired):
+            other.communicate(timeout=1)
+    assert other.communicate()[0] == "got it\n"
