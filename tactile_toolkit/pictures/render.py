@@ -20,6 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactile_toolkit.arithmetic import cosine_sine, moved
+from tactile_toolkit.errors import install_line
 from tactile_toolkit.mesh.raster import highest_faces
 
 if TYPE_CHECKING:
@@ -104,7 +105,6 @@ def shades(points: NDArray[np.float64], faces: NDArray[np.integer[Any]]) -> NDAr
 SAMPLING = 2
 """Views are drawn so many times larger and averaged: smooth edges that no driver's own way decides."""
 
-_EXTRA = "pip install 'tactile-toolkit[pictures]'"
 _LENGTH = struct.Struct("<q")
 _SECONDS_TO_END = 5.0
 _SECONDS_TO_DRAW = 120.0
@@ -187,17 +187,21 @@ class Renderer:
         if self._reason:
             return None
         if find_spec("pyvista") is None:
-            self._reason = f"the package 'pyvista' is not installed; next: {_EXTRA}"
+            self._reason = f"the package 'pyvista' is not installed; next: {install_line('pictures')}"
             return None
+        late = threading.Event()
         try:
             child = self._child = self._child or _start()
-            with _killed_after(child, _SECONDS_TO_DRAW):
+            with _killed_after(child, _SECONDS_TO_DRAW, late):
                 send(_end_of(child.stdin), *_packed(picture))
                 _, arrays = receive(_end_of(child.stdout))
         except (OSError, EOFError):
             self.close()
             self._reason = (
-                "the renderer ended without a picture; next: install a graphics driver such as libegl1"
+                f"the renderer had no picture after {_SECONDS_TO_DRAW:g} s and was ended; next: draw again "
+                "when the machine is less busy"
+                if late.is_set()
+                else "the renderer ended without a picture; next: install a graphics driver such as libegl1"
             )
             return None
         return averaged(arrays["pixels"], SAMPLING)
@@ -243,9 +247,14 @@ def receive(stream: IO[bytes]) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]
 
 
 @contextlib.contextmanager
-def _killed_after(child: subprocess.Popen[bytes], seconds: float) -> Iterator[None]:
-    """End a process that takes longer; whoever reads from it then meets the end of its output."""
-    timer = threading.Timer(seconds, child.kill)
+def _killed_after(child: subprocess.Popen[bytes], seconds: float, late: threading.Event) -> Iterator[None]:
+    """End a process that takes longer, and tell so; who reads from it then meets the end of its output."""
+
+    def end() -> None:
+        late.set()
+        child.kill()
+
+    timer = threading.Timer(seconds, end)
     timer.start()
     try:
         yield

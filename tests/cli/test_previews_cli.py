@@ -134,10 +134,10 @@ def test_without_the_extra_what_is_missing_is_said(digits, tmp_path, run):
     assert done.returncode == 0
     assert list(contents(tmp_path / "previews")) == ["digits-test-sheet.png"]
     assert done.stderr.count("left out: ") == 2
-    assert "pip install 'tactile-toolkit[pictures]'" in done.stderr
+    assert "pip install 'matplotlib>=3.10' 'pyvista>=0.45' (the extra `pictures`)" in done.stderr
     refused = run("mnist3d", digits, "--kind", "histogram", "--out", "plots")
     assert refused.returncode == 2
-    assert "pip install 'tactile-toolkit[pictures]'" in refused.stderr
+    assert "pip install 'matplotlib>=3.10' 'pyvista>=0.45' (the extra `pictures`)" in refused.stderr
     assert not (tmp_path / "plots").exists()
 
 

@@ -263,7 +263,7 @@ def test_without_the_extra_plots_are_refused_by_name_and_left_out_otherwise(fold
     assert [picture.name for picture in plan.pictures] == ["digits-train-sheet.png", "digits-test-sheet.png"]
     assert len(plan.left_out) == 2
     for kind in ("histogram", "distributions"):
-        with pytest.raises(MissingExtraError, match=r"pip install 'tactile-toolkit\[pictures\]'"):
+        with pytest.raises(MissingExtraError, match=r"pip install 'matplotlib.* 'pyvista"):
             plan_previews(str(folder), PreviewSpec((kind,)))
 
 

@@ -262,4 +262,4 @@ def test_without_the_package_the_extra_is_named():
     assert len(lines) == 2
     for line in lines:
         assert line.startswith("MissingExtraError")
-        assert "'tactile-mnist', which is not installed; next: pip install 'tactile-toolkit[env]'" in line
+        assert "'tactile-mnist', which is not installed; next: pip install 'aiohttp>=3.10' ap-gym==" in line

@@ -202,7 +202,7 @@ class NotLoaded:
 @pytest.mark.parametrize("sensor", ["taxim", "cycle_gan"])
 def test_sensor_without_any_of_its_packages(sensor):
     words = re.escape(
-        "needs the package 'jax', which is not installed; next: pip install 'tactile-toolkit[env]'"
+        "needs the package 'jax', which is not installed; next: pip install 'aiohttp>=3.10' ap-gym==0.7.1 "
     )
     with pytest.raises(MissingExtraError, match=words):
         require_sensor(sensor, "auto", {"depth": {"numpy": object()}})

@@ -128,7 +128,7 @@ def test_what_was_not_named_may_be_left_out_what_was_named_may_not():
     for asked in ((), ("all",)):
         found = plan_kinds(asked, plans, ("sheet", "plot"))
         assert found.pictures == (picture,)
-        assert "pip install 'tactile-toolkit[pictures]'" in found.left_out[0]
+        assert "pip install 'matplotlib>=3.10' 'pyvista>=0.45' (the extra `pictures`)" in found.left_out[0]
     with pytest.raises(MissingExtraError):
         plan_kinds(("sheet", "plot"), plans, ("sheet",))
     with pytest.raises(MissingExtraError):

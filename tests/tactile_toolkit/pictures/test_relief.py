@@ -98,7 +98,7 @@ def test_without_a_renderer_the_view_is_shaded_relief_and_says_so():
     with Renderer() as renderer:
         pixels, notes = renderer.draw(picture)
     assert np.array_equal(pixels, shaded(picture))
-    assert "pip install 'tactile-toolkit[pictures]'" in notes[0]
+    assert "pip install 'matplotlib>=3.10' 'pyvista>=0.45' (the extra `pictures`)" in notes[0]
 
 
 DRAW = """
