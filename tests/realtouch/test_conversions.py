@@ -274,7 +274,7 @@ def test_what_cannot_be_converted_is_said(seq_folder: Path, single_folder: Path,
         realtouch.frames(str(single_folder), out, "gif")
     with pytest.raises(InputError, match="the limit is 0"):
         realtouch.frames(str(single_folder), out, limit=0)
-    with pytest.raises(InputError, match="holds no Parquet files"):
+    with pytest.raises(InputError, match="no Parquet files in"):
         realtouch.frames(str(tmp_path), out)
     assert not Path(out).exists()
 

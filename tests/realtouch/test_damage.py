@@ -306,5 +306,5 @@ def test_a_wrong_column_type_is_named(
 
 
 def test_verify_needs_a_data_set(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="holds no Parquet files"):
+    with pytest.raises(InputError, match="no Parquet files in"):
         realtouch.verify(str(tmp_path))

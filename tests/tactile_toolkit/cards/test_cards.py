@@ -233,7 +233,7 @@ def test_pictures_must_be_among_what_lies_beside_the_card(folder):
     place = DataFolder(str(folder))
     assert check_card(place, held={"previews/digits.png"}) == []
     (found,) = check_card(place, held={"README.md"})
-    assert (found.file, "is no part of what is sent" in found.problem) == ("previews/digits.png", True)
+    assert (found.file, "is not part of what is sent" in found.problem) == ("previews/digits.png", True)
 
 
 def test_little_sizes_do_not_read_as_nothing():
@@ -252,7 +252,7 @@ def test_a_template_without_a_value_is_an_error():
 
 
 def test_a_folder_without_rows_has_no_facts(tmp_path):
-    with pytest.raises(InputError, match="holds no Parquet files; next:"):
+    with pytest.raises(InputError, match="no Parquet files in; next:"):
         folder_facts(DataFolder(str(tmp_path)))
 
 
