@@ -79,8 +79,9 @@ def clips(folder: Path, *, contact: bool = True) -> Path:
 
 def main() -> None:
     """Record all notebooks."""
-    with tempfile.TemporaryDirectory() as folder:
-        os.environ["REALTOUCH_SET"] = str(clips(Path(folder) / "clips"))
+    with tempfile.TemporaryDirectory() as folder, contextlib.chdir(folder):
+        clips(Path("clips"))
+        os.environ["REALTOUCH_SET"] = "clips"
         for notebook in sorted(NOTEBOOKS.glob("*.ipynb")):
             record(notebook)
 
