@@ -44,7 +44,7 @@ def _as_timedelta(values: NDArray[Any]) -> NDArray[np.timedelta64]:
     nanoseconds = np.round(np.asarray(values, np.float64) * 1e9)
     unknown = ~np.isfinite(nanoseconds)
     times = np.where(unknown, 0, nanoseconds).astype(np.int64).astype("timedelta64[ns]")
-    times[unknown] = np.timedelta64("NaT")
+    times[unknown] = np.timedelta64("NaT", "ns")
     return times
 
 

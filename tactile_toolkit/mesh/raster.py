@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["ScanLines", "highest_faces", "highest_values", "scan_lines"]
+__all__ = ["ScanLines", "highest_faces", "highest_values", "pixels_of", "scan_lines"]
 
 _EDGE_PX = 1e-9
 """A centre no further than this outside an edge counts as on it: rounding must leave no hole between
@@ -84,7 +84,7 @@ def highest_values(
     """
     highest = np.full(shape[0] * shape[1], -np.inf, np.float32)
     for lines in scan_lines(points, faces, shape):
-        for _, pixel, height in _pixels(lines, shape[1]):
+        for _, pixel, height in pixels_of(lines, shape[1]):
             np.maximum.at(highest, pixel, height.astype(np.float32))
     return highest.reshape(shape)
 
@@ -102,7 +102,7 @@ def highest_faces(
     low, span = float(used.min()), max(float(np.ptp(used)), 1e-12)
     highest = np.full(shape[0] * shape[1], -1, np.int64)
     for lines in scan_lines(points, faces, shape, both_sides):
-        for line, pixel, height in _pixels(lines, shape[1]):
+        for line, pixel, height in pixels_of(lines, shape[1]):
             # The height in the upper bits and the triangle in the lower: one maximum finds both.
             steps = ((height - low) * (_DEPTH_STEPS / span)).astype(np.int64)
             np.maximum.at(highest, pixel, (steps << 32) | lines.face[line])
@@ -199,7 +199,7 @@ def _cut(triangles: _Triangles, owner: Indices, row: Indices, last_column: int) 
     return ScanLines(triangles.face[owner], row, column, steps + 1, start, rise)
 
 
-def _pixels(lines: ScanLines, columns: int) -> Iterator[tuple[Indices, Indices, Numbers]]:
+def pixels_of(lines: ScanLines, columns: int) -> Iterator[tuple[Indices, Indices, Numbers]]:
     """Yield line, number and height of the pixels of lines, some lines at a time."""
     for start, stop in _parts(lines.count):
         count = lines.count[start:stop]

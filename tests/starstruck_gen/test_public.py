@@ -21,7 +21,8 @@ def test_no_public_name_is_hidden_by_a_module():
     code = (
         "import starstruck_gen, pkgutil, importlib\n"
         "for module in pkgutil.iter_modules(starstruck_gen.__path__):\n"
-        "    importlib.import_module('starstruck_gen.' + module.name)\n"
+        "    if module.name not in ('__main__', 'torch'):\n"
+        "        importlib.import_module('starstruck_gen.' + module.name)\n"
         "public = [getattr(starstruck_gen, name) for name in starstruck_gen.__all__]\n"
         "assert 'module' not in {type(value).__name__ for value in public}"
     )

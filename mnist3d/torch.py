@@ -1,0 +1,13 @@
+"""Digits as torch tensors (extra ``torch``): see :class:`tactile_toolkit.mesh.torch.SolidTensors`."""
+
+from __future__ import annotations
+
+from tactile_toolkit.mesh.torch import FORMS, TARGETS, MeshBatch, MeshItem, SolidTensors, collate_meshes
+
+__all__ = ["FORMS", "TARGETS", "DigitTensors", "MeshBatch", "MeshItem", "collate_meshes"]
+
+
+class DigitTensors(SolidTensors):
+    """A map-style data set of digits; its grids cover the 10 x 10 cm of a digit and 1 cm of height."""
+
+    extent_m = (0.1, 0.1, 0.01)

@@ -1,0 +1,13 @@
+"""Scenes as torch tensors (extra ``torch``): see :class:`tactile_toolkit.mesh.torch.SolidTensors`."""
+
+from __future__ import annotations
+
+from tactile_toolkit.mesh.torch import FORMS, TARGETS, MeshBatch, MeshItem, SolidTensors, collate_meshes
+
+__all__ = ["FORMS", "TARGETS", "MeshBatch", "MeshItem", "SceneTensors", "collate_meshes"]
+
+
+class SceneTensors(SolidTensors):
+    """A map-style data set of scenes, of files or on the fly; its grids cover the published cell of 12 cm."""
+
+    extent_m = (0.12, 0.12, 0.01)

@@ -1,0 +1,194 @@
+"""Solids as tensors: what they say of the solid, in this process and in workers of every start method."""
+
+from __future__ import annotations
+
+import pickle
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import trimesh
+
+import mnist3d
+import starstruck_gen
+from mnist3d.sources.synthetic import SyntheticSource
+from tactile_toolkit.errors import InputError
+
+torch = pytest.importorskip("torch", reason="torch (extra `torch`) is not installed")
+
+pytestmark = [pytest.mark.torch, pytest.mark.filterwarnings("ignore")]
+
+
+def squared(record: Any) -> int:
+    """A target of one's own; top-level, so that it pickles."""
+    return int(record.label) ** 2
+
+
+@pytest.fixture(scope="module")
+def digits(tmp_path_factory: pytest.TempPathFactory) -> mnist3d.MeshDataset:
+    folder = tmp_path_factory.mktemp("digits") / "set"
+    spec = mnist3d.GenerateSpec(SyntheticSource(), mnist3d.SolidSpec(target_vertices=800), per_class=1)
+    mnist3d.generate(spec, folder, splits=("test",))
+    return mnist3d.load(str(folder))
+
+
+SCENES = starstruck_gen.SceneDataset(size=6, seed=1)
+
+
+def test_points_lie_on_the_surface_evenly(digits: mnist3d.MeshDataset) -> None:
+    from mnist3d.torch import DigitTensors
+
+    data = DigitTensors(digits, points=4000, seed=3)
+    points, label = data[4]
+    assert (tuple(points.shape), points.dtype, label) == ((4000, 3), torch.float32, digits[4].label)
+    mesh = digits[4].mesh
+    # In millimetres: trimesh takes triangles of less than a square tenth of one for points.
+    larger = mesh.copy().apply_scale(1e3)
+    _, distance_mm, _ = trimesh.proximity.closest_point(larger, 1e3 * points[:200].numpy())
+    assert distance_mm.max() < 1e-4
+    # The mean of points drawn evenly is the middle of the surface; their spread tells how near it has to be.
+    centres, areas = mesh.triangles_center, mesh.area_faces
+    middle = (centres * areas[:, None]).sum(axis=0) / areas.sum()
+    error = points.numpy().std(axis=0) / np.sqrt(4000)
+    assert (np.abs(points.numpy().mean(axis=0) - middle) < 5 * error).all()
+    assert torch.equal(data[4][0], points)
+    assert torch.equal(data[-6][0], points)
+    assert not torch.equal(data[5][0], points)
+    data.set_epoch(1)
+    assert not torch.equal(data[4][0], points)
+    data.set_epoch(0)
+    assert torch.equal(pickle.loads(pickle.dumps(data))[4][0], points)
+    assert not torch.equal(DigitTensors(digits, points=4000, seed=4)[4][0], points)
+
+
+def test_voxels_are_the_inside(digits: mnist3d.MeshDataset) -> None:
+    """Against the mesh itself, point by point, and by volume."""
+    from mnist3d.torch import DigitTensors
+    from starstruck_gen.torch import SceneTensors
+
+    random = np.random.default_rng(0)
+    for data, record, size_m in (
+        (DigitTensors(digits, "voxels", pitch_m=0.0005), digits[8], 0.1),
+        (SceneTensors(SCENES, "voxels", pitch_m=0.0005), SCENES[2], 0.12),
+    ):
+        place = 8 if size_m == 0.1 else 2
+        voxels, label = data[place]
+        count = round(size_m / 0.0005)
+        assert (tuple(voxels.shape), voxels.dtype) == ((1, 20, count, count), torch.uint8)
+        assert label == record.label
+        assert float(voxels.sum()) * 0.0005**3 == pytest.approx(record.mesh.volume, rel=0.03)
+        grid = voxels[0].numpy()
+        near = np.argwhere(grid) + random.integers(-2, 3, (int(grid.sum()), 3))
+        chosen = near[random.integers(len(near), size=400)]
+        chosen = chosen[((chosen >= 0) & (chosen < grid.shape)).all(axis=1)]
+        layer, row, column = chosen.T
+        centres = np.stack([column - (count - 1) / 2, row - (count - 1) / 2, layer + 0.5], axis=1) * 0.0005
+        np.testing.assert_array_equal(record.mesh.contains(centres), grid[layer, row, column] == 1)
+
+
+def test_height_maps_and_meshes(digits: mnist3d.MeshDataset) -> None:
+    from mnist3d.torch import DigitTensors
+    from tactile_toolkit.mesh.height_map import top_surface
+
+    heights, volume_m3 = DigitTensors(digits, "height_map", pitch_m=0.0005, target="volume_m3")[3]
+    assert (tuple(heights.shape), heights.dtype) == ((1, 200, 200), torch.float32)
+    assert volume_m3 == pytest.approx(digits[3].volume_m3)
+    surface = top_surface(digits[3], 0.0005)
+    window = surface.window
+    first_row, first_column = window.first_row + 100, window.first_column + 100
+    part = heights[0, first_row : first_row + window.rows, first_column : first_column + window.columns]
+    np.testing.assert_allclose(part.numpy(), surface.filled(), atol=1e-7)
+    assert int((heights > 0).sum()) == int((part > 0).sum())
+    cut = DigitTensors(digits, "height_map", extent_m=(0.01, 0.02, 0.01), target=None)[3]
+    assert tuple(cut.shape) == (1, 20, 10)
+    (vertices, faces), square = DigitTensors(digits, "mesh", target=squared)[3]
+    np.testing.assert_array_equal(vertices.numpy(), digits[3].vertices_m)
+    np.testing.assert_array_equal(faces.numpy(), digits[3].faces)
+    assert (vertices.dtype, faces.dtype, square) == (torch.float32, torch.int64, digits[3].label ** 2)
+    doubled = DigitTensors(digits, "height_map", transform=lambda tensor: 2 * tensor, target="id")
+    assert doubled[3][1] == digits[3].id
+
+
+@pytest.mark.own_process
+@pytest.mark.parametrize("method", ["fork", "spawn"])
+@pytest.mark.parametrize("form", ["points", "mesh"])
+def test_workers_give_what_this_process_gives(form: Any, method: str) -> None:
+    from torch.utils.data import DataLoader
+
+    from starstruck_gen.torch import SceneTensors, collate_meshes
+
+    data = SceneTensors(SCENES, form, points=50, target=squared)
+    collate = {"collate_fn": collate_meshes} if form == "mesh" else {}
+    loader = DataLoader(data, batch_size=4, num_workers=2, multiprocessing_context=method, **collate)
+    batches = list(loader)
+    assert [len(target) for _, target in batches] == [4, 2]
+    assert torch.cat([target for _, target in batches]).tolist() == [data[i][1] for i in range(6)]
+    if form == "points":
+        assert torch.equal(
+            torch.cat([points for points, _ in batches]), torch.stack([data[i][0] for i in range(6)])
+        )
+        return
+    batch = batches[0][0]
+    parts = batch.vertices.split(batch.vertex_counts.tolist())
+    faces = batch.faces.split(batch.face_counts.tolist())
+    start = 0
+    for place in range(4):
+        vertices, own = data[place][0]
+        assert torch.equal(parts[place], vertices)
+        assert torch.equal(faces[place] - start, own)
+        start += len(vertices)
+
+
+def test_epochs_reach_workers_that_live_on() -> None:
+    from torch.utils.data import DataLoader
+
+    from starstruck_gen.torch import SceneTensors
+
+    data = SceneTensors(SCENES, points=20, target=None)
+    loader = DataLoader(data, batch_size=6, num_workers=1, persistent_workers=True)
+    (first,), (again,) = list(loader), list(loader)
+    data.set_epoch(5)
+    (other,) = list(loader)
+    assert torch.equal(first, again)
+    assert torch.equal(other, torch.stack([data[index] for index in range(6)]))
+    assert not torch.equal(other, first)
+
+
+def test_what_cannot_be_is_refused() -> None:
+    from starstruck_gen.torch import SceneTensors
+
+    for given, words in (
+        ({"form": "soup"}, "no form 'soup'"),
+        ({"target": "taste"}, "no target 'taste'"),
+        ({"points": 0}, "points is 0"),
+        ({"seed": -1}, "seed is -1"),
+        ({"pitch_m": 0.0}, "steps of 0.0 m"),
+        ({"pitch_m": 1e-9}, "at most"),
+        ({"extent_m": (0.1, float("nan"), 0.1)}, "three positive lengths"),
+    ):
+        with pytest.raises(InputError, match=words):
+            SceneTensors(SCENES, **given)  # type: ignore[arg-type]
+    with pytest.raises(IndexError):
+        SceneTensors(SCENES)[6]
+
+
+@pytest.mark.parametrize("room", ["mnist3d", "starstruck_gen"])
+def test_without_torch_the_extra_is_named(room: str, tmp_path: Path) -> None:
+    (tmp_path / "torch.py").write_text("raise ImportError('no torch')")
+    code = (
+        f"import {room}, {room}.dataset, sys\n"
+        "assert 'torch' not in sys.modules\n"
+        f"try:\n    import {room}.torch\n"
+        "except Exception as error:\n    print(type(error).__name__, error)"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", f"import sys; sys.path.insert(0, {str(tmp_path)!r})\n{code}"],
+        check=True,
+        capture_output=True,
+        text=True,
+    )
+    assert done.stdout.startswith("MissingExtraError a torch data set of solids needs the package 'torch'")
+    assert "tactile-toolkit[torch]" in done.stdout
