@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import sys
 from dataclasses import dataclass
 from enum import StrEnum
 from pathlib import Path
@@ -118,8 +117,7 @@ def add_export(app: typer.Typer, kind: DatasetKind) -> None:
         else:
             failures = _export_plates(sink, objects, spec, options)
         for failure in failures:
-            # Errors are said even to those who want to hear nothing else.
-            sys.stderr.write(f"failed: {failure.name}: {failure.detail}\n")
+            sink.insist(f"failed: {failure.name}: {failure.detail}")
         if failures:
             raise typer.Exit(EXIT_FAILED)
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -116,8 +115,7 @@ def add_verify(app: typer.Typer, kind: DatasetKind, what: str) -> None:
             sink.line(f"{folder}: {counts}: all as {result.reference} says")
             return
         for finding in result.findings:
-            # Said to those too who want to hear nothing else: the error below only counts.
-            sys.stderr.write(f"damaged: {finding.file}: {finding.problem}\n")
+            sink.insist(f"damaged: {finding.file}: {finding.problem}")  # the error below only counts
         record = read_record(place)
         if all("; next: " in finding.problem for finding in result.findings):
             cure = "do what each of them says"

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -112,8 +111,7 @@ def validate(
         )
     sink.document([result.to_dict() for result in results])
     for item in (item for result in results for item in result.unreadable):
-        # Errors are said even to those who want to hear nothing else; they name the file.
-        sys.stderr.write(f"unreadable: {item.report.detail}\n")
+        sink.insist(f"unreadable: {item.report.detail}")
     for result in results:
         sink.table(*result.table())
     failed = sum(result.failed for result in results)

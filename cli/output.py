@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
@@ -11,6 +10,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from cli.options import Json, Quiet
+from tactile_toolkit.printable import printable, printable_json
 from tactile_toolkit.wording import counted
 
 if TYPE_CHECKING:
@@ -40,36 +40,43 @@ class Sink:
     def document(self, content: Any) -> None:
         """Print the JSON document of the command, when one was asked for."""
         if self.as_json:
-            sys.stdout.write(json.dumps(content, indent=2, ensure_ascii=False) + "\n")
+            sys.stdout.write(printable_json(content) + "\n")
 
     def line(self, text: str = "") -> None:
         """Print a line of the result."""
         if not (self.as_json or self.quiet):
-            sys.stdout.write(text + "\n")
+            sys.stdout.write(printable(text, keep="\n") + "\n")
 
     def talk(self, text: str) -> None:
         """Say something on stderr."""
         if not self.quiet:
-            sys.stderr.write(text + "\n")
+            self.insist(text)
+
+    def insist(self, text: str) -> None:
+        """Say something on stderr to those too who want to hear nothing else, such as what is damaged."""
+        sys.stderr.write(printable(text, keep="\n") + "\n")
 
     def table(self, header: Sequence[str], rows: Sequence[Sequence[object]], title: str = "") -> None:
         """Print a table of the result."""
         if self.as_json or self.quiet:
             return
         if not rows:
-            sys.stdout.write(f"{title}\n" if title else "")
+            sys.stdout.write(f"{printable(title)}\n" if title else "")
             return
         from rich.console import Console
+        from rich.text import Text
 
         console = Console(file=sys.stdout)
         # Piped into a file, a table keeps its columns instead of being folded at 80 characters.
         console.width = console.width if console.is_terminal else 160
-        cells = [[f"{cell:,}" if isinstance(cell, int) else str(cell) for cell in row] for row in rows]
+        header = [printable(name) for name in header]
+        texts = [[f"{cell:,}" if isinstance(cell, int) else str(cell) for cell in row] for row in rows]
+        cells = [[printable(text, keep="\n") for text in row] for row in texts]
         widths = _widths(header, cells, console.width - 3 * len(header) + 1)
         # Rendered here and written as all else is: rich has an exit of its own for a closed pipe.
         with console.capture() as written:
             if title:
-                console.print(title, markup=False, highlight=False)
+                console.print(Text(printable(title)))  # as Text: rich obeys marks, such as [/b0]
             if widths is None:
                 console.print(_records(header, cells))
             else:
@@ -151,7 +158,7 @@ def _bar(what: str, unit: str) -> Iterator[Callable[[int, int], None]]:
     from rich.console import Console
 
     columns = (
-        progress.TextColumn("{task.description}"),
+        progress.TextColumn("{task.description}", markup=False),
         progress.BarColumn(),
         progress.TextColumn("{task.fields[count]}"),
         progress.TextColumn("{task.fields[rate]}"),
@@ -159,7 +166,7 @@ def _bar(what: str, unit: str) -> Iterator[Callable[[int, int], None]]:
     )
     start_s = time.monotonic()
     with progress.Progress(*columns, console=Console(file=sys.stderr)) as bar:
-        task = bar.add_task(what, total=None, count="", rate="")
+        task = bar.add_task(printable(what), total=None, count="", rate="")
 
         def update(done: int, total: int) -> None:
             rate = rate_text(done, time.monotonic() - start_s, unit)

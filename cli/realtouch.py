@@ -45,7 +45,7 @@ def load(
 
     dataset = open_set(name, split, revision=revision)
     if check:
-        raise_findings(_verified(sink, name, split, revision, quick=True), name)
+        raise_findings(sink, _verified(sink, name, split, revision, quick=True), name)
     summary = summarise(dataset)
     sink.document({"name": name, "split": split, "checked": check, **summary.to_dict()})
     print_summary(sink, split, summary)
@@ -121,7 +121,7 @@ def verify(
             "unprotected": list(result.unprotected),
         }
     )
-    raise_findings(result, name)
+    raise_findings(sink, result, name)
     how = "every header was read" if quick else "every picture was decoded"
     counts = f"{counted(result.rounds, 'rounds')}, {counted(result.touches, 'touches')}"
     sink.line(f"{name}: {counts}: nothing is wrong; {how}")

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -41,7 +40,7 @@ def announce_fetching(sink: Sink, name: str, split: str | None) -> None:
     sink.talk(f"{place}: fetching from the Hub what is not here yet of {part}")
 
 
-def raise_findings(result: TouchVerification, name: str) -> None:
+def raise_findings(sink: Sink, result: TouchVerification, name: str) -> None:
     """Name all damage on stderr.
 
     Raises
@@ -54,7 +53,7 @@ def raise_findings(result: TouchVerification, name: str) -> None:
     if result.ok:
         return
     for finding in result.findings:
-        sys.stderr.write(f"damaged: {finding}\n")
+        sink.insist(f"damaged: {finding}")
     message = (
         f"{counted(len(result.findings), 'problems')} in {name!r}; next: download or convert it again, or "
         "open it with on_error='skip' to leave them out"

@@ -31,6 +31,7 @@ from tactile_toolkit.cards.card import (
 from tactile_toolkit.cards.facts import FolderFacts, SplitFacts, recorded_facts
 from tactile_toolkit.errors import ToolkitError
 from tactile_toolkit.pictures.writing import png_bytes
+from tactile_toolkit.printable import markdown_text
 from tactile_toolkit.read.columns import list_depth
 from tactile_toolkit.read.dataset import Row
 from tactile_toolkit.store.folder import DataFolder
@@ -362,7 +363,10 @@ def _split_table(facts: FolderFacts, figures: list[_SplitFigures], manifest: Man
         for split in facts.splits
     ]
     if not figures:
-        rows = [(s.split, f"{s.rows:,}", *size) for s, size in zip(facts.splits, sizes, strict=True)]
+        rows = [
+            (markdown_text(s.split), f"{s.rows:,}", *size)
+            for s, size in zip(facts.splits, sizes, strict=True)
+        ]
         return markdown_table(("split", "pictures", "shards", "Parquet", "unpacked"), rows)
     header = ("split", "rounds", "touches", "per round", "objects", "contact", "left out")
 
@@ -371,7 +375,7 @@ def _split_table(facts: FolderFacts, figures: list[_SplitFigures], manifest: Man
 
     counted = [
         (
-            s.split,
+            markdown_text(s.split),
             f"{s.rows:,}",
             number(figure.touches),
             "-" if figure.per_round is None else between(*figure.per_round),

@@ -28,6 +28,7 @@ from tactile_toolkit.cards.card import (
 from tactile_toolkit.cards.facts import FolderFacts, recorded_facts
 from tactile_toolkit.pictures.sheets import Sheet, Tile, sheet
 from tactile_toolkit.pictures.writing import png_bytes
+from tactile_toolkit.printable import markdown_text
 from tactile_toolkit.store.folder import DataFolder
 from tactile_toolkit.store.manifest import Manifest
 from tactile_toolkit.wording import counted
@@ -75,7 +76,7 @@ def write_card(folder: DataFolder, manifest: Manifest, _report: object = None) -
         "cell_mm": " x ".join(f"{1e3 * side:g}" for side in spec.cell_m),
         "reach_x_mm": f"{1e3 * spec.half_area_m[0]:g}",
         "reach_y_mm": f"{1e3 * spec.half_area_m[1]:g}",
-        "classes": ", ".join(spec.class_names),
+        "classes": ", ".join(map(markdown_text, spec.class_names)),
         "class_count": str(len(spec.class_names)),
         "distractors": (counted(most, "objects") if least == most else f"{between(least, most)} objects"),
         "shapes": ", ".join(dict.fromkeys(shape.key for shape in spec.distractor_shapes)) or "none",

@@ -18,6 +18,8 @@ from __future__ import annotations
 
 import re
 
+from tactile_toolkit.printable import printable
+
 __all__ = [
     "ToolkitError",
     "InputError",
@@ -32,9 +34,12 @@ __all__ = [
 
 
 class ToolkitError(Exception):
-    """Root of all errors that the toolkit raises on purpose."""
+    """Root of all errors that the toolkit raises on purpose; what they quote of data is shown, not obeyed."""
 
     exit_code = 1
+
+    def __str__(self) -> str:
+        return printable(super().__str__())
 
 
 class InputError(ToolkitError):
@@ -107,7 +112,7 @@ class ItemError(InputError):
         self.message = message
 
     def __str__(self) -> str:
-        return self.message
+        return printable(self.message)
 
 
 class IntegrityError(ToolkitError):

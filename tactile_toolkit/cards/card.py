@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from functools import cache
@@ -13,6 +12,7 @@ from typing import Any
 from tactile_toolkit.cards.facts import FolderFacts
 from tactile_toolkit.cards.head import card_head, head_text
 from tactile_toolkit.mesh.columns import FACES, VERTICES
+from tactile_toolkit.printable import markdown_code, markdown_text, printable, printable_json
 from tactile_toolkit.read.dataset import Row
 from tactile_toolkit.store.folder import DataFolder
 from tactile_toolkit.store.manifest import Manifest
@@ -95,7 +95,7 @@ def write_card_files(
         common["picture"] = f"![{caption}]({path})\n\n*{caption}*"
         folder.remove_stale_files(PREVIEW_FOLDER)
         _write_changed(folder, path, content)
-    body = render_card(template, {**common, **values})
+    body = printable(render_card(template, {**common, **values}), keep="\n")
     text = head_text(card_head(facts, **head)) + "\n" + body
     _write_changed(folder, CARD_FILE, text.encode())
 
@@ -191,7 +191,9 @@ def field_table(
     for entry in _flat(facts.features):
         name = entry["name"]
         family = (column for start, column in (families or {}).items() if name.startswith(start))
-        rows.append((f"`{name}`", column_type_text(entry), *(known.get(name) or next(family, _UNKNOWN))))
+        rows.append(
+            (markdown_code(name), column_type_text(entry), *(known.get(name) or next(family, _UNKNOWN)))
+        )
     return markdown_table(("column", "type", "shape, unit, frame", "meaning"), rows)
 
 
@@ -209,7 +211,7 @@ def column_type_text(entry: Any) -> str:
     if isinstance(entry, str):
         return entry
     if isinstance(entry, list):
-        return "struct of " + ", ".join(field["name"] for field in entry)
+        return "struct of " + ", ".join(markdown_text(field["name"]) for field in entry)
     if "list" in entry:
         inner = column_type_text(entry["list"])
         if "length" not in entry:
@@ -217,13 +219,13 @@ def column_type_text(entry: Any) -> str:
         return f"{inner}[{entry['length']}]" if " " not in inner else f"({inner})[{entry['length']}]"
     dtype = entry["dtype"]
     if isinstance(dtype, dict):
-        return "ClassLabel: " + ", ".join(dtype["class_label"]["names"].values())
+        return "ClassLabel: " + ", ".join(map(markdown_text, dtype["class_label"]["names"].values()))
     return str(dtype)
 
 
 def json_block(values: Any) -> str:
     """Lay out JSON values as a block of code."""
-    return "```json\n" + json.dumps(values, indent=2, ensure_ascii=False) + "\n```"
+    return f"```json\n{printable_json(values)}\n```"
 
 
 def megabytes(size: int) -> str:
@@ -238,5 +240,7 @@ def between(least: int, most: int) -> str:
 
 def skipped_text(manifest: Manifest, link: str = "") -> str:
     """Write how many rows were left out for which reason; ``link`` stands between the two."""
-    listed = [f"{count:,} {link}{reason}" for reason, count in manifest.skipped_reasons().items()]
+    listed = [
+        f"{count:,} {link}{markdown_text(reason)}" for reason, count in manifest.skipped_reasons().items()
+    ]
     return f"{', '.join(listed)}; `manifest.json` names each" if listed else "none"

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from tactile_toolkit.cards.facts import FolderFacts, SplitFacts
+from tactile_toolkit.printable import printable
 
 __all__ = ["card_head", "configs", "dataset_info", "head_text", "size_category"]
 
@@ -53,7 +54,14 @@ def head_text(head: dict[str, Any]) -> str:
     """Write a head between its two lines of dashes."""
     import yaml
 
-    return "---\n" + yaml.safe_dump(head, sort_keys=False, allow_unicode=True, width=110) + "---\n"
+    def dumped(*, plain: bool) -> str:
+        text: str = yaml.safe_dump(head, sort_keys=False, allow_unicode=plain, width=110)
+        return text
+
+    text = dumped(plain=True)
+    # YAML escapes control characters itself, but not those that turn the direction of a text.
+    is_seen = text == printable(text, keep="\n")
+    return f"---\n{text if is_seen else dumped(plain=False)}---\n"
 
 
 def _path_of(split: SplitFacts, facts: FolderFacts) -> str | list[str]:

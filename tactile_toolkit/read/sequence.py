@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactile_toolkit.errors import InputError, ToolkitError
+from tactile_toolkit.printable import printable
 from tactile_toolkit.wording import counted, is_whole, plain_number
 
 __all__ = ["ColumnStatistics", "LazySequence", "Statistics", "positions"]
@@ -408,7 +409,7 @@ class LazySequence(Sequence[T], Generic[T]):
         return hash((type(self), len(self), self.label_names))
 
     def __repr__(self) -> str:
-        return f"{type(self).__name__}({', '.join([*self._words(), self._classes_in_words()])})"
+        return printable(f"{type(self).__name__}({', '.join([*self._words(), self._classes_in_words()])})")
 
     def _repr_html_(self) -> str:
         """Show what it is, and small pictures of some items, in a notebook."""

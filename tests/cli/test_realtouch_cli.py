@@ -65,6 +65,27 @@ def test_load_checks_and_prints_what_there_is(clips, capsys):
     )
 
 
+@pytest.mark.parametrize("label", ["[/b0]", "[b]x", "\x1b[2J\x07", "\u202egnp"])
+def test_names_of_classes_are_shown_and_not_obeyed(tmp_path, capsys, monkeypatch, label):
+    """`[/b0]` ended `info` in a traceback; others reached the terminal."""
+    monkeypatch.setattr(factories, "LABELS", [label, *factories.LABELS[1:]])
+    rows = factories.single_rows([factories.make_round(0, 3, (64, 48))])
+    rows = [{**row, "label": 0} for row in rows]
+    place = factories.write_set(tmp_path / "set", {"train": rows}, "single")
+    assert call("info", place) == 0
+    printed = capsys.readouterr()
+    shown = ascii(label)[1:-1]
+    assert f"{shown}: 1" in printed.out
+    assert printed.out.replace("\n", "").isprintable()
+    assert call("info", place, "--json") == 0
+    text = capsys.readouterr().out
+    assert label in json.loads(text)["splits"]["train"]["labels"]
+    assert text.replace("\n", "").isprintable()
+    dataset = realtouch.load(place)
+    assert shown in repr(dataset)
+    assert repr(dataset).isprintable()
+
+
 def test_one_split_alone(clips, tmp_path, capsys):
     assert call("info", clips, "--split", "test", "--json") == 0
     assert set(json.loads(capsys.readouterr().out)["splits"]) == {"test"}

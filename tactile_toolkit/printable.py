@@ -1,0 +1,50 @@
+"""Text from data as it is shown to people: what it holds is seen, and is not obeyed.
+
+Names of classes, files and splits may be anybody's. A terminal obeys control characters, Markdown and pages
+of a browser obey marks; some characters turn the direction of what stands beside them.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+from typing import Any
+
+__all__ = ["markdown_code", "markdown_text", "printable", "printable_json"]
+
+_MARKS = re.compile(r"([\\`*\[\]<>~&]|(?<![^\W_])_|_(?![^\W_]))")  # a _ inside of a word marks nothing
+
+
+def printable(text: str, keep: str = "") -> str:
+    """Return a text in which control characters, and all others that cannot be seen, are written as escapes.
+
+    ``keep`` are some that may stay, such as the ends of lines.
+    """
+    if text.isprintable():
+        return text
+    return "".join(_escaped(each) if each not in keep and not each.isprintable() else each for each in text)
+
+
+def _escaped(character: str) -> str:
+    return character.encode("unicode_escape").decode("ascii")
+
+
+def printable_json(values: Any, indent: int = 2) -> str:
+    """Return JSON of some values; what cannot be seen stands there in JSON's own escapes."""
+    text = json.dumps(values, indent=indent, ensure_ascii=False)
+    # Outside of strings JSON has no other characters than those that can be seen, and ends of lines.
+    escaped = (each if each.isprintable() or each == "\n" else json.dumps(each)[1:-1] for each in text)
+    return text if text.replace("\n", "").isprintable() else "".join(escaped)
+
+
+def markdown_text(text: str) -> str:
+    """Return a text so that Markdown, and HTML in it, shows it as it is."""
+    # Formulas stand between dollars, and a backslash does not stop them.
+    return _MARKS.sub(r"\\\1", printable(text)).replace("$", "&#36;")
+
+
+def markdown_code(text: str) -> str:
+    """Return a text as a span of code in Markdown."""
+    shown = printable(text)
+    fence = "`" * (1 + max(map(len, re.findall("`+", shown)), default=0))
+    return f"{fence}{shown}{fence}" if len(fence) == 1 else f"{fence} {shown} {fence}"
