@@ -6,7 +6,7 @@ import re
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
-PACKAGES = "mnist3d|starstruck_gen|realtouch|tactile_toolkit|env_assets|cli|tests|benchmarks|docs"
+PACKAGES = "mnist3d|starstruck_gen|realtouch|tactile_sim|tactile_toolkit|env_assets|cli|tests|benchmarks|docs"
 NAMED = re.compile(rf"(?<![\w./-])((?:{PACKAGES})/[\w./]*)")
 
 

@@ -23,8 +23,8 @@ from mnist3d.sources.synthetic import SyntheticSource
 from tests.realtouch.factories import make_round, seq_rows, single_rows, write_set
 
 FOLDER = Path(__file__).parent
-PACKAGES = ("mnist3d", "starstruck_gen", "realtouch", "realtouch.torch", "env_assets")
-COMMAND_LINES = ("mnist3d", "starstruck", "realtouch", "env_assets")
+PACKAGES = ("mnist3d", "starstruck_gen", "realtouch", "realtouch.torch", "tactile_sim", "env_assets")
+COMMAND_LINES = ("mnist3d", "starstruck", "realtouch", "tactile_sim", "env_assets")
 """Modules of ``cli``."""
 LIBRARIES = (
     "pyarrow",

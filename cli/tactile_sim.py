@@ -1,0 +1,241 @@
+"""``tactile-sim``: press a simulated GelSight Mini onto solids, and make data sets of its touches."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Literal
+
+import typer
+
+from cli.application import command, new_app, run
+from cli.folders import add_card, add_verify, print_made, print_spec
+from cli.gallery_commands import add_touch_gallery
+from cli.hub_download import add_download
+from cli.hub_upload import add_upload
+from cli.making import make_with_progress, print_forecast
+from cli.options import Folder, Json, Limit, Making, Out, Seed, local_place
+from cli.output import Sink, bytes_text, counted, duration_text
+from cli.preview_commands import preview_touches
+from tactile_sim.kind import KIND
+
+if TYPE_CHECKING:
+    from tactile_sim.generation import GenerateSpec
+    from tactile_sim.plan import TouchPlan
+    from tactile_toolkit.store.manifest import Manifest
+
+__all__ = ["app", "main"]
+
+app = new_app("tactile-sim", "Synthetic touches: press a simulated GelSight Mini onto any solid.")
+
+OpticsName = Literal["depth", "taxim"]
+
+
+def _size(text: str) -> tuple[int, int]:
+    width, cross, height = text.partition("x")
+    if not (cross and width.isdecimal() and height.isdecimal()):
+        message = f"{text!r} is not a size; expected width and height in pixels, such as 64x64"
+        raise typer.BadParameter(message)
+    return int(width), int(height)
+
+
+@dataclass(frozen=True, slots=True)
+class PlanOptions:
+    """Where the gel goes."""
+
+    rounds: Annotated[int, typer.Option(min=1, metavar="N", help="Rounds of each object.")] = 16
+    touches: Annotated[int, typer.Option(min=1, metavar="N", help="Touches of a round.")] = 32
+    place: Annotated[
+        Literal["cell", "grid", "object"],
+        typer.Option(help="Where the gel goes: uniform in the cell, on a grid, or on the object only."),
+    ] = "cell"
+    turn: Annotated[
+        Literal["digits", "any", "none"],
+        typer.Option(help="Turn of the object: up to 22.5 degrees, any, or none."),
+    ] = "digits"
+    shift: Annotated[
+        bool, typer.Option(help="Move the object a little after each touch, as the environments do.")
+    ] = True
+    seed: Seed = 0
+
+    def plan(self) -> TouchPlan:
+        """Return the plan of touches."""
+        from tactile_sim.plan import TURNS, TouchPlan
+
+        return TouchPlan(
+            self.rounds,
+            self.touches,
+            self.place,
+            turn_rad=TURNS[self.turn],
+            shift=self.shift,
+            seed=self.seed,
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class PictureOptions:
+    """What a touch looks like."""
+
+    size: Annotated[str, typer.Option(metavar="WxH", help="Size of the pictures, pixels.")] = "64x64"
+    optics: Annotated[OpticsName, typer.Option(help="How depth becomes a picture.")] = "taxim"
+    like: Annotated[
+        Literal["environment", "published"],
+        typer.Option(
+            help="environment: rendered in this size, with the window that the environments show; published: "
+            "rendered as 320x240 of the whole sensor and scaled."
+        ),
+    ] = "environment"
+    image_format: Annotated[
+        Literal["jpeg", "png"], typer.Option("--format", help="Format of the pictures.")
+    ] = "jpeg"
+    quality: Annotated[int, typer.Option(min=1, max=100, help="Quality of JPEGs.")] = 95
+
+
+@command(app)
+def generate(
+    *,
+    objects: Annotated[
+        str,
+        typer.Argument(metavar="DIR|NAME", help="Digits, scenes or other meshes: folder, file or Hub id."),
+    ],
+    split: Annotated[str, typer.Option(metavar="NAME|all", help="Split to make.")] = "all",
+    out: Out = Path("touches"),
+    plan: PlanOptions,
+    picture: PictureOptions,
+    limit: Limit = None,
+    making: Making,
+    sink: Sink,
+) -> None:
+    """Make a data set of touches of all objects of a data set.
+
+    Example: tactile-sim generate digits --split test --rounds 1 --touches 32 --out touches
+
+    A run that was stopped goes on when the same command is given again; finished shards are never made twice.
+    """
+    from tactile_sim.generation import GenerateSpec, forecast
+    from tactile_sim.generation import generate as make
+    from tactile_toolkit.run.limits import prepare_batch_process
+
+    spec: GenerateSpec = GenerateSpec(
+        _size(picture.size),
+        picture.optics,
+        picture.like,
+        plan.plan(),
+        picture.image_format,
+        picture.quality,
+        limit=limit,
+    )
+    splits = None if split == "all" else (split,)
+    if making.dry_run:
+        view = forecast(objects, spec, str(out), splits, making.processes, overwrite=making.overwrite)
+        print_forecast(sink, KIND, view, out, making)
+        return
+    prepare_batch_process()
+    made = make_with_progress(
+        sink,
+        "rendering",
+        "rounds",
+        lambda on_progress: make(
+            objects,
+            spec,
+            str(out),
+            splits,
+            workers=making.processes,
+            overwrite=making.overwrite,
+            on_progress=on_progress,
+        ),
+    )
+    _print_made(sink, made.manifest, out, made.elapsed_s)
+    done = f"made {counted(made.rows, 'rounds')} in {duration_text(made.elapsed_s)}"
+    sink.line(
+        f"{done if made.rows or made.skipped else 'nothing was left to make'}; the data set is in {out}"
+    )
+    first = next(iter(made.manifest.split_table()))
+    sink.line(f"next in Python: realtouch.load({str(out)!r}, split={first!r})")
+
+
+@command(app)
+def info(folder: Folder, as_json: Json = False) -> None:
+    """Show what a data set folder holds and how it was made."""
+    from tactile_toolkit.catalog.kinds import require_manifest
+    from tactile_toolkit.store.folder import DataFolder
+
+    sink = Sink(as_json)
+    manifest = require_manifest(KIND, DataFolder(str(folder)))
+    _print_made(sink, manifest, folder)
+    print_spec(sink, manifest, "spec")
+
+
+def _print_made(sink: Sink, manifest: Manifest, out: Path, elapsed_s: float | None = None) -> None:
+    rows = []
+    for split, held in manifest.split_table().items():
+        parts = [record.statistics or {} for record in manifest.shards_of(split)]
+        touches, contact = (sum(part.get(name, 0) for part in parts) for name in ("touches", "on_object"))
+        share = f"{100 * contact / touches:.1f} %" if touches else "-"
+        rows.append((split, held["rows"], touches, share, held["skipped"], bytes_text(held["bytes"])))
+    header = ("split", "rounds", "touches", "on the object", "objects left out", "Parquet")
+    print_made(sink, KIND, manifest, out, manifest.split_table(), elapsed_s, (header, rows))
+
+
+def _place(text: str) -> tuple[float, float]:
+    parts = text.split(",")
+    try:
+        x, y = map(float, parts)
+    except ValueError as error:
+        message = f"{text!r} is not a place; expected x,y in metres, such as 0.01,0.02"
+        raise typer.BadParameter(message) from error
+    return x, y
+
+
+@command(app)
+def render(
+    *,
+    mesh: Annotated[
+        Path, typer.Argument(metavar="FILE", help="A mesh: STL/3MF/PLY/OBJ in millimetres, GLB in metres.")
+    ],
+    at: Annotated[
+        str, typer.Option(metavar="X,Y", help="Where the gel goes, metres from the origin.")
+    ] = "0,0",
+    turn: Annotated[float, typer.Option(metavar="RAD", help="Turn of the object about z, radians.")] = 0.0,
+    picture: PictureOptions,
+    out: Annotated[
+        Path, typer.Option("--out", "-o", metavar="FILE", help="Picture to write.", parser=local_place)
+    ] = Path("touch.png"),
+    sink: Sink,
+) -> None:
+    """Press the gel onto a mesh once and write the picture.
+
+    Example: tactile-sim render part.stl --at 0.01,0.02 --turn 0.3 --size 320x240 --out touch.png
+    """
+    from tactile_sim.generation import GenerateSpec
+    from tactile_sim.looking import look
+    from tactile_toolkit.mesh.files import read_mesh
+    from tactile_toolkit.store.folder import DataFolder
+    from tactile_toolkit.touch.jpeg import encode_image
+
+    spec = GenerateSpec(_size(picture.size), picture.optics, picture.like)
+    x_m, y_m = _place(at)
+    seen = look(read_mesh(mesh), spec, x_m, y_m, turn_rad=turn)
+    kind: Literal["jpeg", "png"] = "jpeg" if out.suffix.lower() in (".jpg", ".jpeg") else picture.image_format
+    kind = "png" if out.suffix.lower() == ".png" else kind
+    DataFolder(str(out.parent.absolute())).write_bytes(
+        out.name, encode_image(seen.picture, kind, picture.quality)
+    )
+    sink.document({"file": str(out), "sensor_z_m": seen.sensor_z_m, "contact": seen.contact})
+    sink.line(
+        f"{out}: the sensor stops {1e3 * seen.sensor_z_m:.3f} mm above the plate; "
+        f"{100 * seen.contact:.1f} % of the picture is in contact"
+    )
+
+
+add_verify(app, KIND, "a data set folder")
+command(app, "preview")(preview_touches)
+add_card(app, KIND)
+add_upload(app, KIND)
+add_download(app, KIND)
+add_touch_gallery(app)
+
+
+def main() -> None:
+    """Run the command line."""
+    run(app)

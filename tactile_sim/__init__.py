@@ -1,0 +1,55 @@
+"""Synthetic touches: any solid, pressed by a simulated GelSight Mini.
+
+``tactile_sim.press`` gives depth, ``tactile_sim.generate`` writes a data set, which ``realtouch.load`` opens.
+Names are imported on first use, so that ``import tactile_sim`` costs nothing.
+"""
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from tactile_sim.generation import GenerateSpec, generate
+    from tactile_sim.optics import make_optics
+    from tactile_sim.plan import RoundPlan, TouchPlan, plan_round
+    from tactile_sim.poses import pose
+    from tactile_sim.pressing import Pressable, Pressed, press
+    from tactile_sim.sensor import Sensor, as_environment, as_sensor
+
+__all__ = [
+    "GenerateSpec",
+    "Pressable",
+    "Pressed",
+    "RoundPlan",
+    "Sensor",
+    "TouchPlan",
+    "as_environment",
+    "as_sensor",
+    "generate",
+    "make_optics",
+    "plan_round",
+    "pose",
+    "press",
+]
+
+_HOMES = {
+    "tactile_sim.generation": ("GenerateSpec", "generate"),
+    "tactile_sim.optics": ("make_optics",),
+    "tactile_sim.plan": ("RoundPlan", "TouchPlan", "plan_round"),
+    "tactile_sim.poses": ("pose",),
+    "tactile_sim.pressing": ("Pressable", "Pressed", "press"),
+    "tactile_sim.sensor": ("Sensor", "as_environment", "as_sensor"),
+}
+
+
+def __getattr__(name: str) -> Any:
+    for home, names in _HOMES.items():
+        if name in names:
+            return getattr(import_module(home), name)
+    message = f"module 'tactile_sim' has no attribute {name!r}"
+    raise AttributeError(message)
+
+
+def __dir__() -> list[str]:
+    return sorted(__all__)

@@ -1,0 +1,7 @@
+"""``python -m tactile_sim``: the command line, also where its command is not on the path."""
+
+from __future__ import annotations
+
+from cli.tactile_sim import main
+
+main()

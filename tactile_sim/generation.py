@@ -1,0 +1,351 @@
+"""The main job: from a data set of solids to a data set of touches of them."""
+
+from __future__ import annotations
+
+import dataclasses
+import hashlib
+import os
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tactile_sim.card import write_card
+from tactile_sim.kind import KIND
+from tactile_sim.optics import OPTICS, Optics, make_optics
+from tactile_sim.plan import TouchPlan, plan_round
+from tactile_sim.pressing import Pressable, press
+from tactile_sim.rows import TouchRow, parquet_style, touch_table
+from tactile_sim.sensor import Sensor, as_environment, as_sensor
+from tactile_toolkit.catalog.locate import find_shards, splits_of
+from tactile_toolkit.catalog.published import place_of
+from tactile_toolkit.errors import InputError
+from tactile_toolkit.mesh.columns import class_names, require_mesh_columns
+from tactile_toolkit.mesh.records import SolidDataset
+from tactile_toolkit.read.parquet import Shard, ShardedTable
+from tactile_toolkit.run.processes import Runner, runner_for
+from tactile_toolkit.store.build import Progress, build
+from tactile_toolkit.store.folder import DataFolder
+from tactile_toolkit.store.forecast import Forecast, Sample, forecast_build
+from tactile_toolkit.store.manifest import Manifest
+from tactile_toolkit.store.parquet import encode_parquet, file_sha256
+from tactile_toolkit.store.plan import BuildPlan, ShardContent, require_known_splits
+from tactile_toolkit.store.shards import ShardName, Skipped
+from tactile_toolkit.touch.jpeg import encode_image, resized
+from tactile_toolkit.wording import positive_or_none
+
+__all__ = ["GenerateSpec", "TouchShard", "fitted", "forecast", "generate", "plan_build"]
+
+_LIKE = ("environment", "published")
+_PUBLISHED_PX = (320, 240)
+_IMAGES = ("jpeg", "png")
+_SHARD_BYTES = 64 << 20
+_GROUP_BYTES = 8 << 20
+_JPEG_BYTES_PER_PX = 0.25
+_SAMPLED_ROUNDS = 3
+
+
+@dataclass(frozen=True)
+class GenerateSpec:
+    """Everything that decides the touches of a set of solids.
+
+    Attributes
+    ----------
+    size_px : tuple of int
+        Width and height of the pictures, pixels.
+    optics : str
+        How depth becomes a picture: ``"depth"``, ``"taxim"`` or ``"cyclegan"``.
+    like : str
+        ``"environment"``: rendered in this size, with the window that the environments show in it;
+        ``"published"``: rendered as 320 x 240 pixels of the whole sensor and scaled to the size.
+    plan : TouchPlan
+        Where the gel goes.
+    image_format : str
+        ``"jpeg"`` or ``"png"``.
+    quality : int
+        Of JPEGs, 1 to 100.
+    weights : str or None
+        File of weights for ``"cyclegan"``; the published ones by default.
+    limit : int or None
+        Only the first so many objects of each split.
+    """
+
+    size_px: tuple[int, int] = (64, 64)
+    optics: str = "taxim"
+    like: str = "environment"
+    plan: TouchPlan = field(default_factory=TouchPlan)
+    image_format: str = "jpeg"
+    quality: int = 95
+    weights: str | None = None
+    limit: int | None = None
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "size_px", as_sensor(*self.size_px).size_px)
+        object.__setattr__(self, "limit", positive_or_none("--limit", self.limit))
+        for name, known in (("optics", OPTICS), ("like", _LIKE), ("image_format", _IMAGES)):
+            if getattr(self, name) not in known:
+                message = f"{name} is {getattr(self, name)!r}; expected one of {', '.join(known)}"
+                raise InputError(message)
+        if not 1 <= self.quality <= 100:
+            message = f"quality is {self.quality!r}; expected 1 to 100"
+            raise InputError(message)
+
+    def sensor(self, optics: Optics) -> Sensor:
+        """Return the sensor whose depth maps the optics get."""
+        width, height = self.size_px if self.like == "environment" else _PUBLISHED_PX
+        seen = as_environment(width, height) if self.like == "environment" else as_sensor(width, height)
+        return dataclasses.replace(seen, size_px=optics.depth_size(width, height))
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return JSON values that decide the pictures and poses."""
+        weights = (
+            None if self.weights is None else hashlib.sha256(Path(self.weights).read_bytes()).hexdigest()
+        )
+        return {
+            "size_px": list(self.size_px),
+            "optics": self.optics,
+            "like": self.like,
+            "plan": self.plan.to_dict(),
+            "image_format": self.image_format,
+            "quality": self.quality if self.image_format == "jpeg" else None,
+            "weights_sha256": weights,
+            "limit": self.limit,
+        }
+
+
+@dataclass(frozen=True)
+class TouchShard:
+    """The task of one shard: rounds ``start`` to ``start + size - 1`` of a split, object after object."""
+
+    shard: ShardName
+    paths: tuple[str, ...] = field(repr=False)
+    names: tuple[str, ...] = field(repr=False)
+    start: int
+    size: int
+    spec: GenerateSpec = field(repr=False)
+
+    def make(self) -> ShardContent:
+        """Render the rounds; objects that bound no solid are left out and listed."""
+        solids = SolidDataset([ShardedTable(tuple(map(Shard, self.paths)))], label_names=self.names)
+        rounds = self.spec.plan.rounds
+        rows, skipped = [], []
+        first, last = self.start // rounds, (self.start + self.size - 1) // rounds
+        for place in range(first, last + 1):
+            record = solids[place]
+            try:
+                solid = Pressable.of(record)
+            except InputError as error:
+                skipped.append(Skipped(record.id, "no-solid", f"object {record.id}: {error}"))
+                continue
+            numbers = range(
+                max(self.start, place * rounds), min(self.start + self.size, (place + 1) * rounds)
+            )
+            rows += [
+                _make_row(
+                    self.spec, solid, self.shard.split, record.id, record.label, number - place * rounds
+                )
+                for number in numbers
+            ]
+        table = touch_table(rows, self.names, _suffix(self.spec)) if rows else _empty(self.names)
+        touches = sum(len(row.images) for row in rows)
+        contacts = sum(int((row.sensor_z_m > _lowest_m(self.spec)).sum()) for row in rows)
+        return ShardContent(table, tuple(skipped), statistics={"touches": touches, "on_object": contacts})
+
+
+def _empty(names: tuple[str, ...]) -> Any:
+    from tactile_sim.rows import touch_schema
+
+    return touch_schema(names).empty_table()
+
+
+def _lowest_m(spec: GenerateSpec) -> float:
+    """Return the height of a sensor that met nothing but the plate, and a micrometre for rounding."""
+    return as_sensor(*spec.size_px).press_m + 1e-6
+
+
+def _suffix(spec: GenerateSpec) -> str:
+    return {"jpeg": "jpg", "png": "png"}[spec.image_format]
+
+
+@cache
+def _optics(name: str, weights: str | None) -> Optics:
+    """Make optics once in a process: tables and networks take longer to load than a round to render."""
+    return make_optics(name, weights)
+
+
+def _make_row(
+    spec: GenerateSpec, solid: Pressable, split: str, object_id: int, label: int, number: int
+) -> TouchRow:
+    optics = _optics(spec.optics, spec.weights)
+    sensor = spec.sensor(optics)
+    plan = plan_round(spec.plan, solid, split, object_id, number)
+    targets = np.tile(np.eye(4), (len(plan.positions_m), 1, 1))
+    targets[:, :2, 3] = plan.positions_m
+    pressed = press(solid, plan.object_poses[:-1], targets, sensor)
+    pictures = optics.render(pressed.depth_m, sensor)
+    images = [encode_image(fitted(each, spec), _kind(spec), spec.quality) for each in pictures]
+    return TouchRow(f"{object_id}-{number}", label, object_id, plan, pressed.sensor_z_m, images)
+
+
+def _kind(spec: GenerateSpec) -> Any:
+    return spec.image_format
+
+
+def fitted(picture: NDArray[np.uint8], spec: GenerateSpec) -> NDArray[np.uint8]:
+    """Scale a picture to the size that is wanted, where it has another."""
+    width, height = spec.size_px
+    return picture if picture.shape[:2] == (height, width) else resized(picture, width, height)
+
+
+def plan_build(source: str, spec: GenerateSpec, splits: Sequence[str] | None = None) -> BuildPlan:
+    """Decide which shards hold which rounds; reads footers and checksums of the source.
+
+    InputError for an unknown split, a source without meshes, or one without rows.
+    """
+    place = place_of(source)
+    known = splits_of(place)
+    wanted = known if splits is None else tuple(splits)
+    require_known_splits(wanted, known)
+    make_optics(spec.optics, spec.weights)  # what is missing is said before anything is written
+    tasks: list[TouchShard] = []
+    per_shard = _rounds_for(spec, _SHARD_BYTES)
+    for split in (each for each in known if each in wanted):
+        shards = find_shards(place, split)
+        table = ShardedTable(shards)
+        require_mesh_columns(table.schema, source, "mnist3d generate")
+        names = class_names(table.schema, tuple(map(str, range(10))), source)
+        objects = sum(map(len, shards)) if spec.limit is None else min(sum(map(len, shards)), spec.limit)
+        total = objects * spec.plan.rounds
+        starts = range(0, total, per_shard)
+        tasks += [
+            TouchShard(
+                ShardName(split, index, len(starts)),
+                tuple(shard.path for shard in shards),
+                names,
+                start,
+                min(per_shard, total - start),
+                spec,
+            )
+            for index, start in enumerate(starts)
+        ]
+    if not tasks:
+        message = f"{source!r} holds no mesh in {', '.join(wanted)}; next: choose another split"
+        raise InputError(message)
+    # Each split for itself, so that a folder can be filled split by split.
+    identity = {
+        "operation": "generate",
+        "options": spec.to_dict(),
+        "source": {split: _fingerprint(place, split) for split in known},
+    }
+    return BuildPlan(
+        KIND.name,
+        identity,
+        known,
+        tuple(tasks),
+        parquet_style(_rounds_for(spec, _GROUP_BYTES)),
+        libraries=("numpy", "pillow", "pyarrow"),
+    )
+
+
+def _rounds_for(spec: GenerateSpec, size_bytes: int) -> int:
+    width, height = spec.size_px
+    round_bytes = spec.plan.touches * (width * height * _JPEG_BYTES_PER_PX + 600)
+    return int(min(1024, max(1, size_bytes // round_bytes)))
+
+
+def _fingerprint(place: str, split: str) -> list[dict[str, Any]]:
+    found = []
+    for shard in find_shards(place, split):
+        file = Path(shard.path)
+        checksum = file_sha256(DataFolder(str(file.parent)), file.name)
+        found.append({"file": file.name, "rows": len(shard), "sha256": checksum})
+    return found
+
+
+def generate(
+    source: str,
+    spec: GenerateSpec,
+    out: str | os.PathLike[str],
+    splits: Sequence[str] | None = None,
+    *,
+    workers: int | Runner = 1,
+    overwrite: bool = False,
+    on_progress: Callable[[Progress], None] = lambda _: None,
+) -> Manifest:
+    """Make a data set of touches of solids, in the published schema; ``realtouch.load`` opens it.
+
+    A folder that holds a finished or interrupted run of the same specification is completed. The same
+    specification gives byte-identical Parquet whatever the number of workers and however often the run was
+    interrupted.
+
+    Parameters
+    ----------
+    source : str
+        Data set of digits, scenes or other meshes: a folder, a Parquet file, a repository of the Hub or a
+        short name, as ``mnist3d.load`` takes it.
+    spec : GenerateSpec
+        What to make of it.
+    out : str or path-like
+        Folder to write.
+    splits : sequence of str, optional
+        Splits of the source; all by default.
+    workers : int or Runner
+        Number of local processes, or a runner of another kind.
+    overwrite : bool
+        Start again in a folder that holds another data set of this toolkit.
+    on_progress : callable
+        Called with the :class:`~tactile_toolkit.store.build.Progress` after each shard.
+
+    Returns
+    -------
+    Manifest
+        What the folder holds now; objects that bound no solid are left out and listed in it.
+
+    Raises
+    ------
+    InputError
+        The source or an option cannot be used.
+    MissingExtraError
+        The optics need packages that are not installed.
+    IntegrityError
+        The source is damaged, or no object of it bounds a solid.
+    HubError
+        The source is on the Hub and cannot be fetched.
+    SpecMismatchError
+        The folder holds a data set of another specification.
+    StorageError
+        The folder cannot be written. What was finished stays.
+    """
+    folder = DataFolder(os.fspath(out))
+    plan = plan_build(source, spec, splits)
+    runner = runner_for(workers)
+    return build(folder, plan, runner, overwrite=overwrite, on_progress=on_progress, write_card=write_card)
+
+
+def forecast(
+    source: str,
+    spec: GenerateSpec,
+    out: str | os.PathLike[str],
+    splits: Sequence[str] | None,
+    workers: int,
+    *,
+    overwrite: bool = False,
+) -> Forecast:
+    """Estimate a run of :func:`generate` by making some of its rounds; writes nothing."""
+    plan = plan_build(source, spec, splits)
+    task: Any = plan.tasks[0]
+
+    def measure() -> Sample:
+        dataclasses.replace(task, size=1).make()  # the first round pays for imports and compiling
+        sampled = min(_SAMPLED_ROUNDS, task.size)
+        start_s = time.perf_counter()
+        content = dataclasses.replace(task, size=sampled).make()
+        size = len(encode_parquet(content.table, plan.style))
+        return Sample(sampled, size / sampled, (time.perf_counter() - start_s) / sampled)
+
+    return forecast_build(out, plan, workers, measure, overwrite=overwrite)

@@ -1,0 +1,132 @@
+"""The surface under each pixel: triangles cut into scan lines, in numpy or in numba, with the same bytes.
+
+numpy is the reference: the scan lines of :mod:`tactile_toolkit.mesh.raster`. The numba path
+(:mod:`tactile_sim.kernels`) does the same operations in the same order on one triangle after another. Both
+use sums, products, quotients and comparisons of IEEE doubles only, which every processor rounds alike.
+"""
+
+from __future__ import annotations
+
+import warnings
+from functools import cache
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tactile_toolkit.errors import InputError, MissingExtraError
+from tactile_toolkit.mesh.raster import scan_lines
+
+__all__ = ["Backend", "chosen_backend", "face_blocks", "finish", "raise_heights"]
+
+_FACES_PER_BLOCK = 32
+_CELL_OF_FACES_M = 0.002
+
+Backend = Literal["auto", "numba", "numpy"]
+
+
+@cache
+def _has_numba() -> bool:
+    try:
+        import numba  # noqa: F401
+    except ImportError:
+        return False
+    return True
+
+
+def chosen_backend(backend: Backend) -> Literal["numba", "numpy"]:
+    """Return what computes: numba where it is installed, else numpy, which is said once."""
+    if backend not in ("auto", "numba", "numpy"):
+        message = f"backend is {backend!r}; expected auto, numba or numpy"
+        raise InputError(message)
+    if backend == "numpy":
+        return "numpy"
+    if _has_numba():
+        return "numba"
+    if backend == "numba":
+        feature = "the fast renderer"
+        raise MissingExtraError(feature, "numba", "sim")
+    _say_slow()
+    return "numpy"
+
+
+@cache
+def _say_slow() -> None:
+    warnings.warn(
+        "touches are rendered by numpy, with the same result but many times slower; "
+        "next: pip install 'tactile-toolkit[sim]' (numba)",
+        stacklevel=4,
+    )
+
+
+def raise_heights(
+    out: NDArray[np.float64],
+    vertices: NDArray[np.float64],
+    faces: NDArray[np.int32],
+    blocks: NDArray[np.float64],
+    affine: NDArray[np.float64],
+    backend: Literal["numba", "numpy"],
+) -> None:
+    """Raise each pixel of ``out`` to the highest triangle over it that faces upwards.
+
+    ``out``, shape (H, W), has its first row at the top; ``vertices`` (V, 3) float64 and ``faces`` (F, 3)
+    int32 are the solid, ``blocks`` (B, 4) balls around runs of its faces (:func:`face_blocks`); ``affine``,
+    shape (3, 4), turns a vertex into column, row counted from the bottom, both in pixels whose points have
+    whole numbers, and height.
+    """
+    if backend == "numba":
+        from tactile_sim.kernels import raise_heights_numba
+
+        raise_heights_numba(out, vertices, faces, blocks, affine)
+        return
+    x, y, z = vertices.T
+    points = np.stack([((row[0] * x + row[1] * y) + row[2] * z) + row[3] for row in affine])
+    upright: Any = out[::-1]
+    for lines in scan_lines(points, faces, out.shape):
+        line = np.repeat(np.arange(len(lines.count)), lines.count)
+        within = np.arange(len(line)) - np.repeat(np.cumsum(lines.count) - lines.count, lines.count)
+        height = lines.height[line] + lines.rise[line] * within
+        np.maximum.at(upright, (lines.row[line], lines.column[line] + within), height)
+
+
+def finish(
+    heights_m: NDArray[np.float64],
+    image: NDArray[np.float32],
+    press_m: float,
+    gel_m: float,
+    backend: Literal["numba", "numpy"],
+) -> float:
+    """Turn heights (H, W) into depth in place and fill the depth image; return the greatest height."""
+    if backend == "numba":
+        from tactile_sim.kernels import finish_numba
+
+        return float(finish_numba(heights_m, image, press_m, gel_m))
+    highest = float(heights_m.max())
+    heights_m[...] = press_m + (highest - heights_m)
+    image[...] = (np.clip(heights_m, press_m, gel_m) - press_m) / (gel_m - press_m)
+    return highest
+
+
+def face_blocks(
+    vertices: NDArray[np.float64], faces: NDArray[np.int32]
+) -> tuple[NDArray[np.int32], NDArray[np.float64]]:
+    """Sort faces so that neighbours lie together; return them and a ball around each run of about 32.
+
+    Most of a solid is outside the window of a touch: whole runs are left out by one test.
+    """
+    middles = vertices[faces].mean(axis=1)
+    cells = np.floor((middles[:, :2] - vertices[:, :2].min(axis=0)) / _CELL_OF_FACES_M).astype(np.int64)
+    one, other = (vertices[faces[:, k]] - vertices[faces[:, 0]] for k in (1, 2))
+    down = one[:, 0] * other[:, 1] - one[:, 1] * other[:, 0] <= 0
+    faces = faces[np.lexsort((cells[:, 0], cells[:, 1], down))]
+    corners = vertices[faces]
+    # Runs of one length, the last one shorter: the kernel knows from their number where each begins.
+    count = -(-len(faces) // _FACES_PER_BLOCK)
+    per_block = -(-len(faces) // count)
+    blocks = np.empty((-(-len(faces) // per_block), 4))
+    for number in range(len(blocks)):
+        run = corners[number * per_block : (number + 1) * per_block].reshape(-1, 3)
+        centre = (run.min(axis=0) + run.max(axis=0)) / 2
+        blocks[number, :3] = centre
+        blocks[number, 3] = np.sqrt(((run - centre) ** 2).sum(axis=1).max())
+    return np.ascontiguousarray(faces), blocks

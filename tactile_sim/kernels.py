@@ -1,0 +1,348 @@
+"""Inner loops in numba. No fastmath: every operation is an IEEE one, in the order in which it stands.
+
+All kernels lie in this one file, because numba's cache on disk looks at the file of a kernel only.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import Any, TypeVar
+
+import numba
+import numpy as np
+from numpy.typing import NDArray
+
+__all__ = ["blur_numba", "finish_numba", "raise_heights_numba", "taxim_numba"]
+
+F = TypeVar("F", bound=Callable[..., Any])
+
+
+def _compiled(function: F) -> F:
+    """Compile on first use; kept beside this file or in the user's cache folder, where one can be written."""
+    jit: Any = numba.njit
+    compiled: F
+    try:
+        compiled = jit(cache=True, nogil=True, error_model="numpy")(function)
+    except RuntimeError:  # numba finds no folder for its cache
+        compiled = jit(nogil=True, error_model="numpy")(function)
+    return compiled
+
+
+_EDGE_PX = 1e-9  # as in tactile_toolkit.mesh.raster, whose steps these are
+
+
+@_compiled
+def raise_heights_numba(
+    out: NDArray[np.float64],
+    vertices: NDArray[np.float64],
+    faces: NDArray[np.int32],
+    blocks: NDArray[np.float64],
+    affine: NDArray[np.float64],
+) -> None:
+    """Do as :func:`tactile_sim.heights.raise_heights` with numpy, one triangle after another.
+
+    ``blocks``, shape (B, 4), are balls around as many runs of faces, centre and radius: a run whose ball is
+    outside the window is left out.
+    """
+    rows, columns = out.shape
+    per_block = (len(faces) + len(blocks) - 1) // len(blocks)
+    xx, xy, xz, x0 = affine[0, 0], affine[0, 1], affine[0, 2], affine[0, 3]
+    yx, yy, yz, y0 = affine[1, 0], affine[1, 1], affine[1, 2], affine[1, 3]
+    zx, zy, zz, z0 = affine[2, 0], affine[2, 1], affine[2, 2], affine[2, 3]
+    reach_x, reach_y = math.sqrt(xx * xx + xy * xy + xz * xz), math.sqrt(yx * yx + yy * yy + yz * yz)
+    for block in range(len(blocks)):
+        x, y, z, radius = blocks[block, 0], blocks[block, 1], blocks[block, 2], blocks[block, 3]
+        middle_x, middle_y = xx * x + xy * y + xz * z + x0, yx * x + yy * y + yz * z + y0
+        far_x, far_y = radius * reach_x + 1e-3, radius * reach_y + 1e-3
+        if middle_x + far_x < 0.0 or middle_x - far_x > columns - 1:
+            continue
+        if middle_y + far_y < 0.0 or middle_y - far_y > rows - 1:
+            continue
+        for face in range(block * per_block, min((block + 1) * per_block, len(faces))):
+            a, b, c = faces[face, 0], faces[face, 1], faces[face, 2]
+            x, y, z = vertices[a, 0], vertices[a, 1], vertices[a, 2]
+            ax, ay = ((xx * x + xy * y) + xz * z) + x0, ((yx * x + yy * y) + yz * z) + y0
+            az = ((zx * x + zy * y) + zz * z) + z0
+            x, y, z = vertices[b, 0], vertices[b, 1], vertices[b, 2]
+            bx, by = ((xx * x + xy * y) + xz * z) + x0, ((yx * x + yy * y) + yz * z) + y0
+            bz = ((zx * x + zy * y) + zz * z) + z0
+            x, y, z = vertices[c, 0], vertices[c, 1], vertices[c, 2]
+            cx, cy = ((xx * x + xy * y) + xz * z) + x0, ((yx * x + yy * y) + yz * z) + y0
+            cz = ((zx * x + zy * y) + zz * z) + z0
+            abx, aby, acx, acy = bx - ax, by - ay, cx - ax, cy - ay
+            area = abx * acy - aby * acx
+            if not area > 0.0:
+                continue
+            low_x, high_x = min(min(ax, bx), cx), max(max(ax, bx), cx)
+            low_y, high_y = min(min(ay, by), cy), max(max(ay, by), cy)
+            if high_x + _EDGE_PX < 0.0 or low_x - _EDGE_PX > columns - 1:
+                continue
+            first_row = max(math.ceil(low_y - _EDGE_PX), 0)
+            last_row = min(math.floor(high_y + _EDGE_PX), rows - 1)
+            if first_row > last_row:
+                continue
+            abz, acz = bz - az, cz - az
+            low_z, high_z = min(min(az, bz), cz), max(max(az, bz), cz)
+            along_row = (abz * acy - aby * acz) / area
+            along_column = (abx * acz - abz * acx) / area
+            l0, m0, r0, s0 = _side(ax, ay, bx, by)
+            l1, m1, r1, s1 = _side(bx, by, cx, cy)
+            l2, m2, r2, s2 = _side(cx, cy, ax, ay)
+            for row in range(first_row, last_row + 1):
+                left = max(max(max(low_x - _EDGE_PX, l0 + m0 * row), l1 + m1 * row), l2 + m2 * row)
+                right = min(min(min(high_x + _EDGE_PX, r0 + s0 * row), r1 + s1 * row), r2 + s2 * row)
+                first, last = max(math.ceil(left), 0), min(math.floor(right), columns - 1)
+                if first > last:
+                    continue
+                level = az + along_column * (row - ay)
+                start = min(max(level + along_row * (first - ax), low_z), high_z)
+                end = min(max(level + along_row * (last - ax), low_z), high_z)
+                rise = (end - start) / max(last - first, 1)
+                line = out[rows - 1 - row]
+                for step in range(last - first + 1):
+                    height = start + rise * step
+                    if height > line[first + step]:
+                        line[first + step] = height
+
+
+@_compiled
+def _side(start_x: float, start_y: float, end_x: float, end_y: float) -> tuple[float, float, float, float]:
+    along_x, along_y = end_x - start_x, end_y - start_y
+    if along_y < -_EDGE_PX:
+        per_row = along_x / along_y
+        slack = _EDGE_PX * (1.0 + abs(per_row))
+        return (start_x - per_row * start_y) - slack, per_row, np.inf, 0.0
+    if along_y > _EDGE_PX:
+        per_row = along_x / along_y
+        slack = _EDGE_PX * (1.0 + abs(per_row))
+        return -np.inf, 0.0, (start_x - per_row * start_y) + slack, per_row
+    return -np.inf, 0.0, np.inf, 0.0
+
+
+@_compiled
+def finish_numba(
+    heights_m: NDArray[np.float64], image: NDArray[np.float32], press_m: float, gel_m: float
+) -> float:
+    """Turn heights into depth, in place, and the depth image; return the greatest height, metres."""
+    rows, columns = heights_m.shape
+    # One greatest value for each column, and comparisons as selections: LLVM does several pixels at once.
+    greatest = heights_m[0].copy()
+    for row in range(1, rows):
+        line = heights_m[row]
+        for column in range(columns):
+            greatest[column] = line[column] if line[column] > greatest[column] else greatest[column]
+    highest = greatest[0]
+    for column in range(1, columns):
+        highest = max(highest, greatest[column])
+    span = gel_m - press_m
+    for row in range(rows):
+        line, shown = heights_m[row], image[row]
+        for column in range(columns):
+            depth = press_m + (highest - line[column])
+            line[column] = depth
+            clipped = depth if depth > press_m else press_m
+            clipped = clipped if clipped < gel_m else gel_m
+            shown[column] = np.float32((clipped - press_m) / span)
+    return float(highest)
+
+
+@_compiled
+def _mirrored(place: int, count: int) -> int:
+    if place < 0:
+        return -place
+    return place if place < count else 2 * count - 2 - place
+
+
+@_compiled
+def blur_numba(
+    image: NDArray[np.float64],
+    out: NDArray[np.float64],
+    between: NDArray[np.float64],
+    across: NDArray[np.float64],
+    down: NDArray[np.float64],
+) -> None:
+    """Blur a map (H, W) by halves of symmetric kernels; beyond its edge it is mirrored, without the edge.
+
+    Pairs are added from the middle outwards, so the sums of a pixel have one order however many are done at
+    once.
+    """
+    rows, columns = image.shape
+    half = len(across) - 1
+    padded = np.empty(columns + 2 * half)
+    for row in range(rows):
+        for place in range(-half, columns + half):
+            padded[place + half] = image[row, _mirrored(place, columns)]
+        line = between[row]
+        weight = across[0]
+        for column in range(columns):
+            line[column] = weight * padded[column + half]
+        for tap in range(1, half + 1):
+            weight = across[tap]
+            left, right = padded[half - tap :], padded[half + tap :]
+            for column in range(columns):
+                line[column] += weight * (left[column] + right[column])
+    for row in range(rows):
+        line, middle = out[row], between[row]
+        weight = down[0]
+        for column in range(columns):
+            line[column] = weight * middle[column]
+        for tap in range(1, len(down)):
+            weight = down[tap]
+            above, below = between[_mirrored(row - tap, rows)], between[_mirrored(row + tap, rows)]
+            for column in range(columns):
+                line[column] += weight * (above[column] + below[column])
+
+
+@_compiled
+def _angle(y: float, x: float) -> float:
+    """Return the angle of a direction, -pi to pi, to 3e-9, by products, sums and quotients."""
+    far, near = max(abs(x), abs(y)), min(abs(x), abs(y))
+    ratio = near / far
+    folded = (ratio - 1.0) / (ratio + 1.0) if ratio > 0.41421356237309503 else ratio
+    square = folded * folded
+    series = 1.0 / 17.0
+    for odd in range(15, 0, -2):
+        series = 1.0 / odd - square * series
+    angle = folded * series
+    if ratio > 0.41421356237309503:
+        angle += math.pi / 4
+    if abs(y) > abs(x):
+        angle = math.pi / 2 - angle
+    if x < 0.0:
+        angle = math.pi - angle
+    return -angle if y < 0.0 else angle
+
+
+@_compiled
+def _dilated(mask: NDArray[np.bool_], wide: int, high: int) -> NDArray[np.bool_]:
+    """Return where a window, which leans to the upper left where it is even, meets the mask."""
+    rows, columns = mask.shape
+    out = np.zeros_like(mask)
+    for row in range(rows):
+        for column in range(columns):
+            if mask[row, column]:
+                for other in range(max(row - (high - 1) // 2, 0), min(row + high // 2, rows - 1) + 1):
+                    for place in range(
+                        max(column - (wide - 1) // 2, 0), min(column + wide // 2, columns - 1) + 1
+                    ):
+                        out[other, place] = True
+    return out
+
+
+@_compiled
+def taxim_numba(
+    out: NDArray[np.float32],
+    height_mm: NDArray[np.float64],
+    gel_mm: NDArray[np.float64],
+    background: NDArray[np.float64],
+    pyramid: tuple[tuple[NDArray[np.float64], NDArray[np.float64]], ...],
+    shadow_blur: tuple[NDArray[np.float64], NDArray[np.float64]],
+    colours: NDArray[np.float64],
+    fan: NDArray[np.float32],
+    shadows: NDArray[np.float64],
+    shadow_lengths: NDArray[np.int64],
+    windows: NDArray[np.int64],
+    plain: NDArray[np.float64],
+    flat_slope: float,
+    shadow_step: NDArray[np.float32],
+) -> None:
+    """Render one picture (H, W, 3), 0 to 1, of heights over the gel, mm; see `tactile_sim.optics.taxim`."""
+    rows, columns = height_mm.shape
+    pixel_mm, full_width, full_height, contact_scale = plain[0], plain[1], plain[2], plain[3]
+    lowest = height_mm[0, 0]
+    for row in range(rows):
+        for column in range(columns):
+            lowest = min(lowest, height_mm[row, column])
+    joined, contact = np.empty((rows, columns)), np.empty((rows, columns), np.bool_)
+    for row in range(rows):
+        for column in range(columns):
+            here, gel = height_mm[row, column], gel_mm[row, column]
+            joined[row, column] = min(here, gel)
+            contact[row, column] = here < 0.0 and joined[row, column] - gel < lowest * contact_scale
+    blurred, between, soft = joined.copy(), np.empty((rows, columns)), np.empty((rows, columns))
+    for level in range(len(pyramid)):
+        blur_numba(blurred, soft, between, pyramid[level][0], pyramid[level][1])
+        if level == len(pyramid) - 1:
+            break
+        for row in range(rows):
+            for column in range(columns):
+                blurred[row, column] = joined[row, column] if contact[row, column] else soft[row, column]
+
+    # Slope and direction at the inner pixels; those at the edge take those of their neighbours.
+    slope, direction = np.empty((rows, columns)), np.empty((rows, columns))
+    per_row, per_column = rows / full_height / 2.0 / pixel_mm, columns / full_width / 2.0 / pixel_mm
+    for row in range(1, rows - 1):
+        for column in range(1, columns - 1):
+            down = (soft[row - 1, column] - soft[row + 1, column]) * per_row
+            right = (soft[row, column - 1] - soft[row, column + 1]) * per_column
+            # What is level in one direction is so exactly: rounding must not choose the end of the circle.
+            down = 0.0 if abs(down) < 1e-9 else down
+            tangent = math.sqrt(down * down + right * right)
+            if tangent < flat_slope:
+                slope[row, column], direction[row, column] = 0.0, math.pi
+            else:
+                slope[row, column] = _angle(tangent, 1.0)
+                direction[row, column] = _angle(down, right) + math.pi
+    for table in (slope, direction):
+        for row in range(1, rows - 1):
+            table[row, 0], table[row, columns - 1] = table[row, 1], table[row, columns - 2]
+        table[0], table[rows - 1] = table[1], table[rows - 2]
+
+    # Directions are rounded up as in single precision: the last bin of the package holds those of pi alone,
+    # and that of a flat pixel is the middle of the table exactly.
+    bins = int(plain[8])
+    per_slope, per_direction = (bins - 1) / (0.5 * math.pi), (bins - 1) / (2.0 * math.pi)
+    shade = np.empty((3, rows, columns))
+    for row in range(rows):
+        y = row * (full_height / rows)
+        for column in range(columns):
+            x = column * (full_width / columns)
+            steep = int(slope[row, column] * per_slope)
+            turned = min(int(direction[row, column] * per_direction + 4e-6), bins - 1)
+            chosen = colours[steep, turned]
+            for colour in range(3):
+                c = 6 * colour
+                shade[colour, row, column] = (
+                    (
+                        ((x * x * chosen[c] + y * y * chosen[c + 1]) + x * y * chosen[c + 2])
+                        + x * chosen[c + 3]
+                    )
+                    + y * chosen[c + 4]
+                ) + chosen[c + 5]
+
+    near = _dilated(contact, windows[0, 0], windows[0, 1])
+    near = _dilated(near, windows[1, 0], windows[1, 1])
+    heights = shadow_lengths.shape[1] - 1
+    for row in range(rows):
+        for column in range(columns):
+            if not near[row, column] or contact[row, column]:
+                continue
+            toward = int(direction[row, column] / plain[4])
+            here = soft[row, column]
+            level = math.floor((gel_mm[row, column] - here - plain[6]) / plain[5]) + int(plain[7])
+            if level < 0 or level >= heights:
+                continue
+            dark = shadows[toward, level]
+            for step in range(shadow_lengths[toward, level]):
+                along_x = shadow_step[0] * np.float32(step + 1)
+                along_y = shadow_step[1] * np.float32(step + 1)
+                for ray in range(fan.shape[1]):
+                    x_px = np.float32(column) + along_x * fan[toward, ray, 0]
+                    y_px = np.float32(row) + along_y * fan[toward, ray, 1]
+                    if x_px <= -1.0 or y_px <= -1.0 or x_px >= columns or y_px >= rows:
+                        continue
+                    other_column, other_row = int(x_px), int(y_px)
+                    if here < soft[other_row, other_column]:
+                        for colour in range(3):
+                            if dark[step, colour] < shade[colour, other_row, other_column]:
+                                shade[colour, other_row, other_column] = dark[step, colour]
+
+    final_across, final_down = pyramid[len(pyramid) - 1]
+    for colour in range(3):
+        blur_numba(shade[colour], soft, between, shadow_blur[0], shadow_blur[1])
+        blur_numba(soft, joined, between, final_across, final_down)
+        for row in range(rows):
+            for column in range(columns):
+                lit = joined[row, column] + background[colour, row, column]
+                out[row, column, colour] = np.float32(min(max(lit, 0.0), 1.0))

@@ -1,0 +1,26 @@
+"""What the rest of the toolkit must know of synthetic touches: they are read as all touches are."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from tactile_toolkit.kind import DatasetKind, lazy
+
+__all__ = ["KIND"]
+
+
+def _loader(_manifest: Any) -> str:
+    return "realtouch.load"
+
+
+KIND = DatasetKind(
+    name="tactile_sim",
+    command="tactile-sim",
+    package="realtouch",  # opens every data set in the schema of touches
+    noun="round",
+    nouns="rounds",
+    made_by="tactile-sim generate",
+    card_template="tactile_sim.md",
+    write_card=lazy("tactile_sim.card:write_card"),
+    loader=_loader,
+)

@@ -1,0 +1,209 @@
+"""Where the gel goes, and how the object lies: plans of touches, drawn for each object and round alone."""
+
+from __future__ import annotations
+
+import hashlib
+import math
+from dataclasses import asdict, dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tactile_sim.poses import product, turn_quaternion
+from tactile_sim.pressing import Pressable
+from tactile_sim.sensor import CELL_M
+from tactile_toolkit.arithmetic import cosine_sine
+from tactile_toolkit.errors import InputError
+from tactile_toolkit.wording import is_whole, plain, plain_number
+
+__all__ = ["PLACES", "REACH_M", "TURNS", "RoundPlan", "TouchPlan", "plan_round"]
+
+PLACES = ("cell", "grid", "object")
+
+TURNS = {"digits": math.pi / 8, "any": math.pi, "none": 0.0}
+"""Greatest turn of an object, radians: of the environments that classify, of all others, and none."""
+
+REACH_M = (0.0385, 0.0405)
+"""How far from the middle of the cell the gel is sent, x and y, metres: half the cell less ``CELL_PADDING``
+of `tactile-mnist` 0.13.0."""
+
+_MARGIN_M = 0.01  # tactile-mnist 0.13.0, object_placement_margin
+_SHIFT_M = 1e-3  # tactile-mnist 0.13.0, translation_perturbation_scale
+_SHIFT_RAD = 5e-2  # tactile-mnist 0.13.0, rotation_perturbation_scale
+_MOST_TOUCHES = 4096
+
+
+@dataclass(frozen=True)
+class TouchPlan:
+    """How often and where each object is touched.
+
+    Attributes
+    ----------
+    rounds : int
+        Rounds of each object; the object lies anew in each.
+    touches : int
+        Touches of a round.
+    place : str
+        Where the gel goes: ``"cell"``, uniform in what it reaches; ``"grid"``, rows from the front left;
+        ``"object"``, uniform on the object as seen from above.
+    positions_m : tuple of (float, float)
+        Places of the touches of every round instead, metres, cell frame; ``touches`` is then their number.
+    turn_rad : float
+        Objects are turned about z by up to this much either way, radians; 0 leaves them as they are.
+    lie : str
+        ``"random"``: anywhere in the cell, a centimetre from its edge, as in the environments; ``"middle"``:
+        the origin of the mesh in the middle of the cell.
+    shift : bool
+        Move the object after each touch as the environments do: N(0, 1 mm) along x and y of its own frame,
+        and N(0, 0.05 rad) about z.
+    seed : int
+        Seed of everything that is drawn.
+    """
+
+    rounds: int = 16
+    touches: int = 32
+    place: str = "cell"
+    positions_m: tuple[tuple[float, float], ...] = field(default=(), repr=False)
+    turn_rad: float = math.pi / 8
+    lie: str = "random"
+    shift: bool = True
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        positions = plain(self.positions_m, float)
+        if positions:
+            object.__setattr__(self, "touches", len(positions))
+        for name in ("rounds", "touches", "seed"):
+            object.__setattr__(self, name, plain_number(getattr(self, name)))
+        object.__setattr__(self, "turn_rad", plain_number(self.turn_rad, float))
+        object.__setattr__(self, "positions_m", positions)
+        pairs = isinstance(positions, tuple) and all(
+            isinstance(pair, tuple)
+            and len(pair) == 2
+            and all(
+                isinstance(each, float) and abs(each) <= half / 2
+                for each, half in zip(pair, CELL_M, strict=True)
+            )
+            for pair in positions
+        )
+        for name, holds, expected in (
+            ("rounds", is_whole(self.rounds) and self.rounds >= 1, "a whole number of at least 1"),
+            (
+                "touches",
+                is_whole(self.touches) and 1 <= self.touches <= _MOST_TOUCHES,
+                f"a whole number from 1 to {_MOST_TOUCHES:,}",
+            ),
+            ("place", self.place in PLACES, f"one of {', '.join(PLACES)}"),
+            ("positions_m", pairs, "pairs of metres inside the cell, such as [(0.01, -0.02)]"),
+            ("turn_rad", isinstance(self.turn_rad, float) and 0 <= self.turn_rad <= math.pi, "0 to pi"),
+            ("lie", self.lie in ("random", "middle"), "random or middle"),
+            ("shift", isinstance(self.shift, bool), "True or False"),
+            ("seed", is_whole(self.seed) and self.seed >= 0, "a whole number from 0"),
+        ):
+            if not holds:
+                message = f"{name} of the plan of touches is {getattr(self, name)!r}; expected {expected}"
+                raise InputError(message)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return JSON values that decide every pose."""
+        return asdict(self)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RoundPlan:
+    """One round: T touches of one object, and T + 1 poses of it.
+
+    Attributes
+    ----------
+    positions_m : ndarray of float64, shape (T, 2)
+        Where the gel goes, metres, cell frame.
+    object_position_m : ndarray of float64, shape (T + 1, 3)
+        Where the object lies when it is touched, and at last after its last shift; metres, cell frame.
+    object_quaternion : ndarray of float64, shape (T + 1, 4)
+        How it is turned then: x, y, z, w.
+    object_poses : ndarray of float64, shape (T + 1, 4, 4)
+        The same as matrices.
+    """
+
+    positions_m: NDArray[np.float64]
+    object_position_m: NDArray[np.float64]
+    object_quaternion: NDArray[np.float64]
+    object_poses: NDArray[np.float64]
+
+
+def plan_round(plan: TouchPlan, solid: Pressable, split: str, object_id: int, number: int) -> RoundPlan:
+    """Draw one round; it depends on the plan, the split, the object and the number of the round alone."""
+    rng = _generator(plan.seed, split, object_id, number)
+    angle_rad = plan.turn_rad * (2.0 * rng.random() - 1.0)
+    x_m, y_m = _lying_place(plan, solid, angle_rad, rng.random(2))
+    shifts = rng.normal(size=(plan.touches, 3)) * ([_SHIFT_M, _SHIFT_M, _SHIFT_RAD] if plan.shift else 0.0)
+    poses, quaternions = [], []
+    for dx_m, dy_m, turned_rad in [(0.0, 0.0, 0.0), *shifts.tolist()]:
+        cosine, sine = cosine_sine(angle_rad)
+        x_m, y_m = x_m + (cosine * dx_m - sine * dy_m), y_m + (sine * dx_m + cosine * dy_m)
+        angle_rad += turned_rad
+        cosine, sine = cosine_sine(angle_rad)
+        poses.append(
+            [[cosine, -sine, 0, x_m], [sine, cosine, 0, y_m], [0, 0, 1, 0.0 - solid.foot_m], [0, 0, 0, 1]]
+        )
+        quaternions.append(turn_quaternion(angle_rad))
+    matrices = np.array(poses, np.float64)
+    positions = _positions(plan, solid, matrices, rng)
+    return RoundPlan(positions, matrices[:, :3, 3].copy(), np.array(quaternions), matrices)
+
+
+def _generator(seed: int, split: str, object_id: int, number: int) -> np.random.Generator:
+    words = hashlib.sha256(f"{seed}/{split}/{object_id}/{number}".encode()).digest()
+    return np.random.Generator(np.random.Philox(key=int.from_bytes(words[:16], "little")))
+
+
+def _lying_place(
+    plan: TouchPlan, solid: Pressable, angle_rad: float, drawn: NDArray[np.float64]
+) -> tuple[float, float]:
+    if plan.lie == "middle":
+        return 0.0, 0.0
+    cosine, sine = cosine_sine(angle_rad)
+    x, y, _ = solid.vertices_m.T
+    place = []
+    for axis, turned in enumerate((cosine * x - sine * y, sine * x + cosine * y)):
+        low = -CELL_M[axis] / 2 + _MARGIN_M - float(turned.min())
+        high = CELL_M[axis] / 2 - _MARGIN_M - float(turned.max())
+        # What is larger than the cell lies in its middle.
+        place.append(low + (high - low) * float(drawn[axis]) if low <= high else (low + high) / 2)
+    return place[0], place[1]
+
+
+def _positions(
+    plan: TouchPlan, solid: Pressable, poses: NDArray[np.float64], rng: np.random.Generator
+) -> NDArray[np.float64]:
+    if plan.positions_m:
+        return np.array(plan.positions_m, np.float64)
+    reach: NDArray[np.float64] = np.array(REACH_M)
+    if plan.place == "cell":
+        return (2.0 * rng.random((plan.touches, 2)) - 1.0) * reach
+    if plan.place == "grid":
+        columns = math.isqrt(plan.touches - 1) + 1
+        rows = -(-plan.touches // columns)
+        number = np.arange(plan.touches)
+        shares: NDArray[np.float64] = np.stack(
+            [(number % columns + 0.5) / columns, (number // columns + 0.5) / rows], axis=1
+        )
+        return (2.0 * shares - 1.0) * reach
+    return np.clip(_on_object(plan.touches, solid, poses, rng), -reach, reach)
+
+
+def _on_object(
+    touches: int, solid: Pressable, poses: NDArray[np.float64], rng: np.random.Generator
+) -> NDArray[np.float64]:
+    """Choose points of the faces that look up, evenly over their area as seen from above."""
+    a, b, c = (solid.vertices_m[solid.faces[:, corner], :2] for corner in range(3))
+    area = (b[:, 0] - a[:, 0]) * (c[:, 1] - a[:, 1]) - (b[:, 1] - a[:, 1]) * (c[:, 0] - a[:, 0])
+    ends = np.cumsum(np.maximum(area, 0.0))  # cumsum adds one after another, in a stated order
+    drawn = rng.random((touches, 3))
+    face = np.minimum(np.searchsorted(ends, drawn[:, 0] * ends[-1], side="right"), len(ends) - 1)
+    folded = np.where((drawn[:, 1:].sum(axis=1) > 1)[:, None], 1 - drawn[:, 1:], drawn[:, 1:])
+    point = a[face] + folded[:, :1] * (b[face] - a[face]) + folded[:, 1:] * (c[face] - a[face])
+    local = np.tile(np.eye(4), (touches, 1, 1))
+    local[:, :2, 3] = point
+    return product(poses[:touches], local)[:, :2, 3]

@@ -1,0 +1,243 @@
+"""Pressing the gel onto a solid: how deep each pixel lies, and how high the sensor stops."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tactile_sim.heights import Backend, chosen_backend, face_blocks, finish, raise_heights
+from tactile_sim.poses import as_matrices, inverse_times
+from tactile_sim.sensor import CELL_M, Sensor, as_sensor
+from tactile_toolkit.errors import InputError
+from tactile_toolkit.mesh.files import merge_equal_vertices
+from tactile_toolkit.mesh.mesh import Mesh, MeshLike, as_mesh
+from tactile_toolkit.mesh.solid_check import check_manifold
+
+__all__ = ["Pressable", "Pressed", "depth_image", "press"]
+
+_NOTHING_M = -2 * max(CELL_M)
+"""Height where there is neither object nor plate: the far end of the published camera, metres."""
+
+_HARMLESS = (None, "overlap")  # bodies that run into one another are felt as one
+
+_PLATE_M = np.array([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]]) * [CELL_M[0] / 2, CELL_M[1] / 2, 0.0]
+_PLATE = (_PLATE_M, np.array([[0, 1, 2], [0, 2, 3]], np.int32), np.array([[0.0, 0.0, 0.0, max(CELL_M)]]))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Pressable:
+    """A solid that was looked at once, so that pressing the gel onto it again costs no further check.
+
+    Attributes
+    ----------
+    vertices_m : ndarray of float64, shape (V, 3)
+        Corners, metres, in the solid's own frame.
+    faces : ndarray of int32, shape (F, 3)
+        Triangles, counter-clockwise seen from outside.
+    blocks_m : ndarray of float64, shape (B, 4)
+        Balls around runs of neighbouring triangles: centre and radius, metres.
+    """
+
+    vertices_m: NDArray[np.float64]
+    faces: NDArray[np.int32]
+    blocks_m: NDArray[np.float64]
+
+    @classmethod
+    def of(cls, solid: MeshLike | Pressable, *, check: bool = True) -> Pressable:
+        """Check a solid and take its triangles.
+
+        Parameters
+        ----------
+        solid : Mesh, record of a data set, or trimesh.Trimesh
+            In metres.
+        check : bool
+            Leave the check out for what is known to be closed.
+
+        Returns
+        -------
+        Pressable
+
+        Raises
+        ------
+        InputError
+            The mesh is open, inside out, flat, or has corners that are no numbers.
+        """
+        if isinstance(solid, Pressable):
+            return solid
+        mesh = as_mesh(solid)
+        if check:
+            _require_closed(mesh)
+        vertices = np.ascontiguousarray(mesh.vertices_m, np.float64)
+        return cls(vertices, *face_blocks(vertices, np.asarray(mesh.faces, np.int32)))
+
+    @property
+    def foot_m(self) -> float:
+        """Height of the lowest corner, metres: environments lift a solid by minus this much."""
+        return float(self.vertices_m[:, 2].min())
+
+
+def _require_closed(mesh: Mesh) -> None:
+    verdict = check_manifold(mesh)
+    if verdict.problem == "not-manifold":
+        # Published digits repeat corners; what counts is whether the surface is closed in space.
+        merged = Mesh(*merge_equal_vertices(np.asarray(mesh.vertices_m, np.float64), mesh.faces))
+        verdict = check_manifold(merged)
+    if verdict.problem not in _HARMLESS:
+        message = (
+            f"the mesh bounds no solid ({verdict.problem}: {verdict.detail}); a gel can be pressed onto "
+            "closed meshes only; next: mend it, `mnist3d validate FILE` says what is wrong"
+        )
+        raise InputError(message)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Pressed:
+    """What pressing gave, for one touch or for n.
+
+    Attributes
+    ----------
+    depth_m : ndarray of float64, shape (H, W) or (n, H, W)
+        Distance from the sensor, along its axis, of the surface under each pixel, metres: ``info["depth"]``
+        of the published environments. The least value is the press depth. The first row is the greatest y of
+        the gel's frame, the first column the least x.
+    image : ndarray of float32, shape (H, W) or (n, H, W)
+        The depth image of the environments: 0 deepest in the gel, 1 no contact.
+    sensor_z_m : float, or ndarray of float64, shape (n,)
+        Height of the sensor where it stops, metres, cell frame.
+    """
+
+    depth_m: NDArray[np.float64]
+    image: NDArray[np.float32]
+    sensor_z_m: Any
+
+
+def press(
+    solid: MeshLike | Pressable | Sequence[MeshLike | Pressable],
+    object_pose: Any,
+    sensor_pose: Any,
+    sensor: Sensor | None = None,
+    *,
+    backend: Backend = "auto",
+) -> Pressed:
+    """Press the gel onto a solid that lies on the plate.
+
+    The sensor comes down along its own axis until the highest point under its pixels is pressed into the gel
+    by the press depth, as the published environments define it; there is no force and no motion of the solid.
+
+    Parameters
+    ----------
+    solid : Mesh, record, trimesh.Trimesh, Pressable, or a sequence of them
+        A closed mesh in metres; a sequence has one for each touch.
+    object_pose : array_like, shape (4, 4) or (n, 4, 4), or an object with ``matrix``
+        From the solid's frame to the cell frame, metres; see :func:`tactile_sim.pose`. Environments stand a
+        solid on the plate: z is minus its lowest corner.
+    sensor_pose : array_like, shape (4, 4) or (n, 4, 4), or an object with ``matrix``
+        Where the sensor is sent; its z axis points away from the plate, at most 90 degrees from the vertical.
+        Its height does not matter, it comes down as far as it goes.
+    sensor : Sensor, optional
+        What it sees; 320 x 240 pixels of its whole surface by default.
+    backend : "auto", "numba" or "numpy"
+        What computes, with the same bytes.
+
+    Returns
+    -------
+    Pressed
+        Of one touch where both poses are single, else of n.
+
+    Raises
+    ------
+    InputError
+        A mesh that is not closed, poses that are not rigid, a sensor off the cell or pointing away from it.
+    MissingExtraError
+        numba was asked for and is not installed.
+    """
+    sensor = as_sensor() if sensor is None else sensor
+    objects, targets = as_matrices(object_pose, "object_pose"), as_matrices(sensor_pose, "sensor_pose")
+    solids: list[Any] = list(solid) if isinstance(solid, (list, tuple)) else [solid]
+    several = isinstance(solid, (list, tuple)) or objects.ndim == 3 or targets.ndim == 3
+    objects, targets = objects.reshape(-1, 4, 4), targets.reshape(-1, 4, 4)
+    count = max(len(solids), len(objects), len(targets))
+    for name, given in (("solids", solids), ("object poses", objects), ("sensor poses", targets)):
+        if len(given) not in (1, count):
+            message = f"{len(given)} {name} for {count} touches; expected 1 or {count}"
+            raise InputError(message)
+    prepared = [Pressable.of(each) for each in solids]
+    _require_above_cell(targets)
+    chosen = chosen_backend(backend)
+    width, height = sensor.size_px
+    depth_m, image = np.empty((count, height, width)), np.empty((count, height, width), np.float32)
+    affines = _to_pixels(inverse_times(targets, objects), sensor)
+    plates = _to_pixels(inverse_times(targets, np.eye(4)[None]), sensor)
+    levels = _level_plates(plates, sensor)
+    highest_m = np.empty(count)
+    for touch in range(count):
+        out, plate = depth_m[touch], touch % len(plates)
+        level = levels[plate]
+        out[...] = _NOTHING_M if level is None else level
+        if level is None:
+            raise_heights(out, *_PLATE, plates[plate], chosen)
+        solid_here = prepared[touch % len(prepared)]
+        raise_heights(
+            out,
+            solid_here.vertices_m,
+            solid_here.faces,
+            solid_here.blocks_m,
+            affines[touch % len(affines)],
+            chosen,
+        )
+        highest_m[touch] = finish(out, image[touch], sensor.press_m, sensor.gel_m, chosen)
+    sensor_z_m = targets[:, 2, 3] + targets[:, 2, 2] * (highest_m + sensor.press_m)
+    if several:
+        return Pressed(depth_m, image, sensor_z_m)
+    return Pressed(depth_m[0], image[0], float(sensor_z_m[0]))
+
+
+def depth_image(depth_m: NDArray[np.float64], sensor: Sensor) -> NDArray[np.float32]:
+    """Scale a depth map to an image: 0 deepest in the gel, 1 no contact; any shape, float32."""
+    clipped = np.clip(depth_m, sensor.press_m, sensor.gel_m)
+    return ((clipped - sensor.press_m) / (sensor.gel_m - sensor.press_m)).astype(np.float32)
+
+
+def _require_above_cell(targets: NDArray[np.float64]) -> None:
+    off = (np.abs(targets[:, :2, 3]) > np.array(CELL_M) / 2).any(axis=1) | ~(targets[:, 2, 2] > 0)
+    if not off.any():
+        return
+    touch = int(np.argmax(off))
+    x_mm, y_mm = 1e3 * targets[touch, :2, 3]
+    tilt = math.degrees(math.acos(float(np.clip(targets[touch, 2, 2], -1, 1))))
+    message = (
+        f"sensor_pose {touch} is at x {x_mm:.1f} mm, y {y_mm:.1f} mm, its axis {tilt:.0f} degrees from the "
+        f"vertical; expected a place above the cell of {1e3 * CELL_M[0]:.0f} x {1e3 * CELL_M[1]:.0f} mm and "
+        "a sensor that looks down (its z axis points up)"
+    )
+    raise InputError(message)
+
+
+def _to_pixels(seen: NDArray[np.float64], sensor: Sensor) -> NDArray[np.float64]:
+    """Return maps from a body's frame to column, row from the bottom, and height; shape (n, 3, 4)."""
+    affine = seen[:, :3].copy()
+    for axis in range(2):
+        affine[:, axis] *= sensor.size_px[axis] / sensor.window_m[axis]
+        # Pixel 0 looks at its sample point: half a pixel, and the sample's own place, from the edge.
+        affine[:, axis, 3] += sensor.size_px[axis] / 2 - 0.5 - sensor.sample_px[axis]
+    return affine
+
+
+def _level_plates(plates: NDArray[np.float64], sensor: Sensor) -> list[float | None]:
+    """Return the height of each plate that is level and fills the window; None for others."""
+    x, y, _ = _PLATE[0].T
+    columns, rows = (plates[:, i, :1] * x + plates[:, i, 1:2] * y + plates[:, i, 3:] for i in range(2))
+    width, height = sensor.size_px
+    fills = (
+        (columns.min(1) < 0) & (columns.max(1) > width - 1) & (rows.min(1) < 0) & (rows.max(1) > height - 1)
+    )
+    straight = (plates[:, 0, 1] == 0) & (plates[:, 1, 0] == 0) & (plates[:, 2, :2] == 0).all(axis=1)
+    return [
+        float(level) if simple else None
+        for level, simple in zip(plates[:, 2, 3], fills & straight, strict=True)
+    ]

@@ -1,0 +1,231 @@
+"""Data sets of touches: the same bytes with any number of workers, read by all who read touches."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+import realtouch
+import starstruck_gen
+import tactile_sim
+from tactile_sim.generation import plan_build
+from tactile_sim.plan import REACH_M
+from tactile_toolkit.errors import InputError, SpecMismatchError
+from tests.tactile_sim.oracle import require_package
+from tests.tactile_sim.solids import block
+
+pytestmark = pytest.mark.sim
+pytest.importorskip("numba", reason="needs numba, of the extra sim")
+
+PLAN = tactile_sim.TouchPlan(rounds=2, touches=5, seed=3)
+SPEC = tactile_sim.GenerateSpec((64, 48), "depth", plan=PLAN, image_format="png")
+
+
+@pytest.fixture(scope="module")
+def scenes(tmp_path_factory):
+    """Seven scenes to train with, three to test."""
+    folder = tmp_path_factory.mktemp("scenes")
+    starstruck_gen.generate(starstruck_gen.GenerateSpec(scenes=(("train", 7), ("test", 3))), str(folder))
+    return str(folder)
+
+
+def _bytes(folder: Path) -> dict[str, bytes]:
+    return {str(f.relative_to(folder)): f.read_bytes() for f in sorted(folder.rglob("*.parquet"))}
+
+
+@pytest.fixture(scope="module")
+def touches(scenes, tmp_path_factory):
+    folder = tmp_path_factory.mktemp("touches")
+    tactile_sim.generate(scenes, SPEC, folder)
+    return folder
+
+
+def test_the_same_bytes_with_workers_split_by_split_and_small_shards(scenes, touches, tmp_path, monkeypatch):
+    monkeypatch.setattr("tactile_sim.generation._SHARD_BYTES", 60_000)
+    whole, parts = tmp_path / "whole", tmp_path / "parts"
+    tactile_sim.generate(scenes, SPEC, whole)
+    tactile_sim.generate(scenes, SPEC, parts, ["test"])
+    tactile_sim.generate(scenes, SPEC, parts, ["train"], workers=2)
+    assert _bytes(whole) == _bytes(parts)
+    assert len(_bytes(whole)) > 2
+    manifests = [json.loads((folder / "manifest.json").read_text()) for folder in (whole, parts)]
+    assert manifests[0] == manifests[1]
+    for split in ("train", "test"):
+        one, other = realtouch.load(touches, split), realtouch.load(whole, split)
+        assert [r.id for r in one] == [r.id for r in other]
+        assert (one[2].sensor_image[3] == other[2].sensor_image[3]).all()
+
+
+def test_a_set_is_what_its_poses_say(scenes, touches):
+    """Rendering the stored poses again gives the stored pictures and heights."""
+    rounds, solids = realtouch.load(touches, "train"), starstruck_gen.load(scenes, "train")
+    assert len(rounds) == 14
+    for record in rounds:
+        solid = solids[[s.id for s in solids].index(record.object_id)]
+        touched = record.info["touched_object_pose"]
+        targets = np.stack([tactile_sim.pose(*place) for place in record.pos_in_cell])
+        pressed = tactile_sim.press(solid, touched.matrix, targets, tactile_sim.as_environment(64, 48))
+        assert np.abs(pressed.sensor_z_m - record.gel_pose_cell_frame.position_m[:, 2]).max() < 1e-9
+        stored = record.sensor_image[0][..., 0]
+        assert np.abs(stored - pressed.image[0] * 255).max() <= 0.51
+        assert record.label == solid.label
+        later = record.info["object_pose"]
+        assert (later.position_m[:-1] == touched.position_m[1:]).all()
+        assert (np.abs(record.pos_in_cell) <= REACH_M).all()
+
+
+@pytest.mark.env
+def test_the_published_loader_reads_it(touches):
+    require_package()
+    import datasets
+
+    from env_assets.published.packages import published_package
+
+    stored = datasets.load_dataset(str(touches), split="test")
+    theirs = published_package("tactile_mnist").TouchSingleDataset(stored)
+    ours = realtouch.load(touches, "test")
+    assert len(theirs) == len(ours) == 6
+    assert theirs.label_names == ("1", "2", "3")
+    for one, other in zip(theirs, ours, strict=True):
+        assert one.id == other.id
+        assert one.label == other.label
+        assert (one.sensor_image[2] == other.sensor_image[2]).all()
+        position = one.info["object_pose"].translation
+        assert (position == other.info["object_pose"].position_m).all()
+
+
+def test_another_specification_is_refused_by_its_difference(scenes, touches):
+    other = tactile_sim.GenerateSpec(
+        (64, 48), "depth", plan=tactile_sim.TouchPlan(2, 5, seed=4), image_format="png"
+    )
+    with pytest.raises(SpecMismatchError, match=r"options\.plan\.seed is 3 there, 4 was asked for"):
+        tactile_sim.generate(scenes, other, touches)
+
+
+def test_rounds_follow_from_seed_split_object_and_number():
+    solid = tactile_sim.Pressable.of(block())
+    draw = tactile_sim.plan_round
+    base = draw(PLAN, solid, "train", 5, 1)
+    assert (draw(PLAN, solid, "train", 5, 1).object_poses == base.object_poses).all()
+    for other in (("test", 5, 1), ("train", 6, 1), ("train", 5, 0)):
+        assert (draw(PLAN, solid, *other).object_poses != base.object_poses).any()
+    assert base.object_poses.shape == (6, 4, 4)
+    longer = draw(tactile_sim.TouchPlan(rounds=9, touches=5, seed=3), solid, "train", 5, 1)
+    assert (longer.positions_m == base.positions_m).all()
+
+
+def test_places_of_touches():
+    solid, draw = tactile_sim.Pressable.of(block((0.05, 0.004, 0.003))), tactile_sim.plan_round
+    grid = draw(tactile_sim.TouchPlan(1, 9, place="grid"), solid, "train", 0, 0).positions_m
+    assert np.ptp(grid, axis=0) == pytest.approx(2 * np.array(REACH_M) * 2 / 3)
+    plan = tactile_sim.TouchPlan(1, 200, place="object", turn_rad=np.pi, lie="middle", shift=False)
+    made = draw(plan, solid, "train", 0, 0)
+    targets = np.stack([tactile_sim.pose(*place) for place in made.positions_m])
+    point = tactile_sim.Sensor((1, 1), (1e-6, 1e-6))
+    pressed = tactile_sim.press(solid, made.object_poses[:-1], targets, point)
+    assert (pressed.sensor_z_m > 0.0029 + point.press_m).all()
+    given = tactile_sim.TouchPlan(1, positions_m=((0.01, 0.02), (0.0, 0.0)), shift=False, turn_rad=0.0)
+    made = draw(given, solid, "train", 0, 0)
+    assert made.positions_m.tolist() == [[0.01, 0.02], [0.0, 0.0]]
+    assert (made.object_poses[0] == made.object_poses[-1]).all()
+
+
+def test_shifts_are_as_large_as_those_of_the_environments():
+    solid = tactile_sim.Pressable.of(block((0.01, 0.01, 0.003)))
+    made = tactile_sim.plan_round(tactile_sim.TouchPlan(1, 4000), solid, "train", 0, 0)
+    steps = np.diff(made.object_position_m[:, :2], axis=0)
+    assert steps.std() == pytest.approx(1e-3, rel=0.05)
+    turns = 2 * np.arctan2(made.object_quaternion[:, 2], made.object_quaternion[:, 3])
+    assert np.diff(np.unwrap(turns)).std() == pytest.approx(5e-2, rel=0.05)
+
+
+@pytest.mark.parametrize(
+    "values",
+    [
+        {"rounds": 0},
+        {"touches": 1.5},
+        {"place": "moon"},
+        {"positions_m": ((0.2, 0.0),)},
+        {"positions_m": ((float("nan"), 0.0),)},
+        {"turn_rad": 4.0},
+        {"turn_rad": "far"},
+        {"lie": "there"},
+        {"shift": 3},
+        {"seed": -1},
+    ],
+)
+def test_plans_that_cannot_be_are_refused(values):
+    with pytest.raises(InputError, match=f"{next(iter(values))} of the plan"):
+        tactile_sim.TouchPlan(**values)
+
+
+def test_sources_that_cannot_be_are_refused(scenes, touches, tmp_path):
+    with pytest.raises(InputError, match="neither a folder"):
+        plan_build(str(tmp_path / "nothing"), SPEC)
+    with pytest.raises(InputError, match="unknown split 'dev'"):
+        plan_build(scenes, SPEC, ["dev"])
+    with pytest.raises(InputError, match=r"mesh\.vertices"):
+        plan_build(str(touches), SPEC)
+    with pytest.raises(InputError, match="expected one of"):
+        tactile_sim.GenerateSpec(optics="lens")
+
+
+def test_the_command_line_makes_shows_and_checks_a_set(scenes, tmp_path):
+    from cli.tactile_sim import app
+
+    out = str(tmp_path / "syn")
+    command = [
+        "generate",
+        scenes,
+        "--split",
+        "test",
+        "--rounds",
+        "1",
+        "--touches",
+        "3",
+        "--out",
+        out,
+        "-w",
+        "1",
+    ]
+
+    def call(*arguments: str) -> str:
+        result = CliRunner().invoke(app, list(arguments))
+        assert result.exit_code == 0, result.output
+        return result.output
+
+    assert "would make 3 rounds" in call(*command, "--optics", "depth", "--dry-run")
+    assert "made 3 rounds" in call(*command, "--optics", "depth")
+    assert "nothing was left to make" in call(*command, "--optics", "depth")
+    assert "options.optics = depth" in call("info", out)
+    assert "all as manifest.json says" in call("verify", out)
+    assert "matches the data" in call("card", out)
+
+
+def test_one_look_at_a_mesh_file(tmp_path):
+    from cli.tactile_sim import app
+    from tactile_toolkit.touch.jpeg import decode_image
+
+    block((0.02, 0.006, 0.004)).apply_scale(1000).export(tmp_path / "part.stl")
+    out = tmp_path / "touch.png"
+    command = [
+        "render",
+        str(tmp_path / "part.stl"),
+        "--at",
+        "0.002,0",
+        "--turn",
+        "0.3",
+        "--optics",
+        "depth",
+        "--size",
+    ]
+    result = CliRunner().invoke(app, [*command, "80x60", "--out", str(out)])
+    assert result.exit_code == 0, result.output
+    assert "stops 6.125 mm above the plate" in result.output
+    assert decode_image(out.read_bytes()).shape == (60, 80, 3)
+    for wrong in ("80", "axb", "0x10"):
+        assert CliRunner().invoke(app, [*command, wrong, "--out", str(out)]).exit_code == 2

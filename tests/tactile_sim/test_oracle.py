@@ -1,0 +1,71 @@
+"""Depth maps are those of the published renderer, at the sample point that its driver names."""
+
+from __future__ import annotations
+
+import os
+from functools import cache
+
+import numpy as np
+import pytest
+
+import tactile_sim
+from tactile_toolkit.mesh.mesh import Mesh
+from tests.tactile_sim.oracle import GEL_M, PRESS_M, Oracle, require_package
+
+pytestmark = [pytest.mark.env, pytest.mark.sim]
+
+OBJECTS = int(os.environ.get("ORACLE_OBJECTS", "5"))
+"""Objects of each kind; `ORACLE_OBJECTS=400` makes the whole proof, in some minutes."""
+
+SIZES = [(64, 64), (256, 256), (320, 240)]
+
+
+@cache
+def _solids(kind):
+    import mnist3d
+    import starstruck_gen
+    from env_assets.wrench.solid import wrench_mesh
+    from env_assets.wrench.spec import WrenchSpec
+    from mnist3d.sources.synthetic import SyntheticSource
+
+    if kind == "wrench":
+        return [wrench_mesh(WrenchSpec.for_size()).to_trimesh()] * max(OBJECTS // 10, 2)
+    if kind == "scenes":
+        meshes = starstruck_gen.stamp(
+            [
+                s.placements
+                for s in starstruck_gen.sample_scenes(
+                    starstruck_gen.SceneSpec(), "test", 0, 0, max(OBJECTS // 2, 2)
+                )
+            ]
+        )
+        pairs = zip(meshes.vertices_m, meshes.faces, strict=True)
+        return [Mesh(np.asarray(v), np.asarray(f)).to_trimesh() for v, f in pairs]
+    source = SyntheticSource(seed=5)
+    return [mnist3d.solidify(source.image(number).pixels).to_trimesh() for number in range(OBJECTS)]
+
+
+@pytest.mark.parametrize("size", SIZES, ids=str)
+@pytest.mark.parametrize("kind", ["digits", "scenes", "wrench"])
+def test_depth_is_that_of_the_environments(kind, size):
+    require_package()
+    pytest.importorskip("numba", reason="needs numba, of the extra sim")
+    oracle, sensor = Oracle(*size), None
+    rng = np.random.default_rng(len(kind))
+    off, pixels = 0, 0
+    for mesh in _solids(kind):
+        solid = tactile_sim.Pressable.of(mesh)
+        x_m, y_m = rng.uniform(-0.02, 0.02, 2)
+        object_pose = tactile_sim.pose(x_m, y_m, 0.0 - solid.foot_m, turn_rad=rng.uniform(-np.pi, np.pi))
+        # Where something is: a corner of the solid, or up to 8 mm beside it.
+        corner = object_pose @ [*solid.vertices_m[rng.integers(len(solid.vertices_m))], 1.0]
+        place = np.clip(corner[:2] + rng.uniform(-0.008, 0.008, 2), -0.038, 0.038)
+        target = tactile_sim.pose(*place)
+        depth_m, sensor_z_m = oracle.depth_m(mesh, object_pose, target)
+        sensor = oracle.sensor() if sensor is None else sensor
+        pressed = tactile_sim.press(solid, object_pose, target, sensor)
+        assert abs(pressed.sensor_z_m - sensor_z_m) < 1e-7
+        clipped = [np.clip(each, PRESS_M, GEL_M) for each in (depth_m, pressed.depth_m)]
+        off += int((np.abs(clipped[0] - clipped[1]) > 5e-7).sum())
+        pixels += depth_m.size
+    assert off <= 1e-4 * pixels

@@ -1,0 +1,198 @@
+"""Depth of touches: two paths with one result, truths that geometry gives, and input that is refused."""
+
+from __future__ import annotations
+
+import dataclasses
+import re
+
+import numpy as np
+import pytest
+import trimesh
+from hypothesis import given
+from hypothesis import strategies as st
+
+import tactile_sim
+from tactile_sim.heights import chosen_backend
+from tactile_toolkit.errors import InputError, MissingExtraError
+from tests.tactile_sim.solids import ball, block, tilted
+
+NUMPY = "numpy"
+
+
+def _press(solid, object_pose, target, sensor, backend=NUMPY):
+    return tactile_sim.press(solid, object_pose, target, sensor, backend=backend)
+
+
+@pytest.mark.sim
+@given(
+    st.sampled_from([(64, 64), (33, 20), (1, 1), (320, 240)]),
+    st.floats(-np.pi, np.pi),
+    st.floats(0, 0.8),
+    st.floats(-0.02, 0.02),
+    st.floats(-0.02, 0.02),
+    st.sampled_from([ball(), block(), trimesh.creation.torus(0.01, 0.003)]),
+)
+def test_numba_and_numpy_give_the_same_bytes(size, turn, lean, x_m, y_m, solid):
+    pytest.importorskip("numba", reason="needs numba, of the extra sim")
+    sensor = tactile_sim.as_environment(*size)
+    prepared = tactile_sim.Pressable.of(solid)
+    for target in (
+        tactile_sim.pose(x_m, y_m),
+        tactile_sim.pose(x_m, y_m, turn_rad=turn),
+        tilted(lean, turn, x_m, y_m),
+    ):
+        found = [
+            _press(prepared, tactile_sim.pose(turn_rad=turn), target, sensor, backend)
+            for backend in ("numba", "numpy")
+        ]
+        assert found[0].depth_m.tobytes() == found[1].depth_m.tobytes()
+        assert found[0].image.tobytes() == found[1].image.tobytes()
+        assert found[0].sensor_z_m == found[1].sensor_z_m
+
+
+def _rays(mesh: trimesh.Trimesh, object_pose, target, sensor):
+    """Heights by casting a ray for each pixel: another algorithm, of another library."""
+    width, height = sensor.size_px
+    columns, rows = np.meshgrid(np.arange(width), np.arange(height))
+    x = (columns + 0.5 + sensor.sample_px[0]) / width * sensor.window_m[0] - sensor.window_m[0] / 2
+    y = sensor.window_m[1] / 2 - (rows + 0.5 - sensor.sample_px[1]) / height * sensor.window_m[1]
+    world = mesh.copy()
+    world.apply_transform(object_pose)
+    plate = trimesh.creation.box(
+        [0.12, 0.12, 0.002], trimesh.transformations.translation_matrix([0, 0, -0.001])
+    )
+    world = trimesh.util.concatenate([world, plate])
+    start = np.column_stack([x.ravel(), y.ravel(), np.full(x.size, 0.2), np.ones(x.size)]) @ target.T
+    along = np.tile(-target[:3, 2], (x.size, 1))
+    tracer = trimesh.ray.ray_triangle.RayMeshIntersector(world)
+    places, ray, _ = tracer.intersects_location(start[:, :3], along, multiple_hits=True)
+    found = np.full(x.size, -np.inf)
+    np.maximum.at(found, ray, ((places - start[ray, :3]) @ target[:3, 2]) + 0.2)
+    return found.reshape(x.shape)
+
+
+@pytest.mark.parametrize("lean", [0.0, 0.2, 0.7])
+@pytest.mark.parametrize("solid", [ball(subdivisions=3), block()], ids=["ball", "block"])
+def test_every_pixel_is_where_a_ray_meets_the_surface(solid, lean):
+    sensor = tactile_sim.as_environment(24, 18)
+    rng = np.random.default_rng(3)
+    for _ in range(3):
+        object_pose = tactile_sim.pose(*rng.uniform(-0.01, 0.01, 2), turn_rad=rng.uniform(-3, 3))
+        target = tilted(lean, rng.uniform(-3, 3), *rng.uniform(-0.01, 0.01, 2))
+        pressed = _press(solid, object_pose, target, sensor)
+        heights = _rays(solid, object_pose, target, sensor)
+        expected = sensor.press_m + heights.max() - heights
+        assert np.abs(pressed.depth_m - expected).max() < 1e-9
+        assert pressed.sensor_z_m == pytest.approx(target[2, 2] * (heights.max() + sensor.press_m), abs=1e-9)
+
+
+def test_a_bare_plate_is_felt_all_over():
+    pressed = _press(ball(), tactile_sim.pose(), tactile_sim.pose(0.03, 0.03), tactile_sim.as_environment())
+    assert (pressed.depth_m == 0.002125).all()
+    assert (pressed.image == 0).all()
+    assert pressed.sensor_z_m == 0.002125
+
+
+def test_a_block_is_felt_at_its_height_in_its_place():
+    sensor = tactile_sim.as_sensor(320, 240)
+    pressed = _press(block((0.01, 0.004, 0.003)), tactile_sim.pose(0.001, 0.002), tactile_sim.pose(), sensor)
+    assert pressed.sensor_z_m == pytest.approx(0.003 + 0.002125, abs=1e-12)
+    top = pressed.image == 0
+    rows, columns = np.nonzero(top)
+    per_m = 320 / 0.01888
+    assert columns.min() == pytest.approx(160 + (0.001 - 0.005) * per_m, abs=1)
+    assert columns.max() == pytest.approx(160 + (0.001 + 0.005) * per_m, abs=1)
+    assert rows.min() == pytest.approx(120 - (0.002 + 0.002) * per_m, abs=1)  # up is away from the robot
+    assert (pressed.image[~top] == 1).all()
+
+
+def test_windows_of_the_presets():
+    assert tactile_sim.as_sensor(64, 64).window_m == (0.01888, 0.01416)
+    assert tactile_sim.as_environment(64, 64).window_m == (0.01416, 0.01416)
+    assert tactile_sim.as_environment(320, 240).window_m == pytest.approx((0.01888, 0.01416), abs=1e-12)
+
+
+def test_several_touches_are_single_ones_in_a_row():
+    solids, sensor = [ball(), block(), ball(0.004)], tactile_sim.as_environment(32, 32)
+    poses = np.stack([tactile_sim.pose(0.001 * k, turn_rad=0.3 * k) for k in range(3)])
+    targets = np.stack([tactile_sim.pose(0.002 * k) for k in range(3)])
+    together = _press(solids, poses, targets, sensor)
+    for k in range(3):
+        alone = _press(solids[k], poses[k], targets[k], sensor)
+        assert (alone.depth_m == together.depth_m[k]).all()
+        assert alone.sensor_z_m == together.sensor_z_m[k]
+    spread = _press(solids[0], poses[0], targets, sensor)
+    assert spread.depth_m.shape == (3, 32, 32)
+
+
+def _open_mesh():
+    mesh = ball()
+    mesh.update_faces(np.arange(len(mesh.faces)) > 3)
+    return mesh
+
+
+def _inside_out():
+    mesh = ball()
+    mesh.invert()
+    return mesh
+
+
+def _moved(row, column, value):
+    pose = tactile_sim.pose()
+    pose[row, column] = value
+    return pose
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"solid": _open_mesh()}, "bounds no solid (not-manifold"),
+        ({"solid": _inside_out()}, "bounds no solid (inside-out"),
+        ({"solid": 7}, "a int holds no triangles"),
+        ({"object_pose": _moved(0, 3, np.nan)}, "object_pose holds NaN"),
+        ({"object_pose": _moved(0, 0, -1.0)}, "object_pose is no rigid pose"),
+        ({"target": _moved(0, 0, 1.5)}, "sensor_pose is no rigid pose"),
+        ({"target": np.zeros(3)}, "sensor_pose is (3,)"),
+        ({"target": "up"}, "sensor_pose is str"),
+        ({"target": tactile_sim.pose(0.07)}, "sensor_pose 0 is at x 70.0 mm"),
+        ({"target": tilted(2.0, 0.0)}, "115 degrees from the vertical"),
+        (
+            {"object_pose": np.stack([np.eye(4)] * 2), "target": np.stack([np.eye(4)] * 3)},
+            "2 object poses for 3",
+        ),
+        ({"backend": "cuda"}, "backend is 'cuda'"),
+    ],
+)
+def test_bad_input_is_named(change, words):
+    given_values = {"solid": ball(), "object_pose": tactile_sim.pose(), "target": tactile_sim.pose()} | change
+    with pytest.raises(InputError, match=re.escape(words)):
+        _press(sensor=tactile_sim.as_environment(), **given_values)
+
+
+@pytest.mark.parametrize(
+    "values",
+    [
+        {"size_px": (64, "a")},
+        {"size_px": (0, 64)},
+        {"size_px": (64.5, 64)},
+        {"size_px": (10**5, 10**5)},
+        {"size_px": 64},
+        {"window_m": (np.nan, 0.01)},
+        {"window_m": (0.0, 0.01)},
+        {"press_m": 0.005},
+        {"press_m": "deep"},
+        {"sample_px": (0.6, 0.0)},
+    ],
+)
+def test_sensors_that_cannot_be_are_refused(values):
+    with pytest.raises(InputError, match="expected"):
+        dataclasses.replace(tactile_sim.as_sensor(), **values)
+
+
+def test_without_numba_numpy_does_it_and_says_so_once(monkeypatch):
+    monkeypatch.setattr("tactile_sim.heights._has_numba", lambda: False)
+    monkeypatch.setattr("tactile_sim.heights._say_slow", tactile_sim.heights._say_slow.__wrapped__)
+    with pytest.warns(UserWarning, match=re.escape("tactile-toolkit[sim]")):
+        assert chosen_backend("auto") == "numpy"
+    with pytest.raises(MissingExtraError, match=re.escape("tactile-toolkit[sim]")):
+        chosen_backend("numba")
