@@ -219,9 +219,9 @@ def bytes_text(size: float) -> str:
 
 def duration_text(seconds: float) -> str:
     """Write a duration for people: ``"1 min 20 s"``."""
-    if seconds < 60:
-        return f"{seconds:.0f} s"
     minutes, rest = divmod(round(seconds), 60)
+    if not minutes:
+        return f"{rest} s"
     if minutes < 60:
         return f"{minutes} min {rest} s"
     return f"{minutes // 60} h {minutes % 60} min"

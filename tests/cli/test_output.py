@@ -13,7 +13,7 @@ import termios
 
 import pytest
 
-from cli.output import BYTES, Sink, flat_lines, rate_text
+from cli.output import BYTES, Sink, duration_text, flat_lines, rate_text
 from tactile_toolkit.wording import did_you_mean
 
 HEADER = ("mesh", "solid", "volume mm³", "size mm", "bodies", "thinnest wall mm", "findings")
@@ -117,3 +117,22 @@ def test_specifications_are_told_in_words():
 )
 def test_a_mistyped_name_is_told_what_was_meant(name, words):
     assert did_you_mean(name, ["train", "test"]) == words
+
+
+@pytest.mark.parametrize(
+    ("seconds", "text"),
+    [
+        (0.4, "0 s"),
+        (59.4, "59 s"),
+        (59.7, "1 min 0 s"),
+        (80, "1 min 20 s"),
+        (3599.4, "59 min 59 s"),
+        (3599.7, "1 h 0 min"),
+        (3600, "1 h 0 min"),
+        (3659, "1 h 0 min"),
+        (7505, "2 h 5 min"),
+        (90_000, "25 h 0 min"),
+    ],
+)
+def test_durations_are_in_words(seconds: float, text: str) -> None:
+    assert duration_text(seconds) == text

@@ -177,3 +177,14 @@ def test_records_are_no_reference_cycles(single_folder: Path, seq_folder: Path) 
             assert alive == []
         finally:
             gc.enable()
+
+
+@pytest.mark.parametrize("count", [1, 2, 5])
+def test_fill_bytes_before_a_marker_are_passed_over(count: int) -> None:
+    """Any number of FF may stand before a marker (ITU T.81, B.1.1.2)."""
+    data = encode_image(PICTURES)
+    frame = data.index(b"\xff\xc0")
+    for place in (2, frame):
+        filled = data[:place] + b"\xff" * count + data[place:]
+        assert image_size(filled) == PICTURES.shape[:2]
+        np.testing.assert_array_equal(decode_image(filled), decode_image(data))
