@@ -89,7 +89,9 @@ def read_record(folder: DataFolder) -> DownloadRecord | None:
     try:
         values = json.loads(folder.read_bytes(RECORD_FILE))
         files = {
-            path: HubFile(path, entry["bytes"], Digest(entry["kind"], entry["digest"]))
+            path: HubFile(
+                path, entry["bytes"], Digest(entry["kind"], entry["digest"]) if entry["kind"] else None
+            )
             for path, entry in values["files"].items()
         }
         labels = tuple(values["labels"])
@@ -121,9 +123,12 @@ def write_record(folder: DataFolder, record: DownloadRecord) -> None:
         "splits": list(record.splits),
         "labels": list(record.labels),
         "files": {
-            path: {"bytes": file.size_bytes, "kind": file.digest.kind, "digest": file.digest.value}
+            path: {
+                "bytes": file.size_bytes,
+                "kind": file.digest and file.digest.kind,
+                "digest": file.digest and file.digest.value,
+            }
             for path, file in sorted(record.files.items())
-            if file.digest is not None
         },
     }
     folder.write_bytes(RECORD_FILE, (json.dumps(values, indent=1) + "\n").encode())

@@ -106,6 +106,9 @@ def _verify_copy(folder: DataFolder, record: DownloadRecord, on_file: Callable[[
         found = None if file.digest is None else file.digest.of(Path(folder.address(path)))
         if file.digest is not None and found != file.digest:
             findings.append(Finding(path, f"{found}, expected {file.digest.value}"))
+        elif folder.size_bytes(path) != file.size_bytes:  # all that is known of one without a digest
+            problem = f"has {folder.size_bytes(path):,} bytes, expected {file.size_bytes:,}"
+            findings.append(Finding(path, problem))
         elif path.endswith(".parquet"):
             # Ids are the publisher's own: nothing says that they differ between splits.
             rows += open_parquet(folder, path).metadata.num_rows

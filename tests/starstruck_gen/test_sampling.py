@@ -206,6 +206,22 @@ def test_impossible_specification_ends_with_what_failed_and_what_to_change():
     assert str(pickle.loads(pickle.dumps(error))) == text
 
 
+def test_the_object_that_found_no_place_is_the_one_that_is_named():
+    """One star leaves no room for a disc that fills the cell; of many stars a later one finds none."""
+    spec = SceneSpec(stars=(1,), distractors=(1, 1), distractor_shapes=(Shape("disc", 0.03),), restarts=2)
+    spec = replace(spec, cell_m=(0.08, 0.08), padding_m=(0, 0), attempts=9)
+    with pytest.raises(SamplingExhausted, match=r"object 2 of 2 \(a disc\)") as caught:
+        sample_scenes(spec, "train", 0, 0, 50)
+    assert (caught.value.shape, caught.value.number, caught.value.objects) == ("disc", 2, 2)
+    for values, shape in (
+        ({"distractors": (0, 30)}, SceneSpec().distractor_shapes[0].name),
+        ({"stars": (60,)}, "star"),
+    ):
+        with pytest.raises(SamplingExhausted, match="room for at most") as caught:
+            require_feasible(SceneSpec(**values), 0)
+        assert caught.value.shape == shape
+
+
 def test_fullest_scene_is_tried_first():
     require_feasible(SceneSpec(), 0)
     with pytest.raises(SamplingExhausted):

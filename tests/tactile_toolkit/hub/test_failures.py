@@ -4,10 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
 from tactile_toolkit.errors import HubError, InputError
+from tactile_toolkit.hub import retry
 from tactile_toolkit.hub.errors import scrub
 from tactile_toolkit.hub.retry import WAITS_VARIABLE, ask, default_waits_s, is_passing
 from tests.hub_server import HubServer, hub
@@ -251,3 +253,57 @@ def test_scrubbing_knows_the_token_in_use(monkeypatch):
     signed = "PUT https://store.example/a?X-Amz-Signature=secret&X=1 'https://b.c/d?e'"
     assert scrub(signed) == "PUT https://store.example/a 'https://b.c/d'"
     assert scrub("hf_hub_download of hf://datasets/a/b") == "hf_hub_download of hf://datasets/a/b"
+
+
+class BusyError(Exception):
+    """What the client raises for a Hub that wants fewer requests."""
+
+    def __init__(self, wait: str | None) -> None:
+        headers = {} if wait is None else {"Retry-After": wait}
+        self.response = SimpleNamespace(status_code=429, headers=headers, url="")
+
+
+@pytest.mark.parametrize(
+    ("asked", "waited_s"),
+    [(None, [0.5, 30.0]), ("7", [7.0, 30.0]), ("soon", [0.5, 30.0]), ("86400", [120.0, 120.0])],
+)
+def test_as_long_as_the_hub_asks_for_is_waited(monkeypatch, asked, waited_s):
+    """At least as long as planned, at most two minutes."""
+    slept, told, failures = [], [], [BusyError(asked), BusyError(asked)]
+    monkeypatch.setattr(retry.time, "sleep", slept.append)
+
+    def action() -> str:
+        if failures:
+            raise failures.pop()
+        return "done"
+
+    assert ask(action, "someone/set", waits_s=(0.5, 30.0), on_wait=told.append) == "done"
+    assert slept == waited_s
+    assert [text.rpartition("; ")[2] for text in told] == [f"trying again in {each:g} s" for each in waited_s]
+
+
+OFFLINE = """
+from tactile_toolkit.errors import ToolkitError
+from tactile_toolkit.hub.repository import HubRepository
+repository = HubRepository('someone/set')
+try:
+    print(repository.fetch({paths!r}))
+except ToolkitError as error:
+    print(error.exit_code, type(error).__name__, error)
+"""
+
+
+@pytest.mark.parametrize("more", [{}, {"HF_HUB_OFFLINE": "1"}])
+def test_what_is_not_cached_is_named_when_nobody_can_be_asked(server, tmp_path, more):
+    """It may well be on the Hub: to say that there is no such file would be false."""
+    here, away = "README.md", "data/train-00000-of-00001.parquet"
+    online, nowhere = settings(server, tmp_path), settings("http://127.0.0.1:9", tmp_path, **more)
+    missing = run_here(OFFLINE.format(paths=["nothing"]), online, tmp_path).stdout
+    assert "Hub data set 'someone/set' has no file 'nothing'" in missing
+    run_here(OFFLINE.format(paths=[here]), online, tmp_path)
+    assert here in run_here(OFFLINE.format(paths=[here]), nowhere, tmp_path).stdout
+    for path in (away, "nothing"):
+        text = run_here(OFFLINE.format(paths=[path]), nowhere, tmp_path).stdout
+        assert text.startswith(f"4 HubError {path!r} of Hub data set 'someone/set' is not in the cache, and ")
+        assert ("HF_HUB_OFFLINE forbids to fetch it" in text) is bool(more)
+        assert "has no file" not in text

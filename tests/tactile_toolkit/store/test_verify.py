@@ -1,0 +1,100 @@
+"""What `verify` says of each thing that can be wrong, and that it looked at all there is."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+
+import pytest
+
+from tactile_toolkit.errors import InputError
+from tactile_toolkit.run.processes import InlineRunner
+from tactile_toolkit.store.build import build
+from tactile_toolkit.store.folder import DataFolder
+from tactile_toolkit.store.origin import Digest, DownloadRecord, HubFile, write_record
+from tactile_toolkit.store.verify import verify
+from tests.tactile_toolkit.toy import SCHEMA, toy_plan
+
+
+@pytest.fixture
+def folder(tmp_path):
+    made = DataFolder(str(tmp_path / "set"))
+    build(made, toy_plan(), InlineRunner())
+    return made
+
+
+def edited(folder, change):
+    values = json.loads(folder.read_bytes("manifest.json"))
+    change(values)
+    folder.write_bytes("manifest.json", json.dumps(values).encode())
+
+
+def problems(folder):
+    return [(finding.file, finding.problem) for finding in verify(folder, SCHEMA).findings]
+
+
+def test_all_files_are_looked_at_and_counted(folder):
+    seen = []
+    found = verify(folder, SCHEMA, seen.append)
+    assert found.ok
+    assert len(seen) == found.files == 7, "six shards and the report"
+    assert seen[-1] == "reports/toy.parquet"
+    assert found.rows == 27
+    assert found.bytes == sum(folder.size_bytes(path) for path in seen[:-1])
+
+
+def test_shards_that_a_manifest_lacks_are_named(folder):
+    edited(folder, lambda values: values["shards"].pop(2))
+    folder.remove("data/train-00002-of-00004.parquet")
+    assert problems(folder) == [("manifest.json", "split 'train' lacks shards [2]")]
+
+
+def test_strange_files_are_named_once_the_set_is_complete(folder):
+    folder.write_bytes("data/strange.bin", b"x")
+    stray = ("data/strange.bin", "is not listed in manifest.json; next: remove it")
+    assert problems(folder) == [stray]
+    edited(folder, lambda values: values.update(complete=False))
+    interrupted = ("manifest.json", "the run was interrupted; the same command goes on")
+    assert problems(folder) == [interrupted], "they may be shards that a run is about to record"
+
+
+def copy_of(tmp_path, **files):
+    """Return a folder that was downloaded, of files whose record says the right or another thing of them."""
+    folder = DataFolder(str(tmp_path / "copy"))
+    for name, (content, _, _) in files.items():
+        if content is not None:
+            folder.write_bytes(f"images/{name}", content)
+    listed = {f"images/{name}": HubFile(f"images/{name}", *said) for name, (_, *said) in files.items()}
+    write_record(folder, DownloadRecord("a/b", "0" * 40, None, listed, (), ()))
+    return folder
+
+
+def test_a_copy_is_compared_with_all_that_the_hub_said(tmp_path):
+    digest = Digest("sha256", hashlib.sha256(b"content").hexdigest())
+    in_git = Digest("git-sha1", hashlib.sha1(b"blob 7\0content").hexdigest())
+    folder = copy_of(
+        tmp_path,
+        whole=(b"content", 7, digest),
+        in_git=(b"content", 7, in_git),
+        unnamed=(b"content", 7, None),
+        cut=(b"cont", 7, None),
+        flipped=(b"c0ntent", 7, digest),
+        gone=(None, 7, digest),
+    )
+    folder.write_bytes("data/strange.bin", b"x")
+    found = verify(folder)
+    assert found.files == 6
+    assert found.bytes == 42
+    assert found.reference == "a/b at 000000000000"
+    flipped = hashlib.sha256(b"c0ntent").hexdigest()
+    assert {finding.file: finding.problem for finding in found.findings} == {
+        "images/cut": "has 4 bytes, expected 7",
+        "images/flipped": f"sha256 {flipped}, expected {digest.value}",
+        "images/gone": "is missing",
+        "data/strange.bin": "is not listed in .download.json; next: remove it",
+    }
+
+
+def test_what_nothing_is_said_of_cannot_be_verified(tmp_path):
+    with pytest.raises(InputError, match=r"no manifest\.json and no record of a download"):
+        verify(DataFolder(str(tmp_path)))
