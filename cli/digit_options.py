@@ -161,11 +161,16 @@ class SolidOptions:
     profile: Annotated[
         Literal["round", "linear", "flat"], typer.Option(help="How the rim of a digit rises.")
     ] = "round"
+    erosion: Annotated[
+        Literal["outline", "disc"],
+        typer.Option(help="Draw the outline in by each radius, or erode with a disc of pixels."),
+    ] = "outline"
     half_thickness_mm: Annotated[
         float, typer.Option(help="Height above the mid-plane of ink that is wide enough.")
     ] = 4.0
     target_vertices: Annotated[
-        int, typer.Option("--vertices", metavar="N", help="Vertices of a mesh, about.")
+        int,
+        typer.Option("--vertices", metavar="N", help="Vertices of a mesh, about; 1.5 times as many at most."),
     ] = 5_000
     join_bodies: Annotated[
         bool, typer.Option("--join-bodies", help="Bridge separate pieces so that a digit prints in one.")

@@ -120,7 +120,7 @@ def make_row(digit_id: int, spec: GenerateSpec) -> tuple[MeshRow, PrintReport]:
     """
     digit = spec.source.image(digit_id)
     try:
-        mesh = solidify(digit.pixels, spec.solid)
+        mesh = solidify(digit.pixels, spec.solid, ink="dark")
     except ItemError as error:
         message = f"digit {digit_id} of source {spec.source.name!r}: {error.message}"
         raise ItemError(error.reason, message) from error

@@ -20,24 +20,32 @@ __all__ = [
     "binarise",
     "clean",
     "count_bodies_and_holes",
+    "dark_on_light",
     "join_bodies",
+    "margin",
     "otsu_threshold",
+    "paper_is_dark",
     "repair_corners",
 ]
 
 MIN_SIDE_PX = 8
 """Smaller images cannot show a digit."""
 
+SMALL_PX = 64
+"""Images whose longer side is shorter would make a block of a few millimetres: they are to be resampled."""
+
+PAPER_SHARE = 0.75
+"""At least so much of the margin of an image is paper; the margin is a fiftieth of the shorter side wide."""
+
 _CORNERS_CONNECT = np.ones((3, 3), dtype=bool)
 
 
-def binarise(pixels: NDArray[Any], threshold: float | None = None) -> NDArray[np.bool_]:
-    """Tell ink (True) from paper, in grey levels from 0 (ink) to 255 (paper) of any dtype.
+def binarise(levels: NDArray[np.uint8], threshold: float | None = None) -> NDArray[np.bool_]:
+    """Tell ink (True) from paper, in grey levels from 0 (ink) to 255 (paper).
 
-    Pixels up to the threshold are ink; by default that is Otsu's of the image. Raises ItemError
-    ``bad-shape``, ``bad-dtype``, ``not-finite``, ``bad-range``, ``no-ink`` or ``all-ink``.
+    Pixels up to the threshold are ink; by default that is Otsu's of the image. Raises ItemError ``no-ink`` or
+    ``all-ink``, the latter also when the margin is ink for the most part.
     """
-    levels = _as_levels(pixels)
     darkest, lightest = int(levels.min()), int(levels.max())
     if threshold is None and lightest == darkest:
         message = f"the image has one grey level only ({darkest}); expected dark ink on light paper"
@@ -46,10 +54,54 @@ def binarise(pixels: NDArray[Any], threshold: float | None = None) -> NDArray[np
     if not mask.any():
         message = "no pixel is dark enough to be ink; expected a digit"
         raise ItemError(reason="no-ink", message=message)
-    if mask.all():
-        message = "every pixel is dark enough to be ink; expected a digit on lighter paper"
+    paper = float(1 - margin(mask).mean())
+    if mask.all() or paper <= 1 - PAPER_SHARE:
+        message = (
+            f"ink covers {1 - paper:.0%} of the margin of the image, which would make a slab; expected a "
+            f"digit on paper, with less than {PAPER_SHARE:.0%} of the margin ink; next: say ink='light' if "
+            "the ink is the lighter part, or leave room around the digit"
+        )
         raise ItemError(reason="all-ink", message=message)
     return mask
+
+
+def margin(values: NDArray[Any]) -> NDArray[Any]:
+    """Return the pixels along the edge of an image, a fiftieth of the shorter side wide."""
+    wide = max(1, min(values.shape) // 50)
+    middle = values[wide:-wide]
+    parts = (values[:wide], values[-wide:], middle[:, :wide], middle[:, -wide:])
+    return np.concatenate([part.ravel() for part in parts])
+
+
+def paper_is_dark(levels: NDArray[np.uint8], threshold: int, where: str) -> bool:
+    """Tell whether the margin, which is paper, is dark; `where` names the image.
+
+    Raises ItemError ``unclear-ink`` when less than three quarters of it are on one side of the threshold.
+    """
+    light = float((margin(levels) > threshold).mean())
+    if 1 - PAPER_SHARE < light < PAPER_SHARE:
+        message = (
+            f"{where}: the ink cannot be told from the paper, found {light:.0%} of the margin light and the "
+            "rest dark, expected nearly all of it to be paper; next: say dark or light (--ink, ink=), or "
+            "crop the image"
+        )
+        raise ItemError(reason="unclear-ink", message=message)
+    return light <= 1 - PAPER_SHARE
+
+
+def dark_on_light(pixels: NDArray[Any], ink: str) -> NDArray[np.uint8]:
+    """Turn an image of any number type into grey levels from 0 (ink) to 255 (paper).
+
+    Integers are levels from 0 to 255, floats run from 0 to 1 or to 255, bool has two levels. With ``"auto"``
+    the margin of the image is paper. Raises ItemError ``bad-shape``, ``bad-dtype``, ``not-finite``,
+    ``bad-range`` or ``unclear-ink``.
+    """
+    levels = _as_levels(pixels)
+    if ink == "light":
+        return 255 - levels
+    if ink == "auto" and levels.min() < levels.max():
+        return 255 - levels if paper_is_dark(levels, otsu_threshold(levels), "the image") else levels
+    return levels
 
 
 def _as_levels(pixels: NDArray[Any]) -> NDArray[np.uint8]:
@@ -59,16 +111,22 @@ def _as_levels(pixels: NDArray[Any]) -> NDArray[np.uint8]:
         raise ItemError(reason="bad-shape", message=message)
     if image.dtype == np.uint8:
         return image
+    if image.dtype == np.bool_:
+        return np.where(image, np.uint8(255), np.uint8(0))
     if image.dtype.kind not in "iuf":
-        message = f"the image has dtype {image.dtype}; expected uint8 grey levels"
+        message = f"the image has dtype {image.dtype}; expected grey levels (integers, floats or bool)"
         raise ItemError(reason="bad-dtype", message=message)
     if not np.isfinite(image).all():
         bad = int((~np.isfinite(image)).sum())
         message = f"{bad} pixels of the image are NaN or infinite; expected grey levels from 0 to 255"
         raise ItemError(reason="not-finite", message=message)
     if image.min() < 0 or image.max() > 255:
-        message = f"grey levels run from {image.min()} to {image.max()}; expected 0 (ink) to 255 (paper)"
+        message = (
+            f"grey levels run from {image.min()} to {image.max()}; expected 0 to 255, or floats from 0 to 1"
+        )
         raise ItemError(reason="bad-range", message=message)
+    if image.dtype.kind == "f" and image.max() <= 1:
+        image = image.astype(np.float64) * 255
     return np.round(image).astype(np.uint8)
 
 

@@ -1,28 +1,26 @@
 """The fast way to the same solid: one distance transform, one lattice as fine as the vertex budget allows.
 
 The distance of every pixel from the outline holds all erosions at once. The solid is evaluated as a
-real-valued depth on a lattice several pixels wide, so its zero is found between the nodes. Only the upper
-half is made; its surface ends in the mid-plane and is mirrored as it is, which makes the mesh symmetric to
-the last bit.
+real-valued depth on a lattice several pixels wide, so its zero is found between the nodes. Where a neck, a
+gap or a whisker is narrower than the lattice can show, rows and columns of nodes are added until it is shown.
+Only the upper half is made; its surface ends in the mid-plane and is mirrored as it is, which makes the mesh
+symmetric to the last bit (but for those that are decimated because of very many added nodes).
 """
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from mnist3d.ink import count_bodies_and_holes, repair_corners
+from mnist3d.ink import count_bodies_and_holes
 from mnist3d.spec import depth_px, half_height_px
-from mnist3d.steps import marching_cubes, scale, smooth
-from tactile_toolkit.arithmetic import decay
+from mnist3d.steps import BUDGET_SLACK, bodies_and_holes, decimate, marching_cubes, scale, smooth
 from tactile_toolkit.errors import ItemError
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
-
     from numpy.typing import NDArray
 
     from mnist3d.spec import SolidSpec
@@ -32,11 +30,15 @@ __all__ = ["distance_px", "lattice_solid", "signed_distance_px"]
 
 FIRST_PITCH_PX = 4.0
 LARGEST_PITCH_PX = 8.0
-REFINEMENT = 0.8
-"""A lattice that loses a gap, a neck or a hole is followed by one this much finer."""
 
-PHASES = ((0.0, 0.0), (0.5, 0.5), (0.5, 0.0), (0.0, 0.5))
-"""Offsets tried at each pitch: a gap that one lattice misses may meet the nodes of another."""
+NARROW_PX = 2.0
+"""Ink or paper whose middle is nearer to the outline than this is narrow: a neck, a gap, a whisker."""
+
+NARROW_REACH_PX = 3
+"""Within so many pixels of something wider, ink and paper are not narrow: outlines are rough."""
+
+NARROW_ERROR_PX = 0.25
+"""How far the outline of what is narrow may be from where it was drawn: 0.05 mm on either side."""
 
 BLUR_PER_PITCH = 0.25
 RIDGE_BLUR_PER_PITCH = 0.6
@@ -46,6 +48,9 @@ RIDGE_DEPTH_PER_PITCH = 1.0
 Distances grow evenly with the depth, so a blur changes nothing there but the ridge of a narrow stroke, whose
 height would otherwise go up and down with where the nodes happen to lie.
 """
+
+BELL_REACH = 11**0.5
+"""(1 - (x / r)^2)^4 has the standard deviation r / sqrt(11)."""
 
 GRAIN_PX = 2.0**-12
 """Sampled distances are rounded to this."""
@@ -68,37 +73,58 @@ geometry, this value as measured on 20 of the real digits against the literal so
 class PlaneLattice:
     """Distances from the outline at the nodes of a lattice in the mid-plane, in pixels.
 
-    ``s_px`` is positive inside, ``pitch_px`` the distance of neighbouring nodes, ``first_px`` the row and
-    column of the first node.
+    ``s_px`` is positive inside; ``rows_px`` and ``columns_px`` say where the nodes lie, ``pitch_px`` how far
+    apart they are where nothing narrow is near.
     """
 
     s_px: NDArray[np.float32]
+    rows_px: NDArray[np.float64]
+    columns_px: NDArray[np.float64]
     pitch_px: float
-    first_px: tuple[float, float]
 
 
 def lattice_solid(mask: NDArray[np.bool_], spec: SolidSpec) -> Mesh:
     """Build the solid of clean ink (:func:`mnist3d.ink.clean`).
 
-    Raises ItemError ``topology`` where no lattice down to one pixel keeps the bodies and holes of the ink.
+    Raises ItemError ``topology`` where no lattice down to one pixel keeps the bodies and holes of the ink,
+    ``vertex-budget`` where they need more than 1.5 times the vertices asked for.
     """
     # Two nodes of paper on each side even at the coarsest pitch, so that the surface closes.
     margin_px = math.ceil(2 * LARGEST_PITCH_PX)
-    rows, columns = np.flatnonzero(mask.any(axis=1)), np.flatnonzero(mask.any(axis=0))
-    top, left = int(rows[0]) - margin_px, int(columns[0]) - margin_px
-    crop = np.pad(mask[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1], margin_px)
+    inked = np.flatnonzero(mask.any(axis=1)), np.flatnonzero(mask.any(axis=0))
+    top, left = int(inked[0][0]) - margin_px, int(inked[1][0]) - margin_px
+    window = tuple(slice(lines[0], lines[-1] + 1) for lines in inked)
+    crop = np.pad(mask[window], margin_px)
     counts = count_bodies_and_holes(crop)
     # Deeper than the half thickness the surface is flat; 4 px more keep the cut-off out of the blur there.
     distance = signed_distance_px(crop, math.ceil(spec.half_thickness_px) + 4, 2 * LARGEST_PITCH_PX)
-    for lattice in _lattices(distance, spec):
-        if not _may_hold(lattice, counts):
-            continue
-        vertices, faces = _mirror_surface(*_upper_surface(lattice, spec))
-        if _bodies_and_holes(vertices, faces) == counts:
-            corner = np.array([lattice.first_px[0] + top, lattice.first_px[1] + left, 0], dtype=np.float32)
-            return scale(vertices + corner, faces, (mask.shape[0], mask.shape[1]), spec)
-    message = f"no lattice keeps the {counts[0]} bodies and {counts[1]} holes of the ink"
-    raise ItemError(reason="topology", message=message)
+    narrow = _narrow_parts(distance)
+    pitch_px = _first_pitch_px(distance, spec)
+    rows, columns = (np.arange(0.0, side - 1, pitch_px) for side in distance.shape)
+    while True:
+        lattice = _sample(distance, rows, columns, pitch_px)
+        shown = _between_nodes(lattice, distance.shape)
+        missed: NDArray[np.bool_] = narrow & (np.abs(shown - distance) > NARROW_ERROR_PX)
+        if not missed.any():
+            vertices, faces = _mirror_surface(*_upper_surface(lattice, spec))
+            found = bodies_and_holes(vertices, faces)
+            if found == counts:
+                break
+            missed = (shown > 0) != crop
+        if len(rows) == crop.shape[0] and len(columns) == crop.shape[1]:
+            message = (
+                f"no lattice keeps the {counts[0]} bodies and {counts[1]} holes of the ink; the finest has "
+                f"{found[0]} and {found[1]}"
+            )
+            raise ItemError(reason="topology", message=message)
+        before = len(rows), len(columns)
+        rows, columns = _refined(rows, missed.any(axis=1)), _refined(columns, missed.any(axis=0))
+        if (len(rows), len(columns)) == before:
+            rows, columns = (np.arange(side, dtype=np.float64) for side in crop.shape)
+    corner = np.array([top, left, 0], dtype=np.float32)
+    mesh = scale(vertices + corner, faces, (mask.shape[0], mask.shape[1]), spec)
+    bounded = spec.lattice_pitch_mm is None and len(vertices) > BUDGET_SLACK * spec.target_vertices
+    return decimate(mesh, spec.target_vertices) if bounded else mesh
 
 
 def signed_distance_px(mask: NDArray[np.bool_], inside_px: float, outside_px: float) -> NDArray[np.float32]:
@@ -137,26 +163,14 @@ def distance_px(mask: NDArray[np.bool_], reach_px: float) -> NDArray[np.float32]
     return np.asarray(np.minimum(np.sqrt(squared, dtype=np.float32), np.float32(reach_px)))
 
 
-def _lattices(distance: NDArray[np.float32], spec: SolidSpec) -> Iterator[PlaneLattice]:
-    """Sample the distances at finer and finer lattices, from the vertex budget's pitch down to the pixels."""
-    if spec.lattice_pitch_mm is None:
-        pitch_px = _fitting_pitch_px(distance, spec)
-    else:
-        pitch_px = min(spec.lattice_pitch_mm / spec.pixel_pitch_mm, LARGEST_PITCH_PX)
-    while pitch_px > 1:
-        for phase in PHASES:
-            yield _sample(distance, pitch_px, phase)
-        pitch_px *= REFINEMENT
-    # Nodes on the pixel centres and no blur: the signs are those of the ink itself.
-    yield PlaneLattice(distance, 1.0, (0.0, 0.0))
-
-
-def _fitting_pitch_px(distance: NDArray[np.float32], spec: SolidSpec) -> float:
-    """Find the pitch at which marching cubes will meet the vertex budget.
+def _first_pitch_px(distance: NDArray[np.float32], spec: SolidSpec) -> float:
+    """Return the pitch asked for, or the one at which marching cubes will meet the vertex budget.
 
     A vertex lies on every edge of the lattice that passes through the surface, so their number is known
     before the surface is made, and it falls with the square of the pitch.
     """
+    if spec.lattice_pitch_mm is not None:
+        return min(max(spec.lattice_pitch_mm / spec.pixel_pitch_mm, 1.0), LARGEST_PITCH_PX)
     pitch = FIRST_PITCH_PX
     for _ in range(2):  # the second round corrects for what the first lattice was too coarse to see
         rows, columns = (np.arange(0, side - 1, pitch).round().astype(np.intp) for side in distance.shape)
@@ -174,46 +188,121 @@ def _crossed_edges(s_px: NDArray[np.float32], pitch_px: float, spec: SolidSpec) 
     return int(2 * (beside + np.count_nonzero(inked)) - rim)
 
 
-def _sample(distance: NDArray[np.float32], pitch_px: float, phase: tuple[float, float]) -> PlaneLattice:
-    rows = np.arange(phase[0] * pitch_px, distance.shape[0] - 1, pitch_px)
-    columns = np.arange(phase[1] * pitch_px, distance.shape[1] - 1, pitch_px)
-    s = _blurred(distance, rows, columns, BLUR_PER_PITCH * pitch_px)
-    ridge = _blurred(distance, rows, columns, RIDGE_BLUR_PER_PITCH * pitch_px)
+def _narrow_parts(distance: NDArray[np.float32]) -> NDArray[np.bool_]:
+    """Mark the pixels of ink and paper that nothing wide is near: necks, gaps, whiskers and notches."""
+    wide_ink, wide_paper = _grown(distance >= NARROW_PX), _grown(distance <= -NARROW_PX)
+    return np.where(distance > 0, ~wide_ink, ~wide_paper)
+
+
+def _grown(mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Widen what is marked by a square."""
+    for _ in range(2):
+        grown = mask.copy()
+        for offset in range(1, NARROW_REACH_PX + 1):
+            grown[offset:] |= mask[:-offset]
+            grown[:-offset] |= mask[offset:]
+        mask = grown.T
+    return mask
+
+
+def _refined(nodes: NDArray[np.float64], missed: NDArray[np.bool_]) -> NDArray[np.float64]:
+    """Put nodes on every pixel of the lines in which something is missed, and on those beside them."""
+    wanted = np.flatnonzero(missed | np.append(missed[1:], False) | np.append(False, missed[:-1])) * 1.0
+    if not len(wanted):
+        return nodes
+    place = np.searchsorted(wanted, nodes)
+    below = nodes - wanted[np.maximum(place - 1, 0)]
+    above = wanted[np.minimum(place, len(wanted) - 1)] - nodes
+    away = np.minimum(np.abs(below), np.abs(above))
+    # Between pixels a node needs a blur of two pixels to mean what lies there.
+    others = np.where(away < 2, np.round(nodes), nodes)[away >= 1]
+    return np.unique(np.concatenate([others, wanted]))
+
+
+def _sample(
+    distance: NDArray[np.float32], rows: NDArray[np.float64], columns: NDArray[np.float64], pitch_px: float
+) -> PlaneLattice:
+    s = _blurred(distance, rows, columns, BLUR_PER_PITCH)
+    ridge = _blurred(distance, rows, columns, RIDGE_BLUR_PER_PITCH)
     share = np.clip(s / np.float32(RIDGE_DEPTH_PER_PITCH * pitch_px) - 1, 0, 1)
-    return PlaneLattice(s + share * (ridge - s), pitch_px, (float(rows[0]), float(columns[0])))
+    return PlaneLattice(s + share * (ridge - s), rows, columns, pitch_px)
 
 
 def _blurred(
-    distance: NDArray[np.float32], rows: NDArray[np.float64], columns: NDArray[np.float64], sigma_px: float
+    distance: NDArray[np.float32],
+    rows: NDArray[np.float64],
+    columns: NDArray[np.float64],
+    sigma_per_pitch: float,
 ) -> NDArray[np.float32]:
-    down = _weights(rows, distance.shape[0], sigma_px)
-    across = _weights(columns, distance.shape[1], sigma_px)
-    # Factors on grids so coarse that every product and every sum of them is exact in double precision: so
-    # matrix products, which add up in an order of the processor's own, give the same bits everywhere.
-    halfway = _on_grid(down @ _on_grid(distance.astype(np.float64), _FACTOR_GRAIN_PX), _FACTOR_GRAIN_PX)
-    return _on_grid(halfway @ across.T, GRAIN_PX).astype(np.float32)
+    down = _weights(rows, distance.shape[0], sigma_per_pitch)
+    across = _weights(columns, distance.shape[1], sigma_per_pitch)
+    return _on_grid(_both_ways(down, across, distance), GRAIN_PX).astype(np.float32)
+
+
+def _both_ways(down: Any, across: Any, values: NDArray[Any]) -> NDArray[np.float64]:
+    """Apply sparse weights along both axes.
+
+    Factors lie on grids so coarse that every product and every sum of them is exact in double precision: so
+    they are the same bits on every processor.
+    """
+    halfway = down @ _on_grid(values.astype(np.float64), _FACTOR_GRAIN_PX)
+    return np.asarray((across @ np.ascontiguousarray(_on_grid(halfway, _FACTOR_GRAIN_PX).T)).T)
 
 
 def _on_grid(values: NDArray[np.float64], grain: float) -> NDArray[np.float64]:
     return np.asarray(np.round(values * (1 / grain)) * grain)
 
 
-def _weights(nodes: NDArray[np.float64], count: int, sigma_px: float) -> NDArray[np.float64]:
-    # Twice a Gaussian less a wider one: it lets the waves pass that a Gaussian wears down, so that tips,
-    # notches and ridges lose less than half as much, and still holds back what the lattice cannot carry.
-    away = (nodes[:, None] - np.arange(count)) / (2 * sigma_px)
-    wide = decay(away * away)
-    narrow = wide * wide
-    weights = narrow * (2 / narrow.sum(axis=1, keepdims=True)) - wide / wide.sum(axis=1, keepdims=True)
-    return _on_grid(weights, _WEIGHT_GRAIN)
+def _weights(nodes: NDArray[np.float64], count: int, sigma_per_pitch: float) -> Any:
+    """Return a sparse matrix from pixels to nodes; a node one pixel from the next is not blurred."""
+    gaps = np.diff(nodes)
+    pitch = np.minimum(np.append(gaps, gaps[-1]), np.append(gaps[0], gaps))
+    sigma = np.where(pitch > 1, sigma_per_pitch * pitch, 0)
+    # Twice a bell less a wider one: it lets the waves pass that a bell wears down, so that tips, notches and
+    # ridges lose less than half as much, and still holds back what the lattice cannot carry.
+    reach = math.ceil(2**0.5 * BELL_REACH * float(sigma.max()))
+    pixels = np.floor(nodes).astype(np.intp)[:, None] + np.arange(-reach, reach + 2)
+    inside = (pixels >= 0) & (pixels < count)
+    squared = np.where(inside, (nodes[:, None] - pixels) ** 2, np.inf)
+    narrow, wide = _bells(squared, sigma), _bells(squared, 2**0.5 * sigma)
+    return _sparse(2 * narrow - wide, pixels, count)
 
 
-def _may_hold(lattice: PlaneLattice, counts: tuple[int, int]) -> bool:
-    """Look at the signs in the mid-plane, which settle the matter unless inked nodes touch at a corner."""
-    inside = lattice.s_px > 0
-    if np.array_equal(repair_corners(inside), inside):
-        return count_bodies_and_holes(inside) == counts
-    return bool(inside.any())
+def _bells(squared: NDArray[np.float64], sigma: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return rows of weights that add up to 1, near a Gaussian; where sigma is 0 the node itself counts.
+
+    Made of products and sums alone; exponentials differ from processor to processor.
+    """
+    radius = np.maximum(BELL_REACH * sigma, 0.5)[:, None]
+    bell = np.maximum(1 - squared / radius**2, 0)
+    bell *= bell
+    bell *= bell
+    return np.asarray(bell / bell.sum(axis=1, keepdims=True))
+
+
+def _between_nodes(lattice: PlaneLattice, shape: tuple[int, ...]) -> NDArray[np.float64]:
+    """Return what the lattice says at every pixel, linear between its nodes."""
+    down, across = (
+        _linear(nodes, count)
+        for nodes, count in zip((lattice.rows_px, lattice.columns_px), shape, strict=True)
+    )
+    return _both_ways(down, across, lattice.s_px)
+
+
+def _linear(nodes: NDArray[np.float64], count: int) -> Any:
+    pixels = np.arange(count)
+    before = np.clip(np.searchsorted(nodes, pixels, side="right") - 1, 0, len(nodes) - 2)
+    share = np.clip((pixels - nodes[before]) / (nodes[before + 1] - nodes[before]), 0, 1)
+    return _sparse(np.stack([1 - share, share], axis=1), before[:, None] + np.arange(2), len(nodes))
+
+
+def _sparse(weights: NDArray[np.float64], places: NDArray[np.intp], count: int) -> Any:
+    from scipy.sparse import csr_array
+
+    weights = _on_grid(weights, _WEIGHT_GRAIN)
+    kept = weights != 0
+    starts = np.append(0, np.cumsum(np.count_nonzero(kept, axis=1)))
+    return csr_array((weights[kept], places[kept], starts), shape=(len(weights), count))
 
 
 def _upper_surface(lattice: PlaneLattice, spec: SolidSpec) -> tuple[NDArray[np.float32], NDArray[np.int32]]:
@@ -226,11 +315,15 @@ def _upper_surface(lattice: PlaneLattice, spec: SolidSpec) -> tuple[NDArray[np.f
     depth = np.where(np.abs(depth) < least, np.where(depth > 0, least, -least), depth)
     vertices, faces = marching_cubes(depth, 0.0)
     faces = _in_storage_order(faces)
+    beside_thin = _beside_thin_parts(vertices, depth > 0)
+    for axis, nodes in enumerate((lattice.rows_px, lattice.columns_px)):
+        vertices[:, axis] = np.interp(vertices[:, axis], np.arange(len(nodes)), nodes)
+    vertices[:, 2] *= np.float32(pitch)
     rim = vertices[:, 2] == 0
     moved = smooth(vertices, faces, spec.smoothing_iterations, spec.smoothing_factor, rim)
-    moved = np.where(_beside_thin_parts(vertices, depth > 0)[:, None], vertices, moved)
-    moved[:, 2] = np.where(rim, 0, np.maximum(moved[:, 2], np.float32(NUDGE)))
-    return np.asarray(moved * np.float32(pitch), dtype=np.float32), faces
+    moved = np.where(beside_thin[:, None], vertices, moved)
+    moved[:, 2] = np.where(rim, 0, np.maximum(moved[:, 2], least))
+    return np.asarray(moved, dtype=np.float32), faces
 
 
 def _in_storage_order(faces: NDArray[np.int32]) -> NDArray[np.int32]:
@@ -275,16 +368,3 @@ def _mirror_surface(
     image[off_plane] = len(vertices) + np.arange(np.count_nonzero(off_plane), dtype=np.int32)
     lower = vertices[off_plane] * np.array([1, 1, -1], dtype=np.float32)
     return np.concatenate([vertices, lower]), np.concatenate([faces, image[faces][:, [0, 2, 1]]])
-
-
-def _bodies_and_holes(vertices: NDArray[np.float32], faces: NDArray[np.int32]) -> tuple[int, int]:
-    from scipy import sparse
-    from scipy.sparse import csgraph
-
-    weights = np.ones(2 * len(faces), dtype=np.int8)
-    ends, others = faces[:, [0, 1]].ravel(), faces[:, [1, 2]].ravel()
-    links = sparse.coo_matrix((weights, (ends, others)), shape=(len(vertices), len(vertices)))
-    bodies = int(csgraph.connected_components(links, directed=False)[0])
-    # Every edge of a closed surface borders two triangles, so V - E + F is V - F / 2.
-    euler = len(vertices) - len(faces) // 2
-    return bodies, bodies - euler // 2

@@ -44,7 +44,7 @@ def draw_steps(renderer: Renderer, pixels: NDArray[Any], spec: SolidSpec, title:
     ItemError, which names the picture by its title, where the image is not a usable digit.
     """
     try:
-        ink = ink_mask(pixels, spec)
+        ink = ink_mask(pixels, spec, ink="dark")
     except ItemError as error:
         raise ItemError(error.reason, f"{title}: {error}") from error
     window = _window(ink)

@@ -9,9 +9,9 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any, Literal
 
-from mnist3d.ink import binarise, clean, join_bodies
+from mnist3d.ink import SMALL_PX, binarise, clean, dark_on_light, join_bodies
 from mnist3d.lattice import lattice_solid
-from mnist3d.spec import PROFILES, SolidSpec
+from mnist3d.spec import EROSIONS, PROFILES, SolidSpec
 from mnist3d.steps import (
     decimate,
     erode,
@@ -23,7 +23,7 @@ from mnist3d.steps import (
     smooth,
     stack,
 )
-from tactile_toolkit.errors import InputError
+from tactile_toolkit.errors import InputError, ItemError
 
 if TYPE_CHECKING:
     import numpy as np
@@ -32,6 +32,7 @@ if TYPE_CHECKING:
     from tactile_toolkit.mesh.mesh import Mesh
 
 __all__ = [
+    "EROSIONS",
     "PROFILES",
     "SolidSpec",
     "decimate",
@@ -50,18 +51,30 @@ __all__ = [
 
 
 def solidify(
-    pixels: NDArray[Any], spec: SolidSpec | None = None, *, method: Literal["fast", "literal"] = "fast"
+    pixels: NDArray[Any],
+    spec: SolidSpec | None = None,
+    *,
+    method: Literal["fast", "literal"] = "fast",
+    ink: Literal["auto", "dark", "light"] = "auto",
+    resample: bool = False,
 ) -> Mesh:
     """Turn the image of a digit into a closed, printable mesh.
 
     Parameters
     ----------
     pixels : ndarray of uint8, shape (H, W)
-        Grey levels, 0 is ink and 255 paper, row 0 at the top.
+        Grey levels, row 0 at the top. Other integers count from 0 to 255, floats from 0 to 1 or to 255; bool
+        is understood.
     spec : SolidSpec, optional
         The numbers of the algorithm; the published ones by default.
     method : {"fast", "literal"}
         One distance transform and a lattice of real values, or the algorithm as it is printed.
+    ink : {"auto", "dark", "light"}
+        Which part is ink. ``"auto"`` takes the margin for paper, and where ``spec.threshold`` is given what
+        is up to it for ink.
+    resample : bool
+        Draw the image anew with 500 pixels on its longer side, as the sources do. Images of less than 64
+        pixels are refused otherwise: 28 pixels of 0.2 mm make a block of 5.6 mm.
 
     Returns
     -------
@@ -72,25 +85,48 @@ def solidify(
     ------
     ItemError
         The image is not a usable digit; ``reason`` is one of ``bad-shape``, ``bad-dtype``, ``bad-range``,
-        ``not-finite``, ``no-ink``, ``all-ink``, ``topology``.
+        ``not-finite``, ``too-small``, ``unclear-ink``, ``no-ink``, ``all-ink``, ``topology``,
+        ``vertex-budget``.
     InputError
-        An unknown method.
+        An unknown method, or an unknown word for the ink.
     """
     spec = SolidSpec() if spec is None else spec
     if method not in ("fast", "literal"):
         message = f"method is {method!r}; expected 'fast' or 'literal'"
         raise InputError(message)
-    mask = ink_mask(pixels, spec)
+    mask = ink_mask(pixels, spec, ink=ink, resample=resample)
     return lattice_solid(mask, spec) if method == "fast" else literal_solid(mask, spec)
 
 
-def ink_mask(pixels: NDArray[Any], spec: SolidSpec) -> NDArray[np.bool_]:
+def ink_mask(
+    pixels: NDArray[Any],
+    spec: SolidSpec,
+    *,
+    ink: Literal["auto", "dark", "light"] = "auto",
+    resample: bool = False,
+) -> NDArray[np.bool_]:
     """Find the ink that becomes the solid: binarised, cleaned and, if asked for, joined.
 
-    Raises ItemError as :func:`solidify`.
+    Raises as :func:`solidify`.
     """
+    if ink not in ("auto", "dark", "light"):
+        message = f"ink is {ink!r}; expected 'auto', 'dark' or 'light'"
+        raise InputError(message)
+    # A threshold says which side of it is ink.
+    levels = dark_on_light(pixels, "dark" if ink == "auto" and spec.threshold is not None else ink)
+    if resample:
+        from mnist3d.sources.canvas import fit
+
+        levels = fit(levels)
+    elif max(levels.shape) < SMALL_PX:
+        size_mm = max(levels.shape) * spec.pixel_pitch_mm
+        message = (
+            f"the image has {levels.shape[1]} x {levels.shape[0]} px, which make {size_mm:g} mm; expected "
+            f"{SMALL_PX} px or more; next: solidify(..., resample=True) draws it anew with 500"
+        )
+        raise ItemError(reason="too-small", message=message)
     mask = clean(
-        binarise(pixels, spec.threshold),
+        binarise(levels, spec.threshold),
         pixel_pitch_mm=spec.pixel_pitch_mm,
         min_speck_mm2=spec.min_speck_mm2,
         min_pinhole_mm2=spec.min_pinhole_mm2,

@@ -7,11 +7,14 @@ coordinates are (row, column, height above the mid-plane) in pixels until :func:
 
 from __future__ import annotations
 
+import math
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from mnist3d.ink import count_bodies_and_holes
 from mnist3d.spec import erosion_radius_px
+from tactile_toolkit.errors import ItemError
 from tactile_toolkit.mesh.mesh import MM_PER_M, Mesh
 
 if TYPE_CHECKING:
@@ -22,6 +25,8 @@ if TYPE_CHECKING:
     from mnist3d.spec import SolidSpec
 
 __all__ = [
+    "BUDGET_SLACK",
+    "bodies_and_holes",
     "decimate",
     "erode",
     "erosion_radii_px",
@@ -36,8 +41,13 @@ __all__ = [
 TAUBIN_RATIO = -1.06
 """Step outward over step inward that lets smoothing keep the volume (Taubin 1995: slightly above one)."""
 
-FIRST_TOLERANCE_MM = 0.03
+FIRST_TOLERANCE_MM = 0.01
 TOLERANCE_GROWTH = 1.25
+TOLERANCE_PER_SPACING = 0.25
+"""The last tolerance of a decimation, as a share of how far apart the vertices of the budget lie."""
+
+BUDGET_SLACK = 1.5
+"""No mesh has more vertices than this many times its budget."""
 
 
 def literal_solid(mask: NDArray[np.bool_], spec: SolidSpec, *, decimated: bool = True) -> Mesh:
@@ -45,11 +55,21 @@ def literal_solid(mask: NDArray[np.bool_], spec: SolidSpec, *, decimated: bool =
 
     Binary layers at full resolution, marching cubes on the binary stack, smoothing, and only then a
     decimation to the vertex budget (left out with ``decimated=False``). Slow and plain on purpose.
+
+    Raises ItemError ``topology`` where the surface has not the bodies and holes of the ink,
+    ``vertex-budget`` as :func:`decimate`.
     """
     layers = [erode(mask, radius) for radius in erosion_radii_px(spec)]
     # A margin of empty voxels closes the surface; the shift by one pixel undoes it.
     volume = np.pad(mirror(stack(layers)), 1)
     vertices, faces = marching_cubes(volume, 0.5)
+    counts, found = count_bodies_and_holes(mask), bodies_and_holes(vertices, faces)
+    if found != counts:
+        message = (
+            f"the layers of the ink, stacked, have {found[0]} bodies and {found[1]} holes; the ink has "
+            f"{counts[0]} and {counts[1]}; next: leave the digit out, or try method='fast'"
+        )
+        raise ItemError(reason="topology", message=message)
     vertices = smooth(vertices, faces, spec.literal_smoothing_iterations, spec.smoothing_factor)
     mesh = scale(vertices - np.float32(1), faces, (mask.shape[0], mask.shape[1]), spec)
     return decimate(mesh, spec.target_vertices) if decimated else mesh
@@ -65,10 +85,11 @@ def erosion_radii_px(spec: SolidSpec) -> NDArray[np.float64]:
 
 
 def erode(mask: NDArray[np.bool_], radius_px: float) -> NDArray[np.bool_]:
-    """Let the ink draw in from its outline, as binary erosion with a disc does; beyond the image is paper.
+    """Let the ink draw in from its outline by a radius; beyond the image is paper.
 
-    The outline lies half a pixel outside the outermost centres, so the disc holds the offsets shorter than
-    ``radius_px + 0.5``.
+    The outline lies half a pixel outside the outermost centres, so this is binary erosion with a disc of the
+    offsets shorter than ``radius_px + 0.5``. The usual disc, of offsets up to the radius, leaves half a pixel
+    more: ``SolidSpec.erosion`` chooses between them by the radii of :func:`erosion_radii_px`.
     """
     from scipy import ndimage
 
@@ -152,15 +173,56 @@ def scale(
 
 
 def decimate(mesh: Mesh, target_vertices: int) -> Mesh:
-    """Drop the vertices that matter least until the budget is met; a mesh within it comes back itself."""
+    """Drop the vertices that matter least until the budget is met; a mesh within it comes back itself.
+
+    Raises ItemError ``vertex-budget`` where the solid cannot be told by 1.5 times as many vertices: its
+    bodies or holes would change, or its surface would move too far.
+    """
     if len(mesh.vertices_m) <= target_vertices:
         return mesh
+    counts = bodies_and_holes(mesh.vertices_m, mesh.faces)
     solid, tolerance_mm = mesh.to_manifold(), FIRST_TOLERANCE_MM
+    limit_mm = TOLERANCE_PER_SPACING * (solid.surface_area() / target_vertices) ** 0.5
     # Many careful passes: one pass with a wide tolerance leaves more vertices, and worse placed ones.
-    while solid.num_vert() > target_vertices:
-        solid = solid.simplify(tolerance_mm)
+    while solid.num_vert() > target_vertices and tolerance_mm <= limit_mm:
+        simpler = solid.simplify(tolerance_mm)
+        if not _is_held(simpler, counts):
+            break
+        solid = simpler
         tolerance_mm *= TOLERANCE_GROWTH
+    found = solid.num_vert()
+    if found > BUDGET_SLACK * target_vertices:
+        message = (
+            f"the digit needs {found:,} vertices to keep its {counts[0]} bodies and {counts[1]} holes; "
+            f"{target_vertices:,} were asked for, and at most {BUDGET_SLACK:g} times as many are given; "
+            f"next: ask for {math.ceil(found / BUDGET_SLACK):,} (target_vertices, --vertices)"
+        )
+        raise ItemError(reason="vertex-budget", message=message)
     simplified = solid.to_mesh64()
     vertices_m = np.asarray(simplified.vert_properties)[:, :3] / MM_PER_M
     vertices_m[:, 2] -= vertices_m[:, 2].min()
     return Mesh(vertices_m.astype(np.float32), np.asarray(simplified.tri_verts).astype(np.int32))
+
+
+def _is_held(solid: Any, counts: tuple[int, int]) -> bool:
+    """Tell whether a symmetric solid has so many bodies and holes, and no walls of it have met."""
+    mesh = solid.to_mesh64()
+    if bodies_and_holes(np.asarray(mesh.vert_properties), np.asarray(mesh.tri_verts)) != counts:
+        return False
+    low, high = solid.bounding_box()[2], solid.bounding_box()[5]
+    # Walls meet in the mid-plane first, where the solid is widest.
+    return len(solid.slice((low + high) / 2).to_polygons()) == sum(counts)
+
+
+def bodies_and_holes(vertices: NDArray[Any], faces: NDArray[Any]) -> tuple[int, int]:
+    """Count the bodies of a closed surface and the holes through them."""
+    from scipy import sparse
+    from scipy.sparse import csgraph
+
+    weights = np.ones(2 * len(faces), dtype=np.int8)
+    ends, others = faces[:, [0, 1]].ravel(), faces[:, [1, 2]].ravel()
+    links = sparse.coo_matrix((weights, (ends, others)), shape=(len(vertices), len(vertices)))
+    bodies = int(csgraph.connected_components(links, directed=False)[0])
+    # Every edge of a closed surface borders two triangles, so V - E + F is V - F / 2.
+    euler = len(vertices) - len(faces) // 2
+    return bodies, bodies - euler // 2

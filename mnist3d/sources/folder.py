@@ -9,12 +9,12 @@ import warnings
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from mnist3d.ink import otsu_threshold
+from mnist3d.ink import margin, otsu_threshold, paper_is_dark
 from mnist3d.sources import NO_WRITER, DigitCatalog, DigitImage
 from mnist3d.sources.canvas import as_grey, fit
 from tactile_toolkit.errors import InputError, ItemError
@@ -33,8 +33,6 @@ _LABEL = re.compile(r"(?<![a-z])label[_=-]?([0-9])(?![0-9])", re.IGNORECASE)
 _WRITER = re.compile(r"(?<![a-z])writer[_=-]?([0-9]{1,18})", re.IGNORECASE)
 _CONTRAST = 24
 """A picture whose grey levels span less shows nothing but paper."""
-
-_CLEAR_SHARE = 0.75
 
 
 @dataclass(frozen=True, slots=True)
@@ -218,7 +216,7 @@ def read_picture(path: Path, ink: str = "auto") -> NDArray[np.uint8]:
     if np.ptp(grey) < _CONTRAST:
         return 255 - grey if ink == "light" else grey
     threshold = otsu_threshold(grey)
-    if ink == "light" or (ink == "auto" and _paper_is_dark(grey, threshold, path)):
+    if ink == "light" or (ink == "auto" and paper_is_dark(grey, threshold, str(path))):
         grey, threshold = 255 - grey, 254 - threshold
     dark = grey <= threshold
     if dark.all() or not dark.any():
@@ -273,28 +271,7 @@ def _over_paper(picture: Image, ink: str) -> NDArray[np.uint8]:
     """Lay a transparent picture on white paper, or on black if light ink is all there is on it."""
     alpha = np.asarray(picture.getchannel("A"), np.float32) / 255
     light = np.asarray(picture.convert("RGB").convert("L"), np.float32)
-    cut_out = ink == "auto" and _margin(alpha).mean() < 0.5
+    cut_out = ink == "auto" and margin(alpha).mean() < 0.5
     bright_ink = cut_out and (light * alpha).sum() > 127.5 * alpha.sum()
     paper = 0 if ink == "light" or bright_ink else 255
     return np.rint(light * alpha + paper * (1 - alpha)).astype(np.uint8)
-
-
-def _paper_is_dark(grey: NDArray[np.uint8], threshold: int, path: Path) -> bool:
-    light = float((_margin(grey) > threshold).mean())
-    if 1 - _CLEAR_SHARE < light < _CLEAR_SHARE:
-        reason = "unclear-ink"
-        message = (
-            f"{path}: the ink cannot be told from the paper, found {light:.0%} of the margin light and the "
-            "rest dark, expected nearly all of it to be paper; next: say --ink dark or --ink light, or crop "
-            "the image"
-        )
-        raise ItemError(reason, message)
-    return light <= 1 - _CLEAR_SHARE
-
-
-def _margin(values: NDArray[Any]) -> NDArray[Any]:
-    """Pixels of a frame along the edge, a fiftieth of the shorter side wide."""
-    wide = max(1, min(values.shape) // 50)
-    inside = np.zeros(values.shape, bool)
-    inside[wide:-wide, wide:-wide] = True
-    return values[~inside]

@@ -24,6 +24,10 @@ def disc(radius: float, row: float = 249.5, column: float = 249.5) -> np.ndarray
     return np.hypot(ROWS - row, COLUMNS - column) <= radius
 
 
+def ring() -> np.ndarray:
+    return drawn(disc(90) & ~disc(60))
+
+
 def stroke(points: list[tuple[float, float]], width: float) -> np.ndarray:
     """A line of round pen through (row, column) points."""
     path = np.concatenate([np.linspace(a, b, 60) for a, b in pairwise(points)])
@@ -51,3 +55,42 @@ def volume_mm3(mesh: Mesh) -> float:
 
 def size_mm(mesh: Mesh) -> np.ndarray:
     return np.ptp(mesh.bounds_m, axis=0) * 1000
+
+
+def dumbbell(neck_mm: float, angle_deg: float) -> np.ndarray:
+    """Two discs 4 mm in radius, 6 mm apart, joined by a bar of that width; 0.2 mm a pixel."""
+    y, x = (np.mgrid[:640, :640] - 319.5) * 0.05
+    angle = math.radians(angle_deg)
+    along, aside = (
+        np.abs(x * math.cos(angle) - y * math.sin(angle)),
+        x * math.sin(angle) + y * math.cos(angle),
+    )
+    ink = (np.hypot(along - 7, aside) <= 4) | ((np.abs(aside) <= neck_mm / 2) & (along <= 7))
+    return (255 * (1 - ink.reshape(160, 4, 160, 4).mean(axis=(1, 3)))).round().astype(np.uint8)
+
+
+def neck_mm(mesh: Mesh, angle_deg: float) -> float:
+    """Width of a dumbbell in the mid-plane where it is narrowest."""
+    angle = math.radians(angle_deg)
+    turn = np.array([[math.cos(angle), math.sin(angle)], [-math.sin(angle), math.cos(angle)]])
+    contours = mesh.to_manifold().slice(float(mesh.vertices_m[:, 2].max()) * 500).to_polygons()
+    widths = []
+    for place in np.linspace(-2, 2, 41):
+        crossings: list[float] = []
+        for points in (np.asarray(contour) @ turn.T for contour in contours):
+            after = np.roll(points, -1, axis=0)
+            cut = (points[:, 0] > place) != (after[:, 0] > place)
+            share = (place - points[cut, 0]) / (after - points)[cut, 0]
+            crossings += (points[cut, 1] + share * (after - points)[cut, 1]).tolist()
+        widths.append(max(crossings) - min(crossings))
+    return min(widths)
+
+
+def spiral(width_px: float, gap_px: float, turns: float) -> np.ndarray:
+    """A page with one long stroke of round pen, wound up."""
+    angles = np.linspace(math.pi, 2 * math.pi * turns, 100_000)
+    radii = (width_px + gap_px) * angles / (2 * math.pi)
+    mask = np.zeros((500, 500), bool)
+    places = 250 + radii * np.stack([np.sin(angles), np.cos(angles)])
+    mask[tuple(np.round(places[:, radii < 235]).astype(int))] = True
+    return drawn(ndimage.distance_transform_edt(~mask) <= width_px / 2)

@@ -195,7 +195,7 @@ def test_golden_row(tmp_path):
     assert hashlib.sha256(content).hexdigest() == GOLDEN
 
 
-GOLDEN = "247c8586ef9a0554364972cc56b0016fef01e7b3d02554eef2a9410fb8506296"
+GOLDEN = "0661a3534f3e039e0abc3b7371b07e1a4a1c63e6a0c9af30644149e00c5c31e3"
 
 
 def test_writer_splits_share_no_writer(tmp_path):

@@ -9,7 +9,15 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 from scipy import ndimage
 
-from mnist3d.ink import binarise, clean, count_bodies_and_holes, join_bodies, otsu_threshold, repair_corners
+from mnist3d.ink import (
+    binarise,
+    clean,
+    count_bodies_and_holes,
+    dark_on_light,
+    join_bodies,
+    otsu_threshold,
+    repair_corners,
+)
 from tactile_toolkit.errors import ItemError
 
 MASKS = hnp.arrays(bool, st.tuples(st.integers(8, 40), st.integers(8, 40)))
@@ -21,7 +29,7 @@ def paper(side: int = 60) -> np.ndarray:
 
 def reason_of(pixels: np.ndarray, threshold: float | None = None) -> str:
     with pytest.raises(ItemError) as caught:
-        binarise(pixels, threshold)
+        binarise(dark_on_light(pixels, "dark"), threshold)
     return caught.value.reason
 
 
@@ -35,11 +43,34 @@ def test_binarise_takes_dark_pixels_as_ink() -> None:
     assert np.array_equal(binarise(pixels), pixels == 30)
 
 
-def test_binarise_gives_the_same_mask_for_any_number_type() -> None:
+@pytest.mark.parametrize("ink", ["auto", "dark"])
+@pytest.mark.parametrize("dtype", ["uint8", "int32", "uint16", "float16", "float32", "float64"])
+def test_the_mask_is_the_same_for_any_number_type(dtype: str, ink: str) -> None:
     pixels = paper()
     pixels[20:40, 10:50] = 30
-    for dtype in (np.uint8, np.int32, np.uint16, np.float32, np.float64):
-        assert np.array_equal(binarise(pixels.astype(dtype)), pixels == 30)
+    pixels[20:40, 40:50] = 60
+    assert np.array_equal(binarise(dark_on_light(pixels.astype(dtype), ink)), pixels < 255)
+    if dtype.startswith("float"):
+        assert np.array_equal(binarise(dark_on_light((pixels / 255).astype(dtype), ink)), pixels < 255)
+
+
+def test_light_ink_is_found_by_the_margin_and_by_word() -> None:
+    pixels = paper()
+    pixels[20:40, 10:50] = 30
+    expected = pixels == 30
+    for image in (255 - pixels, 1 - pixels / 255, ~(pixels > 99)):
+        assert np.array_equal(binarise(dark_on_light(image, "auto")), expected)
+        assert np.array_equal(binarise(dark_on_light(image, "light")), expected)
+        assert reason_of(image) == "all-ink"
+    assert np.array_equal(binarise(dark_on_light(pixels > 99, "auto")), expected)
+
+
+def test_a_margin_of_both_is_unclear() -> None:
+    pixels = paper()
+    pixels[:, :30] = 0
+    with pytest.raises(ItemError, match=r"found 50% of the margin light.*ink=") as caught:
+        dark_on_light(pixels, "auto")
+    assert caught.value.reason == "unclear-ink"
 
 
 def test_binarise_obeys_a_given_threshold() -> None:

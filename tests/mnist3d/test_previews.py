@@ -67,8 +67,8 @@ def find(pixels: np.ndarray, part: np.ndarray) -> list[tuple[int, int]]:
 
 def relief_tiles(records: list) -> list[np.ndarray]:
     """Draw digits as a sheet of just these holds them."""
-    largest_mm = max(1e3 * np.ptp(record.vertices_m[:, :2], axis=0).max() for record in records)
-    tiles = (relief_of(Mesh(each.vertices_m, each.faces), 132 / largest_mm) for each in records)
+    largest_m = max(float(np.ptp(record.vertices_m[:, :2], axis=0).max()) for record in records)
+    tiles = (relief_of(Mesh(each.vertices_m, each.faces), 132 / (1000.0 * largest_m)) for each in records)
     return [np.repeat(tile[:, :, None], 3, axis=2) for tile in tiles]
 
 

@@ -48,6 +48,14 @@ def test_erosion_is_binary_erosion_with_a_disc(mask: np.ndarray, radius: float) 
     assert np.array_equal(erode(mask, radius), expected)
 
 
+def test_the_other_erosion_keeps_what_is_further_than_the_radius_from_paper() -> None:
+    mask = ink_mask(six(), SolidSpec())
+    distance = ndimage.distance_transform_edt(mask)
+    printed = erosion_radii_px(SolidSpec())
+    for radius, published in zip(erosion_radii_px(SolidSpec(erosion="disc")), printed, strict=True):
+        assert np.array_equal(erode(mask, radius), distance > published)
+
+
 def test_erosion_radii_follow_a_quarter_circle() -> None:
     radii = erosion_radii_px(SolidSpec())
     heights = np.arange(20) + 0.5
