@@ -43,8 +43,6 @@ TAUBIN_RATIO = -1.06
 
 FIRST_TOLERANCE_MM = 0.01
 TOLERANCE_GROWTH = 1.25
-TOLERANCE_PER_SPACING = 0.25
-"""The last tolerance of a decimation, as a share of how far apart the vertices of the budget lie."""
 
 BUDGET_SLACK = 1.5
 """No mesh has more vertices than this many times its budget."""
@@ -175,16 +173,15 @@ def scale(
 def decimate(mesh: Mesh, target_vertices: int) -> Mesh:
     """Drop the vertices that matter least until the budget is met; a mesh within it comes back itself.
 
-    Raises ItemError ``vertex-budget`` where the solid cannot be told by 1.5 times as many vertices: its
-    bodies or holes would change, or its surface would move too far.
+    Raises ItemError ``vertex-budget`` where even 1.5 times as many vertices are too few for its bodies and
+    holes.
     """
     if len(mesh.vertices_m) <= target_vertices:
         return mesh
     counts = bodies_and_holes(mesh.vertices_m, mesh.faces)
     solid, tolerance_mm = mesh.to_manifold(), FIRST_TOLERANCE_MM
-    limit_mm = TOLERANCE_PER_SPACING * (solid.surface_area() / target_vertices) ** 0.5
     # Many careful passes: one pass with a wide tolerance leaves more vertices, and worse placed ones.
-    while solid.num_vert() > target_vertices and tolerance_mm <= limit_mm:
+    while solid.num_vert() > target_vertices:
         simpler = solid.simplify(tolerance_mm)
         if not _is_held(simpler, counts):
             break
