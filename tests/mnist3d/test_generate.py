@@ -195,7 +195,7 @@ def test_golden_row(tmp_path):
     assert hashlib.sha256(content).hexdigest() == GOLDEN
 
 
-GOLDEN = "0661a3534f3e039e0abc3b7371b07e1a4a1c63e6a0c9af30644149e00c5c31e3"
+GOLDEN = "a00b3ebebe06ef3ef2cf93e4c74163bb355c9338c70e28250610798126048b43"
 
 
 def test_writer_splits_share_no_writer(tmp_path):
