@@ -11,7 +11,7 @@ from tactile_toolkit.hub.errors import named_failures
 from tactile_toolkit.hub.repository import HubName, HubRepository, hub_name
 from tactile_toolkit.kind import kinds
 from tactile_toolkit.read.parquet import Shard
-from tactile_toolkit.store.folder import DataFolder
+from tactile_toolkit.store.folder import DataFolder, unreadable
 from tactile_toolkit.store.manifest import MANIFEST_FILE, manifest_so_far, read_manifest
 from tactile_toolkit.store.shards import (
     DATA_FOLDER,
@@ -124,6 +124,8 @@ def _local_place(name: str) -> Path | None:
     try:
         place = Path(name).expanduser()
         return place if place.exists() else None
+    except PermissionError as error:
+        raise unreadable(name) from error
     except (OSError, RuntimeError, ValueError):  # too long a name, an unknown user's home, a null byte
         return None
 
@@ -222,7 +224,16 @@ def _local_shards(folder: DataFolder, split: str) -> tuple[Shard, ...]:
 
 def _refuse_unfinished(folder: DataFolder, split: str, shards: list[ShardName], complete: bool) -> None:
     """Refuse a split of which a running or interrupted command has made only some shards."""
-    if complete or (shards and len(shards) == shards[0].count):
+    if shards and len(shards) == shards[0].count:
+        return
+    if complete:
+        if shards:
+            message = (
+                f"{len(shards)} of {shards[0].count} shards of split {split!r} are listed in "
+                f"{folder.address(MANIFEST_FILE)!r}, all were expected; next: download or generate the data "
+                "set again"
+            )
+            raise IntegrityError(message)
         return
     there = [file.path for file in _folder_files(folder) if file.split == split]
     if there or not shards:

@@ -13,9 +13,9 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 from tactile_toolkit.errors import IntegrityError
+from tactile_toolkit.store.fields import json_fields
 from tactile_toolkit.store.folder import DataFolder
 from tactile_toolkit.store.names import names_inside
-from tactile_toolkit.store.origin import Digest
 from tactile_toolkit.store.shards import PENDING_FOLDER, ShardRecord, add_up
 
 __all__ = [
@@ -124,34 +124,44 @@ class Manifest:
     @classmethod
     def from_json(cls, text: str, where: str) -> Manifest:
         """Parse the text of a manifest; IntegrityError when it is not one, or one of a later layout."""
-        try:
-            values = json.loads(text)
-            version = values["schema_version"]
-            manifest = cls(
-                kind=values["kind"],
-                toolkit_version=values["toolkit_version"],
-                spec=values["spec"],
-                split_order=tuple(values["split_order"]),
-                shards=tuple(ShardRecord.from_dict(entry) for entry in values["shards"]),
-                files=values["files"],
-                schema_version=version,
-                complete=values["complete"],
-                extra_dirs=tuple(values.get("trees", ())),
-                libraries={str(name): str(each) for name, each in values.get("libraries", {}).items()},
-            )
-            paths = (record.shard.data_path for record in manifest.shards)
-            names_inside((*paths, *(manifest.files or ()), *manifest.extra_dirs), repr(where))
-            for sha256 in (*(manifest.files or {}).values(), *(record.sha256 for record in manifest.shards)):
-                Digest("sha256", sha256)
-        except (ValueError, KeyError, TypeError, AttributeError) as error:
-            message = f"{where!r} is not a manifest of this toolkit ({type(error).__name__}: {error})"
-            raise IntegrityError(message) from error
+        fields = json_fields(text, where)
+        version = fields.number("schema_version", least=1)
         if version > SCHEMA_VERSION:
             message = (
                 f"{where!r} has schema version {version}, this toolkit reads up to {SCHEMA_VERSION}; "
                 "next: install a newer tactile-toolkit"
             )
             raise IntegrityError(message)
+        files = fields.inside("files")
+        libraries = {}
+        if fields.has("libraries"):
+            named = fields.inside("libraries")
+            libraries = {name: named.text(name) for name in named.values}
+        manifest = cls(
+            kind=fields.text("kind"),
+            toolkit_version=fields.text("toolkit_version"),
+            spec=fields.mapping("spec"),
+            split_order=fields.texts("split_order"),
+            shards=tuple(map(ShardRecord.from_fields, fields.objects("shards"))),
+            files={path: files.digest(path) for path in files.values},
+            schema_version=version,
+            complete=fields.flag("complete"),
+            extra_dirs=fields.texts("trees") if fields.has("trees") else (),
+            libraries=libraries,
+        )
+        paths = (record.shard.data_path for record in manifest.shards)
+        names_inside((*paths, *files.values, *manifest.extra_dirs), repr(where))
+        shards = {record.shard for record in manifest.shards}
+        if len(shards) < len(manifest.shards) or {shard.split for shard in shards} - {*manifest.split_order}:
+            raise fields.wrong(name="shards", problem="one is listed twice, or of no split in 'split_order'")
+        try:
+            manifest.statistics()
+        except (TypeError, AttributeError) as error:
+            problem = f"statistics are not numbers, lists of numbers or objects of them ({error})"
+            raise fields.wrong(name="shards", problem=problem) from error
+        # What follows from the shards stands there too, so that a number that was changed shows.
+        if fields.values.get("splits") != manifest.split_table():
+            raise fields.wrong(name="splits", problem="its numbers are not those of the shards")
         return manifest
 
 
@@ -205,9 +215,9 @@ def pending_records(folder: DataFolder) -> list[ShardRecord]:
         # One that cannot be read vouches for nothing: its shard is made again. It may also have gone since it
         # was listed, because the run has just ended.
         try:
-            values = json.loads(folder.read_bytes(f"{PENDING_FOLDER}/{name}"))
-            records.append(ShardRecord.from_dict(values))
-        except (IntegrityError, ValueError):
+            path = f"{PENDING_FOLDER}/{name}"
+            records.append(ShardRecord.from_fields(json_fields(folder.read_bytes(path), path)))
+        except IntegrityError:
             continue
     return records
 

@@ -13,7 +13,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
-from tactile_toolkit.errors import IntegrityError
+from tactile_toolkit.store.fields import json_fields
 from tactile_toolkit.store.folder import DataFolder, open_regular
 from tactile_toolkit.store.names import names_inside
 
@@ -86,31 +86,27 @@ def read_record(folder: DataFolder) -> DownloadRecord | None:
     """Read the record of a folder; None when it was not downloaded, IntegrityError when it is damaged."""
     if not folder.exists(RECORD_FILE):
         return None
-    try:
-        values = json.loads(folder.read_bytes(RECORD_FILE))
-        files = {
-            path: HubFile(
-                path, entry["bytes"], Digest(entry["kind"], entry["digest"]) if entry["kind"] else None
-            )
-            for path, entry in values["files"].items()
-        }
-        labels = tuple(values["labels"])
-        names_inside((*files, *labels), repr(folder.address(RECORD_FILE)))
-        return DownloadRecord(
-            values["repository"],
-            values["commit"],
-            values["revision"],
-            files,
-            tuple(values["splits"]),
-            labels,
-            bool(values.get("finished", True)),
-        )
-    except (ValueError, KeyError, TypeError, AttributeError) as error:
-        message = (
-            f"{folder.address(RECORD_FILE)!r} is damaged ({type(error).__name__}: {error}); next: download "
-            "into another folder"
-        )
-        raise IntegrityError(message) from error
+    fields = json_fields(folder.read_bytes(RECORD_FILE), folder.address(RECORD_FILE))
+    entries = fields.inside("files")
+    files = {}
+    for path in entries.values:
+        entry = entries.inside(path)
+        try:
+            digest = Digest(entry.text("kind"), entry.text("digest")) if entry.has("kind") else None
+        except ValueError as error:
+            raise entry.wrong(name="digest", problem=str(error)) from error
+        files[path] = HubFile(path, entry.number("bytes"), digest)
+    labels = fields.texts("labels")
+    names_inside((*files, *labels), repr(folder.address(RECORD_FILE)))
+    return DownloadRecord(
+        fields.text("repository"),
+        fields.text("commit"),
+        fields.text("revision") if fields.has("revision") else None,
+        files,
+        fields.texts("splits"),
+        labels,
+        fields.flag("finished") if fields.has("finished") else True,
+    )
 
 
 def write_record(folder: DataFolder, record: DownloadRecord) -> None:

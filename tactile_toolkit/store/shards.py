@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass
@@ -11,6 +10,7 @@ from pathlib import PurePosixPath
 from typing import Any
 
 from tactile_toolkit.errors import InputError, IntegrityError
+from tactile_toolkit.store.fields import Fields
 from tactile_toolkit.wording import did_you_mean
 
 __all__ = [
@@ -33,6 +33,9 @@ DAMAGED = "damaged"
 """Reason to leave an item out whose stored data is damaged."""
 
 DATA_FOLDER = "data"
+MOST_ROWS = 1 << 40
+"""Most rows that a shard is believed to have; more than any disk holds."""
+
 PENDING_FOLDER = ".pending"
 """Holds the records and report rows of finished shards until the manifest has them."""
 
@@ -132,26 +135,27 @@ class ShardRecord:
         }
 
     @classmethod
-    def from_dict(cls, values: Mapping[str, Any]) -> ShardRecord:
-        """Rebuild a record from :meth:`to_dict`; IntegrityError where fields are missing or wrong."""
-        try:
-            shard = ShardName.parse(str(values["file"]).rpartition("/")[2])
-            if shard is None or shard.data_path != values["file"]:
-                name = "file"
-                raise KeyError(name)
-            return cls(
-                shard,
-                values["rows"],
-                values["bytes"],
-                values["sha256"],
-                values["report_sha256"],
-                tuple(Skipped(**item) for item in values["skipped"]),
-                values.get("statistics"),
-                values.get("unpacked_bytes"),
-            )
-        except (KeyError, TypeError) as error:
-            message = f"damaged shard record: {error} is missing or wrong in {json.dumps(dict(values))[:200]}"
-            raise IntegrityError(message) from error
+    def from_fields(cls, fields: Fields) -> ShardRecord:
+        """Rebuild a record from :meth:`to_dict`; IntegrityError where a value is missing or wrong."""
+        path = fields.text("file")
+        shard = ShardName.parse(path.rpartition("/")[2])
+        is_ours = shard is not None and shard.data_path == path and shard.index < shard.count
+        if shard is None or not is_ours or shard.split != fields.text("split"):
+            problem = f"found {path[:80]!r}, expected a shard's name and split"
+            raise fields.wrong(name="file", problem=problem)
+        return cls(
+            shard,
+            fields.number("rows", most=MOST_ROWS),
+            fields.number("bytes"),
+            fields.digest("sha256"),
+            fields.digest("report_sha256") if fields.has("report_sha256") else None,
+            tuple(
+                Skipped(each.number("id", -(1 << 63)), each.text("reason"), each.text("message"))
+                for each in fields.objects("skipped")
+            ),
+            fields.mapping("statistics") if fields.has("statistics") else None,
+            fields.number("unpacked_bytes") if fields.has("unpacked_bytes") else None,
+        )
 
 
 @dataclass(frozen=True, slots=True)

@@ -59,7 +59,10 @@ class Avi:
     file is cut short or exceeds :data:`MAX_CLIP_FRAMES` or :data:`MAX_CLIP_BYTES`.
     """
 
-    __slots__ = ("_entries_start", "_frames_end", "_frames_start", "_names", "data", "entry_count", "fps")
+    __slots__ = (
+        *("_entries_start", "_frames_end", "_frames_start", "_in_order", "_names"),
+        *("data", "entry_count", "fps"),
+    )
 
     def __init__(self, data: memoryview) -> None:
         if len(data) > MAX_CLIP_BYTES:
@@ -85,14 +88,23 @@ class Avi:
         self._frames_end = self._frames_start + size
         self._entries_start, size = parts[b"idx1"]
         self.entry_count = size // _ENTRY.size
+        self._in_order: bool | None = None
 
     def frame(self, entry: int) -> memoryview | None:
         """Return the JPEG that one entry of the index names; None unless the file has a frame right there.
 
+        None too where the index does not follow the stream, whose order is that of the frames.
+
         Entries are the frames of a clip where there are as many entries as frames: no other stream, no
         repeated frame.
         """
-        if not 0 <= entry < self.entry_count:
+        if self._in_order is None:
+            offsets = np.frombuffer(self.data, "<u4", self.entry_count * 4, self._entries_start)[2::4]
+            offsets = offsets[
+                offsets < len(self.data)
+            ]  # one that leads nowhere is named when it is asked for
+            self._in_order = bool((offsets[1:] > offsets[:-1]).all())
+        if not self._in_order or not 0 <= entry < self.entry_count:
             return None
         name, offset, size = _ENTRY.unpack_from(self.data, self._entries_start + _ENTRY.size * entry)
         if name not in self._names or not size:
@@ -109,7 +121,8 @@ class Avi:
         """Read the whole index.
 
         NoIndexError: it lists no frame, or does not point at frames. ValueError: it points outside of the
-        file, has frames overlap, or exceeds :data:`MAX_CLIP_FRAMES`.
+        file, does not follow the stream frame by frame, has frames overlap, or exceeds
+        :data:`MAX_CLIP_FRAMES`.
         """
         words = np.frombuffer(self.data, "<u4", self.entry_count * 4, self._entries_start).reshape(-1, 4)
         compressed, plain = (int.from_bytes(name, "little") for name in self._names)
@@ -130,7 +143,29 @@ class Avi:
         if len(outside):
             message = f"an AVI whose frame {outside[0]} of {len(starts)} lies outside of it"
             raise ValueError(message)
-        _require_apart(starts, sizes)
+        backwards = np.flatnonzero(starts[1:] < starts[:-1])
+        if len(backwards):
+            first, second = backwards[0], backwards[0] + 1
+            message = (
+                f"an AVI whose index has frame {second} of {len(starts)} before frame {first}; expected the "
+                "order of the stream"
+            )
+            raise ValueError(message)
+        overlaps = np.flatnonzero(starts[1:] < (starts + sizes)[:-1])
+        if len(overlaps):
+            # A small file would decode to any amount of pixels.
+            first, second = overlaps[0], overlaps[0] + 1
+            message = f"an AVI whose index has frames {first} and {second} of {len(starts)} overlap"
+            raise ValueError(message)
+        bytes_of_heads = (starts - _CHUNK.size)[:, None] + np.arange(_CHUNK.size)
+        heads = np.frombuffer(self.data, np.uint8)[bytes_of_heads].view("<u4")
+        others = np.flatnonzero((heads != entries[:, [0, 3]]).any(axis=1))
+        if len(others):
+            message = (
+                f"an AVI whose index names frame {others[0]} of {len(starts)} where the stream has no frame "
+                f"of {sizes[others[0]]:,} bytes"
+            )
+            raise ValueError(message)
         return AviIndex(self.fps, starts, sizes, slots)
 
     def _base(self, first: NDArray[np.int64]) -> int:
@@ -182,19 +217,6 @@ def _mjpeg_stream(data: memoryview, start: int, size: int) -> tuple[int, float]:
             return number, rate / scale
     message = "an AVI without an MJPEG stream; expected one"
     raise NoIndexError(message)
-
-
-def _require_apart(starts: NDArray[np.int64], sizes: NDArray[np.int64]) -> None:
-    """Refuse an index that names bytes twice: a small file would decode to any amount of pixels."""
-    ends = starts + sizes
-    if (starts[1:] >= ends[:-1]).all():
-        return
-    order = np.argsort(starts, kind="stable")  # out of order is allowed, and rare
-    overlaps = np.flatnonzero(starts[order[1:]] < ends[order[:-1]])
-    if len(overlaps):
-        first, second = order[overlaps[0]], order[overlaps[0] + 1]
-        message = f"an AVI whose index has frames {first} and {second} of {len(starts)} overlap"
-        raise ValueError(message)
 
 
 def write_avi(frames: Sequence[bytes], width: int, height: int, fps: float) -> bytes:

@@ -86,16 +86,11 @@ def damaged_json(text: str, rng: random.Random) -> tuple[str, str]:
         changed = copy.deepcopy(document)
         place, keys = changed, []
         while True:
-            inner = list(place) if isinstance(place, dict) else range(len(place))
-            if not inner:
-                break
-            key = rng.choice(list(inner))
+            key = rng.choice(list(place) if isinstance(place, dict) else range(len(place)))
             keys.append(key)
-            if not isinstance(place[key], dict | list) or rng.random() < 0.2:
+            if not isinstance(place[key], dict | list) or not place[key] or rng.random() < 0.2:
                 break
             place = place[key]
-        if not keys:
-            continue
         way = rng.choice(("replace", "replace", "replace", "remove", "nest", "rename", "twice"))
         if way == "replace":
             place[key] = rng.choice(_VALUES)

@@ -14,7 +14,7 @@ import pytest
 
 import realtouch
 from tactile_toolkit.errors import InputError, IntegrityError
-from tactile_toolkit.touch.avi import read_index, write_avi
+from tactile_toolkit.touch.avi import Avi, read_index, write_avi
 from tactile_toolkit.touch.ffmpeg import ffmpeg_count, ffmpeg_frames
 from tactile_toolkit.touch.jpeg import MAX_BATCH_PIXELS
 from tests.realtouch import factories
@@ -113,14 +113,45 @@ def test_no_encoder_has_frames_overlap(step: int) -> None:
     assert (index.slots is None) == (step == 1)
 
 
-def test_an_index_out_of_order_is_no_overlap() -> None:
+@pytest.mark.parametrize("order", [(2, 0, 3, 1), (1, 0, 2, 3), (1, 2, 3, 0), (0, 1, 3, 2)])
+def test_an_index_out_of_the_order_of_the_stream_is_named(order: tuple[int, ...]) -> None:
+    """It would play the frames in another order than they were taken in."""
     jpegs = [factories.encode_jpeg(np.full((16, 24, 3), 40 * each, np.uint8)) for each in range(4)]
     whole = write_avi(jpegs, 24, 16, 25.0)
     place = whole.rindex(b"idx1") + 8
-    entries = [whole[place + 16 * each : place + 16 * each + 16] for each in (2, 0, 3, 1)]
+    entries = [whole[place + 16 * each : place + 16 * each + 16] for each in order]
     data = memoryview(whole[:place] + b"".join(entries))
-    index = read_index(data)
-    assert [bytes(index.frame(data, each)) for each in range(4)] == [jpegs[each] for each in (2, 0, 3, 1)]
+    with pytest.raises(
+        ValueError, match=r"index has frame \d of 4 before frame \d; expected the order of the"
+    ):
+        read_index(data)
+    assert [Avi(data).frame(entry) for entry in range(4)] == [None] * 4
+
+
+def test_an_index_that_names_other_bytes_than_the_stream_is_named() -> None:
+    whole = write_avi([factories.encode_jpeg(np.full((16, 24, 3), 40, np.uint8))] * 3, 24, 16, 25.0)
+    place = whole.rindex(b"idx1") + 8 + 16 + 12
+    shorter = int.from_bytes(whole[place : place + 4], "little") - 2
+    data = memoryview(whole[:place] + shorter.to_bytes(4, "little") + whole[place + 4 :])
+    with pytest.raises(ValueError, match="frame 1 of 3 where the stream has no frame of"):
+        read_index(data)
+
+
+def test_swapped_frames_are_named_by_reading_and_by_verify(seq_rows: list[dict], tmp_path: Path) -> None:
+    data = seq_rows[1]["sensor_video"][1]["bytes"]
+    frames = int(seq_rows[1]["video_length_frames"][1])
+    place = data.rindex(b"idx1") + 8
+    first, second = (data[place + start : place + start + 16] for start in (16, 32))
+    swapped = data[: place + 16] + second + first + data[place + 48 :]
+    factories.write_set(tmp_path, {"train": seq_rows[:2]}, "seq", Layout(edit=one_clip(swapped, frames)))
+    record = realtouch.load(tmp_path)[1]
+    for read in (lambda: record.sensor_video[1][3], record.contact_frames, lambda: record.sensor_video[1][:]):
+        with pytest.raises(
+            IntegrityError, match="touch 1, field 'sensor_video': an AVI whose index has frame"
+        ):
+            read()
+    (found,) = {each.touch for each in realtouch.verify(tmp_path, quick=True).findings}
+    assert found == 1
 
 
 def test_an_unknown_codec_is_named(seq_rows: list[dict], tmp_path: Path) -> None:

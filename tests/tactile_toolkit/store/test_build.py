@@ -137,7 +137,7 @@ def test_file_in_place_of_the_folder(tmp_path):
 def test_damaged_manifest_is_named(tmp_path):
     make(tmp_path / "set")
     (tmp_path / "set" / "manifest.json").write_text('{"schema_version": 1')
-    with pytest.raises(IntegrityError, match=r"manifest\.json' is not a manifest"):
+    with pytest.raises(IntegrityError, match=r"manifest\.json' is damaged, a JSON object was"):
         make(tmp_path / "set")
 
 

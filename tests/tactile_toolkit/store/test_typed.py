@@ -1,0 +1,173 @@
+"""Manifests and records of downloads that anybody wrote: each value is of its kind and size, or is named."""
+
+from __future__ import annotations
+
+import contextlib
+import copy
+import json
+import os
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from tactile_toolkit.catalog.locate import find_shards
+from tactile_toolkit.errors import InputError, IntegrityError
+from tactile_toolkit.run.processes import InlineRunner
+from tactile_toolkit.store.build import build
+from tactile_toolkit.store.folder import DataFolder
+from tactile_toolkit.store.manifest import MANIFEST_FILE, Manifest, read_manifest
+from tactile_toolkit.store.origin import RECORD_FILE, read_record
+from tactile_toolkit.store.verify import verify
+from tests.tactile_toolkit.toy import toy_plan
+
+DEEP = json.loads("[" * 400 + "]" * 400)
+STRANGE: list[Any] = ["10", -5, 10**15, 10**400, True, 1.5, None, [], [[]], {}, {"a": DEEP}, float("nan"), ""]
+
+
+@pytest.fixture(scope="module")
+def toy_set(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("typed") / "set"
+    build(DataFolder(str(path)), toy_plan(), InlineRunner())
+    return path
+
+
+def places(value: Any, path: tuple[Any, ...] = ()) -> list[tuple[Any, ...]]:
+    inner = value.items() if isinstance(value, dict) else enumerate(value) if isinstance(value, list) else ()
+    return [path, *(place for key, each in inner for place in places(each, (*path, key)))]
+
+
+def changed(values: Any, place: tuple[Any, ...], other: Any) -> str:
+    values = copy.deepcopy(values)
+    if not place:
+        return json.dumps(other)
+    inside = values
+    for key in place[:-1]:
+        inside = inside[key]
+    inside[place[-1]] = other
+    return json.dumps(values)
+
+
+def test_every_value_is_of_its_kind_or_named(toy_set: Path) -> None:
+    """What is read goes back to the same text; whatever else stands in its place raises one kind of error."""
+    values = json.loads((toy_set / MANIFEST_FILE).read_text())
+    values["shards"][0]["statistics"] = {"classes": [1, 2], "sizes": {"all": 3}}
+    whole, _ = outcome(json.dumps(values))
+    assert whole is not None
+    named = 0
+    for place in places(values):
+        for other in STRANGE:
+            read, story = outcome(changed(values, place, other))
+            if read is None:
+                assert "set/manifest.json" in story
+                assert len(story) < 1000
+                named += 1
+                continue
+            # What decides no row may be anything of its kind.
+            harmless = ("spec", "toolkit_version", "skipped", "statistics", "trees", "kind", "libraries")
+            assert place[0] in (*harmless, "shards") or read == whole or other == {}, (place, other)
+            read.to_json()
+    assert named > 100
+
+
+def outcome(text: str) -> tuple[Manifest | None, str]:
+    try:
+        return Manifest.from_json(text, "set/manifest.json"), ""
+    except IntegrityError as error:
+        return None, str(error)
+
+
+@pytest.mark.parametrize("rows", ["10", -5, 9, 10**15, 10**400, None])
+def test_rows_of_a_shard(toy_set: Path, rows: Any) -> None:
+    values = json.loads((toy_set / MANIFEST_FILE).read_text())
+    values["shards"][0]["rows"] = rows
+    with pytest.raises(IntegrityError, match="is damaged"):
+        Manifest.from_json(json.dumps(values), "here")
+
+
+def test_a_manifest_that_agrees_with_itself_and_not_with_the_files(toy_set: Path, tmp_path: Path) -> None:
+    """Nine of ten rows: said by the shard and by the table of splits."""
+    values = json.loads((toy_set / MANIFEST_FILE).read_text())
+    values["shards"][0]["rows"] -= 1
+    values["splits"]["train"]["rows"] -= 1
+    (tmp_path / "data").symlink_to(toy_set / "data")
+    (tmp_path / MANIFEST_FILE).write_text(json.dumps(values))
+    shards = find_shards(str(tmp_path), "train")
+    with pytest.raises(IntegrityError, match=r"rows; expected \d by the manifest"):
+        _ = shards[0].metadata
+
+
+def test_a_shard_that_the_manifest_lacks_is_named(toy_set: Path, tmp_path: Path) -> None:
+    manifest = read_manifest(DataFolder(str(toy_set)))
+    assert manifest is not None
+    fewer = replace(manifest, shards=(manifest.shards[0], *manifest.shards[2:]))
+    (tmp_path / "data").symlink_to(toy_set / "data")
+    (tmp_path / MANIFEST_FILE).write_text(fewer.to_json())
+    with pytest.raises(IntegrityError, match="3 of 4 shards of split 'train'"):
+        find_shards(str(tmp_path), "train")
+
+
+@pytest.mark.parametrize(
+    "text", ["[" * 200_000, "[" * 200_000 + "]" * 200_000, "1" * 5_000, "\ud800", "[]", ""]
+)
+def test_text_that_is_no_manifest(text: str) -> None:
+    with pytest.raises(IntegrityError, match="here' is damaged"):
+        Manifest.from_json(text, "here")
+
+
+def test_every_value_of_a_record_of_a_download(tmp_path: Path) -> None:
+    file = {"bytes": 3, "kind": "git-sha1", "digest": "0" * 40}
+    values = {
+        "repository": "a/b", "commit": "0" * 40, "revision": None, "finished": True, "splits": ["train"],
+        "labels": ["README.md"], "files": {"data/train.parquet": file},
+    }  # fmt: skip
+    folder = DataFolder(str(tmp_path))
+    (tmp_path / RECORD_FILE).write_text(json.dumps(values))
+    assert read_record(folder) is not None
+    for place in places(values):
+        for other in STRANGE:
+            (tmp_path / RECORD_FILE).write_text(changed(values, place, other))
+            with contextlib.suppress(IntegrityError):
+                read_record(folder)
+
+
+def test_what_this_user_may_not_read_is_not_called_damaged(
+    toy_set: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    folder = DataFolder(str(toy_set))
+    shard = folder.address("data/train-00000-of-00004.parquet")
+    real = Path.open
+
+    def refuse(path: Path, *args: Any, **kwargs: Any) -> Any:
+        if str(path) == shard:
+            raise PermissionError(13, "Permission denied", shard)
+        return real(path, *args, **kwargs)
+
+    monkeypatch.setattr(Path, "open", refuse)
+    with pytest.raises(InputError, match="cannot be read by this user"):
+        _ = find_shards(str(toy_set), "train")[0].metadata
+
+
+@pytest.mark.skipif(
+    not hasattr(os, "seteuid") or os.geteuid() != 0, reason="only root can become another user"
+)
+def test_a_folder_that_this_user_may_not_read(toy_set: Path, tmp_path: Path) -> None:
+    import shutil
+    import tempfile
+
+    base = Path(tempfile.mkdtemp())
+    base.chmod(0o755)
+    shutil.copytree(toy_set, base / "set")
+    (base / "set").chmod(0o700)
+    os.seteuid(65534)
+    try:
+        for ask in (
+            lambda: find_shards(str(base / "set"), "train"),
+            lambda: verify(DataFolder(str(base / "set"))),
+        ):
+            with pytest.raises(InputError, match=r"set.* cannot be read by this user \(permission denied\)"):
+                ask()
+    finally:
+        os.seteuid(0)
+        shutil.rmtree(base)
