@@ -123,10 +123,12 @@ def face_blocks(
     # Runs of one length, the last one shorter: the kernel knows from their number where each begins.
     count = -(-len(faces) // _FACES_PER_BLOCK)
     per_block = -(-len(faces) // count)
-    blocks = np.empty((-(-len(faces) // per_block), 4))
-    for number in range(len(blocks)):
-        run = corners[number * per_block : (number + 1) * per_block].reshape(-1, 3)
-        centre = (run.min(axis=0) + run.max(axis=0)) / 2
-        blocks[number, :3] = centre
-        blocks[number, 3] = np.sqrt(((run - centre) ** 2).sum(axis=1).max())
+    starts = np.arange(0, len(faces), per_block)
+    low, high = (
+        each.reduceat(bound, starts)
+        for each, bound in ((np.minimum, corners.min(axis=1)), (np.maximum, corners.max(axis=1)))
+    )
+    centre = (low + high) / 2
+    far = ((corners - np.repeat(centre, per_block, axis=0)[: len(faces), None]) ** 2).sum(axis=2).max(axis=1)
+    blocks = np.column_stack([centre, np.sqrt(np.maximum.reduceat(far, starts))])
     return np.ascontiguousarray(faces), blocks
