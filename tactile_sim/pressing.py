@@ -20,13 +20,9 @@ from tactile_toolkit.mesh.solid_check import check_manifold
 
 __all__ = ["Pressable", "Pressed", "depth_image", "press"]
 
-_NOTHING_M = -2 * max(CELL_M)
-"""Height where there is neither object nor plate: the far end of the published camera, metres."""
-
 _HARMLESS = (None, "overlap")  # bodies that run into one another are felt as one
 
-_PLATE_M = np.array([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]]) * [CELL_M[0] / 2, CELL_M[1] / 2, 0.0]
-_PLATE = (_PLATE_M, np.array([[0, 1, 2], [0, 2, 3]], np.int32), np.array([[0.0, 0.0, 0.0, max(CELL_M)]]))
+_PLATE_FACES = np.array([[0, 1, 2], [0, 2, 3]], np.int32)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -122,6 +118,7 @@ def press(
     sensor_pose: Any,
     sensor: Sensor | None = None,
     *,
+    cell_m: tuple[float, float] = CELL_M,
     backend: Backend = "auto",
 ) -> Pressed:
     """Press the gel onto a solid that lies on the plate.
@@ -141,6 +138,8 @@ def press(
         Its height does not matter, it comes down as far as it goes.
     sensor : Sensor, optional
         What it sees; 320 x 240 pixels of its whole surface by default.
+    cell_m : tuple of float
+        Width and depth of the plate, metres, whose middle is the origin.
     backend : "auto", "numba" or "numpy"
         What computes, with the same bytes.
 
@@ -167,20 +166,24 @@ def press(
             message = f"{len(given)} {name} for {count} touches; expected 1 or {count}"
             raise InputError(message)
     prepared = [Pressable.of(each) for each in solids]
-    _require_above_cell(targets)
+    _require_above_cell(targets, cell_m)
     chosen = chosen_backend(backend)
     width, height = sensor.size_px
     depth_m, image = np.empty((count, height, width)), np.empty((count, height, width), np.float32)
     affines = _to_pixels(inverse_times(targets, objects), sensor)
     plates = _to_pixels(inverse_times(targets, np.eye(4)[None]), sensor)
-    levels = _level_plates(plates, sensor)
+    plate_m = np.array([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]]) * [cell_m[0] / 2, cell_m[1] / 2, 0.0]
+    levels = _level_plates(plate_m, plates, sensor)
+    # Where there is neither object nor plate: the far end of the published camera.
+    nothing_m = -2 * max(cell_m)
+    ball_m = np.array([[0.0, 0.0, 0.0, max(cell_m)]])
     highest_m = np.empty(count)
     for touch in range(count):
         out, plate = depth_m[touch], touch % len(plates)
         level = levels[plate]
-        out[...] = _NOTHING_M if level is None else level
+        out[...] = nothing_m if level is None else level
         if level is None:
-            raise_heights(out, *_PLATE, plates[plate], chosen)
+            raise_heights(out, plate_m, _PLATE_FACES, ball_m, plates[plate], chosen)
         solid_here = prepared[touch % len(prepared)]
         raise_heights(
             out,
@@ -203,8 +206,8 @@ def depth_image(depth_m: NDArray[np.float64], sensor: Sensor) -> NDArray[np.floa
     return ((clipped - sensor.press_m) / (sensor.gel_m - sensor.press_m)).astype(np.float32)
 
 
-def _require_above_cell(targets: NDArray[np.float64]) -> None:
-    off = (np.abs(targets[:, :2, 3]) > np.array(CELL_M) / 2).any(axis=1) | ~(targets[:, 2, 2] > 0)
+def _require_above_cell(targets: NDArray[np.float64], cell_m: tuple[float, float]) -> None:
+    off = (np.abs(targets[:, :2, 3]) > np.array(cell_m) / 2).any(axis=1) | ~(targets[:, 2, 2] > 0)
     if not off.any():
         return
     touch = int(np.argmax(off))
@@ -212,7 +215,7 @@ def _require_above_cell(targets: NDArray[np.float64]) -> None:
     tilt = math.degrees(math.acos(float(np.clip(targets[touch, 2, 2], -1, 1))))
     message = (
         f"sensor_pose {touch} is at x {x_mm:.1f} mm, y {y_mm:.1f} mm, its axis {tilt:.0f} degrees from the "
-        f"vertical; expected a place above the cell of {1e3 * CELL_M[0]:.0f} x {1e3 * CELL_M[1]:.0f} mm and "
+        f"vertical; expected a place above the cell of {1e3 * cell_m[0]:.0f} x {1e3 * cell_m[1]:.0f} mm and "
         "a sensor that looks down (its z axis points up)"
     )
     raise InputError(message)
@@ -228,9 +231,11 @@ def _to_pixels(seen: NDArray[np.float64], sensor: Sensor) -> NDArray[np.float64]
     return affine
 
 
-def _level_plates(plates: NDArray[np.float64], sensor: Sensor) -> list[float | None]:
+def _level_plates(
+    plate_m: NDArray[np.float64], plates: NDArray[np.float64], sensor: Sensor
+) -> list[float | None]:
     """Return the height of each plate that is level and fills the window; None for others."""
-    x, y, _ = _PLATE[0].T
+    x, y, _ = plate_m.T
     columns, rows = (plates[:, i, :1] * x + plates[:, i, 1:2] * y + plates[:, i, 3:] for i in range(2))
     width, height = sensor.size_px
     fills = (

@@ -25,7 +25,7 @@ _HELD_AS = "_TactilePerceptionVectorEnv__renderer"
 def refuse_unfit_renderer(
     renderer: str, environment: PublishedEnvironment, settings: Mapping[str, Any], options: Mapping[str, Any]
 ) -> None:
-    """Refuse a renderer that is unknown, or that does not fit the environment (InputError)."""
+    """Refuse a renderer that is unknown, or does not fit the environment (InputError)."""
     if renderer not in RENDERERS:
         message = f"renderer is {renderer!r}; expected one of {', '.join(RENDERERS)}"
         raise InputError(message)
@@ -36,12 +36,12 @@ def refuse_unfit_renderer(
     if environment.family.recorded:
         why = "its touches are recorded ones, and nothing is rendered"
     elif sensor != "depth" or backend not in ("auto", "numpy"):
-        why = f"its sensor is {sensor!r} with backend {backend!r}; expected 'depth' with 'numpy'"
+        why = f"its sensor is {sensor!r}, backend {backend!r}; expected 'depth' with 'numpy'"
     elif options.get("render_mode") == "human":
         why = "its viewer draws with OpenGL"
     if why is not None:
         message = (
-            f"renderer 'fast' does not apply to {environment.spec.id!r}: {why}; next: leave renderer away, or "
+            f"renderer 'fast' does not apply to {environment.spec.id!r}: {why}; next: leave it away, or "
             "choose an environment with Depth in its name"
         )
         raise InputError(message)
@@ -51,7 +51,7 @@ def render_fast(env: Any) -> Any:
     """Give an environment that was just made the fast renderer; return the environment."""
     inner = getattr(env, "vector_env", env).unwrapped  # a single environment is one of several
     width, height = inner.single_observation_space["sensor_img"].shape[1::-1]
-    setattr(inner, _HELD_AS, _FastRenderer(getattr(inner, _HELD_AS), inner.num_envs, (width, height)))
+    setattr(inner, _HELD_AS, _FastRenderer(getattr(inner, _HELD_AS), inner, (width, height)))
     return env
 
 
@@ -62,16 +62,17 @@ class _FastRenderer:
     longer than rendering a touch.
     """
 
-    def __init__(self, scene: Any, num_envs: int, size_px: tuple[int, int]) -> None:
+    def __init__(self, scene: Any, env: Any, size_px: tuple[int, int]) -> None:
         self.__dict__.update(
             _scene=scene,
             _sensor=as_environment(*size_px),
-            _count=num_envs,
+            _count=env.num_envs,
+            _cell_m=tuple(map(float, env.config.cell_size)),
             _objects=None,
             _shown=None,
             _meshes=(),
             _solids=[],
-            _poses=np.tile(np.eye(4), (num_envs, 1, 1)),
+            _poses=np.tile(np.eye(4), (env.num_envs, 1, 1)),
         )
 
     def __getattr__(self, name: str) -> Any:
@@ -108,7 +109,7 @@ class _FastRenderer:
         if virtual_sensor_poses is None:
             virtual_sensor_poses = self._scene.sensor_poses
         targets = virtual_sensor_poses.matrix
-        pressed = press(self._solids, self._poses, targets, self._sensor)
+        pressed = press(self._solids, self._poses, targets, self._sensor, cell_m=self._cell_m)
         travel_m = (pressed.sensor_z_m - targets[:, 2, 3]) / targets[:, 2, 2]
         return np.asarray(pressed.depth_m - travel_m[:, None, None])
 

@@ -48,7 +48,7 @@ def test_episodes_are_those_of_opengl(env_id, provider):
 
 def test_a_single_environment_and_a_picture_of_its_scene(provider):
     env = env_assets.make(CASES[0], provider=provider, renderer="fast")
-    observation, info = env.reset(seed=1)
+    observation, _ = env.reset(seed=1)
     truth = env_assets.make(CASES[0], provider=provider)
     expected, _ = truth.reset(seed=1)
     assert np.abs(observation["sensor_img"] - expected["sensor_img"]).max() < 1e-3
