@@ -8,13 +8,22 @@ from operator import index
 import numpy as np
 
 from mnist3d.sources import DigitCatalog, DigitImage
-from mnist3d.sources.handwriting.hand import ALLOGRAPHS, Hand, KeyedRng, Variation, choose_allograph, hand_of
+from mnist3d.sources.handwriting.hand import (
+    ALLOGRAPHS,
+    POSTURES,
+    Hand,
+    KeyedRng,
+    Variation,
+    choose_allograph,
+    hand_of,
+    posed,
+)
 from mnist3d.sources.handwriting.pen import draw, on_page
 from tactile_toolkit.errors import InputError
 
 __all__ = ["DRAWING_VERSION", "HWD_PLUS_COUNT", "SyntheticSource"]
 
-DRAWING_VERSION = 1
+DRAWING_VERSION = 2
 """Raised whenever the same seed and id would give other pixels than before."""
 
 HWD_PLUS_COUNT = 13_580
@@ -120,11 +129,13 @@ class SyntheticSource:
         pen_px = hand.pen_px * (1.0 + _SIZE_JITTER * hand.jitter * rng.approx_normal())
         fashion = KeyedRng(_FASHION, self.seed, label)
         choice = choose_allograph(label, writer, fashion, rng, hand.fidelity)
-        vary = Variation(KeyedRng(_HABIT, self.seed, writer, label, choice), rng, hand.jitter)
+        habit = KeyedRng(_HABIT, self.seed, writer, label, choice)
+        vary = Variation(habit, rng, hand.jitter, POSTURES[label][2])
+        hand = posed(hand, label, vary)
         shape, _ = ALLOGRAPHS[label][choice]
         # The pen's width as a share of the height between middle lines, larger in narrow hands.
         strokes = shape(vary, pen_px / (height_px - pen_px) / min(hand.aspect, 1.0))
-        paths = on_page(strokes, hand, height_px, pen_px, rng)
+        paths = on_page(strokes, hand, height_px, pen_px, vary, rng)
         # Ink has a stream of its own: how it flows does not depend on how many numbers the shape took.
         pixels = draw(paths, pen_px, hand, KeyedRng(_INK, self.seed, digit_id))
         return DigitImage(digit_id, label, pixels, writer)

@@ -195,7 +195,7 @@ def test_golden_row(tmp_path):
     assert hashlib.sha256(content).hexdigest() == GOLDEN
 
 
-GOLDEN = "a00b3ebebe06ef3ef2cf93e4c74163bb355c9338c70e28250610798126048b43"
+GOLDEN = "54d92eab70b4442d1c87ff48e98a7dee8419e6879c8471803f99ad4881540344"
 
 
 def test_writer_splits_share_no_writer(tmp_path):

@@ -44,16 +44,16 @@ def holes(digit: DigitImage) -> int:
 
 
 GOLDEN = {
-    (0, 0): "5070dbdececbe4c5f7b55da5904d7267e55e6b00178628f3ad36fc4912e89534",
-    (0, 4711): "fd10aaad361ca9618321abb63e35bd6745b98e7271cf6ad8dad4942862b50bc8",
-    (7, 13_579): "56000b22fd62a303df6a2854934981018adf09998a52a8376ed99a4f8837fe79",
+    (0, 0): "329e49bef2be4b6ada67b435a7376f44a1af1df5cd1963c444e8e561f1aa1588",
+    (0, 4711): "7ad2c62fab95fdf013da25e1a5645df34abe7116ac5cef69bfaa8de6b2dc5af3",
+    (7, 13_579): "3a22535321d16949a765c9bee7138aefbecb31939ebc43df34f2b676ad1f927d",
 }
 
 
 @pytest.mark.parametrize(("seed", "digit_id"), GOLDEN)
 def test_pixels_are_those_of_this_drawing_version(seed: int, digit_id: int) -> None:
     """When this fails on purpose, raise DRAWING_VERSION and renew the hashes."""
-    assert DRAWING_VERSION == 1
+    assert DRAWING_VERSION == 2
     assert sha256(SyntheticSource(seed).image(digit_id)) == GOLDEN[seed, digit_id]
 
 
@@ -137,8 +137,9 @@ def test_sources_are_small_and_immutable() -> None:
         SyntheticSource().seed = 1  # type: ignore[misc]
 
 
-@pytest.mark.parametrize("label", [0, 3, 5, 8])
-def test_writers_resemble_themselves_more_than_others(label: int) -> None:
+@pytest.mark.parametrize("label", range(10))
+def test_writers_vary_as_people_do(label: int) -> None:
+    """The 473 real pen digits of five writers have ratios of 0.68 to 0.79 between own and others' digits."""
     source, writers, repetitions = SyntheticSource(), range(0, 96, 6), range(4)
     rows = [_small(source.image(id_of(w, label, r))) for w in writers for r in repetitions]
     pixels = np.stack(rows)
@@ -147,7 +148,7 @@ def test_writers_resemble_themselves_more_than_others(label: int) -> None:
     same = writer[:, None] == writer[None]
     other = apart[~same].mean()
     own = apart[same & ~np.eye(len(writer), dtype=bool)].mean()
-    assert 0.2 * other < own < 0.8 * other
+    assert 0.6 * other < own < 0.85 * other
 
 
 def _small(digit: DigitImage) -> np.ndarray:
@@ -157,6 +158,21 @@ def _small(digit: DigitImage) -> np.ndarray:
     box = ink[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1].astype(float)
     zoomed = ndimage.zoom(ndimage.gaussian_filter(box, 5.0), (20 / box.shape[0], 20 / box.shape[1]), order=1)
     return zoomed[:20, :20].ravel()
+
+
+def test_aspect_differs_between_writers_and_between_digits_of_one() -> None:
+    source = SyntheticSource()
+    wide = np.array([[_aspect(source.image(id_of(w, 0, r))) for r in range(4)] for w in range(0, 96, 4)])
+    assert wide.mean(axis=1).std() > 0.08
+    assert wide.std(axis=1).mean() > 0.05
+    assert wide.min() < 0.55
+    assert wide.max() > 1.0
+
+
+def _aspect(digit: DigitImage) -> float:
+    return float(
+        np.ptp(np.flatnonzero(ink_of(digit).any(axis=0))) / np.ptp(np.flatnonzero(ink_of(digit).any(axis=1)))
+    )
 
 
 def test_pens_and_sizes_are_those_of_hwd_plus() -> None:
@@ -199,7 +215,10 @@ def test_rings_stay_open_under_thick_pens() -> None:
     thick = sorted(range(97), key=lambda writer: source.hand(writer).pen_px)[-25:]
     open_rings = [holes(source.image(id_of(writer, EIGHT, 1))) == 2 for writer in thick]
     assert np.mean(open_rings) > 0.6
-    assert all(holes(source.image(id_of(writer, 0, 1))) == 1 for writer in thick[:20])
+    # Some hands leave the 0 open; none makes a second ring.
+    rings = [holes(source.image(id_of(writer, 0, 1))) for writer in thick]
+    assert set(rings) <= {0, 1}
+    assert np.mean(rings) > 0.7
 
 
 def test_dice_are_pinned_to_the_raw_stream() -> None:

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mnist3d.sources.handwriting.hand import Hand, KeyedRng
-from mnist3d.sources.handwriting.strokes import Stroke, resample, smooth, through
+from mnist3d.sources.handwriting.strokes import Stroke, Vary, resample, smooth, through
 
 __all__ = ["PAGE_PX", "draw", "on_page"]
 
@@ -16,8 +16,11 @@ PAGE_PX = 500
 """Side of the square page."""
 SPACING_PX = 7.0
 """Distance of samples along a path."""
-_SLANT_JITTER, _TILT_JITTER, _ASPECT_JITTER, _BOW_JITTER = 0.10, 0.03, 0.05, 0.015
-"""Standard deviations between the digits of a writer whose jitter is 1."""
+_WAIST, _LOPSIDE, _TAPER, _SWAY, _ARCH, _SAG = 0.03, 0.03, 0.08, 0.015, 0.015, 0.015
+"""How far a digit is bent, as shares of its height or width: where its waist and its middle line lie, how
+much its foot is wider than its top, how much its verticals wind and its horizontals bend and wind."""
+_MOST_SHIFT = 0.2
+"""Bound of waist and middle line: from 0.25 on, a digit would fold over itself."""
 _WIDEST_PX = 380.0
 _MARGIN_PX = 15.0
 _OFF_CENTRE_PX = 16.0
@@ -44,18 +47,25 @@ Paths = list[NDArray[np.float64]]
 Floats = NDArray[np.float32]
 
 
-def on_page(strokes: list[Stroke], hand: Hand, height_px: float, pen_px: float, rng: KeyedRng) -> Paths:
-    """Lean, stretch, scale and place a shape as its writer would.
+def on_page(
+    strokes: list[Stroke],
+    hand: Hand,
+    height_px: float,
+    pen_px: float,
+    vary: Vary,
+    rng: KeyedRng,
+) -> Paths:
+    """Bend, scale and place a shape as its writer would.
 
     Ink height and pen width are those of this digit. Each path, one for each stroke, has shape (N, 2): x to
     the right, y down, in pixels, samples about 7 px apart.
     """
     joined = [np.concatenate([through(run) for run in stroke]) for stroke in strokes]
-    leant = _lean(joined, hand, rng)
-    low, high = _bounds(leant)
+    bent = _bend(joined, hand, vary)
+    low, high = _bounds(bent)
     height, widest = height_px - pen_px, _WIDEST_PX - pen_px
     scale = min(height / (high[1] - low[1]), widest / max(high[0] - low[0], 1e-6))
-    paths = [_relax((path - low) * scale, hand, rng) for path in leant]
+    paths = [_relax((path - low) * scale, hand, rng) for path in bent]
     low, high = _bounds(paths)
     wish = 0.5 * PAGE_PX - 0.5 * (low + high) + _OFF_CENTRE_PX * rng.approx_normals(2)
     edge = 0.5 * pen_px + _MARGIN_PX
@@ -64,17 +74,23 @@ def on_page(strokes: list[Stroke], hand: Hand, height_px: float, pen_px: float, 
     return [np.floor((path + shift) * _GRID + 0.5) / _GRID for path in paths]
 
 
-def _lean(paths: Paths, hand: Hand, rng: KeyedRng) -> Paths:
-    slant = hand.slant + _SLANT_JITTER * hand.jitter * rng.approx_normal()
-    tilt = hand.tilt + _TILT_JITTER * hand.jitter * rng.approx_normal()
-    aspect = hand.aspect + _ASPECT_JITTER * hand.jitter * rng.approx_normal()
-    bow = 4.0 * (hand.bow + _BOW_JITTER * hand.jitter * rng.approx_normal())
-    leant = []
+def _bend(paths: Paths, hand: Hand, vary: Vary) -> Paths:
+    """Bend, stretch and slant the strokes like one sheet of rubber: what meets stays together."""
+    low, high = _bounds(paths)
+    wide, tall = max(high[0] - low[0], 1e-6), high[1] - low[1]
+    waist, lopside = (min(max(vary(0.0, spread), -_MOST_SHIFT), _MOST_SHIFT) for spread in (_WAIST, _LOPSIDE))
+    taper, sway, arch, sag = (vary(0.0, spread) for spread in (_TAPER, _SWAY, _ARCH, _SAG))
+    bent = []
     for path in paths:
-        x, y = aspect * path[:, 0], path[:, 1]
-        bent = x + slant * (1.0 - y) + bow * y * (1.0 - y)
-        leant.append(np.stack([bent, y - tilt * x], axis=1))
-    return leant
+        across, down = (path[:, 0] - low[0]) / wide, (path[:, 1] - low[1]) / tall
+        middle, waistline = 4.0 * across * (1.0 - across), 4.0 * down * (1.0 - down)
+        x = hand.aspect * wide * (across - 0.5 + lopside * middle) * (1.0 + taper * (2.0 * down - 1.0))
+        y = tall * (down + waist * waistline)
+        wound = x + hand.slant * (1.0 - y) + (hand.bow + sway * (1.0 - 2.0 * down)) * waistline
+        bent.append(
+            np.stack([wound, y - hand.tilt * x + (arch + sag * (1.0 - 2.0 * across)) * middle], axis=1)
+        )
+    return bent
 
 
 def _bounds(paths: Paths) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
