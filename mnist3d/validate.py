@@ -87,7 +87,7 @@ class Checked:
 
     def table(self) -> tuple[Sequence[str], Sequence[Sequence[object]], str]:
         """Return header, rows and title of a table of the meshes that fail or, of a few, all."""
-        wall = "thinnest wall at half height mm"
+        wall = "thinnest wall mm"
         header = ("mesh", "solid", "volume mm³", "size mm", "bodies", wall, "findings")
         worth = [item for item in self.items if not item.report.is_solid]
         shown = self.items if len(self.items) <= _ROWS_SHOWN else worth[:_ROWS_SHOWN]

@@ -11,7 +11,8 @@ import numpy as np
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.mesh.mesh import MM_PER_M, as_mesh
 from tactile_toolkit.mesh.solid_check import ManifoldCheck, check_manifold
-from tactile_toolkit.mesh.walls import section_area_mm2, thinnest_width_mm
+from tactile_toolkit.mesh.thickness import thinnest_wall_mm
+from tactile_toolkit.mesh.walls import relief_may_be_thin, section_area_mm2, thinnest_width_mm
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -24,6 +25,9 @@ WARNINGS = ("thin-wall", "separate-bodies", "overhang", "small-contact", "larger
 
 UNREADABLE = "unreadable"
 """What is wrong with a file beyond :data:`tactile_toolkit.mesh.solid_check.PROBLEMS`."""
+
+WALL_REACH_MM = 2.5
+"""Walls up to this are looked for in the whole solid; three times what is warned of by default."""
 
 REPORT_COLUMNS: dict[str, type] = {
     "is_solid": bool,
@@ -122,8 +126,10 @@ class PrintReport:
     size_mm : tuple of float
         Bounding box along x, y, z.
     thinnest_wall_mm : float
-        Narrowest wall of the section at half height, at most the height. NaN for a mesh that is not a solid,
-        as the next two.
+        Thinnest wall. Walls up to 2.5 mm are looked for in the whole solid: the smallest ball that touches
+        the surface from inside on two sides. Where there is none it is the narrowest wall of the section at
+        half height, at most the height: thicker walls elsewhere are not looked for. NaN for a mesh that is
+        not a solid, as the next two.
     overhang_mm2 : float
         Area that leans out too far and does not rest on the bed.
     contact_mm2 : float
@@ -196,6 +202,9 @@ def inspect(mesh: MeshLike, profile: PrintProfile | None = None) -> PrintReport:
     overhang_mm2 = _overhang_mm2(vertices_mm, mesh.faces, profile)
     contact_mm2 = float(check.manifold.slice(low[2] + profile.layer_height_mm).area())
     wall_mm = min(thinnest_width_mm(middle), size_mm[2])
+    if not check.back_to_back or relief_may_be_thin(middle, vertices_mm, WALL_REACH_MM):
+        thin_mm = thinnest_wall_mm(vertices_mm, mesh.faces.astype(np.int64), WALL_REACH_MM)
+        wall_mm = min(thin_mm, max(wall_mm, min(WALL_REACH_MM, *size_mm)))
     overhang_share = overhang_mm2 / max(section_area_mm2(middle), 1e-9)
     # Turned on the plate, the longer side of the print goes along the longer one of the plate.
     sides = zip(sorted(size_mm[:2]), sorted(profile.plate_mm), strict=True)

@@ -12,12 +12,14 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from tactile_toolkit.mesh.nearness import OPPOSED
+
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from numpy.typing import NDArray
 
-__all__ = ["section_area_mm2", "signed_area_mm2", "thinnest_width_mm"]
+__all__ = ["relief_may_be_thin", "section_area_mm2", "signed_area_mm2", "thinnest_width_mm"]
 
 SPACING_MM = 0.4
 """Distance of outline points; the outlines of the digits have corners every 0.4 to 0.8 mm."""
@@ -27,6 +29,10 @@ NORMAL_SPAN = 2
 
 LEAST_CONTACT_SINE = 0.9
 """Sine of half the angle between the two contacts, seen from the middle of the disc: 128 degrees."""
+
+_STEEP = 0.5
+"""Distance from the outline, in heights, from which on a low place is not of the slope at the outline: digits
+are round there, and so steeper."""
 
 # Every point is compared with every other: the first bounds the time, the second the memory (12 MB a block).
 MAX_POINTS = 6000
@@ -43,10 +49,37 @@ def thinnest_width_mm(outlines_mm: Sequence[NDArray[np.float64]]) -> float:
     outlines = [outline for outline in outlines_mm if len(outline) > 2]
     if not outlines:
         return 0.0
-    points, inward = _outline_points(outlines)
+    points, inward, _ = _outline_points(outlines)
     radii, contacts = _largest_discs(points, inward)
     facing = contacts >= 2 * LEAST_CONTACT_SINE * radii
     return float(2 * (radii[facing].min() if facing.any() else radii.max()))
+
+
+def relief_may_be_thin(
+    outlines_mm: Sequence[NDArray[np.float64]], vertices_mm: NDArray[np.float64], within_mm: float
+) -> bool:
+    """Tell whether two reliefs back to back may have a wall as thin as that.
+
+    They may where stretches of their common outline come so near each other across material, and where the
+    surface comes so near the plane between them far from the outline, as at the ground of a notch.
+    """
+    from scipy.spatial import cKDTree
+
+    outlines = [outline for outline in outlines_mm if len(outline) > 2]
+    if not outlines:
+        return True
+    points, inward, middle = _outline_points(outlines)
+    tree = cKDTree(points)
+    one, other = tree.query_pairs(within_mm + 2 * SPACING_MM, output_type="ndarray").T
+    away, opposed = points[other] - points[one], (inward[one] * inward[other]).sum(axis=1) < OPPOSED
+    before = ((away * inward[one]).sum(axis=1) > 0) & ((away * inward[other]).sum(axis=1) < 0)
+    if (opposed & before).any():
+        return True
+    heights = np.abs(vertices_mm[:, 2] - (vertices_mm[:, 2].max() + vertices_mm[:, 2].min()) / 2)
+    low = np.flatnonzero((heights > 0) & (heights < within_mm / 2))
+    reach_mm = _STEEP * heights[low] + SPACING_MM / 2
+    distances = tree.query(vertices_mm[low, :2] - middle)[0]
+    return bool((distances > reach_mm).any())
 
 
 def section_area_mm2(outlines_mm: Sequence[NDArray[np.float64]]) -> float:
@@ -65,7 +98,8 @@ def signed_area_mm2(outline_mm: NDArray[np.float64]) -> float:
 
 def _outline_points(
     outlines: Sequence[NDArray[np.float64]],
-) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float64]]:
+    """Return points along outlines from their middle, directions to the material, and the middle."""
     lengths = [_edge_lengths(outline).sum() for outline in outlines]
     spacing_mm = max(SPACING_MM, sum(lengths) / MAX_POINTS)
     points, inward = [], []
@@ -80,7 +114,8 @@ def _outline_points(
         points.append(even)
         inward.append(left / np.maximum(np.linalg.norm(left, axis=1, keepdims=True), 1e-12))
     middle = np.concatenate(points).mean(axis=0)
-    return (np.concatenate(points) - middle).astype(np.float32), np.concatenate(inward).astype(np.float32)
+    away, left = np.concatenate(points) - middle, np.concatenate(inward)
+    return away.astype(np.float32), left.astype(np.float32), middle
 
 
 def _edge_lengths(outline: NDArray[np.float64]) -> NDArray[np.float64]:

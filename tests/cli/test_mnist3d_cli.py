@@ -272,7 +272,7 @@ def test_an_unreadable_file_hides_no_verdict(tmp_path, capsys):
     assert call("validate", bad, other, good) == 1
     printed = capsys.readouterr()
     assert "1 of 3 meshes are valid solids" in printed.out
-    assert "at half height" in printed.out
+    assert "thinnest wall" in printed.out
     assert f"unreadable: {bad}" in printed.err
     assert f"unreadable: {other}" in printed.err
     assert call("validate", bad, good, "--json", "--quiet") == 1

@@ -1,0 +1,111 @@
+"""Walls of solids whose thinnest place is known: necks, floors, fins, shells, grooves, at any angle."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import manifold3d
+import numpy as np
+import pytest
+import trimesh
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from PIL import Image, ImageDraw
+
+from mnist3d.solid import solidify
+from tactile_toolkit.mesh.mesh import Mesh
+from tactile_toolkit.mesh.printability import PrintReport, inspect
+from tactile_toolkit.mesh.thickness import thinnest_wall_mm
+
+Solid = manifold3d.Manifold
+ANGLES = st.floats(0, 360)
+
+
+def report_of(solid: Any) -> PrintReport:
+    arrays = solid.to_mesh64()
+    vertices_m = np.array(arrays.vert_properties)[:, :3] / 1000
+    return inspect(Mesh(vertices_m.astype(np.float32), np.array(arrays.tri_verts).astype(np.int32)))
+
+
+def require_wall(solid: Any, wall_mm: float) -> None:
+    report = report_of(solid)
+    assert report.thinnest_wall_mm == pytest.approx(wall_mm, rel=0.1)
+    if not 0.79 < wall_mm < 0.81:
+        assert ("thin-wall" in report.warnings) == (wall_mm < 0.8)
+
+
+def hourglass(neck_mm: float, taper_deg: float, half_mm: float, high_mm: float) -> Any:
+    end = neck_mm / 2 + half_mm * math.tan(math.radians(taper_deg))
+    outline = [(-half_mm, -end), (0, -neck_mm / 2), (half_mm, -end)]
+    return manifold3d.CrossSection([outline + [(-x, -y) for x, y in outline]]).extrude(high_mm)
+
+
+@settings(deadline=None, max_examples=80)
+@given(st.floats(0.3, 1.2), st.floats(5, 60), st.floats(5, 15), st.floats(3, 12), ANGLES)
+def test_necks(neck: float, taper: float, half: float, high: float, angle: float) -> None:
+    require_wall(hourglass(neck, taper, half, high).rotate((0, 0, angle)).translate((20, -30, 0)), neck)
+
+
+@settings(deadline=None, max_examples=20)
+@given(st.floats(0.3, 2), ANGLES, st.booleans())
+def test_floors_of_cups(floor: float, angle: float, is_round: bool) -> None:
+    if is_round:
+        cup = Solid.cylinder(20, 12, 12, 64) - Solid.cylinder(40, 9, 9, 64).translate((0, 0, floor))
+    else:
+        cup = Solid.cube((30, 25, 20)) - Solid.cube((24, 19, 40)).translate((3, 3, floor))
+    require_wall(cup.rotate((0, 0, angle)), floor)
+
+
+@settings(deadline=None, max_examples=20)
+@given(st.floats(0.3, 2), ANGLES, st.floats(-20, 20), st.floats(3, 20))
+def test_fins_on_top(thick: float, angle: float, lean: float, long: float) -> None:
+    fin = Solid.cube((long, thick, 12), True).rotate((lean, 0, angle)).translate((15, 15, 11))
+    require_wall(Solid.cube((30, 30, 8)) + fin, thick)
+
+
+@settings(deadline=None, max_examples=10)
+@given(st.floats(0.3, 2), st.integers(0, 10**6))
+def test_shells_in_any_position(wall: float, seed: int) -> None:
+    turn = np.random.default_rng(seed).uniform(0, 360, 3).tolist()
+    box = Solid.cube((14, 12, 10), True) - Solid.cube((14 - 2 * wall, 8, 6), True)
+    require_wall(box.rotate(turn), wall)
+    assert report_of(Solid.sphere(8, 32) - Solid.sphere(8 - wall, 32)).thinnest_wall_mm == pytest.approx(
+        wall, rel=0.1
+    )
+
+
+@pytest.mark.parametrize("wall", [0.4, 0.7, 1.5])
+def test_finely_divided_surfaces_measure_the_same(wall: float) -> None:
+    plate = trimesh.creation.box((12, 9, wall)).subdivide_to_size(0.4)
+    assert thinnest_wall_mm(plate.vertices, plate.faces, 2.5) == pytest.approx(wall, rel=0.03)
+    solid = hourglass(wall, 40, 8, 6).refine_to_length(0.4)
+    require_wall(solid, wall)
+
+
+def test_corners_are_no_walls() -> None:
+    """Neither the edges of a box nor the tips of a cone or a wedge of 40 degrees."""
+    wedge = manifold3d.CrossSection([[(0, 0), (20, -7.28), (20, 7.28)]]).extrude(10)
+    for solid in (Solid.cube((10, 10, 10)), Solid.cylinder(14, 6, 0, 64), wedge, wedge.refine_to_length(1.5)):
+        assert report_of(solid).thinnest_wall_mm >= 2.5
+
+
+def test_thick_walls_are_those_of_the_middle_section() -> None:
+    assert report_of(Solid.cube((40, 6, 20))).thinnest_wall_mm == pytest.approx(6, rel=0.02)
+    assert report_of(Solid.cube((40, 30, 4))).thinnest_wall_mm == pytest.approx(4, rel=0.02)
+
+
+@pytest.mark.parametrize(("ink_px", "angle"), [(6, 0), (8, 17), (10, 45)])
+def test_a_thin_stroke_of_a_digit_is_found(ink_px: int, angle: float) -> None:
+    picture = Image.new("L", (350, 350), 255)
+    draw = ImageDraw.Draw(picture)
+    cosine, sine = math.cos(math.radians(angle)), math.sin(math.radians(angle))
+    for side in (-1, 1):
+        x, y = 175 + side * 70 * cosine, 175 + side * 70 * sine
+        draw.ellipse((x - 45, y - 45, x + 45, y + 45), fill=0)
+    ends = [(175 + side * 60 * cosine, 175 + side * 60 * sine) for side in (-1, 1)]
+    draw.line(ends, fill=0, width=ink_px)
+    mesh = solidify(np.asarray(picture))
+    vertices_mm = mesh.vertices_m.astype(float) * 1000
+    whole = thinnest_wall_mm(vertices_mm, mesh.faces.astype(np.int64), 2.5)
+    assert inspect(mesh).thinnest_wall_mm == whole < 2.5
