@@ -56,10 +56,7 @@ def find_shards(
         _require_split(str(place), split)
         return (Shard(str(place)),)
     if place is not None:
-        folder = DataFolder(str(place))
-        return _local_shards(
-            folder, _split_of(available_splits(folder) if split is None else (), split, name)
-        )
+        return _local_shards(DataFolder(str(place)), split)
     named = _named_on_hub(name, revision)
     repository = HubRepository(named.repo_id, named.revision)
     if _is_file(named):
@@ -210,15 +207,19 @@ def available_splits(folder: DataFolder) -> tuple[str, ...]:
     return tuple(dict.fromkeys(file.split for file in _folder_files(folder)))
 
 
-def _local_shards(folder: DataFolder, split: str) -> tuple[Shard, ...]:
+def _local_shards(folder: DataFolder, split: str | None) -> tuple[Shard, ...]:
     manifest = read_manifest(folder)
     if manifest is None:
-        files = files_of_split(_folder_files(folder), split, folder.address())
-        return tuple(Shard(folder.address(file.path)) for file in files)
-    records = manifest.shards_of(split)
-    _refuse_unfinished(folder, split, [record.shard for record in records], manifest.complete)
+        found = _folder_files(folder)
+        chosen = _split_of([file.split for file in found], split, folder.address())
+        return tuple(
+            Shard(folder.address(file.path)) for file in files_of_split(found, chosen, folder.address())
+        )
+    chosen = _split_of(manifest.splits, split, folder.address())
+    records = manifest.shards_of(chosen)
+    _refuse_unfinished(folder, chosen, [record.shard for record in records], manifest.complete)
     if not records:
-        raise no_split(split, manifest.splits, folder.address())
+        raise no_split(chosen, manifest.splits, folder.address())
     return tuple(Shard(folder.address(record.shard.data_path), record.rows) for record in records)
 
 

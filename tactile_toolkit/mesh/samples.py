@@ -76,7 +76,7 @@ def surface_points(
     # The root spreads the points evenly over a triangle, which narrows towards its first corner.
     root, along = np.sqrt(numbers[1])[:, None], numbers[2][:, None]
     points = a[face] * (1.0 - root) + b[face] * (root * (1.0 - along)) + c[face] * (root * along)
-    return points.astype(np.float32)
+    return np.asarray(points, np.float32)
 
 
 def heights_in(

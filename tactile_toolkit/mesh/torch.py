@@ -139,7 +139,7 @@ class SolidTensors(torch.utils.data.Dataset):  # type: ignore[misc]
         self.dataset = dataset
         self.form = form
         self.points, self.seed = counts
-        self.box = Box(tuple(extent_m or type(self).extent_m), pitch_m)
+        self.box = Box(extent_m or type(self).extent_m, pitch_m)
         self.transform = transform
         self.target = target
         # Workers that live on from epoch to epoch (persistent_workers) see what is set here.
