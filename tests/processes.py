@@ -1,9 +1,53 @@
-"""What the system knows of processes that tests start and kill (Linux)."""
+"""Processes that tests start, hold and kill, and what the system knows of them (Linux)."""
 
 from __future__ import annotations
 
+import os
+import subprocess
+import sys
 import time
 from pathlib import Path
+
+PATIENCE_S = 3_600
+"""How long to wait for what must come: no test may fail because the machine is busy."""
+
+_HELD = """
+import importlib, sys, time
+from pathlib import Path
+name, shards, marker = sys.argv[1], int(sys.argv[2]), Path(sys.argv[3])
+module = importlib.import_module(f"cli.{name}")
+make_with_progress = module.make_with_progress
+
+def held(sink, what, unit, make):
+    finished = []
+    def hold(on_progress, progress):
+        on_progress(progress)
+        finished.append(progress)
+        if len(finished) == shards:
+            marker.touch()
+            while True:
+                time.sleep(60)
+    return make_with_progress(sink, what, unit, lambda told: make(lambda progress: hold(told, progress)))
+
+module.make_with_progress = held
+sys.argv = [name, *sys.argv[4:]]
+module.main()
+"""
+
+
+def start_held(command_line: str, shards: int, marker: Path, *words: object) -> subprocess.Popen[bytes]:
+    """Start a command that makes data and stands still when it has made so many shards; wait for that."""
+    program = [sys.executable, "-c", _HELD, command_line, str(shards), str(marker), *map(str, words)]
+    process = subprocess.Popen(program, cwd=Path(__file__).parents[1], stderr=subprocess.PIPE)
+    while not marker.exists():
+        assert process.poll() is None, process.communicate()[1].decode()
+        time.sleep(0.01)
+    return process
+
+
+def wait_for_death(pid: int) -> None:
+    """Wait until a child has ended, and leave it a zombie."""
+    os.waitid(os.P_PID, pid, os.WEXITED | os.WNOWAIT)
 
 
 def children(pid: int) -> list[int]:

@@ -16,6 +16,7 @@ import pytest
 import realtouch
 from starstruck_gen.generation import GenerateSpec, generate
 from tests.hub_server import HubServer, hub
+from tests.processes import PATIENCE_S
 from tests.realtouch import factories
 from tests.tactile_toolkit.exchange.upload_client import logged_in
 from tests.tactile_toolkit.hub.client import run_python, settings
@@ -47,7 +48,9 @@ def run(command: str, *arguments: object, environment: dict[str, str]) -> subpro
     """Run a command line in a process of its own."""
     program = [sys.executable, "-c", f"from cli.{command} import main; main()", *map(str, arguments)]
     environment = {**environment, "PYTHONPATH": str(Path.cwd())}
-    return subprocess.run(program, env=environment, capture_output=True, text=True, check=False, timeout=300)
+    return subprocess.run(
+        program, env=environment, capture_output=True, text=True, check=False, timeout=PATIENCE_S
+    )
 
 
 @pytest.fixture(scope="module")

@@ -3,7 +3,6 @@ from __future__ import annotations
 import json
 import subprocess
 import sys
-import time
 
 import pyarrow as pa
 import pyarrow.parquet as pq
@@ -14,6 +13,7 @@ import starstruck_gen
 from cli import starstruck
 from cli.output import Sink
 from cli.starstruck import app
+from tests.processes import start_held
 
 
 def run(*words):
@@ -97,14 +97,10 @@ def test_proportions_reach_the_specification_and_info(tmp_path):
 
 def test_info_of_a_stopped_run_counts_what_is_finished(tmp_path):
     out = tmp_path / "set"
-    command = [sys.executable, "-c", "from cli.starstruck import main; main()"]
-    command += ["generate", "-q", "-w", "1", "--scenes", "train=9000,test=3", "--out", str(out)]
-    process = subprocess.Popen(command)
-    while len(list((out / ".pending").glob("train-*.json"))) < 2:
-        assert process.poll() is None
-        time.sleep(0.01)
+    words = ("generate", "-q", "-w", "1", "--scenes", "train=9000,test=3", "--out", out)
+    process = start_held("starstruck", 2, tmp_path / "held", *words)
     process.kill()
-    process.wait()
+    process.communicate()
     document = json.loads(run("info", out, "--json").stdout)
     (train,) = document["splits"]
     finished = len(list((out / ".pending").glob("train-*.json")))

@@ -11,6 +11,7 @@ import pytest
 from tactile_toolkit.mesh.height_map import HeightCache, content_key, top_surface
 from tactile_toolkit.mesh.mesh import Mesh
 from tests.env_assets.shapes import box, cylinder
+from tests.processes import PATIENCE_S
 
 PITCH = 0.5
 
@@ -120,6 +121,6 @@ def test_processes_share_a_full_folder(tmp_path):
     running = [
         subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) for _ in range(3)
     ]
-    said = [process.communicate(timeout=300) for process in running]
+    said = [process.communicate(timeout=PATIENCE_S) for process in running]
     assert [process.returncode for process in running] == [0, 0, 0], said
     assert len({out for out, _ in said}) == 1

@@ -15,6 +15,7 @@ import starstruck_gen
 from tactile_toolkit.errors import InputError, IntegrityError, SpecMismatchError
 from tactile_toolkit.store.folder import DataFolder
 from tactile_toolkit.store.manifest import read_manifest
+from tests.processes import PATIENCE_S
 
 COMMANDS = {"mnist3d": "cli.mnist3d", "starstruck": "cli.starstruck", "env-assets": "cli.env_assets"}
 
@@ -160,7 +161,7 @@ def test_processes_that_start_at_once_do_not_harm_each_other(tmp_path):
     for process in running:
         process.stdin.write("go\n")
         process.stdin.flush()
-    said = [process.communicate(timeout=300) for process in running]
+    said = [process.communicate(timeout=PATIENCE_S) for process in running]
     assert [process.returncode for process in running] == [0] * 3, said
     again = env_assets.AssetProvider(tmp_path)
     for split, (out, _) in zip(splits, said, strict=True):

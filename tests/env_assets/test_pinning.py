@@ -14,6 +14,7 @@ import pytest
 import starstruck_gen
 from env_assets.provider import repository_id
 from tests.hub_server import hub
+from tests.processes import PATIENCE_S
 
 
 def write(folder: Path, seed: int, scenes: int) -> None:
@@ -71,7 +72,7 @@ def found(tmp_path_factory) -> dict[str, list[int]]:
         opened = process.stdout.readline()
         if opened:
             write(root / "someone" / "scenes", seed=2, scenes=9)
-        out, err = process.communicate("go\n", timeout=300)
+        out, err = process.communicate("go\n", timeout=PATIENCE_S)
     assert opened == "opened\n", err
     assert process.returncode == 0, err
     return json.loads(out)

@@ -19,6 +19,7 @@ from tactile_toolkit.errors import InputError, IntegrityError
 from tests.env_assets.factories import write_meshes
 from tests.env_assets.processes import answer, fingerprint
 from tests.env_assets.shapes import box
+from tests.processes import PATIENCE_S
 
 
 def test_it_has_the_shape_that_environments_depend_on(provider):
@@ -190,7 +191,7 @@ def test_processes_see_the_same(provider, method):
     process.start()
     leave.set()
     holder.join()
-    assert queue.get(timeout=300) == expected
+    assert queue.get(timeout=PATIENCE_S) == expected
     process.join(60)
     assert process.exitcode == 0
     queue.close()

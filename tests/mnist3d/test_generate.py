@@ -5,7 +5,6 @@ import json
 import signal
 import subprocess
 import sys
-import time
 from pathlib import Path
 
 import numpy as np
@@ -22,6 +21,7 @@ from tactile_toolkit.errors import InputError, SpecMismatchError
 from tactile_toolkit.store.folder import DataFolder
 from tactile_toolkit.store.verify import verify
 from tests.mnist3d.sources import BLANK, FULL, UNREADABLE, FlawedSource
+from tests.processes import PATIENCE_S, start_held
 from tests.tactile_toolkit.toy import folder_bytes
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -135,7 +135,6 @@ def test_shard_sizes_follow_from_the_split_alone():
 
 
 COMMAND = (
-    "from cli.mnist3d import main; main()",
     "generate",
     "--split-sizes",
     "train=14",
@@ -148,12 +147,12 @@ COMMAND = (
 
 
 def run_command(folder: Path, workers: int) -> subprocess.Popen[bytes]:
-    arguments = [sys.executable, "-c", *COMMAND, "--workers", str(workers), "--out", str(folder)]
+    arguments = [sys.executable, "-m", "mnist3d", *COMMAND, "--workers", str(workers), "--out", str(folder)]
     return subprocess.Popen(arguments, cwd=ROOT, stderr=subprocess.PIPE)
 
 
 def finish(process: subprocess.Popen[bytes]) -> None:
-    _, words = process.communicate(timeout=300)
+    _, words = process.communicate(timeout=PATIENCE_S)
     assert process.returncode == 0, words.decode()
 
 
@@ -168,11 +167,10 @@ def unbroken(tmp_path_factory):
 @pytest.mark.parametrize("blow", [signal.SIGKILL, signal.SIGINT])
 def test_stopped_run_goes_on_to_the_same_bytes(unbroken, tmp_path, workers, blow):
     folder = tmp_path / "set"
-    process = run_command(folder, workers)
-    while process.poll() is None and not list((folder / ".pending").glob("train-*.json")):
-        time.sleep(0.002)
+    words = (*COMMAND, "--workers", workers, "--out", folder)
+    process = start_held("mnist3d", 1, tmp_path / "held", *words)
     process.send_signal(blow)
-    _, words = process.communicate(timeout=300)
+    _, words = process.communicate(timeout=PATIENCE_S)
     if blow == signal.SIGINT:
         assert process.returncode == 130
         assert b"the same command goes on" in words

@@ -14,6 +14,7 @@ from mnist3d.generation import GenerateSpec, generate
 from mnist3d.solid import SolidSpec
 from mnist3d.sources.synthetic import SyntheticSource
 from tests.hub_server import hub
+from tests.processes import PATIENCE_S
 
 
 @pytest.fixture(scope="module")
@@ -42,7 +43,7 @@ def ask(
         check=False,
         env=environment,
         cwd=cwd,
-        timeout=300,
+        timeout=PATIENCE_S,
     )
 
 

@@ -23,6 +23,7 @@ from tactile_toolkit.printing.objects import choose, standing
 from tactile_toolkit.printing.packing import PlateSpec
 from tactile_toolkit.printing.plates import write_plates
 from tactile_toolkit.printing.singles import export_files
+from tests.processes import PATIENCE_S
 from tests.tactile_toolkit.printing.solids import box, named
 
 SLICER = shutil.which("prusa-slicer") or ""
@@ -42,7 +43,7 @@ PRINT = (
 
 def slicer(*arguments: object) -> str:
     done = subprocess.run(
-        [SLICER, *map(str, arguments)], capture_output=True, text=True, timeout=300, check=False
+        [SLICER, *map(str, arguments)], capture_output=True, text=True, timeout=PATIENCE_S, check=False
     )
     assert done.returncode == 0, done.stderr
     return done.stdout + done.stderr

@@ -13,6 +13,7 @@ import pytest
 
 import realtouch
 from tactile_toolkit.errors import InputError, IntegrityError, MissingExtraError
+from tests.processes import PATIENCE_S
 from tests.realtouch import factories
 from tests.realtouch.factories import RoundTruth
 
@@ -147,7 +148,7 @@ def test_workers_that_stay_see_the_epoch(single_folder: Path, method: str) -> No
         num_workers=1,
         persistent_workers=True,
         multiprocessing_context=method,
-        timeout=300,
+        timeout=PATIENCE_S,
     )
     orders = []
     for epoch in (0, 1, 0):
@@ -183,7 +184,7 @@ def test_transforms_apply(single_folder: Path) -> None:
 def test_workers_of_every_start_method(images: Any, method: str) -> None:
     _ = images[0]  # opened in the parent, too
     loader = torch.utils.data.DataLoader(
-        images, batch_size=4, shuffle=False, num_workers=2, multiprocessing_context=method, timeout=300
+        images, batch_size=4, shuffle=False, num_workers=2, multiprocessing_context=method, timeout=PATIENCE_S
     )
     batches = list(loader)
     pixels = torch.cat([batch for batch, _ in batches])
@@ -209,7 +210,7 @@ def test_streams_give_every_touch_once(single_folder: Path) -> None:
     shuffled.set_epoch(1)
     assert [where for _, where in shuffled] != first
     for workers in (2, 3):  # as many as shards, and more
-        loader = torch.utils.data.DataLoader(data, batch_size=None, num_workers=workers, timeout=300)
+        loader = torch.utils.data.DataLoader(data, batch_size=None, num_workers=workers, timeout=PATIENCE_S)
         assert sorted(tuple(where) for _, where in loader) == expected
 
 

@@ -2,10 +2,6 @@ from __future__ import annotations
 
 import hashlib
 import json
-import signal
-import subprocess
-import sys
-import time
 from dataclasses import replace
 from pathlib import Path
 
@@ -27,6 +23,7 @@ from tactile_toolkit.store.folder import DataFolder
 from tactile_toolkit.store.manifest import manifest_so_far, read_manifest
 from tactile_toolkit.store.plan import inspect_folder
 from tactile_toolkit.store.verify import verify
+from tests.processes import start_held
 
 SMALL = GenerateSpec(scenes=(("train", 2_100), ("test", 30)))
 
@@ -134,16 +131,19 @@ def test_second_run_makes_nothing(whole):
 
 def test_killed_run_resumes_to_the_same_bytes(tmp_path):
     spec = GenerateSpec(scenes=(("train", 7_000), ("test", 10)))
-    command = [sys.executable, "-c", "from cli.starstruck import main; main()", "generate", "--quiet"]
-    command += ["--scenes", "train=7000,test=10", "--workers", "1", "--out", str(tmp_path / "killed")]
-    process = subprocess.Popen(command)
-    deadline_s = time.monotonic() + 120
-    while len(list((tmp_path / "killed" / ".pending").glob("train-*.json"))) < 2:
-        assert process.poll() is None
-        assert time.monotonic() < deadline_s
-        time.sleep(0.01)
-    process.send_signal(signal.SIGKILL)
-    process.wait()
+    words = (
+        "generate",
+        "--quiet",
+        "--scenes",
+        "train=7000,test=10",
+        "--workers",
+        1,
+        "--out",
+        tmp_path / "killed",
+    )
+    process = start_held("starstruck", 2, tmp_path / "held", *words)
+    process.kill()
+    process.communicate()
     state = inspect_folder(DataFolder(str(tmp_path / "killed")), plan_build(spec, ("train", "test")))
     assert 2 <= len(state.kept) < len(state.kept) + len(state.todo) == 8
     generate(spec, str(tmp_path / "killed"))

@@ -14,6 +14,7 @@ from typing import Any
 import pytest
 
 from tests.hub_server import hub
+from tests.processes import PATIENCE_S
 from tests.tactile_toolkit.hub.client import settings, start_python
 
 pytestmark = [pytest.mark.env, pytest.mark.filterwarnings("ignore")]
@@ -91,7 +92,7 @@ def report(assets: Path, tmp_path_factory: pytest.TempPathFactory) -> Any:
         environment = settings(server, home, token, HOME=str(home), PYOPENGL_PLATFORM="egl")
         script = SCRIPT.format(arguments=repr((str(assets), names, IDS)))
         with start_python(script, environment, home) as process:
-            out, err = process.communicate(timeout=300)
+            out, err = process.communicate(timeout=PATIENCE_S)
         fetched = set(server.fetched)
     assert process.returncode == 0, out + err
     line = next(line for line in out.splitlines() if line.startswith("REPORT"))

@@ -14,6 +14,7 @@ from pathlib import Path
 from unittest import mock
 
 from tests.hub_server import HubServer
+from tests.processes import PATIENCE_S
 
 __all__ = ["run_here", "run_python", "settings", "start_python"]
 
@@ -45,7 +46,7 @@ def start_python(script: str, environment: dict[str, str], home: Path) -> subpro
 def run_python(script: str, environment: dict[str, str], home: Path) -> subprocess.CompletedProcess[str]:
     """Run a script to its end in a process of its own."""
     with start_python(script, environment, home) as process:
-        out, err = process.communicate(timeout=300)
+        out, err = process.communicate(timeout=PATIENCE_S)
     return subprocess.CompletedProcess(script, process.returncode, out, err)
 
 

@@ -10,6 +10,7 @@ import pytest
 
 from tactile_toolkit.store.origin import Digest
 from tests.hub_server import HubServer
+from tests.processes import PATIENCE_S
 from tests.tactile_toolkit.hub.client import run_here, settings, start_python
 from tests.tactile_toolkit.hub.sets import BIG, CONTENT, NAME, SHARD, big_parquet, fetch, script, two_sets
 
@@ -76,7 +77,7 @@ def test_two_processes_fetch_a_file_once(server, tmp_path):
     ):
         assert server.faults.stalled.wait(60)
         server.faults.released.set()
-        found = {process.communicate(timeout=300)[0] for process in (first, second)}
+        found = {process.communicate(timeout=PATIENCE_S)[0] for process in (first, second)}
     assert len(found) == 1
     assert Path(found.pop().strip().removeprefix("path ")).read_bytes() == CONTENT
     assert [request.sent for request in server.content_requests(SHARD)] == [len(CONTENT)]

@@ -26,6 +26,7 @@ from tactile_toolkit.pictures.render import (
     fitting_scale,
     shaded,
 )
+from tests.processes import PATIENCE_S
 
 CLAY = (200, 120, 40)
 angles = st.floats(-180, 180), st.floats(5, 90)
@@ -135,9 +136,11 @@ def test_every_process_draws_the_same_bytes(tmp_path):
 
 
 @pytest.fixture
-def pyvista() -> None:
+def pyvista(monkeypatch) -> None:
     if find_spec("pyvista") is None:
         pytest.skip("needs the extra `pictures` (pyvista)")
+    # On a busy machine its first picture takes minutes.
+    monkeypatch.setattr("tactile_toolkit.pictures.render._SECONDS_TO_DRAW", PATIENCE_S)
 
 
 @pytest.fixture
@@ -161,6 +164,17 @@ def test_the_renderer_takes_the_same_view_as_the_relief_and_repeats_itself(pyvis
     assert np.array_equal(*views)
     one, other = (views[0] < 250).any(axis=2), (shaded(picture) < 250).any(axis=2)
     assert (one & other).sum() / (one | other).sum() > 0.99
+
+
+@pytest.mark.pictures
+def test_a_renderer_that_is_only_slow_is_called_slow(pyvista, monkeypatch):
+    monkeypatch.setattr("tactile_toolkit.pictures.render._SECONDS_TO_DRAW", 0.001)
+    picture = Picture3d((Body(box(20, 10, 5), CLAY),), (120, 90), 4_000.0)
+    with Renderer() as renderer:
+        pixels, notes = renderer.draw(picture)
+    assert np.array_equal(pixels, shaded(picture))
+    assert "no picture after 0.001 s" in notes[0]
+    assert "driver" not in notes[0]
 
 
 @pytest.mark.pictures

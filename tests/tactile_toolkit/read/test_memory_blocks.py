@@ -20,6 +20,7 @@ from tactile_toolkit.errors import IntegrityError
 from tactile_toolkit.read import parquet as rowgroups
 from tactile_toolkit.read.columns import RowGroup
 from tactile_toolkit.read.parquet import MemoryBlocks, Shard, ShardedTable
+from tests.processes import PATIENCE_S
 
 BLOCK_BYTES = 80  # ten numbers of eight bytes
 
@@ -223,5 +224,5 @@ def test_a_forked_process_starts_anew() -> None:
         [sys.executable, "-c", textwrap.dedent(code)],
         cwd=Path(__file__).resolve().parents[3],
         check=True,
-        timeout=300,
+        timeout=PATIENCE_S,
     )

@@ -21,6 +21,7 @@ from tactile_toolkit.read.parquet import Shard, ShardedTable, cache_folder
 from tactile_toolkit.run.processes import InlineRunner
 from tactile_toolkit.store.build import build
 from tactile_toolkit.store.folder import DataFolder
+from tests.processes import PATIENCE_S
 from tests.tactile_toolkit.toy import points, toy_plan
 
 IDS = [number for number in range(20) if number % 10 != 9]
@@ -172,7 +173,7 @@ def test_reads_in_other_processes(dataset, method):
     queue = context.Queue()
     process = context.Process(target=_sum_in_process, args=(dataset, queue))
     process.start()
-    assert queue.get(timeout=300) == sum(IDS)
+    assert queue.get(timeout=PATIENCE_S) == sum(IDS)
     process.join()
 
 

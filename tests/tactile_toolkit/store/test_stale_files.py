@@ -12,7 +12,7 @@ import pytest
 
 from tactile_toolkit.run import system
 from tactile_toolkit.store.folder import DataFolder, is_stale, temporary_name
-from tests.processes import alive
+from tests.processes import alive, wait_for_death
 
 HOST = socket.gethostname()
 NAME = "train-00001-of-00004.parquet"
@@ -34,8 +34,8 @@ with atomic_file(Path(sys.argv[1])) as stream:
     os.kill(os.getpid(), signal.SIGKILL)
 """
     process = subprocess.Popen([sys.executable, "-c", code, str(folder / NAME)])
-    while alive(process.pid):
-        pass
+    wait_for_death(process.pid)
+    assert not alive(process.pid)
     assert Path(f"/proc/{process.pid}").exists()
     return process
 
