@@ -22,8 +22,8 @@ def held(sink, what, unit, make):
     finished = []
     def hold(on_progress, progress):
         on_progress(progress)
-        finished.append(progress)
-        if len(finished) == shards:
+        finished.extend([progress] * (progress.record is not None))
+        if progress.record is not None and len(finished) == shards:
             marker.touch()
             while True:
                 time.sleep(60)
