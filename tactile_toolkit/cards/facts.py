@@ -129,44 +129,19 @@ def _entry(data_type: Any, feature: Any) -> dict[str, Any]:
     """Describe one column or list element, by its Arrow type and what the metadata knows of it."""
     import pyarrow as pa
 
-    special = _special(feature)
-    if special is not None:
-        return {"dtype": special}
-    if _is_list(data_type):
-        inner = _entry(data_type.value_type, _element(feature))
-        fixed = {"length": data_type.list_size} if pa.types.is_fixed_size_list(data_type) else {}
-        return {"list": _unwrapped(inner), **fixed}
-    if pa.types.is_struct(data_type):
-        known = feature if isinstance(feature, dict) else {}
+    known = feature if isinstance(feature, dict) else {}
+    if known.get("_type") == "ClassLabel":
+        return {"dtype": {"class_label": {"names": {str(n): name for n, name in enumerate(known["names"])}}}}
+    if isinstance(known.get("_type"), str) and known["_type"] in _MEDIA:
+        return {"dtype": _MEDIA[known["_type"]]}
+    types = pa.types
+    if types.is_list(data_type) or types.is_large_list(data_type) or types.is_fixed_size_list(data_type):
+        # What the metadata says of the elements, in the spellings of all releases.
+        element = feature[0] if isinstance(feature, list) else known.get("feature")
+        inner = _entry(data_type.value_type, element)
+        fixed = {"length": data_type.list_size} if types.is_fixed_size_list(data_type) else {}
+        is_short = set(inner) in ({"dtype"}, {"struct"})
+        return {"list": next(iter(inner.values())) if is_short else inner, **fixed}
+    if types.is_struct(data_type):
         return {"struct": [_named(f.name, _entry(f.type, known.get(f.name))) for f in data_type]}
-    return {"dtype": _dtype(data_type)}
-
-
-def _special(feature: Any) -> Any:
-    kind = feature.get("_type") if isinstance(feature, dict) else None
-    if kind == "ClassLabel":
-        return {"class_label": {"names": {str(n): name for n, name in enumerate(feature["names"])}}}
-    return _MEDIA.get(kind) if isinstance(kind, str) else None
-
-
-def _element(feature: Any) -> Any:
-    """Return what the metadata says of the elements of a list, in the spellings of all releases."""
-    if isinstance(feature, list):
-        return feature[0]
-    return feature.get("feature") if isinstance(feature, dict) else None
-
-
-def _unwrapped(inner: dict[str, Any]) -> Any:
-    """Return the short form of an element: a bare dtype, a bare list of fields."""
-    return next(iter(inner.values())) if set(inner) in ({"dtype"}, {"struct"}) else inner
-
-
-def _is_list(data_type: Any) -> bool:
-    import pyarrow as pa
-
-    kinds = (pa.types.is_list, pa.types.is_large_list, pa.types.is_fixed_size_list)
-    return any(fits(data_type) for fits in kinds)
-
-
-def _dtype(data_type: Any) -> str:
-    return _DTYPES.get(str(data_type), str(data_type))
+    return {"dtype": _DTYPES.get(str(data_type), str(data_type))}

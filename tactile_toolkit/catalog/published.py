@@ -44,14 +44,12 @@ def place_of(name: str) -> str:
     """
     # What has a slash is not a short name: most names are paths, and need no list of kinds.
     found = None if "/" in name else published_set(name)
-    return name if found is None or _is_data(Path(name)) else found.repo_id
-
-
-def _is_data(place: Path) -> bool:
-    """Tell data from any other folder of that name: sources of the toolkit lie in one called ``mnist3d``."""
-    if place.is_file() or (place / MANIFEST_FILE).is_file():
-        return True
-    return any(next(place.glob(pattern), None) for pattern in ("*.parquet", f"{DATA_FOLDER}/*.parquet"))
+    if found is None:
+        return name
+    # Data, not any folder of that name: sources of the toolkit lie in one called ``mnist3d``.
+    place, patterns = Path(name), (MANIFEST_FILE, "*.parquet", f"{DATA_FOLDER}/*.parquet")
+    is_data = place.is_file() or any(next(place.glob(pattern), None) for pattern in patterns)
+    return name if is_data else found.repo_id
 
 
 @dataclass(frozen=True, slots=True)
