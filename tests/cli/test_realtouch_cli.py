@@ -135,11 +135,14 @@ def test_info_shows_every_split_and_how_it_was_made(clips, tmp_path, capsys):
     [
         (
             ("resize", "--size", "32x24"),
-            lambda out: realtouch.load(out)[0].sensor_image[0].shape == (24, 32, 3),
+            lambda out: realtouch.load(out, "train")[0].sensor_image[0].shape == (24, 32, 3),
         ),
-        (("select", "--contact", "--labels", "0,1"), lambda out: len(realtouch.load(out).touches()) == 4),
-        (("select", "--objects", "4001"), lambda out: realtouch.load(out)[0].object_id == 4001),
-        (("select", "--limit", 1), lambda out: len(realtouch.load(out)) == 1),
+        (
+            ("select", "--contact", "--labels", "0,1"),
+            lambda out: len(realtouch.load(out, "train").touches()) == 4,
+        ),
+        (("select", "--objects", "4001"), lambda out: realtouch.load(out, "train")[0].object_id == 4001),
+        (("select", "--limit", 1), lambda out: len(realtouch.load(out, "train")) == 1),
         (("frames", "--jpeg"), lambda out: len(list((out / "images").rglob("*.jpg"))) == 9),
         (("frames",), lambda out: len(list((out / "images").rglob("*.png"))) == 9),
     ],
