@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 
@@ -27,6 +27,8 @@ if TYPE_CHECKING:
     from tactile_toolkit.mesh.mesh import Mesh
 
 __all__ = ["distance_px", "lattice_solid", "signed_distance_px"]
+
+F = TypeVar("F", np.float32, np.float64)
 
 FIRST_PITCH_PX = 4.0
 LARGEST_PITCH_PX = 8.0
@@ -98,6 +100,7 @@ def lattice_solid(mask: NDArray[np.bool_], spec: SolidSpec) -> Mesh:
     counts = count_bodies_and_holes(crop)
     # Deeper than the half thickness the surface is flat; 4 px more keep the cut-off out of the blur there.
     distance = signed_distance_px(crop, math.ceil(spec.half_thickness_px) + 4, 2 * LARGEST_PITCH_PX)
+    distance = _on_grid(distance, _FACTOR_GRAIN_PX)
     narrow = _narrow_parts(distance)
     pitch_px = _first_pitch_px(distance, spec)
     rows, columns = (np.arange(0.0, side - 1, pitch_px) for side in distance.shape)
@@ -118,7 +121,7 @@ def lattice_solid(mask: NDArray[np.bool_], spec: SolidSpec) -> Mesh:
             )
             raise ItemError(reason="topology", message=message)
         before = len(rows), len(columns)
-        rows, columns = _refined(rows, missed.any(axis=1)), _refined(columns, missed.any(axis=0))
+        rows, columns = _refined(rows, missed), _refined(columns, missed.T)
         if (len(rows), len(columns)) == before:
             rows, columns = (np.arange(side, dtype=np.float64) for side in crop.shape)
     corner = np.array([top, left, 0], dtype=np.float32)
@@ -205,8 +208,9 @@ def _grown(mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
     return mask
 
 
-def _refined(nodes: NDArray[np.float64], missed: NDArray[np.bool_]) -> NDArray[np.float64]:
+def _refined(nodes: NDArray[np.float64], missed_pixels: NDArray[np.bool_]) -> NDArray[np.float64]:
     """Put nodes on every pixel of the lines in which something is missed, and on those beside them."""
+    missed = np.asarray(missed_pixels.any(axis=1))
     wanted = np.flatnonzero(missed | np.append(missed[1:], False) | np.append(False, missed[:-1])) * 1.0
     if not len(wanted):
         return nodes
@@ -242,15 +246,16 @@ def _blurred(
 def _both_ways(down: Any, across: Any, values: NDArray[Any]) -> NDArray[np.float64]:
     """Apply sparse weights along both axes.
 
-    Factors lie on grids so coarse that every product and every sum of them is exact in double precision: so
-    they are the same bits on every processor.
+    Values and weights lie on grids so coarse that every product and every sum of them is exact in double
+    precision: so they are the same bits on every processor.
     """
-    halfway = down @ _on_grid(values.astype(np.float64), _FACTOR_GRAIN_PX)
+    halfway = down @ values.astype(np.float64)
     return np.asarray((across @ np.ascontiguousarray(_on_grid(halfway, _FACTOR_GRAIN_PX).T)).T)
 
 
-def _on_grid(values: NDArray[np.float64], grain: float) -> NDArray[np.float64]:
-    return np.asarray(np.round(values * (1 / grain)) * grain)
+def _on_grid(values: NDArray[F], grain: float) -> NDArray[F]:
+    # Powers of two of the type of the values: nothing but the rounding changes a bit.
+    return np.asarray(np.round(values * values.dtype.type(1 / grain)) * values.dtype.type(grain))
 
 
 def _weights(nodes: NDArray[np.float64], count: int, sigma_per_pitch: float) -> Any:
@@ -286,7 +291,7 @@ def _between_nodes(lattice: PlaneLattice, shape: tuple[int, ...]) -> NDArray[np.
         _linear(nodes, count)
         for nodes, count in zip((lattice.rows_px, lattice.columns_px), shape, strict=True)
     )
-    return _both_ways(down, across, lattice.s_px)
+    return _both_ways(down, across, _on_grid(lattice.s_px, _FACTOR_GRAIN_PX))
 
 
 def _linear(nodes: NDArray[np.float64], count: int) -> Any:
