@@ -117,7 +117,7 @@ def test_five_classes_are_named_by_their_stars(tmp_path):
         run("generate", "--out", tmp_path / "s", "--stars", "1-5", "--scenes", 10, "-q", "-w", 1).exit_code
         == 0
     )
-    scenes = starstruck_gen.load(str(tmp_path / "s"))
+    scenes = starstruck_gen.load(str(tmp_path / "s"), "train")
     assert scenes.label_names == ("1", "2", "3", "4", "5")
     assert [record.label for record in scenes] == [record.star_count - 1 for record in scenes]
 
