@@ -62,6 +62,12 @@ class _FastRenderer:
     longer than rendering a touch.
     """
 
+    _objects: Any
+    _shown: Any
+    _meshes: tuple[Any, ...]
+    _solids: list[Pressable]
+    _poses: NDArray[np.float64]
+
     def __init__(self, scene: Any, env: Any, size_px: tuple[int, int]) -> None:
         self.__dict__.update(
             _scene=scene,

@@ -1,0 +1,132 @@
+"""How fast touches are rendered: against the published environment, its renderer, and Taxim on JAX.
+
+Usage: python benchmarks/touches.py DIGITS [SPLIT]
+
+One thread, everything warm, processor time, so that a busy machine changes little. DIGITS is a folder that
+``mnist3d generate`` wrote.
+"""
+
+from __future__ import annotations
+
+import os
+
+for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "LP_NUM_THREADS"):
+    os.environ.setdefault(name, "0" if name.startswith("LP") else "1")
+os.environ.setdefault("XLA_FLAGS", "--xla_cpu_multi_thread_eigen=false")
+
+import sys
+import tempfile
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+
+import numpy as np
+
+import mnist3d
+import tactile_sim
+from tactile_sim.optics import make_optics
+from tests.tactile_sim.oracle import Oracle
+
+TOUCHES = 32
+
+
+def best_ms(work: Callable[[], Any], count: int, rounds: int = 5) -> float:
+    """Return the least processor time of one of ``count`` items, ms."""
+    work()
+    times = []
+    for _ in range(rounds):
+        start_s = time.process_time()
+        work()
+        times.append(time.process_time() - start_s)
+    return 1e3 * min(times) / count
+
+
+def touches_of(digits: Any, count: int) -> tuple[list[Any], np.ndarray, np.ndarray]:
+    """Solids, and poses at which something is felt."""
+    rng = np.random.default_rng(0)
+    solids = [tactile_sim.Pressable.of(digits[k % len(digits)], check=False) for k in range(count)]
+    objects = np.stack([tactile_sim.pose(turn_rad=rng.uniform(-0.4, 0.4)) for _ in solids])
+    corners = [solid.vertices_m[rng.integers(len(solid.vertices_m))] for solid in solids]
+    targets = np.stack([tactile_sim.pose(*np.clip(c[:2], -0.038, 0.038)) for c in corners])
+    return solids, objects, targets
+
+
+def depth_and_taxim(digits: Any) -> None:
+    """Time depth maps and pictures of single sizes."""
+    from env_assets.published.packages import published_package
+
+    backend = published_package("tactile_mnist.tactile_renderer.taxim_renderer_jax")
+    device = published_package("tactile_mnist.tactile_renderer.tactile_renderer").Device("cpu")
+    package, ours = backend.TaximRendererJAX(device), make_optics("taxim")
+    solids, objects, targets = touches_of(digits, TOUCHES)
+    for size in ((64, 64), (320, 240)):
+        sensor = tactile_sim.as_environment(*size)
+        depth_ms = best_ms(lambda s=sensor: tactile_sim.press(solids, objects, targets, s), TOUCHES)
+        oracle = Oracle(*size)
+        meshes = [digits[k].mesh for k in range(4)]
+
+        def bare(oracle: Oracle = oracle, mesh: Any = meshes[0]) -> None:
+            for target in targets:
+                oracle.depth_m(mesh, objects[0], target)
+
+        bare_ms = best_ms(bare, TOUCHES)
+        depth_m = tactile_sim.press(solids[:16], objects[:16], targets[:16], sensor).depth_m
+        ours_ms = best_ms(lambda s=sensor, d=depth_m: ours.render(d, s), 16)
+        package_ms = best_ms(lambda s=size, d=depth_m: package.render(d, s), 16, 2)
+        print(
+            f"{size[0]}x{size[1]}: depth {depth_ms:.3f} ms a touch, published renderer {bare_ms:.2f} ms "
+            f"({bare_ms / depth_ms:.1f} times); Taxim {ours_ms:.2f} ms, JAX, 16 at once, {package_ms:.1f} ms "
+            f"({package_ms / ours_ms:.1f} times)",
+            flush=True,
+        )
+
+
+def environments(folder: str) -> None:
+    """Time steps of the registered environment with both renderers."""
+    import env_assets
+
+    provider = env_assets.AssetProvider(places={"mnist3d": folder})
+    for count in (1, 16):
+        steps_ms = {}
+        for renderer in ("opengl", "fast"):
+            env = env_assets.make(
+                "TactileMNIST-Depth-test-v0", provider=provider, num_envs=count, renderer=renderer
+            )
+            env.reset(seed=0)
+            env.action_space.seed(0)
+
+            def step(env: Any = env) -> None:
+                for _ in range(15):
+                    env.step(env.action_space.sample())
+
+            steps_ms[renderer] = best_ms(step, 15 * count)
+            env.close()
+        ratio = steps_ms["opengl"] / steps_ms["fast"]
+        shown = ", ".join(f"{name} {ms:.2f} ms" for name, ms in steps_ms.items())
+        print(f"step of {count} environments, 64x64, each: {shown} ({ratio:.1f} times)", flush=True)
+
+
+def sets(folder: str, split: str) -> None:
+    """Time the writing of data sets of depth touches."""
+    for size, limit in (((64, 64), 6), ((320, 240), 2)):
+        spec = tactile_sim.GenerateSpec(size, "depth", plan=tactile_sim.TouchPlan(4, TOUCHES), limit=limit)
+        with tempfile.TemporaryDirectory() as out:
+            start_s = time.process_time()
+            tactile_sim.generate(folder, spec, out, [split])
+            taken_ms = 1e3 * (time.process_time() - start_s) / (limit * 4 * TOUCHES)
+        print(f"writing a set, {size[0]}x{size[1]}: {taken_ms:.2f} ms a touch, all included", flush=True)
+
+
+def main() -> None:
+    folder, split = sys.argv[1], (sys.argv[2:] or ["test"])[0]
+    digits = mnist3d.load(folder, split)
+    depth_and_taxim(digits)
+    environments(folder)
+    sets(folder, split)
+
+
+if __name__ == "__main__":
+    main()
