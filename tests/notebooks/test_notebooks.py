@@ -34,7 +34,7 @@ def test_a_notebook_shows_what_is_stored_in_it(
     cells = [cell for cell in json.loads(notebook.read_text())["cells"] if cell["cell_type"] == "code"]
     shown, _ = run(notebook)
     for cell, outputs in zip(cells, shown, strict=True):
-        assert words(cell["outputs"]) == words(outputs), "python -m tests.notebooks.running records them"
+        assert words(cell["outputs"]) == words(outputs), "python -m tests.unchanged.record stores them"
         pictures = [set(each.get("data", ())) for each in outputs]
         assert [set(each.get("data", ())) for each in cell["outputs"]] == pictures
     assert any("image/png" in output.get("data", ()) for cell in cells for output in cell["outputs"])

@@ -1,6 +1,7 @@
 """What users and stored data rely on, as text: bytes of small data sets, public names, help of every command.
 
-``python -m tests.unchanged.record`` writes it anew after a change that was meant; review shows the rest.
+``python -m tests.unchanged.record`` writes it anew after a change that was meant, and what notebooks show;
+review shows the rest.
 """
 
 from __future__ import annotations
@@ -20,6 +21,7 @@ import mnist3d
 import realtouch
 import starstruck_gen
 from mnist3d.sources.synthetic import SyntheticSource
+from tests.notebooks.running import main as record_notebooks
 from tests.realtouch.factories import make_round, seq_rows, single_rows, write_set
 
 FOLDER = Path(__file__).parent
@@ -100,6 +102,7 @@ def main() -> None:
     (FOLDER / "record.json").write_text(json.dumps(found, indent=1) + "\n", encoding="utf-8")
     for command_line in COMMAND_LINES:
         (FOLDER / f"{command_line}.txt").write_text(helps(command_line), encoding="utf-8")
+    record_notebooks()
 
 
 if __name__ == "__main__":
