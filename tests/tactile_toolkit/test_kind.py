@@ -16,12 +16,13 @@ from env_assets.wrench.kind import KIND as WRENCH
 from mnist3d.kind import KIND as DIGITS
 from realtouch.kind import KIND as TOUCHES
 from starstruck_gen.kind import KIND as SCENES
+from tactile_sim.kind import KIND as SIMULATED
 from tactile_toolkit.catalog.kinds import kind_of_meshes
 from tactile_toolkit.catalog.published import kind_that_published, published_set
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.kind import DatasetKind, kinds
 
-ALL = (DIGITS, TOUCHES, SCENES, WRENCH)
+ALL = (DIGITS, TOUCHES, SCENES, SIMULATED, WRENCH)
 
 
 def test_all_kinds_are_found_by_their_entry_points():
