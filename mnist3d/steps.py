@@ -15,6 +15,7 @@ import numpy as np
 from mnist3d.ink import count_bodies_and_holes
 from mnist3d.spec import erosion_radius_px
 from tactile_toolkit.errors import ItemError
+from tactile_toolkit.mesh.crossings import self_crossing
 from tactile_toolkit.mesh.mesh import MM_PER_M, Mesh
 
 if TYPE_CHECKING:
@@ -179,14 +180,19 @@ def decimate(mesh: Mesh, target_vertices: int) -> Mesh:
     if len(mesh.vertices_m) <= target_vertices:
         return mesh
     counts = bodies_and_holes(mesh.vertices_m, mesh.faces)
-    solid, tolerance_mm = mesh.to_manifold(), FIRST_TOLERANCE_MM
+    passes, tolerance_mm = [mesh.to_manifold()], FIRST_TOLERANCE_MM
     # Many careful passes: one pass with a wide tolerance leaves more vertices, and worse placed ones.
-    while solid.num_vert() > target_vertices:
-        simpler = solid.simplify(tolerance_mm)
+    while passes[-1].num_vert() > target_vertices:
+        simpler = passes[-1].simplify(tolerance_mm)
         if not _is_held(simpler, counts):
             break
-        solid = simpler
+        passes.append(simpler)
         tolerance_mm *= TOLERANCE_GROWTH
+    # A pass may flatten a thin tip into a sheet folded onto itself. To look for that takes as long as many
+    # passes, so it is looked for from the end.
+    while len(passes) > 1 and _crosses_itself(_mesh_of(passes[-1]), counts[0]):
+        passes.pop()
+    solid = passes[-1]
     found = solid.num_vert()
     if found > BUDGET_SLACK * target_vertices:
         message = (
@@ -195,10 +201,19 @@ def decimate(mesh: Mesh, target_vertices: int) -> Mesh:
             f"next: ask for {math.ceil(found / BUDGET_SLACK):,} (target_vertices, --vertices)"
         )
         raise ItemError(reason="vertex-budget", message=message)
+    return _mesh_of(solid)
+
+
+def _mesh_of(solid: Any) -> Mesh:
     simplified = solid.to_mesh64()
     vertices_m = np.asarray(simplified.vert_properties)[:, :3] / MM_PER_M
     vertices_m[:, 2] -= vertices_m[:, 2].min()
     return Mesh(vertices_m.astype(np.float32), np.asarray(simplified.tri_verts).astype(np.int32))
+
+
+def _crosses_itself(mesh: Mesh, bodies: int) -> bool:
+    vertices_mm = mesh.vertices_m.astype(np.float64) * MM_PER_M
+    return self_crossing(vertices_mm, mesh.faces.astype(np.int64), bodies) is not None
 
 
 def _is_held(solid: Any, counts: tuple[int, int]) -> bool:

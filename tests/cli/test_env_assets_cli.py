@@ -74,13 +74,13 @@ def test_every_length_reaches_the_wrench(tmp_path):
     ("words", "message"),
     [
         (("--size", "M7"), "no wrench of size 'M7' is made"),
-        (("--chamfer-mm", "3"), "chamfer_mm of the wrench is 3"),
+        (("--chamfer-mm", "3"), "--chamfer-mm of the wrench is 3"),
         (("--single", "--second-size", "10"), "a wrench with a single jaw"),
         (("--stl", "wrench.step"), "files ending in '.step' are not known"),
         (("--stl", "wrench.step", "--dry-run"), "files ending in '.step' are not known"),
         (("--stl", "nowhere/wrench.stl"), "there is no folder 'nowhere'"),
         (("--stl", f"{__file__}/wrench.stl"), "there is no folder"),
-        (("--handle-mm", "1.9"), "handle_mm of the wrench is 1.9; expected more than 2.4"),
+        (("--handle-mm", "1.9"), "--handle-mm of the wrench is 1.9; expected more than 2.4"),
     ],
 )
 def test_bad_input_is_one_line_and_writes_nothing(tmp_path, monkeypatch, words, message):
@@ -108,7 +108,7 @@ def test_info_lists_what_a_provider_would_give(tmp_path):
     shown = run("info", tmp_path, "--json")
     found = {(entry["name"], entry["split"]): entry for entry in json.loads(shown.stdout)}
     assert set(found) == {("damaged", ""), ("stars", "train"), ("stars", "test"), ("wrench", "train")}
-    assert "is not a manifest" in found["damaged", ""]["problem"]
+    assert "a JSON object was expected" in found["damaged", ""]["problem"]
     stars = found["stars", "train"]
     assert (stars["kind"], stars["rows"], stars["classes"]) == ("starstruck", 6, ["1", "2", "3"])
     assert max(stars["largest_mm"]) <= 120

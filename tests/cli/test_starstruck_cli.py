@@ -183,7 +183,9 @@ def test_finished_split_is_told_beside_what_an_unfinished_one_keeps(tmp_path):
     (out / ".pending" / "train-00000-of-00002.json").write_text(json.dumps(first))
     (out / "data" / "train-00001-of-00002.parquet").unlink()
     (out / "data" / "test-00000-of-00001.parquet").unlink()
-    (out / "manifest.json").write_text(json.dumps({**manifest, "shards": [], "complete": False}))
+    (out / "manifest.json").write_text(
+        json.dumps({**manifest, "splits": {}, "shards": [], "complete": False})
+    )
     made = run(*words, "--split", "test")
     assert made.exit_code == 0
     for line in ("1 of 2", "1 of 1"):
@@ -252,13 +254,13 @@ def test_damage_is_named_and_mended(made, tmp_path):
         (("--stars", "many"), "--stars is 'many'"),
         (("--distractors", "-1"), "--distractors is '-1'"),
         (("--cell-mm", "large"), "--cell-mm is 'large'; expected millimetres"),
-        (("--cell-mm", "30"), "cell_m of the scene specification is (0.03, 0.03)"),
+        (("--cell-mm", "30"), "--cell-mm, in metres, of the scene specification is (0.03, 0.03)"),
         (("--shapes", "box,sun"), "unknown shape 'sun'"),
         (("--shapes", "star"), "stars are what is counted"),
         (("--scenes", "some"), "--scenes has 'some'"),
         (("--scenes", "dev=4"), "unknown split 'dev'"),
         (("--scenes", "0"), "no scenes to make"),
-        (("--heights-mm", "0"), "heights_m"),
+        (("--heights-mm", "0"), "--heights-mm, in metres, of the scene specification is (0.0,)"),
         (("--stars", "12", "--clearance-mm", "5"), "no place for object"),
         (("--stars", "²"), "--stars is '²'; expected a range"),
         (("--scenes", "²"), "--scenes has '²'"),
@@ -267,12 +269,12 @@ def test_damage_is_named_and_mended(made, tmp_path):
         (("--distractors", "1,2,9"), "--distractors is '1,2,9'; expected the least and the most"),
         (("--distractors", "1-2-9"), "--distractors is '1-2-9'"),
         (("--shapes", "ring(hole_ratio=.3,hole_ratio=.4)"), "gives 'hole_ratio' 2 times"),
-        (("--radius-mm", "0", "--star-inner-mm", "3"), "radius_m of shape 'star' is 0.0"),
+        (("--radius-mm", "0", "--star-inner-mm", "3"), "--radius-mm, in metres, of shape 'star' is 0.0"),
         (("--star-points", "4", "--star-inner-mm", "9"), "next: lower inner_ratio (--star-inner-mm)"),
         (("--distractors", "0-30"), "there is room for at most 27 of that size"),
         (
             ("--radius-mm", "0.1", "--cell-mm", "2000", "--shapes", "disc(segments=256)"),
-            "cell_m of the scene specification is (2.0, 2.0)",
+            "--cell-mm, in metres, of the scene specification is (2.0, 2.0)",
         ),
     ],
 )

@@ -293,7 +293,9 @@ class TestRealFiles:
 def test_download_needs_the_extra(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "torchvision", None)
     monkeypatch.setitem(sys.modules, "torchvision.datasets", None)
-    with pytest.raises(MissingExtraError, match=r"Downloading MNIST needs .*'torchvision'.*\[torch\]"):
+    with pytest.raises(
+        MissingExtraError, match=r"Downloading MNIST needs .*'torchvision'.*the extra `torch`"
+    ):
         download_mnist(str(tmp_path / "new"))
     assert not (tmp_path / "new").exists()
 

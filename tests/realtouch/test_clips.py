@@ -295,7 +295,7 @@ def test_other_containers_go_through_ffmpeg(
 
 def test_torchcodec_is_an_extra(clip: TouchClip, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "torchcodec.decoders", None)
-    with pytest.raises(MissingExtraError, match=r"tactile-toolkit\[torch\]"):
+    with pytest.raises(MissingExtraError, match=r"the extra `torch`"):
         clip.to_torchcodec()
 
 
@@ -356,7 +356,7 @@ def test_clips_that_are_no_jpegs_need_an_extra(
         lambda: realtouch.verify(tmp_path),
         lambda: realtouch.load(tmp_path, on_error="skip"),
     ):
-        with pytest.raises(MissingExtraError, match=r"AVI of JPEG frames needs .*tactile-toolkit\[video\]"):
+        with pytest.raises(MissingExtraError, match=r"AVI of JPEG frames needs .*the extra `video`"):
             ask()
 
 

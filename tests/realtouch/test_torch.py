@@ -239,5 +239,5 @@ def test_data_sets_pickle_small(images: Any) -> None:
 def test_without_torch_the_extra_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "torch", None)
     monkeypatch.delitem(sys.modules, "realtouch.torch", raising=False)
-    with pytest.raises(MissingExtraError, match=r"tactile-toolkit\[torch\]"):
+    with pytest.raises(MissingExtraError, match=r"the extra `torch`"):
         __import__("realtouch.torch")

@@ -107,7 +107,8 @@ def interrupted(tmp_path):
     first, _, test = manifest["shards"]
     (out / ".pending" / "train-00000-of-00002.json").write_text(json.dumps(first))
     (out / "data" / "train-00001-of-00002.parquet").unlink()
-    (out / "manifest.json").write_text(json.dumps({**manifest, "shards": [test], "complete": False}))
+    so_far = {"splits": {"test": manifest["splits"]["test"]}, "shards": [test], "complete": False}
+    (out / "manifest.json").write_text(json.dumps(manifest | so_far))
     return out
 
 

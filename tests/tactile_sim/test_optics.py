@@ -83,5 +83,5 @@ def test_optics_that_cannot_be_are_refused(monkeypatch):
     from tactile_sim.optics import taxim
 
     taxim._tables.cache_clear()
-    with pytest.raises(MissingExtraError, match=r"tactile-toolkit\[sim\]"):
+    with pytest.raises(MissingExtraError, match=r"the extra `sim`"):
         make_optics("taxim")

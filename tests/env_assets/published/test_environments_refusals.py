@@ -210,11 +210,11 @@ def test_sensor_without_any_of_its_packages(sensor):
 
 def test_sensor_without_one_of_its_packages():
     table = {"taxim": {"jax": NotLoaded("taxim"), "torch": NotLoaded("torch_scatter")}}
-    with pytest.raises(MissingExtraError, match=r"'taxim', which .*tactile-toolkit\[env\]"):
+    with pytest.raises(MissingExtraError, match=r"'taxim', which .*the extra `env`"):
         require_sensor("taxim", "auto", table)
     with pytest.raises(InputError, match="'torch_scatter', which is not installed and which no extra"):
         require_sensor("taxim", "torch", table)
-    with pytest.raises(MissingExtraError, match=r"'torch', which .*tactile-toolkit\[torch\]"):
+    with pytest.raises(MissingExtraError, match=r"'torch', which .*the extra `torch`"):
         require_sensor("cycle_gan", "torch", {"cycle_gan": {"jax": object()}})
     require_sensor("taxim", "auto", {"taxim": {"jax": NotLoaded("taxim"), "torch": object()}})
 

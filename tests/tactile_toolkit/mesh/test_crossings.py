@@ -170,7 +170,8 @@ def test_digits_cross_nowhere_by_proof_and_by_trial(spec: SolidSpec) -> None:
     for number in range(6):
         mesh = solidify(source.image(number * 101).pixels, spec)
         vertices, faces = mesh.vertices_m.astype(float) * 1000, mesh.faces.astype(np.int64)
-        assert len(crossings.faces_not_proven_free(vertices, faces)) < 500
+        if spec.profile == "round":  # the others may be decimated, which leaves no halves to compare
+            assert len(crossings.faces_not_proven_free(vertices, faces)) < 500
         assert self_crossing(vertices, faces) is None
         assert crossings._crossing_among(vertices, faces, np.arange(len(faces))) is None
 

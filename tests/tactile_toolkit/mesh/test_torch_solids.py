@@ -191,4 +191,4 @@ def test_without_torch_the_extra_is_named(room: str, tmp_path: Path) -> None:
         text=True,
     )
     assert done.stdout.startswith("MissingExtraError a torch data set of solids needs the package 'torch'")
-    assert "tactile-toolkit[torch]" in done.stdout
+    assert "the extra `torch`" in done.stdout
