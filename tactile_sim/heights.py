@@ -14,7 +14,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_toolkit.errors import InputError, MissingExtraError
+from tactile_toolkit.errors import InputError, MissingExtraError, install_line
 from tactile_toolkit.mesh.raster import scan_lines
 
 __all__ = ["Backend", "chosen_backend", "face_blocks", "finish", "raise_heights"]
@@ -54,7 +54,7 @@ def chosen_backend(backend: Backend) -> Literal["numba", "numpy"]:
 def _say_slow() -> None:
     warnings.warn(
         "touches are rendered by numpy, with the same result but many times slower; "
-        "next: pip install 'tactile-toolkit[sim]' (numba)",
+        f"next: {install_line('sim')}",
         stacklevel=4,
     )
 

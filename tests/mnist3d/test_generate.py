@@ -25,7 +25,7 @@ from tests.processes import PATIENCE_S, start_held
 from tests.tactile_toolkit.toy import folder_bytes
 
 ROOT = Path(__file__).resolve().parents[2]
-COARSE = SolidSpec(target_vertices=600)
+COARSE = SolidSpec(target_vertices=700)
 
 
 @pytest.fixture(scope="module")
@@ -104,7 +104,7 @@ def test_split_by_split_gives_the_same_folder(flawed, tmp_path):
 
 def test_other_spec_is_refused_with_its_difference(flawed):
     folder, _ = flawed
-    with pytest.raises(SpecMismatchError, match=r"solid\.target_vertices is 600 there, 5000 was asked for"):
+    with pytest.raises(SpecMismatchError, match=r"solid\.target_vertices is 700 there, 5000 was asked for"):
         generate(GenerateSpec(FlawedSource()), str(folder))
 
 
