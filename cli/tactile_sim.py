@@ -182,7 +182,7 @@ def _place(text: str) -> tuple[float, float]:
     try:
         x, y = map(float, parts)
     except ValueError as error:
-        message = f"{text!r} is not a place; expected x,y in metres, such as 0.01,0.02"
+        message = f"{text!r} is not a position; expected x,y in metres, such as 0.01,0.02"
         raise typer.BadParameter(message) from error
     return x, y
 
