@@ -5,9 +5,12 @@ from __future__ import annotations
 import os
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
+
+if TYPE_CHECKING:
+    from tactile_toolkit.run.processes import Runner
 
 __all__ = [
     "DryRun",
@@ -19,13 +22,18 @@ __all__ = [
     "Overwrite",
     "Quiet",
     "Revision",
+    "RunnerName",
     "Seed",
     "Split",
     "TouchSet",
     "Workers",
+    "chosen_runner",
     "local_place",
     "process_count",
 ]
+
+
+_RUNNERS = ("processes", "ray")
 
 
 def local_place(text: str | Path) -> Path:
@@ -43,6 +51,14 @@ def local_place(text: str | Path) -> Path:
         return expanded(text)
     except InputError as error:
         raise typer.BadParameter(str(error)) from error
+
+
+def _runner_name(text: str) -> str:
+    name, equals, address = text.partition("=")
+    if name not in _RUNNERS or (equals and (name != "ray" or not address)):
+        message = f"{text!r} is not a runner; expected processes, ray, or ray=HOST:PORT"
+        raise typer.BadParameter(message)
+    return text
 
 
 Folder = Annotated[Path, typer.Argument(metavar="DIR", help="Folder of a generated data set.")]
@@ -65,6 +81,15 @@ Seed = Annotated[int, typer.Option("--seed", min=0, help="Seed of everything tha
 Workers = Annotated[
     int, typer.Option("--workers", "-w", min=0, help="Worker processes; 0 means one per processor core.")
 ]
+RunnerName = Annotated[
+    str,
+    typer.Option(
+        "--runner",
+        metavar="processes|ray[=HOST:PORT]",
+        help="Where shards are made: on this machine, or on a Ray cluster (--workers 0: all its cores).",
+        parser=_runner_name,
+    ),
+]
 Limit = Annotated[
     int | None, typer.Option("--limit", min=1, metavar="N", help="Only the first N rows of each split.")
 ]
@@ -83,6 +108,7 @@ class Making:
     """Options of all commands that make a data set folder."""
 
     workers: Workers = 0
+    runner: RunnerName = _RUNNERS[0]
     overwrite: Overwrite = False
     dry_run: DryRun = False
 
@@ -91,7 +117,21 @@ class Making:
         """Number of worker processes."""
         return process_count(self.workers)
 
+    def chosen_runner(self) -> int | Runner:
+        """Return what makes the shards, as functions take it."""
+        return chosen_runner(self.runner, self.workers)
+
 
 def process_count(workers: int) -> int:
     """Return what ``--workers`` asks for: 0 means one process per processor core."""
     return workers or os.cpu_count() or 1
+
+
+def chosen_runner(runner: str, workers: int) -> int | Runner:
+    """Return what ``--runner`` and ``--workers`` ask for, as functions take it."""
+    name, _, address = runner.partition("=")
+    if name == "processes":
+        return process_count(workers)
+    from tactile_toolkit.run.ray import RayRunner
+
+    return RayRunner(address or None, workers)

@@ -140,7 +140,7 @@ def generate(
             spec,
             str(out),
             splits,
-            workers=making.processes,
+            workers=making.chosen_runner(),
             overwrite=making.overwrite,
             on_progress=on_progress,
         ),

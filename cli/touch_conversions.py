@@ -18,11 +18,12 @@ from cli.options import (
     Limit,
     Overwrite,
     Quiet,
+    RunnerName,
     Split,
     TouchSet,
     Workers,
+    chosen_runner,
     local_place,
-    process_count,
 )
 from cli.output import Sink
 from cli.touch_tables import announce_fetching, print_made
@@ -59,6 +60,7 @@ class Converting:
     split: Split = None
     limit: Limit = None
     workers: Workers = 0
+    runner: RunnerName = "processes"
     overwrite: Overwrite = False
     as_json: Json = False
     quiet: Quiet = False
@@ -80,7 +82,7 @@ class Converting:
                 **options,
                 split=self.split,
                 limit=self.limit,
-                workers=process_count(self.workers),
+                workers=chosen_runner(self.runner, self.workers),
                 overwrite=self.overwrite,
                 on_progress=on_progress,
             ),

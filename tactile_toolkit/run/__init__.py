@@ -1,1 +1,30 @@
-"""Where tasks run."""
+"""Where tasks run: the calling process, local processes, a Ray cluster."""
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from tactile_toolkit.run.processes import InlineRunner, ProcessRunner, Runner
+    from tactile_toolkit.run.ray import RayRunner
+
+__all__ = ["InlineRunner", "ProcessRunner", "RayRunner", "Runner"]
+
+_HOMES = {
+    "InlineRunner": "processes",
+    "ProcessRunner": "processes",
+    "Runner": "processes",
+    "RayRunner": "ray",
+}
+
+
+def __getattr__(name: str) -> Any:
+    if name in _HOMES:
+        return getattr(import_module(f"{__name__}.{_HOMES[name]}"), name)
+    message = f"module {__name__!r} has no attribute {name!r}"
+    raise AttributeError(message)
+
+
+def __dir__() -> list[str]:
+    return sorted(__all__)

@@ -1,4 +1,4 @@
-"""Who does the work: one process, several, or (later) many machines.
+"""Who does the work: one process, several, or (:mod:`tactile_toolkit.run.ray`) many machines.
 
 A task is a small picklable value; running it anywhere, any number of times, writes the same bytes. A
 :class:`Runner` therefore only decides where tasks run and repeats those whose worker died.
@@ -30,7 +30,12 @@ R = TypeVar("R")
 
 
 class Runner(Protocol):
-    """Maps a function over tasks."""
+    """Maps a function over tasks.
+
+    Of a function, runners that leave this machine use two attributes, where it has them: ``libraries``, the
+    distributions whose versions decide what it returns, and ``confirm(result, machine)``, called in this
+    process with the first result of each machine, which raises where that machine's work does not arrive.
+    """
 
     def run(self, function: Callable[[T], R], tasks: Iterable[T]) -> Iterator[R]:
         """Yield one result per task, in the order in which they finish.

@@ -7,9 +7,11 @@ behaviour: interrupted work goes on, finished work is never made twice, another 
 from __future__ import annotations
 
 import contextlib
+import time
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import chain
+from pathlib import PurePosixPath
 from typing import Any
 
 from tactile_toolkit.errors import InputError, IntegrityError
@@ -40,6 +42,8 @@ from tactile_toolkit.store.shards import DAMAGED, DATA_FOLDER, PENDING_FOLDER, S
 __all__ = ["Progress", "build"]
 
 _CAUSES_SHOWN = 3
+_APPEARS_S = 30.0
+"""How long a file may take to show on another machine; network file systems keep listings that long."""
 
 WriteCard = Callable[[DataFolder, Manifest, Any], None]
 """Writes the card of a finished folder; the last argument is the merged report, or None without one."""
@@ -60,6 +64,21 @@ class _WriteShard:
 
     folder: DataFolder
     style: ParquetStyle = field(repr=False)
+    libraries: tuple[str, ...] = ()
+
+    def confirm(self, record: ShardRecord, machine: str) -> None:
+        """Raise InputError when what another machine has written is not to be seen from this one."""
+        path, deadline_s = record.shard.data_path, time.monotonic() + _APPEARS_S
+        # Listed, not asked for by name: network file systems remember for a while that a name was not there.
+        while PurePosixPath(path).name not in self.folder.names(DATA_FOLDER):
+            if time.monotonic() > deadline_s:
+                message = (
+                    f"node {machine} writes to a folder that this machine does not see: {path!r}, finished "
+                    f"there, is not in {self.folder.address()!r} here after {_APPEARS_S:.0f} s; nothing made "
+                    "there counts; next: give a folder that all nodes share, or s3://BUCKET/PATH"
+                )
+                raise InputError(message)
+            time.sleep(0.5)
 
     def __call__(self, task: ShardTask) -> ShardRecord:
         """Write rows, then report rows, then the record that vouches for both."""
@@ -169,7 +188,7 @@ def _run(
     sizes = {task.shard: task.size for task in state.todo}
     done, total = 0, sum(sizes.values())
     on_progress(Progress(done, total))
-    for record in runner.run(_WriteShard(folder, plan.style), state.todo):
+    for record in runner.run(_WriteShard(folder, plan.style, plan.libraries), state.todo):
         if former is not None and record.rows:
             former.give_up()  # there are rows of the new set
         done += sizes[record.shard]
