@@ -74,7 +74,7 @@ def depth_and_taxim(digits: Any) -> None:
 
         bare_ms = best_ms(bare, TOUCHES)
         depth_m = tactile_sim.press(solids[:16], objects[:16], targets[:16], sensor).depth_m
-        ours_ms = best_ms(lambda s=sensor, d=depth_m: ours.render(d, s), 16)
+        ours_ms = best_ms(lambda s=sensor, d=depth_m: ours.render(d, s, s.size_px), 16)
         package_ms = best_ms(lambda s=size, d=depth_m: package.render(d, s), 16, 2)
         print(
             f"{size[0]}x{size[1]}: depth {depth_ms:.3f} ms a touch, published renderer {bare_ms:.2f} ms "

@@ -28,7 +28,7 @@ __all__ = ["app", "main"]
 
 app = new_app("tactile-sim", "Synthetic touches: press a simulated GelSight Mini onto any solid.")
 
-OpticsName = Literal["depth", "taxim"]
+OpticsName = Literal["depth", "taxim", "cyclegan"]
 
 
 def _size(text: str) -> tuple[int, int]:
@@ -89,6 +89,15 @@ class PictureOptions:
         Literal["jpeg", "png"], typer.Option("--format", help="Format of the pictures.")
     ] = "jpeg"
     quality: Annotated[int, typer.Option(min=1, max=100, help="Quality of JPEGs.")] = 95
+    weights: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE", help="Weights for cyclegan; those of tactile-mnist by default."),
+    ] = None
+
+    @property
+    def weights_name(self) -> str | None:
+        """The file of weights, as a name."""
+        return None if self.weights is None else str(self.weights)
 
 
 @command(app)
@@ -123,6 +132,7 @@ def generate(
         plan.plan(),
         picture.image_format,
         picture.quality,
+        picture.weights_name,
         limit=limit,
     )
     splits = None if split == "all" else (split,)
@@ -213,7 +223,7 @@ def render(
     from tactile_toolkit.store.folder import DataFolder
     from tactile_toolkit.touch.jpeg import encode_image
 
-    spec = GenerateSpec(_size(picture.size), picture.optics, picture.like)
+    spec = GenerateSpec(_size(picture.size), picture.optics, picture.like, weights=picture.weights_name)
     x_m, y_m = _place(at)
     seen = look(read_mesh(mesh), spec, x_m, y_m, turn_rad=turn)
     kind: Literal["jpeg", "png"] = "jpeg" if out.suffix.lower() in (".jpg", ".jpeg") else picture.image_format

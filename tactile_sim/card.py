@@ -66,7 +66,8 @@ def write_card(folder: DataFolder, manifest: Manifest, _report: object = None) -
     spec = manifest.spec["options"]
     width, height = spec["size_px"]
     plan = spec["plan"]
-    window = "18.88 x 14.16" if spec["like"] == "published" else f"{14.16 * width / height:.4g} x 14.16"
+    across, down = spec.get("weights_size_px", (width, height))
+    window = "18.88 x 14.16" if spec["like"] == "published" else f"{14.16 * across / down:.4g} x 14.16"
     made = [
         ("made by", f"tactile-toolkit {manifest.toolkit_version} (schema {manifest.schema_version})"),
         ("optics", f"{spec['optics']}: {_OPTICS[spec['optics']]}"),

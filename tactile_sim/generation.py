@@ -13,7 +13,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from tactile_sim.card import write_card
 from tactile_sim.kind import KIND
@@ -36,10 +35,10 @@ from tactile_toolkit.store.manifest import Manifest
 from tactile_toolkit.store.parquet import encode_parquet, file_sha256
 from tactile_toolkit.store.plan import BuildPlan, ShardContent, require_known_splits
 from tactile_toolkit.store.shards import ShardName, Skipped
-from tactile_toolkit.touch.jpeg import encode_image, resized
+from tactile_toolkit.touch.jpeg import encode_image
 from tactile_toolkit.wording import positive_or_none
 
-__all__ = ["GenerateSpec", "TouchShard", "fitted", "forecast", "generate", "plan_build"]
+__all__ = ["GenerateSpec", "TouchShard", "forecast", "generate", "plan_build"]
 
 _LIKE = ("environment", "published")
 _PUBLISHED_PX = (320, 240)
@@ -98,14 +97,21 @@ class GenerateSpec:
     def sensor(self, optics: Optics) -> Sensor:
         """Return the sensor whose depth maps the optics get."""
         width, height = self.size_px if self.like == "environment" else _PUBLISHED_PX
-        seen = as_environment(width, height) if self.like == "environment" else as_sensor(width, height)
-        return dataclasses.replace(seen, size_px=optics.depth_size(width, height))
+        # Environments show the window of the pixels that they render, whatever becomes of these.
+        seen = as_environment if self.like == "environment" else as_sensor
+        return seen(*optics.depth_size(width, height))
 
     def to_dict(self) -> dict[str, Any]:
         """Return JSON values that decide the pictures and poses."""
-        weights = (
-            None if self.weights is None else hashlib.sha256(Path(self.weights).read_bytes()).hexdigest()
-        )
+        network: dict[str, Any] = {"weights_sha256": None}
+        if self.optics == "cyclegan":
+            from tactile_sim.learned.weights import published_weights, read_weights
+
+            file = Path(self.weights).expanduser() if self.weights else published_weights("touch")
+            network = {
+                "weights_size_px": list(read_weights(file).size_px),
+                "weights_sha256": hashlib.sha256(file.read_bytes()).hexdigest(),
+            }
         return {
             "size_px": list(self.size_px),
             "optics": self.optics,
@@ -113,7 +119,7 @@ class GenerateSpec:
             "plan": self.plan.to_dict(),
             "image_format": self.image_format,
             "quality": self.quality if self.image_format == "jpeg" else None,
-            "weights_sha256": weights,
+            **network,
             "limit": self.limit,
         }
 
@@ -187,19 +193,13 @@ def _make_row(
     targets = np.tile(np.eye(4), (len(plan.positions_m), 1, 1))
     targets[:, :2, 3] = plan.positions_m
     pressed = press(solid, plan.object_poses[:-1], targets, sensor)
-    pictures = optics.render(pressed.depth_m, sensor)
-    images = [encode_image(fitted(each, spec), _kind(spec), spec.quality) for each in pictures]
+    pictures = optics.render(pressed.depth_m, sensor, spec.size_px)
+    images = [encode_image(each, _kind(spec), spec.quality) for each in pictures]
     return TouchRow(f"{object_id}-{number}", label, object_id, plan, pressed.sensor_z_m, images)
 
 
 def _kind(spec: GenerateSpec) -> Any:
     return spec.image_format
-
-
-def fitted(picture: NDArray[np.uint8], spec: GenerateSpec) -> NDArray[np.uint8]:
-    """Scale a picture to the size that is wanted, where it has another."""
-    width, height = spec.size_px
-    return picture if picture.shape[:2] == (height, width) else resized(picture, width, height)
 
 
 def plan_build(source: str, spec: GenerateSpec, splits: Sequence[str] | None = None) -> BuildPlan:
@@ -248,7 +248,7 @@ def plan_build(source: str, spec: GenerateSpec, splits: Sequence[str] | None = N
         known,
         tuple(tasks),
         parquet_style(_rounds_for(spec, _GROUP_BYTES)),
-        libraries=("numpy", "pillow", "pyarrow"),
+        libraries=("numpy", "pillow", "pyarrow", *(["torch"] if spec.optics == "cyclegan" else [])),
     )
 
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_sim.generation import GenerateSpec, fitted
+from tactile_sim.generation import GenerateSpec
 from tactile_sim.optics import make_optics
 from tactile_sim.poses import pose
 from tactile_sim.pressing import Pressable, press
@@ -31,5 +31,5 @@ def look(mesh: MeshLike, spec: GenerateSpec, x_m: float, y_m: float, *, turn_rad
     sensor = spec.sensor(optics)
     solid = Pressable.of(mesh)
     pressed = press(solid, pose(z_m=-solid.foot_m, turn_rad=turn_rad), pose(x_m, y_m), sensor)
-    picture = fitted(optics.render(pressed.depth_m[None], sensor)[0], spec)
+    picture = optics.render(pressed.depth_m[None], sensor, spec.size_px)[0]
     return Look(picture, pressed.sensor_z_m, float((pressed.depth_m < sensor.gel_m).mean()))

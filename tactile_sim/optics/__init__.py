@@ -9,6 +9,7 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from tactile_sim.optics.scaling import scaled
 from tactile_sim.pressing import depth_image
 from tactile_sim.sensor import Sensor
 from tactile_toolkit.errors import InputError
@@ -23,8 +24,10 @@ class Optics(Protocol):
     def depth_size(self, width: int, height: int) -> tuple[int, int]:
         """Return width and height of the depth maps that it wants for pictures of this size, pixels."""
 
-    def render(self, depth_m: NDArray[np.float64], sensor: Sensor) -> NDArray[np.uint8]:
-        """Return pictures (n, H, W, 3), uint8, of depth maps (n, H, W), metres."""
+    def render(
+        self, depth_m: NDArray[np.float64], sensor: Sensor, size_px: tuple[int, int]
+    ) -> NDArray[np.uint8]:
+        """Return pictures (n, H, W, 3), uint8, in the size asked for, of depth maps (n, h, w), metres."""
 
 
 class DepthOptics:
@@ -34,13 +37,15 @@ class DepthOptics:
         """Return the size of the picture."""
         return width, height
 
-    def render(self, depth_m: NDArray[np.float64], sensor: Sensor) -> NDArray[np.uint8]:
+    def render(
+        self, depth_m: NDArray[np.float64], sensor: Sensor, size_px: tuple[int, int]
+    ) -> NDArray[np.uint8]:
         """Return depth images as grey levels, (n, H, W, 3), uint8, rounded to the nearest level."""
         levels = np.rint(depth_image(depth_m, sensor) * np.float32(255)).astype(np.uint8)
-        return np.repeat(levels[..., None], 3, axis=-1)
+        return scaled(np.repeat(levels[..., None], 3, axis=-1), size_px)
 
 
-OPTICS = ("depth", "taxim")
+OPTICS = ("depth", "taxim", "cyclegan")
 """Ways of making pictures, by the names of the command line."""
 
 
@@ -52,7 +57,7 @@ def make_optics(name: str, weights: str | Path | None = None) -> Optics:
     name : str
         One of :data:`OPTICS`.
     weights : str or path, optional
-        Weights of a generator, for ``"cyclegan"``.
+        Weights of a generator, for ``"cyclegan"``; by default those that `tactile-mnist` ships.
 
     Raises
     ------
@@ -65,7 +70,9 @@ def make_optics(name: str, weights: str | Path | None = None) -> Optics:
         "depth": DepthOptics,
         "taxim": lazy("tactile_sim.optics.taxim:TaximOptics"),
     }
-    if name not in makers:
+    if name == "cyclegan":
+        return lazy("tactile_sim.optics.cyclegan:CycleganOptics")(weights)  # type: ignore[no-any-return]
+    if name not in OPTICS:
         message = f"no optics {name!r}; expected one of {', '.join(OPTICS)}"
         raise InputError(message)
     if weights is not None and name != "cyclegan":

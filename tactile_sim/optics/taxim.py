@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactile_sim.heights import chosen_backend
+from tactile_sim.optics.scaling import scaled
 from tactile_sim.sensor import Sensor
 from tactile_toolkit.arithmetic import cosine_sine, decay
 from tactile_toolkit.errors import InputError, MissingExtraError
@@ -55,10 +56,10 @@ class TaximOptics:
             raise InputError(message)
         return width, height
 
-    def render(self, depth_m: Numbers, sensor: Sensor) -> NDArray[np.uint8]:
-        """Return pictures (n, H, W, 3), uint8, of depth maps (n, H, W), metres."""
+    def render(self, depth_m: Numbers, sensor: Sensor, size_px: tuple[int, int]) -> NDArray[np.uint8]:
+        """Return pictures (n, H, W, 3), uint8, in the size asked for, of depth maps (n, h, w), metres."""
         shown = self.shades(depth_m, sensor) * np.float32(255)
-        return np.asarray(np.rint(shown), np.uint8)
+        return scaled(np.asarray(np.rint(shown), np.uint8), size_px)
 
     def shades(self, depth_m: Numbers, sensor: Sensor) -> NDArray[np.float32]:
         """Return the same as shades of red, green and blue from 0 to 1, float32, shape (n, H, W, 3)."""

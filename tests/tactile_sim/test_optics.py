@@ -36,7 +36,7 @@ def test_taxim_is_the_package_on_slopes_and_no_further_off_where_it_is_flat(size
     sensor = tactile_sim.as_environment(*size)
     depths = _depths(sensor)
     ours = make_optics("taxim").shades(depths, sensor)
-    assert (make_optics("taxim").render(depths, sensor) == np.rint(ours * np.float32(255))).all()
+    assert (make_optics("taxim").render(depths, sensor, size) == np.rint(ours * np.float32(255))).all()
     for depth_m, shades in zip(depths, ours, strict=True):
         height_mm = (depth_m * 1000 - 4.25).astype(np.float32)
         # Of the package's inner steps only the shape of the gel is taken, to tell flat pixels from others.
@@ -59,15 +59,15 @@ def test_flat_pixels_have_one_colour_whatever_the_rounding():
     sensor = tactile_sim.as_environment(64, 64)
     plate = np.full((1, 64, 64), sensor.press_m)
     optics = make_optics("taxim")
-    first = optics.render(plate, sensor)
+    first = optics.render(plate, sensor, (64, 64))
     noise = np.random.default_rng(0).uniform(-1e-12, 1e-12, plate.shape)
-    assert (optics.render(plate + noise, sensor) == first).all()
+    assert (optics.render(plate + noise, sensor, (64, 64)) == first).all()
 
 
 def test_depth_pictures_are_grey_levels_of_the_depth_image():
     sensor = tactile_sim.as_environment(32, 24)
     depths = _depths(sensor)
-    picture = make_optics("depth").render(depths, sensor)
+    picture = make_optics("depth").render(depths, sensor, (32, 24))
     expected = (np.clip(depths, 0.002125, 0.00425) - 0.002125) / 0.002125 * 255
     assert np.abs(picture - expected[..., None]).max() <= 0.5 + 1e-4
 

@@ -1,0 +1,11 @@
+"""Learned rendering: networks that go from depth to touch and back; needs the extra ``torch``."""
+
+from __future__ import annotations
+
+from importlib.util import find_spec
+
+from tactile_toolkit.errors import MissingExtraError
+
+if find_spec("torch") is None:
+    _FEATURE = "learned rendering"
+    raise MissingExtraError(_FEATURE, "torch", "torch")

@@ -1,0 +1,43 @@
+"""What networks see: depth as three channels, pictures as numbers from -1 to 1, and back.
+
+The channels of depth are row, column and depth, as in `tactile-mnist` 0.13.0; the paper says (x, y), the
+other way round. Where the gel meets a level surface all over, which is what a bare plate gives, the depth
+image is 0 everywhere, and counts as no contact, 1.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+__all__ = ["depth_channels", "picture_channels", "shades_of"]
+
+
+def depth_channels(images: NDArray[np.float32]) -> Any:
+    """Return the input of a generator, (n, 3, H, W) float32, -1 to 1, of depth images (n, H, W), 0 to 1."""
+    depth = torch.from_numpy(np.ascontiguousarray(images, np.float32))
+    depth = torch.where((depth == 0).all(dim=-1).all(dim=-1)[:, None, None], 1.0, depth)
+    count, height, width = depth.shape
+    row = torch.linspace(0, 1, height)[None, :, None].expand(count, height, width)
+    column = torch.linspace(0, 1, width)[None, None, :].expand(count, height, width)
+    return (torch.stack([row, column, depth], dim=1) - 0.5) / 0.5
+
+
+def picture_channels(pictures: NDArray[np.uint8]) -> Any:
+    """Return pictures (n, H, W, 3), uint8, as (n, 3, H, W) float32, -1 to 1."""
+    levels = torch.from_numpy(np.array(pictures)).permute(0, 3, 1, 2).to(torch.float32)
+    return (levels / 255 - 0.5) / 0.5
+
+
+def shades_of(channels: Any, size_px: tuple[int, int]) -> Any:
+    """Return channels (n, C, H, W), -1 to 1, as shades from 0 to 1 in another size, bicubic."""
+    shades = (channels + 1) / 2
+    width, height = size_px
+    if shades.shape[-2:] != (height, width):
+        shades = torch.nn.functional.interpolate(
+            shades, size=(height, width), mode="bicubic", antialias=True, align_corners=False
+        )
+    return shades.clip(0, 1)

@@ -1,0 +1,167 @@
+"""The optics `cyclegan`: the published networks, both ways, and weights of other shapes."""
+
+from __future__ import annotations
+
+import warnings
+import zipfile
+
+import numpy as np
+import pytest
+
+import tactile_sim
+from tests.tactile_sim.solids import ball, block
+
+pytestmark = [pytest.mark.torch, pytest.mark.sim, pytest.mark.env]
+torch = pytest.importorskip("torch", reason="needs torch, of the extra torch")
+pytest.importorskip("numba", reason="needs numba, of the extra sim")
+pytest.importorskip("tactile_mnist", reason="needs tactile-mnist, of the extra env")
+
+from tactile_sim.learned import weights as files  # noqa: E402
+from tactile_sim.learned.networks import Generator, generator_of, initialise, weights_of  # noqa: E402
+from tactile_sim.optics import make_optics  # noqa: E402
+from tactile_sim.optics.cyclegan import CycleganDepth, CycleganOptics  # noqa: E402
+from tactile_toolkit.errors import InputError, IntegrityError, MissingExtraError, ToolkitError  # noqa: E402
+from tactile_toolkit.store.folder import DataFolder  # noqa: E402
+
+
+def _depths(size):
+    sensor = tactile_sim.as_environment(*size)
+    targets = np.stack([tactile_sim.pose(*place) for place in ((0, 0), (0.004, 0.001), (0.04, 0))])
+    solids = [ball(0.006), block(), block()]
+    return sensor, tactile_sim.press(solids, tactile_sim.pose(turn_rad=0.3), targets, sensor).depth_m
+
+
+@pytest.fixture(scope="module")
+def package():
+    """The package's renderer and estimator, on PyTorch and the CPU."""
+    from env_assets.published.packages import published_package
+
+    cpu = published_package("tactile_mnist.tactile_renderer").Device("cpu")
+    renderer = published_package("tactile_mnist.tactile_renderer.cycle_gan_renderer_torch")
+    estimator = published_package("tactile_mnist.depth_estimator.cycle_gan_depth_estimator_torch")
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", FutureWarning)  # torch.jit.script is deprecated
+        return renderer.CycleGANRendererTorch(cpu), estimator.CycleGANDepthEstimatorTorch(cpu)
+
+
+@pytest.fixture
+def small(tmp_path):
+    """A file of small weights, drawn at random, for 32 x 24 pixels."""
+
+    def made(name="small.npz", size_px=(32, 24), filters=4, blocks=2):
+        network = Generator(filters, blocks)
+        initialise(network, 5)
+        files.write_weights(DataFolder(str(tmp_path)), name, weights_of(network, size_px))
+        return tmp_path / name
+
+    return made
+
+
+def test_pictures_are_those_of_the_package_in_both_directions(package):
+    renderer, estimator = package
+    optics, inverse = make_optics("cyclegan"), CycleganDepth()
+    assert optics.depth_size(64, 64) == renderer.get_desired_depth_map_size((64, 64)) == (256, 256)
+    sensor, depths = _depths((128, 128))  # the networks take any size, and a small one costs less
+    for size in ((128, 128), (64, 64)):
+        expected = renderer.render(depths, size).clip(0, 1)
+        assert np.abs(optics.shades(depths, sensor, size) - expected).max() < 1e-4
+        pictures = optics.render(depths, sensor, size)
+        assert np.abs(pictures - 255 * expected).max() <= 0.5 + 255e-4
+    found = inverse.depth_m(pictures[:1], sensor, (80, 60))
+    assert np.abs(found - estimator.estimate(pictures[:1], (80, 60))).max() < 1e-7  # a tenth of a micrometre
+    assert pictures[2].std() > 0  # a bare plate counts as no contact
+
+
+def test_a_picture_does_not_depend_on_its_batch_nor_on_threads(small):
+    optics = CycleganOptics(small())
+    sensor, depths = _depths(optics.depth_size(64, 64))
+    together = optics.render(depths, sensor, (40, 30))
+    alone = [optics.render(depths[[i]], sensor, (40, 30))[0] for i in range(len(depths))]
+    assert (together == np.stack(alone)).all()
+    assert together.shape == (3, 30, 40, 3)
+    threads = torch.get_num_threads()
+    try:
+        torch.set_num_threads(threads + 1)
+        assert (optics.render(depths, sensor, (40, 30)) == together).all()
+    finally:
+        torch.set_num_threads(threads)
+
+
+def test_weights_survive_the_file_and_are_the_same_bytes(small):
+    first, second = small("a.npz"), small("b.npz")
+    assert first.read_bytes() == second.read_bytes()
+    read = files.read_weights(first)
+    assert (read.size_px, read.filters, read.blocks) == ((32, 24), 4, 2)
+    assert files.weights_bytes(read) == first.read_bytes()
+    with np.load(first) as stored:  # what others read it with
+        assert set(stored.files) == set(files.layer_shapes(4, 2))
+    network = generator_of(read)
+    assert weights_of(network, (32, 24)).arrays.keys() == read.arrays.keys()
+    published = files.read_weights(files.published_weights("touch"))
+    assert (published.filters, published.blocks, published.size_px) == (64, 9, (256, 256))
+
+
+def test_our_weights_run_in_the_package(small):
+    """Nine blocks are what it has; the number of filters is free in its JAX half."""
+    from env_assets.published.packages import published_package
+
+    file = small(size_px=(256, 256), blocks=9)
+    jax = published_package("tactile_mnist.tactile_renderer.cycle_gan_jax")
+    pictures = np.random.default_rng(0).uniform(-1, 1, (1, 3, 16, 16)).astype(np.float32)
+    theirs = np.asarray(jax.apply_generator_jax(jax.load_generator_params_jax(file), pictures))
+    with torch.inference_mode():
+        ours = generator_of(files.read_weights(file))(torch.from_numpy(pictures)).numpy()
+    assert np.abs(theirs - ours).max() < 1e-5
+
+
+def test_files_that_are_no_weights_are_named(small, tmp_path, monkeypatch):
+    good = small()
+    cases = {
+        "absent.npz": (None, InputError, "no file of weights"),
+        "text.npz": (b"no archive", InputError, "not an .npz"),
+        "cut.npz": (good.read_bytes()[:-400], IntegrityError, "damaged"),
+    }
+    for name, (content, error, text) in cases.items():
+        if content is not None:
+            (tmp_path / name).write_bytes(content)
+        with pytest.raises(error, match=text):
+            make_optics("cyclegan", tmp_path / name)
+    arrays = dict(np.load(good))
+    others = {
+        "fewer.npz": ({k: v for k, v in arrays.items() if "model.12" not in k}, InputError, "model.12"),
+        "shape.npz": ({**arrays, "model.4.bias": np.zeros(7, np.float32)}, InputError, "model.4.bias"),
+        "more.npz": ({**arrays, "more": np.zeros(7, np.float32)}, InputError, "more"),
+        "nan.npz": (
+            {**arrays, "model.4.bias": np.full(8, np.nan, np.float32)},
+            IntegrityError,
+            "model.4.bias",
+        ),
+        "other.npz": ({"pictures": np.zeros(3)}, InputError, "pictures"),
+        "object.npz": ({**arrays, "model.4.bias": np.array([{}])}, InputError, "pickle"),
+    }
+    for name, (content, error, text) in others.items():
+        np.savez(tmp_path / name, **content)
+        with pytest.raises(error, match=text):
+            files.read_weights(tmp_path / name)
+    with zipfile.ZipFile(good, "a") as archive:
+        archive.comment = b'{"size_px": [30, 1000000]}'
+    with pytest.raises(IntegrityError, match="multiples of 4"):
+        files.read_weights(good)
+    monkeypatch.setattr(files, "find_spec", lambda _: None)
+    with pytest.raises(MissingExtraError, match="the extra `env`"):
+        make_optics("cyclegan")
+
+
+def test_any_damage_is_a_named_error(small, tmp_path):
+    content = bytearray(small().read_bytes())
+    rng = np.random.default_rng(3)
+    for number in range(60):
+        damaged = content.copy()
+        for _ in range(3):
+            damaged[rng.integers(len(damaged))] = rng.integers(256)
+        file = tmp_path / f"{number}.npz"
+        file.write_bytes(damaged)
+        try:
+            files.read_weights(file)
+        except ToolkitError:
+            continue
