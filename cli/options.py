@@ -26,6 +26,7 @@ __all__ = [
     "Seed",
     "Split",
     "TouchSet",
+    "Work",
     "Workers",
     "chosen_runner",
     "local_place",
@@ -104,13 +105,12 @@ Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="No progress and no t
 
 
 @dataclass(frozen=True, slots=True)
-class Making:
-    """Options of all commands that make a data set folder."""
+class Work:
+    """Options of all commands that fill a data set folder: who does the work."""
 
     workers: Workers = 0
     runner: RunnerName = _RUNNERS[0]
     overwrite: Overwrite = False
-    dry_run: DryRun = False
 
     @property
     def processes(self) -> int:
@@ -120,6 +120,13 @@ class Making:
     def chosen_runner(self) -> int | Runner:
         """Return what makes the shards, as functions take it."""
         return chosen_runner(self.runner, self.workers)
+
+
+@dataclass(frozen=True, slots=True)
+class Making(Work):
+    """Options of all commands that make a data set from nothing or from one of another kind."""
+
+    dry_run: DryRun = False
 
 
 def process_count(workers: int) -> int:

@@ -16,13 +16,10 @@ from cli.making import make_with_progress
 from cli.options import (
     Json,
     Limit,
-    Overwrite,
     Quiet,
-    RunnerName,
     Split,
     TouchSet,
-    Workers,
-    chosen_runner,
+    Work,
     local_place,
 )
 from cli.output import Sink
@@ -54,14 +51,11 @@ Frame = Annotated[
 
 
 @dataclass(frozen=True, slots=True)
-class Converting:
+class Converting(Work):
     """Options of all conversions."""
 
     split: Split = None
     limit: Limit = None
-    workers: Workers = 0
-    runner: RunnerName = "processes"
-    overwrite: Overwrite = False
     as_json: Json = False
     quiet: Quiet = False
 
@@ -82,7 +76,7 @@ class Converting:
                 **options,
                 split=self.split,
                 limit=self.limit,
-                workers=chosen_runner(self.runner, self.workers),
+                workers=self.chosen_runner(),
                 overwrite=self.overwrite,
                 on_progress=on_progress,
             ),

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from dataclasses import dataclass
 from functools import cached_property
+from pathlib import PurePosixPath
 from typing import Any
 
 from tactile_toolkit.catalog.locate import available_splits, find_shards
@@ -13,7 +14,7 @@ from tactile_toolkit.read.parquet import Shard
 from tactile_toolkit.store.folder import DataFolder
 from tactile_toolkit.store.manifest import Manifest, read_manifest
 from tactile_toolkit.store.parquet import unpacked_bytes
-from tactile_toolkit.store.shards import DATA_FOLDER
+from tactile_toolkit.store.shards import DATA_FOLDER, ShardName
 from tactile_toolkit.versions import toolkit_version
 
 __all__ = ["FolderFacts", "SplitFacts", "folder_facts", "recorded_facts", "yaml_features"]
@@ -38,9 +39,16 @@ class SplitFacts:
     unpacked_bytes: int
 
     @property
-    def pattern(self) -> str:
-        """Path pattern of the shards of this split, as ``datasets`` writes it."""
-        return f"{DATA_FOLDER}/{self.split}-*"
+    def patterns(self) -> tuple[str, ...]:
+        """Path patterns of the shards of this split, as ``datasets`` writes it.
+
+        It sorts what a pattern finds as text: numbers of each length have one of their own.
+        """
+        names = (ShardName.parse(PurePosixPath(path).name) for path in self.paths)
+        lengths = sorted({len(f"{name.index:05d}") for name in names if name is not None})
+        if len(lengths) < 2:
+            return (f"{DATA_FOLDER}/{self.split}-*",)
+        return tuple(f"{DATA_FOLDER}/{self.split}-{'?' * length}-of-*" for length in lengths)
 
 
 @dataclass(frozen=True)

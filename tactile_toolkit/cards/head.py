@@ -65,10 +65,11 @@ def head_text(head: dict[str, Any]) -> str:
 
 
 def _path_of(split: SplitFacts, facts: FolderFacts) -> str | list[str]:
-    """Return a pattern where it finds the files of this split and no other, and else their names."""
+    """Return patterns where they find the files of this split and no other, and else their names."""
     from fnmatch import fnmatch
 
     everything = [path for other in facts.splits for path in other.paths]
-    if [path for path in everything if fnmatch(path, split.pattern)] == list(split.paths):
-        return split.pattern
+    patterns = split.patterns
+    if [path for pattern in patterns for path in everything if fnmatch(path, pattern)] == list(split.paths):
+        return patterns[0] if len(patterns) == 1 else list(patterns)
     return list(split.paths)

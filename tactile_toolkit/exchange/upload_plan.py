@@ -255,7 +255,8 @@ def card_for_hub(text: str, repo_id: str, shards: Mapping[str, Sequence[str]], o
     taking = [
         entry
         for entry in values["configs"][0]["data_files"]
-        if isinstance(entry["path"], str) and any(fnmatch(path, entry["path"]) for path in foreign)
+        for patterns in ([entry["path"]] if isinstance(entry["path"], str) else entry["path"],)
+        if any(fnmatch(path, pattern) for pattern in patterns for path in foreign)
     ]
     for entry in taking:
         entry["path"] = list(shards[entry["split"]])

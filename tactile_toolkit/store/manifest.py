@@ -16,7 +16,7 @@ from tactile_toolkit.errors import IntegrityError
 from tactile_toolkit.store.fields import json_fields
 from tactile_toolkit.store.folder import DataFolder
 from tactile_toolkit.store.names import names_inside
-from tactile_toolkit.store.shards import PENDING_FOLDER, ShardRecord, add_up
+from tactile_toolkit.store.shards import PENDING_FOLDER, ShardName, ShardRecord, add_up
 
 __all__ = [
     "MANIFEST_FILE",
@@ -149,9 +149,11 @@ class Manifest:
             extra_dirs=fields.texts("trees") if fields.has("trees") else (),
             libraries=libraries,
         )
-        paths = (record.shard.data_path for record in manifest.shards)
-        names_inside((*paths, *files.values, *manifest.extra_dirs), repr(where))
         shards = {record.shard for record in manifest.shards}
+        # Names of shards differ in split and numbers only: the last of each kind stands for all.
+        kinds = dict.fromkeys((shard.split, shard.count) for shard in shards)
+        paths = (ShardName(split, count - 1, count).data_path for split, count in sorted(kinds))
+        names_inside((*paths, *files.values, *manifest.extra_dirs), repr(where))
         if len(shards) < len(manifest.shards) or {shard.split for shard in shards} - {*manifest.split_order}:
             raise fields.wrong(name="shards", problem="one is listed twice, or of no split in 'split_order'")
         try:

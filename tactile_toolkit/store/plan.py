@@ -99,6 +99,14 @@ class BuildPlan:
     def __post_init__(self) -> None:
         # What is compared with a manifest has gone through JSON there: tuples became lists.
         object.__setattr__(self, "spec", json.loads(json.dumps(self.spec)))
+        for shard in (task.shard for task in self.tasks):
+            if not shard.can_be_read_back:
+                message = (
+                    f"shard {shard} cannot be named so that it is found again; expected a split of letters, "
+                    "digits and underscores, and an index below the count; nothing was changed; next: call "
+                    f"the split {shard.split!r} something else"
+                )
+                raise InputError(message)
 
     def new_manifest(self) -> Manifest:
         """Return the manifest of a folder in which nothing is finished."""

@@ -39,7 +39,9 @@ MOST_ROWS = 1 << 40
 PENDING_FOLDER = ".pending"
 """Holds the records and report rows of finished shards until the manifest has them."""
 
-_SHARD_PATTERN = re.compile(r"(?P<split>\w+)-(?P<index>\d{5})-of-(?P<count>\d{5})\.parquet")
+# Numbers have five digits, and more where five are too few.
+_SHARD_PATTERN = re.compile(r"(?P<split>\w+)-(?P<index>[0-9]{5,12})-of-(?P<count>[0-9]{5,12})\.parquet")
+_NUMBERS = re.compile("([0-9]+)")
 
 
 @dataclass(frozen=True, slots=True, order=True)
@@ -74,7 +76,14 @@ class ShardName:
         match = _SHARD_PATTERN.fullmatch(file_name)
         if match is None:
             return None
-        return cls(match["split"], int(match["index"]), int(match["count"]))
+        shard = cls(match["split"], int(match["index"]), int(match["count"]))
+        # One shard, one name: what has more zeros than we write is a file of somebody else.
+        return shard if file_name == f"{shard}.parquet" else None
+
+    @property
+    def can_be_read_back(self) -> bool:
+        """Whether the name that is written says the same to who reads it."""
+        return self.index < self.count and self.parse(f"{self}.parquet") == self
 
 
 def shard_ranges(
@@ -185,7 +194,7 @@ def add_up(parts: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
     return total
 
 
-@dataclass(frozen=True, slots=True, order=True)
+@dataclass(frozen=True, slots=True)
 class ShardFile:
     """A Parquet file and the split that it belongs to by its name."""
 
@@ -197,7 +206,7 @@ def shard_files(paths: Iterable[str]) -> list[ShardFile]:
     """Sort Parquet files by split: ``train-00000-of-00002.parquet``, or a split's bare name.
 
     Files that are only numbered, as in the Hub's own conversions (``default/train/0000.parquet``), belong to
-    the split that their folder is called.
+    the split that their folder is called. The files of a split are in order of their numbers.
     """
     files = []
     for path in paths:
@@ -212,7 +221,16 @@ def shard_files(paths: Iterable[str]) -> list[ShardFile]:
             if split.isdigit() and file.parent.name not in ("", DATA_FOLDER):
                 split = file.parent.name
         files.append(ShardFile(split, path))
-    return sorted(files)
+    return sorted(files, key=lambda file: (file.split, _by_number(file.path), file.path))
+
+
+def _by_number(path: str) -> list[Any]:
+    """Return what orders names as people count, 99999 before 100000: text and numbers by turns."""
+    parts: list[Any] = _NUMBERS.split(path)
+    # The length of a number and its digits: names may be anybody's, and Python reads 4,300 digits at most.
+    numbers = (part.lstrip("0") for part in parts[1::2])
+    parts[1::2] = [(len(digits), digits) for digits in numbers]
+    return parts
 
 
 def files_of_split(files: list[ShardFile], split: str, where: str) -> list[ShardFile]:
