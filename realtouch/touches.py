@@ -22,6 +22,8 @@ from realtouch.media.images import SensorImages
 from realtouch.rounds import TouchRound, TouchSeqRound, TouchSingleRound
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.read.dataset import Row
+from tactile_toolkit.read.order import StoredParts
+from tactile_toolkit.read.parquet import Shard
 from tactile_toolkit.read.sequence import LazySequence, positions
 from tactile_toolkit.touch.jpeg import Pixels, room_for
 from tactile_toolkit.touch.rows import flat_row
@@ -231,6 +233,12 @@ class Rounds(Protocol[R_co]):
 
     def _same_rows(self, other: Any) -> bool:
         """Tell whether others are the same rounds."""
+
+    def _stored_parts(self) -> StoredParts:
+        """Tell which rounds lie in the same shard."""
+
+    def _row_groups(self, chosen: NDArray[np.int64]) -> list[tuple[Shard, int]]:
+        """Row groups in which some rounds lie."""
 
     def _words(self) -> list[str]:
         """Say what these are."""
@@ -533,6 +541,21 @@ class Touches(LazySequence[Touch], Generic[R]):
         for place, record in self.dataset._each():
             for index in by_round.get(place, ()):
                 yield index, Touch(record, touches[index])
+
+    def _stored_parts(self) -> StoredParts:
+        rounds = self.dataset._stored_parts()
+        if rounds.order is None and self._chosen is None:
+            return StoredParts.of(self._starts[rounds.starts])
+        turn = np.arange(len(self.dataset))  # of each round, among all as they are stored
+        if rounds.order is not None:
+            turn[rounds.order] = np.arange(len(turn))
+        turns = turn[self.round_positions]
+        order = np.lexsort((self.touch_indices, turns))
+        return StoredParts.of(np.searchsorted(turns[order], rounds.starts), order)
+
+    def _row_groups(self, chosen: NDArray[np.int64]) -> list[tuple[Shard, int]]:
+        flat = chosen if self._chosen is None else self._chosen[chosen]
+        return self.dataset._row_groups(np.unique(np.searchsorted(self._starts, flat, side="right") - 1))
 
     def _words(self) -> list[str]:
         of_rounds, *further = self.dataset._words()

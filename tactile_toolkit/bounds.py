@@ -1,4 +1,4 @@
-"""How much a file may unpack to: one limit for all kinds, as a few bytes can stand for any number of them."""
+"""How much a file may unpack to, as a few bytes can stand for any number, and how much is kept unpacked."""
 
 from __future__ import annotations
 
@@ -6,22 +6,41 @@ import os
 
 from tactile_toolkit.errors import InputError
 
-__all__ = ["UNPACKED_VARIABLE", "require_unpackable", "unpacked_limit_bytes"]
+__all__ = [
+    "CACHE_LIMIT_VARIABLE",
+    "UNPACKED_VARIABLE",
+    "cache_limit_bytes",
+    "require_unpackable",
+    "unpacked_limit_bytes",
+]
 
 UNPACKED_VARIABLE = "TACTILE_TOOLKIT_UNPACKED_MIB"
 """Environment variable that raises the limit, in MiB."""
 
-_USUAL_MIB = 512
-"""Ten times the largest row of the published data sets, eleven times the images of MNIST."""
+CACHE_LIMIT_VARIABLE = "TACTILE_TOOLKIT_CACHE_MIB"
+"""Environment variable that says how much of the disk unpacked row groups may take in the cache, in MiB."""
+
+_USUAL_MIB = {
+    UNPACKED_VARIABLE: 512,  # ten times the largest row of the published data sets, eleven times all MNIST
+    CACHE_LIMIT_VARIABLE: 32 << 10,
+}
 
 
 def unpacked_limit_bytes() -> int:
-    """Return the limit; InputError where the environment variable does not hold a whole number."""
-    named = os.environ.get(UNPACKED_VARIABLE) or str(_USUAL_MIB)
+    """Return the limit of one file or row; InputError where the variable does not hold a whole number."""
+    return _limit_bytes(UNPACKED_VARIABLE)
+
+
+def cache_limit_bytes() -> int:
+    """Return the limit of the cache of row groups; InputError as for :func:`unpacked_limit_bytes`."""
+    return _limit_bytes(CACHE_LIMIT_VARIABLE)
+
+
+def _limit_bytes(variable: str) -> int:
+    usual_mib = _USUAL_MIB[variable]
+    named = os.environ.get(variable) or str(usual_mib)
     if not (named.isascii() and named.isdigit() and len(named) < 12):
-        message = (
-            f"{UNPACKED_VARIABLE} is {named[:40]!r}; expected a whole number of MiB, such as {_USUAL_MIB}"
-        )
+        message = f"{variable} is {named[:40]!r}; expected a whole number of MiB, such as {usual_mib}"
         raise InputError(message)
     return int(named) << 20
 

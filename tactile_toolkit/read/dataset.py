@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 
 from tactile_toolkit.errors import InputError, IntegrityError
 from tactile_toolkit.read.columns import column_types, same_values
-from tactile_toolkit.read.parquet import RowGroup, ShardedTable
+from tactile_toolkit.read.order import StoredParts
+from tactile_toolkit.read.parquet import RowGroup, Shard, ShardedTable
 from tactile_toolkit.read.sequence import LazySequence
 from tactile_toolkit.wording import counted
 
@@ -19,6 +20,7 @@ __all__ = ["Record", "RecordDataset", "Row", "with_origins"]
 
 
 _LARGEST = np.iinfo(np.int64).max
+_MADE_TOGETHER = 4096  # rows that lie in no shard, because each is made when it is asked for
 
 
 def _int_column(tables: Sequence[ShardedTable], name: str, rows: Any) -> NDArray[np.int64]:
@@ -380,6 +382,36 @@ class RecordDataset(LazySequence[T]):
 
     def _same_rows(self, other: Self) -> bool:
         return self is other or (self.identity == other.identity and np.array_equal(self._rows, other._rows))
+
+    @property
+    def _shard_starts(self) -> NDArray[np.int64]:
+        """Where each shard begins in the joined numbering, and the end."""
+        starts = [np.zeros(1, np.int64)]
+        for first, table in zip(self._starts.tolist(), self._tables, strict=False):
+            made = np.minimum(
+                np.arange(_MADE_TOGETHER, len(table) + _MADE_TOGETHER, _MADE_TOGETHER), len(table)
+            )
+            ends = np.cumsum([len(shard) for shard in table.shards]) if table.shards else made
+            starts.append(first + np.asarray(ends, np.int64))
+        return np.concatenate(starts)
+
+    def _stored_parts(self) -> StoredParts:
+        rows, starts = self._rows, self._shard_starts
+        if isinstance(rows, range) and rows.step == 1:
+            return StoredParts.of(np.clip(starts, rows.start, rows.stop) - rows.start)
+        numbers = np.asarray(rows, np.int64)
+        order = np.argsort(numbers, kind="stable")
+        return StoredParts.of(np.searchsorted(numbers[order], starts), order)
+
+    def _row_groups(self, chosen: NDArray[np.int64]) -> list[tuple[Shard, int]]:
+        rows = self._rows
+        numbers = np.unique(
+            rows.start + rows.step * chosen if isinstance(rows, range) else np.asarray(rows, np.int64)[chosen]
+        )
+        found: list[tuple[Shard, int]] = []
+        for first, table in zip(self._starts.tolist(), self._tables, strict=False):
+            found += table.row_groups(numbers[(numbers >= first) & (numbers < first + len(table))] - first)
+        return found
 
     def _words(self) -> list[str]:
         return with_origins(counted(len(self), type(self).things), self._tables)

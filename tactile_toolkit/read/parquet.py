@@ -22,7 +22,7 @@ from typing import IO, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_toolkit.bounds import require_unpackable
+from tactile_toolkit.bounds import cache_limit_bytes, require_unpackable
 from tactile_toolkit.cache import CACHE_VARIABLE, DiskCache, MemoryCache, cache_folder
 from tactile_toolkit.errors import IntegrityError, ToolkitError
 from tactile_toolkit.read.blocks import file_identity, map_block, write_blocks
@@ -33,6 +33,7 @@ from tactile_toolkit.read.columns import (
     plain_table,
     stored_class_names,
 )
+from tactile_toolkit.run.system import locked
 from tactile_toolkit.store.folder import DataFolder, unreadable
 from tactile_toolkit.store.parquet import open_checked
 from tactile_toolkit.store.shards import DATA_FOLDER, ShardName
@@ -189,25 +190,43 @@ class Shard:
         A cache that cannot be written (full, read-only) costs speed, never the data: the blocks used last are
         then kept in the memory of this process, see :class:`MemoryBlocks`.
         """
-        digest = hashlib.sha256(repr(self.identity).encode()).hexdigest()
-        name = f"{digest[:32]}-{index:05d}"
+        path = self._unpacked_path(index)
+        name = path.stem
         kept = MEMORY.get((name, block))
         if kept is not None:
             return kept
-        path = _UNPACKED.path(f"{name}.arrow")
         table = _mapped_table(path, block)
-        if table is None and self._unpack(path.name, index):
+        if table is None and self._unpack(path, index):
             table = _mapped_table(path, block)
         if table is None:
             return MEMORY.block(name, block, lambda: self.blocks(index))
         first_row = self.group_starts[index] + block * self.block_rows[index]
         return RowGroup(table, self.path, first_row, mapped=True)
 
-    def _unpack(self, file_name: str, index: int) -> bool:
-        def fill(stream: IO[bytes]) -> None:
-            write_blocks(stream, file_name, self.schema, (group.table for group in self.blocks(index)))
+    def unpack(self, index: int) -> bool:
+        """See to it that a row group lies unpacked in the cache; tell whether it does.
 
-        return _UNPACKED.write(file_name, int(self.metadata.row_group(index).total_byte_size), fill)
+        One process of the machine unpacks it, others wait for that one.
+        """
+        path = self._unpacked_path(index)
+        _UNPACKED.mark_used(path)
+        return path.exists() or self._unpack(path, index)
+
+    def unpacked_bytes(self, index: int) -> int:
+        """About how much a row group takes when it is unpacked, by the footer."""
+        return int(self.metadata.row_group(index).total_byte_size)
+
+    def _unpacked_path(self, index: int) -> Path:
+        digest = hashlib.sha256(repr(self.identity).encode()).hexdigest()
+        return _UNPACKED.path(f"{digest[:32]}-{index:05d}.arrow")
+
+    def _unpack(self, path: Path, index: int) -> bool:
+        def fill(stream: IO[bytes]) -> None:
+            write_blocks(stream, path.name, self.schema, (group.table for group in self.blocks(index)))
+
+        _UNPACKED.limit_bytes = cache_limit_bytes()
+        with _lock_of(path.name):
+            return path.exists() or _UNPACKED.write(path.name, self.unpacked_bytes(index), fill)
 
     def blocks(self, index: int, columns: Sequence[str] | None = None) -> Iterator[RowGroup]:
         """Decode the blocks of a row group one after another, keeping none; all columns or those named."""
@@ -320,6 +339,17 @@ class Shard:
             raise IntegrityError(message) from error
 
 
+@contextlib.contextmanager
+def _lock_of(name: str) -> Iterator[None]:
+    """Hold the lock of a file of the cache, one of a few for all of them; without locks nobody waits."""
+    folder = cache_folder() / "locks"
+    with contextlib.ExitStack() as stack:
+        with contextlib.suppress(OSError):
+            folder.mkdir(parents=True, exist_ok=True)
+            stack.enter_context(locked(folder / name[:2]))
+        yield
+
+
 def _mapped_table(path: Path, number: int) -> Any:
     """Map one block of an unpacked row group; None when it is not there, or was damaged (it goes)."""
     try:
@@ -409,6 +439,22 @@ class ShardedTable:
             if group.mapped:  # what lies in memory is kept by MEMORY alone, which knows a limit
                 group = self._groups.setdefault(key, group)
         return group, index
+
+    def row_groups(self, rows: NDArray[np.int64]) -> list[tuple[Shard, int]]:
+        """Return the row groups that hold some rows, which rise; opens no other shard."""
+        if not self.shards:
+            return []
+        owners = np.searchsorted(self._starts, rows, "right") - 1
+        return [
+            (self.shards[owner], group)
+            for owner in np.unique(owners).tolist()
+            for group in np.unique(
+                np.searchsorted(
+                    self.shards[owner].group_starts, rows[owners == owner] - self._starts[owner], "right"
+                )
+                - 1
+            ).tolist()
+        ]
 
     def derive(
         self, key: str, columns: Sequence[str], compute: Callable[[RowGroup], NDArray[Any]]

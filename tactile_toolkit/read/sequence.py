@@ -8,14 +8,18 @@ from abc import abstractmethod
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import asdict, dataclass
-from typing import Any, Generic, Self, TypeVar, overload
+from typing import TYPE_CHECKING, Any, Generic, Self, TypeVar, overload
 
 import numpy as np
 from numpy.typing import NDArray
 
 from tactile_toolkit.errors import InputError, ToolkitError
 from tactile_toolkit.printable import printable
+from tactile_toolkit.read.order import StoredParts
 from tactile_toolkit.wording import counted, is_whole, plain_number
+
+if TYPE_CHECKING:
+    from tactile_toolkit.read.parquet import Shard
 
 __all__ = ["ColumnStatistics", "LazySequence", "Statistics", "positions"]
 
@@ -146,6 +150,14 @@ class LazySequence(Sequence[T], Generic[T]):
     @abstractmethod
     def _same_rows(self, other: Self) -> bool:
         """Tell whether two sequences view the same stored rows in the same order, without reading them."""
+
+    @abstractmethod
+    def _stored_parts(self) -> StoredParts:
+        """Tell which items lie in the same shard; reads no row."""
+
+    @abstractmethod
+    def _row_groups(self, chosen: NDArray[np.int64]) -> list[tuple[Shard, int]]:
+        """Return the row groups in which some items lie, in stored order."""
 
     @abstractmethod
     def _words(self) -> list[str]:

@@ -1,0 +1,175 @@
+"""The order of training: against a slow one of lists, whatever ranks share it and wherever it stops."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from hypothesis import example, given
+from hypothesis import strategies as st
+
+from tactile_toolkit.read.order import GlobalOrder, Share, StoredParts
+
+
+def parts_of(sizes: list[int], order: list[int] | None = None) -> StoredParts:
+    starts = np.cumsum([0, *sizes])
+    return StoredParts.of(starts, None if order is None else np.array(order, np.int64))
+
+
+def plain_order(sizes: list[int], seed: int | None, window: int, epoch: int) -> list[int]:
+    """The order as it is described: lists, one shard after another."""
+    ends = np.cumsum([0, *(size for size in sizes if size)]).tolist()
+    shards = [list(range(first, last)) for first, last in pairwise(ends)]
+
+    def shuffled(values: list, stream: int) -> list:
+        if seed is None:
+            return values
+        bits = np.random.PCG64([seed, epoch, stream]).random_raw(len(values)).tolist()
+        return [value for _, _, value in sorted(zip(bits, range(len(values)), values, strict=True))]
+
+    shards = shuffled(shards, 0)
+    windows = [shards[first : first + window] for first in range(0, len(shards), window)]
+    return [
+        item
+        for number, held in enumerate(windows)
+        for item in shuffled([item for shard in held for item in shard], 1 + number)
+    ]
+
+
+sizes_lists = st.lists(st.integers(0, 9), max_size=8)
+seeds = st.none() | st.integers(0, 2**40)
+
+
+@given(sizes_lists, seeds, st.integers(1, 9), st.integers(0, 5))
+def test_an_epoch_is_all_items_shard_by_shard_and_shuffled_in_windows(sizes, seed, window, epoch):
+    order = GlobalOrder(parts_of(sizes), seed, window)
+    total = sum(sizes)
+    assert len(order) == total
+    found = order.epoch(epoch).positions(np.arange(total)).tolist()
+    assert found == plain_order(sizes, seed, window, epoch)
+    assert sorted(found) == list(range(total))
+    backwards = order.epoch(epoch).positions(np.arange(total)[::-1]).tolist()
+    assert backwards == found[::-1], "an item by its number, whatever was asked for before"
+
+
+@given(sizes_lists.filter(sum), st.integers(1, 9), st.data())
+def test_views_are_given_in_the_order_in_which_they_are_stored(sizes, window, data):
+    """Without a seed, that is the order; with one, every item comes once."""
+    stored = data.draw(st.permutations(range(sum(sizes))))
+    parts = parts_of(sizes, stored)
+    numbers = np.arange(sum(sizes))
+    assert GlobalOrder(parts, None, window).epoch(3).positions(numbers).tolist() == stored
+    plain = plain_order(sizes, 5, window, 3)
+    shuffled = GlobalOrder(parts, 5, window).epoch(3).positions(numbers).tolist()
+    assert shuffled == [stored[item] for item in plain]
+
+
+class Job:
+    """A job on some ranks for some batches, which goes on on others; ranks take turns in it."""
+
+    def __init__(self, total: int) -> None:
+        self.total, self.start = total, 0
+        self.given: list[int] = []
+
+    def run(self, ranks: int, batch_size: int, batches: int | None, drop_last: bool = False) -> list[int]:
+        shares = [Share(self.total, self.start, rank, ranks, batch_size, drop_last) for rank in range(ranks)]
+        assert len({(share.items, len(share)) for share in shares}) == 1, "all ranks get equally many"
+        count = len(shares[0]) if batches is None else min(batches, len(shares[0]))
+        turns = [
+            number
+            for index in range(count)
+            for turn in zip(*(share.batch(index).tolist() for share in shares), strict=True)
+            for number in turn
+        ]
+        self.given += turns
+        self.start = shares[0].reached(count)
+        return turns
+
+
+@given(
+    st.integers(0, 200),
+    st.lists(st.tuples(st.integers(1, 9), st.integers(1, 7), st.integers(0, 6)), max_size=5),
+    st.integers(1, 9),
+    st.integers(1, 7),
+)
+@example(total=10, legs=[(4, 1, 2)], ranks=3, batch_size=2)
+def test_nothing_is_lost_or_doubled_wherever_a_job_stops_and_goes_on(total, legs, ranks, batch_size):
+    job = Job(total)
+    for leg_ranks, leg_batch, batches in legs:
+        job.run(leg_ranks, leg_batch, batches)
+    job.run(ranks, batch_size, None)
+    assert job.given[:total] == list(range(total)), "the epoch, once and in its order"
+    repeated = job.given[total:]
+    # What is left over was given so that all ranks have equally many, and stops with the epoch.
+    most = max([ranks, *(leg[0] for leg in legs)])
+    assert len(repeated) < most
+    assert repeated == [number % total for number in range(total, total + len(repeated))]
+    assert job.start == total
+    assert job.run(ranks, batch_size, None) == [], "after the end there is nothing"
+
+
+@given(
+    st.integers(0, 200),
+    st.lists(st.tuples(st.integers(1, 9), st.integers(1, 7), st.integers(0, 6)), max_size=5),
+    st.integers(1, 9),
+    st.integers(1, 7),
+)
+def test_dropping_leaves_whole_batches_and_repeats_nothing(total, legs, ranks, batch_size):
+    job = Job(total)
+    for leg_ranks, leg_batch, batches in legs:
+        job.run(leg_ranks, leg_batch, batches, drop_last=True)
+    job.run(ranks, batch_size, None, drop_last=True)
+    assert job.given == list(range(len(job.given)))
+    assert total - len(job.given) < ranks * batch_size
+    assert job.start == len(job.given)
+
+
+@given(st.integers(1, 200), st.integers(1, 6), st.integers(1, 7), st.integers(1, 5), st.booleans())
+def test_batches_of_a_rank_do_not_depend_on_its_workers(total, ranks, batch_size, workers, drop_last):
+    """What each worker is given in turn is the stream of the rank; every batch but the last is whole."""
+    share = Share(total, 0, ranks - 1, ranks, batch_size, drop_last)
+    by_worker = [[share.batch(index) for index in range(w, len(share), workers)] for w in range(workers)]
+    in_turn = [by_worker[index % workers][index // workers] for index in range(len(share))]
+    stream = [number for batch in in_turn for number in batch.tolist()]
+    assert stream == [(ranks - 1 + ranks * turn) % total for turn in range(share.items)]
+    assert [len(batch) for batch in in_turn[:-1]] == [batch_size] * (len(share) - 1 if len(share) else 0)
+    assert not drop_last or all(len(batch) == batch_size for batch in in_turn)
+
+
+def test_the_order_is_the_same_for_ever():
+    """A checkpoint of today must go on with tomorrow's versions of numpy and of this."""
+    order = GlobalOrder(parts_of([3, 4, 2, 5]), 7, 2)
+    assert order.epoch(1).positions(np.arange(14)).tolist() == [13, 5, 11, 12, 9, 4, 10, 3, 6, 0, 2, 1, 8, 7]
+    assert order.fingerprint == "b82bcb0cd2b98abf"
+
+
+def test_other_seeds_epochs_windows_and_sizes_are_other_orders():
+    numbers = np.arange(60)
+    base = GlobalOrder(parts_of([20, 20, 20]), 1, 1)
+    others = [
+        GlobalOrder(parts_of([20, 20, 20]), 2, 1),
+        GlobalOrder(parts_of([20, 20, 20]), 1, 3),
+        GlobalOrder(parts_of([20, 10, 30]), 1, 1),
+        GlobalOrder(parts_of([20, 20, 20], list(range(60))[::-1]), 1, 1),
+    ]
+    orders = [order.epoch(0).positions(numbers).tolist() for order in (base, *others)]
+    orders.append(base.epoch(1).positions(numbers).tolist())
+    assert len({tuple(order) for order in orders}) == 6
+    assert len({order.fingerprint for order in (base, *others)}) == 5
+
+
+@pytest.mark.parametrize("parts", [1, 20_000])
+def test_only_windows_that_are_asked_for_are_laid_out(parts, monkeypatch):
+    """Memory and work follow the window, not the data set."""
+    laid = []
+    positions = StoredParts.positions
+    monkeypatch.setattr(
+        StoredParts, "positions", lambda self, part: laid.append(part) or positions(self, part)
+    )
+    order = GlobalOrder(parts_of([50] * parts), 0, 8).epoch(0)
+    for first in range(0, min(50 * parts, 2000), 100):
+        order.positions(np.arange(first, first + 50))
+    assert len(laid) == min(parts, 40)
+    assert len(set(laid)) == len(laid)
+    assert len(order._kept) <= 2
