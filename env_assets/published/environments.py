@@ -30,7 +30,7 @@ from env_assets.published.fit import (
 from env_assets.published.ids import PublishedEnvironment, published_environment
 from env_assets.published.packages import (
     published_package,
-    require_screenless_drawing,
+    require_drawing,
     require_sensor,
     sensor_factories,
 )
@@ -78,7 +78,8 @@ def make(
     renderer : "opengl" or "fast"
         ``"fast"`` renders the touches of depth environments without OpenGL, by :func:`tactile_sim.press`: the
         same observations, to a micrometre of depth, as with Mesa's driver. Not for Taxim, CycleGAN or
-        recorded touches; ``render()`` still draws the scene with OpenGL. The extra ``sim`` makes it fast.
+        recorded touches; ``render()`` still draws the scene with OpenGL, and where no library of it is
+        installed all else works. The extra ``sim`` makes it fast.
     **options
         Passed on to ``ap_gym.make`` or ``ap_gym.make_vec``, such as ``render_mode``.
 
@@ -106,8 +107,8 @@ def make(
     _require_number(environment, num_envs)
     own = dict(config or {})
     settings = {**environment.settings, **own}
-    _require_fitting_place(environment, own, settings)
     refuse_unfit_renderer(renderer, environment, settings, options)
+    _require_fitting_place(environment, own, settings, renderer)
     assets = assets_for(environment, provider, settings)
     spec = dataclasses.replace(
         environment.spec,
@@ -135,10 +136,10 @@ def _require_number(environment: PublishedEnvironment, num_envs: int | None) -> 
 
 
 def _require_fitting_place(
-    environment: PublishedEnvironment, own: Mapping[str, Any], settings: Mapping[str, Any]
+    environment: PublishedEnvironment, own: Mapping[str, Any], settings: Mapping[str, Any], renderer: str
 ) -> None:
     """Refuse settings, sensors and a machine on which the environment could not start."""
-    require_screenless_drawing()
+    require_drawing(renderer)
     kind = getattr(published_package("tactile_mnist"), environment.family.config)
     refuse_unknown_settings(own, tuple(field.name for field in dataclasses.fields(kind)))
     sensor = settings.get("sensor_type", kind.sensor_type)

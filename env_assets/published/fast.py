@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from env_assets.published.ids import PublishedEnvironment
-from env_assets.published.packages import published_package
+from env_assets.published.packages import NO_OPENGL, has_opengl, published_package
 from tactile_sim.pressing import Pressable, press
 from tactile_sim.sensor import as_environment
 from tactile_toolkit.errors import InputError
@@ -64,6 +64,7 @@ class _FastRenderer:
 
     _objects: Any
     _shown: Any
+    _shadows: tuple[tuple[Any, ...], dict[str, Any]] | None
     _meshes: tuple[Any, ...]
     _solids: list[Pressable]
     _poses: NDArray[np.float64]
@@ -76,14 +77,19 @@ class _FastRenderer:
             _cell_m=tuple(map(float, env.config.cell_size)),
             _objects=None,
             _shown=None,
+            _shadows=None,
             _meshes=(),
             _solids=[],
             _poses=np.tile(np.eye(4), (env.num_envs, 1, 1)),
         )
 
     def __getattr__(self, name: str) -> Any:
-        self._update_scene()
-        return getattr(self._scene, name)
+        found = getattr(self._scene, name)
+        if name.startswith("render") and not has_opengl():
+            raise InputError(NO_OPENGL)
+        if callable(found):  # plain values, such as weights of classes that a step sets, need no scene
+            self._update_scene()
+        return found
 
     def __setattr__(self, name: str, value: Any) -> None:
         if name == "objects":
@@ -110,6 +116,10 @@ class _FastRenderer:
         chosen = np.ones(self._count, bool) if mask is None else np.asarray(mask, bool)
         self._poses = np.where(chosen[:, None, None], new_object_poses.matrix, self._poses)
 
+    def update_shadow_objects(self, *poses: Any, **looks: Any) -> None:
+        """Move and scale the ghosts that show a prediction; the scene keeps nothing of earlier ones."""
+        self._shadows = (poses, looks)
+
     def render_sensor_depths(self, virtual_sensor_poses: Any = None) -> NDArray[np.float64]:
         """Return the distance of the surface from the target of each sensor, (n, H, W), metres."""
         if virtual_sensor_poses is None:
@@ -127,3 +137,7 @@ class _FastRenderer:
             self._shown = self._objects
         transformation = published_package("transformation").Transformation
         self._scene.set_object_poses(transformation.from_matrix(self._poses))
+        if self._shadows is not None:
+            poses, looks = self._shadows
+            self._scene.update_shadow_objects(*poses, **looks)
+            self._shadows = None

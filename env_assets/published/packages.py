@@ -5,6 +5,8 @@ Packages are imported when first asked for, with a way to render.
 
 from __future__ import annotations
 
+import contextlib
+import ctypes
 import os
 import sys
 from collections.abc import Mapping
@@ -15,8 +17,10 @@ from tactile_toolkit.errors import InputError, MissingExtraError
 
 __all__ = [
     "BACKENDS",
+    "NO_OPENGL",
+    "has_opengl",
     "published_package",
-    "require_screenless_drawing",
+    "require_drawing",
     "require_sensor",
     "sensor_factories",
 ]
@@ -39,11 +43,14 @@ def published_package(name: str) -> Any:
         raise MissingExtraError(feature, _SHOWN_BY.get(name, name), "env") from error
 
 
-def require_screenless_drawing() -> None:
-    """Refuse to go on where pictures would need a screen and there is none.
+def require_drawing(renderer: str) -> None:
+    """Refuse to go on where OpenGL is to draw, and cannot or would need a screen that is not there.
 
     OpenGL decides when it is imported, which may have been before this toolkit was asked.
     """
+    if renderer == "opengl" and not has_opengl():
+        message = f"{NO_OPENGL}, or give renderer='fast' to an environment with Depth in its name"
+        raise InputError(message)
     if _without_screen() and "OpenGL" in sys.modules and _opengl_platform() == "GLXPlatform":
         message = (
             "OpenGL was imported before and draws on a screen only, which this machine does not have; "
@@ -52,9 +59,34 @@ def require_screenless_drawing() -> None:
         raise InputError(message)
 
 
+NO_OPENGL = (
+    "no library of OpenGL can be loaded on this machine, and drawing needs one; next: install one (Debian: "
+    "apt-get install libegl1 libgl1-mesa-dri)"
+)
+
+
+def has_opengl() -> bool:
+    """Tell whether OpenGL has a library behind it; it is imported for that."""
+    return _opengl_platform() != "NoOpenGL"
+
+
 def _draw_without_screen() -> None:
-    if _without_screen() and "OpenGL" not in sys.modules:
-        os.environ.setdefault("PYOPENGL_PLATFORM", "egl")
+    if not _without_screen() or "OpenGL" in sys.modules:
+        return
+    os.environ.setdefault("PYOPENGL_PLATFORM", "egl")
+    if os.environ["PYOPENGL_PLATFORM"] == "egl" and not _has_library("libEGL.so.1"):
+        with contextlib.suppress(
+            ImportError
+        ):  # of a package that is missing, which is named when it is needed
+            import_module("env_assets.published.no_opengl").do_without_opengl()
+
+
+def _has_library(name: str) -> bool:
+    try:
+        ctypes.CDLL(name)
+    except OSError:
+        return False
+    return True
 
 
 def _without_screen() -> bool:

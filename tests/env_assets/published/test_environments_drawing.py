@@ -24,19 +24,19 @@ def said(script: str, **more: str) -> str:
 
 CHOOSE = """
 import os
-from env_assets.published.packages import published_package, require_screenless_drawing
+from env_assets.published.packages import published_package, require_drawing
 published_package("OpenGL")
-require_screenless_drawing()
+require_drawing("opengl")
 print(os.environ.get("PYOPENGL_PLATFORM"))
 """
 
 TOO_LATE = """
 import OpenGL.platform
 from tactile_toolkit.errors import InputError
-from env_assets.published.packages import published_package, require_screenless_drawing
+from env_assets.published.packages import published_package, require_drawing
 published_package("gymnasium")
 try:
-    require_screenless_drawing()
+    require_drawing("opengl")
 except InputError as error:
     print(error)
 """

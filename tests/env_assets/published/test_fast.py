@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+import os
+import subprocess
+import sys
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -46,18 +50,78 @@ def test_episodes_are_those_of_opengl(env_id, provider):
         assert np.abs(one.object_poses.matrix - other.object_poses.matrix).max() < 1e-12
 
 
-def test_a_single_environment_and_a_picture_of_its_scene(provider):
-    env = env_assets.make(CASES[0], provider=provider, renderer="fast")
-    observation, _ = env.reset(seed=1)
-    truth = env_assets.make(CASES[0], provider=provider)
-    expected, _ = truth.reset(seed=1)
-    assert np.abs(observation["sensor_img"] - expected["sensor_img"]).max() < 1e-3
-    assert (env.render() == truth.render()).mean() > 0.999
-    env.close()
-    truth.close()
+@pytest.mark.parametrize("env_id", [CASES[0], "TactileMNISTVolume-Depth-train-v0", CASES[2]])
+def test_pictures_of_the_scene_show_what_opengl_shows(env_id, provider):
+    """Solids, poses and the ghosts of a prediction reach the scene when a picture is asked for."""
+    shown = []
+    for renderer in ("fast", "opengl"):
+        env = env_assets.make(env_id, provider=provider, renderer=renderer)
+        env.reset(seed=1)
+        env.action_space.seed(2)
+        shown.append([env.render()])
+        for _ in range(2):
+            env.step(env.action_space.sample())
+            shown[-1].append(env.render())
+        env.close()
+    for fast, truth in zip(*shown, strict=True):
+        assert (fast == truth).mean() > 0.999
+    assert any((one != other).mean() > 0.001 for one, other in pairwise(shown[1]))
 
 
 def test_where_it_does_not_apply(provider):
     for env_id, words in (("TactileMNIST-train-v0", "its sensor is 'taxim'"), (CASES[0], "renderer is 'gl'")):
         with pytest.raises(InputError, match=words):
             env_assets.make(env_id, provider=provider, renderer="gl" if env_id == CASES[0] else "fast")
+
+
+WITHOUT_OPENGL = """
+import ctypes, ctypes.util, sys
+
+load, find = ctypes.CDLL.__init__, ctypes.util.find_library
+GRAPHICS = ("EGL", "GL", "GLX", "OpenGL", "GLESv2", "GLU", "OSMesa")
+
+def hidden(self, name, *more, **options):
+    if name and any(f"lib{each}.so" in str(name) or name == each for each in GRAPHICS):
+        raise OSError(f"{name}: cannot open shared object file")
+    load(self, name, *more, **options)
+
+ctypes.CDLL.__init__ = hidden
+ctypes.util.find_library = lambda name: None if name in GRAPHICS else find(name)
+
+import hashlib
+import env_assets
+from tactile_toolkit.errors import InputError
+
+provider = env_assets.AssetProvider(sys.argv[1])
+env = env_assets.make("TactileMNISTVolume-Depth-train-v0", provider=provider, num_envs=2, renderer="fast")
+env.reset(seed=0)
+env.action_space.seed(0)
+for _ in range(3):
+    observation = env.step(env.action_space.sample())[0]
+print(hashlib.sha256(observation["sensor_img"].tobytes()).hexdigest())
+for ask in (env.render, lambda: env_assets.make("TactileMNIST-Depth-train-v0", provider=provider)):
+    try:
+        ask()
+    except InputError as error:
+        print(error)
+env.close()
+"""
+
+
+def test_no_library_of_opengl_is_needed(provider, assets):
+    """The packages import OpenGL in any case; where none is installed, the loader of libraries fails."""
+    _, rest = WITHOUT_OPENGL.split("import hashlib")
+    with_opengl, without = (
+        subprocess.run(
+            [sys.executable, "-W", "ignore", "-c", script, str(assets)],
+            capture_output=True,
+            text=True,
+            check=True,
+            env={**os.environ, "PYOPENGL_PLATFORM": "egl"},
+        ).stdout.splitlines()
+        for script in (f"import sys\nimport hashlib{rest}", WITHOUT_OPENGL)
+    )
+    assert without[0] == with_opengl[0]
+    assert len(with_opengl) == 1
+    assert all("no library of OpenGL can be loaded" in line for line in without[1:])
+    assert len(without) == 3
