@@ -9,7 +9,8 @@
     |   +-- StorageError         make room, or choose a folder that can be written (4: in a download)
     |   +-- ItemError            one image or mesh cannot be used; a run lists it and goes on
     +-- IntegrityError           stored data is damaged: fetch or make it again       (3)
-    +-- HubError                 the Hub or the network did not do what was asked     (4)
+    +-- RemoteError              an object store or the network did not do what was asked (4)
+        +-- HubError             so with the Hub
 
 Every message names the file, row or option, what was found, what was expected, and the next step.
 """
@@ -28,6 +29,7 @@ __all__ = [
     "StorageError",
     "ItemError",
     "IntegrityError",
+    "RemoteError",
     "HubError",
     "install_line",
 ]
@@ -121,10 +123,14 @@ class IntegrityError(ToolkitError):
     exit_code = 3
 
 
-class HubError(ToolkitError):
-    """The Hugging Face Hub or the network refused or failed."""
+class RemoteError(ToolkitError):
+    """An object store or the network refused or failed: no connection, no credentials, no permission."""
 
     exit_code = 4
+
+
+class HubError(RemoteError):
+    """The Hugging Face Hub, or the network on the way there, refused or failed."""
 
 
 def _rebuild_missing_extra(message: str, package: str, extra: str) -> MissingExtraError:

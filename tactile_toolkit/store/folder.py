@@ -2,7 +2,7 @@
 
 Local folders and every fsspec address (``s3://...``, ``memory://...``) go through :class:`DataFolder`. A file
 appears under its name complete or not at all: local files are written under a temporary name in the same
-folder, flushed to disk and renamed; object stores put whole objects.
+folder, flushed to disk and renamed; object stores put whole objects (:mod:`tactile_toolkit.store.remote`).
 """
 
 from __future__ import annotations
@@ -22,6 +22,8 @@ from typing import IO, Any
 
 from tactile_toolkit.errors import InputError, IntegrityError, StorageError
 from tactile_toolkit.run.system import is_running, process_start, sync_folder
+from tactile_toolkit.store.address import is_remote, place_of_data
+from tactile_toolkit.store.remote import RemoteFolder
 
 __all__ = [
     "TEMPORARY_PREFIX",
@@ -171,20 +173,18 @@ class DataFolder:
     _root: str = field(init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
-        root = self.url if "://" in self.url else str(expanded(self.url).absolute())
-        object.__setattr__(self, "_root", root.removeprefix("file://").rstrip("/") or "/")
+        place = place_of_data(self.url)
+        root = place if is_remote(place) else str(expanded(place).absolute())
+        object.__setattr__(self, "_root", root)
 
     @property
     def is_local(self) -> bool:
         """Whether the folder is on a local file system."""
-        return "://" not in self._root
+        return not is_remote(self._root)
 
     @cached_property
-    def _remote(self) -> tuple[Any, str]:
-        import fsspec
-
-        file_system, root = fsspec.core.url_to_fs(self._root)
-        return file_system, root
+    def _remote(self) -> RemoteFolder:
+        return RemoteFolder(self._root)
 
     def __getstate__(self) -> dict[str, str]:
         """Leave open connections behind."""
@@ -212,10 +212,10 @@ class DataFolder:
             raise StorageError(message)
         return f"{self._root}/{path}"
 
-    def _remote_address(self, path: str = "") -> str:
-        """Return what the remote file system calls a file."""
-        root = self._remote[1]
-        return root + self.address(path).removeprefix(self._root)
+    def _inside(self, path: str) -> str:
+        """Return a path that was looked at by :meth:`address`, for the remote half."""
+        self.address(path)
+        return path
 
     def exists(self, path: str = "") -> bool:
         """Tell whether a file (or, without an argument, the folder) is there."""
@@ -223,7 +223,7 @@ class DataFolder:
             # Who asks for the folder itself is about to write there, and says so.
             with _readable(self.address(path)) if path else contextlib.nullcontext():
                 return Path(self.address(path)).exists()
-        return bool(self._remote[0].exists(self._remote_address(path)))
+        return self._remote.info(self._inside(path)) is not None
 
     def lacks(self, what: str) -> str:
         """Say what is wrong with a folder in which something was not found: it, or what was looked for."""
@@ -232,6 +232,8 @@ class DataFolder:
             return f"{address!r} does not exist"
         if self.is_local and not Path(address).is_dir():
             return f"{address!r} is a file, a folder was expected"
+        if not self.is_local and not self._remote.has_bucket():
+            return f"the bucket of {address!r} does not exist"
         return f"no {what} in {address!r}"
 
     def names(self, folder: str = "") -> list[str]:
@@ -240,35 +242,52 @@ class DataFolder:
             path = Path(self.address(folder))
             with _readable(str(path)):
                 return sorted(entry.name for entry in path.iterdir()) if path.is_dir() else []
-        try:
-            found = self._remote[0].ls(self._remote_address(folder), detail=False)
-        except FileNotFoundError:
-            return []
-        return sorted(PurePosixPath(name).name for name in found)
+        return list(self._remote.entries(self._inside(folder)))
+
+    def sizes(self, folder: str = "") -> dict[str, int]:
+        """List the files directly in a sub-folder with their sizes in bytes, sorted by name, in one look."""
+        if self.is_local:
+            path = self.address(folder)
+            sizes: dict[str, int] = {}
+            with (
+                _readable(path),
+                contextlib.suppress(FileNotFoundError, NotADirectoryError),
+                os.scandir(path) as found,
+            ):
+                for entry in found:
+                    with contextlib.suppress(FileNotFoundError):  # gone since it was listed
+                        if entry.is_file():
+                            sizes[entry.name] = entry.stat().st_size
+            return dict(sorted(sizes.items()))
+        entries = self._remote.entries(self._inside(folder))
+        return {name: size for name, size in entries.items() if size is not None}
 
     def size_bytes(self, path: str) -> int:
         """Return the size of a file."""
         if self.is_local:
             with _readable(self.address(path)):
                 return Path(self.address(path)).stat().st_size
-        return int(self._remote[0].size(self._remote_address(path)))
+        return int(self.facts(path)["size"])
 
     def open(self, path: str) -> IO[bytes]:
         """Open a file for reading; IntegrityError for what is not a file, such as a pipe or a device."""
         if self.is_local:
             with _readable(self.address(path)):
                 return open_regular(Path(self.address(path)))
-        opened: IO[bytes] = self._remote[0].open(self._remote_address(path), "rb")
-        return opened
+        return self._remote.open(self._inside(path))
 
     def facts(self, path: str) -> Mapping[str, Any]:
-        """Return what a remote store says of a file."""
-        found: Mapping[str, Any] = self._remote[0].info(self._remote_address(path))
+        """Return what a remote store says of a file; raises FileNotFoundError."""
+        found = self._remote.info(self._inside(path))
+        if found is None:
+            raise FileNotFoundError(errno.ENOENT, os.strerror(errno.ENOENT), self.address(path))
         return found
 
     def read_bytes(self, path: str) -> bytes:
         """Read a whole (small) file; IntegrityError when it is not there or cannot be read."""
         try:
+            if not self.is_local:
+                return self._remote.read(self._inside(path))
             with self.open(path) as stream:
                 return stream.read()
         except OSError as error:
@@ -281,39 +300,35 @@ class DataFolder:
         Raises StorageError for a path that leads out of the folder, and where the file system refuses; then
         nothing is left behind under any name.
         """
-        with named_failures(self.address(path)):
-            if self.is_local:
-                with atomic_file(Path(self.address(path))) as stream:
-                    stream.write(content)
-            else:
-                target = self._remote_address(path)
-                self._remote[0].makedirs(str(PurePosixPath(target).parent), exist_ok=True)
-                self._remote[0].pipe_file(target, content)
+        if not self.is_local:
+            self._remote.write(self._inside(path), content)
+            return
+        with named_failures(self.address(path)), atomic_file(Path(self.address(path))) as stream:
+            stream.write(content)
 
     def remove(self, path: str) -> None:
         """Remove a file, if it is there."""
+        if not self.is_local:
+            self._remote.remove(self._inside(path))
+            return
         with named_failures(self.address(path)):
-            if self.is_local:
-                Path(self.address(path)).unlink(missing_ok=True)
-            elif self.exists(path):
-                self._remote[0].rm_file(self._remote_address(path))
+            Path(self.address(path)).unlink(missing_ok=True)
 
     def remove_empty(self, folder: str) -> None:
-        """Remove a sub-folder when nothing is left in it."""
-        if self.names(folder):
-            return
-        with contextlib.suppress(OSError, NotImplementedError):
-            if self.is_local:
-                Path(self.address(folder)).rmdir()
-            elif folder:  # never the root, which may be a bucket; most object stores know no folders at all
-                self._remote[0].rmdir(self._remote_address(folder))
+        """Remove a sub-folder when nothing is left in it; in object stores it has gone with its last file."""
+        path = self.address(folder)
+        if self.is_local and not self.names(folder):
+            with contextlib.suppress(OSError):
+                Path(path).rmdir()
 
     def require_folder(self) -> None:
-        """Create the folder, and prove that it can be written to.
+        """Create the folder, and prove that it can be written to; a bucket must be there.
 
-        Raises StorageError where it cannot, and InputError when a file stands in its place.
+        Raises StorageError where it cannot, RemoteError where a store refuses or does not answer, and
+        InputError when a file stands in its place or there is no such bucket.
         """
         if not self.is_local:
+            self._remote.require_writable()
             return
         path = Path(self._root)
         probe = path / temporary_name("probe")

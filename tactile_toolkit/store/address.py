@@ -1,0 +1,77 @@
+"""Where data is, as users write it: a local path, or an address such as ``s3://BUCKET/FOLDER``.
+
+One reading for every option and function that takes either. What an address must not hold (keys, signatures)
+is never repeated in a message.
+"""
+
+from __future__ import annotations
+
+import re
+
+from tactile_toolkit.errors import InputError
+
+__all__ = ["is_remote", "place_of_data", "scheme_of", "shown"]
+
+_SCHEME = re.compile(r"(?P<scheme>[A-Za-z][A-Za-z0-9+.-]*)://(?P<rest>.*)", re.DOTALL)
+_LOCAL_SCHEMES = ("file", "local")
+_WEB_SCHEMES = ("http", "https")
+_OTHER_NAMES = {"s3a": "s3", "gcs": "gs"}
+_USER = re.compile(r"://[^/\s'\"@]*@")
+_SIGNED = re.compile(r"\?[^\s'\"]*")
+
+
+def scheme_of(place: str) -> str:
+    """Return the scheme of an address, such as ``s3``; empty for a local path, also in the form ``file://``."""
+    match = _SCHEME.fullmatch(place)
+    scheme = match["scheme"].lower() if match else ""
+    return "" if scheme in _LOCAL_SCHEMES else _OTHER_NAMES.get(scheme, scheme)
+
+
+def is_remote(place: str) -> bool:
+    """Tell whether a place is not on a local file system."""
+    return bool(scheme_of(place))
+
+
+def shown(place: str) -> str:
+    """Return a place for a message: without a user, a key or a signature, which may stand in it."""
+    return _SIGNED.sub("?...", _USER.sub("://...@", place)) if is_remote(place) else place
+
+
+def place_of_data(place: str) -> str:
+    """Return a local path without ``file://``, or an address in its one form, without a slash at its end.
+
+    Raises InputError for an address that names no bucket, is of the web, or holds a key or a signature.
+    """
+    match = _SCHEME.fullmatch(place)
+    if match is None:
+        return place
+    scheme, rest = scheme_of(place), match["rest"].rstrip("/")
+    if not scheme:
+        if not match["rest"].startswith("/"):
+            message = f"{place!r} is not the address of a file; expected {match['scheme']}:///FOLDER; next: "
+            raise InputError(message + "write it so, or as a path")
+        return rest or "/"
+    problem = _problem_of(scheme, rest)
+    if problem:
+        message = f"{shown(place)!r} {problem}"
+        raise InputError(message)
+    return f"{scheme}://{rest}"
+
+
+def _problem_of(scheme: str, rest: str) -> str:
+    if scheme in _WEB_SCHEMES:
+        return (
+            "is an address of the web, where a data set can be neither listed nor written; next: give a "
+            "folder, s3://BUCKET/FOLDER, gs://BUCKET/FOLDER or USER/NAME on the Hub"
+        )
+    bucket, *parts = rest.split("/")
+    if not bucket:
+        return f"names no bucket; next: write it as {scheme}://BUCKET/FOLDER"
+    if "@" in bucket or "?" in rest:
+        return (
+            f"holds a user, a key or a signature; next: write {scheme}://BUCKET/FOLDER alone, and give "
+            "credentials as the store's own tools take them, such as AWS_PROFILE"
+        )
+    if {".", ".."} & {bucket, *parts} or "\0" in rest:
+        return "has '.' or '..' in it, which lead nowhere in a store; next: write the folder in full"
+    return ""

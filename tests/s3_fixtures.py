@@ -1,0 +1,41 @@
+"""Fixtures of tests that talk to an object store: one server for a file of tests, a new bucket for each."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Iterator
+
+import pytest
+
+from tests.s3_server import S3Server, serve
+
+_NUMBERS = itertools.count()
+
+
+@pytest.fixture(scope="module")
+def s3_server() -> Iterator[S3Server]:
+    yield from serve()
+
+
+@pytest.fixture
+def s3(s3_server: S3Server, monkeypatch: pytest.MonkeyPatch) -> Iterator[S3Server]:
+    """The server, asked with credentials, which nobody else's configuration disturbs."""
+    import s3fs
+
+    for name, value in s3_server.environment().items():
+        monkeypatch.setenv(name, value)
+    for name in ("AWS_PROFILE", "AWS_SESSION_TOKEN", "AWS_ENDPOINT_URL_S3"):
+        monkeypatch.delenv(name, raising=False)
+    # Clients are kept by the process, with the credentials that they were made with.
+    s3fs.S3FileSystem.clear_instance_cache()
+    s3_server.refuse = lambda _: None
+    s3_server.traffic.reset()
+    yield s3_server
+    s3fs.S3FileSystem.clear_instance_cache()
+
+
+@pytest.fixture
+def bucket(s3: S3Server) -> str:
+    name = f"lake-{next(_NUMBERS)}"
+    s3.make_bucket(name)
+    return name

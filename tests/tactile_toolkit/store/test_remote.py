@@ -1,0 +1,210 @@
+"""Folders in an object store, against a server of S3 on this machine."""
+
+from __future__ import annotations
+
+import io
+import subprocess
+import sys
+import threading
+
+import pytest
+
+from tactile_toolkit.errors import InputError, IntegrityError, RemoteError
+from tactile_toolkit.store.folder import DataFolder
+
+pytestmark = pytest.mark.s3
+pytest.importorskip("s3fs")
+pytest.importorskip("moto")
+
+from tests.s3_fixtures import bucket, s3, s3_server  # noqa: E402, F401
+from tests.s3_server import KEY, SECRET  # noqa: E402
+
+
+@pytest.fixture
+def folder(bucket):  # noqa: F811
+    return DataFolder(f"s3://{bucket}/deep/set")
+
+
+def test_what_is_written_is_listed_with_its_size_and_read_again(folder):
+    assert (folder.exists(), folder.names(), folder.sizes("data")) == (False, [], {})
+    folder.require_folder()
+    folder.write_bytes("data/a", b"12345")
+    folder.write_bytes("manifest.json", b"{}")
+    assert folder.exists()
+    assert folder.exists("data")
+    assert not folder.exists("dat")
+    assert folder.names() == ["data", "manifest.json"]
+    assert folder.sizes() == {"manifest.json": 2}
+    assert folder.sizes("data") == {"a": 5}
+    assert folder.sizes("data/a") == {}
+    assert folder.size_bytes("data/a") == 5
+    with folder.open("data/a") as stream:
+        stream.seek(-3, io.SEEK_END)
+        assert (stream.read(2), stream.tell(), stream.read()) == (b"34", 4, b"5")
+    folder.remove("data/a")
+    folder.remove("data/a")
+    assert folder.names() == ["manifest.json"]
+    with pytest.raises(IntegrityError, match=r"cannot read 's3://.*data/a'"):
+        folder.read_bytes("data/a")
+
+
+def test_a_file_of_several_megabytes_is_one_request(folder, s3, bucket):  # noqa: F811
+    content = bytes(range(256)) * (120 << 12)  # more than the client sends in one piece by itself
+    s3.traffic.reset()
+    folder.write_bytes("data/large", content)
+    assert s3.traffic.requests["PUT"] == 1
+    assert s3.traffic.requests["POST"] == 0
+    assert folder.read_bytes("data/large") == content
+
+
+def test_what_another_client_writes_is_seen_at_once(folder, s3, bucket):  # noqa: F811
+    folder.write_bytes("data/a", b"1")
+    assert folder.names("data") == ["a"]
+    import boto3
+
+    other = boto3.client("s3", endpoint_url=s3.endpoint)
+    other.put_object(Bucket=bucket, Key="deep/set/data/b", Body=b"22")
+    assert folder.sizes("data") == {"a": 1, "b": 2}
+    other.delete_object(Bucket=bucket, Key="deep/set/data/a")
+    assert folder.names("data") == ["b"]
+    assert not folder.exists("data/a")
+
+
+def test_of_many_writers_at_once_one_creates_a_file(folder):
+    won = []
+    threads = [
+        threading.Thread(
+            target=lambda number=number: won.append(
+                (folder._remote.create("plan.json", b"%d" % number), number)
+            )
+        )
+        for number in range(8)
+    ]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    (winner,) = [number for did, number in won if did]
+    assert folder.read_bytes("plan.json") == b"%d" % winner
+    assert len(won) == 8
+
+
+def test_a_creation_whose_answer_was_lost_is_known_as_ones_own(folder, s3):  # noqa: F811
+    folder.exists()  # the store has answered once
+    state = {"put": 0}
+
+    def lose(environ):
+        state["put"] += environ["REQUEST_METHOD"] == "PUT"
+        if environ["REQUEST_METHOD"] == "PUT" and state["put"] == 1:
+            s3.refuse = lambda _: None
+            boto_put(s3, "deep/set/plan.json", b"mine", folder)
+            return "500 Internal Server Error", "InternalError"
+        return None
+
+    s3.refuse = lose
+    assert folder._remote.create("plan.json", b"mine")
+    assert not folder._remote.create("plan.json", b"mine")
+
+
+def boto_put(s3, key, body, folder):  # noqa: F811
+    import boto3
+
+    boto3.client("s3", endpoint_url=s3.endpoint).put_object(
+        Bucket=folder.url.split("/")[2], Key=key, Body=body
+    )
+
+
+@pytest.mark.parametrize("act", [DataFolder.require_folder, lambda folder: folder.write_bytes("a", b"1")])
+def test_no_bucket_is_ever_made(s3, act):  # noqa: F811
+    before = s3.buckets()
+    with pytest.raises(
+        InputError, match=r"bucket 'mistyped' of 's3://mistyped/set' does not exist; .*; next: "
+    ):
+        act(DataFolder("s3://mistyped/set"))
+    assert s3.buckets() == before
+    assert DataFolder("s3://mistyped/set").lacks("data") == "the bucket of 's3://mistyped/set' does not exist"
+
+
+def test_a_file_in_the_place_of_the_folder_is_refused(folder, bucket):  # noqa: F811
+    folder.write_bytes("data/a", b"1")
+    with pytest.raises(InputError, match="is a file, a folder was expected"):
+        DataFolder(f"{folder.url}/data/a").require_folder()
+
+
+@pytest.mark.parametrize("code", ["SlowDown", "InternalError", "503"])
+def test_what_fails_in_passing_is_tried_again(folder, s3, code):  # noqa: F811
+    answers = iter([("503 Slow Down", code), ("503 Slow Down", code)])
+    s3.refuse = lambda _: next(answers, None)
+    folder.write_bytes("a", b"1")
+    assert folder.read_bytes("a") == b"1"
+
+
+@pytest.mark.parametrize(
+    ("code", "words"),
+    [
+        ("InvalidAccessKeyId", "does not take the credentials"),
+        ("SignatureDoesNotMatch", "does not take the credentials"),
+        ("ExpiredToken", "have expired"),
+        ("AccessDenied", "is refused"),
+        ("RequestTimeTooSkewed", "clock"),
+        ("NotImplemented", "failed: NotImplemented: .*as the test wants"),
+    ],
+)
+def test_a_refusal_is_named_at_once_and_nothing_counts_as_absent(folder, s3, code, words):  # noqa: F811
+    folder.write_bytes("a", b"1")
+    s3.refuse = lambda _: ("403 Forbidden", code)
+    for act in (folder.names, lambda: folder.write_bytes("b", b"1")):
+        with pytest.raises(RemoteError, match=f"{words}.*; next: ") as told:
+            act()
+        assert told.value.exit_code == 4
+    # A question about one file is answered by a bare status.
+    for act in (folder.exists, lambda: folder.read_bytes("a"), folder.require_folder):
+        with pytest.raises(RemoteError, match=r"; next: ") as told:
+            act()
+        assert not {KEY, SECRET} & set(str(told.value).split())
+
+
+def test_a_file_that_is_replaced_while_it_is_read_is_not_read_on(folder):
+    folder.write_bytes("a", b"1" * (5 << 20))
+    with folder.open("a") as stream:
+        assert stream.read(3) == b"111"
+        folder.write_bytes("a", b"2" * (5 << 20))
+        stream.seek(4 << 20)
+        with pytest.raises(IntegrityError, match="was replaced while it was read"):
+            stream.read(3)
+
+
+_LISTS = """
+import sys
+from tactile_toolkit.errors import ToolkitError
+from tactile_toolkit.store.folder import DataFolder
+try:
+    print(DataFolder(sys.argv[1]).names())
+except ToolkitError as error:
+    print(error)
+    sys.exit(error.exit_code)
+"""
+
+
+def test_a_store_that_is_not_there_is_named_in_bounded_time(s3, monkeypatch):  # noqa: F811
+    monkeypatch.setenv("AWS_ENDPOINT_URL", "http://127.0.0.1:9")
+    done = subprocess.run(
+        [sys.executable, "-c", _LISTS, "s3://lake/set"],
+        capture_output=True,
+        text=True,
+        timeout=300,
+        check=False,
+    )
+    assert done.returncode == 4
+    assert "the store of 's3://lake/set' gives no answer" in done.stdout
+    assert "AWS_ENDPOINT_URL" in done.stdout
+    assert done.stderr == ""
+
+
+def test_without_credentials_the_way_to_give_some_is_named(s3, monkeypatch, tmp_path):  # noqa: F811
+    for name in ("AWS_ACCESS_KEY_ID", "AWS_SECRET_ACCESS_KEY"):
+        monkeypatch.delenv(name)
+    monkeypatch.setenv("AWS_CONFIG_FILE", str(tmp_path / "none"))
+    monkeypatch.setenv("AWS_SHARED_CREDENTIALS_FILE", str(tmp_path / "none"))
+    with pytest.raises(RemoteError, match=r"needs credentials.*next: give credentials.*AWS_PROFILE"):
+        DataFolder("s3://lake/set").names()
