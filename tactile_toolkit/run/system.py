@@ -6,14 +6,17 @@ Nothing else in the project imports a module that only some systems have.
 from __future__ import annotations
 
 import contextlib
+import hashlib
 import os
 import signal
+import socket
 from collections.abc import Iterator
+from functools import cache
 from importlib import import_module
 from pathlib import Path
 from typing import Any
 
-__all__ = ["ignore_interrupts", "is_running", "locked", "process_start", "sync_folder"]
+__all__ = ["ignore_interrupts", "is_running", "locked", "machine_name", "process_start", "sync_folder"]
 
 _ENDED_STATES = ("Z", "X")  # a zombie has ended; its parent has not asked for its exit status yet
 
@@ -84,8 +87,25 @@ def ignore_interrupts() -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)
 
 
+_LONGEST_HOST = 32
+
+
+@cache
+def machine_name() -> str:
+    """Name where a process number means one process: this host since it was started, and this container.
+
+    Containers may have the name of their host in common and number their processes each for itself.
+    """
+    host = socket.gethostname()
+    known = [host]
+    with contextlib.suppress(OSError):  # other systems than Linux: the host has to do
+        known.append(Path("/proc/sys/kernel/random/boot_id").read_text().strip())
+        known.append(str(Path("/proc/self/ns/pid").readlink()))
+    return f"{host[:_LONGEST_HOST]}-{hashlib.sha256(chr(0).join(known).encode()).hexdigest()[:12]}"
+
+
 def is_running(process: int) -> bool:
-    """Tell whether a process of this machine is at work; a zombie is not."""
+    """Tell whether a process of :func:`machine_name` is at work; a zombie is not."""
     if _has_proc():
         fields = _proc_stat(process)
         return fields is not None and fields[0] not in _ENDED_STATES
@@ -121,11 +141,17 @@ def process_start(process: int) -> str | None:
 
 
 def _has_proc() -> bool:
-    return Path("/proc/self/stat").exists()
+    """Tell whether ``/proc`` is there and numbers processes as this one does; it may be that of the host."""
+    try:
+        return str(Path("/proc/self").readlink()) == str(os.getpid())
+    except OSError:
+        return False
 
 
 def _proc_stat(process: int) -> list[str] | None:
     """Return the fields of Linux's ``/proc/PID/stat`` (proc(5)) from the third, the state, onwards."""
+    if not _has_proc():
+        return None
     try:
         line = Path(f"/proc/{process}/stat").read_text()
     except OSError:

@@ -11,7 +11,6 @@ import contextlib
 import errno
 import os
 import re
-import socket
 import stat
 import uuid
 from collections.abc import Iterator, Mapping
@@ -21,17 +20,18 @@ from pathlib import Path, PurePosixPath
 from typing import IO, Any
 
 from tactile_toolkit.errors import InputError, IntegrityError, StorageError
-from tactile_toolkit.run.system import is_running, process_start, sync_folder
+from tactile_toolkit.run.system import is_running, machine_name, process_start, sync_folder
 from tactile_toolkit.store.address import is_remote, place_of_data
 from tactile_toolkit.store.remote import RemoteFolder
 
 __all__ = [
+    "FORSAKEN_S",
     "TEMPORARY_PREFIX",
     "DataFolder",
     "atomic_file",
+    "being_written",
     "expanded",
     "folders_below",
-    "is_being_written",
     "is_stale",
     "named_failures",
     "open_regular",
@@ -44,7 +44,13 @@ __all__ = [
 TEMPORARY_PREFIX = ".writing-"
 """How the name of every unfinished file begins."""
 
-_WRITER = re.compile(r"(?P<process>\d+)(?:\.(?P<began>\d+))?-")
+FORSAKEN_S = 86_400.0
+"""For so long nothing was written to a temporary file before it is taken for stale where nobody here can tell
+whether its writer lives: it was on another machine, before this one was started anew, or in a container."""
+
+_PROCESS = r"(?P<process>\d+)(?:\.(?P<began>\d+))?-[0-9a-f]+-"
+_HERE = re.compile(_PROCESS)
+_ANYWHERE = re.compile(rf".+?-{_PROCESS}")
 
 
 def temporary_name(name: str, prefix: str = TEMPORARY_PREFIX) -> str:
@@ -53,27 +59,59 @@ def temporary_name(name: str, prefix: str = TEMPORARY_PREFIX) -> str:
     began = process_start(process)
     # Process ids are used again: with the start time, a stale file is told from one of a new process.
     writer = str(process) if began is None else f"{process}.{began}"
-    return f"{prefix}{socket.gethostname()}-{writer}-{uuid.uuid4().hex[:8]}-{name}"
+    return f"{prefix}{machine_name()}-{writer}-{uuid.uuid4().hex[:8]}-{name}"
 
 
 def is_stale(name: str, prefix: str = TEMPORARY_PREFIX) -> bool:
     """Tell whether a name is that of a temporary file whose writer, on this machine, has ended."""
-    here = f"{prefix}{socket.gethostname()}-"
-    writer = _WRITER.match(name, len(here)) if name.startswith(here) else None
+    here = f"{prefix}{machine_name()}-"
+    writer = _HERE.match(name, len(here)) if name.startswith(here) else None
     if writer is None:
         return False
     process, began = int(writer["process"]), writer["began"]
     return not is_running(process) or (began is not None and began != process_start(process))
 
 
-def is_being_written(name: str) -> bool:
-    """Tell whether a name is that of a temporary file whose writer, on this machine, is at work."""
-    return name.startswith(f"{TEMPORARY_PREFIX}{socket.gethostname()}-") and not is_stale(name)
+def _is_strangers(name: str, prefix: str) -> bool:
+    """Tell whether a name is that of a temporary file of which nobody here knows whether its writer lives."""
+    of_ours = name.startswith(f"{prefix}{machine_name()}-")
+    return name.startswith(prefix) and not of_ours and bool(_ANYWHERE.match(name, len(prefix)))
 
 
-def stale_files(folder: Path, prefix: str = TEMPORARY_PREFIX) -> Iterator[Path]:
-    """Yield the stale temporary files directly in a local folder."""
-    yield from (entry for entry in folder.glob(f"{prefix}*") if is_stale(entry.name, prefix))
+def _now_s(folder: Path) -> float | None:
+    """Return the time by the clock of the file system, maybe another machine's; None where it is unknown."""
+    probe = folder / temporary_name("probe")
+    try:
+        with probe.open("xb"):
+            return probe.stat().st_mtime
+    except OSError:
+        return None
+    finally:
+        with contextlib.suppress(OSError):
+            probe.unlink(missing_ok=True)
+
+
+def stale_files(
+    folder: Path, prefix: str = TEMPORARY_PREFIX, *, forsaken_s: float = FORSAKEN_S
+) -> Iterator[Path]:
+    """Yield the stale temporary files (or folders) directly in a local folder.
+
+    Of writers elsewhere those are stale that have not changed for ``forsaken_s`` by the file system's clock.
+    """
+    found = list(folder.glob(f"{prefix}*"))
+    yield from (path for path in found if is_stale(path.name, prefix))
+    strangers = [path for path in found if _is_strangers(path.name, prefix)]
+    now_s = _now_s(folder) if strangers else None
+    for path in strangers:
+        with contextlib.suppress(FileNotFoundError):  # finished or removed meanwhile
+            if now_s is not None and now_s - path.lstat().st_mtime >= forsaken_s:
+                yield path
+
+
+def being_written(folder: Path) -> list[Path]:
+    """List the temporary files directly in a local folder whose writers are, or may be, at work."""
+    stale = set(stale_files(folder))
+    return sorted(path for path in folder.glob(f"{TEMPORARY_PREFIX}*") if path not in stale)
 
 
 _HINTS = {
@@ -342,11 +380,11 @@ class DataFolder:
             probe.touch()
             probe.unlink()
 
-    def remove_stale_files(self, folder: str) -> None:
-        """Remove the stale temporary files in a sub-folder."""
-        for name in self.names(folder):
-            if is_stale(name):
-                self.remove(f"{folder}/{name}" if folder else name)
+    def remove_stale_files(self, folder: str, *, forsaken_s: float = FORSAKEN_S) -> None:
+        """Remove the stale temporary files in a sub-folder, see :func:`stale_files`."""
+        if self.is_local:  # object stores put whole objects
+            for path in stale_files(Path(self.address(folder)), forsaken_s=forsaken_s):
+                self.remove(f"{folder}/{path.name}" if folder else path.name)
 
 
 def folders_below(folder: DataFolder, path: str) -> Iterator[str]:

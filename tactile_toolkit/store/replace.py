@@ -21,7 +21,7 @@ from tactile_toolkit.kind import kinds
 from tactile_toolkit.store.folder import (
     TEMPORARY_PREFIX,
     DataFolder,
-    is_being_written,
+    being_written,
     named_failures,
     remove_tree,
     temporary_name,
@@ -142,10 +142,12 @@ def recover(folder: DataFolder) -> None:
         remove_tree(folder, _GONE)
     if not folder.exists(_ASIDE):
         return
-    if any(map(is_being_written, folder.names(_ASIDE))):
+    owners = being_written(Path(folder.address(_ASIDE)))
+    if owners:
         message = (
             f"another run is replacing the data set in {folder.address()!r} at this moment; nothing was "
-            "changed; next: wait until it has ended"
+            f"changed; next: wait until it has ended (where it was killed on another machine, remove "
+            f"{str(owners[0])!r})"
         )
         raise InputError(message)
     # Records prove something of the new run only where the former set is away as a whole.

@@ -115,7 +115,7 @@ def _verify_copy(folder: DataFolder, record: DownloadRecord, on_file: Callable[[
     findings += [
         Finding(f"{DATA_FOLDER}/{name}", f"is not listed in {RECORD_FILE}; next: remove it")
         for name in folder.names(DATA_FOLDER)
-        if f"{DATA_FOLDER}/{name}" not in record.files
+        if f"{DATA_FOLDER}/{name}" not in record.files and not name.startswith(".")
     ]
     size = sum(file.size_bytes for file in record.files.values())
     reference = f"{record.repo_id} at {record.commit[:12]}"
@@ -150,7 +150,8 @@ def _incomplete(folder: DataFolder, manifest: Manifest) -> list[Finding]:
         if missing:
             findings.append(Finding(MANIFEST_FILE, f"split {split!r} lacks shards {sorted(missing)}"))
     known = {record.shard.data_path for record in manifest.shards}
-    there = [f"{DATA_FOLDER}/{name}" for name in folder.names(DATA_FOLDER)]
+    # A hidden name is of a file that somebody is writing, or never finished: no reader takes it for a shard.
+    there = [f"{DATA_FOLDER}/{name}" for name in folder.names(DATA_FOLDER) if not name.startswith(".")]
     stray = f"is not listed in {MANIFEST_FILE}; next: remove it"
     findings += [Finding(path, stray) for path in there if path not in known]
     return findings

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 import pickle
-import socket
 import threading
 import warnings
 from pathlib import Path
@@ -13,7 +12,8 @@ import pytest
 
 from tactile_toolkit.cache import CACHE_VARIABLE, DiskCache, MemoryCache, cache_folder
 from tactile_toolkit.errors import InputError
-from tactile_toolkit.store.folder import DataFolder
+from tactile_toolkit.run.system import machine_name
+from tactile_toolkit.store.folder import FORSAKEN_S, DataFolder
 
 
 def names(folder: Path) -> list[str]:
@@ -70,9 +70,11 @@ def test_a_file_appears_whole_or_not_at_all(tmp_path):
 
 
 def test_stale_temporary_files_go(tmp_path):
-    host = socket.gethostname()
-    (tmp_path / f".writing-{host}-999999999-abc-x").write_bytes(bytes(10))
+    (tmp_path / f".writing-{machine_name()}-999999999-abc-x").write_bytes(bytes(10))
     (tmp_path / ".writing-elsewhere-999999999-abc-x").write_bytes(bytes(10))
+    forsaken = tmp_path / ".writing-elsewhere-999999999-abc-y"
+    forsaken.write_bytes(bytes(10))
+    os.utime(forsaken, (0, forsaken.stat().st_mtime - FORSAKEN_S))
     assert put(DiskCache(tmp_path, 1000), "y", 100)
     assert names(tmp_path) == [".writing-elsewhere-999999999-abc-x", "y"]
 

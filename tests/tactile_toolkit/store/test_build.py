@@ -19,6 +19,7 @@ import pytest
 
 from tactile_toolkit.errors import InputError, IntegrityError, SpecMismatchError, StorageError, ToolkitError
 from tactile_toolkit.run.processes import InlineRunner, ProcessRunner
+from tactile_toolkit.run.system import machine_name
 from tactile_toolkit.store.build import build
 from tactile_toolkit.store.folder import DataFolder
 from tactile_toolkit.store.manifest import read_manifest
@@ -322,15 +323,13 @@ def test_workers_leave_with_a_killed_parent(tmp_path):
 
 
 def test_half_written_receipt_of_a_killed_writer_is_no_receipt(tmp_path):
-    import socket
-
     make(tmp_path / "whole")
     plan = toy_plan()
     broken = replace(plan.tasks[1], error=StorageError("stop"))
     with pytest.raises(StorageError):
         make(tmp_path / "set", replace(plan, tasks=(plan.tasks[0], broken)))
     parts = tmp_path / "set" / ".pending"
-    name = f".writing-{socket.gethostname()}-999999999-abc-train-00001-of-00004.json"
+    name = f".writing-{machine_name()}-999999999-abc-train-00001-of-00004.json"
     (parts / name).write_text('{"file": "data/tr')
     make(tmp_path / "set")
     assert folder_bytes(tmp_path / "set") == folder_bytes(tmp_path / "whole")
