@@ -54,7 +54,8 @@ class SolidSpec:
     threshold : float or None
         Grey level up to which a pixel is ink; None takes Otsu's threshold of each image.
     min_speck_mm2, min_pinhole_mm2 : float
-        Smaller pieces of ink are removed, smaller spots of paper inside the ink are filled.
+        Smaller pieces of ink are removed, also where they touch a stroke by at most three pixels; smaller
+        spots of paper inside the ink are filled.
     join_bodies : bool
         Bridge separate pieces of ink, so that every digit prints in one piece.
     bridge_width_mm : float

@@ -140,6 +140,60 @@ def test_clean_drops_specks_and_fills_pinholes_below_the_limit_only() -> None:
     assert count_bodies_and_holes(result) == (2, 1)
 
 
+def a_stroke(attached: list[str], angle_deg: float = 0) -> np.ndarray:
+    """A bar 40 pixels wide and what is drawn below its middle."""
+    rows, columns = np.mgrid[:160, :160] - 80
+    angle = np.radians(angle_deg)
+    mask = np.abs(rows * np.cos(angle) + columns * np.sin(angle)) < 20.5
+    mask &= np.abs(columns * np.cos(angle) - rows * np.sin(angle)) < 60
+    first = 1 + np.flatnonzero(mask[:, 80])[-1]
+    for row, line in enumerate(attached):
+        mask[first + row, 78 : 78 + len(line)] |= np.array([mark == "#" for mark in line])
+    return repair_corners(mask)
+
+
+@pytest.mark.parametrize(
+    ("speck", "rest"),
+    [
+        (["  #", " ###", "#####", " ###", "  #"], []),
+        ([" ###", "#####", "#####", " ###"], [" ###"]),
+        (["  #"] * 5, []),
+    ],
+    ids=["by one pixel", "by three pixels", "a hair"],
+)
+def test_a_speck_that_touches_a_stroke_goes(speck: list[str], rest: list[str]) -> None:
+    assert np.array_equal(cleaned(a_stroke(speck), speck_px=100), a_stroke(rest))
+    # With a limit that it exceeds it is ink.
+    assert np.array_equal(cleaned(a_stroke(speck), speck_px=15), a_stroke(speck))
+
+
+@pytest.mark.parametrize(
+    "attached",
+    [["##"] * 25, ["  #"] * 12, ["####"], [" ###", " ###"], ["########"] * 3],
+    ids=["a whisker", "a thin whisker", "a rough spot", "a bump", "a wide bump"],
+)
+def test_what_is_drawn_stays(attached: list[str]) -> None:
+    assert np.array_equal(cleaned(a_stroke(attached), speck_px=100), a_stroke(attached))
+
+
+@pytest.mark.parametrize("angle_deg", [0, 26, 45, 71])
+@pytest.mark.parametrize("half_deg", [8, 12, 16, 25, 40])
+def test_the_tip_of_a_stroke_stays(half_deg: float, angle_deg: float) -> None:
+    rows, columns = np.mgrid[:300, :300] - 150
+    angle = np.radians(angle_deg)
+    along = columns * np.cos(angle) + rows * np.sin(angle)
+    aside = np.abs(rows * np.cos(angle) - columns * np.sin(angle))
+    tip = repair_corners((along > 0) & (along < 120) & (aside <= along * np.tan(np.radians(half_deg))))
+    assert np.array_equal(cleaned(tip, speck_px=100), tip)
+
+
+def test_a_thin_bridge_stays() -> None:
+    mask = np.zeros((80, 80), bool)
+    mask[10:70, 10:38] = mask[10:70, 42:70] = True
+    mask[40, 38:42] = True
+    assert np.array_equal(cleaned(mask, speck_px=100), mask)
+
+
 def test_a_bay_of_paper_at_the_edge_of_the_image_is_no_pinhole() -> None:
     mask = np.ones((30, 30), bool)
     mask[10, 0] = False
