@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from tactile_toolkit.mesh.torch import FORMS, TARGETS, MeshBatch, MeshItem, SolidTensors, collate_meshes
+from tactile_toolkit.read.torch import TrainingBatches
 
-__all__ = ["FORMS", "TARGETS", "DigitTensors", "MeshBatch", "MeshItem", "collate_meshes"]
+__all__ = ["FORMS", "TARGETS", "DigitTensors", "MeshBatch", "MeshItem", "TrainingBatches", "collate_meshes"]
 
 
 class DigitTensors(SolidTensors):

@@ -7,7 +7,8 @@ Images come as ``torchvision.tv_tensors.Image``, clips as ``tv_tensors.Video``, 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from itertools import islice
+from itertools import groupby, islice
+from operator import itemgetter
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -17,7 +18,7 @@ from realtouch.dataset import TouchDataset, TouchStream
 from realtouch.rounds import TouchSingleRound
 from realtouch.touches import Touch, Touches
 from tactile_toolkit.errors import InputError, IntegrityError, MissingExtraError
-from tactile_toolkit.touch.jpeg import Pixels
+from tactile_toolkit.touch.jpeg import Pixels, room_for
 
 if TYPE_CHECKING:
     import torch
@@ -84,6 +85,11 @@ class TouchTensors(torch.utils.data.Dataset):  # type: ignore[misc]
         self.target = _require_target(target)
         self.frames = _require_frames(frames)
 
+    @property
+    def sequence(self) -> Touches[Any]:
+        """The touches, in the order of the items."""
+        return self.touches
+
     def __len__(self) -> int:
         return len(self.touches)
 
@@ -92,19 +98,38 @@ class TouchTensors(torch.utils.data.Dataset):  # type: ignore[misc]
         return _item(self.touches[index], self.frames, self.transform, self.target)
 
     def __getitems__(self, indices: Sequence[int]) -> list[Any]:
-        """Return the items of a batch; images of one size are decoded into one array."""
+        """Return the items of a batch; images of one size are decoded into one array, round by round."""
         if self.touches.dataset.kind != "single":
             return [self[index] for index in indices]
+        wanted = sorted((*self.touches.locate(index), slot) for slot, index in enumerate(indices))
+        chosen: list[Any] = [None] * len(wanted)
         try:
-            pixels = self.touches.images(list(indices))
+            pixels = self._pixels(wanted, chosen)
         except IntegrityError:  # of different sizes, which the transform may make one; or damaged, told below
             return [self[index] for index in indices]
-        batch = torch.from_numpy(pixels).permute(0, 3, 1, 2)
-        images = _tv_tensors().Image(batch)
-        return [
-            _given(self.touches[index], _tv_tensors().Image(image), None, self.transform, self.target)
-            for index, image in zip(indices, images, strict=True)
-        ]
+        image_type = _tv_tensors().Image
+        items: list[Any] = [None] * len(wanted)
+        for (_, _, slot), image in zip(wanted, torch.from_numpy(pixels).permute(0, 3, 1, 2), strict=True):
+            items[slot] = _given(
+                chosen[slot], image.as_subclass(image_type), None, self.transform, self.target
+            )
+        return items
+
+    def _pixels(self, wanted: Sequence[tuple[int, int, int]], chosen: list[Any]) -> Pixels:
+        """Decode the images of touches, given as round, number in it and slot; put the touches into slots."""
+        pixels = None
+        start = 0
+        for position, of_round in groupby(wanted, key=itemgetter(0)):
+            record = self.touches.dataset[position]
+            numbers = []
+            for _, number, slot in of_round:
+                chosen[slot] = Touch(record, number)
+                numbers.append(number)
+            if pixels is None:
+                pixels = room_for(len(wanted), record.sensor_image.size(numbers[0]))
+            record.sensor_image.decode_into(pixels[start : start + len(numbers)], numbers)
+            start += len(numbers)
+        return pixels if pixels is not None else room_for(0, (0, 0))
 
 
 class TouchStreamTensors(torch.utils.data.IterableDataset):  # type: ignore[misc]

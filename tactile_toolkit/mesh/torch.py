@@ -154,6 +154,11 @@ class SolidTensors(torch.utils.data.Dataset):  # type: ignore[misc]
         """Choose the points of an epoch, from the next item on and in every worker."""
         self._epoch.fill_(epoch)
 
+    @property
+    def sequence(self) -> RecordDataset[Any]:
+        """The solids, in the order of the items."""
+        return self.dataset
+
     def __len__(self) -> int:
         return len(self.dataset)
 

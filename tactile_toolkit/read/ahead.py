@@ -32,8 +32,8 @@ class UnpackingAhead:
         self._thread: Thread | None = None
 
     def enter(self, window: int) -> None:
-        """Wait until a window is unpacked, and begin with the next one."""
-        if window == self._window:
+        """Wait until a window is unpacked, and begin with the next one; there is no way back."""
+        if window <= self._window:
             return
         self._window = window
         size_bytes = self._unpack(window)

@@ -1,0 +1,354 @@
+"""Training on any data set of the toolkit: one order for all ranks and workers, left and resumed anywhere.
+
+The order itself is :mod:`tactile_toolkit.read.order`; here it meets torch (extra ``torch``).
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+from tactile_toolkit.errors import InputError, MissingExtraError
+from tactile_toolkit.read.ahead import UnpackingAhead
+from tactile_toolkit.read.order import GlobalOrder, Share
+from tactile_toolkit.read.sequence import LazySequence
+from tactile_toolkit.wording import is_whole, plain_number
+
+if TYPE_CHECKING:
+    import torch
+else:
+    try:
+        import torch
+    except ImportError as error:
+        feature = "training on a data set"
+        raise MissingExtraError(feature, "torch", "torch") from error
+
+__all__ = ["TrainingBatches"]
+
+_FORMAT = "tactile_toolkit_training"
+_VERSION = 1
+_SINCE = "_steps_since_snapshot"
+_MOST_WORKERS = 255
+
+
+@dataclass
+class _Pass:
+    """One pass over an epoch, as one process gives it: where it began, and how many batches it has given."""
+
+    epoch: int
+    start: int
+    batches: int = 0
+
+
+class TrainingBatches(torch.utils.data.IterableDataset):  # type: ignore[misc]
+    """Batches of a data set for a training job, in one order for all ranks and workers, resumed anywhere.
+
+    Each pass is one epoch: all items once, shards in random order, and items in random order within a few
+    shards at a time. The order follows from the seed, the number of the epoch and the data set alone. Rank r
+    of n takes every n-th item of it, and all ranks get equally many. The batches of a rank are the same, in
+    the same order, whatever the number of its workers. So the state of any rank can be resumed on any number
+    of ranks and workers, in the middle of an epoch, and no item of it is left out or given twice.
+
+    Give it to torch's ``DataLoader`` or to torchdata's ``StatefulDataLoader`` with ``batch_size=None``: the
+    batches are made here.
+
+    Parameters
+    ----------
+    data : TouchTensors, DigitTensors, SceneTensors, or a data set
+        What to give. Items of a data set itself (rounds, touches, digits, scenes) need a ``collate_fn``.
+    batch_size : int
+        Items of a batch, of each rank.
+    seed : int or None
+        Seed of the order; None gives the items as they are stored.
+    window : int
+        How many shards are mixed. Twice as many, those of the window and of the next one, lie unpacked on the
+        disk at a time, see Notes.
+    drop_last : bool
+        Leave out the end of an epoch that makes no whole batch for every rank. Otherwise the last batch is
+        smaller, and where items do not come out even, some ranks get one of the epoch's first items again, so
+        that all take as many steps.
+    collate_fn : callable, optional
+        Makes a batch of a list of items: ``torch.utils.data.default_collate`` by default,
+        ``collate_meshes`` for meshes.
+    rank, world_size : int, optional
+        Which process of how many this is: as ``torch.distributed`` says, else as the environment variables
+        ``RANK`` and ``WORLD_SIZE`` do, else the only one.
+
+    Raises
+    ------
+    InputError
+        A number is impossible, or ``data`` is no data set of the toolkit.
+
+    Notes
+    -----
+    A process holds one batch, the positions of two windows (16 bytes an item), and maps of what lies
+    unpacked, which the system drops from memory where it needs room. The row groups of a window are unpacked
+    into the cache folder before its first item is given, those of the next window meanwhile, each by one
+    process of the machine. Every machine reads every shard once in an epoch; where the cache holds the whole
+    set (``$TACTILE_TOOLKIT_CACHE_MIB``), in the first epoch only.
+
+    Random transforms draw from torch's generator in each worker: that is not resumed.
+
+    Examples
+    --------
+    ::
+
+        batches = TrainingBatches(TouchTensors(touches), batch_size=64, seed=0)
+        loader = StatefulDataLoader(batches, batch_size=None, num_workers=8)
+        if checkpoint.exists():
+            batches.load_state_dict(torch.load(checkpoint)["data"])  # of any rank, any number of workers
+        for epoch in range(batches.epoch, epochs):
+            for images, labels in loader:
+                ...
+                torch.save({"data": loader.state_dict(), ...}, checkpoint)
+    """
+
+    def __init__(
+        self,
+        data: Any,
+        batch_size: int,
+        *,
+        seed: int | None = 0,
+        window: int = 16,
+        drop_last: bool = False,
+        collate_fn: Callable[[list[Any]], Any] | None = None,
+        rank: int | None = None,
+        world_size: int | None = None,
+    ) -> None:
+        sequence = getattr(data, "sequence", data)
+        if not isinstance(sequence, LazySequence):
+            message = (
+                f"{type(data).__name__} was given; expected a data set of the toolkit, or tensors of one "
+                "such as realtouch.torch.TouchTensors"
+            )
+            raise InputError(message)
+        self.data = data
+        self.batch_size = _whole(batch_size, 1, "batch_size")
+        self.drop_last = drop_last
+        self.collate_fn = collate_fn
+        self.rank, self.world_size = _place(rank, world_size)
+        seed = None if seed is None else _whole(seed, 0, "seed")
+        self._sequence = sequence
+        self._order = GlobalOrder(sequence._stored_parts(), seed, _whole(window, 1, "window"))
+        self._resumed = (0, 0)
+        self._current: _Pass | None = None
+        # What the next pass is, for this process and for each worker: epoch, start, batches given already,
+        # and of how many workers it was one when it last began a pass (plus 1; 0 when it has not). Shared, so
+        # that workers that live on see what is set here, and new ones what those before them began.
+        self._next = torch.zeros((1 + _MOST_WORKERS, 4), dtype=torch.int64).share_memory_()
+
+    @property
+    def epoch(self) -> int:
+        """The epoch of the next pass; each pass is followed by that of the next epoch."""
+        return int(self._next[:, 0].max())
+
+    def set_epoch(self, epoch: int) -> None:
+        """Choose the epoch of the next pass; a resumed one goes on where it was left.
+
+        Needed only to repeat or skip epochs, or when another number of workers takes over.
+        """
+        number = _whole(epoch, 0, "epoch")
+        self._set(number, self._resumed[1] if number == self._resumed[0] else 0)
+
+    def __len__(self) -> int:
+        """Batches of a whole epoch on each rank."""
+        return len(self._share(0))
+
+    def __iter__(self) -> Iterator[Any]:
+        """Begin a pass.
+
+        Raises
+        ------
+        InputError
+            Another number of workers than in the pass before, and :meth:`set_epoch` was not called.
+        """
+        worker = torch.utils.data.get_worker_info()
+        if worker is None:
+            epoch, start = (self.epoch, 0) if self._workers_began() else self._next[0, :2].tolist()
+            self._next[:] = torch.tensor([epoch + 1, 0, 0, 0])
+            self._current = _Pass(epoch, start)
+            return self._batches(self._current, 0, 1)
+        if worker.num_workers > _MOST_WORKERS:
+            message = f"{worker.num_workers} workers; expected at most {_MOST_WORKERS}"
+            raise InputError(message)
+        began = self._next[1:, 3]
+        if ((began != 0) & (began != worker.num_workers + 1)).any():
+            message = (
+                f"{worker.num_workers} workers go on after {int(began.max()) - 1}; next: call set_epoch() in "
+                "between, so that all begin the same epoch"
+            )
+            raise InputError(message)
+        mine = self._next[1 + worker.id]
+        self._current = _Pass(*mine[:3].tolist())
+        mine[:] = torch.tensor([self._current.epoch + 1, 0, 0, worker.num_workers + 1])
+        return self._batches(self._current, worker.id, worker.num_workers)
+
+    def _batches(self, current: _Pass, worker: int, workers: int) -> Iterator[Any]:
+        share, order = self._share(current.start), self._order.epoch(current.epoch)
+        turn = (self.rank * workers + worker) / (self.world_size * workers)
+        ahead = UnpackingAhead(self._sequence, order, turn)
+        fetch = getattr(self.data, "__getitems__", lambda chosen: [self.data[each] for each in chosen])
+        collate = self.collate_fn or torch.utils.data.default_collate
+        if hasattr(self.data, "set_epoch"):
+            self.data.set_epoch(current.epoch)
+        try:
+            for index in range(worker + workers * current.batches, len(share), workers):
+                numbers = share.batch(index)
+                ahead.enter(order.window_of(int(numbers[0])))
+                batch = collate(fetch(order.positions(numbers).tolist()))
+                current.batches += 1
+                yield batch
+        finally:
+            ahead.close()
+
+    def state_dict(self) -> dict[str, Any]:
+        """Return where this process is in its pass: what ``StatefulDataLoader`` asks of each worker.
+
+        A job saves ``state_dict()`` of the ``StatefulDataLoader``, for workers are ahead of what it was
+        given; without workers it may save this.
+
+        Returns
+        -------
+        dict of str to int or str
+
+        Raises
+        ------
+        InputError
+            Called in the job itself while workers make its batches.
+        """
+        worker = torch.utils.data.get_worker_info()
+        if worker is None and self._workers_began():
+            message = (
+                "workers make the batches, ahead of what the job was given; next: save the state_dict() of a "
+                "torchdata.stateful_dataloader.StatefulDataLoader"
+            )
+            raise InputError(message)
+        current = self._current or _Pass(*self._next[0, :3].tolist())
+        return {
+            _FORMAT: _VERSION,
+            "order": self._order.fingerprint,
+            "epoch": current.epoch,
+            "start": current.start,
+            "batches": current.batches,
+            "batch_size": self.batch_size,
+            "world_size": self.world_size,
+            "workers": 0 if worker is None else worker.num_workers,
+        }
+
+    def load_state_dict(self, state_dict: Mapping[str, Any]) -> None:
+        """Go on where a pass was left, on any number of ranks and workers.
+
+        Parameters
+        ----------
+        state_dict : dict
+            Of a ``StatefulDataLoader`` of such batches, or of the batches without workers; of any one rank.
+            Their size may have been another.
+
+        Raises
+        ------
+        InputError
+            It is none, or of another data set, seed or window.
+        """
+        states = list(_holding(_FORMAT, state_dict))
+        if not states:
+            message = (
+                "no state of TrainingBatches was given; expected state_dict() of the loader that gave them"
+            )
+            raise InputError(message)
+        for state in states:
+            self._require_same(state)
+        worker = torch.utils.data.get_worker_info()
+        if worker is not None:
+            self._resume_worker(worker, states[0])
+            return
+        # Where a loader asks its workers for their states now and then only, it counts the batches since.
+        since = [each[_SINCE] for each in _holding(_SINCE, state_dict)]
+        epoch, reached = self._reached(states, sum(since))
+        if state_dict is not states[0] and not len(self._share(reached)):
+            epoch, reached = epoch + 1, 0  # a loader goes on with the next epoch, too
+        self._resumed = epoch, reached
+        self._set(epoch, reached)
+
+    def _resume_worker(self, worker: Any, state: Mapping[str, Any]) -> None:
+        found = {"batch_size": self.batch_size, "world_size": self.world_size, "workers": worker.num_workers}
+        for name, value in found.items():
+            if state[name] != value:
+                message = (
+                    f"{name} is {value}, and was {state[name]} when the state was saved; next: give the "
+                    "state to load_state_dict() of the TrainingBatches, not of the loader"
+                )
+                raise InputError(message)
+        self._current = None
+        self._next[1 + worker.id] = torch.tensor([state["epoch"], state["start"], state["batches"], 0])
+
+    def _reached(self, states: Sequence[Mapping[str, Any]], further_batches: int) -> tuple[int, int]:
+        """Return epoch and number of items that all ranks have been given, by the states of all workers."""
+        first = states[0]
+        workers = max(first["workers"], 1)
+        counts = [state["batches"] for state in states]
+        batches = sum(counts)
+        in_turn = [batches // workers + (index < batches % workers) for index in range(workers)]
+        if counts != in_turn or any(state["epoch"] != first["epoch"] for state in states):
+            message = (
+                f"states of {len(states)} workers that gave {', '.join(map(str, counts))} batches; expected "
+                f"{workers} that took turns; next: save the state of one loader, with in_order=True"
+            )
+            raise InputError(message)
+        items = (batches + further_batches) * first["batch_size"] * first["world_size"]
+        return first["epoch"], min(first["start"] + items, len(self._order))
+
+    def _require_same(self, state: Mapping[str, Any]) -> None:
+        if state[_FORMAT] != _VERSION:
+            message = f"a state of version {state[_FORMAT]!r}; expected {_VERSION}"
+            raise InputError(message)
+        if state["order"] != self._order.fingerprint:
+            message = (
+                f"a state of the order {state['order']!r}; expected {self._order.fingerprint!r}, which "
+                "follows from seed, window and sizes of shards; next: take the same as when it was saved"
+            )
+            raise InputError(message)
+
+    def _set(self, epoch: int, start: int) -> None:
+        self._current = None
+        self._next[:] = torch.tensor([epoch, start, 0, 0])
+
+    def _workers_began(self) -> bool:
+        return bool(self._next[1:, 3].any())
+
+    def _share(self, start: int) -> Share:
+        return Share(len(self._order), start, self.rank, self.world_size, self.batch_size, self.drop_last)
+
+
+def _holding(key: str, found: Any) -> Iterator[Mapping[str, Any]]:
+    """Yield the mappings that hold a key, at any depth and in their order: loaders put ours into theirs."""
+    if isinstance(found, Mapping):
+        if key in found:
+            yield found
+            return
+        for value in found.values():
+            yield from _holding(key, value)
+
+
+def _whole(value: Any, least: int, name: str) -> int:
+    number = plain_number(value)
+    if not (is_whole(number) and number >= least):
+        message = f"{name} is {value!r}; expected a whole number from {least}"
+        raise InputError(message)
+    return int(number)
+
+
+def _place(rank: int | None, world_size: int | None) -> tuple[int, int]:
+    """Return which process of how many this is."""
+    distributed = torch.distributed
+    if rank is not None or world_size is not None:
+        numbers = plain_number(rank), plain_number(world_size)
+    elif distributed.is_available() and distributed.is_initialized():
+        numbers = distributed.get_rank(), distributed.get_world_size()
+    else:
+        numbers = int(os.environ.get("RANK", 0)), int(os.environ.get("WORLD_SIZE", 1))
+    if not (is_whole(*numbers) and 0 <= numbers[0] < numbers[1]):
+        message = f"rank is {rank!r} of {world_size!r}; expected whole numbers, the rank below the world size"
+        raise InputError(message)
+    return numbers
