@@ -315,6 +315,21 @@ class TouchStream:
         part._stated_names = self._stated_names
         return part
 
+    def touches(self) -> Touches[Any]:
+        """Return the flat view: every touch of every round, in order, with random access.
+
+        A row group is read from its address when one of its rows is first asked for, and kept in the cache.
+
+        Raises
+        ------
+        InputError
+            The stream leaves out what is damaged, which is known only when all of it was read.
+        """
+        if self.skip_damage:
+            message = "a stream that skips damage has no numbered touches; next: load it without streaming"
+            raise InputError(message)
+        return dataset_of(self.shards, self.kind).touches()
+
     def __iter__(self) -> Iterator[TouchRound]:
         """Yield rounds; a bounded block of rows is in memory at a time."""
         self.skipped[:] = self._left_out

@@ -1,4 +1,4 @@
-"""Touches as torch tensors: map-style and streaming data sets for ``DataLoader`` (extra ``torch``).
+"""Touches as torch tensors for a ``DataLoader``, and for training at any size (extra ``torch``).
 
 Images come as ``torchvision.tv_tensors.Image``, clips as ``tv_tensors.Video``, so that pipelines of
 ``torchvision.transforms.v2`` apply. Everything pickles, so that workers start by fork, spawn or forkserver.
@@ -6,8 +6,8 @@ Images come as ``torchvision.tv_tensors.Image``, clips as ``tv_tensors.Video``, 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
-from itertools import groupby, islice
+from collections.abc import Callable, Sequence
+from itertools import groupby
 from operator import itemgetter
 from typing import TYPE_CHECKING, Any
 
@@ -18,6 +18,7 @@ from realtouch.dataset import TouchDataset, TouchStream
 from realtouch.rounds import TouchSingleRound
 from realtouch.touches import Touch, Touches
 from tactile_toolkit.errors import InputError, IntegrityError, MissingExtraError
+from tactile_toolkit.read.torch import TrainingBatches
 from tactile_toolkit.touch.jpeg import Pixels, room_for
 
 if TYPE_CHECKING:
@@ -30,7 +31,7 @@ else:
         feature = "realtouch.torch"
         raise MissingExtraError(feature, "torch", "torch") from error
 
-__all__ = ["TARGETS", "TouchStreamTensors", "TouchTensors"]
+__all__ = ["TARGETS", "TouchTensors", "TrainingBatches"]
 
 Transform = Callable[[Any], Any]
 Target = str | Callable[[Touch], Any] | None
@@ -56,8 +57,8 @@ class TouchTensors(torch.utils.data.Dataset):  # type: ignore[misc]
 
     Parameters
     ----------
-    dataset : TouchDataset or Touches
-        What to give; of a data set, all its touches.
+    dataset : TouchDataset, TouchStream or Touches
+        What to give; of a data set or stream, all its touches.
     transform : callable, optional
         Applied to each image or clip, such as a pipeline of ``torchvision.transforms.v2``.
     target : str, callable or None
@@ -75,7 +76,7 @@ class TouchTensors(torch.utils.data.Dataset):  # type: ignore[misc]
 
     def __init__(
         self,
-        dataset: TouchDataset[Any] | Touches[Any],
+        dataset: TouchDataset[Any] | TouchStream | Touches[Any],
         transform: Transform | None = None,
         target: Target = "label",
         frames: str | None = None,
@@ -130,90 +131,6 @@ class TouchTensors(torch.utils.data.Dataset):  # type: ignore[misc]
             record.sensor_image.decode_into(pixels[start : start + len(numbers)], numbers)
             start += len(numbers)
         return pixels if pixels is not None else room_for(0, (0, 0))
-
-
-class TouchStreamTensors(torch.utils.data.IterableDataset):  # type: ignore[misc]
-    """Touches streamed from the Hub or a folder: nothing is stored, shards are shared between workers.
-
-    Parameters
-    ----------
-    stream : TouchStream
-        ``realtouch.load(..., streaming=True)``.
-    transform, target, frames
-        As for :class:`TouchTensors`.
-    shuffle_buffer : int
-        Touches held at a time to be drawn from at random; 0 keeps the stored order. Only their stored bytes
-        are held: they are decoded when drawn.
-    seed : int
-        Seed of the draws; :meth:`set_epoch` gives another order.
-
-    Raises
-    ------
-    InputError
-        As :class:`TouchTensors`, or the buffer is less than nothing.
-    """
-
-    def __init__(
-        self,
-        stream: TouchStream,
-        transform: Transform | None = None,
-        target: Target = "label",
-        frames: str | None = None,
-        *,
-        shuffle_buffer: int = 0,
-        seed: int = 0,
-    ) -> None:
-        self.stream = stream
-        self.transform = transform
-        self.target = _require_target(target)
-        self.frames = _require_frames(frames)
-        if shuffle_buffer < 0:
-            message = f"shuffle_buffer is {shuffle_buffer}; expected 0 or more touches"
-            raise InputError(message)
-        self.shuffle_buffer = shuffle_buffer
-        self.seed = seed
-        # Workers that live on from epoch to epoch (persistent_workers) see what is set here.
-        self._epoch = torch.zeros((), dtype=torch.int64).share_memory_()
-
-    @property
-    def epoch(self) -> int:
-        """The epoch whose order is given."""
-        return int(self._epoch)
-
-    def set_epoch(self, epoch: int) -> None:
-        """Choose the order of an epoch, from the next pass on and in every worker."""
-        self._epoch.fill_(epoch)
-
-    def __iter__(self) -> Iterator[Any]:
-        """Yield items; each worker reads its own shards, or its own touches where there are fewer shards."""
-        worker = torch.utils.data.get_worker_info()
-        index, count = (worker.id, worker.num_workers) if worker is not None else (0, 1)
-        if len(self.stream.shards) >= count:
-            touches = _all_touches(self.stream.part(index, count))
-        else:
-            touches = islice(_all_touches(self.stream), index, None, count)
-        random = np.random.default_rng([self.seed, self.epoch, index])
-        for touch in _shuffled(touches, self.shuffle_buffer, random) if self.shuffle_buffer else touches:
-            yield _item(touch, self.frames, self.transform, self.target)
-
-
-def _all_touches(stream: TouchStream) -> Iterator[Touch]:
-    for record in stream:
-        for touch in range(record.touch_count):
-            yield Touch(record, touch)
-
-
-def _shuffled(touches: Iterator[Touch], size: int, random: np.random.Generator) -> Iterator[Touch]:
-    buffer: list[Touch] = []
-    for touch in touches:
-        if len(buffer) < size:
-            buffer.append(touch.alone())
-            continue
-        slot = int(random.integers(size))
-        drawn, buffer[slot] = buffer[slot], touch.alone()
-        yield drawn
-    for slot in random.permutation(len(buffer)):
-        yield buffer[slot]
 
 
 def _item(touch: Touch, frames: str | None, transform: Transform | None, target: Target) -> Any:

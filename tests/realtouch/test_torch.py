@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 import pickle
 import sys
 from pathlib import Path
@@ -79,7 +78,7 @@ def test_targets(single_folder: Path) -> None:
 
 @pytest.mark.parametrize("method", ["contact_start", "peak", "median", "contact_end"])
 def test_the_pose_is_that_of_the_frame(method: str, seq_folder: Path) -> None:
-    from realtouch.torch import TouchStreamTensors, TouchTensors
+    from realtouch.torch import TouchTensors
 
     touches = realtouch.load(seq_folder, "train").touches().with_contact()
     data = TouchTensors(touches, target="gel_position", frames=method)
@@ -90,23 +89,13 @@ def test_the_pose_is_that_of_the_frame(method: str, seq_folder: Path) -> None:
     assert position_m.dtype == torch.float32
     np.testing.assert_array_equal(position_m, clip.poses.position_m[frame].astype(np.float32))
     np.testing.assert_array_equal(data.__getitems__([4])[0][1], position_m)
-    stream = TouchStreamTensors(
-        realtouch.load(seq_folder, "train", streaming=True), target="gel_position", frames=method
-    )
-    number = int(touches.round_positions[4]) * 5 + int(touches.touch_indices[4])
-    np.testing.assert_array_equal(next(itertools.islice(stream, number, None))[1], position_m)
 
 
 def test_ways_to_choose_a_frame_are_checked_at_once(seq_folder: Path) -> None:
-    from realtouch.torch import TouchStreamTensors, TouchTensors
+    from realtouch.torch import TouchTensors
 
     with pytest.raises(InputError, match="no way 'best' to choose a frame"):
         TouchTensors(realtouch.load(seq_folder, "train"), frames="best")
-    stream = realtouch.load(seq_folder, "train", streaming=True)
-    with pytest.raises(InputError, match="no way 'best' to choose a frame"):
-        TouchStreamTensors(stream, frames="best")
-    with pytest.raises(InputError, match=r"shuffle_buffer is -3; expected 0 or more"):
-        TouchStreamTensors(stream, shuffle_buffer=-3)
 
 
 def test_images_of_several_sizes_meet_in_the_transform(truth: list[RoundTruth], tmp_path: Path) -> None:
@@ -132,31 +121,6 @@ def test_damage_in_a_batch_is_named(truth: list[RoundTruth], tmp_path: Path) -> 
     data = TouchTensors(realtouch.load(factories.write_set(tmp_path, {"train": rows}, "single")))
     with pytest.raises(IntegrityError, match=r"row 1, touch 2, field 'sensor_image'"):
         data.__getitems__([0, 7])
-
-
-@pytest.mark.own_process
-@pytest.mark.parametrize("method", ["fork", "spawn"])
-def test_workers_that_stay_see_the_epoch(single_folder: Path, method: str) -> None:
-    from realtouch.torch import TouchStreamTensors
-
-    data = TouchStreamTensors(
-        realtouch.load(single_folder, "train", streaming=True), target=identity, shuffle_buffer=6
-    )
-    loader = torch.utils.data.DataLoader(
-        data,
-        batch_size=None,
-        num_workers=1,
-        persistent_workers=True,
-        multiprocessing_context=method,
-        timeout=PATIENCE_S,
-    )
-    orders = []
-    for epoch in (0, 1, 0):
-        data.set_epoch(epoch)
-        assert data.epoch == epoch
-        orders.append([tuple(where) for _, where in loader])
-    assert orders[0] == orders[2] != orders[1]
-    assert sorted(orders[0]) == sorted(orders[1])
 
 
 def test_batches_equal_items(images: Any) -> None:
@@ -193,38 +157,17 @@ def test_workers_of_every_start_method(images: Any, method: str) -> None:
     np.testing.assert_array_equal(pixels.numpy().transpose(0, 2, 3, 1), images.touches.images())
 
 
-def test_streams_give_every_touch_once(single_folder: Path) -> None:
-    from realtouch.torch import TouchStreamTensors
+def test_touches_of_a_stream_are_read_where_they_lie(single_folder: Path) -> None:
+    from realtouch.torch import TouchTensors
 
-    expected = [
-        (touch.label, touch.touch_index) for touch in realtouch.load(single_folder, "train").touches()
-    ]
-    stream = realtouch.load(single_folder, "train", streaming=True)
-    data = TouchStreamTensors(stream, target=identity)
-    assert [where for _, where in data] == expected
-    shuffled = TouchStreamTensors(stream, target=identity, shuffle_buffer=6, seed=1)
-    first = [where for _, where in shuffled]
-    assert first == [where for _, where in shuffled]
-    assert sorted(first) == expected
-    assert first != expected
-    shuffled.set_epoch(1)
-    assert [where for _, where in shuffled] != first
-    for workers in (2, 3):  # as many as shards, and more
-        loader = torch.utils.data.DataLoader(data, batch_size=None, num_workers=workers, timeout=PATIENCE_S)
-        assert sorted(tuple(where) for _, where in loader) == expected
-
-
-def test_drawn_touches_keep_their_own_picture(single_folder: Path) -> None:
-    from realtouch.torch import TouchStreamTensors
-
+    data = TouchTensors(realtouch.load(single_folder, "train", streaming=True), target=identity)
     touches = realtouch.load(single_folder, "train").touches()
-    data = TouchStreamTensors(
-        realtouch.load(single_folder, "train", streaming=True), target=identity, shuffle_buffer=4
-    )
-    for image, (label, touch_index) in data:
-        np.testing.assert_array_equal(
-            image.numpy().transpose(1, 2, 0), touches[label * 5 + touch_index].image
-        )
+    assert [where for _, where in (data[index] for index in range(len(data)))] == [
+        (touch.label, touch.touch_index) for touch in touches
+    ]
+    np.testing.assert_array_equal(data[7][0].numpy().transpose(1, 2, 0), touches[7].image)
+    with pytest.raises(InputError, match="load it without streaming"):
+        TouchTensors(realtouch.load(single_folder, "train", streaming=True, on_error="skip"))
 
 
 def identity(touch: realtouch.Touch) -> tuple[int, int]:
