@@ -12,7 +12,7 @@ from tactile_toolkit.errors import InputError
 from tactile_toolkit.mesh.mesh import MM_PER_M, as_mesh
 from tactile_toolkit.mesh.solid_check import ManifoldCheck, check_manifold
 from tactile_toolkit.mesh.thickness import thinnest_wall_mm
-from tactile_toolkit.mesh.walls import relief_may_be_thin, section_area_mm2, thinnest_width_mm
+from tactile_toolkit.mesh.walls import Section, section_area_mm2
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -201,8 +201,9 @@ def inspect(mesh: MeshLike, profile: PrintProfile | None = None) -> PrintReport:
     middle = check.manifold.slice((low[2] + high[2]) / 2 + _OFF_VERTICES * size_mm[2]).to_polygons()
     overhang_mm2 = _overhang_mm2(vertices_mm, mesh.faces, profile)
     contact_mm2 = float(check.manifold.slice(low[2] + profile.layer_height_mm).area())
-    wall_mm = min(thinnest_width_mm(middle), size_mm[2])
-    if not check.back_to_back or relief_may_be_thin(middle, vertices_mm, WALL_REACH_MM):
+    section = Section(middle)
+    wall_mm = min(section.thinnest_width_mm(), size_mm[2])
+    if not check.back_to_back or section.relief_may_be_thin(vertices_mm, WALL_REACH_MM):
         thin_mm = thinnest_wall_mm(vertices_mm, mesh.faces.astype(np.int64), WALL_REACH_MM)
         wall_mm = min(thin_mm, max(wall_mm, min(WALL_REACH_MM, *size_mm)))
     overhang_share = overhang_mm2 / max(section_area_mm2(middle), 1e-9)
@@ -266,7 +267,8 @@ def _overhang_mm2(vertices_mm: NDArray[np.float64], faces: NDArray[np.int32], pr
     heights = vertices_mm[:, 2]
     # What lies within the first layer rests on the bed, whatever way it faces.
     aloft = (heights > heights.min() + profile.layer_height_mm)[faces].any(axis=1)
-    x, y, z = (vertices_mm[:, axis][faces[aloft]] for axis in range(3))
+    corners = np.ascontiguousarray(faces[aloft].T, dtype=np.intp)
+    x, y, z = (axis[corners] for axis in np.ascontiguousarray(vertices_mm.T))
     normal_x, normal_y, normal_z = (_minor(*pair) for pair in ((y, z), (z, x), (x, y)))
     twice_area = np.sqrt(normal_x**2 + normal_y**2 + normal_z**2)
     steep = normal_z < -math.sin(math.radians(profile.overhang_deg)) * twice_area
@@ -275,4 +277,4 @@ def _overhang_mm2(vertices_mm: NDArray[np.float64], faces: NDArray[np.int32], pr
 
 def _minor(u: NDArray[np.float64], v: NDArray[np.float64]) -> NDArray[np.float64]:
     """Cross two sides of each triangle: one component, from two coordinates of the corners."""
-    return np.asarray((u[:, 1] - u[:, 0]) * (v[:, 2] - v[:, 0]) - (u[:, 2] - u[:, 0]) * (v[:, 1] - v[:, 0]))
+    return np.asarray((u[1] - u[0]) * (v[2] - v[0]) - (u[2] - u[0]) * (v[1] - v[0]))

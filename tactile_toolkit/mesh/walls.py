@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-__all__ = ["relief_may_be_thin", "section_area_mm2", "signed_area_mm2", "thinnest_width_mm"]
+__all__ = ["Section", "section_area_mm2", "signed_area_mm2"]
 
 SPACING_MM = 0.4
 """Distance of outline points; the outlines of the digits have corners every 0.4 to 0.8 mm."""
@@ -34,56 +34,62 @@ _STEEP = 0.5
 """Distance from the outline, in heights, from which on a low place is not of the slope at the outline: digits
 are round there, and so steeper."""
 
-# Every point is compared with every other: the first bounds the time, the second the memory (12 MB a block).
+# Every point is compared with every other: the first bounds the time; a block of the second stays in a cache.
 MAX_POINTS = 6000
-_BLOCK = 512
+_BLOCK = 64
 _LEAST_SQUARED_MM2 = np.float32(1e-3)  # the point itself, at distance 0, must not decide its own disc
 
 
-def thinnest_width_mm(outlines_mm: Sequence[NDArray[np.float64]]) -> float:
-    """Measure the narrowest wall between two facing stretches of the outline, mm; 0 without outlines.
+class Section:
+    """Points along the outlines of a section.
 
     Outlines are closed polygons, shape (N, 2), with the material on their left: outer ones counter-clockwise,
     holes clockwise.
     """
-    outlines = [outline for outline in outlines_mm if len(outline) > 2]
-    if not outlines:
-        return 0.0
-    points, inward, _ = _outline_points(outlines)
-    radii, contacts = _largest_discs(points, inward)
-    facing = contacts >= 2 * LEAST_CONTACT_SINE * radii
-    return float(2 * (radii[facing].min() if facing.any() else radii.max()))
 
+    def __init__(self, outlines_mm: Sequence[NDArray[np.float64]]) -> None:
+        outlines = [outline for outline in outlines_mm if len(outline) > 2]
+        self.is_empty = not outlines
+        if outlines:
+            self._points, self._inward, self._middle = _outline_points(outlines)
 
-def relief_may_be_thin(
-    outlines_mm: Sequence[NDArray[np.float64]], vertices_mm: NDArray[np.float64], within_mm: float
-) -> bool:
-    """Tell whether two reliefs back to back may have a wall as thin as that.
+    def thinnest_width_mm(self) -> float:
+        """Measure the narrowest wall between two facing stretches of the outline, mm; 0 without outlines."""
+        if self.is_empty:
+            return 0.0
+        radii, contacts = _largest_discs(self._points, self._inward)
+        facing = contacts >= 2 * LEAST_CONTACT_SINE * radii
+        return float(2 * (radii[facing].min() if facing.any() else radii.max()))
 
-    They may where stretches of their common outline come so near each other across material, and where the
-    surface comes so near the plane between them far from the outline, as at the ground of a notch.
-    """
-    from scipy.spatial import cKDTree
+    def relief_may_be_thin(self, vertices_mm: NDArray[np.float64], within_mm: float) -> bool:
+        """Tell whether two reliefs back to back, of which this is the plane between, may be thin somewhere.
 
-    outlines = [outline for outline in outlines_mm if len(outline) > 2]
-    if not outlines:
-        return True
-    points, inward, middle = _outline_points(outlines)
-    tree = cKDTree(points)
-    one, other = tree.query_pairs(within_mm + 2 * SPACING_MM, output_type="ndarray").T
-    away, opposed = points[other] - points[one], (inward[one] * inward[other]).sum(axis=1) < OPPOSED
-    before = ((away * inward[one]).sum(axis=1) > 0) & ((away * inward[other]).sum(axis=1) < 0)
-    if (opposed & before).any():
-        return True
-    heights = np.abs(vertices_mm[:, 2] - (vertices_mm[:, 2].max() + vertices_mm[:, 2].min()) / 2)
-    low = np.flatnonzero((heights > 0) & (heights < within_mm / 2))
-    reach_mm = _STEEP * heights[low] + SPACING_MM / 2
-    distances = tree.query(vertices_mm[low, :2] - middle)[0]
-    return bool((distances > reach_mm).any())
+        They may where stretches of their common outline come so near each other across material, and where
+        the surface comes so near the plane between them far from the outline, as at the ground of a notch.
+        """
+        from scipy.spatial import cKDTree
+
+        if self.is_empty:
+            return True
+        points, inward = self._points, self._inward
+        tree = cKDTree(points)
+        one, other = tree.query_pairs(within_mm + 2 * SPACING_MM, output_type="ndarray").T
+        opposed = np.flatnonzero((inward[one] * inward[other]).sum(axis=1) < OPPOSED)
+        one, other = one[opposed], other[opposed]
+        away = points[other] - points[one]
+        if (((away * inward[one]).sum(axis=1) > 0) & ((away * inward[other]).sum(axis=1) < 0)).any():
+            return True
+        heights = np.abs(vertices_mm[:, 2] - (vertices_mm[:, 2].max() + vertices_mm[:, 2].min()) / 2)
+        low = np.flatnonzero((heights > 0) & (heights < within_mm / 2))
+        reach_mm = _STEEP * heights[low] + SPACING_MM / 2
+        distances = tree.query(
+            vertices_mm[low, :2] - self._middle, distance_upper_bound=reach_mm.max(initial=0) * 1.01
+        )[0]
+        return bool((distances > reach_mm).any())
 
 
 def section_area_mm2(outlines_mm: Sequence[NDArray[np.float64]]) -> float:
-    """Return the area that outlines enclose, turned as in :func:`thinnest_width_mm`."""
+    """Return the area that outlines enclose, turned as in :class:`Section`."""
     area = 0.0
     for outline in outlines_mm:  # not sum(), which rounds otherwise from Python 3.12 on
         area += signed_area_mm2(outline)
@@ -129,12 +135,18 @@ def _largest_discs(
     """Radius of the disc inside at every point, and how far away it touches the outline again."""
     bends = np.empty(len(points), dtype=np.float32)
     contacts = np.empty(len(points), dtype=np.float32)
-    (x, y), (inward_x, inward_y) = points.T, inward.T
+    (x, y), (inward_x, inward_y) = np.ascontiguousarray(points.T), np.ascontiguousarray(inward.T)
+    block = np.empty((3, _BLOCK, len(points)), dtype=np.float32)
     for start in range(0, len(points), _BLOCK):
-        rows = np.arange(start, min(start + _BLOCK, len(points)))
-        away_x, away_y = x - x[rows, None], y - y[rows, None]
-        depth = inward_x[rows, None] * away_x + inward_y[rows, None] * away_y
-        squared = np.add(np.square(away_x, out=away_x), np.square(away_y, out=away_y), out=away_x)
+        rows = slice(start, start + _BLOCK)
+        depth, squared, spare = block[:, : len(points[rows])]
+        np.subtract(x, x[rows, None], out=squared)
+        np.multiply(inward_x[rows, None], squared, out=depth)
+        np.square(squared, out=squared)
+        np.subtract(y, y[rows, None], out=spare)
+        squared += spare * spare
+        spare *= inward_y[rows, None]
+        depth += spare
         np.maximum(squared, _LEAST_SQUARED_MM2, out=squared)
         # A disc that touches here and passes through a point at distance d and depth h has the curvature 2
         # h / d^2.
