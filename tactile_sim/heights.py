@@ -14,6 +14,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from tactile_sim.layers import layer_rises, profiles
 from tactile_toolkit.errors import InputError, MissingExtraError, install_line
 from tactile_toolkit.mesh.raster import scan_lines
 
@@ -65,6 +66,7 @@ def raise_heights(
     faces: NDArray[np.int32],
     blocks: NDArray[np.float64],
     affine: NDArray[np.float64],
+    layers: NDArray[np.float64] | None,
     backend: Literal["numba", "numpy"],
 ) -> None:
     """Raise each pixel of ``out`` to the highest triangle over it that faces upwards.
@@ -72,20 +74,25 @@ def raise_heights(
     ``out``, shape (H, W), has its first row at the top; ``vertices`` (V, 3) float64 and ``faces`` (F, 3)
     int32 are the solid, ``blocks`` (B, 4) balls around runs of its faces (:func:`face_blocks`); ``affine``,
     shape (3, 4), turns a vertex into column, row counted from the bottom, both in pixels whose points have
-    whole numbers, and height.
+    whole numbers, and height. ``layers`` are those of a printed solid
+    (:func:`tactile_sim.layers.seen_layers`), None for one as it was modelled.
     """
     if backend == "numba":
         from tactile_sim.kernels import raise_heights_numba
 
-        raise_heights_numba(out, vertices, faces, blocks, affine)
+        raise_heights_numba(out, vertices, faces, blocks, affine, layers)
         return
     x, y, z = vertices.T
     points = np.stack([((row[0] * x + row[1] * y) + row[2] * z) + row[3] for row in affine])
     upright: Any = out[::-1]
+    profile = profiles(vertices, faces, layers) if layers is not None else ()
     for lines in scan_lines(points, faces, out.shape):
         line = np.repeat(np.arange(len(lines.count)), lines.count)
         within = np.arange(len(line)) - np.repeat(np.cumsum(lines.count) - lines.count, lines.count)
         height = lines.height[line] + lines.rise[line] * within
+        if layers is not None:
+            run, sideways = (each[lines.face[line]] for each in profile)
+            height += layer_rises(lines.column[line] + within, lines.row[line], height, run, sideways, layers)
         np.maximum.at(upright, (lines.row[line], lines.column[line] + within), height)
 
 

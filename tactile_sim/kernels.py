@@ -39,11 +39,12 @@ def raise_heights_numba(
     faces: NDArray[np.int32],
     blocks: NDArray[np.float64],
     affine: NDArray[np.float64],
+    layers: NDArray[np.float64] | None,
 ) -> None:
     """Do as :func:`tactile_sim.heights.raise_heights` with numpy, one triangle after another.
 
     ``blocks``, shape (B, 4), are balls around as many runs of faces, centre and radius: a run whose ball is
-    outside the window is left out.
+    outside the window is left out. Without ``layers`` numba compiles a kernel that knows nothing of them.
     """
     rows, columns = out.shape
     per_block = (len(faces) + len(blocks) - 1) // len(blocks)
@@ -70,40 +71,119 @@ def raise_heights_numba(
             x, y, z = vertices[c, 0], vertices[c, 1], vertices[c, 2]
             cx, cy = ((xx * x + xy * y) + xz * z) + x0, ((yx * x + yy * y) + yz * z) + y0
             cz = ((zx * x + zy * y) + zz * z) + z0
-            abx, aby, acx, acy = bx - ax, by - ay, cx - ax, cy - ay
-            area = abx * acy - aby * acx
-            if not area > 0.0:
+            if not (bx - ax) * (cy - ay) - (by - ay) * (cx - ax) > 0.0:
                 continue
-            low_x, high_x = min(min(ax, bx), cx), max(max(ax, bx), cx)
-            low_y, high_y = min(min(ay, by), cy), max(max(ay, by), cy)
-            if high_x + _EDGE_PX < 0.0 or low_x - _EDGE_PX > columns - 1:
+            if max(max(ax, bx), cx) + _EDGE_PX < 0.0 or min(min(ax, bx), cx) - _EDGE_PX > columns - 1:
                 continue
-            first_row = max(math.ceil(low_y - _EDGE_PX), 0)
-            last_row = min(math.floor(high_y + _EDGE_PX), rows - 1)
+            first_row = max(math.ceil(min(min(ay, by), cy) - _EDGE_PX), 0)
+            last_row = min(math.floor(max(max(ay, by), cy) + _EDGE_PX), rows - 1)
             if first_row > last_row:
                 continue
-            abz, acz = bz - az, cz - az
-            low_z, high_z = min(min(az, bz), cz), max(max(az, bz), cz)
-            along_row = (abz * acy - aby * acz) / area
-            along_column = (abx * acz - abz * acx) / area
-            l0, m0, r0, s0 = _side(ax, ay, bx, by)
-            l1, m1, r1, s1 = _side(bx, by, cx, cy)
-            l2, m2, r2, s2 = _side(cx, cy, ax, ay)
-            for row in range(first_row, last_row + 1):
-                left = max(max(max(low_x - _EDGE_PX, l0 + m0 * row), l1 + m1 * row), l2 + m2 * row)
-                right = min(min(min(high_x + _EDGE_PX, r0 + s0 * row), r1 + s1 * row), r2 + s2 * row)
-                first, last = max(math.ceil(left), 0), min(math.floor(right), columns - 1)
-                if first > last:
-                    continue
-                level = az + along_column * (row - ay)
-                start = min(max(level + along_row * (first - ax), low_z), high_z)
-                end = min(max(level + along_row * (last - ax), low_z), high_z)
-                rise = (end - start) / max(last - first, 1)
-                line = out[rows - 1 - row]
-                for step in range(last - first + 1):
-                    height = start + rise * step
-                    if height > line[first + step]:
-                        line[first + step] = height
+            run, sideways = _profile(vertices, a, b, c, layers) if layers is not None else (0.0, 0.0)
+            _raise_rows(out, first_row, last_row, ax, ay, az, bx, by, bz, cx, cy, cz, run, sideways, layers)
+
+
+@_compiled
+def _raise_rows(
+    out: NDArray[np.float64],
+    first_row: int,
+    last_row: int,
+    ax: float,
+    ay: float,
+    az: float,
+    bx: float,
+    by: float,
+    bz: float,
+    cx: float,
+    cy: float,
+    cz: float,
+    run: float,
+    sideways: float,
+    layers: NDArray[np.float64] | None,
+) -> None:
+    """Raise the pixels over a triangle that faces upwards, in the rows that it meets."""
+    rows, columns = out.shape
+    abx, aby, abz = bx - ax, by - ay, bz - az
+    acx, acy, acz = cx - ax, cy - ay, cz - az
+    area = abx * acy - aby * acx
+    low_x, high_x = min(min(ax, bx), cx), max(max(ax, bx), cx)
+    low_z, high_z = min(min(az, bz), cz), max(max(az, bz), cz)
+    along_row = (abz * acy - aby * acz) / area
+    along_column = (abx * acz - abz * acx) / area
+    l0, m0, r0, s0 = _side(ax, ay, bx, by)
+    l1, m1, r1, s1 = _side(bx, by, cx, cy)
+    l2, m2, r2, s2 = _side(cx, cy, ax, ay)
+    for row in range(first_row, last_row + 1):
+        left = max(max(max(low_x - _EDGE_PX, l0 + m0 * row), l1 + m1 * row), l2 + m2 * row)
+        right = min(min(min(high_x + _EDGE_PX, r0 + s0 * row), r1 + s1 * row), r2 + s2 * row)
+        first, last = max(math.ceil(left), 0), min(math.floor(right), columns - 1)
+        if first > last:
+            continue
+        level = az + along_column * (row - ay)
+        start = min(max(level + along_row * (first - ax), low_z), high_z)
+        end = min(max(level + along_row * (last - ax), low_z), high_z)
+        rise = (end - start) / max(last - first, 1)
+        line = out[rows - 1 - row]
+        if layers is None:
+            for step in range(last - first + 1):
+                height = start + rise * step
+                if height > line[first + step]:
+                    line[first + step] = height
+        else:
+            for step in range(last - first + 1):
+                height = start + rise * step
+                height += _layer_rise(first + step, row, height, run, sideways, layers)
+                if height > line[first + step]:
+                    line[first + step] = height
+
+
+@_compiled
+def _profile(
+    vertices: NDArray[np.float64], a: int, b: int, c: int, layers: NDArray[np.float64]
+) -> tuple[float, float]:
+    """Return run and sideways view of a triangle, as :func:`tactile_sim.layers.profiles` does of all."""
+    abx, aby, abz = (
+        vertices[b, 0] - vertices[a, 0],
+        vertices[b, 1] - vertices[a, 1],
+        vertices[b, 2] - vertices[a, 2],
+    )
+    acx, acy, acz = (
+        vertices[c, 0] - vertices[a, 0],
+        vertices[c, 1] - vertices[a, 1],
+        vertices[c, 2] - vertices[a, 2],
+    )
+    x, y, z = aby * acz - abz * acy, abz * acx - abx * acz, abx * acy - aby * acx
+    level = max(math.sqrt(x * x + y * y), layers[11] * abs(z))
+    return z / level, (layers[3] * x + layers[4] * y) / level
+
+
+@_compiled
+def _layer_rise(
+    column: int, row: int, height: float, run: float, sideways: float, layers: NDArray[np.float64]
+) -> float:
+    """Return how far above the solid its layers end, as :func:`tactile_sim.layers.layer_rise` does."""
+    layer, slack, count, upward = layers[0], layers[1], layers[2], layers[5]
+    over = ((layers[6] * column + layers[7] * row) + layers[8] * height) + layers[9]
+    radius = 0.5 * layer
+    square = sideways * sideways + upward * upward
+    middle = math.floor((over + slack) / layer - 0.5)
+    best = -np.inf
+    for number in range(middle - int(layers[10]), middle + int(layers[10]) + 1):
+        if number < 0 or number >= count:
+            continue
+        down = over - (number + 0.5) * layer
+        across = radius - run * (down + slack)
+        flat = ((radius if upward > 0.0 else -radius) - down) / upward
+        if across + flat * sideways <= 0.0:
+            best = max(best, flat)
+            continue
+        half = across * sideways + down * upward
+        root = half * half - square * ((across * across + down * down) - radius * radius)
+        if root >= 0.0:
+            round_end = (math.sqrt(root) - half) / square
+            if across + round_end * sideways >= 0.0:
+                best = max(best, round_end)
+    return min(best, 2.0 * layer)
 
 
 @_compiled

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactile_sim.heights import Backend, chosen_backend, face_blocks, finish, raise_heights
+from tactile_sim.layers import checked_layer_m, seen_layers
 from tactile_sim.poses import as_matrices, inverse_times
 from tactile_sim.sensor import CELL_M, Sensor, as_sensor
 from tactile_toolkit.errors import InputError
@@ -37,14 +38,18 @@ class Pressable:
         Triangles, counter-clockwise seen from outside.
     blocks_m : ndarray of float64, shape (B, 4)
         Balls around runs of neighbouring triangles: centre and radius, metres.
+    layer_m : float
+        Height of the layers in which a printer lays the solid down, from its lowest corner along its own z
+        axis, metres; 0 where its surface is smooth.
     """
 
     vertices_m: NDArray[np.float64]
     faces: NDArray[np.int32]
     blocks_m: NDArray[np.float64]
+    layer_m: float = 0.0
 
     @classmethod
-    def of(cls, solid: MeshLike | Pressable, *, check: bool = True) -> Pressable:
+    def of(cls, solid: MeshLike | Pressable, *, check: bool = True, layer_m: float = 0.0) -> Pressable:
         """Check a solid and take its triangles.
 
         Parameters
@@ -53,6 +58,9 @@ class Pressable:
             In metres.
         check : bool
             Leave the check out for what is known to be closed.
+        layer_m : float
+            Feel the solid as it is printed: in layers of this height with rounded edges, metres, 0.00002 to
+            0.002 (:mod:`tactile_sim.layers` says what they look like). 0, the default: as it is modelled.
 
         Returns
         -------
@@ -61,20 +69,27 @@ class Pressable:
         Raises
         ------
         InputError
-            The mesh is open, inside out, flat, or has corners that are no numbers.
+            The mesh is open, inside out, flat, or has corners that are no numbers; layers of no such height.
         """
         if isinstance(solid, Pressable):
             return solid
+        layer_m = checked_layer_m(layer_m)
         mesh = as_mesh(solid)
         if check:
             _require_closed(mesh)
         vertices = np.ascontiguousarray(mesh.vertices_m, np.float64)
-        return cls(vertices, *face_blocks(vertices, np.asarray(mesh.faces, np.int32)))
+        return cls(vertices, *face_blocks(vertices, np.asarray(mesh.faces, np.int32)), layer_m)
 
     @property
     def foot_m(self) -> float:
         """Height of the lowest corner, metres: environments lift a solid by minus this much."""
         return float(self.vertices_m[:, 2].min())
+
+    def layers(self, affine: NDArray[np.float64]) -> NDArray[np.float64] | None:
+        """Return what :func:`~tactile_sim.heights.raise_heights` wants of the layers, seen through a map."""
+        if not self.layer_m:
+            return None
+        return seen_layers(affine, self.layer_m, self.foot_m, float(self.vertices_m[:, 2].max()))
 
 
 def _require_closed(mesh: Mesh) -> None:
@@ -183,16 +198,9 @@ def press(
         level = levels[plate]
         out[...] = nothing_m if level is None else level
         if level is None:
-            raise_heights(out, plate_m, _PLATE_FACES, ball_m, plates[plate], chosen)
-        solid_here = prepared[touch % len(prepared)]
-        raise_heights(
-            out,
-            solid_here.vertices_m,
-            solid_here.faces,
-            solid_here.blocks_m,
-            affines[touch % len(affines)],
-            chosen,
-        )
+            raise_heights(out, plate_m, _PLATE_FACES, ball_m, plates[plate], None, chosen)
+        here, affine = prepared[touch % len(prepared)], affines[touch % len(affines)]
+        raise_heights(out, here.vertices_m, here.faces, here.blocks_m, affine, here.layers(affine), chosen)
         highest_m[touch] = finish(out, image[touch], sensor.press_m, sensor.gel_m, chosen)
     sensor_z_m = targets[:, 2, 3] + targets[:, 2, 2] * (highest_m + sensor.press_m)
     if several:

@@ -1,0 +1,173 @@
+"""The noise of a real sensor on top of clean pictures: the model of `tactile_mnist.sensor_noise`.
+
+It is the last step before a picture is encoded, on the picture in its final size:
+``mean + (picture - mean) * gain + offset + pattern + noise``, where gain, offset and pattern are drawn once for
+a round and noise for each touch. Pattern and noise are Gaussian fields with a spectrum of ``1 / f^exponent``.
+What the package does to depth maps before they are rendered (``real_base_depth_dataset``) is not made here.
+"""
+
+from __future__ import annotations
+
+import ast
+import json
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass, fields
+from functools import cache
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tactile_toolkit.errors import InputError, MissingExtraError
+from tactile_toolkit.wording import plain_number
+
+__all__ = ["SensorNoise", "add_noise"]
+
+_LARGEST = {"std": 10.0, "exponent": 20.0, "correlation": 1.0}
+_PACKAGE, _FILE, _CLASS = "tactile_mnist", "sensor_noise.py", "SensorNoiseConfig"
+
+Numbers = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class SensorNoise:
+    """How much the pictures of a real sensor vary; shares of the range of a picture, names as in the package.
+
+    Attributes
+    ----------
+    frame_noise_std, frame_noise_spectrum_exponent, frame_noise_channel_correlation : float
+        Noise of each picture: standard deviation, exponent of its spectrum, correlation of its colours.
+    episode_pattern_std, episode_pattern_spectrum_exponent, episode_pattern_channel_correlation : float
+        The same of the pattern that lies over all pictures of a round.
+    episode_gain_std, episode_offset_std : float
+        Standard deviations of contrast and brightness, of all pictures of a round.
+
+    Raises
+    ------
+    InputError
+        A value that is not a number, or out of range: 0 to 10, exponents 0 to 20, correlations 0 to 1.
+    """
+
+    frame_noise_std: float
+    frame_noise_spectrum_exponent: float
+    frame_noise_channel_correlation: float
+    episode_pattern_std: float
+    episode_pattern_spectrum_exponent: float
+    episode_pattern_channel_correlation: float
+    episode_gain_std: float
+    episode_offset_std: float
+
+    def __post_init__(self) -> None:
+        for each in fields(self):
+            value = plain_number(getattr(self, each.name), float)
+            largest = _LARGEST[each.name.rpartition("_")[2]]
+            if not (isinstance(value, float) and 0 <= value <= largest):
+                message = f"{each.name} of the sensor noise is {value!r}; expected a number from 0 to {largest:g}"
+                raise InputError(message)
+            object.__setattr__(self, each.name, value)
+
+    @classmethod
+    def calibrated(cls) -> SensorNoise:
+        """Return the values that `tactile-mnist` was calibrated with on real touches.
+
+        They are read from the text of the installed package: importing it takes seconds and a graphics driver.
+
+        Raises
+        ------
+        MissingExtraError
+            The package is not installed.
+        InputError
+            The installed version holds no such values.
+        """
+        found = find_spec(_PACKAGE)
+        if found is None or not found.submodule_search_locations:
+            feature = "the calibrated noise"
+            raise MissingExtraError(feature, "tactile-mnist", "env")
+        file = Path(found.submodule_search_locations[0]) / _FILE
+        try:
+            tree = ast.parse(file.read_text(encoding="utf-8"))
+            (body,) = [n.body for n in tree.body if isinstance(n, ast.ClassDef) and n.name == _CLASS]
+            stated = {
+                node.target.id: ast.literal_eval(node.value)
+                for node in body
+                if isinstance(node, ast.AnnAssign) and isinstance(node.target, ast.Name) and node.value
+            }
+            return cls(**{each.name: stated[each.name] for each in fields(cls)})
+        except (OSError, ValueError, SyntaxError, KeyError) as error:
+            message = (
+                f"the installed tactile-mnist states no calibrated noise ({type(error).__name__}: {error}); "
+                f"expected {_CLASS} of version 0.13.0 in its {_FILE}; next: install that version, or give the values"
+            )
+            raise InputError(message) from error
+
+    @classmethod
+    def read(cls, path: str | Path) -> SensorNoise:
+        """Read a JSON file with a value for each attribute; InputError for any other file."""
+        names = [each.name for each in fields(cls)]
+        try:
+            found = json.loads(Path(path).read_text(encoding="utf-8"))
+        except (OSError, ValueError) as error:
+            message = f"the noise cannot be read from {str(path)!r} ({error}); expected a JSON file"
+            raise InputError(message) from error
+        if not (isinstance(found, dict) and sorted(found) == sorted(names)):
+            held = ", ".join(map(repr, found)) if isinstance(found, dict) else type(found).__name__
+            message = f"the noise in {str(path)!r} holds {held}; expected an object with {', '.join(names)}"
+            raise InputError(message)
+        return cls(**found)
+
+    def to_dict(self) -> dict[str, float]:
+        """Return JSON values."""
+        return asdict(self)
+
+
+def add_noise(
+    pictures: Sequence[NDArray[np.uint8]],
+    noise: SensorNoise,
+    round_rng: np.random.Generator,
+    touch_rng: Callable[[int], np.random.Generator],
+) -> list[NDArray[np.uint8]]:
+    """Return the pictures of a round, (H, W, 3) each, uint8, with noise; draws as the package draws.
+
+    ``round_rng`` gives gain, offset and pattern, in this order; ``touch_rng(i)`` the noise of picture i. Fields
+    are right to the last bits, which depend on the machine and vanish in 256 levels.
+    """
+    shape = pictures[0].shape
+    gain = 1 + round_rng.normal(scale=noise.episode_gain_std)
+    offset = round_rng.normal(scale=noise.episode_offset_std)
+    pattern = noise.episode_pattern_std * _field(
+        round_rng, shape, noise.episode_pattern_spectrum_exponent, noise.episode_pattern_channel_correlation
+    )
+    noisy = []
+    for touch, picture in enumerate(pictures):
+        field = noise.frame_noise_std * _field(
+            touch_rng(touch), shape, noise.frame_noise_spectrum_exponent, noise.frame_noise_channel_correlation
+        )
+        shown = picture / 255
+        mean = shown.mean()
+        shown = (shown - mean) * gain + mean + (pattern + field + offset)
+        noisy.append(np.rint(255 * shown.clip(0, 1)).astype(np.uint8))
+    return noisy
+
+
+def _field(rng: np.random.Generator, shape: tuple[int, ...], exponent: float, correlation: float) -> Numbers:
+    """Draw a field (H, W, C) of deviation 1: a share that is common to all colours, and one of each."""
+    height, width, colours = shape
+    white = np.concatenate([rng.normal(size=(height, width, 1)), rng.normal(size=shape)], axis=2)
+    # One transform of real numbers for all: half the work of complex ones.
+    spectrum = np.fft.rfft2(white, axes=(0, 1)) * _amplitudes(height, width, exponent)[..., None]
+    filtered = np.fft.irfft2(spectrum, s=(height, width), axes=(0, 1))
+    return math.sqrt(correlation) * filtered[..., :1] + math.sqrt(1 - correlation) * filtered[..., 1:]
+
+
+@cache
+def _amplitudes(height: int, width: int, exponent: float) -> Numbers:
+    """Return factors (H, W // 2 + 1) of the spectrum of white noise, whose mean stays 0 and deviation 1."""
+    across, down = np.fft.fftfreq(width) * width, np.fft.fftfreq(height) * height
+    frequency = np.hypot(down[:, None], across[None])
+    factors = np.zeros_like(frequency)
+    factors[frequency > 0] = frequency[frequency > 0] ** (-exponent / 2)
+    power = np.mean(factors**2)
+    return np.asarray((factors / np.sqrt(power) if power else factors)[:, : width // 2 + 1])
