@@ -46,9 +46,20 @@ class PlanOptions:
     rounds: Annotated[int, typer.Option(min=1, metavar="N", help="Rounds of each object.")] = 16
     touches: Annotated[int, typer.Option(min=1, metavar="N", help="Touches of a round.")] = 32
     place: Annotated[
-        Literal["cell", "grid", "object"],
-        typer.Option(help="Where the gel goes: uniform in the cell, on a grid, or on the object only."),
+        Literal["cell", "grid", "object", "given"],
+        typer.Option(
+            help="Where the gel goes: uniform in the cell, on a grid, or on the object only; or given by "
+            "--touches-from."
+        ),
     ] = "cell"
+    touches_from: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE",
+            help="Table of touches, CSV, Parquet or npz: x_m, y_m; object_id, round; object_x_m, object_y_m, "
+            "object_turn_rad.",
+        ),
+    ] = None
     turn: Annotated[
         Literal["digits", "any", "none"],
         typer.Option(help="Turn of the object: up to 22.5 degrees, any, or none."),
@@ -60,12 +71,15 @@ class PlanOptions:
 
     def plan(self) -> TouchPlan:
         """Return the plan of touches."""
+        from tactile_sim.given import GivenTouches
         from tactile_sim.plan import TURNS, TouchPlan
 
+        given = None if self.touches_from is None else GivenTouches.read(self.touches_from)
         return TouchPlan(
             self.rounds,
             self.touches,
-            self.place,
+            "given" if given is not None and self.place == "cell" else self.place,
+            given,
             turn_rad=TURNS[self.turn],
             shift=self.shift,
             seed=self.seed,
@@ -94,6 +108,44 @@ class PictureOptions:
         typer.Option(metavar="FILE", help="Weights for cyclegan; those of tactile-mnist by default."),
     ] = None
 
+    surface: Annotated[
+        Literal["smooth", "printed"],
+        typer.Option(help="Solids as they are modelled, or with the layers that a printer lays."),
+    ] = "smooth"
+    layer_mm: Annotated[
+        float, typer.Option(metavar="MM", help="Height of the layers with --surface printed.")
+    ] = 0.2
+    noise: Annotated[
+        str,
+        typer.Option(
+            metavar="none|calibrated|FILE",
+            help="Noise of a real sensor on the pictures: none, as calibrated in tactile-mnist, or as in "
+            "a JSON file.",
+        ),
+    ] = "none"
+
+    def spec(self, plan: TouchPlan | None = None, limit: int | None = None) -> GenerateSpec:
+        """Return the specification of touches."""
+        from tactile_sim.generation import GenerateSpec
+        from tactile_sim.noise import SensorNoise
+        from tactile_sim.plan import TouchPlan
+
+        noise = None
+        if self.noise != "none":
+            noise = SensorNoise.calibrated() if self.noise == "calibrated" else SensorNoise.read(self.noise)
+        return GenerateSpec(
+            _size(self.size),
+            self.optics,
+            self.like,
+            TouchPlan() if plan is None else plan,
+            self.image_format,
+            self.quality,
+            self.weights_name,
+            limit,
+            self.layer_mm / 1000 if self.surface == "printed" else 0.0,
+            noise,
+        )
+
     @property
     def weights_name(self) -> str | None:
         """The file of weights, as a name."""
@@ -121,20 +173,11 @@ def generate(
 
     A run that was stopped goes on when the same command is given again; finished shards are never made twice.
     """
-    from tactile_sim.generation import GenerateSpec, forecast
+    from tactile_sim.generation import forecast
     from tactile_sim.generation import generate as make
     from tactile_toolkit.run.limits import prepare_batch_process
 
-    spec: GenerateSpec = GenerateSpec(
-        _size(picture.size),
-        picture.optics,
-        picture.like,
-        plan.plan(),
-        picture.image_format,
-        picture.quality,
-        picture.weights_name,
-        limit=limit,
-    )
+    spec = picture.spec(plan.plan(), limit)
     splits = None if split == "all" else (split,)
     if making.dry_run:
         view = forecast(objects, spec, str(out), splits, making.processes, overwrite=making.overwrite)
@@ -217,13 +260,12 @@ def render(
 
     Example: tactile-sim render part.stl --at 0.01,0.02 --turn 0.3 --size 320x240 --out touch.png
     """
-    from tactile_sim.generation import GenerateSpec
     from tactile_sim.looking import look
     from tactile_toolkit.mesh.files import read_mesh
     from tactile_toolkit.store.folder import DataFolder
     from tactile_toolkit.touch.jpeg import encode_image
 
-    spec = GenerateSpec(_size(picture.size), picture.optics, picture.like, weights=picture.weights_name)
+    spec = picture.spec()
     x_m, y_m = _place(at)
     seen = look(read_mesh(mesh), spec, x_m, y_m, turn_rad=turn)
     kind: Literal["jpeg", "png"] = "jpeg" if out.suffix.lower() in (".jpg", ".jpeg") else picture.image_format

@@ -11,6 +11,8 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from tactile_sim.generation import GenerateSpec, generate
+    from tactile_sim.given import GivenTouches
+    from tactile_sim.noise import SensorNoise
     from tactile_sim.optics import make_optics
     from tactile_sim.plan import RoundPlan, TouchPlan, plan_round
     from tactile_sim.poses import pose
@@ -19,10 +21,12 @@ if TYPE_CHECKING:
 
 __all__ = [
     "GenerateSpec",
+    "GivenTouches",
     "Pressable",
     "Pressed",
     "RoundPlan",
     "Sensor",
+    "SensorNoise",
     "TouchPlan",
     "as_environment",
     "as_sensor",
@@ -35,6 +39,8 @@ __all__ = [
 
 _HOMES = {
     "tactile_sim.generation": ("GenerateSpec", "generate"),
+    "tactile_sim.given": ("GivenTouches",),
+    "tactile_sim.noise": ("SensorNoise",),
     "tactile_sim.optics": ("make_optics",),
     "tactile_sim.plan": ("RoundPlan", "TouchPlan", "plan_round"),
     "tactile_sim.poses": ("pose",),

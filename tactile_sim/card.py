@@ -66,12 +66,15 @@ def write_card(folder: DataFolder, manifest: Manifest, _report: object = None) -
     spec = manifest.spec["options"]
     width, height = spec["size_px"]
     plan = spec["plan"]
+    layer_m = spec.get("layer_m", 0.0)
     across, down = spec.get("weights_size_px", (width, height))
     window = "18.88 x 14.16" if spec["like"] == "published" else f"{14.16 * across / down:.4g} x 14.16"
     made = [
         ("made by", f"tactile-toolkit {manifest.toolkit_version} (schema {manifest.schema_version})"),
         ("optics", f"{spec['optics']}: {_OPTICS[spec['optics']]}"),
         ("window", f"{window} mm of gel, as in the {_like(spec['like'])}"),
+        ("surface", f"printed, in layers of {1e3 * layer_m:g} mm" if layer_m else "as modelled"),
+        ("noise", "of a real sensor, the last step on the finished picture" if spec.get("noise") else "none"),
         ("rounds of an object, touches of a round", f"{plan['rounds']}, {plan['touches']}"),
         ("objects left out", skipped_text(manifest)),
     ]
@@ -130,4 +133,6 @@ def _sheet(facts: FolderFacts) -> bytes | None:
             np.pad(image[::step, ::step], ((1, 1), (1, 1), (0, 0)), constant_values=255) for image in images
         ]
         rows.append(np.concatenate(tiles, axis=1))
-    return png_bytes(np.concatenate(rows)) if rows else None
+    widest = max((row.shape[1] for row in rows), default=0)  # given rounds may differ in length
+    filled = [np.pad(row, ((0, 0), (0, widest - row.shape[1]), (0, 0)), constant_values=255) for row in rows]
+    return png_bytes(np.concatenate(filled)) if rows else None

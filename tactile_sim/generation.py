@@ -8,16 +8,19 @@ import os
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from tactile_sim.card import write_card
 from tactile_sim.kind import KIND
+from tactile_sim.layers import checked_layer_m
+from tactile_sim.noise import SensorNoise, add_noise
 from tactile_sim.optics import OPTICS, Optics, make_optics
-from tactile_sim.plan import TouchPlan, plan_round
+from tactile_sim.plan import TouchPlan, generator, plan_round
 from tactile_sim.pressing import Pressable, press
 from tactile_sim.rows import TouchRow, parquet_style, touch_table
 from tactile_sim.sensor import Sensor, as_environment, as_sensor
@@ -38,7 +41,7 @@ from tactile_toolkit.store.shards import ShardName, Skipped
 from tactile_toolkit.touch.jpeg import encode_image
 from tactile_toolkit.wording import positive_or_none
 
-__all__ = ["GenerateSpec", "TouchShard", "forecast", "generate", "plan_build"]
+__all__ = ["GenerateSpec", "TouchShard", "forecast", "generate", "noisy", "plan_build"]
 
 _LIKE = ("environment", "published")
 _PUBLISHED_PX = (320, 240)
@@ -72,6 +75,11 @@ class GenerateSpec:
         File of weights for ``"cyclegan"``; the published ones by default.
     limit : int or None
         Only the first so many objects of each split.
+    layer_m : float
+        Height of the layers in which the solids are printed, metres; 0 for solids as they are modelled.
+    noise : SensorNoise or None
+        Noise of a real sensor, drawn for each set, object, round and touch: the last step, on the picture in
+        its final size. Not for ``"depth"``, which is no picture of a camera.
     """
 
     size_px: tuple[int, int] = (64, 64)
@@ -82,16 +90,27 @@ class GenerateSpec:
     quality: int = 95
     weights: str | None = None
     limit: int | None = None
+    layer_m: float = 0.0
+    noise: SensorNoise | None = None
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "size_px", as_sensor(*self.size_px).size_px)
         object.__setattr__(self, "limit", positive_or_none("--limit", self.limit))
+        object.__setattr__(self, "layer_m", checked_layer_m(self.layer_m))
         for name, known in (("optics", OPTICS), ("like", _LIKE), ("image_format", _IMAGES)):
             if getattr(self, name) not in known:
                 message = f"{name} is {getattr(self, name)!r}; expected one of {', '.join(known)}"
                 raise InputError(message)
         if not 1 <= self.quality <= 100:
             message = f"quality is {self.quality!r}; expected 1 to 100"
+            raise InputError(message)
+        if not (self.noise is None or isinstance(self.noise, SensorNoise)):
+            message = f"noise is {self.noise!r}; expected a SensorNoise, or None"
+            raise InputError(message)
+        if self.noise is not None and self.optics == "depth":
+            message = (
+                "the optics 'depth' have no noise: it is that of a camera's pictures; next: --optics taxim"
+            )
             raise InputError(message)
 
     def sensor(self, optics: Optics) -> Sensor:
@@ -121,6 +140,8 @@ class GenerateSpec:
             "quality": self.quality if self.image_format == "jpeg" else None,
             **network,
             "limit": self.limit,
+            "layer_m": self.layer_m,
+            "noise": None if self.noise is None else self.noise.to_dict(),
         }
 
 
@@ -143,18 +164,20 @@ class TouchShard:
         first, last = self.start // rounds, (self.start + self.size - 1) // rounds
         for place in range(first, last + 1):
             record = solids[place]
+            numbers = [
+                number - place * rounds
+                for number in range(
+                    max(self.start, place * rounds), min(self.start + self.size, (place + 1) * rounds)
+                )
+                if self.spec.plan.touches_of(record.id, number - place * rounds)
+            ]
             try:
-                solid = Pressable.of(record)
+                solid = Pressable.of(record, layer_m=self.spec.layer_m) if numbers else None
             except InputError as error:
                 skipped.append(Skipped(record.id, "no-solid", f"object {record.id}: {error}"))
                 continue
-            numbers = range(
-                max(self.start, place * rounds), min(self.start + self.size, (place + 1) * rounds)
-            )
             rows += [
-                _make_row(
-                    self.spec, solid, self.shard.split, record.id, record.label, number - place * rounds
-                )
+                _make_row(self.spec, solid, self.shard.split, record.id, record.label, number)
                 for number in numbers
             ]
         table = touch_table(rows, self.names, _suffix(self.spec)) if rows else _empty(self.names)
@@ -194,8 +217,19 @@ def _make_row(
     targets[:, :2, 3] = plan.positions_m
     pressed = press(solid, plan.object_poses[:-1], targets, sensor)
     pictures = optics.render(pressed.depth_m, sensor, spec.size_px)
+    pictures = noisy(spec, pictures, split, object_id, number)
     images = [encode_image(each, _kind(spec), spec.quality) for each in pictures]
     return TouchRow(f"{object_id}-{number}", label, object_id, plan, pressed.sensor_z_m, images)
+
+
+def noisy(
+    spec: GenerateSpec, pictures: NDArray[np.uint8], split: str, object_id: int, number: int
+) -> NDArray[np.uint8]:
+    """Return the pictures of a round with the noise of the specification, which is drawn for it alone."""
+    if spec.noise is None:
+        return pictures
+    draw = partial(generator, spec.plan.seed, split, object_id, number, "noise")
+    return add_noise(pictures, spec.noise, draw(), draw)
 
 
 def _kind(spec: GenerateSpec) -> Any:
@@ -212,6 +246,7 @@ def plan_build(source: str, spec: GenerateSpec, splits: Sequence[str] | None = N
     wanted = known if splits is None else tuple(splits)
     require_known_splits(wanted, known)
     make_optics(spec.optics, spec.weights)  # what is missing is said before anything is written
+    _require_known_objects(place, known, spec)
     tasks: list[TouchShard] = []
     per_shard = _rounds_for(spec, _SHARD_BYTES)
     for split in (each for each in known if each in wanted):
@@ -250,6 +285,21 @@ def plan_build(source: str, spec: GenerateSpec, splits: Sequence[str] | None = N
         parquet_style(_rounds_for(spec, _GROUP_BYTES)),
         libraries=("numpy", "pillow", "pyarrow", *(["torch"] if spec.optics == "cyclegan" else [])),
     )
+
+
+def _require_known_objects(place: str, splits: Sequence[str], spec: GenerateSpec) -> None:
+    """Refuse given touches of objects that no split holds (InputError)."""
+    given = spec.plan.given
+    if given is None or given.object_id is None:
+        return
+    held = [ShardedTable(find_shards(place, split)).column("id") for split in splits]
+    unknown = np.setdiff1d(given.object_id, np.concatenate(held))
+    if len(unknown):
+        shown = ", ".join(map(str, unknown[:5])) + (", ..." if len(unknown) > 5 else "")
+        message = (
+            f"touches of objects {shown} are given, and {place} holds no such id; next: mend `object_id`"
+        )
+        raise InputError(message)
 
 
 def _rounds_for(spec: GenerateSpec, size_bytes: int) -> int:

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_sim.generation import GenerateSpec
+from tactile_sim.generation import GenerateSpec, noisy
 from tactile_sim.optics import make_optics
 from tactile_sim.poses import pose
 from tactile_sim.pressing import Pressable, press
@@ -29,7 +29,8 @@ def look(mesh: MeshLike, spec: GenerateSpec, x_m: float, y_m: float, *, turn_rad
     """Press the gel onto a solid that stands at the origin, turned about z; errors as of ``press``."""
     optics = make_optics(spec.optics, spec.weights)
     sensor = spec.sensor(optics)
-    solid = Pressable.of(mesh)
+    solid = Pressable.of(mesh, layer_m=spec.layer_m)
     pressed = press(solid, pose(z_m=-solid.foot_m, turn_rad=turn_rad), pose(x_m, y_m), sensor)
-    picture = optics.render(pressed.depth_m[None], sensor, spec.size_px)[0]
+    pictures = optics.render(pressed.depth_m[None], sensor, spec.size_px)
+    picture = noisy(spec, pictures, "look", 0, 0)[0]
     return Look(picture, pressed.sensor_z_m, float((pressed.depth_m < sensor.gel_m).mean()))

@@ -4,22 +4,23 @@ from __future__ import annotations
 
 import hashlib
 import math
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, fields
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from tactile_sim.given import GivenTouches
 from tactile_sim.poses import product, turn_quaternion
 from tactile_sim.pressing import Pressable
 from tactile_sim.sensor import CELL_M
 from tactile_toolkit.arithmetic import cosine_sine
 from tactile_toolkit.errors import InputError
-from tactile_toolkit.wording import is_whole, plain, plain_number
+from tactile_toolkit.wording import is_whole, plain_number
 
-__all__ = ["PLACES", "REACH_M", "TURNS", "RoundPlan", "TouchPlan", "plan_round"]
+__all__ = ["PLACES", "REACH_M", "TURNS", "RoundPlan", "TouchPlan", "generator", "plan_round"]
 
-PLACES = ("cell", "grid", "object")
+PLACES = ("cell", "grid", "object", "given")
 
 TURNS = {"digits": math.pi / 8, "any": math.pi, "none": 0.0}
 """Greatest turn of an object, radians: of the environments that classify, of all others, and none."""
@@ -46,9 +47,10 @@ class TouchPlan:
         Touches of a round.
     place : str
         Where the gel goes: ``"cell"``, uniform in what it reaches; ``"grid"``, rows from the front left;
-        ``"object"``, uniform on the object as seen from above.
-    positions_m : tuple of (float, float)
-        Places of the touches of every round instead, metres, cell frame; ``touches`` is then their number.
+        ``"object"``, uniform on the object as seen from above; ``"given"``, as ``given`` says.
+    given : GivenTouches, optional
+        Where the gel goes with ``place="given"``, and how the object lies, if it says so. Then ``touches`` is
+        the most that a round of it has, and ``rounds`` is what it holds, if it numbers them.
     turn_rad : float
         Objects are turned about z by up to this much either way, radians; 0 leaves them as they are.
     lie : str
@@ -64,29 +66,26 @@ class TouchPlan:
     rounds: int = 16
     touches: int = 32
     place: str = "cell"
-    positions_m: tuple[tuple[float, float], ...] = field(default=(), repr=False)
+    given: GivenTouches | None = None
     turn_rad: float = math.pi / 8
     lie: str = "random"
     shift: bool = True
     seed: int = 0
 
     def __post_init__(self) -> None:
-        positions = plain(self.positions_m, float)
-        if positions:
-            object.__setattr__(self, "touches", len(positions))
+        given = self.given
+        if (self.place == "given") != isinstance(given, GivenTouches):
+            found = f"place {self.place!r} with given touches {type(given).__name__}"
+            message = (
+                f"the plan of touches has {found}; expected place 'given' and a GivenTouches, or neither"
+            )
+            raise InputError(message)
+        if given is not None:
+            object.__setattr__(self, "touches", given.longest)
+            object.__setattr__(self, "rounds", self.rounds if given.rounds is None else given.rounds)
         for name in ("rounds", "touches", "seed"):
             object.__setattr__(self, name, plain_number(getattr(self, name)))
         object.__setattr__(self, "turn_rad", plain_number(self.turn_rad, float))
-        object.__setattr__(self, "positions_m", positions)
-        pairs = isinstance(positions, tuple) and all(
-            isinstance(pair, tuple)
-            and len(pair) == 2
-            and all(
-                isinstance(each, float) and abs(each) <= half / 2
-                for each, half in zip(pair, CELL_M, strict=True)
-            )
-            for pair in positions
-        )
         for name, holds, expected in (
             ("rounds", is_whole(self.rounds) and self.rounds >= 1, "a whole number of at least 1"),
             (
@@ -95,7 +94,6 @@ class TouchPlan:
                 f"a whole number from 1 to {_MOST_TOUCHES:,}",
             ),
             ("place", self.place in PLACES, f"one of {', '.join(PLACES)}"),
-            ("positions_m", pairs, "pairs of metres inside the cell, such as [(0.01, -0.02)]"),
             ("turn_rad", isinstance(self.turn_rad, float) and 0 <= self.turn_rad <= math.pi, "0 to pi"),
             ("lie", self.lie in ("random", "middle"), "random or middle"),
             ("shift", isinstance(self.shift, bool), "True or False"),
@@ -105,9 +103,14 @@ class TouchPlan:
                 message = f"{name} of the plan of touches is {getattr(self, name)!r}; expected {expected}"
                 raise InputError(message)
 
+    def touches_of(self, object_id: int, number: int) -> int:
+        """Return how many touches a round of an object has; 0 where a given plan does not name it."""
+        return self.touches if self.given is None else len(self.given.of(object_id, number)[0])
+
     def to_dict(self) -> dict[str, Any]:
         """Return JSON values that decide every pose."""
-        return asdict(self)
+        found = {each.name: getattr(self, each.name) for each in fields(self)}
+        return {**found, "given": None if self.given is None else self.given.to_dict()}
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -133,29 +136,48 @@ class RoundPlan:
 
 
 def plan_round(plan: TouchPlan, solid: Pressable, split: str, object_id: int, number: int) -> RoundPlan:
-    """Draw one round; it depends on the plan, the split, the object and the number of the round alone."""
-    rng = _generator(plan.seed, split, object_id, number)
+    """Draw one round of at least a touch; it depends on plan, split, object and number of the round alone."""
+    rng = generator(plan.seed, split, object_id, number)
     angle_rad = plan.turn_rad * (2.0 * rng.random() - 1.0)
     x_m, y_m = _lying_place(plan, solid, angle_rad, rng.random(2))
-    shifts = rng.normal(size=(plan.touches, 3)) * ([_SHIFT_M, _SHIFT_M, _SHIFT_RAD] if plan.shift else 0.0)
+    positions = lies = None
+    if plan.given is not None:
+        positions, lies = plan.given.of(object_id, number)
+    if lies is None:
+        drawn = rng.normal(size=(plan.touches_of(object_id, number), 3))
+        lies = _shifted(drawn, x_m, y_m, angle_rad, shift=plan.shift)
+    else:
+        lies = np.concatenate([lies, lies[-1:]])  # nobody says where the object is after the last touch
     poses, quaternions = [], []
-    for dx_m, dy_m, turned_rad in [(0.0, 0.0, 0.0), *shifts.tolist()]:
-        cosine, sine = cosine_sine(angle_rad)
-        x_m, y_m = x_m + (cosine * dx_m - sine * dy_m), y_m + (sine * dx_m + cosine * dy_m)
-        angle_rad += turned_rad
-        cosine, sine = cosine_sine(angle_rad)
+    for x_m, y_m, turned_rad in lies.tolist():
+        cosine, sine = cosine_sine(turned_rad)
         poses.append(
             [[cosine, -sine, 0, x_m], [sine, cosine, 0, y_m], [0, 0, 1, 0.0 - solid.foot_m], [0, 0, 0, 1]]
         )
-        quaternions.append(turn_quaternion(angle_rad))
+        quaternions.append(turn_quaternion(turned_rad))
     matrices = np.array(poses, np.float64)
-    positions = _positions(plan, solid, matrices, rng)
+    if positions is None:
+        positions = _positions(plan, solid, matrices, rng)
     return RoundPlan(positions, matrices[:, :3, 3].copy(), np.array(quaternions), matrices)
 
 
-def _generator(seed: int, split: str, object_id: int, number: int) -> np.random.Generator:
-    words = hashlib.sha256(f"{seed}/{split}/{object_id}/{number}".encode()).digest()
+def generator(seed: int, split: str, object_id: int, number: int, *purpose: str | int) -> np.random.Generator:
+    """Return the random numbers of one round of an object, or of something in it."""
+    words = hashlib.sha256("/".join(map(str, (seed, split, object_id, number, *purpose))).encode()).digest()
     return np.random.Generator(np.random.Philox(key=int.from_bytes(words[:16], "little")))
+
+
+def _shifted(
+    drawn: NDArray[np.float64], x_m: float, y_m: float, angle_rad: float, *, shift: bool
+) -> NDArray[np.float64]:
+    """Return x, y and turn of the object at each touch and after the last, shape (T + 1, 3)."""
+    lies = [(x_m, y_m, angle_rad)]
+    for dx_m, dy_m, turned_rad in (drawn * ([_SHIFT_M, _SHIFT_M, _SHIFT_RAD] if shift else 0.0)).tolist():
+        cosine, sine = cosine_sine(angle_rad)
+        x_m, y_m = x_m + (cosine * dx_m - sine * dy_m), y_m + (sine * dx_m + cosine * dy_m)
+        angle_rad += turned_rad
+        lies.append((x_m, y_m, angle_rad))
+    return np.array(lies)
 
 
 def _lying_place(
@@ -177,8 +199,6 @@ def _lying_place(
 def _positions(
     plan: TouchPlan, solid: Pressable, poses: NDArray[np.float64], rng: np.random.Generator
 ) -> NDArray[np.float64]:
-    if plan.positions_m:
-        return np.array(plan.positions_m, np.float64)
     reach: NDArray[np.float64] = np.array(REACH_M)
     if plan.place == "cell":
         return (2.0 * rng.random((plan.touches, 2)) - 1.0) * reach

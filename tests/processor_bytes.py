@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from importlib.util import find_spec
 from pathlib import Path
 
 import mnist3d
@@ -10,6 +11,7 @@ import realtouch
 import starstruck_gen
 from mnist3d.sources.canvas import enlarge
 from mnist3d.sources.synthetic import SyntheticSource
+from tests.tactile_sim.sets import touch_sets
 
 
 def main(folder: Path, touches: Path) -> None:
@@ -19,6 +21,8 @@ def main(folder: Path, touches: Path) -> None:
     starstruck_gen.generate(scenes, folder / "scenes")
     realtouch.to_single(touches / "clips", folder / "to-single", frame="peak")
     realtouch.resize(touches / "images", folder / "resized", width=48, height=36)
+    if find_spec("numba") and find_spec("taxim"):
+        touch_sets(folder / "scenes", folder)
     literal = mnist3d.solidify(source.image(1234).pixels, method="literal")
     (folder / "literal").write_bytes(literal.vertices_m.tobytes() + literal.faces.tobytes())
     small = source.image(1234).pixels[::8, ::8]

@@ -23,6 +23,7 @@ import starstruck_gen
 from mnist3d.sources.synthetic import SyntheticSource
 from tests.notebooks.running import main as record_notebooks
 from tests.realtouch.factories import make_round, seq_rows, single_rows, write_set
+from tests.tactile_sim.sets import touch_sets
 
 FOLDER = Path(__file__).parent
 PACKAGES = ("mnist3d", "starstruck_gen", "realtouch", "realtouch.torch", "tactile_sim", "env_assets")
@@ -91,13 +92,24 @@ def data_sets(folder: Path) -> dict[str, Any]:
     return found | {"the literal solid": hashlib.sha256(content).hexdigest()}
 
 
+def synthetic_touches(folder: Path) -> dict[str, Any]:
+    """Make small sets of touches below a folder and return their digests, and what else decides them."""
+    starstruck_gen.generate(starstruck_gen.GenerateSpec(scenes=(("train", 3),)), folder / "scenes")
+    touch_sets(folder / "scenes", folder)
+    files = sorted(folder.glob("touches-*/data/*.parquet"))
+    digests = {str(file.relative_to(folder)): hashlib.sha256(file.read_bytes()).hexdigest() for file in files}
+    return {"taxim": version("taxim"), **digests}
+
+
 def main() -> None:
     with tempfile.TemporaryDirectory() as folder:
-        digests = data_sets(Path(folder))
+        digests = data_sets(Path(folder) / "sets")
+        touches = synthetic_touches(Path(folder) / "touches")
     found = {
         "libraries": library_versions(),
         "names": {package: public_names(package) for package in PACKAGES},
         "parquet": digests,
+        "touches": touches,
     }
     (FOLDER / "record.json").write_text(json.dumps(found, indent=1) + "\n", encoding="utf-8")
     for command_line in COMMAND_LINES:

@@ -14,6 +14,7 @@ from tests.unchanged.record import (
     helps,
     library_versions,
     public_names,
+    synthetic_touches,
 )
 
 RECORD = json.loads((FOLDER / "record.json").read_text(encoding="utf-8"))
@@ -42,3 +43,12 @@ def test_bytes_of_data_sets_are_unchanged(tmp_path):
     assert set(found) == set(RECORD["parquet"])
     for name, digest in RECORD["parquet"].items():
         assert found[name] == digest, name
+
+
+@pytest.mark.sim
+def test_bytes_of_synthetic_touches_are_unchanged(tmp_path):
+    for package in ("numba", "taxim"):
+        pytest.importorskip(package, reason=f"needs {package}, of the extra sim")
+    if library_versions() != RECORD["libraries"]:
+        pytest.skip(f"bytes follow from the versions of libraries; recorded with {RECORD['libraries']}")
+    assert synthetic_touches(tmp_path) == RECORD["touches"]

@@ -1,0 +1,214 @@
+"""Touches whose places are given: read from a table, or made in Python."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tactile_sim.sensor import CELL_M
+from tactile_toolkit.errors import InputError
+
+__all__ = ["GivenTouches"]
+
+_PLACES = ("x_m", "y_m")
+_NUMBERS = ("object_id", "round")
+_POSES = ("object_x_m", "object_y_m", "object_turn_rad")
+_COLUMNS = (*_PLACES, *_NUMBERS, *_POSES)
+_MOST_TURNS_RAD = 1e4
+
+
+@dataclass(frozen=True, eq=False)
+class GivenTouches:
+    """A table of touches; within a round they are made in the order in which they stand.
+
+    Attributes
+    ----------
+    x_m, y_m : array of float, shape (n,)
+        Where the gel goes, metres, cell frame.
+    object_id : array of int, shape (n,), optional
+        The `id` of the object that is touched. Without it, every object is touched there.
+    round : array of int, shape (n,), optional
+        Number of the round of the object, from 0. Without it, every round is made of these touches.
+    object_x_m, object_y_m, object_turn_rad : array of float, shape (n,), optional
+        Where the origin of the object's mesh lies while it is touched, metres, cell frame, and its turn about
+        z, radians; it stands on the plate. All three or none: without them it lies as the plan says.
+
+    Raises
+    ------
+    InputError
+        Columns of other lengths, values that are not finite numbers, a place off the cell.
+    """
+
+    x_m: Any
+    y_m: Any
+    object_id: Any = None
+    round: Any = None
+    object_x_m: Any = None
+    object_y_m: Any = None
+    object_turn_rad: Any = None
+
+    def __post_init__(self) -> None:
+        for name in _COLUMNS:
+            value = getattr(self, name)
+            if value is not None or name in _PLACES:
+                object.__setattr__(self, name, _column(name, value))
+        lengths = {name: len(getattr(self, name)) for name in _COLUMNS if getattr(self, name) is not None}
+        if len(set(lengths.values())) != 1 or not len(self.x_m):
+            held = ", ".join(f"{name} {count}" for name, count in lengths.items())
+            message = f"given touches have columns of lengths {held}; expected one length of at least 1"
+            raise InputError(message)
+        if 0 < sum(getattr(self, name) is not None for name in _POSES) < len(_POSES):
+            missing = [name for name in _POSES if getattr(self, name) is None]
+            message = f"given touches lack {', '.join(missing)}; expected all of {', '.join(_POSES)}, or none"
+            raise InputError(message)
+
+    @classmethod
+    def read(cls, path: str | Path) -> GivenTouches:
+        """Read a table from a file.
+
+        Parameters
+        ----------
+        path : str or path
+            CSV with a header line, Parquet, or `.npz`, whose columns are named as the attributes.
+
+        Returns
+        -------
+        GivenTouches
+
+        Raises
+        ------
+        InputError
+            The file is not there, is no such table, or holds values as above.
+        """
+        file = Path(path).expanduser()
+        readers = {".csv": _read_csv, ".parquet": _read_parquet, ".npz": _read_npz}
+        if file.suffix.lower() not in readers:
+            message = f"given touches in {str(path)!r}: expected a file {', '.join(readers)}"
+            raise InputError(message)
+        try:
+            columns = readers[file.suffix.lower()](file)
+        except Exception as error:  # pyarrow, zipfile and numpy raise many kinds
+            message = (
+                f"given touches in {str(path)!r} cannot be read ({error}); expected a "
+                f"whole {file.suffix.lower()} file with columns {', '.join(_PLACES)}"
+            )
+            raise InputError(message) from error
+        unknown, missing = set(columns) - set(_COLUMNS), set(_PLACES) - set(columns)
+        if unknown or missing:
+            wrong = f"unknown columns {[*unknown]}" if unknown else f"no {[*missing]}"
+            message = (
+                f"given touches in {str(path)!r} have {wrong}; expected x_m, y_m and of these: "
+                f"{', '.join(_COLUMNS[2:])}"
+            )
+            raise InputError(message)
+        try:
+            return cls(**columns)
+        except InputError as error:
+            message = f"{str(path)!r}: {error}"
+            raise InputError(message) from error
+
+    @cached_property
+    def rounds(self) -> int | None:
+        """Number of rounds, or None where the table does not say."""
+        return None if self.round is None else int(self.round.max()) + 1
+
+    @cached_property
+    def longest(self) -> int:
+        """Most touches that a round has."""
+        return max(len(rows) for rows in self._rows.values())
+
+    def of(self, object_id: int, number: int) -> tuple[NDArray[np.float64], NDArray[np.float64] | None]:
+        """Return the places of a round, shape (T, 2), and x, y and turn of the object, (T, 3), if given.
+
+        T is 0 where the table has no such round.
+        """
+        rows = self._rows.get(
+            (None if self.object_id is None else object_id, None if self.round is None else number), []
+        )
+        places = np.stack([getattr(self, name)[rows] for name in _PLACES], axis=1)
+        if self.object_x_m is None:
+            return places, None
+        return places, np.stack([getattr(self, name)[rows] for name in _POSES], axis=1)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return JSON values that decide what is made: which columns, how many rows, and their checksum."""
+        held = [name for name in _COLUMNS if getattr(self, name) is not None]
+        stored = b"".join(
+            getattr(self, name).astype(getattr(self, name).dtype.newbyteorder("<")).tobytes() for name in held
+        )
+        return {"columns": held, "rows": len(self.x_m), "sha256": hashlib.sha256(stored).hexdigest()}
+
+    @cached_property
+    def _rows(self) -> dict[tuple[int | None, int | None], list[int]]:
+        count = len(self.x_m)
+        ids = [None] * count if self.object_id is None else self.object_id.tolist()
+        rounds = [None] * count if self.round is None else self.round.tolist()
+        found: dict[tuple[int | None, int | None], list[int]] = {}
+        for row, key in enumerate(zip(ids, rounds, strict=True)):
+            found.setdefault(key, []).append(row)
+        return found
+
+
+def _column(name: str, value: Any) -> NDArray[Any]:
+    """Return one column as float64 or int64; InputError for what cannot be one, with the first bad row."""
+    whole = name in _NUMBERS
+    try:
+        found = np.asarray(value)
+        numbers = found.astype(np.float64)
+    except (TypeError, ValueError):
+        found = numbers = np.empty((0, 0))
+    if numbers.ndim != 1 or found.dtype.kind not in "iuf":
+        message = (
+            f"column {name} of the given touches is {type(value).__name__}; expected a number for each touch"
+        )
+        raise InputError(message)
+    if whole:
+        wrong = ~(np.isfinite(numbers) & (numbers == np.floor(numbers)) & (numbers >= 0) & (numbers < 2**53))
+        expected = "a whole number from 0"
+    elif name == "object_turn_rad":
+        wrong, expected = ~(np.abs(numbers) <= _MOST_TURNS_RAD), "radians"
+    else:
+        half_m = CELL_M["xy".index(name.removeprefix("object_")[0])] / 2
+        # An object may be larger than the cell, and its origin off it.
+        half_m = half_m if name in _PLACES else 10 * half_m
+        wrong, expected = ~(np.abs(numbers) <= half_m), f"metres from {-half_m:g} to {half_m:g}"
+    if wrong.any():
+        row = int(np.argmax(wrong))
+        message = f"column {name} of the given touches is {found[row]} in row {row}; expected {expected}"
+        raise InputError(message)
+    return found.astype(np.int64) if whole else numbers
+
+
+def _read_csv(file: Path) -> Mapping[str, Any]:
+    from pyarrow import csv
+
+    return _numbers(csv.read_csv(file))
+
+
+def _read_parquet(file: Path) -> Mapping[str, Any]:
+    from pyarrow import parquet
+
+    return _numbers(parquet.read_table(file))
+
+
+def _numbers(table: Any) -> Mapping[str, Any]:
+    import pyarrow as pa
+
+    # What is missing becomes NaN, which is refused by its row.
+    empty = {name: pa.types.is_null(table.schema.field(name).type) for name in table.column_names}
+    return {
+        name: (table.column(name).cast(pa.float64()) if empty[name] else table.column(name)).to_numpy()
+        for name in table.column_names
+    }
+
+
+def _read_npz(file: Path) -> Mapping[str, Any]:
+    with np.load(file, allow_pickle=False) as stored:
+        return dict(stored)

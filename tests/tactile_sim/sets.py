@@ -1,0 +1,20 @@
+"""Small sets of touches that use all that decides bytes."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import tactile_sim
+
+NOISE = tactile_sim.SensorNoise(0.0038, 1.4, 0.3, 0.0093, 4.0, 0.3, 0.047, 0.0094)
+
+
+def touch_sets(scenes: Path, folder: Path) -> None:
+    """Make sets of touches of one scene below a folder: depth, as printed; and Taxim, scaled, with noise."""
+    plan = tactile_sim.TouchPlan(2, 4, "object", seed=5)
+    printed = tactile_sim.GenerateSpec(
+        (64, 48), "depth", plan=plan, image_format="png", layer_m=0.0002, limit=1
+    )
+    noisy = tactile_sim.GenerateSpec((64, 64), "taxim", "published", plan, noise=NOISE, limit=1)
+    for name, spec in (("touches-depth", printed), ("touches-taxim", noisy)):
+        tactile_sim.generate(str(scenes), spec, folder / name, ["train"])

@@ -1,0 +1,138 @@
+"""Touches from tables: what is written in them is what is made."""
+
+from __future__ import annotations
+
+import numpy as np
+import pyarrow as pa
+import pytest
+from pyarrow import parquet
+
+import tactile_sim
+from tactile_sim.generation import plan_build
+from tactile_toolkit.errors import InputError
+from tests.tactile_sim.solids import block
+
+TABLE = {
+    "x_m": [0.01, -0.02, 0.0, 0.03],
+    "y_m": [0.0, 0.01, -0.01, 0.0],
+    "object_id": [1, 1, 0, 1],
+    "round": [0, 1, 0, 1],
+    "object_x_m": [0.0, 0.001, 0.0, 0.002],
+    "object_y_m": [0.0, 0.0, 0.0, -0.001],
+    "object_turn_rad": [0.0, 0.5, 0.0, -0.5],
+}
+
+
+def _write(folder, suffix, table):
+    file = folder / f"touches{suffix}"
+    if suffix == ".npz":
+        np.savez(file, **{name: np.array(values) for name, values in table.items()})
+    elif suffix == ".parquet":
+        parquet.write_table(pa.table(table), file)
+    else:
+        lines = [",".join(table), *(",".join(map(repr, row)) for row in zip(*table.values(), strict=True))]
+        file.write_text("\n".join(lines) + "\n")
+    return file
+
+
+@pytest.mark.parametrize("suffix", [".csv", ".parquet", ".npz"])
+def test_files_of_all_kinds_hold_the_same(suffix, tmp_path):
+    made, read = (
+        tactile_sim.GivenTouches(**TABLE),
+        tactile_sim.GivenTouches.read(_write(tmp_path, suffix, TABLE)),
+    )
+    assert made.to_dict() == read.to_dict()
+    assert (read.rounds, read.longest) == (2, 2)
+    places, lies = read.of(1, 1)
+    assert places.tolist() == [[-0.02, 0.01], [0.03, 0.0]]
+    assert lies.tolist() == [[0.001, 0.0, 0.5], [0.002, -0.001, -0.5]]
+    assert [len(read.of(*key)[0]) for key in ((0, 0), (0, 1), (1, 0), (7, 0))] == [1, 0, 1, 0]
+
+
+def test_a_round_is_made_of_what_is_given():
+    solid = tactile_sim.Pressable.of(block())
+    plan = tactile_sim.TouchPlan(place="given", given=tactile_sim.GivenTouches(**TABLE))
+    assert (plan.rounds, plan.touches) == (2, 2)
+    made = tactile_sim.plan_round(plan, solid, "train", 1, 1)
+    assert made.positions_m.tolist() == [[-0.02, 0.01], [0.03, 0.0]]
+    assert (made.object_poses[1] == tactile_sim.pose(0.002, -0.001, turn_rad=-0.5)).all()
+    assert (made.object_poses[2] == made.object_poses[1]).all()
+    # Without poses the object lies as the plan says, and is shifted as ever.
+    places = {name: TABLE[name] for name in ("x_m", "y_m")}
+    given = tactile_sim.TouchPlan(3, place="given", given=tactile_sim.GivenTouches(**places))
+    drawn = tactile_sim.TouchPlan(3, 4)
+    one, other = (tactile_sim.plan_round(each, solid, "train", 5, 2) for each in (given, drawn))
+    assert (one.object_poses == other.object_poses).all()
+    assert one.positions_m.tolist() == np.transpose([TABLE["x_m"], TABLE["y_m"]]).tolist()
+
+
+@pytest.mark.sim
+def test_a_set_holds_the_rounds_that_are_given(tmp_path):
+    pytest.importorskip("numba", reason="needs numba, of the extra sim")
+    import realtouch
+    import starstruck_gen
+
+    scenes = str(tmp_path / "scenes")
+    starstruck_gen.generate(starstruck_gen.GenerateSpec(scenes=(("train", 3), ("test", 3))), scenes)
+    spec = tactile_sim.GenerateSpec(
+        optics="depth", plan=tactile_sim.TouchPlan(place="given", given=tactile_sim.GivenTouches(**TABLE))
+    )
+    manifest = tactile_sim.generate(scenes, spec, tmp_path / "out", ["train"])
+    assert manifest.spec["options"]["plan"]["given"]["rows"] == 4
+    rounds = realtouch.load(tmp_path / "out", "train")
+    assert [(r.id, len(r.pos_in_cell)) for r in rounds] == [("0-0", 1), ("1-0", 1), ("1-1", 2)]
+    touched = rounds[2].info["touched_object_pose"].position_m
+    assert touched[:, :2].tolist() == [[0.001, 0.0], [0.002, -0.001]]
+    unknown = {**TABLE, "object_id": [1, 1, 0, 99]}
+    plan = tactile_sim.TouchPlan(place="given", given=tactile_sim.GivenTouches(**unknown))
+    with pytest.raises(InputError, match="touches of objects 99 are given"):
+        plan_build(scenes, tactile_sim.GenerateSpec(optics="depth", plan=plan), ["train"])
+
+
+@pytest.mark.parametrize(
+    ("changed", "message"),
+    [
+        ({"x_m": [0.0, 0.0, 0.0, 0.2]}, "column x_m .* is 0.2 in row 3; expected metres"),
+        ({"y_m": [0.0, float("nan"), 0.0, 0.0]}, "is nan in row 1"),
+        ({"x_m": ["a", "b", "c", "d"]}, "expected a number for each touch"),
+        ({"round": [0, 1, 2.5, 0]}, "is 2.5 in row 2; expected a whole number"),
+        ({"object_id": [0, -1, 0, 0]}, "is -1 in row 1"),
+        ({"object_turn_rad": [0.0, np.inf, 0.0, 0.0]}, "expected radians"),
+        ({"object_turn_rad": None}, "lack object_turn_rad"),
+        ({"x_m": [0.0]}, "columns of lengths x_m 1, y_m 4"),
+    ],
+)
+def test_tables_that_cannot_be_are_refused(changed, message, tmp_path):
+    table = {**TABLE, **changed}
+    with pytest.raises(InputError, match=message):
+        tactile_sim.GivenTouches(**table)
+
+
+def test_files_that_cannot_be_are_refused(tmp_path):
+    read = tactile_sim.GivenTouches.read
+    for name, content, message in (
+        ("no.csv", None, "cannot be read"),
+        ("poses.txt", b"", r"expected a file \.csv"),
+        ("torn.parquet", b"PAR1 and no more", "cannot be read"),
+        ("torn.npz", b"PK", "cannot be read"),
+        ("other.csv", b"x_m,z_m\n0,0\n", "unknown columns"),
+        ("half.csv", b"x_m\n0\n", r"no \['y_m'\]"),
+        ("hole.csv", b"x_m,y_m\n0.0,\n", "row 0; expected metres"),
+        ("empty.csv", b"x_m,y_m\n", "expected"),
+    ):
+        file = tmp_path / name
+        if content is not None:
+            file.write_bytes(content)
+        with pytest.raises(InputError, match=message):
+            read(file)
+    objects = tmp_path / "objects.npz"
+    np.savez(objects, x_m=np.array([{"a": 1}], dtype=object), y_m=np.zeros(1))
+    with pytest.raises(InputError, match="cannot be read"):
+        read(objects)
+
+
+def test_a_plan_has_given_touches_or_none():
+    given = tactile_sim.GivenTouches(**TABLE)
+    for values in ({"place": "given"}, {"given": given}, {"place": "given", "given": [(0.0, 0.0)]}):
+        with pytest.raises(InputError, match="expected place 'given' and a GivenTouches"):
+            tactile_sim.TouchPlan(**values)

@@ -1,0 +1,173 @@
+"""The noise of a real sensor: with the same random numbers, what the package's own code gives."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+
+import tactile_sim
+from tactile_sim.noise import add_noise
+from tactile_toolkit.errors import InputError, MissingExtraError
+from tests.tactile_sim.oracle import require_package
+
+VALUES = {
+    "frame_noise_std": 0.0038,
+    "frame_noise_spectrum_exponent": 1.4,
+    "frame_noise_channel_correlation": 0.3,
+    "episode_pattern_std": 0.0093,
+    "episode_pattern_spectrum_exponent": 4.0,
+    "episode_pattern_channel_correlation": 0.3,
+    "episode_gain_std": 0.047,
+    "episode_offset_std": 0.0094,
+}
+NOISE = tactile_sim.SensorNoise(**VALUES)
+
+
+def _pictures(count, height, width):
+    return np.random.default_rng(1).integers(0, 256, (count, height, width, 3), dtype=np.uint8)
+
+
+def _rng(*key):
+    return np.random.default_rng(key)
+
+
+@pytest.mark.env
+@pytest.mark.parametrize("size", [(64, 64), (33, 20), (320, 240), (1, 7)], ids=str)
+def test_the_same_random_numbers_give_what_the_package_gives(size):
+    require_package()
+    from env_assets.published.packages import published_package
+
+    module = published_package("tactile_mnist.sensor_noise")
+    strong = {**VALUES, "frame_noise_std": 0.03, "episode_gain_std": 0.2}
+    for values in (VALUES, strong):
+        model = module.SensorNoiseModel(module.SensorNoiseConfig(**values), 1, size, 3)
+        model.reset([True], _rng(7))
+        pictures = _pictures(3, size[1], size[0])
+        theirs = np.stack([model.apply(p[None] / 255, _rng(7, touch))[0] for touch, p in enumerate(pictures)])
+        ours = add_noise(pictures, tactile_sim.SensorNoise(**values), _rng(7), lambda touch: _rng(7, touch))
+        off = np.abs(255 * theirs - ours)
+        assert off.max() < 0.5 + 1e-9
+        assert (ours != pictures).mean() > (0.5 if min(size) > 1 else 0.2)
+
+
+@pytest.mark.env
+def test_calibrated_values_are_those_of_the_installed_package():
+    require_package()
+    from env_assets.published.packages import published_package
+
+    config = published_package("tactile_mnist.sensor_noise").SensorNoiseConfig()
+    found = tactile_sim.SensorNoise.calibrated().to_dict()
+    assert found == {name: getattr(config, name) for name in found}
+    left_out = set(vars(config)) - set(found)
+    assert left_out == {"real_base_depth_dataset"}
+    assert config.real_base_depth_dataset is None
+
+
+def test_noise_is_as_large_and_as_correlated_as_asked_for():
+    """Against the definition: deviation, correlation of colours and slope of the spectrum."""
+    values = {
+        **VALUES,
+        "frame_noise_std": 0.05,
+        "episode_pattern_std": 0.0,
+        "episode_gain_std": 0.0,
+        "episode_offset_std": 0.0,
+    }
+    grey = np.full((200, 64, 64, 3), 128, np.uint8)
+    made = add_noise(grey, tactile_sim.SensorNoise(**values), _rng(0), lambda touch: _rng(touch)) / 255.0
+    noise = made - 128 / 255
+    assert noise.std() == pytest.approx(0.05, rel=0.01)
+    flat = noise.reshape(-1, 3)
+    assert np.corrcoef(flat.T)[0, 1] == pytest.approx(0.3, abs=0.02)
+    power = (np.abs(np.fft.fft2(noise[..., 0], axes=(1, 2))) ** 2).mean(axis=0)
+    slope = np.log(power[0, 2] / power[0, 16]) / np.log(16 / 2)
+    assert slope == pytest.approx(1.4, abs=0.1)
+
+
+def test_rounds_differ_in_gain_and_offset_as_asked_for():
+    ramp = np.tile(np.linspace(40, 200, 64).astype(np.uint8)[None, None, :, None], (1, 64, 1, 3))
+    values = {**VALUES, "frame_noise_std": 0.0, "episode_pattern_std": 0.0}
+    made = np.concatenate(
+        [
+            add_noise(ramp, tactile_sim.SensorNoise(**values), _rng(k), lambda touch: _rng(9))
+            for k in range(400)
+        ]
+    )
+    assert made.mean(axis=(1, 2, 3)).std() / 255 == pytest.approx(0.0094, rel=0.15)
+    assert (made.std(axis=(1, 2, 3)) / ramp.std()).std() == pytest.approx(0.047, rel=0.15)
+
+
+@pytest.mark.sim
+def test_sets_have_noise_of_their_own_for_each_touch(tmp_path):
+    pytest.importorskip("numba", reason="needs numba, of the extra sim")
+    pytest.importorskip("taxim", reason="needs taxim, of the extra sim")
+    import realtouch
+    import starstruck_gen
+
+    scenes = str(tmp_path / "scenes")
+    starstruck_gen.generate(starstruck_gen.GenerateSpec(scenes=(("train", 3),)), scenes)
+    # All touches of the bare plate: what differs is noise.
+    given = tactile_sim.GivenTouches(
+        [0.0] * 3, [0.0] * 3, object_x_m=[0.5] * 3, object_y_m=[0.5] * 3, object_turn_rad=[0.0] * 3
+    )
+    made = {}
+    for name, noise, seed in (
+        ("clean", None, 0),
+        ("noisy", NOISE, 0),
+        ("again", NOISE, 0),
+        ("other", NOISE, 1),
+    ):
+        plan = tactile_sim.TouchPlan(2, place="given", given=given, seed=seed)
+        spec = tactile_sim.GenerateSpec(
+            (32, 32), "taxim", plan=plan, image_format="png", noise=noise, limit=2
+        )
+        tactile_sim.generate(scenes, spec, tmp_path / name)
+        made[name] = np.stack([r.sensor_image[:] for r in realtouch.load(tmp_path / name, "train")]).astype(
+            float
+        )
+    assert (made["noisy"] == made["again"]).all()
+    assert (made["noisy"] != made["other"]).any()
+    assert (made["clean"] == made["clean"][0, 0]).all()
+    added = (made["noisy"] - made["clean"]).reshape(-1, 32, 32, 3)
+    for one in range(len(added)):
+        assert all((added[one] != added[two]).any() for two in range(one))
+    # Touches of a round share their pattern, rounds do not.
+    within = np.corrcoef(added[0].ravel(), added[1].ravel())[0, 1]
+    between = np.corrcoef(added[0].ravel(), added[3].ravel())[0, 1]
+    assert within > 0.6 > abs(between)
+
+
+def test_noise_that_cannot_be_is_refused(tmp_path, monkeypatch):
+    for name, value in (
+        ("frame_noise_std", -1.0),
+        ("episode_gain_std", float("nan")),
+        ("frame_noise_channel_correlation", 1.5),
+        ("episode_pattern_spectrum_exponent", "steep"),
+    ):
+        with pytest.raises(InputError, match=f"{name} of the noise is"):
+            tactile_sim.SensorNoise(**{**VALUES, name: value})
+    with pytest.raises(InputError, match="'depth' have no noise"):
+        tactile_sim.GenerateSpec(optics="depth", noise=NOISE)
+    with pytest.raises(InputError, match="expected a SensorNoise"):
+        tactile_sim.GenerateSpec(noise=0.1)
+    file = tmp_path / "noise.json"
+    file.write_text(json.dumps(VALUES))
+    assert tactile_sim.SensorNoise.read(file) == NOISE
+    for text, message in (("{", "cannot be read"), ("[]", "holds list"), ('{"gain": 1}', "holds 'gain'")):
+        file.write_text(text)
+        with pytest.raises(InputError, match=message):
+            tactile_sim.SensorNoise.read(file)
+    with pytest.raises(InputError, match="cannot be read"):
+        tactile_sim.SensorNoise.read(tmp_path / "nothing.json")
+    monkeypatch.setattr("tactile_sim.noise.find_spec", lambda _: None)
+    with pytest.raises(MissingExtraError, match="the extra `env`"):
+        tactile_sim.SensorNoise.calibrated()
+
+
+def test_another_version_of_the_package_is_named(tmp_path, monkeypatch):
+    (tmp_path / "sensor_noise.py").write_text("class SensorNoiseConfig:\n    frame_noise_std: float = 0.1\n")
+    found = type("Found", (), {"submodule_search_locations": [str(tmp_path)]})()
+    monkeypatch.setattr("tactile_sim.noise.find_spec", lambda _: found)
+    with pytest.raises(InputError, match="states no calibrated noise"):
+        tactile_sim.SensorNoise.calibrated()
