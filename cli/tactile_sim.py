@@ -113,7 +113,8 @@ class PictureOptions:
         typer.Option(help="Solids as they are modelled, or with the layers that a printer lays."),
     ] = "smooth"
     layer_mm: Annotated[
-        float, typer.Option(metavar="MM", help="Height of the layers with --surface printed.")
+        float,
+        typer.Option(min=0.02, max=2.0, metavar="MM", help="Height of the layers with --surface printed."),
     ] = 0.2
     noise: Annotated[
         str,

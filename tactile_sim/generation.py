@@ -104,8 +104,9 @@ class GenerateSpec:
         if not 1 <= self.quality <= 100:
             message = f"quality is {self.quality!r}; expected 1 to 100"
             raise InputError(message)
-        if not (self.noise is None or isinstance(self.noise, SensorNoise)):
-            message = f"noise is {self.noise!r}; expected a SensorNoise, or None"
+        noise: Any = self.noise
+        if not (noise is None or isinstance(noise, SensorNoise)):
+            message = f"noise is {noise!r}; expected a SensorNoise, or None"
             raise InputError(message)
         if self.noise is not None and self.optics == "depth":
             message = (
@@ -171,8 +172,10 @@ class TouchShard:
                 )
                 if self.spec.plan.touches_of(record.id, number - place * rounds)
             ]
+            if not numbers:
+                continue
             try:
-                solid = Pressable.of(record, layer_m=self.spec.layer_m) if numbers else None
+                solid = Pressable.of(record, layer_m=self.spec.layer_m)
             except InputError as error:
                 skipped.append(Skipped(record.id, "no-solid", f"object {record.id}: {error}"))
                 continue

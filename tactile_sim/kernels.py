@@ -183,7 +183,7 @@ def _layer_rise(
             round_end = (math.sqrt(root) - half) / square
             if across + round_end * sideways >= 0.0:
                 best = max(best, round_end)
-    return min(best, 2.0 * layer)
+    return float(min(best, 2.0 * layer))
 
 
 @_compiled

@@ -107,4 +107,4 @@ def layer_rises(
             ends_round = ~ends_flat & (root >= 0) & (across + round_end * sideways >= 0)
         best = np.where(printed & ends_flat, np.maximum(best, flat), best)
         best = np.where(printed & ends_round, np.maximum(best, round_end), best)
-    return np.minimum(best, 2.0 * layer)
+    return np.asarray(np.minimum(best, 2.0 * layer))
