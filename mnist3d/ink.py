@@ -23,6 +23,7 @@ __all__ = [
     "count_bodies_and_holes",
     "dark_on_light",
     "join_bodies",
+    "levels_and_threshold",
     "margin",
     "otsu_threshold",
     "paper_is_dark",
@@ -100,12 +101,20 @@ def dark_on_light(pixels: NDArray[Any], ink: str) -> NDArray[np.uint8]:
     the margin of the image is paper. Raises ItemError ``bad-shape``, ``bad-dtype``, ``not-finite``,
     ``bad-range`` or ``unclear-ink``.
     """
+    return levels_and_threshold(pixels, ink)[0]
+
+
+def levels_and_threshold(pixels: NDArray[Any], ink: str) -> tuple[NDArray[np.uint8], int | None]:
+    """Return what :func:`dark_on_light` does, and Otsu's threshold of it where it is known by then."""
     levels = _as_levels(pixels)
     if ink == "light":
-        return 255 - levels
+        return 255 - levels, None
     if ink == "auto" and levels.min() < levels.max():
-        return 255 - levels if paper_is_dark(levels, otsu_threshold(levels), "the image") else levels
-    return levels
+        threshold = otsu_threshold(levels)
+        if paper_is_dark(levels, threshold, "the image"):
+            return 255 - levels, None
+        return levels, threshold
+    return levels, None
 
 
 def _as_levels(pixels: NDArray[Any]) -> NDArray[np.uint8]:
@@ -191,7 +200,9 @@ def _without_small(
     """Drop the pieces smaller than a limit; the piece at the pixel ``always`` stays whatever its size."""
     from scipy import ndimage
 
-    labels, _ = ndimage.label(mask)
+    labels, count = ndimage.label(mask)
+    if count == 1 and (always is not None or np.count_nonzero(mask) >= min_px):
+        return mask
     keep = np.bincount(labels.ravel()) >= min_px
     if always is not None:
         keep[labels[always]] = True

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any, Literal
 
-from mnist3d.ink import SMALL_PX, binarise, clean, dark_on_light, join_bodies
+from mnist3d.ink import SMALL_PX, binarise, clean, join_bodies, levels_and_threshold
 from mnist3d.lattice import lattice_solid
 from mnist3d.spec import EROSIONS, PROFILES, SolidSpec
 from mnist3d.steps import (
@@ -113,11 +113,12 @@ def ink_mask(
         message = f"ink is {ink!r}; expected 'auto', 'dark' or 'light'"
         raise InputError(message)
     # A threshold says which side of it is ink.
-    levels = dark_on_light(pixels, "dark" if ink == "auto" and spec.threshold is not None else ink)
+    said = ink if spec.threshold is None or ink != "auto" else "dark"
+    levels, threshold = levels_and_threshold(pixels, said)
     if resample:
         from mnist3d.sources.canvas import fit
 
-        levels = fit(levels)
+        levels, threshold = fit(levels), None
     elif max(levels.shape) < SMALL_PX:
         size_mm = max(levels.shape) * spec.pixel_pitch_mm
         message = (
@@ -126,7 +127,7 @@ def ink_mask(
         )
         raise ItemError(reason="too-small", message=message)
     mask = clean(
-        binarise(levels, spec.threshold),
+        binarise(levels, threshold if spec.threshold is None else spec.threshold),
         pixel_pitch_mm=spec.pixel_pitch_mm,
         min_speck_mm2=spec.min_speck_mm2,
         min_pinhole_mm2=spec.min_pinhole_mm2,

@@ -141,9 +141,14 @@ def smooth(
     ends = faces[:, [0, 1, 2, 1, 2, 0]].T.reshape(-1)
     others = faces[:, [1, 2, 0, 0, 1, 2]].T.reshape(-1)
     weights = np.ones(len(ends), dtype=np.float32)
-    sums: Any = sparse.csr_matrix((weights, (ends, others)), shape=(len(vertices), len(vertices)))
-    shares = np.float32(1) / np.maximum(np.asarray(sums.sum(axis=1)).ravel(), 1)
-    average: Any = sparse.diags(shares.astype(np.float32)) @ sums
+    average: Any = sparse.csr_matrix((weights, (ends, others)), shape=(len(vertices), len(vertices)))
+    counts = np.bincount(ends, minlength=len(vertices))
+    # The order in which neighbours are added decides the last bit: here from the last to the first.
+    starts, sizes = average.indptr, np.diff(average.indptr)
+    backwards = np.repeat(starts[:-1] + starts[1:] - 1, sizes) - np.arange(starts[-1])
+    shares = np.float32(1) / np.maximum(counts, 1).astype(np.float32)
+    average.data = average.data[backwards] * np.repeat(shares, sizes)
+    average.indices = average.indices[backwards]
     for _ in range(iterations):
         for share in (factor, factor * TAUBIN_RATIO):
             moved = vertices + np.float32(share) * (average @ vertices - vertices)

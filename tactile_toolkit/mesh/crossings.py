@@ -146,8 +146,10 @@ def _winds_once(following: dict[int, int], x: Numbers, y: Numbers) -> bool:
     """Tell whether simple closed lines wind no more than once around any point, and never backwards."""
     lines = []
     while following:
-        line = [next(iter(following))]
-        while (corner := following.pop(line[-1], None)) is not None:
+        first, corner = following.popitem()
+        line = [first, corner]
+        while corner != first:
+            corner = following.pop(corner)
             line.append(corner)
         lines.append((x[line], y[line]))
     for line_x, line_y in lines:
