@@ -18,12 +18,25 @@ if TYPE_CHECKING:
     from realtouch.names import SHORT_NAMES
     from realtouch.opening import load
     from realtouch.poses import Poses, PoseSequences
+    from realtouch.preprocess import (
+        ContactRule,
+        Contacts,
+        ContactScore,
+        background,
+        best_frame,
+        contact_score,
+        difference,
+        find_contacts,
+    )
     from realtouch.rounds import TouchRound, TouchSeqRound, TouchSingleRound
     from realtouch.summary import Summary, summarise
     from realtouch.touches import Touch, Touches
 
 __all__ = [
     "SHORT_NAMES",
+    "ContactRule",
+    "ContactScore",
+    "Contacts",
     "PoseSequences",
     "Poses",
     "Summary",
@@ -37,6 +50,11 @@ __all__ = [
     "TouchSingleRound",
     "TouchStream",
     "Touches",
+    "background",
+    "best_frame",
+    "contact_score",
+    "difference",
+    "find_contacts",
     "frames",
     "load",
     "resize",
@@ -57,6 +75,16 @@ _HOMES = {
     "realtouch.media.clips": ("TouchClip",),
     "realtouch.names": ("SHORT_NAMES",),
     "realtouch.poses": ("PoseSequences", "Poses"),
+    "realtouch.preprocess": (
+        "ContactRule",
+        "ContactScore",
+        "Contacts",
+        "background",
+        "best_frame",
+        "contact_score",
+        "difference",
+        "find_contacts",
+    ),
     "realtouch.rounds": ("TouchRound", "TouchSeqRound", "TouchSingleRound"),
     "realtouch.summary": ("Summary", "summarise"),
     "realtouch.touches": ("Touch", "Touches"),

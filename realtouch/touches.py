@@ -28,12 +28,12 @@ from tactile_toolkit.read.sequence import LazySequence, positions
 from tactile_toolkit.touch.jpeg import Pixels, room_for
 from tactile_toolkit.touch.rows import flat_row
 from tactile_toolkit.touch.schema import Kind, is_per_touch
-from tactile_toolkit.wording import counted
+from tactile_toolkit.wording import counted, is_whole, plain_number
 
 if TYPE_CHECKING:
     from realtouch.pose import Pose
 
-__all__ = ["Touch", "Touches"]
+__all__ = ["Touch", "Touches", "with_empties"]
 
 
 class Touch:
@@ -453,6 +453,41 @@ class Touches(LazySequence[Touch], Generic[R]):
         known = {int(each) for each in np.unique(self.object_ids)}
         return self[np.isin(self.object_ids, sorted(numbers & known))]
 
+    def sample(
+        self,
+        n: int | None = None,
+        seed: int = 0,
+        *,
+        empties: float | None = None,
+        contact: NDArray[np.bool_] | None = None,
+    ) -> Self:
+        """Return touches drawn at random without repetition, or those with contact and a share of the rest.
+
+        Parameters
+        ----------
+        n : int, optional
+            How many; with ``empties`` all that there are by default.
+        seed : int
+            From 0.
+        empties : float, optional
+            Share of touches without contact in what is returned, 0 to below 1, as far as there are any. Which
+            ones follows from the seed, the id of the round and the touch's number alone, whatever else is
+            selected and in whatever order. They stay where they are among the others.
+        contact : ndarray of bool, shape (len,), optional
+            Which touches have contact; by default those that :meth:`with_contact` keeps. See also
+            :func:`realtouch.find_contacts`.
+
+        Raises
+        ------
+        InputError
+            There are fewer touches, or a number, share or mask is none.
+        """
+        if empties is None:
+            return super().sample(len(self) if n is None else n, seed)
+        mask = self.heights_m() >= MIN_CONTACT_HEIGHT_M if contact is None else contact
+        chosen = self._some(with_empties(self, mask, empties, seed))
+        return chosen if n is None else super(Touches, chosen).sample(n, seed)
+
     def without(self, lost: Iterable[tuple[int, int | None]]) -> Touches[R]:
         """Return the touches but some, given as stored row and number in the round."""
         rows = self.dataset.row_numbers[self.round_positions].tolist()
@@ -560,6 +595,39 @@ class Touches(LazySequence[Touch], Generic[R]):
     def _words(self) -> list[str]:
         of_rounds, *further = self.dataset._words()
         return [f"{counted(len(self), 'touches')} of {of_rounds}", *further]
+
+
+def with_empties(
+    touches: Touches[Any], contact: NDArray[np.bool_], share: float, seed: int
+) -> NDArray[np.int64]:
+    """Return the places of all touches with contact, and of so many without that they are a share of both.
+
+    Raises InputError for a share, a seed or a mask that is none.
+    """
+    wanted, number, mask = plain_number(share, float), plain_number(seed), np.asarray(contact)
+    for problem, found, expected in (
+        (not isinstance(wanted, float) or not 0 <= wanted < 1, f"empties is {share!r}", "0 to below 1"),
+        (not is_whole(number) or number < 0, f"the seed is {seed!r}", "a whole number from 0"),
+        (
+            mask.dtype != bool or mask.shape != (len(touches),),
+            f"contact is {mask.dtype} of shape {mask.shape}",
+            f"bool of shape ({len(touches)},)",
+        ),
+    ):
+        if problem:
+            message = f"{found}; expected {expected}"
+            raise InputError(message)
+    (empty,) = np.nonzero(~mask)
+    count = min(len(empty), round((len(touches) - len(empty)) * wanted / (1 - wanted)))
+    if not count:
+        return np.flatnonzero(mask)
+    ids = touches.dataset.column("id")[touches.round_positions[empty]].tolist()
+    texts = zip(ids, touches.touch_indices[empty].tolist(), strict=True)
+    drawn = [
+        hashlib.blake2b(f"{number} {name} {touch}".encode(), digest_size=16).digest() for name, touch in texts
+    ]
+    order = sorted(range(len(drawn)), key=drawn.__getitem__)[:count]
+    return np.sort(np.concatenate([np.flatnonzero(mask), empty[order]]))
 
 
 def _row_of_each_touch(row: Row, per_touch: Collection[str]) -> Any:
