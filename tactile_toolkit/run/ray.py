@@ -34,7 +34,7 @@ _ANSWER_S = 5.0
 """How long a cluster may take to answer at all."""
 _PROBE_S = 60.0
 """How long a node may take to tell its versions; one that takes longer is asked with its first task."""
-_CANCEL_S = 10.0
+_CANCEL_S = 3.0
 """How long a cancelled task may take to clean up before its worker is killed."""
 _LOOK_AGAIN_S = 5.0
 """How old the count of the cluster's cores may be: nodes come and go."""
@@ -199,24 +199,26 @@ class _Nodes:
 
 def _travelling(names: Sequence[str]) -> tuple[Callable[[], dict[str, str]], Callable[..., Any]]:
     """Return what nodes run, as functions that carry their own code and need nothing of ours to be read."""
-    known: dict[str, str] = {}  # of one worker process, which carries out many tasks
+    known: dict[str, str] = {}  # to one worker process, which carries out many tasks
 
     def versions() -> dict[str, str]:
         from importlib.metadata import PackageNotFoundError, version
 
+        found = {}
         for name in names:
-            if name not in known:
-                try:
-                    known[name] = version(name)
-                except PackageNotFoundError:
-                    known[name] = "not installed"
-        return known
+            try:
+                found[name] = version(name)
+            except PackageNotFoundError:
+                found[name] = "not installed"
+        return found
 
     def work(payload: bytes, wanted: Mapping[str, str]) -> tuple[str, dict[str, str], bytes | None]:
         import ray
 
+        if not known:
+            known.update(versions())
         node_id = ray.get_runtime_context().get_node_id()
-        if versions() != wanted:  # a node that came later, or had no time to answer
+        if known != wanted:  # a node that came later, or had no time to answer
             return node_id, known, None
         from tactile_toolkit.run.ray import carry_out
 
@@ -227,20 +229,25 @@ def _travelling(names: Sequence[str]) -> tuple[Callable[[], dict[str, str]], Cal
 
 def carry_out(payload: bytes) -> bytes:
     """Call a function with a task and return, pickled, what it returned and what it raised; one is None."""
+    import ray
+
+    pickler: Any = ray.cloudpickle  # as Ray does it: what a script defines itself travels too
     _prepare_worker()
     try:
         function, task = pickle.loads(payload)
-        return pickle.dumps((function(task), None))
+        packed: bytes = pickler.dumps((function(task), None))
     except Exception as error:
-        error.add_note(traceback.format_exc())
+        told = f"{type(error).__name__}: {error}"
+        notes = traceback.format_exc()
         try:
-            packed = pickle.dumps((None, error))
+            error.add_note(notes)
+            packed = pickler.dumps((None, error))
             pickle.loads(packed)
-        except Exception:
-            plain = ToolkitError(f"{type(error).__name__}: {error}")
-            plain.add_note(traceback.format_exc())
-            packed = pickle.dumps((None, plain))
-        return packed
+        except Exception:  # an exception that cannot travel
+            plain = ToolkitError(told)
+            plain.add_note(notes)
+            packed = pickler.dumps((None, plain))
+    return packed
 
 
 @cache
@@ -258,30 +265,41 @@ def _connected(address: str | None) -> Iterator[Any]:
     for name, value in _QUIET.items():
         os.environ.setdefault(name, value)
     import ray
+    from ray._private import worker as ray_worker
 
     if ray.is_initialized():
         yield ray
         return
     found = _answering(address)
+    # Whatever it is told of logs, Ray prints those of a dead node on stdout; its debugger silences them so.
+    ray_worker._worker_logs_enabled = False
     try:
-        ray.init(found, log_to_driver=False, logging_level=logging.CRITICAL)
-    except Exception as error:  # of many types, RuntimeError for other versions of Ray or Python among them
-        message = (
-            f"the Ray cluster at {found!r} cannot be joined: {error}; nothing was written; next: run the "
-            f"command on a machine of the cluster (ray start --address={found} makes this one such)"
-        )
-        raise InputError(message) from error
-    try:
+        _join(ray, found)
         yield ray
     finally:
         ray.shutdown()
+        ray_worker._worker_logs_enabled = True
+
+
+def _join(ray: Any, address: str) -> None:
+    try:
+        ray.init(address, log_to_driver=False, logging_level=logging.CRITICAL)
+    except Exception as error:  # of many types, RuntimeError for other versions of Ray or Python among them
+        message = (
+            f"the Ray cluster at {address!r} cannot be joined: {error}; nothing was written; next: run the "
+            f"command on a machine of the cluster (ray start --address={address} makes this one such)"
+        )
+        raise InputError(message) from error
 
 
 def _answering(address: str | None) -> str:
     """Return the address of a cluster that answers; Ray itself waits for minutes, then ends the process."""
     from ray._private.services import canonicalize_bootstrap_address
 
-    found = canonicalize_bootstrap_address(address or "auto")
+    try:
+        found = canonicalize_bootstrap_address(address or "auto")
+    except (ConnectionError, OSError, ValueError):  # nobody knows its host, or nobody has started one
+        found = address
     if found is None:
         message = (
             "no Ray cluster is known on this machine; nothing was written; next: give its address "

@@ -35,13 +35,16 @@ def points(number: int) -> np.ndarray:
 
 @dataclass(frozen=True)
 class ToyTask:
-    """Makes ``ids``; every tenth id is skipped. ``die_once`` names a file: while absent, the worker dies."""
+    """Makes ``ids``; every tenth id is skipped. ``die_once`` names a file: while absent, the worker dies.
+    ``pause_until`` names a file to wait for.
+    """
 
     shard: ShardName
     ids: tuple[int, ...]
     die_once: str | None = None
     die_always: bool = False
     pause_s: float = 0.0
+    pause_until: str | None = None
     error: Exception | None = field(default=None)
 
     @property
@@ -56,6 +59,8 @@ class ToyTask:
                 Path(self.die_once).touch()
             os.kill(os.getpid(), signal.SIGKILL)
         time.sleep(self.pause_s)
+        while self.pause_until and not Path(self.pause_until).exists():
+            time.sleep(0.01)
         kept = [number for number in self.ids if number % 10 != 9]
         table = pa.Table.from_arrays(
             [

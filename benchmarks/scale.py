@@ -1,0 +1,157 @@
+"""Many machines and large sets: ratios measured in one run, each as the median of several, after a first one.
+
+::
+
+    python benchmarks/scale.py                 # all rows
+    python benchmarks/scale.py --only nodes    # some of them
+
+Rows of Ray need the extra `ray`; they start a cluster of two nodes with one core each on this machine.
+"""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import os
+import shutil
+import statistics
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Iterator
+from importlib.util import find_spec
+from pathlib import Path
+
+from tactile_toolkit.run.limits import limit_threads
+
+limit_threads()
+
+from mnist3d.generation import GenerateSpec, generate, plan_build
+from mnist3d.sources.synthetic import SyntheticSource
+from tactile_toolkit.run import InlineRunner, ProcessRunner, RayRunner, Runner
+
+ROWS: dict[str, Callable[[], None]] = {}
+"""What can be measured; a new row is a function with this decorator, which prints its figures."""
+
+
+def row(report: Callable[[], None]) -> Callable[[], None]:
+    ROWS[report.__name__] = report
+    return report
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--only", nargs="+", choices=ROWS, default=list(ROWS), help="rows to measure")
+    for name in parser.parse_args().only:
+        if name in RAY and find_spec("ray") is None:
+            print(f"{name}: not measured, Ray is not installed (extra `ray`)")
+            continue
+        ROWS[name]()
+
+
+@row
+def nodes() -> None:
+    """Two Ray nodes of one core against two local processes: whole runs of 600 digits, in turn."""
+    spec = GenerateSpec(SyntheticSource(), limit=600)
+    seconds: dict[str, list[float]] = {"processes": [], "ray": []}
+    with ray_cluster(cores=(0, 1, 1)) as address, scratch() as folder:
+        runners: dict[str, Runner] = {"processes": ProcessRunner(2), "ray": RayRunner(address)}
+        for turn in range(4):
+            for name, runner in runners.items():
+                out = folder / f"{name}-{turn}"
+                start_s = time.perf_counter()
+                generate(spec, out, ("train",), workers=runner)
+                seconds[name].append(time.perf_counter() - start_s)
+        same = digests(folder / "ray-0") == digests(folder / "processes-0")
+    local, ray = (statistics.median(values[1:]) for values in seconds.values())
+    ratios = [one / other for one, other in zip(seconds["processes"][1:], seconds["ray"][1:], strict=True)]
+    print(
+        f"600 digits: two processes {local:.1f} s, two Ray nodes {ray:.1f} s, ratio {local / ray:.2f} "
+        f"({min(ratios):.2f} to {max(ratios):.2f}), target 0.9; the same bytes: {same}"
+    )
+
+
+@row
+def overhead() -> None:
+    """What Ray adds to a shard, from many shards that cost nothing, as a share of a shard of digits."""
+    plan = plan_build(GenerateSpec(SyntheticSource()), ("train",))
+    with scratch() as folder:
+        shard_s = median_s(lambda: plan.tasks[0].make(), 3)
+        size = plan.tasks[0].size
+        count = 2_000
+        with ray_cluster(cores=(1,)) as address:
+            both: dict[str, list[float]] = {"here": [], "there": []}
+            for _ in range(4):
+                # The function writes what a shard writes, so that only the way there and back differs.
+                for name, runner in {"here": InlineRunner(), "there": RayRunner(address)}.items():
+                    results = runner.run(Nothing(str(folder)), [plan.tasks[0]] * count)
+                    next(results)  # joining the cluster and the start of the worker are not of a shard
+                    start_s = time.perf_counter()
+                    assert sum(1 for _ in results) == count - 1
+                    both[name].append((time.perf_counter() - start_s) / (count - 1))
+    here, there = (statistics.median(values[1:]) for values in both.values())
+    share = (there - here) / shard_s
+    print(
+        f"a shard of {size} digits {shard_s:.2f} s; Ray adds {1000 * (there - here):.2f} ms: "
+        f"{100 * share:.2f} %, target 2 %"
+    )
+
+
+class Nothing:
+    """Does nothing with a task of real size."""
+
+    libraries = ("manifold3d", "numpy", "pillow", "pyarrow", "scikit-image", "scipy")
+
+    def __init__(self, folder: str) -> None:
+        self.folder = folder
+
+    def __call__(self, task: object) -> str:
+        return self.folder
+
+
+RAY = ("nodes", "overhead")
+
+
+@contextlib.contextmanager
+def ray_cluster(cores: tuple[int, ...]) -> Iterator[str]:
+    """Start a node for each number of cores, and give the address of the first."""
+    os.environ.update(RAY_USAGE_STATS_ENABLED="0", RAY_ACCEL_ENV_VAR_OVERRIDE_ON_ZERO="0")
+    from ray.cluster_utils import Cluster
+
+    settings = {"object_store_memory": 80_000_000, "include_log_monitor": False}
+    first = {"num_cpus": cores[0], "include_dashboard": False, "no_monitor": True}
+    cluster = Cluster(initialize_head=True, head_node_args=settings | first)
+    try:
+        for count in cores[1:]:
+            cluster.add_node(num_cpus=count, **settings)
+        yield cluster.address
+    finally:
+        cluster.shutdown()
+
+
+@contextlib.contextmanager
+def scratch() -> Iterator[Path]:
+    folder = Path(tempfile.mkdtemp())
+    try:
+        yield folder
+    finally:
+        shutil.rmtree(folder)
+
+
+def digests(folder: Path) -> dict[str, bytes]:
+    return {str(file.relative_to(folder)): file.read_bytes() for file in folder.rglob("*") if file.is_file()}
+
+
+def median_s(work: Callable[[], object], times: int = 5) -> float:
+    work()
+    seconds = []
+    for _ in range(times):
+        start_s = time.perf_counter()
+        work()
+        seconds.append(time.perf_counter() - start_s)
+    return statistics.median(seconds)
+
+
+if __name__ == "__main__":
+    print(f"python {sys.version.split()[0]}, {os.cpu_count()} cores")
+    main()

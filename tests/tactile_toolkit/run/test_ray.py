@@ -1,0 +1,354 @@
+"""A real Ray cluster of two nodes on this machine: equal bytes, and what happens when something dies."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import signal
+import socket
+import subprocess
+import sys
+import tempfile
+import textwrap
+import threading
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+from importlib.util import find_spec
+from pathlib import Path
+from typing import TypeVar
+
+import pytest
+
+import starstruck_gen
+from tactile_toolkit.errors import InputError, MissingExtraError
+from tactile_toolkit.run import InlineRunner, RayRunner
+from tactile_toolkit.store.build import build
+from tactile_toolkit.store.folder import DataFolder
+from tactile_toolkit.store.plan import BuildPlan
+from tests.processes import alive, children, wait_until_gone
+from tests.tactile_toolkit.toy import folder_bytes, toy_plan
+
+F = TypeVar("F", bound=Callable[..., None])
+
+REPOSITORY = Path(__file__).resolve().parents[3]
+needs_ray = [
+    pytest.mark.ray,
+    pytest.mark.skipif(find_spec("ray") is None, reason="needs ray, of the extra ray"),
+    pytest.mark.skipif(sys.platform != "linux", reason="processes are looked up in /proc"),
+]
+
+
+def all_of(marks: list[pytest.MarkDecorator]) -> Callable[[F], F]:
+    def mark(test: F) -> F:
+        for each in marks:
+            test = each(test)
+        return test
+
+    return mark
+
+
+# A process of its own: Ray leaves open files and handlers behind that tests may not have.
+CLUSTER = """
+import json, os, sys
+from ray.cluster_utils import Cluster
+
+def node(**more):
+    return {"num_cpus": 1, "object_store_memory": 80_000_000, "include_log_monitor": False, **more}
+
+cluster = Cluster(True, head_node_args=node(include_dashboard=False, no_monitor=True, temp_dir=sys.argv[1]))
+nodes = [cluster.head_node]
+print(cluster.address, flush=True)
+for line in sys.stdin:
+    nodes.append(cluster.add_node(**node(env_vars=json.loads(line))))
+    print(nodes[-1].all_processes["raylet"][0].process.pid, flush=True)
+for started in nodes:
+    started.kill_all_processes(check_alive=False, allow_graceful=False, wait=True)
+"""
+
+DRIVER = """
+import signal, sys
+from dataclasses import replace
+from tactile_toolkit.errors import ToolkitError
+from tactile_toolkit.run import RayRunner
+from tactile_toolkit.store.build import build
+from tactile_toolkit.store.folder import DataFolder
+from tests.tactile_toolkit.run.test_ray import plan_of
+
+# A shell that starts a job in the background has it ignore Ctrl-C.
+signal.signal(signal.SIGINT, signal.default_int_handler)
+try:
+    build(DataFolder(sys.argv[2]), plan_of(sys.argv[3]), RayRunner(sys.argv[1]))
+except ToolkitError as error:
+    sys.exit(f"{type(error).__name__}: {error}")
+"""
+
+
+def plan_of(gate: str | None = None) -> BuildPlan:
+    """Six shards, of which the first is made at once and the others when a file is there."""
+    plan = toy_plan()
+    tasks = (plan.tasks[0], *(replace(task, pause_until=gate) for task in plan.tasks[1:]))
+    return replace(plan, tasks=tasks, libraries=("numpy", "pyarrow"))
+
+
+@dataclass
+class Cluster:
+    process: subprocess.Popen[str]
+    address: str
+    raylets: list[int]
+
+    def add(self, **environment: str) -> int:
+        """Start a node with one core and return the process that a node lives and dies with."""
+        assert self.process.stdin is not None
+        assert self.process.stdout is not None
+        self.process.stdin.write(json.dumps(environment) + "\n")
+        self.process.stdin.flush()
+        self.raylets.append(int(self.process.stdout.readline()))
+        return self.raylets[-1]
+
+    def kill(self, raylet: int) -> None:
+        """Kill a node with all that runs there, as a power cut does."""
+        doomed = [raylet, *children(raylet)]
+        for pid in doomed:
+            os.kill(pid, signal.SIGKILL)
+        wait_until_gone(doomed)
+        self.raylets.remove(raylet)
+
+    def require_two(self) -> None:
+        """Start what is missing of two living nodes."""
+        while len(self.raylets) < 2:
+            self.add()
+
+    def working(self) -> list[int]:
+        """Processes that carry out a task."""
+        found = [child for raylet in self.raylets for child in children(raylet)]
+        return [pid for pid in found if alive(pid) and named(pid).startswith("ray::work")]
+
+    def start(self, script: str, *arguments: object) -> subprocess.Popen[str]:
+        """Start a script that is given the address first."""
+        command = [sys.executable, "-c", textwrap.dedent(script), self.address, *map(str, arguments)]
+        pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
+        return subprocess.Popen(command, cwd=REPOSITORY, text=True, **pipes)  # type: ignore[call-overload]
+
+
+@pytest.fixture(scope="module")
+def cluster() -> Iterator[Cluster]:
+    folder = tempfile.mkdtemp(prefix="ray")  # names of sockets must be short
+    quiet = {"RAY_USAGE_STATS_ENABLED": "0", "RAY_ACCEL_ENV_VAR_OVERRIDE_ON_ZERO": "0"}
+    process = subprocess.Popen(
+        [sys.executable, "-c", CLUSTER, folder],
+        env={**os.environ, **quiet},
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.DEVNULL,
+        text=True,
+    )
+    assert process.stdout is not None
+    made = Cluster(process, process.stdout.readline().strip(), [])
+    made.raylets += [pid for pid in children(process.pid) if "raylet/raylet" in named(pid)]
+    yield made
+    process.communicate()
+    shutil.rmtree(folder, ignore_errors=True)
+
+
+def named(pid: int) -> str:
+    """The command line of a process, nothing of one that has gone."""
+    try:
+        return Path(f"/proc/{pid}/cmdline").read_bytes().replace(b"\0", b" ").decode()
+    except OSError:
+        return ""
+
+
+def wait_for(condition: Callable[[], object], process: subprocess.Popen[str] | None = None) -> None:
+    deadline_s = time.monotonic() + 120
+    while not condition():
+        assert process is None or process.poll() is None, process.communicate()
+        assert time.monotonic() < deadline_s
+        time.sleep(0.02)
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory: pytest.TempPathFactory) -> dict[str, bytes]:
+    """The bytes of a run in one process."""
+    path = tmp_path_factory.mktemp("whole") / "set"
+    build(DataFolder(str(path)), plan_of(), InlineRunner())
+    return folder_bytes(path)
+
+
+def finish(driver: subprocess.Popen[str]) -> str:
+    """Wait for a driver, which must succeed, and return what it wrote anywhere: Ray is to be silent."""
+    said, complained = driver.communicate()
+    assert driver.returncode == 0, complained
+    return said + complained
+
+
+@all_of(needs_ray)
+def test_the_command_line_makes_the_same_bytes_and_prints_its_document_only(
+    cluster: Cluster, tmp_path: Path
+) -> None:
+    cluster.require_two()
+    options = ["generate", "--scenes", "train=400,test=100", "--runner", f"ray={cluster.address}", "--json"]
+    script = "import sys; sys.argv.pop(1); from cli.starstruck import main; main()"
+    driver = cluster.start(script, *options, "--out", tmp_path / "ray")
+    said, complained = driver.communicate()
+    assert driver.returncode == 0, complained
+    assert json.loads(said)["complete"]
+    assert complained.startswith("making scenes: ")
+    assert "ray" not in complained.lower()
+    spec = starstruck_gen.GenerateSpec(scenes=(("train", 400), ("test", 100)))
+    starstruck_gen.generate(spec, tmp_path / "one")
+    assert folder_bytes(tmp_path / "ray") == folder_bytes(tmp_path / "one")
+
+
+@all_of(needs_ray)
+def test_a_node_is_killed_at_work(cluster: Cluster, whole: dict[str, bytes], tmp_path: Path) -> None:
+    cluster.require_two()
+    gate = tmp_path / "gate"
+    driver = cluster.start(DRIVER, tmp_path / "set", gate)
+    wait_for(lambda: len(cluster.working()) == 2, driver)
+    cluster.kill(cluster.raylets[-1])
+    assert len(cluster.working()) == 1
+    gate.touch()
+    assert finish(driver) == ""
+    assert folder_bytes(tmp_path / "set") == whole
+
+
+@all_of(needs_ray)
+def test_a_stopped_driver_leaves_nothing_at_work_and_goes_on(
+    cluster: Cluster, whole: dict[str, bytes], tmp_path: Path
+) -> None:
+    gate = tmp_path / "gate"
+    for how in (signal.SIGKILL, signal.SIGINT):
+        driver = cluster.start(DRIVER, tmp_path / "set", gate)
+        wait_for(lambda: list((tmp_path / "set").glob(".pending/train*")), driver)
+        wait_for(cluster.working, driver)
+        workers = cluster.working()
+        driver.send_signal(how)
+        driver.communicate()
+        if how == signal.SIGINT:
+            assert not cluster.working()
+        wait_for(lambda found=workers: not any(map(alive, found)))
+        made = [path.name for path in (tmp_path / "set" / "data").iterdir()]
+        assert made == ["train-00000-of-00004.parquet"]
+    gate.touch()
+    assert finish(cluster.start(DRIVER, tmp_path / "set", gate)) == ""
+    assert folder_bytes(tmp_path / "set") == whole
+
+
+ERRORS = """
+import json, sys
+from dataclasses import replace
+from pathlib import Path
+from tactile_toolkit.errors import ItemError, MissingExtraError
+from tactile_toolkit.run import RayRunner
+from tactile_toolkit.store.build import build
+from tactile_toolkit.store.folder import DataFolder
+from tests.tactile_toolkit.toy import toy_plan
+
+class Odd(Exception):
+    def __init__(self, one, two):
+        super().__init__(f"{one} and {two}")
+
+import ray
+import tactile_toolkit.store.build
+tactile_toolkit.store.build._APPEARS_S = 1.0
+address, folder = sys.argv[1:]
+# A connection of the caller's own is used, and its workers stay.
+ray.init(address, log_to_driver=False, logging_level="CRITICAL")
+plan = toy_plan()
+cases = {
+    "own": (folder, {"error": ItemError("no-ink", "nothing is drawn")}),
+    "extra": (folder, {"error": MissingExtraError("this", "that", "env")}),
+    "foreign": (folder, {"error": ZeroDivisionError("of the task")}),
+    "elsewhere": ("memory://bucket/set", {}),
+    "deadly": (folder, {"die_always": True}),
+    "once": (folder, {"die_once": folder + "-died"}),
+}
+found = {}
+
+def odd(task):
+    raise Odd("one", "two")
+
+try:
+    list(RayRunner(address).run(odd, [1]))
+except Exception as error:
+    found["odd"] = f"{type(error).__name__}: {error}"
+for name, (place, options) in cases.items():
+    tasks = (replace(plan.tasks[0], **options), *plan.tasks[1:])
+    try:
+        build(DataFolder(place), replace(plan, tasks=tasks), RayRunner(address))
+        found[name] = "made"
+    except Exception as error:
+        found[name] = f"{type(error).__name__}: {error}"
+# Not printed: on a connection that is not the toolkit's, Ray says on stdout what it likes.
+Path(folder + "-found").write_text(json.dumps(found))
+"""
+
+
+@all_of(needs_ray)
+def test_errors_are_raised_as_they_are_and_only_deaths_tried_again(cluster: Cluster, tmp_path: Path) -> None:
+    finish(cluster.start(ERRORS, tmp_path / "set"))
+    found = json.loads((tmp_path / "set-found").read_text())
+    assert found["own"] == "ItemError: nothing is drawn"
+    assert found["extra"].startswith("MissingExtraError: this needs the package 'that'")
+    assert found["foreign"] == "ZeroDivisionError: of the task"
+    assert found["odd"] == "ToolkitError: Odd: one and two"
+    assert found["deadly"].startswith("ToolkitError: the Ray worker died 3 times while it made ToyTask(")
+    assert "next: " in found["deadly"]
+    # Every process has a memory of its own, as nodes have disks.
+    assert "InputError: node " in found["elsewhere"]
+    assert "writes to a folder that this machine does not see" in found["elsewhere"]
+    assert found["once"] == "made"
+
+
+@all_of(needs_ray)
+def test_other_versions_are_refused_by_name(cluster: Cluster, tmp_path: Path) -> None:
+    information = tmp_path / "others" / "pyarrow-0.0.1.dist-info"
+    information.mkdir(parents=True)
+    (information / "METADATA").write_text("Metadata-Version: 2.1\nName: pyarrow\nVersion: 0.0.1\n")
+    running = cluster.start(DRIVER, tmp_path / "late", tmp_path / "never")
+    wait_for(lambda: list((tmp_path / "late").glob(".pending/*.json")), running)
+    different = cluster.add(PYTHONPATH=str(information.parent))
+    try:
+        # A node that comes later gets a task, which it refuses; one that is there is asked before anything.
+        for driver, made in (
+            (running, ["data/train-00000-of-00004.parquet"]),
+            (cluster.start(DRIVER, tmp_path / "early", tmp_path / "never"), []),
+        ):
+            refusal = driver.communicate()[1]
+            assert refusal.startswith(f"InputError: node {socket.gethostname()} (")
+            assert "has pyarrow 0.0.1 (here: " in refusal
+            assert "numpy" not in refusal
+            place = tmp_path / ("late" if made else "early")
+            assert [name for name in folder_bytes(place) if name.startswith("data/")] == made
+        assert not (tmp_path / "early").exists()
+    finally:
+        cluster.kill(different)
+
+
+@all_of(needs_ray)
+@pytest.mark.parametrize("answer", [None, b"HTTP/1.0 400 Bad Request\r\n\r\n"])
+def test_where_no_cluster_answers_nothing_is_written(tmp_path: Path, answer: bytes | None) -> None:
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        port = server.getsockname()[1]
+        if answer is None:
+            server.close()
+        else:
+            threading.Thread(target=lambda: server.accept()[0].sendall(answer), daemon=True).start()
+        with pytest.raises(InputError, match=rf"no Ray cluster answers at '127.0.0.1:{port}'.*next: "):
+            build(DataFolder(str(tmp_path / "set")), toy_plan(), RayRunner(f"127.0.0.1:{port}"))
+    assert not (tmp_path / "set").exists()
+
+
+@all_of(needs_ray)
+@pytest.mark.parametrize("address", ["ray://head:10001", "head", "head:", ":6379", "head:six", "head:123456"])
+def test_addresses_are_refused_that_are_none(address: str) -> None:
+    with pytest.raises(InputError, match=r"is not the address of a Ray cluster; expected HOST:PORT.*next: "):
+        RayRunner(address)
+
+
+@pytest.mark.skipif(find_spec("ray") is not None, reason="Ray is installed")
+def test_without_ray_the_extra_is_named() -> None:
+    with pytest.raises(MissingExtraError, match=r"a Ray cluster needs the package 'ray'.*extra `ray`"):
+        RayRunner()
