@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from tactile_toolkit.store.forecast import Forecast
     from tactile_toolkit.store.manifest import Manifest
 
-__all__ = ["Made", "make_with_progress", "print_conclusion", "print_forecast"]
+__all__ = ["Made", "make_with_progress", "print_conclusion", "print_forecast", "print_part"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,6 +35,8 @@ def make_with_progress(
     sink: Sink, what: str, unit: str, make: Callable[[Callable[[Progress], None]], Manifest]
 ) -> Made:
     """Run ``make`` with a progress bar; it takes the function that is called after each shard."""
+    from tactile_toolkit.store.parts import MissingPartsError
+
     start_s = time.monotonic()
     rows = skipped = 0
     with sink.progress(what, unit) as update:
@@ -46,17 +48,42 @@ def make_with_progress(
                 skipped += len(progress.record.skipped)
             update(progress.done, progress.total)
 
-        manifest = make(on_progress)
+        try:
+            manifest = make(on_progress)
+        except MissingPartsError as error:
+            sink.document({"complete": False, "array": error.array, "parts": error.parts})
+            if error.parts is not None:
+                sink.line(f"--array={error.array}")
+            raise
     return Made(manifest, rows, skipped, time.monotonic() - start_s)
+
+
+def print_part(sink: Sink, kind: DatasetKind, made: Made, out: Path, part: str) -> None:
+    """Say what one part of many has made, and what comes when all have ended."""
+    sink.document(
+        {
+            "folder": str(out),
+            "complete": False,
+            "part": part,
+            "rows": made.rows,
+            "skipped": made.skipped,
+            "elapsed_s": round(made.elapsed_s, 3),
+        }
+    )
+    sink.line(f"{_made(made, kind.nouns)}; part {part} of the data set in {out} is there")
+    sink.line("next: when all parts have ended, the same command with --finish instead of --part")
+
+
+def _made(made: Made, nouns: str) -> str:
+    if not made.rows and not made.skipped:
+        return "nothing was left to make"
+    left_out = f", {made.skipped:,} left out," if made.skipped else ""
+    return f"made {counted(made.rows, nouns)}{left_out} in {duration_text(made.elapsed_s)}"
 
 
 def print_conclusion(sink: Sink, kind: DatasetKind, made: Made, out: Path, splits: Sequence[str]) -> None:
     """Say what was made and where, and which commands come next."""
-    done = "nothing was left to make"
-    if made.rows or made.skipped:
-        left_out = f", {made.skipped:,} left out," if made.skipped else ""
-        done = f"made {counted(made.rows, kind.nouns)}{left_out} in {duration_text(made.elapsed_s)}"
-    sink.line(f"{done}; the data set is in {out}")
+    sink.line(f"{_made(made, kind.nouns)}; the data set is in {out}")
     table = made.manifest.split_table()
     split = next((name for name in splits if name in table and table[name]["rows"]), splits[0])
     sink.line(

@@ -91,6 +91,18 @@ RunnerName = Annotated[
         parser=_runner_name,
     ),
 ]
+PartText = Annotated[
+    str | None,
+    typer.Option(
+        "--part",
+        metavar="K/N|auto[/N]",
+        help="Only every N-th shard from number K on, as one job of an array; auto: what Slurm or Kubernetes "
+        "call this job.",
+    ),
+]
+Finishing = Annotated[
+    bool, typer.Option("--finish", help="Put together what all parts have made, or say which are missing.")
+]
 Limit = Annotated[
     int | None, typer.Option("--limit", min=1, metavar="N", help="Only the first N rows of each split.")
 ]
@@ -110,6 +122,8 @@ class Work:
 
     workers: Workers = 0
     runner: RunnerName = _RUNNERS[0]
+    part: PartText = None
+    finish: Finishing = False
     overwrite: Overwrite = False
 
     @property
@@ -119,7 +133,17 @@ class Work:
 
     def chosen_runner(self) -> int | Runner:
         """Return what makes the shards, as functions take it."""
-        return chosen_runner(self.runner, self.workers)
+        if self.part is None and not self.finish:
+            return chosen_runner(self.runner, self.workers)
+        from tactile_toolkit.errors import InputError
+        from tactile_toolkit.run.parts import Finish, part_of
+
+        if self.part is None:
+            return Finish()
+        if self.finish:
+            message = "--part and --finish were both given; expected --finish when all parts have ended"
+            raise InputError(message)
+        return part_of(self.part, chosen_runner(self.runner, self.workers))
 
 
 @dataclass(frozen=True, slots=True)

@@ -16,7 +16,7 @@ from cli.folders import add_card, add_verify, least_to_most, print_made, print_s
 from cli.gallery_commands import add_mesh_gallery
 from cli.hub_download import add_download
 from cli.hub_upload import add_upload
-from cli.making import make_with_progress, print_conclusion, print_forecast
+from cli.making import make_with_progress, print_conclusion, print_forecast, print_part
 from cli.options import Folder, Json, Limit, Making, Out, Seed, Workers, process_count
 from cli.output import Sink, bytes_text, counted
 from cli.preview_commands import preview_scenes
@@ -95,6 +95,9 @@ def generate(
             on_failure=on_failure,
         ),
     )
+    if making.part is not None:
+        print_part(sink, KIND, made, out, making.part)
+        return
     # Another split may be unfinished: what is finished of it stays and is shown, as `info` shows it.
     _print_made(sink, manifest_so_far(DataFolder(str(out))) or made.manifest, out, made.elapsed_s)
     print_conclusion(sink, KIND, made, out, splits)

@@ -13,7 +13,7 @@ from cli.folders import add_card, add_verify, print_made, print_spec
 from cli.gallery_commands import add_touch_gallery
 from cli.hub_download import add_download
 from cli.hub_upload import add_upload
-from cli.making import make_with_progress, print_forecast
+from cli.making import make_with_progress, print_forecast, print_part
 from cli.options import Folder, Json, Limit, Making, Out, Seed, local_place
 from cli.output import Sink, bytes_text, counted, duration_text
 from cli.preview_commands import preview_touches
@@ -199,6 +199,9 @@ def generate(
             on_progress=on_progress,
         ),
     )
+    if making.part is not None:
+        print_part(sink, KIND, made, out, making.part)
+        return
     _print_made(sink, made.manifest, out, made.elapsed_s)
     done = f"made {counted(made.rows, 'rounds')} in {duration_text(made.elapsed_s)}"
     sink.line(

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import typer
 
 from cli.application import command
-from cli.making import make_with_progress
+from cli.making import make_with_progress, print_part
 from cli.options import (
     Json,
     Limit,
@@ -24,6 +24,7 @@ from cli.options import (
 )
 from cli.output import Sink
 from cli.touch_tables import announce_fetching, print_made
+from realtouch.kind import KIND
 
 if TYPE_CHECKING:
     from tactile_toolkit.store.manifest import Manifest
@@ -81,6 +82,9 @@ class Converting(Work):
                 on_progress=on_progress,
             ),
         )
+        if self.part is not None:
+            print_part(sink, KIND, made, out, self.part)
+            return
         print_made(sink, made.manifest, out)
 
 

@@ -302,9 +302,9 @@ def frames(
         rows_per_group=1 << 16,
         extra_dirs=(IMAGE_FOLDER, INDEX_FILE),
         extras_intact=partial(pictures_are_whole, folder),
+        write_files=write_index,
     )
-    manifest = _convert(conversion, out, "frames", workers, overwrite, on_progress)
-    return write_index(folder, manifest)
+    return _convert(conversion, out, "frames", workers, overwrite, on_progress)
 
 
 def _convert(
@@ -318,10 +318,14 @@ def _convert(
     """Write a conversion as a data set folder with a card; an interrupted one goes on where it stopped."""
     folder = DataFolder(fspath(out))
     refuse_source(folder, conversion.source)
-    plan, runner = plan_conversion(conversion), runner_for(workers)
-    manifest = build(folder, plan, runner, overwrite=overwrite, on_progress=on_progress)
-    write_card(folder, manifest, card)
-    return manifest
+    return build(
+        folder,
+        plan_conversion(conversion),
+        runner_for(workers),
+        overwrite=overwrite,
+        on_progress=on_progress,
+        write_card=lambda folder, manifest, _report: write_card(folder, manifest, card),
+    )
 
 
 def _first_rows(source: Source, limit: int | None) -> dict[str, list[RowChoice]]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import csv
 import io
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import Any, Literal
 
 import pyarrow as pa
@@ -23,7 +23,7 @@ from realtouch.rounds import TouchSeqRound, TouchSingleRound
 from tactile_toolkit.read.dataset import Row
 from tactile_toolkit.read.parquet import Shard
 from tactile_toolkit.store.folder import DataFolder
-from tactile_toolkit.store.manifest import Manifest, write_manifest
+from tactile_toolkit.store.manifest import Manifest
 from tactile_toolkit.store.names import problem_of_name
 from tactile_toolkit.store.parquet import file_sha256, sha256_hex
 from tactile_toolkit.store.shards import ShardRecord
@@ -172,8 +172,8 @@ def _folder_name(row: Row, name: str) -> str:
     return name
 
 
-def write_index(folder: DataFolder, manifest: Manifest) -> Manifest:
-    """Write the index of all pictures as ``index.csv`` and vouch for it in the manifest."""
+def write_index(folder: DataFolder, manifest: Manifest) -> dict[str, str]:
+    """Write the index of all pictures as ``index.csv`` and return its checksum by its path."""
     stream = io.StringIO(newline="")
     writer = csv.writer(stream, lineterminator="\n")
     header: list[str] = []
@@ -186,7 +186,4 @@ def write_index(folder: DataFolder, manifest: Manifest) -> Manifest:
     content = stream.getvalue().encode()
     if not folder.exists(INDEX_FILE) or folder.read_bytes(INDEX_FILE) != content:
         folder.write_bytes(INDEX_FILE, content)
-    complete = replace(manifest, files={**(manifest.files or {}), INDEX_FILE: sha256_hex(content)})
-    if complete != manifest:
-        write_manifest(folder, complete)
-    return complete
+    return {INDEX_FILE: sha256_hex(content)}

@@ -21,6 +21,7 @@ from tactile_toolkit.errors import InputError, IntegrityError, ItemError
 from tactile_toolkit.read.dataset import Row
 from tactile_toolkit.read.parquet import Shard
 from tactile_toolkit.store.folder import DataFolder
+from tactile_toolkit.store.manifest import Manifest
 from tactile_toolkit.store.parquet import ParquetStyle
 from tactile_toolkit.store.plan import BuildPlan, ShardContent
 from tactile_toolkit.store.shards import DAMAGED, ShardName, ShardRecord, Skipped
@@ -153,7 +154,8 @@ class Conversion:
 
     ``options`` are JSON values, ``choices`` the rows of each split in order; the layout follows from the size
     of the source's rows where it is None. ``extra_dirs`` names what the step writes beside the rows,
-    ``extras_intact`` tells whether what it wrote there for a finished shard is still whole.
+    ``extras_intact`` tells whether what it wrote there for a finished shard is still whole; ``write_files``
+    writes what follows from all rows, see :class:`tactile_toolkit.store.plan.BuildPlan`.
     """
 
     source: Source
@@ -165,6 +167,9 @@ class Conversion:
     rows_per_group: int | None = None
     extra_dirs: tuple[str, ...] = ()
     extras_intact: Callable[[ShardRecord], bool] = field(default=lambda _: True, repr=False)
+    write_files: Callable[[DataFolder, Manifest], Mapping[str, str]] = field(
+        default=lambda _folder, _manifest: {}, repr=False
+    )
 
 
 @dataclass(frozen=True)
@@ -249,4 +254,5 @@ def plan_conversion(conversion: Conversion) -> BuildPlan:
         extra_dirs=conversion.extra_dirs,
         extras_intact=conversion.extras_intact,
         libraries=("numpy", "pillow", "pyarrow", "simplejpeg"),
+        write_files=conversion.write_files,
     )

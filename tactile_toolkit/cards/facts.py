@@ -76,13 +76,13 @@ def recorded_facts(folder: DataFolder, manifest: Manifest | None, schema: Any = 
     0.1.0, lack the records: their files are read. So is the first footer where the schema is not known.
     """
     if manifest is None or not manifest.shards:
-        return folder_facts(folder)
+        return folder_facts(folder, manifest)
     splits = []
     for split in manifest.splits:
         records = manifest.shards_of(split)
         sizes = [record.unpacked_bytes for record in records if isinstance(record.unpacked_bytes, int)]
         if len(sizes) < len(records):
-            return folder_facts(folder)
+            return folder_facts(folder, manifest)
         paths = tuple(record.shard.data_path for record in records)
         rows = [record.rows for record in records]
         shards = tuple(Shard(folder.address(path), count) for path, count in zip(paths, rows, strict=True))
@@ -93,14 +93,15 @@ def recorded_facts(folder: DataFolder, manifest: Manifest | None, schema: Any = 
     return FolderFacts(tuple(splits), schema)
 
 
-def folder_facts(folder: DataFolder) -> FolderFacts:
+def folder_facts(folder: DataFolder, manifest: Manifest | None = None) -> FolderFacts:
     """Read the facts of a folder from the footers of its Parquet files, and their names from its manifest.
 
-    Raises InputError when it holds no Parquet files, and IntegrityError when one is missing or damaged.
+    ``manifest`` is one that is to be written there. Raises InputError when the folder holds no Parquet files,
+    and IntegrityError when one is missing or damaged.
     """
-    manifest = read_manifest(folder)
+    manifest = manifest or read_manifest(folder)
     splits = []
-    for split in available_splits(folder):
+    for split in available_splits(folder) if manifest is None else manifest.splits:
         if manifest is not None:
             paths = tuple(record.shard.data_path for record in manifest.shards_of(split))
         else:

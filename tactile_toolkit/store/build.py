@@ -7,6 +7,7 @@ behaviour: interrupted work goes on, finished work is never made twice, another 
 from __future__ import annotations
 
 import contextlib
+import math
 import time
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field, replace
@@ -14,10 +15,12 @@ from itertools import chain
 from pathlib import PurePosixPath
 from typing import Any
 
-from tactile_toolkit.errors import InputError, IntegrityError
+from tactile_toolkit.errors import InputError, IntegrityError, StorageError
+from tactile_toolkit.run.parts import Finish, Part
 from tactile_toolkit.run.processes import Runner
-from tactile_toolkit.store.folder import DataFolder, folders_below, named_failures
+from tactile_toolkit.store.folder import FORSAKEN_S, DataFolder, folders_below, named_failures
 from tactile_toolkit.store.manifest import (
+    MANIFEST_FILE,
     Manifest,
     pending_beside,
     read_manifest,
@@ -35,9 +38,25 @@ from tactile_toolkit.store.parquet import (
     unpacked_bytes,
     write_parquet,
 )
-from tactile_toolkit.store.plan import BuildPlan, BuildState, ShardTask, inspect_folder
-from tactile_toolkit.store.replace import FolderBefore, FormerSet, recover
+from tactile_toolkit.store.parts import (
+    PARTS_FILE,
+    MissingPartsError,
+    PartsEndedError,
+    PartsPlan,
+    array_text,
+    read_parts_plan,
+)
+from tactile_toolkit.store.plan import (
+    BuildPlan,
+    BuildState,
+    ShardTask,
+    inspect_folder,
+    refuse_other_division,
+    refuse_other_parts,
+)
+from tactile_toolkit.store.replace import FolderBefore, FormerSet, recover, refuse_unrecovered
 from tactile_toolkit.store.shards import DAMAGED, DATA_FOLDER, PENDING_FOLDER, ShardRecord, Skipped
+from tactile_toolkit.wording import counted
 
 __all__ = ["Progress", "build"]
 
@@ -65,12 +84,13 @@ class _WriteShard:
     folder: DataFolder
     style: ParquetStyle = field(repr=False)
     libraries: tuple[str, ...] = ()
+    agreed: PartsPlan | None = None
 
     def confirm(self, record: ShardRecord, machine: str) -> None:
         """Raise InputError when what another machine has written is not to be seen from this one."""
         path, deadline_s = record.shard.data_path, time.monotonic() + _APPEARS_S
         # Listed, not asked for by name: network file systems remember for a while that a name was not there.
-        while PurePosixPath(path).name not in self.folder.names(DATA_FOLDER):
+        while not record.is_size_of(self.folder.sizes(DATA_FOLDER)):
             if time.monotonic() > deadline_s:
                 message = (
                     f"node {machine} writes to a folder that this machine does not see: {path!r}, finished "
@@ -85,6 +105,13 @@ class _WriteShard:
         content = task.make()
         table = content.table
         data, footer = write_parquet(table, self.style)
+        # As late as can be: hours may have passed, and what stands there now may be of another data set.
+        if self.agreed is not None and read_parts_plan(self.folder) != self.agreed:
+            message = (
+                f"the data set in {self.folder.address()!r} was finished, or started again, while this part "
+                f"made {task.shard}; nothing of that was written; next: look there with the command `info`"
+            )
+            raise PartsEndedError(message)
         self.folder.write_bytes(task.shard.data_path, data)
         report_sha256 = None
         if content.report is not None:
@@ -119,6 +146,10 @@ def build(
     A run that fails keeps the shards that it finished; one that finished none leaves the folder as it was,
     with ``overwrite`` too. The manifest is complete when nothing that any run began is left to do.
 
+    With a :class:`~tactile_toolkit.run.parts.Part` for a runner, only its tasks are made: no manifest, report
+    or card is written, and nothing of others is removed. :class:`~tactile_toolkit.run.parts.Finish` writes
+    those, from what all parts have made.
+
     Raises
     ------
     SpecMismatchError
@@ -127,9 +158,22 @@ def build(
         The folder holds files that are not a data set of this toolkit.
     InputError, IntegrityError
         Every item was left out, IntegrityError where all are damaged; the folder is as it was.
+    MissingPartsError
+        The set cannot be finished yet (an IntegrityError).
     StorageError
         The folder cannot be written, or the disk is full. Finished shards stay.
     """
+    if isinstance(runner, (Part, Finish)):
+        if overwrite:
+            message = (
+                "--overwrite was given with --part or --finish: each part would remove what the others made; "
+                f"nothing was changed; next: remove {folder.address()!r} first, or choose another folder "
+                "(--out or OUT)"
+            )
+            raise InputError(message)
+        if isinstance(runner, Part):
+            return _make_part(folder, plan, runner, on_progress)
+        return _finish(folder, plan, on_progress, write_card)
     with named_failures(folder.address()):
         existed = folder.exists()
     folder.require_folder()
@@ -139,47 +183,201 @@ def build(
     before = FolderBefore.of(folder, existed, former)
     try:
         _remove_stale_files(folder, plan)
+        for path in state.unproven:
+            folder.remove(path)
         if state.todo:
             # Named before the first shard, so that an interrupted folder knows what it was to become.
             redone = {task.shard for task in state.todo}
             kept = tuple(record for record in state.manifest.shards if record.shard not in redone)
-            write_manifest(folder, replace(state.manifest, shards=kept, complete=False))
-        records = [*state.kept, *_run(folder, plan, runner, state, on_progress, former)]
-        manifest = state.manifest.with_shards(records)
+            begun = replace(state.manifest, shards=kept, complete=False)
+            if read_manifest(folder) != begun:  # another run of the same may have come further meanwhile
+                write_manifest(folder, begun)
+        work = _WriteShard(folder, plan.style, plan.libraries)
+        records = [*state.kept, *_run(work, runner, state, on_progress, former)]
         _require_rows(records)
     except BaseException:
         _remove_stale_files(folder, plan)  # of workers that were stopped in the middle of a file
-        before.restore_unless_finished(folder, plan, state)
+        if state.agreed is None:  # parts that are at work have their own
+            before.restore_unless_finished(folder, plan, state)
         raise
     if former is not None:
         former.give_up()
+    return _conclude(folder, plan, state.manifest, records, write_card)
+
+
+def _make_part(
+    folder: DataFolder, plan: BuildPlan, part: Part, on_progress: Callable[[Progress], None]
+) -> Manifest:
+    """Make the tasks of a part that have no record; return what the manifest would hold of them."""
+    folder.require_folder()
+    refuse_unrecovered(folder)
+    there = read_parts_plan(folder)
+    count = part.count or (part.assumed if there is None else there.parts)
+    if count is None:
+        message = (
+            f"--part auto: nothing says how many parts there are: {folder.address()!r} holds none yet, and "
+            "this is not all of a Slurm array from 0 or 1 on; nothing was made; next: say --part auto/N"
+        )
+        raise InputError(message)
+    first, wanted = part.first_of(count), plan.for_parts(count)
+    state = inspect_folder(folder, plan, plan.tasks[first::count], read_all=False)
+    if state.agreed is not None:
+        refuse_other_division(folder, state.agreed, wanted)
+    if state.unproven:
+        message = (
+            f"{folder.address(PENDING_FOLDER)!r} holds what a run of nobody knows which data set has left; "
+            "nothing was made; next: remove that folder"
+        )
+        raise InputError(message)
+    if state.todo and _agree(folder, plan, wanted):
+        # All parts may have been finished since this one looked: then none are at work.
+        state = inspect_folder(folder, plan, plan.tasks[first::count], read_all=False)
+        if not state.todo:
+            folder.remove(PARTS_FILE)
+            folder.remove_empty(PENDING_FOLDER)
+    if not state.todo:
+        on_progress(Progress(0, 0))
+        return state.manifest.with_shards(state.kept)
+    made: list[ShardRecord] = []
+    try:
+        for record in _run(
+            _WriteShard(folder, plan.style, plan.libraries, wanted), part, state, on_progress, None
+        ):
+            made.append(record)
+            if read_parts_plan(folder) != wanted:
+                break
+    except BaseException as error:
+        _remove_stale_files(folder, plan, forsaken_s=math.inf)  # of workers that were stopped, of nobody else
+        # Who has finished the set meanwhile has also removed what was being written.
+        if not isinstance(error, (PartsEndedError, StorageError)) or read_parts_plan(folder) == wanted:
+            raise
+    if read_parts_plan(folder) == wanted:
+        return state.manifest.with_shards([*state.kept, *made])
+    return _ended_by_others(folder, state, made)
+
+
+def _agree(folder: DataFolder, plan: BuildPlan, wanted: PartsPlan) -> bool:
+    """Write down what the parts make unless another part has, and tell whether this one did.
+
+    Raises SpecMismatchError where the other makes something else.
+    """
+    is_first = True
+    while not folder.create_bytes(PARTS_FILE, wanted.to_json()):
+        agreed = read_parts_plan(folder)
+        if agreed is not None:  # else it has been finished at this moment
+            refuse_other_parts(folder, agreed, plan)
+            refuse_other_division(folder, agreed, wanted)
+            is_first = False
+            break
+    # For all who look into the folder meanwhile; where there is one it stays as it is.
+    folder.create_bytes(MANIFEST_FILE, plan.new_manifest().to_json().encode())
+    return is_first
+
+
+def _ended_by_others(folder: DataFolder, state: BuildState, made: Sequence[ShardRecord]) -> Manifest:
+    """Leave nothing behind in a folder that others have finished, or started again, meanwhile."""
+    for record in made:
+        folder.remove(record.shard.record_path)
+        folder.remove(record.shard.report_path)
+    folder.remove_empty(PENDING_FOLDER)
+    manifest = read_manifest(folder)
+    if manifest is not None and manifest.spec == state.manifest.spec:
+        held = {record.shard for record in manifest.shards}
+        if held.issuperset(task.shard for task in state.todo):
+            return manifest
+    message = (
+        f"the data set in {folder.address()!r} was started again while this part was at work; next: look "
+        "there with the command `info`, and give the parts again"
+    )
+    raise PartsEndedError(message)
+
+
+def _finish(
+    folder: DataFolder,
+    plan: BuildPlan,
+    on_progress: Callable[[Progress], None],
+    write_card: WriteCard | None,
+) -> Manifest:
+    """Put together what all parts have made. Raises MissingPartsError where something is missing."""
+    if not folder.exists():
+        message = f"{folder.lacks('data set')}; nothing can be finished; next: make its parts with --part"
+        raise InputError(message)
+    folder.require_folder()
+    refuse_unrecovered(folder)
+    folder.refresh(DATA_FOLDER)
+    folder.refresh(PENDING_FOLDER)
+    state = inspect_folder(folder, plan, read_all=False)
+    on_progress(Progress(0, 0))
+    parts = None
+    if state.agreed is not None:
+        parts = state.agreed.parts
+        refuse_other_division(folder, state.agreed, plan.for_parts(parts))
+    if state.todo:
+        missing = {task.shard for task in state.todo}
+        numbers = [index % (parts or 1) for index, task in enumerate(plan.tasks) if task.shard in missing]
+        raise MissingPartsError(folder.address(), len(missing), len(plan.tasks), array_text(numbers), parts)
+    _require_rows(state.kept)
+    return _conclude(folder, plan, state.manifest, state.kept, write_card, forsaken_s=-math.inf)
+
+
+def _conclude(
+    folder: DataFolder,
+    plan: BuildPlan,
+    manifest: Manifest,
+    records: Sequence[ShardRecord],
+    write_card: WriteCard | None,
+    *,
+    forsaken_s: float = FORSAKEN_S,
+) -> Manifest:
+    """Write report, further files, card and, last, the manifest of a run whose shards are all there."""
+    _require_files(folder, records)
+    there = read_manifest(folder)
+    if there is not None and there.spec == manifest.spec:  # other splits may have been finished meanwhile
+        manifest = replace(manifest, shards=there.shards, files=there.files)
+    manifest = manifest.with_shards(records)
     files = dict(manifest.files or {})
     report = None
     if plan.report_file is not None:
         report, checksum = _merge_reports(folder, plan.report_file, manifest)
         files |= {plan.report_file: checksum} if report is not None else {}
+    files |= plan.write_files(folder, manifest)
     # Shards of a split that another run began stay its own until that run is given again.
-    begun = pending_beside(folder, manifest)
-    finished = replace(manifest, files=files, complete=not begun)
-    # A run that had nothing to do leaves the file as it is, with its time.
-    if state.todo or read_manifest(folder) != finished:
-        write_manifest(folder, finished)
-    _remove_stale_files(folder, plan)  # once more: workers of a killed run may have lived on for a moment
-    remove_pending(folder, keep=begun)
+    begun, agreed = pending_beside(folder, manifest), read_parts_plan(folder)
+    parts_left = agreed is not None and not agreed.is_covered_by(record.shard for record in manifest.shards)
+    finished = replace(manifest, files=files, complete=not begun and not parts_left)
     if write_card is not None:
         write_card(folder, finished, report)
+    # A run that had nothing to do leaves the file as it is, with its time.
+    if read_manifest(folder) != finished:
+        write_manifest(folder, finished)
+    # Once more: workers of a killed run may have lived on for a moment.
+    _remove_stale_files(folder, plan, forsaken_s=forsaken_s)
+    remove_pending(folder, keep=begun, keep_plan=parts_left)
     return finished
 
 
-def _remove_stale_files(folder: DataFolder, plan: BuildPlan) -> None:
+def _require_files(folder: DataFolder, records: Sequence[ShardRecord]) -> None:
+    """Look whether this machine sees what all records vouch for, in one listing."""
+    sizes = folder.sizes(DATA_FOLDER)
+    lacking = [record.shard for record in records if not record.is_size_of(sizes)]
+    if lacking:
+        message = (
+            f"{counted(len(lacking), 'shards')} that were finished are not in {folder.address()!r}, or have "
+            f"other sizes, the first {lacking[0].data_path!r}: somebody removed them, or a node writes to a "
+            "folder that this machine does not see; next: give a folder that all nodes share, or "
+            "s3://BUCKET/PATH, and run the same command again"
+        )
+        raise IntegrityError(message)
+
+
+def _remove_stale_files(folder: DataFolder, plan: BuildPlan, *, forsaken_s: float = FORSAKEN_S) -> None:
     below = chain.from_iterable(folders_below(folder, path) for path in plan.extra_dirs)
     for path in ("", DATA_FOLDER, PENDING_FOLDER, "reports", *below):
-        folder.remove_stale_files(path)
+        folder.remove_stale_files(path, forsaken_s=forsaken_s)
 
 
 def _run(
-    folder: DataFolder,
-    plan: BuildPlan,
+    work: _WriteShard,
     runner: Runner,
     state: BuildState,
     on_progress: Callable[[Progress], None],
@@ -188,7 +386,7 @@ def _run(
     sizes = {task.shard: task.size for task in state.todo}
     done, total = 0, sum(sizes.values())
     on_progress(Progress(done, total))
-    for record in runner.run(_WriteShard(folder, plan.style, plan.libraries), state.todo):
+    for record in runner.run(work, state.todo):
         if former is not None and record.rows:
             former.give_up()  # there are rows of the new set
         done += sizes[record.shard]
@@ -219,24 +417,38 @@ def _merge_reports(folder: DataFolder, path: str, manifest: Manifest) -> tuple[A
     of the manifest, so the bytes do not depend on the order of the work.
     """
     import pyarrow as pa
-    import pyarrow.compute as pc
 
-    earlier = None
-    if folder.exists(path):
-        # The rows of a damaged one are in pending reports again, see inspect_folder.
-        with contextlib.suppress(IntegrityError):
-            earlier = read_report(folder, path)
-    tables = []
-    for record in manifest.shards:
-        if folder.exists(record.shard.report_path):
-            tables.append(read_report(folder, record.shard.report_path))
-        elif earlier is not None:
-            tables.append(earlier.filter(pc.equal(earlier["shard"], str(record.shard))))
-    if not tables:
+    if not any(record.report_sha256 for record in manifest.shards):
         return None, ""
-    report = pa.concat_tables(tables)
+    rows = _ReportRows(folder, path)
+    found = (rows.of(record) for record in manifest.shards if record.report_sha256)
+    report = pa.concat_tables([table for table in found if table is not None])
     content = encode_parquet(report, REPORT_STYLE)
     checksum = sha256_hex(content)
     if not folder.exists(path) or file_sha256(folder, path) != checksum:
         folder.write_bytes(path, content)
     return report, checksum
+
+
+class _ReportRows:
+    """Report rows of shards: in pending files of their own, or in the report of a run that has ended."""
+
+    def __init__(self, folder: DataFolder, path: str) -> None:
+        self._folder, self._path = folder, path
+        self._pending = set(folder.names(PENDING_FOLDER))
+        self._merged: Any = None
+
+    def of(self, record: ShardRecord) -> Any:
+        """Return the rows of a shard, None for one without. Raises IntegrityError where they are nowhere."""
+        import pyarrow.compute as pc
+
+        if PurePosixPath(record.shard.report_path).name in self._pending:
+            # It goes where another run of the same ends at this moment; then that one has merged it.
+            with contextlib.suppress(IntegrityError):
+                return read_report(self._folder, record.shard.report_path)
+        if not record.rows:
+            return None
+        if self._merged is None:
+            # The rows of a damaged one are in pending reports again, see inspect_folder.
+            self._merged = read_report(self._folder, self._path)
+        return self._merged.filter(pc.equal(self._merged["shard"], str(record.shard)))

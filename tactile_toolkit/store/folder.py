@@ -13,7 +13,8 @@ import os
 import re
 import stat
 import uuid
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path, PurePosixPath
@@ -79,7 +80,7 @@ def _is_strangers(name: str, prefix: str) -> bool:
 
 
 def _now_s(folder: Path) -> float | None:
-    """Return the time by the clock of the file system, maybe another machine's; None where it is unknown."""
+    """Return the time by the clock of the file system, maybe another machine's; None where that fails."""
     probe = folder / temporary_name("probe")
     try:
         with probe.open("xb"):
@@ -113,6 +114,12 @@ def being_written(folder: Path) -> list[Path]:
     stale = set(stale_files(folder))
     return sorted(path for path in folder.glob(f"{TEMPORARY_PREFIX}*") if path not in stale)
 
+
+_TRIES = 10
+_NO_LINKS = (errno.EPERM, errno.ENOTSUP, errno.EOPNOTSUPP, errno.ENOSYS, errno.EMLINK)
+_READ_AT_ONCE = 16
+"""Small files that are asked for at a time: a network file system or store answers many as fast as one."""
+_READ_AHEAD = 512
 
 _HINTS = {
     errno.ENOSPC: "no space is left on the device; free some and run the same command again",
@@ -163,6 +170,41 @@ def expanded(place: str | Path, what: str = "path") -> Path:
         raise InputError(message) from error
 
 
+def _new_file(path: Path) -> IO[bytes]:
+    """Open a file that is not there yet for writing, making its folder."""
+    for _ in range(_TRIES):
+        path.parent.mkdir(parents=True, exist_ok=True)
+        # Another run that has come to its end may remove an empty folder in between.
+        with contextlib.suppress(FileNotFoundError):
+            return path.open("xb")
+    return path.open("xb")
+
+
+def _create_file(path: Path, content: bytes) -> bool:
+    """Write a whole local file unless there is one; tell whether this call did."""
+    temporary = path.parent / temporary_name(path.name)
+    try:
+        with _new_file(temporary) as stream:
+            stream.write(content)
+            stream.flush()
+            os.fsync(stream.fileno())
+        try:
+            os.link(temporary, path)  # the one step that is all or nothing on network file systems too
+        except FileExistsError:
+            return temporary.stat().st_nlink == 2  # done, and the answer of the server was lost
+        except OSError as error:
+            if error.errno not in _NO_LINKS:
+                raise
+            with contextlib.suppress(FileExistsError), path.open("xb") as stream:
+                stream.write(content)
+                return True
+            return False
+    finally:
+        temporary.unlink(missing_ok=True)
+    sync_folder(path.parent)
+    return True
+
+
 @contextlib.contextmanager
 def atomic_file(path: Path, *, durable: bool = True) -> Iterator[IO[bytes]]:
     """Open a local file for writing that appears under its name when all of it is on the disk, or never.
@@ -170,10 +212,9 @@ def atomic_file(path: Path, *, durable: bool = True) -> Iterator[IO[bytes]]:
     Folders are made. What is not ``durable`` is not flushed: a power cut may leave damaged content under the
     name. Raises OSError as the file system does; nothing is left behind.
     """
-    path.parent.mkdir(parents=True, exist_ok=True)
     temporary = path.parent / temporary_name(path.name)
     try:
-        with temporary.open("xb") as stream:
+        with _new_file(temporary) as stream:
             yield stream
             if durable:
                 stream.flush()
@@ -300,6 +341,11 @@ class DataFolder:
         entries = self._remote.entries(self._inside(folder))
         return {name: size for name, size in entries.items() if size is not None}
 
+    def refresh(self, folder: str) -> None:
+        """Have a network file system forget what it knows of a sub-folder: a file comes and goes in it."""
+        if self.is_local and Path(self.address(folder)).is_dir():
+            _now_s(Path(self.address(folder)))
+
     def size_bytes(self, path: str) -> int:
         """Return the size of a file."""
         if self.is_local:
@@ -331,6 +377,28 @@ class DataFolder:
         except OSError as error:
             message = f"cannot read {self.address(path)!r}: {error.strerror or error}"
             raise IntegrityError(message) from error
+
+    def read_many(self, paths: Sequence[str]) -> Iterator[bytes | None]:
+        """Read many small files, in their order; None for one that cannot be read."""
+
+        def read(path: str) -> bytes | None:
+            with contextlib.suppress(IntegrityError):
+                return self.read_bytes(path)
+            return None
+
+        with ThreadPoolExecutor(_READ_AT_ONCE) as threads:
+            for start in range(0, len(paths), _READ_AHEAD):
+                yield from threads.map(read, paths[start : start + _READ_AHEAD])
+
+    def create_bytes(self, path: str, content: bytes) -> bool:
+        """Write a whole file unless there is one of that name; tell whether this call did.
+
+        Of several writers at once, on any machines, one wins. Raises as :meth:`write_bytes`.
+        """
+        if not self.is_local:
+            return self._remote.create(self._inside(path), content)
+        with named_failures(self.address(path)):
+            return _create_file(Path(self.address(path)), content)
 
     def write_bytes(self, path: str, content: bytes) -> None:
         """Write a whole file so that readers see all of it or nothing.

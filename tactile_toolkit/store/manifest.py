@@ -6,17 +6,20 @@ two writers never share a file.
 
 from __future__ import annotations
 
+import contextlib
 import json
 from collections import Counter
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
+from pathlib import PurePosixPath
 from typing import Any
 
 from tactile_toolkit.errors import IntegrityError
 from tactile_toolkit.store.fields import json_fields
 from tactile_toolkit.store.folder import DataFolder
 from tactile_toolkit.store.names import names_inside
-from tactile_toolkit.store.shards import PENDING_FOLDER, ShardName, ShardRecord, add_up
+from tactile_toolkit.store.parts import PARTS_FILE
+from tactile_toolkit.store.shards import DATA_FOLDER, PENDING_FOLDER, ShardName, ShardRecord, add_up
 
 __all__ = [
     "MANIFEST_FILE",
@@ -186,9 +189,9 @@ def manifest_so_far(folder: DataFolder) -> Manifest | None:
     Raises IntegrityError when the manifest is damaged.
     """
     manifest = read_manifest(folder)
-    if manifest is None or manifest.complete:
+    if manifest is None or (manifest.complete and not folder.exists(PARTS_FILE)):
         return manifest
-    return manifest.with_shards(_pending_of(folder, manifest))
+    return replace(manifest.with_shards(_pending_of(folder, manifest)), complete=False)
 
 
 def pending_beside(folder: DataFolder, manifest: Manifest) -> tuple[ShardRecord, ...]:
@@ -199,28 +202,31 @@ def pending_beside(folder: DataFolder, manifest: Manifest) -> tuple[ShardRecord,
 
 def _pending_of(folder: DataFolder, manifest: Manifest) -> list[ShardRecord]:
     """Return pending records whose file is there in full size; checksums are not computed."""
-    records = [record for record in pending_records(folder) if record.shard.split in manifest.split_order]
+    sizes = folder.sizes(DATA_FOLDER)
     return [
         record
-        for record in records
-        if folder.exists(record.shard.data_path) and folder.size_bytes(record.shard.data_path) == record.bytes
+        for record in pending_records(folder)
+        if record.shard.split in manifest.split_order and record.is_size_of(sizes)
     ]
 
 
-def pending_records(folder: DataFolder) -> list[ShardRecord]:
-    """Read the records of shards that are finished and not yet in the manifest."""
+def pending_records(folder: DataFolder, shards: Iterable[ShardName] | None = None) -> list[ShardRecord]:
+    """Read the records of shards, or of these, that are finished and not yet in the manifest."""
+    there = folder.names(PENDING_FOLDER)
+    if shards is not None:
+        asked_for = {PurePosixPath(shard.record_path).name for shard in shards}
+        there = [name for name in there if name in asked_for]
+    # Names with a dot in front are records that a writer has not finished, or never will.
+    paths = [
+        f"{PENDING_FOLDER}/{name}" for name in there if name.endswith(".json") and not name.startswith(".")
+    ]
     records = []
-    for name in folder.names(PENDING_FOLDER):
-        # Names with a dot in front are records that a writer has not finished, or never will.
-        if not name.endswith(".json") or name.startswith("."):
-            continue
+    for path, content in zip(paths, folder.read_many(paths), strict=True):
         # One that cannot be read vouches for nothing: its shard is made again. It may also have gone since it
         # was listed, because the run has just ended.
-        try:
-            path = f"{PENDING_FOLDER}/{name}"
-            records.append(ShardRecord.from_fields(json_fields(folder.read_bytes(path), path)))
-        except IntegrityError:
-            continue
+        with contextlib.suppress(IntegrityError):
+            if content is not None and path != PARTS_FILE:
+                records.append(ShardRecord.from_fields(json_fields(content, path)))
     return records
 
 
@@ -229,9 +235,13 @@ def write_shard_record(folder: DataFolder, record: ShardRecord) -> None:
     folder.write_bytes(record.shard.record_path, json.dumps(record.to_dict(), indent=1).encode())
 
 
-def remove_pending(folder: DataFolder, keep: Iterable[ShardRecord] = ()) -> None:
+def remove_pending(folder: DataFolder, keep: Iterable[ShardRecord] = (), *, keep_plan: bool = False) -> None:
     """Remove records and report rows of a run, once the manifest holds them; some may be needed still."""
     kept = {path for record in keep for path in (record.shard.record_path, record.shard.report_path)}
+    if keep_plan:
+        kept.add(PARTS_FILE)
+    else:
+        folder.remove(PARTS_FILE)  # first: a part that is at work still sees that it need not go on
     for path in (f"{PENDING_FOLDER}/{name}" for name in folder.names(PENDING_FOLDER)):
         if path not in kept:
             folder.remove(path)

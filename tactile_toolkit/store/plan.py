@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections import Counter
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, Protocol
@@ -11,7 +12,8 @@ from tactile_toolkit.errors import InputError, IntegrityError, SpecMismatchError
 from tactile_toolkit.store.folder import DataFolder
 from tactile_toolkit.store.manifest import MANIFEST_FILE, Manifest, pending_records, read_manifest
 from tactile_toolkit.store.parquet import ParquetStyle, file_sha256, read_report, sha256_hex
-from tactile_toolkit.store.shards import DATA_FOLDER, ShardName, ShardRecord, Skipped
+from tactile_toolkit.store.parts import PartsPlan, read_parts_plan
+from tactile_toolkit.store.shards import DATA_FOLDER, PENDING_FOLDER, ShardName, ShardRecord, Skipped
 from tactile_toolkit.versions import library_versions, toolkit_version
 
 __all__ = [
@@ -20,6 +22,8 @@ __all__ = [
     "ShardContent",
     "ShardTask",
     "inspect_folder",
+    "refuse_other_division",
+    "refuse_other_parts",
     "refuse_unknown_files",
     "require_known_splits",
 ]
@@ -84,6 +88,9 @@ class BuildPlan:
         Tells whether all that a finished shard wrote into ``extra_dirs`` is still whole.
     libraries : tuple of str
         Distributions whose versions decide bytes.
+    write_files : callable
+        Writes files that follow from all rows, such as an index, once those are there; takes the folder and
+        the manifest, returns the checksum of each by path.
     """
 
     kind: str
@@ -95,6 +102,9 @@ class BuildPlan:
     extra_dirs: tuple[str, ...] = ()
     extras_intact: Callable[[ShardRecord], bool] = field(default=lambda _: True, repr=False)
     libraries: tuple[str, ...] = ()
+    write_files: Callable[[DataFolder, Manifest], Mapping[str, str]] = field(
+        default=lambda _folder, _manifest: {}, repr=False
+    )
 
     def __post_init__(self) -> None:
         # What is compared with a manifest has gone through JSON there: tuples became lists.
@@ -107,6 +117,17 @@ class BuildPlan:
                     f"the split {shard.split!r} something else"
                 )
                 raise InputError(message)
+
+    def for_parts(self, count: int) -> PartsPlan:
+        """Return what so many parts that make this have to agree on."""
+        return PartsPlan(
+            count,
+            dict(Counter(task.shard.split for task in self.tasks)),
+            self.kind,
+            toolkit_version(),
+            library_versions(*self.libraries),
+            self.spec,
+        )
 
     def new_manifest(self) -> Manifest:
         """Return the manifest of a folder in which nothing is finished."""
@@ -133,26 +154,49 @@ class BuildState:
     """What a folder holds already of a plan.
 
     ``kept`` are finished shards whose files still match, ``todo`` the tasks left. ``damaged`` are paths that
-    do not match their records any more and will be made again.
+    do not match their records any more and will be made again. ``agreed`` is what parts that are at work in
+    the folder agreed on. ``unproven`` are paths of pending files of which nothing says what run they are of.
     """
 
     manifest: Manifest
     kept: tuple[ShardRecord, ...]
     todo: tuple[ShardTask, ...]
     damaged: tuple[str, ...] = ()
+    agreed: PartsPlan | None = None
+    unproven: tuple[str, ...] = ()
 
 
-def inspect_folder(folder: DataFolder, plan: BuildPlan) -> BuildState:
-    """Compare a folder with a plan, changing nothing.
+def inspect_folder(
+    folder: DataFolder,
+    plan: BuildPlan,
+    tasks: Sequence[ShardTask] | None = None,
+    *,
+    read_all: bool | None = None,
+) -> BuildState:
+    """Compare a folder with a plan, or with some of its tasks, changing nothing.
 
-    Raises SpecMismatchError when the folder was made by another specification (the message says what
-    differs), and InputError when it holds something else.
+    A record counts where its file is there in full size; with ``read_all``, by default in local folders, also
+    its checksum is compared. Raises SpecMismatchError when the folder was made by another specification (the
+    message says what differs), and InputError when it holds something else.
     """
-    manifest = read_manifest(folder)
-    if manifest is None:
-        refuse_unknown_files(folder)
-        # Pending records that no manifest stands beside may be of any specification: they prove nothing.
-        return BuildState(plan.new_manifest(), (), plan.tasks)
+    # Listed before what says whose they are is looked for: it is written before any of them, and goes last.
+    pending = folder.names(PENDING_FOLDER)
+    manifest, agreed = read_manifest(folder), read_parts_plan(folder)
+    if agreed is not None:
+        refuse_other_parts(folder, agreed, plan)
+    chosen = plan.tasks if tasks is None else tuple(tasks)
+    if manifest is None and agreed is None:
+        try:
+            refuse_unknown_files(folder)
+        except InputError:
+            if folder.exists(MANIFEST_FILE):  # another run began at this moment
+                return inspect_folder(folder, plan, tasks, read_all=read_all)
+            raise
+        # Pending records that nothing stands beside may be of any specification: they prove nothing.
+        unproven = tuple(f"{PENDING_FOLDER}/{name}" for name in pending if not name.startswith("."))
+        return BuildState(plan.new_manifest(), (), chosen, unproven=unproven)
+    if manifest is None:  # the first part was killed between the two
+        manifest = plan.new_manifest()
     differences = _differences(
         {"kind": manifest.kind, "toolkit_version": manifest.toolkit_version, **manifest.spec},
         {"kind": plan.kind, "toolkit_version": toolkit_version(), **plan.spec},
@@ -165,14 +209,15 @@ def inspect_folder(folder: DataFolder, plan: BuildPlan) -> BuildState:
         )
         raise SpecMismatchError(message)
     _refuse_strays(folder, plan)
-    known = {record.shard: record for record in (*manifest.shards, *pending_records(folder))}
-    has_report = _report_check(folder, plan)
+    asked_for = None if tasks is None else [task.shard for task in chosen]
+    known = {record.shard: record for record in (*manifest.shards, *pending_records(folder, asked_for))}
+    is_finished = _finished_check(
+        folder, plan, [known[t.shard] for t in chosen if t.shard in known], read_all
+    )
     kept, todo, damaged = [], [], []
-    for task in plan.tasks:
+    for task in chosen:
         record = known.get(task.shard)
-        if record is not None and (
-            _is_unchanged(folder, record) and has_report(record) and plan.extras_intact(record)
-        ):
+        if record is not None and is_finished(record):
             kept.append(record)
             continue
         todo.append(task)
@@ -184,7 +229,53 @@ def inspect_folder(folder: DataFolder, plan: BuildPlan) -> BuildState:
     elif todo:
         manifest = replace(manifest, libraries=plan.new_manifest().libraries)
     manifest = replace(manifest, extra_dirs=plan.extra_dirs)
-    return BuildState(manifest, tuple(kept), tuple(todo), tuple(damaged))
+    return BuildState(manifest, tuple(kept), tuple(todo), tuple(damaged), agreed)
+
+
+def _finished_check(
+    folder: DataFolder, plan: BuildPlan, records: Sequence[ShardRecord], read_all: bool | None
+) -> Callable[[ShardRecord], bool]:
+    """Return a test whether all that one of these records vouches for is there; lists the folder once."""
+    sizes = folder.sizes(DATA_FOLDER)
+    has_report = _report_check(folder, plan, records)
+    reads = folder.is_local if read_all is None else read_all
+
+    def is_finished(record: ShardRecord) -> bool:
+        # Sizes first: most damage shows there, and costs no reading.
+        if not record.is_size_of(sizes) or not has_report(record):
+            return False
+        try:
+            if reads and file_sha256(folder, record.shard.data_path) != record.sha256:
+                return False
+            return plan.extras_intact(record)
+        except (IntegrityError, FileNotFoundError):  # damaged in the same size, or gone at this moment
+            return False
+
+    return is_finished
+
+
+def refuse_other_parts(folder: DataFolder, agreed: PartsPlan, plan: BuildPlan) -> None:
+    """Refuse to work beside parts that make something else, or make it with what writes other bytes."""
+    differences = _differences(agreed.identity(), plan.for_parts(1).identity())
+    if differences:
+        message = (
+            f"parts are making another data set in {folder.address()!r}: {'; '.join(differences)}; nothing "
+            "was changed; next: give the options, and install the versions, that the first part had, or "
+            "choose another folder (--out or OUT)"
+        )
+        raise SpecMismatchError(message)
+
+
+def refuse_other_division(folder: DataFolder, agreed: PartsPlan, wanted: PartsPlan) -> None:
+    """Refuse a part of another number of parts, or of other splits, than those that are at work."""
+    differences = _differences(agreed.division(), wanted.division())
+    if differences:
+        message = (
+            f"{folder.address()!r} is being made in other parts: {'; '.join(differences)}; nothing was "
+            f"changed; next: give --part K/{agreed.parts} for the same splits, or finish those first "
+            "(--finish)"
+        )
+        raise SpecMismatchError(message)
 
 
 def _refuse_other_libraries(folder: DataFolder, manifest: Manifest, plan: BuildPlan) -> None:
@@ -217,16 +308,10 @@ def _refuse_strays(folder: DataFolder, plan: BuildPlan) -> None:
             raise InputError(message)
 
 
-def _is_unchanged(folder: DataFolder, record: ShardRecord) -> bool:
-    path = record.shard.data_path
-    # Sizes first: most damage shows there, and costs no reading.
-    if not folder.exists(path) or folder.size_bytes(path) != record.bytes:
-        return False
-    return file_sha256(folder, path) == record.sha256
-
-
-def _report_check(folder: DataFolder, plan: BuildPlan) -> Callable[[ShardRecord], bool]:
-    """Return a test whether a shard's report rows exist, in a pending file of their own or merged."""
+def _report_check(
+    folder: DataFolder, plan: BuildPlan, records: Sequence[ShardRecord]
+) -> Callable[[ShardRecord], bool]:
+    """Return a test whether the report rows of one of these exist, in a file of their own or merged."""
     merged: dict[str, int] = {}
     if plan.report_file is not None and folder.exists(plan.report_file):
         try:
@@ -234,13 +319,18 @@ def _report_check(folder: DataFolder, plan: BuildPlan) -> Callable[[ShardRecord]
             merged = {entry["values"]: entry["counts"] for entry in counts.to_pylist()}
         except IntegrityError:
             pass  # a damaged report holds no rows
+    there = {f"{PENDING_FOLDER}/{name}" for name in folder.names(PENDING_FOLDER)}
+    paths = [record.shard.report_path for record in records if record.shard.report_path in there]
+    digests = {
+        path: None if content is None else sha256_hex(content)
+        for path, content in zip(paths, folder.read_many(paths), strict=True)
+    }
 
     def has_report(record: ShardRecord) -> bool:
         if record.report_sha256 is None:
             return True
-        path = record.shard.report_path
-        if folder.exists(path):
-            return file_sha256(folder, path) == record.report_sha256
+        if record.shard.report_path in digests:
+            return digests[record.shard.report_path] == record.report_sha256
         return record.rows == 0 or merged.get(str(record.shard)) == record.rows
 
     return has_report

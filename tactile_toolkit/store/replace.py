@@ -31,7 +31,7 @@ from tactile_toolkit.store.origin import RECORD_FILE
 from tactile_toolkit.store.plan import BuildPlan, BuildState, refuse_unknown_files
 from tactile_toolkit.store.shards import DATA_FOLDER, PENDING_FOLDER, ShardName, ShardRecord
 
-__all__ = ["FolderBefore", "FormerSet", "recover", "require_replaceable"]
+__all__ = ["FolderBefore", "FormerSet", "recover", "refuse_unrecovered", "require_replaceable"]
 
 _ASIDE = ".replaced"
 # Where a set that is given up goes in one step; what a killed run leaves of it there is nobody's any more.
@@ -155,6 +155,17 @@ def recover(folder: DataFolder) -> None:
         _give_up(folder)
     else:
         _put_back(folder, _extra_dirs_of(folder))
+
+
+def refuse_unrecovered(folder: DataFolder) -> None:
+    """Leave to others what :func:`recover` would put right, and say so (InputError)."""
+    if folder.is_local and folder.exists(_ASIDE):
+        message = (
+            f"a run is replacing, or was killed while it replaced, the data set in {folder.address()!r}; "
+            "nothing was changed; next: give the command that was at work there once more, without --part "
+            "and --finish, or choose another folder (--out or OUT)"
+        )
+        raise InputError(message)
 
 
 def _put_back(folder: DataFolder, extra_dirs: tuple[str, ...]) -> None:

@@ -129,6 +129,10 @@ class ShardRecord:
     statistics: Mapping[str, Any] | None = None
     unpacked_bytes: int | None = None
 
+    def is_size_of(self, sizes: Mapping[str, int]) -> bool:
+        """Tell whether the shard's file is among the sizes of those in ``data``, with the size it had."""
+        return sizes.get(f"{self.shard}.parquet") == self.bytes
+
     def to_dict(self) -> dict[str, Any]:
         """Return JSON values; ``file`` is the shard's path in the folder."""
         optional = {"statistics": self.statistics, "unpacked_bytes": self.unpacked_bytes}

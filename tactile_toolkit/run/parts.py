@@ -1,0 +1,125 @@
+"""One process of many that make a data set together and never meet: elements of a job array.
+
+:class:`Part` and :class:`Finish` stand where a runner stands, so that every function that makes data takes
+them; what they mean for a folder is said in :mod:`tactile_toolkit.store.build`.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from dataclasses import dataclass
+from typing import TypeVar
+
+from tactile_toolkit.errors import InputError
+from tactile_toolkit.run.processes import Runner, runner_for
+
+__all__ = ["Finish", "Part", "part_of"]
+
+T = TypeVar("T")
+R = TypeVar("R")
+
+_PART = re.compile(r"(?:(?P<index>\d{1,9})|auto)(?:/(?P<count>\d{1,9}))?")
+
+
+@dataclass(frozen=True)
+class Part:
+    """Makes every ``count``-th shard from number ``index`` on, and writes no manifest.
+
+    Any number of parts may work at once, on any machines that see the folder; two equal ones make the same.
+    When all have ended, :class:`Finish` puts the set together.
+
+    Parameters
+    ----------
+    index : int
+        Which part, from 0; ``count`` means 0 again, so that numbers from 1 do as well.
+    count : int or None
+        How many parts there are; None means as many as the first part of this folder said.
+    workers : int or Runner
+        What makes the shards of this part.
+    assumed : int or None
+        How many parts there are where neither ``count`` nor the folder says.
+
+    Raises
+    ------
+    InputError
+        There is no such part.
+    """
+
+    index: int
+    count: int | None = None
+    workers: int | Runner = 1
+    assumed: int | None = None
+
+    def __post_init__(self) -> None:
+        if self.count is not None:
+            self.first_of(self.count)
+
+    def first_of(self, count: int) -> int:
+        """Return the first shard of this part of so many. Raises InputError where there is no such part."""
+        if not 0 <= self.index <= count or not count:
+            message = (
+                f"--part {self.index}/{count}: there is no part {self.index} of {count}; expected 0 to "
+                f"{count - 1} (or 1 to {count}); nothing was made; next: number the jobs of the array so"
+            )
+            raise InputError(message)
+        return self.index % count
+
+    def run(self, function: Callable[[T], R], tasks: Iterable[T]) -> Iterator[R]:
+        """Yield the results of tasks that were chosen for this part, as its workers finish them."""
+        return runner_for(self.workers).run(function, tasks)
+
+
+@dataclass(frozen=True)
+class Finish:
+    """Makes nothing: puts together what parts have made, or says what is missing."""
+
+    def run(self, function: Callable[[T], R], tasks: Iterable[T]) -> Iterator[R]:
+        """Yield nothing."""
+        return iter(())
+
+
+def part_of(text: str, workers: int | Runner = 1, environment: Mapping[str, str] = os.environ) -> Part:
+    """Return the part that ``--part`` means: ``K/N``, or what Slurm or Kubernetes call this process.
+
+    ``auto`` takes N from the folder, once a first part has written there: an array that is given again for
+    some of its numbers has another length. InputError for anything else.
+    """
+    match = _PART.fullmatch(text.strip())
+    if match is None or (match["index"] and not match["count"]):
+        message = (
+            f"--part is {text!r}; expected K/N, such as 17/500, or auto, or auto/N; nothing was made; next: "
+            "number the parts from 0"
+        )
+        raise InputError(message)
+    count = int(match["count"]) if match["count"] else None
+    if match["index"]:
+        return Part(int(match["index"]), count, workers)
+    slurm, kubernetes = (
+        _number(environment, name) for name in ("SLURM_ARRAY_TASK_ID", "JOB_COMPLETION_INDEX")
+    )
+    if slurm is not None:
+        return Part(slurm, count, workers, _slurm_length(environment))
+    if kubernetes is not None:
+        return Part(kubernetes, count, workers, _number(environment, "JOB_COMPLETION_COUNT"))
+    message = (
+        "--part auto: neither SLURM_ARRAY_TASK_ID nor JOB_COMPLETION_INDEX is a number in the environment; "
+        "nothing was made; next: run it in an array job of Slurm or an indexed job of Kubernetes, or say "
+        "--part K/N"
+    )
+    raise InputError(message)
+
+
+def _number(environment: Mapping[str, str], name: str) -> int | None:
+    text = environment.get(name, "")
+    return int(text) if re.fullmatch("[0-9]{1,9}", text) else None
+
+
+def _slurm_length(environment: Mapping[str, str]) -> int | None:
+    """Return the length of an array that was given whole; None for some of its numbers, or one with steps."""
+    names = (f"SLURM_ARRAY_TASK_{name}" for name in ("COUNT", "MIN", "MAX"))
+    count, least, most = (_number(environment, name) for name in names)
+    if count is None or least not in (0, 1) or most is None or most - least + 1 != count:
+        return None
+    return count

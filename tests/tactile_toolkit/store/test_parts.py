@@ -1,0 +1,389 @@
+"""One data set made in parts by processes that never meet: the bytes are those of one process."""
+
+from __future__ import annotations
+
+import json
+import random
+import subprocess
+import sys
+import textwrap
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from tactile_toolkit.errors import InputError, IntegrityError, SpecMismatchError, StorageError
+from tactile_toolkit.run.parts import Finish, Part, part_of
+from tactile_toolkit.run.processes import InlineRunner, ProcessRunner
+from tactile_toolkit.store.build import build
+from tactile_toolkit.store.folder import DataFolder, temporary_name
+from tactile_toolkit.store.manifest import manifest_so_far, read_manifest
+from tactile_toolkit.store.parts import PARTS_FILE, MissingPartsError, PartsEndedError, array_text
+from tactile_toolkit.store.verify import verify
+from tests.tactile_toolkit.toy import SCHEMA, folder_bytes, toy_plan
+
+REPOSITORY = Path(__file__).resolve().parents[3]
+SHARDS = 6
+
+
+def make(path, runner=None, plan=None, **options):
+    return build(DataFolder(str(path)), plan or toy_plan(), runner or InlineRunner(), **options)
+
+
+@pytest.fixture
+def whole(tmp_path) -> dict[str, bytes]:
+    make(tmp_path / "whole")
+    return folder_bytes(tmp_path / "whole")
+
+
+@pytest.mark.parametrize("count", [1, 2, 4, SHARDS, 100])
+def test_parts_in_any_order_give_the_bytes_of_one_process(tmp_path, whole, count):
+    folder = DataFolder(str(tmp_path / "set"))
+    for number in random.Random(count).sample(range(1, count + 1), count):  # from 1, as many arrays are
+        manifest = make(folder.url, Part(number, count))
+        assert not manifest.complete
+        first = (number % count) % SHARDS
+        if number % count < SHARDS:
+            assert (tmp_path / "set" / toy_plan().tasks[first].shard.data_path).is_file()
+            assert read_manifest(folder).shards == ()
+    assert not manifest_so_far(folder).complete
+    for _ in range(2):  # twice is once
+        assert make(folder.url, Finish()).complete
+        assert folder_bytes(tmp_path / "set") == whole
+
+
+@pytest.mark.parametrize("runner", [1, ProcessRunner(2)], ids=["inline", "processes"])
+def test_what_is_missing_is_told_as_numbers_of_an_array(tmp_path, whole, runner):
+    for index in (0, 5):
+        make(tmp_path / "set", Part(index, SHARDS, runner))
+    for _ in range(2):
+        with pytest.raises(
+            MissingPartsError,
+            match=r"4 of 6 shards of '.*set' are not finished; they are those of parts 1-4 of 6.*--array=1-4",
+        ) as error:
+            make(tmp_path / "set", Finish())
+        assert (error.value.array, error.value.exit_code) == ("1-4", 3)
+    for index in (1, 2, 3, 4):
+        make(tmp_path / "set", Part(index, SHARDS, runner))
+    make(tmp_path / "set", Finish())
+    assert folder_bytes(tmp_path / "set") == whole
+
+
+@pytest.mark.parametrize("damage", ["file gone", "file cut", "record gone", "report cut"])
+def test_a_record_counts_only_with_its_whole_file(tmp_path, whole, damage):
+    for index in range(2):
+        make(tmp_path / "set", Part(index, 2))
+    shard = toy_plan().tasks[3].shard
+    victim = {"file": shard.data_path, "record": shard.record_path, "report": shard.report_path}
+    file = tmp_path / "set" / victim[damage.split()[0]]
+    if damage.endswith("cut"):
+        file.write_bytes(file.read_bytes()[:-40])
+    else:
+        file.unlink()
+    with pytest.raises(MissingPartsError, match=r"1 of 6 shards .* those of part 1 of 2"):
+        make(tmp_path / "set", Finish())
+    made = []
+    make(tmp_path / "set", Part(1, 2), on_progress=lambda told: made.append(told.record))
+    assert [record.shard for record in made[1:]] == [shard]
+    make(tmp_path / "set", Finish())
+    assert folder_bytes(tmp_path / "set") == whole
+
+
+def test_what_the_parts_are_of_is_agreed_once_and_held_to(tmp_path):
+    plan = toy_plan()
+    make(tmp_path / "set", Part(0, 4))
+    before = folder_bytes(tmp_path / "set")
+    assert json.loads(before[PARTS_FILE])["parts"] == 4
+    for part, other, told in (
+        (Part(1, 5), plan, r"parts is 4 there, 5 was asked for.*--part K/4"),
+        (Part(1, 4), toy_plan(("train",)), r"shards_planned\.test is 2 there, None was asked for"),
+        (Part(1, 4), toy_plan(spec={"seed": 2, "size": [1, 2]}), r"seed is 1 there, 2 was asked for"),
+        (Part(1, 4), replace(plan, libraries=("numpy",)), r"libraries\.numpy is None there"),
+        (Finish(), toy_plan(("train",)), r"shards_planned\.test is 2 there"),
+        (InlineRunner(), toy_plan(spec={"seed": 2, "size": [1, 2]}), r"seed is 1 there, 2 was asked for"),
+    ):
+        with pytest.raises(SpecMismatchError, match=told):
+            make(tmp_path / "set", part, other)
+    for part in (Part(1, 4), Finish()):
+        with pytest.raises(InputError, match=r"--overwrite was given with --part.*remove '.*set' first"):
+            make(tmp_path / "set", part, overwrite=True)
+    assert folder_bytes(tmp_path / "set") == before
+
+
+def test_a_folder_that_was_not_made_in_parts_is_finished_too(tmp_path, whole):
+    with pytest.raises(InputError, match=r"does not exist; nothing can be finished"):
+        make(tmp_path / "nothing", Finish())
+    assert not (tmp_path / "nothing").exists()
+    (tmp_path / "thesis").mkdir()
+    (tmp_path / "thesis" / "thesis.tex").write_text("years of work")
+    for runner in (Part(0, 2), Finish()):
+        with pytest.raises(InputError, match=r"not empty.*thesis\.tex"):
+            make(tmp_path / "thesis", runner)
+    assert folder_bytes(tmp_path / "thesis") == {"thesis.tex": b"years of work"}
+    plan = toy_plan()
+    with pytest.raises(StorageError, match="full"):
+        make(
+            tmp_path / "set",
+            plan=replace(
+                plan, tasks=(*plan.tasks[:-1], replace(plan.tasks[-1], error=StorageError("disk full")))
+            ),
+        )
+    with pytest.raises(
+        MissingPartsError, match=r"1 of 6 shards.*next: run the same command without --finish"
+    ):
+        make(tmp_path / "set", Finish())
+    make(tmp_path / "set")
+    make(tmp_path / "set", Finish())
+    assert folder_bytes(tmp_path / "set") == whole
+
+
+def test_a_split_is_added_in_parts_beside_a_finished_one(tmp_path, whole):
+    place, folder = tmp_path / "set", DataFolder(str(tmp_path / "set"))
+    make(place, plan=toy_plan(("train",)))
+    before = (place / "manifest.json").read_bytes()
+    make(place, Part(0, 2), toy_plan(("test",)))
+    assert (place / "manifest.json").read_bytes() == before
+    assert not manifest_so_far(folder).complete
+    with pytest.raises(MissingPartsError, match="1 of 2 shards"):
+        make(place, Finish(), toy_plan(("test",)))
+    make(place, Part(1, 2), toy_plan(("test",)))
+    make(place, Finish(), toy_plan(("test",)))
+    assert folder_bytes(place) == whole
+
+
+def test_a_part_that_fails_takes_nothing_of_the_others_along(tmp_path, whole):
+    make(tmp_path / "set", Part(0, 2))
+    before = folder_bytes(tmp_path / "set")
+    plan = toy_plan()
+    broken = replace(plan.tasks[1], error=InputError("no place"))
+    with pytest.raises(InputError, match="no place"):
+        make(tmp_path / "set", Part(1, 2), replace(plan, tasks=(plan.tasks[0], broken, *plan.tasks[2:])))
+    assert folder_bytes(tmp_path / "set") == before
+    make(tmp_path / "set", Part(1, 2))
+    make(tmp_path / "set", Finish())
+    assert folder_bytes(tmp_path / "set") == whole
+
+
+def test_finishing_clears_up_after_writers_elsewhere(tmp_path, whole):
+    for index in range(2):
+        make(tmp_path / "set", Part(index, 2))
+    elsewhere = tmp_path / "set" / "data" / ".writing-otherhost-17.3-0123abcd-train-00001-of-00004.parquet"
+    elsewhere.write_bytes(b"half")
+    make(tmp_path / "set", Part(1, 2))
+    assert elsewhere.exists()
+    mine = tmp_path / "set" / "data" / temporary_name("train-00001-of-00004.parquet")
+    mine.write_bytes(b"half")
+    make(tmp_path / "set", Finish())
+    assert mine.exists()  # its writer lives
+    mine.unlink()
+    assert folder_bytes(tmp_path / "set") == whole
+    assert verify(DataFolder(str(tmp_path / "set")), SCHEMA).ok
+
+
+def test_who_makes_the_rest_without_parts_ends_them(tmp_path, whole):
+    """A part that is at work notices, leaves nothing behind, and has not failed."""
+    finished = []
+
+    def others(progress):
+        if progress.record is not None and not finished:
+            make(tmp_path / "set")
+            finished.append(folder_bytes(tmp_path / "set"))
+
+    assert make(tmp_path / "set", Part(0, 2), on_progress=others).complete
+    assert finished == [whole]
+    assert folder_bytes(tmp_path / "set") == whole
+
+
+@pytest.mark.parametrize("moment", ["at the first look", "between two shards"])
+def test_a_part_writes_nothing_into_a_set_that_was_started_again(tmp_path, moment):
+    """Names of shards are the same, rows are not."""
+    other = toy_plan(spec={"seed": 2, "size": [1, 2]})
+    other = replace(other, tasks=tuple(replace(task, ids=(task.ids[0],)) for task in other.tasks))
+    make(tmp_path / "other", plan=other)
+    started = []
+
+    def others(progress):
+        if (progress.record is not None) == (moment == "between two shards") and not started:
+            started.append(make(tmp_path / "set", plan=other, overwrite=True))
+
+    with pytest.raises(PartsEndedError, match="started again"):
+        make(tmp_path / "set", Part(0, 2), on_progress=others)
+    assert started
+    assert folder_bytes(tmp_path / "set") == folder_bytes(tmp_path / "other")
+
+
+def test_parts_in_a_store_of_objects(whole):
+    folder = DataFolder("memory://bucket/parts")
+    for index in (0, 2):
+        build(folder, toy_plan(), Part(index, 3))
+    with pytest.raises(MissingPartsError, match="--array=1"):
+        build(folder, toy_plan(), Finish())
+    build(folder, toy_plan(), Part(1, 3))
+    build(folder, toy_plan(), Finish())
+    assert {path: folder.read_bytes(path) for path in whole} == whole
+    assert folder.names(".pending") == []
+
+
+def test_left_records_of_nobody_knows_what_run_prove_nothing(tmp_path, whole):
+    """Somebody removed the manifest of an interrupted run."""
+    make(tmp_path / "set", Part(0, 2))
+    for name in ("manifest.json", PARTS_FILE):
+        (tmp_path / "set" / name).unlink()
+    (tmp_path / "set" / "data").rename(tmp_path / "data")
+    with pytest.raises(InputError, match=r"nobody knows which data set.*next: remove that folder"):
+        make(tmp_path / "set", Part(0, 2))
+    make(tmp_path / "set")
+    assert folder_bytes(tmp_path / "set") == whole
+
+
+def test_a_damaged_agreement_is_named(tmp_path, monkeypatch):
+    monkeypatch.setattr("tactile_toolkit.store.parts._SETTLES_S", 0.1)
+    make(tmp_path / "set", Part(0, 2))
+    (tmp_path / "set" / PARTS_FILE).write_text('{"parts": 2')
+    with pytest.raises(IntegrityError, match=r"plan\.json', what the parts agreed on, is damaged"):
+        make(tmp_path / "set", Part(1, 2))
+
+
+SLURM = {"COUNT": "500", "MIN": "0", "MAX": "499", "ID": "17"}
+
+
+def slurm(**values: str) -> dict[str, str]:
+    return {f"SLURM_ARRAY_TASK_{name}": value for name, value in (SLURM | values).items()}
+
+
+@pytest.mark.parametrize(
+    ("text", "environment", "expected"),
+    [
+        ("17/500", {}, Part(17, 500)),
+        ("500/500", {}, Part(500, 500)),
+        ("auto", slurm(), Part(17, None, assumed=500)),
+        ("auto", slurm(MIN="1", MAX="500"), Part(17, None, assumed=500)),
+        ("auto", slurm(COUNT="7", MIN="3", MAX="44"), Part(17)),  # --array=3,17,40-44
+        ("auto", slurm(COUNT="250", MAX="498"), Part(17)),  # with steps
+        ("auto/500", slurm(COUNT="7", MIN="3", MAX="44"), Part(17, 500)),
+        ("auto/9", {"JOB_COMPLETION_INDEX": "0"}, Part(0, 9)),
+        ("auto", {"JOB_COMPLETION_INDEX": "0", "JOB_COMPLETION_COUNT": "9"}, Part(0, assumed=9)),
+    ],
+)
+def test_a_part_is_named_or_taken_from_the_scheduler(text, environment, expected):
+    assert part_of(text, 1, environment) == expected
+
+
+@pytest.mark.parametrize(
+    ("text", "told"),
+    [
+        ("17", "expected K/N, such as 17/500"),
+        ("-1/4", "expected K/N"),
+        ("1/4/2", "expected K/N"),
+        ("5/4", "there is no part 5 of 4; expected 0 to 3"),
+        ("0/0", "there is no part 0 of 0"),
+        ("auto", "neither SLURM_ARRAY_TASK_ID nor JOB_COMPLETION_INDEX is a number"),
+    ],
+)
+def test_what_names_no_part_is_refused(text, told):
+    with pytest.raises(InputError, match=told):
+        part_of(text, 1, {"SLURM_ARRAY_TASK_ID": ""})
+
+
+def test_some_of_an_array_given_again_are_the_same_parts(tmp_path, whole):
+    again = Part(5, assumed=None)
+    with pytest.raises(InputError, match=r"nothing says how many parts.*--part auto/N"):
+        make(tmp_path / "set", again)
+    make(tmp_path / "set", Part(0, assumed=SHARDS))
+    make(tmp_path / "set", Part(5, assumed=2))
+    with pytest.raises(MissingPartsError, match="--array=1-4"):
+        make(tmp_path / "set", Finish())
+    with pytest.raises(InputError, match="no part 7 of 6"):
+        make(tmp_path / "set", Part(7, assumed=500))
+
+
+def test_numbers_are_written_as_slurm_takes_them():
+    assert array_text([44, 3, 17, 41, 40, 42, 43, 3]) == "3,17,40-44"
+    assert array_text([7]) == "7"
+
+
+# Forks a child for every moment, which ends itself as `kill -9` would when it touches the folder for the n-th
+# time: a part, and then the end. What the next ones make of it must be the same.
+DIES_EVERYWHERE = """
+import os, shutil, signal, sys
+from pathlib import Path
+from tactile_toolkit.run.parts import Finish, Part
+from tactile_toolkit.store.build import build
+from tactile_toolkit.store.folder import DataFolder
+from tactile_toolkit.store.parts import MissingPartsError
+from tests.tactile_toolkit.toy import folder_bytes, toy_plan
+
+base, plan = Path(sys.argv[1]), toy_plan()
+whole = folder_bytes(base / "whole")
+
+def dies_at(moment, place, runner):
+    process = os.fork()
+    if process == 0:
+        seen = 0
+        def watch(event, arguments):
+            nonlocal seen
+            if event not in ("open", "os.link", "os.rename", "os.remove", "os.rmdir", "os.mkdir"):
+                return
+            if not str(arguments[0]).startswith(str(place)):
+                return
+            if event == "open" and not (arguments[2] or 0) & os.O_CREAT:
+                return
+            seen += 1
+            if seen == moment:
+                os.kill(os.getpid(), signal.SIGKILL)
+        sys.addaudithook(watch)
+        try:
+            build(DataFolder(str(place)), plan, runner)
+            os._exit(0)
+        finally:
+            os._exit(1)
+    _, status = os.waitpid(process, 0)
+    assert os.WIFSIGNALED(status) or os.WEXITSTATUS(status) == 0, moment
+    return os.WIFSIGNALED(status)
+
+def every_moment(before, runner, after):
+    moment = 0
+    while True:
+        moment += 1
+        place = base / f"at-{moment}"
+        if before.exists():
+            shutil.copytree(before, place)
+        was_killed = dies_at(moment, place, runner)
+        after(str(place), was_killed)
+        assert folder_bytes(place) == whole, (runner, moment)
+        shutil.rmtree(place)
+        if not was_killed:
+            return moment - 1
+
+def go_on(place, was_killed):
+    build(DataFolder(place), plan, Part(1, 2))
+    try:
+        build(DataFolder(place), plan, Finish())
+        complete = True
+    except MissingPartsError as error:
+        assert (error.array, error.parts) == ("0", 2)
+        complete = False
+    assert complete or was_killed
+    build(DataFolder(place), plan, Part(0, 2))
+    build(DataFolder(place), plan, Finish())
+
+parts = every_moment(base / "none", Part(0, 2), go_on)
+for index in range(2):
+    build(DataFolder(str(base / "ready")), plan, Part(index, 2))
+ends = every_moment(base / "ready", Finish(), lambda place, _: build(DataFolder(place), plan, Finish()))
+print(parts, ends)
+"""
+
+
+def test_killed_at_any_moment_the_same_again_leads_to_the_same_bytes(tmp_path, whole):
+    done = subprocess.run(
+        [sys.executable, "-c", textwrap.dedent(DIES_EVERYWHERE), str(tmp_path)],
+        cwd=REPOSITORY,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr
+    parts, ends = map(int, done.stdout.split())
+    assert parts > 15
+    assert ends > 15
