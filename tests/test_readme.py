@@ -21,11 +21,12 @@ BLOCKS = re.findall(r"^```(\w+)\n(.*?)^```", TEXT, flags=re.MULTILINE | re.DOTAL
 PUBLISHED = "TimSchneider42/tactile-mnist-touch-real-single-t256-64x64"
 
 
-_EXTRA = "# with the extra `env`\n"
+_EXTRA = re.compile(r"# with the extra `(\w+)`\n")
 
 
-def _text(language: str, *, extra: bool = False) -> str:
-    chosen = [block for kind, block in BLOCKS if kind == language and block.startswith(_EXTRA) == extra]
+def _text(language: str, extra: str | None = None) -> str:
+    needed = [(_EXTRA.match(block), block) for kind, block in BLOCKS if kind == language]
+    chosen = [block for found, block in needed if (found and found[1]) == extra]
     assert chosen, f"README has no such block: {language}, extra {extra}"
     return "\n".join(chosen)
 
@@ -77,7 +78,16 @@ def test_blocks_run(surroundings):
 def test_the_block_with_environments_runs(surroundings):
     pytest.importorskip("tactile_mnist", reason="needs tactile-mnist, of the extra env")
     folder, settings = surroundings
-    _run([sys.executable, "-c", _text("python", extra=True)], folder, settings, "environments")
+    _run([sys.executable, "-c", _text("python", "env")], folder, settings, "environments")
+
+
+@pytest.mark.torch
+def test_the_block_of_training_runs(surroundings):
+    pytest.importorskip("torchdata", reason="needs torchdata, of the extra torch")
+    folder, settings = surroundings
+    for what in ("training", "training that goes on"):
+        _run([sys.executable, "-c", _text("python", "torch")], folder, settings, what)
+    assert (folder / "data.pt").exists()
 
 
 def _program(command: str) -> list[str]:

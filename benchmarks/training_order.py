@@ -1,0 +1,188 @@
+"""The order of training beside the plain pass over the same shards of touches, and beside `datasets`.
+
+::
+
+    python benchmarks/training_order.py [--folder SET] [--shards 24] [--rounds 4]
+
+Everything runs on one thread of one process, in turn, and is given in processor time per touch: a batch of
+images and labels as tensors. Printed are medians of the runs, and medians of the ratios to the training
+order, turn by turn. What lies in the cache was unpacked before, as in every epoch but the first, which is a
+line of its own.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import statistics
+import sys
+import tempfile
+import time
+import warnings
+from collections.abc import Callable, Iterator
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+
+import numpy as np
+
+BATCH = 64
+TOUCHES = 256
+BUFFER_ROUNDS = 64
+"""What `datasets` mixes: as many rounds as a window of ours holds, all of them decoded."""
+
+
+def make_set(folder: Path, shards: int, rounds: int) -> None:
+    """Write shards of rounds in the published schema, 64x64, in row groups of two rounds."""
+    from tests.realtouch import factories as f
+
+    layout = f.Layout(shards=shards, group_rows=2)
+    truths = [f.make_round(index, 16, (64, 64), (4, 5), noise=1.5) for index in range(shards * rounds)]
+    rows = f.single_rows(truths, partial(f.encode_jpeg, quality=75))
+    f.write_set(folder, {"train": [_repeated(row) for row in rows]}, "single", layout)
+
+
+def _repeated(row: dict[str, Any]) -> dict[str, Any]:
+    longer = {}
+    for name, values in row.items():
+        per_touch = isinstance(values, (list, np.ndarray)) and not name.startswith("info.")
+        longer[name] = [values[index % len(values)] for index in range(TOUCHES)] if per_touch else values
+    longer["pos_in_cell"] = np.asarray(longer["pos_in_cell"])
+    return longer
+
+
+def touches_given(batches: Iterator[Any]) -> int:
+    """Take all batches; return how many touches they held."""
+    return sum(len(labels) for _, labels in batches)
+
+
+def streamed(folder: Path) -> Iterator[Any]:
+    """Batches of `datasets` streaming: rounds of this rank, shuffled by its buffer, then touch by touch."""
+    import torch
+    from datasets import load_dataset
+    from datasets.distributed import split_dataset_by_node
+
+    rounds = load_dataset(str(folder), split="train", streaming=True)
+    rounds = split_dataset_by_node(rounds.shuffle(seed=0, buffer_size=BUFFER_ROUNDS), rank=0, world_size=1)
+    rounds = rounds.select_columns(["sensor_image", "label"])
+    items: list[Any] = []
+    for row in rounds:
+        for image in row["sensor_image"]:
+            items.append((torch.from_numpy(np.asarray(image)).permute(2, 0, 1), row["label"]))
+            if len(items) == BATCH:
+                yield torch.utils.data.default_collate(items)
+                items = []
+    if items:
+        yield torch.utils.data.default_collate(items)
+
+
+def passes(folder: Path) -> dict[str, Callable[[], Iterator[Any]]]:
+    """Return what is compared, by name."""
+    import torch
+
+    import realtouch
+    from realtouch.torch import TouchTensors, TrainingBatches
+
+    tensors = TouchTensors(realtouch.load(folder, "train"))
+    return {
+        "plain": lambda: iter(torch.utils.data.DataLoader(tensors, batch_size=BATCH)),
+        "training": lambda: iter(TrainingBatches(tensors, BATCH)),
+        "random": lambda: iter(torch.utils.data.DataLoader(tensors, batch_size=BATCH, shuffle=True)),
+        "datasets": lambda: streamed(folder),
+    }
+
+
+def processor_s(work: Callable[[], Iterator[Any]]) -> float:
+    """Return processor time per touch of one pass, all threads of this process together."""
+    start = time.process_time()
+    given = touches_given(work())
+    return (time.process_time() - start) / given
+
+
+def resume_s(folder: Path) -> tuple[float, float]:
+    """Return the time to the first batch from the beginning of an epoch, and from near its end."""
+    import realtouch
+    from realtouch.torch import TouchTensors, TrainingBatches
+
+    times = []
+    for share in (0.0, 0.9):
+        batches = TrainingBatches(TouchTensors(realtouch.load(folder, "train")), BATCH)
+        state = batches.state_dict()
+        batches.load_state_dict(state | {"batches": int(share * len(batches))})
+        start = time.perf_counter()
+        next(iter(batches))
+        times.append(time.perf_counter() - start)
+    return times[0], times[1]
+
+
+def row_group_s(folder: Path, groups: int) -> tuple[float, float]:
+    """Return processor time per row of a set of one row a row group, of the first and of the last tenth."""
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    from tactile_toolkit.read.dataset import RecordDataset
+    from tactile_toolkit.read.parquet import Shard, ShardedTable
+    from tactile_toolkit.read.torch import TrainingBatches
+
+    shards = max(groups // 100, 1)
+    for index in range(shards):
+        name = folder / f"train-{index:05d}-of-{shards:05d}.parquet"
+        pq.write_table(pa.table({"id": np.arange(100)}), name, row_group_size=1)
+    rows: Any = RecordDataset(
+        [ShardedTable(tuple(Shard(str(path)) for path in sorted(folder.glob("*.parquet"))))]
+    )
+    batches = iter(TrainingBatches(rows, 100, collate_fn=len))
+    times = []
+    for _ in range(shards):
+        start = time.process_time()
+        next(batches)
+        times.append((time.process_time() - start) / 100)
+    tenth = max(shards // 10, 16)
+    return statistics.mean(times[:tenth]), statistics.mean(times[-tenth:])
+
+
+def main() -> None:
+    """Run everything."""
+    parser = argparse.ArgumentParser()
+    parser.add_argument("--folder", type=Path)
+    parser.add_argument("--shards", type=int, default=24)
+    parser.add_argument("--rounds", type=int, default=4)
+    parser.add_argument("--turns", type=int, default=5)
+    parser.add_argument("--groups", type=int, default=20_000)
+    options = parser.parse_args()
+    warnings.simplefilter("ignore")
+    with tempfile.TemporaryDirectory() as temporary:
+        os.environ["TACTILE_TOOLKIT_CACHE"] = str(Path(temporary) / "cache")
+        os.environ["HF_DATASETS_CACHE"] = str(Path(temporary) / "hf")
+        import torch
+
+        torch.set_num_threads(1)
+        folder = options.folder or Path(temporary) / "set"
+        if not folder.is_dir():
+            make_set(folder, options.shards, options.rounds)
+        compared = passes(folder)
+        first_s = processor_s(compared["training"])
+        print(f"first epoch, row groups unpacked meanwhile: {first_s * 1e6:.0f} us a touch")
+        turns = [{name: processor_s(work) for name, work in compared.items()} for _ in range(options.turns)]
+        for name in compared:
+            median_s = statistics.median(turn[name] for turn in turns)
+            ratios = [turn[name] / turn["training"] for turn in turns]
+            spread = f"{min(ratios):.2f} to {max(ratios):.2f}"
+            print(
+                f"{name:<10}{median_s * 1e6:>8.0f} us a touch, {statistics.median(ratios):>6.2f} ({spread})"
+            )
+        first_s, late_s = resume_s(folder)
+        print(f"first batch of an epoch {first_s * 1e3:.0f} ms, resumed at nine tenths {late_s * 1e3:.0f} ms")
+        many = Path(temporary) / "groups"
+        many.mkdir()
+        early_s, last_s = row_group_s(many, options.groups)
+        print(
+            f"{options.groups:,} row groups: {early_s * 1e6:.0f} us a row group in the first tenth, "
+            f"{last_s * 1e6:.0f} us in the last"
+        )
+
+
+if __name__ == "__main__":
+    main()
