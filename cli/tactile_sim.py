@@ -17,6 +17,7 @@ from cli.making import make_with_progress, print_forecast, print_part
 from cli.options import Folder, Json, Limit, Making, Out, Seed, local_place
 from cli.output import Sink, bytes_text, counted, duration_text
 from cli.preview_commands import preview_touches
+from cli.tactile_sim_learning import add_learning, parse_size
 from tactile_sim.kind import KIND
 
 if TYPE_CHECKING:
@@ -29,14 +30,6 @@ __all__ = ["app", "main"]
 app = new_app("tactile-sim", "Synthetic touches: press a simulated GelSight Mini onto any solid.")
 
 OpticsName = Literal["depth", "taxim", "cyclegan"]
-
-
-def _size(text: str) -> tuple[int, int]:
-    width, cross, height = text.partition("x")
-    if not (cross and width.isdecimal() and height.isdecimal()):
-        message = f"{text!r} is not a size; expected width and height in pixels, such as 64x64"
-        raise typer.BadParameter(message)
-    return int(width), int(height)
 
 
 @dataclass(frozen=True, slots=True)
@@ -135,7 +128,7 @@ class PictureOptions:
         if self.noise != "none":
             noise = SensorNoise.calibrated() if self.noise == "calibrated" else SensorNoise.read(self.noise)
         return GenerateSpec(
-            _size(self.size),
+            parse_size(self.size),
             self.optics,
             self.like,
             TouchPlan() if plan is None else plan,
@@ -284,6 +277,7 @@ def render(
     )
 
 
+add_learning(app)
 add_verify(app, KIND, "a data set folder")
 command(app, "preview")(preview_touches)
 add_card(app, KIND)

@@ -21,6 +21,7 @@ from tactile_toolkit.cards.card import (
     write_card_files,
 )
 from tactile_toolkit.cards.facts import FolderFacts, recorded_facts
+from tactile_toolkit.kind import lazy
 from tactile_toolkit.pictures.writing import png_bytes
 from tactile_toolkit.store.folder import DataFolder
 from tactile_toolkit.store.manifest import Manifest
@@ -62,6 +63,9 @@ def write_card(folder: DataFolder, manifest: Manifest, _report: object = None) -
 
     Raises IntegrityError when a shard is missing or damaged.
     """
+    if manifest.spec.get("operation") == "pairs":
+        lazy("tactile_sim.pairs.card:write_card")(folder, manifest)
+        return
     facts = recorded_facts(folder, manifest)
     spec = manifest.spec["options"]
     width, height = spec["size_px"]

@@ -1,0 +1,192 @@
+"""Commands of ``tactile-sim`` for learned rendering: training sets, training, evaluation."""
+
+from __future__ import annotations
+
+import os
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import typer
+
+from cli.application import command
+from cli.folders import print_made
+from cli.making import make_with_progress
+from cli.options import Making, Out, Seed
+from cli.output import Sink, bytes_text, counted
+from tactile_sim.kind import KIND
+
+__all__ = ["add_learning", "parse_size"]
+
+PairsFolder = Annotated[str, typer.Argument(metavar="PAIRS", help="Folder that `tactile-sim pairs` made.")]
+
+
+def parse_size(text: str) -> tuple[int, int]:
+    """Read a size such as ``64x64``: width and height, pixels."""
+    width, cross, height = text.partition("x")
+    if not (cross and width.isdecimal() and height.isdecimal()):
+        message = f"{text!r} is not a size; expected width and height in pixels, such as 64x64"
+        raise typer.BadParameter(message)
+    return int(width), int(height)
+
+
+@dataclass(frozen=True, slots=True)
+class PairsOptions:
+    """What a training set is made of."""
+
+    size: Annotated[str, typer.Option(metavar="WxH", help="Size of the pictures, pixels.")] = "256x256"
+    count: Annotated[int, typer.Option(min=1, metavar="N", help="Depth images, and as many touches.")] = (
+        20_000
+    )
+    without_contact: Annotated[
+        float, typer.Option(min=0, max=1, metavar="SHARE", help="Share of touches that meet no object.")
+    ] = 0.05
+    min_height_mm: Annotated[
+        float, typer.Option(metavar="MM", help="Height above the plate from which a touch counts as contact.")
+    ] = 6.0
+    like: Annotated[
+        Literal["published", "environment"],
+        typer.Option(
+            help="Depth of the whole sensor, as real touches show it, or of an environment's window."
+        ),
+    ] = "published"
+    image_format: Annotated[
+        Literal["png", "jpeg"], typer.Option("--format", help="Format of the real touches.")
+    ] = "png"
+    seed: Seed = 0
+
+
+@dataclass(frozen=True, slots=True)
+class TrainOptions:
+    """How long and how large; what is not here stands in `TrainConfig`."""
+
+    filters: Annotated[int, typer.Option(min=1, metavar="N", help="Filters of the generators.")] = 64
+    blocks: Annotated[int, typer.Option(min=0, metavar="N", help="Residual blocks.")] = 9
+    judge_filters: Annotated[int, typer.Option(min=1, metavar="N", help="Filters of the discriminators.")] = (
+        64
+    )
+    steps: Annotated[int, typer.Option(min=1, metavar="N", help="Steps in all.")] = 200_000
+    batch: Annotated[int, typer.Option(min=1, metavar="N", help="Pictures of each kind in a step.")] = 1
+    crop: Annotated[float, typer.Option(metavar="SHARE", help="Side of the random crops.")] = 0.875
+    learning_rate: Annotated[float, typer.Option(metavar="RATE", help="Learning rate of Adam.")] = 2e-4
+    identity_weight: Annotated[float, typer.Option(metavar="W", help="Weight of the identity loss.")] = 5.0
+    checkpoint_every: Annotated[int, typer.Option(min=1, metavar="N", help="Steps between checkpoints.")] = (
+        1000
+    )
+    seed: Seed = 0
+
+
+def add_learning(app: typer.Typer) -> None:
+    """Add the commands."""
+    command(app)(pairs)
+    command(app)(train)
+
+
+def pairs(
+    *,
+    objects: Annotated[str, typer.Argument(metavar="DIGITS", help="Digits or other meshes.")],
+    real: Annotated[str, typer.Option("--real", metavar="TOUCHES", help="Real touches: name or folder.")],
+    split: Annotated[str, typer.Option("--split", metavar="NAME", help="Split of both.")] = "train",
+    out: Out = Path("pairs"),
+    options: PairsOptions,
+    making: Making,
+    sink: Sink,
+) -> None:
+    """Make the training set of a CycleGAN: depth images and real touches, not paired.
+
+    Example: tactile-sim pairs digits --real real-single-320x240 --split train --out pairs
+    """
+    from tactile_sim.pairs.making import PairsSpec, make_pairs, plan_pairs
+    from tactile_toolkit.run.limits import prepare_batch_process
+
+    spec = PairsSpec(
+        parse_size(options.size),
+        options.count,
+        options.without_contact,
+        options.min_height_mm / 1e3,
+        options.like,
+        options.image_format,
+        seed=options.seed,
+    )
+    if making.dry_run:
+        plan = plan_pairs(objects, real, split, spec)
+        sink.document({"rows": 2 * spec.count, "shards": len(plan.tasks)})
+        sink.line(f"would make {counted(2 * spec.count, 'rows')} in {out}; nothing was written")
+        return
+    prepare_batch_process()
+    made = make_with_progress(
+        sink,
+        "pressing and scaling",
+        "pictures",
+        lambda on_progress: make_pairs(
+            objects,
+            real,
+            split,
+            spec,
+            str(out),
+            workers=making.chosen_runner(),
+            overwrite=making.overwrite,
+            on_progress=on_progress,
+        ),
+    )
+    header = ("split", "rows", "objects left out", "Parquet")
+    table = made.manifest.split_table()
+    rows = [(name, held["rows"], held["skipped"], bytes_text(held["bytes"])) for name, held in table.items()]
+    print_made(sink, KIND, made.manifest, out, table, made.elapsed_s, (header, rows))
+    sink.line(f"next: tactile-sim train {out} --out weights")
+
+
+def train(
+    *,
+    pairs: PairsFolder,
+    out: Out = Path("weights"),
+    options: TrainOptions,
+    device: Annotated[Literal["auto", "cpu", "cuda"], typer.Option(help="Where to compute.")] = "auto",
+    deterministic: Annotated[
+        bool, typer.Option("--deterministic", help="The same weights from every run, on the CPU.")
+    ] = False,
+    resume: Annotated[
+        bool, typer.Option("--resume", help="Go on with the training in the folder, or fail where none is.")
+    ] = False,
+    compiled: Annotated[
+        bool, typer.Option("--compile", help="Compile the generators first; for GPUs.")
+    ] = False,
+    sink: Sink,
+) -> None:
+    """Train a CycleGAN on a training set: weights of depth to touch, and of touch to depth.
+
+    Example: tactile-sim train pairs --out weights
+
+    A run that was stopped, also by a kill, goes on from its last checkpoint when the same command is given
+    again.
+    On several GPUs: torchrun --nproc-per-node 4 -m tactile_sim train pairs --out weights
+    """
+    from dataclasses import asdict
+
+    import tactile_sim.learned  # noqa: F401  (says what is missing)
+    from tactile_sim.learned.config import TrainConfig
+    from tactile_sim.learned.training import train as train_both
+
+    config = TrainConfig(**asdict(options))
+    talks = sink if os.environ.get("RANK", "0") == "0" else Sink(quiet=True)
+    with talks.progress("training", "steps") as update:
+        done = train_both(
+            pairs,
+            str(out),
+            config,
+            device=device,
+            deterministic=deterministic,
+            resume=resume,
+            compiled=compiled,
+            on_progress=update,
+        )
+    talks.document(
+        {"folder": done.folder, "steps": done.steps, "taken": done.taken, "losses": _plain(done.losses)}
+    )
+    talks.line(f"{counted(done.taken, 'steps')} taken, {done.steps:,} in all; the weights are in {out}")
+    talks.line(f"next: tactile-sim evaluate {out} --pairs {pairs}")
+
+
+def _plain(losses: dict[str, float]) -> dict[str, Any]:
+    """Return losses as JSON has numbers."""
+    return {name: loss if loss == loss else None for name, loss in losses.items()}

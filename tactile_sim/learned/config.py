@@ -1,0 +1,118 @@
+"""All that decides a training, in one place; what the paper leaves open is ours and says so."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import asdict, dataclass
+from typing import Any
+
+from tactile_toolkit.errors import InputError
+from tactile_toolkit.wording import is_whole, plain_number
+
+__all__ = ["TrainConfig"]
+
+_LEAST_CROP_PX = 32
+
+
+@dataclass(frozen=True)
+class TrainConfig:
+    """Settings of a training. The paper gives crops and nothing else; Zhu et al. 2017 means CycleGAN's paper.
+
+    Attributes
+    ----------
+    filters, blocks : int
+        Of the generators: those of the published weights.
+    judge_filters : int
+        Of the discriminators (Zhu et al. 2017).
+    steps : int
+        Optimiser steps; ours: ten passes over 20,000 pictures.
+    batch : int
+        Pictures of each kind in a step and process (Zhu et al. 2017).
+    crop : float
+        Side of the random crops as a share of the picture; ours.
+    learning_rate, first_moment : float
+        Of Adam (Zhu et al. 2017); the second moment is 0.999.
+    decay_from : float
+        Share of the steps after which the learning rate falls linearly to 0 (Zhu et al. 2017).
+    cycle_weight, identity_weight : float
+        Weights of the losses beside the adversarial one (Zhu et al. 2017: 10 and 5).
+    pool : int
+        Made pictures that discriminators are shown again (Zhu et al. 2017).
+    seed : int
+        Seed of weights, order, crops and pools.
+    checkpoint_every, log_every : int
+        Steps between checkpoints, and between lines of the log; ours.
+    """
+
+    filters: int = 64
+    blocks: int = 9
+    judge_filters: int = 64
+    steps: int = 200_000
+    batch: int = 1
+    crop: float = 0.875
+    learning_rate: float = 2e-4
+    first_moment: float = 0.5
+    decay_from: float = 0.5
+    cycle_weight: float = 10.0
+    identity_weight: float = 5.0
+    pool: int = 50
+    seed: int = 0
+    checkpoint_every: int = 1000
+    log_every: int = 50
+
+    def __post_init__(self) -> None:
+        bounds = {
+            "filters": (1, 1024),
+            "blocks": (0, 64),
+            "judge_filters": (1, 1024),
+            "steps": (1, 10**9),
+            "batch": (1, 4096),
+            "pool": (0, 10_000),
+            "seed": (0, 2**63),
+            "checkpoint_every": (1, 10**9),
+            "log_every": (1, 10**9),
+        }
+        for name, (least, most) in bounds.items():
+            value = plain_number(getattr(self, name))
+            object.__setattr__(self, name, value)
+            if not (is_whole(value) and least <= value <= most):
+                self._refuse(name, f"a whole number from {least:,} to {most:,}")
+        spans = {
+            "crop": (0.1, 1.0),
+            "learning_rate": (1e-8, 1.0),
+            "first_moment": (0.0, 0.999),
+            "decay_from": (0.0, 1.0),
+            "cycle_weight": (0.0, 1e4),
+            "identity_weight": (0.0, 1e4),
+        }
+        for name, (low, high) in spans.items():
+            share = plain_number(getattr(self, name), float)
+            object.__setattr__(self, name, share)
+            if not (isinstance(share, float) and math.isfinite(share) and low <= share <= high):
+                self._refuse(name, f"a number from {low:g} to {high:g}")
+
+    def _refuse(self, name: str, expected: str) -> None:
+        message = f"{name} of the training is {getattr(self, name)!r}; expected {expected}"
+        raise InputError(message)
+
+    def crop_px(self, size_px: tuple[int, int]) -> tuple[int, int]:
+        """Return width and height of the crops, multiples of 4; InputError where they are too small."""
+        width, height = (int(self.crop * side) // 4 * 4 for side in size_px)
+        if min(width, height) < _LEAST_CROP_PX:
+            message = (
+                f"crops of {width} x {height} pixels (crop {self.crop:g} of {size_px[0]} x {size_px[1]}) are "
+                f"too small for the discriminators; expected at least {_LEAST_CROP_PX}; next: larger "
+                "pictures, or a larger crop"
+            )
+            raise InputError(message)
+        return width, height
+
+    def rate(self, step: int) -> float:
+        """Return the learning rate of a step, counted from 0."""
+        start = self.decay_from * self.steps
+        left = 1.0 if step < start else (self.steps - step) / max(self.steps - start, 1.0)
+        return self.learning_rate * left
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return JSON values."""
+        return asdict(self)

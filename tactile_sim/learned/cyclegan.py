@@ -1,0 +1,169 @@
+"""CycleGAN (Zhu et al. 2017): two generators, two discriminators, and one step of their training."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from itertools import chain
+from typing import Any
+
+import numpy as np
+import torch
+
+from tactile_sim.learned.config import TrainConfig
+from tactile_sim.learned.networks import Generator, discriminator, initialise
+
+__all__ = ["LOSSES", "CycleGan"]
+
+LOSSES = (
+    "touch_adversarial",
+    "depth_adversarial",
+    "touch_cycle",
+    "depth_cycle",
+    "touch_identity",
+    "depth_identity",
+    "touch_judge",
+    "depth_judge",
+)
+"""What a step reports; mean absolute errors of cycle and identity are of values from -1 to 1."""
+
+
+class _Pool:
+    """Made pictures of earlier steps: each new one is shown, or takes the place of an older one that is."""
+
+    def __init__(self, size: int) -> None:
+        self.size = size
+        self.held: list[Any] = []
+
+    def exchange(self, pictures: Any, rng: np.random.Generator) -> Any:
+        shown = []
+        for picture in pictures.detach():
+            if len(self.held) < self.size:
+                self.held.append(picture.clone())
+                shown.append(picture)
+            elif self.size and rng.random() < 0.5:
+                place = int(rng.integers(self.size))
+                shown.append(self.held[place])
+                self.held[place] = picture.clone()
+            else:
+                shown.append(picture)
+        return torch.stack(shown)
+
+
+class CycleGan:
+    """All that training changes, and how.
+
+    Parameters
+    ----------
+    config : TrainConfig
+        Settings.
+    device : str
+        Where it runs.
+    compiled : bool
+        Compile the generators, which takes a minute and pays on a GPU.
+    """
+
+    def __init__(self, config: TrainConfig, device: str, *, compiled: bool = False) -> None:
+        self.config = config
+        self.device = device
+        self.networks = {
+            "touch": Generator(config.filters, config.blocks),
+            "depth": Generator(config.filters, config.blocks),
+            "touch_judge": discriminator(config.judge_filters),
+            "depth_judge": discriminator(config.judge_filters),
+        }
+        for number, network in enumerate(self.networks.values()):
+            initialise(network, config.seed * 4 + number)
+            network.to(device).train()
+        names = {"generators": ("touch", "depth"), "judges": ("touch_judge", "depth_judge")}
+        self.parameters = {
+            key: list(chain.from_iterable(self.networks[name].parameters() for name in group))
+            for key, group in names.items()
+        }
+        moments = (config.first_moment, 0.999)
+        self.optimisers = {
+            key: torch.optim.Adam(parameters, lr=config.learning_rate, betas=moments)
+            for key, parameters in self.parameters.items()
+        }
+        self.pools = {name: _Pool(config.pool) for name in ("touch", "depth")}
+        self._run = {
+            name: torch.compile(network) if compiled and not name.endswith("judge") else network
+            for name, network in self.networks.items()
+        }
+
+    def step(self, number: int, depth: Any, touch: Any, rng: np.random.Generator) -> dict[str, float]:
+        """Take one step with a batch of each kind, (n, 3, H, W) from -1 to 1; return its losses."""
+        for optimiser in self.optimisers.values():
+            for group in optimiser.param_groups:
+                group["lr"] = self.config.rate(number)
+        real = {"touch": touch.to(self.device), "depth": depth.to(self.device)}
+        with torch.autocast("cuda", torch.bfloat16, enabled=self.device.startswith("cuda")):
+            made, losses = self._generator_losses(real)
+            weights = {"adversarial": 1.0, "cycle": self.config.cycle_weight}
+            weights["identity"] = self.config.identity_weight
+            total = sum(weights[name.split("_")[1]] * loss for name, loss in losses.items())
+        self._descend("generators", total)
+        with torch.autocast("cuda", torch.bfloat16, enabled=self.device.startswith("cuda")):
+            for name in ("touch", "depth"):
+                shown = self.pools[name].exchange(made[name], rng)
+                judge = self._run[f"{name}_judge"]
+                losses[f"{name}_judge"] = 0.5 * (_distance(judge(real[name]), 1) + _distance(judge(shown), 0))
+            judging = losses["touch_judge"] + losses["depth_judge"]
+        self._descend("judges", judging)
+        return {name: float(losses[name].detach()) if name in losses else 0.0 for name in LOSSES}
+
+    def _generator_losses(self, real: dict[str, Any]) -> tuple[dict[str, Any], dict[str, Any]]:
+        for parameter in self.parameters["judges"]:
+            parameter.requires_grad_(False)
+        made, losses = {}, {}
+        for name, other in (("touch", "depth"), ("depth", "touch")):
+            made[name] = self._run[name](real[other])
+            losses[f"{name}_adversarial"] = _distance(self._run[f"{name}_judge"](made[name]), 1)
+            losses[f"{other}_cycle"] = (self._run[other](made[name]) - real[other]).abs().mean()
+            if self.config.identity_weight:
+                losses[f"{name}_identity"] = (self._run[name](real[name]) - real[name]).abs().mean()
+        for parameter in self.parameters["judges"]:
+            parameter.requires_grad_(True)
+        return made, losses
+
+    def _descend(self, key: str, loss: Any) -> None:
+        self.optimisers[key].zero_grad(set_to_none=True)
+        loss.backward()
+        _average_gradients(self.parameters[key])
+        self.optimisers[key].step()
+
+    def state(self) -> dict[str, Any]:
+        """Return all that training changes."""
+        return {
+            "networks": {name: network.state_dict() for name, network in self.networks.items()},
+            "optimisers": {name: each.state_dict() for name, each in self.optimisers.items()},
+        }
+
+    def load_state(self, state: dict[str, Any]) -> None:
+        """Take what :meth:`state` returned."""
+        for name, network in self.networks.items():
+            network.load_state_dict(state["networks"][name])
+        for name, optimiser in self.optimisers.items():
+            optimiser.load_state_dict(state["optimisers"][name])
+
+    def pool_state(self) -> dict[str, list[Any]]:
+        """Return the pictures in the pools of this process."""
+        return {name: [picture.float().cpu() for picture in pool.held] for name, pool in self.pools.items()}
+
+    def load_pools(self, state: dict[str, list[Any]]) -> None:
+        """Take what :meth:`pool_state` returned."""
+        for name, pool in self.pools.items():
+            pool.held = [picture.to(self.device) for picture in state[name]]
+
+
+def _distance(verdicts: Any, wanted: int) -> Any:
+    """Least-squares loss (Mao et al. 2017)."""
+    return ((verdicts - wanted) ** 2).mean()
+
+
+def _average_gradients(parameters: Iterable[Any]) -> None:
+    """Average over the processes of ``torchrun``."""
+    if not (torch.distributed.is_available() and torch.distributed.is_initialized()):
+        return
+    for parameter in parameters:
+        torch.distributed.all_reduce(parameter.grad)
+        parameter.grad /= torch.distributed.get_world_size()

@@ -1,0 +1,270 @@
+"""Training: from a set of ``tactile-sim pairs`` to the weights of both directions."""
+
+from __future__ import annotations
+
+import math
+import os
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import torch
+
+from tactile_sim.learned.batches import Batches, step_rng
+from tactile_sim.learned.channels import depth_channels, picture_channels, shades_of
+from tactile_sim.learned.checkpoints import (
+    DEPTH_WEIGHTS,
+    TOUCH_WEIGHTS,
+    claim_folder,
+    read_checkpoint,
+    write_checkpoint,
+    write_log,
+)
+from tactile_sim.learned.config import TrainConfig
+from tactile_sim.learned.cyclegan import LOSSES, CycleGan
+from tactile_sim.learned.networks import weights_of
+from tactile_sim.learned.sheets import sheet_png
+from tactile_sim.learned.weights import write_weights
+from tactile_sim.pairs.reading import Pairs
+from tactile_toolkit.errors import InputError, SpecMismatchError, ToolkitError
+from tactile_toolkit.store.folder import DataFolder
+
+__all__ = ["Trained", "train"]
+
+_SAMPLES = 4
+
+
+@dataclass(frozen=True)
+class Trained:
+    """A training that came to its end: the folder, steps in all and in this run, and the last losses."""
+
+    folder: str
+    steps: int
+    taken: int
+    losses: dict[str, float]
+
+
+@dataclass(frozen=True)
+class _Place:
+    """Which of the processes of ``torchrun`` this is, and where it computes."""
+
+    rank: int
+    count: int
+    device: str
+
+
+def train(
+    pairs: str,
+    out: str | os.PathLike[str],
+    config: TrainConfig | None = None,
+    *,
+    device: str = "auto",
+    deterministic: bool = False,
+    resume: bool = False,
+    compiled: bool = False,
+    on_progress: Callable[[int, int], None] = lambda _done, _total: None,
+) -> Trained:
+    """Train both generators of a CycleGAN; the same call goes on where a run was stopped.
+
+    Parameters
+    ----------
+    pairs : str
+        Folder of ``tactile-sim pairs``.
+    out : str or path-like
+        Folder for checkpoint, weights, log and sheets.
+    config : TrainConfig, optional
+        Settings; the defaults are for 256 x 256 pixels and a GPU.
+    device : str
+        ``"cpu"``, ``"cuda"``, or ``"auto"``: a GPU where there is one. Under ``torchrun`` each process takes
+        a GPU of its own.
+    deterministic : bool
+        On the CPU: the same weights from every run on one machine with one number of threads, stopped or
+        not. Refused on a GPU.
+    resume : bool
+        Refuse to begin: there must be a training to go on with.
+    compiled : bool
+        Compile the generators first, for GPUs.
+    on_progress : callable
+        Called with steps done and in all.
+
+    Returns
+    -------
+    Trained
+
+    Raises
+    ------
+    InputError
+        What was given cannot be used: no training set, no GPU, crops that are too small.
+    SpecMismatchError
+        The folder holds a training with other settings, or of another number of processes.
+    IntegrityError
+        The checkpoint or the training set is damaged.
+    StorageError
+        The folder cannot be written. The last checkpoint stays.
+    ToolkitError
+        The losses are not finite any more. The last checkpoint stays.
+    """
+    config = config or TrainConfig()
+    data = Pairs.open(pairs)
+    config.crop_px(data.size_px)
+    folder = DataFolder(os.fspath(out))
+    with _processes(device, deterministic=deterministic) as place:
+        if place.rank == 0:
+            claim_folder(folder, {"config": config.to_dict(), "pairs": data.identity}, resume=resume)
+        _wait()
+        model = CycleGan(config, place.device, compiled=compiled)
+        run = _Run(config, data, folder, place, model, on_progress)
+        return run.to_the_end()
+
+
+@dataclass(eq=False)
+class _Run:
+    """One process of a training from where it stands to its end."""
+
+    config: TrainConfig
+    data: Pairs
+    folder: DataFolder
+    place: _Place
+    model: CycleGan
+    on_progress: Callable[[int, int], None]
+
+    def to_the_end(self) -> Trained:
+        config = self.config
+        first, log = self._restored()
+        self.on_progress(first, config.steps)
+        sums, losses = np.zeros(len(LOSSES)), dict.fromkeys(LOSSES, math.nan)
+        since = first
+        with Batches(self.data, config, self.place.rank) as batches:
+            for step in range(first, config.steps):
+                depth, touch = batches.of(step)
+                losses = self.model.step(step, depth, touch, step_rng(config, step, self.place.rank, "pool"))
+                sums += list(losses.values())
+                done = step + 1
+                self._require_finite(losses, done)
+                saving = done % config.checkpoint_every == 0 or done == config.steps
+                if saving or done % config.log_every == 0:
+                    log.append([done, *(sums / (done - since))])
+                    sums[:], since = 0, done
+                if saving:
+                    self._save(done, log)
+                self.on_progress(done, config.steps)
+        return Trained(self.folder.address(), config.steps, config.steps - first, losses)
+
+    def _restored(self) -> tuple[int, list[list[float]]]:
+        state = read_checkpoint(self.folder)
+        if state is None:
+            return 0, []
+        if len(state["pools"]) != self.place.count:
+            message = (
+                f"{self.folder.address()!r} was trained by {len(state['pools'])} processes, and now there "
+                f"are {self.place.count}; nothing was changed; next: as many processes as before"
+            )
+            raise SpecMismatchError(message)
+        self.model.load_state(state)
+        self.model.load_pools(state["pools"][self.place.rank])
+        if self.place.rank == 0:
+            # A kill may have come between the checkpoint and what follows from it.
+            self._publish(state["step"], state["log"])
+        return int(state["step"]), state["log"].tolist()
+
+    def _save(self, done: int, log: list[list[float]]) -> None:
+        pools = _gathered(self.model.pool_state(), self.place)
+        if self.place.rank == 0:
+            lines = torch.tensor(log, dtype=torch.float64)
+            write_checkpoint(self.folder, {**self.model.state(), "pools": pools, "step": done, "log": lines})
+            self._publish(done, lines)
+        _wait()
+
+    def _publish(self, done: int, log: Any) -> None:
+        """Write what follows from a checkpoint: weights, log and a sheet."""
+        for name, direction in ((TOUCH_WEIGHTS, "touch"), (DEPTH_WEIGHTS, "depth")):
+            network: Any = self.model.networks[direction]
+            write_weights(self.folder, name, weights_of(network, self.data.size_px))
+        write_log(self.folder, LOSSES, log)
+        self.folder.write_bytes(f"samples/step-{done:07d}.png", self._sheet())
+
+    def _sheet(self) -> bytes:
+        """Draw the first pictures with contact of both kinds, what becomes of them, and what comes back."""
+        shown = {
+            name: domain.images(np.flatnonzero(domain.contact)[: 8 * _SAMPLES : 8][:_SAMPLES])
+            for name, domain in (("depth", self.data.depth), ("touch", self.data.real))
+        }
+        size = self.data.size_px
+        columns: list[tuple[str, Any]] = []
+        networks = self.model.networks
+        start = {"depth": depth_channels(shown["depth"]), "touch": picture_channels(shown["touch"])}
+        with torch.inference_mode():
+            for name, other in (("depth", "touch"), ("touch", "depth")):
+                made = networks[other](start[name].to(self.place.device))
+                back = networks[name](made)
+                columns.append((f"{name}", shown[name]))
+                columns.append((f"made {other}", _pictures(made, other, size)))
+                columns.append((f"{name} again", _pictures(back, name, size)))
+        return sheet_png(columns)
+
+    def _require_finite(self, losses: dict[str, float], done: int) -> None:
+        wrong = [name for name, loss in losses.items() if not math.isfinite(loss)]
+        if wrong:
+            message = (
+                f"the loss {wrong[0]} is {losses[wrong[0]]} at step {done:,}: the training ran away; the "
+                "last checkpoint stays; next: a smaller learning rate in another folder"
+            )
+            raise ToolkitError(message)
+
+
+def _pictures(channels: Any, name: str, size_px: tuple[int, int]) -> Any:
+    shades = shades_of(channels.float().cpu(), size_px)
+    if name == "depth":
+        return shades[:, 2].numpy()
+    return np.rint(shades.permute(0, 2, 3, 1).numpy() * 255).astype(np.uint8)
+
+
+@contextmanager
+def _processes(device: str, *, deterministic: bool) -> Iterator[_Place]:
+    """Find out where to compute, and join the other processes of ``torchrun`` where there are any."""
+    rank, count = int(os.environ.get("RANK", "0")), int(os.environ.get("WORLD_SIZE", "1"))
+    chosen = _device(device)
+    if deterministic and chosen != "cpu":
+        message = "deterministic training runs on the CPU; next: --device cpu, or leave --deterministic away"
+        raise InputError(message)
+    if chosen == "cuda":
+        chosen = f"cuda:{int(os.environ.get('LOCAL_RANK', '0'))}"
+        torch.cuda.set_device(chosen)
+    before = torch.are_deterministic_algorithms_enabled()
+    torch.use_deterministic_algorithms(deterministic)
+    if count > 1:
+        torch.distributed.init_process_group("nccl" if chosen != "cpu" else "gloo")
+    try:
+        yield _Place(rank, count, chosen)
+    finally:
+        torch.use_deterministic_algorithms(before)
+        if count > 1:
+            torch.distributed.destroy_process_group()
+
+
+def _device(name: str) -> str:
+    available = torch.cuda.is_available()
+    if name == "auto":
+        return "cuda" if available else "cpu"
+    if name not in ("cpu", "cuda"):
+        message = f"device is {name!r}; expected auto, cpu or cuda"
+        raise InputError(message)
+    if name == "cuda" and not available:
+        message = "device is 'cuda', but PyTorch finds no GPU here; next: --device cpu"
+        raise InputError(message)
+    return name
+
+
+def _gathered(pools: dict[str, list[Any]], place: _Place) -> list[Any]:
+    if place.count == 1:
+        return [pools]
+    found: list[Any] = [None] * place.count
+    torch.distributed.all_gather_object(found, pools)
+    return found
+
+
+def _wait() -> None:
+    if torch.distributed.is_available() and torch.distributed.is_initialized():
+        torch.distributed.barrier()

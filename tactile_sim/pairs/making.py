@@ -1,0 +1,357 @@
+"""From digits and real touches to a training set: splits `depth` and `real`, as many of each, not paired.
+
+The paper (appendix, CycleGAN-based Tactile Rendering): 20,000 synthetic depth images and 20,000 real touches,
+with fewer of those without contact than there are; it does not say how few.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import os
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass, field
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tactile_sim.kind import KIND
+from tactile_sim.pairs.rows import PairRow, depth_levels, encode_depth, pair_table, pairs_style
+from tactile_sim.plan import TouchPlan, plan_round
+from tactile_sim.pressing import Pressable, press
+from tactile_sim.sensor import Sensor, as_environment, as_sensor
+from tactile_toolkit.catalog.locate import find_shards
+from tactile_toolkit.catalog.published import place_of
+from tactile_toolkit.errors import InputError
+from tactile_toolkit.kind import lazy
+from tactile_toolkit.mesh.columns import class_names, require_mesh_columns
+from tactile_toolkit.mesh.records import SolidDataset
+from tactile_toolkit.read.parquet import Shard, ShardedTable
+from tactile_toolkit.run.processes import Runner, runner_for
+from tactile_toolkit.store.build import Progress, build
+from tactile_toolkit.store.folder import DataFolder
+from tactile_toolkit.store.manifest import Manifest
+from tactile_toolkit.store.plan import BuildPlan, ShardContent
+from tactile_toolkit.store.shards import ShardName, Skipped
+from tactile_toolkit.touch.jpeg import encode_image, resized
+from tactile_toolkit.wording import is_whole, plain_number
+
+__all__ = ["SPLITS", "PairsSpec", "make_pairs", "plan_pairs"]
+
+SPLITS = ("depth", "real")
+
+_ROWS_PER_SHARD = 1000
+_TRIES = 16
+_SIDES_PX = range(16, 2049)
+
+
+@dataclass(frozen=True)
+class PairsSpec:
+    """Everything that decides a training set of learned rendering.
+
+    Attributes
+    ----------
+    size_px : tuple of int
+        Width and height of all pictures, pixels, multiples of 4; 256 x 256 as in the published weights.
+    count : int
+        Depth images, and as many real touches.
+    without_contact : float
+        Share of touches that meet no object, 0 to 1. The paper reduces it and does not say to how much.
+    min_height_m : float
+        A gel that stops so far above the plate touched an object, metres; the rule of `realtouch` and of
+        the publisher's own viewer.
+    like : str
+        ``"published"``: depth of the whole sensor, squashed into the size as the real touches are;
+        ``"environment"``: the window that the environments show.
+    image_format : str
+        ``"png"`` or ``"jpeg"`` for the real touches; a network learns the blocks of a JPEG.
+    turn_rad : float
+        Objects are turned about z by up to this much either way, radians.
+    seed : int
+        Seed of everything that is drawn.
+    """
+
+    size_px: tuple[int, int] = (256, 256)
+    count: int = 20_000
+    without_contact: float = 0.05
+    min_height_m: float = 0.006
+    like: Literal["published", "environment"] = "published"
+    image_format: Literal["png", "jpeg"] = "png"
+    turn_rad: float = np.pi / 8
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "size_px", as_sensor(*self.size_px).size_px)
+        for name in ("count", "seed"):
+            object.__setattr__(self, name, plain_number(getattr(self, name)))
+        for name in ("without_contact", "min_height_m", "turn_rad"):
+            object.__setattr__(self, name, plain_number(getattr(self, name), float))
+        for name, holds, expected in (
+            (
+                "size_px",
+                all(side in _SIDES_PX and side % 4 == 0 for side in self.size_px),
+                "multiples of 4 from 16 to 2048",
+            ),
+            ("count", is_whole(self.count) and 1 <= self.count <= 10_000_000, "1 to 10,000,000"),
+            (
+                "without_contact",
+                isinstance(self.without_contact, float) and 0 <= self.without_contact <= 1,
+                "0 to 1",
+            ),
+            (
+                "min_height_m",
+                isinstance(self.min_height_m, float) and 0 < self.min_height_m < 0.1,
+                "metres above 0 and below 0.1",
+            ),
+            ("like", self.like in ("published", "environment"), "published or environment"),
+            ("image_format", self.image_format in ("png", "jpeg"), "png or jpeg"),
+            ("turn_rad", isinstance(self.turn_rad, float) and 0 <= self.turn_rad <= np.pi, "0 to pi"),
+            ("seed", is_whole(self.seed) and self.seed >= 0, "a whole number from 0"),
+        ):
+            if not holds:
+                message = f"{name} of the training set is {getattr(self, name)!r}; expected {expected}"
+                raise InputError(message)
+
+    @property
+    def sensor(self) -> Sensor:
+        """What the depth images are of."""
+        return (as_sensor if self.like == "published" else as_environment)(*self.size_px)
+
+    @property
+    def empty(self) -> int:
+        """How many touches of each split meet no object."""
+        return sum(map(self.is_empty, range(self.count)))
+
+    def is_empty(self, number: int) -> bool:
+        """Tell whether a touch meets no object: evenly spread, so that every shard has its share."""
+        return int((number + 1) * self.without_contact) > int(number * self.without_contact)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return JSON values that decide every row."""
+        return asdict(self)
+
+
+@dataclass(frozen=True)
+class _DepthShard:
+    """Depth images ``start`` to ``start + size - 1``; ``objects`` are the meshes of all of them."""
+
+    shard: ShardName
+    paths: tuple[str, ...] = field(repr=False)
+    names: tuple[str, ...] = field(repr=False)
+    objects: int
+    start: int
+    size: int
+    spec: PairsSpec = field(repr=False)
+
+    def make(self) -> ShardContent:
+        """Press the gel onto one object after another; what bounds no solid is left out and listed."""
+        spec = self.spec
+        solids = SolidDataset([ShardedTable(tuple(map(Shard, self.paths)))], label_names=self.names)
+        rows, skipped, held = [], [], {}
+        for number in range(self.start, self.start + self.size):
+            place = number * self.objects // spec.count  # neighbours share an object, which is checked once
+            record = solids[place]
+            if place not in held:
+                held = {place: _pressable(record, skipped)}
+            solid = held[place]
+            if solid is None:
+                continue
+            image = _touched(spec, solid, record.id, number)
+            rows.append(
+                PairRow(
+                    f"{record.id}-{number}",
+                    record.label,
+                    record.id,
+                    not spec.is_empty(number),
+                    encode_depth(depth_levels(image)),
+                )
+            )
+        return ShardContent(pair_table(rows, self.names, "png"), tuple(skipped), statistics=_counts(rows))
+
+
+def _pressable(record: Any, skipped: list[Skipped]) -> Pressable | None:
+    try:
+        return Pressable.of(record)
+    except InputError as error:
+        skipped.append(Skipped(record.id, "no-solid", f"object {record.id}: {error}"))
+        return None
+
+
+def _touched(spec: PairsSpec, solid: Pressable, object_id: int, number: int) -> NDArray[np.float32]:
+    """Return the depth image of one touch: the first of some places in the cell that meets the object."""
+    sensor = spec.sensor
+    width, height = sensor.size_px
+    if spec.is_empty(number):
+        return np.ones((height, width), np.float32)
+    for place in ("cell", "object"):  # small things are seldom met by chance
+        plan = TouchPlan(1, _TRIES, place, turn_rad=spec.turn_rad, shift=False, seed=spec.seed)
+        drawn = plan_round(plan, solid, "depth", object_id, number)
+        for position in drawn.positions_m:
+            target = np.eye(4)
+            target[:2, 3] = position
+            pressed = press(solid, drawn.object_poses[0], target, sensor)
+            if float(pressed.sensor_z_m) - sensor.press_m >= spec.min_height_m:
+                return np.asarray(pressed.image)
+    message = (
+        f"object {object_id} is nowhere {1e3 * spec.min_height_m:.1f} mm high, so that no touch of it counts "
+        "as contact; next: lower --min-height-mm"
+    )
+    raise InputError(message)
+
+
+@dataclass(frozen=True)
+class _RealShard:
+    """Real touches by their numbers in the split, which a plan drew."""
+
+    shard: ShardName
+    source: str
+    split: str
+    chosen: tuple[tuple[int, bool], ...] = field(repr=False)
+    names: tuple[str, ...] = field(repr=False)
+    spec: PairsSpec = field(repr=False)
+
+    @property
+    def size(self) -> int:
+        """How many touches."""
+        return len(self.chosen)
+
+    def make(self) -> ShardContent:
+        """Decode, scale and encode the touches."""
+        touches = KIND.load(self.source, self.split).touches()
+        kind, rows = self.spec.image_format, []
+        width, height = self.spec.size_px
+        for number, contact in self.chosen:
+            touch = touches[number]
+            picture = touch.image
+            if picture.shape[:2] != (height, width):
+                picture = resized(picture, width, height)
+            key = f"{touch.round_id}-{touch.touch_index}"
+            rows.append(PairRow(key, touch.label, touch.object_id, contact, encode_image(picture, kind)))
+        table = pair_table(rows, self.names, {"png": "png", "jpeg": "jpg"}[kind])
+        return ShardContent(table, statistics=_counts(rows))
+
+
+def _counts(rows: Sequence[PairRow]) -> dict[str, int]:
+    return {"touches": len(rows), "on_object": sum(row.contact for row in rows)}
+
+
+def plan_pairs(objects: str, real: str, split: str, spec: PairsSpec) -> BuildPlan:
+    """Decide which shards hold which depth images and touches; reads poses, no picture.
+
+    InputError where there are too few touches, or what is named is not of the right kind.
+    """
+    shards = find_shards(place_of(objects), split)
+    table = ShardedTable(shards)
+    require_mesh_columns(table.schema, objects, "mnist3d generate")
+    names = class_names(table.schema, tuple(map(str, range(10))), objects)
+    meshes = sum(map(len, shards))
+    if not meshes:
+        message = f"split {split!r} of {objects!r} holds no mesh; next: choose another split"
+        raise InputError(message)
+    dataset = KIND.load(real, split)
+    touches = dataset.touches()
+    chosen = _draw(touches, spec, real)
+    tasks: list[Any] = []
+    starts = range(0, spec.count, _ROWS_PER_SHARD)
+    for index, start in enumerate(starts):
+        size = min(_ROWS_PER_SHARD, spec.count - start)
+        paths = tuple(shard.path for shard in shards)
+        name = ShardName("depth", index, len(starts))
+        tasks.append(_DepthShard(name, paths, names, meshes, start, size, spec))
+    for index, start in enumerate(starts):
+        part = tuple(chosen[start : start + _ROWS_PER_SHARD])
+        name = ShardName("real", index, len(starts))
+        tasks.append(_RealShard(name, real, split, part, tuple(touches.label_names), spec))
+    identity = {
+        "operation": "pairs",
+        "options": spec.to_dict(),
+        "split": split,
+        "source": {"depth": _fingerprint(shards), "real": str(dataset.identity)},
+    }
+    libraries = ("numpy", "pillow", "pyarrow")
+    return BuildPlan(KIND.name, identity, SPLITS, tuple(tasks), pairs_style(), libraries=libraries)
+
+
+def _draw(touches: Any, spec: PairsSpec, real: str) -> list[tuple[int, bool]]:
+    """Draw touches with and without contact, each once, and spread those without as in the other split."""
+    contact = touches.heights_m() >= spec.min_height_m
+    rng = np.random.Generator(np.random.Philox(_key(spec.seed, "real")))
+    pools = {}
+    for wanted, count in ((True, spec.count - spec.empty), (False, spec.empty)):
+        numbers = np.flatnonzero(contact == wanted)
+        if len(numbers) < count:
+            message = (
+                f"{real!r} holds {int(contact.sum()):,} touches with contact and {int((~contact).sum()):,} "
+                f"without; expected at least {spec.count - spec.empty:,} and {spec.empty:,}; nothing was "
+                "written; next: a smaller --count, or another --without-contact"
+            )
+            raise InputError(message)
+        pools[wanted] = iter(np.sort(rng.permutation(numbers)[:count]).tolist())
+    flags = [not spec.is_empty(number) for number in range(spec.count)]
+    return [(next(pools[flag]), flag) for flag in flags]
+
+
+def _key(seed: int, what: str) -> int:
+    return int.from_bytes(hashlib.sha256(f"{seed}/{what}".encode()).digest()[:16], "little")
+
+
+def _fingerprint(shards: Sequence[Shard]) -> str:
+    return ShardedTable(tuple(shards)).identity
+
+
+def make_pairs(
+    objects: str,
+    real: str,
+    split: str,
+    spec: PairsSpec,
+    out: str | os.PathLike[str],
+    *,
+    workers: int | Runner = 1,
+    overwrite: bool = False,
+    on_progress: Callable[[Progress], None] = lambda _: None,
+) -> Manifest:
+    """Make the training set of a CycleGAN: depth images of objects, and real touches, not paired.
+
+    Parameters
+    ----------
+    objects : str
+        Data set of digits or other meshes: a folder, a Parquet file, a repository of the Hub or a short name.
+    real : str
+        Data set of touches, as ``realtouch.load`` takes it; rendered ones do as well.
+    split : str
+        Split of both.
+    spec : PairsSpec
+        What to make of them.
+    out : str or path-like
+        Folder to write: splits ``depth`` and ``real``.
+    workers : int or Runner
+        Number of local processes, or a runner of another kind.
+    overwrite : bool
+        Start again in a folder that holds another data set of this toolkit.
+    on_progress : callable
+        Called with the :class:`~tactile_toolkit.store.build.Progress` after each shard.
+
+    Returns
+    -------
+    Manifest
+        What the folder holds now.
+
+    Raises
+    ------
+    InputError
+        There are too few touches, or something else cannot be used; nothing is written.
+    IntegrityError
+        A source is damaged.
+    HubError
+        A source is on the Hub and cannot be fetched.
+    SpecMismatchError
+        The folder holds a data set of another specification.
+    StorageError
+        The folder cannot be written. What was finished stays.
+    """
+    plan = plan_pairs(objects, real, split, spec)
+    write_card = lazy("tactile_sim.card:write_card")
+    folder = DataFolder(os.fspath(out))
+    return build(
+        folder, plan, runner_for(workers), overwrite=overwrite, on_progress=on_progress, write_card=write_card
+    )
