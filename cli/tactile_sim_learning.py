@@ -80,6 +80,7 @@ def add_learning(app: typer.Typer) -> None:
     """Add the commands."""
     command(app)(pairs)
     command(app)(train)
+    command(app)(evaluate)
 
 
 def pairs(
@@ -185,6 +186,36 @@ def train(
     )
     talks.line(f"{counted(done.taken, 'steps')} taken, {done.steps:,} in all; the weights are in {out}")
     talks.line(f"next: tactile-sim evaluate {out} --pairs {pairs}")
+
+
+def evaluate(
+    *,
+    weights: Annotated[
+        Path, typer.Argument(metavar="WEIGHTS", help="Folder that `tactile-sim train` wrote.")
+    ],
+    pairs: Annotated[
+        str, typer.Option("--pairs", metavar="PAIRS", help="A training set that it did not see.")
+    ],
+    out: Out = Path("evaluation"),
+    count: Annotated[int, typer.Option(min=1, metavar="N", help="At most so many pictures.")] = 2000,
+    taxim: Annotated[bool, typer.Option(help="Compare with Taxim (extra sim).")] = True,
+    seed: Seed = 0,
+    sink: Sink,
+) -> None:
+    """Measure trained weights on touches that they did not see: a table, and a sheet of pictures.
+
+    Example: tactile-sim evaluate weights --pairs pairs-test --out evaluation
+    """
+    import tactile_sim.learned  # noqa: F401  (says what is missing)
+    from tactile_sim.learned.evaluation import BASELINES
+    from tactile_sim.learned.evaluation import evaluate as measure
+
+    baselines = tuple(name for name in BASELINES if taxim or name != "taxim")
+    found = measure(weights, pairs, baselines=baselines, count=count, seed=seed)
+    found.write(out)
+    sink.document(found.to_dict())
+    sink.line(found.to_markdown())
+    sink.line(f"table and pictures are in {out}")
 
 
 def _plain(losses: dict[str, float]) -> dict[str, Any]:

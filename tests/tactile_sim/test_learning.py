@@ -1,0 +1,262 @@
+"""Learned rendering from pairs to pictures: same bytes however it runs, nothing half-written."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+import mnist3d
+import realtouch
+import tactile_sim
+from mnist3d.sources.synthetic import SyntheticSource
+from tactile_sim.pairs.making import PairsSpec, make_pairs
+from tactile_sim.pairs.reading import Pairs
+from tactile_sim.pairs.rows import decode_depth, depth_levels, encode_depth
+from tactile_toolkit.errors import InputError, IntegrityError, SpecMismatchError, StorageError
+
+pytestmark = [pytest.mark.torch, pytest.mark.sim]
+torch = pytest.importorskip("torch", reason="needs torch, of the extra torch")
+pytest.importorskip("numba", reason="needs numba, of the extra sim")
+
+from tactile_sim.learned.checkpoints import settings_of  # noqa: E402
+from tactile_sim.learned.config import TrainConfig  # noqa: E402
+from tactile_sim.learned.evaluation import evaluate  # noqa: E402
+from tactile_sim.learned.measures import colour_distance, kernel_distance, spectrum_distance  # noqa: E402
+from tactile_sim.learned.training import train  # noqa: E402
+from tactile_toolkit.store.folder import DataFolder  # noqa: E402
+
+SPEC = PairsSpec((32, 32), 60, without_contact=0.2, like="environment")
+CONFIG = TrainConfig(2, 1, 4, steps=6, crop=1.0, pool=3, checkpoint_every=2, log_every=1)
+FILES = ("depth_to_touch.npz", "touch_to_depth.npz", "losses.parquet")
+
+
+@pytest.fixture(scope="module")
+def sources(tmp_path_factory):
+    """Six digits and touches of them."""
+    digits, touches = (str(tmp_path_factory.mktemp(name)) for name in ("digits", "touches"))
+    source = SyntheticSource(seed=1)
+    mnist3d.generate(mnist3d.GenerateSpec(source, limit=6), digits, splits=("train",))
+    plan = tactile_sim.TouchPlan(rounds=1, touches=32, seed=3)
+    spec = tactile_sim.GenerateSpec((32, 32), "taxim", plan=plan, image_format="png")
+    tactile_sim.generate(digits, spec, touches)
+    return digits, touches
+
+
+@pytest.fixture(scope="module")
+def pairs(sources, tmp_path_factory):
+    folder = tmp_path_factory.mktemp("pairs") / "set"
+    make_pairs(*sources, "train", SPEC, folder)
+    return str(folder)
+
+
+@pytest.fixture(scope="module")
+def trained(pairs, tmp_path_factory):
+    """A training that nothing disturbed."""
+    folder = tmp_path_factory.mktemp("trained") / "weights"
+    train(pairs, folder, CONFIG, device="cpu", deterministic=True)
+    return folder
+
+
+def _weights(folder) -> list[bytes]:
+    return [(Path(folder) / name).read_bytes() for name in FILES]
+
+
+def test_depth_survives_its_picture():
+    image = np.linspace(0, 1, 32 * 24, dtype=np.float32).reshape(24, 32)
+    assert np.abs(decode_depth(encode_depth(depth_levels(image))) - image).max() < 1e-5
+    assert (depth_levels(np.zeros((4, 4), np.float32)) == 65535).all()  # a level surface counts as no contact
+
+
+def test_pairs_hold_what_was_asked_for_with_any_number_of_workers(sources, pairs, tmp_path, monkeypatch):
+    data = Pairs.open(pairs)
+    for domain in (data.depth, data.real):
+        assert len(domain) == 60
+        assert int((~domain.contact).sum()) == 12
+    empty = data.depth.images(np.flatnonzero(~data.depth.contact))
+    assert (empty == 1).all()
+    met = data.depth.images(np.flatnonzero(data.depth.contact))
+    assert (met.min(axis=(1, 2)) == 0).all()
+    monkeypatch.setattr("tactile_sim.pairs.making._ROWS_PER_SHARD", 25)
+    make_pairs(*sources, "train", SPEC, tmp_path / "again", workers=2)
+    other = Pairs.open(str(tmp_path / "again"))
+    for one, again in ((data.depth, other.depth), (data.real, other.real)):
+        assert (one.images(range(60)) == again.images(range(60))).all()
+        assert (one.labels == again.labels).all()
+    touches = realtouch.load(sources[1], "train").touches()
+    heights = dict(zip([f"{t.round_id}-{t.touch_index}" for t in touches], touches.heights_m(), strict=True))
+    known = np.array([heights[name] for name in data.real.table.column("id")])
+    assert ((known >= 0.006) == data.real.contact).all()
+
+
+def test_pairs_that_cannot_be_made_are_named(sources, tmp_path):
+    cases = [
+        (PairsSpec((32, 32), 5000), "holds .* touches with contact"),
+        (PairsSpec((32, 32), 60, min_height_m=0.09), "holds 0 touches with contact"),
+    ]
+    for spec, text in cases:
+        with pytest.raises(InputError, match=text):
+            make_pairs(*sources, "train", spec, tmp_path / "out")
+    for wrong, text in (({"size_px": (30, 32)}, "multiples of 4"), ({"without_contact": 2}, "0 to 1")):
+        with pytest.raises(InputError, match=text):
+            PairsSpec(**{"count": 9, **wrong})
+    with pytest.raises(InputError, match="not a training set"):
+        Pairs.open(sources[1])
+    assert not list(tmp_path.iterdir())
+
+
+def test_killed_at_any_moment_it_ends_in_the_same_weights(pairs, trained, tmp_path):
+    out = tmp_path / "killed"
+    program = (
+        "from tactile_sim.learned.training import train; from tactile_sim.learned.config import TrainConfig;"
+        f"train({pairs!r}, {str(out)!r}, TrainConfig(**{CONFIG.to_dict()!r}), device='cpu',"
+        "deterministic=True, on_progress=lambda done, total: print(done, flush=True))"
+    )
+    threads = {"OMP_NUM_THREADS": str(torch.get_num_threads())}
+    with subprocess.Popen(
+        [sys.executable, "-c", program], stdout=subprocess.PIPE, env={**os.environ, **threads}
+    ) as run:
+        assert run.stdout is not None
+        for line in run.stdout:
+            if int(line) >= 3:
+                run.send_signal(signal.SIGKILL)
+                break
+    assert (out / "checkpoint.pt").exists()
+    done = train(pairs, out, CONFIG, device="cpu", deterministic=True, resume=True)
+    assert 0 < done.taken <= 4
+    assert _weights(out) == _weights(trained)
+    assert all(np.isfinite(loss) for loss in done.losses.values())
+
+
+def test_a_finished_training_stays_and_others_are_refused(pairs, trained, sources, tmp_path):
+    before = {file: file.stat().st_mtime_ns for file in trained.iterdir() if file.suffix == ".pt"}
+    assert train(pairs, trained, CONFIG, device="cpu", deterministic=True).taken == 0
+    assert before == {file: file.stat().st_mtime_ns for file in before}
+    with pytest.raises(SpecMismatchError, match="seed is 0 there"):
+        train(pairs, trained, TrainConfig(**{**CONFIG.to_dict(), "seed": 9}), device="cpu")
+    with pytest.raises(InputError, match="no training to go on with"):
+        train(pairs, tmp_path / "new", CONFIG, resume=True)
+    with pytest.raises(InputError, match="holds no training"):
+        train(pairs, sources[0], CONFIG)
+    with pytest.raises(InputError, match="too small for the discriminators"):
+        train(pairs, tmp_path / "new", TrainConfig(crop=0.5))
+    with pytest.raises(InputError, match="learning_rate"):
+        TrainConfig(learning_rate=float("nan"))
+    if not torch.cuda.is_available():
+        with pytest.raises(InputError, match="finds no GPU"):
+            train(pairs, tmp_path / "new", CONFIG, device="cuda")
+    assert settings_of(DataFolder(str(tmp_path / "new"))) is None
+
+
+def test_a_damaged_checkpoint_and_a_full_disk_are_named(pairs, trained, tmp_path, monkeypatch):
+    out = tmp_path / "weights"
+    out.mkdir()
+    for file in ("training.json", "checkpoint.pt"):
+        (out / file).write_bytes((trained / file).read_bytes())
+    whole = (out / "checkpoint.pt").read_bytes()
+    damaged = bytearray(whole)
+    damaged[len(damaged) // 2] ^= 1
+    (out / "checkpoint.pt").write_bytes(damaged)
+    with pytest.raises(IntegrityError, match="does not match its checksum"):
+        train(pairs, out, CONFIG, device="cpu")
+    full = tmp_path / "full"
+
+    def no_room(*_):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr("tactile_toolkit.store.folder.os.fsync", no_room)
+    with pytest.raises(StorageError, match="no space is left"):
+        train(pairs, full, CONFIG, device="cpu")
+    assert not [file for file in full.rglob("*") if file.is_file()]
+
+
+def test_the_chain_from_the_command_line(sources, pairs, trained, tmp_path):
+    from cli.tactile_sim import app
+
+    run = CliRunner()
+    made = run.invoke(
+        app,
+        ["pairs", sources[0], "--real", sources[1], "--size", "32x32", "--count", "60",
+         "--without-contact", "0.2", "--like", "environment", "--out", str(tmp_path / "pairs"), "-w", "1"],
+    )  # fmt: skip
+    assert made.exit_code == 0, made.output
+    assert Pairs.open(str(tmp_path / "pairs")).identity == Pairs.open(pairs).identity
+    verified = run.invoke(app, ["verify", str(tmp_path / "pairs")])
+    assert verified.exit_code == 0, verified.output
+    found = run.invoke(
+        app, ["evaluate", str(trained), "--pairs", pairs, "--out", str(tmp_path / "found"), "--json"]
+    )
+    assert found.exit_code == 0, found.output
+    rows = {row["name"]: row for row in json.loads(found.output)["measured"]}
+    assert list(rows) == ["real", "trained", "taxim", "untrained"]
+    assert rows["untrained"]["told_apart"] > 0.9  # noise is not a touch
+    # These real touches are Taxim's own, and a reader learns no worse from them than from themselves.
+    assert rows["taxim"]["spectrum_db"] < rows["untrained"]["spectrum_db"]
+    assert rows["taxim"]["kid"] < rows["untrained"]["kid"]
+    assert sorted(file.name for file in (tmp_path / "found").iterdir()) == [
+        "evaluation.json", "evaluation.md", "evaluation.png",
+    ]  # fmt: skip
+    weights = trained / "depth_to_touch.npz"
+    made = run.invoke(
+        app,
+        ["generate", sources[0], "--split", "train", "--rounds", "1", "--touches", "2", "--limit", "1",
+         "--optics", "cyclegan", "--weights", str(weights), "--size", "32x32",
+         "--out", str(tmp_path / "touches"), "-w", "1"],
+    )  # fmt: skip
+    assert made.exit_code == 0, made.output
+    assert realtouch.load(tmp_path / "touches", "train").touches().images().shape == (2, 32, 32, 3)
+    make_pairs(*sources, "train", PairsSpec((36, 36), 60, without_contact=0.2), tmp_path / "larger")
+    with pytest.raises(InputError, match="weights were trained with 32 x 32"):
+        evaluate(trained, str(tmp_path / "larger"))
+
+
+def test_two_processes_of_torchrun_train_together(pairs, tmp_path):
+    out = tmp_path / "two"
+    command = [
+        sys.executable,
+        "-m",
+        "torch.distributed.run",
+        "--standalone",
+        "--nproc-per-node=2",
+        "-m",
+        "tactile_sim",
+    ]
+    command += [
+        "train",
+        pairs,
+        "--out",
+        str(out),
+        "--filters",
+        "2",
+        "--blocks",
+        "1",
+        "--judge-filters",
+        "4",
+        "--steps",
+        "2",
+    ]
+    command += ["--crop", "1", "--device", "cpu"]
+    done = subprocess.run(command, capture_output=True, text=True, env={**os.environ, "OMP_NUM_THREADS": "1"})
+    assert done.returncode == 0, done.stderr[-2000:]
+    with pytest.raises(SpecMismatchError, match="trained by 2 processes"):
+        train(pairs, out, TrainConfig(2, 1, 4, steps=2, crop=1.0), device="cpu")
+
+
+def test_measures_know_equal_sets_from_others():
+    rng = np.random.default_rng(0)
+    one, same = rng.normal(size=(2, 200, 8))
+    near, error = kernel_distance(one, same)
+    far, _ = kernel_distance(one, same + 1)
+    assert abs(near) < 4 * error + 0.05
+    assert far > 1
+    pictures = rng.integers(0, 256, (20, 16, 16, 3)).astype(np.uint8)
+    assert colour_distance(pictures, pictures) == spectrum_distance(pictures, pictures) == 0
+    assert abs(colour_distance(pictures // 2, pictures // 2 + 10) - 10) < 1e-6
+    assert abs(spectrum_distance(pictures // 4, pictures // 4 * 2) - 20 * np.log10(2)) < 0.1
