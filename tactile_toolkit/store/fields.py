@@ -31,12 +31,15 @@ def json_fields(text: str | bytes, where: str) -> Fields:
 class Fields:
     """A JSON object; each way to take a value raises IntegrityError that names the field when it is another.
 
-    ``field`` is the path to the object inside the file, for messages.
+    ``field`` is the path to the object inside the file, for messages; with an ``index``, in a list there.
     """
 
-    def __init__(self, values: object, where: str, field: str = "") -> None:
+    __slots__ = ("_field", "_index", "values", "where")
+
+    def __init__(self, values: object, where: str, field: str = "", index: int | None = None) -> None:
         self.where = where
         self._field = field
+        self._index = index
         if not isinstance(values, dict):
             raise self._wrong(name="", value=values, expected="a JSON object")
         self.values: dict[str, Any] = values
@@ -85,7 +88,10 @@ class Fields:
         value = self.values.get(name)
         if not isinstance(value, list):
             raise self._wrong(name, value, "a list of JSON objects")
-        return [Fields(item, self.where, f"{self._path(name)}[{index}]") for index, item in enumerate(value)]
+        if not value:
+            return []
+        path = self._path(name)
+        return [Fields(item, self.where, path, index) for index, item in enumerate(value)]
 
     def inside(self, name: str) -> Fields:
         """Return an object."""
@@ -123,4 +129,5 @@ class Fields:
         return self.wrong(name, f"found {found}, expected {expected}")
 
     def _path(self, name: str) -> str:
-        return ".".join(filter(None, (self._field, name)))
+        field = self._field if self._index is None else f"{self._field}[{self._index}]"
+        return ".".join(filter(None, (field, name)))

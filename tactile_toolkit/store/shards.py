@@ -7,7 +7,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from itertools import zip_longest
 from pathlib import PurePosixPath
-from typing import Any
+from typing import Any, NamedTuple
 
 from tactile_toolkit.errors import InputError, IntegrityError
 from tactile_toolkit.store.fields import Fields
@@ -111,8 +111,7 @@ class Skipped:
     message: str
 
 
-@dataclass(frozen=True, slots=True)
-class ShardRecord:
+class ShardRecord(NamedTuple):  # 50,000 of a frozen dataclass would take 0.1 s longer to make
     """What was written for one shard; merged into the manifest at the end of a run.
 
     ``report_sha256`` is the checksum of its report rows, where there are any. ``statistics`` are counts over
@@ -151,8 +150,9 @@ class ShardRecord:
     def from_fields(cls, fields: Fields) -> ShardRecord:
         """Rebuild a record from :meth:`to_dict`; IntegrityError where a value is missing or wrong."""
         path = fields.text("file")
-        shard = ShardName.parse(path.rpartition("/")[2])
-        is_ours = shard is not None and shard.data_path == path and shard.index < shard.count
+        folder, _, name = path.rpartition("/")
+        shard = ShardName.parse(name)
+        is_ours = shard is not None and folder == DATA_FOLDER and shard.index < shard.count
         if shard is None or not is_ours or shard.split != fields.text("split"):
             problem = f"found {path[:80]!r}, expected a shard's name and split"
             raise fields.wrong(name="file", problem=problem)

@@ -1,7 +1,5 @@
 from __future__ import annotations
 
-from dataclasses import replace
-
 import pytest
 
 from tactile_toolkit.store.manifest import Manifest
@@ -30,7 +28,7 @@ def test_manifest_adds_up_each_split_and_survives_its_text():
         record("train", 0, {"n": [1, 2]}),
         record("train", 1, {"n": [3, 4]}),
         record("test", 0, {"n": [5, 6]}),
-        replace(record("test", 1, {}), statistics=None),
+        record("test", 1, None),
     )
     manifest = Manifest("toy", "1", {}, ("train", "test"), records)
     assert manifest.statistics() == {"train": {"n": [4, 6]}, "test": {"n": [5, 6]}}
@@ -41,6 +39,6 @@ def test_manifest_adds_up_each_split_and_survives_its_text():
 
 
 def test_manifest_without_statistics_says_nothing_of_them():
-    manifest = Manifest("toy", "1", {}, ("train",), (replace(record("train", 0, {}), statistics=None),))
+    manifest = Manifest("toy", "1", {}, ("train",), (record("train", 0, None),))
     assert "statistics" not in manifest.to_json()
     assert manifest.statistics() == {}
