@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import typer
 
 from cli.application import command
-from cli.options import Folder
+from cli.options import Folder, Workers, process_count
 from cli.output import Sink, bytes_text, counted, flat_lines
 from tactile_toolkit.kind import DatasetKind
 
@@ -95,7 +95,7 @@ def _shards_planned(manifest: Manifest) -> dict[str, int]:
 def add_verify(app: typer.Typer, kind: DatasetKind, what: str) -> None:
     """Add the command ``verify`` for folders that are checked by checksum, schema and ids alone."""
 
-    def verify(folder: Folder, sink: Sink) -> None:
+    def verify(folder: Folder, workers: Workers = 0, *, sink: Sink) -> None:
         from tactile_toolkit.cards.checks import check_card
         from tactile_toolkit.errors import IntegrityError
         from tactile_toolkit.store.folder import DataFolder
@@ -105,7 +105,8 @@ def add_verify(app: typer.Typer, kind: DatasetKind, what: str) -> None:
 
         place = DataFolder(str(folder))
         kind.refuse_other(read_manifest(place), place.address())
-        result = verify(place, None if kind.schema is None else kind.schema(), check_card=check_card)
+        schema = None if kind.schema is None else kind.schema()
+        result = verify(place, schema, check_card=check_card, workers=process_count(workers))
         findings = [{"file": finding.file, "problem": finding.problem} for finding in result.findings]
         counts_of = {"files": result.files, "rows": result.rows}
         sink.document({"ok": result.ok, "witness": result.reference, **counts_of, "findings": findings})

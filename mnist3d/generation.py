@@ -8,6 +8,9 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
+
 from mnist3d.card import write_card
 from mnist3d.kind import KIND
 from mnist3d.rows import PARQUET_STYLE, REPORT_FILE, MeshRow, mesh_table, report_table
@@ -29,7 +32,7 @@ from tactile_toolkit.wording import counted, positive_or_none
 __all__ = ["DigitRecipe", "DigitShard", "GenerateSpec", "forecast", "generate", "make_row", "plan_build"]
 
 _SAMPLED = 8
-_LARGEST_SHARD = 128
+_LARGEST_SHARD = 128  # of sets of up to a million digits, see shard_ranges
 _SMALLEST_SHARD = 50
 _SHARDS_WANTED = 16
 
@@ -82,12 +85,15 @@ class GenerateSpec:
         }
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class DigitShard:
-    """The task of one shard: from digit ids, in row order, to rows. Touches no file of the data set."""
+    """The task of one shard: from digit ids, in row order, to rows. Touches no file of the data set.
+
+    ``ids`` are a view of the ids of the whole split; pickled are those of this shard alone.
+    """
 
     shard: ShardName
-    ids: tuple[int, ...] = field(repr=False)
+    ids: NDArray[np.integer[Any]] = field(repr=False)
     spec: GenerateSpec = field(repr=False)
 
     @property
@@ -97,10 +103,21 @@ class DigitShard:
 
     def make(self) -> ShardContent:
         """Make the rows and their print reports; digits that give no solid are listed instead."""
+        import pyarrow as pa
+
+        tables: list[Any] = []
+        report_tables: list[Any] = []
         rows: list[MeshRow] = []
         reports: list[PrintReport] = []
         skipped: list[Skipped] = []
-        for digit_id in self.ids:
+
+        def pack() -> None:
+            tables.append(mesh_table(rows, self.spec.source.name))
+            report_tables.append(report_table(self.shard, rows, reports))
+            rows.clear()
+            reports.clear()
+
+        for digit_id in self.ids.tolist():
             try:
                 row, report = make_row(digit_id, self.spec)
             except ItemError as error:
@@ -108,8 +125,11 @@ class DigitShard:
                 continue
             rows.append(row)
             reports.append(report)
-        table = mesh_table(rows, self.spec.source.name)
-        return ShardContent(table, tuple(skipped), report_table(self.shard, rows, reports))
+            if len(rows) == _LARGEST_SHARD:  # so that large shards are not held twice
+                pack()
+        if rows or not tables:
+            pack()
+        return ShardContent(pa.concat_tables(tables), tuple(skipped), pa.concat_tables(report_tables))
 
 
 def make_row(digit_id: int, spec: GenerateSpec) -> tuple[MeshRow, PrintReport]:
@@ -140,11 +160,11 @@ def plan_build(spec: GenerateSpec, splits: Sequence[str]) -> BuildPlan:
     plan = plan_splits(spec.source.catalog(), spec.split)
     tasks = []
     for split in (split for split in SPLITS if split in splits):
-        ids = plan.rows(split, spec.per_class, spec.limit).tolist()
+        ids = plan.rows(split, spec.per_class, spec.limit)
         shards = shard_ranges(
             split, len(ids), smallest=_SMALLEST_SHARD, largest=_LARGEST_SHARD, wanted=_SHARDS_WANTED
         )
-        tasks += [DigitShard(shard, tuple(ids[rows.start : rows.stop]), spec) for shard, rows in shards]
+        tasks += [DigitShard(shard, ids[rows.start : rows.stop], spec) for shard, rows in shards]
     if not tasks:
         sizes = {split: len(plan.ids[split]) for split in SPLITS}
         message = (
@@ -227,8 +247,9 @@ def forecast(
 ) -> Forecast:
     """Estimate a run of :func:`generate` by making a few of its digits; writes nothing."""
     plan = plan_build(spec, splits)
-    ids = [digit_id for task in plan.tasks if isinstance(task, DigitShard) for digit_id in task.ids]
-    sample = ids[:: max(1, len(ids) // _SAMPLED)][:_SAMPLED]  # spread over the splits asked for
+    ids = np.concatenate([task.ids for task in plan.tasks if isinstance(task, DigitShard)])
+    # Spread over the splits asked for.
+    sample = ids[:: max(1, len(ids) // _SAMPLED)][:_SAMPLED].tolist()
 
     def measure() -> Sample:
         rows = []

@@ -6,7 +6,7 @@ table prints the name of the last one as ``printed_train`` a second time).
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any, Literal
 
@@ -33,6 +33,11 @@ PUBLISHED_SIZES: dict[str, int] = {
 
 _PER_CLASS = sum(PUBLISHED_SIZES.values())
 _CLASSES = 10
+
+_PART = 1 << 17
+_BUCKETS = 256
+_BUCKET_SHIFT = np.uint64(56)
+_SMALL_SOURCE = 1 << 24
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,21 +81,23 @@ class SplitSpec:
 class SplitPlan:
     """The division of a source's digits: ids and labels of each split, shape (n,).
 
-    They are in row order, a seeded shuffle that mixes the classes.
+    They are in row order, a seeded shuffle that mixes the classes. Ids are int64, or uint32 where the source
+    has more than 16 million digits; labels are uint8.
     """
 
-    ids: Mapping[str, NDArray[np.int64]]
-    labels: Mapping[str, NDArray[np.int64]]
+    ids: dict[str, NDArray[np.integer[Any]]]
+    labels: dict[str, NDArray[np.uint8]]
 
-    def rows(self, split: str, per_class: int | None = None, limit: int | None = None) -> NDArray[np.int64]:
+    def rows(
+        self, split: str, per_class: int | None = None, limit: int | None = None
+    ) -> NDArray[np.integer[Any]]:
         """Return the ids to make of a split: the first ``per_class`` of each class, then ``limit`` rows."""
         ids, labels = self.ids[split], self.labels[split]
         if per_class is not None:
-            rank_in_class = np.empty(len(labels), dtype=np.int64)
+            kept = np.zeros(len(labels), bool)
             for label in range(_CLASSES):
-                members = np.flatnonzero(labels == label)
-                rank_in_class[members] = np.arange(len(members))
-            ids = ids[rank_in_class < per_class]
+                kept[np.flatnonzero(labels == label)[:per_class]] = True
+            ids = ids[kept]
         return ids if limit is None else ids[:limit]
 
 
@@ -116,38 +123,95 @@ def plan_splits(catalog: DigitCatalog, spec: SplitSpec) -> SplitPlan:
     InputError
         When a class has fewer digits than ``spec.sizes`` asks for, or writers are asked for and unknown.
     """
-    positions = _by_writer(catalog, spec) if spec.by == "writer" else _by_digit(catalog, spec)
+    split_of = _by_writer(catalog, spec) if spec.by == "writer" else _by_digit(catalog, spec)
+    plan = SplitPlan({}, {})
+    for number, split in enumerate(SPLITS):
+        plan.ids[split], plan.labels[split] = _in_row_order(catalog, split_of == number, spec.seed)
+    return plan
+
+
+def _parts(catalog: DigitCatalog) -> Iterator[tuple[slice, DigitCatalog]]:
+    """Yield a catalog part by part, so that what is computed of it stays small beside it."""
+    for start in range(0, len(catalog), _PART):
+        place = slice(start, min(start + _PART, len(catalog)))
+        yield place, catalog.part(place.start, place.stop)
+
+
+def _in_row_order(
+    catalog: DigitCatalog, chosen: NDArray[np.bool_], seed: int
+) -> tuple[NDArray[np.integer[Any]], NDArray[np.uint8]]:
+    """Return ids and labels of some digits in the order of their rows."""
+
     # A key of its own orders the rows, so that the rank that chose the split does not show in them.
-    order = _keys(catalog.ids, spec.seed, stream=1)
-    rows = {split: found[np.argsort(order[found])] for split, found in positions.items()}
-    return SplitPlan(
-        {split: catalog.ids[found] for split, found in rows.items()},
-        {split: catalog.labels[found] for split, found in rows.items()},
-    )
+    def keys(ids: NDArray[np.integer[Any]]) -> NDArray[np.uint64]:
+        return _keys(ids, seed, stream=1)
+
+    # Keys of 10^8 digits and their order would take 1.6 GB. So digits are shared out by how their keys begin,
+    # and what begins alike is put in order on its own.
+    counts = np.zeros(_BUCKETS, np.int64)
+    for place, part in _parts(catalog):
+        counts += np.bincount(keys(part.ids[chosen[place]]) >> _BUCKET_SHIFT, minlength=_BUCKETS)
+    stops = np.cumsum(counts)
+    free = stops - counts
+    ids = np.empty(stops[-1], _id_type(catalog))
+    labels = np.empty(stops[-1], np.uint8)
+    for place, part in _parts(catalog):
+        found = np.flatnonzero(chosen[place])
+        buckets = (keys(part.ids[found]) >> _BUCKET_SHIFT).astype(np.uint8)
+        found = found[np.argsort(buckets, kind="stable")]
+        taken = np.bincount(buckets, minlength=_BUCKETS)
+        places = np.repeat(free + taken - np.cumsum(taken), taken) + np.arange(len(found))
+        ids[places], labels[places] = part.ids[found], _small_labels(part)[found]
+        free += taken
+    for bucket in map(slice, stops - counts, stops):
+        order = np.argsort(keys(ids[bucket]))
+        ids[bucket], labels[bucket] = ids[bucket][order], labels[bucket][order]
+    return ids, labels
 
 
-def _by_digit(catalog: DigitCatalog, spec: SplitSpec) -> dict[str, NDArray[np.int64]]:
-    """Positions in the catalog of the digits of each split."""
-    keys = _keys(catalog.ids, spec.seed, stream=0)
-    positions: dict[str, list[NDArray[np.int64]]] = {split: [] for split in SPLITS}
+def _small_labels(part: DigitCatalog) -> NDArray[np.uint8]:
+    """Return the labels of a part in a byte each; one that is no digit stays none."""
+    return np.minimum(part.labels.astype(np.uint64), np.uint64(255)).astype(np.uint8)
+
+
+def _id_type(catalog: DigitCatalog) -> type[np.integer[Any]]:
+    last = catalog.part(len(catalog) - 1, len(catalog)).ids if len(catalog) else np.zeros(1)
+    is_small = len(catalog) <= _SMALL_SOURCE or last[0] > np.iinfo(np.uint32).max
+    return np.int64 if is_small else np.uint32
+
+
+def _by_digit(catalog: DigitCatalog, spec: SplitSpec) -> NDArray[np.uint8]:
+    """Return the index of each digit's split, or how many splits there are where it is in none."""
+    split_of = np.full(len(catalog), len(SPLITS), np.uint8)
+    labels = np.empty(len(catalog), np.uint8)
+    for place, part in _parts(catalog):
+        labels[place] = _small_labels(part)
     for label in range(_CLASSES):
-        members = np.flatnonzero(catalog.labels == label)
-        members = members[np.argsort(keys[members])]
-        if spec.sizes is None or not len(members):  # a class that the source does not have is in no split
-            sizes = _published_sizes(len(members))
-        else:
-            sizes = {split: dict(spec.sizes).get(split, 0) for split in SPLITS}
-            wanted = sum(sizes.values())
-            if wanted > len(members):
-                message = (
-                    f"the split sizes ask for {wanted} digits per class, the source has {len(members)} of "
-                    f"class {label}; next: ask for smaller sizes or use a larger source"
-                )
-                raise InputError(message)
+        is_member = labels == label
+        ids = np.concatenate([part.ids[is_member[place]] for place, part in _parts(catalog)] or [labels])
+        keys = _keys(ids, spec.seed, stream=0)
+        sizes = _sizes_of(label, len(ids), spec)
         stops = np.cumsum([sizes[split] for split in SPLITS])
-        for split, stop in zip(SPLITS, stops, strict=True):
-            positions[split].append(members[stop - sizes[split] : stop])
-    return {split: np.concatenate(chunks) for split, chunks in positions.items()}
+        # The first of each class by their keys go to the first split, the next to the second.
+        within = stops[stops < len(ids)]
+        bounds = np.partition(keys, within)[within] if len(within) else keys[:0]
+        split_of[is_member] = np.searchsorted(bounds, keys, side="right")
+    return split_of
+
+
+def _sizes_of(label: int, available: int, spec: SplitSpec) -> dict[str, int]:
+    """Return how many digits of a class go into each split."""
+    if spec.sizes is None or not available:  # a class that the source does not have is in no split
+        return _published_sizes(available)
+    sizes = {split: dict(spec.sizes).get(split, 0) for split in SPLITS}
+    wanted = sum(sizes.values())
+    if wanted > available:
+        message = (
+            f"the split sizes ask for {wanted} digits per class, the source has {available} of class "
+            f"{label}; next: ask for smaller sizes or use a larger source"
+        )
+        raise InputError(message)
+    return sizes
 
 
 def _published_sizes(available: int) -> dict[str, int]:
@@ -168,25 +232,30 @@ def _published_sizes(available: int) -> dict[str, int]:
     return sizes
 
 
-def _by_writer(catalog: DigitCatalog, spec: SplitSpec) -> dict[str, NDArray[np.int64]]:
-    """Positions in the catalog of the digits of each split, whole writers at a time."""
-    if len(catalog) and (catalog.writers == NO_WRITER).any():
+def _by_writer(catalog: DigitCatalog, spec: SplitSpec) -> NDArray[np.uint8]:
+    """Return the index of each digit's split, whole writers at a time."""
+    sizes = PUBLISHED_SIZES if spec.sizes is None else dict(spec.sizes)
+    shares = np.array([sizes.get(split, 0) for split in SPLITS], dtype=np.float64)
+    found = [np.unique(part.writers, return_counts=True) for _, part in _parts(catalog)]
+    writers, inverse = np.unique(
+        np.concatenate([each for each, _ in found] or [np.zeros(0, np.int64)]), return_inverse=True
+    )
+    if NO_WRITER in writers:
         message = (
             "splits by writer need the writer of every digit, and the source does not know them; next: name "
             "the writer column (--writer-column) or split by digit"
         )
         raise InputError(message)
-    sizes = PUBLISHED_SIZES if spec.sizes is None else dict(spec.sizes)
-    shares = np.array([sizes.get(split, 0) for split in SPLITS], dtype=np.float64)
     if shares.sum() == 0:
         message = "all split sizes are 0; expected at least one split with digits"
         raise InputError(message)
-    writers, counts = np.unique(catalog.writers, return_counts=True)
-    split_of = _share_writers(writers, counts, shares / shares.sum(), spec.seed)
-    return {
-        split: np.flatnonzero(np.isin(catalog.writers, writers[split_of == index]))
-        for index, split in enumerate(SPLITS)
-    }
+    counts = np.zeros(len(writers), np.int64)
+    np.add.at(counts, inverse, np.concatenate([each for _, each in found] or [np.zeros(0, np.int64)]))
+    home = _share_writers(writers, counts, shares / shares.sum(), spec.seed).astype(np.uint8)
+    split_of = np.empty(len(catalog), np.uint8)
+    for place, part in _parts(catalog):
+        split_of[place] = home[np.searchsorted(writers, part.writers)]
+    return split_of
 
 
 def _share_writers(
@@ -203,7 +272,7 @@ def _share_writers(
     return split_of
 
 
-def _keys(ids: Sequence[int] | NDArray[np.int64], seed: int, stream: int) -> NDArray[np.uint64]:
+def _keys(ids: NDArray[np.integer[Any]], seed: int, stream: int) -> NDArray[np.uint64]:
     """Return a pseudo-random sort key per id.
 
     A bijective mixer of 64 bits (SplitMix64's finaliser) has no collisions between ids, so the order never
@@ -211,7 +280,11 @@ def _keys(ids: Sequence[int] | NDArray[np.int64], seed: int, stream: int) -> NDA
     """
     offset = np.random.SeedSequence([seed, stream]).generate_state(1, np.uint64)[0]
     with np.errstate(over="ignore"):
-        mixed = np.asarray(ids).astype(np.uint64) + offset
-        mixed = (mixed ^ (mixed >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
-        mixed = (mixed ^ (mixed >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
-        return np.asarray(mixed ^ (mixed >> np.uint64(31)))
+        mixed = np.asarray(ids).astype(np.uint64)
+        mixed += offset
+        mixed ^= mixed >> np.uint64(30)
+        mixed *= np.uint64(0xBF58476D1CE4E5B9)
+        mixed ^= mixed >> np.uint64(27)
+        mixed *= np.uint64(0x94D049BB133111EB)
+        mixed ^= mixed >> np.uint64(31)
+        return mixed

@@ -7,15 +7,17 @@ from __future__ import annotations
 
 import contextlib
 import os
+import struct
 import time
 import warnings
 from collections import OrderedDict
 from collections.abc import Callable, Hashable
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from threading import RLock
 from typing import IO, Any, Generic, TypeVar
 
+from tactile_toolkit.run.system import locked
 from tactile_toolkit.store.folder import atomic_file, expanded, stale_files
 
 __all__ = ["CACHE_VARIABLE", "DiskCache", "MemoryCache", "cache_folder"]
@@ -32,9 +34,17 @@ def cache_folder() -> Path:
     return expanded(os.environ.get("XDG_CACHE_HOME") or "~/.cache", "XDG_CACHE_HOME") / "tactile-toolkit"
 
 
-_SIZED_ANEW_AFTER = 64
-"""A folder is sized anew after writing one part in so many of its limit: listing it for each file would be
-slow, and other processes write there too."""
+_LEDGER = ".total"
+_TOTALS = struct.Struct("<qq")
+"""The ledger of a folder: bytes that it holds by what was written since it was counted, and by that count.
+All processes keep it together, so that none has to look at every file for each that it writes."""
+
+_COUNTED_ANEW_AFTER = 8
+"""A folder is counted anew after writing one part in so many of its limit: a killed writer, or somebody who
+removes files by hand, leaves a ledger that is wrong."""
+
+_ROOM_MADE = 16
+"""What leaves makes room for one part in so many of the limit: a count for each new file would be slow."""
 
 _unwritable: set[Path] = set()  # folders that this process has given up on
 
@@ -52,7 +62,6 @@ class DiskCache:
     limit_bytes: int
     durable: bool = True
     warning: str = ""
-    _unsized_bytes: int | None = field(default=None, init=False, repr=False)
 
     def path(self, name: str) -> Path:
         """Return where a file of that name is, or would be."""
@@ -78,9 +87,16 @@ class DiskCache:
         if path.parent in _unwritable:
             return False
         try:
-            self._make_room(path.parent, size_bytes)
-            with atomic_file(path, durable=self.durable) as stream:
-                fill(stream)
+            path.parent.mkdir(parents=True, exist_ok=True)
+            self._book(path.parent, size_bytes)
+            written = 0
+            try:
+                with atomic_file(path, durable=self.durable) as stream:
+                    fill(stream)
+                    written = stream.tell()
+            finally:
+                with contextlib.suppress(OSError):
+                    self._book(path.parent, written - size_bytes)
         except OSError as error:
             _unwritable.add(path.parent)
             if self.warning:
@@ -91,27 +107,41 @@ class DiskCache:
             return False
         return True
 
-    def _make_room(self, folder: Path, needed_bytes: int) -> None:
-        """Remove what was used longest ago where the limit may have been passed; open maps stay valid."""
-        unsized_bytes, between_looks = self._unsized_bytes, self.limit_bytes // _SIZED_ANEW_AFTER
-        if unsized_bytes is not None and unsized_bytes + needed_bytes <= between_looks:
-            self._unsized_bytes = unsized_bytes + needed_bytes
-            return
-        self._unsized_bytes = needed_bytes
+    def _book(self, folder: Path, further_bytes: int) -> None:
+        """Add to what a folder holds, removing what was used longest ago where that is too much."""
+        ledger = folder / _LEDGER
+        with locked(ledger):
+            content = ledger.read_bytes()
+            is_whole = len(content) == _TOTALS.size  # a new one is empty
+            held, counted = _TOTALS.unpack(content) if is_whole else (self.limit_bytes, 0)
+            most = min(self.limit_bytes, counted + self.limit_bytes // _COUNTED_ANEW_AFTER)
+            if further_bytes > 0 and held + further_bytes > most:
+                held = counted = self._make_room(folder, further_bytes)
+            ledger.write_bytes(_TOTALS.pack(held + further_bytes, counted))
+
+    def _make_room(self, folder: Path, needed_bytes: int) -> int:
+        """Remove what was used longest ago where the limit is passed, and return what the folder holds then.
+
+        Open maps stay valid.
+        """
         for stale in stale_files(folder):
             self.drop(stale)
         files = []
-        for file in folder.glob("*"):
-            with contextlib.suppress(OSError):  # other processes may remove some meanwhile
-                facts = file.stat()
-                files.append((max(facts.st_atime_ns, facts.st_mtime_ns), facts.st_size, file))
-        # Room for what is written before the next look, so that the limit holds between looks too.
-        excess = sum(size for _, size, _ in files) + max(needed_bytes, between_looks) - self.limit_bytes
-        for _, size, file in sorted(files):
-            if excess <= 0:
-                return
-            self.drop(file)
-            excess -= size
+        with os.scandir(folder) as entries:
+            for entry in entries:
+                with contextlib.suppress(OSError):  # other processes may remove some meanwhile
+                    facts = entry.stat(follow_symlinks=False)
+                    files.append((max(facts.st_atime_ns, facts.st_mtime_ns), facts.st_size, entry.path))
+        held = sum(size for _, size, _ in files)
+        if held + needed_bytes > self.limit_bytes:
+            wanted = self.limit_bytes - max(needed_bytes, self.limit_bytes // _ROOM_MADE)
+            for _, size, path in sorted(files):
+                if held <= wanted:
+                    break
+                if not path.endswith(_LEDGER):
+                    self.drop(Path(path))
+                    held -= size
+        return held
 
 
 K = TypeVar("K", bound=Hashable)

@@ -10,10 +10,11 @@ from posixpath import normpath
 from typing import Any
 
 from tactile_toolkit.cards.card import CARD_FILE, placeholders
-from tactile_toolkit.cards.facts import FolderFacts, folder_facts
+from tactile_toolkit.cards.facts import FolderFacts, recorded_facts
 from tactile_toolkit.cards.head import dataset_info, size_category
 from tactile_toolkit.errors import ToolkitError
 from tactile_toolkit.store.folder import DataFolder
+from tactile_toolkit.store.manifest import read_manifest
 from tactile_toolkit.store.names import problem_of_name
 from tactile_toolkit.store.shards import DATA_FOLDER, Finding
 
@@ -41,7 +42,7 @@ def check_card(
         text = folder.read_bytes(CARD_FILE).decode("utf-8", errors="replace")
     try:
         head = _head(text)
-        facts = folder_facts(folder)
+        facts = recorded_facts(folder, read_manifest(folder))
     except ToolkitError as error:
         return [_finding(f"cannot be compared with the data: {error}")]
     except ValueError as error:
@@ -137,7 +138,7 @@ def _wrong_columns(stated: Any, facts: FolderFacts) -> Iterator[str]:
         if listed.get(name) != expected.get(name):
             in_card, stored = _described(listed.get(name)), _described(expected.get(name))
             yield f"column {name!r} is {in_card} in it, {stored} in the data"
-    for split in facts.splits:
+    for split in () if facts.recorded else facts.splits:
         for shard, path in zip(split.shards, split.paths, strict=True):
             if not shard.schema.equals(facts.schema):
                 yield f"columns of {path} differ from those of {facts.splits[0].paths[0]}"

@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import json
+import os
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 from pathlib import PurePosixPath
 from typing import Any
 
 from tactile_toolkit.catalog.locate import available_splits, find_shards
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.read.parquet import Shard
+from tactile_toolkit.run.threads import in_threads
 from tactile_toolkit.store.folder import DataFolder
 from tactile_toolkit.store.manifest import Manifest, read_manifest
 from tactile_toolkit.store.parquet import unpacked_bytes
@@ -53,10 +55,14 @@ class SplitFacts:
 
 @dataclass(frozen=True)
 class FolderFacts:
-    """A whole folder: its splits in canonical order, and their schema."""
+    """A whole folder: its splits in canonical order, and their schema.
+
+    What is ``recorded`` is said by the manifest; no file was opened for it.
+    """
 
     splits: tuple[SplitFacts, ...]
     schema: Any
+    recorded: bool = False
 
     @property
     def rows(self) -> int:
@@ -90,7 +96,7 @@ def recorded_facts(folder: DataFolder, manifest: Manifest | None, schema: Any = 
         splits.append(SplitFacts(split, shards, paths, sum(rows), file_bytes, sum(sizes)))
     if schema is None or manifest.toolkit_version != toolkit_version():
         schema = splits[0].shards[0].schema
-    return FolderFacts(tuple(splits), schema)
+    return FolderFacts(tuple(splits), schema, recorded=True)
 
 
 def folder_facts(folder: DataFolder, manifest: Manifest | None = None) -> FolderFacts:
@@ -108,14 +114,22 @@ def folder_facts(folder: DataFolder, manifest: Manifest | None = None) -> Folder
             root = f"{folder.address()}/"
             paths = tuple(shard.path.removeprefix(root) for shard in find_shards(folder.address(), split))
         shards = tuple(Shard(folder.address(path)) for path in paths)
-        rows = sum(len(shard) for shard in shards)
-        file_bytes = sum(folder.size_bytes(path) for path in paths)
-        unpacked = sum(unpacked_bytes(shard.metadata, shard.schema, shard.read) for shard in shards)
+        sizes = list(
+            in_threads(partial(_sizes, folder), zip(shards, paths, strict=True), os.cpu_count() or 1)
+        )
+        rows, file_bytes, unpacked = (sum(each) for each in zip(*sizes, strict=True))
         splits.append(SplitFacts(split, shards, paths, rows, file_bytes, unpacked))
     if not splits:
         message = f"{folder.lacks('Parquet files')}; next: give the folder of a data set"
         raise InputError(message)
     return FolderFacts(tuple(splits), splits[0].shards[0].schema)
+
+
+def _sizes(folder: DataFolder, file: tuple[Shard, str]) -> tuple[int, int, int]:
+    """Return rows, bytes and unpacked bytes of a file."""
+    shard, path = file
+    unpacked = unpacked_bytes(shard.metadata, shard.schema, shard.read)
+    return len(shard), folder.size_bytes(path), unpacked
 
 
 def yaml_features(schema: Any) -> list[dict[str, Any]]:

@@ -6,19 +6,22 @@ change what it holds, and a file of another program may bear the name of one of 
 
 from __future__ import annotations
 
+import os
 import struct
 from collections.abc import Iterable
 from pathlib import Path
 from typing import IO, Any
 
-__all__ = ["file_identity", "map_block", "write_blocks"]
+from tactile_toolkit.cache import MemoryCache
+
+__all__ = ["identity_of", "map_block", "write_blocks"]
 
 _MARK = b"TTBLOCK1"
 _BLOCK = struct.Struct("<QQQ")  # start, size in bytes, checksum
 _END = struct.Struct("<QQ8s")  # number of blocks, checksum of what lies where, mark
 _ALIGNMENT = 64  # what Arrow recommends for its buffers
 
-_checked: dict[tuple[Path, int], tuple[int, ...]] = {}
+_checked: MemoryCache[tuple[str, int], tuple[int, ...]] = MemoryCache(1 << 16)
 """Blocks that this process has checked, by file and number, with what the file was then."""
 
 
@@ -81,7 +84,7 @@ def map_block(path: Path, number: int) -> Any:
     # From the map's own buffer, still without a copy: from the map, Arrow would read in its own threads. The
     # map is as long as the file is now: of one that was cut off the end is missing, and no more is touched.
     mapped = pa.memory_map(str(path)).read_buffer()
-    identity = file_identity(path)
+    identity = identity_of(path.stat())
     content = memoryview(mapped)
     end = len(content) - _END.size
     count, checksum, mark = _END.unpack_from(content, end) if end >= 0 else (0, 0, b"")
@@ -93,15 +96,15 @@ def map_block(path: Path, number: int) -> Any:
         message = f"the list of {count} blocks is damaged or of another file, or lacks block {number}"
         raise ValueError(message)
     start, size, checksum = _BLOCK.unpack_from(content, entries_start + number * _BLOCK.size)
-    if _checked.get((path, number)) != identity:
+    checked = (str(path), number)
+    if _checked.get(checked) != identity:
         if xxhash.xxh3_64_intdigest(content[start : start + size]) != checksum:
             message = f"block {number} does not match its checksum"
             raise ValueError(message)
-        _checked[path, number] = identity
+        _checked.put(checked, identity)
     return pa.Table.from_batches([pa.ipc.open_stream(mapped.slice(start, size)).read_next_batch()])
 
 
-def file_identity(path: Path) -> tuple[int, ...]:
+def identity_of(facts: os.stat_result) -> tuple[int, ...]:
     """Return what tells a file from one that took its place, or from itself with other content."""
-    facts = path.stat()
     return facts.st_dev, facts.st_ino, facts.st_size, facts.st_mtime_ns

@@ -10,11 +10,14 @@ from __future__ import annotations
 
 import contextlib
 import hashlib
+import os
 import re
+import stat
+from array import array
 from bisect import bisect_right
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
-from functools import cached_property
+from functools import cached_property, lru_cache
 from itertools import accumulate
 from pathlib import Path
 from typing import IO, Any
@@ -25,7 +28,7 @@ from numpy.typing import NDArray
 from tactile_toolkit.bounds import cache_limit_bytes, require_unpackable
 from tactile_toolkit.cache import CACHE_VARIABLE, DiskCache, MemoryCache, cache_folder
 from tactile_toolkit.errors import IntegrityError, ToolkitError
-from tactile_toolkit.read.blocks import file_identity, map_block, write_blocks
+from tactile_toolkit.read.blocks import identity_of, map_block, write_blocks
 from tactile_toolkit.read.columns import (
     RowGroup,
     column_types,
@@ -91,6 +94,37 @@ _UNPACKED = DiskCache(
 )
 
 
+_MAPPED_BYTES = 4 << 30
+_LEAST_MAPPED_BYTES = 4 << 20
+"""The blocks that a table has mapped are let go above so many bytes, or 1,024 of them: a process may have
+65,530 maps, and what one holds open takes room on the disk after its file has left the cache."""
+
+_FOOTERS_KEPT = 128  # of a large shard, one takes some hundred kB
+
+
+@dataclass(frozen=True, eq=False)
+class _Footer:
+    """The footer of a Parquet file, and what follows from it."""
+
+    metadata: Any
+    path: str
+
+    @cached_property
+    def schema(self) -> Any:
+        return plain_schema(self.metadata.schema.to_arrow_schema())
+
+    @cached_property
+    def types(self) -> dict[str, Any]:
+        return column_types(self.schema)
+
+    @cached_property
+    def class_names(self) -> tuple[str, ...] | None:
+        return stored_class_names(self.schema, self.path)
+
+
+_FOOTERS: MemoryCache[Any, _Footer] = MemoryCache(_FOOTERS_KEPT)
+
+
 @dataclass(frozen=True)
 class Shard:
     """One Parquet file of a data set, local or at any fsspec address.
@@ -106,20 +140,29 @@ class Shard:
         default=contextlib.nullcontext, repr=False, compare=False
     )
 
-    @cached_property
+    @property
     def metadata(self) -> Any:
-        """The Parquet footer: row groups, columns, schema.
+        """The Parquet footer: row groups, columns, schema; read again when it was not asked for in a while.
 
         Raises IntegrityError where the file has none, or another number of rows than was said beforehand.
         """
-        metadata = self._parquet().metadata
+        return self._footer.metadata
+
+    @property
+    def _footer(self) -> _Footer:
+        key = (self.path, self.rows, self.identity)
+        return _FOOTERS.get(key) or self._keep_footer(key, self._parquet().metadata)
+
+    def _keep_footer(self, key: Any, metadata: Any) -> _Footer:
         if self.rows not in (None, metadata.num_rows):
             message = (
                 f"{self.path!r}: {metadata.num_rows} rows; expected {self.rows} by the manifest; next: run "
                 "`verify` on the data set, then generate, convert or download it again"
             )
             raise IntegrityError(message)
-        return metadata
+        footer = _Footer(metadata, self.path)
+        _FOOTERS.put(key, footer)
+        return footer
 
     def meet(self) -> None:
         """Take note of which file is there now, where that costs next to nothing."""
@@ -128,26 +171,27 @@ class Shard:
             with contextlib.suppress(ToolkitError):
                 _ = self.identity
 
-    @cached_property
+    @property
     def schema(self) -> Any:
         """The Arrow schema, extension types as what they are stored as."""
-        return plain_schema(self.metadata.schema.to_arrow_schema())
+        return self._footer.schema
 
-    @cached_property
+    @property
     def types(self) -> dict[str, Any]:
         """Arrow type of each column, and of each struct, by dotted name."""
-        return column_types(self.schema)
+        return self._footer.types
 
-    @cached_property
+    @property
     def class_names(self) -> tuple[str, ...] | None:
         """Names of the classes, where `datasets` stored them; IntegrityError where they cannot be read."""
-        return stored_class_names(self.schema, self.path)
+        return self._footer.class_names
 
     @cached_property
-    def group_starts(self) -> list[int]:
+    def group_starts(self) -> array[int]:
         """First row of each row group, and the number of rows at the end."""
-        counts = [self.metadata.row_group(index).num_rows for index in range(self.metadata.num_row_groups)]
-        return [0, *accumulate(counts)]
+        metadata = self.metadata
+        counts = (metadata.row_group(index).num_rows for index in range(metadata.num_row_groups))
+        return array("q", [0, *accumulate(counts)])
 
     def __getstate__(self) -> dict[str, Any]:
         """Pickle without footers; they are read again where needed, and must be of the same file."""
@@ -166,7 +210,9 @@ class Shard:
     def read(self, columns: Sequence[str] | None = None, groups: Sequence[int] | None = None) -> Any:
         """Decode row groups, all columns or those named (a struct's fields by dotted name)."""
         parquet = self._parquet()
-        wanted = range(self.metadata.num_row_groups) if groups is None else groups
+        # What it says of itself is looked at once, although it may have left the footers that are kept.
+        metadata = self._keep_footer((self.path, self.rows, self.identity), parquet.metadata).metadata
+        wanted = range(metadata.num_row_groups) if groups is None else groups
         for index in wanted if columns is None else ():  # a plain column is no larger than its rows
             self._require_bounded(index)
         with self._named_damage():
@@ -178,11 +224,13 @@ class Shard:
         return RowGroup(self.read(columns=[name]), self.path).arrow(name)
 
     @cached_property
-    def block_rows(self) -> list[int]:
+    def block_rows(self) -> array[int]:
         """How many rows of each row group are unpacked together; follows from the file alone."""
-        groups = [self.metadata.row_group(index) for index in range(self.metadata.num_row_groups)]
+        metadata = self.metadata
+        groups = [metadata.row_group(index) for index in range(metadata.num_row_groups)]
         fitting = [_BLOCK_BYTES * group.num_rows // max(group.total_byte_size, 1) for group in groups]
-        return [max(1, min(group.num_rows, rows)) for group, rows in zip(groups, fitting, strict=True)]
+        rows = (max(1, min(group.num_rows, rows)) for group, rows in zip(groups, fitting, strict=True))
+        return array("q", rows)
 
     def block(self, index: int, block: int) -> RowGroup:
         """Map one block of a row group into memory, unpacking the row group into the cache on its first use.
@@ -286,8 +334,14 @@ class Shard:
             return self._opened()[1] if self._is_remote else self._found_now()
 
     def _found_now(self) -> tuple[object, ...]:
-        real = Path(self.path).resolve()
-        return str(real), *file_identity(real)
+        facts = os.lstat(self.path)
+        if stat.S_ISLNK(facts.st_mode):
+            real = os.path.realpath(self.path)
+            facts = Path(real).stat()
+        else:  # what is known of one file saves asking for each folder above each of 50,000
+            folder, name = os.path.split(self.path)
+            real = os.path.join(_real_folder(folder), name)  # noqa: PTH118
+        return real, *identity_of(facts)
 
     def _opened(self) -> tuple[Any, tuple[object, ...]]:
         """Open the file, and return with it what tells it from any other."""
@@ -350,6 +404,15 @@ def _lock_of(name: str) -> Iterator[None]:
         yield
 
 
+def _mapped_bytes(group: RowGroup) -> int:
+    return max(_LEAST_MAPPED_BYTES, int(group.table.nbytes))
+
+
+@lru_cache(maxsize=256)
+def _real_folder(folder: str) -> str:
+    return os.path.realpath(folder)
+
+
 def _mapped_table(path: Path, number: int) -> Any:
     """Map one block of an unpacked row group; None when it is not there, or was damaged (it goes)."""
     try:
@@ -393,8 +456,8 @@ class ShardedTable:
         return [0, *accumulate(map(len, self.shards))]
 
     @cached_property
-    def _groups(self) -> dict[tuple[int, int, int], RowGroup]:
-        return {}
+    def _groups(self) -> MemoryCache[tuple[int, int, int], RowGroup]:
+        return MemoryCache(_MAPPED_BYTES, _mapped_bytes)
 
     @cached_property
     def _columns(self) -> dict[str, NDArray[Any]]:
@@ -435,9 +498,9 @@ class ShardedTable:
         key = (shard_index, group_index, block)
         group = self._groups.get(key)
         if group is None:
-            group = shard.block(group_index, block)
-            if group.mapped:  # what lies in memory is kept by MEMORY alone, which knows a limit
-                group = self._groups.setdefault(key, group)
+            group = made = shard.block(group_index, block)
+            if made.mapped:  # what lies in memory is kept by MEMORY
+                group = self._groups.get_or_make(key, lambda: made)
         return group, index
 
     def row_groups(self, rows: NDArray[np.int64]) -> list[tuple[Shard, int]]:

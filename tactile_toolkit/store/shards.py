@@ -36,6 +36,8 @@ DATA_FOLDER = "data"
 MOST_ROWS = 1 << 40
 """Most rows that a shard is believed to have; more than any disk holds."""
 
+_MANY_SHARDS = 8192
+
 PENDING_FOLDER = ".pending"
 """Holds the records and report rows of finished shards until the manifest has them."""
 
@@ -92,9 +94,14 @@ def shard_ranges(
     """Divide the rows of a split into about ``wanted`` shards of ``smallest`` to ``largest`` rows.
 
     The sizes follow from the split alone, so that any number of workers agrees on them. A shard is what a
-    worker holds in memory and what a kill loses; a small run still has some for each worker.
+    worker holds in memory and what a kill loses; a small run still has some for each worker. A split of
+    which there would be more than 8,192 has larger ones instead: half as many whenever it is four times as
+    large, for each costs a request and a record.
     """
-    size = min(largest, max(smallest, -(-rows // wanted)))
+    growth = 1
+    while rows > _MANY_SHARDS * largest * growth**2:
+        growth *= 2
+    size = min(largest * growth, max(smallest, -(-rows // wanted)))
     starts = range(0, rows, size)
     return [
         (ShardName(split, index, len(starts)), range(start, min(start + size, rows)))

@@ -4,15 +4,17 @@ from __future__ import annotations
 
 import os
 from collections import Counter
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 from tactile_toolkit.errors import InputError, IntegrityError
+from tactile_toolkit.run.threads import in_threads
 from tactile_toolkit.store.folder import DataFolder
 from tactile_toolkit.store.manifest import MANIFEST_FILE, Manifest, read_manifest
-from tactile_toolkit.store.origin import RECORD_FILE, DownloadRecord, read_record
+from tactile_toolkit.store.origin import RECORD_FILE, DownloadRecord, HubFile, read_record
 from tactile_toolkit.store.parquet import file_sha256, named_damage, open_parquet
 from tactile_toolkit.store.shards import DATA_FOLDER, Finding, ShardRecord
 
@@ -44,6 +46,7 @@ def verify(
     on_file: Callable[[str], None] = lambda _: None,
     *,
     check_card: Callable[[DataFolder], Iterable[Finding]] | None = None,
+    workers: int = 1,
 ) -> Verification:
     """Check every checksum, row count, schema and the uniqueness of ids over all splits.
 
@@ -60,6 +63,8 @@ def verify(
         Called with each path before it is read.
     check_card : callable, optional
         Compares the data card with the data, such as :func:`tactile_toolkit.cards.checks.check_card`.
+    workers : int
+        Number of threads that read and hash; what is found does not depend on it.
 
     Raises
     ------
@@ -77,12 +82,17 @@ def verify(
                 "generated or downloaded data set, whose files can be compared with what those say"
             )
             raise InputError(message)
-        return _verify_copy(folder, record, on_file)
+        return _verify_copy(folder, record, on_file, workers)
     findings = _incomplete(folder, manifest)
-    first_files: dict[object, str] = {}
-    for shard in manifest.shards:
-        on_file(shard.shard.data_path)
-        findings += _check_shard(folder, shard, schema, first_files)
+
+    def shards() -> Iterator[ShardRecord]:
+        for record in manifest.shards:
+            on_file(record.shard.data_path)
+            yield record
+
+    checked = list(in_threads(partial(_check_shard, folder, schema), shards(), workers))
+    for (found, _), repeated in zip(checked, _repeated_ids(manifest.shards, checked), strict=True):
+        findings += [*found, *repeated]
     files = manifest.files or {}
     for path, checksum in files.items():
         on_file(path)
@@ -94,24 +104,20 @@ def verify(
     return Verification(len(manifest.shards) + len(files), rows, size, tuple(findings))
 
 
-def _verify_copy(folder: DataFolder, record: DownloadRecord, on_file: Callable[[str], None]) -> Verification:
+def _verify_copy(
+    folder: DataFolder, record: DownloadRecord, on_file: Callable[[str], None], workers: int
+) -> Verification:
     findings: list[Finding] = []
     rows = 0
-    for path, file in record.files.items():
-        on_file(path)
-        problem = problem_of_place(folder, path)
-        if problem:
-            findings.append(Finding(path, problem))
-            continue
-        found = None if file.digest is None else file.digest.of(Path(folder.address(path)))
-        if file.digest is not None and found != file.digest:
-            findings.append(Finding(path, f"{found}, expected {file.digest.value}"))
-        elif folder.size_bytes(path) != file.size_bytes:  # all that is known of one without a digest
-            problem = f"has {folder.size_bytes(path):,} bytes, expected {file.size_bytes:,}"
-            findings.append(Finding(path, problem))
-        elif path.endswith(".parquet"):
-            # Ids are the publisher's own: nothing says that they differ between splits.
-            rows += open_parquet(folder, path).metadata.num_rows
+
+    def files() -> Iterator[tuple[str, HubFile]]:
+        for path, file in record.files.items():
+            on_file(path)
+            yield path, file
+
+    for problem, held in in_threads(partial(_check_copied, folder), files(), workers):
+        findings += problem
+        rows += held
     findings += [
         Finding(f"{DATA_FOLDER}/{name}", f"is not listed in {RECORD_FILE}; next: remove it")
         for name in folder.names(DATA_FOLDER)
@@ -120,6 +126,22 @@ def _verify_copy(folder: DataFolder, record: DownloadRecord, on_file: Callable[[
     size = sum(file.size_bytes for file in record.files.values())
     reference = f"{record.repo_id} at {record.commit[:12]}"
     return Verification(len(record.files), rows, size, tuple(findings), reference)
+
+
+def _check_copied(folder: DataFolder, entry: tuple[str, HubFile]) -> tuple[list[Finding], int]:
+    """Check one file against what the Hub said of it; return what is wrong, and the rows that it holds."""
+    path, file = entry
+    problem = problem_of_place(folder, path)
+    if problem:
+        return [Finding(path, problem)], 0
+    found = None if file.digest is None else file.digest.of(Path(folder.address(path)))
+    if file.digest is not None and found != file.digest:
+        return [Finding(path, f"{found}, expected {file.digest.value}")], 0
+    if folder.size_bytes(path) != file.size_bytes:  # all that is known of one without a digest
+        problem = f"has {folder.size_bytes(path):,} bytes, expected {file.size_bytes:,}"
+        return [Finding(path, problem)], 0
+    # Ids are the publisher's own: nothing says that they differ between splits.
+    return [], open_parquet(folder, path).metadata.num_rows if path.endswith(".parquet") else 0
 
 
 def problem_of_place(folder: DataFolder, path: str) -> str:
@@ -165,31 +187,58 @@ def _check_file(folder: DataFolder, path: str, checksum: str) -> list[Finding]:
     return [] if found == checksum else [Finding(path, f"sha256 is {found}, expected {checksum}")]
 
 
-def _check_shard(
-    folder: DataFolder, record: ShardRecord, schema: Any, first_files: dict[object, str]
-) -> list[Finding]:
-    """Check one shard; ``first_files`` names the file of each id that was seen before, and is filled."""
+def _check_shard(folder: DataFolder, schema: Any, record: ShardRecord) -> tuple[list[Finding], Any]:
+    """Check one shard; return what is wrong with it, and its ids as an Arrow array (None: unreadable)."""
     path = record.shard.data_path
     findings = _check_file(folder, path, record.sha256)
     if findings:
-        return findings
+        return findings, None
     try:
         with named_damage(folder.address(path)):
             parquet = open_parquet(folder, path)
             rows, stored = parquet.metadata.num_rows, parquet.schema_arrow
-            ids = parquet.read(columns=["id"], use_threads=False).column(0).to_pylist()
+            ids = parquet.read(columns=["id"], use_threads=False).column(0).combine_chunks()
     except IntegrityError as error:
-        return [Finding(path, str(error))]
+        return [Finding(path, str(error))], None
     if rows != record.rows:
         findings.append(Finding(path, f"has {rows} rows, expected {record.rows}"))
     if schema is not None and not stored.equals(schema):
         found, expected = set(map(str, stored)), set(map(str, schema))
         differences = f"{sorted(found - expected)} there, {sorted(expected - found)} expected"
         findings.append(Finding(path, f"schema differs: {differences}"))
-    repeated = [item for item, count in Counter(ids).items() if count > 1 or item in first_files]
-    if repeated:
-        first = first_files.get(repeated[0], path)
-        problem = f"id {repeated[0]!r} is not unique, it also stands in {first} ({len(repeated)} such ids)"
-        findings.append(Finding(path, problem))
-    first_files.update(dict.fromkeys(ids, path))
-    return findings
+    return findings, ids
+
+
+def _repeated_ids(
+    records: Sequence[ShardRecord], checked: Sequence[tuple[list[Finding], Any]]
+) -> Iterator[list[Finding]]:
+    """Yield for each shard a finding where an id stands in it twice, or in a shard before it."""
+    suspects = _suspects([ids for _, ids in checked if ids is not None])
+    first_files: dict[object, str] = {}
+    for record, (_, ids) in zip(records, checked, strict=True):
+        path = record.shard.data_path
+        held = [each for each in ids.to_pylist() if each in suspects] if suspects and ids is not None else ()
+        repeated = [each for each, count in Counter(held).items() if count > 1 or each in first_files]
+        if repeated:
+            first = first_files.get(repeated[0], path)
+            problem = (
+                f"id {repeated[0]!r} is not unique, it also stands in {first} ({len(repeated)} such ids)"
+            )
+            yield [Finding(path, problem)]
+        else:
+            yield []
+        first_files.update(dict.fromkeys(held, path))
+
+
+def _suspects(ids: Sequence[Any]) -> set[object]:
+    """Return the ids that stand in some arrays more than once; whole numbers without an object for each."""
+    import numpy as np
+    import pyarrow as pa
+
+    types = {array.type for array in ids}
+    if len(types) > 1 or any(not pa.types.is_integer(array.type) or array.null_count for array in ids):
+        counts = Counter(each for array in ids for each in array.to_pylist())
+        return {each for each, count in counts.items() if count > 1}
+    values = np.concatenate([array.to_numpy() for array in ids] or [np.zeros(0, np.int64)])
+    values.sort()
+    return set(values[1:][values[1:] == values[:-1]].tolist())

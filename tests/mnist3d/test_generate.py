@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import pickle
 import signal
 import subprocess
 import sys
@@ -13,12 +14,13 @@ import pytest
 
 import mnist3d
 from mnist3d.generation import GenerateSpec, generate, plan_build
-from mnist3d.rows import mesh_schema
+from mnist3d.rows import PARQUET_STYLE, mesh_schema
 from mnist3d.solid import SolidSpec
 from mnist3d.sources.synthetic import SyntheticSource
 from mnist3d.splits import SPLITS, SplitSpec
 from tactile_toolkit.errors import InputError, SpecMismatchError
 from tactile_toolkit.store.folder import DataFolder
+from tactile_toolkit.store.parquet import REPORT_STYLE, encode_parquet
 from tactile_toolkit.store.verify import verify
 from tests.mnist3d.sources import BLANK, FULL, UNREADABLE, FlawedSource
 from tests.processes import PATIENCE_S, start_held
@@ -217,3 +219,22 @@ def test_real_digits_in_the_layout_of_hwd(shared, tmp_path):
     assert report.vertices.between(4_000, 6_500).mean() > 0.9
     size = sum(entry["bytes"] for entry in manifest.split_table().values())
     assert size / 100 <= 60_000
+
+
+def test_a_shard_made_in_pieces_has_the_bytes_of_one_made_at_once(monkeypatch):
+    spec = GenerateSpec(SyntheticSource(count=140), COARSE)
+    task = plan_build(spec, ("train",)).tasks[0]
+    whole = task.make()
+    monkeypatch.setattr("mnist3d.generation._LARGEST_SHARD", PARQUET_STYLE.rows_per_group)
+    pieces = task.make()
+    assert pieces.table.column(0).num_chunks > 1 == whole.table.column(0).num_chunks
+    assert encode_parquet(pieces.table, PARQUET_STYLE) == encode_parquet(whole.table, PARQUET_STYLE)
+    assert encode_parquet(pieces.report, REPORT_STYLE) == encode_parquet(whole.report, REPORT_STYLE)
+    assert pieces.skipped == whole.skipped
+
+
+def test_a_task_takes_along_its_own_ids_only():
+    spec = GenerateSpec(SyntheticSource(count=100_000), split=SplitSpec(sizes=(("train", 9_000),)))
+    task = plan_build(spec, ("train",)).tasks[3]
+    assert task.ids.base is not None  # a view of the ids of the split
+    assert len(pickle.dumps(task)) < 8 * task.size + 2_000

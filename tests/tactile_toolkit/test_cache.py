@@ -17,7 +17,8 @@ from tactile_toolkit.store.folder import FORSAKEN_S, DataFolder
 
 
 def names(folder: Path) -> list[str]:
-    return sorted(entry.name for entry in folder.iterdir())
+    """Names in a folder but that of its ledger."""
+    return sorted(entry.name for entry in folder.iterdir() if entry.name != ".total")
 
 
 def put(cache: DiskCache, name: str, size: int) -> bool:

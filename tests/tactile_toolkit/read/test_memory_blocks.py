@@ -114,7 +114,7 @@ def shard(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Shard:
     size_bytes = Shard(str(path)).metadata.row_group(0).total_byte_size
     monkeypatch.setattr(rowgroups, "_BLOCK_BYTES", size_bytes // 6 + 1)
     made = Shard(str(path))
-    assert made.block_rows == [100, 100]
+    assert list(made.block_rows) == [100, 100]
     return made
 
 
@@ -139,7 +139,7 @@ def test_every_row_is_read_in_bounded_memory_after_one_warning(shard: Shard, no_
             assert no_cache.size <= no_cache.limit
     (only,) = [str(entry.message) for entry in told]
     assert f"'{os.environ[CACHE_VARIABLE]}/blocks' cannot be written: Not a directory" in only
-    assert table._groups == {}
+    assert len(table._groups) == 0
 
 
 def test_a_pass_decodes_every_row_group_once(shard: Shard, no_cache: MemoryBlocks) -> None:
@@ -202,7 +202,7 @@ def test_a_full_disk(shard: Shard, tmp_path: Path) -> None:
     assert done.returncode == 0, done.stderr
     assert done.stderr.count("RuntimeWarning") == 1
     assert "cannot be written: File too large" in done.stderr
-    assert list((tmp_path / "cache" / "blocks").iterdir()) == []
+    assert list((tmp_path / "cache").rglob("*.arrow")) == []
 
 
 def test_a_forked_process_starts_anew() -> None:
