@@ -91,7 +91,7 @@ def find_damage(
                 found.append((row_number, each))
                 lost[row_number] |= each.touch is None
         if unreadable:
-            shard = PartialShard(shard.path, shard.rows, shard.failures, frozenset(unreadable))
+            shard = PartialShard(shard.path, shard.rows, shard.failures, lost=frozenset(unreadable))
         whole.append(shard)
         start += len(shard)
     return whole, np.flatnonzero(~lost), found

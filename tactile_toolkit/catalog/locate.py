@@ -21,6 +21,7 @@ from tactile_toolkit.store.shards import (
     no_split,
     shard_files,
 )
+from tactile_toolkit.store.small_columns import small_files
 from tactile_toolkit.wording import did_you_mean
 
 __all__ = [
@@ -220,7 +221,16 @@ def _local_shards(folder: DataFolder, split: str | None) -> tuple[Shard, ...]:
     _refuse_unfinished(folder, chosen, [record.shard for record in records], manifest.complete)
     if not records:
         raise no_split(chosen, manifest.splits, folder.address())
-    return tuple(Shard(folder.address(record.shard.data_path), record.rows) for record in records)
+    small: list[tuple[Shard, str] | None] = [None] * len(records)
+    for file in small_files(manifest, chosen):
+        if file.path in (manifest.files or ()):
+            first = file.records[0].shard.index
+            entry = (Shard(folder.address(file.path), file.rows), file.made_of)
+            small[first : first + len(file.records)] = [entry] * len(file.records)
+    return tuple(
+        Shard(folder.address(record.shard.data_path), record.rows, small=entry)
+        for record, entry in zip(records, small, strict=True)
+    )
 
 
 def _refuse_unfinished(folder: DataFolder, split: str, shards: list[ShardName], complete: bool) -> None:

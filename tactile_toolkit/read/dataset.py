@@ -29,9 +29,7 @@ def _int_column(tables: Sequence[ShardedTable], name: str, rows: Any) -> NDArray
     Raises IntegrityError when a value of these rows is missing or does not fit into 64 bits.
     """
     # With each value, kept with the table: whether it is unusable. What other rows hold does not matter.
-    parts = [
-        table.per_shard(f"ints of {name}", lambda shard: [_ints(shard.column(name))]) for table in tables
-    ]
+    parts = [table.per_array(f"ints of {name}", name, _ints) for table in tables]
     pairs = np.concatenate([part.reshape(-1, 2) for part in parts] or [np.zeros((0, 2), np.int64)])
     chosen = pairs[rows]
     if not chosen[:, 1].any():

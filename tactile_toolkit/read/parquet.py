@@ -15,19 +15,19 @@ import re
 import stat
 from array import array
 from bisect import bisect_right
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property, lru_cache
-from itertools import accumulate
+from itertools import accumulate, chain, groupby
 from pathlib import Path
-from typing import IO, Any
+from typing import IO, Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from tactile_toolkit.bounds import cache_limit_bytes, require_unpackable
 from tactile_toolkit.cache import CACHE_VARIABLE, DiskCache, MemoryCache, cache_folder
-from tactile_toolkit.errors import IntegrityError, ToolkitError
+from tactile_toolkit.errors import IntegrityError
 from tactile_toolkit.read.blocks import identity_of, map_block, write_blocks
 from tactile_toolkit.read.columns import (
     RowGroup,
@@ -37,9 +37,11 @@ from tactile_toolkit.read.columns import (
     stored_class_names,
 )
 from tactile_toolkit.run.system import locked
+from tactile_toolkit.run.threads import in_threads
 from tactile_toolkit.store.folder import DataFolder, unreadable
 from tactile_toolkit.store.parquet import open_checked
 from tactile_toolkit.store.shards import DATA_FOLDER, ShardName
+from tactile_toolkit.store.small_columns import MADE_OF
 
 __all__ = ["CACHE_VARIABLE", "RowGroup", "Shard", "ShardedTable", "cache_folder"]
 
@@ -99,6 +101,11 @@ _LEAST_MAPPED_BYTES = 4 << 20
 """The blocks that a table has mapped are let go above so many bytes, or 1,024 of them: a process may have
 65,530 maps, and what one holds open takes room on the disk after its file has left the cache."""
 
+_FEW_SHARDS = 8
+_REMOTE_READERS = 16
+
+T = TypeVar("T")
+
 _FOOTERS_KEPT = 128  # of a large shard, one takes some hundred kB
 
 
@@ -130,8 +137,9 @@ class Shard:
     """One Parquet file of a data set, local or at any fsspec address.
 
     ``rows`` is its number of rows where that is known beforehand, which saves opening the file to count.
-    ``failures``, pickled with it, makes the context in which the bytes of a remote file are read: there,
-    whoever knows the store names what goes wrong with it.
+    ``small`` is the file in which its small columns lie beside those of its neighbours, and what that file
+    must say that it was made of. ``failures``, pickled with it, makes the context in which the bytes of a
+    remote file are read: there, whoever knows the store names what goes wrong with it.
     """
 
     path: str
@@ -139,6 +147,7 @@ class Shard:
     failures: Callable[[], contextlib.AbstractContextManager[None]] = field(
         default=contextlib.nullcontext, repr=False, compare=False
     )
+    small: tuple[Shard, str] | None = field(default=None, repr=False, compare=False)
 
     @property
     def metadata(self) -> Any:
@@ -166,10 +175,10 @@ class Shard:
 
     def meet(self) -> None:
         """Take note of which file is there now, where that costs next to nothing."""
-        if not self._is_remote:
+        if not self._is_remote and "identity" not in self.__dict__:
             # What is missing is named when it is asked for.
-            with contextlib.suppress(ToolkitError):
-                _ = self.identity
+            with contextlib.suppress(OSError):
+                self.__dict__["identity"] = self._found_now()
 
     @property
     def schema(self) -> Any:
@@ -195,7 +204,8 @@ class Shard:
 
     def __getstate__(self) -> dict[str, Any]:
         """Pickle without footers; they are read again where needed, and must be of the same file."""
-        state: dict[str, Any] = {"path": self.path, "rows": self.rows, "failures": self.failures}
+        names = ("path", "rows", "failures", "small")
+        state: dict[str, Any] = {name: getattr(self, name) for name in names}
         if "identity" in self.__dict__:
             state["identity"] = self.identity
         return state
@@ -335,12 +345,12 @@ class Shard:
 
     def _found_now(self) -> tuple[object, ...]:
         facts = os.lstat(self.path)
-        if stat.S_ISLNK(facts.st_mode):
+        if stat.S_ISLNK(facts.st_mode) or not self.path.startswith("/"):
             real = os.path.realpath(self.path)
             facts = Path(real).stat()
         else:  # what is known of one file saves asking for each folder above each of 50,000
-            folder, name = os.path.split(self.path)
-            real = os.path.join(_real_folder(folder), name)  # noqa: PTH118
+            folder, _, name = self.path.rpartition("/")
+            real = f"{_real_folder(folder)}/{name}"
         return real, *identity_of(facts)
 
     def _opened(self) -> tuple[Any, tuple[object, ...]]:
@@ -404,13 +414,31 @@ def _lock_of(name: str) -> Iterator[None]:
         yield
 
 
+def _in_threads(function: Callable[[Shard], T], shards: Sequence[Shard]) -> Iterator[T]:
+    """Yield what a function gives for each shard, in order; many are read at once, those afar above all."""
+    if len(shards) < _FEW_SHARDS:
+        return map(function, shards)
+    workers = _REMOTE_READERS if "://" in shards[0].path else os.cpu_count() or 1
+    return in_threads(function, shards, workers)
+
+
+def _small_column(file: Shard, made_of: str, shards: Sequence[Shard], name: str) -> Any:
+    """Read a column of some shards from their file of small columns; None where it is to be asked of them."""
+    # What is wrong with it costs speed only; `verify` names it.
+    with contextlib.suppress(IntegrityError):
+        is_theirs = (file.schema.metadata or {}).get(MADE_OF) == made_of.encode()
+        if is_theirs and name in file.schema.names and sum(map(len, shards)) == len(file):
+            return file.column(name)
+    return None
+
+
 def _mapped_bytes(group: RowGroup) -> int:
     return max(_LEAST_MAPPED_BYTES, int(group.table.nbytes))
 
 
 @lru_cache(maxsize=256)
 def _real_folder(folder: str) -> str:
-    return os.path.realpath(folder)
+    return os.path.realpath(f"{folder}/").rstrip("/")
 
 
 def _mapped_table(path: Path, number: int) -> Any:
@@ -537,14 +565,31 @@ class ShardedTable:
 
     def column(self, name: str) -> NDArray[Any]:
         """Read one plain column of all rows by dotted name, and only that column; kept for the next call."""
-        return self.per_shard(name, lambda shard: [shard.column(name).to_numpy(zero_copy_only=False)])
+        return self.per_array(name, name, lambda array: array.to_numpy(zero_copy_only=False))
+
+    def per_array(self, key: str, name: str, compute: Callable[[Any], NDArray[Any]]) -> NDArray[Any]:
+        """Join what is computed of the Arrow arrays of a column; kept under ``key`` for the next call."""
+        return self._kept(key, lambda: map(compute, self._arrays(name)))
 
     def per_shard(self, key: str, compute: Callable[[Shard], Sequence[NDArray[Any]]]) -> NDArray[Any]:
         """Join along the first axis what is computed of each shard; kept under ``key`` for the next call."""
+        return self._kept(key, lambda: chain.from_iterable(_in_threads(compute, self.shards)))
+
+    def _kept(self, key: str, parts: Callable[[], Iterable[NDArray[Any]]]) -> NDArray[Any]:
         values = self._columns.get(key)
         if values is None:
-            parts = [part for shard in self.shards for part in compute(shard)]
-            values = np.concatenate(parts) if parts else np.zeros(0)
+            arrays = list(parts())
+            values = np.concatenate(arrays) if arrays else np.zeros(0)
             values.setflags(write=False)
             values = self._columns.setdefault(key, values)
         return values
+
+    def _arrays(self, name: str) -> Iterator[Any]:
+        """Yield the Arrow arrays of one column in order, from few files where the data set has such."""
+        for small, neighbours in groupby(self.shards, key=lambda shard: shard.small):
+            shards = list(neighbours)
+            column = None if small is None else _small_column(*small, shards, name)
+            if column is None:
+                yield from _in_threads(lambda shard: shard.column(name), shards)
+            else:
+                yield column

@@ -56,6 +56,7 @@ from tactile_toolkit.store.plan import (
 )
 from tactile_toolkit.store.replace import FolderBefore, FormerSet, recover, refuse_unrecovered
 from tactile_toolkit.store.shards import DAMAGED, DATA_FOLDER, PENDING_FOLDER, ShardRecord, Skipped
+from tactile_toolkit.store.small_columns import write_small_columns
 from tactile_toolkit.wording import counted
 
 __all__ = ["Progress", "build"]
@@ -340,6 +341,7 @@ def _conclude(
     if plan.report_file is not None:
         report, checksum = _merge_reports(folder, plan.report_file, manifest)
         files |= {plan.report_file: checksum} if report is not None else {}
+    files |= write_small_columns(folder, manifest)
     files |= plan.write_files(folder, manifest)
     # Shards of a split that another run began stay its own until that run is given again.
     begun, agreed = pending_beside(folder, manifest), read_parts_plan(folder)

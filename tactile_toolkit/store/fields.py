@@ -5,16 +5,16 @@ from __future__ import annotations
 import json
 import re
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, TypeGuard
 
 from tactile_toolkit.errors import IntegrityError
 
-__all__ = ["Fields", "json_fields"]
+__all__ = ["LARGEST", "Fields", "is_digest", "json_fields"]
 
 _DEEPEST = 32
 """Lists in lists that are followed; a manifest of ours has 6."""
 
-_LARGEST = (1 << 63) - 1
+LARGEST = (1 << 63) - 1
 _DIGEST = re.compile("[0-9a-f]{64}")
 
 
@@ -26,6 +26,11 @@ def json_fields(text: str | bytes, where: str) -> Fields:
         message = f"{where!r} is damaged, a JSON object was expected ({type(error).__name__}: {error})"
         raise IntegrityError(message) from error
     return Fields(values, where)
+
+
+def is_digest(value: object) -> TypeGuard[str]:
+    """Tell whether a value is a SHA-256 in hexadecimal."""
+    return isinstance(value, str) and _DIGEST.fullmatch(value) is not None
 
 
 class Fields:
@@ -48,7 +53,7 @@ class Fields:
         """Tell whether there is a value, and not null."""
         return self.values.get(name) is not None
 
-    def number(self, name: str, least: int = 0, most: int = _LARGEST) -> int:
+    def number(self, name: str, least: int = 0, most: int = LARGEST) -> int:
         """Return a whole number."""
         value = self.values.get(name)
         if type(value) is not int or not least <= value <= most:
@@ -65,7 +70,7 @@ class Fields:
     def digest(self, name: str) -> str:
         """Return a SHA-256 in hexadecimal."""
         value = self.values.get(name)
-        if not isinstance(value, str) or not _DIGEST.fullmatch(value):
+        if not is_digest(value):
             raise self._wrong(name, value, "64 hexadecimal digits")
         return value
 
@@ -105,8 +110,8 @@ class Fields:
             item, depth = waiting.pop()
             if depth > _DEEPEST:
                 raise self._wrong(name, value, f"at most {_DEEPEST} levels of lists and objects")
-            if type(item) is int and not -_LARGEST <= item <= _LARGEST:
-                raise self._wrong(name, item, f"numbers up to {_LARGEST}")
+            if type(item) is int and not -LARGEST <= item <= LARGEST:
+                raise self._wrong(name, item, f"numbers up to {LARGEST}")
             inner = item.values() if isinstance(item, dict) else item if isinstance(item, list) else ()
             waiting += ((each, depth + 1) for each in inner)
         return value

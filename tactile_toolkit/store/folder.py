@@ -282,8 +282,8 @@ class DataFolder:
         """
         if not path:
             return self._root
-        parts = PurePosixPath(path)
-        if parts.is_absolute() or ".." in parts.parts or "\0" in path:
+        # Most paths have no such dots: their parts are not looked at, which takes a while for 50,000 of them.
+        if path.startswith("/") or "\0" in path or (".." in path and ".." in PurePosixPath(path).parts):
             message = (
                 f"{path!r} leads out of {self._root!r} or is not a path; expected a path inside; nothing was "
                 "done"

@@ -146,7 +146,7 @@ class Manifest:
             toolkit_version=fields.text("toolkit_version"),
             spec=fields.mapping("spec"),
             split_order=fields.texts("split_order"),
-            shards=tuple(map(ShardRecord.from_fields, fields.objects("shards"))),
+            shards=ShardRecord.all_from(fields.objects("shards")),
             files={path: files.digest(path) for path in files.values},
             schema_version=version,
             complete=fields.flag("complete"),
