@@ -24,7 +24,7 @@ from realtouch.convert.image_files import (
     repeated_ids,
     write_index,
 )
-from realtouch.convert.plan import Conversion, RowChoice, Source, plan_conversion, refuse_source
+from realtouch.convert.plan import Conversion, RowChoices, Source, plan_conversion, refuse_source
 from realtouch.convert.steps import KeepTouches, ResizeMedia, TakeContactFrames
 from realtouch.dataset import dataset_of
 from tactile_toolkit.errors import InputError
@@ -229,7 +229,7 @@ def _chosen_rows(
     labels: list[str],
     objects: list[int],
     limit: int | None,
-) -> list[RowChoice]:
+) -> RowChoices:
     """Decide which rows and touches of a split :func:`select` keeps; reads small columns only."""
     dataset = dataset_of(source.shards[split], source.kind)
     if labels:
@@ -238,14 +238,14 @@ def _chosen_rows(
         dataset = dataset.filter_labels(wanted)
     if objects:
         dataset = dataset[np.isin(dataset.column("object_id"), objects)]
-    rows = dataset.row_numbers.tolist()
+    rows = dataset.row_numbers
     if not contact:
-        return [RowChoice(row) for row in rows[:limit]]
+        return RowChoices(rows[:limit])
     touches = dataset.touches().with_contact(min_height_m, recalibrate_z)
-    kept: list[list[int]] = [[] for _ in rows]
-    for position, touch in zip(touches.round_positions.tolist(), touches.touch_indices.tolist(), strict=True):
-        kept[position].append(touch)
-    return [RowChoice(row, tuple(chosen)) for row, chosen in zip(rows, kept, strict=True) if chosen][:limit]
+    order = np.argsort(touches.round_positions, kind="stable")
+    counts = np.bincount(touches.round_positions, minlength=len(rows))
+    starts = np.concatenate([[0], np.cumsum(counts[counts > 0])])
+    return RowChoices(rows[counts > 0], touches.touch_indices[order], starts)[:limit]
 
 
 def frames(
@@ -328,12 +328,9 @@ def _convert(
     )
 
 
-def _first_rows(source: Source, limit: int | None) -> dict[str, list[RowChoice]]:
+def _first_rows(source: Source, limit: int | None) -> dict[str, RowChoices]:
     most = _require_limit(limit)
-    return {
-        split: [RowChoice(row) for row in range(sum(map(len, shards)))][:most]
-        for split, shards in source.shards.items()
-    }
+    return {split: RowChoices(range(sum(map(len, shards)))[:most]) for split, shards in source.shards.items()}
 
 
 def _require_limit(limit: int | None) -> int | None:

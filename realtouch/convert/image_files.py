@@ -4,16 +4,17 @@ from __future__ import annotations
 
 import csv
 import io
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any, Literal
 
+import numpy as np
 import pyarrow as pa
 
 from realtouch.columns.per_touch import touch_total, vectors
 from realtouch.columns.poses import clip_poses, poses
 from realtouch.contact import ContactMethod
-from realtouch.convert.plan import RowChoice, Source
+from realtouch.convert.plan import RowChoice, RowChoices, Source
 from realtouch.convert.steps import contact_frame_of
 from realtouch.damage import damaged
 from realtouch.dataset import dataset_of
@@ -142,15 +143,14 @@ class WritePictures:
         return encode_image(pixels, self.kind)
 
 
-def repeated_ids(source: Source, choices: Mapping[str, Sequence[RowChoice]]) -> dict[str, frozenset[int]]:
+def repeated_ids(source: Source, choices: Mapping[str, RowChoices]) -> dict[str, frozenset[int]]:
     """Find the rows of each split whose id stands in a row before them; reads the column of ids only."""
     repeated = {}
     for split, chosen in choices.items():
         ids = dataset_of(source.shards[split], source.kind).ids
         first: dict[Any, int] = {}
-        for choice in chosen:
-            first.setdefault(ids[choice.row], choice.row)
-        repeated[split] = frozenset(each.row for each in chosen if first[ids[each.row]] != each.row)
+        rows = np.asarray(chosen.rows).tolist()
+        repeated[split] = frozenset(row for row in rows if first.setdefault(ids[row], row) != row)
     return repeated
 
 

@@ -7,19 +7,25 @@ and makes one shard. See :mod:`tactile_toolkit.store.build` for resuming and byt
 from __future__ import annotations
 
 import hashlib
+from bisect import bisect_right
+from collections import deque
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from itertools import accumulate, chain
 from os import PathLike, fspath
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any, Protocol, overload
 
+import numpy as np
 import pyarrow as pa
+from numpy.typing import NDArray
 
 from realtouch.names import open_shards, repository_of
 from tactile_toolkit.catalog.locate import splits_of
 from tactile_toolkit.errors import InputError, IntegrityError, ItemError
 from tactile_toolkit.read.dataset import Row
 from tactile_toolkit.read.parquet import Shard
+from tactile_toolkit.run.threads import in_threads
 from tactile_toolkit.store.folder import DataFolder
 from tactile_toolkit.store.manifest import Manifest
 from tactile_toolkit.store.parquet import ParquetStyle
@@ -35,13 +41,23 @@ from tactile_toolkit.touch.schema import (
     with_features,
 )
 
-__all__ = ["KIND", "Conversion", "RowChoice", "Source", "Step", "plan_conversion", "refuse_source"]
+__all__ = [
+    "KIND",
+    "Conversion",
+    "RowChoice",
+    "RowChoices",
+    "Source",
+    "Step",
+    "plan_conversion",
+    "refuse_source",
+]
 
 KIND = "realtouch"
 
 _SHARD_BYTES = 256 << 20
 _GROUP_BYTES = 32 << 20
 _MOST_ROWS_PER_SHARD = 64
+_READERS = 4  # threads that read footers
 
 
 @dataclass(frozen=True)
@@ -61,8 +77,8 @@ class Source:
         name = fspath(name)
         splits = (split,) if split is not None else splits_of(repository_of(name), revision=revision)
         shards = {each: open_shards(name, each, revision=revision) for each in splits}
-        for shard in (shard for found in shards.values() for shard in found):
-            require_types(shard)
+        for found in shards.values():
+            deque(in_threads(require_types, found, _READERS), maxlen=0)
         return cls(name, shards, kind_of(shards[splits[0]][0].schema, name))
 
     @property
@@ -72,14 +88,9 @@ class Source:
 
     def row_bytes(self) -> int:
         """Return the size of a row unpacked, on average over the data set; at least 1."""
-        groups = [
-            shard.metadata.row_group(index)
-            for found in self.shards.values()
-            for shard in found
-            for index in range(shard.metadata.num_row_groups)
-        ]
-        rows = sum(group.num_rows for group in groups)
-        return max(int(sum(group.total_byte_size for group in groups) // max(rows, 1)), 1)
+        found = chain.from_iterable(self.shards.values())
+        rows, size = map(sum, zip(*in_threads(_rows_and_bytes, found, _READERS), strict=True))
+        return max(size // max(rows, 1), 1)
 
     def fingerprint(self) -> dict[str, list[dict[str, Any]]]:
         """Return JSON values that identify the rows: names, sizes and footers of the files.
@@ -87,7 +98,17 @@ class Source:
         The footer holds offset and size of every column chunk: other content gives another footer, and
         reading 28 GB to plan a conversion would cost minutes.
         """
-        return {split: [_file_fingerprint(shard) for shard in found] for split, found in self.shards.items()}
+        return {
+            split: list(in_threads(_file_fingerprint, found, _READERS))
+            for split, found in self.shards.items()
+        }
+
+
+def _rows_and_bytes(shard: Shard) -> tuple[int, int]:
+    """Return the rows of a file, and their bytes unpacked."""
+    metadata = shard.metadata
+    groups = range(metadata.num_row_groups)
+    return metadata.num_rows, sum(metadata.row_group(index).total_byte_size for index in groups)
 
 
 def _file_fingerprint(shard: Shard) -> dict[str, Any]:
@@ -133,6 +154,38 @@ class RowChoice:
     touches: tuple[int, ...] | None = None
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class RowChoices(Sequence[RowChoice]):
+    """Rows of a split, rising, without an object for each; a slice of them takes only its own part along.
+
+    Where ``touches`` are chosen, those of row i are ``touches[starts[i]:starts[i + 1]]``.
+    """
+
+    rows: range | NDArray[np.int64]
+    touches: NDArray[np.int64] | None = None
+    starts: NDArray[np.int64] | None = None
+
+    def __len__(self) -> int:
+        return len(self.rows)
+
+    @overload
+    def __getitem__(self, index: int) -> RowChoice: ...
+    @overload
+    def __getitem__(self, index: slice) -> RowChoices: ...
+    def __getitem__(self, index: int | slice) -> RowChoice | RowChoices:
+        """Return one choice, or those of a slice that leaves none out."""
+        if not isinstance(index, slice):
+            row, part = int(self.rows[index]), range(len(self))[index]
+            if self.touches is None or self.starts is None:
+                return RowChoice(row)
+            return RowChoice(row, tuple(self.touches[self.starts[part] : self.starts[part + 1]].tolist()))
+        first, stop, _ = index.indices(len(self))
+        if self.touches is None or self.starts is None:
+            return RowChoices(self.rows[first:stop])
+        starts = self.starts[first : max(first, stop) + 1]
+        return RowChoices(self.rows[first:stop], self.touches[starts[0] : starts[-1]], starts - starts[0])
+
+
 class Step(Protocol):
     """What a conversion does to one row; small and picklable."""
 
@@ -162,7 +215,7 @@ class Conversion:
     operation: str
     options: Mapping[str, Any]
     step: Step
-    choices: Mapping[str, Sequence[RowChoice]]
+    choices: Mapping[str, RowChoices]
     rows_per_shard: int | None = None
     rows_per_group: int | None = None
     extra_dirs: tuple[str, ...] = ()
@@ -172,13 +225,17 @@ class Conversion:
     )
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class _ConvertShard:
-    """Picklable: make one shard of a conversion."""
+    """Picklable: make one shard of a conversion.
+
+    ``paths`` are the files of the source that hold its rows, ``start`` is the number of their first row.
+    """
 
     shard: ShardName
     paths: tuple[str, ...] = field(repr=False)
-    choices: tuple[RowChoice, ...] = field(repr=False)
+    start: int
+    choices: RowChoices = field(repr=False)
     step: Step = field(repr=False)
     schema: pa.Schema = field(repr=False)
 
@@ -203,7 +260,7 @@ class _ConvertShard:
         """Read the blocks that hold chosen rows, one at a time, in order."""
         wanted = {choice.row: choice for choice in self.choices}
         first, last = min(wanted), max(wanted)
-        start = 0
+        start = self.start
         for shard in map(Shard, self.paths):
             for index, group_start in enumerate(shard.group_starts[:-1]):
                 if start + shard.group_starts[index + 1] <= first or start + group_start > last:
@@ -225,12 +282,14 @@ def plan_conversion(conversion: Conversion) -> BuildPlan:
     per_group = conversion.rows_per_group or max(1, min(per_shard, _GROUP_BYTES // row_bytes))
     tasks = []
     for split, choices in conversion.choices.items():
-        paths = tuple(shard.path for shard in source.shards[split])
-        chunks = [tuple(choices[start : start + per_shard]) for start in range(0, len(choices), per_shard)]
-        tasks += [
-            _ConvertShard(ShardName(split, index, len(chunks)), paths, chunk, step, schema)
-            for index, chunk in enumerate(chunks)
-        ]
+        shards = source.shards[split]
+        starts = [0, *accumulate(map(len, shards))]
+        chunks = [choices[start : start + per_shard] for start in range(0, len(choices), per_shard)]
+        for index, chunk in enumerate(chunks):
+            first, last = (bisect_right(starts, int(chunk.rows[end])) - 1 for end in (0, -1))
+            paths = tuple(shard.path for shard in shards[first : last + 1])
+            name = ShardName(split, index, len(chunks))
+            tasks.append(_ConvertShard(name, paths, starts[first], chunk, step, schema))
     if not tasks:
         message = (
             f"nothing is left of {source.name!r} after {conversion.operation!r}; next: choose fewer filters"

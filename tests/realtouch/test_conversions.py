@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import json
+import pickle
 import re
 from pathlib import Path
 from typing import Any
@@ -12,10 +13,13 @@ import numpy as np
 import pyarrow.parquet as pq
 import pytest
 from datasets import Features, Image, List, Video
+from hypothesis import given
+from hypothesis import strategies as st
 from PIL import Image as Pictures
 
 import realtouch
-from realtouch.convert.plan import Source
+from realtouch.convert.plan import Conversion, RowChoice, RowChoices, Source, plan_conversion
+from realtouch.convert.steps import KeepTouches
 from tactile_toolkit.errors import InputError, SpecMismatchError
 from tactile_toolkit.run.processes import ProcessRunner
 from tactile_toolkit.store.parquet import sha256_hex
@@ -310,3 +314,32 @@ def test_the_card_lets_datasets_find_the_splits(seq_folder: Path, tmp_path: Path
         assert "path: data/train-*" in card
         assert "license: cc-by-2.0" in card
         assert "$" not in card
+
+
+@given(data=st.data(), with_touches=st.booleans(), count=st.integers(0, 30))
+def test_choices_in_arrays_are_a_list_of_choices(data: st.DataObject, with_touches: bool, count: int) -> None:
+    rows = sorted(data.draw(st.sets(st.integers(0, 10**9), min_size=count, max_size=count)))
+    touches = data.draw(st.lists(st.lists(st.integers(0, 99)), min_size=count, max_size=count))
+    listed = [
+        RowChoice(row, tuple(t) if with_touches else None) for row, t in zip(rows, touches, strict=True)
+    ]
+    flat = np.array([each for chosen in touches for each in chosen], np.int64)
+    starts = np.cumsum([0, *map(len, touches)])
+    choices = RowChoices(np.array(rows, np.int64), *((flat, starts) if with_touches else ()))
+    start, stop = data.draw(st.tuples(st.integers(-40, 40), st.integers(-40, 40)))
+    part = pickle.loads(pickle.dumps(choices[start:stop]))
+    assert (list(choices), list(part)) == (listed, listed[start:stop])
+
+
+def test_a_task_takes_along_the_files_of_its_own_rows_only(single_folder: Path) -> None:
+    source = Source.open(str(single_folder))
+    files = source.shards["train"]
+    assert len(files) == 2
+    rows = RowChoices(range(sum(map(len, files))))
+    conversion = Conversion(source, "toy", {}, KeepTouches(False), {"train": rows}, rows_per_shard=1)
+    tasks = plan_conversion(conversion).tasks
+    assert len(tasks) == len(rows)
+    assert [len(task.paths) for task in tasks] == [1] * len(rows)
+    assert [choice.row for task in tasks for choice in task.choices] == list(range(len(rows)))
+    made = [name for task in tasks for name in task.make().table["id"].to_pylist()]
+    assert made == realtouch.load(str(single_folder), "train").ids.tolist()

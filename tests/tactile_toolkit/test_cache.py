@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import pickle
+import struct
+import subprocess
+import sys
 import threading
 import warnings
 from pathlib import Path
@@ -156,3 +160,58 @@ def test_a_cache_in_the_home_of_nobody_is_named(monkeypatch, variable):
         cache_folder()
     with pytest.raises(InputError, match="no home folder is known"):
         DataFolder("~nobody-of-that-name/x")
+
+
+@pytest.mark.own_process
+def test_processes_keep_the_limit_together(tmp_path):
+    """Four processes write far more than the limit; what lies there is looked at all the while."""
+    code = (
+        "import sys, pathlib; from tactile_toolkit.cache import DiskCache\n"
+        "cache = DiskCache(pathlib.Path(sys.argv[1]), 200_000)\n"
+        "for number in range(150):\n"
+        "    size = 1_000 + 37 * number\n"
+        "    assert cache.write(f'{sys.argv[2]}-{number}', 2 * size, lambda s: s.write(bytes(size)))"
+    )
+    writers = [subprocess.Popen([sys.executable, "-c", code, str(tmp_path), str(n)]) for n in range(4)]
+    most = 0
+    while any(writer.poll() is None for writer in writers):
+        sizes = []
+        with os.scandir(tmp_path) as entries:
+            for entry in entries:
+                with contextlib.suppress(FileNotFoundError):
+                    sizes.append(entry.stat().st_size)
+        most = max(most, sum(sizes))
+    assert [writer.returncode for writer in writers] == [0] * 4
+    assert 100_000 < most <= 200_000
+    held = sum(file.stat().st_size for file in tmp_path.iterdir() if file.name != ".total")
+    assert struct.unpack("<qq", (tmp_path / ".total").read_bytes())[0] == held
+
+
+def test_a_folder_is_not_looked_through_for_each_file(tmp_path, monkeypatch):
+    """Files in a row of far fewer counts: as many again cost as many counts again, not four times as many."""
+    counts = []
+    make_room = DiskCache._make_room
+
+    def counted(self, folder, needed_bytes):
+        counts.append(len(list(folder.iterdir())))
+        return make_room(self, folder, needed_bytes)
+
+    monkeypatch.setattr(DiskCache, "_make_room", counted)
+    cache = DiskCache(tmp_path, 100_000)
+    for number in range(1_000):
+        assert put(cache, str(number), 1_000)
+    assert sum(counts) < 30 * 1_000
+    assert len(counts) < 200
+
+
+def test_a_ledger_that_is_wrong_is_made_anew(tmp_path):
+    cache = DiskCache(tmp_path, 10_000)
+    for content in (b"", b"damaged", struct.pack("<qq", 0, 0), struct.pack("<qq", 1 << 60, 1 << 60)):
+        (tmp_path / ".total").write_bytes(content)
+        for number in range(60):
+            assert put(cache, str(number), 300)
+            assert sum(file.stat().st_size for file in tmp_path.iterdir()) <= 2 * 10_000
+    (tmp_path / "0").unlink(missing_ok=True)
+    for number in range(60):
+        assert put(cache, f"again {number}", 300)
+    assert sum(file.stat().st_size for file in tmp_path.iterdir()) <= 10_000

@@ -1,0 +1,194 @@
+"""Sets of 50,000 shards, plans of 10^8 rows: seconds, memory, maps and open files, in fresh processes.
+
+::
+
+    python benchmarks/large_sets.py                        # all of it
+    python benchmarks/large_sets.py planning_digits        # some of it
+
+The set is one digit in 50,000 shards, which are links to one file: what is measured opens files or lists
+them, whatever is in them.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import resource
+import statistics
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+SHARDS = 50_000
+GROUPS = 20_000
+ROWS = 10**8
+SCENES = 10**9
+
+Measure = Callable[[Path], dict[str, float]]
+MEASURES: dict[str, Measure] = {}
+FOLDERS: dict[str, int] = {}
+
+
+def measure(
+    shards: int,
+) -> Callable[[Callable[[Path], dict[str, float]]], Callable[[Path], dict[str, float]]]:
+    """Add a function that takes the folder of a set of so many shards (0: no set) and returns figures by name."""
+
+    def add(function: Measure) -> Measure:
+        MEASURES[function.__name__] = function
+        FOLDERS[function.__name__] = shards
+        return function
+
+    return add
+
+
+def main() -> None:
+    names = sys.argv[1:] or list(MEASURES)
+    if names[0] == "--child":
+        print(json.dumps(MEASURES[names[1]](Path(names[2]))))
+        return
+    with tempfile.TemporaryDirectory() as scratch:
+        for name in names:
+            print(report(name, Path(scratch)), flush=True)
+
+
+def report(name: str, scratch: Path, times: int = 3) -> str:
+    """Measure something in fresh processes and return the medians in words."""
+    folder = scratch / f"set-{FOLDERS[name]}"
+    if FOLDERS[name] and not folder.exists():
+        fabricate(folder, FOLDERS[name])
+    environment = os.environ | {"TACTILE_TOOLKIT_CACHE": str(scratch / "cache")}
+    command = [sys.executable, __file__, "--child", name, str(folder)]
+    runs = [
+        json.loads(
+            subprocess.run(command, check=True, capture_output=True, text=True, env=environment).stdout
+        )
+        for _ in range(1 if name.startswith("planning") else times)
+    ]
+    medians = {key: statistics.median(run[key] for run in runs) for key in runs[0]}
+    return f"{name}: " + ", ".join(f"{key} {value:,.3g}" for key, value in medians.items())
+
+
+def fabricate(folder: Path, shards: int) -> None:
+    """Make a set of so many shards of one digit, with manifest, report and files of small columns."""
+    from dataclasses import replace
+
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    from mnist3d.generation import GenerateSpec, generate
+    from mnist3d.rows import REPORT_FILE
+    from mnist3d.sources.synthetic import SyntheticSource
+    from tactile_toolkit.store.folder import DataFolder
+    from tactile_toolkit.store.manifest import write_manifest
+    from tactile_toolkit.store.parquet import REPORT_STYLE, encode_parquet, sha256_hex
+    from tactile_toolkit.store.shards import ShardName
+    from tactile_toolkit.store.small_columns import write_small_columns
+
+    made = generate(GenerateSpec(SyntheticSource(), limit=1), folder, ("train",))
+    (record,) = made.shards
+    names = [ShardName("train", index, shards) for index in range(shards)]
+    for name in names:
+        (folder / name.data_path).hardlink_to(folder / record.shard.data_path)
+    (folder / record.shard.data_path).unlink()
+    row = pq.read_table(folder / REPORT_FILE)
+    rows = pa.concat_tables([row] * shards).combine_chunks()
+    place = row.schema.get_field_index("shard")
+    content = encode_parquet(rows.set_column(place, "shard", [[str(name) for name in names]]), REPORT_STYLE)
+    (folder / REPORT_FILE).write_bytes(content)
+    records = tuple(record._replace(shard=name) for name in names)
+    manifest = replace(made, shards=records, files={REPORT_FILE: sha256_hex(content)})
+    start_s = time.perf_counter()
+    files = write_small_columns(DataFolder(str(folder)), manifest)
+    print(f"files of small columns of {shards:,} shards, once: {time.perf_counter() - start_s:.1f} s")
+    write_manifest(DataFolder(str(folder)), replace(manifest, files={**(manifest.files or {}), **files}))
+
+
+def peak_mb() -> float:
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e3
+
+
+def resident_mb() -> float:
+    pages = int(Path("/proc/self/statm").read_text().split()[1])
+    return pages * resource.getpagesize() / 1e6
+
+
+@measure(SHARDS)
+def info(folder: Path) -> dict[str, float]:
+    """``mnist3d info`` as a user calls it; memory is that of the command."""
+    start_s = time.perf_counter()
+    subprocess.run([sys.executable, "-m", "mnist3d", "info", str(folder)], check=True, capture_output=True)
+    elapsed_s = time.perf_counter() - start_s
+    return {"s": elapsed_s, "MB": resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss / 1e3}
+
+
+@measure(SHARDS)
+def load(folder: Path) -> dict[str, float]:
+    """``load``, the first mesh, then labels; imports are not counted."""
+    import pyarrow.parquet  # noqa: F401
+
+    import mnist3d
+    import tactile_toolkit.mesh.records  # noqa: F401
+
+    mnist3d.load  # noqa: B018
+    start_s = time.perf_counter()
+    digits = mnist3d.load(str(folder), "train")
+    _ = digits[0].vertices_m
+    first_s = time.perf_counter() - start_s
+    start_s = time.perf_counter()
+    _ = digits.labels
+    return {"load and first item s": first_s, "labels s": time.perf_counter() - start_s, "MB": peak_mb()}
+
+
+@measure(GROUPS)
+def random_access(folder: Path) -> dict[str, float]:
+    """Every row group once in random order, twice over: a row of the last tenth against one of the first."""
+    import numpy as np
+
+    import mnist3d
+
+    digits = mnist3d.load(str(folder), "train")
+    figures = {}
+    for turn in ("first", "second"):
+        order = np.random.default_rng(1).permutation(len(digits)).tolist()
+        tenth = len(order) // 10
+        times = []
+        for position, row in enumerate(order):
+            start_s = time.perf_counter()
+            _ = digits[row].vertices_m
+            times.append(time.perf_counter() - start_s)
+            if position in (tenth, len(order) - 1):
+                end = "early" if position == tenth else "late"
+                figures[f"{turn} pass {end} us"] = 1e6 * statistics.median(times[-tenth:])
+                figures[f"{turn} pass {end} MB"] = resident_mb()
+    figures["maps"] = len(Path("/proc/self/maps").read_text().splitlines())
+    figures["open files"] = len(list(Path("/proc/self/fd").iterdir()))
+    return figures
+
+
+@measure(0)
+def planning_digits(_: Path) -> dict[str, float]:
+    from mnist3d.generation import GenerateSpec, plan_build
+    from mnist3d.sources.synthetic import SyntheticSource
+    from mnist3d.splits import SPLITS, SplitSpec
+
+    sizes = (("train", 95 * ROWS // 1000), ("test", ROWS // 1000))
+    start_s = time.perf_counter()
+    plan = plan_build(GenerateSpec(SyntheticSource(count=ROWS), split=SplitSpec(sizes=sizes)), SPLITS)
+    return {"s": time.perf_counter() - start_s, "MB": peak_mb(), "shards": len(plan.tasks)}
+
+
+@measure(0)
+def planning_scenes(_: Path) -> dict[str, float]:
+    from starstruck_gen.generation import GenerateSpec, plan_build
+
+    start_s = time.perf_counter()
+    plan = plan_build(GenerateSpec(scenes=(("train", SCENES), ("test", SCENES // 100))), ("train", "test"))
+    return {"s": time.perf_counter() - start_s, "MB": peak_mb(), "shards": len(plan.tasks)}
+
+
+if __name__ == "__main__":
+    main()
