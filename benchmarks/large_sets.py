@@ -32,10 +32,8 @@ MEASURES: dict[str, Measure] = {}
 FOLDERS: dict[str, int] = {}
 
 
-def measure(
-    shards: int,
-) -> Callable[[Callable[[Path], dict[str, float]]], Callable[[Path], dict[str, float]]]:
-    """Add a function that takes the folder of a set of so many shards (0: no set) and returns figures by name."""
+def measure(shards: int) -> Callable[[Measure], Measure]:
+    """Add a function that takes the folder of a set of so many shards (0: no set) and returns figures."""
 
     def add(function: Measure) -> Measure:
         MEASURES[function.__name__] = function

@@ -182,7 +182,7 @@ def test_processes_keep_the_limit_together(tmp_path):
                     sizes.append(entry.stat().st_size)
         most = max(most, sum(sizes))
     assert [writer.returncode for writer in writers] == [0] * 4
-    assert 100_000 < most <= 200_000
+    assert 100_000 < most <= 250_000, "what was renamed while it was listed is seen twice"
     held = sum(file.stat().st_size for file in tmp_path.iterdir() if file.name != ".total")
     assert struct.unpack("<qq", (tmp_path / ".total").read_bytes())[0] == held
 

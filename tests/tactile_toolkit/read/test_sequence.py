@@ -223,7 +223,7 @@ class Labelled(ShardedTable):
     def __len__(self) -> int:
         return 100
 
-    def per_shard(self, key: str, compute: Any) -> Any:
+    def per_array(self, key: str, name: str, compute: Any) -> Any:
         return np.column_stack([LABELS, np.zeros(100, bool)])
 
 
