@@ -42,6 +42,8 @@ class _DrawnCatalog(DigitCatalog):
     """A catalog that follows from the ids, those from ``first`` on; its arrays of 10^8 would take 2.4 GB."""
 
     __slots__ = ("_count", "_first")
+    _count: int
+    _first: int
 
     def __init__(self, first: int, count: int) -> None:
         object.__setattr__(self, "_first", first)
