@@ -75,9 +75,10 @@ class TouchPlan:
     def __post_init__(self) -> None:
         given = self.given
         if (self.place == "given") != isinstance(given, GivenTouches):
-            found = f"place {self.place!r} with given touches {type(given).__name__}"
+            held = "none" if given is None else type(given).__name__
             message = (
-                f"the plan of touches has {found}; expected place 'given' and a GivenTouches, or neither"
+                f"the plan of touches has place {self.place!r}, and its given touches are {held}; expected "
+                "place 'given' and a GivenTouches, or neither; next: --place given --touches-from FILE"
             )
             raise InputError(message)
         if given is not None:

@@ -210,8 +210,12 @@ def press(
 
 def depth_image(depth_m: NDArray[np.float64], sensor: Sensor) -> NDArray[np.float32]:
     """Scale a depth map to an image: 0 deepest in the gel, 1 no contact; any shape, float32."""
-    clipped = np.clip(depth_m, sensor.press_m, sensor.gel_m)
-    return ((clipped - sensor.press_m) / (sensor.gel_m - sensor.press_m)).astype(np.float32)
+    scaled = np.minimum(depth_m, sensor.gel_m)
+    # In place: a round of large pictures is no longer in the processor's cache when it is looked at again.
+    np.maximum(scaled, sensor.press_m, out=scaled)
+    scaled -= sensor.press_m
+    scaled /= sensor.gel_m - sensor.press_m
+    return scaled.astype(np.float32)
 
 
 def _require_above_cell(targets: NDArray[np.float64], cell_m: tuple[float, float]) -> None:

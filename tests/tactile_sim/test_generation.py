@@ -15,12 +15,13 @@ import tactile_sim
 from tactile_sim.generation import plan_build
 from tactile_sim.plan import REACH_M
 from tactile_toolkit.errors import InputError, SpecMismatchError
-from tests.tactile_sim.oracle import require_package
+from tests.tactile_sim.oracle import GEL_M, PRESS_M, Oracle, require_package
 from tests.tactile_sim.solids import block
 
 pytestmark = pytest.mark.sim
 pytest.importorskip("numba", reason="needs numba, of the extra sim")
 
+TABLE_COLUMNS = ("x_m", "y_m", "object_id", "object_x_m", "object_y_m", "object_turn_rad")
 PLAN = tactile_sim.TouchPlan(rounds=2, touches=5, seed=3)
 SPEC = tactile_sim.GenerateSpec((64, 48), "depth", plan=PLAN, image_format="png")
 
@@ -76,6 +77,60 @@ def test_a_set_is_what_its_poses_say(scenes, touches):
         later = record.info["object_pose"]
         assert (later.position_m[:-1] == touched.position_m[1:]).all()
         assert (np.abs(record.pos_in_cell) <= REACH_M).all()
+
+
+def test_published_is_the_whole_sensor_rendered_large_and_scaled(scenes, tmp_path):
+    """By another way: the window cut into 320 x 240 by hand, and areas averaged by numpy."""
+    spec = tactile_sim.GenerateSpec((64, 48), "depth", "published", PLAN, "png", limit=2)
+    tactile_sim.generate(scenes, spec, tmp_path / "made", ["train"])
+    solids = starstruck_gen.load(scenes, "train")
+    whole = tactile_sim.Sensor((320, 240), (0.01888, 0.01416))
+    contacts = 0
+    for record in realtouch.load(tmp_path / "made", "train"):
+        solid = solids[[s.id for s in solids].index(record.object_id)]
+        targets = np.stack([tactile_sim.pose(*place) for place in record.pos_in_cell])
+        pressed = tactile_sim.press(solid, record.info["touched_object_pose"].matrix, targets, whole)
+        grey = np.rint(pressed.image * np.float32(255)).reshape(-1, 48, 5, 64, 5).mean(axis=(2, 4))
+        stored = record.sensor_image[:]
+        assert stored.shape == (5, 48, 64, 3)
+        assert np.abs(stored - grey[..., None]).max() <= 0.51
+        contacts += int((pressed.sensor_z_m > 0.003).sum())
+        # Sensor heights are those of the large picture.
+        assert np.abs(pressed.sensor_z_m - record.gel_pose_cell_frame.position_m[:, 2]).max() < 1e-9
+    assert contacts
+
+
+@pytest.mark.env
+def test_touches_of_the_published_renderer_are_made_again_from_a_table(tmp_path):
+    """Where the sensor was, and how the object lay, as a table of given touches: the same images."""
+    require_package()
+    scenes = str(tmp_path / "scenes")
+    starstruck_gen.generate(starstruck_gen.GenerateSpec(scenes=(("train", 3), ("test", 3))), scenes)
+    solids = starstruck_gen.load(scenes, "test")
+    oracle = Oracle(64, 64)
+    rng = np.random.default_rng(3)
+    table, images = {name: [] for name in TABLE_COLUMNS}, []
+    for solid in solids:
+        foot_m = tactile_sim.Pressable.of(solid).foot_m
+        for _ in range(4):
+            gel, lies = rng.uniform(-0.03, 0.03, 2), (*rng.uniform(-0.003, 0.003, 2), rng.uniform(-0.3, 0.3))
+            object_pose = tactile_sim.pose(lies[0], lies[1], 0.0 - foot_m, turn_rad=lies[2])
+            depth_m, _ = oracle.depth_m(solid.mesh, object_pose, tactile_sim.pose(*gel))
+            images.append((np.clip(depth_m, PRESS_M, GEL_M) - PRESS_M) / (GEL_M - PRESS_M))
+            for name, value in zip(TABLE_COLUMNS, (*gel, solid.id, *lies), strict=True):
+                table[name].append(value)
+    plan = tactile_sim.TouchPlan(1, place="given", given=tactile_sim.GivenTouches(**table))
+    tactile_sim.generate(
+        scenes,
+        tactile_sim.GenerateSpec(optics="depth", plan=plan, image_format="png"),
+        tmp_path / "made",
+        ["test"],
+    )
+    made = np.concatenate([r.sensor_image[:] for r in realtouch.load(tmp_path / "made", "test")])[..., 0]
+    assert made.shape == (12, 64, 64)
+    off = np.abs(made / 255 - np.array(images)) > 0.5 / 255 + 1e-3
+    assert off.mean() <= 1e-3
+    assert (made < 255).any()
 
 
 @pytest.mark.env

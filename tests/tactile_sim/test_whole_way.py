@@ -1,0 +1,162 @@
+"""Sets of touches to the Hub and back, their galleries, and what the command line refuses."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+import trimesh
+from typer.testing import CliRunner
+
+import realtouch
+import starstruck_gen
+import tactile_sim
+from cli.tactile_sim import app
+from tactile_toolkit.errors import InputError
+from tests.hub_server import hub
+from tests.tactile_sim.solids import block
+from tests.tactile_toolkit.exchange.upload_client import logged_in
+
+pytestmark = [
+    pytest.mark.sim,
+    pytest.mark.filterwarnings("ignore:Use 'content=<...>':DeprecationWarning"),  # of the client's own making
+]
+pytest.importorskip("numba", reason="needs numba, of the extra sim")
+
+NAME = "someone/synthetic"
+
+
+def _call(*arguments: object) -> str:
+    result = CliRunner().invoke(app, [*map(str, arguments)])
+    assert result.exit_code == 0, result.output
+    return result.output
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory) -> Path:
+    """Touches of three scenes in two splits, as printed."""
+    folder = tmp_path_factory.mktemp("way")
+    scenes = starstruck_gen.GenerateSpec(scenes=(("train", 3), ("test", 3)))
+    starstruck_gen.generate(scenes, str(folder / "scenes"))
+    plan = tactile_sim.TouchPlan(1, 4, "object", seed=2)
+    spec = tactile_sim.GenerateSpec((64, 48), "depth", plan=plan, layer_m=0.0002)
+    tactile_sim.generate(str(folder / "scenes"), spec, folder / "touches")
+    return folder / "touches"
+
+
+def _digests(folder: Path) -> dict[str, str]:
+    files = sorted(folder.glob("data/*.parquet"))
+    return {file.name: hashlib.sha256(file.read_bytes()).hexdigest() for file in files}
+
+
+def test_up_to_the_hub_and_back(made, tmp_path, monkeypatch):
+    with hub() as server, logged_in(server, server.account("someone"), monkeypatch):
+        assert "nothing was sent" in _call("upload", made, NAME, "--dry-run")
+        _call("upload", made, NAME, "--yes", "--quiet")
+        assert "holds all of it already" in _call("upload", made, NAME, "--yes")
+        _call("download", NAME, "--out", tmp_path / "copy", "--quiet")
+        assert _digests(tmp_path / "copy") == _digests(made)
+        assert "all as manifest.json says" in _call("verify", tmp_path / "copy")
+        there = realtouch.load(NAME, "test")
+        assert (there[1].sensor_image[2] == realtouch.load(made, "test")[1].sensor_image[2]).all()
+        _call("download", NAME, "--split", "test", "--out", tmp_path / "part", "--quiet")
+        assert list(_digests(tmp_path / "part")) == ["test-00000-of-00001.parquet"]
+    card = (tmp_path / "copy" / "README.md").read_text()
+    assert "printed, in layers of 0.2 mm" in card
+    assert "| noise | none |" in card
+
+
+def test_a_gallery_and_a_preview_show_every_round(made, tmp_path):
+    _call("gallery", made, "--out", tmp_path / "site", "-w", 1, "--quiet")
+    listed = json.loads((tmp_path / "site" / "gallery.json").read_text())
+    assert len(list((tmp_path / "site" / "items").iterdir())) == 6
+    assert (tmp_path / "site" / "index.html").is_file()
+    assert listed
+    _call("preview", made, "--split", "test", "--out", tmp_path / "round.png", "--round", 1)
+    assert (tmp_path / "round.png").stat().st_size > 1000
+
+
+def test_a_damaged_set_is_not_uploaded(made, tmp_path):
+    copy = tmp_path / "copy"
+    shutil.copytree(made, copy)
+    shard = next(copy.glob("data/test*.parquet"))
+    content = bytearray(shard.read_bytes())
+    content[len(content) // 2] ^= 1
+    shard.write_bytes(bytes(content))
+    result = CliRunner().invoke(app, ["upload", str(copy), NAME, "--yes"])
+    assert result.exit_code == 3
+    assert shard.name in result.output
+
+
+def _mesh(folder: Path, kind: str) -> Path:
+    mesh = block().apply_scale(1000)
+    if kind == "open":
+        mesh.update_faces(np.arange(12) > 0)
+    elif kind == "inside-out":
+        mesh.invert()
+    elif kind == "flat":
+        mesh = trimesh.Trimesh([[0, 0, 0], [9, 0, 0], [0, 9, 0]], [[0, 1, 2], [0, 2, 1]], process=False)
+    file = folder / f"{kind}.stl"
+    mesh.export(file)
+    return file
+
+
+@pytest.mark.parametrize(
+    ("mesh", "options", "message"),
+    [
+        ("open", (), "the surface is open"),
+        ("inside-out", (), "inside-out"),
+        ("flat", (), "bounds no solid"),
+        ("block", ("--at", "nan,0"), "x_m of a pose is nan"),
+        ("block", ("--at", "0.07,0"), "above the cell of 120 x 120 mm"),
+        ("block", ("--at", "1"), "is not a position"),
+        ("block", ("--turn", "inf"), "turn_rad of a pose is inf"),
+        ("block", ("--size", "wide"), "is not a size"),
+        ("block", ("--size", "9999x9999"), "at most 16,777,216 pixels"),
+        ("block", ("--surface", "printed", "--layer-mm", "5"), "--layer-mm"),
+        ("block", ("--noise", "calibrated"), "'depth' have no noise"),
+        ("block", ("--weights", "none.npz"), "weights were given"),
+        ("none", (), "No such file"),
+    ],
+)
+def test_looks_that_cannot_be_are_refused_and_write_nothing(mesh, options, message, tmp_path):
+    file = tmp_path / "none.stl" if mesh == "none" else _mesh(tmp_path, mesh)
+    out = tmp_path / "touch.png"
+    command = ["render", str(file), "--optics", "depth", *options, "--out", str(out)]
+    result = CliRunner().invoke(app, command, env={"COLUMNS": "300", "TERMINAL_WIDTH": "300"})
+    assert result.exit_code == 2, result.output
+    text = result.output + (str(result.exception) if result.exception else "")
+    assert message in text
+    assert not out.exists()
+
+
+def test_poses_that_cannot_be_are_refused():
+    solid, flat = block(), np.diag([1.0, 1.0, 0.0, 1.0])
+    broken = tactile_sim.pose()
+    broken[0, 3] = np.nan
+    for pose, message in (
+        (broken, "NaN or infinite"),
+        (flat, "no rigid pose"),
+        (np.eye(3), "expected a pose"),
+        ("here", "expected a pose"),
+    ):
+        with pytest.raises(InputError, match=message):
+            tactile_sim.press(solid, pose, tactile_sim.pose())
+
+
+def test_a_set_without_taxim_says_what_to_install(made, tmp_path, monkeypatch):
+    from tactile_sim.optics import taxim
+
+    monkeypatch.setattr("tactile_sim.optics.taxim.find_spec", lambda _: None)
+    taxim._tables.cache_clear()
+    result = CliRunner().invoke(
+        app, ["generate", str(made.parent / "scenes"), "--out", str(tmp_path / "out")]
+    )
+    taxim._tables.cache_clear()
+    assert result.exit_code == 2
+    assert "the extra `sim`" in result.output + str(result.exception)
+    assert not (tmp_path / "out").exists()
