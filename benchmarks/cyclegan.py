@@ -4,7 +4,7 @@ The published generator's pictures, with sensor noise, stand for real touches: w
 them is known, though no training sees it. A small CycleGAN is trained on them, without pairs, on one core;
 then ``tactile-sim evaluate`` compares it with Taxim and with weights that were never trained.
 
-    python benchmarks/cyclegan.py WORK [--steps 1200]
+    python benchmarks/cyclegan.py WORK [--steps 6000]
 """
 
 from __future__ import annotations
@@ -26,7 +26,14 @@ from tactile_toolkit.touch.jpeg import decode_image, encode_image
 # tactile-mnist 0.13.0, SensorNoiseConfig: frame noise, and gain and offset of a round.
 FRAME_STD, GAIN_STD, OFFSET_STD = 0.0038, 0.047, 0.0094
 SIZE = (64, 64)
-SMALL = {"filters": 16, "blocks": 3, "judge_filters": 16, "batch": 2, "crop": 0.75, "identity_weight": 0.0}
+SMALL = {
+    "filters": 12,
+    "blocks": 2,
+    "judge_filters": 12,
+    "crop": 0.75,
+    "identity_weight": 0.0,
+    "learning_rate": 4e-4,
+}
 
 
 def tactile_sim(*arguments: object) -> None:
@@ -75,20 +82,20 @@ def noisy(data: bytes, gain: float, offset: float, rng: np.random.Generator) -> 
 def main() -> None:
     asked = argparse.ArgumentParser()
     asked.add_argument("work", type=Path)
-    asked.add_argument("--steps", type=int, default=1200)
+    asked.add_argument("--steps", type=int, default=6000)
     options = asked.parse_args()
     work: Path = options.work
     work.mkdir(parents=True, exist_ok=True)
     weights = work / "published-64.npz"
     published = read_weights(published_weights("touch"))
     write_weights(DataFolder(str(work)), weights.name, GeneratorWeights(published.arrays, SIZE))
-    for split, objects, touches, count in (("train", 60, 12, 300), ("test", 40, 10, 160)):
+    for split, objects, touches, count, empty in (("train", 60, 12, 300, 0.3), ("test", 40, 5, 80, 0.4)):
         digits(work, split, objects)
         if not (work / f"pairs-{split}" / "README.md").exists():
             real(work, split, touches, weights)
             tactile_sim(
                 "pairs", work / f"digits-{split}", "--real", work / f"real-{split}", "--split", split,
-                "--size", "64x64", "--count", count, "--without-contact", 0.3, "--like", "environment",
+                "--size", "64x64", "--count", count, "--without-contact", empty, "--like", "environment",
                 "--out", work / f"pairs-{split}", "-w", 1,
             )  # fmt: skip
     started = time.perf_counter()
@@ -96,7 +103,7 @@ def main() -> None:
     steps = options.steps
     tactile_sim(
         "train", work / "pairs-train", "--out", work / "weights", "--steps", steps, *small,
-        "--checkpoint-every", 200, "--device", "cpu", "--deterministic",
+        "--checkpoint-every", 100, "--device", "cpu", "--deterministic",
     )  # fmt: skip
     tactile_sim("evaluate", work / "weights", "--pairs", work / "pairs-test", "--out", work / "evaluation")
     print(f"trained {steps} steps in {time.perf_counter() - started:.0f} s")

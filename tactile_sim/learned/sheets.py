@@ -33,7 +33,7 @@ def sheet_png(columns: Sequence[tuple[str, NDArray[Any]]]) -> bytes:
 def _tile(picture: NDArray[Any]) -> NDArray[np.uint8]:
     if picture.ndim == 2:
         picture = np.rint(np.clip(picture, 0, 1) * 255).astype(np.uint8)[..., None].repeat(3, axis=2)
-    times = max(1, _TILE_PX // picture.shape[1])
+    times = -(-_TILE_PX // picture.shape[1])  # titles need the room
     step = max(1, picture.shape[1] // (2 * _TILE_PX))
     shown = picture[::step, ::step].repeat(times, axis=0).repeat(times, axis=1)
     return np.pad(shown, ((1, 1), (1, 1), (0, 0)), constant_values=255)
