@@ -68,10 +68,14 @@ def print_unfinished(sink: Sink, manifest: Manifest, out: Path, unit: str, comma
     """Say that a folder is unfinished, what it holds so far, and which command goes on."""
     from tactile_toolkit.store.folder import DataFolder
     from tactile_toolkit.store.origin import read_record
+    from tactile_toolkit.store.parts import read_parts_plan
 
     record = read_record(DataFolder(str(out)))
     if record is None:
         found, next_step = "no shard is finished yet", f"the same `{command}` goes on where it stopped"
+        agreed = read_parts_plan(DataFolder(str(out)))
+        if agreed is not None:
+            next_step = f"it is made in {agreed.parts} parts, --finish says which are missing"
     else:
         found = "the download is under way or was interrupted"
         next_step = f"download {record.repo_id} there again, it goes on where it stopped"

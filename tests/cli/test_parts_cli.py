@@ -1,0 +1,162 @@
+"""Parts of one data set as jobs of an array run them: real processes, killed, at once, of other versions."""
+
+from __future__ import annotations
+
+import importlib.metadata
+import os
+import shutil
+import subprocess
+import sys
+from collections.abc import Callable, Iterable, Iterator
+from pathlib import Path
+
+import pytest
+
+from realtouch import frames
+from tactile_toolkit.errors import InputError, IntegrityError
+from tactile_toolkit.run.parts import Finish, Part
+from tactile_toolkit.store.build import build
+from tactile_toolkit.store.folder import DataFolder
+from tests.processes import start_held
+from tests.realtouch.factories import make_round, single_rows, write_set
+from tests.tactile_toolkit.toy import folder_bytes, toy_plan
+
+REPOSITORY = Path(__file__).resolve().parents[2]
+SCENES = ("generate", "--scenes", "train=3000,test=20", "-w", "1", "--out")
+
+
+def start(*words: object, **environment: str) -> subprocess.Popen[str]:
+    return subprocess.Popen(
+        [sys.executable, "-c", "from cli.starstruck import main; main()", *map(str, words)],
+        cwd=REPOSITORY,
+        env=os.environ | environment,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+
+
+def ended(process: subprocess.Popen[str]) -> tuple[int, str, str]:
+    said, talked = process.communicate()
+    return process.returncode, said, talked
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory) -> dict[str, bytes]:
+    """Three shards of train, one of test."""
+    place = tmp_path_factory.mktemp("whole") / "scenes"
+    code, _, talked = ended(start(*SCENES, place))
+    assert code == 0, talked
+    return folder_bytes(place)
+
+
+def test_a_killed_part_is_named_given_again_and_nothing_differs(tmp_path, whole):
+    """An array of four is given whole, one job is killed, and given again as Slurm gives some of an array."""
+    place = tmp_path / "scenes"
+    arrays = {"SLURM_ARRAY_TASK_COUNT": "4", "SLURM_ARRAY_TASK_MIN": "0", "SLURM_ARRAY_TASK_MAX": "3"}
+    jobs = [
+        start(*SCENES, place, "--part", "auto", SLURM_ARRAY_TASK_ID=str(index), **arrays)
+        for index in (0, 2, 3)
+    ]
+    # What a job is at work on when it is killed: a file half-written, and no record of it.
+    killed = start_held("starstruck", 1, tmp_path / "marker", *SCENES, place, "--part", "1/4")
+    killed.kill()
+    killed.communicate()
+    (place / ".pending" / "train-00001-of-00003.json").unlink()
+    for job in jobs:
+        code, _, talked = ended(job)
+        assert code == 0, talked
+    code, said, talked = ended(start(*SCENES, place, "--finish"))
+    assert (code, said) == (3, "--array=1\n")
+    assert "1 of 4 shards" in talked
+    assert "part 1 of 4; next: give these again (Slurm: --array=1), then --finish" in talked
+    again = {"SLURM_ARRAY_TASK_COUNT": "1", "SLURM_ARRAY_TASK_MIN": "1", "SLURM_ARRAY_TASK_MAX": "1"}
+    code, _, talked = ended(start(*SCENES, place, "--part", "auto", SLURM_ARRAY_TASK_ID="1", **again))
+    assert code == 0, talked
+    code, _, talked = ended(start(*SCENES, place, "--finish", "-q"))
+    assert code == 0, talked
+    assert folder_bytes(place) == whole
+
+
+def test_two_generators_at_once_in_one_folder(tmp_path, whole):
+    """Without parts, too: each makes what the other has not, and the last one leaves what both would."""
+    place = tmp_path / "scenes"
+    both = [start(*SCENES, place, "-q") for _ in range(2)]
+    for each in both:
+        code, _, talked = ended(each)
+        assert code == 0, talked
+    assert folder_bytes(place) == whole
+
+
+def test_a_job_with_other_versions_is_refused(tmp_path):
+    place = tmp_path / "scenes"
+    code, _, talked = ended(start(*SCENES, place, "--part", "3/4"))
+    assert code == 0, talked
+    (tmp_path / "other" / "numpy-9.9.dist-info").mkdir(parents=True)
+    (tmp_path / "other" / "numpy-9.9.dist-info" / "METADATA").write_text("Name: numpy\nVersion: 9.9\n")
+    before = folder_bytes(place)
+    code, _, talked = ended(start(*SCENES, place, "--part", "0/4", PYTHONPATH=str(tmp_path / "other")))
+    assert code == 2
+    here = importlib.metadata.version("numpy")
+    assert f"libraries.numpy is '{here}' there, '9.9' was asked for" in talked
+    assert folder_bytes(place) == before
+
+
+class BlindNode:
+    """Runs each task in a process before whose eyes another file system lies over the folder."""
+
+    def __init__(self, place: Path, *, confirms: bool) -> None:
+        self.place, self.confirms = place, confirms
+
+    def run(self, function: Callable, tasks: Iterable) -> Iterator:
+        import pickle
+
+        code = (
+            "import pickle, sys; work, task = pickle.load(sys.stdin.buffer); "
+            "sys.stdout.buffer.write(pickle.dumps(work(task)))"
+        )
+        hidden = 'mount -t tmpfs none "$0" && exec "$@"'
+        words = ["unshare", "-Urm", "sh", "-c", hidden, str(self.place), sys.executable, "-c", code]
+        for task in tasks:
+            done = subprocess.run(
+                words,
+                input=pickle.dumps((function, task)),
+                stdout=subprocess.PIPE,
+                check=True,
+                cwd=REPOSITORY,
+            )
+            record = pickle.loads(done.stdout)
+            if self.confirms:
+                function.confirm(record, "node-7")
+            yield record
+
+
+@pytest.mark.parametrize("confirms", [True, False])
+def test_a_node_that_does_not_see_the_folder(tmp_path, monkeypatch, confirms):
+    """What it has written lies in a folder of its own: said at its first shard, at the latest at the end."""
+    place = tmp_path / "set"
+    place.mkdir()
+    mounts = ["unshare", "-Urm", "sh", "-c", 'mount -t tmpfs none "$0"', str(place)]
+    if shutil.which("unshare") is None or subprocess.run(mounts, check=False).returncode:
+        pytest.skip("this system gives no mount namespaces")
+    monkeypatch.setattr("tactile_toolkit.store.build._APPEARS_S", 0.1)
+    expected, told = (
+        (InputError, r"node node-7 writes to a folder that this machine does not see.*s3://")
+        if confirms
+        else (IntegrityError, r"2 shards that were finished are not in '.*set'.*does not see.*s3://")
+    )
+    with pytest.raises(expected, match=told):
+        build(DataFolder(str(place)), toy_plan(("test",)), BlindNode(place, confirms=confirms))
+    assert not (place / "data").exists()
+
+
+def test_plain_pictures_are_made_in_parts_too(tmp_path):
+    """Their index is written at the end, by who finishes."""
+    rounds = [make_round(index, 2, (64, 48), (12, 16)) for index in range(20)]
+    source = str(write_set(tmp_path / "source", {"train": single_rows(rounds)}, "single"))
+    frames(source, tmp_path / "whole")
+    for index in (1, 0):
+        frames(source, tmp_path / "parts", workers=Part(index, 2))
+        assert not (tmp_path / "parts" / "index.csv").exists()
+    frames(source, tmp_path / "parts", workers=Finish())
+    assert folder_bytes(tmp_path / "parts") == folder_bytes(tmp_path / "whole")
