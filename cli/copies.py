@@ -11,14 +11,14 @@ from tactile_toolkit.kind import DatasetKind
 __all__ = ["print_copy"]
 
 
-def print_copy(sink: Sink, folder: Path, kind: DatasetKind) -> None:
+def print_copy(sink: Sink, folder: str, kind: DatasetKind) -> None:
     """Print what the splits of a folder without a manifest hold, and where they were downloaded from.
 
     Parameters
     ----------
     sink : Sink
         Where to print.
-    folder : Path
+    folder : str
         The folder.
     kind : DatasetKind
         What it is read as.
@@ -33,24 +33,24 @@ def print_copy(sink: Sink, folder: Path, kind: DatasetKind) -> None:
     from tactile_toolkit.catalog.choose import open_splits
     from tactile_toolkit.catalog.locate import find_shards
     from tactile_toolkit.errors import InputError
-    from tactile_toolkit.store.folder import DataFolder
+    from tactile_toolkit.store.folder import DataFolder, file_at
     from tactile_toolkit.store.origin import read_record
 
-    place = DataFolder(str(folder))
-    if not folder.is_dir():
+    place = DataFolder(folder)
+    if not place.exists() or (place.is_local and not Path(place.address()).is_dir()):
         message = f"{place.lacks('data set')}; next: give the folder of a generated or downloaded data set"
         raise InputError(message)
     record = read_record(place)
     entries = []
-    for split, dataset in open_splits(str(folder), None, kind.load, kind.nouns).items():
-        paths = [Path(shard.path) for shard in find_shards(str(folder), split)]
-        size = sum(path.stat().st_size for path in paths)
+    for split, dataset in open_splits(folder, None, kind.load, kind.nouns).items():
+        paths = [shard.path for shard in find_shards(folder, split)]
+        size = sum(store.size_bytes(name) for store, name in map(file_at, paths))
         labels = dataset.labels.tolist()
         per_class = {name: labels.count(index) for index, name in enumerate(dataset.label_names)}
         entries.append(_Split(split, len(dataset), len(paths), size, per_class))
     sink.document(
         {
-            "folder": str(folder),
+            "folder": folder,
             "repository": record.repo_id if record else None,
             "commit": record.commit if record else None,
             "splits": [asdict(entry) for entry in entries],

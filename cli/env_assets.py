@@ -10,7 +10,7 @@ import typer
 
 from cli.application import command, new_app, run
 from cli.folders import add_verify
-from cli.options import DryRun, Json, Out, Overwrite
+from cli.options import DryRun, Json, LocalOut, Overwrite
 from cli.output import Sink
 from env_assets.wrench.kind import KIND
 
@@ -66,7 +66,7 @@ class WrenchOptions:
 def wrench(
     *,
     options: WrenchOptions,
-    out: Out = Path("wrench-data"),
+    out: LocalOut = Path("wrench-data"),
     stl: Annotated[
         Path | None,
         typer.Option(metavar="FILE", help="Write the mesh for a printer, too: .stl, .3mf, .ply, .obj, .glb."),

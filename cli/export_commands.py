@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from cli.application import EXIT_FAILED, command
-from cli.options import Json, Limit, Out, Quiet, Workers
+from cli.options import Json, Limit, LocalOut, Quiet, Workers
 from cli.output import Sink, bytes_text, counted
 from tactile_toolkit.kind import DatasetKind
 
@@ -81,7 +81,7 @@ class ExportOptions:
         float | None,
         typer.Option(metavar="MM", help="Room at the edges of a plate, for a skirt.", show_default="7"),
     ] = None
-    out: Out = Path("prints")
+    out: LocalOut = Path("prints")
     workers: Workers = 1
     overwrite: Annotated[
         bool, typer.Option("--overwrite", help="Replace files of an earlier export that differ.")

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import typer
@@ -23,7 +22,7 @@ def print_made(
     sink: Sink,
     kind: DatasetKind,
     manifest: Manifest,
-    out: Path,
+    out: str,
     splits: Any,
     elapsed_s: float | None,
     table: tuple[Sequence[str], Sequence[Sequence[object]]],
@@ -64,7 +63,7 @@ def print_spec(sink: Sink, manifest: Manifest, what: str) -> None:
         sink.line(f"  {line}")
 
 
-def print_unfinished(sink: Sink, manifest: Manifest, out: Path, unit: str, command: str) -> None:
+def print_unfinished(sink: Sink, manifest: Manifest, out: str, unit: str, command: str) -> None:
     """Say that a folder is unfinished, what it holds so far, and which command goes on."""
     from tactile_toolkit.store.folder import DataFolder
     from tactile_toolkit.store.origin import read_record

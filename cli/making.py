@@ -12,8 +12,6 @@ from cli.output import Sink, bytes_text, counted, duration_text
 from tactile_toolkit.kind import DatasetKind
 
 if TYPE_CHECKING:
-    from pathlib import Path
-
     from tactile_toolkit.store.build import Progress
     from tactile_toolkit.store.forecast import Forecast
     from tactile_toolkit.store.manifest import Manifest
@@ -58,7 +56,7 @@ def make_with_progress(
     return Made(manifest, rows, skipped, time.monotonic() - start_s)
 
 
-def print_part(sink: Sink, kind: DatasetKind, made: Made, out: Path, part: str) -> None:
+def print_part(sink: Sink, kind: DatasetKind, made: Made, out: str, part: str) -> None:
     """Say what one part of many has made, and what comes when all have ended."""
     sink.document(
         {
@@ -81,7 +79,7 @@ def _made(made: Made, nouns: str) -> str:
     return f"made {counted(made.rows, nouns)}{left_out} in {duration_text(made.elapsed_s)}"
 
 
-def print_conclusion(sink: Sink, kind: DatasetKind, made: Made, out: Path, splits: Sequence[str]) -> None:
+def print_conclusion(sink: Sink, kind: DatasetKind, made: Made, out: str, splits: Sequence[str]) -> None:
     """Say what was made and where, and which commands come next."""
     sink.line(f"{_made(made, kind.nouns)}; the data set is in {out}")
     table = made.manifest.split_table()
@@ -92,7 +90,7 @@ def print_conclusion(sink: Sink, kind: DatasetKind, made: Made, out: Path, split
     )
 
 
-def print_forecast(sink: Sink, kind: DatasetKind, view: Forecast, out: Path, making: Making) -> None:
+def print_forecast(sink: Sink, kind: DatasetKind, view: Forecast, out: str, making: Making) -> None:
     """Print what a run would make."""
     sink.document(view.to_dict())
     header = ("split", kind.nouns, "shards", "finished already")

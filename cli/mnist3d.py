@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
@@ -16,7 +15,7 @@ from cli.gallery_commands import add_mesh_gallery
 from cli.hub_download import add_download
 from cli.hub_upload import add_upload
 from cli.making import make_with_progress, print_conclusion, print_forecast, print_part
-from cli.options import Folder, Json, Limit, Making, Out, Workers, process_count
+from cli.options import Folder, Json, Limit, Making, Out, Workers, place_of_data, process_count
 from cli.output import Sink, bytes_text, counted
 from cli.preview_commands import preview_digits
 from mnist3d.kind import KIND
@@ -33,7 +32,7 @@ app = new_app("mnist3d", "Printable 3D digits: from images of handwriting to val
 def generate(
     *,
     split: Annotated[DigitSplit, typer.Option(help="Split to make.")] = "all",
-    out: Out = Path("mnist3d-data"),
+    out: Out = "mnist3d-data",
     source: SourceOptions,
     division: DivisionOptions,
     solid: SolidOptions,
@@ -91,8 +90,12 @@ def generate(
 def validate(
     *,
     paths: Annotated[
-        list[Path],
-        typer.Argument(metavar="DIR|FILE...", help="Data set folders, or STL/3MF/PLY/OBJ/GLB files."),
+        list[str],
+        typer.Argument(
+            parser=place_of_data,
+            metavar="DIR|FILE...",
+            help="Data set folders, or STL/3MF/PLY/OBJ/GLB files.",
+        ),
     ],
     split: Annotated[DigitSplit, typer.Option(help="Split of a data set folder.")] = "all",
     limit: Limit = None,
@@ -109,9 +112,7 @@ def validate(
 
     chosen = None if split == "all" else split
     with sink.progress("checking", "meshes") as update:
-        results = validate_paths(
-            [str(path) for path in paths], chosen, limit, process_count(workers), on_progress=update
-        )
+        results = validate_paths(paths, chosen, limit, process_count(workers), on_progress=update)
     sink.document([result.to_dict() for result in results])
     for item in (item for result in results for item in result.unreadable):
         sink.insist(f"unreadable: {item.report.detail}")
@@ -140,7 +141,7 @@ def info(folder: Folder, as_json: Json = False) -> None:
     print_spec(sink, manifest, "source and spec")
 
 
-def _print_made(sink: Sink, manifest: Manifest, out: Path, elapsed_s: float | None = None) -> None:
+def _print_made(sink: Sink, manifest: Manifest, out: str, elapsed_s: float | None = None) -> None:
     from mnist3d.rows import REPORT_FILE, summarise
     from tactile_toolkit.store.folder import DataFolder
     from tactile_toolkit.store.parquet import read_report

@@ -17,6 +17,7 @@ __all__ = [
     "Folder",
     "Json",
     "Limit",
+    "LocalOut",
     "Making",
     "Out",
     "Overwrite",
@@ -30,6 +31,7 @@ __all__ = [
     "Workers",
     "chosen_runner",
     "local_place",
+    "place_of_data",
     "process_count",
 ]
 
@@ -43,7 +45,10 @@ def local_place(text: str | Path) -> Path:
     Paths of the type ``Path`` would come with ``//`` folded, so that such an address became a folder here.
     """
     if "://" in str(text):
-        message = f"{str(text)!r} is a remote address; expected a local path; next: write there, then copy it"
+        from tactile_toolkit.store.address import shown
+
+        place = shown(str(text))
+        message = f"{place!r} is a remote address; expected a local path; next: write there, then copy it"
         raise typer.BadParameter(message)
     from tactile_toolkit.errors import InputError
     from tactile_toolkit.store.folder import expanded
@@ -62,8 +67,30 @@ def _runner_name(text: str) -> str:
     return text
 
 
-Folder = Annotated[Path, typer.Argument(metavar="DIR", help="Folder of a generated data set.")]
+def place_of_data(text: str | Path) -> str:
+    """Read a folder or file, local (``~`` is the home folder) or in a store (``s3://BUCKET/FOLDER``)."""
+    from tactile_toolkit.errors import InputError
+    from tactile_toolkit.store.address import is_remote
+    from tactile_toolkit.store.address import place_of_data as read
+    from tactile_toolkit.store.folder import expanded
+
+    try:
+        place = read(str(text))
+        return place if is_remote(place) else str(expanded(place))
+    except InputError as error:
+        raise typer.BadParameter(str(error)) from error
+
+
+Folder = Annotated[
+    str, typer.Argument(metavar="DIR", help="Folder of a generated data set.", parser=place_of_data)
+]
 Out = Annotated[
+    str,
+    typer.Option(
+        "--out", "-o", metavar="DIR", help="Folder to write.", show_default=True, parser=place_of_data
+    ),
+]
+LocalOut = Annotated[
     Path,
     typer.Option(
         "--out", "-o", metavar="DIR", help="Folder to write.", show_default=True, parser=local_place

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
@@ -60,18 +59,19 @@ def info(name: TouchSet, split: Split = None, revision: Revision = None, as_json
     """
     from realtouch.convert.plan import Source
     from realtouch.dataset import dataset_of
+    from realtouch.integrity.agreement import folder_meant
     from realtouch.summary import summarise
-    from tactile_toolkit.store.folder import DataFolder
     from tactile_toolkit.store.manifest import manifest_so_far
 
     sink = Sink(as_json)
-    manifest = manifest_so_far(DataFolder(name)) if Path(name).is_dir() else None
+    folder = folder_meant(name)
+    manifest = None if folder is None else manifest_so_far(folder)
     if manifest is not None and not manifest.complete:
         sink.document({"name": name, "complete": False, "splits": manifest.split_table()})
-        print_unfinished(sink, manifest, Path(name), "rounds", f"realtouch {manifest.spec['operation']}")
+        print_unfinished(sink, manifest, name, "rounds", f"realtouch {manifest.spec['operation']}")
         return
     if manifest is not None and manifest.spec.get("operation") == "frames":
-        print_made(sink, manifest, Path(name))
+        print_made(sink, manifest, name)
         return
     announce_fetching(sink, name, split)
     source = Source.open(name, revision, split)

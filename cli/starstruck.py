@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
@@ -17,7 +16,7 @@ from cli.gallery_commands import add_mesh_gallery
 from cli.hub_download import add_download
 from cli.hub_upload import add_upload
 from cli.making import make_with_progress, print_conclusion, print_forecast, print_part
-from cli.options import Folder, Json, Limit, Making, Out, Seed, Workers, process_count
+from cli.options import Folder, Json, Limit, Making, Out, Seed, Workers, place_of_data, process_count
 from cli.output import Sink, bytes_text, counted
 from cli.preview_commands import preview_scenes
 from cli.scene_options import SceneOptions, split_sizes
@@ -41,7 +40,7 @@ SceneSplit = Literal["train", "test", "all"]
 def generate(
     *,
     split: Annotated[SceneSplit, typer.Option(help="Split to make.")] = "all",
-    out: Out = Path("starstruck-data"),
+    out: Out = "starstruck-data",
     scenes: Annotated[
         str | None,
         typer.Option(
@@ -107,8 +106,10 @@ def generate(
 def validate(
     *,
     paths: Annotated[
-        list[Path],
-        typer.Argument(metavar="DIR|FILE...", help="Data set folders, or Parquet files of scenes."),
+        list[str],
+        typer.Argument(
+            parser=place_of_data, metavar="DIR|FILE...", help="Data set folders, or Parquet files of scenes."
+        ),
     ],
     split: Annotated[SceneSplit, typer.Option(help="Split of a data set folder.")] = "all",
     limit: Limit = None,
@@ -126,7 +127,7 @@ def validate(
     chosen = None if split == "all" else split
     count = process_count(workers)
     with sink.progress("checking", "scenes") as update:
-        results = [validate_folder(str(path), chosen, limit, count, on_progress=update) for path in paths]
+        results = [validate_folder(path, chosen, limit, count, on_progress=update) for path in paths]
     sink.document([result.to_dict() for result in results])
     for result in results:
         if result.failed:
@@ -171,7 +172,7 @@ def info(folder: Folder, as_json: Json = False) -> None:
     print_spec(sink, manifest, "spec")
 
 
-def _print_made(sink: Sink, manifest: Manifest, out: Path, elapsed_s: float | None = None) -> None:
+def _print_made(sink: Sink, manifest: Manifest, out: str, elapsed_s: float | None = None) -> None:
     from starstruck_gen.summary import summarise
 
     summaries = summarise(manifest)

@@ -154,7 +154,7 @@ def generate(
         typer.Argument(metavar="DIR|NAME", help="Digits, scenes or other meshes: folder, file or Hub id."),
     ],
     split: Annotated[str, typer.Option(metavar="NAME|all", help="Split to make.")] = "all",
-    out: Out = Path("touches"),
+    out: Out = "touches",
     plan: PlanOptions,
     picture: PictureOptions,
     limit: Limit = None,
@@ -216,7 +216,7 @@ def info(folder: Folder, as_json: Json = False) -> None:
     print_spec(sink, manifest, "spec")
 
 
-def _print_made(sink: Sink, manifest: Manifest, out: Path, elapsed_s: float | None = None) -> None:
+def _print_made(sink: Sink, manifest: Manifest, out: str, elapsed_s: float | None = None) -> None:
     rows = []
     for split, held in manifest.split_table().items():
         parts = [record.statistics or {} for record in manifest.shards_of(split)]

@@ -6,7 +6,6 @@ import re
 from collections.abc import Callable
 from dataclasses import dataclass
 from enum import StrEnum
-from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
@@ -20,7 +19,7 @@ from cli.options import (
     Split,
     TouchSet,
     Work,
-    local_place,
+    place_of_data,
 )
 from cli.output import Sink
 from cli.touch_tables import announce_fetching, print_made
@@ -41,7 +40,7 @@ class FrameName(StrEnum):
     median = "median"
 
 
-Target = Annotated[Path, typer.Argument(metavar="OUT", help="Folder to write.", parser=local_place)]
+Target = Annotated[str, typer.Argument(metavar="OUT", help="Folder to write.", parser=place_of_data)]
 Frame = Annotated[
     FrameName,
     typer.Option(
@@ -61,7 +60,7 @@ class Converting(Work):
     quiet: Quiet = False
 
     def run(
-        self, convert: Callable[..., Manifest], source: str, out: Path, *values: Any, **options: Any
+        self, convert: Callable[..., Manifest], source: str, out: str, *values: Any, **options: Any
     ) -> None:
         """Say what will be fetched, convert with a progress bar, and say what was made."""
         sink = Sink(self.as_json, self.quiet)
@@ -72,7 +71,7 @@ class Converting(Work):
             "rounds",
             lambda on_progress: convert(
                 source,
-                str(out),
+                out,
                 *values,
                 **options,
                 split=self.split,

@@ -16,6 +16,7 @@ from tactile_toolkit.mesh.files import read_mesh
 from tactile_toolkit.mesh.mesh import Mesh
 from tactile_toolkit.mesh.printability import UNREADABLE, PrintProfile, PrintReport, inspect, unreadable
 from tactile_toolkit.read.dataset import Row
+from tactile_toolkit.store.address import is_remote, place_of_data
 
 __all__ = ["Checked", "CheckedItem", "validate_paths"]
 
@@ -141,13 +142,13 @@ def validate_paths(
         A shard is damaged, or the run that makes a data set is not finished.
     """
     profile = profile or PrintProfile()
-    missing = [path for path in paths if not Path(path).exists()]
+    missing = [path for path in paths if not is_remote(path) and not Path(place_of_data(path)).exists()]
     if missing:
         message = f"{missing[0]!r} does not exist; expected a data set folder or a mesh file"
         raise InputError(message)
     results = []
     for path in paths:
-        if Path(path).is_dir():
+        if is_remote(path) or Path(place_of_data(path)).is_dir():
             shards = shards_to_check(path, split, "mnist3d generate")
             rows = check_rows(shards, _Inspect(profile), _COLUMNS, limit, workers, on_progress)
             items = []

@@ -32,7 +32,7 @@ from tactile_toolkit.mesh.records import SolidDataset
 from tactile_toolkit.read.parquet import Shard, ShardedTable
 from tactile_toolkit.run.processes import Runner, runner_for
 from tactile_toolkit.store.build import Progress, build
-from tactile_toolkit.store.folder import DataFolder
+from tactile_toolkit.store.folder import DataFolder, file_at
 from tactile_toolkit.store.forecast import Forecast, Sample, forecast_build
 from tactile_toolkit.store.manifest import Manifest
 from tactile_toolkit.store.parquet import encode_parquet, file_sha256
@@ -314,9 +314,8 @@ def _rounds_for(spec: GenerateSpec, size_bytes: int) -> int:
 def _fingerprint(place: str, split: str) -> list[dict[str, Any]]:
     found = []
     for shard in find_shards(place, split):
-        file = Path(shard.path)
-        checksum = file_sha256(DataFolder(str(file.parent)), file.name)
-        found.append({"file": file.name, "rows": len(shard), "sha256": checksum})
+        folder, name = file_at(shard.path)
+        found.append({"file": name, "rows": len(shard), "sha256": file_sha256(folder, name)})
     return found
 
 

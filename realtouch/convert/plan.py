@@ -26,7 +26,7 @@ from tactile_toolkit.errors import InputError, IntegrityError, ItemError
 from tactile_toolkit.read.dataset import Row
 from tactile_toolkit.read.parquet import Shard
 from tactile_toolkit.run.threads import in_threads
-from tactile_toolkit.store.folder import DataFolder
+from tactile_toolkit.store.folder import DataFolder, file_at
 from tactile_toolkit.store.manifest import Manifest
 from tactile_toolkit.store.parquet import ParquetStyle
 from tactile_toolkit.store.plan import BuildPlan, ShardContent
@@ -112,13 +112,14 @@ def _rows_and_bytes(shard: Shard) -> tuple[int, int]:
 
 
 def _file_fingerprint(shard: Shard) -> dict[str, Any]:
-    with Path(shard.path).open("rb") as stream:
+    folder, name = file_at(shard.path)
+    with folder.open(name) as stream:
         size = stream.seek(-8, 2) + 8
         footer_bytes = int.from_bytes(stream.read(4), "little")
         stream.seek(-8 - footer_bytes, 2)
         footer = stream.read(footer_bytes)
     return {
-        "file": Path(shard.path).name,
+        "file": name,
         "rows": len(shard),
         "bytes": size,
         "footer_sha256": hashlib.sha256(footer).hexdigest(),
@@ -128,6 +129,7 @@ def _file_fingerprint(shard: Shard) -> dict[str, Any]:
 def refuse_source(folder: DataFolder, source: Source) -> None:
     """Refuse to write where the source is read, be it by another name or through a link (InputError)."""
     if not folder.is_local:
+        _refuse_store_of_source(folder, source)
         return
     out = Path(folder.address()).resolve()
     home = Path(source.name).expanduser().resolve()
@@ -144,6 +146,17 @@ def refuse_source(folder: DataFolder, source: Source) -> None:
         "choose a folder outside it"
     )
     raise InputError(message)
+
+
+def _refuse_store_of_source(folder: DataFolder, source: Source) -> None:
+    files = [shard.path for shards in source.shards.values() for shard in shards]
+    inside = f"{folder.address()}/"
+    if any(file.startswith(inside) for file in files) or inside.startswith(f"{source.name.rstrip('/')}/"):
+        message = (
+            f"{folder.address()!r}, the folder to write, holds or lies in the source {source.name!r}; "
+            "nothing was changed; next: choose another folder"
+        )
+        raise InputError(message)
 
 
 @dataclass(frozen=True, slots=True)

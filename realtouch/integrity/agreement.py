@@ -5,19 +5,19 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterable, Sequence
 from contextlib import suppress
-from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
 from realtouch.damage import Damage, unreadable_file
+from tactile_toolkit.catalog.locate import folder_named
 from tactile_toolkit.errors import InputError, IntegrityError
 from tactile_toolkit.read.parquet import Shard
 from tactile_toolkit.store.folder import DataFolder
 from tactile_toolkit.store.manifest import read_manifest
 from tactile_toolkit.touch.schema import MEDIA_COLUMN, Kind, kind_of, require_types
 
-__all__ = ["TouchFiles", "local_folder", "stated_class_names", "stored_touch_counts", "usual_touch_count"]
+__all__ = ["TouchFiles", "folder_meant", "stated_class_names", "stored_touch_counts", "usual_touch_count"]
 
 
 class TouchFiles:
@@ -99,7 +99,7 @@ def usual_touch_count(shards: Iterable[Shard], place: str | Sequence[str]) -> in
     None where rounds are meant to differ: no T is that of more than half, or the folder, named ``place`` by
     the user, was made by choosing touches.
     """
-    folder = local_folder(place)
+    folder = folder_meant(place)
     if folder is not None:
         manifest = read_manifest(folder)
         if manifest is not None and manifest.spec.get("options", {}).get("contact"):
@@ -113,12 +113,9 @@ def usual_touch_count(shards: Iterable[Shard], place: str | Sequence[str]) -> in
     return usual if 2 * rounds > counts.total() else None
 
 
-def local_folder(place: str | Sequence[str]) -> DataFolder | None:
-    """Return the folder on this machine that is meant; None when there is no such folder."""
-    try:
-        return DataFolder(place) if isinstance(place, str) and Path(place).is_dir() else None
-    except OSError:  # too long a name
-        return None
+def folder_meant(place: str | Sequence[str]) -> DataFolder | None:
+    """Return the folder that is meant, local or in an object store; None when there is no such folder."""
+    return folder_named(place) if isinstance(place, str) else None
 
 
 def stored_touch_counts(shard: Shard, index: int) -> NDArray[np.int64]:

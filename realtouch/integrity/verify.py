@@ -5,20 +5,19 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
-from pathlib import Path
 
 from realtouch.columns.per_touch import plain_value, touch_total
 from realtouch.damage import Damage, unreadable_rows
-from realtouch.integrity.agreement import TouchFiles, local_folder, usual_touch_count
+from realtouch.integrity.agreement import TouchFiles, folder_meant, usual_touch_count
 from realtouch.integrity.check_round import check_round
 from realtouch.names import Name, Place, open_shards, place_of
 from tactile_toolkit.cards.checks import check_card
-from tactile_toolkit.catalog.locate import splits_of
+from tactile_toolkit.catalog.locate import folder_named, splits_of
 from tactile_toolkit.errors import InputError, IntegrityError
 from tactile_toolkit.read.columns import column_names
 from tactile_toolkit.read.dataset import Row
 from tactile_toolkit.read.parquet import Shard
-from tactile_toolkit.store.folder import DataFolder
+from tactile_toolkit.store.folder import DataFolder, file_at
 from tactile_toolkit.store.manifest import Manifest, read_manifest
 from tactile_toolkit.store.origin import read_record
 from tactile_toolkit.store.parquet import file_sha256, has_page_checksums
@@ -84,7 +83,7 @@ def verify(
         Nothing of that name, or no data set of touches.
     """
     place = place_of(name)
-    folder = local_folder(place)
+    folder = folder_meant(place)
     findings: list[Damage] = []
     vouched_for = False
     if folder is not None:
@@ -126,10 +125,9 @@ def verify(
 def _is_unprotected(shard: Shard, place: Place) -> bool:
     """Tell whether nothing says what a file should be; files of the Hub were compared when they came."""
     given = (place,) if isinstance(place, str) else place
-    if not any(Path(name).exists() for name in given if name == shard.path or Path(name).is_dir()):
+    if not any(name == shard.path or folder_named(name) is not None for name in given):
         return False
-    file = Path(shard.path)
-    return not has_page_checksums(DataFolder(str(file.parent)), file.name)
+    return not has_page_checksums(*file_at(shard.path))
 
 
 def check_folder(folder: DataFolder) -> list[Finding]:

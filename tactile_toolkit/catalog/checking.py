@@ -8,13 +8,14 @@ from itertools import islice
 from pathlib import Path
 from typing import Generic, TypeVar
 
-from tactile_toolkit.catalog.locate import find_shards, splits_of, splits_to_check
+from tactile_toolkit.catalog.locate import find_shards, folder_named, splits_of, splits_to_check
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.mesh.columns import require_mesh_columns
 from tactile_toolkit.read.columns import RowGroup, null_fields
 from tactile_toolkit.read.dataset import Row
 from tactile_toolkit.read.parquet import Shard
 from tactile_toolkit.run.processes import runner_for
+from tactile_toolkit.store.address import is_remote, place_of_data
 
 __all__ = ["CheckedRow", "RowsToCheck", "check_rows", "shards_to_check"]
 
@@ -47,16 +48,16 @@ class RowsToCheck:
 
 
 def shards_to_check(path: str, split: str | None, made_by: str) -> list[tuple[str, Shard]]:
-    """Return the files of a local data set of meshes, each with its split; ``made_by`` writes such data sets.
+    """Return the files of a data set of meshes, each with its split; ``made_by`` writes such data sets.
 
     Raises InputError where there is none, IntegrityError where a shard is damaged or missing.
     """
     if split is not None:
         splits: Sequence[str] = [split]
-    elif Path(path).is_file():
-        splits = splits_of(path)
-    elif Path(path).is_dir():
+    elif folder_named(path) is not None:
         splits = splits_to_check(path)
+    elif is_remote(path) or Path(place_of_data(path)).is_file():
+        splits = splits_of(path)
     else:
         message = f"{path!r} does not exist; expected a data set folder or a Parquet file"
         raise InputError(message)

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from tactile_toolkit.catalog.locate import splits_of
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.read.dataset import RecordDataset
+from tactile_toolkit.store.address import is_remote, place_of_data
 from tactile_toolkit.store.folder import expanded
 
 __all__ = [
@@ -120,5 +121,7 @@ def splits_to_show(name: str, split: str | None, revision: str | None = None) ->
 
 def short_name(name: str) -> str:
     """Return a data set's name without the folders that it lies in: a site may be given to others."""
-    place = expanded(name)
+    if is_remote(name):
+        return name.rstrip("/").rpartition("/")[2]
+    place = expanded(place_of_data(name))
     return place.resolve().name if place.exists() else name

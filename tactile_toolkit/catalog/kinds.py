@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from pathlib import Path
 from typing import Any
 
+from tactile_toolkit.catalog.locate import folder_named
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.kind import DatasetKind, kinds
 from tactile_toolkit.mesh.columns import class_names
@@ -31,8 +31,8 @@ def require_kind(kind: DatasetKind, command: str, name: str, datasets: Iterable[
 
     Reads no row; ``name`` is the data set in the user's words. Raises InputError.
     """
-    folder = DataFolder(name)
-    manifest = read_manifest(folder) if Path(folder.address()).is_dir() else None
+    folder = folder_named(name)
+    manifest = None if folder is None else read_manifest(folder)
     stated = None if manifest is None else manifest.kind
     if stated is None:
         schemas = (table.schema for dataset in datasets for table in dataset._tables)

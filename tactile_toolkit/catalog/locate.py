@@ -11,6 +11,7 @@ from tactile_toolkit.hub.errors import named_failures
 from tactile_toolkit.hub.repository import HubName, HubRepository, hub_name
 from tactile_toolkit.kind import kinds
 from tactile_toolkit.read.parquet import Shard
+from tactile_toolkit.store.address import is_remote, place_of_data, scheme_of
 from tactile_toolkit.store.folder import DataFolder, unreadable
 from tactile_toolkit.store.manifest import MANIFEST_FILE, manifest_so_far, read_manifest
 from tactile_toolkit.store.shards import (
@@ -30,6 +31,7 @@ __all__ = [
     "files_of_split",
     "find_files",
     "find_shards",
+    "folder_named",
     "repository_named",
     "repository_shards",
     "shard_files",
@@ -39,6 +41,7 @@ __all__ = [
 
 _LONGEST_SHOWN = 200
 _USUAL_SPLIT = "train"
+_PARQUET = ".parquet"
 
 
 def find_shards(
@@ -46,18 +49,20 @@ def find_shards(
 ) -> tuple[Shard, ...]:
     """Find the shards of one split, fetching them first where they are on the Hub; by default the only split.
 
-    ``name`` is a local folder, a Parquet file, or a repository of the Hub: ``USER/NAME[@REVISION]``, or the
-    address of it, or of a folder or file in it, ``hf://datasets/USER/NAME[@REVISION][/PATH]``. A file whose
+    ``name`` is a folder or a Parquet file, local or in an object store (``s3://BUCKET/FOLDER``), or a
+    repository of the Hub: ``USER/NAME[@REVISION]``, or the address of it, or of a folder or file in it,
+    ``hf://datasets/USER/NAME[@REVISION][/PATH]``. What lies in a store is read piece by piece. A file whose
     name tells no split is taken for whatever split, and any file for ``train``. With ``streaming``, shards
     have remote addresses that are read piece by piece. Raises InputError (no such folder or split),
     IntegrityError (a damaged manifest, an interrupted run) or HubError.
     """
-    place = _local_place(name)
-    if place is not None and place.is_file():
-        _require_split(str(place), split)
-        return (Shard(str(place)),)
-    if place is not None:
-        return _local_shards(DataFolder(str(place)), split)
+    file = _file_here(name)
+    if file is not None:
+        _require_split(file, split)
+        return (Shard(file),)
+    folder = folder_named(name)
+    if folder is not None:
+        return _folder_shards(folder, split)
     named = _named_on_hub(name, revision)
     repository = HubRepository(named.repo_id, named.revision)
     if _is_file(named):
@@ -77,14 +82,14 @@ def find_files(
     shards: list[Shard] = []
     repositories: dict[HubName, HubRepository] = {}  # one each, so that its files are of one commit
     for name in names:
-        place = _local_place(name)
-        named = hub_name(name, revision) if place is None else None
+        file = _file_here(name)
+        named = hub_name(name, revision) if file is None and not _stands_here(name) else None
         if named is not None and _is_file(named):
             key = HubName(named.repo_id, named.revision, "")
             repository = repositories.setdefault(key, HubRepository(named.repo_id, named.revision))
             shards += _hub_shards(repository, [named.path], streaming)
-        elif place is not None and place.is_file():
-            shards.append(Shard(str(place)))
+        elif file is not None:
+            shards.append(Shard(file))
         else:
             message = f"no file {_shown(name)}; expected Parquet files of one data set"
             raise InputError(message)
@@ -117,10 +122,49 @@ def _named_on_hub(name: str, revision: str | None) -> HubName:
     return named
 
 
+def folder_named(name: str) -> DataFolder | None:
+    """Return the folder of that name, local or in an object store; None for a file or a name of the Hub.
+
+    Raises InputError for a folder of a store that is not there: nothing else can be meant.
+    """
+    if _is_of_store(name):
+        folder = DataFolder(name)
+        if name.endswith(_PARQUET):
+            return None
+        if not folder.exists():
+            message = (
+                f"{folder.lacks('data set')}; expected the folder of a data set, or a Parquet file; next: "
+                "check the address"
+            )
+            raise InputError(message)
+        return folder
+    place = _local_place(name)
+    return DataFolder(str(place)) if place is not None and place.is_dir() else None
+
+
+def _file_here(name: str) -> str | None:
+    """Return a Parquet file that stands by its name, local or in an object store; None for anything else."""
+    if _is_of_store(name):
+        return place_of_data(name) if name.endswith(_PARQUET) else None
+    place = _local_place(name)
+    return str(place) if place is not None and place.is_file() else None
+
+
+def _stands_here(name: str) -> bool:
+    return _is_of_store(name) or _local_place(name) is not None
+
+
+def _is_of_store(name: str) -> bool:
+    """Tell whether a name is the address of something in an object store, not on the Hub."""
+    return is_remote(name) and scheme_of(name) != "hf"
+
+
 def _local_place(name: str) -> Path | None:
     """Return the file or folder of that name; None where there is none, or can be none."""
+    if is_remote(name):
+        return None
     try:
-        place = Path(name).expanduser()
+        place = Path(place_of_data(name)).expanduser()
         return place if place.exists() else None
     except PermissionError as error:
         raise unreadable(name) from error
@@ -133,7 +177,7 @@ def _shown(name: str) -> str:
 
 
 def _is_file(named: HubName) -> bool:
-    return named.path.endswith(".parquet")
+    return named.path.endswith(_PARQUET)
 
 
 def _told_split(path: str) -> str | None:
@@ -183,15 +227,16 @@ def _shards_below(repository: HubRepository, folder: str) -> list[ShardFile]:
 
 def splits_of(name: str, *, revision: str | None = None) -> tuple[str, ...]:
     """List the splits of a data set by its name; InputError where it holds no Parquet files."""
-    place = _local_place(name)
-    named = _named_on_hub(name, revision) if place is None else None
-    if place is not None and place.is_file():
-        return (_told_split(str(place)) or "train",)
+    file = _file_here(name)
+    if file is not None:
+        return (_told_split(file) or "train",)
+    folder = folder_named(name)
+    named = _named_on_hub(name, revision) if folder is None else None
     if named is not None and _is_file(named):
         return (_told_split(named.path) or "train",)
-    if named is None:
-        splits = available_splits(DataFolder(str(place)))
-    else:
+    if folder is not None:
+        splits = available_splits(folder)
+    elif named is not None:
         files = _shards_below(HubRepository(named.repo_id, named.revision), named.path)
         splits = tuple(dict.fromkeys(file.split for file in files))
     if not splits:
@@ -201,14 +246,14 @@ def splits_of(name: str, *, revision: str | None = None) -> tuple[str, ...]:
 
 
 def available_splits(folder: DataFolder) -> tuple[str, ...]:
-    """List the splits of a local folder: those of its manifest, or else those its file names tell."""
+    """List the splits of a folder: those of its manifest, or else those its file names tell."""
     manifest = read_manifest(folder)
     if manifest is not None:
         return manifest.splits
     return tuple(dict.fromkeys(file.split for file in _folder_files(folder)))
 
 
-def _local_shards(folder: DataFolder, split: str | None) -> tuple[Shard, ...]:
+def _folder_shards(folder: DataFolder, split: str | None) -> tuple[Shard, ...]:
     manifest = read_manifest(folder)
     if manifest is None:
         found = _folder_files(folder)
@@ -284,7 +329,7 @@ def repository_shards(repository: HubRepository) -> list[ShardFile]:
 
 
 def splits_to_check(path: str) -> tuple[str, ...]:
-    """List the splits of a local folder that is to be checked as a whole; InputError where it holds none.
+    """List the splits of a folder that is to be checked as a whole; InputError where it holds none.
 
     Raises IntegrityError when the run that makes it is under way or was interrupted: a check of the rest
     would pass for one of all.

@@ -5,13 +5,13 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from pathlib import Path
 from typing import Any, Generic, TypeVar
 
 import numpy as np
 
 from tactile_toolkit.catalog.choose import chosen_records, class_by_class, open_splits
 from tactile_toolkit.catalog.kinds import require_kind
+from tactile_toolkit.catalog.locate import folder_named
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.kind import DatasetKind
 from tactile_toolkit.mesh.mesh import MM_PER_M
@@ -20,7 +20,6 @@ from tactile_toolkit.pictures.render import Picture3d, Renderer
 from tactile_toolkit.pictures.sheets import ScaleBar, Sheet, Tile, in_rows, sheet, with_scale_bar
 from tactile_toolkit.pictures.writing import Drawing, PicturePlan, PlannedPicture, file_stem, plan_kinds
 from tactile_toolkit.read.dataset import RecordDataset
-from tactile_toolkit.store.folder import DataFolder
 from tactile_toolkit.store.manifest import read_manifest
 from tactile_toolkit.wording import counted
 
@@ -64,7 +63,7 @@ class MeshPreviews(Generic[D]):
     @cached_property
     def made_by(self) -> Mapping[str, Any]:
         """The specification in the manifest; empty where there is none."""
-        manifest = read_manifest(DataFolder(self.name)) if Path(self.name).expanduser().is_dir() else None
+        manifest = None if (folder := folder_named(self.name)) is None else read_manifest(folder)
         return {} if manifest is None else manifest.spec
 
     def plan(

@@ -38,7 +38,7 @@ from tactile_toolkit.read.columns import (
 )
 from tactile_toolkit.run.system import locked
 from tactile_toolkit.run.threads import in_threads
-from tactile_toolkit.store.folder import DataFolder, unreadable
+from tactile_toolkit.store.folder import file_at, unreadable
 from tactile_toolkit.store.parquet import open_checked
 from tactile_toolkit.store.shards import DATA_FOLDER, ShardName
 from tactile_toolkit.store.small_columns import MADE_OF
@@ -358,8 +358,7 @@ class Shard:
         if not self._is_remote:
             # After opening: what takes its place from now on is not what was opened.
             return open_checked(self.path), self._found_now()
-        folder, _, name = self.path.rpartition("/")
-        store = DataFolder(folder)
+        store, name = file_at(self.path)
         stream = store.open(name)
         facts = getattr(stream, "details", None) or store.facts(name)
         return open_checked(stream), (

@@ -32,6 +32,7 @@ __all__ = [
     "atomic_file",
     "being_written",
     "expanded",
+    "file_at",
     "folders_below",
     "is_stale",
     "named_failures",
@@ -453,6 +454,15 @@ class DataFolder:
         if self.is_local:  # object stores put whole objects
             for path in stale_files(Path(self.address(folder)), forsaken_s=forsaken_s):
                 self.remove(f"{folder}/{path.name}" if folder else path.name)
+
+
+def file_at(place: str) -> tuple[DataFolder, str]:
+    """Return the folder of a file, local or at an address, and its name there."""
+    if is_remote(place):
+        parent, _, name = place_of_data(place).rpartition("/")
+        return DataFolder(parent), name
+    path = Path(place_of_data(place))
+    return DataFolder(str(path.parent)), path.name
 
 
 def folders_below(folder: DataFolder, path: str) -> Iterator[str]:
