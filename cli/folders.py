@@ -124,7 +124,9 @@ def add_verify(app: typer.Typer, kind: DatasetKind, what: str) -> None:
         if all("; next: " in finding.problem for finding in result.findings):
             cure = "do what each of them says"
         elif record is None:
-            cure = f"run the same `{kind.made_by}` again, it makes the damaged shards anew"
+            # Runs trust the sizes of what lies far away.
+            first = "" if place.is_local else "remove those files, then "
+            cure = f"{first}run the same `{kind.made_by}` again, it makes the damaged shards anew"
         else:
             cure = f"download {record.repo_id} there again, only what is damaged is fetched"
         message = f"{counted(len(findings), 'problems')} in {str(folder)!r}; next: {cure}"

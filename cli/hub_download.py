@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Sequence
-from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from cli.application import command
-from cli.options import Json, local_place
+from cli.options import Json, place_of_data
 from cli.output import BYTES, Sink, bytes_text, counted
 from tactile_toolkit.kind import DatasetKind
 
@@ -33,13 +32,13 @@ Splits = Annotated[
 ]
 Revision = Annotated[str | None, typer.Option("--revision", metavar="REV", help="Branch, tag or commit.")]
 OutFolder = Annotated[
-    Path | None,
+    str | None,
     typer.Option(
         "--out",
         "-o",
         metavar="DIR",
         help="Folder to fill; default: the Hub's own cache.",
-        parser=local_place,
+        parser=place_of_data,
     ),
 ]
 DryRun = Annotated[bool, typer.Option("--dry-run", help="Say what would be fetched; fetch nothing.")]
@@ -78,7 +77,7 @@ def add_download(app: typer.Typer, kind: DatasetKind) -> None:
             name,
             split or (),
             revision=revision,
-            out=None if out is None else str(out),
+            out=out,
             on_wait=sink.talk,
         )
         kind.refuse_other(plan.manifest, plan.repository.repo_id)

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import re
 import shutil
+import tempfile
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path, PurePosixPath
@@ -164,7 +165,7 @@ def _plan_for_folder(
     wanted = [*splits, *(split for split in before if split in now)] if splits else []
     chosen, all_splits, shards = _chosen_splits(repository, wanted)
     files = _wanted(repository, [*_extras(repository, chosen, fitted=False), *shards])
-    missing = _missing(files, lambda file: _is_here(folder, file))
+    missing = _missing(files, _presence(folder, record))
     recorded = record.files if record else {}
     _refuse_own_files(folder, [file.path for file in missing if file.path not in recorded])
     kept = {file.path for file in files}
@@ -190,7 +191,7 @@ def _plan_by_cache(
         shards = _chosen_splits(repository, further)[2]
         added = _wanted(repository, [*_extras(repository, further, fitted=False), *shards])
         files |= {file.path: file for file in added}
-    missing = _missing(files.values(), lambda file: _is_here(folder, file))
+    missing = _missing(files.values(), _presence(folder, record))
     _require_cached_if_offline(repository, [*(file.path for file in missing), *record.labels])
     chosen = tuple(split for split in record.splits if split in {*here, *further})
     return DownloadPlan(
@@ -208,7 +209,7 @@ def _plan_by_record(
     files = tuple(record.files.values())
     if not set(splits or record.splits) <= here or not _is_labelled(folder, record.labels):
         return None
-    if _missing(files, lambda file: _is_here(folder, file)):
+    if _missing(files, _presence(folder, record)):
         return None
     chosen = tuple(split for split in record.splits if split in here)
     return DownloadPlan(repository, folder, record.commit, chosen, record.splits, files, (), is_done=True)
@@ -308,6 +309,21 @@ def _missing(files: Iterable[HubFile], is_here: Callable[[HubFile], bool]) -> tu
     return tuple(file for file, there in zip(wanted, here, strict=True) if not there)
 
 
+def _presence(folder: DataFolder, record: DownloadRecord | None) -> Callable[[HubFile], bool]:
+    """Return a test whether a folder holds a file whole, as far as that can be known."""
+    return lambda file: _is_here(folder, file) if folder.is_local else _is_in_store(folder, record, file)
+
+
+def _is_in_store(folder: DataFolder, record: DownloadRecord | None, file: HubFile) -> bool:
+    """Tell whether a store holds a file; what a finished download wrote there is known by its size."""
+    if file.digest is None or not folder.exists(file.path) or folder.size_bytes(file.path) != file.size_bytes:
+        return False
+    if record is not None and record.finished and record.files.get(file.path) == file:
+        return True
+    with folder.open(file.path) as stream:
+        return file.digest.of_stream(stream, file.size_bytes) == file.digest
+
+
 def _is_here(folder: DataFolder, file: HubFile) -> bool:
     path = Path(folder.address(file.path))
     if not path.is_file() or path.stat().st_size != file.size_bytes or file.digest is None:
@@ -363,6 +379,8 @@ def download(
 def _require_space(plan: DownloadPlan) -> None:
     from huggingface_hub import constants
 
+    if plan.folder is not None and not plan.folder.is_local:
+        return
     target = Path(plan.folder.address() if plan.folder else constants.HF_HUB_CACHE)
     there = next(path for path in (target, *target.absolute().parents) if path.exists())
     free = shutil.disk_usage(there).free
@@ -399,11 +417,15 @@ def _fill(plan: DownloadPlan, folder: DataFolder, transfers: Transfers) -> None:
     transfers.each(lambda file: _bring(plan, folder, file, transfers), plan.missing)
     _label(plan, folder, manifest)
     write_record(folder, record)
-    shutil.rmtree(folder.address(_STAGE_FOLDER), ignore_errors=True)
+    if folder.is_local:
+        shutil.rmtree(folder.address(_STAGE_FOLDER), ignore_errors=True)
 
 
 def _bring(plan: DownloadPlan, folder: DataFolder, file: HubFile, transfers: Transfers) -> None:
     """Bring one file into the folder: copied where the Hub's cache has it whole, fetched where not."""
+    if not folder.is_local:
+        _bring_to_store(plan.repository, folder, file, transfers)
+        return
     repository, target = plan.repository, Path(folder.address(file.path))
     cached = repository.cached(file.path)
     with named_failures(repository.repo_id, repository.revision, f"fetching {file.path!r} of"):
@@ -418,6 +440,19 @@ def _bring(plan: DownloadPlan, folder: DataFolder, file: HubFile, transfers: Tra
             staged.replace(target)
     if file.digest is not None:
         remember_whole(target, file.digest)
+
+
+def _bring_to_store(
+    repository: HubRepository, folder: DataFolder, file: HubFile, transfers: Transfers
+) -> None:
+    cached = repository.cached(file.path)
+    with (
+        named_failures(repository.repo_id, repository.revision, f"fetching {file.path!r} of"),
+        tempfile.TemporaryDirectory(prefix="tactile-toolkit-") as stage,
+    ):
+        folder.copy_in(file.path, cached or repository.download(file.path, transfers, Path(stage)))
+    if cached is not None:
+        transfers.count(file.size_bytes)
 
 
 def _label(plan: DownloadPlan, folder: DataFolder, manifest: Manifest | None) -> None:

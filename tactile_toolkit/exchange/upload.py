@@ -16,6 +16,7 @@ from tactile_toolkit.cards.card import CARD_FILE
 from tactile_toolkit.cards.checks import check_card
 from tactile_toolkit.catalog.kinds import require_manifest
 from tactile_toolkit.errors import InputError, IntegrityError
+from tactile_toolkit.exchange.local_copy import LocalCopy
 from tactile_toolkit.exchange.upload_plan import (
     MAIN,
     Payload,
@@ -232,7 +233,10 @@ class UploadTarget:
 
 @dataclass(frozen=True)
 class PreparedUpload:
-    """An upload that is decided and not begun; ``pull`` is an open pull request that holds everything."""
+    """An upload that is decided and not begun; ``pull`` is an open pull request that holds everything.
+
+    ``copy`` is kept as long as this is: the copy on this machine of a folder in an object store.
+    """
 
     target: UploadTarget
     options: UploadOptions
@@ -241,6 +245,7 @@ class PreparedUpload:
     state: RemoteState
     plan: UploadPlan
     pull: str | None = None
+    copy: LocalCopy | None = None
 
     @property
     def is_done(self) -> bool:
@@ -318,28 +323,27 @@ def prepare_upload(
     """
     chosen = options or UploadOptions()
     require_repository_name(repo_id)
-    root, manifest = _finished(folder)
+    place, manifest = _finished(folder)
+    copy = None if place.is_local else LocalCopy(place)
+    root = Path(place.address()) if copy is None else copy.root
     found = DataFolder(str(root))
-    _require_sound(root, list(check(found) if check else verify(found, check_card=check_card).findings))
+    _require_sound(folder, list(check(found) if check else verify(found, check_card=check_card).findings))
     target = UploadTarget(repo_id, chosen.revision or MAIN, on_wait)
     name = "" if dry_run else target.who()
     state = target.state()
     _refuse_exposure(target, chosen, state)
     _refuse_taken_names(target, chosen, state)
-    payload = _payload(root, manifest, repo_id, chosen, state)
+    payload = _payload(root, folder, manifest, repo_id, chosen, state)
     plan = compare(payload.files, state.files)
-    prepared = PreparedUpload(target, chosen, manifest, payload, state, plan)
+    prepared = PreparedUpload(target, chosen, manifest, payload, state, plan, copy=copy)
     _refuse_other_tag(prepared)
     if chosen.create_pr and state.exists and name and not prepared.is_done:
         return replace(prepared, pull=_holding_pull(prepared, name))
     return prepared
 
 
-def _finished(folder: str) -> tuple[Path, Manifest]:
+def _finished(folder: str) -> tuple[DataFolder, Manifest]:
     place = DataFolder(folder)
-    if not place.is_local:
-        message = f"{folder!r} is not a local folder; next: copy it to this machine, then upload it"
-        raise InputError(message)
     manifest = read_manifest(place)
     if manifest is None:
         message = (
@@ -347,10 +351,10 @@ def _finished(folder: str) -> tuple[Path, Manifest]:
             "whole before they are sent; next: give the folder of one"
         )
         raise InputError(message)
-    return Path(place.address()), manifest
+    return place, manifest
 
 
-def _require_sound(root: Path, findings: Sequence[Finding]) -> None:
+def _require_sound(folder: str, findings: Sequence[Finding]) -> None:
     if not findings:
         return
     told = [f"{finding.file} {finding.problem}".partition("; next: ")[0] for finding in findings[:3]]
@@ -359,7 +363,7 @@ def _require_sound(root: Path, findings: Sequence[Finding]) -> None:
     only_card = all(CARD_FILE in (finding.file, *finding.problem.split()) for finding in findings)
     cure = "write it with the command `card`, or mend it by hand"
     cure = cure if only_card else "run the command that made it again, or `card` for the card alone"
-    message = f"{str(root)!r} is not fit to be sent, nothing was: {listed}{more}; next: {cure}"
+    message = f"{folder!r} is not fit to be sent, nothing was: {listed}{more}; next: {cure}"
     raise IntegrityError(message)
 
 
@@ -397,7 +401,7 @@ def _refuse_other_tag(prepared: PreparedUpload) -> None:
 
 
 def _payload(
-    root: Path, manifest: Manifest, repo_id: str, options: UploadOptions, state: RemoteState
+    root: Path, folder: str, manifest: Manifest, repo_id: str, options: UploadOptions, state: RemoteState
 ) -> Payload:
     """Collect the files, with the card as it is to be on the Hub, checked as such."""
     stored = (root / CARD_FILE).read_text(encoding="utf-8")
@@ -406,7 +410,7 @@ def _payload(
     shards = {split: [r.shard.data_path for r in manifest.shards_of(split)] for split in manifest.splits}
     text = card_for_hub(stored, repo_id, shards, [file.path for file in staying])
     held = {*(file.path for file in payload.files), *(file.path for file in staying)}
-    _require_sound(root, check_card(DataFolder(str(root)), text, held=held))
+    _require_sound(folder, check_card(DataFolder(str(root)), text, held=held))
     return payload.with_card(text.encode())
 
 

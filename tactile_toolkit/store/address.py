@@ -13,6 +13,7 @@ from tactile_toolkit.errors import InputError
 __all__ = ["is_remote", "place_of_data", "scheme_of", "shown"]
 
 _SCHEME = re.compile(r"(?P<scheme>[A-Za-z][A-Za-z0-9+.-]*)://(?P<rest>.*)", re.DOTALL)
+_FOLDED = re.compile(r"(?:s3a?|gs|gcs|hf|abfs|az):/(?!/)")
 _LOCAL_SCHEMES = ("file", "local")
 _WEB_SCHEMES = ("http", "https")
 _OTHER_NAMES = {"s3a": "s3", "gcs": "gs"}
@@ -44,6 +45,12 @@ def place_of_data(place: str) -> str:
     """
     match = _SCHEME.fullmatch(place)
     if match is None:
+        if _FOLDED.match(place):
+            message = (
+                f"{place!r} is an address of which a slash was lost, as pathlib.Path does it; next: give it "
+                "as text, or write ./ before it where a local folder is meant"
+            )
+            raise InputError(message)
         return place
     scheme, rest = scheme_of(place), match["rest"].rstrip("/")
     if not scheme:

@@ -181,6 +181,8 @@ def build(
     recover(folder)
     former = FormerSet.set_aside(folder, plan.extra_dirs) if overwrite else None
     state = inspect_folder(folder, plan)
+    if not folder.is_local and _is_finished(folder, state):
+        return state.manifest
     before = FolderBefore.of(folder, existed, former)
     try:
         _remove_stale_files(folder, plan)
@@ -370,6 +372,11 @@ def _require_files(folder: DataFolder, records: Sequence[ShardRecord]) -> None:
             "s3://BUCKET/PATH, and run the same command again"
         )
         raise IntegrityError(message)
+
+
+def _is_finished(folder: DataFolder, state: BuildState) -> bool:
+    """Tell, by names and sizes alone, whether a run has nothing left to do; manifests are written last."""
+    return not state.todo and state.manifest.complete and not folder.names(PENDING_FOLDER)
 
 
 def _remove_stale_files(folder: DataFolder, plan: BuildPlan, *, forsaken_s: float = FORSAKEN_S) -> None:

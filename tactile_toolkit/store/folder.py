@@ -11,6 +11,7 @@ import contextlib
 import errno
 import os
 import re
+import shutil
 import stat
 import uuid
 from collections.abc import Iterator, Mapping, Sequence
@@ -412,6 +413,23 @@ class DataFolder:
             return
         with named_failures(self.address(path)), atomic_file(Path(self.address(path))) as stream:
             stream.write(content)
+
+    def copy_in(self, path: str, source: Path) -> None:
+        """Write a whole file of another place of this machine, as :meth:`write_bytes` does, in pieces."""
+        if not self.is_local:
+            self._remote.upload(self._inside(path), str(source))
+            return
+        target = Path(self.address(path))
+        with named_failures(str(target)), source.open("rb") as content, atomic_file(target) as stream:
+            shutil.copyfileobj(content, stream, 1 << 20)
+
+    def copy_out(self, path: str, target: Path) -> None:
+        """Copy a file to a local one; FileNotFoundError where there is none."""
+        target.parent.mkdir(parents=True, exist_ok=True)
+        if self.is_local:
+            shutil.copyfile(self.address(path), target)
+        else:
+            self._remote.download(self._inside(path), str(target))
 
     def remove(self, path: str) -> None:
         """Remove a file, if it is there."""

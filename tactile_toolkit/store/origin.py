@@ -12,6 +12,7 @@ import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from typing import IO
 
 from tactile_toolkit.store.fields import json_fields
 from tactile_toolkit.store.folder import DataFolder, open_regular
@@ -21,7 +22,7 @@ __all__ = ["RECORD_FILE", "Digest", "DownloadRecord", "HubFile", "read_record", 
 
 RECORD_FILE = ".download.json"
 
-_PIECE_BYTES = 1 << 20
+_PIECE_BYTES = 8 << 20
 _DIGEST_PATTERNS = {"sha256": "[0-9a-f]{64}", "git-sha1": "[0-9a-f]{40}"}
 
 
@@ -45,13 +46,17 @@ class Digest:
 
     def of(self, file: Path) -> Digest:
         """Return the digest of the same kind of a local file, read in pieces."""
+        with open_regular(file) as stream:
+            return self.of_stream(stream, file.stat().st_size)
+
+    def of_stream(self, stream: IO[bytes], size_bytes: int) -> Digest:
+        """Return the digest of the same kind of an open file of that size, read in pieces."""
         found = hashlib.sha256() if self.kind == "sha256" else hashlib.sha1(usedforsecurity=False)
         if self.kind == "git-sha1":
             # Git hashes a head with the size before the content.
-            found.update(b"blob %d\0" % file.stat().st_size)
-        with open_regular(file) as stream:
-            while piece := stream.read(_PIECE_BYTES):
-                found.update(piece)
+            found.update(b"blob %d\0" % size_bytes)
+        while piece := stream.read(_PIECE_BYTES):
+            found.update(piece)
         return Digest(self.kind, found.hexdigest())
 
 

@@ -204,16 +204,14 @@ def inspect_folder(
     if differences:
         message = (
             f"{folder.address()!r} holds a data set of another specification: {'; '.join(differences)}; "
-            "nothing was changed; next: choose another folder (--out or OUT), or start again there with "
-            "--overwrite"
+            f"nothing was changed; next: choose another folder (--out or OUT){_or_again(folder)}"
         )
         raise SpecMismatchError(message)
     _refuse_strays(folder, plan)
     asked_for = None if tasks is None else [task.shard for task in chosen]
     known = {record.shard: record for record in (*manifest.shards, *pending_records(folder, asked_for))}
-    is_finished = _finished_check(
-        folder, plan, [known[t.shard] for t in chosen if t.shard in known], read_all
-    )
+    recorded = [known[task.shard] for task in chosen if task.shard in known]
+    is_finished = _finished_check(folder, plan, manifest, recorded, read_all)
     kept, todo, damaged = [], [], []
     for task in chosen:
         record = known.get(task.shard)
@@ -233,11 +231,15 @@ def inspect_folder(
 
 
 def _finished_check(
-    folder: DataFolder, plan: BuildPlan, records: Sequence[ShardRecord], read_all: bool | None
+    folder: DataFolder,
+    plan: BuildPlan,
+    manifest: Manifest,
+    records: Sequence[ShardRecord],
+    read_all: bool | None,
 ) -> Callable[[ShardRecord], bool]:
     """Return a test whether all that one of these records vouches for is there; lists the folder once."""
     sizes = folder.sizes(DATA_FOLDER)
-    has_report = _report_check(folder, plan, records)
+    has_report = _report_check(folder, plan, manifest, records)
     reads = folder.is_local if read_all is None else read_all
 
     def is_finished(record: ShardRecord) -> bool:
@@ -285,10 +287,15 @@ def _refuse_other_libraries(folder: DataFolder, manifest: Manifest, plan: BuildP
     if differences:
         message = (
             f"{folder.address()!r} was begun with other versions of libraries, which write other bytes: "
-            f"{'; '.join(differences)}; nothing was changed; next: install those versions, or start again "
-            "with --overwrite"
+            f"{'; '.join(differences)}; nothing was changed; next: install those versions, or choose another "
+            f"folder{_or_again(folder)}"
         )
         raise SpecMismatchError(message)
+
+
+def _or_again(folder: DataFolder) -> str:
+    """Return the end of a next step: sets in object stores are not replaced."""
+    return ", or start again there with --overwrite" if folder.is_local else ""
 
 
 def _refuse_strays(folder: DataFolder, plan: BuildPlan) -> None:
@@ -309,10 +316,13 @@ def _refuse_strays(folder: DataFolder, plan: BuildPlan) -> None:
 
 
 def _report_check(
-    folder: DataFolder, plan: BuildPlan, records: Sequence[ShardRecord]
+    folder: DataFolder, plan: BuildPlan, manifest: Manifest, records: Sequence[ShardRecord]
 ) -> Callable[[ShardRecord], bool]:
     """Return a test whether the report rows of one of these exist, in a file of their own or merged."""
     merged: dict[str, int] = {}
+    if not folder.is_local and manifest.complete and plan.report_file in (manifest.files or {}):
+        there = folder.exists(str(plan.report_file))
+        return lambda _: there
     if plan.report_file is not None and folder.exists(plan.report_file):
         try:
             counts = read_report(folder, plan.report_file)["shard"].value_counts()

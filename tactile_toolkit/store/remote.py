@@ -148,6 +148,10 @@ class RemoteFolder:
         except FileNotFoundError as error:
             raise self._no_bucket() from error
 
+    def download(self, path: str, target: str) -> None:
+        """Copy a file of the store to a local one, whose folder must be there; raises FileNotFoundError."""
+        self._asked(lambda: self._system.get_file(self._key(path), target), "reading", path)
+
     def remove(self, path: str) -> None:
         """Remove a file, if it is there."""
         self._require_writable(path)

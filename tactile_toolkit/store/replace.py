@@ -16,7 +16,7 @@ from dataclasses import dataclass
 from fnmatch import fnmatch
 from pathlib import Path
 
-from tactile_toolkit.errors import InputError, IntegrityError, StorageError
+from tactile_toolkit.errors import InputError, IntegrityError, RemoteError, StorageError
 from tactile_toolkit.kind import kinds
 from tactile_toolkit.store.folder import (
     TEMPORARY_PREFIX,
@@ -62,8 +62,7 @@ class FormerSet:
         """
         there = folder.exists(MANIFEST_FILE)
         former = cls(folder, require_replaceable(folder, extra_dirs))
-        if not there or not folder.is_local:
-            # Moving objects of an object store would copy each of them twice.
+        if not there:
             _remove_all(folder, former.extra_dirs)
             return former
         # The record of a download goes too: the new set is not one. The manifest goes last.
@@ -95,8 +94,17 @@ class FormerSet:
 def require_replaceable(folder: DataFolder, extra_dirs: tuple[str, ...]) -> tuple[str, ...]:
     """Return the extra folders of the set in a folder and of a new one; nothing is changed.
 
-    Raises InputError when the folder holds more than a data set of ours.
+    Raises InputError when the folder holds more than a data set of ours, and for one in an object store: that
+    cannot rename, so that all of a set would be copied twice to set it aside; and both sets have files of the
+    same names, so that readers of the former one would be given rows of the new one.
     """
+    if not folder.is_local and folder.exists(MANIFEST_FILE):
+        message = (
+            f"{folder.address()!r} holds a data set, and --overwrite replaces none in an object store, where "
+            "it could not be put back if the new run fails; nothing was changed; next: choose another folder "
+            "(--out or OUT), or remove that one with the store's own tools"
+        )
+        raise InputError(message)
     before = _extra_dirs_of(folder)
     both = tuple(dict.fromkeys((*before, *extra_dirs)))
     if not folder.exists(MANIFEST_FILE):
@@ -258,7 +266,7 @@ class FolderBefore:
         """
         wanted = {task.shard for task in state.todo}
         # The failure that ended the run is the one to report, even where the disk does not let us tidy up.
-        with contextlib.suppress(StorageError):
+        with contextlib.suppress(StorageError, RemoteError):
             if not any(record.shard in wanted for record in _with_rows(folder)):
                 self._restore(folder, plan, state)
                 if self.former is not None:

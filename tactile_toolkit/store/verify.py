@@ -134,7 +134,10 @@ def _check_copied(folder: DataFolder, entry: tuple[str, HubFile]) -> tuple[list[
     problem = problem_of_place(folder, path)
     if problem:
         return [Finding(path, problem)], 0
-    found = None if file.digest is None else file.digest.of(Path(folder.address(path)))
+    found = None
+    if file.digest is not None:
+        with folder.open(path) as stream:
+            found = file.digest.of_stream(stream, folder.size_bytes(path))
     if file.digest is not None and found != file.digest:
         return [Finding(path, f"{found}, expected {file.digest.value}")], 0
     if folder.size_bytes(path) != file.size_bytes:  # all that is known of one without a digest

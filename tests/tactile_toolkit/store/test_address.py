@@ -45,6 +45,7 @@ def test_one_form_of_each_place(given, place):
         "s3://KEY:SECRET@bucket/set",
         "s3://bucket/set?X-Amz-Signature=SECRET",
         "https://KEY:SECRET@host/set",
+        "s3:/bucket/set",
         "https://host/set?X-Amz-Signature=SECRET",
     ],
 )

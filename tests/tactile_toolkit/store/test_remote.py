@@ -6,11 +6,17 @@ import io
 import subprocess
 import sys
 import threading
+from dataclasses import replace
 
 import pytest
 
 from tactile_toolkit.errors import InputError, IntegrityError, RemoteError
+from tactile_toolkit.run.processes import InlineRunner, ProcessRunner
+from tactile_toolkit.store.build import build
 from tactile_toolkit.store.folder import DataFolder
+from tactile_toolkit.store.manifest import read_manifest
+from tactile_toolkit.store.verify import verify
+from tests.tactile_toolkit.toy import SCHEMA, folder_bytes, toy_plan
 
 pytestmark = pytest.mark.s3
 pytest.importorskip("s3fs")
@@ -208,3 +214,80 @@ def test_without_credentials_the_way_to_give_some_is_named(s3, monkeypatch, tmp_
     monkeypatch.setenv("AWS_SHARED_CREDENTIALS_FILE", str(tmp_path / "none"))
     with pytest.raises(RemoteError, match=r"needs credentials.*next: give credentials.*AWS_PROFILE"):
         DataFolder("s3://lake/set").names()
+
+
+def wide_plan(rows=2_000):
+    """Four shards of some hundred kilobytes each."""
+    plan = toy_plan(("train",))
+    tasks = tuple(
+        replace(task, ids=tuple(10 * number + 3 for number in range(index * rows, (index + 1) * rows)))
+        for index, task in enumerate(plan.tasks)
+    )
+    return replace(plan, tasks=tasks)
+
+
+def test_a_run_over_a_finished_set_reads_next_to_nothing_of_it(folder, s3, bucket):  # noqa: F811
+    written = []
+    made = build(folder, wide_plan(), InlineRunner(), write_card=lambda *_: written.append("card"))
+    size = sum(map(len, s3.objects(bucket).values()))
+    before = s3.objects(bucket)
+    s3.traffic.reset()
+    assert build(folder, wide_plan(), InlineRunner(), write_card=lambda *_: written.append("card")) == made
+    assert s3.traffic.sent_bytes < 0.01 * size, (s3.traffic, size)
+    assert s3.traffic.requests["PUT"] == 0
+    assert written == ["card"]
+    assert s3.objects(bucket) == before
+    # What is there in another size, or not at all, is made again.
+    folder.write_bytes("data/train-00001-of-00004.parquet", b"cut")
+    folder.remove("data/train-00002-of-00004.parquet")
+    assert build(folder, wide_plan(), InlineRunner()) == made
+    assert s3.objects(bucket) == before
+
+
+def test_a_folder_in_a_store_holds_the_same_bytes_as_a_local_one(folder, s3, bucket, tmp_path):  # noqa: F811
+    build(folder, toy_plan(), ProcessRunner(2))
+    build(DataFolder(str(tmp_path)), toy_plan(), InlineRunner())
+    stored = {key.removeprefix("deep/set/"): content for key, content in s3.objects(bucket).items()}
+    assert stored == folder_bytes(tmp_path)
+    assert verify(folder, SCHEMA).ok
+
+
+_KILLED = """
+import os, signal, sys
+from tactile_toolkit.run.processes import ProcessRunner
+from tactile_toolkit.store.build import build
+from tactile_toolkit.store.folder import DataFolder
+from tests.tactile_toolkit.toy import toy_plan
+def die(progress):
+    if progress.done >= 10:
+        os.kill(os.getpid(), signal.SIGKILL)
+build(DataFolder(sys.argv[1]), toy_plan(pause_s=0.2), ProcessRunner(2), on_progress=die)
+"""
+
+
+def test_a_killed_run_is_resumed_by_two_workers_to_the_same_bytes(folder, s3, bucket, tmp_path):  # noqa: F811
+    done = subprocess.run([sys.executable, "-c", _KILLED, folder.url], check=False)
+    assert done.returncode == -9
+    assert any(name.endswith(".json") for name in folder.names(".pending"))
+    assert not read_manifest(folder).complete
+    build(folder, toy_plan(), ProcessRunner(2))
+    build(DataFolder(str(tmp_path)), toy_plan(), InlineRunner())
+    # Workers of the killed run may live on for a moment, and what they write is what stands there already.
+    stored = {key.removeprefix("deep/set/"): content for key, content in s3.objects(bucket).items()}
+    assert stored == folder_bytes(tmp_path)
+    assert s3.uploads(bucket) == []
+
+
+def test_a_set_in_a_store_is_never_replaced_and_stays_readable(folder, s3, bucket):  # noqa: F811
+    build(folder, toy_plan(), InlineRunner())
+    before = s3.objects(bucket)
+    with pytest.raises(InputError, match="--overwrite replaces none in an object store"):
+        build(folder, toy_plan(spec={"seed": 2}), InlineRunner(), overwrite=True)
+    assert s3.objects(bucket) == before
+    assert verify(folder, SCHEMA).ok
+
+
+def test_a_run_that_fails_in_a_store_leaves_it_as_it_was(folder, s3, bucket):  # noqa: F811
+    with pytest.raises(RuntimeError):
+        build(folder, toy_plan(error=RuntimeError("no")), InlineRunner())
+    assert s3.objects(bucket) == {}

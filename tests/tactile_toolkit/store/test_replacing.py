@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from tactile_toolkit.errors import InputError, StorageError
+from tactile_toolkit.errors import InputError, SpecMismatchError, StorageError
 from tactile_toolkit.run.processes import InlineRunner, ProcessRunner
 from tactile_toolkit.store.build import build
 from tactile_toolkit.store.folder import DataFolder, temporary_name
@@ -169,11 +169,16 @@ def test_a_split_of_which_nothing_is_left_is_refused_beside_a_finished_one(tmp_p
     assert folder_bytes(tmp_path / "set") == before
 
 
-def test_a_remote_folder_is_started_again():
+def test_a_data_set_in_a_store_is_not_replaced():
     folder = DataFolder("memory://bucket/started-again")
-    build(folder, toy_plan(), InlineRunner())
-    build(folder, other_plan(), InlineRunner(), overwrite=True)
-    assert folder.names("data") == [f"test-0000{index}-of-00002.parquet" for index in range(2)]
+    finished = build(folder, toy_plan(), InlineRunner(), overwrite=True)
+    with pytest.raises(
+        InputError, match=r"--overwrite replaces none in an object store.*next: choose another"
+    ):
+        build(folder, other_plan(), InlineRunner(), overwrite=True)
+    with pytest.raises(SpecMismatchError, match=r"choose another folder \(--out or OUT\)$"):
+        build(folder, other_plan(), InlineRunner())
+    assert build(folder, toy_plan(error=RuntimeError("all is there")), InlineRunner()) == finished
 
 
 def test_a_folder_that_another_run_is_replacing_is_left_alone(finished):

@@ -1,0 +1,165 @@
+"""The whole walk of a data set that lies in an object store, by command line and in Python."""
+
+from __future__ import annotations
+
+import json
+import os
+import sys
+from importlib import import_module
+
+import numpy as np
+import pytest
+
+from tactile_toolkit.store.folder import DataFolder
+from tests.hub_server import hub
+from tests.tactile_toolkit.exchange.upload_client import logged_in
+from tests.tactile_toolkit.toy import folder_bytes
+
+pytestmark = [
+    pytest.mark.s3,
+    pytest.mark.filterwarnings("ignore:Use 'content=<...>':DeprecationWarning"),  # of the Hub's client
+]
+pytest.importorskip("s3fs")
+pytest.importorskip("moto")
+
+from tests.s3_fixtures import bucket, s3, s3_server  # noqa: E402, F401
+from tests.s3_server import KEY, SECRET  # noqa: E402
+
+SCENES = ("generate", "--scenes", "train=6,test=3", "--stars", "1", "--workers", "1", "--quiet")
+
+
+def call(program: str, *arguments: object) -> int:
+    """Run a command line in this process and return its exit code."""
+    main = import_module(f"cli.{program}").main
+    before = sys.argv
+    sys.argv = [program, *map(str, arguments)]
+    try:
+        main()
+    except SystemExit as leave:
+        return int(leave.code or 0)
+    finally:
+        sys.argv = before
+        os.environ.pop("TACTILE_TOOLKIT_DEBUG", None)
+    return 0
+
+
+def stored(s3, bucket, prefix):  # noqa: F811
+    """Return what lies below a folder of a bucket, as ``folder_bytes`` does for local ones."""
+    objects = s3.objects(bucket).items()
+    return {
+        key.removeprefix(f"{prefix}/"): content for key, content in objects if key.startswith(f"{prefix}/")
+    }
+
+
+def test_scenes_from_generation_to_the_hub_and_back(s3, bucket, tmp_path, monkeypatch, capfd):  # noqa: F811
+    import starstruck_gen
+
+    place, local = f"s3://{bucket}/scenes", tmp_path / "scenes"
+    assert call("starstruck", *SCENES, "--out", place) == 0
+    assert call("starstruck", *SCENES, "--out", local) == 0
+    made = stored(s3, bucket, "scenes")
+    assert made == folder_bytes(local)
+    capfd.readouterr()
+    assert call("starstruck", "info", place, "--json") == 0
+    told = json.loads(capfd.readouterr().out)
+    assert (told["folder"], told["complete"]) == (place, True)
+    assert call("starstruck", "verify", f"{place}/") == 0
+    assert call("starstruck", "validate", place, "--limit", "1", "--quiet") == 0
+    shard = f"data/{DataFolder(place).names('data')[0]}"
+    assert call("starstruck", "validate", f"{place}/{shard}", "--quiet") == 0
+    for split in ("train", "test"):
+        there, here = starstruck_gen.load(place, split), starstruck_gen.load(str(local), split)
+        np.testing.assert_array_equal(there.labels, here.labels)
+        for mine, other in zip(there, here, strict=True):
+            np.testing.assert_array_equal(mine.vertices_m, other.vertices_m)
+        streamed = [record.id for record in starstruck_gen.load(place, split, streaming=True)]
+        assert streamed == here.ids.tolist()
+
+    with hub() as server, logged_in(server, server.account("someone"), monkeypatch):
+        assert call("starstruck", "upload", place, "someone/scenes", "--yes", "--quiet") == 0
+        assert call("starstruck", "upload", place, "someone/scenes", "--yes") == 0
+        assert "nothing was sent" in capfd.readouterr().out
+        held = server.repository("someone/scenes").head.files
+        assert {path: held[path].content for path in made if path != "README.md"} == {
+            path: content for path, content in made.items() if path != "README.md"
+        }
+        back = f"s3://{bucket}/back"
+        assert call("starstruck", "download", "someone/scenes", "--out", back, "--quiet") == 0
+        copied = stored(s3, bucket, "back")
+        assert {path: copied[path] for path in made if path != "README.md"} == {
+            path: content for path, content in made.items() if path != "README.md"
+        }
+        assert call("starstruck", "verify", back) == 0
+        # What is whole is not fetched again; what is missing or of another size is.
+        s3.traffic.reset()
+        assert call("starstruck", "download", "someone/scenes", "--out", back, "--quiet") == 0
+        assert s3.traffic.requests["PUT"] == 0
+        DataFolder(back).write_bytes(shard, b"cut")
+        assert call("starstruck", "verify", back) == 3
+        assert call("starstruck", "download", "someone/scenes", "--out", back, "--quiet") == 0
+        assert stored(s3, bucket, "back") == copied
+
+
+def test_touches_of_digits_of_a_store(s3, bucket, tmp_path):  # noqa: F811
+    import realtouch
+
+    assert call("starstruck", *SCENES, "--out", f"s3://{bucket}/objects") == 0
+    press = ("--split", "test", "--rounds", "1", "--touches", "2", "--optics", "depth", "--size", "16x16")
+    touches, local = f"s3://{bucket}/touches", tmp_path / "touches"
+    for out in (touches, local):
+        words = ("generate", f"s3://{bucket}/objects", *press, "--workers", "1", "--quiet", "--out", out)
+        assert call("tactile_sim", *words) == 0
+    assert stored(s3, bucket, "touches") == folder_bytes(local)
+    assert call("tactile_sim", "info", touches) == 0
+    assert call("tactile_sim", "verify", touches) == 0
+    assert call("realtouch", "info", touches) == 0
+    assert call("realtouch", "verify", touches) == 0
+    assert call("realtouch", "load", touches) == 0
+    there, here = realtouch.load(touches, "test"), realtouch.load(local, "test")
+    for mine, other in zip(there.touches(), here.touches(), strict=True):
+        np.testing.assert_array_equal(mine.image, other.image)
+    small = f"s3://{bucket}/small"
+    assert call("realtouch", "resize", touches, small, "--size", "8x8", "--workers", "1", "--quiet") == 0
+    assert call("realtouch", "verify", small) == 0
+    assert call("realtouch", "resize", touches, f"{touches}/inside", "--size", "8x8", "--quiet") == 2
+
+
+@pytest.mark.parametrize("debug", [(), ("--debug",)])
+def test_what_goes_wrong_is_named_without_any_secret(s3, monkeypatch, capfd, tmp_path, debug):  # noqa: F811
+    monkeypatch.setenv("AWS_SESSION_TOKEN", "a-token-that-no-output-may-hold")
+    monkeypatch.chdir(tmp_path)
+
+    def tried(program, *words):
+        try:
+            code = call(program, *words, *debug)
+        except Exception as error:
+            code = error.exit_code
+            import traceback
+
+            traceback.print_exc()
+        out, err = capfd.readouterr()
+        for secret in (KEY, SECRET, "a-token-that", "Signature="):
+            assert secret not in out + err
+        assert "next: " in err
+        return code, err
+
+    commands = [
+        ("starstruck", "info", "s3://lake/set"),
+        ("starstruck", "verify", "s3://lake/set"),
+        ("starstruck", "validate", "s3://lake/set"),
+        ("starstruck", *SCENES, "--out", "s3://lake/set"),
+        ("starstruck", "upload", "s3://lake/set", "someone/scenes"),
+        ("realtouch", "load", "s3://lake/set"),
+    ]
+    for words in commands:
+        assert tried(*words)[0] == 2, words  # there is no such bucket
+    body = f"AWSAccessKeyId {KEY}"
+    for code in ("InvalidAccessKeyId", "SignatureDoesNotMatch", body):
+        s3.refuse = lambda _, code=code: ("403 Forbidden", code)
+        for words in commands:
+            assert tried(*words)[0] == 4, words
+    for place in (f"s3://{KEY}:{SECRET}@lake/set", f"https://lake.example/set?X-Amz-Signature={SECRET}"):
+        assert tried("starstruck", "info", place)[0] == 2
+        assert tried("starstruck", *SCENES, "--out", place)[0] == 2
+        assert tried("realtouch", "load", place)[0] == 2
+    assert list(tmp_path.iterdir()) == []
