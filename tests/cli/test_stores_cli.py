@@ -114,7 +114,7 @@ def test_touches_of_digits_of_a_store(s3, bucket, tmp_path):  # noqa: F811
     assert call("tactile_sim", "verify", touches) == 0
     assert call("realtouch", "info", touches) == 0
     assert call("realtouch", "verify", touches) == 0
-    assert call("realtouch", "load", touches) == 0
+    assert call("realtouch", "load", touches, "--split", "test") == 0
     there, here = realtouch.load(touches, "test"), realtouch.load(local, "test")
     for mine, other in zip(there.touches(), here.touches(), strict=True):
         np.testing.assert_array_equal(mine.image, other.image)

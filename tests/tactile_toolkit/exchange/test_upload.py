@@ -375,7 +375,7 @@ def test_nothing_unsound_leaves_the_house(server, folder):
 def test_what_is_no_data_set_of_ours_is_refused(server, tmp_path):
     with pytest.raises(InputError, match=r"no manifest.json in .*; next:"):
         prepare_upload(str(tmp_path), NAME)
-    with pytest.raises(InputError, match="not a local folder"):
+    with pytest.raises(InputError, match=r"no manifest.json in 'memory://somewhere'.*; next:"):
         prepare_upload("memory://somewhere", NAME)
     assert server.requests == []
 
