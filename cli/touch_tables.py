@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 __all__ = ["print_made", "print_summary", "raise_findings", "announce_fetching"]
 
 
-def print_made(sink: Sink, manifest: Manifest, out: Path) -> None:
+def print_made(sink: Sink, manifest: Manifest, out: str) -> None:
     """Print what a conversion wrote."""
     table = manifest.split_table()
     sink.document({"folder": str(out), "splits": table, "spec": manifest.spec})

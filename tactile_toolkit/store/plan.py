@@ -321,8 +321,8 @@ def _report_check(
     """Return a test whether the report rows of one of these exist, in a file of their own or merged."""
     merged: dict[str, int] = {}
     if not folder.is_local and manifest.complete and plan.report_file in (manifest.files or {}):
-        there = folder.exists(str(plan.report_file))
-        return lambda _: there
+        is_merged = folder.exists(str(plan.report_file))
+        return lambda _: is_merged
     if plan.report_file is not None and folder.exists(plan.report_file):
         try:
             counts = read_report(folder, plan.report_file)["shard"].value_counts()
