@@ -147,7 +147,9 @@ class _DepthShard:
         """Press the gel onto one object after another; what bounds no solid is left out and listed."""
         spec = self.spec
         solids = SolidDataset([ShardedTable(tuple(map(Shard, self.paths)))], label_names=self.names)
-        rows, skipped, held = [], [], {}
+        rows: list[PairRow] = []
+        skipped: list[Skipped] = []
+        held: dict[int, Pressable | None] = {}
         for number in range(self.start, self.start + self.size):
             place = number * self.objects // spec.count  # neighbours share an object, which is checked once
             record = solids[place]
