@@ -42,10 +42,12 @@ class Batches:
     def of(self, step: int) -> tuple[Any, Any]:
         """Return depth and touches of a step, each (n, 3, h, w), float32, -1 to 1."""
         ahead = self._ahead
-        found = ahead[1].result() if ahead is not None and ahead[0] == step else self._make(step)
+        found: tuple[Any, Any] = (
+            ahead[1].result() if ahead is not None and ahead[0] == step else self._make(step)
+        )
         if step + 1 < self._config.steps:
             self._ahead = (step + 1, self._pool.submit(self._make, step + 1))
-        return found  # type: ignore[no-any-return]
+        return found
 
     def _make(self, step: int) -> tuple[Any, Any]:
         rng = step_rng(self._config, step, self._rank, "batch")

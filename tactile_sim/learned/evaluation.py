@@ -312,7 +312,7 @@ def _by_network(network: Generator) -> Callable[[NDArray[np.float32]], NDArray[n
     def made(depth: NDArray[np.float32]) -> NDArray[np.uint8]:
         pictures = [network(depth_channels(each[None])) for each in depth]
         shades = shades_of(torch.cat(pictures), depth.shape[:0:-1])
-        return np.rint(shades.permute(0, 2, 3, 1).numpy() * 255).astype(np.uint8)
+        return np.asarray(np.rint(shades.permute(0, 2, 3, 1).numpy() * 255), np.uint8)
 
     return torch.inference_mode()(made)  # type: ignore[no-any-return]
 

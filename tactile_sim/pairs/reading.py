@@ -109,9 +109,9 @@ class Pairs:
         options = manifest.spec["options"]
         width, height = options["size_px"]
         tables = [ShardedTable(find_shards(folder, split)) for split in SPLITS]
-        parts = [
+        depth, real = (
             Domain(table, split == "depth", (width, height))
             for table, split in zip(tables, SPLITS, strict=True)
-        ]
+        )
         checksums = "/".join(record.sha256 for split in SPLITS for record in manifest.shards_of(split))
-        return cls(*parts, (width, height), options["like"], checksums)
+        return cls(depth, real, (width, height), options["like"], checksums)
