@@ -12,7 +12,13 @@ import pyarrow.parquet as pq
 import pytest
 
 from tactile_toolkit.errors import InputError, IntegrityError
-from tactile_toolkit.read.columns import plain_schema, plain_table, stored_class_names
+from tactile_toolkit.read.columns import (
+    list_array,
+    plain_schema,
+    plain_table,
+    ragged_column,
+    stored_class_names,
+)
 from tactile_toolkit.read.dataset import RecordDataset
 from tactile_toolkit.read.parquet import Shard, ShardedTable
 
@@ -161,3 +167,14 @@ def test_a_description_may_say_nothing_of_classes(values):
 def test_described_classes_are_read():
     text = json.dumps({"info": {"features": {"label": {"names": ["x", "y"]}}}})
     assert stored_class_names(described(text.encode()), "x.parquet") == ("x", "y")
+
+
+def test_lists_are_seen_as_numpy_without_a_copy_at_any_offset() -> None:
+    arrays = [np.random.default_rng(n).normal(size=(n % 4, 3)).astype(np.float32) for n in range(20)]
+    whole = list_array(arrays, pa.float32())
+    for first, count in ((0, 20), (3, 9), (5, 0), (20, 0)):
+        column = ragged_column(whole.slice(first, count))
+        assert len(column) == count
+        assert not column.values.flags.writeable
+        for row in range(count):
+            np.testing.assert_array_equal(column[row], arrays[first + row])
