@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from tactile_toolkit.printing.checked import Failure
     from tactile_toolkit.printing.objects import PrintObject
     from tactile_toolkit.printing.packing import PlateSpec
+    from tactile_toolkit.printing.simulator import Physics
 
 __all__ = ["add_export"]
 
@@ -33,6 +34,8 @@ class MeshFormat(StrEnum):
     ply = "ply"
     obj = "obj"
     glb = "glb"
+    mjcf = "mjcf"
+    urdf = "urdf"
 
 
 def _beds(begun: str) -> list[str]:
@@ -52,7 +55,8 @@ class ExportOptions:
     file_format: Annotated[
         MeshFormat | None,
         typer.Option(
-            "--format", help="Format of the files, mm (glb: m). Default stl; plates are always 3mf."
+            "--format",
+            help="Format of the files, mm (glb, mjcf and urdf: m). Default stl; plates are 3mf or mjcf.",
         ),
     ] = None
     ids: Annotated[
@@ -81,6 +85,13 @@ class ExportOptions:
         float | None,
         typer.Option(metavar="MM", help="Room at the edges of a plate, for a skirt.", show_default="7"),
     ] = None
+    density: Annotated[
+        float | None,
+        typer.Option(metavar="KG/M3", help="Density of bodies for simulators.", show_default="1240, PLA"),
+    ] = None
+    friction: Annotated[
+        float | None, typer.Option(help="Sliding friction of bodies for simulators.", show_default="0.5")
+    ] = None
     out: LocalOut = Path("prints")
     workers: Workers = 1
     overwrite: Annotated[
@@ -99,7 +110,7 @@ def add_export(app: typer.Typer, kind: DatasetKind) -> None:
 
     @command(app)
     def export(options: ExportOptions) -> None:
-        """Write files for printing: one per object, or packed on build plates.
+        """Write files for printing or for simulators: one per object, or packed on build plates.
 
         Objects keep the pose that they have, their lowest point at z = 0.
 
@@ -110,6 +121,7 @@ def add_export(app: typer.Typer, kind: DatasetKind) -> None:
         Exit code 1 when an object or plate could not be written as a solid.
         """
         spec = _plate_spec(options)
+        _physics(options)  # what cannot be used is said before any work
         objects = _chosen(kind, options)
         sink = Sink(options.as_json, options.quiet)
         if spec is None:
@@ -132,11 +144,25 @@ def _plate_spec(options: ExportOptions) -> PlateSpec | None:
                 message = f"{option} is about build plates; next: add --plate 256x256"
                 raise InputError(message)
         return None
-    if options.file_format not in (None, MeshFormat.threemf):
-        message = f"--plate writes 3mf, which holds named objects; --format {options.file_format} does not"
+    if options.file_format not in (None, MeshFormat.threemf, MeshFormat.mjcf):
+        message = (
+            f"--plate writes 3mf or mjcf, which hold named objects; --format {options.file_format} does not"
+        )
         raise InputError(message)
     given = {"gap_mm": options.gap, "margin_mm": options.margin}
     return PlateSpec.parse(options.plate, **{name: mm for name, mm in given.items() if mm is not None})
+
+
+def _physics(options: ExportOptions) -> Physics:
+    from tactile_toolkit.errors import InputError
+    from tactile_toolkit.printing.simulator import MODELS, Physics
+
+    given = {"density_kg_m3": options.density, "friction": options.friction}
+    chosen = {name: value for name, value in given.items() if value is not None}
+    if chosen and (options.file_format is None or options.file_format.value not in MODELS):
+        message = "--density and --friction are about bodies for simulators; next: add --format mjcf or urdf"
+        raise InputError(message)
+    return Physics(**chosen)
 
 
 def _chosen(kind: DatasetKind, options: ExportOptions) -> list[PrintObject]:
@@ -155,7 +181,12 @@ def _export_files(sink: Sink, objects: list[PrintObject], options: ExportOptions
 
     ending, out = (options.file_format or MeshFormat.stl).value, options.out
     if options.dry_run:
-        view = forecast_files(objects, ending, options.scale, out=str(out), overwrite=options.overwrite)
+        view = forecast_files(
+            *(objects, ending, options.scale),
+            physics=_physics(options),
+            out=str(out),
+            overwrite=options.overwrite,
+        )
         sink.document({"out": str(out), **view.to_dict()})
         sink.line(
             f"would write {counted(view.files, f'{ending} files')} to {out}, about {bytes_text(view.bytes)} "
@@ -168,6 +199,7 @@ def _export_files(sink: Sink, objects: list[PrintObject], options: ExportOptions
             str(out),
             ending,
             scale=options.scale,
+            physics=_physics(options),
             overwrite=options.overwrite,
             workers=options.workers or os.cpu_count() or 1,
             on_progress=update,
@@ -199,6 +231,8 @@ def _export_plates(
         measured = measure(objects, spec, options.scale, update)
     with sink.progress("packing", "objects") as update:
         layout = arrange(measured, update)
+    if options.file_format is MeshFormat.mjcf:
+        layout = replace(layout, physics=_physics(options))
     if dry_run:
         made = forecast_plates(layout, str(out), overwrite=overwrite)
     else:

@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from tactile_toolkit.printing.objects import PrintObject
+    from tactile_toolkit.printing.simulator import Physics
 
 __all__ = ["Layout", "Measured", "Piece", "Placed", "arrange", "measure"]
 
@@ -89,6 +90,7 @@ class Layout:
     least_plates: int
     shares: tuple[float, ...]
     failures: tuple[Failure, ...]
+    physics: Physics | None = None
 
 
 def measure(

@@ -36,6 +36,7 @@ from tactile_toolkit.printing.layout import Layout, Placed
 from tactile_toolkit.printing.objects import standing
 from tactile_toolkit.printing.packing import PlateSpec
 from tactile_toolkit.printing.plate_map import draw_map
+from tactile_toolkit.printing.simulator import body_of, pack_mjcf, read_mjcf
 from tactile_toolkit.wording import counted
 
 __all__ = [
@@ -47,7 +48,7 @@ __all__ = [
 ]
 
 TABLE_FILE = "plates.csv"
-_PLATE_FILE = re.compile(r"plate-\d{2,}\.3mf", re.ASCII)
+_PLATE_FILE = re.compile(r"plate-\d{2,}\.(3mf|xml)", re.ASCII)
 _SAMPLED = 4
 """Objects that a forecast packs to tell the size of all."""
 
@@ -56,9 +57,9 @@ _EDGE_TOLERANCE_MM = 1e-3  # 3MF is written with nine digits, and no printer kno
 
 @dataclass(frozen=True, slots=True)
 class PlateFile:
-    """A plate: its 3MF file and PNG map, how many objects lie on it and which share of it they need.
+    """A plate: its file (3MF, or MJCF) and PNG map, its objects and which share of it they need.
 
-    ``bytes`` is the size of the 3MF file, about, where ``state`` is ``"planned"``; ``"written"`` and
+    ``bytes`` is the size of that file, about, where ``state`` is ``"planned"``; ``"written"`` and
     ``"kept"``, where the very same file was there already, are the others.
     """
 
@@ -123,10 +124,10 @@ def write_plates(
     remove(folder / name for name in unknown)
     plates, failures = [], list(layout.failures)
     for number, (plate, share) in enumerate(zip(layout.plates, layout.shares, strict=True), 1):
-        solid, picture = _solid_file(number), _map_file(number)
+        solid, picture = _solid_file(number, layout), _map_file(number)
         items = [_item(placed, layout) for placed in plate]
-        content = write_build(items)
         try:
+            content = _packed(items, layout)
             state = settle(folder / solid, content, partial(_check_plate, items=items, spec=layout.spec))
             settle(folder / picture, _map_of(layout, number))
             plates.append(PlateFile(solid, picture, len(plate), share, len(content), state))
@@ -152,18 +153,23 @@ def forecast_plates(layout: Layout, out: str | None = None, *, overwrite: bool =
     if out is not None and folder is not None and not overwrite:
         refuse_others(out, [*unknown, *_differing(layout, folder)])
     sample = [placed for plate in layout.plates for placed in plate][:_SAMPLED]
-    each = sum(len(write_build([_item(placed, layout)])) for placed in sample) / max(len(sample), 1)
+    each = sum(len(_packed([_item(placed, layout)], layout)) for placed in sample) / max(len(sample), 1)
     plates = tuple(
         PlateFile(
-            _solid_file(number), _map_file(number), len(plate), share, round(each * len(plate)), "planned"
+            _solid_file(number, layout),
+            _map_file(number),
+            len(plate),
+            share,
+            round(each * len(plate)),
+            "planned",
         )
         for number, (plate, share) in enumerate(zip(layout.plates, layout.shares, strict=True), 1)
     )
     return PlateExport(plates, tuple(_rows(layout)), layout.least_plates, layout.failures, tuple(unknown))
 
 
-def _solid_file(number: int) -> str:
-    return f"plate-{number:02d}.3mf"
+def _solid_file(number: int, layout: Layout) -> str:
+    return f"plate-{number:02d}.{'3mf' if layout.physics is None else 'xml'}"
 
 
 def _map_file(number: int) -> str:
@@ -175,6 +181,27 @@ def _item(placed: Placed, layout: Layout) -> BuildItem:
     # Adding zero writes -0 as 0, as plates always had it: the bytes of an export stay those of the last one.
     vertices_mm = np.asarray(mesh.vertices_m, np.float64) * MM_PER_M + 0.0
     return BuildItem(placed.item.name, vertices_mm, mesh.faces, placed.offset_mm)
+
+
+def _packed(items: Sequence[BuildItem], layout: Layout) -> bytes:
+    """Write a plate as 3MF, or as a scene: where things lie on the plate, they lie on the ground."""
+    if layout.physics is None:
+        return write_build(items)
+    bodies = [
+        (
+            body_of(item.name, Mesh(item.vertices_mm / MM_PER_M, item.faces), layout.physics),
+            (item.offset_mm[0] / MM_PER_M, item.offset_mm[1] / MM_PER_M),
+        )
+        for item in items
+    ]
+    return pack_mjcf(bodies, "plate", floor=True)
+
+
+def _unpacked(content: bytes) -> list[BuildItem]:
+    if content.startswith(b"PK"):
+        return read_build(content)
+    found = read_mjcf(content).items()
+    return [BuildItem(name, mesh.vertices_m * MM_PER_M, mesh.faces) for name, (mesh, _) in found]
 
 
 def _map_of(layout: Layout, number: int) -> bytes:
@@ -189,9 +216,9 @@ def _map_of(layout: Layout, number: int) -> bytes:
 
 def _check_plate(path: Path, items: Sequence[BuildItem], spec: PlateSpec) -> None:
     try:
-        found = read_build(path.read_bytes())
+        found = _unpacked(path.read_bytes())
     except BROKEN_FILE as error:
-        message = f"it is not a readable 3MF file ({error})"
+        message = f"it is not a readable {path.suffix[1:].upper()} file ({error})"
         raise ItemError(UNREADABLE, message) from error
     if [item.name for item in found] != [item.name for item in items]:
         message = f"it names {len(found)} objects; {len(items)} others were written"
@@ -223,7 +250,7 @@ def _rows(layout: Layout) -> Iterator[dict[str, Any]]:
     for number, plate in enumerate(layout.plates, 1):
         for placed in plate:
             item = placed.item
-            named = (number, _solid_file(number), item.name, item.split, item.label, item.id)
+            named = (number, _solid_file(number, layout), item.name, item.split, item.label, item.id)
             sizes_mm = (*placed.outline.size_mm, placed.height_mm)
             measured = (placed.x_mm, placed.y_mm, *sizes_mm, placed.volume_mm3)
             values = (*named, *(round(value, 3) for value in measured))
@@ -241,8 +268,8 @@ def _table_csv(rows: Sequence[dict[str, Any]]) -> bytes:
 def _differing(layout: Layout, folder: Path) -> Iterator[str]:
     """Name the files that stand where this layout writes other bytes."""
     for number, plate in enumerate(layout.plates, 1):
-        solid, picture = folder / _solid_file(number), folder / _map_file(number)
-        if solid.exists() and not holds(solid, write_build([_item(placed, layout) for placed in plate])):
+        solid, picture = folder / _solid_file(number, layout), folder / _map_file(number)
+        if solid.exists() and not holds(solid, _packed([_item(placed, layout) for placed in plate], layout)):
             yield solid.name
         if picture.exists() and not holds(picture, _map_of(layout, number)):
             yield picture.name
@@ -267,5 +294,5 @@ def _unknown_files(layout: Layout, folder: Path) -> list[str]:
     solids = [name for name in listed if _PLATE_FILE.fullmatch(name)]
     before = {name for solid in solids for name in (solid, Path(solid).with_suffix(".png").name)}
     numbers = range(1, len(layout.plates) + 1)
-    ours = {name for number in numbers for name in (_solid_file(number), _map_file(number))}
+    ours = {name for number in numbers for name in (_solid_file(number, layout), _map_file(number))}
     return sorted(name for name in before - ours if (folder / name).exists())

@@ -11,7 +11,7 @@ import numpy as np
 
 from tactile_toolkit.errors import InputError, ItemError
 from tactile_toolkit.mesh.files import FORMATS, pack_mesh, read_mesh
-from tactile_toolkit.mesh.mesh import MM_PER_M
+from tactile_toolkit.mesh.mesh import MM_PER_M, Mesh
 from tactile_toolkit.printing.checked import (
     Failure,
     existing,
@@ -24,6 +24,7 @@ from tactile_toolkit.printing.checked import (
     settle,
 )
 from tactile_toolkit.printing.objects import PrintObject, require_scale, standing
+from tactile_toolkit.printing.simulator import MODELS, Physics, model_files, read_model
 from tactile_toolkit.run.processes import runner_for
 
 __all__ = ["FileExport", "FileForecast", "WrittenFile", "export_files", "forecast_files"]
@@ -99,17 +100,21 @@ class _Export:
     folder: str
     ending: str
     scale: float
+    physics: Physics
     only_look: bool = False
 
     def __call__(self, item: PrintObject) -> tuple[str, WrittenFile | Failure | bool]:
         try:
             mesh = standing(item.load(), self.scale)
             verdict = require_solid(mesh)
-            content = pack_mesh(mesh, self.ending, item.name)
-            path = self.path_of(item)
+            *parts, (path, content) = self.files_of(item, mesh)
             if self.only_look:
-                return item.name, holds(path, content)
-            state = settle(path, content, lambda found: require_same_solid(read_mesh(found), mesh, verdict))
+                return item.name, all(holds(*each) for each in (*parts, (path, content)))
+            for each in parts:
+                settle(*each)
+            remove(set((Path(self.folder) / item.name).glob("part-*.obj")) - dict(parts).keys())
+            read = read_mesh if self.ending in FORMATS else read_model
+            state = settle(path, content, lambda found: require_same_solid(read(found), mesh, verdict))
         except ItemError as error:
             detail, path = str(error), self.path_of(item)
             # What an earlier export left under this name would pass for this object.
@@ -120,8 +125,16 @@ class _Export:
         width, depth, height = (np.ptp(mesh.bounds_m, axis=0) * MM_PER_M).tolist()
         return item.name, WrittenFile(
             *(item.name, path.name, item.split, item.label, item.id),
-            *((width, depth, height), verdict.volume_mm3, len(content), state),
+            *((width, depth, height), verdict.volume_mm3),
+            *(len(content) + sum(len(part) for _, part in parts), state),
         )
+
+    def files_of(self, item: PrintObject, mesh: Mesh) -> list[tuple[Path, bytes]]:
+        """Return the files of an object and what they hold, its own last, behind those that it refers to."""
+        if self.ending in FORMATS:
+            return [(self.path_of(item), pack_mesh(mesh, self.ending, item.name))]
+        files = model_files(item.name, mesh, self.ending, self.physics)
+        return [(Path(self.folder) / path, content) for path, content in files.items()]
 
     def path_of(self, item: PrintObject) -> Path:
         """Return where the file of an object stands."""
@@ -134,6 +147,7 @@ def export_files(
     kind: str = "stl",
     *,
     scale: float = 1.0,
+    physics: Physics | None = None,
     overwrite: bool = False,
     workers: int = 1,
     on_progress: Callable[[int, int], None] = lambda _done, _total: None,
@@ -144,7 +158,8 @@ def export_files(
     there already with the very same bytes is kept, so a stopped export goes on where it was.
 
     Objects that are not solids are listed in the result, and do not stop the others. ``kind`` is ``"stl"``,
-    ``"3mf"``, ``"ply"``, ``"obj"`` (millimetres) or ``"glb"`` (metres); ``scale`` a factor on all lengths.
+    ``"3mf"``, ``"ply"``, ``"obj"`` (millimetres), ``"glb"``, or ``"mjcf"`` or ``"urdf"`` for simulators
+    (metres), whose masses follow from ``physics``; ``scale`` is a factor on all lengths.
     With ``overwrite``, files of the same name that hold something else are replaced, and that of an object
     that fails is removed.
 
@@ -153,12 +168,13 @@ def export_files(
     """
     ending = _ending(kind)
     require_scale(scale)
+    material = physics or Physics()
     folder = str(prepare(out))
     runner = runner_for(workers)
     if not overwrite:
-        _refuse_others(objects, out, _Export(folder, ending, scale, only_look=True), workers)
+        _refuse_others(objects, out, _Export(folder, ending, scale, material, only_look=True), workers)
     found: dict[str, WrittenFile | Failure | bool] = {}
-    for name, result in runner.run(_Export(folder, ending, scale), objects):
+    for name, result in runner.run(_Export(folder, ending, scale, material), objects):
         found[name] = result
         on_progress(len(found), len(objects))
     results = [found[item.name] for item in objects]
@@ -173,6 +189,7 @@ def forecast_files(
     kind: str = "stl",
     scale: float = 1.0,
     *,
+    physics: Physics | None = None,
     out: str | None = None,
     overwrite: bool = False,
 ) -> FileForecast:
@@ -182,21 +199,23 @@ def forecast_files(
     """
     ending = _ending(kind)
     require_scale(scale)
+    material = physics or Physics()
     folder = None if out is None else existing(out)
     if out is not None and folder is not None and not overwrite:
-        _refuse_others(objects, out, _Export(str(folder), ending, scale, only_look=True), 1)
+        _refuse_others(objects, out, _Export(str(folder), ending, scale, material, only_look=True), 1)
     positions = np.unique(np.linspace(0, len(objects) - 1, _SAMPLED).astype(int))
     sizes, failures = [], []
     for item in (objects[position] for position in positions):
         mesh = standing(item.load(), scale)
         try:
             require_solid(mesh)
-            sizes.append(len(pack_mesh(mesh, ending, item.name)))
+            files = _Export("", ending, scale, material).files_of(item, mesh)
+            sizes.append(sum(len(content) for _, content in files))
         except ItemError as error:
             failures.append(Failure(item.name, error.reason, str(error)))
-    files = len(objects) - len(failures)
-    total = round(sum(sizes) / max(len(sizes), 1) * files)
-    return FileForecast(files, total, len(positions), tuple(failures))
+    count = len(objects) - len(failures)
+    total = round(sum(sizes) / max(len(sizes), 1) * count)
+    return FileForecast(count, total, len(positions), tuple(failures))
 
 
 def _refuse_others(objects: Sequence[PrintObject], out: str, look: _Export, workers: int) -> None:
@@ -207,9 +226,10 @@ def _refuse_others(objects: Sequence[PrintObject], out: str, look: _Export, work
 
 
 def _ending(kind: str) -> str:
-    ending = f".{kind.lower().removeprefix('.')}"
-    if ending not in FORMATS:
-        names = ", ".join(known[1:] for known in FORMATS)
+    name = kind.lower().removeprefix(".")
+    ending = MODELS.get(name, f".{name}")
+    if ending not in FORMATS and name not in MODELS:
+        names = ", ".join([*(known[1:] for known in FORMATS), *MODELS])
         message = f"--format is {kind!r}; expected one of {names}"
         raise InputError(message)
     return ending

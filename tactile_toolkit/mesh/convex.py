@@ -1,0 +1,119 @@
+"""Convex parts of a solid that stands on a plate, for simulators, whose contacts are between convex bodies.
+
+A digit is flat ink that was given a rim: where a part of the ink, seen from above, is convex, the solid over
+it nearly is. So the solid is cut by upright planes only, and where is decided on the flat outline.
+"""
+
+from __future__ import annotations
+
+import heapq
+import math
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from tactile_toolkit.errors import ItemError
+from tactile_toolkit.mesh.mesh import MM_PER_M, Mesh
+from tactile_toolkit.mesh.solid_check import check_manifold
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+__all__ = ["convex_parts"]
+
+_DIRECTIONS = [
+    np.array([math.cos(angle), math.sin(angle)]) for angle in np.linspace(0, math.pi, 12, endpoint=False)
+]
+_OUTLINE_MM = 0.02  # finer detail of an outline decides no cut
+_FAR_MM = 1e5
+_LEAST_MM3 = 1e-6  # what a cut leaves of a face is no part
+
+
+def convex_parts(
+    mesh: Mesh, *, excess: float = 1.08, most: int = 64, tolerance_mm: float = 0.1
+) -> list[Mesh]:
+    """Cut a solid into parts and return their convex hulls.
+
+    The part whose hull adds most is cut first, until all hulls together are ``excess`` times the solid, or
+    there are ``most`` of them or a few more. Hulls hold all of the solid but what ``tolerance_mm`` smooths
+    off their corners. The same mesh gives the same parts.
+
+    Raises ItemError where the mesh bounds no solid.
+    """
+    solid = mesh.to_manifold()
+    verdict = check_manifold(mesh)
+    if verdict.problem is not None:
+        message = f"it does not bound a solid ({verdict.problem}: {verdict.detail})"
+        raise ItemError(verdict.problem, message)
+    parts: list[tuple[float, int, Any, Any]] = []
+    made = 0
+
+    def add(found: Any) -> None:
+        nonlocal made
+        for part in found.decompose():
+            if part.volume() > _LEAST_MM3:
+                hull = part.hull()
+                # The count decides between equals, as solids cannot be compared.
+                heapq.heappush(parts, (part.volume() - hull.volume(), made, part, hull))
+                made += 1
+
+    add(solid)
+    whole_mm3 = solid.volume()
+    while len(parts) < most and sum(hull.volume() for *_, hull in parts) > excess * whole_mm3:
+        _, _, part, _ = heapq.heappop(parts)
+        normal, offset_mm = _best_cut(part.project().simplify(_OUTLINE_MM))
+        for half in part.split_by_plane((*normal.tolist(), 0.0), offset_mm):
+            add(half)
+    smooth = [
+        (hull, hull.simplify(tolerance_mm).hull()) for *_, hull in sorted(parts, key=lambda each: each[1])
+    ]
+    # Of a chip thinner than the tolerance, smoothing leaves nothing.
+    return [_as_mesh(exact if simple.is_empty() else simple) for exact, simple in smooth]
+
+
+def _as_mesh(solid: Any) -> Mesh:
+    found = solid.to_mesh64()
+    vertices_mm = np.asarray(found.vert_properties, np.float64)[:, :3]
+    return Mesh(vertices_mm / MM_PER_M, np.asarray(found.tri_verts, np.int32))
+
+
+def _best_cut(outline: Any) -> tuple[NDArray[np.float64], float]:
+    """Return the line, normal and offset in mm, that leaves the least between the halves and their hulls.
+
+    It goes through the point that lies deepest in a bay, or in the middle where that gives no two halves.
+    """
+    low_x, low_y, high_x, high_y = outline.bounds()
+    middle = np.array([(low_x + high_x) / 2, (low_y + high_y) / 2])
+    for point in (_deepest_in_a_bay(outline), middle):
+        cuts = []
+        for number, normal in enumerate(_DIRECTIONS):
+            half = _half_plane(normal, float(normal @ point))
+            halves = (outline ^ half, outline - half)
+            if not any(each.is_empty() for each in halves):
+                area = sum(piece.hull().area() for each in halves for piece in each.decompose())
+                cuts.append((area, number))
+        if cuts:
+            normal = _DIRECTIONS[min(cuts)[1]]
+            return normal, float(normal @ point)
+    message = "an outline without an inside cannot be cut"
+    raise AssertionError(message)
+
+
+def _deepest_in_a_bay(outline: Any) -> NDArray[np.float64]:
+    """Return the corner of an outline that lies deepest below its convex hull."""
+    hull = np.asarray(outline.hull().to_polygons()[0])
+    along = np.roll(hull, -1, axis=0) - hull
+    inwards = np.stack([-along[:, 1], along[:, 0]], axis=1)
+    inwards /= np.maximum(np.linalg.norm(inwards, axis=1, keepdims=True), 1e-12)
+    corners = np.concatenate([np.asarray(each) for each in outline.to_polygons()])
+    depth = ((corners[:, None] - hull[None]) * inwards[None]).sum(axis=2).min(axis=1)
+    deepest: NDArray[np.float64] = corners[int(depth.argmax())]
+    return deepest
+
+
+def _half_plane(normal: NDArray[np.float64], offset_mm: float) -> Any:
+    from manifold3d import CrossSection
+
+    start, along = normal * offset_mm, np.array([-normal[1], normal[0]]) * _FAR_MM
+    far = normal * _FAR_MM
+    return CrossSection([np.array([start - along, start - along + far, start + along + far, start + along])])

@@ -1,0 +1,203 @@
+"""Bodies for simulators: MJCF and URDF with the true mass and inertia, and convex parts for contacts.
+
+A simulator that is given the mesh alone takes its convex hull for contacts, and may take another mass.
+"""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+from xml.etree import ElementTree
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tactile_toolkit.errors import InputError
+from tactile_toolkit.mesh.convex import convex_parts
+from tactile_toolkit.mesh.files import BROKEN_FILE, read_mesh
+from tactile_toolkit.mesh.mesh import MM_PER_M, Mesh
+from tactile_toolkit.wording import plain_number
+
+__all__ = ["MODELS", "Body", "Physics", "body_of", "model_files", "pack_mjcf", "read_mjcf", "read_model"]
+
+MODELS = {"mjcf": ".xml", "urdf": ".urdf"}
+"""Formats of bodies for simulators, and how their files end."""
+
+
+@dataclass(frozen=True, slots=True)
+class Physics:
+    """What the material of a body is like.
+
+    ``density_kg_m3`` is that of the solid body, by default of PLA as printers take it; a print that is not
+    filled is lighter. ``friction`` is the coefficient of sliding, our own default.
+    """
+
+    density_kg_m3: float = 1240.0
+    friction: float = 0.5
+
+    def __post_init__(self) -> None:
+        for name, most in (("density_kg_m3", 1e5), ("friction", 100.0)):
+            value = plain_number(getattr(self, name), float)
+            if not isinstance(value, float) or not 0 < value <= most:
+                message = f"{name} is {getattr(self, name)!r}; expected a number above 0, at most {most:g}"
+                raise InputError(message)
+
+
+@dataclass(frozen=True, slots=True)
+class Body:
+    """One rigid body, metres, kilograms, in the frame of its mesh.
+
+    ``inertia_kg_m2``, shape (3, 3), is about the centre of mass ``center_m``, along the axes of the mesh.
+    """
+
+    name: str
+    mesh: Mesh
+    parts: tuple[Mesh, ...]
+    mass_kg: float
+    center_m: NDArray[np.float64]
+    inertia_kg_m2: NDArray[np.float64]
+    friction: float
+
+
+def body_of(name: str, mesh: Mesh, physics: Physics) -> Body:
+    """Weigh an evenly filled solid and cut it into convex parts; raises ItemError where it is none."""
+    parts = tuple(convex_parts(mesh))
+    measured = mesh.to_trimesh()
+    measured.density = physics.density_kg_m3
+    properties = measured.mass_properties
+    return Body(
+        name,
+        mesh,
+        parts,
+        float(properties.mass),
+        np.asarray(properties.center_mass, np.float64),
+        np.asarray(properties.inertia, np.float64),
+        physics.friction,
+    )
+
+
+def model_files(name: str, mesh: Mesh, ending: str, physics: Physics) -> dict[str, bytes]:
+    """Write a solid as a body: the files by path, the model last, behind what it refers to."""
+    body = body_of(name, mesh, physics)
+    return (
+        {f"{name}.xml": pack_mjcf([(body, (0.0, 0.0))], name)} if ending == ".xml" else _pack_urdf(body, name)
+    )
+
+
+def read_model(path: Path) -> Mesh:
+    """Read the mesh that a model shows, metres; raises InputError where there is none."""
+    try:
+        if path.suffix == ".xml":
+            ((mesh, _),) = read_mjcf(path.read_bytes()).values()
+            return mesh
+        shown = ElementTree.fromstring(path.read_bytes()).find("link/visual/geometry/mesh")
+        file = path.parent / (shown.attrib["filename"] if shown is not None else "")
+        in_mm = read_mesh(file)  # OBJ names no unit, and is taken for millimetres elsewhere
+        return Mesh(in_mm.vertices_m * MM_PER_M, in_mm.faces)
+    except BROKEN_FILE as error:
+        message = f"{path}: not a readable model ({error})"
+        raise InputError(message) from error
+
+
+def pack_mjcf(bodies: Sequence[tuple[Body, tuple[float, float]]], model: str, floor: bool = False) -> bytes:
+    """Write bodies, each with its place on the ground in metres, as one MJCF file that needs no other.
+
+    ``floor`` adds a plane to lie on, and light. The same bodies give the same bytes.
+    """
+    root = ElementTree.Element("mujoco", model=model)
+    assets = ElementTree.SubElement(root, "asset")
+    world = ElementTree.SubElement(root, "worldbody")
+    if floor:
+        ElementTree.SubElement(world, "light", pos="0 0 1", dir="0 0 -1", directional="true")
+        ElementTree.SubElement(world, "geom", name="floor", type="plane", size="0 0 0.05")
+    for body, (x_m, y_m) in bodies:
+        _add_asset(assets, body.name, body.mesh, with_faces=True)
+        element = ElementTree.SubElement(world, "body", name=body.name, pos=_text((x_m, y_m, 0.0)))
+        ElementTree.SubElement(element, "freejoint", name=f"{body.name}-free")
+        i = body.inertia_kg_m2
+        ElementTree.SubElement(
+            element,
+            "inertial",
+            pos=_text(body.center_m),
+            mass=_text((body.mass_kg,)),
+            fullinertia=_text((i[0, 0], i[1, 1], i[2, 2], i[0, 1], i[0, 2], i[1, 2])),
+        )
+        # Group 2 is drawn and group 3 is not, as in the models that MuJoCo's own viewer comes with.
+        seen = {"type": "mesh", "contype": "0", "conaffinity": "0", "group": "2", "mass": "0"}
+        ElementTree.SubElement(element, "geom", {"name": body.name, "mesh": body.name, **seen})
+        for number, part in enumerate(body.parts):
+            name = f"{body.name}-{number:02d}"
+            _add_asset(assets, name, part, with_faces=False)
+            felt = {
+                "type": "mesh",
+                "group": "3",
+                "mass": "0",
+                "friction": _text((body.friction, 0.005, 1e-4)),
+            }
+            ElementTree.SubElement(element, "geom", {"name": name, "mesh": name, **felt})
+    return _written(root)
+
+
+def _add_asset(assets: ElementTree.Element, name: str, mesh: Mesh, *, with_faces: bool) -> None:
+    faces = {"face": " ".join(map(str, mesh.faces.ravel().tolist()))} if with_faces else {}
+    ElementTree.SubElement(assets, "mesh", {"name": name, "vertex": _text(mesh.vertices_m.ravel()), **faces})
+
+
+def read_mjcf(content: bytes) -> dict[str, tuple[Mesh, float]]:
+    """Read back the mesh and the mass, kg, of each body of :func:`pack_mjcf`; raises ValueError, KeyError."""
+    root = ElementTree.fromstring(content)
+    meshes = {each.attrib["name"]: each for each in root.iter("mesh")}
+    found = {}
+    for body in root.iter("body"):
+        asset, inertial = meshes[body.attrib["name"]], body.find("inertial")
+        if inertial is None:
+            message = f"body {body.attrib['name']!r} has no mass"
+            raise ValueError(message)
+        vertices = np.array(asset.attrib["vertex"].split(), np.float64).reshape(-1, 3)
+        faces = np.array(asset.attrib["face"].split(), np.int32).reshape(-1, 3)
+        place = np.array(body.attrib["pos"].split(), np.float64)
+        found[body.attrib["name"]] = (Mesh(vertices + place, faces), float(inertial.attrib["mass"]))
+    return found
+
+
+def _pack_urdf(body: Body, folder: str) -> dict[str, bytes]:
+    """Write a body as a URDF file and its meshes, OBJ in metres, by path; the URDF file is the last one."""
+    files = {f"{folder}/visual.obj": _obj(body.mesh)}
+    files |= {f"{folder}/part-{number:02d}.obj": _obj(part) for number, part in enumerate(body.parts)}
+    root = ElementTree.Element("robot", name=body.name)
+    link = ElementTree.SubElement(root, "link", name=body.name)
+    inertial = ElementTree.SubElement(link, "inertial")
+    ElementTree.SubElement(inertial, "origin", xyz=_text(body.center_m), rpy="0 0 0")
+    ElementTree.SubElement(inertial, "mass", value=_text((body.mass_kg,)))
+    i = body.inertia_kg_m2
+    moments = {"ixx": (0, 0), "iyy": (1, 1), "izz": (2, 2), "ixy": (0, 1), "ixz": (0, 2), "iyz": (1, 2)}
+    inertia = {name: _text((i[place],)) for name, place in moments.items()}
+    ElementTree.SubElement(inertial, "inertia", attrib=inertia)
+    for path in files:
+        shape = ElementTree.SubElement(link, "visual" if path.endswith("visual.obj") else "collision")
+        ElementTree.SubElement(ElementTree.SubElement(shape, "geometry"), "mesh", filename=path)
+    contact = ElementTree.SubElement(link, "contact")
+    ElementTree.SubElement(contact, "lateral_friction", value=_text((body.friction,)))
+    return {**files, f"{folder}.urdf": _written(root)}
+
+
+def _obj(mesh: Mesh) -> bytes:
+    out = io.StringIO()
+    for row in np.asarray(mesh.vertices_m, np.float64).tolist():
+        out.write("v {:.9g} {:.9g} {:.9g}\n".format(*row))
+    for corners in (mesh.faces + 1).tolist():
+        out.write("f {} {} {}\n".format(*corners))
+    return out.getvalue().encode()
+
+
+def _text(values: Iterable[Any]) -> str:
+    return " ".join(f"{float(value):.9g}" for value in values)
+
+
+def _written(root: ElementTree.Element) -> bytes:
+    ElementTree.indent(root)
+    content: bytes = ElementTree.tostring(root, encoding="utf-8", xml_declaration=True)
+    return content + b"\n"

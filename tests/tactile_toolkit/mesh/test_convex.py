@@ -1,0 +1,61 @@
+"""Convex parts hold the solid, add little to it, and are the same each time."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.spatial import ConvexHull
+
+import mnist3d
+from mnist3d.sources.synthetic import SyntheticSource
+from tactile_toolkit.errors import ItemError
+from tactile_toolkit.mesh.convex import convex_parts
+from tactile_toolkit.mesh.mesh import Mesh
+from tests.tactile_toolkit.printing.solids import box, ell, open_box, ring
+
+
+def outside_mm(mesh: Mesh, parts: list[Mesh]) -> float:
+    """Greatest distance of a corner, or of the middle of a face, from the nearest part."""
+    vertices = np.asarray(mesh.vertices_m, np.float64)
+    points_mm = 1e3 * np.concatenate([vertices, vertices[mesh.faces].mean(axis=1)])
+    nearest = np.full(len(points_mm), np.inf)
+    for part in parts:
+        planes = ConvexHull(1e3 * np.asarray(part.vertices_m)).equations
+        nearest = np.minimum(nearest, (points_mm @ planes[:, :3].T + planes[:, 3]).max(axis=1))
+    return float(nearest.max())
+
+
+@pytest.mark.parametrize("number", [3, 1000, 1234, 5001, 9876, 13000])
+def test_parts_of_a_digit(number: int):
+    solid = mnist3d.solidify(SyntheticSource(seed=2).image(number).pixels)
+    parts = convex_parts(solid)
+    hulls = [ConvexHull(part.vertices_m).volume for part in parts]
+    assert [part.volume_m3 for part in parts] == pytest.approx(hulls, rel=1e-6), "a part is not convex"
+    assert 0.99 <= sum(hulls) / solid.volume_m3 <= 1.10
+    assert outside_mm(solid, parts) <= 0.3
+    again = convex_parts(solid)
+    assert all((one.vertices_m == other.vertices_m).all() for one, other in zip(parts, again, strict=True))
+
+
+def test_what_is_convex_is_one_part():
+    (part,) = convex_parts(box(20, 10))
+    assert part.volume_m3 == pytest.approx(box(20, 10).volume_m3)
+
+
+def test_bays_holes_and_several_bodies():
+    assert len(convex_parts(ell(30, 8))) == 2
+    hollow = ring(12, 6)
+    parts = convex_parts(hollow)
+    assert sum(part.volume_m3 for part in parts) <= 1.08 * hollow.volume_m3
+    assert outside_mm(hollow, parts) <= 0.3
+    assert len(convex_parts(hollow, most=3)) in (3, 4), "the last cut may leave more than two"
+    far = Mesh(box(5, 5).vertices_m + 0.1, box(5, 5).faces + len(box(4, 4).vertices_m))
+    both = Mesh(
+        np.concatenate([box(4, 4).vertices_m, far.vertices_m]), np.concatenate([box(4, 4).faces, far.faces])
+    )
+    assert len(convex_parts(both)) == 2
+
+
+def test_what_is_no_solid_is_refused():
+    with pytest.raises(ItemError, match="does not bound a solid"):
+        convex_parts(open_box(5, 5))

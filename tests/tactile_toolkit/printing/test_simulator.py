@@ -1,0 +1,126 @@
+"""Bodies for simulators, read by the simulators' own readers."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import trimesh
+
+import mnist3d
+from mnist3d.sources.synthetic import SyntheticSource
+from tactile_toolkit.errors import InputError
+from tactile_toolkit.mesh.mesh import Mesh
+from tactile_toolkit.printing.layout import arrange, measure
+from tactile_toolkit.printing.packing import PlateSpec
+from tactile_toolkit.printing.plates import write_plates
+from tactile_toolkit.printing.simulator import Physics
+from tactile_toolkit.printing.singles import export_files, forecast_files
+from tests.tactile_toolkit.printing.solids import box, ell, named, open_box, ring
+from tests.tactile_toolkit.toy import folder_bytes
+
+SHAPES = [box(20, 10), ell(30, 8), ring(12, 6)]
+needs_simulators = pytest.mark.simulators
+
+
+def digits() -> list[Mesh]:
+    source = SyntheticSource(seed=2)
+    return [mnist3d.solidify(source.image(number).pixels) for number in (2000, 5001, 9876)]
+
+
+@needs_simulators
+def test_mujoco_weighs_a_body_as_it_is_and_lets_it_rest_on_its_flat_side(tmp_path: Path):
+    mujoco = pytest.importorskip("mujoco", reason="needs mujoco, of the extra simulators")
+    solids = [*SHAPES, *digits()]
+    made = export_files(named(solids), str(tmp_path), "mjcf", physics=Physics(1100, 0.7))
+    assert made.failures == ()
+    for solid, file in zip(solids, made.files, strict=True):
+        text = (tmp_path / file.file).read_text()
+        floor = '<worldbody><geom type="plane" size="0 0 0.05"/>'
+        model = mujoco.MjModel.from_xml_string(text.replace("<worldbody>", floor))
+        assert model.body_mass[1] == pytest.approx(1100 * solid.volume_m3, rel=1e-6)
+        exact = solid.to_trimesh()
+        exact.density = 1100
+        moments = np.linalg.eigvalsh(exact.moment_inertia)
+        assert sorted(model.body_inertia[1]) == pytest.approx(moments, rel=1e-5)
+        assert model.geom_friction[2, 0] == 0.7
+        data = mujoco.MjData(model)
+        data.qpos[2] = 0.005
+        for _ in range(2000):
+            mujoco.mj_step(model, data)
+        assert np.abs(data.qvel).max() < 0.02, "it does not come to rest"
+        assert abs(data.qpos[3]) > 0.99, "it does not lie on the side that it was dropped on"
+        assert abs(data.qpos[2]) < 0.001, "it sank, or floats"
+
+
+@needs_simulators
+def test_a_plate_is_a_scene(tmp_path: Path):
+    mujoco = pytest.importorskip("mujoco", reason="needs mujoco, of the extra simulators")
+    from dataclasses import replace
+
+    objects = named(SHAPES)
+    layout = arrange(measure(objects, PlateSpec.parse("120x120")))
+    made = write_plates(replace(layout, physics=Physics()), str(tmp_path))
+    assert [plate.file for plate in made.plates] == ["plate-01.xml"]
+    model = mujoco.MjModel.from_xml_path(str(tmp_path / "plate-01.xml"))
+    names = [model.body(number).name for number in range(1, model.nbody)]
+    assert sorted(names) == sorted(item.name for item in objects)
+    data = mujoco.MjData(model)
+    for _ in range(500):
+        mujoco.mj_step(model, data)
+    assert np.abs(data.qvel).max() < 0.01
+    before = folder_bytes(tmp_path)
+    again = write_plates(replace(layout, physics=Physics()), str(tmp_path))
+    assert [plate.state for plate in again.plates] == ["kept"]
+    assert folder_bytes(tmp_path) == before
+
+
+@needs_simulators
+@pytest.mark.filterwarnings("ignore::DeprecationWarning")  # yourdfpy's own
+def test_a_reader_of_urdf_finds_masses_and_convex_parts(tmp_path: Path):
+    yourdfpy = pytest.importorskip("yourdfpy", reason="needs yourdfpy, of the extra simulators")
+    made = export_files(named(SHAPES), str(tmp_path), "urdf")
+    for solid, file in zip(SHAPES, made.files, strict=True):
+        robot = yourdfpy.URDF.load(
+            str(tmp_path / file.file), build_collision_scene_graph=True, load_collision_meshes=True
+        )
+        (link,) = robot.robot.links
+        assert link.inertial.mass == pytest.approx(1240 * solid.volume_m3, rel=1e-6)
+        exact = solid.to_trimesh()
+        exact.density = 1240
+        assert link.inertial.inertia == pytest.approx(exact.moment_inertia, rel=1e-5, abs=1e-12)
+        assert link.inertial.origin[:3, 3] == pytest.approx(np.asarray(exact.center_mass), abs=1e-8)
+        shown = robot.scene.to_mesh()
+        assert shown.volume == pytest.approx(solid.volume_m3, rel=1e-5)
+        felt = robot.collision_scene.to_mesh()
+        parts = [trimesh.load_mesh(tmp_path / each.geometry.mesh.filename) for each in link.collisions]
+        assert all(part.volume == pytest.approx(part.convex_hull.volume, rel=1e-5) for part in parts)
+        assert felt.volume == pytest.approx(sum(part.volume for part in parts), rel=1e-5)
+        assert felt.volume <= 1.1 * solid.volume_m3
+
+
+@pytest.mark.parametrize("kind", ["mjcf", "urdf"])
+def test_models_are_kept_replaced_and_resumed_as_other_files(kind: str, tmp_path: Path):
+    export_files(named(SHAPES), str(tmp_path / "whole"), kind)
+    export_files(named(SHAPES)[:1], str(tmp_path / "parts"), kind)
+    made = export_files(named(SHAPES), str(tmp_path / "parts"), kind)
+    assert [file.state for file in made.files] == ["kept", "written", "written"]
+    assert folder_bytes(tmp_path / "parts") == folder_bytes(tmp_path / "whole")
+    turned = [SHAPES[2], *SHAPES[1:]]
+    with pytest.raises(InputError, match="with other content"):
+        export_files(named(turned), str(tmp_path / "parts"), kind)
+    export_files(named(turned), str(tmp_path / "parts"), kind, overwrite=True)
+    export_files(named(SHAPES), str(tmp_path / "parts"), kind, overwrite=True)
+    assert folder_bytes(tmp_path / "parts") == folder_bytes(tmp_path / "whole"), "a part too many stayed"
+    view = forecast_files(named(SHAPES), kind)
+    assert view.bytes == sum(file.bytes for file in made.files)
+
+
+def test_what_cannot_be_a_body_is_named(tmp_path: Path):
+    made = export_files(named([box(5, 5), open_box(5, 5)]), str(tmp_path), "urdf")
+    assert [failure.name for failure in made.failures] == ["test-1-00001"]
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["test-0-00000", "test-0-00000.urdf"]
+    for values in ({"density_kg_m3": 0}, {"friction": float("nan")}, {"density_kg_m3": "heavy"}):
+        with pytest.raises(InputError, match="expected a number above 0"):
+            Physics(**values)
