@@ -12,7 +12,7 @@ import typer
 from cli.application import command
 from cli.folders import print_made
 from cli.making import make_with_progress
-from cli.options import Making, Out, Seed
+from cli.options import LocalOut, Making, Out, Seed
 from cli.output import Sink, bytes_text, counted
 from tactile_sim.kind import KIND
 
@@ -88,7 +88,7 @@ def pairs(
     objects: Annotated[str, typer.Argument(metavar="DIGITS", help="Digits or other meshes.")],
     real: Annotated[str, typer.Option("--real", metavar="TOUCHES", help="Real touches: name or folder.")],
     split: Annotated[str, typer.Option("--split", metavar="NAME", help="Split of both.")] = "train",
-    out: Out = Path("pairs"),
+    out: Out = "pairs",
     options: PairsOptions,
     making: Making,
     sink: Sink,
@@ -140,7 +140,7 @@ def pairs(
 def train(
     *,
     pairs: PairsFolder,
-    out: Out = Path("weights"),
+    out: LocalOut = Path("weights"),
     options: TrainOptions,
     device: Annotated[Literal["auto", "cpu", "cuda"], typer.Option(help="Where to compute.")] = "auto",
     deterministic: Annotated[
@@ -196,7 +196,7 @@ def evaluate(
     pairs: Annotated[
         str, typer.Option("--pairs", metavar="PAIRS", help="A training set that it did not see.")
     ],
-    out: Out = Path("evaluation"),
+    out: LocalOut = Path("evaluation"),
     count: Annotated[int, typer.Option(min=1, metavar="N", help="At most so many pictures.")] = 2000,
     taxim: Annotated[bool, typer.Option(help="Compare with Taxim (extra sim).")] = True,
     seed: Seed = 0,

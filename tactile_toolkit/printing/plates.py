@@ -201,7 +201,10 @@ def _unpacked(content: bytes) -> list[BuildItem]:
     if content.startswith(b"PK"):
         return read_build(content)
     found = read_mjcf(content).items()
-    return [BuildItem(name, mesh.vertices_m * MM_PER_M, mesh.faces) for name, (mesh, _) in found]
+    return [
+        BuildItem(name, np.asarray(mesh.vertices_m, np.float64) * MM_PER_M, mesh.faces)
+        for name, (mesh, _) in found
+    ]
 
 
 def _map_of(layout: Layout, number: int) -> bytes:

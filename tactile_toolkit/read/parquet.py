@@ -587,7 +587,7 @@ class ShardedTable:
         """Yield the Arrow arrays of one column in order, from few files where the data set has such."""
         for small, neighbours in groupby(self.shards, key=lambda shard: shard.small):
             shards = list(neighbours)
-            column = None if small is None else _small_column(*small, shards, name)
+            column = None if small is None else _small_column(small[0], small[1], shards, name)
             if column is None:
                 yield from _in_threads(lambda shard: shard.column(name), shards)
             else:

@@ -296,6 +296,7 @@ def _answering(address: str | None) -> str:
     """Return the address of a cluster that answers; Ray itself waits for minutes, then ends the process."""
     from ray._private.services import canonicalize_bootstrap_address
 
+    found: str | None
     try:
         found = canonicalize_bootstrap_address(address or "auto")
     except (ConnectionError, OSError, ValueError):  # nobody knows its host, or nobody has started one
