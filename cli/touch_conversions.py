@@ -31,6 +31,13 @@ if TYPE_CHECKING:
 __all__ = ["add_conversions"]
 
 
+class DifferenceName(StrEnum):
+    """Ways to show what differs from the background."""
+
+    grey = "grey"
+    absolute = "absolute"
+
+
 class FrameName(StrEnum):
     """Ways to choose the frame of a clip that shows the contact."""
 
@@ -38,6 +45,7 @@ class FrameName(StrEnum):
     contact_start = "contact_start"
     peak = "peak"
     median = "median"
+    best = "best"
 
 
 Target = Annotated[str, typer.Argument(metavar="OUT", help="Folder to write.", parser=place_of_data)]
@@ -45,7 +53,8 @@ Frame = Annotated[
     FrameName,
     typer.Option(
         "--frame",
-        help="Frame of a clip: last or first of contact, of the deepest press, or most unlike the median.",
+        help="Frame of a clip: last or first of contact, of the deepest press, most unlike the median, or "
+        "that of the best contact score.",
     ),
 ]
 
@@ -134,11 +143,19 @@ def frames(
     png: Annotated[bool, typer.Option("--png", help="Write PNG (the default); pixels stay exact.")] = False,
     jpeg: Annotated[bool, typer.Option("--jpeg", help="Write the stored JPEGs as they are.")] = False,
     frame: Frame = FrameName.contact_end,
+    difference: Annotated[
+        DifferenceName | None,
+        typer.Option(
+            help="Write what differs from the median of clip or round: grey (128: no change) or absolute."
+        ),
+    ] = None,
     converting: Converting,
 ) -> None:
     """Write touches as plain image files with an index in CSV and Parquet.
 
     Example: realtouch frames real-single-64x64 pictures --jpeg
+
+    Example: realtouch frames real-seq changes --frame best --difference grey
     """
     from realtouch.convert.api import frames as convert
     from tactile_toolkit.errors import InputError
@@ -147,7 +164,8 @@ def frames(
         message = "--png and --jpeg were both given; expected one of them"
         raise InputError(message)
     kind: Literal["png", "jpeg"] = "jpeg" if jpeg else "png"
-    converting.run(convert, source, out, kind, frame.value)
+    form = None if difference is None else difference.value
+    converting.run(convert, source, out, kind, frame.value, difference=form)
 
 
 def select(

@@ -30,7 +30,7 @@ __all__ = [
     "require_method",
 ]
 
-ContactMethod = Literal["contact_start", "contact_end", "peak", "median"]
+ContactMethod = Literal["contact_start", "contact_end", "peak", "median", "best"]
 CONTACT_METHODS: tuple[ContactMethod, ...] = get_args(ContactMethod)
 """Names of the ways to choose one frame: see :meth:`realtouch.media.clips.TouchClip.contact_index`."""
 

@@ -250,7 +250,7 @@ class TouchSeqRound(TouchRound):
         """
         clips, chosen = self.sensor_video, require_method(method)
         pixels = clips.room(len(clips), out)
-        if chosen == "median":
+        if chosen in ("median", "best"):
             # Chosen by the pictures: each clip is decoded whole.
             in_parallel(
                 lambda touch: clips[touch].contact_into(pixels[touch], chosen), len(clips), _cores(threads)

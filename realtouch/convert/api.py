@@ -61,7 +61,7 @@ def to_single(
     out : str or path
         Folder to write, outside the source.
     frame : str
-        ``"contact_end"``, ``"contact_start"``, ``"peak"`` or ``"median"``; see
+        ``"contact_end"``, ``"contact_start"``, ``"peak"``, ``"median"`` or ``"best"``; see
         :meth:`~realtouch.TouchClip.contact_index`. A clip in which ``"median"`` sees no contact gives
         its last frame of registered contact.
     split : str, optional
@@ -254,6 +254,7 @@ def frames(
     kind: Literal["png", "jpeg"] = "png",
     frame: str = "contact_end",
     *,
+    difference: Literal["grey", "absolute"] | None = None,
     split: str | None = None,
     limit: int | None = None,
     workers: int | Runner = 1,
@@ -271,6 +272,9 @@ def frames(
         decoded once to prove that it is whole.
     frame : str
         Which frame of a clip; as for :func:`to_single`.
+    difference : "grey" or "absolute", optional
+        Write what differs from the background, as :func:`realtouch.difference` gives it, instead of the
+        picture: from the median of the clip, or of the images of the round.
 
     Returns
     -------
@@ -286,17 +290,27 @@ def frames(
     if kind not in ("png", "jpeg"):
         message = f"no picture format {kind!r}; expected png or jpeg"
         raise InputError(message)
+    if difference not in (None, "grey", "absolute"):
+        message = f"no difference {difference!r} that a picture can show; expected grey or absolute"
+        raise InputError(message)
     method = require_method(frame)
     opened = Source.open(source, split=split)
     folder = DataFolder(fspath(out))
     choices = _first_rows(opened, limit)
     # The terms of the pictures depend on whether the touches were rendered.
     origin = {"touches": SYNTHETIC} if opened.kind == "single" and is_synthetic(opened.schema) else {}
+    changed = {} if difference is None else {"difference": difference}
     conversion = Conversion(
         opened,
         "frames",
-        {"kind": kind, "frame": method if opened.kind == "seq" else None, "limit": limit, **origin},
-        WritePictures(folder, kind, method, repeated_ids(opened, choices)),
+        {
+            "kind": kind,
+            "frame": method if opened.kind == "seq" else None,
+            "limit": limit,
+            **origin,
+            **changed,
+        },
+        WritePictures(folder, kind, method, difference, repeated_ids(opened, choices)),
         choices,
         rows_per_shard=_INDEX_ROWS,
         rows_per_group=1 << 16,

@@ -20,6 +20,7 @@ from realtouch.damage import damaged
 from realtouch.dataset import dataset_of
 from realtouch.media.images import SensorImages
 from realtouch.media.round_clips import SensorClips
+from realtouch.preprocess import background, difference
 from realtouch.rounds import TouchSeqRound, TouchSingleRound
 from tactile_toolkit.read.dataset import Row
 from tactile_toolkit.read.parquet import Shard
@@ -74,12 +75,14 @@ _JPEG_START = b"\xff\xd8"
 class WritePictures:
     """Step of ``frames``: writes the pictures of a row below a folder, and gives their lines of the index.
 
-    Stored JPEGs pass through as they are. ``repeated``: see :func:`repeated_ids`.
+    Stored JPEGs pass through as they are. With ``difference``, pictures are what differs from the background:
+    the median of the clip, or of the images of the round. ``repeated``: see :func:`repeated_ids`.
     """
 
     folder: DataFolder
     kind: Literal["png", "jpeg"]
     method: ContactMethod
+    difference: Literal["grey", "absolute"] | None = None
     repeated: Mapping[str, frozenset[int]] = field(default_factory=dict, repr=False)
 
     def schema(self, source: Any) -> pa.Schema:
@@ -95,15 +98,19 @@ class WritePictures:
         if choice.row in self.repeated.get(split, ()):
             problem = f"{row.value('id')!r} stands in an earlier round of split {split!r} too"
             raise damaged(row, "id", f"{problem}; expected ids that differ")
-        made = [self._picture(row, touch, split) for touch in range(touch_total(row))]
+        base = None
+        if self.difference is not None and row.has("sensor_image") and touch_total(row):
+            base = background(TouchSingleRound(row))
+        made = [self._picture(row, touch, split, base) for touch in range(touch_total(row))]
         for line, encoded in made:
             self.folder.write_bytes(line["file"], encoded)
         return pa.Table.from_pylist([line for line, _ in made], schema=_INDEX_SCHEMA)
 
-    def _picture(self, row: Row, touch: int, split: str) -> tuple[dict[str, Any], bytes]:
+    def _picture(self, row: Row, touch: int, split: str, base: Pixels | None) -> tuple[dict[str, Any], bytes]:
         record = TouchSingleRound(row) if row.has("sensor_image") else TouchSeqRound(row)
         name = _folder_name(row, record.id)
-        encoded, frame, pose = self._single(row, touch) if row.has("sensor_image") else self._seq(row, touch)
+        found = self._single(row, touch, base) if row.has("sensor_image") else self._seq(row, touch)
+        encoded, frame, pose = found
         suffix = "png" if self.kind == "png" else "jpg"
         file = f"{IMAGE_FOLDER}/{split}/{name}/{touch:03d}.{suffix}"
         position = vectors(row, "pos_in_cell", 2)[touch] if row.has("pos_in_cell") else [None, None]
@@ -121,9 +128,9 @@ class WritePictures:
         }
         return line, encoded
 
-    def _single(self, row: Row, touch: int) -> tuple[bytes, int, list[Any]]:
+    def _single(self, row: Row, touch: int, base: Pixels | None) -> tuple[bytes, int, list[Any]]:
         images = SensorImages(row)
-        encoded = self._encoded(images[touch], images.encoded(touch))
+        encoded = self._encoded(images[touch], images.encoded(touch), base)
         if not row.has("gel_pose_cell_frame.position"):
             return encoded, 0, [None] * 7
         pose = poses(row)
@@ -133,11 +140,14 @@ class WritePictures:
         clip = SensorClips(row)[touch]
         frame = contact_frame_of(clip, self.method)
         pose = clip_poses(row, touch)
-        encoded = self._encoded(clip[frame], clip.encoded(frame) if clip.has_index else b"")
+        base = None if self.difference is None else background(clip)
+        encoded = self._encoded(clip[frame], clip.encoded(frame) if clip.has_index else b"", base)
         return encoded, frame, [*pose.position_m[frame], *pose.quaternion[frame]]
 
-    def _encoded(self, pixels: Pixels, stored: bytes | memoryview) -> bytes:
+    def _encoded(self, pixels: Pixels, stored: bytes | memoryview, base: Pixels | None) -> bytes:
         """Return the file of a picture that was decoded whole; a JPEG stays as it is stored."""
+        if base is not None and self.difference is not None:
+            return encode_image(difference(pixels, base, self.difference), self.kind)
         if self.kind == "jpeg" and bytes(stored[:2]) == _JPEG_START:
             return bytes(stored)
         return encode_image(pixels, self.kind)

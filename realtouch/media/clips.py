@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
+from realtouch.changes import best_of
 from realtouch.columns.per_frame import clip_length, clip_times, stored_clip, touch_times
 from realtouch.columns.poses import clip_poses
 from realtouch.contact import (
@@ -293,7 +294,7 @@ class TouchClip(Sequence[Pixels]):
             ``"contact_start"`` and ``"contact_end"``: first and last frame of :attr:`contact_window`;
             ``"peak"``: the frame of the window with the lowest gel, the earliest of equals; ``"median"``: the
             frame of the whole clip that differs most from its median, see
-            :func:`realtouch.contact.most_changed_frame`.
+            :func:`realtouch.contact.most_changed_frame`; ``"best"``: that of :func:`realtouch.best_frame`.
         min_change, min_area : float
             Thresholds of ``"median"``: grey levels and share of the picture.
 
@@ -318,6 +319,8 @@ class TouchClip(Sequence[Pixels]):
                 )
                 raise ItemError(NO_CONTACT, message)
             return frame
+        if chosen == "best":
+            return best_of(self.frames())[0]
         window = self.contact_window
         if chosen == "contact_start":
             return int(window.start)

@@ -101,7 +101,7 @@ def contact_windows_of(clips: SensorClips) -> tuple[NDArray[np.int64], NDArray[n
 
 
 def contact_frames_of(clips: SensorClips, method: ContactMethod) -> list[int]:
-    """Return the frame of every clip of a round that shows the contact, by time or pose (not ``"median"``).
+    """Return the frame of every clip of a round that shows the contact, by time or pose, not by the picture.
 
     See :meth:`TouchClip.contact_index`. Raises IntegrityError when times or poses are missing or impossible.
     """

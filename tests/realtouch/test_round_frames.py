@@ -102,7 +102,7 @@ def test_frames_of_a_round_are_those_of_its_clips(
     factories.write_set(tmp_path, {"train": rows}, "seq", layout)
     record = realtouch.load(tmp_path)[1]
     clips = list(record.sensor_video)
-    for method in ("contact_start", "contact_end", "peak", "median"):
+    for method in ("contact_start", "contact_end", "peak", "median", "best"):
         expected = np.stack([clip.contact_frame(method) for clip in clips])
         np.testing.assert_array_equal(record.contact_frames(method), expected)
         out = np.zeros_like(expected)
