@@ -137,6 +137,7 @@ def info(folder: Folder, as_json: Json = False) -> None:
     if manifest is None:
         print_copy(sink, folder, KIND)
         return
+    KIND.refuse_other(manifest, str(folder))
     _print_made(sink, manifest, folder)
     print_spec(sink, manifest, "source and spec")
 

@@ -29,7 +29,7 @@ def call(command: str, *arguments: object) -> int:
     before = sys.argv
     sys.argv = [command, *map(str, arguments)]
     try:
-        import_module(f"cli.{command}").main()
+        import_module(f"cli.{command.replace('-', '_')}").main()
     except SystemExit as leave:
         return int(leave.code or 0)
     finally:
@@ -232,6 +232,16 @@ def test_a_folder_of_another_kind_is_refused(folders, tmp_path, capsys, command,
     assert call(command, "card", folders[kind]) == 2
     assert words in capsys.readouterr().err
     assert folder_bytes(folders[kind]) == before
+
+
+def test_every_command_says_of_what_kind_a_folder_is(folders, capsys):
+    for command in ("mnist3d", "starstruck", "tactile-sim"):
+        for kind in {"mnist3d", "starstruck"} - {command}:
+            for verb in ("info", "verify"):
+                assert call(command, verb, folders[kind]) == 2
+                said = capsys.readouterr()
+                assert f"holds a data set of kind {kind!r}" in said.err
+                assert said.out == ""
 
 
 def test_an_empty_folder_is_refused(tmp_path, capsys):

@@ -4,7 +4,7 @@ Sets in the published schema (256 touches per round) are made in a temporary fol
 so that decoding costs what it costs on a real sensor. Each line prints medians, the ratios against both, and
 the ratio against the published loader that is wanted.
 
-    python benchmarks/realtouch.py [--folder KEPT] [--rounds 6]
+    python benchmarks/real_touches.py [--folder KEPT] [--rounds 6]
 """
 
 from __future__ import annotations
