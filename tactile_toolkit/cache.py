@@ -112,8 +112,9 @@ class DiskCache:
         ledger = folder / _LEDGER
         with locked(ledger):
             content = ledger.read_bytes()
-            is_whole = len(content) == _TOTALS.size  # a new one is empty
-            held, counted = _TOTALS.unpack(content) if is_whole else (self.limit_bytes, 0)
+            held, counted = _TOTALS.unpack(content) if len(content) == _TOTALS.size else (-1, 0)
+            if min(held, counted) < 0:  # new and empty, or damaged
+                held, counted = self.limit_bytes, 0
             most = min(self.limit_bytes, counted + self.limit_bytes // _COUNTED_ANEW_AFTER)
             if further_bytes > 0 and held + further_bytes > most:
                 held = counted = self._make_room(folder, further_bytes)
@@ -131,16 +132,16 @@ class DiskCache:
             for entry in entries:
                 with contextlib.suppress(OSError):  # other processes may remove some meanwhile
                     facts = entry.stat(follow_symlinks=False)
-                    files.append((max(facts.st_atime_ns, facts.st_mtime_ns), facts.st_size, entry.path))
+                    if entry.name != _LEDGER:
+                        files.append((max(facts.st_atime_ns, facts.st_mtime_ns), facts.st_size, entry.path))
         held = sum(size for _, size, _ in files)
         if held + needed_bytes > self.limit_bytes:
             wanted = self.limit_bytes - max(needed_bytes, self.limit_bytes // _ROOM_MADE)
             for _, size, path in sorted(files):
                 if held <= wanted:
                     break
-                if not path.endswith(_LEDGER):
-                    self.drop(Path(path))
-                    held -= size
+                self.drop(Path(path))
+                held -= size
         return held
 
 

@@ -80,8 +80,8 @@ def train(
         ``"cpu"``, ``"cuda"``, or ``"auto"``: a GPU where there is one. Under ``torchrun`` each process takes
         a GPU of its own.
     deterministic : bool
-        On the CPU: the same weights from every run on one machine with one number of threads, stopped or
-        not. Refused on a GPU.
+        On one thread of the CPU: the same weights from every run on one machine, stopped or not. Refused on
+        a GPU.
     resume : bool
         Refuse to begin: there must be a training to go on with.
     compiled : bool
@@ -232,14 +232,17 @@ def _processes(device: str, *, deterministic: bool) -> Iterator[_Place]:
     if chosen == "cuda":
         chosen = f"cuda:{int(os.environ.get('LOCAL_RANK', '0'))}"
         torch.cuda.set_device(chosen)
-    before = torch.are_deterministic_algorithms_enabled()
+    before, threads = torch.are_deterministic_algorithms_enabled(), torch.get_num_threads()
     torch.use_deterministic_algorithms(deterministic)
+    if deterministic:
+        torch.set_num_threads(1)  # sums are divided among threads, and a run may go on where there are others
     if count > 1:
         torch.distributed.init_process_group("nccl" if chosen != "cpu" else "gloo")
     try:
         yield _Place(rank, count, chosen)
     finally:
         torch.use_deterministic_algorithms(before)
+        torch.set_num_threads(threads)
         if count > 1:
             torch.distributed.destroy_process_group()
 

@@ -37,7 +37,7 @@ def test_a_command_gets_the_objects_and_help_names_the_options(tmp_path):
     result = CliRunner().invoke(app, ["make", str(tmp_path), "--width", "3", "--tall", "4", "-w", "2", "-q"])
     assert result.exit_code == 0, result.output
     assert got["size"] == Size(3, 4)
-    assert (got["folder"], got["seed"]) == (tmp_path, 0)
+    assert (got["folder"], got["seed"]) == (str(tmp_path), 0)
     assert got["making"] == Making(workers=2)
     assert got["sink"] == Sink(quiet=True)
     text = CliRunner().invoke(app, ["make", "--help"], env={"TERMINAL_WIDTH": "100"}).output

@@ -133,7 +133,9 @@ class Damage:
         kind, copy = self._copied(rng)
         cache = self.work / "cache"
         assert self._read(kind, copy, "cache")[0] == "value"
-        target = rng.choice(sorted(file for file in cache.rglob("*") if file.is_file()))
+        target = rng.choice(
+            sorted(file for file in cache.rglob("*") if file.is_file() and file.stat().st_size)
+        )
         damage = self._damage(target, rng)
         outcome = self._read(kind, copy, "cache")
         self.counts[f"cache {outcome[0]}"] += 1

@@ -22,7 +22,7 @@ def cache(tmp_path):
 
 
 def files(cache):
-    return sorted(cache.folder.glob("*"))
+    return sorted(cache.folder.glob("[!.]*"))
 
 
 def test_what_was_made_once_is_read_again(cache):

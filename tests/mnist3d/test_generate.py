@@ -133,7 +133,11 @@ def test_shard_sizes_follow_from_the_split_alone():
     assert all(max(sizes) <= 128 for sizes in counts.values())
     assert len(counts["train"]) == 90
     alone = plan_build(GenerateSpec(SyntheticSource()), ("test",))
-    assert alone.tasks == tuple(task for task in plan.tasks if task.shard.split == "test")
+    among_all = [task for task in plan.tasks if task.shard.split == "test"]
+    assert [task.shard for task in alone.tasks] == [task.shard for task in among_all]
+    for one, other in zip(alone.tasks, among_all, strict=True):
+        assert one.ids.tolist() == other.ids.tolist()
+        assert one.spec == other.spec
 
 
 COMMAND = (

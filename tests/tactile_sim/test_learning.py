@@ -119,7 +119,8 @@ def test_killed_at_any_moment_it_ends_in_the_same_weights(pairs, trained, tmp_pa
         f"train({pairs!r}, {str(out)!r}, TrainConfig(**{CONFIG.to_dict()!r}), device='cpu',"
         "deterministic=True, on_progress=lambda done, total: print(done, flush=True))"
     )
-    threads = {"OMP_NUM_THREADS": str(torch.get_num_threads())}
+    # Where it goes on, there are other threads.
+    threads = {"OMP_NUM_THREADS": str(torch.get_num_threads() + 1)}
     with subprocess.Popen(
         [sys.executable, "-c", program], stdout=subprocess.PIPE, env={**os.environ, **threads}
     ) as run:

@@ -127,7 +127,7 @@ def test_looks_that_cannot_be_are_refused_and_write_nothing(mesh, options, messa
     file = tmp_path / "none.stl" if mesh == "none" else _mesh(tmp_path, mesh)
     out = tmp_path / "touch.png"
     command = ["render", str(file), "--optics", "depth", *options, "--out", str(out)]
-    result = CliRunner().invoke(app, command, env={"COLUMNS": "300", "TERMINAL_WIDTH": "300"})
+    result = CliRunner().invoke(app, command, env={"COLUMNS": "300"})
     assert result.exit_code == 2, result.output
     text = result.output + (str(result.exception) if result.exception else "")
     assert message in text
