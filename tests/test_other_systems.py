@@ -59,7 +59,8 @@ import importlib, json, pkgutil, sys
 from tactile_toolkit.errors import MissingExtraError
 imported = []
 for package in {PACKAGES!r}:
-    found = [m.name for m in pkgutil.walk_packages([f"{ROOT}/{{package}}"], f"{{package}}.")]
+    # What cannot be walked into is imported below, by its name, and fails there unless it is an extra.
+    found = [m.name for m in pkgutil.walk_packages([f"{ROOT}/{{package}}"], f"{{package}}.", lambda _: None)]
     for name in [package, *found]:
         if not name.endswith("__main__"):
             try:

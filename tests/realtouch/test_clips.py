@@ -113,7 +113,7 @@ def test_a_clip_without_contact_has_no_median_frame(seq_folder: Path) -> None:
         clip.contact_index("median", min_area=0.99)
     assert caught.value.reason == "no-contact"
     with pytest.raises(InputError, match="expected one of contact_start, contact_end, peak, median"):
-        clip.contact_index("best")
+        clip.contact_index("finest")
 
 
 @given(st.lists(st.floats(0, 10), min_size=1, max_size=30), st.floats(-1, 11), st.floats(0, 5))

@@ -270,8 +270,8 @@ def test_what_cannot_be_converted_is_said(seq_folder: Path, single_folder: Path,
     out = str(tmp_path / "out")
     with pytest.raises(InputError, match="holds single images already"):
         realtouch.to_single(str(single_folder), out)
-    with pytest.raises(InputError, match="no way 'best'"):
-        realtouch.to_single(str(seq_folder), out, "best")
+    with pytest.raises(InputError, match="no way 'finest'"):
+        realtouch.to_single(str(seq_folder), out, "finest")
     with pytest.raises(InputError, match="size 0 x 64"):
         realtouch.resize(str(single_folder), out, 0, 64)
     with pytest.raises(InputError, match="no picture format 'gif'"):
