@@ -94,8 +94,8 @@ def test_the_pose_is_that_of_the_frame(method: str, seq_folder: Path) -> None:
 def test_ways_to_choose_a_frame_are_checked_at_once(seq_folder: Path) -> None:
     from realtouch.torch import TouchTensors
 
-    with pytest.raises(InputError, match="no way 'best' to choose a frame"):
-        TouchTensors(realtouch.load(seq_folder, "train"), frames="best")
+    with pytest.raises(InputError, match="no way 'finest' to choose a frame"):
+        TouchTensors(realtouch.load(seq_folder, "train"), frames="finest")
 
 
 def test_images_of_several_sizes_meet_in_the_transform(truth: list[RoundTruth], tmp_path: Path) -> None:
