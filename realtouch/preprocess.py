@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from itertools import islice
 from typing import Any
 
 import numpy as np
@@ -53,7 +54,7 @@ def background(pictures: Any) -> Pixels:
     -------
     ndarray, shape (H, W, 3), uint8
         Exact median of each pixel and channel; of an even number of pictures the mean of the two in the
-        middle, rounded down. All pictures are read twice, a few at a time, so that any number fits in memory.
+        middle, rounded down. What does not fit in memory is read twice, a few pictures at a time.
 
     Raises
     ------
@@ -62,7 +63,10 @@ def background(pictures: Any) -> Pixels:
     IntegrityError
         A picture is damaged or of another size.
     """
-    found = median_of(lambda: _batches(pictures))
+    first = list(islice(_batches(pictures), 2))
+    # What is one batch need not be decoded a second time.
+    whole = len(first) < 2
+    found = median_of(lambda: first if whole else _batches(pictures))
     if found is None:
         message = "no pictures to take a background of; expected a clip, a round or touches that hold any"
         raise InputError(message)
@@ -207,9 +211,18 @@ def find_contacts(touches: Touches[Any], rule: ContactRule | None = None, *, thr
 
     Raises
     ------
+    InputError
+        Something else than touches is given.
     IntegrityError
         A picture is damaged; names file, row and touch.
     """
+    given: object = touches
+    if not isinstance(given, Touches):
+        message = (
+            f"contacts were asked for of a {type(given).__name__}; expected touches, such as "
+            "`realtouch.load(...).touches()`"
+        )
+        raise InputError(message)
     rule, count = rule or ContactRule(), len(touches)
     frame, area = np.zeros(count, np.int64), np.zeros(count, np.int64)
     intensity = np.zeros(count)
