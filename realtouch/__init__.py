@@ -30,7 +30,8 @@ if TYPE_CHECKING:
     )
     from realtouch.rounds import TouchRound, TouchSeqRound, TouchSingleRound
     from realtouch.summary import Summary, summarise
-    from realtouch.touches import Touch, Touches
+    from realtouch.touch import Touch
+    from realtouch.touches import Touches
 
 __all__ = [
     "SHORT_NAMES",
@@ -87,7 +88,8 @@ _HOMES = {
     ),
     "realtouch.rounds": ("TouchRound", "TouchSeqRound", "TouchSingleRound"),
     "realtouch.summary": ("Summary", "summarise"),
-    "realtouch.touches": ("Touch", "Touches"),
+    "realtouch.touch": ("Touch",),
+    "realtouch.touches": ("Touches",),
 }
 
 

@@ -14,7 +14,7 @@ from realtouch.dataset import dataset_of
 from realtouch.kind import KIND
 from realtouch.media.sheets import contact_sheet, evenly_spaced
 from realtouch.rounds import TouchSeqRound, TouchSingleRound
-from realtouch.touches import Touch
+from realtouch.touch import Touch
 from tactile_toolkit.cards.card import (
     HWD_PLUS,
     TACTILE_MNIST,

@@ -16,7 +16,8 @@ import numpy as np
 from realtouch.contact import require_method
 from realtouch.dataset import TouchDataset, TouchStream
 from realtouch.rounds import TouchSingleRound
-from realtouch.touches import Touch, Touches
+from realtouch.touch import Touch
+from realtouch.touches import Touches
 from tactile_toolkit.errors import InputError, IntegrityError, MissingExtraError
 from tactile_toolkit.read.torch import TrainingBatches
 from tactile_toolkit.touch.jpeg import Pixels, room_for

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Collection, Iterable, Iterator
-from contextlib import suppress
 from itertools import groupby
 from operator import itemgetter
 from typing import TYPE_CHECKING, Any, Generic, Protocol, Self, TypeVar
@@ -12,14 +11,13 @@ from typing import TYPE_CHECKING, Any, Generic, Protocol, Self, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from realtouch.columns.per_frame import clip_times, touch_times
-from realtouch.columns.per_touch import entries_of, intended_position, touch_total
-from realtouch.columns.poses import clip_poses, touch_contact_z_m, touch_pose
-from realtouch.contact import MIN_CONTACT_HEIGHT_M, contact_heights_m, contact_window
+from realtouch.columns.per_touch import entries_of, touch_total
+from realtouch.columns.poses import touch_contact_z_m
+from realtouch.contact import MIN_CONTACT_HEIGHT_M, contact_heights_m
 from realtouch.damage import missing_column
-from realtouch.media.clips import TouchClip
 from realtouch.media.images import SensorImages
-from realtouch.rounds import TouchRound, TouchSeqRound, TouchSingleRound
+from realtouch.rounds import TouchRound, TouchSingleRound
+from realtouch.touch import Touch
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.read.dataset import Row
 from tactile_toolkit.read.order import StoredParts
@@ -31,137 +29,9 @@ from tactile_toolkit.touch.schema import Kind, is_per_touch
 from tactile_toolkit.wording import counted, is_whole, plain_number
 
 if TYPE_CHECKING:
-    from realtouch.pose import Pose
+    pass
 
-__all__ = ["Touch", "Touches", "with_empties"]
-
-
-class Touch:
-    """One touch of a round; frozen, fields are read when asked for.
-
-    Attributes
-    ----------
-    round : TouchRound
-        The round it belongs to.
-    touch_index : int
-        Its number in the round, from 0.
-
-    Notes
-    -----
-    Pickles with its own image or clip only: the ``round`` of a touch that came back from another process
-    holds this one touch.
-    """
-
-    __slots__ = ("_index_in_row", "round", "touch_index")
-    round: TouchRound
-    touch_index: int
-    _index_in_row: int
-
-    def __init__(self, round: TouchRound, touch_index: int, index_in_row: int | None = None) -> None:
-        object.__setattr__(self, "round", round)
-        object.__setattr__(self, "touch_index", touch_index)
-        object.__setattr__(self, "_index_in_row", touch_index if index_in_row is None else index_in_row)
-
-    def __setattr__(self, name: str, value: object) -> None:
-        message = f"Touch is frozen; {name!r} cannot be set"
-        raise AttributeError(message)
-
-    @property
-    def round_id(self) -> str:
-        """Id of the round."""
-        return self.round.id
-
-    @property
-    def label(self) -> int:
-        """Class of the object."""
-        return self.round.label
-
-    @property
-    def object_id(self) -> int:
-        """Id of the touched mesh."""
-        return self.round.object_id
-
-    @property
-    def pos_in_cell_m(self) -> NDArray[np.floating]:
-        """Intended position, shape (2,), metres, cell frame."""
-        return intended_position(self.round._row, self._index_in_row)
-
-    @property
-    def gel_pose(self) -> Pose:
-        """Pose of the gel at contact, metres, cell frame; of a clip, that of the last frame of contact.
-
-        Reads this touch only, and opens no clip where the times of its frames are stored.
-        """
-        row, touch = self.round._row, self._index_in_row
-        if isinstance(self.round, TouchSingleRound):
-            return touch_pose(row, touch)
-        if not (row.has("time_stamp_rel_seq") and row.has("video_length_frames")):
-            return self.clip.poses[self.clip.contact_index("contact_end")]
-        times = clip_times(row, touch)
-        window = contact_window(np.empty(0) if times is None else times, *touch_times(row, touch))
-        return clip_poses(row, touch)[int(window.stop) - 1]
-
-    @property
-    def image(self) -> Pixels:
-        """Picture of the contact, shape (H, W, 3), uint8; of a clip, its last frame of contact."""
-        return self.round._contact_image(self._index_in_row)
-
-    @property
-    def clip(self) -> TouchClip:
-        """The clip of a touch of a ``seq`` set.
-
-        Raises
-        ------
-        InputError
-            The data set holds images.
-        """
-        if not isinstance(self.round, TouchSeqRound):
-            raise missing_column(self.round._row, "sensor_video")
-        return self.round.sensor_video[self._index_in_row]
-
-    def alone(self) -> Touch:
-        """Return the touch with a copy of its own bytes, which keeps no other touch in memory."""
-        return Touch(self.round.with_touches([self._index_in_row]), self.touch_index, 0)
-
-    def __eq__(self, other: object) -> bool:
-        """Tell whether the other is the same touch of an equal round, by what is stored of it."""
-        if not isinstance(other, Touch):
-            return NotImplemented
-        if hash(self) != hash(other):  # the number in the round, and the round's id
-            return False
-        mine, theirs = self.round._row, other.round._row
-        if mine.group is theirs.group and mine.index == theirs.index:
-            return self._index_in_row == other._index_in_row
-        return self.alone().round == other.alone().round
-
-    def __hash__(self) -> int:
-        return hash((self.touch_index, self.round))
-
-    def __reduce__(self) -> tuple[Any, ...]:
-        alone = self.alone()
-        return (Touch, (alone.round, alone.touch_index, 0))
-
-    def __repr__(self) -> str:
-        shown = {
-            "round_id": self.round.shown("id"),
-            "touch_index": f"{self.touch_index}",
-            "label": self.round.shown("label"),
-        }
-        words = [f"{name}={value}" for name, value in shown.items() if value is not None]
-        return f"Touch({', '.join(words)})"
-
-    def _repr_html_(self) -> str:
-        """Show the picture of the contact in a notebook."""
-        from realtouch.media.sheets import touch_html
-
-        label = self.round.shown("label", str)
-        words = [*([] if label is None else [f"label {label}"]), f"touch {self.touch_index}"]
-        with suppress(InputError):  # without positions
-            x_mm, y_mm = (1000.0 * float(value) for value in self.pos_in_cell_m)
-            words.append(f"x {x_mm:.1f} mm, y {y_mm:.1f} mm")
-        return touch_html(self.image, ", ".join(words))
-
-    _tile_html = _repr_html_
+__all__ = ["Touches", "with_empties"]
 
 
 _INDEX = "touch_index"

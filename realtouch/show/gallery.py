@@ -19,7 +19,7 @@ from realtouch.media.sheets import evenly_spaced
 from realtouch.names import repository_of
 from realtouch.opening import load
 from realtouch.rounds import TouchRound, TouchSeqRound
-from realtouch.touches import Touch
+from realtouch.touch import Touch
 from tactile_toolkit.catalog.choose import Choice, splits_to_show
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.gallery.items import Facet, Gallery, Item, Measure, gallery_of_rows

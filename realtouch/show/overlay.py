@@ -68,7 +68,7 @@ def placed_touches(record: TouchRound, touches: Sequence[int]) -> list[Placed]:
 
     Where the data set stores no pose of the gel, its intended position is taken and no rotation.
     """
-    from realtouch.touches import Touch
+    from realtouch.touch import Touch
 
     placed: list[Any] = [None] * len(touches)
     suffix = "_seq" if isinstance(record, TouchSeqRound) else ""

@@ -16,7 +16,7 @@ from realtouch.media.sheets import evenly_spaced, fitted
 from realtouch.opening import load
 from realtouch.rounds import TouchRound, TouchSeqRound
 from realtouch.show.overlay import cell_map, overlay, placed_touches
-from realtouch.touches import Touch
+from realtouch.touch import Touch
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.pictures.lettering import ACCENTS, INK, MUTED, PAPER, draw_text
 from tactile_toolkit.pictures.plots import Points, plot_points, require_plots

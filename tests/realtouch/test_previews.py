@@ -25,7 +25,7 @@ from realtouch.show.previews import (
     plan_previews,
     timeline,
 )
-from realtouch.touches import Touch
+from realtouch.touch import Touch
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.pictures.render import Renderer
 from tests.realtouch import factories

@@ -15,7 +15,7 @@ import pytest
 
 import realtouch
 from realtouch.columns.info import Info
-from realtouch.touches import Touch
+from realtouch.touch import Touch
 from tactile_toolkit.errors import InputError, IntegrityError
 from tests.realtouch import factories
 from tests.realtouch.factories import Layout
