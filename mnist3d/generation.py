@@ -17,6 +17,7 @@ from mnist3d.rows import PARQUET_STYLE, REPORT_FILE, MeshRow, mesh_table, report
 from mnist3d.solid import SolidSpec, solidify
 from mnist3d.sources import DigitSource
 from mnist3d.splits import SPLITS, SplitSpec, plan_splits
+from tactile_toolkit.checked_fields import check_fields, whole_number
 from tactile_toolkit.errors import InputError, ItemError
 from tactile_toolkit.mesh.printability import PrintProfile, PrintReport, inspect
 from tactile_toolkit.run.processes import Runner, runner_for
@@ -27,7 +28,7 @@ from tactile_toolkit.store.manifest import Manifest
 from tactile_toolkit.store.parquet import encode_parquet
 from tactile_toolkit.store.plan import BuildPlan, ShardContent, require_known_splits
 from tactile_toolkit.store.shards import ShardName, Skipped, shard_ranges
-from tactile_toolkit.wording import counted, positive_or_none
+from tactile_toolkit.wording import counted
 
 __all__ = ["DigitRecipe", "DigitShard", "GenerateSpec", "forecast", "generate", "make_row", "plan_build"]
 
@@ -66,12 +67,11 @@ class GenerateSpec:
     solid: SolidSpec = field(default_factory=SolidSpec)
     split: SplitSpec = field(default_factory=SplitSpec)
     profile: PrintProfile = field(default_factory=PrintProfile)
-    per_class: int | None = None
-    limit: int | None = None
+    per_class: int | None = whole_number(None, 1, optional=True, option="--per-class")
+    limit: int | None = whole_number(None, 1, optional=True, option="--limit")
 
     def __post_init__(self) -> None:
-        for option, name in (("--per-class", "per_class"), ("--limit", "limit")):
-            object.__setattr__(self, name, positive_or_none(option, getattr(self, name)))
+        check_fields(self, "the data set's specification")
 
     def to_dict(self) -> dict[str, Any]:
         """Return JSON values that identify the rows; two equal values give equal Parquet."""

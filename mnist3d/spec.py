@@ -8,15 +8,14 @@ shoulders.
 
 from __future__ import annotations
 
-import math
 from dataclasses import asdict, dataclass, fields
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from tactile_toolkit.checked_fields import check_fields, choice, real_number, switch, whole_number
 from tactile_toolkit.errors import InputError
-from tactile_toolkit.wording import plain_number
 
 __all__ = ["EROSIONS", "PROFILES", "SolidSpec", "depth_px", "erosion_radius_px", "half_height_px"]
 
@@ -76,47 +75,41 @@ class SolidSpec:
         which ends the binary fraction of each coordinate early and so lets Parquet pack it.
     """
 
-    pixel_pitch_mm: float = 0.2
-    half_thickness_mm: float = 4.0
-    profile: str = "round"
-    erosion: str = "outline"
-    threshold: float | None = None
-    min_speck_mm2: float = 4.0
-    min_pinhole_mm2: float = 2.0
-    join_bodies: bool = False
-    bridge_width_mm: float = 3.0
-    lattice_pitch_mm: float | None = None
-    target_vertices: int = 5000
-    smoothing_iterations: int = 2
-    literal_smoothing_iterations: int = 20
-    smoothing_factor: float = 0.5
-    vertex_quantum_mm: float = 1000.0 / 2**18
+    pixel_pitch_mm: float = real_number(0.2, above=0)
+    half_thickness_mm: float = real_number(4.0, above=0)
+    profile: str = choice("round", PROFILES)
+    erosion: str = choice("outline", EROSIONS)
+    threshold: float | None = real_number(None, 0, 255, optional=True)
+    min_speck_mm2: float = real_number(4.0, 0)
+    min_pinhole_mm2: float = real_number(2.0, 0)
+    join_bodies: bool = switch(False)
+    bridge_width_mm: float = real_number(3.0, above=0)
+    lattice_pitch_mm: float | None = real_number(None, above=0, optional=True)
+    target_vertices: int = whole_number(5000, 100)
+    smoothing_iterations: int = whole_number(2)
+    literal_smoothing_iterations: int = whole_number(20)
+    smoothing_factor: float = real_number(0.5, above=0, below=1)
+    vertex_quantum_mm: float = real_number(1000.0 / 2**18, 0)
 
     def __post_init__(self) -> None:
         """Refuse numbers that describe no solid."""
-        for entry in fields(self):
-            object.__setattr__(self, entry.name, plain_number(getattr(self, entry.name)))
-        self._require(self.profile in PROFILES, "profile", f"one of {', '.join(PROFILES)}")
-        self._require(self.erosion in EROSIONS, "erosion", f"one of {', '.join(EROSIONS)}")
-        for name in ("pixel_pitch_mm", "half_thickness_mm", "bridge_width_mm"):
-            self._require(_is_positive(getattr(self, name)), name, "a positive number of mm")
-        for name in ("min_speck_mm2", "min_pinhole_mm2", "vertex_quantum_mm"):
-            value = getattr(self, name)
-            self._require(value == 0 or _is_positive(value), name, "zero or a positive number")
-        thinnest_mm = self.pixel_pitch_mm
-        reach = f"{thinnest_mm:g} to {thinnest_mm * LARGEST_HALF_THICKNESS_PX:g} mm at this pixel_pitch_mm"
-        in_reach = 1 <= self.half_thickness_px <= LARGEST_HALF_THICKNESS_PX
-        self._require(in_reach, "half_thickness_mm", reach)
-        pitch_mm, level = self.lattice_pitch_mm, self.threshold
-        usable = pitch_mm is None or _is_positive(pitch_mm)
-        self._require(usable, "lattice_pitch_mm", "None or a positive number of mm")
-        self._require(level is None or 0 <= level <= 255, "threshold", "None or a grey level from 0 to 255")
-        self._require(self.target_vertices >= 100, "target_vertices", "100 or more")
-        for name in ("smoothing_iterations", "literal_smoothing_iterations"):
-            self._require(getattr(self, name) >= 0, name, "zero or more rounds")
-        self._require(0 < self.smoothing_factor < 1, "smoothing_factor", "a share between 0 and 1")
-        limit_mm = self.pixel_pitch_mm / 10
-        self._require(self.vertex_quantum_mm <= limit_mm, "vertex_quantum_mm", f"{limit_mm:g} or less")
+        check_fields(self, "the solid's specification")
+        thinnest_mm, coarsest_mm = self.pixel_pitch_mm, self.pixel_pitch_mm / 10
+        thickest_mm = thinnest_mm * LARGEST_HALF_THICKNESS_PX
+        for name, holds, span in (
+            (
+                "half_thickness_mm",
+                1 <= self.half_thickness_px <= LARGEST_HALF_THICKNESS_PX,
+                f"{thinnest_mm:g} to {thickest_mm:g} mm",
+            ),
+            ("vertex_quantum_mm", self.vertex_quantum_mm <= coarsest_mm, f"{coarsest_mm:g} mm or less"),
+        ):
+            if not holds:
+                message = (
+                    f"{name} of the solid's specification is {getattr(self, name)!r}; expected {span} at "
+                    "this pixel_pitch_mm"
+                )
+                raise InputError(message)
 
     @property
     def half_thickness_px(self) -> float:
@@ -155,15 +148,6 @@ class SolidSpec:
             message = f"SolidSpec has no field {', '.join(unknown)}; expected names of its attributes"
             raise InputError(message)
         return cls(**values)
-
-    def _require(self, holds: bool, name: str, expected: str) -> None:
-        if not holds:
-            message = f"SolidSpec.{name} is {getattr(self, name)!r}; expected {expected}"
-            raise InputError(message)
-
-
-def _is_positive(value: float) -> bool:
-    return math.isfinite(value) and value > 0
 
 
 def erosion_radius_px(z_px: Floats, spec: SolidSpec) -> Floats:

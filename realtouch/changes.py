@@ -13,9 +13,9 @@ from typing import Any, Literal, get_args
 import numpy as np
 from numpy.typing import NDArray
 
+from tactile_toolkit.checked_fields import check_fields, real_number, whole_number
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.touch.jpeg import Pixels
-from tactile_toolkit.wording import plain_number
 
 __all__ = [
     "ContactRule",
@@ -144,24 +144,13 @@ class ContactRule:
     half of the picture); see :func:`find_contacts`.
     """
 
-    min_change: int = 10
-    min_area_px: int = 40
-    min_intensity: float = 12.0
-    crop: float = 0.5
+    min_change: int = whole_number(10, 0, 255)
+    min_area_px: int = whole_number(40, 0, 1 << 40)
+    min_intensity: float = real_number(12.0, 0, 255)
+    crop: float = real_number(0.5, 1e-6, 1)
 
     def __post_init__(self) -> None:
-        for name, least, most in (
-            ("min_change", 0, 255),
-            ("min_area_px", 0, 1 << 40),
-            ("min_intensity", 0, 255),
-            ("crop", 1e-6, 1),
-        ):
-            value = plain_number(getattr(self, name), float)
-            if not isinstance(value, float) or not least <= value <= most:
-                message = (
-                    f"{name} of the contact rule is {getattr(self, name)!r}; expected {least:g} to {most:g}"
-                )
-                raise InputError(message)
+        check_fields(self, "the contact rule")
 
     def holds(self, score: ContactScore) -> Any:
         """Tell whether pictures of such scores show contact: bool, or an array of them."""

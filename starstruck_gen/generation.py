@@ -15,6 +15,7 @@ from starstruck_gen.sampling import LayoutFailed, SamplingExhausted, require_fea
 from starstruck_gen.spec import SceneSpec
 from starstruck_gen.streams import MOST_SCENES, SPLITS, scene_seed
 from starstruck_gen.summary import count_scenes
+from tactile_toolkit.checked_fields import check_fields, whole_number
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.run.processes import Runner, runner_for
 from tactile_toolkit.store.build import Progress, build
@@ -24,7 +25,7 @@ from tactile_toolkit.store.manifest import Manifest, manifest_so_far
 from tactile_toolkit.store.parquet import encode_parquet
 from tactile_toolkit.store.plan import BuildPlan, ShardContent, require_known_splits
 from tactile_toolkit.store.shards import ShardName, shard_ranges
-from tactile_toolkit.wording import is_whole, plain_number, plain_pairs, positive_or_none
+from tactile_toolkit.wording import is_whole, plain_pairs
 
 __all__ = [
     "GenerateSpec",
@@ -68,20 +69,18 @@ class GenerateSpec:
 
     scene: SceneSpec = field(default_factory=SceneSpec)
     scenes: tuple[tuple[str, int], ...] = PUBLISHED_SIZES
-    seed: int = 0
-    limit: int | None = None
+    seed: int = whole_number(0)
+    limit: int | None = whole_number(None, 1, optional=True, option="--limit")
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "seed", plain_number(self.seed))
+        check_fields(self, "the data set's specification")
         object.__setattr__(self, "scenes", plain_pairs(self.scenes))
-        object.__setattr__(self, "limit", positive_or_none("--limit", self.limit))
         pairs = isinstance(self.scenes, tuple) and all(
             isinstance(entry, tuple) and len(entry) == 2 and is_whole(entry[1]) for entry in self.scenes
         )
         for name, holds, expected in (
             ("scene", isinstance(self.scene, SceneSpec), "a SceneSpec"),
             ("scenes", pairs, "a whole number for each split, such as {'train': 3000, 'test': 300}"),
-            ("seed", is_whole(self.seed), "a whole number from 0"),
         ):
             if not holds:
                 message = (

@@ -26,6 +26,7 @@ from tactile_sim.rows import TouchRow, parquet_style, touch_table
 from tactile_sim.sensor import Sensor, as_environment, as_sensor
 from tactile_toolkit.catalog.locate import find_shards, splits_of
 from tactile_toolkit.catalog.published import place_of
+from tactile_toolkit.checked_fields import check_fields, choice, whole_number
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.mesh.columns import class_names, require_mesh_columns
 from tactile_toolkit.mesh.records import SolidDataset
@@ -39,13 +40,10 @@ from tactile_toolkit.store.parquet import encode_parquet, file_sha256
 from tactile_toolkit.store.plan import BuildPlan, ShardContent, require_known_splits
 from tactile_toolkit.store.shards import ShardName, Skipped
 from tactile_toolkit.touch.jpeg import encode_image
-from tactile_toolkit.wording import positive_or_none
 
 __all__ = ["GenerateSpec", "TouchShard", "forecast", "generate", "noisy", "plan_build"]
 
-_LIKE = ("environment", "published")
 _PUBLISHED_PX = (320, 240)
-_IMAGES = ("jpeg", "png")
 _SHARD_BYTES = 64 << 20
 _GROUP_BYTES = 8 << 20
 _JPEG_BYTES_PER_PX = 0.25
@@ -83,27 +81,20 @@ class GenerateSpec:
     """
 
     size_px: tuple[int, int] = (64, 64)
-    optics: str = "taxim"
-    like: str = "environment"
+    optics: str = choice("taxim", OPTICS)
+    like: str = choice("environment", ("environment", "published"))
     plan: TouchPlan = field(default_factory=TouchPlan)
-    image_format: str = "jpeg"
-    quality: int = 95
+    image_format: str = choice("jpeg", ("jpeg", "png"))
+    quality: int = whole_number(95, 1, 100)
     weights: str | None = None
-    limit: int | None = None
+    limit: int | None = whole_number(None, 1, optional=True, option="--limit")
     layer_m: float = 0.0
     noise: SensorNoise | None = None
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "size_px", as_sensor(*self.size_px).size_px)
-        object.__setattr__(self, "limit", positive_or_none("--limit", self.limit))
+        check_fields(self, "the touches")
         object.__setattr__(self, "layer_m", checked_layer_m(self.layer_m))
-        for name, known in (("optics", OPTICS), ("like", _LIKE), ("image_format", _IMAGES)):
-            if getattr(self, name) not in known:
-                message = f"{name} is {getattr(self, name)!r}; expected one of {', '.join(known)}"
-                raise InputError(message)
-        if not 1 <= self.quality <= 100:
-            message = f"quality is {self.quality!r}; expected 1 to 100"
-            raise InputError(message)
         noise: Any = self.noise
         if not (noise is None or isinstance(noise, SensorNoise)):
             message = f"noise is {noise!r}; expected a SensorNoise, or None"

@@ -21,12 +21,11 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from tactile_toolkit.checked_fields import check_fields, real_number
 from tactile_toolkit.errors import InputError, MissingExtraError
-from tactile_toolkit.wording import plain_number
 
 __all__ = ["SensorNoise", "add_noise"]
 
-_LARGEST = {"std": 10.0, "exponent": 20.0, "correlation": 1.0}
 _PACKAGE, _FILE, _CLASS = "tactile_mnist", "sensor_noise.py", "SensorNoiseConfig"
 
 Numbers = NDArray[np.float64]
@@ -51,23 +50,17 @@ class SensorNoise:
         A value that is not a number, or out of range: 0 to 10, exponents 0 to 20, correlations 0 to 1.
     """
 
-    frame_noise_std: float
-    frame_noise_spectrum_exponent: float
-    frame_noise_channel_correlation: float
-    episode_pattern_std: float
-    episode_pattern_spectrum_exponent: float
-    episode_pattern_channel_correlation: float
-    episode_gain_std: float
-    episode_offset_std: float
+    frame_noise_std: float = real_number(least=0, most=10)
+    frame_noise_spectrum_exponent: float = real_number(least=0, most=20)
+    frame_noise_channel_correlation: float = real_number(least=0, most=1)
+    episode_pattern_std: float = real_number(least=0, most=10)
+    episode_pattern_spectrum_exponent: float = real_number(least=0, most=20)
+    episode_pattern_channel_correlation: float = real_number(least=0, most=1)
+    episode_gain_std: float = real_number(least=0, most=10)
+    episode_offset_std: float = real_number(least=0, most=10)
 
     def __post_init__(self) -> None:
-        for each in fields(self):
-            value = plain_number(getattr(self, each.name), float)
-            largest = _LARGEST[each.name.rpartition("_")[2]]
-            if not (isinstance(value, float) and 0 <= value <= largest):
-                message = f"{each.name} of the noise is {value!r}; expected a number from 0 to {largest:g}"
-                raise InputError(message)
-            object.__setattr__(self, each.name, value)
+        check_fields(self, "the noise")
 
     @classmethod
     def calibrated(cls) -> SensorNoise:

@@ -15,8 +15,8 @@ from tactile_sim.poses import product, turn_quaternion
 from tactile_sim.pressing import Pressable
 from tactile_sim.sensor import CELL_M
 from tactile_toolkit.arithmetic import cosine_sine
+from tactile_toolkit.checked_fields import check_fields, choice, real_number, switch, whole_number
 from tactile_toolkit.errors import InputError
-from tactile_toolkit.wording import is_whole, plain_number
 
 __all__ = ["PLACES", "REACH_M", "TURNS", "RoundPlan", "TouchPlan", "generator", "plan_round"]
 
@@ -63,14 +63,14 @@ class TouchPlan:
         Seed of everything that is drawn.
     """
 
-    rounds: int = 16
-    touches: int = 32
-    place: str = "cell"
+    rounds: int = whole_number(16, 1)
+    touches: int = whole_number(32, 1, _MOST_TOUCHES)
+    place: str = choice("cell", PLACES)
     given: GivenTouches | None = None
-    turn_rad: float = math.pi / 8
-    lie: str = "random"
-    shift: bool = True
-    seed: int = 0
+    turn_rad: float = real_number(math.pi / 8, 0, math.pi)
+    lie: str = choice("random", ("random", "middle"))
+    shift: bool = switch(True)
+    seed: int = whole_number(0)
 
     def __post_init__(self) -> None:
         given = self.given
@@ -84,25 +84,7 @@ class TouchPlan:
         if given is not None:
             object.__setattr__(self, "touches", given.longest)
             object.__setattr__(self, "rounds", self.rounds if given.rounds is None else given.rounds)
-        for name in ("rounds", "touches", "seed"):
-            object.__setattr__(self, name, plain_number(getattr(self, name)))
-        object.__setattr__(self, "turn_rad", plain_number(self.turn_rad, float))
-        for name, holds, expected in (
-            ("rounds", is_whole(self.rounds) and self.rounds >= 1, "a whole number of at least 1"),
-            (
-                "touches",
-                is_whole(self.touches) and 1 <= self.touches <= _MOST_TOUCHES,
-                f"a whole number from 1 to {_MOST_TOUCHES:,}",
-            ),
-            ("place", self.place in PLACES, f"one of {', '.join(PLACES)}"),
-            ("turn_rad", isinstance(self.turn_rad, float) and 0 <= self.turn_rad <= math.pi, "0 to pi"),
-            ("lie", self.lie in ("random", "middle"), "random or middle"),
-            ("shift", isinstance(self.shift, bool), "True or False"),
-            ("seed", is_whole(self.seed) and self.seed >= 0, "a whole number from 0"),
-        ):
-            if not holds:
-                message = f"{name} of the plan of touches is {getattr(self, name)!r}; expected {expected}"
-                raise InputError(message)
+        check_fields(self, "the plan of touches")
 
     def touches_of(self, object_id: int, number: int) -> int:
         """Return how many touches a round of an object has; 0 where a given plan does not name it."""

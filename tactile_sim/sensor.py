@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from typing import Any
 
+from tactile_toolkit.checked_fields import check_fields, real_number
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.touch.jpeg import MAX_IMAGE_PIXELS
 from tactile_toolkit.wording import is_whole, plain
@@ -48,10 +48,10 @@ class Sensor:
     """
 
     size_px: tuple[int, int]
-    window_m: tuple[float, float] = _SURFACE_M
-    gel_m: float = _GEL_M
-    press_m: float = _PRESS_M
-    sample_px: tuple[float, float] = (0.0, 0.0)
+    window_m: tuple[float, float] = real_number(_SURFACE_M, above=0, most=1, many=2)
+    gel_m: float = real_number(_GEL_M, above=0, most=0.1)
+    press_m: float = real_number(_PRESS_M, above=0)
+    sample_px: tuple[float, float] = real_number((0.0, 0.0), -0.5, 0.5, many=2)
 
     def __post_init__(self) -> None:
         size = plain(self.size_px)
@@ -64,21 +64,10 @@ class Sensor:
             )
             raise InputError(message)
         object.__setattr__(self, "size_px", size)
-        for name in ("window_m", "sample_px"):
-            object.__setattr__(self, name, _pair(name, getattr(self, name)))
-        window, sample = self.window_m, self.sample_px
-        fits = min(window) > 0 and max(window) <= 1.0 and max(map(abs, sample)) <= 0.5
-        depths = (plain(self.gel_m, float), plain(self.press_m, float))
-        fits = fits and all(isinstance(each, float) for each in depths) and 0 < depths[1] < depths[0] <= 0.1
-        if not fits:
-            message = (
-                f"window_m {self.window_m}, gel_m {self.gel_m!r}, press_m {self.press_m!r}, sample_px "
-                f"{self.sample_px}; expected a window of at most a metre, 0 < press_m < gel_m <= 0.1, and a "
-                "sample within half a pixel of the centre"
-            )
+        check_fields(self, "the sensor")
+        if not self.press_m < self.gel_m:
+            message = f"press_m of the sensor is {self.press_m!r}; expected less than gel_m, {self.gel_m!r}"
             raise InputError(message)
-        object.__setattr__(self, "gel_m", depths[0])
-        object.__setattr__(self, "press_m", depths[1])
 
     def to_dict(self) -> dict[str, Any]:
         """Return JSON values."""
@@ -89,18 +78,6 @@ class Sensor:
             "press_m": self.press_m,
             "sample_px": list(self.sample_px),
         }
-
-
-def _pair(name: str, values: Any) -> tuple[float, float]:
-    found = plain(values, float)
-    if (
-        isinstance(found, tuple)
-        and len(found) == 2
-        and all(isinstance(each, float) and math.isfinite(each) for each in found)
-    ):
-        return (found[0], found[1])
-    message = f"{name} of the sensor is {values!r}; expected two finite numbers"
-    raise InputError(message)
 
 
 def as_sensor(width_px: int = 320, height_px: int = 240) -> Sensor:

@@ -6,9 +6,7 @@ import numbers
 from collections.abc import Iterable, Mapping
 from typing import Any
 
-from tactile_toolkit.errors import InputError
-
-__all__ = ["counted", "did_you_mean", "is_whole", "plain", "plain_number", "plain_pairs", "positive_or_none"]
+__all__ = ["counted", "did_you_mean", "is_whole", "plain", "plain_number", "plain_pairs"]
 
 _LONG_PLURALS = ("ches", "shes", "sses", "xes")
 
@@ -64,12 +62,3 @@ def plain_pairs(values: Any) -> Any:
 def is_whole(*values: object) -> bool:
     """Tell whether all values are whole numbers; True and False are not."""
     return all(isinstance(value, int) and not isinstance(value, bool) for value in values)
-
-
-def positive_or_none(option: str, value: Any) -> int | None:
-    """Return a count that may be left out as Python's own number; InputError for any other value."""
-    count: int | None = plain_number(value)
-    if count is None or (is_whole(count) and count >= 1):
-        return count
-    message = f"{option} is {count!r}; expected a whole number of at least 1"
-    raise InputError(message)

@@ -6,6 +6,7 @@ import math
 from dataclasses import asdict, dataclass
 from typing import Any, Self
 
+from tactile_toolkit.checked_fields import check_fields, real_number
 from tactile_toolkit.errors import InputError
 
 __all__ = [
@@ -82,20 +83,20 @@ class WrenchSpec:
     (13.0, 10.0, 157.5)
     """
 
-    opening_mm: float
-    second_opening_mm: float
-    length_mm: float
-    head_mm: float
-    second_head_mm: float
-    handle_mm: float
-    thickness_mm: float
-    jaw_angle_deg: float = 15.0
-    clearance_mm: float = 0.2
-    fillet_mm: float = 10.0
-    chamfer_mm: float = 0.6
+    opening_mm: float = real_number(above=0)
+    second_opening_mm: float = real_number(least=0)
+    length_mm: float = real_number(above=0)
+    head_mm: float = real_number(above=0)
+    second_head_mm: float = real_number(above=0)
+    handle_mm: float = real_number(above=0)
+    thickness_mm: float = real_number(above=0)
+    jaw_angle_deg: float = real_number(15.0, 0, 90)
+    clearance_mm: float = real_number(0.2, 0)
+    fillet_mm: float = real_number(10.0, 0)
+    chamfer_mm: float = real_number(0.6, 0)
 
     def __post_init__(self) -> None:
-        _require_numbers(self)
+        check_fields(self, "the wrench")
         _require_proportions(self)
 
     @classmethod
@@ -148,17 +149,6 @@ class WrenchSpec:
     def to_dict(self) -> dict[str, Any]:
         """Return JSON values; equal values give equal wrenches."""
         return asdict(self)
-
-
-def _require_numbers(spec: WrenchSpec) -> None:
-    may_be_zero = ("second_opening_mm", "jaw_angle_deg", "clearance_mm", "fillet_mm", "chamfer_mm")
-    for name, value in asdict(spec).items():
-        if not math.isfinite(value) or value < 0 or (value == 0 and name not in may_be_zero):
-            message = f"{name} of the wrench is {value!r}; expected a positive length in millimetres"
-            raise InputError(message)
-    if spec.jaw_angle_deg > 90:
-        message = f"jaw_angle_deg of the wrench is {spec.jaw_angle_deg:g}; expected 0 to 90"
-        raise InputError(message)
 
 
 def _require_proportions(spec: WrenchSpec) -> None:

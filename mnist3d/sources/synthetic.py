@@ -20,6 +20,7 @@ from mnist3d.sources.handwriting.hand import (
     posed,
 )
 from mnist3d.sources.handwriting.pen import draw, on_page
+from tactile_toolkit.checked_fields import check_fields, whole_number
 from tactile_toolkit.errors import InputError
 
 __all__ = ["DRAWING_VERSION", "HWD_PLUS_COUNT", "SyntheticSource"]
@@ -95,19 +96,11 @@ class SyntheticSource:
     (0, 1, (500, 500))
     """
 
-    seed: int = 0
-    count: int = HWD_PLUS_COUNT
+    seed: int = whole_number(0)
+    count: int = whole_number(HWD_PLUS_COUNT, 1)
 
     def __post_init__(self) -> None:
-        if self.seed < 0:
-            msg = f"the seed of the synthetic source is {self.seed}; expected 0 or more; next: choose another"
-            raise InputError(msg)
-        if self.count < 1:
-            msg = (
-                f"the synthetic source was asked for {self.count} digits; expected 1 or more; "
-                f"next: choose a count such as {HWD_PLUS_COUNT}, that of HWD+"
-            )
-            raise InputError(msg)
+        check_fields(self, "the synthetic source")
 
     @property
     def name(self) -> str:
@@ -118,8 +111,8 @@ class SyntheticSource:
         """Return name, seed, count and the version of the drawing."""
         return {
             "name": self.name,
-            "seed": int(self.seed),
-            "count": int(self.count),
+            "seed": self.seed,
+            "count": self.count,
             "drawing_version": DRAWING_VERSION,
         }
 

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import asdict, dataclass
 from typing import Any
 
+from tactile_toolkit.checked_fields import check_fields, real_number, whole_number
 from tactile_toolkit.errors import InputError
-from tactile_toolkit.wording import is_whole, plain_number
 
 __all__ = ["TrainConfig"]
 
@@ -44,56 +43,24 @@ class TrainConfig:
         Steps between checkpoints, and between lines of the log; ours.
     """
 
-    filters: int = 64
-    blocks: int = 9
-    judge_filters: int = 64
-    steps: int = 200_000
-    batch: int = 1
-    crop: float = 0.875
-    learning_rate: float = 2e-4
-    first_moment: float = 0.5
-    decay_from: float = 0.5
-    cycle_weight: float = 10.0
-    identity_weight: float = 5.0
-    pool: int = 50
-    seed: int = 0
-    checkpoint_every: int = 1000
-    log_every: int = 50
+    filters: int = whole_number(64, 1, 1024)
+    blocks: int = whole_number(9, 0, 64)
+    judge_filters: int = whole_number(64, 1, 1024)
+    steps: int = whole_number(200_000, 1, 10**9)
+    batch: int = whole_number(1, 1, 4096)
+    crop: float = real_number(0.875, 0.1, 1)
+    learning_rate: float = real_number(2e-4, 1e-8, 1)
+    first_moment: float = real_number(0.5, 0, 0.999)
+    decay_from: float = real_number(0.5, 0, 1)
+    cycle_weight: float = real_number(10.0, 0, 1e4)
+    identity_weight: float = real_number(5.0, 0, 1e4)
+    pool: int = whole_number(50, 0, 10_000)
+    seed: int = whole_number(0, 0, 2**63)
+    checkpoint_every: int = whole_number(1000, 1, 10**9)
+    log_every: int = whole_number(50, 1, 10**9)
 
     def __post_init__(self) -> None:
-        bounds = {
-            "filters": (1, 1024),
-            "blocks": (0, 64),
-            "judge_filters": (1, 1024),
-            "steps": (1, 10**9),
-            "batch": (1, 4096),
-            "pool": (0, 10_000),
-            "seed": (0, 2**63),
-            "checkpoint_every": (1, 10**9),
-            "log_every": (1, 10**9),
-        }
-        for name, (least, most) in bounds.items():
-            value = plain_number(getattr(self, name))
-            object.__setattr__(self, name, value)
-            if not (is_whole(value) and least <= value <= most):
-                self._refuse(name, f"a whole number from {least:,} to {most:,}")
-        spans = {
-            "crop": (0.1, 1.0),
-            "learning_rate": (1e-8, 1.0),
-            "first_moment": (0.0, 0.999),
-            "decay_from": (0.0, 1.0),
-            "cycle_weight": (0.0, 1e4),
-            "identity_weight": (0.0, 1e4),
-        }
-        for name, (low, high) in spans.items():
-            share = plain_number(getattr(self, name), float)
-            object.__setattr__(self, name, share)
-            if not (isinstance(share, float) and math.isfinite(share) and low <= share <= high):
-                self._refuse(name, f"a number from {low:g} to {high:g}")
-
-    def _refuse(self, name: str, expected: str) -> None:
-        message = f"{name} of the training is {getattr(self, name)!r}; expected {expected}"
-        raise InputError(message)
+        check_fields(self, "the training")
 
     def crop_px(self, size_px: tuple[int, int]) -> tuple[int, int]:
         """Return width and height of the crops, multiples of 4; InputError where they are too small."""

@@ -22,6 +22,7 @@ from tactile_sim.pressing import Pressable, press
 from tactile_sim.sensor import Sensor, as_environment, as_sensor
 from tactile_toolkit.catalog.locate import find_shards
 from tactile_toolkit.catalog.published import place_of
+from tactile_toolkit.checked_fields import check_fields, choice, real_number, whole_number
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.kind import lazy
 from tactile_toolkit.mesh.columns import class_names, require_mesh_columns
@@ -34,7 +35,6 @@ from tactile_toolkit.store.manifest import Manifest
 from tactile_toolkit.store.plan import BuildPlan, ShardContent
 from tactile_toolkit.store.shards import ShardName, Skipped
 from tactile_toolkit.touch.jpeg import encode_image, resized
-from tactile_toolkit.wording import is_whole, plain_number
 
 __all__ = ["SPLITS", "PairsSpec", "make_pairs", "plan_pairs"]
 
@@ -72,45 +72,22 @@ class PairsSpec:
     """
 
     size_px: tuple[int, int] = (256, 256)
-    count: int = 20_000
-    without_contact: float = 0.05
-    min_height_m: float = 0.006
-    like: Literal["published", "environment"] = "published"
-    image_format: Literal["png", "jpeg"] = "png"
-    turn_rad: float = np.pi / 8
-    seed: int = 0
+    count: int = whole_number(20_000, 1, 10_000_000)
+    without_contact: float = real_number(0.05, 0, 1)
+    min_height_m: float = real_number(0.006, above=0, below=0.1)
+    like: Literal["published", "environment"] = choice("published", ("published", "environment"))
+    image_format: Literal["png", "jpeg"] = choice("png", ("png", "jpeg"))
+    turn_rad: float = real_number(np.pi / 8, 0, np.pi)
+    seed: int = whole_number(0)
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "size_px", as_sensor(*self.size_px).size_px)
-        for name in ("count", "seed"):
-            object.__setattr__(self, name, plain_number(getattr(self, name)))
-        for name in ("without_contact", "min_height_m", "turn_rad"):
-            object.__setattr__(self, name, plain_number(getattr(self, name), float))
-        for name, holds, expected in (
-            (
-                "size_px",
-                all(side in _SIDES_PX and side % 4 == 0 for side in self.size_px),
-                "multiples of 4 from 16 to 2048",
-            ),
-            ("count", is_whole(self.count) and 1 <= self.count <= 10_000_000, "1 to 10,000,000"),
-            (
-                "without_contact",
-                isinstance(self.without_contact, float) and 0 <= self.without_contact <= 1,
-                "0 to 1",
-            ),
-            (
-                "min_height_m",
-                isinstance(self.min_height_m, float) and 0 < self.min_height_m < 0.1,
-                "metres above 0 and below 0.1",
-            ),
-            ("like", self.like in ("published", "environment"), "published or environment"),
-            ("image_format", self.image_format in ("png", "jpeg"), "png or jpeg"),
-            ("turn_rad", isinstance(self.turn_rad, float) and 0 <= self.turn_rad <= np.pi, "0 to pi"),
-            ("seed", is_whole(self.seed) and self.seed >= 0, "a whole number from 0"),
-        ):
-            if not holds:
-                message = f"{name} of the training set is {getattr(self, name)!r}; expected {expected}"
-                raise InputError(message)
+        check_fields(self, "the training set")
+        if not all(side in _SIDES_PX and side % 4 == 0 for side in self.size_px):
+            message = (
+                f"size_px of the training set is {self.size_px}; expected multiples of 4 from 16 to 2048"
+            )
+            raise InputError(message)
 
     @property
     def sensor(self) -> Sensor:

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import math
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from tactile_toolkit.errors import InputError
+from tactile_toolkit.checked_fields import check_fields, real_number
 from tactile_toolkit.mesh.mesh import MM_PER_M, as_mesh
 from tactile_toolkit.mesh.solid_check import ManifoldCheck, check_manifold
 from tactile_toolkit.mesh.thickness import thinnest_wall_mm
@@ -80,26 +80,19 @@ class PrintProfile:
         Of the material; 1.24 is PLA.
     """
 
-    nozzle_mm: float = 0.4
-    layer_height_mm: float = 0.2
-    plate_mm: tuple[float, float] = (256.0, 256.0)
-    max_height_mm: float = 256.0
-    min_wall_mm: float = 0.8
-    overhang_deg: float = 45.0
-    max_overhang_share: float = 0.72
-    min_contact_mm2: float = 10.0
-    density_g_cm3: float = 1.24
+    nozzle_mm: float = real_number(0.4, above=0)
+    layer_height_mm: float = real_number(0.2, above=0)
+    plate_mm: tuple[float, float] = real_number((256.0, 256.0), above=0, many=2)
+    max_height_mm: float = real_number(256.0, above=0)
+    min_wall_mm: float = real_number(0.8, above=0)
+    overhang_deg: float = real_number(45.0, above=0, below=90)
+    max_overhang_share: float = real_number(0.72, above=0)
+    min_contact_mm2: float = real_number(10.0, above=0)
+    density_g_cm3: float = real_number(1.24, above=0)
 
     def __post_init__(self) -> None:
         """Refuse numbers that no printer has."""
-        numbers = {**asdict(self), "plate_mm": min(self.plate_mm)}
-        for name, value in numbers.items():
-            if not (math.isfinite(value) and value > 0):
-                message = f"PrintProfile.{name} is {getattr(self, name)!r}; expected positive numbers"
-                raise InputError(message)
-        if self.overhang_deg >= 90:
-            message = f"PrintProfile.overhang_deg is {self.overhang_deg!r}; expected less than 90"
-            raise InputError(message)
+        check_fields(self, "the print profile")
 
 
 @dataclass(frozen=True, slots=True)

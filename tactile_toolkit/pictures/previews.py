@@ -12,7 +12,7 @@ import numpy as np
 from tactile_toolkit.catalog.choose import chosen_records, class_by_class, open_splits
 from tactile_toolkit.catalog.kinds import require_kind
 from tactile_toolkit.catalog.locate import folder_named
-from tactile_toolkit.errors import InputError
+from tactile_toolkit.checked_fields import check_fields, whole_number
 from tactile_toolkit.kind import DatasetKind
 from tactile_toolkit.mesh.mesh import MM_PER_M
 from tactile_toolkit.pictures.plots import Bars, plot_bars, require_plots
@@ -39,12 +39,10 @@ class PreviewSpec:
     kinds: tuple[str, ...] = ()
     split: str | None = None
     ids: tuple[int, ...] = ()
-    per_class: int = 10
+    per_class: int = whole_number(10, 1, option="--per-class")
 
     def __post_init__(self) -> None:
-        if self.per_class < 1:
-            message = f"--per-class is {self.per_class}; expected a whole number of at least 1"
-            raise InputError(message)
+        check_fields(self, "the previews")
 
 
 class MeshPreviews(Generic[D]):

@@ -15,11 +15,11 @@ from xml.etree import ElementTree
 import numpy as np
 from numpy.typing import NDArray
 
+from tactile_toolkit.checked_fields import check_fields, real_number
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.mesh.convex import convex_parts
 from tactile_toolkit.mesh.files import BROKEN_FILE, read_mesh
 from tactile_toolkit.mesh.mesh import MM_PER_M, Mesh
-from tactile_toolkit.wording import plain_number
 
 __all__ = ["MODELS", "Body", "Physics", "body_of", "model_files", "pack_mjcf", "read_mjcf", "read_model"]
 
@@ -35,15 +35,11 @@ class Physics:
     filled is lighter. ``friction`` is the coefficient of sliding, our own default.
     """
 
-    density_kg_m3: float = 1240.0
-    friction: float = 0.5
+    density_kg_m3: float = real_number(1240.0, above=0, most=1e5)
+    friction: float = real_number(0.5, above=0, most=100)
 
     def __post_init__(self) -> None:
-        for name, most in (("density_kg_m3", 1e5), ("friction", 100.0)):
-            value = plain_number(getattr(self, name), float)
-            if not isinstance(value, float) or not 0 < value <= most:
-                message = f"{name} is {getattr(self, name)!r}; expected a number above 0, at most {most:g}"
-                raise InputError(message)
+        check_fields(self, "the material")
 
 
 @dataclass(frozen=True, slots=True)

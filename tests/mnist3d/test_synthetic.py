@@ -125,7 +125,7 @@ def test_a_fractional_id_is_refused() -> None:
         SyntheticSource().image(1.5)  # type: ignore[arg-type]
 
 
-@pytest.mark.parametrize(("seed", "count", "words"), [(-1, 5, "seed .* is -1"), (0, 0, "asked for 0 digits")])
+@pytest.mark.parametrize(("seed", "count", "words"), [(-1, 5, "seed .* is -1"), (0, 0, "count .* is 0")])
 def test_bad_options_are_named(seed: int, count: int, words: str) -> None:
     with pytest.raises(InputError, match=words):
         SyntheticSource(seed, count)

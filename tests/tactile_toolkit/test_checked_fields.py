@@ -1,0 +1,73 @@
+"""Fields that say which values they take: what fits is spelled one way, what does not is named."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import asdict, dataclass
+
+import numpy as np
+import pytest
+
+from tactile_toolkit.checked_fields import check_fields, choice, real_number, switch, whole_number
+from tactile_toolkit.errors import InputError
+
+
+@dataclass(frozen=True, slots=True)
+class _Spec:
+    height_m: float = real_number(above=0, below=1)
+    plate_mm: tuple[float, float] = real_number((1.0, 2.0), 0, 256, many=2)
+    level: float | None = real_number(None, optional=True)
+    rounds: int = whole_number(16, 1, 4096)
+    limit: int | None = whole_number(None, 1, optional=True, option="--limit")
+    lie: str = choice("random", ("random", "middle"))
+    shift: bool = switch(True)
+
+    def __post_init__(self) -> None:
+        check_fields(self, "the example")
+
+
+def test_equal_values_have_one_spelling():
+    one = _Spec(0.5, (3.0, 4.0), 2.0, 7, 3, "middle", False)
+    other = _Spec(
+        np.float64(0.5),
+        np.array([3, 4]),
+        np.int8(2),
+        np.int64(7),
+        np.array(3),
+        np.str_("middle"),
+        np.bool_(False),
+    )
+    assert json.dumps(asdict(one)) == json.dumps(asdict(other))
+    assert type(_Spec(np.float32(0.5)).height_m) is float
+
+
+def test_a_field_without_default_is_asked_for():
+    with pytest.raises(TypeError, match="height_m"):
+        _Spec()
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "message"),
+    [
+        ("height_m", 0, "height_m of the example is 0; expected a number above 0 and below 1"),
+        ("height_m", 1.0, "expected a number above 0 and below 1"),
+        ("height_m", "0.5", "height_m of the example is '0.5'"),
+        ("height_m", True, "is True"),
+        ("height_m", float("nan"), "is nan"),
+        ("plate_mm", (1, 2, 3), "expected 2 numbers from 0 to 256"),
+        ("plate_mm", (1, float("inf")), "expected 2 numbers"),
+        ("plate_mm", 1.0, "expected 2 numbers"),
+        ("level", float("inf"), "expected None or a number, finite"),
+        ("rounds", 0, "rounds of the example is 0; expected a whole number from 1 to 4,096"),
+        ("rounds", 2.0, "is 2.0"),
+        ("rounds", None, "is None"),
+        ("limit", 2.5, "--limit is 2.5; expected a whole number of at least 1"),
+        ("lie", "left", "lie of the example is 'left'; expected one of random, middle"),
+        ("lie", ["random"], "expected one of random, middle"),
+        ("shift", 1, "shift of the example is 1; expected True or False"),
+    ],
+)
+def test_what_does_not_fit_is_named(name, value, message):
+    with pytest.raises(InputError) as error:
+        _Spec(**{"height_m": 0.5, name: value})
+    assert message in str(error.value)
