@@ -17,6 +17,10 @@ pytestmark = [pytest.mark.env, pytest.mark.sim]
 OBJECTS = int(os.environ.get("ORACLE_OBJECTS", "5"))
 """Objects of each kind; `ORACLE_OBJECTS=400` makes the whole proof, in some minutes."""
 
+HEIGHTS_M = {"digits": 1e-7, "scenes": 1e-7, "wrench": 2e-7}
+"""How far heights of the sensor may be apart. The top of a wrench is one large flat face, whose height is
+known exactly and met by ours; the driver's depths there, of which the least counts, scatter by 0.12 um."""
+
 SIZES = [(64, 64), (256, 256), (320, 240)]
 
 
@@ -47,12 +51,12 @@ def _solids(kind):
 
 @pytest.mark.parametrize("size", SIZES, ids=str)
 @pytest.mark.parametrize("kind", ["digits", "scenes", "wrench"])
-def test_depth_is_that_of_the_environments(kind, size):
+def test_depth_is_that_of_the_environments(kind, size, record_property):
     require_package()
     pytest.importorskip("numba", reason="needs numba, of the extra sim")
     oracle, sensor = Oracle(*size), None
     rng = np.random.default_rng(len(kind))
-    off, pixels = 0, 0
+    apart_m, heights_m = [], []
     for mesh in _solids(kind):
         solid = tactile_sim.Pressable.of(mesh)
         x_m, y_m = rng.uniform(-0.02, 0.02, 2)
@@ -64,8 +68,18 @@ def test_depth_is_that_of_the_environments(kind, size):
         depth_m, sensor_z_m = oracle.depth_m(mesh, object_pose, target)
         sensor = oracle.sensor() if sensor is None else sensor
         pressed = tactile_sim.press(solid, object_pose, target, sensor)
-        assert abs(pressed.sensor_z_m - sensor_z_m) < 1e-7
+        heights_m.append(abs(pressed.sensor_z_m - sensor_z_m))
         clipped = [np.clip(each, PRESS_M, GEL_M) for each in (depth_m, pressed.depth_m)]
-        off += int((np.abs(clipped[0] - clipped[1]) > 5e-7).sum())
-        pixels += depth_m.size
-    assert off <= 1e-4 * pixels
+        apart_m.append(np.abs(clipped[0] - clipped[1]).astype(np.float32))
+    found = np.stack(apart_m)
+    for name, value in (
+        ("objects", len(found)),
+        ("pixels off", int((found > 5e-7).sum())),
+        ("of pixels", found.size),
+        ("worst pixel um", 1e6 * float(found.max())),
+        ("99.99 % um", 1e6 * float(np.quantile(found, 0.9999))),
+        ("worst height um", 1e6 * max(heights_m)),
+    ):
+        record_property(name, value)  # for the table of docs/touches.md: --junitxml FILE
+    assert (found > 5e-7).mean() <= 1e-4
+    assert max(heights_m) < HEIGHTS_M[kind]

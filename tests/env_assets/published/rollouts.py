@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -30,6 +31,7 @@ class Step:
     points: tuple[Any, ...]  # what lay there before the step
     object_poses: Any  # where it lay before the step
     was_done: NDArray[np.bool_]  # whether the step began a new episode
+    action: Any
     observation: dict[str, NDArray[Any]]
     reward: NDArray[Any]
     terminated: NDArray[np.bool_]
@@ -49,18 +51,19 @@ class Rollout:
         return [self.observation, *(step.observation for step in self.steps)]
 
 
-def roll(env: Any, steps: int, seed: int) -> Rollout:
-    """Reset and take random steps, everything from one seed."""
+def roll(env: Any, steps: int, seed: int, actions: Sequence[Any] = ()) -> Rollout:
+    """Reset and take steps, random ones or those of a record, everything from one seed."""
     observation, _ = env.reset(seed=seed)
     env.action_space.seed(seed)
     rollout = Rollout(_copied(observation))
     inner = env.unwrapped
     done = np.zeros(env.num_envs, bool)
-    for _ in range(steps):
+    for number in range(steps):
         points, poses = inner.current_data_points, inner.current_object_poses_platform_frame
-        observation, reward, terminated, truncated, info = env.step(env.action_space.sample())
+        action = actions[number] if actions else env.action_space.sample()
+        observation, reward, terminated, truncated, info = env.step(action)
         rollout.steps.append(
-            Step(points, poses, done, _copied(observation), reward, terminated, truncated, info)
+            Step(points, poses, done, action, _copied(observation), reward, terminated, truncated, info)
         )
         done = terminated | truncated
     return rollout
