@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from cli.application import command, new_app, run
+from cli.application import EXIT_FAILED, command, new_app, run
 from cli.folders import add_card, print_unfinished
 from cli.gallery_commands import add_touch_gallery
 from cli.hub_download import add_download
@@ -130,6 +130,30 @@ def verify(
             f"{counted(len(result.unprotected), 'files')} unprotected, {result.unprotected[0]!r} first: no "
             "checksums of pages and none by a manifest or the Hub, so that a changed number shows nowhere"
         )
+
+
+@command(app)
+def reproduce(*, name: TouchSet, revision: Revision = None, sink: Sink) -> None:
+    """Measure what the Tactile MNIST paper states of the real touches, number by number.
+
+    Exit code 1 when the data say something else.
+
+    Example: realtouch reproduce real-single-64x64
+    """
+    from realtouch.convert.plan import Source
+    from realtouch.dataset import dataset_of
+    from realtouch.reproduce import paper_numbers
+
+    announce_fetching(sink, name, None)
+    source = Source.open(name, revision, None)
+    numbers = paper_numbers(
+        {split: dataset_of(shards, source.kind) for split, shards in source.shards.items()}
+    )
+    sink.document([number.to_dict() for number in numbers])
+    rows = [(each.what, each.paper, each.found, "yes" if each.agrees else "NO") for each in numbers]
+    sink.table(("what", "paper", "data", "agrees"), rows)
+    if not all(number.agrees for number in numbers):
+        raise typer.Exit(EXIT_FAILED)
 
 
 add_conversions(app)

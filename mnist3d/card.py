@@ -35,9 +35,9 @@ from tactile_toolkit.store.folder import DataFolder
 from tactile_toolkit.store.manifest import Manifest
 from tactile_toolkit.store.parquet import read_report
 
-__all__ = ["SourceWords", "words_of", "write_card"]
+__all__ = ["COLUMNS", "SourceWords", "words_of", "write_card"]
 
-_COLUMNS = {
+COLUMNS = {
     **MESH_COLUMNS,
     "id": ("", "number of the digit in its source, unique over all splits"),
     "label": ("", "the digit"),
@@ -75,7 +75,7 @@ def write_card(folder: DataFolder, manifest: Manifest, report: Any = None) -> No
         "skipped": skipped_text(manifest, "for "),
         "spec": json_block(spec),
         "split_table": _split_table(summaries, facts),
-        "field_table": field_table(facts, _COLUMNS),
+        "field_table": field_table(facts, COLUMNS),
         "print_table": _print_table(summaries),
         "report_columns": ", ".join(f"`{name}`" for name in report.schema.names),
         "nozzle_mm": f"{profile['nozzle_mm']:g}",

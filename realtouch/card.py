@@ -39,7 +39,7 @@ from tactile_toolkit.store.manifest import Manifest
 from tactile_toolkit.touch.jpeg import decode_image
 from tactile_toolkit.touch.schema import Kind, column_type, kind_of
 
-__all__ = ["SYNTHETIC", "is_synthetic", "write_card"]
+__all__ = ["COLUMNS", "SYNTHETIC", "is_synthetic", "write_card"]
 
 _TILES = 16
 _TILE_WIDTH = 96
@@ -129,7 +129,7 @@ def _or_none(ask: Callable[..., T], *parts: Any) -> T | None:
 
 _CELL = "m, cell frame"
 
-_COLUMNS: dict[str, Column] = {
+COLUMNS: dict[str, Column] = {
     "id": ("", "name of the round, unique over all splits"),
     "label": ("", "class of the touched object"),
     "object_id": ("", "`id` of its mesh in MNIST 3D"),
@@ -154,14 +154,14 @@ _COLUMNS: dict[str, Column] = {
     "info.object_pose.quaternion": ("x, y, z, w", "its orientation"),
 }
 
-_SYNTHETIC_COLUMNS: dict[str, Column] = {
-    **_COLUMNS,
+SYNTHETIC_COLUMNS: dict[str, Column] = {
+    **COLUMNS,
     "object_id": ("", "`id` of the mesh of the touched object, in the data set that it comes from"),
 }
 
 _FAMILIES: dict[str, Column] = {"info.": ("", "metadata of the round, as recorded")}
 
-_INDEX_COLUMNS: dict[str, Column] = {
+INDEX_COLUMNS: dict[str, Column] = {
     "id": ("", "round and touch"),
     "file": ("", "the picture, from the folder of the data set"),
     "sha256": ("hexadecimal", "checksum of the file"),
@@ -276,11 +276,11 @@ def write_card(
     figures: list[_SplitFigures] = []
     size: tuple[int, int] | None = None
     if card == "frames":
-        sheet, columns = _index_sheet(facts, folder), _INDEX_COLUMNS
+        sheet, columns = _index_sheet(facts, folder), INDEX_COLUMNS
     else:
         sheet, size = _touch_sheet(facts, stored), _picture_size(facts, stored)
         figures = [_split_figures(split, stored) for split in facts.splits]
-        columns = _SYNTHETIC_COLUMNS if rendered else _COLUMNS
+        columns = SYNTHETIC_COLUMNS if rendered else COLUMNS
     title = _RENDERED_PICTURES if rendered and card == "frames" else _TITLES[card]
     counts = [figure.touches for figure in figures if figure.touches is not None]
     known = len(counts) == len(figures)

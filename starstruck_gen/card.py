@@ -33,7 +33,7 @@ from tactile_toolkit.store.folder import DataFolder
 from tactile_toolkit.store.manifest import Manifest
 from tactile_toolkit.wording import counted
 
-__all__ = ["write_card"]
+__all__ = ["COLUMNS", "write_card"]
 
 _SCENES_SHOWN = 12
 _TILE_PX = 140
@@ -42,7 +42,7 @@ _RULES = {
     "exact": "the outlines of two objects do not touch",
 }
 
-_COLUMNS = {
+COLUMNS = {
     **MESH_COLUMNS,
     "id": ("", f"number of the scene: from 0 in train, from {scene_id(SPLITS[1], 0):,} in test"),
     "label": ("", "the class, named by the number of stars"),
@@ -87,7 +87,7 @@ def write_card(folder: DataFolder, manifest: Manifest, _report: object = None) -
         "attempts": f"{spec.attempts:,}",
         "spec": json_block(manifest.spec),
         "split_table": _split_table(summaries, facts),
-        "field_table": field_table(facts, _COLUMNS),
+        "field_table": field_table(facts, COLUMNS),
         "acceptance_table": _acceptance_table(summaries),
         "print_text": f"The circles around them are {widths} mm wide; a scene prints as loose objects.",
         "limits": _limits(manifest, spec),

@@ -27,14 +27,14 @@ from tactile_toolkit.store.folder import DataFolder
 from tactile_toolkit.store.manifest import Manifest
 from tactile_toolkit.touch.jpeg import decode_image
 
-__all__ = ["write_card"]
+__all__ = ["COLUMNS", "write_card"]
 
 _COLUMNS_SHOWN = 8
 _ROUNDS_SHOWN = 4
 _TILE_PX = 96
 _CELL = "m, cell frame"
 
-_COLUMNS: dict[str, Column] = {
+COLUMNS: dict[str, Column] = {
     "id": ("", "`object_id` and number of the round"),
     "label": ("", "class of the touched object"),
     "object_id": ("", "`id` of its mesh in the data set of the objects"),
@@ -88,7 +88,7 @@ def write_card(folder: DataFolder, manifest: Manifest, _report: object = None) -
         "touches": f"{sum(_counts(manifest, split)['touches'] for split in manifest.splits):,}",
         "made": markdown_table(("", ""), made) + "\n\n" + json_block(manifest.spec),
         "split_table": _split_table(facts, manifest),
-        "field_table": field_table(facts, _COLUMNS),
+        "field_table": field_table(facts, COLUMNS),
         "bibtex": bibtex(TACTILE_MNIST),
     }
     write_card_files(

@@ -60,7 +60,7 @@ class Pressable:
             Leave the check out for what is known to be closed.
         layer_m : float
             Feel the solid as it is printed: in layers of this height with rounded edges, metres, 0.00002 to
-            0.002 (:mod:`tactile_sim.layers` says what they look like). 0, the default: as it is modelled.
+            0.002 (rounded, as a printer lays them). 0, the default: as it is modelled.
 
         Returns
         -------
@@ -86,7 +86,7 @@ class Pressable:
         return float(self.vertices_m[:, 2].min())
 
     def layers(self, affine: NDArray[np.float64]) -> NDArray[np.float64] | None:
-        """Return what :func:`~tactile_sim.heights.raise_heights` wants of the layers, seen through a map."""
+        """Return what ``raise_heights`` wants of the layers, seen through a map."""
         if not self.layer_m:
             return None
         return seen_layers(affine, self.layer_m, self.foot_m, float(self.vertices_m[:, 2].max()))

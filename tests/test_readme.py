@@ -1,39 +1,40 @@
-"""Everything in README runs, in a folder of its own and against a Hub on 127.0.0.1."""
+"""Everything in README and in the pages of the site runs, against a Hub on 127.0.0.1."""
 
 from __future__ import annotations
 
 import os
 import re
-import shlex
 import subprocess
 import sys
 from collections.abc import Iterator
+from importlib.util import find_spec
 from pathlib import Path
 
 import pytest
 
 from tests.hub_server import hub
+from tests.pages import ROOT, blocks, commands
 from tests.realtouch.factories import make_round, single_rows, write_set
 
-ROOT = Path(__file__).resolve().parents[1]
-TEXT = (ROOT / "README.md").read_text(encoding="utf-8")
-BLOCKS = re.findall(r"^```(\w+)\n(.*?)^```", TEXT, flags=re.MULTILINE | re.DOTALL)
 PUBLISHED = "TimSchneider42/tactile-mnist-touch-real-single-t256-64x64"
+PAGES = (
+    "docs/tour.md",
+    "docs/concepts/folder.md",
+    "docs/howto/print.md",
+    "docs/howto/handwriting.md",
+    "docs/howto/training.md",
+    "docs/howto/environments.md",
+    "docs/howto/simulators.md",
+    "docs/howto/hub.md",
+    "docs/paper.md",
+)
+"""In the order in which a reader meets them; the tour makes what others use."""
 
+NOT_RUN = ("docs/operators.md", "docs/install.md")
+"""Pages whose code needs clusters, or installs."""
 
-_EXTRA = re.compile(r"# with the extra `(\w+)`\n")
-
-
-def _text(language: str, extra: str | None = None) -> str:
-    needed = [(_EXTRA.match(block), block) for kind, block in BLOCKS if kind == language]
-    chosen = [block for found, block in needed if (found and found[1]) == extra]
-    assert chosen, f"README has no such block: {language}, extra {extra}"
-    return "\n".join(chosen)
-
-
-def _commands() -> list[str]:
-    lines = _text("bash").replace("\\\n", " ").splitlines()
-    return [line for line in lines if line.strip() and not line.startswith("#")]
+NEEDED = {"env": "tactile_mnist", "torch": "torchdata", "simulators": "mujoco"}
+"""A package of each extra that blocks name."""
 
 
 @pytest.fixture(scope="module")
@@ -42,70 +43,87 @@ def surroundings(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Pat
     base = tmp_path_factory.mktemp("readme")
     rounds = [make_round(index, 256, (64, 64)) for index in range(4)]
     write_set(base / "hub" / PUBLISHED, {"test": single_rows(rounds)}, "single")
-    folder = base / "work"
-    folder.mkdir()
     with hub(base / "hub") as server:
         yield (
-            folder,
+            base,
             {
                 "HF_ENDPOINT": server.endpoint,
                 "HF_HOME": str(base / "hf"),
                 "HF_TOKEN": server.account("YOU"),
                 "HF_HUB_DISABLE_XET": "1",
+                "PYTHONPATH": str(ROOT),
                 "TACTILE_TOOLKIT_CACHE": str(base / "cache"),
             },
         )
 
 
+def read(page: str, surroundings: tuple[Path, dict[str, str]], folder: str, *extras: str) -> None:
+    """Run a page in a folder, with the blocks that need these extras."""
+    run([sys.executable, "-m", "tests.pages", page, *extras], surroundings, folder)
+
+
+def run(program: list[str], surroundings: tuple[Path, dict[str, str]], folder: str) -> Path:
+    base, settings = surroundings
+    (base / folder).mkdir(exist_ok=True)
+    done = subprocess.run(
+        program, cwd=base / folder, env=os.environ | settings, capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 0, f"{program}\n{done.stdout}{done.stderr}"
+    return base / folder
+
+
+def python_of_readme(extra: str) -> str:
+    (block,) = [block for block in blocks("README.md") if block.extra == extra]
+    return block.text
+
+
+def every_page() -> list[str]:
+    found = [path.relative_to(ROOT).as_posix() for path in sorted((ROOT / "docs").rglob("*.md"))]
+    return ["README.md", *(page for page in found if not page.startswith("docs/_"))]
+
+
 def test_blocks_are_of_known_kinds():
-    assert {language for language, _ in BLOCKS} <= {"bash", "python", "text"}
-    assert sum("pip install" in command for command in _commands()) == 2
+    assert {block.language for block in blocks("README.md")} <= {"bash", "python", "text"}
+    shell = [block.text for block in blocks("README.md") if block.language == "bash"]
+    assert sum("pip install" in line for text in shell for line in commands(text)) == 2
+    named = {block.extra for page in every_page() for block in blocks(page)} - {None}
+    assert named == set(NEEDED)
 
 
-def test_blocks_run(surroundings):
-    """Shell lines one after another, then the Python blocks as one script, as a reader would type them.
-
-    The installing halves of the first two lines are left to CI, which runs the second as it stands.
-    """
-    folder, settings = surroundings
-    for command in _commands():
-        if "pytest" not in command:
-            _run(_program(command), folder, settings, command)
-    _run([sys.executable, "-c", _text("python")], folder, settings, "the Python blocks")
+def test_readme_runs(surroundings):
+    """As a reader would type it; the installing halves of the first two lines are left to CI."""
+    read("README.md", surroundings, "readme")
 
 
 @pytest.mark.env
 def test_the_block_with_environments_runs(surroundings):
     pytest.importorskip("tactile_mnist", reason="needs tactile-mnist, of the extra env")
-    folder, settings = surroundings
-    _run([sys.executable, "-c", _text("python", "env")], folder, settings, "environments")
+    run([sys.executable, "-c", python_of_readme("env")], surroundings, "environments")
 
 
 @pytest.mark.torch
 def test_the_block_of_training_runs(surroundings):
     pytest.importorskip("torchdata", reason="needs torchdata, of the extra torch")
-    folder, settings = surroundings
-    for what in ("training", "training that goes on"):
-        _run([sys.executable, "-c", _text("python", "torch")], folder, settings, what)
+    for _ in ("training", "training that goes on"):
+        folder = run([sys.executable, "-c", python_of_readme("torch")], surroundings, "training")
     assert (folder / "data.pt").exists()
 
 
-def _program(command: str) -> list[str]:
-    """Translate ``mnist3d ...`` into this interpreter running that command line."""
-    bare = command.rpartition("&&")[2].strip().removeprefix(".venv/bin/")
-    name, *arguments = shlex.split(bare, comments=True)
-    script = f"import sys; sys.argv[0] = {name!r}; from cli.{name.replace('-', '_')} import main; main()"
-    return [sys.executable, "-c", script, *arguments]
+def test_pages_of_the_site_run(surroundings):
+    """One reader goes through all of them in one folder; blocks whose extra is not there are left out."""
+    extras = [extra for extra, package in NEEDED.items() if find_spec(package)]
+    assert not os.environ.get("REQUIRE_EXTRAS") or len(extras) == len(NEEDED)
+    for page in PAGES:
+        read(page, surroundings, "site", *extras)
 
 
-def _run(program: list[str], folder: Path, settings: dict[str, str], what: str) -> None:
-    done = subprocess.run(
-        program, cwd=folder, env=os.environ | settings, capture_output=True, text=True, check=False
-    )
-    assert done.returncode == 0, f"{what}\n{done.stdout}{done.stderr}"
+def test_every_page_with_code_runs():
+    code = ("bash", "python")
+    with_code = {page for page in every_page() if any(block.language in code for block in blocks(page))}
+    assert with_code - set(NOT_RUN) == {"README.md", *PAGES}
 
 
 def test_files_that_readme_names_exist():
-    for target in re.findall(r"\]\(([^)#]+)\)", TEXT):
+    for target in re.findall(r"\]\(([^)#]+)\)", (ROOT / "README.md").read_text(encoding="utf-8")):
         if "://" not in target:
             assert (ROOT / target).exists(), target

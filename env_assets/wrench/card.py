@@ -15,10 +15,10 @@ if TYPE_CHECKING:
     from tactile_toolkit.store.folder import DataFolder
     from tactile_toolkit.store.manifest import Manifest
 
-__all__ = ["WrenchFacts", "wrench_facts", "write_card"]
+__all__ = ["COLUMNS", "WrenchFacts", "wrench_facts", "write_card"]
 
 _PITCH_M = 0.0002
-_COLUMNS = {
+COLUMNS = {
     "id": ("", "0"),
     "label": ("", "the one class"),
     "volume_m3": ("m³", "enclosed volume"),
@@ -93,7 +93,7 @@ def write_card(folder: DataFolder, manifest: Manifest) -> None:
         "chamfer_mm": f"{spec.chamfer_mm:g}",
         "spec": json_block(manifest.spec),
         "split_table": markdown_table(("split", "meshes", "shards", "Parquet", "unpacked"), sizes),
-        "field_table": field_table(facts, {**_COLUMNS, **MESH_COLUMNS}),
+        "field_table": field_table(facts, {**COLUMNS, **MESH_COLUMNS}),
         "size_mm": " x ".join(f"{side:.1f}" for side in report.size_mm),
         "volume_mm3": f"{report.volume_mm3:,.0f}",
         "mass_g": f"{report.mass_g:.1f}",

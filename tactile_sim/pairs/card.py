@@ -25,11 +25,11 @@ from tactile_toolkit.store.folder import DataFolder
 from tactile_toolkit.store.manifest import Manifest
 from tactile_toolkit.touch.jpeg import decode_image
 
-__all__ = ["write_card"]
+__all__ = ["COLUMNS", "write_card"]
 
 _SHOWN = 8
 _TILE_PX = 96
-_COLUMNS: dict[str, Column] = {
+COLUMNS: dict[str, Column] = {
     "id": ("", "object and number, or round and touch"),
     "label": ("", "class of the touched object"),
     "object_id": ("", "`id` of its mesh"),
@@ -61,7 +61,7 @@ def write_card(folder: DataFolder, manifest: Manifest) -> None:
         "split_table": markdown_table(
             ("split", "rows", "with contact", "shards", "Parquet", "unpacked"), rows
         ),
-        "field_table": field_table(facts, _COLUMNS),
+        "field_table": field_table(facts, COLUMNS),
         "bibtex": bibtex(TACTILE_MNIST),
     }
     write_card_files(

@@ -22,6 +22,7 @@ if TYPE_CHECKING:
 __all__ = ["PrintProfile", "PrintReport", "REPORT_COLUMNS", "UNREADABLE", "WARNINGS", "inspect", "unreadable"]
 
 WARNINGS = ("thin-wall", "separate-bodies", "overhang", "small-contact", "larger-than-plate", "too-tall")
+"""What a print may suffer from; the numbers behind them are those of :class:`PrintProfile`."""
 
 UNREADABLE = "unreadable"
 """What is wrong with a file beyond :data:`tactile_toolkit.mesh.solid_check.PROBLEMS`."""

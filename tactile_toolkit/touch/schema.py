@@ -14,6 +14,7 @@ from tactile_toolkit.read.parquet import Shard
 
 __all__ = [
     "CLASS_NAMES",
+    "KNOWN_COLUMNS",
     "MEDIA_COLUMN",
     "MEDIA_TYPE",
     "PER_TOUCH_COLUMNS",
@@ -46,7 +47,7 @@ _TEXT: _Tests = (pa.types.is_string, pa.types.is_large_string, pa.types.is_integ
 _FLOAT: _Tests = (pa.types.is_float32, pa.types.is_float64)
 _TIME: _Tests = (pa.types.is_duration, *_FLOAT)
 _BYTES: _Tests = (pa.types.is_binary, pa.types.is_large_binary)
-_COLUMNS: dict[str, tuple[int, _Tests, str]] = {
+KNOWN_COLUMNS: dict[str, tuple[int, _Tests, str]] = {
     "id": (0, _TEXT, "a string"),
     "label": (0, _WHOLE, "a whole number"),
     "object_id": (0, _WHOLE, "a whole number"),
@@ -65,7 +66,7 @@ _COLUMNS: dict[str, tuple[int, _Tests, str]] = {
 }
 """Depth of nesting, tests of the innermost type of which one must hold, and words for it."""
 
-PER_TOUCH_COLUMNS = tuple(name for name, (depth, _, _) in _COLUMNS.items() if depth)
+PER_TOUCH_COLUMNS = tuple(name for name, (depth, _, _) in KNOWN_COLUMNS.items() if depth)
 """Columns that hold one entry per touch."""
 
 
@@ -93,7 +94,7 @@ def require_types(shard: Shard) -> None:
     Raises IntegrityError, which names file and column, for a type that values cannot be read from.
     """
     _ = shard.class_names
-    for name, (depth, tests, expected) in _COLUMNS.items():
+    for name, (depth, tests, expected) in KNOWN_COLUMNS.items():
         data_type = shard.types.get(name)
         if data_type is None:
             continue

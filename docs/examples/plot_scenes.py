@@ -1,0 +1,34 @@
+"""
+Starstruck scenes
+=================
+
+Scenes are made when they are asked for: nothing is written, and a seed gives the same scenes anywhere.
+"""
+
+import matplotlib.pyplot as plt
+
+import starstruck_gen
+
+scenes = starstruck_gen.SceneDataset(size=1_000_000, seed=0)
+
+figure, axes = plt.subplots(1, 4, figsize=(8, 2.3), layout="constrained")
+for each, number in zip(axes, (0, 1, 123_456, 999_999), strict=True):
+    each.imshow(scenes[number].scene.draw())
+    each.set(title=f"scene {number:,}: {scenes[number].star_count}", xticks=[], yticks=[])
+plt.show()
+
+# %%
+# Other shapes, more of them, placed by their true outlines instead of circles around them:
+
+spec = starstruck_gen.SceneSpec(
+    stars=(3, 4, 5),
+    distractors=(4, 8),
+    distractor_shapes=tuple(starstruck_gen.Shape(name, 0.008) for name in ("ring", "cross", "crescent")),
+    collision="exact",
+)
+harder = starstruck_gen.SceneDataset(size=12, spec=spec, seed=1)
+figure, axes = plt.subplots(1, 4, figsize=(8, 2.3), layout="constrained")
+for each, record in zip(axes, harder, strict=False):
+    each.imshow(record.scene.draw())
+    each.set(title=f"{record.star_count} stars", xticks=[], yticks=[])
+plt.show()

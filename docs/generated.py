@@ -1,0 +1,331 @@
+"""Pages that are written from the code: every public name, every command, the columns of every kind.
+
+``write`` makes them below ``docs/_generated``, which git does not keep, before Sphinx lists its sources.
+"""
+
+from __future__ import annotations
+
+import inspect
+import re
+import sys
+from collections.abc import Iterable, Iterator, Mapping
+from functools import cache
+from importlib import import_module
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from sphinx.pycode import ModuleAnalyzer
+
+API = (
+    "mnist3d",
+    "mnist3d.torch",
+    "mnist3d.sources",
+    "starstruck_gen",
+    "starstruck_gen.torch",
+    "realtouch",
+    "realtouch.torch",
+    "tactile_sim",
+    "tactile_sim.optics",
+    "env_assets",
+    "tactile_toolkit.run",
+    "tactile_toolkit.errors",
+)
+"""Modules whose ``__all__`` users may rely on."""
+
+SHARED = (
+    "env_assets.wrench.spec.WIDTHS_ACROSS_FLATS_MM",
+    "realtouch.contact.CLOCK_TOLERANCE_S",
+    "realtouch.contact.changed_area",
+    "realtouch.contact.contact_heights_m",
+    "realtouch.contact.contact_window",
+    "realtouch.contact.most_changed_frame",
+    "starstruck_gen.spec.COLLISION_RULES",
+    "tactile_sim.sensor.MESA_SAMPLE_PX",
+    "tactile_toolkit.mesh.files.FORMATS",
+    "tactile_toolkit.mesh.printability.REPORT_COLUMNS",
+    "tactile_toolkit.mesh.printability.UNREADABLE",
+    "tactile_toolkit.mesh.printability.WARNINGS",
+    "tactile_toolkit.mesh.records.SolidRecord",
+    "tactile_toolkit.mesh.solid_check.PROBLEMS",
+    "tactile_toolkit.mesh.torch.SolidTensors",
+    "tactile_toolkit.read.dataset.Record",
+    "tactile_toolkit.read.dataset.RecordDataset",
+    "tactile_toolkit.read.sequence.ColumnStatistics",
+    "tactile_toolkit.read.sequence.LazySequence",
+    "tactile_toolkit.read.sequence.Statistics",
+    "tactile_toolkit.store.build.Progress",
+    "tactile_toolkit.touch.jpeg.MAX_BATCH_PIXELS",
+)
+"""What users inherit from several packages, and what public names refer to."""
+
+
+class Name(NamedTuple):
+    """A public name: where users find it, and the object."""
+
+    module: str
+    name: str
+    value: Any
+
+    @property
+    def path(self) -> str:
+        """What users write."""
+        return f"{self.module}.{self.name}"
+
+    @property
+    def role(self) -> str:
+        """The role of a link to it."""
+        if inspect.isclass(self.value):
+            return "class"
+        return "func" if inspect.isroutine(self.value) else "data"
+
+    @property
+    def home(self) -> str:
+        """Where it is defined."""
+        if self.role == "data":
+            return f"{_assigned(self)[0]}.{self.name}"
+        return f"{self.value.__module__}.{self.value.__qualname__}"
+
+    @property
+    def words(self) -> str:
+        """Its docstring, or what stands below the assignment of a constant."""
+        return _assigned(self)[1] if self.role == "data" else inspect.getdoc(self.value) or ""
+
+
+def _assigned(name: Name) -> tuple[str, str]:
+    """Return the module that assigns a constant, and the words below the assignment."""
+    own = (name.module.partition(".")[0], "tactile_toolkit")
+    for path, module in sorted(sys.modules.items()):
+        if path.partition(".")[0] in own and vars(module).get(name.name) is name.value:
+            analyzer = ModuleAnalyzer.for_module(path)
+            analyzer.analyze()
+            if words := analyzer.attr_docs.get(("", name.name)):
+                return path, "\n".join(words).strip()
+    message = f"{name.path} has no words below its assignment"
+    raise ValueError(message)
+
+
+@cache
+def public_names() -> tuple[Name, ...]:
+    """Return every public name once; what two modules offer stands under the first."""
+    found: dict[Any, Name] = {}
+    for module in API:
+        loaded = import_module(module)
+        for name in loaded.__all__:
+            item = Name(module, name, getattr(loaded, name))
+            found.setdefault(item.home, item)
+    for path in SHARED:
+        module, _, name = path.rpartition(".")
+        found[path] = Name(module, name, getattr(import_module(module), name))
+    return tuple(found.values())
+
+
+def type_links() -> dict[str, str]:
+    """Return where each class stands that a list of parameters may name; none that two modules define."""
+    names = [name for name in public_names() if inspect.isclass(name.value)]
+    alone = {name.name for name in names if sum(other.name == name.name for other in names) == 1}
+    return {name.name: f":class:`{name.name} <{name.path}>`" for name in names if name.name in alone}
+
+
+def link_to_public_name(app: Any, env: Any, node: Any, content: Any) -> Any:
+    """Resolve a link to the module that defines a name, or to the bare name, as one to the public name."""
+    if node.get("refdomain") != "py":
+        return None
+    owner, _, member = node["reftarget"].lstrip("~.").rpartition(".")
+    for target, end in ((node["reftarget"], ""), (owner, f".{member}")):
+        for name in public_names():
+            if target and target in (name.home, name.name, f"{name.module}.{name.name}"):
+                domain = env.domains.python_domain
+                role = "meth" if end else name.role
+                found = domain.resolve_xref(
+                    env, node["refdoc"], app.builder, role, name.path + end, node, content
+                ) or domain.resolve_xref(
+                    env, node["refdoc"], app.builder, "attr", name.path + end, node, content
+                )
+                if found is not None:
+                    return found
+    return None
+
+
+def write(docs: Path) -> None:
+    """Write all pages; a file whose text is the same stays, so that Sphinx does not read it again."""
+    folder = docs / "_generated"
+    pages = {**_api_pages(), **_command_pages(), "formats.md": _formats_page()}
+    pages["extra/llms.txt"] = _list_for_language_models(docs)
+    for path, text in pages.items():
+        file = folder / path
+        if not file.exists() or file.read_text(encoding="utf-8") != text:
+            file.parent.mkdir(parents=True, exist_ok=True)
+            file.write_text(text, encoding="utf-8")
+    wanted = {folder / path for path in pages}
+    for kind in ("api", "cli"):
+        for file in (folder / kind).iterdir():
+            if file not in wanted:
+                file.unlink()
+
+
+def _api_pages() -> dict[str, str]:
+    pages = {f"api/{name.path}.rst": _object_page(name) for name in public_names()}
+    for module in API:
+        pages[f"api/{module}.rst"] = _module_page(module)
+    shared = [name for name in public_names() if name.path in SHARED]
+    about = "What data sets of all kinds have in common, and the rules and words that public names refer to."
+    pages["api/shared.rst"] = "\n".join([*_title("What they share"), about, "", *_listed(shared)])
+    lines = [f"   {module}" for module in (*API, "shared")]
+    pages["api/index.rst"] = "\n".join(
+        [
+            *_title("Python"),
+            "Every name that may be relied on. All else may change with any release.",
+            "",
+            ".. toctree::",
+            "   :maxdepth: 1",
+            "",
+            *lines,
+            "",
+        ]
+    )
+    return pages
+
+
+def _module_page(module: str) -> str:
+    loaded = import_module(module)
+    names = [name for name in public_names() if name.module == module and name.path not in SHARED]
+    elsewhere = sorted(set(loaded.__all__) - {name.name for name in names})
+    lines = [*_title(module), f".. py:module:: {module}", "", inspect.cleandoc(loaded.__doc__ or ""), ""]
+    also = [name for name in public_names() for other in elsewhere if getattr(loaded, other) is name.value]
+    if also:
+        lines += ["", "Also here: " + ", ".join(f":{name.role}:`{name.path}`" for name in also) + "."]
+    return "\n".join([*lines, "", *_listed(names)])
+
+
+def _listed(names: Iterable[Name]) -> list[str]:
+    """Return a table of names with what each is, and the tree of their pages."""
+    ordered = sorted(names, key=lambda name: name.name.lower())
+    lines = [".. list-table::", "   :widths: 30 70", ""]
+    for name in ordered:
+        first = " ".join(name.words.split("\n\n")[0].split())
+        lines += [f"   * - :{name.role}:`~{name.path}`", f"     - {first}"]
+    lines += ["", ".. toctree::", "   :hidden:", ""]
+    return [*lines, *(f"   {name.name} <{name.path}>" for name in ordered), ""]
+
+
+def _object_page(name: Name) -> str:
+    lines = [*_title(name.name), f".. currentmodule:: {name.module}", ""]
+    if name.role == "class":
+        lines += [
+            f".. autoclass:: {name.name}",
+            "   :members:",
+            "   :inherited-members: Sequence, tuple, Exception, Dataset, IterableDataset, Protocol, Generic",
+        ]
+    elif name.role == "func":
+        lines += [f".. autofunction:: {name.name}"]
+    else:
+        value = repr(name.value)
+        lines += [f".. py:data:: {name.name}"]
+        lines += [f"   :value: {value}"] if len(value) < 200 and "0x" not in value else []
+        lines += ["", *(f"   {line}" for line in name.words.splitlines())]
+    return "\n".join(lines) + "\n"
+
+
+def _list_for_language_models(docs: Path) -> str:
+    """Write ``llms.txt``: each page in a line, for readers that cannot look around."""
+    shown = [path for path in docs.rglob("*.md") if not path.relative_to(docs).parts[0].startswith("_")]
+    lines = []
+    for path in sorted(shown):
+        heading, _, rest = path.read_text(encoding="utf-8").partition("\n\n")
+        first = " ".join(rest.partition("\n\n")[0].split())
+        name = path.relative_to(docs).with_suffix("").as_posix()
+        if heading.startswith("# ") and first and not first.startswith("```"):
+            lines.append(f"- [{heading[2:]}]({name}.html): {first}")
+    reference = {
+        "_generated/cli/index": "every command and option",
+        "_generated/api/index": "every public name",
+        "_generated/formats": "the columns of every kind of data set",
+    }
+    lines += [f"- [{what.capitalize()}]({name}.html)" for name, what in reference.items()]
+    about = (docs / "index.md").read_text(encoding="utf-8").split("\n\n")[1]
+    return "# tactile-toolkit\n\n> " + " ".join(about.split()) + "\n\n## Pages\n\n" + "\n".join(lines) + "\n"
+
+
+def _title(text: str) -> list[str]:
+    return [text, "=" * len(text), ""]
+
+
+def _command_pages() -> dict[str, str]:
+    from importlib.metadata import entry_points
+
+    names = [point.name for point in entry_points(group="console_scripts") if point.value.startswith("cli.")]
+    pages = {f"cli/{name}.md": _command_page(name) for name in names}
+    listed = "\n".join(sorted(names))
+    pages["cli/index.md"] = (
+        "# Command lines\n\n"
+        "Every option of every command, as `--help` tells it. Exit codes: 0 done, 1 something that was "
+        "checked is not as it should be, 2 mend what you gave, 3 stored data is damaged or not all there, 4 "
+        "the Hub, a store or the network, 130 interrupted.\n\n"
+        f"```{{toctree}}\n:maxdepth: 2\n\n{listed}\n```\n"
+    )
+    return pages
+
+
+def _command_page(name: str) -> str:
+    """Write a command line with all its commands, from the objects that Typer builds."""
+    import typer
+    from typer.cli import get_docs_for_click
+
+    group: Any = typer.main.get_command(import_module(f"cli.{name.replace('-', '_')}").app)
+    parts = [f"# {name}\n\n{group.help}\n"]
+    for word, command in group.commands.items():
+        text = get_docs_for_click(obj=command, ctx=typer.Context(command), name=f"{name} {word}", indent=1)
+        text = re.sub(r"^## `.*`$", f"## {name} {word}", text, count=1, flags=re.MULTILINE)
+        text = re.sub(r"^Example: (.*)$", r"```bash\n\1\n```", text, flags=re.MULTILINE)
+        text = text.replace("**Usage**:", "").replace("**Options**:", "").replace("**Arguments**:", "")
+        parts.append("".join(_outside_code(text)))
+    return "\n".join(parts)
+
+
+def _outside_code(text: str) -> Iterator[str]:
+    """Keep ``<`` and ``*`` of plain text from being read as markup."""
+    for index, part in enumerate(re.split(r"(```.*?```|`[^`\n]*`)", text, flags=re.DOTALL)):
+        if index % 2:
+            yield part
+        else:
+            plain = re.sub(r"(?<!^)\*", r"\\*", part.replace("<", "&lt;"), flags=re.MULTILINE)
+            yield plain.replace("--", "\\-\\-")
+
+
+def _formats_page() -> str:
+    """Write the columns of every kind of data set, from schemas and from the words of their cards."""
+    from env_assets.wrench import card as wrench
+    from env_assets.wrench.generation import wrench_schema
+    from mnist3d import card as digits
+    from mnist3d.rows import mesh_schema
+    from realtouch import card as touches
+    from starstruck_gen import card as scenes
+    from starstruck_gen.rows import scene_schema
+    from tactile_sim import card as synthetic
+    from tactile_sim.rows import touch_schema
+    from tactile_toolkit.cards.card import MESH_COLUMNS, field_table, markdown_table
+    from tactile_toolkit.cards.facts import FolderFacts
+    from tactile_toolkit.touch.schema import KNOWN_COLUMNS
+
+    def table(schema: Any, columns: Mapping[str, Any]) -> str:
+        return field_table(FolderFacts((), schema), columns)
+
+    rows = [
+        (f"`{column}`", words, *touches.COLUMNS.get(column, ("", "")))
+        for column, (_, _, words) in KNOWN_COLUMNS.items()
+    ]
+    parts = [
+        "# Columns\n\nThe columns of every kind of data set, from the schemas that the toolkit uses. Names "
+        "with a dot are flat columns, as in the published sets. How a folder is laid out: "
+        "[the data set folder](../concepts/folder.md).",
+        "## Digits (`mnist3d`)\n\n" + table(mesh_schema(), digits.COLUMNS),
+        "## Scenes (`starstruck`)\n\n" + table(scene_schema(), scenes.COLUMNS),
+        "## Real touches (`realtouch`)\n\nA row is a round: T touches of one object; N is the number of "
+        "frames of the longest clip. Sets hold clips (`sensor_video`) or images (`sensor_image`). Other "
+        "columns stay as they are.\n\n"
+        + markdown_table(("column", "type", "shape, unit, frame", "meaning"), rows),
+        "## Synthetic touches (`tactile-sim`)\n\n"
+        + table(touch_schema(tuple(map(str, range(10)))), synthetic.COLUMNS),
+        "## The wrench (`env-assets`)\n\n" + table(wrench_schema(), {**wrench.COLUMNS, **MESH_COLUMNS}),
+    ]
+    return "\n\n".join(parts) + "\n"

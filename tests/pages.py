@@ -1,0 +1,97 @@
+"""Runs the blocks of a page as a reader would: ``python -m tests.pages PAGE EXTRA...``.
+
+Blocks run in the order of the page, in the folder at hand. ``bash`` holds commands of this toolkit.
+``python`` blocks share their names; one that begins with ``# with the extra `NAME` `` runs where that extra
+is given. A ``text`` block directly below one that ran is what it printed, ``...`` standing for anything.
+"""
+
+from __future__ import annotations
+
+import io
+import re
+import shlex
+import subprocess
+import sys
+from collections.abc import Iterator
+from contextlib import redirect_stdout
+from itertools import chain
+from pathlib import Path
+from typing import Any, NamedTuple
+
+__all__ = ["ROOT", "Block", "blocks", "commands", "main", "program"]
+
+ROOT = Path(__file__).resolve().parents[1]
+
+_BLOCK = re.compile(r"^```(\w*)\n(.*?)^```\n?(?:\n*^```text\n(.*?)^```)?", flags=re.MULTILINE | re.DOTALL)
+_EXTRA = re.compile(r"# with the extra `(\w+)`\n")
+
+
+class Block(NamedTuple):
+    """A block of code, the extra that it needs, and what it prints where the page says so."""
+
+    language: str
+    text: str
+    extra: str | None
+    printed: str | None
+
+
+def blocks(page: str) -> list[Block]:
+    """Return the blocks of code of a page, named from the root of the repository."""
+    found = _BLOCK.finditer((ROOT / page).read_text(encoding="utf-8"))
+    extras = ((match, _EXTRA.match(match[2])) for match in found)
+    return [Block(match[1], match[2], extra and extra[1], match[3]) for match, extra in extras]
+
+
+def commands(text: str) -> list[str]:
+    """Return the command lines of a block of shell."""
+    lines = text.replace("\\\n", " ").splitlines()
+    return [line for line in lines if line.strip() and not line.startswith("#")]
+
+
+def program(command: str) -> list[str]:
+    """Translate ``mnist3d ...`` into this interpreter running that command line."""
+    bare = command.rpartition("&&")[2].strip().removeprefix(".venv/bin/")
+    name, *arguments = shlex.split(bare, comments=True)
+    script = f"import sys; sys.argv[0] = {name!r}; from cli.{name.replace('-', '_')} import main; main()"
+    files = [sorted(map(str, Path().glob(each))) if "*" in each else [each] for each in arguments]
+    return [sys.executable, "-c", script, *chain.from_iterable(files)]
+
+
+def main() -> None:
+    """Run a page; ends with a message where a block fails or prints something else."""
+    page, *extras = sys.argv[1:]
+    names: dict[str, Any] = {"__name__": "__main__"}
+    for block in blocks(page):
+        if block.language == "bash":
+            printed = "".join(_shell(page, block.text))
+        elif block.language == "python" and block.extra in (None, *extras):
+            printed = _python(page, block.text, names)
+        else:
+            continue
+        if block.printed is not None and not _matches(block.printed, printed):
+            sys.exit(f"{page} says that\n{block.text}prints\n{block.printed}but it prints\n{printed}")
+
+
+def _shell(page: str, text: str) -> Iterator[str]:
+    for command in commands(text):
+        if "pytest" not in command:
+            done = subprocess.run(program(command), capture_output=True, text=True, check=False)
+            if done.returncode:
+                sys.exit(f"{page}: {command}\n{done.stdout}{done.stderr}")
+            yield done.stdout
+
+
+def _python(page: str, text: str, names: dict[str, Any]) -> str:
+    printed = io.StringIO()
+    with redirect_stdout(printed):
+        exec(compile(text, page, "exec"), names)
+    return printed.getvalue()
+
+
+def _matches(expected: str, printed: str) -> bool:
+    pattern = ".*".join(map(re.escape, expected.strip().split("...")))
+    return re.fullmatch(pattern, printed.strip(), flags=re.DOTALL) is not None
+
+
+if __name__ == "__main__":
+    main()

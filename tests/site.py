@@ -1,0 +1,83 @@
+"""Checks the built site: ``python -m tests.site docs/_build/html``.
+
+Every link inside leads to a page and a place on it, no page fetches anything from elsewhere, and the search
+finds a function, all from the file system.
+"""
+
+from __future__ import annotations
+
+import sys
+from html.parser import HTMLParser
+from pathlib import Path
+from urllib.parse import unquote, urlsplit
+
+from tests.gallery_browser import browser
+
+__all__ = ["main"]
+
+FETCHED = {("img", "src"), ("script", "src"), ("link", "href")}
+
+
+class Page(HTMLParser):
+    """The links of a page, what it fetches, and the places on it."""
+
+    def __init__(self, path: Path) -> None:
+        super().__init__()
+        self.links: list[str] = []
+        self.fetched: list[str] = []
+        self.places: set[str] = set()
+        self.feed(path.read_text(encoding="utf-8"))
+
+    def handle_starttag(self, tag: str, attributes: list[tuple[str, str | None]]) -> None:
+        found = {name: value or "" for name, value in attributes}
+        self.places |= {found.get("id", ""), found.get("name", "")}
+        for name, value in found.items():
+            if (tag, name) in FETCHED and found.get("rel") != "canonical":
+                self.fetched.append(value)
+            elif (tag, name) == ("a", "href"):
+                self.links.append(value)
+
+
+def broken(site: Path) -> list[str]:
+    """List links that lead nowhere, and what is fetched from elsewhere."""
+    pages = {path: Page(path) for path in site.rglob("*.html") if "_static" not in path.parts}
+    found = []
+    for path, page in pages.items():
+        found += [f"{path}: fetches {url}" for url in page.fetched if urlsplit(url).netloc]
+        for link in (*page.links, *page.fetched):
+            parts = urlsplit(link)
+            if parts.scheme or parts.netloc:
+                continue
+            target = (path.parent / unquote(parts.path)).resolve() if parts.path else path
+            if not target.exists():
+                found.append(f"{path}: {link}: no such file")
+            elif target in pages and parts.fragment and unquote(parts.fragment) not in pages[target].places:
+                found.append(f"{path}: {link}: no such place")
+    return found
+
+
+def search(site: Path, words: str) -> list[str]:
+    """Return the titles that the search of the site finds, opened from the file system."""
+    with browser() as chromium:
+        page = chromium.new_page()
+        requests: list[str] = []
+        page.on("request", lambda request: requests.append(request.url))
+        page.goto(f"{(site / 'search.html').as_uri()}?q={words}")
+        page.wait_for_selector("#search-results ul.search li a", timeout=60_000)
+        outside = [url for url in requests if not url.startswith(("file:", "data:", "blob:"))]
+        assert not outside, outside
+        return page.locator("#search-results ul.search li a").all_inner_texts()
+
+
+def main() -> None:
+    """Check a site; ends with a list of what is wrong."""
+    site = Path(sys.argv[1]).resolve()
+    found = broken(site)
+    if not any("solidify" in title for title in search(site, "solidify")):
+        found.append("the search does not find solidify")
+    if found:
+        sys.exit("\n".join(found))
+
+
+if __name__ == "__main__":
+    main()
