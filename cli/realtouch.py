@@ -70,7 +70,7 @@ def info(name: TouchSet, split: Split = None, revision: Revision = None, as_json
         sink.document({"name": name, "complete": False, "splits": manifest.split_table()})
         print_unfinished(sink, manifest, name, "rounds", f"realtouch {manifest.spec['operation']}")
         return
-    if manifest is not None and manifest.spec.get("operation") == "frames":
+    if manifest is not None and manifest.spec.get("operation") in ("frames", "export"):
         print_made(sink, manifest, name)
         return
     announce_fetching(sink, name, split)

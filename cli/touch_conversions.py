@@ -1,4 +1,4 @@
-"""``realtouch to-single | resize | frames | select``: a data set of touches becomes another one."""
+"""``realtouch to-single | resize | frames | select | export``: a data set of touches becomes another one."""
 
 from __future__ import annotations
 
@@ -15,6 +15,7 @@ from cli.making import make_with_progress, print_part
 from cli.options import (
     Json,
     Limit,
+    Out,
     Quiet,
     Split,
     TouchSet,
@@ -26,9 +27,12 @@ from cli.touch_tables import announce_fetching, print_made
 from realtouch.kind import KIND
 
 if TYPE_CHECKING:
+    from realtouch.exchange.reading import ImportColumns
     from tactile_toolkit.store.manifest import Manifest
 
 __all__ = ["add_conversions"]
+
+_SKIPPED_SHOWN = 20
 
 
 class DifferenceName(StrEnum):
@@ -46,6 +50,21 @@ class FrameName(StrEnum):
     peak = "peak"
     median = "median"
     best = "best"
+
+
+class LayoutName(StrEnum):
+    """Formats of other libraries."""
+
+    flat = "flat"
+    webdataset = "webdataset"
+    lerobot = "lerobot"
+
+
+class ImportLayout(StrEnum):
+    """Formats of others that become touches."""
+
+    folder = "folder"
+    webdataset = "webdataset"
 
 
 Target = Annotated[str, typer.Argument(metavar="OUT", help="Folder to write.", parser=place_of_data)]
@@ -96,11 +115,56 @@ class Converting(Work):
         print_made(sink, made.manifest, out)
 
 
+def _column(words: str) -> Any:
+    return typer.Option(metavar="NAME", help=words)
+
+
+@dataclass(frozen=True, slots=True)
+class Columns:
+    """Options that name columns."""
+
+    image_column: Annotated[str, _column("Column of the images' paths; of tars, their ending.")] = "file"
+    label_column: Annotated[str, _column("Column of the classes: numbers or names.")] = "label"
+    round_column: Annotated[str | None, _column("Column of what touches belong together by.")] = None
+    object_column: Annotated[str | None, _column("Column of the number of the object.")] = None
+    position_columns: Annotated[
+        str | None, typer.Option(metavar="X,Y", help="Columns of the intended position, m, cell frame.")
+    ] = None
+    pose_columns: Annotated[
+        str | None,
+        typer.Option(metavar="X,Y,Z,QX,QY,QZ,QW", help="Columns of the gel's pose, m, cell frame; or one."),
+    ] = None
+    split_column: Annotated[str | None, _column("Column of the split.")] = None
+
+    def chosen(self) -> ImportColumns:
+        """Return what functions take."""
+        from realtouch.exchange.reading import ImportColumns
+
+        return ImportColumns(
+            self.image_column,
+            self.label_column,
+            self.round_column,
+            self.object_column,
+            tuple(_listed(self.position_columns)),
+            tuple(_listed(self.pose_columns)),
+            self.split_column,
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class Working(Work):
+    """Options of an import."""
+
+    as_json: Json = False
+    quiet: Quiet = False
+
+
 def add_conversions(app: typer.Typer) -> None:
     """Add the commands to a command line."""
     command(app, "to-single")(to_single)
-    for each in (resize, frames, select):
+    for each in (resize, frames, select, export):
         command(app)(each)
+    command(app, "import")(import_touches)
 
 
 def to_single(
@@ -200,6 +264,83 @@ def select(
         labels=_listed(labels),
         objects=[_object_id(text) for text in _listed(objects)],
     )
+
+
+def export(
+    *,
+    source: TouchSet,
+    layout: Annotated[
+        LayoutName,
+        typer.Option(
+            help="flat: Parquet, a row for each touch; webdataset: tars; lerobot: LeRobotDataset v3.0 of one "
+            "split."
+        ),
+    ],
+    out: Out,
+    frame: Frame = FrameName.contact_end,
+    converting: Converting,
+) -> None:
+    """Write touches for other libraries; stored JPEGs are copied, never encoded again.
+
+    Example: realtouch export real-single-64x64 --split train --layout flat --out flat
+
+    Example: realtouch export real-seq --split train --layout lerobot --out robots
+    """
+    from realtouch.exchange.api import export as convert
+
+    converting.run(convert, source, out, layout.value, frame=frame.value)
+
+
+def import_touches(
+    *,
+    source: Annotated[
+        str, typer.Argument(metavar="DIR", help="Folder of images and a CSV table, or of tars.")
+    ],
+    layout: Annotated[ImportLayout, typer.Option(help="How the images lie.")],
+    out: Out,
+    columns: Columns,
+    table: Annotated[
+        str | None, typer.Option(metavar="FILE", help="The table; the only CSV file there by default.")
+    ] = None,
+    classes: Annotated[
+        str | None, typer.Option(metavar="A,B", help="Names of the classes in order; those found by default.")
+    ] = None,
+    split: Annotated[str, typer.Option(metavar="NAME", help="Split, where no column says it.")] = "train",
+    working: Working,
+) -> None:
+    """Make a data set of touches of images and a table of labels and poses; images stay as they are.
+
+    What cannot be used is left out, and named with the reason.
+
+    Example: realtouch import pictures --layout folder --image-column file --label-column digit --out touches
+    """
+    from realtouch.exchange.reading import import_images
+
+    sink = Sink(working.as_json, working.quiet)
+    made = make_with_progress(
+        sink,
+        "importing",
+        "touches",
+        lambda on_progress: import_images(
+            source,
+            out,
+            layout.value,
+            columns.chosen(),
+            table=table,
+            classes=_listed(classes),
+            split=split,
+            workers=working.chosen_runner(),
+            overwrite=working.overwrite,
+            on_progress=on_progress,
+        ),
+    )
+    if working.part is not None:
+        print_part(sink, KIND, made, out, working.part)
+        return
+    skipped = [item for record in made.manifest.shards for item in record.skipped]
+    for item in skipped[:_SKIPPED_SHOWN]:
+        sink.talk(f"left out: {item.message} ({item.reason})")
+    print_made(sink, made.manifest, out, "touches")
 
 
 def _size(text: str) -> tuple[int, int]:

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 __all__ = ["print_made", "print_summary", "raise_findings", "announce_fetching"]
 
 
-def print_made(sink: Sink, manifest: Manifest, out: str) -> None:
+def print_made(sink: Sink, manifest: Manifest, out: str, nouns: str = "rounds") -> None:
     """Print what a conversion wrote."""
     table = manifest.split_table()
     sink.document({"folder": str(out), "splits": table, "spec": manifest.spec})
@@ -24,7 +24,7 @@ def print_made(sink: Sink, manifest: Manifest, out: str) -> None:
     ]
     sink.table(("split", "rows", "shards", "Parquet", "left out"), rows)
     for reason, count in manifest.skipped_reasons().items():
-        sink.line(f"left out {counted(count, 'rounds')}: {reason} (each is named in {out}/manifest.json)")
+        sink.line(f"left out {counted(count, nouns)}: {reason} (each is named in {out}/manifest.json)")
     sink.line(f"the data set is in {out}")
 
 

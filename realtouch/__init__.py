@@ -13,6 +13,8 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from realtouch.convert.api import frames, resize, select, to_single
     from realtouch.dataset import TouchDataset, TouchSeqDataset, TouchSingleDataset, TouchStream
+    from realtouch.exchange.api import export
+    from realtouch.exchange.reading import ImportColumns, import_images
     from realtouch.integrity.verify import verify
     from realtouch.media.clips import TouchClip
     from realtouch.names import SHORT_NAMES
@@ -38,6 +40,7 @@ __all__ = [
     "ContactRule",
     "ContactScore",
     "Contacts",
+    "ImportColumns",
     "PoseSequences",
     "Poses",
     "Summary",
@@ -55,8 +58,10 @@ __all__ = [
     "best_frame",
     "contact_score",
     "difference",
+    "export",
     "find_contacts",
     "frames",
+    "import_images",
     "load",
     "resize",
     "select",
@@ -70,6 +75,8 @@ __version__: str
 _HOMES = {
     "tactile_toolkit": ("__version__",),
     "realtouch.convert.api": ("frames", "resize", "select", "to_single"),
+    "realtouch.exchange.api": ("export",),
+    "realtouch.exchange.reading": ("ImportColumns", "import_images"),
     "realtouch.dataset": ("TouchDataset", "TouchSeqDataset", "TouchSingleDataset", "TouchStream"),
     "realtouch.integrity.verify": ("verify",),
     "realtouch.opening": ("load",),

@@ -11,6 +11,7 @@ import numpy as np
 
 from realtouch.contact import MIN_CONTACT_HEIGHT_M
 from realtouch.dataset import dataset_of
+from realtouch.exported_card import EXPORTS
 from realtouch.kind import KIND
 from realtouch.media.sheets import contact_sheet, evenly_spaced
 from realtouch.rounds import TouchSeqRound, TouchSingleRound
@@ -99,6 +100,18 @@ def _index_sheet(facts: FolderFacts, folder: DataFolder) -> bytes | None:
     return png_bytes(contact_sheet(whole, tile_width=_TILE_WIDTH)) if whole else None
 
 
+def _flat_sheet(facts: FolderFacts) -> bytes | None:
+    """Draw the first 16 touches of rows that hold their images, as PNG; None where they hold none."""
+    shard = next((shard for split in facts.splits for shard in split.shards if len(shard)), None)
+    if shard is None or "image.bytes" not in shard.types:
+        return None
+    group = next(iter(shard.blocks(0, ["image.bytes"])))
+    blobs = group.arrow("image.bytes")[:_TILES].to_pylist()
+    images = [_or_none(decode_image, blob) for blob in blobs]
+    whole = [image for image in images if image is not None]
+    return png_bytes(contact_sheet(whole, tile_width=_TILE_WIDTH)) if whole else None
+
+
 def _first_rounds(facts: FolderFacts, kind: Kind) -> Iterator[TouchSeqRound | TouchSingleRound]:
     """Yield the first rounds, decoding the blocks they lie in and keeping none in the cache."""
     home = TouchSingleRound if kind == "single" else TouchSeqRound
@@ -175,6 +188,18 @@ INDEX_COLUMNS: dict[str, Column] = {
     **{f"gel_q{axis}": ("", f"orientation of the gel, quaternion's {axis}") for axis in "xyzw"},
 }
 
+_EXPORT_COLUMNS: dict[str, Column] = {
+    **INDEX_COLUMNS,
+    "id": ("", "round and touch; of a LeRobotDataset, the number of the episode"),
+    "image": ("JPEG", "what the sensor saw at contact, as it was stored"),
+    "label_name": ("", "name of the class"),
+    "file": ("", "file of the foreign format, from the folder of the data set"),
+    "meta_file": ("", "what the foreign format says of the episodes in it"),
+    "meta_sha256": ("hexadecimal", "checksum of that file"),
+    "frames": ("", "number of its frames"),
+    "first_frame": ("", "number of its first frame in the whole data set"),
+}
+
 _FRAMES = """\
 ```
    cell frame, seen from above                image of the sensor
@@ -204,6 +229,7 @@ _LIMITS: dict[str, tuple[str, ...]] = {
     "seq": (*_COMMON, "Frames are JPEG with coarser colour than brightness; decoders differ by some levels."),
     "single": (*_COMMON, "Images are JPEG; what compression lost is lost."),
     "frames": _COMMON,
+    "export": _COMMON,
     "synthetic": (
         "Rendered images lack the texture of prints, the wear of gels and the shift of objects.",
         "Touch i was rendered against the object pose of touch i - 1 in the published sets.",
@@ -220,7 +246,8 @@ Nothing was printed: the objects are meshes. `object_id` is the `id` of the mesh
 }
 
 
-_CardKind = Literal["seq", "single", "synthetic", "frames"]
+_CardKind = Literal["seq", "single", "synthetic", "frames", "export"]
+_PLAIN = ("frames", "export")
 SYNTHETIC = "synthetic"
 """What the option ``touches`` of plain pictures says of touches that were rendered."""
 
@@ -229,18 +256,18 @@ _TITLES: dict[_CardKind, str] = {
     "single": "Real touches: single images",
     "synthetic": "Synthetic touches: single images",
     "frames": "Touches as plain pictures",
+    "export": "Touches",
 }
 _RENDERED_PICTURES = "Synthetic touches as plain pictures"
 _LICENCE = (
     "cc-by-2.0",
     "CC BY 2.0, as the published touches: name their authors, and say what was changed.",
 )
-_LICENCES = {
-    "frames": (
-        _LICENCE[0],
-        "That of the touches: CC BY 2.0 for the published real ones; name their authors.",
-    )
-}
+_LICENCE_OF_TOUCHES = (
+    _LICENCE[0],
+    "That of the touches: CC BY 2.0 for the published real ones; name their authors.",
+)
+_LICENCES = {"frames": _LICENCE_OF_TOUCHES, "export": _LICENCE_OF_TOUCHES}
 _SYNTHETIC_LICENCE = (
     "other",
     "The terms of the published set that the touches come from; see its page on the Hub.",
@@ -258,7 +285,7 @@ _CITATIONS = {
 def write_card(
     folder: DataFolder,
     manifest: Manifest | None = None,
-    kind: Literal["seq", "single", "frames"] | None = None,
+    kind: Literal["seq", "single", "frames", "export"] | None = None,
 ) -> None:
     """Write ``README.md`` of a folder of touches and the picture that it shows.
 
@@ -271,20 +298,35 @@ def write_card(
     stored: Literal["seq", "single"] = "seq" if card == "seq" else "single"
     options = {} if manifest is None else manifest.spec.get("options", {})
     # Of plain pictures the manifest alone knows whether the touches were rendered.
-    rendered = card == "synthetic" or (card == "frames" and options.get("touches") == SYNTHETIC)
+    rendered = card == "synthetic" or (card in _PLAIN and options.get("touches") == SYNTHETIC)
     licence, licence_text = _SYNTHETIC_LICENCE if rendered else _LICENCES.get(card, _LICENCE)
     figures: list[_SplitFigures] = []
     size: tuple[int, int] | None = None
     if card == "frames":
         sheet, columns = _index_sheet(facts, folder), INDEX_COLUMNS
+    elif card == "export":
+        sheet, columns = _flat_sheet(facts), _EXPORT_COLUMNS
     else:
         sheet, size = _touch_sheet(facts, stored), _picture_size(facts, stored)
         figures = [_split_figures(split, stored) for split in facts.splits]
         columns = SYNTHETIC_COLUMNS if rendered else COLUMNS
     title = _RENDERED_PICTURES if rendered and card == "frames" else _TITLES[card]
+    words: dict[str, str] = {}
+    if card == "export":
+        text = EXPORTS[options["layout"]]
+        title = f"Synthetic: {text.title}" if rendered else text.title
+        words = {
+            "layout_text": text.summary,
+            "content_text": text.content,
+            "loading": text.loading.replace("$first_split", facts.splits[0].split),
+            "size_note": ""
+            if options["layout"] == "flat"
+            else "Parquet is the size of the index, unpacked that of its rows in memory.",
+        }
     counts = [figure.touches for figure in figures if figure.touches is not None]
     known = len(counts) == len(figures)
     values = {
+        **words,
         "title": title,
         "rounds": f"{facts.rows:,}",
         "touches": f"{sum(counts):,}" if known else "an unknown number of",
@@ -326,8 +368,10 @@ def _card_kind(
     facts: FolderFacts, manifest: Manifest | None, where: str, kind: str | None = None
 ) -> _CardKind:
     """Tell which card a folder gets; InputError where it holds no touches."""
-    if kind == "frames" or (manifest is not None and manifest.spec.get("operation") == "frames"):
-        return "frames"
+    operation = None if manifest is None else manifest.spec.get("operation")
+    for plain in ("frames", "export"):
+        if kind == plain or operation == plain:
+            return plain
     stored = kind_of(facts.schema, where)
     return "synthetic" if stored == "single" and is_synthetic(facts.schema) else stored
 

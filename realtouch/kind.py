@@ -9,11 +9,17 @@ from tactile_toolkit.kind import DatasetKind, lazy, tactile_mnist_set
 __all__ = ["KIND"]
 
 _LICENCE = "CC BY 2.0"
+_EXCHANGED = (
+    "webdataset/*.tar",
+    "lerobot/data/*/*.parquet",
+    "lerobot/meta/*",
+    "lerobot/meta/*/*/*.parquet",
+)
 
 
 def _loader(manifest: Any) -> str:
     # Plain pictures have an index only, which `datasets` opens.
-    is_plain = manifest is not None and manifest.spec.get("operation") == "frames"
+    is_plain = manifest is not None and manifest.spec.get("operation") in ("frames", "export")
     return "datasets.load_dataset" if is_plain else "realtouch.load"
 
 
@@ -29,7 +35,7 @@ KIND = DatasetKind(
     check=lazy("realtouch.integrity.verify:check_folder"),
     needs_manifest=False,
     loader=_loader,
-    extra_files=("images/*/*/*.png", "images/*/*/*.jpg", "index.csv"),
+    extra_files=("images/*/*/*.png", "images/*/*/*.jpg", "index.csv", *_EXCHANGED),
     published=(
         tactile_mnist_set(
             "real-seq",

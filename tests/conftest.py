@@ -26,7 +26,7 @@ settings.load_profile(
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
     signal.signal(signal.SIGINT, signal.default_int_handler)
 
-_EXTRAS = ("browser", "env", "pictures", "ray", "s3", "sim", "simulators", "slicer", "torch")
+_EXTRAS = ("browser", "env", "lerobot", "pictures", "ray", "s3", "sim", "simulators", "slicer", "torch")
 
 
 @pytest.fixture(autouse=True)

@@ -34,7 +34,7 @@ from tactile_toolkit.store.folder import DataFolder
 from tactile_toolkit.store.manifest import Manifest
 from tactile_toolkit.touch.jpeg import MAX_IMAGE_PIXELS
 
-__all__ = ["frames", "resize", "select", "to_single"]
+__all__ = ["convert", "first_rows", "frames", "resize", "select", "to_single"]
 
 _CONTACT_FRAME_ROWS = 16
 _INDEX_ROWS = 16
@@ -104,11 +104,11 @@ def to_single(
         "to-single",
         {"frame": method, "limit": limit},
         TakeContactFrames(method),
-        _first_rows(opened, limit),
+        first_rows(opened, limit),
         rows_per_shard=_CONTACT_FRAME_ROWS,
         rows_per_group=_CONTACT_FRAME_ROWS // 2,
     )
-    return _convert(conversion, out, "single", workers, overwrite, on_progress)
+    return convert(conversion, out, "single", workers, overwrite, on_progress)
 
 
 def resize(
@@ -156,9 +156,9 @@ def resize(
         "resize",
         {"width": width, "height": height, "quality": quality, "limit": limit},
         ResizeMedia(width, height, quality),
-        _first_rows(opened, limit),
+        first_rows(opened, limit),
     )
-    return _convert(conversion, out, opened.kind, workers, overwrite, on_progress)
+    return convert(conversion, out, opened.kind, workers, overwrite, on_progress)
 
 
 def select(
@@ -216,7 +216,7 @@ def select(
     opened = Source.open(source, split=split)
     choices = {each: _chosen_rows(opened, each, **options) for each in opened.shards}
     conversion = Conversion(opened, "select", options, KeepTouches(contact), choices)
-    return _convert(conversion, out, opened.kind, workers, overwrite, on_progress)
+    return convert(conversion, out, opened.kind, workers, overwrite, on_progress)
 
 
 def _chosen_rows(
@@ -296,7 +296,7 @@ def frames(
     method = require_method(frame)
     opened = Source.open(source, split=split)
     folder = DataFolder(fspath(out))
-    choices = _first_rows(opened, limit)
+    choices = first_rows(opened, limit)
     # The terms of the pictures depend on whether the touches were rendered.
     origin = {"touches": SYNTHETIC} if opened.kind == "single" and is_synthetic(opened.schema) else {}
     changed = {} if difference is None else {"difference": difference}
@@ -318,13 +318,13 @@ def frames(
         extras_intact=partial(pictures_are_whole, folder),
         write_files=write_index,
     )
-    return _convert(conversion, out, "frames", workers, overwrite, on_progress)
+    return convert(conversion, out, "frames", workers, overwrite, on_progress)
 
 
-def _convert(
+def convert(
     conversion: Conversion,
     out: str | PathLike[str],
-    card: Literal["seq", "single", "frames"],
+    card: Literal["seq", "single", "frames", "export"],
     workers: int | Runner,
     overwrite: bool,
     on_progress: Callable[[Progress], None],
@@ -342,7 +342,8 @@ def _convert(
     )
 
 
-def _first_rows(source: Source, limit: int | None) -> dict[str, RowChoices]:
+def first_rows(source: Source, limit: int | None) -> dict[str, RowChoices]:
+    """Choose the first so many rows of each split; all for None. InputError for a limit below 1."""
     most = _require_limit(limit)
     return {split: RowChoices(range(sum(map(len, shards)))[:most]) for split, shards in source.shards.items()}
 

@@ -33,6 +33,7 @@ from tactile_toolkit.store.plan import BuildPlan, ShardContent
 from tactile_toolkit.store.shards import DAMAGED, ShardName, ShardRecord, Skipped
 from tactile_toolkit.touch.schema import (
     MEDIA_COLUMN,
+    MEDIA_TYPE,
     Kind,
     class_names,
     flat_schema,
@@ -44,6 +45,7 @@ from tactile_toolkit.touch.schema import (
 __all__ = [
     "KIND",
     "Conversion",
+    "Pack",
     "RowChoice",
     "RowChoices",
     "Source",
@@ -92,6 +94,14 @@ class Source:
         rows, size = map(sum, zip(*in_threads(_rows_and_bytes, found, _READERS), strict=True))
         return max(size // max(rows, 1), 1)
 
+    def media_bytes(self) -> int:
+        """Return the size of an image or clip, on average over the data set; at least 1."""
+        column = f"{MEDIA_COLUMN[self.kind]}."
+        found = chain.from_iterable(self.shards.values())
+        each = in_threads(lambda shard: _values_and_bytes(shard, column), found, _READERS)
+        values, size = map(sum, zip(*each, strict=True))
+        return max(size // max(values, 1), 1)
+
     def fingerprint(self) -> dict[str, list[dict[str, Any]]]:
         """Return JSON values that identify the rows: names, sizes and footers of the files.
 
@@ -109,6 +119,16 @@ def _rows_and_bytes(shard: Shard) -> tuple[int, int]:
     metadata = shard.metadata
     groups = range(metadata.num_row_groups)
     return metadata.num_rows, sum(metadata.row_group(index).total_byte_size for index in groups)
+
+
+def _values_and_bytes(shard: Shard, column: str) -> tuple[int, int]:
+    """Return the values of a column of bytes, and their size unpacked."""
+    metadata = shard.metadata
+    groups = [metadata.row_group(index) for index in range(metadata.num_row_groups)]
+    chunks = [group.column(index) for group in groups for index in range(group.num_columns)]
+    media = [chunk for chunk in chunks if chunk.path_in_schema.startswith(column)]
+    values = [chunk.num_values for chunk in media if chunk.path_in_schema.endswith(".bytes")]
+    return sum(values), sum(chunk.total_uncompressed_size for chunk in media)
 
 
 def _file_fingerprint(shard: Shard) -> dict[str, Any]:
@@ -214,6 +234,18 @@ class Step(Protocol):
         ...
 
 
+class Pack(Protocol):
+    """What an exchange format does to all new rows of a shard at once; small and picklable."""
+
+    def schema(self, rows: pa.Schema) -> pa.Schema:
+        """Return the schema of what the shard keeps, for that of the new rows."""
+        ...
+
+    def apply(self, shard: ShardName, rows: pa.Table, skipped: Sequence[Skipped]) -> pa.Table:
+        """Write files of the foreign format; return what the shard keeps: an index that vouches for them."""
+        ...
+
+
 @dataclass(frozen=True)
 class Conversion:
     """A conversion, decided down to its rows.
@@ -221,7 +253,8 @@ class Conversion:
     ``options`` are JSON values, ``choices`` the rows of each split in order; the layout follows from the size
     of the source's rows where it is None. ``extra_dirs`` names what the step writes beside the rows,
     ``extras_intact`` tells whether what it wrote there for a finished shard is still whole; ``write_files``
-    writes what follows from all rows, see :class:`tactile_toolkit.store.plan.BuildPlan`.
+    writes what follows from all rows, see :class:`tactile_toolkit.store.plan.BuildPlan`. ``pack`` gets the
+    new rows of a whole shard, where they are not what the shard keeps.
     """
 
     source: Source
@@ -236,6 +269,7 @@ class Conversion:
     write_files: Callable[[DataFolder, Manifest], Mapping[str, str]] = field(
         default=lambda _folder, _manifest: {}, repr=False
     )
+    pack: Pack | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -251,6 +285,7 @@ class _ConvertShard:
     choices: RowChoices = field(repr=False)
     step: Step = field(repr=False)
     schema: pa.Schema = field(repr=False)
+    pack: Pack | None = field(default=None, repr=False)
 
     @property
     def size(self) -> int:
@@ -267,7 +302,10 @@ class _ConvertShard:
                 skipped.append(Skipped(choice.row, DAMAGED, str(error)))
             except ItemError as error:
                 skipped.append(Skipped(choice.row, error.reason, error.message))
-        return ShardContent(pa.concat_tables(tables).combine_chunks(), tuple(skipped))
+        made = pa.concat_tables(tables).combine_chunks()
+        if self.pack is not None:
+            made = self.pack.apply(self.shard, made, skipped)
+        return ShardContent(made, tuple(skipped))
 
     def _rows(self) -> Iterator[tuple[RowChoice, Row]]:
         """Read the blocks that hold chosen rows, one at a time, in order."""
@@ -289,7 +327,9 @@ class _ConvertShard:
 def plan_conversion(conversion: Conversion) -> BuildPlan:
     """Decide which shards hold which rows; reads footers only. InputError when nothing is left to convert."""
     source, step = conversion.source, conversion.step
-    schema = with_features(step.schema(flat_schema(source.schema)), class_names(source.schema))
+    names = class_names(source.schema)
+    schema = with_features(step.schema(flat_schema(source.schema)), names)
+    stored = schema if conversion.pack is None else with_features(conversion.pack.schema(schema), names)
     row_bytes = source.row_bytes()
     per_shard = conversion.rows_per_shard or max(1, min(_MOST_ROWS_PER_SHARD, _SHARD_BYTES // row_bytes))
     per_group = conversion.rows_per_group or max(1, min(per_shard, _GROUP_BYTES // row_bytes))
@@ -302,7 +342,7 @@ def plan_conversion(conversion: Conversion) -> BuildPlan:
             first, last = (bisect_right(starts, int(chunk.rows[end])) - 1 for end in (0, -1))
             paths = tuple(shard.path for shard in shards[first : last + 1])
             name = ShardName(split, index, len(chunks))
-            tasks.append(_ConvertShard(name, paths, starts[first], chunk, step, schema))
+            tasks.append(_ConvertShard(name, paths, starts[first], chunk, step, schema, conversion.pack))
     if not tasks:
         message = (
             f"nothing is left of {source.name!r} after {conversion.operation!r}; next: choose fewer filters"
@@ -315,8 +355,9 @@ def plan_conversion(conversion: Conversion) -> BuildPlan:
         "source": source.fingerprint(),
     }
     # JPEG does not compress again, and a dictionary or statistics of pictures would only take space.
-    media = [name for name in MEDIA_COLUMN.values() if schema.get_field_index(name) >= 0]
+    media = [name for name in MEDIA_COLUMN.values() if stored.get_field_index(name) >= 0]
     encodings = tuple((f"{name}.list.element.bytes", "PLAIN") for name in media)
+    encodings += tuple((f"{field.name}.bytes", "PLAIN") for field in stored if field.type == MEDIA_TYPE)
     return BuildPlan(
         KIND,
         spec,

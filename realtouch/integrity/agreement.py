@@ -97,12 +97,13 @@ def usual_touch_count(shards: Iterable[Shard], place: str | Sequence[str]) -> in
     """Return the T that every round of a data set must have: that of more than half of its readable rounds.
 
     None where rounds are meant to differ: no T is that of more than half, or the folder, named ``place`` by
-    the user, was made by choosing touches.
+    the user, was made by choosing touches, or by import.
     """
     folder = folder_meant(place)
     if folder is not None:
         manifest = read_manifest(folder)
-        if manifest is not None and manifest.spec.get("options", {}).get("contact"):
+        spec = {} if manifest is None else manifest.spec
+        if spec.get("options", {}).get("contact") or spec.get("operation") == "import":
             return None
     counts: Counter[int] = Counter()
     for shard in shards:

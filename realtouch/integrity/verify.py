@@ -95,6 +95,8 @@ def verify(
                 findings.append(Damage(finding.file, None, None, "", finding.problem))
         if manifest is not None and manifest.spec.get("operation") == "frames":
             return _verify_pictures(folder, manifest, findings, on_progress, decode=not quick)
+        if manifest is not None and manifest.spec.get("operation") == "export":
+            return _verify_exported(folder, manifest, findings, on_progress, decode=not quick)
     if not isinstance(place, str):
         parts: tuple[str, ...] = ("train",)  # files come without a split
     else:
@@ -161,6 +163,35 @@ def _verify_pictures(
                 findings.append(Damage(line["file"], None, line["touch"], "", str(error)))
         on_progress(done, len(lines))
     return TouchVerification(len({line["round_id"] for line in lines}), len(lines), tuple(findings))
+
+
+def _verify_exported(
+    folder: DataFolder,
+    manifest: Manifest,
+    findings: list[Damage],
+    on_progress: Callable[[int, int], None],
+    *,
+    decode: bool,
+) -> TouchVerification:
+    """Count what ``realtouch export`` wrote, whose files were compared already, and decode flat images."""
+    named = {finding.file for finding in findings}
+    whole = [record.shard.data_path for record in manifest.shards if record.shard.data_path not in named]
+    rounds: set[str] = set()
+    touches = 0
+    for path in whole:
+        shard = Shard(folder.address(path))
+        wanted = ["round_id", *(["image"] if decode and "image.bytes" in shard.types else [])]
+        for index in range(shard.metadata.num_row_groups):
+            for group in shard.blocks(index, wanted):
+                rounds.update(group.table["round_id"].to_pylist())
+                for row in range(len(group.table) if len(wanted) > 1 else 0):
+                    try:
+                        decode_image(group.table["image"][row]["bytes"].as_py())
+                    except ValueError as error:
+                        findings.append(Damage(path, group.first_row + row, None, "image", str(error)))
+                touches += len(group.table)
+        on_progress(touches, sum(record.rows for record in manifest.shards))
+    return TouchVerification(len(rounds), touches, tuple(findings))
 
 
 def _lacking_columns(shards: Sequence[Shard]) -> list[Damage]:

@@ -149,7 +149,7 @@ def _feature(name: str, data_type: pa.DataType, label_names: Sequence[str]) -> M
         inner = _feature(name, data_type.value_type, label_names)
         # "Sequence" is the spelling that both old and new releases of `datasets` read as a list.
         return {"feature": inner, "length": length, "_type": "Sequence"}
-    if name in MEDIA_COLUMN.values():
-        return {"_type": {"sensor_image": "Image", "sensor_video": "Video"}[name]}
+    if name in MEDIA_COLUMN.values() or data_type == MEDIA_TYPE:
+        return {"_type": "Video" if name == MEDIA_COLUMN["seq"] else "Image"}
     numpy_names = {"double": "float64", "float": "float32"}
     return {"dtype": numpy_names.get(str(data_type), str(data_type)), "_type": "Value"}

@@ -1,0 +1,294 @@
+"""Touches for other libraries: each layout is read back by the foreign reader itself."""
+
+from __future__ import annotations
+
+import gc
+import json
+import os
+import subprocess
+import tarfile
+from pathlib import Path
+from typing import Any
+
+import datasets
+import numpy as np
+import pandas as pd
+import pyarrow.parquet as pq
+import pytest
+
+import realtouch
+from realtouch.convert import plan
+from realtouch.exchange import lerobot
+from tactile_toolkit.errors import InputError, IntegrityError
+from tactile_toolkit.run.parts import Finish, Part
+from tactile_toolkit.run.processes import InlineRunner
+from tactile_toolkit.touch.jpeg import decode_image
+from tests.realtouch import factories
+from tests.realtouch.factories import Layout, RoundTruth
+from tests.tactile_toolkit.toy import folder_bytes
+
+LAYOUTS = ("flat", "webdataset", "lerobot")
+FIELDS = ("gel_x_m", "gel_y_m", "gel_z_m", "gel_qx", "gel_qy", "gel_qz", "gel_qw")
+
+
+@pytest.fixture(params=["single", "seq"])
+def source(request: pytest.FixtureRequest) -> Path:
+    return request.getfixturevalue(f"{request.param}_folder")
+
+
+@pytest.fixture
+def small_shards(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Have a file for each round, so that there are several."""
+    monkeypatch.setattr(plan, "_MOST_ROWS_PER_SHARD", 1)
+    monkeypatch.setattr(lerobot, "_FILE_BYTES", 1 << 10)
+
+
+def expected(source: Path, split: str = "train") -> list[dict[str, Any]]:
+    """Return what each touch is to become, through the record data set."""
+    rows = []
+    for record in realtouch.load(source, split):
+        for touch in range(record.touch_count):
+            if isinstance(record, realtouch.TouchSingleRound):
+                frame, pose = 0, record.gel_pose_cell_frame
+                image = bytes(record.sensor_image.encoded(touch))
+                position, quaternion = pose.position_m[touch], pose.quaternion[touch]
+            else:
+                clip = record.sensor_video[touch]
+                frame = clip.contact_index("contact_end")
+                image = bytes(clip.encoded(frame))
+                position, quaternion = clip.poses.position_m[frame], clip.poses.quaternion[frame]
+            rows.append(
+                {
+                    "id": f"{record.id}_{touch:03d}",
+                    "image": image,
+                    "label": record.label,
+                    "label_name": str(record.label),
+                    "object_id": record.object_id,
+                    "round_id": record.id,
+                    "touch": touch,
+                    "frame": frame,
+                    **dict(
+                        zip(("pos_in_cell_x_m", "pos_in_cell_y_m"), record.pos_in_cell_m[touch], strict=True)
+                    ),
+                    **dict(zip(FIELDS, [*position, *quaternion], strict=True)),
+                }
+            )
+    return rows
+
+
+def test_every_reader_of_tables_reads_flat_touches(source: Path, tmp_path: Path) -> None:
+    import polars
+
+    out = tmp_path / "flat"
+    realtouch.export(source, out, "flat")
+    wanted = expected(source)
+    plain = datasets.load_dataset(str(out), split="train").cast_column("image", datasets.Image(decode=False))
+    assert plain.features["label"].names == factories.LABELS
+    assert [{**row, "image": row["image"]["bytes"]} for row in plain] == wanted
+    files = out / "data" / "train-*.parquet"
+    shown = polars.read_parquet(files)
+    assert [{**row, "image": row["image"]["bytes"]} for row in shown.to_dicts()] == wanted
+    frame = pd.concat([pd.read_parquet(path) for path in sorted((out / "data").glob("train-*"))])
+    assert [row["bytes"] for row in frame.image] == [row["image"] for row in wanted]
+    assert frame[[*FIELDS, "label"]].to_dict("records") == [
+        {name: row[name] for name in (*FIELDS, "label")} for row in wanted
+    ]
+    decoded = datasets.load_dataset(str(out), split="test")[3]
+    assert np.array_equal(np.asarray(decoded["image"]), decode_image(expected(source, "test")[3]["image"]))
+    result = realtouch.verify(out)
+    assert result.ok
+    assert (result.rounds, result.touches) == (4, 20)
+
+
+@pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")  # tars that it leaves open
+@pytest.mark.usefixtures("small_shards")
+def test_webdataset_reads_the_tars(source: Path, tmp_path: Path) -> None:
+    import webdataset
+
+    out = tmp_path / "tars"
+    realtouch.export(source, out, "webdataset", split="train")
+    pattern = str(out / "webdataset" / "train-{000000..000002}.tar")
+    samples = list(webdataset.WebDataset(pattern, shardshuffle=False))
+    wanted = expected(source)
+    assert [sample["jpg"] for sample in samples] == [row.pop("image") for row in wanted]
+    assert [json.loads(sample["json"]) for sample in samples] == wanted
+    assert [sample["__key__"] for sample in samples] == [row["id"] for row in wanted]
+    decoded = next(iter(webdataset.WebDataset(pattern, shardshuffle=False).decode("rgb8")))
+    assert decoded["jpg"].shape == (72, 96, 3)
+    gc.collect()
+    with tarfile.open(out / "webdataset" / "train-000001.tar") as tar:
+        assert {(member.mtime, member.uid, member.uname) for member in tar} == {(0, 0, "")}
+    assert realtouch.verify(out).ok
+
+
+@pytest.mark.usefixtures("small_shards")
+@pytest.mark.parametrize("layout", LAYOUTS)
+def test_parts_kills_and_damage_end_in_the_same_bytes(
+    layout: Any, single_folder: Path, tmp_path: Path
+) -> None:
+    whole, parts = tmp_path / "whole", tmp_path / "parts"
+    realtouch.export(single_folder, whole, layout, split="train", workers=2)
+    for number in (1, 0):
+        runner = Part(number, 2, InlineRunner())
+        realtouch.export(single_folder, parts, layout, split="train", workers=runner)
+    realtouch.export(single_folder, parts, layout, split="train", workers=Finish())
+    assert folder_bytes(parts) == folder_bytes(whole)
+    foreign = [
+        path
+        for path in parts.rglob("*")
+        if path.suffix == ".tar" or path.parts[-3:-1] == ("data", "chunk-000")
+    ]
+    victim = (foreign or sorted((parts / "data").iterdir()))[1]
+    content = bytearray(victim.read_bytes())
+    content[len(content) // 2] ^= 1
+    victim.write_bytes(content)
+    assert [finding.file for finding in realtouch.verify(parts).findings] == [str(victim.relative_to(parts))]
+    realtouch.export(single_folder, parts, layout, split="train")
+    assert folder_bytes(parts) == folder_bytes(whole)
+    realtouch.export(single_folder, parts, "flat", split="train", overwrite=True)
+    assert not (parts / layout).exists()
+
+
+@pytest.mark.usefixtures("small_shards")
+def test_lerobot_numbers_frames_over_all_files(source: Path, truth: list[RoundTruth], tmp_path: Path) -> None:
+    realtouch.export(source, tmp_path / "robots", "lerobot", split="train")
+    home = tmp_path / "robots" / "lerobot"
+    frames = pq.read_table(home / "data")
+    episodes = pq.read_table(home / "meta" / "episodes").to_pylist()
+    info = json.loads((home / "meta" / "info.json").read_text())
+    count = sum(touch.frames for each in truth for touch in each.touches)
+    is_seq = "seq" in source.name
+    assert info["total_frames"] == len(frames) == (count if is_seq else 15)
+    assert info["fps"] == (factories.FPS if is_seq else 1)
+    assert info["splits"] == {"train": f"0:{15 if is_seq else 3}"}
+    assert frames["index"].to_pylist() == list(range(len(frames)))
+    stats = json.loads((home / "meta" / "stats.json").read_text())
+    assert set(stats) == set(info["features"]) == set(frames.column_names)
+    state = np.array(frames["observation.state"].to_pylist(), np.float64)
+    for name, value in (
+        ("mean", state.mean(0)),
+        ("std", state.std(0)),
+        ("min", state.min(0)),
+        ("max", state.max(0)),
+    ):
+        np.testing.assert_allclose(stats["observation.state"][name], value, rtol=1e-9, atol=1e-12)
+    end = 0
+    for number, episode in enumerate(episodes):
+        assert (episode["episode_index"], episode["dataset_from_index"]) == (number, end)
+        end = episode["dataset_to_index"]
+        part = frames.slice(episode["dataset_from_index"], episode["length"])
+        assert set(part["episode_index"].to_pylist()) == {number}
+        assert part["frame_index"].to_pylist() == list(range(episode["length"]))
+        file = home / info["data_path"].format(
+            chunk_index=episode["data/chunk_index"], file_index=episode["data/file_index"]
+        )
+        assert number in pq.read_table(file, columns=["episode_index"])["episode_index"].to_pylist()
+    if not is_seq:  # an episode of few images: all were seen
+        blobs = frames.slice(0, 5)["observation.images.tactile"].to_pylist()
+        pixels = np.stack([decode_image(blob["bytes"]) for blob in blobs]) / 255
+        found = episodes[0]
+        for name, value in (("mean", pixels.mean((0, 1, 2))), ("std", pixels.std((0, 1, 2)))):
+            np.testing.assert_allclose(np.ravel(found[f"stats/observation.images.tactile/{name}"]), value)
+
+
+_READ = """
+import json, sys
+from lerobot.datasets.lerobot_dataset import LeRobotDataset
+for root, step_s in zip(sys.argv[1::2], sys.argv[2::2]):
+    whole = LeRobotDataset("me/touches", root=root)
+    steps = {"observation.state": [-float(step_s), 0.0]}
+    one = LeRobotDataset("me/touches", root=root, episodes=[1], delta_timestamps=steps)
+    items = [whole[index] for index in range(0, len(whole), 7)]
+    print(json.dumps({
+        "counts": [len(whole), whole.num_episodes, len(one)],
+        "tasks": [item["task"] for item in items],
+        "index": [int(item["index"]) for item in items],
+        "state": [item["observation.state"].tolist() for item in items],
+        "sums": [int((item["observation.images.tactile"] * 255).round().sum()) for item in items],
+        "two": one[1]["observation.state"].tolist(),
+        "mean": whole.meta.stats["observation.state"]["mean"].tolist(),
+    }))
+"""
+
+
+@pytest.mark.lerobot
+@pytest.mark.usefixtures("small_shards")
+def test_lerobot_reads_its_data_set(single_folder: Path, seq_folder: Path, tmp_path: Path) -> None:
+    python = os.environ.get("LEROBOT_PYTHON")
+    if not python:
+        pytest.skip("LEROBOT_PYTHON names no interpreter with the package lerobot")
+    arguments = []
+    for source, step_s in ((single_folder, "1"), (seq_folder, "0.04")):
+        realtouch.export(source, tmp_path / source.name, "lerobot", split="train")
+        arguments += [str(tmp_path / source.name / "lerobot"), step_s]
+    done = subprocess.run(  # one process: importing it takes longer than all else
+        [python, "-c", _READ, *arguments],
+        env={**os.environ, "HF_HUB_OFFLINE": "1", "HF_HOME": str(tmp_path / "hf"), "PYTHONPATH": ""},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr[-2000:]
+    said = [json.loads(line) for line in done.stdout.splitlines() if line.startswith("{")]
+    lengths = [record.video_length_frames.tolist() for record in realtouch.load(seq_folder, "train")]
+    for found, root, episodes in zip(said, arguments[::2], ([5] * 3, np.concatenate(lengths)), strict=True):
+        assert found["counts"] == [sum(episodes), len(episodes), episodes[1]]
+        frames = pq.read_table(Path(root) / "data")
+        for index, task, state, total in zip(
+            *(found[name] for name in ("index", "tasks", "state", "sums")), strict=True
+        ):
+            row = frames.slice(index, 1).to_pylist()[0]
+            assert task == f"touch an object of class {row['label']}"
+            assert np.float32(state).tolist() == row["observation.state"]
+            pixels = decode_image(row["observation.images.tactile"]["bytes"])
+            assert abs(total - int(pixels.sum())) <= pixels.size  # by another decoder
+        two = frames["observation.state"].slice(episodes[0], 2).to_pylist()
+        assert np.float32(found["two"]).tolist() == two
+        states = np.array(frames["observation.state"].to_pylist())
+        np.testing.assert_allclose(found["mean"], states.mean(axis=0), rtol=1e-6, atol=1e-9)
+
+
+def test_what_cannot_be_exported_is_named(
+    single_rows: list[dict], single_folder: Path, tmp_path: Path
+) -> None:
+    for layout, options, words in (
+        ("flat", {"split": "held"}, "held"),
+        ("flat", {"frame": "last"}, "last"),
+        ("arrow", {}, "arrow"),
+        ("lerobot", {}, "add --split"),
+    ):
+        with pytest.raises(InputError, match=words):
+            realtouch.export(single_folder, tmp_path / "no", layout, **options)  # type: ignore[arg-type]
+    with pytest.raises(InputError, match="source"):
+        realtouch.export(single_folder, single_folder / "in", "flat")
+
+    def cut(row: dict[str, Any], index: int) -> None:
+        if index == 1:
+            row["sensor_image"] = [dict(each) for each in row["sensor_image"]]
+            row["sensor_image"][3]["bytes"] = row["sensor_image"][3]["bytes"][:-400]
+
+    def grow(row: dict[str, Any], index: int) -> None:
+        if index == 1:
+            pixels = np.zeros((10, 20, 3), np.uint8)
+            row["sensor_image"] = [dict(each) for each in row["sensor_image"]]
+            row["sensor_image"][2] = {"bytes": factories.encode_jpeg(pixels), "path": "2.jpg"}
+
+    def rename(row: dict[str, Any], index: int) -> None:
+        row["id"] = ("../up", row["id"], "a/b")[index]
+
+    for name, edit in (("cut", cut), ("grown", grow), ("named", rename)):
+        factories.write_set(tmp_path / name, {"train": single_rows}, "single", Layout(edit=edit))
+    for layout in ("flat", "webdataset"):
+        manifest = realtouch.export(tmp_path / "cut", tmp_path / f"{layout}-cut", layout)  # type: ignore[arg-type]
+        assert manifest.split_table()["train"] == manifest.split_table()["train"] | {"rows": 10, "skipped": 1}
+        assert "touch 3" in manifest.shards[0].skipped[0].message
+        named = realtouch.export(tmp_path / "named", tmp_path / f"{layout}-named", layout)  # type: ignore[arg-type]
+        assert [item.id for item in named.shards[0].skipped] == [0, 2]
+        sizes = realtouch.export(tmp_path / "grown", tmp_path / f"{layout}-grown", layout)  # type: ignore[arg-type]
+        assert sizes.split_table()["train"]["rows"] == 15  # each has a size of its own there
+    with pytest.raises(IntegrityError, match=r"touch 3.*without gaps"):
+        realtouch.export(tmp_path / "cut", tmp_path / "robots", "lerobot")
+    assert not (tmp_path / "robots").exists()
+    with pytest.raises(InputError, match=r"20 x 10 pixels; expected 96 x 72.*resize"):
+        realtouch.export(tmp_path / "grown", tmp_path / "robots", "lerobot")
+    assert not (tmp_path / "robots").exists()

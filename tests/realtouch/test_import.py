@@ -1,0 +1,205 @@
+"""Images of others become touches: the way there and back, and every way in which they can be wrong."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+import shutil
+import tarfile
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+import realtouch
+from cli.realtouch import app
+from tactile_toolkit.errors import InputError, IntegrityError
+from tests.realtouch import factories
+from tests.tactile_toolkit.toy import folder_bytes
+
+POSE = ("gel_x_m", "gel_y_m", "gel_z_m", "gel_qx", "gel_qy", "gel_qz", "gel_qw")
+COLUMNS = realtouch.ImportColumns(
+    round="round_id",
+    object_id="object_id",
+    position=("pos_in_cell_x_m", "pos_in_cell_y_m"),
+    pose=POSE,
+)
+
+
+@pytest.mark.parametrize("layout", ["folder", "webdataset"])
+def test_there_and_back(layout: Any, single_folder: Path, tmp_path: Path) -> None:
+    there, back = tmp_path / "there", tmp_path / "back"
+    if layout == "folder":
+        realtouch.frames(single_folder, there, "jpeg", split="train")
+        place = there
+    else:
+        realtouch.export(single_folder, there, "webdataset", split="train")
+        place = there / "webdataset"
+    realtouch.import_images(place, back, layout, COLUMNS)
+    for before, after in zip(
+        realtouch.load(single_folder, "train"), realtouch.load(back, "train"), strict=True
+    ):
+        assert isinstance(before, realtouch.TouchSingleRound)
+        assert isinstance(after, realtouch.TouchSingleRound)
+        assert (after.id, after.label, after.object_id) == (before.id, before.label, before.object_id)
+        np.testing.assert_array_equal(after.pos_in_cell_m, before.pos_in_cell_m)
+        pose, other = after.gel_pose_cell_frame, before.gel_pose_cell_frame
+        np.testing.assert_array_equal(pose.position_m, other.position_m)
+        np.testing.assert_array_equal(pose.quaternion, other.quaternion)
+        for touch in range(5):
+            assert bytes(after.sensor_image.encoded(touch)) == bytes(before.sensor_image.encoded(touch))
+    assert realtouch.load(back, "train").label_names == tuple(factories.LABELS)
+    assert realtouch.verify(back).ok
+    realtouch.import_images(place, tmp_path / "again", layout, COLUMNS, workers=2)
+    assert folder_bytes(tmp_path / "again") == folder_bytes(back)
+    again = realtouch.export(back, tmp_path / "flat", "flat")
+    assert again.split_table()["train"]["rows"] == 15
+
+
+def picture(level: int, size: tuple[int, int] = (24, 32)) -> bytes:
+    return factories.encode_jpeg(np.full((*size, 3), level, np.uint8))
+
+
+def write_table(home: Path, lines: list[dict[str, Any]], name: str = "index.csv") -> None:
+    with (home / name).open("w", newline="") as stream:
+        writer = csv.DictWriter(stream, list(lines[0]))
+        writer.writeheader()
+        writer.writerows(lines)
+
+
+@pytest.fixture
+def home(tmp_path: Path) -> Path:
+    home = tmp_path / "home"
+    (home / "pictures").mkdir(parents=True)
+    for number in range(4):
+        (home / "pictures" / f"{number}.jpg").write_bytes(picture(40 * number))
+    return home
+
+
+def line(name: str, label: str = "cat", pose: str = "0 0 0.1 0 0 0 1") -> dict[str, str]:
+    return {"file": name, "label": label, "pose": pose}
+
+
+def test_what_cannot_be_used_is_left_out_and_named(home: Path, tmp_path: Path) -> None:
+    pictures = home / "pictures"
+    (pictures / "cut.jpg").write_bytes(picture(9)[:-30])
+    (pictures / "text.jpg").write_bytes(b"a picture")
+    (pictures / "large.jpg").write_bytes(picture(9, (30, 40)))
+    (tmp_path / "outside.jpg").write_bytes(picture(1))
+    (pictures / "link.jpg").symlink_to(tmp_path / "outside.jpg")
+    wrong = {
+        "pictures/cut.jpg": "image",
+        "pictures/text.jpg": "image",
+        "pictures/large.jpg": "size",
+        "pictures/none.jpg": "missing",
+        "../outside.jpg": "name",
+        "/etc/hostname": "name",
+        "pictures/link.jpg": "name",
+        "pictures/0.jpg": "duplicate",
+        "pictures/1.jpg": "label",
+        "pictures/2.jpg": "pose",
+        "pictures/3.jpg": "pose",
+    }
+    lines = [line("pictures/0.jpg"), *(line(name, "dog") for name in wrong)]
+    lines[-3] |= {"label": ""}
+    lines[-2] |= {"pose": "0 0 0.1 0 0 0"}
+    lines[-1] |= {"pose": "0 0 nan 0 0 0 1"}
+    write_table(home, lines)
+    columns = realtouch.ImportColumns(pose=("pose",))
+    manifest = realtouch.import_images(home, tmp_path / "out", "folder", columns)
+    skipped = manifest.shards[0].skipped
+    assert [(item.id, item.reason) for item in skipped] == list(enumerate(wrong.values(), 1))
+    assert all(repr(name) in item.message for name, item in zip(wrong, skipped, strict=True))
+    assert "40 x 30 pixels; expected 32 x 24" in skipped[2].message
+    (only,) = realtouch.load(tmp_path / "out", "train")
+    assert (only.id, only.label) == ("pictures_0", 0)
+    assert realtouch.load(tmp_path / "out", "train").label_names == ("cat", "dog")
+    with pytest.raises(InputError, match="no row is left"):
+        realtouch.import_images(home, tmp_path / "none", "folder", columns, classes=("bird",))
+    assert not (tmp_path / "none").exists()
+
+
+def test_tables_and_options_that_cannot_be_used(home: Path, tmp_path: Path) -> None:
+    def refused(words: str, columns: Any = None, where: Path = home, **options: Any) -> None:
+        layout = options.pop("layout", "folder")
+        out = options.pop("out", tmp_path / "out")
+        with pytest.raises(InputError, match=words):
+            realtouch.import_images(where, out, layout, columns, **options)
+        assert not (tmp_path / "out").exists()
+
+    refused("one CSV file; found none")
+    write_table(home, [line(f"pictures/{number}.jpg") for number in range(4)])
+    refused("no column 'lable'; did you mean 'label'", realtouch.ImportColumns(label="lable"))
+    refused("no column 'x'", realtouch.ImportColumns(position=("x", "y")))
+    refused("layout 'arrow'", layout="arrow")
+    refused("lies in the source", out=home / "out")
+    refused("no table 'other.csv'", table="other.csv")
+    refused("does not exist", where=tmp_path / "nothing")
+    refused("letters, digits", split="a/b")
+    refused("no tars", layout="webdataset")
+    with pytest.raises(InputError, match="6 pose columns"):
+        realtouch.ImportColumns(pose=POSE[:6])
+    write_table(home, [line("pictures/0.jpg")], "second.csv")
+    refused("found index.csv, second.csv")
+    (home / "index.csv").write_bytes(b"file,label\n\xff\xfe,1\n")
+    refused("UTF-8", table="index.csv")
+    columns = realtouch.ImportColumns(round="round", split="split")
+    splits = [{"file": f"pictures/{n}.jpg", "label": 1, "round": "a", "split": "ab"[n]} for n in (0, 1)]
+    write_table(home, splits)
+    refused("round 'a' lies in the splits", columns, table="index.csv")
+
+
+def write_tar(path: Path, members: list[tuple[str, bytes]]) -> None:
+    with tarfile.open(path, "w") as tar:
+        for name, content in members:
+            entry = tarfile.TarInfo(name)
+            entry.size = len(content)
+            tar.addfile(entry, io.BytesIO(content))
+
+
+def test_tars_of_others(tmp_path: Path) -> None:
+    home = tmp_path / "tars"
+    home.mkdir()
+    members = []
+    for number in range(3):
+        fields = json.dumps({"digit": number, "pose": [0, 0, 0.1, 0, 0, 0, 1]}).encode()
+        members += [(f"set/a{number}.jpg", picture(number)), (f"set/a{number}.json", fields)]
+    members += [
+        ("set/b.json", b"{}"),
+        ("set/c.jpg", picture(1)),
+        ("set/c.json", b"[1"),
+        members[0],
+        members[1],
+    ]
+    write_tar(home / "x-000.tar", members)
+    write_tar(home / "x-001.tar", [("d.png", picture(5)), ("d.cls", b"2"), ("d.json", b'{"digit": 2}')])
+    columns = realtouch.ImportColumns(image=None, label="digit", pose=("pose",))
+    manifest = realtouch.import_images(home, tmp_path / "out", "webdataset", columns)
+    reasons = [(item.id, item.reason) for item in manifest.shards[0].skipped]
+    assert reasons == [(3, "missing"), (4, "json"), (5, "duplicate"), (6, "pose")]
+    assert [record.label for record in realtouch.load(tmp_path / "out", "train")] == [0, 1, 2]
+    by_class = realtouch.ImportColumns(label="cls")
+    realtouch.import_images(home / "x-001.tar", tmp_path / "one", "webdataset", by_class)
+    assert realtouch.load(tmp_path / "one", "train")[0].label == 2
+    whole = (home / "x-000.tar").read_bytes()
+    for kept in (len(whole) // 3, 10240 - 9000, 700):
+        (home / "x-000.tar").write_bytes(whole[:kept])
+        with pytest.raises(IntegrityError, match="no whole tar"):
+            realtouch.import_images(home, tmp_path / "cut", "webdataset", columns)
+        assert not (tmp_path / "cut").exists()
+
+
+def test_the_command_names_what_it_leaves_out(home: Path, tmp_path: Path) -> None:
+    write_table(home, [line("pictures/0.jpg"), line("pictures/9.jpg")])
+    arguments = ["import", str(home), "--layout", "folder", "--workers", "1"]
+    done = CliRunner().invoke(app, [*arguments, "--pose-columns", "pose", "--out", str(tmp_path / "out")])
+    assert done.exit_code == 0, done.output
+    assert "left out: 'pictures/9.jpg': there is no such file (missing)" in done.output
+    assert "left out 1 touch: missing" in done.output.replace("\n", " ")
+    shutil.rmtree(home / "pictures")
+    done = CliRunner().invoke(app, [*arguments, "--out", str(tmp_path / "none")])
+    assert done.exit_code == 2
+    assert not (tmp_path / "none").exists()
