@@ -313,14 +313,14 @@ def write_card(
     title = _RENDERED_PICTURES if rendered and card == "frames" else _TITLES[card]
     words: dict[str, str] = {}
     if card == "export":
-        text = EXPORTS[options["layout"]]
+        text = EXPORTS.get(str(options.get("layout")), EXPORTS["flat"])
         title = f"Synthetic: {text.title}" if rendered else text.title
         words = {
             "layout_text": text.summary,
             "content_text": text.content,
             "loading": text.loading.replace("$first_split", facts.splits[0].split),
             "size_note": ""
-            if options["layout"] == "flat"
+            if text is EXPORTS["flat"]
             else "Parquet is the size of the index, unpacked that of its rows in memory.",
         }
     counts = [figure.touches for figure in figures if figure.touches is not None]

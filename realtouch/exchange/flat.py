@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 
-from realtouch.columns.per_touch import entries_of, int_value, plain_value, touch_total, vectors
+from realtouch.columns.per_touch import entries_of, int_value, intended_positions, plain_value, touch_total
 from realtouch.columns.poses import clip_poses, poses
 from realtouch.contact import ContactMethod
 from realtouch.convert.plan import RowChoice
@@ -22,7 +22,15 @@ from tactile_toolkit.read.dataset import Row
 from tactile_toolkit.touch.jpeg import decode_image, encode_image, image_size
 from tactile_toolkit.touch.schema import MEDIA_TYPE, column_type
 
-__all__ = ["IMAGE", "POSE_COLUMNS", "POSITION_COLUMNS", "FlatTouches", "class_name", "require_whole"]
+__all__ = [
+    "IMAGE",
+    "POSE_COLUMNS",
+    "POSITION_COLUMNS",
+    "FlatTouches",
+    "image_suffix",
+    "known_label",
+    "require_whole",
+]
 
 IMAGE = "image"
 POSITION_COLUMNS = ("pos_in_cell_x_m", "pos_in_cell_y_m")
@@ -49,9 +57,17 @@ def require_whole(data: bytes | memoryview) -> tuple[int, int]:
     return size
 
 
-def class_name(label: int, names: tuple[str, ...]) -> str:
-    """Return the name of a class; its number where it has none."""
-    return names[label] if label < len(names) else str(label)
+def known_label(row: Row, names: tuple[str, ...]) -> int:
+    """Return the label of a row; IntegrityError where it is not one of the named classes."""
+    label = int_value(row, "label")
+    if label >= len(names):
+        raise damaged(row, "label", f"the value is {label}; expected less than {len(names)}, the classes")
+    return label
+
+
+def image_suffix(image: bytes | memoryview) -> str:
+    """Return the ending that the file of an image has."""
+    return "jpg" if image[:2] == _JPEG else "png" if image[:4] == b"\x89PNG" else "webp"
 
 
 @dataclass(frozen=True)
@@ -100,16 +116,15 @@ class FlatTouches:
         count = touch_total(row)
         taken = self._single(row, count) if row.has("sensor_image") else self._seq(row, count)
         images, frames, pose = taken
-        label = int_value(row, "label")
-        touches = range(count)
-        paths = [f"{name}_{touch:03d}.{_suffix(image)}" for touch, image in zip(touches, images, strict=True)]
+        label = known_label(row, self.names)
+        paths = [f"{name}_{touch:03d}.{image_suffix(image)}" for touch, image in enumerate(images)]
         columns: dict[str, Any] = {
             "id": [path.partition(".")[0] for path in paths],
             IMAGE: pa.StructArray.from_arrays(
                 [pa.array(images, pa.binary()), pa.array(paths)], fields=list(MEDIA_TYPE)
             ),
             "label": np.full(count, label),
-            "label_name": [class_name(label, self.names)] * count,
+            "label_name": [self.names[label]] * count,
             "round_id": [name] * count,
             "touch": np.arange(count),
             "frame": frames,
@@ -117,7 +132,7 @@ class FlatTouches:
         if row.has("object_id"):
             columns["object_id"] = np.full(count, int_value(row, "object_id"))
         if row.has("pos_in_cell"):
-            columns |= dict(zip(POSITION_COLUMNS, vectors(row, "pos_in_cell", 2).T, strict=True))
+            columns |= dict(zip(POSITION_COLUMNS, intended_positions(row).T, strict=True))
         if pose is not None:
             columns |= dict(zip(POSE_COLUMNS, pose.T, strict=True))
         schema = self.schema(row.group.table.schema)
@@ -143,7 +158,7 @@ class FlatTouches:
         for touch in range(count):
             clip = TouchClip(row, touch)
             frame = contact_frame_of(clip, self.method)
-            images.append(whole_frame(row, clip, frame))
+            images.append(_whole_frame(row, clip, frame))
             frames.append(frame)
             if has_pose:
                 pose = clip_poses(row, touch)
@@ -151,7 +166,7 @@ class FlatTouches:
         return images, frames, np.concatenate(found) if has_pose else None
 
 
-def whole_frame(row: Row, clip: TouchClip, frame: int) -> bytes | memoryview:
+def _whole_frame(row: Row, clip: TouchClip, frame: int) -> bytes | memoryview:
     """Return the image of a frame: as it is stored, and encoded where the clip holds no images."""
     if not clip.has_index:
         return encode_image(clip[frame])
@@ -161,7 +176,3 @@ def whole_frame(row: Row, clip: TouchClip, frame: int) -> bytes | memoryview:
     except ValueError as error:
         raise damaged(row, "sensor_video", f"frame {frame}: {error}", clip.touch) from error
     return data
-
-
-def _suffix(image: bytes | memoryview) -> str:
-    return "jpg" if image[:2] == _JPEG else "png" if image[:4] == b"\x89PNG" else "webp"

@@ -19,12 +19,12 @@ import pyarrow as pa
 from numpy.typing import NDArray
 
 from realtouch.columns.per_frame import clip_times
-from realtouch.columns.per_touch import entries_of, int_value, plain_value, touch_total, vectors
+from realtouch.columns.per_touch import entries_of, int_value, intended_positions, plain_value, touch_total
 from realtouch.columns.poses import clip_poses, poses
 from realtouch.convert.plan import Conversion, RowChoice, RowChoices, Source
 from realtouch.damage import damaged
 from realtouch.dataset import dataset_of
-from realtouch.exchange.flat import require_whole, whole_frame
+from realtouch.exchange.flat import image_suffix, known_label, require_whole
 from realtouch.exchange.vouched import FilesAreWhole, file_fields, files_of, vouched_files, with_files
 from realtouch.media.clips import TouchClip
 from realtouch.media.images import SensorImages
@@ -35,7 +35,7 @@ from tactile_toolkit.store.folder import DataFolder
 from tactile_toolkit.store.manifest import Manifest
 from tactile_toolkit.store.parquet import ParquetStyle, encode_parquet, sha256_hex
 from tactile_toolkit.store.shards import ShardName, Skipped
-from tactile_toolkit.touch.jpeg import decode_image
+from tactile_toolkit.touch.jpeg import decode_image, encode_image
 from tactile_toolkit.touch.schema import MEDIA_TYPE, class_names, column_type
 
 __all__ = ["LEROBOT_FOLDER", "lerobot_conversion"]
@@ -64,6 +64,7 @@ class _Episodes:
 
     fps: int
     size: tuple[int, int]
+    names: tuple[str, ...]
 
     def schema(self, source: pa.Schema) -> pa.Schema:
         """Return the columns that the source can fill, and what the index says of episodes."""
@@ -88,17 +89,18 @@ class _Episodes:
 
     def apply(self, row: Row, choice: RowChoice, split: str) -> pa.Table:
         """Return all frames of a row."""
-        name, label = str(plain_value(row, "id")), int_value(row, "label")
+        name, label = str(plain_value(row, "id")), known_label(row, self.names)
         object_id = int_value(row, "object_id") if row.has("object_id") else 0
         count = touch_total(row)
-        places = vectors(row, "pos_in_cell", 2) if row.has("pos_in_cell") else None
+        places = intended_positions(row) if row.has("pos_in_cell") else None
         schema = self.schema(row.group.table.schema)
         tables = []
         for touch, images, columns in self._episodes(row, count):
             frames = len(images)
             if places is not None:
                 columns[_ACTION] = _vectors(places if touch is None else np.tile(places[touch], (frames, 1)))
-            paths = [f"{name}_{touch or 0:03d}_{frame:04d}.jpg" for frame in range(frames)]
+            start = f"{name}_{touch or 0:03d}"
+            paths = [f"{start}_{frame:04d}.{image_suffix(image)}" for frame, image in enumerate(images)]
             columns |= {
                 "round_id": pa.array([name] * frames),
                 "touch": pa.array([touch] * frames, pa.int64()),
@@ -130,7 +132,10 @@ class _Episodes:
             return
         for touch in range(count):
             clip = TouchClip(row, touch)
-            images = [whole_frame(row, clip, frame) for frame in range(len(clip))]
+            if clip.has_index:
+                images = [clip.encoded(frame) for frame in range(len(clip))]
+            else:
+                images = [encode_image(pixels) for pixels in clip.frames()]
             for image in images:
                 self._require_size(row, "sensor_video", touch, image)
             columns: dict[str, Any] = {}
@@ -472,9 +477,13 @@ def lerobot_conversion(
         )
         raise InputError(message)
     ((split, chosen),) = choices.items()
+    if not len(chosen):
+        message = f"{source.name!r} has no rounds in split {split!r}; next: choose another split"
+        raise InputError(message)
     rows_per_shard = max(1, _FILE_BYTES // source.row_bytes())
     size, fps = _first_image(source.shards[split])
-    tasks = tuple(f"touch an object of class {name}" for name in class_names(source.schema))
+    names = class_names(source.schema)
+    tasks = tuple(f"touch an object of class {name}" for name in names)
     frames_of_rows = _episode_lengths(source, split)[np.asarray(chosen.rows)]
     ends = np.concatenate([np.zeros((1, 2), np.int64), np.cumsum(frames_of_rows, axis=0)])
     bounds = [*range(0, len(chosen), rows_per_shard), len(chosen)]
@@ -483,7 +492,7 @@ def lerobot_conversion(
         source,
         "export",
         {**options, "layout": "lerobot", "fps": fps, "image_size": [size[1], size[0]]},
-        _Episodes(fps, size),
+        _Episodes(fps, size, names),
         choices,
         rows_per_shard=rows_per_shard,
         rows_per_group=1 << 12,

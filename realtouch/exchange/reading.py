@@ -31,6 +31,7 @@ from tactile_toolkit.store.names import problem_of_name
 from tactile_toolkit.store.parquet import ParquetStyle, sha256_hex
 from tactile_toolkit.store.plan import BuildPlan, ShardContent
 from tactile_toolkit.store.shards import ShardName, Skipped
+from tactile_toolkit.touch.jpeg import MAX_IMAGE_BYTES
 from tactile_toolkit.touch.rows import number_lists
 from tactile_toolkit.touch.schema import CLASS_NAMES, MEDIA_TYPE, with_features
 from tactile_toolkit.wording import did_you_mean
@@ -188,7 +189,11 @@ def import_images(
         raise InputError(message)
     folder = DataFolder(fspath(out))
     _refuse_inside(folder, home)
-    items = list(readers[layout](home, chosen, table))
+    wanted = chosen.names()
+    items = [
+        replace(item, values={name: item.values[name] for name in wanted if name in item.values})
+        for item in readers[layout](home, chosen, table)
+    ]
     if not items:
         message = f"{str(home)!r} holds nothing to import; expected images"
         raise InputError(message)
@@ -261,7 +266,7 @@ def _file_item(home: Path, number: int, name: str, values: Mapping[str, Any], se
     words = problem_of_name(name)
     if words:
         problem = (Reason.name, f"the name {words}; expected a path below the folder")
-    elif not path.resolve().is_relative_to(home.resolve()):
+    elif not _is_below(path, home):
         problem = (Reason.name, "a link leads out of the folder; expected a path below it")
     elif not path.is_file():
         problem = (Reason.missing, "there is no such file")
@@ -272,6 +277,14 @@ def _file_item(home: Path, number: int, name: str, values: Mapping[str, Any], se
     if None in values:
         problem = problem or (Reason.columns, "the line has more values than the table has columns")
     return _Item(number, name, str(path), 0, size, dict(values), problem)
+
+
+def _is_below(path: Path, home: Path) -> bool:
+    """Tell whether a path stays in a folder, links followed; one in a circle does not."""
+    try:
+        return path.resolve().is_relative_to(home.resolve())
+    except (OSError, RuntimeError):
+        return False
 
 
 def _require_columns(known: Sequence[str], wanted: Iterable[str], where: str) -> None:
@@ -448,7 +461,7 @@ def _rounds(items: Sequence[_Item], columns: ImportColumns, split: str) -> dict[
 def _first_size(items: Sequence[_Item]) -> tuple[int, int] | None:
     """Return height and width of the first image that is one."""
     for item in items:
-        if item.problem is None:
+        if item.problem is None and item.size <= MAX_IMAGE_BYTES:
             try:
                 return require_whole(item.read())
             except (ValueError, OSError):
@@ -516,6 +529,9 @@ class _ImportShard:
     def _touch(self, item: _Item, before: Sequence[_Touch]) -> _Touch:
         if item.problem is not None:
             raise ItemError(*item.problem)
+        if item.size > MAX_IMAGE_BYTES:
+            problem = f"{item.size:,} bytes; the limit is {MAX_IMAGE_BYTES:,}"
+            raise ItemError(Reason.image, problem)
         try:
             image = item.read()
             size = require_whole(image)
@@ -594,7 +610,7 @@ def _numbers(values: Mapping[str, Any], names: Sequence[str], count: int, what: 
             found = found.replace(",", " ").strip("[]() ").split()
     try:
         numbers = tuple(float(value) for value in found)
-    except (TypeError, ValueError) as error:
+    except (TypeError, ValueError, OverflowError) as error:
         raise ItemError(what, f"{str(found)[:_LONGEST_SHOWN]}; expected {count} numbers") from error
     if len(numbers) != count or not np.isfinite(numbers).all():
         raise ItemError(what, f"{str(found)[:_LONGEST_SHOWN]}; expected {count} finite numbers")

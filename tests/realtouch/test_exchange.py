@@ -276,7 +276,10 @@ def test_what_cannot_be_exported_is_named(
     def rename(row: dict[str, Any], index: int) -> None:
         row["id"] = ("../up", row["id"], "a/b")[index]
 
-    for name, edit in (("cut", cut), ("grown", grow), ("named", rename)):
+    def relabel(row: dict[str, Any], index: int) -> None:
+        row["label"] = 10 * index
+
+    for name, edit in (("cut", cut), ("grown", grow), ("named", rename), ("labels", relabel)):
         factories.write_set(tmp_path / name, {"train": single_rows}, "single", Layout(edit=edit))
     for layout in ("flat", "webdataset"):
         manifest = realtouch.export(tmp_path / "cut", tmp_path / f"{layout}-cut", layout)  # type: ignore[arg-type]
@@ -286,6 +289,8 @@ def test_what_cannot_be_exported_is_named(
         assert [item.id for item in named.shards[0].skipped] == [0, 2]
         sizes = realtouch.export(tmp_path / "grown", tmp_path / f"{layout}-grown", layout)  # type: ignore[arg-type]
         assert sizes.split_table()["train"]["rows"] == 15  # each has a size of its own there
+        labels = realtouch.export(tmp_path / "labels", tmp_path / f"{layout}-labels", layout)  # type: ignore[arg-type]
+        assert [item.id for item in labels.shards[0].skipped] == [1, 2]
     with pytest.raises(IntegrityError, match=r"touch 3.*without gaps"):
         realtouch.export(tmp_path / "cut", tmp_path / "robots", "lerobot")
     assert not (tmp_path / "robots").exists()
