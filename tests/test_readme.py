@@ -23,6 +23,7 @@ PAGES = (
     "docs/howto/print.md",
     "docs/howto/handwriting.md",
     "docs/howto/training.md",
+    "docs/howto/exchange.md",
     "docs/howto/environments.md",
     "docs/howto/simulators.md",
     "docs/howto/hub.md",
