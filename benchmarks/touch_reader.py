@@ -2,11 +2,11 @@
 
 Usage: python benchmarks/touch_reader.py [WORK]
 
-Three sets of depth touches of the same training digits: random episodes of the registered environment as it
-is, with OpenGL; the same with ``renderer="fast"``; and a set that ``tactile_sim.generate`` wrote with its
-default plan. One network, one recipe and the same seeds learn from each, and are tested on the environment's
-own touches of held-back digits: one touch alone, and the 16 of an episode together (sums of log
-probabilities). WORK keeps the data sets between runs.
+Depth touches of the same training digits, 16 places on each, turned and shifted as in the environments, drawn
+with other seeds: rendered by the renderer of the environments with OpenGL, and as a set that
+``tactile_sim.generate`` wrote. One network, one recipe and the same seeds learn from each, and are tested on
+touches of held-back digits by the renderer of the environments: one touch alone, and the 16 of a digit
+together (sums of log probabilities). WORK keeps the data sets between runs.
 """
 
 from __future__ import annotations
@@ -21,7 +21,6 @@ import tempfile
 import time
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import torch
@@ -29,32 +28,28 @@ from torch import nn
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-import env_assets
 import mnist3d
 import realtouch
 import tactile_sim
 from mnist3d.sources.synthetic import SyntheticSource
+from tactile_sim.plan import plan_round
+from tests.tactile_sim.oracle import GEL_M, PRESS_M, Oracle
 
-ENV_ID, STEPS, SIDE_BY_SIDE = "TactileMNIST-Depth-{}-v0", 16, 16
-TRAIN_EPISODES, TEST_EPISODES, EPOCHS, SEEDS = 1024, 512, 4, range(3)
+TOUCHES, TEST_EVERY, EPOCHS, SEEDS = 16, 2, 5, range(3)
 
 
-def episodes(
-    provider: Any, split: str, renderer: str, count: int, seed: int
-) -> tuple[np.ndarray, np.ndarray]:
-    """Images (episodes, STEPS, 64, 64) and labels of random episodes."""
-    env = env_assets.make(ENV_ID.format(split), provider=provider, num_envs=SIDE_BY_SIDE, renderer=renderer)
-    env.reset(seed=seed)
-    env.action_space.seed(seed)
+def published(digits: Path, split: str, seed: int, every: int = 1) -> tuple[np.ndarray, np.ndarray]:
+    """Levels (digits, TOUCHES, 64, 64), uint8, as the environments render them, and labels."""
+    oracle, plan = Oracle(64, 64), tactile_sim.TouchPlan(1, TOUCHES, "object", seed=seed)
     images, labels = [], []
-    for _ in range(count // SIDE_BY_SIDE):
-        labels.append([point.label for point in env.unwrapped.current_data_points])
-        steps = [env.step(env.action_space.sample()) for _ in range(STEPS)]
-        assert all(steps[-1][2] | steps[-1][3]), "an episode was expected to end here"
-        images.append(np.stack([step[0]["sensor_img"][..., 0] for step in steps], axis=1))
-        env.step(env.action_space.sample())  # begins the next episode, whatever the action
-    env.close()
-    return np.concatenate(images), np.concatenate(labels)
+    for record in mnist3d.load(str(digits), split)[::every]:
+        solid, mesh = tactile_sim.Pressable.of(record, check=False), record.mesh
+        drawn = plan_round(plan, solid, split, record.id, 0)
+        for pose, place in zip(drawn.object_poses, drawn.positions_m, strict=False):
+            depth_m, _ = oracle.depth_m(mesh, pose, tactile_sim.pose(*place))
+            images.append(np.rint(255 * (depth_m.clip(PRESS_M, GEL_M) - PRESS_M) / (GEL_M - PRESS_M)))
+        labels.append(record.label)
+    return np.array(images, np.uint8).reshape(-1, TOUCHES, 64, 64), np.array(labels)
 
 
 def kept(file: Path, make: Callable[[], tuple[np.ndarray, np.ndarray]]) -> tuple[np.ndarray, np.ndarray]:
@@ -66,15 +61,15 @@ def kept(file: Path, make: Callable[[], tuple[np.ndarray, np.ndarray]]) -> tuple
         return stored["images"], stored["labels"]
 
 
-def written(digits: Path, out: Path, rounds: int) -> tuple[np.ndarray, np.ndarray]:
-    """Touches of a set that was written for the same digits, as images and labels of rounds."""
-    plan = tactile_sim.TouchPlan(rounds, STEPS)
-    tactile_sim.generate(
-        str(digits), tactile_sim.GenerateSpec((64, 64), "depth", plan=plan), str(out), ["train"]
-    )
+def written(digits: Path, out: Path, seed: int) -> tuple[np.ndarray, np.ndarray]:
+    """Give the same of a set that was written."""
+    plan = tactile_sim.TouchPlan(1, TOUCHES, "object", seed=seed)
+    spec = tactile_sim.GenerateSpec((64, 64), "depth", plan=plan)
+    tactile_sim.generate(str(digits), spec, str(out), ["train"])
     found = realtouch.load(str(out), split="train")
-    images = np.stack([np.stack([each.sensor_image[k][..., 0] for k in range(STEPS)]) for each in found])
-    return images.astype(np.float32) / 255, np.array([each.label for each in found])
+    return np.stack([each.sensor_image[:][..., 0] for each in found]), np.array(
+        [each.label for each in found]
+    )
 
 
 def reader(seed: int) -> nn.Module:
@@ -87,7 +82,7 @@ def reader(seed: int) -> nn.Module:
 
 def learn(images: np.ndarray, labels: np.ndarray, seed: int) -> nn.Module:
     net = reader(seed)
-    x = torch.from_numpy(images.reshape(-1, 1, 64, 64))
+    x = torch.from_numpy(images.reshape(-1, 1, 64, 64) / np.float32(255))
     y = torch.from_numpy(np.repeat(labels, images.shape[1]))
     steps = EPOCHS * (len(x) // 128)
     optimiser = torch.optim.AdamW(net.parameters(), 2e-3, weight_decay=1e-2)
@@ -104,8 +99,8 @@ def learn(images: np.ndarray, labels: np.ndarray, seed: int) -> nn.Module:
 
 @torch.no_grad()
 def accuracies(net: nn.Module, images: np.ndarray, labels: np.ndarray) -> tuple[float, float]:
-    """Percent of single touches, and of episodes, that are read rightly."""
-    x = torch.from_numpy(images.reshape(-1, 1, 64, 64))
+    """Percent of single touches, and of digits, that are read rightly."""
+    x = torch.from_numpy(images.reshape(-1, 1, 64, 64) / np.float32(255))
     said = torch.cat([net(part).log_softmax(1) for part in x.split(512)]).reshape(*images.shape[:2], 10)
     y = torch.from_numpy(labels)
     single = (said.argmax(2) == y[:, None]).float().mean()
@@ -118,15 +113,12 @@ def main() -> None:
         work = Path(sys.argv[1] if len(sys.argv) > 1 else folder)
         digits = work / "digits"
         mnist3d.generate(mnist3d.GenerateSpec(SyntheticSource(), per_class=100), digits, ["train", "test"])
-        provider = env_assets.AssetProvider(places={"mnist3d": str(digits)})
-        test = kept(work / "test.npz", lambda: episodes(provider, "test", "opengl", TEST_EPISODES, 100))
+        test = kept(work / "test.npz", lambda: published(digits, "test", 100, TEST_EVERY))
         sources = {
-            name: kept(
-                work / f"{name}.npz", lambda name=name: episodes(provider, "train", name, TRAIN_EPISODES, 0)
-            )
-            for name in ("fast", "opengl")
+            "the environments' renderer": kept(work / "train.npz", lambda: published(digits, "train", 1)),
+            "a written set": written(digits, work / "touches", 2),
         }
-        sources["written set"] = written(digits, work / "touches", 1)
+        print(f"tested on {test[0].shape[0] * TOUCHES:,} touches of {len(test[1])} digits", flush=True)
         for name, (images, labels) in sources.items():
             start_s, found = time.process_time(), []
             for seed in SEEDS:
@@ -134,7 +126,7 @@ def main() -> None:
             single, together = np.array(found).T
             print(
                 f"{name}: {images.shape[0] * images.shape[1]:,} touches learned; single touch "
-                f"{single.mean():.1f} +- {single.std(ddof=1):.1f} %, episode {together.mean():.1f} +- "
+                f"{single.mean():.1f} +- {single.std(ddof=1):.1f} %, digit {together.mean():.1f} +- "
                 f"{together.std(ddof=1):.1f} % ({time.process_time() - start_s:.0f} s)",
                 flush=True,
             )

@@ -1,6 +1,6 @@
 """How fast touches are rendered: against the published environment, its renderer, and Taxim on JAX.
 
-Usage: python benchmarks/touches.py DIGITS [SPLIT]
+Usage: python benchmarks/touches.py DIGITS [SPLIT [depth] [environments] [sets]]
 
 One thread, everything warm, processor time, so that a busy machine changes little. DIGITS is a folder that
 ``mnist3d generate`` wrote.
@@ -14,6 +14,7 @@ for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "LP_NUM_THREADS"):
     os.environ.setdefault(name, "0" if name.startswith("LP") else "1")
 os.environ.setdefault("XLA_FLAGS", "--xla_cpu_multi_thread_eigen=false")
 
+import dataclasses
 import sys
 import tempfile
 import time
@@ -110,22 +111,42 @@ def environments(folder: str) -> None:
 
 
 def sets(folder: str, split: str) -> None:
-    """Time the writing of data sets of depth touches."""
-    for size, limit in (((64, 64), 6), ((320, 240), 2)):
-        spec = tactile_sim.GenerateSpec(size, "depth", plan=tactile_sim.TouchPlan(4, TOUCHES), limit=limit)
-        with tempfile.TemporaryDirectory() as out:
-            start_s = time.process_time()
-            tactile_sim.generate(folder, spec, out, [split])
-            taken_ms = 1e3 * (time.process_time() - start_s) / (limit * 4 * TOUCHES)
+    """Time the writing of data sets of depth touches, in the plan of the defaults."""
+    plan = tactile_sim.TouchPlan(16, TOUCHES)
+    for size, limit in (((64, 64), 24), ((320, 240), 4)):
+        spec = tactile_sim.GenerateSpec(size, "depth", plan=plan, limit=limit)
+        written_ms(folder, split, dataclasses.replace(spec, limit=1), 1)
+        taken_ms = written_ms(folder, split, spec, 1) / (limit * plan.rounds * TOUCHES)
         print(f"writing a set, {size[0]}x{size[1]}: {taken_ms:.2f} ms a touch, all included", flush=True)
+    spec = tactile_sim.GenerateSpec((64, 64), "depth", plan=tactile_sim.TouchPlan(64, 64), limit=40)
+    one_ms, two_ms = (written_ms(folder, split, spec, workers) for workers in (1, 2))
+    # On a busy machine the clock says nothing; work that two workers do beside that of one does.
+    print(
+        f"two workers: {two_ms / one_ms:.2f} times the processor time of one, so at most "
+        f"{2 * one_ms / two_ms:.2f} times as many touches with a core for each",
+        flush=True,
+    )
+
+
+def written_ms(folder: str, split: str, spec: tactile_sim.GenerateSpec, workers: int) -> float:
+    """Return the processor time of a set in all processes, ms."""
+    with tempfile.TemporaryDirectory() as out:
+        before = os.times()
+        tactile_sim.generate(folder, spec, out, [split], workers=workers)
+        after = os.times()
+    return 1e3 * sum(after[:4]) - 1e3 * sum(before[:4])
 
 
 def main() -> None:
     folder, split = sys.argv[1], (sys.argv[2:] or ["test"])[0]
     digits = mnist3d.load(folder, split)
-    depth_and_taxim(digits)
-    environments(folder)
-    sets(folder, split)
+    parts = sys.argv[3:] or ["depth", "environments", "sets"]
+    if "depth" in parts:
+        depth_and_taxim(digits)
+    if "environments" in parts:
+        environments(folder)
+    if "sets" in parts:
+        sets(folder, split)
 
 
 if __name__ == "__main__":

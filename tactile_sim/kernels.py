@@ -310,26 +310,18 @@ def _dilated(mask: NDArray[np.bool_], wide: int, high: int) -> NDArray[np.bool_]
     return out
 
 
+Pair = tuple[NDArray[np.float64], NDArray[np.float64]]
+
+
 @_compiled
-def taxim_numba(
-    out: NDArray[np.float32],
+def _pressed_gel(
     height_mm: NDArray[np.float64],
     gel_mm: NDArray[np.float64],
-    background: NDArray[np.float64],
-    pyramid: tuple[tuple[NDArray[np.float64], NDArray[np.float64]], ...],
-    shadow_blur: tuple[NDArray[np.float64], NDArray[np.float64]],
-    colours: NDArray[np.float64],
-    fan: NDArray[np.float32],
-    shadows: NDArray[np.float64],
-    shadow_lengths: NDArray[np.int64],
-    windows: NDArray[np.int64],
-    plain: NDArray[np.float64],
-    flat_slope: float,
-    shadow_step: NDArray[np.float32],
-) -> None:
-    """Render one picture (H, W, 3), 0 to 1, of heights over the gel, mm; see `tactile_sim.optics.taxim`."""
+    contact_scale: float,
+    pyramid: tuple[Pair, ...],
+) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
+    """Return the surface of the gel, which leaves the solid smoothly, and where it lies on the solid."""
     rows, columns = height_mm.shape
-    pixel_mm, full_width, full_height, contact_scale = plain[0], plain[1], plain[2], plain[3]
     lowest = height_mm[0, 0]
     for row in range(rows):
         for column in range(columns):
@@ -348,10 +340,16 @@ def taxim_numba(
         for row in range(rows):
             for column in range(columns):
                 blurred[row, column] = joined[row, column] if contact[row, column] else soft[row, column]
+    return soft, contact
 
-    # Slope and direction at the inner pixels; those at the edge take those of their neighbours.
+
+@_compiled
+def _slopes(
+    soft: NDArray[np.float64], per_row: float, per_column: float, flat_slope: float
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return slope and direction at the inner pixels; those at the edge take those of their neighbours."""
+    rows, columns = soft.shape
     slope, direction = np.empty((rows, columns)), np.empty((rows, columns))
-    per_row, per_column = rows / full_height / 2.0 / pixel_mm, columns / full_width / 2.0 / pixel_mm
     for row in range(1, rows - 1):
         for column in range(1, columns - 1):
             down = (soft[row - 1, column] - soft[row + 1, column]) * per_row
@@ -368,10 +366,23 @@ def taxim_numba(
         for row in range(1, rows - 1):
             table[row, 0], table[row, columns - 1] = table[row, 1], table[row, columns - 2]
         table[0], table[rows - 1] = table[1], table[rows - 2]
+    return slope, direction
 
-    # Directions are rounded up as in single precision: the last bin of the package holds those of pi alone,
-    # and that of a flat pixel is the middle of the table exactly.
-    bins = int(plain[8])
+
+@_compiled
+def _shades(
+    slope: NDArray[np.float64],
+    direction: NDArray[np.float64],
+    colours: NDArray[np.float64],
+    plain: NDArray[np.float64],
+) -> NDArray[np.float64]:
+    """Return the colours (3, H, W) of the calibration for slopes in their place.
+
+    Directions are rounded up as in single precision: the last bin of the package holds those of pi alone, and
+    that of a flat pixel is the middle of the table exactly.
+    """
+    rows, columns = slope.shape
+    full_width, full_height, bins = plain[1], plain[2], int(plain[8])
     per_slope, per_direction = (bins - 1) / (0.5 * math.pi), (bins - 1) / (2.0 * math.pi)
     shade = np.empty((3, rows, columns))
     for row in range(rows):
@@ -390,13 +401,28 @@ def taxim_numba(
                     )
                     + y * chosen[c + 4]
                 ) + chosen[c + 5]
+    return shade
 
-    near = _dilated(contact, windows[0, 0], windows[0, 1])
-    near = _dilated(near, windows[1, 0], windows[1, 1])
+
+@_compiled
+def _cast_shadows(
+    shade: NDArray[np.float64],
+    soft: NDArray[np.float64],
+    gel_mm: NDArray[np.float64],
+    direction: NDArray[np.float64],
+    sources: NDArray[np.bool_],
+    fan: NDArray[np.float32],
+    shadows: NDArray[np.float64],
+    shadow_lengths: NDArray[np.int64],
+    shadow_step: NDArray[np.float32],
+    plain: NDArray[np.float64],
+) -> None:
+    """Darken what lies lower behind each of the pixels at the rim of the contact, along a fan of rays."""
+    rows, columns = soft.shape
     heights = shadow_lengths.shape[1] - 1
     for row in range(rows):
         for column in range(columns):
-            if not near[row, column] or contact[row, column]:
+            if not sources[row, column]:
                 continue
             toward = int(direction[row, column] / plain[4])
             here = soft[row, column]
@@ -418,11 +444,42 @@ def taxim_numba(
                             if dark[step, colour] < shade[colour, other_row, other_column]:
                                 shade[colour, other_row, other_column] = dark[step, colour]
 
+
+@_compiled
+def taxim_numba(
+    out: NDArray[np.float32],
+    height_mm: NDArray[np.float64],
+    gel_mm: NDArray[np.float64],
+    background: NDArray[np.float64],
+    pyramid: tuple[Pair, ...],
+    shadow_blur: Pair,
+    colours: NDArray[np.float64],
+    fan: NDArray[np.float32],
+    shadows: NDArray[np.float64],
+    shadow_lengths: NDArray[np.int64],
+    windows: NDArray[np.int64],
+    plain: NDArray[np.float64],
+    flat_slope: float,
+    shadow_step: NDArray[np.float32],
+) -> None:
+    """Render one picture (H, W, 3), 0 to 1, of heights over the gel, mm; see `tactile_sim.optics.taxim`."""
+    rows, columns = height_mm.shape
+    soft, contact = _pressed_gel(height_mm, gel_mm, plain[3], pyramid)
+    per_row, per_column = rows / plain[2] / 2.0 / plain[0], columns / plain[1] / 2.0 / plain[0]
+    slope, direction = _slopes(soft, per_row, per_column, flat_slope)
+    shade = _shades(slope, direction, colours, plain)
+    near = _dilated(contact, windows[0, 0], windows[0, 1])
+    near = _dilated(near, windows[1, 0], windows[1, 1])
+    _cast_shadows(
+        shade, soft, gel_mm, direction, near & ~contact, fan, shadows, shadow_lengths, shadow_step, plain
+    )
     final_across, final_down = pyramid[len(pyramid) - 1]
+    between, lit = np.empty((rows, columns)), np.empty((rows, columns))
     for colour in range(3):
         blur_numba(shade[colour], soft, between, shadow_blur[0], shadow_blur[1])
-        blur_numba(soft, joined, between, final_across, final_down)
+        blur_numba(soft, lit, between, final_across, final_down)
         for row in range(rows):
             for column in range(columns):
-                lit = joined[row, column] + background[colour, row, column]
-                out[row, column, colour] = np.float32(min(max(lit, 0.0), 1.0))
+                out[row, column, colour] = np.float32(
+                    min(max(lit[row, column] + background[colour, row, column], 0.0), 1.0)
+                )

@@ -80,6 +80,6 @@ def test_depth_is_that_of_the_environments(kind, size, record_property):
         ("99.99 % um", 1e6 * float(np.quantile(found, 0.9999))),
         ("worst height um", 1e6 * max(heights_m)),
     ):
-        record_property(name, value)  # for the table of docs/touches.md: --junitxml FILE
+        record_property(name, value)  # for the table: -o junit_family=xunit1 --junitxml FILE
     assert (found > 5e-7).mean() <= 1e-4
     assert max(heights_m) < HEIGHTS_M[kind]
