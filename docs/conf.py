@@ -28,6 +28,7 @@ extensions = [
 ]
 exclude_patterns = [
     "_build",
+    "_generated/extra",
     "examples",
     "**/GALLERY_HEADER.rst",
     "**/sg_execution_times.rst",
@@ -35,7 +36,7 @@ exclude_patterns = [
 ]
 root_doc = "index"
 nitpicky = True
-suppress_warnings = ["config.cache"]
+smartquotes = False  # they turn the two dashes of options into one long one
 
 # Types stand in the parameter lists, in words; signatures show names and defaults.
 autodoc_typehints = "none"

@@ -150,7 +150,7 @@ def write(docs: Path) -> None:
     """Write all pages; a file whose text is the same stays, so that Sphinx does not read it again."""
     folder = docs / "_generated"
     pages = {**_api_pages(), **_command_pages(), "formats.md": _formats_page()}
-    pages["extra/llms.txt"] = _list_for_language_models(docs)
+    pages |= _plain_pages(docs, pages)
     for path, text in pages.items():
         file = folder / path
         if not file.exists() or file.read_text(encoding="utf-8") != text:
@@ -226,24 +226,20 @@ def _object_page(name: Name) -> str:
     return "\n".join(lines) + "\n"
 
 
-def _list_for_language_models(docs: Path) -> str:
-    """Write ``llms.txt``: each page in a line, for readers that cannot look around."""
-    shown = [path for path in docs.rglob("*.md") if not path.relative_to(docs).parts[0].startswith("_")]
+def _plain_pages(docs: Path, written: Mapping[str, str]) -> dict[str, str]:
+    """Return every page in Markdown, and ``llms.txt``, which lists them: for language models."""
+    files = sorted(path for path in docs.rglob("*.md") if path.relative_to(docs).parts[0][0] != "_")
+    pages = {path.relative_to(docs).as_posix(): path.read_text(encoding="utf-8") for path in files}
+    pages |= {f"_generated/{path}": text for path, text in written.items() if path.endswith(".md")}
     lines = []
-    for path in sorted(shown):
-        heading, _, rest = path.read_text(encoding="utf-8").partition("\n\n")
-        first = " ".join(rest.partition("\n\n")[0].split())
-        name = path.relative_to(docs).with_suffix("").as_posix()
-        if heading.startswith("# ") and first and not first.startswith("```"):
-            lines.append(f"- [{heading[2:]}]({name}.html): {first}")
-    reference = {
-        "_generated/cli/index": "every command and option",
-        "_generated/api/index": "every public name",
-        "_generated/formats": "the columns of every kind of data set",
-    }
-    lines += [f"- [{what.capitalize()}]({name}.html)" for name, what in reference.items()]
-    about = (docs / "index.md").read_text(encoding="utf-8").split("\n\n")[1]
-    return "# tactile-toolkit\n\n> " + " ".join(about.split()) + "\n\n## Pages\n\n" + "\n".join(lines) + "\n"
+    for path, text in pages.items():
+        heading, _, rest = text.partition("\n\n")
+        first = re.sub(r"\[([^]]*)\]\([^)]*\)", r"\1", " ".join(rest.partition("\n\n")[0].split()))
+        if heading.startswith("# ") and not path.endswith("index.md"):
+            lines.append(f"- [{heading[2:]}]({path}): {first}")
+    about = " ".join(pages["index.md"].split("\n\n")[1].split())
+    pages["llms.txt"] = "\n".join(["# tactile-toolkit", "", f"> {about}", "", "## Pages", "", *lines, ""])
+    return {f"extra/{path}": text for path, text in pages.items()}
 
 
 def _title(text: str) -> list[str]:
@@ -288,8 +284,7 @@ def _outside_code(text: str) -> Iterator[str]:
         if index % 2:
             yield part
         else:
-            plain = re.sub(r"(?<!^)\*", r"\\*", part.replace("<", "&lt;"), flags=re.MULTILINE)
-            yield plain.replace("--", "\\-\\-")
+            yield re.sub(r"(?<!^)\*", r"\\*", part.replace("<", "&lt;"), flags=re.MULTILINE)
 
 
 def _formats_page() -> str:
@@ -308,7 +303,7 @@ def _formats_page() -> str:
     from tactile_toolkit.touch.schema import KNOWN_COLUMNS
 
     def table(schema: Any, columns: Mapping[str, Any]) -> str:
-        return field_table(FolderFacts((), schema), columns)
+        return field_table(FolderFacts((), schema), columns).replace("frame below", "frame of the mesh")
 
     rows = [
         (f"`{column}`", words, *touches.COLUMNS.get(column, ("", "")))
@@ -317,7 +312,8 @@ def _formats_page() -> str:
     parts = [
         "# Columns\n\nThe columns of every kind of data set, from the schemas that the toolkit uses. Names "
         "with a dot are flat columns, as in the published sets. How a folder is laid out: "
-        "[the data set folder](../concepts/folder.md).",
+        "[the data set folder](../concepts/folder.md); what frames mean: [frames and units]"
+        "(../concepts/frames.md).",
         "## Digits (`mnist3d`)\n\n" + table(mesh_schema(), digits.COLUMNS),
         "## Scenes (`starstruck`)\n\n" + table(scene_schema(), scenes.COLUMNS),
         "## Real touches (`realtouch`)\n\nA row is a round: T touches of one object; N is the number of "
