@@ -42,15 +42,15 @@ def make_sets(folder: Path, rounds: int) -> None:
         # Quality 75 gives the 864 bytes per image of the published 64x64 set.
         quality = 75 if size == (64, 64) else 90
         encode = partial(f.encode_jpeg, quality=quality)
-        rows = [_repeated(row, TOUCHES) for row in f.single_rows(truths, encode)]
+        rows = [repeated(row, TOUCHES) for row in f.single_rows(truths, encode)]
         f.write_set(folder / name, {"train": rows}, "single", layout)
     # So much noise gives the 180 kB per clip of the published set (28 GB for 153,600 of them).
     truth = f.make_round(0, DISTINCT_CLIPS, (320, 240), noise=CLIP_NOISE)
-    rows = [_repeated(row, TOUCHES) for row in f.seq_rows([truth])]
+    rows = [repeated(row, TOUCHES) for row in f.seq_rows([truth])]
     f.write_set(folder / "seq", {"train": rows * 2}, "seq", f.Layout(group_rows=1))
 
 
-def _repeated(row: dict[str, Any], touches: int) -> dict[str, Any]:
+def repeated(row: dict[str, Any], touches: int) -> dict[str, Any]:
     """Fill a round up to ``touches`` with the touches that it has."""
     longer = {}
     for name, values in row.items():

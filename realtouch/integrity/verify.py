@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import tarfile
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
@@ -173,25 +174,50 @@ def _verify_exported(
     *,
     decode: bool,
 ) -> TouchVerification:
-    """Count what ``realtouch export`` wrote, whose files were compared already, and decode flat images."""
+    """Count what ``realtouch export`` wrote, whose files were compared already, and decode its images."""
     named = {finding.file for finding in findings}
-    whole = [record.shard.data_path for record in manifest.shards if record.shard.data_path not in named]
+    whole = [record for record in manifest.shards if record.shard.data_path not in named]
     rounds: set[str] = set()
     touches = 0
-    for path in whole:
-        shard = Shard(folder.address(path))
-        wanted = ["round_id", *(["image"] if decode and "image.bytes" in shard.types else [])]
-        for index in range(shard.metadata.num_row_groups):
-            for group in shard.blocks(index, wanted):
-                rounds.update(group.table["round_id"].to_pylist())
-                for row in range(len(group.table) if len(wanted) > 1 else 0):
-                    try:
-                        decode_image(group.table["image"][row]["bytes"].as_py())
-                    except ValueError as error:
-                        findings.append(Damage(path, group.first_row + row, None, "image", str(error)))
-                touches += len(group.table)
-        on_progress(touches, sum(record.rows for record in manifest.shards))
+    for record in whole:
+        shard = Shard(folder.address(record.shard.data_path))
+        table = shard.read(columns=[name for name in ("round_id", "file", "frames") if name in shard.types])
+        rounds.update(table["round_id"].to_pylist())
+        # Of a LeRobotDataset of single images a row is a round, and a frame is a touch.
+        is_round = "frames" in table.column_names and "touch" not in shard.types
+        touches += sum(table["frames"].to_pylist()) if is_round else len(table)
+        paths = (
+            dict.fromkeys(table["file"].to_pylist()) if "file" in shard.types else [record.shard.data_path]
+        )
+        for path in paths if decode else ():
+            findings += [] if path in named else _undecodable_images(folder, path)
+        on_progress(touches, touches)
     return TouchVerification(len(rounds), touches, tuple(findings))
+
+
+def _undecodable_images(folder: DataFolder, path: str) -> Iterator[Damage]:
+    """Decode the images in a tar, or in the only column of images of a Parquet file; yield what cannot be."""
+    for number, (name, image) in enumerate(_stored_images(folder, path)):
+        try:
+            decode_image(image)
+        except ValueError as error:
+            yield Damage(path, number, None, name, str(error))
+
+
+def _stored_images(folder: DataFolder, path: str) -> Iterator[tuple[str, bytes]]:
+    if path.endswith(".tar"):
+        with folder.open(path) as stream, tarfile.open(fileobj=stream, mode="r:") as tar:
+            for member in tar:
+                content = None if member.name.endswith(".json") else tar.extractfile(member)
+                if content is not None:
+                    yield member.name, content.read()
+        return
+    shard = Shard(folder.address(path))
+    column = next(name.removesuffix(".bytes") for name in shard.types if name.endswith(".bytes"))
+    for index in range(shard.metadata.num_row_groups):
+        for group in shard.blocks(index, [column]):
+            for image in group.table[column].to_pylist():
+                yield column, image["bytes"]
 
 
 def _lacking_columns(shards: Sequence[Shard]) -> list[Damage]:

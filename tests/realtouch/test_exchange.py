@@ -156,6 +156,8 @@ def test_lerobot_numbers_frames_over_all_files(source: Path, truth: list[RoundTr
     frames = pq.read_table(home / "data")
     episodes = pq.read_table(home / "meta" / "episodes").to_pylist()
     info = json.loads((home / "meta" / "info.json").read_text())
+    checked = realtouch.verify(tmp_path / "robots")
+    assert (checked.ok, checked.rounds, checked.touches) == (True, 3, 15)
     count = sum(touch.frames for each in truth for touch in each.touches)
     is_seq = "seq" in source.name
     assert info["total_frames"] == len(frames) == (count if is_seq else 15)
@@ -276,15 +278,32 @@ def test_what_cannot_be_exported_is_named(
     def rename(row: dict[str, Any], index: int) -> None:
         row["id"] = ("../up", row["id"], "a/b")[index]
 
+    def halve(row: dict[str, Any], index: int) -> None:
+        if index == 1:
+            row["sensor_image"] = [dict(each) for each in row["sensor_image"]]
+            data = row["sensor_image"][3]["bytes"]
+            row["sensor_image"][3]["bytes"] = data[: -len(data) // 3] + b"\xff\xd9"
+
     def relabel(row: dict[str, Any], index: int) -> None:
         row["label"] = 10 * index
 
-    for name, edit in (("cut", cut), ("grown", grow), ("named", rename), ("labels", relabel)):
+    for name, edit in (
+        ("cut", cut),
+        ("half", halve),
+        ("grown", grow),
+        ("named", rename),
+        ("labels", relabel),
+    ):
         factories.write_set(tmp_path / name, {"train": single_rows}, "single", Layout(edit=edit))
     for layout in ("flat", "webdataset"):
         manifest = realtouch.export(tmp_path / "cut", tmp_path / f"{layout}-cut", layout)  # type: ignore[arg-type]
         assert manifest.split_table()["train"] == manifest.split_table()["train"] | {"rows": 10, "skipped": 1}
         assert "touch 3" in manifest.shards[0].skipped[0].message
+        half = realtouch.export(tmp_path / "half", tmp_path / f"{layout}-half", layout)  # type: ignore[arg-type]
+        assert half.split_table()["train"]["rows"] == 15  # whole at both ends
+        (found,) = realtouch.verify(tmp_path / f"{layout}-half").findings
+        assert "cannot be decoded" in found.problem
+        assert realtouch.verify(tmp_path / f"{layout}-half", quick=True).ok
         named = realtouch.export(tmp_path / "named", tmp_path / f"{layout}-named", layout)  # type: ignore[arg-type]
         assert [item.id for item in named.shards[0].skipped] == [0, 2]
         sizes = realtouch.export(tmp_path / "grown", tmp_path / f"{layout}-grown", layout)  # type: ignore[arg-type]
