@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 from dataclasses import asdict, dataclass
+from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from cli.application import command, new_app, run
+from cli.export_commands import add_export
 from cli.folders import add_verify
 from cli.options import DryRun, Json, LocalOut, Overwrite
-from cli.output import Sink
+from cli.output import Sink, counted
 from env_assets.wrench.kind import KIND
 
 if TYPE_CHECKING:
@@ -140,6 +142,33 @@ def info(
             sink.line(f"{summary.name} {summary.split}: {summary.problem}")
 
 
+@command(app, name="list")
+def list_environments(
+    words: Annotated[
+        list[str] | None,
+        typer.Argument(metavar="WORD...", help="Only ids with all of these words, such as ABCVolume DR."),
+    ] = None,
+    as_json: Json = False,
+) -> None:
+    """List the published environments, and what each needs to run here.
+
+    Example: env-assets list Minecraft
+    """
+    from env_assets.published.overview import overview
+
+    found = overview(words or ())
+    sink = Sink(as_json)
+    sink.document([each.to_dict() for each in found])
+    header = ("environment", "task", "split", "sensor", "assets", "state")
+    sink.table(
+        header, [(each.id, each.task, each.split, each.sensor, each.assets, each.state) for each in found]
+    )
+    sink.line(f"{counted(len(found), 'environments')} of tactile-mnist {version('tactile-mnist')}")
+    for note in dict.fromkeys(each.note for each in found if each.note):
+        sink.line(note)
+
+
+add_export(app, KIND)
 add_verify(app, KIND, "the folder of a wrench")
 
 

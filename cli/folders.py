@@ -146,10 +146,12 @@ def add_card(app: typer.Typer, kind: DatasetKind) -> None:
     def card(folder: Folder, sink: Sink) -> None:
         """Write the data card (README.md) of a folder anew, with the picture that it shows, and check it.
 
-        All numbers are those of the data; loading lines say FOLDER until the folder is uploaded.
+        All numbers are those of the data; loading lines say FOLDER until the folder is uploaded. The same for
+        machines goes into croissant.json (Croissant 1.1).
         """
         from tactile_toolkit.cards.card import CARD_FILE, PREVIEW_FOLDER
         from tactile_toolkit.cards.checks import check_card
+        from tactile_toolkit.cards.croissant import CROISSANT_FILE
         from tactile_toolkit.catalog.kinds import finished_manifest, require_manifest
         from tactile_toolkit.errors import IntegrityError
         from tactile_toolkit.store.folder import DataFolder
@@ -164,5 +166,8 @@ def add_card(app: typer.Typer, kind: DatasetKind) -> None:
         pictures = [
             f"{PREVIEW_FOLDER}/{name}" for name in place.names(PREVIEW_FOLDER) if name.endswith(".png")
         ]
-        sink.document({"folder": str(folder), "card": CARD_FILE, "previews": pictures})
-        sink.line(f"{folder}: wrote {', '.join([CARD_FILE, *pictures])}; all of it matches the data")
+        sink.document(
+            {"folder": str(folder), "card": CARD_FILE, "croissant": CROISSANT_FILE, "previews": pictures}
+        )
+        made = ", ".join([CARD_FILE, CROISSANT_FILE, *pictures])
+        sink.line(f"{folder}: wrote {made}; all of it matches the data")

@@ -37,6 +37,10 @@ Tag = Annotated[
 Delete = Annotated[
     bool, typer.Option("--delete", help="Remove files from the repository that the folder does not have.")
 ]
+Viewer = Annotated[
+    bool,
+    typer.Option("--viewer", help="Send each mesh as a file that the Hub shows in 3D, too."),
+]
 DryRun = Annotated[bool, typer.Option("--dry-run", help="Say what would be sent; send nothing.")]
 Yes = Annotated[bool, typer.Option("--yes", "-y", help="Send without asking.")]
 
@@ -51,6 +55,7 @@ class Sending:
     message: Message = None
     tag: Tag = None
     delete: Delete = False
+    viewer: Viewer = False
 
 
 def add_upload(app: typer.Typer, kind: DatasetKind) -> None:

@@ -6,6 +6,7 @@ user's words, cells are (width, depth) in metres.
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -69,16 +70,19 @@ def require_classes(meshes: Any, names: tuple[str, ...], where: str) -> None:
         raise InputError(message)
 
 
-def require_fitting(meshes: Measurable, cell_m: tuple[float, float], where: str) -> None:
-    """Refuse meshes that are larger than the cell they are to lie in."""
+def require_fitting(
+    meshes: Measurable, cell_m: tuple[float, float], where: str, *, lays_flat: bool = False
+) -> None:
+    """Refuse meshes larger than the cell they are to lie in, as they are or laid flat."""
     corners_m = bounds_m(meshes)
-    size_m = (corners_m[:, 1] - corners_m[:, 0])[:, :2]
+    size_m = corners_m[:, 1] - corners_m[:, 0]
+    size_m = np.sort(size_m, axis=1)[:, 1:] if lays_flat else size_m[:, :2]
     wrong = np.flatnonzero(~(size_m <= np.asarray(cell_m)).all(axis=1))
     if len(wrong):
         width_mm, depth_mm = MM_PER_M * size_m[wrong[0]]
         cell = " x ".join(f"{MM_PER_M * side:.0f}" for side in cell_m)
         message = (
-            f"mesh {meshes.ids[wrong[0]]} of {where} is {width_mm:.1f} x {depth_mm:.1f} mm, larger than the "
+            f"{_named(meshes, wrong[0])} of {where} is {width_mm:.1f} x {depth_mm:.1f} mm, larger than the "
             f"cell of {cell} mm ({len(wrong):,} of {len(meshes):,} are); next: see that vertices are metres, "
             "or choose a larger cell"
         )
@@ -101,13 +105,19 @@ def require_inside(meshes: Measurable, cell_m: tuple[float, float], where: str) 
         raise InputError(message)
 
 
+def _named(meshes: Any, row: int) -> str:
+    """Name a mesh by its id, and by its file where it has one of its own."""
+    path = getattr(meshes[int(row)], "path", None)
+    return f"mesh {meshes.ids[row]}" + (f" ({path.name!r})" if isinstance(path, Path) else "")
+
+
 def require_labels(meshes: Any, where: str) -> None:
     """Refuse labels that are not numbers of a class."""
     labels, classes = np.asarray(meshes.labels), len(meshes.label_names)
     wrong = np.flatnonzero((labels < 0) | (labels >= classes))
     if len(wrong):
         message = (
-            f"mesh {meshes.ids[wrong[0]]} of {where} has label {labels[wrong[0]]}, expected 0 to "
+            f"{_named(meshes, wrong[0])} of {where} has label {labels[wrong[0]]}, expected 0 to "
             f"{classes - 1} ({len(wrong):,} of {len(meshes):,} have no class); next: give a data set whose "
             "labels are numbers of its classes"
         )
@@ -120,7 +130,7 @@ def require_outward(meshes: Measurable, where: str) -> None:
     wrong = np.flatnonzero(~(volumes > 0))
     if len(wrong):
         message = (
-            f"mesh {meshes.ids[wrong[0]]} of {where} has a volume of {volumes[wrong[0]]:.3g} m³, expected "
+            f"{_named(meshes, wrong[0])} of {where} has a volume of {volumes[wrong[0]]:.3g} m³, expected "
             f"more than 0 ({len(wrong):,} of {len(meshes):,} have not): its triangles face inwards, or it is "
             "not closed; next: run `validate` on the data set and generate it again"
         )

@@ -33,6 +33,7 @@ __all__ = [
     "DigitMeshes",
     "MeshSet",
     "PlainMeshes",
+    "PointRecord",
     "Remembering",
     "SceneMeshes",
     "SolidDataset",
@@ -225,6 +226,34 @@ class PlainMeshes(Sequence[Any]):
             message = f"no column {name!r} in these meshes"
             raise InputError(message)
         return np.array([getattr(record, name) for record in self.records], np.int64)
+
+
+@dataclass(frozen=True, eq=False)
+class PointRecord:
+    """A point of somebody's ``tactile_mnist.MeshDataset`` as a record; ids of such may be words."""
+
+    points: Sequence[Any]
+    id: int
+
+    @property
+    def label(self) -> int:
+        """Number of the class."""
+        return int(self.points[self.id].label)
+
+    @property
+    def mesh(self) -> Any:
+        """The mesh, metres, with its colours."""
+        return self.points[self.id].mesh
+
+    @property
+    def vertices_m(self) -> NDArray[np.float32]:
+        """Vertices, shape (V, 3), metres."""
+        return np.asarray(self.mesh.vertices, np.float32)
+
+    @property
+    def faces(self) -> NDArray[np.int32]:
+        """Triangles, shape (F, 3)."""
+        return np.asarray(self.mesh.faces, np.int32)
 
 
 def as_records(meshes: Any, label_names: Sequence[str] = ()) -> PlainMeshes | None:

@@ -25,6 +25,7 @@ from numpy.typing import NDArray
 
 from env_assets.measures import bounds_m, volumes_m3
 from env_assets.mesh_sets import PlainMeshes, as_records, measurable
+from env_assets.published.flat import FlatMeshes
 from env_assets.published.packages import published_package
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.read.dataset import RecordDataset
@@ -379,6 +380,8 @@ def fingerprint_of(records: Records) -> str:
     without those, data sets of other meshes could pass for one. An environment has had both computed before,
     to check them.
     """
+    if isinstance(records, FlatMeshes):
+        return f"flat-{fingerprint_of(records.records)}"
     digest = hashlib.sha256(repr((type(records).__name__, records.label_names)).encode())
     for name in _PLAIN:
         digest.update(repr(records.column(name).tolist()).encode())

@@ -12,22 +12,25 @@ import dataclasses
 import hashlib
 from collections.abc import Callable, Mapping, Sequence
 from importlib.metadata import version
+from os import PathLike, fspath
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from env_assets.mesh_sets import as_records
+from env_assets.mesh_folder import mesh_files
+from env_assets.mesh_sets import PlainMeshes, PointRecord, as_records
 from env_assets.missing import KINDS
 from env_assets.published.fast import refuse_unfit_renderer, render_fast
 from env_assets.published.fit import (
+    refuse_one_answer,
     refuse_unfit_meshes,
     refuse_unfit_noise,
     refuse_unfit_rounds,
     refuse_unknown_objects,
     refuse_unknown_settings,
 )
-from env_assets.published.ids import PublishedEnvironment, published_environment
+from env_assets.published.ids import FOREIGN, Assets, PublishedEnvironment, published_environment
 from env_assets.published.packages import (
     published_package,
     require_drawing,
@@ -43,22 +46,23 @@ from tactile_toolkit.store.shards import ShardName
 if TYPE_CHECKING:
     from env_assets.source import AssetSource
 
-__all__ = ["TOUCHES", "assets_for", "folder_of_links", "make"]
+__all__ = ["SPARSE_SINGLE_BROKEN", "TOUCHES", "assets_for", "folder_of_links", "make"]
 
-_SPARSE_SINGLE_BROKEN = ("0.7.1",)
+SPARSE_SINGLE_BROKEN = ("0.7.1",)
 """Versions of ap-gym whose own wrapper for sparse rewards fails with a single environment."""
 
 
 def make(
     env_id: str,
     *,
-    provider: AssetSource,
+    provider: AssetSource | None = None,
+    assets: Any = None,
     num_envs: int | None = None,
     config: Mapping[str, Any] | None = None,
     renderer: str = "opengl",
     **options: Any,
 ) -> Any:
-    """Make a published environment on the provider's assets.
+    """Make a published environment on the provider's assets, or on meshes of your own.
 
     Parameters
     ----------
@@ -66,9 +70,17 @@ def make(
         Id under which the package ``tactile-mnist`` registers it, such as ``"TactileMNIST-Depth-train-v0"``.
         ``train`` or ``test`` in it chooses the split, ``Depth``, ``CycleGAN`` or (for Taxim) neither the
         sensor.
-    provider : AssetSource
+    provider : AssetSource, optional
         Gives ``"mnist3d"``, ``"starstruck"``, ``"wrench"`` and, for recorded touches, ``"real-single"``; the
-        ``places`` of an :class:`env_assets.AssetProvider` say what these names stand for.
+        ``places`` of an :class:`env_assets.AssetProvider` say what these names stand for, ``"abc"`` and
+        ``"minecraft"`` too, which nobody makes here.
+    assets : path, str or data set, optional
+        The objects of a simulated environment, instead of the provider's: a folder of mesh files (STL, PLY,
+        OBJ and 3MF in millimetres, GLB in metres; sub-folders ``train`` and ``test`` are splits, others
+        classes, and files that lie in none are a class each), one such file, a data set of meshes by folder
+        or name on the Hub, an opened one, a list of records, or any ``tactile_mnist.MeshDataset``, which is
+        taken as it is. ``ABCVolume``, ``ABCCenterOfMass``, ``Minecraft`` and ``MinecraftPose`` need it, or
+        a place.
     num_envs : int, optional
         How many to run side by side as one vector environment; a single environment by default, which ids
         with ``-sparse-`` do not have in ap-gym 0.7.1 (its wrapper fails at the first reset): give 1.
@@ -109,11 +121,11 @@ def make(
     settings = {**environment.settings, **own}
     refuse_unfit_renderer(renderer, environment, settings, options)
     _require_fitting_place(environment, own, settings, renderer)
-    assets = assets_for(environment, provider, settings)
+    found = assets_for(environment, provider, settings, assets)
     spec = dataclasses.replace(
         environment.spec,
-        entry_point=_creator(environment, assets, renderer, vector=False),
-        vector_entry_point=_creator(environment, assets, renderer, vector=True),
+        entry_point=_creator(environment, found, renderer, vector=False),
+        vector_entry_point=_creator(environment, found, renderer, vector=True),
     )
     ap_gym = published_package("ap_gym")
     if num_envs is None:
@@ -127,7 +139,7 @@ def _require_number(environment: PublishedEnvironment, num_envs: int | None) -> 
         if not isinstance(num_envs, (int, np.integer)) or num_envs < 1:
             message = f"num_envs is {num_envs!r}; expected a whole number from 1 on, or None for a single one"
             raise InputError(message)
-    elif environment.sparse and version("ap_gym") in _SPARSE_SINGLE_BROKEN:
+    elif environment.sparse and version("ap_gym") in SPARSE_SINGLE_BROKEN:
         message = (
             f"a single environment {environment.spec.id!r} cannot be reset: the wrapper of ap-gym "
             f"{version('ap_gym')} around it asks for a prediction that is not there; next: give num_envs=1"
@@ -164,7 +176,7 @@ def _creator(
     sparsify = getattr(ap_gym, f"Sparsify{kind}Wrapper")
 
     def create(*, default_config: Mapping[str, Any], config: Mapping[str, Any], **options: Any) -> Any:
-        made = run(settings_of(**{**default_config, **assets, **config}), **options)
+        made = run(settings_of(**{**default_config, **config, **assets}), **options)
         env = wrap(render_fast(made) if renderer == "fast" else made)
         return sparsify(env) if environment.sparse else env
 
@@ -176,52 +188,139 @@ TOUCHES = "real-single"
 
 
 def assets_for(
-    environment: PublishedEnvironment, provider: AssetSource, settings: Mapping[str, Any]
+    environment: PublishedEnvironment,
+    provider: AssetSource | None,
+    settings: Mapping[str, Any],
+    own: Any = None,
 ) -> dict[str, Any]:
     """Fetch the data sets of an environment, as the settings that hold them.
 
-    ``settings`` are those of the registration, overridden by the user's own. InputError when assets are
-    absent or do not fit the environment.
+    ``settings`` are those of the registration, overridden by the user's own; ``own`` are the user's objects.
+    InputError when assets are absent or do not fit the environment.
     """
-    if not environment.family.recorded:
-        found = {"dataset": _meshes(environment, provider, environment.split, settings)}
-        noise = settings.get("sensor_noise")
-        if getattr(noise, "real_base_depth_dataset", None) is not None:
-            found["sensor_noise"] = _noise_from(provider, noise)
-        return found
     from env_assets.published.datasets import as_touch_dataset
 
-    rounds = provider.touches(TOUCHES, environment.split)
+    if not environment.family.recorded:
+        if own is None:
+            meshes = _meshes(environment, provider, environment.split, settings)
+        else:
+            meshes = _own_meshes(environment, own, settings)
+        found = {"dataset": _points(environment, meshes, settings), "smallest_dimension_up": False}
+        noise = settings.get("sensor_noise")
+        if getattr(noise, "real_base_depth_dataset", None) is not None:
+            found["sensor_noise"] = _noise_from(_required(provider, environment), noise)
+        return found
+    if own is not None:
+        message = (
+            f"{environment.spec.id!r} plays recorded touches, no objects can be given for them; next: leave "
+            "`assets` out, and let `places` of the provider say where the touches are"
+        )
+        raise InputError(message)
+    source = _required(provider, environment)
+    rounds = source.touches(TOUCHES, environment.split)
     found = {"dataset": as_touch_dataset(rounds)}
     refuse_unfit_rounds(rounds, settings.get("step_limit", 16), f"{TOUCHES!r}, split {environment.split!r},")
     if "mesh_dataset" not in settings:
-        found["mesh_dataset"] = _meshes(environment, provider, f"printed_{environment.split}", settings)
-        refuse_unknown_objects(rounds, found["mesh_dataset"].meshes, f"{TOUCHES!r}")
+        printed = _meshes(environment, source, f"printed_{environment.split}", settings)
+        refuse_unknown_objects(rounds, printed, f"{TOUCHES!r}")
+        found["mesh_dataset"] = _points(environment, printed, settings)
     return found
 
 
-def _meshes(
-    environment: PublishedEnvironment, provider: AssetSource, split: str, settings: Mapping[str, Any]
-) -> Any:
-    from env_assets.published.datasets import CELL_SIZE_M, as_mesh_dataset
+def _required(provider: AssetSource | None, environment: PublishedEnvironment) -> AssetSource:
+    if provider is not None:
+        return provider
+    name = environment.family.assets
+    given = "" if environment.family.recorded else ", or `assets`: a folder of meshes"
+    why = f"; {name!r} are {FOREIGN[name]}" if name in FOREIGN else ""
+    message = (
+        f"no assets were given for {environment.spec.id!r}{why}; next: give `provider`, such as "
+        f"env_assets.AssetProvider(){given}"
+    )
+    raise InputError(message)
 
-    family = environment.family
-    name = family.assets
+
+def _own_meshes(environment: PublishedEnvironment, own: Any, settings: Mapping[str, Any]) -> Any:
+    """Take the objects that a user gives, of whatever classes they are."""
+    from env_assets.provider import AssetProvider
+
+    split = environment.split
+    where = f"the given {type(own).__name__}"
+    if isinstance(own, (str, PathLike)):
+        where = f"{fspath(own)!r}, split {split!r},"
+        own = mesh_files(own, split) or AssetProvider(places={_GIVEN: own}).meshes(_GIVEN, split)
+    if isinstance(own, published_package("tactile_mnist").MeshDataset):
+        own = PlainMeshes([PointRecord(own, index) for index in range(len(own))], tuple(own.label_names))
+    meshes = own if isinstance(own, (PlainMeshes, RecordDataset)) else as_records(own)
+    if meshes is None:
+        message = (
+            f"`assets` is {where}; expected a folder of meshes, the name of a data set, an opened one, or a "
+            "sequence of records with id, label, vertices_m, faces and mesh"
+        )
+        raise InputError(message)
+    refuse_unfit_meshes(meshes, None, where, _cell_m(settings), lays_flat=_lays_flat(settings))
+    refuse_one_answer(meshes, environment.family.task, where)
+    return meshes
+
+
+_GIVEN = "given"
+
+
+def _points(environment: PublishedEnvironment, meshes: Any, settings: Mapping[str, Any]) -> Any:
+    """Hand meshes that fit to the package."""
+    from env_assets.published.datasets import StoredMeshDataset
+    from env_assets.published.flat import FlatMeshes
+
+    # The registration keeps the one mesh of a tool; all others are read anew each episode.
+    cache_size: Any = "full" if environment.family.assets == "wrench" else 0
+    return StoredMeshDataset(FlatMeshes.of(meshes) if _lays_flat(settings) else meshes, cache_size)
+
+
+def _cell_m(settings: Mapping[str, Any]) -> tuple[float, float]:
+    from env_assets.published.datasets import CELL_SIZE_M
+
+    width, depth = settings.get("cell_size", CELL_SIZE_M)
+    return width, depth
+
+
+def _lays_flat(settings: Mapping[str, Any]) -> bool:
+    """Tell whether an environment turns its objects onto their broadest sides."""
+    return bool(settings.get("smallest_dimension_up", False))
+
+
+def _meshes(
+    environment: PublishedEnvironment, provider: AssetSource | None, split: str, settings: Mapping[str, Any]
+) -> Any:
+    name = environment.family.assets
     where = f"{name!r}, split {split!r},"
-    given = provider.meshes(name, split)
+    given = _given_by(_required(provider, environment), name, split)
     # A source other than ours may give a plain sequence of records.
-    meshes: Any = given if isinstance(given, RecordDataset) else as_records(given, KINDS[name].class_names)
+    classes = KINDS[name].class_names if name in KINDS else ()
+    meshes: Any = given if isinstance(given, RecordDataset) else as_records(given, classes)
     if meshes is None:
         message = (
             f"the provider's meshes of {where} are a {type(given).__name__}; expected a sequence of records "
             "with id, label, vertices_m, faces and mesh; next: see `env_assets.AssetSource`"
         )
         raise InputError(message)
-    # The registration keeps the one mesh of a tool; digits and scenes are read anew each episode.
-    points = as_mesh_dataset(meshes, cache_size="full" if family.assets == "wrench" else 0)
-    width, depth = settings.get("cell_size", CELL_SIZE_M)
-    refuse_unfit_meshes(meshes, family.assets, where, (width, depth))
-    return points
+    kind = None if name in FOREIGN else name
+    refuse_unfit_meshes(meshes, kind, where, _cell_m(settings), lays_flat=_lays_flat(settings))
+    return meshes
+
+
+def _given_by(provider: AssetSource, name: Assets, split: str) -> Any:
+    """Ask a provider for meshes; what nobody makes here is named with where it is from."""
+    try:
+        return provider.meshes(name, split)
+    except InputError as error:
+        if name not in FOREIGN:
+            raise
+        message = (
+            f"no meshes {name!r}, split {split!r}: {str(error).partition('; next: ')[0]}; these are "
+            f"{FOREIGN[name]}; next: give `assets`, a folder of meshes of your own, or let `places` of the "
+            f"provider say what {name!r} stands for"
+        )
+        raise InputError(message) from error
 
 
 def _noise_from(provider: AssetSource, noise: Any) -> Any:

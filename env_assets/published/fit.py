@@ -18,12 +18,14 @@ from env_assets.checks import (
     require_labels,
     require_outward,
 )
+from env_assets.measures import volumes_m3
 from env_assets.mesh_sets import measurable
 from env_assets.missing import KINDS
-from env_assets.published.ids import Assets
+from env_assets.published.ids import Assets, Task
 from tactile_toolkit.errors import InputError
 
 __all__ = [
+    "refuse_one_answer",
     "refuse_unknown_objects",
     "refuse_unfit_meshes",
     "refuse_unfit_noise",
@@ -32,11 +34,19 @@ __all__ = [
 ]
 
 
-def refuse_unfit_meshes(meshes: Any, assets: Assets, where: str, cell_size_m: tuple[float, float]) -> None:
+def refuse_unfit_meshes(
+    meshes: Any,
+    assets: Assets | None,
+    where: str,
+    cell_size_m: tuple[float, float],
+    *,
+    lays_flat: bool = False,
+) -> None:
     """Refuse meshes of another kind than the environment's, too large for its cell, or inside out.
 
     Reads the vertices of all meshes once, 0.3 ms each, and of data sets that store no volumes the faces. The
-    cell is (width, depth), metres.
+    cell is (width, depth), metres; ``assets`` is None where any kind will do. An environment that
+    ``lays_flat`` turns each object onto its broadest side.
     """
     if not len(meshes):
         message = f"{where} holds no mesh; next: choose another split, or generate it"
@@ -44,13 +54,26 @@ def refuse_unfit_meshes(meshes: Any, assets: Assets, where: str, cell_size_m: tu
     if assets == "wrench":  # classes of a tool may be called anything
         require_kind(meshes, assets)
     else:
-        require_classes(meshes, KINDS[assets].class_names, where)
+        if assets is not None:
+            require_classes(meshes, KINDS[assets].class_names, where)
         require_labels(meshes, where)
     solids = measurable(meshes)
-    require_fitting(solids, cell_size_m, where)
+    require_fitting(solids, cell_size_m, where, lays_flat=lays_flat)
     if assets == "starstruck":
         require_inside(solids, cell_size_m, where)
     require_outward(solids, where)
+
+
+def refuse_one_answer(meshes: Any, task: Task, where: str) -> None:
+    """Refuse meshes among which there is nothing to tell apart: the package can scale no reward then."""
+    if task == "classification" and len(meshes.label_names) < 2:
+        found = "one class"
+    elif task == "volume" and len(np.unique(volumes_m3(measurable(meshes)))) < 2:
+        found = "meshes of one volume alone"
+    else:
+        return
+    message = f"{where} has {found}; expected at least two; next: give more meshes"
+    raise InputError(message)
 
 
 def refuse_unfit_rounds(rounds: Any, step_limit: int, where: str) -> None:

@@ -12,9 +12,18 @@ from typing import Any, Literal
 from env_assets.published.packages import published_package
 from tactile_toolkit.errors import InputError
 
-__all__ = ["FAMILIES", "Family", "PublishedEnvironment", "published_environment"]
+__all__ = [
+    "FAMILIES",
+    "FOREIGN",
+    "Assets",
+    "Family",
+    "PublishedEnvironment",
+    "Task",
+    "published_environment",
+    "published_environments",
+]
 
-Assets = Literal["mnist3d", "starstruck", "wrench"]
+Assets = Literal["mnist3d", "starstruck", "wrench", "abc", "minecraft"]
 Task = Literal["classification", "volume", "pose"]
 
 _PACKAGE_PREFIX = "tactile_mnist:"
@@ -61,8 +70,19 @@ FAMILIES: dict[str, Family] = {
     "TactileMNISTVolumeRealSnap": Family("mnist3d", "volume", recorded=True),
     "Starstruck": Family("starstruck", "classification"),
     "Toolbox": Family("wrench", "pose"),
+    "ABCVolume": Family("abc", "volume"),
+    "ABCCenterOfMass": Family("abc", "pose"),
+    "Minecraft": Family("minecraft", "classification"),
+    "MinecraftPose": Family("minecraft", "pose"),
 }
-"""Families of tactile-mnist 0.13.0 whose assets this toolkit provides, by the first word of an id."""
+"""Families of tactile-mnist 0.13.0, by the first word of an id."""
+
+FOREIGN: dict[str, str] = {
+    "abc": "CAD models of the ABC data set; the published selection is "
+    "TimSchneider42/tactile-mnist-abc-dataset-small on the Hub",
+    "minecraft": "items that the package shapes from textures on Mojang's servers, not to be passed on",
+}
+"""Assets that this toolkit does not make, and where the published ones are from."""
 
 
 @dataclass(frozen=True)
@@ -86,22 +106,33 @@ class PublishedEnvironment:
 def published_environment(env_id: str) -> PublishedEnvironment:
     """Look up an environment by the id of its registration, with or without ``tactile_mnist:`` in front.
 
-    Raises InputError when there is none, or its assets are not among those that this toolkit provides.
+    Raises InputError when there is none.
     """
     published_package("tactile_mnist")
     name = env_id.removeprefix(_PACKAGE_PREFIX)
     registry = published_package("gymnasium").registry
-    words = name.split("-")
     if name not in registry:
         raise _unknown(env_id, name, registry)
-    if words[0] not in FAMILIES:
+    if name.split("-")[0] not in FAMILIES:
         message = (
-            f"the assets of {env_id!r} are not among those of this toolkit (environments of "
-            f"{', '.join(FAMILIES)}); next: make it with `ap_gym.make`, which fetches them from the Hub"
+            f"{env_id!r} is not an environment of tactile-mnist (families {', '.join(FAMILIES)}); next: make "
+            "it with `ap_gym.make`"
         )
         raise InputError(message)
+    return _described(registry[name])
+
+
+def published_environments() -> list[PublishedEnvironment]:
+    """List all ids that the package registers, in its order."""
+    published_package("tactile_mnist")
+    registry = published_package("gymnasium").registry
+    return [_described(spec) for name, spec in registry.items() if name.split("-")[0] in FAMILIES]
+
+
+def _described(spec: Any) -> PublishedEnvironment:
+    words = spec.id.split("-")
     split = "test" if "test" in words else "train"
-    return PublishedEnvironment(FAMILIES[words[0]], split, _SPARSE in name, registry[name])
+    return PublishedEnvironment(FAMILIES[words[0]], split, _SPARSE in spec.id, spec)
 
 
 def _unknown(env_id: str, name: str, registry: Any) -> InputError:

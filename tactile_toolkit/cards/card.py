@@ -9,6 +9,7 @@ from importlib.resources import files
 from string import Template
 from typing import Any
 
+from tactile_toolkit.cards.croissant import CROISSANT_FILE, croissant_text
 from tactile_toolkit.cards.facts import FolderFacts
 from tactile_toolkit.cards.head import card_head, head_text
 from tactile_toolkit.mesh.columns import FACES, VERTICES
@@ -74,7 +75,7 @@ def write_card_files(
     picture: tuple[str, bytes | None, str],
     **head: Any,
 ) -> None:
-    """Write card and picture of a folder; files that already are as they should be are left alone.
+    """Write card, picture and ``croissant.json`` of a folder; what is as it should be is left alone.
 
     ``values`` fill the template of ``data_cards`` with what facts and manifest do not say. ``picture`` is a
     file name, its PNG (None where there are no rows to draw) and a caption. ``head`` are the fields of the
@@ -98,6 +99,7 @@ def write_card_files(
     body = printable(render_card(template, {**common, **values}), keep="\n")
     text = head_text(card_head(facts, **head)) + "\n" + body
     _write_changed(folder, CARD_FILE, text.encode())
+    _write_changed(folder, CROISSANT_FILE, croissant_text(folder, facts, manifest, head, body).encode())
 
 
 def _write_changed(folder: DataFolder, path: str, content: bytes) -> None:

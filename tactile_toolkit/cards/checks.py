@@ -4,19 +4,20 @@ from __future__ import annotations
 
 import io
 import re
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from fnmatch import fnmatch
 from posixpath import normpath
 from typing import Any
 
 from tactile_toolkit.cards.card import CARD_FILE, placeholders
+from tactile_toolkit.cards.croissant import check_croissant
 from tactile_toolkit.cards.facts import FolderFacts, recorded_facts
 from tactile_toolkit.cards.head import dataset_info, size_category
 from tactile_toolkit.errors import ToolkitError
 from tactile_toolkit.store.folder import DataFolder
-from tactile_toolkit.store.manifest import read_manifest
+from tactile_toolkit.store.manifest import Manifest, read_manifest
 from tactile_toolkit.store.names import problem_of_name
-from tactile_toolkit.store.shards import DATA_FOLDER, Finding
+from tactile_toolkit.store.shards import DATA_FOLDER, VIEWER_FOLDER, Finding
 
 __all__ = ["check_card"]
 
@@ -29,27 +30,37 @@ _REQUIRED = ("license", "pretty_name", "task_categories", "tags")
 
 
 def check_card(
-    folder: DataFolder, text: str | None = None, *, held: Collection[str] | None = None
+    folder: DataFolder,
+    text: str | None = None,
+    *,
+    held: Collection[str] | None = None,
+    manifest: Manifest | None = None,
 ) -> list[Finding]:
-    """List all in the card of a finished folder that manifest, Parquet files or pictures contradict.
+    """List all in the cards of a finished folder that manifest, Parquet files or pictures contradict.
 
-    ``text`` is a card to check instead of the stored one; ``held`` are files that will lie beside it where it
-    is to stand elsewhere: its pictures must be among them.
+    ``text`` is a card to check instead of the stored ones; ``held`` are files that will lie beside it where
+    it is to stand elsewhere: its pictures must be among them. ``manifest`` is the one that it will have.
     """
+    is_stored = text is None
     if text is None:
         if not folder.exists(CARD_FILE):
             return [_finding("is missing; next: write it with the command `card`")]
         text = folder.read_bytes(CARD_FILE).decode("utf-8", errors="replace")
     try:
         head = _head(text)
-        facts = recorded_facts(folder, read_manifest(folder))
+        manifest = manifest or read_manifest(folder)
+        facts = recorded_facts(folder, manifest)
     except ToolkitError as error:
         return [_finding(f"cannot be compared with the data: {error}")]
     except ValueError as error:
         return [_finding(f"its YAML head cannot be read: {_first_line(error)}")]
     missing = [f"its head has no {name!r}" for name in _REQUIRED if not head.get(name)]
     problems = [*missing, *_wrong_files(head, facts), *_wrong_info(head, facts), *_gaps(text)]
-    return [*map(_finding, problems), *_pictures(folder, text, held)]
+    return [
+        *map(_finding, problems),
+        *_pictures(folder, text, held),
+        *(check_croissant(folder, facts, manifest) if is_stored else ()),
+    ]
 
 
 def _finding(problem: str) -> Finding:
@@ -73,24 +84,36 @@ def _first_line(error: Exception) -> str:
 
 
 def _wrong_files(head: Mapping[str, Any], facts: FolderFacts) -> Iterator[str]:
-    """Yield splits that the head lacks or invents, and splits whose files it does not find."""
+    """Yield splits that a configuration lacks or invents, and splits whose files it does not find."""
     found = head.get("configs")
+    held = {"default": {split.split: split.paths for split in facts.splits}}
+    if facts.viewer:
+        held[VIEWER_FOLDER] = dict(facts.viewer)
     try:
-        (config,) = list(found or [])
-        stated = {entry["split"]: entry["path"] for entry in config["data_files"]}
+        stated = {
+            config["config_name"]: {entry["split"]: entry["path"] for entry in config["data_files"]}
+            for config in found or ()
+        }
     except (TypeError, KeyError, ValueError):
-        yield f"its 'configs' are {found!r}; expected one configuration with data_files of each split"
+        stated = {}
+    if set(stated) != set(held):
+        named = " and ".join(map(repr, held))
+        yield f"its 'configs' are {found!r}; expected {named}, with data_files of each split"
         return
-    there = {split.split: split.paths for split in facts.splits}
+    everything = [path for splits in held.values() for paths in splits.values() for path in paths]
+    for name, there in held.items():
+        yield from _wrong_splits_of(stated[name], there, everything)
+
+
+def _wrong_splits_of(
+    stated: Mapping[str, Any], there: Mapping[str, Sequence[str]], everything: Sequence[str]
+) -> Iterator[str]:
     if set(stated) != set(there):
         yield f"its 'configs' name the splits {sorted(stated)}; the folder has {sorted(there)}"
     for split in sorted(set(stated) & set(there)):
         patterns = [stated[split]] if isinstance(stated[split], str) else list(stated[split] or ())
         matched = sorted(
-            path
-            for each in facts.splits
-            for path in each.paths
-            if any(fnmatch(path, str(pattern)) for pattern in patterns)
+            path for path in everything if any(fnmatch(path, str(pattern)) for pattern in patterns)
         )
         if matched != sorted(there[split]):
             yield (

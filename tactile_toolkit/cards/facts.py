@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import json
 import os
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from functools import cached_property, partial
 from pathlib import PurePosixPath
 from typing import Any
@@ -16,10 +17,17 @@ from tactile_toolkit.run.threads import in_threads
 from tactile_toolkit.store.folder import DataFolder
 from tactile_toolkit.store.manifest import Manifest, read_manifest
 from tactile_toolkit.store.parquet import unpacked_bytes
-from tactile_toolkit.store.shards import DATA_FOLDER, ShardName
+from tactile_toolkit.store.shards import VIEWER_FOLDER, ShardName
 from tactile_toolkit.versions import toolkit_version
 
-__all__ = ["FolderFacts", "SplitFacts", "folder_facts", "recorded_facts", "yaml_features"]
+__all__ = [
+    "FolderFacts",
+    "SplitFacts",
+    "folder_facts",
+    "recorded_facts",
+    "viewer_files",
+    "yaml_features",
+]
 
 _DTYPES = {"double": "float64", "float": "float32", "halffloat": "float16"}
 _MEDIA = {"Image": "image", "Video": "video", "Audio": "audio"}
@@ -40,29 +48,19 @@ class SplitFacts:
     file_bytes: int
     unpacked_bytes: int
 
-    @property
-    def patterns(self) -> tuple[str, ...]:
-        """Path patterns of the shards of this split, as ``datasets`` writes it.
-
-        It sorts what a pattern finds as text: numbers of each length have one of their own.
-        """
-        names = (ShardName.parse(PurePosixPath(path).name) for path in self.paths)
-        lengths = sorted({len(f"{name.index:05d}") for name in names if name is not None})
-        if len(lengths) < 2:
-            return (f"{DATA_FOLDER}/{self.split}-*",)
-        return tuple(f"{DATA_FOLDER}/{self.split}-{'?' * length}-of-*" for length in lengths)
-
 
 @dataclass(frozen=True)
 class FolderFacts:
     """A whole folder: its splits in canonical order, and their schema.
 
-    What is ``recorded`` is said by the manifest; no file was opened for it.
+    What is ``recorded`` is said by the manifest; no file was opened for it. ``viewer`` are the files that
+    repeat the rows of a split for the Hub's page, as far as the manifest lists any.
     """
 
     splits: tuple[SplitFacts, ...]
     schema: Any
     recorded: bool = False
+    viewer: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
 
     @property
     def rows(self) -> int:
@@ -96,7 +94,20 @@ def recorded_facts(folder: DataFolder, manifest: Manifest | None, schema: Any = 
         splits.append(SplitFacts(split, shards, paths, sum(rows), file_bytes, sum(sizes)))
     if schema is None or manifest.toolkit_version != toolkit_version():
         schema = splits[0].shards[0].schema
-    return FolderFacts(tuple(splits), schema, recorded=True)
+    return FolderFacts(tuple(splits), schema, recorded=True, viewer=viewer_files(manifest))
+
+
+def viewer_files(manifest: Manifest | None) -> dict[str, tuple[str, ...]]:
+    """Return the files of each split that a manifest lists for the Hub's page."""
+    if manifest is None:
+        return {}
+    listed = [path for path in manifest.files or () if path.startswith(f"{VIEWER_FOLDER}/")]
+    names = sorted(filter(None, (ShardName.parse(PurePosixPath(path).name) for path in listed)))
+    found = {
+        split: tuple(f"{VIEWER_FOLDER}/{name}.parquet" for name in names if name.split == split)
+        for split in manifest.splits
+    }
+    return {split: paths for split, paths in found.items() if paths}
 
 
 def folder_facts(folder: DataFolder, manifest: Manifest | None = None) -> FolderFacts:
@@ -122,7 +133,7 @@ def folder_facts(folder: DataFolder, manifest: Manifest | None = None) -> Folder
     if not splits:
         message = f"{folder.lacks('Parquet files')}; next: give the folder of a data set"
         raise InputError(message)
-    return FolderFacts(tuple(splits), splits[0].shards[0].schema)
+    return FolderFacts(tuple(splits), splits[0].shards[0].schema, viewer=viewer_files(manifest))
 
 
 def _sizes(folder: DataFolder, file: tuple[Shard, str]) -> tuple[int, int, int]:

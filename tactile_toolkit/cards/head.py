@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
+from pathlib import PurePosixPath
 from typing import Any
 
-from tactile_toolkit.cards.facts import FolderFacts, SplitFacts
+from tactile_toolkit.cards.facts import FolderFacts
 from tactile_toolkit.printable import printable
+from tactile_toolkit.store.shards import DATA_FOLDER, VIEWER_FOLDER, ShardName
 
-__all__ = ["card_head", "configs", "dataset_info", "head_text", "size_category"]
+__all__ = ["card_head", "config_of", "configs", "dataset_info", "head_text", "size_category"]
 
 _LIMITS = ("1K", "10K", "100K", "1M", "10M", "100M", "1B", "10B", "100B", "1T")
 
@@ -23,9 +26,16 @@ def card_head(facts: FolderFacts, **fields: Any) -> dict[str, Any]:
 
 
 def configs(facts: FolderFacts) -> list[dict[str, Any]]:
-    """Return the one configuration: which files each split has."""
-    files = [{"split": split.split, "path": _path_of(split, facts)} for split in facts.splits]
-    return [{"config_name": "default", "data_files": files}]
+    """Return the configurations, the default one first: which files each split has."""
+    shards = {split.split: split.paths for split in facts.splits}
+    found = [config_of("default", DATA_FOLDER, shards)]
+    return [*found, config_of(VIEWER_FOLDER, VIEWER_FOLDER, facts.viewer)] if facts.viewer else found
+
+
+def config_of(name: str, folder: str, paths: Mapping[str, Sequence[str]]) -> dict[str, Any]:
+    """Return a configuration of these files of each split, which lie in one folder."""
+    files = [{"split": split, "path": _path_of(split, folder, paths)} for split in paths]
+    return {"config_name": name, "data_files": files}
 
 
 def dataset_info(facts: FolderFacts) -> dict[str, Any]:
@@ -64,12 +74,24 @@ def head_text(head: dict[str, Any]) -> str:
     return f"---\n{text if is_seen else dumped(plain=False)}---\n"
 
 
-def _path_of(split: SplitFacts, facts: FolderFacts) -> str | list[str]:
+def _path_of(split: str, folder: str, paths: Mapping[str, Sequence[str]]) -> str | list[str]:
     """Return patterns where they find the files of this split and no other, and else their names."""
     from fnmatch import fnmatch
 
-    everything = [path for other in facts.splits for path in other.paths]
-    patterns = split.patterns
-    if [path for pattern in patterns for path in everything if fnmatch(path, pattern)] == list(split.paths):
+    everything = [path for each in paths.values() for path in each]
+    patterns = _patterns(split, folder, paths[split])
+    if [path for pattern in patterns for path in everything if fnmatch(path, pattern)] == list(paths[split]):
         return patterns[0] if len(patterns) == 1 else list(patterns)
-    return list(split.paths)
+    return list(paths[split])
+
+
+def _patterns(split: str, folder: str, paths: Sequence[str]) -> tuple[str, ...]:
+    """Return patterns of the files of a split, as ``datasets`` writes them.
+
+    It sorts what a pattern finds as text: numbers of each length have one of their own.
+    """
+    names = (ShardName.parse(PurePosixPath(path).name) for path in paths)
+    lengths = sorted({len(f"{name.index:05d}") for name in names if name is not None})
+    if len(lengths) < 2:
+        return (f"{folder}/{split}-*",)
+    return tuple(f"{folder}/{split}-{'?' * length}-of-*" for length in lengths)

@@ -6,6 +6,7 @@ First everything is looked at and nothing is changed (:func:`plan_download`); th
 
 from __future__ import annotations
 
+import contextlib
 import re
 import shutil
 import tempfile
@@ -14,7 +15,8 @@ from dataclasses import dataclass, replace
 from pathlib import Path, PurePosixPath
 
 from tactile_toolkit.cards.card import CARD_FILE
-from tactile_toolkit.cards.facts import folder_facts
+from tactile_toolkit.cards.croissant import CROISSANT_FILE, croissant_of_folder
+from tactile_toolkit.cards.facts import folder_facts, viewer_files
 from tactile_toolkit.cards.head import configs, dataset_info, head_text, size_category
 from tactile_toolkit.catalog.locate import files_of_split, repository_named, repository_shards, shard_files
 from tactile_toolkit.catalog.published import published_set
@@ -38,6 +40,9 @@ from tactile_toolkit.store.plan import refuse_unknown_files
 from tactile_toolkit.store.shards import DATA_FOLDER
 
 __all__ = ["DownloadPlan", "download", "plan_download"]
+
+_LABELS = (CARD_FILE, MANIFEST_FILE, CROISSANT_FILE)
+"""What is fitted to the splits that a folder gets."""
 
 _EXTRA_FOLDERS = ("reports", "previews")
 _EXTRA_FILES = ("LICENSE", "LICENSE.md", "LICENSE.txt")
@@ -63,7 +68,7 @@ class DownloadPlan:
     all_splits : tuple of str
         Splits of the repository.
     files : tuple of HubFile
-        All files wanted, but for card and manifest of a folder, which are fitted to its splits.
+        All files wanted, but for cards and manifest of a folder, which are fitted to its splits.
     missing : tuple of HubFile
         Those of them that are to be fetched.
     leftover : tuple of str
@@ -278,14 +283,17 @@ def _chosen_splits(
 def _extras(repository: HubRepository, splits: Sequence[str], *, fitted: bool) -> list[str]:
     """Return what goes with the shards of some splits: small files, and pictures where the set has any.
 
-    With ``fitted``, card and manifest too, as they are.
+    With ``fitted``, cards and manifest too, as they are.
     """
     manifest = repository.manifest
     listed = set(manifest.files or ()) if manifest is not None else set()
+    shown = {path for paths in viewer_files(manifest).values() for path in paths}
 
     def is_extra(path: str) -> bool:
-        if path in (CARD_FILE, MANIFEST_FILE):
+        if path in _LABELS:
             return fitted
+        if path in shown:  # repeats the shards for the Hub's page
+            return False
         return path in listed or path in _EXTRA_FILES or PurePosixPath(path).parts[0] in _EXTRA_FOLDERS
 
     found = [path for path in repository.files() if is_extra(path)]
@@ -332,8 +340,8 @@ def _is_here(folder: DataFolder, file: HubFile) -> bool:
 
 
 def _labels_of(repository: HubRepository) -> tuple[str, ...]:
-    """Return which of card and manifest a repository has."""
-    return tuple(name for name in (CARD_FILE, MANIFEST_FILE) if name in repository.snapshot.files)
+    """Return which of cards and manifest a repository has."""
+    return tuple(name for name in _LABELS if name in repository.snapshot.files)
 
 
 def _is_labelled(folder: DataFolder, labels: Iterable[str]) -> bool:
@@ -456,24 +464,42 @@ def _bring_to_store(
 
 
 def _label(plan: DownloadPlan, folder: DataFolder, manifest: Manifest | None) -> None:
-    """Write manifest and card, fitted to the splits that are there."""
+    """Write manifest and cards, fitted to the splits that are there."""
     is_part = set(plan.splits) < set(plan.all_splits)
-    names = [name for name in (MANIFEST_FILE, CARD_FILE) if name in plan.repository.files()]
+    names = [name for name in _LABELS if name in plan.repository.files()]
     contents = {
         name: Path(path).read_bytes() for name, path in zip(names, plan.repository.fetch(names), strict=True)
     }
-    if manifest is not None and is_part:
+    shown = {path for paths in viewer_files(manifest).values() for path in paths}
+    is_fitted = is_part or bool(shown)
+    if manifest is not None and is_fitted:
         records = [record for record in manifest.shards if record.shard.split in plan.splits]
-        write_manifest(folder, replace(manifest, shards=tuple(records)))
+        files = {path: digest for path, digest in (manifest.files or {}).items() if path not in shown}
+        write_manifest(folder, replace(manifest, shards=tuple(records), files=files))
     elif manifest is not None:
         folder.write_bytes(MANIFEST_FILE, contents[MANIFEST_FILE])
     if CARD_FILE in contents:
         card = contents[CARD_FILE]
-        folder.write_bytes(CARD_FILE, _card_of_part(card, folder, plan) if is_part else card)
+        note = _note_of_part(plan) if is_part else ""
+        folder.write_bytes(CARD_FILE, _fitted_card(card, folder, note) if is_fitted else card)
+    if CROISSANT_FILE in contents:
+        content = contents[CROISSANT_FILE]
+        with contextlib.suppress(ToolkitError, ValueError, RecursionError):  # somebody's own stays as it is
+            if manifest is not None:
+                content = croissant_of_folder(content.decode(), folder).encode()
+        folder.write_bytes(CROISSANT_FILE, content)
 
 
-def _card_of_part(content: bytes, folder: DataFolder, plan: DownloadPlan) -> bytes:
-    """Return a card whose YAML head names the splits that are here, and whose text says so.
+def _note_of_part(plan: DownloadPlan) -> str:
+    here = ", ".join(f"`{split}`" for split in plan.splits)
+    return (
+        f"\n> This folder holds {here} of `{plan.repository.repo_id}` (commit `{plan.commit[:12]}`); the "
+        "text below describes the whole data set.\n\n"
+    )
+
+
+def _fitted_card(content: bytes, folder: DataFolder, note: str) -> bytes:
+    """Return a card whose YAML head names what is here, with a note in front of its text.
 
     ``datasets.load_dataset(folder)`` fails over a split that the head names and the folder lacks. A card
     without a head that can be read is left as it is. Shards and manifest must be in place.
@@ -493,9 +519,4 @@ def _card_of_part(content: bytes, folder: DataFolder, plan: DownloadPlan) -> byt
         head["size_categories"] = [size_category(facts.rows)]
     if "dataset_info" in head:
         head["dataset_info"] = dataset_info(facts)
-    here = ", ".join(f"`{split}`" for split in plan.splits)
-    note = (
-        f"\n> This folder holds {here} of `{plan.repository.repo_id}` (commit `{plan.commit[:12]}`); the "
-        "text below describes the whole data set.\n\n"
-    )
     return (head_text(head) + note + match["body"]).encode()

@@ -6,6 +6,7 @@ the Hub already. Then what is missing is sent (:func:`run_upload`), and what arr
 
 from __future__ import annotations
 
+import tempfile
 import warnings
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -14,6 +15,7 @@ from typing import Any, TypeVar
 
 from tactile_toolkit.cards.card import CARD_FILE
 from tactile_toolkit.cards.checks import check_card
+from tactile_toolkit.cards.croissant import CROISSANT_FILE, croissant_for_hub
 from tactile_toolkit.catalog.kinds import require_manifest
 from tactile_toolkit.errors import InputError, IntegrityError
 from tactile_toolkit.exchange.local_copy import LocalCopy
@@ -27,6 +29,7 @@ from tactile_toolkit.exchange.upload_plan import (
     collect,
     compare,
 )
+from tactile_toolkit.exchange.viewer import make_viewer_files
 from tactile_toolkit.hub.errors import require_repository_name
 from tactile_toolkit.hub.retry import ask
 from tactile_toolkit.kind import DatasetKind
@@ -235,7 +238,8 @@ class UploadTarget:
 class PreparedUpload:
     """An upload that is decided and not begun; ``pull`` is an open pull request that holds everything.
 
-    ``copy`` is kept as long as this is: the copy on this machine of a folder in an object store.
+    ``copy`` and ``stage`` are kept as long as this is: the copy on this machine of a folder in an object
+    store, and the files that were made for the Hub's page.
     """
 
     target: UploadTarget
@@ -246,6 +250,7 @@ class PreparedUpload:
     plan: UploadPlan
     pull: str | None = None
     copy: LocalCopy | None = None
+    stage: tempfile.TemporaryDirectory[str] | None = None
 
     @property
     def is_done(self) -> bool:
@@ -333,9 +338,15 @@ def prepare_upload(
     state = target.state()
     _refuse_exposure(target, chosen, state)
     _refuse_taken_names(target, chosen, state)
-    payload = _payload(root, folder, manifest, repo_id, chosen, state)
+    stage = tempfile.TemporaryDirectory(prefix="tactile-toolkit-") if chosen.viewer else None
+    shown = {}
+    if stage is not None:
+        digests = make_viewer_files(found, manifest, Path(stage.name))
+        manifest = replace(manifest, files={**(manifest.files or {}), **digests})
+        shown = {path: Path(stage.name) / path for path in digests}
+    payload = _payload(root, folder, manifest, target, chosen, state, shown)
     plan = compare(payload.files, state.files)
-    prepared = PreparedUpload(target, chosen, manifest, payload, state, plan, copy=copy)
+    prepared = PreparedUpload(target, chosen, manifest, payload, state, plan, copy=copy, stage=stage)
     _refuse_other_tag(prepared)
     if chosen.create_pr and state.exists and name and not prepared.is_done:
         return replace(prepared, pull=_holding_pull(prepared, name))
@@ -360,7 +371,8 @@ def _require_sound(folder: str, findings: Sequence[Finding]) -> None:
     told = [f"{finding.file} {finding.problem}".partition("; next: ")[0] for finding in findings[:3]]
     listed = "; ".join(told)
     more = f" and {len(findings) - 3} more" if len(findings) > 3 else ""
-    only_card = all(CARD_FILE in (finding.file, *finding.problem.split()) for finding in findings)
+    cards = {CARD_FILE, CROISSANT_FILE}
+    only_card = all(cards.intersection((finding.file, *finding.problem.split())) for finding in findings)
     cure = "write it with the command `card`, or mend it by hand"
     cure = cure if only_card else "run the command that made it again, or `card` for the card alone"
     message = f"{folder!r} is not fit to be sent, nothing was: {listed}{more}; next: {cure}"
@@ -401,17 +413,32 @@ def _refuse_other_tag(prepared: PreparedUpload) -> None:
 
 
 def _payload(
-    root: Path, folder: str, manifest: Manifest, repo_id: str, options: UploadOptions, state: RemoteState
+    root: Path,
+    folder: str,
+    manifest: Manifest,
+    target: UploadTarget,
+    options: UploadOptions,
+    state: RemoteState,
+    shown: Mapping[str, Path],
 ) -> Payload:
-    """Collect the files, with the card as it is to be on the Hub, checked as such."""
-    stored = (root / CARD_FILE).read_text(encoding="utf-8")
-    payload = collect(root, manifest, stored.encode())
+    """Collect the files, with the cards as they are to be on the Hub, checked as such.
+
+    ``shown`` are the files for the Hub's page, by path.
+    """
+    payload = collect(root, manifest, shown)
     staying = () if options.delete else compare(payload.files, state.files).remote_only
-    shards = {split: [r.shard.data_path for r in manifest.shards_of(split)] for split in manifest.splits}
-    text = card_for_hub(stored, repo_id, shards, [file.path for file in staying])
+    stored = (root / CARD_FILE).read_text(encoding="utf-8")
+    text = card_for_hub(stored, target.repo_id, manifest, [file.path for file in staying])
     held = {*(file.path for file in payload.files), *(file.path for file in staying)}
-    _require_sound(folder, check_card(DataFolder(str(root)), text, held=held))
-    return payload.with_card(text.encode())
+    _require_sound(folder, check_card(DataFolder(str(root)), text, held=held, manifest=manifest))
+    described = (root / MANIFEST_FILE).read_bytes()
+    if shown:
+        described = manifest.to_json().encode()
+    rendered: dict[str, bytes | Path] = {CARD_FILE: text.encode(), MANIFEST_FILE: described, **shown}
+    if (root / CROISSANT_FILE).exists():
+        for_machines = (root / CROISSANT_FILE).read_text(encoding="utf-8")
+        rendered[CROISSANT_FILE] = croissant_for_hub(for_machines, target.page, text, described).encode()
+    return payload.with_rendered(rendered)
 
 
 def run_upload(prepared: PreparedUpload) -> UploadResult:

@@ -4,18 +4,21 @@ from __future__ import annotations
 
 import hashlib
 import re
-from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Container, Iterable, Iterator, Mapping
+from dataclasses import dataclass, field, replace
 from fnmatch import fnmatch
 from pathlib import Path
 from typing import Any
 
 from tactile_toolkit.cards.card import CARD_FILE, PREVIEW_FOLDER, addressed
-from tactile_toolkit.cards.head import head_text
+from tactile_toolkit.cards.croissant import CROISSANT_FILE
+from tactile_toolkit.cards.facts import viewer_files
+from tactile_toolkit.cards.head import config_of, head_text
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.store.folder import DataFolder
 from tactile_toolkit.store.manifest import MANIFEST_FILE, Manifest
 from tactile_toolkit.store.names import problem_of_name
+from tactile_toolkit.store.shards import VIEWER_FOLDER
 from tactile_toolkit.store.verify import problem_of_place
 
 __all__ = [
@@ -57,6 +60,8 @@ class UploadOptions:
         Name to give to the commit, beside that of the schema version.
     delete : bool
         Remove files from the repository that the folder does not have.
+    viewer : bool
+        Send each row once more, with its mesh as a file that the Hub's page shows.
     """
 
     private: bool = False
@@ -65,6 +70,7 @@ class UploadOptions:
     message: str | None = None
     tag: str | None = None
     delete: bool = False
+    viewer: bool = False
 
     def __post_init__(self) -> None:
         if self.create_pr and self.revision not in (None, MAIN):
@@ -168,15 +174,15 @@ def compare(local: Iterable[LocalFile], remote: Mapping[str, RemoteFile]) -> Upl
 
 @dataclass(frozen=True)
 class Payload:
-    """What is sent of a folder: its files, with the card as it is to be on the Hub.
+    """What is sent of a folder: its files, some of them ``rendered`` as they are to be on the Hub.
 
     ``left_out`` lies in the folder and does not belong to the data set; a folder is named once.
     """
 
     root: Path
-    card: bytes
     files: tuple[LocalFile, ...]
     left_out: tuple[str, ...]
+    rendered: Mapping[str, bytes | Path] = field(default_factory=dict)
 
     @property
     def size(self) -> int:
@@ -184,31 +190,36 @@ class Payload:
         return sum(file.size for file in self.files)
 
     def content(self, file: LocalFile) -> bytes | Path:
-        """Return what is sent for a file: where it lies, or the card as it is to be."""
-        return self.card if file.path == CARD_FILE else self.root / file.path
+        """Return what is sent for a file: where it lies, or what it is to be."""
+        return self.rendered.get(file.path, self.root / file.path)
 
-    def with_card(self, card: bytes) -> Payload:
-        """Return the same with another card."""
-        others = tuple(file for file in self.files if file.path != CARD_FILE)
-        return replace(self, card=card, files=(_of_content(CARD_FILE, card), *others))
+    def with_rendered(self, rendered: Mapping[str, bytes | Path]) -> Payload:
+        """Return the same with some files rendered: what they hold, or where that lies."""
+        others = tuple(file for file in self.files if file.path not in rendered)
+        made = tuple(
+            _of_content(path, content) if isinstance(content, bytes) else _of_file(content, path, None)
+            for path, content in rendered.items()
+        )
+        return replace(self, rendered=rendered, files=(*made, *others))
 
 
-def collect(root: Path, manifest: Manifest, card: bytes) -> Payload:
-    """List a verified folder's files with their checksums: those of the manifest, the card, the pictures."""
+def collect(root: Path, manifest: Manifest, elsewhere: Container[str] = ()) -> Payload:
+    """List a verified folder's files with their checksums: those of the manifest, the cards, the pictures.
+
+    Of what the manifest lists, some may lie ``elsewhere``.
+    """
     known = {record.shard.data_path: record.sha256 for record in manifest.shards}
-    known |= dict(manifest.files or {})
-    place, others = DataFolder(str(root)), [MANIFEST_FILE]
+    known |= {path: digest for path, digest in (manifest.files or {}).items() if path not in elsewhere}
+    place, others = DataFolder(str(root)), [CARD_FILE, MANIFEST_FILE]
+    others += [CROISSANT_FILE] if place.exists(CROISSANT_FILE) else []
     for folder in (PREVIEW_FOLDER, _PICTURE_FOLDER):
         found = [path.relative_to(root).as_posix() for path in sorted((root / folder).rglob("*"))]
         # Names with a dot in front are of writers that have not finished; links may lead to anything.
         others += [path for path in found if not problem_of_name(path) and not problem_of_place(place, path)]
-    files = [
-        _of_content(CARD_FILE, card),
-        *(_of_file(root, path, known.get(path)) for path in dict.fromkeys([*known, *others])),
-    ]
+    files = [_of_file(root / path, path, known.get(path)) for path in dict.fromkeys([*others, *known])]
     sent = {file.path for file in files}
     holding = {parent.as_posix() for path in sent for parent in Path(path).parents}
-    return Payload(root, card, tuple(files), tuple(_unsent(root, root, sent, holding)))
+    return Payload(root, tuple(files), tuple(_unsent(root, root, sent, holding)))
 
 
 def _of_content(path: str, content: bytes) -> LocalFile:
@@ -217,8 +228,7 @@ def _of_content(path: str, content: bytes) -> LocalFile:
     return LocalFile(path, len(content), hashlib.sha256(content).hexdigest(), oid)
 
 
-def _of_file(root: Path, path: str, sha256: str | None) -> LocalFile:
-    file = root / path
+def _of_file(file: Path, path: str, sha256: str | None) -> LocalFile:
     size = file.stat().st_size
     if size <= _MOST_IN_GIT_BYTES:
         return _of_content(path, file.read_bytes())
@@ -241,23 +251,27 @@ def _unsent(root: Path, folder: Path, sent: set[str], holding: set[str]) -> Iter
             yield from _unsent(root, entry, sent, holding)
 
 
-def card_for_hub(text: str, repo_id: str, shards: Mapping[str, Sequence[str]], others: Iterable[str]) -> str:
+def card_for_hub(text: str, repo_id: str, manifest: Manifest, others: Iterable[str]) -> str:
     """Render the card of a folder for a repository, whose name takes the folder's place in its examples.
 
-    ``shards`` are the files of each split; ``others`` stay in the repository though the folder lacks them.
-    Where the pattern of a split would take those for its own, the split's files are named one by one instead.
+    ``manifest`` is the one that will stand there; ``others`` stay in the repository though the folder lacks
+    them. Where the pattern of a split would take those for its own, its files are named one by one instead.
     """
     import yaml
 
     named, foreign = addressed(text, repo_id), list(others)
     _, head, body = named.split(_FENCE, 2)
     values: dict[str, Any] = yaml.safe_load(head)
-    taking = [
-        entry
-        for entry in values["configs"][0]["data_files"]
-        for patterns in ([entry["path"]] if isinstance(entry["path"], str) else entry["path"],)
-        if any(fnmatch(path, pattern) for pattern in patterns for path in foreign)
-    ]
-    for entry in taking:
-        entry["path"] = list(shards[entry["split"]])
-    return head_text(values) + body if taking else named
+    shards = {split: [r.shard.data_path for r in manifest.shards_of(split)] for split in manifest.splits}
+    shown = viewer_files(manifest)
+    default = values["configs"][0]
+    wanted = [default, config_of(VIEWER_FOLDER, VIEWER_FOLDER, shown)] if shown else [default]
+    changed = wanted != values["configs"]
+    values["configs"] = wanted
+    for config, files in zip(wanted, (shards, shown), strict=False):
+        for entry in config["data_files"]:
+            patterns = [entry["path"]] if isinstance(entry["path"], str) else entry["path"]
+            if any(fnmatch(path, pattern) for pattern in patterns for path in foreign):
+                entry["path"] = list(files[entry["split"]])
+                changed = True
+    return head_text(values) + body if changed else named

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import contextlib
 import io
+import json
+import struct
 import warnings
 import zipfile
 import zlib
@@ -123,11 +125,12 @@ def pack_mesh(mesh: Mesh, ending: str, name: str = "") -> bytes:
         return _pack_stl(vertices_mm[mesh.faces])
     if ending == ".3mf":
         return write_build([BuildItem(name, vertices_mm, mesh.faces)])
+    # glTF, whose binary form GLB is, fixes the metre; the others name no unit, and slicers take millimetres.
+    if ending == ".glb":
+        return _pack_glb(np.ascontiguousarray(mesh.vertices_m, "<f4"), mesh.faces)
     import trimesh
 
-    # glTF, whose binary form GLB is, fixes the metre; the others name no unit, and slicers take millimetres.
-    vertices = mesh.vertices_m if ending == ".glb" else vertices_mm
-    packed = trimesh.Trimesh(vertices, mesh.faces, process=False).export(file_type=ending[1:])
+    packed = trimesh.Trimesh(vertices_mm, mesh.faces, process=False).export(file_type=ending[1:])
     return packed.encode() if isinstance(packed, str) else bytes(packed)
 
 
@@ -193,6 +196,38 @@ def _require_whole_stl(data: bytes) -> None:
     else:
         message = f"{len(data)} bytes; a binary STL file of {count} triangles has {expected}"
     raise ValueError(message)
+
+
+def _pack_glb(vertices: NDArray[np.float32], faces: NDArray[np.int32]) -> bytes:
+    """Pack a mesh into a binary glTF 2.0 file of one buffer."""
+    corners, kind = faces.ravel().astype("<u2"), 5123  # how glTF calls uint16
+    if len(vertices) > np.iinfo(np.uint16).max:
+        corners, kind = faces.ravel().astype("<u4"), 5125
+    buffer = vertices.tobytes() + corners.tobytes()
+    buffer += bytes(-len(buffer) % 4)
+    low_high = {"min": vertices.min(axis=0).tolist(), "max": vertices.max(axis=0).tolist()}
+    scene = {
+        "asset": {"version": "2.0"},
+        "scene": 0,
+        "scenes": [{"nodes": [0]}],
+        "nodes": [{"mesh": 0}],
+        "meshes": [{"primitives": [{"attributes": {"POSITION": 0}, "indices": 1}]}],
+        "accessors": [
+            {"bufferView": 0, "componentType": 5126, "count": len(vertices), "type": "VEC3", **low_high},
+            {"bufferView": 1, "componentType": kind, "count": len(corners), "type": "SCALAR"},
+        ],
+        "bufferViews": [
+            {"buffer": 0, "byteLength": vertices.nbytes, "target": 34962},
+            {"buffer": 0, "byteOffset": vertices.nbytes, "byteLength": corners.nbytes, "target": 34963},
+        ],
+        "buffers": [{"byteLength": len(buffer)}],
+    }
+    text = json.dumps(scene, separators=(",", ":")).encode()
+    text += b" " * (-len(text) % 4)
+    chunks = (
+        struct.pack("<I4s", len(text), b"JSON") + text + struct.pack("<I4s", len(buffer), b"BIN\0") + buffer
+    )
+    return struct.pack("<4sII", b"glTF", 2, 12 + len(chunks)) + chunks
 
 
 def _pack_stl(corners_mm: NDArray[np.float64]) -> bytes:

@@ -13,6 +13,7 @@ from tactile_toolkit.errors import InputError, ItemError
 from tactile_toolkit.mesh.files import FORMATS, pack_mesh, read_mesh
 from tactile_toolkit.mesh.mesh import MM_PER_M, Mesh
 from tactile_toolkit.printing.checked import (
+    KEPT,
     Failure,
     existing,
     holds,
@@ -95,7 +96,11 @@ class FileForecast:
 
 @dataclass(frozen=True, slots=True)
 class _Export:
-    """Picklable: write the file of one object, or only look whether another one stands in its place."""
+    """Picklable: write the file of one object, or only look what stands in its place.
+
+    Whoever looks is told of a file that is as it should be, True where only other files are to be removed,
+    and False or a failure where something else stands there.
+    """
 
     folder: str
     ending: str
@@ -108,13 +113,18 @@ class _Export:
             mesh = standing(item.load(), self.scale)
             verdict = require_solid(mesh)
             *parts, (path, content) = self.files_of(item, mesh)
+            stale = set((Path(self.folder) / item.name).glob("part-*.obj")) - dict(parts).keys()
             if self.only_look:
-                return item.name, all(holds(*each) for each in (*parts, (path, content)))
-            for each in parts:
-                settle(*each)
-            remove(set((Path(self.folder) / item.name).glob("part-*.obj")) - dict(parts).keys())
-            read = read_mesh if self.ending in FORMATS else read_model
-            state = settle(path, content, lambda found: require_same_solid(read(found), mesh, verdict))
+                is_same = all(holds(*each) for each in (*parts, (path, content)))
+                if stale or not is_same:
+                    return item.name, is_same
+                state = KEPT
+            else:
+                for each in parts:
+                    settle(*each)
+                remove(stale)
+                read = read_mesh if self.ending in FORMATS else read_model
+                state = settle(path, content, lambda found: require_same_solid(read(found), mesh, verdict))
         except ItemError as error:
             detail, path = str(error), self.path_of(item)
             # What an earlier export left under this name would pass for this object.
@@ -171,10 +181,12 @@ def export_files(
     material = physics or Physics()
     folder = str(prepare(out))
     runner = runner_for(workers)
-    if not overwrite:
-        _refuse_others(objects, out, _Export(folder, ending, scale, material, only_look=True), workers)
     found: dict[str, WrittenFile | Failure | bool] = {}
-    for name, result in runner.run(_Export(folder, ending, scale, material), objects):
+    if not overwrite:
+        found = _kept(objects, out, _Export(folder, ending, scale, material, only_look=True), workers)
+    # What was looked at is not made a second time: the convex parts of a body take longer than its file.
+    left = [item for item in objects if item.name not in found]
+    for name, result in runner.run(_Export(folder, ending, scale, material), left) if left else ():
         found[name] = result
         on_progress(len(found), len(objects))
     results = [found[item.name] for item in objects]
@@ -202,7 +214,7 @@ def forecast_files(
     material = physics or Physics()
     folder = None if out is None else existing(out)
     if out is not None and folder is not None and not overwrite:
-        _refuse_others(objects, out, _Export(str(folder), ending, scale, material, only_look=True), 1)
+        _kept(objects, out, _Export(str(folder), ending, scale, material, only_look=True), 1)
     positions = np.unique(np.linspace(0, len(objects) - 1, _SAMPLED).astype(int))
     sizes, failures = [], []
     for item in (objects[position] for position in positions):
@@ -218,11 +230,15 @@ def forecast_files(
     return FileForecast(count, total, len(positions), tuple(failures))
 
 
-def _refuse_others(objects: Sequence[PrintObject], out: str, look: _Export, workers: int) -> None:
-    """Refuse to go on where files with other content than would be written stand in the way."""
+def _kept(
+    objects: Sequence[PrintObject], out: str, look: _Export, workers: int
+) -> dict[str, WrittenFile | Failure | bool]:
+    """Return the files that are there already; refuse to go on where something else stands in the way."""
     there = [item for item in objects if look.path_of(item).exists()]
-    looked = runner_for(workers).run(look, there) if there else ()
-    refuse_others(out, sorted(f"{name}{look.ending}" for name, same in looked if same is not True))
+    looked = dict(runner_for(workers).run(look, there)) if there else {}
+    others = [name for name, same in looked.items() if not (same is True or isinstance(same, WrittenFile))]
+    refuse_others(out, sorted(f"{name}{look.ending}" for name in others))
+    return {name: same for name, same in looked.items() if isinstance(same, WrittenFile)}
 
 
 def _ending(kind: str) -> str:

@@ -37,7 +37,7 @@ _ASIDE = ".replaced"
 # Where a set that is given up goes in one step; what a killed run leaves of it there is nobody's any more.
 _GONE = ".replaced-gone"
 _FOLDERS = (DATA_FOLDER, PENDING_FOLDER, "reports", "previews")
-_CARD = "README.md"
+_CARDS = ("README.md", "croissant.json")
 # What a data set of ours holds in its folders, by name.
 _OWN_NAMES: dict[str, Callable[[str], bool]] = {
     DATA_FOLDER: lambda name: ShardName.parse(name) is not None,
@@ -66,7 +66,7 @@ class FormerSet:
             _remove_all(folder, former.extra_dirs)
             return former
         # The record of a download goes too: the new set is not one. The manifest goes last.
-        paths = (*_FOLDERS, *former.extra_dirs, _CARD, RECORD_FILE, MANIFEST_FILE)
+        paths = (*_FOLDERS, *former.extra_dirs, *_CARDS, RECORD_FILE, MANIFEST_FILE)
         held = [path for path in paths if folder.exists(path)]
         with named_failures(folder.address()):
             aside = Path(folder.address(_ASIDE))
@@ -111,7 +111,7 @@ def require_replaceable(folder: DataFolder, extra_dirs: tuple[str, ...]) -> tupl
         refuse_unknown_files(folder)
         return both
     # What only the new set is to have is not of the former one: it is somebody's.
-    refuse_unknown_files(folder, (*_FOLDERS, *before, _CARD, MANIFEST_FILE))
+    refuse_unknown_files(folder, (*_FOLDERS, *before, *_CARDS, MANIFEST_FILE))
     found = [
         f"{path}/{name}"
         for path, is_ours in _OWN_NAMES.items()
@@ -199,7 +199,7 @@ def _remove_all(folder: DataFolder, extra_dirs: Iterable[str]) -> None:
         for name in folder.names(path):
             folder.remove(f"{path}/{name}")
         folder.remove_empty(path)
-    for name in (_CARD, RECORD_FILE, MANIFEST_FILE):
+    for name in (*_CARDS, RECORD_FILE, MANIFEST_FILE):
         folder.remove(name)
 
 

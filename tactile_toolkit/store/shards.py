@@ -17,6 +17,7 @@ __all__ = [
     "DAMAGED",
     "DATA_FOLDER",
     "PENDING_FOLDER",
+    "VIEWER_FOLDER",
     "Finding",
     "ShardFile",
     "ShardName",
@@ -33,6 +34,8 @@ DAMAGED = "damaged"
 """Reason to leave an item out whose stored data is damaged."""
 
 DATA_FOLDER = "data"
+VIEWER_FOLDER = "viewer"
+"""Repeats the rows for the Hub's page, see `tactile_toolkit.exchange.viewer`; copies may leave it out."""
 MOST_ROWS = 1 << 40
 """Most rows that a shard is believed to have; more than any disk holds."""
 

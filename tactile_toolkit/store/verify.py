@@ -16,7 +16,7 @@ from tactile_toolkit.store.folder import DataFolder
 from tactile_toolkit.store.manifest import MANIFEST_FILE, Manifest, read_manifest
 from tactile_toolkit.store.origin import RECORD_FILE, DownloadRecord, HubFile, read_record
 from tactile_toolkit.store.parquet import file_sha256, named_damage, open_parquet
-from tactile_toolkit.store.shards import DATA_FOLDER, Finding, ShardRecord
+from tactile_toolkit.store.shards import DATA_FOLDER, VIEWER_FOLDER, Finding, ShardRecord
 
 __all__ = ["Finding", "Verification", "problem_of_place", "verify"]
 
@@ -93,7 +93,7 @@ def verify(
     checked = list(in_threads(partial(_check_shard, folder, schema), shards(), workers))
     for (found, _), repeated in zip(checked, _repeated_ids(manifest.shards, checked), strict=True):
         findings += [*found, *repeated]
-    files = manifest.files or {}
+    files = {path: each for path, each in (manifest.files or {}).items() if not _is_left_out(folder, path)}
     for path, checksum in files.items():
         on_file(path)
         findings += _check_file(folder, path, checksum)
@@ -102,6 +102,11 @@ def verify(
     rows = sum(shard.rows for shard in manifest.shards)
     size = sum(shard.bytes for shard in manifest.shards)
     return Verification(len(manifest.shards) + len(files), rows, size, tuple(findings))
+
+
+def _is_left_out(folder: DataFolder, path: str) -> bool:
+    """Tell whether a file for the Hub's page is not here, as in the cache of who wanted the rows alone."""
+    return path.startswith(f"{VIEWER_FOLDER}/") and not folder.exists(path)
 
 
 def _verify_copy(

@@ -138,3 +138,19 @@ def test_version_is_that_of_the_toolkit(capsys, monkeypatch):
         main()
     assert not leave.value.code
     assert capsys.readouterr().out == f"tactile-toolkit {importlib.metadata.version('tactile-toolkit')}\n"
+
+
+def test_a_wrench_is_exported_for_printers_and_simulators(tmp_path):
+    """Through the export of all data sets of meshes; the simulator weighs it as the report says."""
+    made = run("wrench", "--size", 10, "--out", tmp_path / "wrench", "--json")
+    mass_kg = 1e-3 * json.loads(made.stdout)["mass_g"]
+    for kind, file in (("stl", "stl"), ("mjcf", "xml"), ("urdf", "urdf")):
+        done = run("export", tmp_path / "wrench", "--format", kind, "--out", tmp_path / kind)
+        assert done.exit_code == 0, done.output
+        assert (tmp_path / kind / f"train-wrench-00000.{file}").is_file()
+    mujoco = pytest.importorskip("mujoco")
+    model = mujoco.MjModel.from_xml_path(str(tmp_path / "mjcf" / "train-wrench-00000.xml"))
+    assert model.body_mass.sum() == pytest.approx(mass_kg, rel=1e-3)
+    missing = run("export", tmp_path / "nowhere", "--out", tmp_path / "none")
+    assert missing.exit_code == 2
+    assert not (tmp_path / "none").exists()

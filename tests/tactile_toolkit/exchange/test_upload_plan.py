@@ -80,9 +80,10 @@ def test_the_payload_is_the_data_set_and_nothing_else(folder):
     (folder / "secret" / "token").write_text("hf_secret")
     manifest = read_manifest(DataFolder(str(folder)))
     assert manifest is not None
-    payload = collect(folder, manifest, b"# card")
+    payload = collect(folder, manifest).with_rendered({"README.md": b"# card"})
     assert [file.path for file in sorted(payload.files, key=lambda file: file.path)] == [
         "README.md",
+        "croissant.json",
         "data/test-00000-of-00001.parquet",
         "data/train-00000-of-00001.parquet",
         "manifest.json",

@@ -1,0 +1,121 @@
+"""Meshes that a user has as files: a folder of them stands for a data set."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from os import PathLike, fspath
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from env_assets.mesh_sets import PlainMeshes
+from tactile_toolkit.cache import MemoryCache
+from tactile_toolkit.errors import InputError
+from tactile_toolkit.gallery.page import natural_order
+from tactile_toolkit.mesh.files import FORMATS, read_mesh
+from tactile_toolkit.mesh.mesh import Mesh
+from tactile_toolkit.store.folder import expanded
+
+__all__ = ["MeshFile", "mesh_files"]
+
+_KEPT = 64
+
+
+@dataclass(frozen=True)
+class MeshFile:
+    """One mesh of a folder, read when it is first asked for; those used last stay in memory.
+
+    Millimetres in the file (GLB: metres), metres here.
+    """
+
+    id: int
+    label: int
+    path: Path
+    memory: MemoryCache[Path, tuple[Mesh, Any]] = field(repr=False, compare=False)
+
+    @property
+    def vertices_m(self) -> NDArray[np.float32]:
+        """Vertices, shape (V, 3), float32, metres."""
+        return np.asarray(self._read()[0].vertices_m, np.float32)
+
+    @property
+    def faces(self) -> NDArray[np.int32]:
+        """Triangles, shape (F, 3), int32, counter-clockwise seen from outside."""
+        return self._read()[0].faces
+
+    @property
+    def mesh(self) -> Any:
+        """The mesh, a ``trimesh.Trimesh``, metres."""
+        return self._read()[1]
+
+    @property
+    def volume_m3(self) -> float:
+        """Volume, cubic metres."""
+        return self._read()[0].volume_m3
+
+    def _read(self) -> tuple[Mesh, Any]:
+        def read() -> tuple[Mesh, Any]:
+            import trimesh
+
+            found = read_mesh(self.path)
+            vertices_m = np.asarray(found.vertices_m, np.float32)
+            return Mesh(vertices_m, found.faces), trimesh.Trimesh(vertices_m, found.faces, process=False)
+
+        return self.memory.get_or_make(self.path, read)
+
+
+def mesh_files(place: str | PathLike[str], split: str) -> PlainMeshes | None:
+    """Take a mesh file, or a folder of them, for the meshes of a split; None where it holds none.
+
+    Sub-folders called ``train`` and ``test`` are splits; a folder without them is the same for both. Other
+    sub-folders are classes; files that lie in none are a class each, named as they are. Ids count files in
+    the order of their names. InputError: a class is there twice, or files lie beside classes.
+    """
+    root = expanded(fspath(place))
+    if root.is_file() and root.suffix.lower() in FORMATS:
+        return _as_meshes([root], [root.stem])
+    if (root / split).is_dir():
+        root = root / split
+    if not root.is_dir():
+        return None
+    loose = _meshes_in(root)
+    folders = natural_order(each.name for each in root.iterdir() if each.is_dir())
+    classes = {name: _meshes_in(root / name) for name in folders if not name.startswith(".")}
+    classes = {name: files for name, files in classes.items() if files}
+    if loose and classes:
+        message = (
+            f"{str(root)!r} holds mesh files ({loose[0].name}) beside folders of them "
+            f"({next(iter(classes))}); next: put each file into the folder of its class, or give a folder of "
+            "files alone"
+        )
+        raise InputError(message)
+    if not classes:
+        return _as_meshes(loose, [file.stem for file in loose]) if loose else None
+    files = [file for held in classes.values() for file in held]
+    return _as_meshes(files, [file.parent.name for file in files], distinct=False)
+
+
+def _meshes_in(folder: Path) -> list[Path]:
+    found = (file for file in folder.iterdir() if file.suffix.lower() in FORMATS and file.is_file())
+    return [folder / name for name in natural_order(file.name for file in found if file.name[0] != ".")]
+
+
+def _as_meshes(files: list[Path], classes: list[str], *, distinct: bool = True) -> PlainMeshes:
+    names = list(dict.fromkeys(classes))
+    if distinct and len(names) < len(files):
+        twice = next(name for name in names if classes.count(name) > 1)
+        both = ", ".join(file.name for file, name in zip(files, classes, strict=True) if name == twice)
+        message = (
+            f"{str(files[0].parent)!r} holds {both}: one class twice; next: keep one of them, or put both "
+            f"into a folder {twice!r}"
+        )
+        raise InputError(message)
+    memory = MemoryCache[Path, tuple[Mesh, Any]](_KEPT)
+    numbers = {name: number for number, name in enumerate(names)}
+    records = [
+        MeshFile(index, numbers[name], file, memory)
+        for index, (file, name) in enumerate(zip(files, classes, strict=True))
+    ]
+    return PlainMeshes(records, tuple(names))

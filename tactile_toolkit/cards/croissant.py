@@ -1,0 +1,306 @@
+"""``croissant.json``: a data set folder as machines read it, in Croissant 1.1 with its responsible-AI terms.
+
+All of it follows from the card, the manifest and the columns. A split is one set of files and one set of
+records, however many shards it has; what proves the shards is the manifest, whose own digest stands here.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Iterator, Mapping, Sequence
+from mimetypes import guess_type
+from typing import Any
+
+from tactile_toolkit.cards.facts import FolderFacts, recorded_facts
+from tactile_toolkit.cards.head import configs
+from tactile_toolkit.errors import ToolkitError
+from tactile_toolkit.printable import printable_json
+from tactile_toolkit.store.folder import DataFolder
+from tactile_toolkit.store.manifest import MANIFEST_FILE, Manifest, read_manifest
+from tactile_toolkit.store.parquet import sha256_hex
+from tactile_toolkit.store.shards import VIEWER_FOLDER, Finding
+from tactile_toolkit.wording import counted
+
+__all__ = [
+    "CROISSANT_FILE",
+    "check_croissant",
+    "croissant_for_hub",
+    "croissant_of_folder",
+    "croissant_text",
+]
+
+CROISSANT_FILE = "croissant.json"
+
+_MOST_SHARDS_NAMED = 64
+"""Up to so many shards are listed with their digests; of more, those in the manifest must do."""
+
+_PARQUET = "application/x-parquet"
+_NUMBERS = re.compile(r"(?:u?int(?:8|16|32|64)|float(?:16|32|64))")
+_TIMES = re.compile(r"(?:duration|timestamp)\[.*\]")
+_PLAIN_TYPES = {"bool": "sc:Boolean", "image": "sc:ImageObject", "video": "sc:VideoObject"}
+_LINK = re.compile(r"\[([^\]]+)\]\([^)]*\)")
+_BIBTEX = re.compile(r"```bibtex\n(.*?)```", re.DOTALL)
+_UNNAMED_LICENCES = ("other", "unknown")
+_GIT_HAS_NO_DIGEST = "https://github.com/mlcommons/croissant/issues/80"
+"""What stands, by agreement of those who keep the format, for the digest of a repository."""
+
+# As Croissant 1.1 prints it: readers warn of any other.
+_CONTEXT: dict[str, Any] = {
+    "@language": "en",
+    "@vocab": "https://schema.org/",
+    **{
+        name: f"cr:{name}"
+        for name in (
+            *("arrayShape", "citeAs", "column", "containedIn", "equivalentProperty", "extract", "field"),
+            *("fileObject", "fileProperty", "fileSet", "format", "includes", "isArray", "isLiveDataset"),
+            *("jsonPath", "key", "md5", "parentField", "path", "recordSet", "references", "regex"),
+            *("repeated", "replace", "samplingRate", "separator", "source", "subField", "transform"),
+        )
+    },
+    "conformsTo": "dct:conformsTo",
+    "cr": "http://mlcommons.org/croissant/",
+    "data": {"@id": "cr:data", "@type": "@json"},
+    "dataType": {"@id": "cr:dataType", "@type": "@vocab"},
+    "dct": "http://purl.org/dc/terms/",
+    "description": {"@container": "@language"},
+    "examples": {"@id": "cr:examples", "@type": "@json"},
+    "name": {"@container": "@language"},
+    "rai": "http://mlcommons.org/croissant/RAI/",
+    "sc": "https://schema.org/",
+}
+
+
+def croissant_text(
+    folder: DataFolder, facts: FolderFacts, manifest: Manifest | None, head: Mapping[str, Any], body: str
+) -> str:
+    """Return the text for a folder; ``head`` and ``body`` are those of its card, and say it to people."""
+    citation = _BIBTEX.search(body)
+    licence = str(head["license"])
+    values = {
+        "@context": _CONTEXT,
+        "@type": "sc:Dataset",
+        "conformsTo": ["http://mlcommons.org/croissant/1.1", "http://mlcommons.org/croissant/RAI/1.0"],
+        "name": head["pretty_name"],
+        "description": " ".join([_intro(body), *_lines(_section(body, "What it is"))]),
+        "license": " ".join(_lines(_section(body, "Licence")))
+        if licence in _UNNAMED_LICENCES
+        else f"https://spdx.org/licenses/{licence.upper()}.html",
+        "keywords": list(head["tags"]),
+        **({"citeAs": citation[1].strip()} if citation else {}),
+        **({"version": manifest.toolkit_version} if manifest is not None else {}),
+        **_responsible_ai(manifest, head, body),
+        **_structure(folder, facts, manifest),
+    }
+    return printable_json(values) + "\n"
+
+
+def _responsible_ai(manifest: Manifest | None, head: Mapping[str, Any], body: str) -> dict[str, Any]:
+    known: dict[str, Any] = {
+        "rai:dataCollection": " ".join(_lines(_section(body, "How it was made"))),
+        "rai:dataUseCases": list(head["task_categories"]),
+        "rai:dataLimitations": _lines(_section(body, "Known limits")),
+    }
+    if manifest is None:
+        return known
+    skipped = [f"{count:,} left out: {reason}" for reason, count in manifest.skipped_reasons().items()]
+    libraries = ", ".join(f"{name} {version}" for name, version in sorted(manifest.libraries.items()))
+    return {
+        **known,
+        "rai:dataCollectionMissingData": "; ".join(skipped) or "nothing was left out",
+        "rai:dataPreprocessingProtocol": [
+            f"made by tactile-toolkit {manifest.toolkit_version}{f' with {libraries}' if libraries else ''}",
+            f"the full specification, with seeds and fingerprints of sources, is 'spec' in {MANIFEST_FILE}",
+        ],
+    }
+
+
+def _intro(body: str) -> str:
+    """Return the first paragraph of a card, below its title."""
+    return " ".join(_lines(body.split("\n## ")[0].partition("\n\n")[2].partition("\n\n")[0]))
+
+
+def _section(body: str, title: str) -> str:
+    return body.partition(f"\n## {title}\n")[2].partition("\n## ")[0]
+
+
+def _lines(markdown: str) -> list[str]:
+    """Return paragraphs, list items and lines of tables as plain text; blocks of code are left out."""
+    found: list[str] = []
+    for block in re.sub(r"```.*?```", "", markdown, flags=re.DOTALL).split("\n\n"):
+        lines = [line.strip() for line in block.strip().splitlines()]
+        if lines and lines[0].startswith("|"):
+            cells = [[cell.strip() for cell in line.strip("|").split("|")] for line in lines]
+            found += [f"{row[0]}: {', '.join(row[1:])}." for row in cells if row[0].strip(" -")]
+        elif lines and lines[0].startswith("- "):
+            found += [item for item in " ".join(lines).removeprefix("- ").split(" - ") if item]
+        elif lines and not lines[-1].endswith(":"):  # what introduces a block of code
+            found.append(" ".join(lines))
+    return [_LINK.sub(r"\1", line).replace("`", "").replace("\\", "") for line in found]
+
+
+def _structure(folder: DataFolder, facts: FolderFacts, manifest: Manifest | None) -> dict[str, Any]:
+    """Return what follows from files and columns alone."""
+    includes = {entry["split"]: entry["path"] for entry in configs(facts)[0]["data_files"]}
+    file_sets = [
+        {
+            "@type": "cr:FileSet",
+            "@id": f"files-{split.split}",
+            "description": f"{counted(split.rows, 'rows')} in {counted(len(split.paths), 'files')}",
+            "encodingFormat": _PARQUET,
+            "includes": includes[split.split],
+        }
+        for split in facts.splits
+    ]
+    record_sets = [_record_set(split.split, facts.features) for split in facts.splits]
+    return {"distribution": [*_file_objects(folder, manifest), *file_sets], "recordSet": record_sets}
+
+
+def _file_objects(folder: DataFolder, manifest: Manifest | None) -> Iterator[dict[str, Any]]:
+    if manifest is None:
+        return
+    digests = {MANIFEST_FILE: _manifest_digest(folder, manifest)}
+    # What the Hub's page shows says nothing that the shards do not.
+    digests |= {path: each for path, each in (manifest.files or {}).items() if not _is_shown(path)}
+    if len(manifest.shards) <= _MOST_SHARDS_NAMED:
+        digests |= {record.shard.data_path: record.sha256 for record in manifest.shards}
+    for path, digest in digests.items():
+        guessed = _PARQUET if path.endswith(".parquet") else guess_type(path)[0]
+        yield {
+            "@type": "cr:FileObject",
+            "@id": path,
+            "contentUrl": path,
+            "encodingFormat": guessed or "application/octet-stream",
+            "sha256": digest,
+        }
+
+
+def _is_shown(path: str) -> bool:
+    return path.startswith(f"{VIEWER_FOLDER}/")
+
+
+def _manifest_digest(folder: DataFolder, manifest: Manifest) -> str:
+    """Return the digest of the manifest as it lies there, or as it is about to be written."""
+    text = manifest.to_json().encode()
+    if folder.exists(MANIFEST_FILE):
+        stored = folder.read_bytes(MANIFEST_FILE)
+        # Others may have laid out the same values in another way, and then the file is left as it is.
+        if stored == text or read_manifest(folder) == manifest:
+            return sha256_hex(stored)
+    return sha256_hex(text)
+
+
+def _record_set(split: str, features: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
+    has_id = any(entry["name"] == "id" for entry in features)
+    return {
+        "@type": "cr:RecordSet",
+        "@id": split,
+        **({"key": {"@id": f"{split}/id"}} if has_id else {}),
+        "field": [_field(split, entry) for entry in features],
+    }
+
+
+def _field(split: str, entry: Mapping[str, Any], column: str = "", path: str = "") -> dict[str, Any]:
+    """Describe a column, or below ``column`` what its structs hold at a JSON path."""
+    name = str(entry["name"])
+    place = f"{column}/{path}" if column else name
+    source: dict[str, Any] = {
+        "fileSet": {"@id": f"files-{split}"},
+        "extract": {"column": column or name},
+        **({"transform": {"jsonPath": path}} if column else {}),
+    }
+    described = {"@type": "cr:Field", "@id": f"{split}/{place}"}
+    if "struct" in entry:
+        above = f"{path}." if path else ""
+        below = [_field(split, each, column or name, f"{above}{each['name']}") for each in entry["struct"]]
+        return {**described, "subField": below}
+    shape, inner = _unpacked(entry)
+    array = {"isArray": True, "arrayShape": ",".join(map(str, shape))} if shape else {}
+    dtype = inner["dtype"] if isinstance(inner, Mapping) and "dtype" in inner else inner
+    if dtype == "image":
+        source["transform"] = {"jsonPath": "bytes"}
+        array = {"repeated": True} if shape else {}  # of pictures, readers take no other word for a list
+    data_type, words = _data_type(dtype)
+    meaning = {"description": words} if words else {}
+    return {**described, **meaning, "dataType": data_type, **array, "source": source}
+
+
+def _data_type(dtype: Any) -> tuple[str | list[str], str]:
+    """Return the type of a value in words of Croissant, and what they do not say."""
+    if isinstance(dtype, Mapping):
+        names = dtype["class_label"]["names"].items()
+        listed = ", ".join(f"{number} is {name!r}" for number, name in names)
+        return ["cr:Int64", "cr:Label"], f"classes: {listed}"
+    if _NUMBERS.fullmatch(str(dtype)):
+        return f"cr:{dtype.replace('uint', 'UInt').replace('int', 'Int').replace('float', 'Float')}", ""
+    if _TIMES.fullmatch(str(dtype)):
+        return "cr:Int64", f"stored as {dtype}"
+    return _PLAIN_TYPES.get(str(dtype), "sc:Text"), ""
+
+
+def _unpacked(entry: Any) -> tuple[list[int], Any]:
+    """Return the lengths of nested lists, -1 where they differ, and what the innermost holds."""
+    shape: list[int] = []
+    while isinstance(entry, Mapping) and "list" in entry:
+        shape.append(int(entry.get("length", -1)))
+        entry = entry["list"]
+    return shape, entry
+
+
+def croissant_of_folder(text: str, folder: DataFolder) -> str:
+    """Return the text of a repository for a folder that has the manifest, and all of the set or some splits.
+
+    ValueError where it is not JSON.
+    """
+    manifest = read_manifest(folder)
+    values = json.loads(text)
+    if not isinstance(values, dict):
+        message = "not a JSON object"
+        raise ValueError(message)
+    values.pop("url", None)
+    return printable_json({**values, **_structure(folder, recorded_facts(folder, manifest), manifest)}) + "\n"
+
+
+def croissant_for_hub(text: str, page: str, card: str, manifest: bytes) -> str:
+    """Return the text of a folder for a repository, in which files are those of its git repository.
+
+    ``card`` and ``manifest`` are those that will stand there: the card's head tells which files are whose.
+    """
+    import yaml
+
+    values = json.loads(text)
+    head = yaml.safe_load(card.split("---\n", 2)[1])
+    includes = {entry["split"]: entry["path"] for entry in head["configs"][0]["data_files"]}
+    repository = {
+        "@type": "cr:FileObject",
+        "@id": "repository",
+        "contentUrl": page,
+        "encodingFormat": "git+https",
+        "sha256": _GIT_HAS_NO_DIGEST,
+    }
+    files = [{**each, "containedIn": {"@id": "repository"}} for each in values["distribution"]]
+    for each in files:
+        if each["@id"] == MANIFEST_FILE:
+            each["sha256"] = sha256_hex(manifest)
+        if each["@type"] == "cr:FileSet":
+            each["includes"] = includes[each["@id"].removeprefix("files-")]
+    return printable_json({**values, "url": page, "distribution": [repository, *files]}) + "\n"
+
+
+def check_croissant(folder: DataFolder, facts: FolderFacts, manifest: Manifest | None) -> list[Finding]:
+    """List what of the file is not as the folder is; none where there is no such file."""
+    if not folder.exists(CROISSANT_FILE):
+        return []  # data sets made before there was one
+    cure = "; next: write it anew with the command `card`"
+    try:
+        values = json.loads(folder.read_bytes(CROISSANT_FILE).decode())
+    except (ValueError, RecursionError, ToolkitError) as error:
+        return [Finding(CROISSANT_FILE, f"cannot be read as JSON ({error}){cure}")]
+    expected = _structure(folder, facts, manifest)
+    if not isinstance(values, dict):
+        return [Finding(CROISSANT_FILE, f"is not a JSON object{cure}")]
+    return [
+        Finding(CROISSANT_FILE, f"its {name!r} is not that of the files here{cure}")
+        for name, found in expected.items()
+        if values.get(name) != found
+    ]

@@ -1,0 +1,221 @@
+"""The environments whose objects nobody makes here, on meshes that a user has."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import trimesh
+from typer.testing import CliRunner
+
+import env_assets
+import mnist3d
+from cli.env_assets import app
+from tactile_toolkit.errors import InputError
+from tests.env_assets.factories import write_meshes
+from tests.env_assets.published.rollouts import roll
+
+pytestmark = [pytest.mark.env, pytest.mark.filterwarnings("ignore")]
+
+
+@pytest.fixture(autouse=True)
+def own_statistics(packages: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Keep the statistics of the package out of the user's home."""
+    monkeypatch.setattr(packages.util, "CACHE_BASE_DIR", tmp_path / "statistics")
+
+
+def solids_mm() -> dict[str, Any]:
+    return {
+        "nut.stl": trimesh.creation.annulus(5, 12, 8),
+        "bolt.ply": trimesh.creation.cylinder(6, 50),
+        "plate.obj": trimesh.creation.box((30, 40, 6)),
+    }
+
+
+def write(folder: Path, solids: dict[str, Any]) -> Path:
+    folder.mkdir(parents=True)
+    for name, solid in solids.items():
+        solid.export(folder / name)
+    return folder
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    """Three files to train with, two to test."""
+    write(tmp_path / "meshes" / "train", solids_mm())
+    write(tmp_path / "meshes" / "test", dict(list(solids_mm().items())[:2]))
+    (tmp_path / "meshes" / "train" / "notes.txt").write_text("mine")
+    (tmp_path / "meshes" / "train" / ".half.stl").write_text("half")
+    return tmp_path / "meshes"
+
+
+FAMILIES = [
+    ("ABCVolume-Depth-train-v0", 3),
+    ("ABCCenterOfMass-Depth-DR-test-v0", 2),
+    ("Minecraft-Depth-v0", 3),
+    ("MinecraftPose-Depth-DR-v0", 3),
+]
+
+
+@pytest.mark.parametrize(("env_id", "count"), FAMILIES)
+def test_a_family_runs_on_a_folder_of_meshes(folder, env_id, count):
+    env = env_assets.make(env_id, assets=folder, num_envs=2)
+    try:
+        rollout = roll(env, 6, 0)
+        data = env.unwrapped.config.dataset
+        assert len(data) == count
+        names = ("bolt", "nut", "plate") if count == 3 else ("bolt", "nut")
+        assert data.label_names == names
+        for observation in rollout.observations:
+            assert env.observation_space.contains(observation)
+        volumes_m3 = np.array([abs(solid.volume) for solid in solids_mm().values()])[:count] * 1e-9
+        found_m3 = sorted(float(point.mesh.volume) for point in data)
+        assert found_m3 == pytest.approx(sorted(volumes_m3), rel=1e-4)
+        for step in rollout.steps:
+            targets = step.info["prediction"]["target"]
+            labels = [point.label for point in env.unwrapped.current_data_points]
+            if env_id.startswith("Minecraft-"):
+                assert targets.tolist() == labels
+            elif "Volume" in env_id:
+                mean, std = volumes_m3.mean(), volumes_m3.std()
+                allowed = (np.array(found_m3) - mean) / std
+                assert all(np.abs(allowed - target).min() < 1e-3 for target in targets.ravel())
+            else:
+                assert np.isfinite(targets).all()
+    finally:
+        env.close()
+
+
+def test_the_fast_renderer_feels_the_same(folder):
+    images = []
+    for renderer in ("opengl", "fast"):
+        env = env_assets.make("Minecraft-Depth-v0", assets=folder, num_envs=2, renderer=renderer)
+        try:
+            images.append(np.array([step["sensor_img"] for step in roll(env, 8, 3).observations]))
+        finally:
+            env.close()
+    assert np.median(np.abs(images[0] - images[1])) < 1e-3
+
+
+def test_what_may_be_given(folder, tmp_path, packages, assets):
+    """Folders of classes, one file, data sets by folder, opened ones, lists, and the package's own."""
+    import datasets
+
+    by_class = write(tmp_path / "by-class" / "round", {"a.stl": trimesh.creation.cylinder(6, 20)}).parent
+    write(
+        by_class / "flat",
+        {"b.stl": trimesh.creation.box((20, 30, 5)), "a.stl": trimesh.creation.box([9] * 3)},
+    )
+    as_set = write_meshes(tmp_path / "set", [trimesh.creation.box((0.02, 0.03, 0.01))] * 2, ("a", "b"))
+    theirs = packages.SimpleMeshDataset(datasets.load_dataset(str(as_set), split="train"))
+    digits = mnist3d.load(str(assets / "mnist3d"), split="test")
+    for given, count, names in [
+        (by_class, 3, ("flat", "round")),
+        (str(as_set), 2, ("a", "b")),
+        (digits, 10, tuple("0123456789")),
+        (list(digits)[:3], 3, None),
+        (theirs, 2, ("a", "b")),
+    ]:
+        env = env_assets.make("Minecraft-Depth-v0", assets=given, num_envs=1, renderer="fast")
+        try:
+            env.reset(seed=0)
+            data = env.unwrapped.config.dataset
+            assert len(data) == count
+            assert names is None or data.label_names == names
+        finally:
+            env.close()
+    one = env_assets.make("MinecraftPose-Depth-v0", assets=folder / "train" / "nut.stl", renderer="fast")
+    assert one.unwrapped.config.dataset.label_names == ("nut",)
+    one.close()
+    place = env_assets.AssetProvider(tmp_path / "nowhere", places={"abc": as_set})
+    env_assets.make("ABCVolume-Depth-train-v0", provider=place, num_envs=1, renderer="fast").close()
+
+
+def test_objects_are_laid_flat_as_the_package_does(packages):
+    """Its own code runs on corners that may be written to, which trimesh no longer gives out."""
+    from types import SimpleNamespace
+
+    from tactile_mnist.tactile_perception_vector_env import TactilePerceptionVectorEnv
+
+    from env_assets.published.flat import flat_turn
+
+    for seed in range(5):
+        mesh = trimesh.creation.box(np.array([3, 7, 1 + seed]) * 5e-3)
+        mesh.apply_transform(
+            trimesh.transformations.random_rotation_matrix(np.random.default_rng(seed).random(3))
+        )
+        box = mesh.bounding_box_oriented
+        theirs = SimpleNamespace(
+            bounding_box_oriented=SimpleNamespace(
+                transform=np.array(box.transform), vertices=np.array(box.vertices)
+            ),
+            copy=lambda mesh=mesh: SimpleNamespace(vertices=np.array(mesh.vertices)),
+        )
+        laid = TactilePerceptionVectorEnv._pre_process_dp(SimpleNamespace(mesh=theirs, id=0, label=0), True)
+        assert np.allclose(laid.mesh.vertices, mesh.vertices @ flat_turn(mesh).T, atol=1e-9)
+        assert np.linalg.det(flat_turn(mesh)) == pytest.approx(1)
+
+
+def refused(words: str, given: Any, env_id: str = "Minecraft-Depth-v0", **options: Any) -> str:
+    with pytest.raises(InputError, match=words) as caught:
+        env_assets.make(env_id, assets=given, num_envs=1, **options)
+    return str(caught.value)
+
+
+def test_what_cannot_be_used_is_named(folder, tmp_path, assets):
+    train = folder / "train"
+    refused("no assets were given.*Mojang.*next: give `provider`", None)
+    message = refused(
+        "ABC data set", None, "ABCVolume-v0", provider=env_assets.AssetProvider(tmp_path / "no")
+    )
+    assert "next: give `assets`" in message
+    (tmp_path / "empty").mkdir()
+    refused("empty", tmp_path / "empty")
+    refused("nowhere", tmp_path / "nowhere")
+    refused("expected a folder of meshes", 7)
+    refused("has one class; expected at least two", train / "nut.stl")
+    refused("has meshes of one volume alone", train / "nut.stl", "ABCVolume-Depth-train-v0")
+    refused("recorded touches", folder, "TactileMNISTRealSnap-train-v0")
+    shutil.copy(train / "nut.stl", train / "plate.stl")
+    refused("holds plate.obj, plate.stl: one class twice", folder)
+    (train / "plate.stl").write_bytes((train / "nut.stl").read_bytes()[:300])
+    (train / "plate.obj").unlink()
+    refused("plate.stl: not a readable STL file", folder)
+    trimesh.creation.box((300, 30, 30)).export(train / "plate.stl")
+    refused(r"\('plate.stl'\) of .* is 300.0 x 30.0 mm, larger than the cell", folder)
+    inverted = trimesh.creation.box((30, 30, 30))
+    inverted.invert()
+    inverted.export(train / "plate.stl")
+    refused(r"\('plate.stl'\) of .* volume of -2.7e-05", folder)
+    write(train / "screws", {"a.stl": trimesh.creation.cylinder(3, 20)})
+    refused("beside folders of them", folder)
+
+
+def test_the_list_tells_the_state_of_every_id(packages):
+    found = CliRunner().invoke(app, ["list", "--json"])
+    assert found.exit_code == 0, found.output
+    listed = json.loads(found.stdout)
+    assert len({each["id"] for each in listed}) == len(listed) == 356
+    meshes = [each for each in listed if each["assets"] in ("abc", "minecraft")]
+    assert len(meshes) == 76
+    assert {each["state"] for each in meshes} <= {"meshes", "sensor"}
+    (one,) = [each for each in listed if each["id"] == "TactileMNIST-Depth-test-v0"]
+    assert one == {
+        "id": "TactileMNIST-Depth-test-v0",
+        "task": "classification",
+        "split": "test",
+        "sensor": "depth",
+        "assets": "mnist3d",
+        "sparse": False,
+        "state": "ready",
+        "note": "",
+    }
+    some = CliRunner().invoke(app, ["list", "ABCVolume", "DR", "test"])
+    assert some.exit_code == 0
+    assert "ABCVolume-Depth-DR-test-v0" in some.stdout
+    wrong = CliRunner().invoke(app, ["list", "ABCVolum"])
+    assert isinstance(wrong.exception, InputError) or wrong.exit_code == 2

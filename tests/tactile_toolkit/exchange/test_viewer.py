@@ -1,0 +1,164 @@
+"""What the Hub's page shows: a second configuration, which `datasets` reads and loaders of ours pass over."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+import yaml
+
+import mnist3d
+from mnist3d.generation import GenerateSpec, generate
+from mnist3d.sources.synthetic import SyntheticSource
+from tactile_toolkit.cards.checks import check_card
+from tactile_toolkit.errors import InputError
+from tactile_toolkit.exchange.upload import UploadOptions, prepare_upload, run_upload
+from tactile_toolkit.store.folder import DataFolder
+from tactile_toolkit.store.verify import verify
+from tests.hub_server import HubServer, hub
+from tests.realtouch.factories import make_round, seq_rows, write_set
+from tests.tactile_toolkit.exchange.upload_client import logged_in
+from tests.tactile_toolkit.hub.client import run_here, settings
+from tests.tactile_toolkit.toy import folder_bytes
+
+NAME = "someone/digits"
+SPLITS = ("test", "holdout")
+
+pytestmark = pytest.mark.filterwarnings(
+    "ignore:Use 'content=<...>':DeprecationWarning"  # of the client's own making, in every PUT
+)
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory) -> Path:
+    """Digits as they are by default, so that their size is what users will see."""
+    folder = tmp_path_factory.mktemp("viewer") / "digits"
+    generate(GenerateSpec(SyntheticSource(), per_class=1), str(folder), SPLITS)
+    return folder
+
+
+@pytest.fixture
+def server(monkeypatch) -> Iterator[HubServer]:
+    with hub() as running, logged_in(running, running.account("someone"), monkeypatch):
+        yield running
+
+
+def upload(folder: Path, **options: object):
+    return run_upload(prepare_upload(str(folder), NAME, UploadOptions(**options)))  # type: ignore[arg-type]
+
+
+def held(server: HubServer) -> dict[str, bytes]:
+    return {path: blob.content for path, blob in server.repository(NAME).head.files.items()}
+
+
+LOAD = """
+import datasets, json, mnist3d
+shown = datasets.load_dataset("someone/digits", "viewer", split="test")
+fast = datasets.load_dataset("someone/digits", split="test")
+digits = mnist3d.load("someone/digits", "test")
+print("REPORT" + json.dumps({
+    "kind": str(shown.features["mesh"]),
+    "columns": shown.column_names,
+    "fast": fast.column_names,
+    "ids": [shown["id"] == fast["id"] == [digit.id for digit in digits]],
+    "volumes": [[row["mesh"].to_mesh().volume, digit.mesh.volume] for row, digit in zip(shown, digits)],
+    "watertight": all(row["mesh"].to_mesh().is_watertight for row in shown),
+}))
+"""
+
+
+def test_each_row_is_shown_in_3d_and_the_fast_columns_stay_the_default(server, made, tmp_path):
+    before = folder_bytes(made)
+    first = upload(made, viewer=True)
+    assert folder_bytes(made) == before, "the folder itself is left as it is"
+    files = held(server)
+    shown = sorted(path for path in files if path.startswith("viewer/"))
+    assert shown == [f"viewer/{split}-00000-of-00001.parquet" for split in sorted(SPLITS)]
+    assert set(shown) <= set(first.sent)
+    rows = 10 * len(SPLITS)
+    both = sum(len(files[path]) for path in files if path.startswith(("viewer/", "data/")))
+    assert both / rows < 115_000
+    head = yaml.safe_load(files["README.md"].decode().split("---\n")[1])
+    assert [config["config_name"] for config in head["configs"]] == ["default", "viewer"]
+    script = settings(server, tmp_path)
+    done = run_here(LOAD, script, tmp_path).stdout
+    report = json.loads(next(line for line in done.splitlines() if line.startswith("REPORT"))[6:])
+    assert report["kind"] == "Mesh(decode=True)"
+    assert report["columns"] == ["id", "label", "writer", "volume_m3", "source", "mesh"]
+    assert "mesh.vertices" in report["fast"]
+    assert report["ids"] == [True]
+    assert report["watertight"]
+    for found, expected in report["volumes"]:
+        assert found == pytest.approx(expected, rel=1e-9)
+    again = upload(made, viewer=True)
+    assert again.sent == (), "the same rows give the same files"
+
+
+def test_a_copy_of_the_repository_is_whole_with_and_without_it(server, made, tmp_path):
+    upload(made, viewer=True)
+    for path, content in held(server).items():
+        (tmp_path / "copy" / path).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / "copy" / path).write_bytes(content)
+    copy = DataFolder(str(tmp_path / "copy"))
+    # The one file that speaks of the repository itself.
+    shutil.copy(made / "croissant.json", tmp_path / "copy")
+    assert [finding.file for finding in check_card(copy)] == ["croissant.json"]
+    assert mnist3d.load(str(tmp_path / "copy"), split="test").ids.tolist()
+    (tmp_path / "copy" / "croissant.json").unlink()
+    assert verify(copy, check_card=check_card).ok
+    (tmp_path / "copy" / "viewer" / "test-00000-of-00001.parquet").unlink()
+    assert verify(copy, check_card=check_card).ok, "rows are whole without it"
+    shown = tmp_path / "copy" / "viewer" / "holdout-00000-of-00001.parquet"
+    shown.write_bytes(shown.read_bytes()[:-1])
+    (finding,) = verify(copy, check_card=check_card).findings
+    assert finding.file == "viewer/holdout-00000-of-00001.parquet"
+    text = (tmp_path / "copy" / "README.md").read_text()
+    (tmp_path / "copy" / "README.md").write_text(text.replace("viewer/test-*", "viewer/*"))
+    assert any("'viewer/*' of split 'test' finds 2 files" in each.problem for each in check_card(copy))
+
+
+DOWNLOAD = """
+from tactile_toolkit.exchange.download import download, plan_download
+plan = plan_download("someone/digits", {splits}, out={out!r})
+download(plan)
+again = plan_download("someone/digits", {splits}, out={out!r})
+print(len([file for file in plan.files if file.path.startswith("viewer/")]), again.is_done)
+"""
+
+
+def test_a_download_leaves_it_out(server, made, tmp_path):
+    upload(made, viewer=True)
+    out = tmp_path / "whole"
+    done = run_here(DOWNLOAD.format(splits=(), out=str(out)), settings(server, tmp_path), tmp_path)
+    assert done.stdout.split() == ["0", "True"], done.stdout + done.stderr
+    assert verify(DataFolder(str(out)), check_card=check_card).findings == ()
+    whole = folder_bytes(out)
+    del whole[".download.json"]
+    expected = folder_bytes(made)
+    expected["README.md"] = expected["README.md"].replace(b'"FOLDER"', f'"{NAME}"'.encode())
+    assert whole == expected, "what is left is the folder that was sent"
+    part = tmp_path / "part"
+    done = run_here(DOWNLOAD.format(splits=("test",), out=str(part)), settings(server, tmp_path), tmp_path)
+    assert done.stdout.split() == ["0", "True"], done.stdout + done.stderr
+    assert verify(DataFolder(str(part)), check_card=check_card).findings == ()
+    assert "viewer" not in (part / "README.md").read_text().split("---\n")[1]
+
+
+def test_an_upload_without_it_takes_it_back(server, made):
+    upload(made, viewer=True)
+    upload(made, delete=True)
+    assert not any(path.startswith("viewer/") for path in held(server))
+    head = yaml.safe_load(held(server)["README.md"].decode().split("---\n")[1])
+    assert [config["config_name"] for config in head["configs"]] == ["default"]
+
+
+def test_touches_have_nothing_to_show_in_3d(server, tmp_path):
+    import realtouch
+
+    clips = write_set(tmp_path / "clips", {"train": seq_rows([make_round(0, 2, (64, 48), (9, 12))])}, "seq")
+    realtouch.resize(str(clips), tmp_path / "small", width=48, height=36)
+    with pytest.raises(InputError, match=r"--viewer shows meshes in 3D, and .*small' holds none"):
+        prepare_upload(str(tmp_path / "small"), NAME, UploadOptions(viewer=True))
