@@ -305,6 +305,8 @@ def _meshes(
         raise InputError(message)
     kind = None if name in FOREIGN else name
     refuse_unfit_meshes(meshes, kind, where, _cell_m(settings), lays_flat=_lays_flat(settings))
+    if kind is None:
+        refuse_one_answer(meshes, environment.family.task, where)
     return meshes
 
 

@@ -6,7 +6,6 @@ the Hub already. Then what is missing is sent (:func:`run_upload`), and what arr
 
 from __future__ import annotations
 
-import tempfile
 import warnings
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -16,6 +15,7 @@ from typing import Any, TypeVar
 from tactile_toolkit.cards.card import CARD_FILE
 from tactile_toolkit.cards.checks import check_card
 from tactile_toolkit.cards.croissant import CROISSANT_FILE, croissant_for_hub
+from tactile_toolkit.cards.facts import viewer_files
 from tactile_toolkit.catalog.kinds import require_manifest
 from tactile_toolkit.errors import InputError, IntegrityError
 from tactile_toolkit.exchange.local_copy import LocalCopy
@@ -29,7 +29,7 @@ from tactile_toolkit.exchange.upload_plan import (
     collect,
     compare,
 )
-from tactile_toolkit.exchange.viewer import make_viewer_files
+from tactile_toolkit.exchange.viewer import ViewerFiles
 from tactile_toolkit.hub.errors import require_repository_name
 from tactile_toolkit.hub.retry import ask
 from tactile_toolkit.kind import DatasetKind
@@ -238,7 +238,7 @@ class UploadTarget:
 class PreparedUpload:
     """An upload that is decided and not begun; ``pull`` is an open pull request that holds everything.
 
-    ``copy`` and ``stage`` are kept as long as this is: the copy on this machine of a folder in an object
+    ``copy`` and ``viewer`` are kept as long as this is: the copy on this machine of a folder in an object
     store, and the files that were made for the Hub's page.
     """
 
@@ -250,7 +250,7 @@ class PreparedUpload:
     plan: UploadPlan
     pull: str | None = None
     copy: LocalCopy | None = None
-    stage: tempfile.TemporaryDirectory[str] | None = None
+    viewer: ViewerFiles | None = None
 
     @property
     def is_done(self) -> bool:
@@ -338,15 +338,13 @@ def prepare_upload(
     state = target.state()
     _refuse_exposure(target, chosen, state)
     _refuse_taken_names(target, chosen, state)
-    stage = tempfile.TemporaryDirectory(prefix="tactile-toolkit-") if chosen.viewer else None
-    shown = {}
-    if stage is not None:
-        digests = make_viewer_files(found, manifest, Path(stage.name))
-        manifest = replace(manifest, files={**(manifest.files or {}), **digests})
-        shown = {path: Path(stage.name) / path for path in digests}
+    viewer = ViewerFiles(found, manifest) if chosen.viewer else None
+    if viewer is not None:
+        manifest = replace(manifest, files={**(manifest.files or {}), **viewer.digests})
+    shown = {} if viewer is None else viewer.places
     payload = _payload(root, folder, manifest, target, chosen, state, shown)
     plan = compare(payload.files, state.files)
-    prepared = PreparedUpload(target, chosen, manifest, payload, state, plan, copy=copy, stage=stage)
+    prepared = PreparedUpload(target, chosen, manifest, payload, state, plan, copy=copy, viewer=viewer)
     _refuse_other_tag(prepared)
     if chosen.create_pr and state.exists and name and not prepared.is_done:
         return replace(prepared, pull=_holding_pull(prepared, name))
@@ -426,9 +424,12 @@ def _payload(
     ``shown`` are the files for the Hub's page, by path.
     """
     payload = collect(root, manifest, shown)
-    staying = () if options.delete else compare(payload.files, state.files).remote_only
+    there = () if options.delete else compare(payload.files, state.files).remote_only
+    staying = [file for file in there if file.path not in shown]
     stored = (root / CARD_FILE).read_text(encoding="utf-8")
-    text = card_for_hub(stored, target.repo_id, manifest, [file.path for file in staying])
+    shards = {split: [r.shard.data_path for r in manifest.shards_of(split)] for split in manifest.splits}
+    others = [file.path for file in staying]
+    text = card_for_hub(stored, target.repo_id, shards, others, viewer_files(manifest))
     held = {*(file.path for file in payload.files), *(file.path for file in staying)}
     _require_sound(folder, check_card(DataFolder(str(root)), text, held=held, manifest=manifest))
     described = (root / MANIFEST_FILE).read_bytes()

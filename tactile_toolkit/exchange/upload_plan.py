@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import re
-from collections.abc import Container, Iterable, Iterator, Mapping
+from collections.abc import Container, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from fnmatch import fnmatch
 from pathlib import Path
@@ -12,7 +12,6 @@ from typing import Any
 
 from tactile_toolkit.cards.card import CARD_FILE, PREVIEW_FOLDER, addressed
 from tactile_toolkit.cards.croissant import CROISSANT_FILE
-from tactile_toolkit.cards.facts import viewer_files
 from tactile_toolkit.cards.head import config_of, head_text
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.store.folder import DataFolder
@@ -251,24 +250,29 @@ def _unsent(root: Path, folder: Path, sent: set[str], holding: set[str]) -> Iter
             yield from _unsent(root, entry, sent, holding)
 
 
-def card_for_hub(text: str, repo_id: str, manifest: Manifest, others: Iterable[str]) -> str:
+def card_for_hub(
+    text: str,
+    repo_id: str,
+    shards: Mapping[str, Sequence[str]],
+    others: Iterable[str],
+    shown: Mapping[str, Sequence[str]] | None = None,
+) -> str:
     """Render the card of a folder for a repository, whose name takes the folder's place in its examples.
 
-    ``manifest`` is the one that will stand there; ``others`` stay in the repository though the folder lacks
-    them. Where the pattern of a split would take those for its own, its files are named one by one instead.
+    ``shards`` are the files of each split, ``shown`` those for the Hub's page; ``others`` stay in the
+    repository though the folder lacks them. Where the pattern of a split would take those for its own, its
+    files are named one by one instead.
     """
     import yaml
 
     named, foreign = addressed(text, repo_id), list(others)
     _, head, body = named.split(_FENCE, 2)
     values: dict[str, Any] = yaml.safe_load(head)
-    shards = {split: [r.shard.data_path for r in manifest.shards_of(split)] for split in manifest.splits}
-    shown = viewer_files(manifest)
     default = values["configs"][0]
     wanted = [default, config_of(VIEWER_FOLDER, VIEWER_FOLDER, shown)] if shown else [default]
     changed = wanted != values["configs"]
     values["configs"] = wanted
-    for config, files in zip(wanted, (shards, shown), strict=False):
+    for config, files in zip(wanted, (shards, shown or {}), strict=False):
         for entry in config["data_files"]:
             patterns = [entry["path"]] if isinstance(entry["path"], str) else entry["path"]
             if any(fnmatch(path, pattern) for pattern in patterns for path in foreign):

@@ -8,6 +8,9 @@ from __future__ import annotations
 
 import json
 import os
+import shutil
+import tempfile
+import weakref
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -24,7 +27,7 @@ from tactile_toolkit.store.manifest import Manifest
 from tactile_toolkit.store.parquet import ParquetStyle, sha256_hex, write_parquet
 from tactile_toolkit.store.shards import VIEWER_FOLDER, ShardRecord
 
-__all__ = ["make_viewer_files"]
+__all__ = ["ViewerFiles"]
 
 _COLUMN = "mesh"
 _STYLE = ParquetStyle(
@@ -34,13 +37,19 @@ _STYLE = ParquetStyle(
 )
 
 
-def make_viewer_files(folder: DataFolder, manifest: Manifest, out: Path) -> dict[str, str]:
-    """Write a file for each shard below ``out``; return paths and digests, as manifests list files.
+class ViewerFiles:
+    """A file for each shard, in a temporary folder that goes with this object.
 
+    ``digests`` are those of the files by path, as manifests list them; ``places`` are where they lie. Raises
     InputError where the rows have no mesh.
     """
-    make = partial(_make, folder, out)
-    return dict(in_threads(make, manifest.shards, os.cpu_count() or 1))
+
+    def __init__(self, folder: DataFolder, manifest: Manifest) -> None:
+        root = Path(tempfile.mkdtemp(prefix="tactile-toolkit-"))
+        self._removal = weakref.finalize(self, shutil.rmtree, root, ignore_errors=True)
+        made = in_threads(partial(_make, folder, root), manifest.shards, os.cpu_count() or 1)
+        self.digests: dict[str, str] = dict(made)
+        self.places = {path: root / path for path in self.digests}
 
 
 def _make(folder: DataFolder, out: Path, record: ShardRecord) -> tuple[str, str]:

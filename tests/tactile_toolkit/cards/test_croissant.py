@@ -159,7 +159,8 @@ def test_a_set_made_before_there_was_one_is_whole(folder):
 def test_on_the_hub_files_are_those_of_the_repository_and_here_those_of_the_folder(folder):
     place, was = DataFolder(str(folder)), (folder / "croissant.json").read_text()
     page = "https://huggingface.co/datasets/someone/digits"
-    there = croissant_for_hub(was, page, (folder / "README.md").read_text())
+    manifest = (folder / "manifest.json").read_bytes()
+    there = croissant_for_hub(was, page, (folder / "README.md").read_text(), manifest)
     (folder / "croissant.json").write_text(there)
     found = loaded(folder, mapping={"repository": str(folder)})
     assert found.metadata.url == page
