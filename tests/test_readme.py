@@ -92,7 +92,7 @@ def test_blocks_are_of_known_kinds():
 
 
 def test_readme_runs(surroundings):
-    """As a reader would type it; the installing halves of the first two lines are left to CI."""
+    """As a reader would type it; CI runs the installing halves of the first two lines."""
     read("README.md", surroundings, "readme")
 
 

@@ -41,10 +41,12 @@ LIBRARIES = (
     "av",
 )
 """Their versions decide bytes."""
+HELP_LIBRARIES = ("click", "rich", "typer")
+"""Their versions decide how help is laid out."""
 
 
-def library_versions() -> dict[str, str]:
-    return {name: version(name) for name in LIBRARIES}
+def library_versions(names: tuple[str, ...] = LIBRARIES) -> dict[str, str]:
+    return {name: version(name) for name in names}
 
 
 def public_names(package: str) -> list[str]:
@@ -107,6 +109,7 @@ def main() -> None:
         touches = synthetic_touches(Path(folder) / "touches")
     found = {
         "libraries": library_versions(),
+        "help_libraries": library_versions(HELP_LIBRARIES),
         "names": {package: public_names(package) for package in PACKAGES},
         "parquet": digests,
         "touches": touches,

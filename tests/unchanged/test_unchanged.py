@@ -9,6 +9,7 @@ import pytest
 from tests.unchanged.record import (
     COMMAND_LINES,
     FOLDER,
+    HELP_LIBRARIES,
     PACKAGES,
     data_sets,
     helps,
@@ -33,6 +34,8 @@ def test_every_package_is_recorded():
 
 @pytest.mark.parametrize("command_line", COMMAND_LINES)
 def test_help_is_unchanged(command_line):
+    if library_versions(HELP_LIBRARIES) != RECORD["help_libraries"]:
+        pytest.skip(f"help is laid out by libraries; recorded with {RECORD['help_libraries']}")
     assert helps(command_line) == (FOLDER / f"{command_line}.txt").read_text(encoding="utf-8")
 
 
