@@ -258,18 +258,20 @@ def render(
     Example: tactile-sim render part.stl --at 0.01,0.02 --turn 0.3 --size 320x240 --out touch.png
     """
     from tactile_sim.looking import look
+    from tactile_toolkit.errors import InputError
     from tactile_toolkit.mesh.files import read_mesh
     from tactile_toolkit.store.folder import DataFolder
     from tactile_toolkit.touch.jpeg import encode_image
 
+    kinds: dict[str, Literal["jpeg", "png"]] = {".png": "png", ".jpg": "jpeg", ".jpeg": "jpeg"}
+    if out.suffix.lower() not in kinds:
+        message = f"--out is {out.name!r}; expected a picture that ends with {', '.join(kinds)}"
+        raise InputError(message)
     spec = picture.spec()
     x_m, y_m = _place(at)
     seen = look(read_mesh(mesh), spec, x_m, y_m, turn_rad=turn)
-    kind: Literal["jpeg", "png"] = "jpeg" if out.suffix.lower() in (".jpg", ".jpeg") else picture.image_format
-    kind = "png" if out.suffix.lower() == ".png" else kind
-    DataFolder(str(out.parent.absolute())).write_bytes(
-        out.name, encode_image(seen.picture, kind, picture.quality)
-    )
+    encoded = encode_image(seen.picture, kinds[out.suffix.lower()], picture.quality)
+    DataFolder(str(out.parent.absolute())).write_bytes(out.name, encoded)
     sink.document({"file": str(out), "sensor_z_m": seen.sensor_z_m, "contact": seen.contact})
     sink.line(
         f"{out}: the sensor stops {1e3 * seen.sensor_z_m:.3f} mm above the plate; "

@@ -29,6 +29,7 @@ from tactile_toolkit.catalog.published import place_of
 from tactile_toolkit.checked_fields import check_fields, choice, whole_number
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.mesh.columns import class_names, require_mesh_columns
+from tactile_toolkit.mesh.files import FORMATS
 from tactile_toolkit.mesh.records import SolidDataset
 from tactile_toolkit.read.parquet import Shard, ShardedTable
 from tactile_toolkit.run.processes import Runner, runner_for
@@ -235,6 +236,12 @@ def plan_build(source: str, spec: GenerateSpec, splits: Sequence[str] | None = N
 
     InputError for an unknown split, a source without meshes, or one without rows.
     """
+    if Path(source).suffix.lower() in FORMATS:
+        message = (
+            f"{source!r} is a single mesh; expected a data set of solids; next: `tactile-sim render` for a "
+            "look at one mesh, or `tactile_sim.press` in Python"
+        )
+        raise InputError(message)
     place = place_of(source)
     known = splits_of(place)
     wanted = known if splits is None else tuple(splits)

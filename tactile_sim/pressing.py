@@ -99,9 +99,12 @@ def _require_closed(mesh: Mesh) -> None:
         merged = Mesh(*merge_equal_vertices(np.asarray(mesh.vertices_m, np.float64), mesh.faces))
         verdict = check_manifold(merged)
     if verdict.problem not in _HARMLESS:
+        mend = "mend it, `mnist3d validate FILE` says what is wrong"
+        if verdict.problem == "no-volume":
+            mend = "look at its unit: metres in Python, millimetres in files but GLB; or mend it"
         message = (
             f"the mesh bounds no solid ({verdict.problem}: {verdict.detail}); a gel can be pressed onto "
-            "closed meshes only; next: mend it, `mnist3d validate FILE` says what is wrong"
+            f"closed meshes only; next: {mend}"
         )
         raise InputError(message)
 

@@ -120,13 +120,14 @@ def _mesh(folder: Path, kind: str) -> Path:
         ("block", ("--surface", "printed", "--layer-mm", "5"), "--layer-mm"),
         ("block", ("--noise", "calibrated"), "'depth' have no noise"),
         ("block", ("--weights", "none.npz"), "weights were given"),
+        ("block", ("--out", "touch.tif"), "expected a picture that ends with .png, .jpg, .jpeg"),
         ("none", (), "No such file"),
     ],
 )
 def test_looks_that_cannot_be_are_refused_and_write_nothing(mesh, options, message, tmp_path):
     file = tmp_path / "none.stl" if mesh == "none" else _mesh(tmp_path, mesh)
     out = tmp_path / "touch.png"
-    command = ["render", str(file), "--optics", "depth", *options, "--out", str(out)]
+    command = ["render", str(file), "--optics", "depth", "--out", str(out), *options]
     result = CliRunner().invoke(app, command, env={"COLUMNS": "300"})
     assert result.exit_code == 2, result.output
     text = result.output + (str(result.exception) if result.exception else "")
