@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 import inspect
+import json
 import re
 import sys
 from collections.abc import Iterable, Iterator, Mapping
@@ -150,6 +151,8 @@ def write(docs: Path) -> None:
     """Write all pages; a file whose text is the same stays, so that Sphinx does not read it again."""
     folder = docs / "_generated"
     pages = {**_api_pages(), **_command_pages(), "formats.md": _formats_page()}
+    notebooks = sorted((docs.parent / "notebooks").glob("*.ipynb"))
+    pages |= {f"notebooks/{notebook.stem}.md": _notebook_page(notebook) for notebook in notebooks}
     pages |= _plain_pages(docs, pages)
     for path, text in pages.items():
         file = folder / path
@@ -226,11 +229,34 @@ def _object_page(name: Name) -> str:
     return "\n".join(lines) + "\n"
 
 
+def _notebook_page(notebook: Path) -> str:
+    """Write a notebook as a page, with what its cells showed when they were recorded."""
+    parts = []
+    for cell in json.loads(notebook.read_text(encoding="utf-8"))["cells"]:
+        source = "".join(cell["source"])
+        parts.append(source if cell["cell_type"] == "markdown" else f"```python\n{source}\n```")
+        for shown in cell.get("outputs", ()):
+            data = shown.get("data", {"text/plain": shown.get("text", "")})
+            if "text/html" in data:
+                parts.append("```{raw} html\n" + "".join(data["text/html"]) + "\n```")
+            elif "image/png" in data:
+                parts.append(
+                    f'<img alt="what the cell shows" src="data:image/png;base64,{data["image/png"]}">'
+                )
+            else:
+                parts.append("```text\n" + "".join(data["text/plain"]).rstrip() + "\n```")
+    return "\n\n".join(parts) + "\n"
+
+
 def _plain_pages(docs: Path, written: Mapping[str, str]) -> dict[str, str]:
     """Return every page in Markdown, and ``llms.txt``, which lists them: for language models."""
     files = sorted(path for path in docs.rglob("*.md") if path.relative_to(docs).parts[0][0] != "_")
     pages = {path.relative_to(docs).as_posix(): path.read_text(encoding="utf-8") for path in files}
-    pages |= {f"_generated/{path}": text for path, text in written.items() if path.endswith(".md")}
+    pages |= {
+        f"_generated/{path}": text
+        for path, text in written.items()
+        if path.endswith(".md") and not path.startswith("notebooks/")
+    }
     lines = []
     for path, text in pages.items():
         heading, _, rest = text.partition("\n\n")
