@@ -310,12 +310,13 @@ def _image_statistics(images: pa.Array) -> dict[str, Any]:
 
     Levels are counted, and all follows from the counts.
     """
+    from PIL import Image
+
     seen = np.unique(np.linspace(0, len(images) - 1, _IMAGES_SEEN).round().astype(int))
     counts = np.zeros((3, _LEVELS), np.int64)
     for number in seen.tolist():
-        pixels = decode_image(images[number].as_py())
-        for colour in range(3):
-            counts[colour] += np.bincount(pixels[:, :, colour].reshape(-1), minlength=_LEVELS)
+        pixels = Image.fromarray(decode_image(images[number].as_py()))
+        counts += np.array(pixels.histogram(), np.int64).reshape(3, _LEVELS)
     found: dict[str, Any] = {"count": [len(seen)]}
     each = [_level_statistics(levels.tolist()) for levels in counts]
     for name in each[0]:
@@ -432,10 +433,12 @@ def _statistics_of_all(episodes: Sequence[Shard], features: Sequence[str]) -> di
     """Put the statistics of all episodes together, weighed by their counts, as LeRobot does."""
     found: dict[str, Any] = {}
     for name in features:
-        each: dict[str, NDArray[Any]] = {}
-        for statistic in _STATISTICS:
-            parts = [_flat_rows(shard, f"stats/{name}/{statistic}") for shard in episodes]
-            each[statistic] = np.concatenate(parts)
+        columns = [f"stats/{name}/{statistic}" for statistic in _STATISTICS]
+        table = pa.concat_tables([shard.read(columns=columns) for shard in episodes])
+        each = {
+            statistic: _flat_rows(table[column])
+            for statistic, column in zip(_STATISTICS, columns, strict=True)
+        }
         weights = each["count"][:, 0]
         total = int(weights.sum())
         means = _weighed(each["mean"], weights, total)
@@ -452,9 +455,9 @@ def _statistics_of_all(episodes: Sequence[Shard], features: Sequence[str]) -> di
     return found
 
 
-def _flat_rows(shard: Shard, column: str) -> NDArray[Any]:
-    """Return a column of lists of equal length, of whatever depth, as an array of a row for each."""
-    values = shard.read(columns=[column]).column(0).combine_chunks()
+def _flat_rows(column: pa.ChunkedArray) -> NDArray[Any]:
+    """Return lists of equal length, of whatever depth, as an array of a row for each."""
+    values = column.combine_chunks()
     count = len(values)
     while pa.types.is_list(values.type):
         values = values.flatten()
