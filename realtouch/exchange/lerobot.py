@@ -480,15 +480,15 @@ def lerobot_conversion(
         )
         raise InputError(message)
     ((split, chosen),) = choices.items()
-    if not len(chosen):
-        message = f"{source.name!r} has no rounds in split {split!r}; next: choose another split"
+    counts = _episode_lengths(source, split)[np.asarray(chosen.rows, np.int64)]
+    if not counts.sum():
+        message = f"{source.name!r} has no touches in split {split!r}; next: choose another split"
         raise InputError(message)
     rows_per_shard = max(1, _FILE_BYTES // source.row_bytes())
     size, fps = _first_image(source.shards[split])
     names = class_names(source.schema)
     tasks = tuple(f"touch an object of class {name}" for name in names)
-    frames_of_rows = _episode_lengths(source, split)[np.asarray(chosen.rows)]
-    ends = np.concatenate([np.zeros((1, 2), np.int64), np.cumsum(frames_of_rows, axis=0)])
+    ends = np.concatenate([np.zeros((1, 2), np.int64), np.cumsum(counts, axis=0)])
     bounds = [*range(0, len(chosen), rows_per_shard), len(chosen)]
     image_bytes = source.media_bytes() if source.kind == "single" else source.media_bytes() // 64 or 1
     return Conversion(
@@ -513,8 +513,14 @@ def lerobot_conversion(
 
 def _first_image(shards: Sequence[Shard]) -> tuple[tuple[int, int], int]:
     """Return height and width of the first image, and the frames per second; 1 of single images."""
-    shard = next(shard for shard in shards if len(shard))
-    row = Row(next(iter(shard.blocks(0))), 0)
+    groups = (
+        group
+        for shard in shards
+        for index in range(shard.metadata.num_row_groups)
+        for group in shard.blocks(index)
+    )
+    rows = (Row(group, number) for group in groups for number in range(len(group.table)))
+    row = next(row for row in rows if touch_total(row))  # there is one: touches were counted
     if row.has("sensor_image"):
         return SensorImages(row).size(0), 1
     clip = TouchClip(row, 0)
