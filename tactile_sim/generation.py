@@ -231,11 +231,14 @@ def _kind(spec: GenerateSpec) -> Any:
     return spec.image_format
 
 
-def plan_build(source: str, spec: GenerateSpec, splits: Sequence[str] | None = None) -> BuildPlan:
+def plan_build(
+    source: str | os.PathLike[str], spec: GenerateSpec, splits: Sequence[str] | None = None
+) -> BuildPlan:
     """Decide which shards hold which rounds; reads footers and checksums of the source.
 
     InputError for an unknown split, a source without meshes, or one without rows.
     """
+    source = os.fspath(source)
     if Path(source).suffix.lower() in FORMATS:
         message = (
             f"{source!r} is a single mesh; expected a data set of solids; next: `tactile-sim render` for a "
@@ -318,7 +321,7 @@ def _fingerprint(place: str, split: str) -> list[dict[str, Any]]:
 
 
 def generate(
-    source: str,
+    source: str | os.PathLike[str],
     spec: GenerateSpec,
     out: str | os.PathLike[str],
     splits: Sequence[str] | None = None,
@@ -335,7 +338,7 @@ def generate(
 
     Parameters
     ----------
-    source : str
+    source : str or path-like
         Data set of digits, scenes or other meshes: a folder, a Parquet file, a repository of the Hub or a
         short name, as ``mnist3d.load`` takes it.
     spec : GenerateSpec

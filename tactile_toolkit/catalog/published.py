@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import os
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
@@ -37,11 +38,12 @@ def _published() -> Iterator[tuple[DatasetKind, PublishedSet]]:
     return ((kind, entry) for kind in kinds() for entry in kind.published)
 
 
-def place_of(name: str) -> str:
+def place_of(name: str | os.PathLike[str]) -> str:
     """Return the repository of a short name, unless there is a file or a data set folder of that name.
 
     Any other name is returned as it is.
     """
+    name = os.fspath(name)
     # What has a slash is not a short name: most names are paths, and need no list of kinds.
     found = None if "/" in name else published_set(name)
     if found is None:

@@ -216,9 +216,9 @@ def test_plans_that_cannot_be_are_refused(values):
 
 def test_sources_that_cannot_be_are_refused(scenes, touches, tmp_path):
     with pytest.raises(InputError, match="does not exist; expected a folder"):
-        plan_build(str(tmp_path / "nothing"), SPEC)
+        plan_build(tmp_path / "nothing", SPEC)
     with pytest.raises(InputError, match=r"is a single mesh; expected a data set"):
-        plan_build(str(tmp_path / "part.stl"), SPEC)
+        plan_build(tmp_path / "part.stl", SPEC)
     with pytest.raises(InputError, match="unknown split 'dev'"):
         plan_build(scenes, SPEC, ["dev"])
     with pytest.raises(InputError, match=r"mesh\.vertices"):
