@@ -30,6 +30,8 @@ from tactile_toolkit.store.shards import VIEWER_FOLDER, ShardRecord
 __all__ = ["ViewerFiles"]
 
 _COLUMN = "mesh"
+_MOST_AT_ONCE = 8
+"""Shards in memory at a time; packing them at level 19 takes some 100 MB more for each."""
 _STYLE = ParquetStyle(
     rows_per_group=100,
     compression_level=19,  # at 9 the meshes of digits take a fifth more
@@ -47,7 +49,8 @@ class ViewerFiles:
     def __init__(self, folder: DataFolder, manifest: Manifest) -> None:
         root = Path(tempfile.mkdtemp(prefix="tactile-toolkit-"))
         self._removal = weakref.finalize(self, shutil.rmtree, root, ignore_errors=True)
-        made = in_threads(partial(_make, folder, root), manifest.shards, os.cpu_count() or 1)
+        workers = min(os.cpu_count() or 1, _MOST_AT_ONCE)
+        made = in_threads(partial(_make, folder, root), manifest.shards, workers)
         self.digests: dict[str, str] = dict(made)
         self.places = {path: root / path for path in self.digests}
 

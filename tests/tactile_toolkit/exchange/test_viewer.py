@@ -103,12 +103,12 @@ def test_a_copy_of_the_repository_is_whole_with_and_without_it(server, made, tmp
         (tmp_path / "copy" / path).parent.mkdir(parents=True, exist_ok=True)
         (tmp_path / "copy" / path).write_bytes(content)
     copy = DataFolder(str(tmp_path / "copy"))
-    # The one file that speaks of the repository itself.
-    shutil.copy(made / "croissant.json", tmp_path / "copy")
-    assert [finding.file for finding in check_card(copy)] == ["croissant.json"]
+    assert verify(copy, check_card=check_card).findings == ()
     assert mnist3d.load(str(tmp_path / "copy"), split="test").ids.tolist()
-    (tmp_path / "copy" / "croissant.json").unlink()
-    assert verify(copy, check_card=check_card).ok
+    there = (tmp_path / "copy" / "croissant.json").read_bytes()
+    shutil.copy(made / "croissant.json", tmp_path / "copy")  # vouches for another manifest
+    assert [finding.file for finding in check_card(copy)] == ["croissant.json"]
+    (tmp_path / "copy" / "croissant.json").write_bytes(there)
     (tmp_path / "copy" / "viewer" / "test-00000-of-00001.parquet").unlink()
     assert verify(copy, check_card=check_card).ok, "rows are whole without it"
     shown = tmp_path / "copy" / "viewer" / "holdout-00000-of-00001.parquet"
