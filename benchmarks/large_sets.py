@@ -5,8 +5,8 @@
     python benchmarks/large_sets.py                        # all of it
     python benchmarks/large_sets.py planning_digits        # some of it
 
-The set is one digit in 50,000 shards, which are links to one file: what is measured opens files or lists
-them, whatever is in them.
+The sets are one digit in 50,000 shards, or a hundred small ones in up to 20,000 row groups; their shards are
+links to one file: what is measured opens files or lists them, whatever is in them.
 """
 
 from __future__ import annotations
@@ -20,27 +20,24 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 
 SHARDS = 50_000
-GROUPS = 20_000
+GROUPS = (200, 2_000, 20_000)
+GROUPS_OF_SHARD = 100
 ROWS = 10**8
 SCENES = 10**9
 
 Measure = Callable[[Path], dict[str, float]]
 MEASURES: dict[str, Measure] = {}
-FOLDERS: dict[str, int] = {}
+MAKERS: dict[str, tuple[str, Callable[[Path], None]]] = {}
 
 
-def measure(shards: int) -> Callable[[Measure], Measure]:
-    """Add a function that takes the folder of a set of so many shards (0: no set) and returns figures."""
-
-    def add(function: Measure) -> Measure:
-        MEASURES[function.__name__] = function
-        FOLDERS[function.__name__] = shards
-        return function
-
-    return add
+def measure(function: Measure, name: str, folder: str, make: Callable[[Path], None]) -> None:
+    """Add a function that takes a folder, which is made once for all who name it so, and returns figures."""
+    MEASURES[name] = function
+    MAKERS[name] = folder, make
 
 
 def main() -> None:
@@ -55,19 +52,43 @@ def main() -> None:
 
 def report(name: str, scratch: Path, times: int = 3) -> str:
     """Measure something in fresh processes and return the medians in words."""
-    folder = scratch / f"set-{FOLDERS[name]}"
-    if FOLDERS[name] and not folder.exists():
-        fabricate(folder, FOLDERS[name])
+    folder_name, make = MAKERS[name]
+    folder = scratch / folder_name
+    if not folder.exists():
+        make(folder)
     environment = os.environ | {"TACTILE_TOOLKIT_CACHE": str(scratch / "cache")}
     command = [sys.executable, __file__, "--child", name, str(folder)]
     runs = [
         json.loads(
             subprocess.run(command, check=True, capture_output=True, text=True, env=environment).stdout
         )
-        for _ in range(1 if name.startswith("planning") else times)
+        for _ in range(1 if name.startswith(("planning", "random")) else times)
     ]
     medians = {key: statistics.median(run[key] for run in runs) for key in runs[0]}
     return f"{name}: " + ", ".join(f"{key} {value:,.3g}" for key, value in medians.items())
+
+
+def fabricate_groups(folder: Path, groups: int) -> None:
+    """Make a set of so many row groups of one small digit each, a hundred to a shard."""
+    from dataclasses import replace
+
+    import pyarrow as pa
+
+    from mnist3d.generation import GenerateSpec, plan_build
+    from mnist3d.sources.synthetic import SyntheticSource
+    from tactile_toolkit.store.parquet import encode_parquet
+    from tactile_toolkit.store.shards import ShardName
+
+    plan = plan_build(GenerateSpec(SyntheticSource(), limit=1, vertices=500), ("train",))
+    rows = pa.concat_tables([plan.tasks[0].make().table] * GROUPS_OF_SHARD).combine_chunks()
+    first, *others = [
+        folder / ShardName("train", index, groups // GROUPS_OF_SHARD).data_path
+        for index in range(groups // GROUPS_OF_SHARD)
+    ]
+    first.parent.mkdir(parents=True)
+    first.write_bytes(encode_parquet(rows, replace(plan.style, rows_per_group=1)))
+    for path in others:
+        path.hardlink_to(first)
 
 
 def fabricate(folder: Path, shards: int) -> None:
@@ -109,12 +130,12 @@ def peak_mb() -> float:
     return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e3
 
 
-def resident_mb() -> float:
-    pages = int(Path("/proc/self/statm").read_text().split()[1])
-    return pages * resource.getpagesize() / 1e6
+def private_mb() -> float:
+    """Memory of this process alone; what it has mapped of the cache the system takes back as it likes."""
+    lines = Path("/proc/self/status").read_text().splitlines()
+    return next(int(line.split()[1]) for line in lines if line.startswith("RssAnon")) * 1024 / 1e6
 
 
-@measure(SHARDS)
 def info(folder: Path) -> dict[str, float]:
     """``mnist3d info`` as a user calls it; memory is that of the command."""
     start_s = time.perf_counter()
@@ -123,7 +144,6 @@ def info(folder: Path) -> dict[str, float]:
     return {"s": elapsed_s, "s of the processor": used.ru_utime + used.ru_stime, "MB": used.ru_maxrss / 1e3}
 
 
-@measure(SHARDS)
 def load(folder: Path) -> dict[str, float]:
     """``load``, the first mesh, then labels; imports are not counted."""
     import pyarrow.parquet  # noqa: F401
@@ -142,33 +162,28 @@ def load(folder: Path) -> dict[str, float]:
     return {"s": first_s, "s of the processor": first_cpu_s, "labels s": labels_s, "MB": peak_mb()}
 
 
-@measure(GROUPS)
 def random_access(folder: Path) -> dict[str, float]:
-    """Every row group once in random order, twice over: a row of the last tenth against one of the first."""
+    """A row of every row group in random order, twice over: medians of all items of a pass, and memory."""
     import numpy as np
 
     import mnist3d
 
     digits = mnist3d.load(str(folder), "train")
-    figures = {}
+    _ = digits[0].vertices_m
+    figures = {"MB before": private_mb()}
     for turn in ("first", "second"):
-        order = np.random.default_rng(1).permutation(len(digits)).tolist()
-        tenth = len(order) // 10
         times = []
-        for position, row in enumerate(order):
-            start_s = time.perf_counter()
+        for row in np.random.default_rng(1).permutation(len(digits)).tolist():
+            start_s = time.process_time()
             _ = digits[row].vertices_m
-            times.append(time.perf_counter() - start_s)
-            if position in (tenth, len(order) - 1):
-                end = "early" if position == tenth else "late"
-                figures[f"{turn} pass {end} us"] = 1e6 * statistics.median(times[-tenth:])
-                figures[f"{turn} pass {end} MB"] = resident_mb()
+            times.append(time.process_time() - start_s)
+        figures[f"{turn} pass us of the processor"] = 1e6 * statistics.median(times)
+        figures[f"{turn} pass MB"] = private_mb()
     figures["maps"] = len(Path("/proc/self/maps").read_text().splitlines())
     figures["open files"] = len(list(Path("/proc/self/fd").iterdir()))
     return figures
 
 
-@measure(0)
 def planning_digits(_: Path) -> dict[str, float]:
     from mnist3d.generation import GenerateSpec, plan_build
     from mnist3d.sources.synthetic import SyntheticSource
@@ -181,7 +196,6 @@ def planning_digits(_: Path) -> dict[str, float]:
     return {"s": elapsed_s, "s of the processor": cpu_s, "MB": peak_mb(), "shards": len(plan.tasks)}
 
 
-@measure(0)
 def planning_scenes(_: Path) -> dict[str, float]:
     from starstruck_gen.generation import GenerateSpec, plan_build
 
@@ -189,6 +203,15 @@ def planning_scenes(_: Path) -> dict[str, float]:
     plan = plan_build(GenerateSpec(scenes=(("train", SCENES), ("test", SCENES // 100))), ("train", "test"))
     return {"s": time.perf_counter() - start_s, "MB": peak_mb(), "shards": len(plan.tasks)}
 
+
+for function in (info, load):
+    measure(function, function.__name__, "shards", partial(fabricate, shards=SHARDS))
+for count in GROUPS:
+    measure(
+        random_access, f"random_access_{count}", f"groups-{count}", partial(fabricate_groups, groups=count)
+    )
+for function in (planning_digits, planning_scenes):
+    measure(function, function.__name__, "nothing", Path.mkdir)
 
 if __name__ == "__main__":
     main()

@@ -6,6 +6,7 @@
     python benchmarks/scale.py --only nodes    # some of them
 
 Rows of Ray need the extra `ray`; they start a cluster of two nodes with one core each on this machine.
+That of a store needs the extra `s3` and moto, whose server runs on this machine, too.
 """
 
 from __future__ import annotations
@@ -26,6 +27,8 @@ from tactile_toolkit.run.limits import limit_threads
 
 limit_threads()
 
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+
 from mnist3d.generation import GenerateSpec, generate, plan_build
 from mnist3d.sources.synthetic import SyntheticSource
 from tactile_toolkit.run import InlineRunner, ProcessRunner, RayRunner, Runner
@@ -43,8 +46,9 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--only", nargs="+", choices=ROWS, default=list(ROWS), help="rows to measure")
     for name in parser.parse_args().only:
-        if name in RAY and find_spec("ray") is None:
-            print(f"{name}: not measured, Ray is not installed (extra `ray`)")
+        lacking = [package for package in NEEDS[name] if find_spec(package) is None]
+        if lacking:
+            print(f"{name}: not measured, {' and '.join(lacking)} not installed")
             continue
         ROWS[name]()
 
@@ -97,6 +101,29 @@ def overhead() -> None:
     )
 
 
+@row
+def again() -> None:
+    """A run over a finished set in a store: what it reads, as a share of the bytes that are there."""
+    from tests.s3_server import serve
+
+    spec = GenerateSpec(SyntheticSource(), limit=400)
+    with contextlib.closing(serve()) as servers:
+        server = next(servers)
+        os.environ.update(server.environment())
+        server.make_bucket("lake")
+        generate(spec, "s3://lake/digits", ("train",), workers=2)
+        size = sum(map(len, server.objects("lake").values()))
+        server.traffic.reset()
+        start_s = time.perf_counter()
+        generate(spec, "s3://lake/digits", ("train",), workers=2)
+        elapsed_s = time.perf_counter() - start_s
+    read, requests = server.traffic.sent_bytes, server.traffic.requests.total()
+    print(
+        f"a run over a finished set of {size / 1e6:.1f} MB in a store reads {read:,} bytes in {requests} "
+        f"requests, {elapsed_s:.2f} s: {100 * read / size:.2f} %, target 1 %"
+    )
+
+
 class Nothing:
     """Does nothing with a task of real size."""
 
@@ -109,7 +136,7 @@ class Nothing:
         return self.folder
 
 
-RAY = ("nodes", "overhead")
+NEEDS = {"nodes": ("ray",), "overhead": ("ray",), "again": ("s3fs", "moto")}
 
 
 @contextlib.contextmanager

@@ -2,12 +2,12 @@
 
 ::
 
-    python benchmarks/training_order.py [--folder SET] [--shards 24] [--rounds 4]
+    python benchmarks/training_order.py [--folder SET] [--shards 20] [--rounds 2]
 
 Everything runs on one thread of one process, in turn, and is given in processor time per touch: a batch of
 images and labels as tensors. Printed are medians of the runs, and medians of the ratios to the training
-order, turn by turn. What lies in the cache was unpacked before, as in every epoch but the first, which is a
-line of its own.
+order, turn by turn; beside them what decoding alone takes, of which nobody can have less. What lies in the
+cache was unpacked before, as in every epoch but the first, which is a line of its own.
 """
 
 from __future__ import annotations
@@ -21,6 +21,7 @@ import time
 import warnings
 from collections.abc import Callable, Iterator
 from functools import partial
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
@@ -78,6 +79,18 @@ def streamed(folder: Path) -> Iterator[Any]:
         yield torch.utils.data.default_collate(items)
 
 
+def decoded(folder: Path) -> Iterator[Any]:
+    """What any way to read these JPEGs does at least: each is decoded, into the same memory."""
+    import realtouch
+    from tactile_toolkit.touch.jpeg import decode_image, room_for
+
+    pixels = room_for(1, (64, 64))[0]
+    for record in realtouch.load(folder, "train"):
+        for touch in range(TOUCHES):
+            decode_image(record.sensor_image.encoded(touch), pixels)
+        yield pixels, range(TOUCHES)
+
+
 def passes(folder: Path) -> dict[str, Callable[[], Iterator[Any]]]:
     """Return what is compared, by name."""
     import torch
@@ -91,6 +104,7 @@ def passes(folder: Path) -> dict[str, Callable[[], Iterator[Any]]]:
         "training": lambda: iter(TrainingBatches(tensors, BATCH)),
         "random": lambda: iter(torch.utils.data.DataLoader(tensors, batch_size=BATCH, shuffle=True)),
         "datasets": lambda: streamed(folder),
+        "decoding": lambda: decoded(folder),
     }
 
 
@@ -117,40 +131,13 @@ def resume_s(folder: Path) -> tuple[float, float]:
     return times[0], times[1]
 
 
-def row_group_s(folder: Path, groups: int) -> tuple[float, float]:
-    """Return processor time per row of a set of one row a row group, of the first and of the last tenth."""
-    import pyarrow as pa
-    import pyarrow.parquet as pq
-
-    from tactile_toolkit.read.dataset import RecordDataset
-    from tactile_toolkit.read.parquet import Shard, ShardedTable
-    from tactile_toolkit.read.torch import TrainingBatches
-
-    shards = max(groups // 100, 1)
-    for index in range(shards):
-        name = folder / f"train-{index:05d}-of-{shards:05d}.parquet"
-        pq.write_table(pa.table({"id": np.arange(100)}), name, row_group_size=1)
-    rows: Any = RecordDataset(
-        [ShardedTable(tuple(Shard(str(path)) for path in sorted(folder.glob("*.parquet"))))]
-    )
-    batches = iter(TrainingBatches(rows, 100, collate_fn=len))
-    times = []
-    for _ in range(shards):
-        start = time.process_time()
-        next(batches)
-        times.append((time.process_time() - start) / 100)
-    tenth = max(shards // 10, 16)
-    return statistics.mean(times[:tenth]), statistics.mean(times[-tenth:])
-
-
 def main() -> None:
     """Run everything."""
     parser = argparse.ArgumentParser()
     parser.add_argument("--folder", type=Path)
-    parser.add_argument("--shards", type=int, default=24)
-    parser.add_argument("--rounds", type=int, default=4)
+    parser.add_argument("--shards", type=int, default=20)
+    parser.add_argument("--rounds", type=int, default=2)
     parser.add_argument("--turns", type=int, default=5)
-    parser.add_argument("--groups", type=int, default=20_000)
     options = parser.parse_args()
     warnings.simplefilter("ignore")
     with tempfile.TemporaryDirectory() as temporary:
@@ -163,6 +150,7 @@ def main() -> None:
         if not folder.is_dir():
             make_set(folder, options.shards, options.rounds)
         compared = passes(folder)
+        touches_given(islice(compared["random"](), 1))  # imports what making tensors takes
         first_s = processor_s(compared["training"])
         print(f"first epoch, row groups unpacked meanwhile: {first_s * 1e6:.0f} us a touch")
         turns = [{name: processor_s(work) for name, work in compared.items()} for _ in range(options.turns)]
@@ -175,13 +163,6 @@ def main() -> None:
             )
         first_s, late_s = resume_s(folder)
         print(f"first batch of an epoch {first_s * 1e3:.0f} ms, resumed at nine tenths {late_s * 1e3:.0f} ms")
-        many = Path(temporary) / "groups"
-        many.mkdir()
-        early_s, last_s = row_group_s(many, options.groups)
-        print(
-            f"{options.groups:,} row groups: {early_s * 1e6:.0f} us a row group in the first tenth, "
-            f"{last_s * 1e6:.0f} us in the last"
-        )
 
 
 if __name__ == "__main__":

@@ -143,7 +143,8 @@ def _errors_reported(debug: bool, options: Mapping[str, str]) -> Iterator[None]:
         sys.stderr.write(f"error: {_with_option(str(error), options)}\n")
         raise typer.Exit(error.exit_code) from error
     except KeyboardInterrupt as error:
-        sys.stderr.write("interrupted; what was finished is kept, the same command goes on from there\n")
+        said = str(error) or "interrupted; what was finished is kept, the same command goes on from there"
+        sys.stderr.write(f"{said}\n")
         raise typer.Exit(EXIT_INTERRUPTED) from error
 
 

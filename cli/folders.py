@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import typer
 
 from cli.application import command
-from cli.options import Folder, Workers, process_count
+from cli.options import Folder, ReaderThreads, process_count
 from cli.output import Sink, bytes_text, counted, flat_lines
 from tactile_toolkit.kind import DatasetKind
 
@@ -98,7 +98,7 @@ def _shards_planned(manifest: Manifest) -> dict[str, int]:
 def add_verify(app: typer.Typer, kind: DatasetKind, what: str) -> None:
     """Add the command ``verify`` for folders that are checked by checksum, schema and ids alone."""
 
-    def verify(folder: Folder, workers: Workers = 0, *, sink: Sink) -> None:
+    def verify(folder: Folder, workers: ReaderThreads = 0, *, sink: Sink) -> None:
         from tactile_toolkit.cards.checks import check_card
         from tactile_toolkit.errors import IntegrityError
         from tactile_toolkit.store.folder import DataFolder

@@ -11,7 +11,7 @@ import typer
 
 from cli.application import EXIT_FAILED, command
 from cli.hub_download import FILES_SHOWN, listed
-from cli.options import Folder
+from cli.options import Folder, ReaderThreads, process_count
 from cli.output import Sink, bytes_text, counted
 from tactile_toolkit.kind import DatasetKind
 
@@ -69,6 +69,7 @@ def add_upload(app: typer.Typer, kind: DatasetKind) -> None:
         sending: Sending,
         dry_run: DryRun = False,
         yes: Yes = False,
+        workers: ReaderThreads = 0,
         sink: Sink,
     ) -> None:
         """Verify a data set folder and bring it to the Hugging Face Hub; only what is missing there is sent.
@@ -82,7 +83,7 @@ def add_upload(app: typer.Typer, kind: DatasetKind) -> None:
         options = UploadOptions(**asdict(sending))
         require_manifest(kind, DataFolder(str(folder)))
         sink.talk(f"checking {folder}")
-        check = partial(check_folder, kind)
+        check = partial(check_folder, kind, workers=process_count(workers))
         prepared = prepare_upload(
             str(folder), repository, options, check=check, dry_run=dry_run, on_wait=sink.talk
         )

@@ -32,7 +32,10 @@ class Made:
 def make_with_progress(
     sink: Sink, what: str, unit: str, make: Callable[[Callable[[Progress], None]], Manifest]
 ) -> Made:
-    """Run ``make`` with a progress bar; it takes the function that is called after each shard."""
+    """Run ``make`` with a progress bar; it takes the function that is called after each shard.
+
+    Ctrl-C before the first one is raised with what is to be said then.
+    """
     from tactile_toolkit.store.parts import MissingPartsError
 
     start_s = time.monotonic()
@@ -53,6 +56,11 @@ def make_with_progress(
             if error.parts is not None:
                 sink.line(f"--array={error.array}")
             raise
+        except KeyboardInterrupt as error:
+            if rows:
+                raise
+            message = "interrupted before a shard was finished: none is kept, the same command starts again"
+            raise KeyboardInterrupt(message) from error
     return Made(manifest, rows, skipped, time.monotonic() - start_s)
 
 

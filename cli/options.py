@@ -109,6 +109,9 @@ Seed = Annotated[int, typer.Option("--seed", min=0, help="Seed of everything tha
 Workers = Annotated[
     int, typer.Option("--workers", "-w", min=0, help="Worker processes; 0 means one per processor core.")
 ]
+ReaderThreads = Annotated[
+    int, typer.Option("--workers", "-w", min=0, help="Threads that read; 0 means one per processor core.")
+]
 RunnerName = Annotated[
     str,
     typer.Option(

@@ -11,7 +11,7 @@ from cli.folders import add_card, print_unfinished
 from cli.gallery_commands import add_touch_gallery
 from cli.hub_download import add_download
 from cli.hub_upload import add_upload
-from cli.options import Json, Revision, Split, TouchSet
+from cli.options import Json, ReaderThreads, Revision, Split, TouchSet, process_count
 from cli.output import Sink, counted
 from cli.preview_commands import preview_touches
 from cli.touch_conversions import add_conversions
@@ -99,6 +99,7 @@ def verify(
     split: Split = None,
     revision: Revision = None,
     quick: Annotated[bool, typer.Option("--quick", help="Read headers of pictures; decode none.")] = False,
+    workers: ReaderThreads = 0,
     sink: Sink,
 ) -> None:
     """Check every file, round, touch and frame, and list all that is wrong.
@@ -107,7 +108,7 @@ def verify(
 
     Example: realtouch verify real-single-64x64 --split test
     """
-    result = _verified(sink, name, split, revision, quick=quick)
+    result = _verified(sink, name, split, revision, workers, quick=quick)
     findings = [
         {"file": f.file, "row": f.row, "touch": f.touch, "field": f.field, "problem": f.problem}
         for f in result.findings
@@ -170,9 +171,10 @@ def main() -> None:
 
 
 def _verified(
-    sink: Sink, name: str, split: str | None, revision: str | None, *, quick: bool
+    sink: Sink, name: str, split: str | None, revision: str | None, workers: int = 0, *, quick: bool
 ) -> TouchVerification:
     from realtouch.integrity.verify import verify as check
 
+    count = process_count(workers)
     with sink.progress("checking", "rounds") as update:
-        return check(name, split, revision=revision, quick=quick, on_progress=update)
+        return check(name, split, revision=revision, quick=quick, workers=count, on_progress=update)

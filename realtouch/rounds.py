@@ -89,12 +89,12 @@ class TouchRound(Record):
     @property
     def label(self) -> int:
         """Class of the object; the digit, 0 to 9, in the MNIST sets."""
-        return int_value(self._row, "label")
+        return self._once("label", lambda: int_value(self._row, "label"))
 
     @property
     def object_id(self) -> int:
         """Id of the touched mesh in its data set of meshes."""
-        return int_value(self._row, "object_id")
+        return self._once("object_id", lambda: int_value(self._row, "object_id"))
 
     @property
     def info(self) -> Mapping[str, Any]:

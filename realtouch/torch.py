@@ -7,8 +7,6 @@ Images come as ``torchvision.tv_tensors.Image``, clips as ``tv_tensors.Video``, 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from itertools import groupby
-from operator import itemgetter
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -18,6 +16,7 @@ from realtouch.dataset import TouchDataset, TouchStream
 from realtouch.rounds import TouchSingleRound
 from realtouch.touch import Touch
 from realtouch.touches import Touches
+from tactile_toolkit.cache import MemoryCache
 from tactile_toolkit.errors import InputError, IntegrityError, MissingExtraError
 from tactile_toolkit.read.torch import TrainingBatches
 from tactile_toolkit.touch.jpeg import Pixels, room_for
@@ -33,6 +32,9 @@ else:
         raise MissingExtraError(feature, "torch", "torch") from error
 
 __all__ = ["TARGETS", "TouchTensors", "TrainingBatches"]
+
+_ROUNDS_KEPT = 1024
+"""Rounds that were met last; a batch of a training job holds a touch or two of each."""
 
 Transform = Callable[[Any], Any]
 Target = str | Callable[[Touch], Any] | None
@@ -86,6 +88,7 @@ class TouchTensors(torch.utils.data.Dataset):  # type: ignore[misc]
         self.transform = transform
         self.target = _require_target(target)
         self.frames = _require_frames(frames)
+        self._rounds: MemoryCache[int, Any] = MemoryCache(_ROUNDS_KEPT)
 
     @property
     def sequence(self) -> Touches[Any]:
@@ -100,38 +103,61 @@ class TouchTensors(torch.utils.data.Dataset):  # type: ignore[misc]
         return _item(self.touches[index], self.frames, self.transform, self.target)
 
     def __getitems__(self, indices: Sequence[int]) -> list[Any]:
-        """Return the items of a batch; images of one size are decoded into one array, round by round."""
-        if self.touches.dataset.kind != "single":
+        """Return the items of a batch; images of one size are decoded into one array."""
+        found = self._decoded(indices)
+        if found is None:
             return [self[index] for index in indices]
-        wanted = sorted((*self.touches.locate(index), slot) for slot, index in enumerate(indices))
-        chosen: list[Any] = [None] * len(wanted)
-        try:
-            pixels = self._pixels(wanted, chosen)
-        except IntegrityError:  # of different sizes, which the transform may make one; or damaged, told below
-            return [self[index] for index in indices]
-        image_type = _tv_tensors().Image
-        items: list[Any] = [None] * len(wanted)
-        for (_, _, slot), image in zip(wanted, torch.from_numpy(pixels).permute(0, 3, 1, 2), strict=True):
-            items[slot] = _given(
-                chosen[slot], image.as_subclass(image_type), None, self.transform, self.target
-            )
-        return items
+        images = torch.from_numpy(found[0]).as_subclass(_tv_tensors().Image)
+        return [
+            _given(touch, image, None, self.transform, self.target)
+            for touch, image in zip(found[1], images.unbind(), strict=True)
+        ]
 
-    def _pixels(self, wanted: Sequence[tuple[int, int, int]], chosen: list[Any]) -> Pixels:
-        """Decode the images of touches, given as round, number in it and slot; put the touches into slots."""
-        pixels = None
-        start = 0
-        for position, of_round in groupby(wanted, key=itemgetter(0)):
-            record = self.touches.dataset[position]
-            numbers = []
-            for _, number, slot in of_round:
-                chosen[slot] = Touch(record, number)
-                numbers.append(number)
-            if pixels is None:
-                pixels = room_for(len(wanted), record.sensor_image.size(numbers[0]))
-            record.sensor_image.decode_into(pixels[start : start + len(numbers)], numbers)
-            start += len(numbers)
-        return pixels if pixels is not None else room_for(0, (0, 0))
+    def collated(self, indices: Sequence[int]) -> Any:
+        """Return what torch's ``default_collate`` makes of some items, without a tensor for each of them.
+
+        Raises
+        ------
+        IntegrityError
+            Something is damaged; names file, row and touch.
+        """
+        collate = torch.utils.data.default_collate
+        found = self._decoded(indices) if self.transform is None else None
+        if found is None:
+            return collate(self.__getitems__(indices))
+        pixels, touches = found
+        images = torch.from_numpy(pixels)
+        if self.target is None:
+            return images
+        return [images, collate([_given(touch, None, None, None, self.target)[1] for touch in touches])]
+
+    def _decoded(self, indices: Sequence[int]) -> tuple[Pixels, list[Touch]] | None:
+        """Decode images of one size, shape (n, 3, H, W), beside their touches; None where they are not that.
+
+        Where an image is damaged it is None, too: whoever asks for the item by itself is told of it.
+        """
+        if self.touches.dataset.kind != "single" or not len(indices):
+            return None
+        wanted = sorted((*self.touches.locate(index), slot) for slot, index in enumerate(indices))
+        touches: list[Any] = [None] * len(wanted)
+        try:
+            size = self._round(wanted[0][0]).sensor_image.size(wanted[0][1])
+            pixels = room_for(len(wanted), size).reshape(len(wanted), 3, *size)
+            one = room_for(1, size)  # all are decoded here: it stays in the processor's cache
+            for position, number, slot in wanted:
+                touches[slot] = Touch(self._round(position), number)
+                touches[slot].round.sensor_image.decode_into(one, (number,))
+                pixels[slot] = one[0].transpose(2, 0, 1)
+        except IntegrityError:
+            return None
+        return pixels, touches
+
+    def _round(self, position: int) -> Any:
+        found = self._rounds.get(position)
+        if found is None:
+            found = self.touches.dataset[position]
+            self._rounds.put(position, found)
+        return found
 
 
 def _item(touch: Touch, frames: str | None, transform: Transform | None, target: Target) -> Any:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import hashlib
+import math
 import os
 import time
 from collections.abc import Callable, Sequence
@@ -39,13 +40,14 @@ from tactile_toolkit.store.forecast import Forecast, Sample, forecast_build
 from tactile_toolkit.store.manifest import Manifest
 from tactile_toolkit.store.parquet import encode_parquet, file_sha256
 from tactile_toolkit.store.plan import BuildPlan, ShardContent, require_known_splits
-from tactile_toolkit.store.shards import ShardName, Skipped
+from tactile_toolkit.store.shards import ShardName, Skipped, rows_per_shard
 from tactile_toolkit.touch.jpeg import encode_image
 
 __all__ = ["GenerateSpec", "TouchShard", "forecast", "generate", "noisy", "plan_build"]
 
 _PUBLISHED_PX = (320, 240)
 _SHARD_BYTES = 64 << 20
+_LARGEST_SHARD_BYTES = 256 << 20  # in splits of very many rounds
 _GROUP_BYTES = 8 << 20
 _JPEG_BYTES_PER_PX = 0.25
 _SAMPLED_ROUNDS = 3
@@ -252,7 +254,7 @@ def plan_build(
     make_optics(spec.optics, spec.weights)  # what is missing is said before anything is written
     _require_known_objects(place, known, spec)
     tasks: list[TouchShard] = []
-    per_shard = _rounds_for(spec, _SHARD_BYTES)
+    usual, most = _rounds_for(spec, _SHARD_BYTES), _rounds_for(spec, _LARGEST_SHARD_BYTES, math.inf)
     for split in (each for each in known if each in wanted):
         shards = find_shards(place, split)
         table = ShardedTable(shards)
@@ -260,6 +262,7 @@ def plan_build(
         names = class_names(table.schema, tuple(map(str, range(10))), source)
         objects = sum(map(len, shards)) if spec.limit is None else min(sum(map(len, shards)), spec.limit)
         total = objects * spec.plan.rounds
+        per_shard = min(rows_per_shard(total, usual), most)
         starts = range(0, total, per_shard)
         tasks += [
             TouchShard(
@@ -306,10 +309,10 @@ def _require_known_objects(place: str, splits: Sequence[str], spec: GenerateSpec
         raise InputError(message)
 
 
-def _rounds_for(spec: GenerateSpec, size_bytes: int) -> int:
+def _rounds_for(spec: GenerateSpec, size_bytes: int, most: float = 1024) -> int:
     width, height = spec.size_px
     round_bytes = spec.plan.touches * (width * height * _JPEG_BYTES_PER_PX + 600)
-    return int(min(1024, max(1, size_bytes // round_bytes)))
+    return int(min(most, max(1, size_bytes // round_bytes)))
 
 
 def _fingerprint(place: str, split: str) -> list[dict[str, Any]]:

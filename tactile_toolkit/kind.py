@@ -118,7 +118,8 @@ class DatasetKind:
     schema : callable or None
         Returns the Arrow schema of every shard; None where it follows from a source.
     check : callable or None
-        Takes a ``DataFolder``, lists findings; None where checksums, schema, ids and card are all there is.
+        Takes a ``DataFolder`` and a number of threads, lists findings; None where checksums, schema, ids and
+        card are all there is.
     needs_manifest : bool
         Whether a folder without ``manifest.json`` can be neither uploaded nor given a card.
     loader : callable or None
@@ -147,7 +148,7 @@ class DatasetKind:
     card_template: str
     write_card: Callable[[Any, Any], None]
     schema: Callable[[], Any] | None = None
-    check: Callable[[Any], Iterable[Any]] | None = None
+    check: Callable[[Any, int], Iterable[Any]] | None = None
     needs_manifest: bool = True
     loader: Callable[[Any], str] | None = None
     class_names: tuple[str, ...] = ()

@@ -23,7 +23,7 @@ def held(sink, what, unit, make):
     def hold(on_progress, progress):
         on_progress(progress)
         finished.extend([progress] * (progress.record is not None))
-        if progress.record is not None and len(finished) == shards:
+        if len(finished) == shards:
             marker.touch()
             while True:
                 time.sleep(60)
@@ -36,7 +36,10 @@ module.main()
 
 
 def start_held(command_line: str, shards: int, marker: Path, *words: object) -> subprocess.Popen[bytes]:
-    """Start a command that makes data and stands still when it has made so many shards; wait for that."""
+    """Start a command that makes data and stands still when it has made so many shards; wait for that.
+
+    With none it stands still before the first.
+    """
     program = [sys.executable, "-c", _HELD, command_line, str(shards), str(marker), *map(str, words)]
     process = subprocess.Popen(program, cwd=Path(__file__).parents[1], stderr=subprocess.PIPE)
     while not marker.exists():

@@ -30,7 +30,7 @@ from tactile_toolkit.store.folder import DataFolder, file_at
 from tactile_toolkit.store.manifest import Manifest
 from tactile_toolkit.store.parquet import ParquetStyle
 from tactile_toolkit.store.plan import BuildPlan, ShardContent
-from tactile_toolkit.store.shards import DAMAGED, ShardName, ShardRecord, Skipped
+from tactile_toolkit.store.shards import DAMAGED, ShardName, ShardRecord, Skipped, rows_per_shard
 from tactile_toolkit.touch.schema import (
     MEDIA_COLUMN,
     MEDIA_TYPE,
@@ -337,7 +337,11 @@ def plan_conversion(conversion: Conversion) -> BuildPlan:
     for split, choices in conversion.choices.items():
         shards = source.shards[split]
         starts = [0, *accumulate(map(len, shards))]
-        chunks = [choices[start : start + per_shard] for start in range(0, len(choices), per_shard)]
+        size = per_shard
+        if conversion.rows_per_shard is None:  # of many rows, as many as a worker can hold
+            most = max(per_shard, _SHARD_BYTES // row_bytes)
+            size = min(rows_per_shard(len(choices), per_shard), most)
+        chunks = [choices[start : start + size] for start in range(0, len(choices), size)]
         for index, chunk in enumerate(chunks):
             first, last = (bisect_right(starts, int(chunk.rows[end])) - 1 for end in (0, -1))
             paths = tuple(shard.path for shard in shards[first : last + 1])

@@ -6,6 +6,7 @@ import tarfile
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
+from functools import partial
 
 from realtouch.columns.per_touch import plain_value, touch_total
 from realtouch.damage import Damage, unreadable_rows
@@ -18,6 +19,7 @@ from tactile_toolkit.errors import InputError, IntegrityError
 from tactile_toolkit.read.columns import column_names
 from tactile_toolkit.read.dataset import Row
 from tactile_toolkit.read.parquet import Shard
+from tactile_toolkit.run.threads import in_threads
 from tactile_toolkit.store.folder import DataFolder, file_at
 from tactile_toolkit.store.manifest import Manifest, read_manifest
 from tactile_toolkit.store.origin import read_record
@@ -61,6 +63,7 @@ def verify(
     *,
     revision: str | None = None,
     quick: bool = False,
+    workers: int = 1,
     on_progress: Callable[[int, int], None] = lambda _done, _total: None,
 ) -> TouchVerification:
     """Check every file, round, touch and frame of a data set, and list all that is wrong.
@@ -75,6 +78,8 @@ def verify(
         Revision of a Hub repository.
     quick : bool
         Read the headers of images and frames instead of decoding them.
+    workers : int
+        Number of threads that read and decode; what is found does not depend on it.
     on_progress : callable
         Told the number of rounds checked so far and the number in all.
 
@@ -92,7 +97,7 @@ def verify(
         # Files of a folder of ours are held against its manifest and card, others against what the Hub said.
         vouched_for = manifest is not None or read_record(folder) is not None
         if vouched_for:
-            for finding in verify_files(folder, check_card=check_card).findings:
+            for finding in verify_files(folder, check_card=check_card, workers=workers).findings:
                 findings.append(Damage(finding.file, None, None, "", finding.problem))
         if manifest is not None and manifest.spec.get("operation") == "frames":
             return _verify_pictures(folder, manifest, findings, on_progress, decode=not quick)
@@ -115,13 +120,15 @@ def verify(
     seen: dict[str, str] = {}
     for files in splits:
         expected = usual_touch_count(files.shards, place)
-        for row in _readable_rows(files.shards, findings):
-            rounds += 1
-            findings += check_round(row, expected, decode=not quick, class_names=files.stated_names)
-            findings += _repeated_id(row, seen)
-            with suppress(InputError, IntegrityError):
-                touches += touch_total(row)
-            on_progress(rounds, total)
+        check = partial(check_round, expected=expected, decode=not quick, class_names=files.stated_names)
+        for row, problems in in_threads(partial(_checked, check), _readable_rows(files.shards), workers):
+            findings += problems
+            if isinstance(row, Row):
+                rounds += 1
+                findings += _repeated_id(row, seen)
+                with suppress(InputError, IntegrityError):
+                    touches += touch_total(row)
+                on_progress(rounds, total)
     return TouchVerification(rounds, touches, tuple(findings), tuple(unprotected))
 
 
@@ -133,9 +140,9 @@ def _is_unprotected(shard: Shard, place: Place) -> bool:
     return not has_page_checksums(*file_at(shard.path))
 
 
-def check_folder(folder: DataFolder) -> list[Finding]:
+def check_folder(folder: DataFolder, workers: int = 1) -> list[Finding]:
     """List what is wrong with a folder before it goes to others; decodes no picture."""
-    found = verify(folder.address(), quick=True).findings
+    found = verify(folder.address(), quick=True, workers=workers).findings
     return [Finding(damage.file, f"({damage})") for damage in found] if found else list(check_card(folder))
 
 
@@ -233,14 +240,19 @@ def _lacking_columns(shards: Sequence[Shard]) -> list[Damage]:
     ]
 
 
-def _readable_rows(shards: Sequence[Shard], findings: list[Damage]) -> Iterator[Row]:
+def _checked(check: Callable[[Row], list[Damage]], found: Row | Damage) -> tuple[Row | Damage, list[Damage]]:
+    return found, check(found) if isinstance(found, Row) else [found]
+
+
+def _readable_rows(shards: Sequence[Shard]) -> Iterator[Row | Damage]:
+    """Yield all rows, and in the place of those that cannot be read, what is wrong with them."""
     for shard in shards:
         for index in range(shard.metadata.num_row_groups):
             try:
                 for group in shard.blocks(index):
                     yield from (Row(group, row) for row in range(len(group.table)))
             except IntegrityError as error:
-                findings.append(unreadable_rows(shard, index, error))
+                yield unreadable_rows(shard, index, error)
 
 
 def _repeated_id(row: Row, seen: dict[str, str]) -> list[Damage]:

@@ -13,7 +13,12 @@ from tactile_toolkit.kind import kinds
 from tactile_toolkit.read.parquet import Shard
 from tactile_toolkit.store.address import is_remote, place_of_data, scheme_of
 from tactile_toolkit.store.folder import DataFolder, unreadable
-from tactile_toolkit.store.manifest import MANIFEST_FILE, manifest_so_far, read_manifest
+from tactile_toolkit.store.manifest import (
+    MANIFEST_FILE,
+    manifest_so_far,
+    read_manifest,
+    without_collecting,
+)
 from tactile_toolkit.store.shards import (
     DATA_FOLDER,
     ShardFile,
@@ -62,7 +67,8 @@ def find_shards(
         return (Shard(file),)
     folder = folder_named(name)
     if folder is not None:
-        return _folder_shards(folder, split)
+        with without_collecting():
+            return _folder_shards(folder, split)
     named = _named_on_hub(name, revision)
     repository = HubRepository(named.repo_id, named.revision)
     if _is_file(named):
@@ -272,9 +278,12 @@ def _folder_shards(folder: DataFolder, split: str | None) -> tuple[Shard, ...]:
             first = file.records[0].shard.index
             entry = (Shard(folder.address(file.path), file.rows), file.made_of)
             small[first : first + len(file.records)] = [entry] * len(file.records)
+    root = folder.address()
     return tuple(
-        Shard(folder.address(record.shard.data_path), record.rows, small=entry)
-        for record, entry in zip(records, small, strict=True)
+        [
+            Shard(f"{root}/{record.shard.data_path}", record.rows, small=entry)
+            for record, entry in zip(records, small, strict=True)
+        ]
     )
 
 

@@ -302,13 +302,14 @@ class UploadResult:
     tags: tuple[str, ...] = ()
 
 
-def check_folder(kind: DatasetKind, folder: DataFolder) -> Iterable[Finding]:
+def check_folder(kind: DatasetKind, folder: DataFolder, workers: int = 1) -> Iterable[Finding]:
     """List what is wrong with a folder of a kind: files, rows, columns, ids, pictures, card."""
     if kind.check is not None:
-        found: Iterable[Finding] = kind.check(folder)
+        found: Iterable[Finding] = kind.check(folder, workers)
         return found
     require_manifest(kind, folder)
-    return verify(folder, None if kind.schema is None else kind.schema(), check_card=check_card).findings
+    schema = None if kind.schema is None else kind.schema()
+    return verify(folder, schema, check_card=check_card, workers=workers).findings
 
 
 def prepare_upload(

@@ -173,13 +173,6 @@ class Shard:
         _FOOTERS.put(key, footer)
         return footer
 
-    def meet(self) -> None:
-        """Take note of which file is there now, where that costs next to nothing."""
-        if not self._is_remote and "identity" not in self.__dict__:
-            # What is missing is named when it is asked for.
-            with contextlib.suppress(OSError):
-                self.__dict__["identity"] = self._found_now()
-
     @property
     def schema(self) -> Any:
         """The Arrow schema, extension types as what they are stored as."""
@@ -344,14 +337,14 @@ class Shard:
             return self._opened()[1] if self._is_remote else self._found_now()
 
     def _found_now(self) -> tuple[object, ...]:
-        facts = os.lstat(self.path)
-        if stat.S_ISLNK(facts.st_mode) or not self.path.startswith("/"):
-            real = os.path.realpath(self.path)
-            facts = Path(real).stat()
-        else:  # what is known of one file saves asking for each folder above each of 50,000
-            folder, _, name = self.path.rpartition("/")
-            real = f"{_real_folder(folder)}/{name}"
-        return real, *identity_of(facts)
+        path = self.path
+        facts = os.lstat(path)
+        if stat.S_ISLNK(facts.st_mode) or path[0] != "/":
+            real = os.path.realpath(path)
+            return real, *identity_of(Path(real).stat())
+        # What is known of one file saves asking for each folder above each of 50,000.
+        folder, _, name = path.rpartition("/")
+        return f"{_real_folder(folder)}/{name}", *identity_of(facts)
 
     def _opened(self) -> tuple[Any, tuple[object, ...]]:
         """Open the file, and return with it what tells it from any other."""
@@ -475,8 +468,13 @@ class ShardedTable:
     shards: tuple[Shard, ...]
 
     def __post_init__(self) -> None:
+        # Which file is there now is noted where that costs next to nothing.
         for shard in self.shards:
-            shard.meet()
+            if "identity" not in shard.__dict__ and "://" not in shard.path:
+                try:
+                    shard.__dict__["identity"] = shard._found_now()
+                except OSError:  # what is missing is named when it is asked for
+                    continue
 
     @cached_property
     def _starts(self) -> list[int]:

@@ -189,19 +189,27 @@ class TrainingBatches(torch.utils.data.IterableDataset):  # type: ignore[misc]
         share, order = self._share(current.start), self._order.epoch(current.epoch)
         turn = (self.rank * workers + worker) / (self.world_size * workers)
         ahead = UnpackingAhead(self._sequence, order, turn)
-        fetch = getattr(self.data, "__getitems__", lambda chosen: [self.data[each] for each in chosen])
-        collate = self.collate_fn or torch.utils.data.default_collate
+        make = self._maker()
         if hasattr(self.data, "set_epoch"):
             self.data.set_epoch(current.epoch)
         try:
             for index in range(worker + workers * current.batches, len(share), workers):
                 numbers = share.batch(index)
                 ahead.enter(order.window_of(int(numbers[0])))
-                batch = collate(fetch(order.positions(numbers).tolist()))
+                batch = make(order.positions(numbers).tolist())
                 current.batches += 1
                 yield batch
         finally:
             ahead.close()
+
+    def _maker(self) -> Callable[[list[int]], Any]:
+        """Return what makes a batch of the items at some positions."""
+        if self.collate_fn is None and hasattr(self.data, "collated"):
+            made: Callable[[list[int]], Any] = self.data.collated
+            return made
+        fetch = getattr(self.data, "__getitems__", lambda chosen: [self.data[each] for each in chosen])
+        collate = self.collate_fn or torch.utils.data.default_collate
+        return lambda chosen: collate(fetch(chosen))
 
     def state_dict(self) -> dict[str, Any]:
         """Return where this process is in its pass: what ``StatefulDataLoader`` asks of each worker.

@@ -223,7 +223,7 @@ def _make_part(
         )
         raise InputError(message)
     first, wanted = part.first_of(count), plan.for_parts(count)
-    state = inspect_folder(folder, plan, plan.tasks[first::count], read_all=False)
+    state = inspect_folder(folder, plan, plan.tasks[first::count], in_parts=True)
     if state.agreed is not None:
         refuse_other_division(folder, state.agreed, wanted)
     if state.unproven:
@@ -234,7 +234,7 @@ def _make_part(
         raise InputError(message)
     if state.todo and _agree(folder, plan, wanted):
         # All parts may have been finished since this one looked: then none are at work.
-        state = inspect_folder(folder, plan, plan.tasks[first::count], read_all=False)
+        state = inspect_folder(folder, plan, plan.tasks[first::count], in_parts=True)
         if not state.todo:
             folder.remove(PARTS_FILE)
             folder.remove_empty(PENDING_FOLDER)
@@ -309,7 +309,7 @@ def _finish(
     refuse_unrecovered(folder)
     folder.refresh(DATA_FOLDER)
     folder.refresh(PENDING_FOLDER)
-    state = inspect_folder(folder, plan, read_all=False)
+    state = inspect_folder(folder, plan, in_parts=True)
     on_progress(Progress(0, 0))
     parts = None
     if state.agreed is not None:

@@ -4,18 +4,19 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any, TypeGuard
 
 from tactile_toolkit.errors import IntegrityError
 
-__all__ = ["LARGEST", "Fields", "is_digest", "json_fields"]
+__all__ = ["LARGEST", "Fields", "all_digests", "json_fields"]
 
 _DEEPEST = 32
 """Lists in lists that are followed; a manifest of ours has 6."""
 
 LARGEST = (1 << 63) - 1
-_DIGEST = re.compile("[0-9a-f]{64}")
+_DIGEST_LENGTH = 64
+_DIGITS = re.compile("[0-9a-f]*")
 
 
 def json_fields(text: str | bytes, where: str) -> Fields:
@@ -28,9 +29,10 @@ def json_fields(text: str | bytes, where: str) -> Fields:
     return Fields(values, where)
 
 
-def is_digest(value: object) -> TypeGuard[str]:
-    """Tell whether a value is a SHA-256 in hexadecimal."""
-    return isinstance(value, str) and _DIGEST.fullmatch(value) is not None
+def all_digests(values: Sequence[object]) -> TypeGuard[Sequence[str]]:
+    """Tell whether all values are SHA-256 in hexadecimal."""
+    texts = [value for value in values if isinstance(value, str) and len(value) == _DIGEST_LENGTH]
+    return len(texts) == len(values) and _DIGITS.fullmatch("".join(texts)) is not None
 
 
 class Fields:
@@ -70,7 +72,7 @@ class Fields:
     def digest(self, name: str) -> str:
         """Return a SHA-256 in hexadecimal."""
         value = self.values.get(name)
-        if not is_digest(value):
+        if not isinstance(value, str) or not all_digests([value]):
             raise self._wrong(name, value, "64 hexadecimal digits")
         return value
 
@@ -88,15 +90,18 @@ class Fields:
             raise self._wrong(name, value, "a list of texts")
         return tuple(value)
 
-    def objects(self, name: str) -> list[Fields]:
-        """Return a list of objects."""
+    def length(self, name: str) -> int:
+        """Return how long a list is."""
         value = self.values.get(name)
         if not isinstance(value, list):
             raise self._wrong(name, value, "a list of JSON objects")
-        if not value:
-            return []
+        return len(value)
+
+    def objects(self, name: str, some: slice = slice(None)) -> list[Fields]:
+        """Return a list of objects, or some of them."""
+        numbers = range(self.length(name))[some]
         path = self._path(name)
-        return [Fields(item, self.where, path, index) for index, item in enumerate(value)]
+        return [Fields(self.values[name][index], self.where, path, index) for index in numbers]
 
     def inside(self, name: str) -> Fields:
         """Return an object."""

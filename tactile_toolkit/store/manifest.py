@@ -31,6 +31,7 @@ __all__ = [
     "pending_records",
     "read_manifest",
     "remove_pending",
+    "without_collecting",
     "write_manifest",
     "write_shard_record",
 ]
@@ -146,7 +147,7 @@ class Manifest:
             toolkit_version=fields.text("toolkit_version"),
             spec=fields.mapping("spec"),
             split_order=fields.texts("split_order"),
-            shards=ShardRecord.all_from(fields.objects("shards")),
+            shards=ShardRecord.all_from(fields, "shards"),
             files={path: files.digest(path) for path in files.values},
             schema_version=version,
             complete=fields.flag("complete"),
@@ -176,12 +177,12 @@ def read_manifest(folder: DataFolder) -> Manifest | None:
     if not folder.exists(MANIFEST_FILE):
         return None
     text = folder.read_bytes(MANIFEST_FILE).decode("utf-8", errors="replace")
-    with _without_collecting():
+    with without_collecting():
         return Manifest.from_json(text, folder.address(MANIFEST_FILE))
 
 
 @contextlib.contextmanager
-def _without_collecting() -> Iterator[None]:
+def without_collecting() -> Iterator[None]:
     """Make many objects at once, all to be kept; looking for garbage among them takes a third of the time."""
     was_enabled = gc.isenabled()
     gc.disable()

@@ -171,13 +171,13 @@ def inspect_folder(
     plan: BuildPlan,
     tasks: Sequence[ShardTask] | None = None,
     *,
-    read_all: bool | None = None,
+    in_parts: bool = False,
 ) -> BuildState:
     """Compare a folder with a plan, or with some of its tasks, changing nothing.
 
-    A record counts where its file is there in full size; with ``read_all``, by default in local folders, also
-    its checksum is compared. Raises SpecMismatchError when the folder was made by another specification (the
-    message says what differs), and InputError when it holds something else.
+    A record counts where its file is there in full size; in local folders also its checksum is compared, but
+    not ``in_parts``. Raises SpecMismatchError when the folder was made by another specification (the message
+    says what differs), and InputError when it holds something else.
     """
     # Listed before what says whose they are is looked for: it is written before any of them, and goes last.
     pending = folder.names(PENDING_FOLDER)
@@ -190,7 +190,7 @@ def inspect_folder(
             refuse_unknown_files(folder)
         except InputError:
             if folder.exists(MANIFEST_FILE):  # another run began at this moment
-                return inspect_folder(folder, plan, tasks, read_all=read_all)
+                return inspect_folder(folder, plan, tasks, in_parts=in_parts)
             raise
         # Pending records that nothing stands beside may be of any specification: they prove nothing.
         unproven = tuple(f"{PENDING_FOLDER}/{name}" for name in pending if not name.startswith("."))
@@ -204,14 +204,14 @@ def inspect_folder(
     if differences:
         message = (
             f"{folder.address()!r} holds a data set of another specification: {'; '.join(differences)}; "
-            f"nothing was changed; next: choose another folder (--out or OUT){_or_again(folder)}"
+            f"nothing was changed; next: choose another folder (--out or OUT){_or_again(folder, in_parts)}"
         )
         raise SpecMismatchError(message)
     _refuse_strays(folder, plan)
     asked_for = None if tasks is None else [task.shard for task in chosen]
     known = {record.shard: record for record in (*manifest.shards, *pending_records(folder, asked_for))}
     recorded = [known[task.shard] for task in chosen if task.shard in known]
-    is_finished = _finished_check(folder, plan, manifest, recorded, read_all)
+    is_finished = _finished_check(folder, plan, manifest, recorded, reads=folder.is_local and not in_parts)
     kept, todo, damaged = [], [], []
     for task in chosen:
         record = known.get(task.shard)
@@ -223,7 +223,7 @@ def inspect_folder(
             damaged.append(task.shard.data_path)
     made_again = {task.shard for task in todo}
     if todo and any(shard not in made_again for shard in known):
-        _refuse_other_libraries(folder, manifest, plan)
+        _refuse_other_libraries(folder, manifest, plan, in_parts)
     elif todo:
         manifest = replace(manifest, libraries=plan.new_manifest().libraries)
     manifest = replace(manifest, extra_dirs=plan.extra_dirs)
@@ -235,12 +235,12 @@ def _finished_check(
     plan: BuildPlan,
     manifest: Manifest,
     records: Sequence[ShardRecord],
-    read_all: bool | None,
+    *,
+    reads: bool,
 ) -> Callable[[ShardRecord], bool]:
     """Return a test whether all that one of these records vouches for is there; lists the folder once."""
     sizes = folder.sizes(DATA_FOLDER)
     has_report = _report_check(folder, plan, manifest, records)
-    reads = folder.is_local if read_all is None else read_all
 
     def is_finished(record: ShardRecord) -> bool:
         # Sizes first: most damage shows there, and costs no reading.
@@ -280,7 +280,7 @@ def refuse_other_division(folder: DataFolder, agreed: PartsPlan, wanted: PartsPl
         raise SpecMismatchError(message)
 
 
-def _refuse_other_libraries(folder: DataFolder, manifest: Manifest, plan: BuildPlan) -> None:
+def _refuse_other_libraries(folder: DataFolder, manifest: Manifest, plan: BuildPlan, in_parts: bool) -> None:
     """Refuse to go on with libraries that write other bytes; a folder that names none was made by 0.1.0."""
     now = plan.new_manifest().libraries
     differences = _differences(manifest.libraries, now, "libraries") if manifest.libraries else []
@@ -288,14 +288,16 @@ def _refuse_other_libraries(folder: DataFolder, manifest: Manifest, plan: BuildP
         message = (
             f"{folder.address()!r} was begun with other versions of libraries, which write other bytes: "
             f"{'; '.join(differences)}; nothing was changed; next: install those versions, or choose another "
-            f"folder{_or_again(folder)}"
+            f"folder{_or_again(folder, in_parts)}"
         )
         raise SpecMismatchError(message)
 
 
-def _or_again(folder: DataFolder) -> str:
-    """Return the end of a next step: sets in object stores are not replaced."""
-    return ", or start again there with --overwrite" if folder.is_local else ""
+def _or_again(folder: DataFolder, in_parts: bool) -> str:
+    """Return the end of a next step: parts replace no set, and nobody one in an object store."""
+    if in_parts or not folder.is_local:
+        return f", or remove {folder.address()!r} first"
+    return ", or start again there with --overwrite"
 
 
 def _refuse_strays(folder: DataFolder, plan: BuildPlan) -> None:

@@ -5,12 +5,13 @@ from __future__ import annotations
 import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass
-from itertools import zip_longest
+from itertools import chain, repeat, zip_longest
+from operator import itemgetter
 from pathlib import PurePosixPath
 from typing import Any, NamedTuple
 
 from tactile_toolkit.errors import InputError, IntegrityError
-from tactile_toolkit.store.fields import LARGEST, Fields, is_digest
+from tactile_toolkit.store.fields import LARGEST, Fields, all_digests
 from tactile_toolkit.wording import did_you_mean
 
 __all__ = [
@@ -26,6 +27,7 @@ __all__ = [
     "add_up",
     "files_of_split",
     "no_split",
+    "rows_per_shard",
     "shard_files",
     "shard_ranges",
 ]
@@ -40,6 +42,8 @@ MOST_ROWS = 1 << 40
 """Most rows that a shard is believed to have; more than any disk holds."""
 
 _MANY_SHARDS = 8192
+_READ_TOGETHER = 1024
+_USUAL = itemgetter("file", "split", "skipped", "rows", "bytes", "sha256", "report_sha256", "unpacked_bytes")
 
 PENDING_FOLDER = ".pending"
 """Holds the records and report rows of finished shards until the manifest has them."""
@@ -63,7 +67,7 @@ class ShardName:
     @property
     def data_path(self) -> str:
         """Path of the rows inside the data set folder."""
-        return f"{DATA_FOLDER}/{self}.parquet"
+        return f"{DATA_FOLDER}/{self.split}-{self.index:05d}-of-{self.count:05d}.parquet"
 
     @property
     def record_path(self) -> str:
@@ -91,20 +95,27 @@ class ShardName:
         return self.index < self.count and self.parse(f"{self}.parquet") == self
 
 
+def rows_per_shard(rows: int, usual: int) -> int:
+    """Return the size of the shards of a split with so many rows.
+
+    It is the usual one up to 8,192 shards. Larger splits have larger ones: twice the size whenever the split
+    is four times as large, for each shard costs a request and a record.
+    """
+    growth = 1
+    while rows > _MANY_SHARDS * usual * growth**2:
+        growth *= 2
+    return usual * growth
+
+
 def shard_ranges(
     split: str, rows: int, *, smallest: int, largest: int, wanted: int
 ) -> list[tuple[ShardName, range]]:
     """Divide the rows of a split into about ``wanted`` shards of ``smallest`` to ``largest`` rows.
 
     The sizes follow from the split alone, so that any number of workers agrees on them. A shard is what a
-    worker holds in memory and what a kill loses; a small run still has some for each worker. A split of
-    which there would be more than 8,192 has larger ones instead: half as many whenever it is four times as
-    large, for each costs a request and a record.
+    worker holds in memory and what a kill loses; a small run still has some for each worker.
     """
-    growth = 1
-    while rows > _MANY_SHARDS * largest * growth**2:
-        growth *= 2
-    size = min(largest * growth, max(smallest, -(-rows // wanted)))
+    size = min(rows_per_shard(rows, largest), max(smallest, -(-rows // wanted)))
     starts = range(0, rows, size)
     return [
         (ShardName(split, index, len(starts)), range(start, min(start + size, rows)))
@@ -157,37 +168,46 @@ class ShardRecord(NamedTuple):  # 50,000 of a frozen dataclass would take 0.1 s 
         }
 
     @classmethod
-    def all_from(cls, listed: Sequence[Fields]) -> tuple[ShardRecord, ...]:
-        """Rebuild the records of a manifest, as :meth:`from_fields` does one.
+    def all_from(cls, fields: Fields, name: str) -> tuple[ShardRecord, ...]:
+        """Rebuild a list of records, as :meth:`from_fields` does one.
 
-        Sets of 10^8 rows list 50,000, which all are read before the first row is: what is as in most records,
-        of the shard after the one before, needs no look at each value by itself.
+        Sets of 10^8 rows list 50,000, which all are read before the first row is: where some in a row are as
+        most are, nothing is done with each by itself.
         """
         records: list[ShardRecord] = []
-        after = None
-        for fields in listed:
-            record = cls._usual(fields.values, after) or cls.from_fields(fields)
-            shard = record.shard
-            after = ShardName(shard.split, shard.index + 1, shard.count)
-            records.append(record)
+        for start in range(0, fields.length(name), _READ_TOGETHER):
+            some = slice(start, start + _READ_TOGETHER)
+            usual = cls._usual(fields.values[name][some])
+            records += map(cls.from_fields, fields.objects(name, some)) if usual is None else usual
         return tuple(records)
 
     @classmethod
-    def _usual(cls, values: Mapping[str, Any], shard: ShardName | None) -> ShardRecord | None:
-        """Rebuild the record of a shard from values without surprises; None from all others."""
-        if shard is None or values.get("file") != shard.data_path or shard.index >= shard.count:
+    def _usual(cls, values: Sequence[Any]) -> Iterable[ShardRecord] | None:
+        """Rebuild records of shards that follow each other, from values without surprises; else None."""
+        try:
+            columns = tuple(zip(*map(_USUAL, values), strict=True))
+        except (KeyError, TypeError):
             return None
-        if values.get("split") != shard.split or values.get("skipped") != [] or "statistics" in values:
+        files, splits, skipped, rows, sizes, digests, reports, unpacked = columns
+        folder, _, name = str(files[0]).rpartition("/")
+        first = ShardName.parse(name)
+        if first is None or folder != DATA_FOLDER or first.index + len(values) > first.count:
             return None
-        rows, size, unpacked = values.get("rows"), values.get("bytes"), values.get("unpacked_bytes")
-        if not (type(rows) is type(size) is type(unpacked) is int and 0 <= rows <= MOST_ROWS):
+        numbers = range(first.index, first.index + len(values))
+        shards = [ShardName(first.split, index, first.count) for index in numbers]
+        if files != tuple([shard.data_path for shard in shards]) or any(
+            "statistics" in each for each in values
+        ):
             return None
-        sha256, report = values.get("sha256"), values.get("report_sha256")
-        if not (0 <= size <= LARGEST and 0 <= unpacked <= LARGEST and is_digest(sha256)):
+        if splits != (first.split,) * len(values) or skipped != ([],) * len(values):
             return None
-        if report is not None and not is_digest(report):
+        if set(map(type, chain(rows, sizes, unpacked))) != {int} or max(rows) > MOST_ROWS:
             return None
-        return cls(shard, rows, size, sha256, report, (), None, unpacked)
+        if min(*rows, *sizes, *unpacked) < 0 or max(*sizes, *unpacked) > LARGEST:
+            return None
+        if not all_digests([*digests, *(each for each in reports if each is not None)]):
+            return None
+        return map(cls, shards, rows, sizes, digests, reports, repeat(()), repeat(None), unpacked)
 
     @classmethod
     def from_fields(cls, fields: Fields) -> ShardRecord:

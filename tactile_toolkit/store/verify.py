@@ -2,20 +2,22 @@
 
 from __future__ import annotations
 
+import hashlib
+import io
 import os
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import IO, Any
 
 from tactile_toolkit.errors import InputError, IntegrityError
 from tactile_toolkit.run.threads import in_threads
 from tactile_toolkit.store.folder import DataFolder
 from tactile_toolkit.store.manifest import MANIFEST_FILE, Manifest, read_manifest
 from tactile_toolkit.store.origin import RECORD_FILE, DownloadRecord, HubFile, read_record
-from tactile_toolkit.store.parquet import file_sha256, named_damage, open_parquet
+from tactile_toolkit.store.parquet import named_damage, open_checked
 from tactile_toolkit.store.shards import DATA_FOLDER, VIEWER_FOLDER, Finding, ShardRecord
 
 __all__ = ["Finding", "Verification", "problem_of_place", "verify"]
@@ -139,17 +141,18 @@ def _check_copied(folder: DataFolder, entry: tuple[str, HubFile]) -> tuple[list[
     problem = problem_of_place(folder, path)
     if problem:
         return [Finding(path, problem)], 0
-    found = None
-    if file.digest is not None:
-        with folder.open(path) as stream:
-            found = file.digest.of_stream(stream, folder.size_bytes(path))
-    if file.digest is not None and found != file.digest:
-        return [Finding(path, f"{found}, expected {file.digest.value}")], 0
-    if folder.size_bytes(path) != file.size_bytes:  # all that is known of one without a digest
-        problem = f"has {folder.size_bytes(path):,} bytes, expected {file.size_bytes:,}"
-        return [Finding(path, problem)], 0
-    # Ids are the publisher's own: nothing says that they differ between splits.
-    return [], open_parquet(folder, path).metadata.num_rows if path.endswith(".parquet") else 0
+    size = folder.size_bytes(path)
+    with _content(folder, path) as stream:
+        found = file.digest.of_stream(stream, size) if file.digest is not None else None
+        if file.digest is not None and found != file.digest:
+            return [Finding(path, f"{found}, expected {file.digest.value}")], 0
+        if size != file.size_bytes:  # all that is known of one without a digest
+            return [Finding(path, f"has {size:,} bytes, expected {file.size_bytes:,}")], 0
+        if not path.endswith(".parquet"):
+            return [], 0
+        # Ids are the publisher's own: nothing says that they differ between splits.
+        with named_damage(folder.address(path)):
+            return [], open_checked(stream).metadata.num_rows
 
 
 def problem_of_place(folder: DataFolder, path: str) -> str:
@@ -187,23 +190,36 @@ def _incomplete(folder: DataFolder, manifest: Manifest) -> list[Finding]:
     return findings
 
 
+def _content(folder: DataFolder, path: str) -> IO[bytes]:
+    """Open a file; one of a store is brought here whole, because it is gone through twice."""
+    return folder.open(path) if folder.is_local else io.BytesIO(folder.read_bytes(path))
+
+
 def _check_file(folder: DataFolder, path: str, checksum: str) -> list[Finding]:
     problem = problem_of_place(folder, path)
     if problem:
         return [Finding(path, problem)]
-    found = file_sha256(folder, path)
+    with _content(folder, path) as stream:
+        return _compared(path, stream, checksum)
+
+
+def _compared(path: str, stream: IO[bytes], checksum: str) -> list[Finding]:
+    found = hashlib.file_digest(stream, "sha256").hexdigest()  # type: ignore[arg-type]
     return [] if found == checksum else [Finding(path, f"sha256 is {found}, expected {checksum}")]
 
 
 def _check_shard(folder: DataFolder, schema: Any, record: ShardRecord) -> tuple[list[Finding], Any]:
     """Check one shard; return what is wrong with it, and its ids as an Arrow array (None: unreadable)."""
     path = record.shard.data_path
-    findings = _check_file(folder, path, record.sha256)
-    if findings:
-        return findings, None
+    problem = problem_of_place(folder, path)
+    if problem:
+        return [Finding(path, problem)], None
     try:
-        with named_damage(folder.address(path)):
-            parquet = open_parquet(folder, path)
+        with _content(folder, path) as stream, named_damage(folder.address(path)):
+            findings = _compared(path, stream, record.sha256)
+            if findings:
+                return findings, None
+            parquet = open_checked(folder.address(path) if folder.is_local else stream)
             rows, stored = parquet.metadata.num_rows, parquet.schema_arrow
             ids = parquet.read(columns=["id"], use_threads=False).column(0).combine_chunks()
     except IntegrityError as error:

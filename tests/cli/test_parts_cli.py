@@ -5,6 +5,7 @@ from __future__ import annotations
 import importlib.metadata
 import os
 import shutil
+import signal
 import subprocess
 import sys
 from collections.abc import Callable, Iterable, Iterator
@@ -86,6 +87,15 @@ def test_two_generators_at_once_in_one_folder(tmp_path, whole):
         code, _, talked = ended(each)
         assert code == 0, talked
     assert folder_bytes(place) == whole
+
+
+def test_what_is_said_of_a_run_that_was_stopped_before_its_first_shard(tmp_path):
+    process = start_held("starstruck", 0, tmp_path / "marker", *SCENES, tmp_path / "scenes", "-q")
+    process.send_signal(signal.SIGINT)
+    _, talked = process.communicate()
+    assert process.returncode == 130
+    assert talked == b"interrupted before a shard was finished: none is kept, the same command starts again\n"
+    assert not (tmp_path / "scenes").exists()
 
 
 def test_a_job_with_other_versions_is_refused(tmp_path):

@@ -6,6 +6,7 @@ import csv
 import json
 import pickle
 import re
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -343,3 +344,21 @@ def test_a_task_takes_along_the_files_of_its_own_rows_only(single_folder: Path) 
     assert [choice.row for task in tasks for choice in task.choices] == list(range(len(rows)))
     made = [name for task in tasks for name in task.make().table["id"].to_pylist()]
     assert made == realtouch.load(str(single_folder), "train").ids.tolist()
+
+
+def test_shards_of_very_many_rounds_are_larger(single_folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Twice as large in a set of four times as many rounds, as long as a worker can hold one."""
+    monkeypatch.setattr("tactile_toolkit.store.shards._MANY_SHARDS", 2)
+    monkeypatch.setattr("realtouch.convert.plan._MOST_ROWS_PER_SHARD", 1)
+    source = Source.open(str(single_folder))
+    source = replace(source, shards={"train": source.shards["train"] * 10})
+    rows = sum(map(len, source.shards["train"]))
+    assert rows == 30
+    for chosen, size in ((2, 1), (8, 2), (30, 4)):
+        conversion = Conversion(source, "toy", {}, KeepTouches(False), {"train": RowChoices(range(chosen))})
+        plan = plan_conversion(conversion)
+        assert [len(task.choices) for task in plan.tasks][:-1] == [size] * (len(plan.tasks) - 1)
+        assert [choice.row for task in plan.tasks for choice in task.choices] == list(range(chosen))
+        assert plan.spec["rows_per_shard"] == 1
+    monkeypatch.setattr("realtouch.convert.plan._SHARD_BYTES", 2 * source.row_bytes())
+    assert max(len(task.choices) for task in plan_conversion(conversion).tasks) == 2

@@ -131,6 +131,25 @@ def test_batches_equal_items(images: Any) -> None:
         assert label == images[index][1]
 
 
+@pytest.mark.parametrize("target", [None, "label", "round_id", "pos_in_cell", "gel_position", squared])
+def test_a_batch_made_at_once_is_that_of_its_items(single_folder: Path, target: Any) -> None:
+    from realtouch.torch import TouchTensors
+
+    data = TouchTensors(realtouch.load(single_folder, "train"), target=target)
+    order = [14, 3, 3, 0]
+    given = data.collated(order)
+    expected = torch.utils.data.default_collate([data[index] for index in order])
+    assert type(given) is type(expected)
+    if target is None:
+        assert torch.equal(given, expected)
+        return
+    assert torch.equal(given[0], expected[0])
+    assert given[0].is_contiguous()
+    assert type(given[1]) is type(expected[1])
+    assert torch.equal(given[1], expected[1]) if target != "round_id" else given[1] == expected[1]
+    assert pickle.loads(pickle.dumps(data)).collated([3])[0].shape == (1, *given[0].shape[1:])
+
+
 def test_transforms_apply(single_folder: Path) -> None:
     from torchvision.transforms import v2
 

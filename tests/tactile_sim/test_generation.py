@@ -61,6 +61,14 @@ def test_the_same_bytes_with_workers_split_by_split_and_small_shards(scenes, tou
         assert (one[2].sensor_image[3] == other[2].sensor_image[3]).all()
 
 
+def test_shards_of_very_many_rounds_are_larger(scenes, monkeypatch):
+    monkeypatch.setattr("tactile_toolkit.store.shards._MANY_SHARDS", 2)
+    monkeypatch.setattr("tactile_sim.generation._SHARD_BYTES", 1)
+    assert [task.size for task in plan_build(scenes, SPEC, ("train",)).tasks] == [4, 4, 4, 2]
+    monkeypatch.setattr("tactile_sim.generation._LARGEST_SHARD_BYTES", 1)
+    assert [task.size for task in plan_build(scenes, SPEC, ("train",)).tasks] == [1] * 14
+
+
 def test_a_set_is_what_its_poses_say(scenes, touches):
     """Rendering the stored poses again gives the stored pictures and heights."""
     rounds, solids = realtouch.load(touches, "train"), starstruck_gen.load(scenes, "train")

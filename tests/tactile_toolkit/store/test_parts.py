@@ -110,6 +110,17 @@ def test_what_the_parts_are_of_is_agreed_once_and_held_to(tmp_path):
     assert folder_bytes(tmp_path / "set") == before
 
 
+def test_parts_of_another_specification_are_told_what_parts_can_do(tmp_path, whole):
+    """Not of --overwrite, which they refuse."""
+    other = toy_plan(spec={"seed": 2, "size": [1, 2]})
+    for runner in (Part(0, 2), Finish()):
+        with pytest.raises(SpecMismatchError, match=r"seed is 1 there, 2.*, or remove '.*whole' first$"):
+            make(tmp_path / "whole", runner, other)
+    with pytest.raises(SpecMismatchError, match=r"start again there with --overwrite$"):
+        make(tmp_path / "whole", plan=other)
+    assert folder_bytes(tmp_path / "whole") == whole
+
+
 def test_a_folder_that_was_not_made_in_parts_is_finished_too(tmp_path, whole):
     with pytest.raises(InputError, match=r"does not exist; nothing can be finished"):
         make(tmp_path / "nothing", Finish())

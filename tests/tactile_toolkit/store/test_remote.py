@@ -3,18 +3,24 @@
 from __future__ import annotations
 
 import io
+import socket
 import subprocess
 import sys
 import threading
+from collections import Counter
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 
 import pytest
 
-from tactile_toolkit.errors import InputError, IntegrityError, RemoteError
+from tactile_toolkit.errors import InputError, IntegrityError, RemoteError, SpecMismatchError
+from tactile_toolkit.run.parts import Finish, Part
 from tactile_toolkit.run.processes import InlineRunner, ProcessRunner
+from tactile_toolkit.store import remote
 from tactile_toolkit.store.build import build
 from tactile_toolkit.store.folder import DataFolder
 from tactile_toolkit.store.manifest import read_manifest
+from tactile_toolkit.store.parts import MissingPartsError
 from tactile_toolkit.store.verify import verify
 from tests.tactile_toolkit.toy import SCHEMA, folder_bytes, toy_plan
 
@@ -250,6 +256,57 @@ def test_a_folder_in_a_store_holds_the_same_bytes_as_a_local_one(folder, s3, buc
     stored = {key.removeprefix("deep/set/"): content for key, content in s3.objects(bucket).items()}
     assert stored == folder_bytes(tmp_path)
     assert verify(folder, SCHEMA).ok
+
+
+def test_parts_at_once_in_a_store_give_the_bytes_of_one_process(folder, s3, bucket, tmp_path):  # noqa: F811
+    """Nothing but the store stands between them: three at work at once, one of which had been stopped."""
+    plan = toy_plan()
+    broken = (*plan.tasks[:4], replace(plan.tasks[4], error=RuntimeError("stopped")), *plan.tasks[5:])
+    with pytest.raises(RuntimeError, match="stopped"):
+        build(folder, replace(plan, tasks=broken), Part(1, 3))
+    with pytest.raises(MissingPartsError, match="--array=0-2"):
+        build(folder, plan, Finish())
+    with ThreadPoolExecutor(3) as threads:
+        made = list(threads.map(lambda index: build(folder, toy_plan(), Part(index, 3)), range(3)))
+    assert not any(manifest.complete for manifest in made)
+    assert build(folder, plan, Finish()).complete
+    build(DataFolder(str(tmp_path)), plan, InlineRunner())
+    stored = {key.removeprefix("deep/set/"): content for key, content in s3.objects(bucket).items()}
+    assert stored == folder_bytes(tmp_path)
+    other = toy_plan(spec={"seed": 2, "size": [1, 2]})
+    with pytest.raises(SpecMismatchError, match=r"or remove 's3://.*/deep/set' first"):
+        build(folder, other, Part(0, 3))
+
+
+def test_verify_brings_each_shard_once(folder, s3):  # noqa: F811
+    manifest = build(folder, wide_plan(), InlineRunner())
+    size = sum(record.bytes for record in manifest.shards)
+    s3.traffic.reset()
+    result = verify(folder, SCHEMA, workers=2)
+    assert result.ok
+    asked = Counter(path for path in s3.traffic.paths if path.startswith("GET") and "/data/" in path)
+    assert list(asked.values()) == [1] * len(manifest.shards)
+    assert s3.traffic.sent_bytes < 1.5 * size
+    first, second, third = (f"data/train-{index:05d}-of-00004.parquet" for index in range(3))
+    folder.write_bytes(first, folder.read_bytes(second))
+    folder.remove(third)
+    found = {finding.file: finding.problem for finding in verify(folder, SCHEMA, workers=2).findings}
+    assert found[first].startswith("sha256 is")
+    assert found[third] == "is missing"
+
+
+@pytest.mark.filterwarnings("ignore::ResourceWarning")
+def test_a_store_that_takes_connections_and_says_nothing_is_named(s3, monkeypatch):  # noqa: F811
+    """Its silence ends the first request at the time limit, which is here a second instead of twenty."""
+    monkeypatch.setitem(remote._LIMITS, "read_timeout", 1)
+    monkeypatch.setattr(remote, "_FIRST_PATIENCE_S", 1.0)
+    with socket.create_server(("127.0.0.1", 0)) as silent:
+        monkeypatch.setenv("AWS_ENDPOINT_URL", f"http://127.0.0.1:{silent.getsockname()[1]}")
+        folder = DataFolder("s3://lake/set")
+        for act in (folder.names, folder.require_folder, lambda: folder.read_bytes("manifest.json")):
+            with pytest.raises(RemoteError, match=r"gives no answer \(.*[Tt]imeout.*; next: ") as told:
+                act()
+            assert told.value.exit_code == 4
 
 
 _KILLED = """

@@ -61,11 +61,14 @@ def test_records_read_together_are_those_read_one_by_one(changes: list[tuple[int
     ]
     for index, name, value in changes:
         written[index][name] = value
-    listed = [Fields(values, "m", "shards", index) for index, values in enumerate(written)]
+    fields = Fields({"shards": written}, "m")
     outcomes: list[object] = []
-    for read in (ShardRecord.all_from, lambda each: tuple(map(ShardRecord.from_fields, each))):
+    for read in (
+        lambda: ShardRecord.all_from(fields, "shards"),
+        lambda: tuple(map(ShardRecord.from_fields, fields.objects("shards"))),
+    ):
         try:
-            outcomes.append(read(listed))
+            outcomes.append(read())
         except IntegrityError as error:
             outcomes.append(str(error))
     assert outcomes[0] == outcomes[1]

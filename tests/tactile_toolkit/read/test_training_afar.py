@@ -1,0 +1,44 @@
+"""Training on shards that lie in an object store."""
+
+from __future__ import annotations
+
+import pytest
+
+import starstruck_gen
+from tactile_toolkit.store.folder import DataFolder
+from tests.tactile_toolkit.toy import folder_bytes
+
+pytestmark = [pytest.mark.s3, pytest.mark.torch]
+torch = pytest.importorskip("torch", reason="torch (extra `torch`) is not installed")
+pytest.importorskip("s3fs")
+pytest.importorskip("moto")
+
+from starstruck_gen.torch import SceneTensors  # noqa: E402
+from tactile_toolkit.read.torch import TrainingBatches  # noqa: E402
+from tests.s3_fixtures import bucket, s3, s3_server  # noqa: E402, F401
+
+
+def test_training_from_a_store_is_training_from_a_folder(s3, bucket, tmp_path, monkeypatch):  # noqa: F811
+    monkeypatch.setenv("TACTILE_TOOLKIT_CACHE", str(tmp_path / "cache"))
+    monkeypatch.setattr("starstruck_gen.generation._LARGEST_SHARD", 8)
+    spec = starstruck_gen.GenerateSpec(scenes=(("train", 60), ("test", 1)))
+    starstruck_gen.generate(spec, tmp_path / "scenes")
+    place = DataFolder(f"s3://{bucket}/scenes")
+    for path in folder_bytes(tmp_path / "scenes"):
+        place.copy_in(path, tmp_path / "scenes" / path)
+    assert len(place.names("data")) == 9
+
+    def batches_of(name):
+        data = SceneTensors(starstruck_gen.load(name, "train"))
+        return TrainingBatches(data, 7, window=3, rank=1, world_size=2, collate_fn=list)
+
+    here, there = batches_of(str(tmp_path / "scenes")), batches_of(place.url)
+    for epoch in range(2):
+        s3.traffic.reset()
+        mine = [item for batch in there for item in batch]
+        assert (s3.traffic.sent_bytes == 0) == (epoch > 0)  # it lies unpacked here by then
+        other = [item for batch in here for item in batch]
+        assert len(mine) == len(other) == 30
+        for (points, label), (expected, expected_label) in zip(mine, other, strict=True):
+            assert torch.equal(points, expected)
+            assert label == expected_label
