@@ -74,12 +74,14 @@ def fabricate_groups(folder: Path, groups: int) -> None:
 
     import pyarrow as pa
 
+    from mnist3d import SolidSpec
     from mnist3d.generation import GenerateSpec, plan_build
     from mnist3d.sources.synthetic import SyntheticSource
     from tactile_toolkit.store.parquet import encode_parquet
     from tactile_toolkit.store.shards import ShardName
 
-    plan = plan_build(GenerateSpec(SyntheticSource(), limit=1, vertices=500), ("train",))
+    small = SolidSpec(target_vertices=600)
+    plan = plan_build(GenerateSpec(SyntheticSource(), small, limit=1), ("train",))
     rows = pa.concat_tables([plan.tasks[0].make().table] * GROUPS_OF_SHARD).combine_chunks()
     first, *others = [
         folder / ShardName("train", index, groups // GROUPS_OF_SHARD).data_path

@@ -19,7 +19,7 @@ from realtouch.touches import Touches
 from tactile_toolkit.cache import MemoryCache
 from tactile_toolkit.errors import InputError, IntegrityError, MissingExtraError
 from tactile_toolkit.read.torch import TrainingBatches
-from tactile_toolkit.touch.jpeg import Pixels, room_for
+from tactile_toolkit.touch.jpeg import Pixels, decode_image, room_for
 
 if TYPE_CHECKING:
     import torch
@@ -140,15 +140,22 @@ class TouchTensors(torch.utils.data.Dataset):  # type: ignore[misc]
             return None
         wanted = sorted((*self.touches.locate(index), slot) for slot, index in enumerate(indices))
         touches: list[Any] = [None] * len(wanted)
+        last: int = -1
+        record: Any = None
+        images: Any = None
         try:
             size = self._round(wanted[0][0]).sensor_image.size(wanted[0][1])
             pixels = room_for(len(wanted), size).reshape(len(wanted), 3, *size)
-            one = room_for(1, size)  # all are decoded here: it stays in the processor's cache
+            one = room_for(1, size)[0]  # all are decoded here: it stays in the processor's cache
+            planes = one.transpose(2, 0, 1)
             for position, number, slot in wanted:
-                touches[slot] = Touch(self._round(position), number)
-                touches[slot].round.sensor_image.decode_into(one, (number,))
-                pixels[slot] = one[0].transpose(2, 0, 1)
-        except IntegrityError:
+                if position != last:
+                    last, record = position, self._round(position)
+                    images = record.sensor_image
+                touches[slot] = Touch(record, number)
+                decode_image(images.encoded(number), one)
+                pixels[slot] = planes
+        except (IntegrityError, ValueError):
             return None
         return pixels, touches
 

@@ -14,24 +14,34 @@ _NUMBERS = itertools.count()
 
 @pytest.fixture(scope="module")
 def s3_server() -> Iterator[S3Server]:
+    import s3fs
+
+    # Clients are kept by the process, with the credentials and for the server that they were made with.
+    s3fs.S3FileSystem.clear_instance_cache()
     yield from serve()
+    s3fs.S3FileSystem.clear_instance_cache()
 
 
 @pytest.fixture
-def s3(s3_server: S3Server, monkeypatch: pytest.MonkeyPatch) -> Iterator[S3Server]:
-    """The server, asked with credentials, which nobody else's configuration disturbs."""
+def new_clients() -> Iterator[None]:
+    """Clients that are made in a test, with what it sets, and go with it."""
     import s3fs
 
+    s3fs.S3FileSystem.clear_instance_cache()
+    yield
+    s3fs.S3FileSystem.clear_instance_cache()
+
+
+@pytest.fixture
+def s3(s3_server: S3Server, monkeypatch: pytest.MonkeyPatch) -> S3Server:
+    """The server, asked with credentials, which nobody else's configuration disturbs."""
     for name, value in s3_server.environment().items():
         monkeypatch.setenv(name, value)
     for name in ("AWS_PROFILE", "AWS_SESSION_TOKEN", "AWS_ENDPOINT_URL_S3"):
         monkeypatch.delenv(name, raising=False)
-    # Clients are kept by the process, with the credentials that they were made with.
-    s3fs.S3FileSystem.clear_instance_cache()
     s3_server.refuse = lambda _: None
     s3_server.traffic.reset()
-    yield s3_server
-    s3fs.S3FileSystem.clear_instance_cache()
+    return s3_server
 
 
 @pytest.fixture

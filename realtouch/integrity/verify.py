@@ -120,7 +120,9 @@ def verify(
     seen: dict[str, str] = {}
     for files in splits:
         expected = usual_touch_count(files.shards, place)
-        check = partial(check_round, expected=expected, decode=not quick, class_names=files.stated_names)
+        check = partial(
+            check_round, expected_touches=expected, decode=not quick, class_names=files.stated_names
+        )
         for row, problems in in_threads(partial(_checked, check), _readable_rows(files.shards), workers):
             findings += problems
             if isinstance(row, Row):

@@ -7,6 +7,7 @@ interpreter lock is released meanwhile.
 from __future__ import annotations
 
 import io
+from contextlib import suppress
 from typing import Any, Literal
 
 import numpy as np
@@ -70,6 +71,12 @@ def decode_image(data: memoryview | bytes, out: Pixels | None = None) -> Pixels:
     Raises ValueError as :func:`image_size`, and when the data is cut short or corrupt, or has another size
     than ``out``. Nothing half-decoded is ever returned.
     """
+    if out is not None and data[:3] == _JPEG_START and len(data) <= MAX_IMAGE_BYTES:
+        with suppress(
+            ValueError
+        ):  # what is wrong is named below; to look into the header first takes a while
+            if simplejpeg.decode_jpeg(data, "RGB", buffer=out).shape == out.shape:
+                return out
     height, width = image_size(data)
     if out is not None and out.shape != (height, width, 3):
         message = (

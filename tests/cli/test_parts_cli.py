@@ -13,6 +13,7 @@ from pathlib import Path
 
 import pytest
 
+from cli.starstruck import main
 from realtouch import frames
 from tactile_toolkit.errors import InputError, IntegrityError
 from tactile_toolkit.run.parts import Finish, Part
@@ -42,40 +43,49 @@ def ended(process: subprocess.Popen[str]) -> tuple[int, str, str]:
     return process.returncode, said, talked
 
 
+def given(*words: object) -> int:
+    """Give a command in this process, where its being one is not the point; return its exit code."""
+    before, sys.argv = sys.argv, ["starstruck", *map(str, words)]
+    try:
+        main()
+    except SystemExit as leave:
+        return int(leave.code or 0)
+    finally:
+        sys.argv = before
+    return 0
+
+
 @pytest.fixture(scope="module")
 def whole(tmp_path_factory) -> dict[str, bytes]:
     """Three shards of train, one of test."""
     place = tmp_path_factory.mktemp("whole") / "scenes"
-    code, _, talked = ended(start(*SCENES, place))
-    assert code == 0, talked
+    assert given(*SCENES, place, "-q") == 0
     return folder_bytes(place)
 
 
-def test_a_killed_part_is_named_given_again_and_nothing_differs(tmp_path, whole):
+def test_a_killed_part_is_named_given_again_and_nothing_differs(tmp_path, whole, monkeypatch, capfd):
     """An array of four is given whole, one job is killed, and given again as Slurm gives some of an array."""
     place = tmp_path / "scenes"
-    arrays = {"SLURM_ARRAY_TASK_COUNT": "4", "SLURM_ARRAY_TASK_MIN": "0", "SLURM_ARRAY_TASK_MAX": "3"}
-    jobs = [
-        start(*SCENES, place, "--part", "auto", SLURM_ARRAY_TASK_ID=str(index), **arrays)
-        for index in (0, 2, 3)
-    ]
+
+    def job(index: int, **array: str) -> int:
+        for name, value in {"ID": str(index), **array}.items():
+            monkeypatch.setenv(f"SLURM_ARRAY_TASK_{name}", value)
+        return given(*SCENES, place, "--part", "auto", "-q")
+
+    assert [job(index, COUNT="4", MIN="0", MAX="3") for index in (0, 2, 3)] == [0, 0, 0]
     # What a job is at work on when it is killed: a file half-written, and no record of it.
     killed = start_held("starstruck", 1, tmp_path / "marker", *SCENES, place, "--part", "1/4")
     killed.kill()
     killed.communicate()
     (place / ".pending" / "train-00001-of-00003.json").unlink()
-    for job in jobs:
-        code, _, talked = ended(job)
-        assert code == 0, talked
-    code, said, talked = ended(start(*SCENES, place, "--finish"))
-    assert (code, said) == (3, "--array=1\n")
+    capfd.readouterr()
+    assert given(*SCENES, place, "--finish") == 3
+    said, talked = capfd.readouterr()
+    assert said == "--array=1\n"
     assert "1 of 4 shards" in talked
     assert "part 1 of 4; next: give these again (Slurm: --array=1), then --finish" in talked
-    again = {"SLURM_ARRAY_TASK_COUNT": "1", "SLURM_ARRAY_TASK_MIN": "1", "SLURM_ARRAY_TASK_MAX": "1"}
-    code, _, talked = ended(start(*SCENES, place, "--part", "auto", SLURM_ARRAY_TASK_ID="1", **again))
-    assert code == 0, talked
-    code, _, talked = ended(start(*SCENES, place, "--finish", "-q"))
-    assert code == 0, talked
+    assert job(1, COUNT="1", MIN="1", MAX="1") == 0
+    assert given(*SCENES, place, "--finish", "-q") == 0
     assert folder_bytes(place) == whole
 
 
@@ -100,8 +110,7 @@ def test_what_is_said_of_a_run_that_was_stopped_before_its_first_shard(tmp_path)
 
 def test_a_job_with_other_versions_is_refused(tmp_path):
     place = tmp_path / "scenes"
-    code, _, talked = ended(start(*SCENES, place, "--part", "3/4"))
-    assert code == 0, talked
+    assert given(*SCENES, place, "--part", "3/4", "-q") == 0
     (tmp_path / "other" / "numpy-9.9.dist-info").mkdir(parents=True)
     (tmp_path / "other" / "numpy-9.9.dist-info" / "METADATA").write_text("Name: numpy\nVersion: 9.9\n")
     before = folder_bytes(place)
@@ -113,7 +122,7 @@ def test_a_job_with_other_versions_is_refused(tmp_path):
 
 
 class BlindNode:
-    """Runs each task in a process before whose eyes another file system lies over the folder."""
+    """Runs tasks in a process before whose eyes another file system lies over the folder."""
 
     def __init__(self, place: Path, *, confirms: bool) -> None:
         self.place, self.confirms = place, confirms
@@ -122,20 +131,14 @@ class BlindNode:
         import pickle
 
         code = (
-            "import pickle, sys; work, task = pickle.load(sys.stdin.buffer); "
-            "sys.stdout.buffer.write(pickle.dumps(work(task)))"
+            "import pickle, sys; work, tasks = pickle.load(sys.stdin.buffer); "
+            "sys.stdout.buffer.write(pickle.dumps([work(task) for task in tasks]))"
         )
         hidden = 'mount -t tmpfs none "$0" && exec "$@"'
         words = ["unshare", "-Urm", "sh", "-c", hidden, str(self.place), sys.executable, "-c", code]
-        for task in tasks:
-            done = subprocess.run(
-                words,
-                input=pickle.dumps((function, task)),
-                stdout=subprocess.PIPE,
-                check=True,
-                cwd=REPOSITORY,
-            )
-            record = pickle.loads(done.stdout)
+        todo = pickle.dumps((function, list(tasks)))
+        done = subprocess.run(words, input=todo, stdout=subprocess.PIPE, check=True, cwd=REPOSITORY)
+        for record in pickle.loads(done.stdout):
             if self.confirms:
                 function.confirm(record, "node-7")
             yield record

@@ -24,7 +24,7 @@ pytest.importorskip("moto")
 
 CARDS = ("README.md", "croissant.json")
 
-from tests.s3_fixtures import bucket, s3, s3_server  # noqa: E402, F401
+from tests.s3_fixtures import bucket, new_clients, s3, s3_server  # noqa: E402, F401
 from tests.s3_server import KEY, SECRET  # noqa: E402
 
 SCENES = ("generate", "--scenes", "train=6,test=3", "--stars", "1", "--workers", "1", "--quiet")
@@ -127,6 +127,7 @@ def test_touches_of_digits_of_a_store(s3, bucket, tmp_path):  # noqa: F811
     assert call("realtouch", "resize", touches, f"{touches}/inside", "--size", "8x8", "--quiet") == 2
 
 
+@pytest.mark.usefixtures("new_clients")
 @pytest.mark.parametrize("debug", [(), ("--debug",)])
 def test_what_goes_wrong_is_named_without_any_secret(s3, monkeypatch, capfd, tmp_path, debug):  # noqa: F811
     monkeypatch.setenv("AWS_SESSION_TOKEN", "a-token-that-no-output-may-hold")

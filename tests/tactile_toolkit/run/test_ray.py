@@ -202,22 +202,11 @@ def test_the_command_line_makes_the_same_bytes_and_prints_its_document_only(
 
 
 @all_of(needs_ray)
-def test_a_node_is_killed_at_work(cluster: Cluster, whole: dict[str, bytes], tmp_path: Path) -> None:
-    cluster.require_two()
-    gate = tmp_path / "gate"
-    driver = cluster.start(DRIVER, tmp_path / "set", gate)
-    wait_for(lambda: len(cluster.working()) == 2, driver)
-    cluster.kill(cluster.raylets[-1])
-    assert len(cluster.working()) == 1
-    gate.touch()
-    assert finish(driver) == ""
-    assert folder_bytes(tmp_path / "set") == whole
-
-
-@all_of(needs_ray)
-def test_a_stopped_driver_leaves_nothing_at_work_and_goes_on(
+def test_a_stopped_driver_leaves_nothing_at_work_and_a_killed_node_nothing_undone(
     cluster: Cluster, whole: dict[str, bytes], tmp_path: Path
 ) -> None:
+    """Killed, stopped by Ctrl-C, and then without one of the nodes that were at work: the same bytes."""
+    cluster.require_two()
     gate = tmp_path / "gate"
     for how in (signal.SIGKILL, signal.SIGINT):
         driver = cluster.start(DRIVER, tmp_path / "set", gate)
@@ -231,8 +220,12 @@ def test_a_stopped_driver_leaves_nothing_at_work_and_goes_on(
         wait_for(lambda found=workers: not any(map(alive, found)))
         made = [path.name for path in (tmp_path / "set" / "data").iterdir()]
         assert made == ["train-00000-of-00004.parquet"]
+    driver = cluster.start(DRIVER, tmp_path / "set", gate)
+    wait_for(lambda: len(cluster.working()) == 2, driver)
+    cluster.kill(cluster.raylets[-1])
+    assert len(cluster.working()) == 1
     gate.touch()
-    assert finish(cluster.start(DRIVER, tmp_path / "set", gate)) == ""
+    assert finish(driver) == ""
     assert folder_bytes(tmp_path / "set") == whole
 
 
@@ -332,15 +325,13 @@ def test_other_versions_are_refused_by_name(cluster: Cluster, tmp_path: Path) ->
 def test_where_no_cluster_answers_nothing_is_written(tmp_path: Path, answer: bytes | None) -> None:
     with socket.create_server(("127.0.0.1", 0)) as server, ThreadPoolExecutor(1) as pool:
         port = server.getsockname()[1]
-        server.settimeout(60)
+        server.settimeout(10)
         if answer is None:
             server.close()
         else:
-            answered = pool.submit(lambda: server.accept()[0].sendall(answer))
+            pool.submit(lambda: server.accept()[0].sendall(answer))  # Ray may give up before it asks
         with pytest.raises(InputError, match=rf"no Ray cluster answers at '127.0.0.1:{port}'.*next: "):
             build(DataFolder(str(tmp_path / "set")), toy_plan(), RayRunner(f"127.0.0.1:{port}"))
-        if answer is not None:
-            answered.result()  # on a busy machine the refusal may come first, by the time limit
     assert not (tmp_path / "set").exists()
 
 

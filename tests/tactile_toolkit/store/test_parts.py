@@ -19,6 +19,7 @@ from tactile_toolkit.store.build import build
 from tactile_toolkit.store.folder import DataFolder, temporary_name
 from tactile_toolkit.store.manifest import manifest_so_far, read_manifest
 from tactile_toolkit.store.parts import PARTS_FILE, MissingPartsError, PartsEndedError, array_text
+from tactile_toolkit.store.plan import BuildPlan
 from tactile_toolkit.store.verify import verify
 from tests.tactile_toolkit.toy import SCHEMA, folder_bytes, toy_plan
 
@@ -64,7 +65,7 @@ def test_what_is_missing_is_told_as_numbers_of_an_array(tmp_path, whole, runner)
             make(tmp_path / "set", Finish())
         assert (error.value.array, error.value.exit_code) == ("1-4", 3)
     for index in (1, 2, 3, 4):
-        make(tmp_path / "set", Part(index, SHARDS, runner))
+        make(tmp_path / "set", Part(index, SHARDS))
     make(tmp_path / "set", Finish())
     assert folder_bytes(tmp_path / "set") == whole
 
@@ -319,13 +320,16 @@ DIES_EVERYWHERE = """
 import os, shutil, signal, sys
 from pathlib import Path
 from tactile_toolkit.run.parts import Finish, Part
+from tactile_toolkit.run.processes import InlineRunner
 from tactile_toolkit.store.build import build
 from tactile_toolkit.store.folder import DataFolder
 from tactile_toolkit.store.parts import MissingPartsError
-from tests.tactile_toolkit.toy import folder_bytes, toy_plan
+from tests.tactile_toolkit.store.test_parts import few_shards
+from tests.tactile_toolkit.toy import folder_bytes
 
-base, plan = Path(sys.argv[1]), toy_plan()
-whole = folder_bytes(base / "whole")
+base, plan = Path(sys.argv[1]), few_shards()
+build(DataFolder(str(base / "few")), plan, InlineRunner())
+whole = folder_bytes(base / "few")
 
 def dies_at(moment, place, runner):
     process = os.fork()
@@ -386,7 +390,13 @@ print(parts, ends)
 """
 
 
-def test_killed_at_any_moment_the_same_again_leads_to_the_same_bytes(tmp_path, whole):
+def few_shards() -> BuildPlan:
+    """Two shards of one split, one for each of two parts: all moments there are, each of them once."""
+    plan = toy_plan(("test",))
+    return replace(plan, tasks=tuple(replace(task, ids=task.ids[:2]) for task in plan.tasks))
+
+
+def test_killed_at_any_moment_the_same_again_leads_to_the_same_bytes(tmp_path):
     done = subprocess.run(
         [sys.executable, "-c", textwrap.dedent(DIES_EVERYWHERE), str(tmp_path)],
         cwd=REPOSITORY,

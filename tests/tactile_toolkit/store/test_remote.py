@@ -28,7 +28,7 @@ pytestmark = pytest.mark.s3
 pytest.importorskip("s3fs")
 pytest.importorskip("moto")
 
-from tests.s3_fixtures import bucket, s3, s3_server  # noqa: E402, F401
+from tests.s3_fixtures import bucket, new_clients, s3, s3_server  # noqa: E402, F401
 from tests.s3_server import KEY, SECRET  # noqa: E402
 
 
@@ -61,7 +61,7 @@ def test_what_is_written_is_listed_with_its_size_and_read_again(folder):
 
 
 def test_a_file_of_several_megabytes_is_one_request(folder, s3, bucket):  # noqa: F811
-    content = bytes(range(256)) * (120 << 12)  # more than the client sends in one piece by itself
+    content = bytes(range(256)) * (52 << 12)  # more than the client sends in one piece by itself
     s3.traffic.reset()
     folder.write_bytes("data/large", content)
     assert s3.traffic.requests["PUT"] == 1
@@ -186,33 +186,19 @@ def test_a_file_that_is_replaced_while_it_is_read_is_not_read_on(folder):
             stream.read(3)
 
 
-_LISTS = """
-import sys
-from tactile_toolkit.errors import ToolkitError
-from tactile_toolkit.store.folder import DataFolder
-try:
-    print(DataFolder(sys.argv[1]).names())
-except ToolkitError as error:
-    print(error)
-    sys.exit(error.exit_code)
-"""
-
-
-def test_a_store_that_is_not_there_is_named_in_bounded_time(s3, monkeypatch):  # noqa: F811
+@pytest.mark.usefixtures("new_clients")
+def test_a_store_that_is_not_there_is_named_in_bounded_time(s3, monkeypatch, capfd):  # noqa: F811
+    monkeypatch.setattr(remote, "_FIRST_PATIENCE_S", 1.0)
     monkeypatch.setenv("AWS_ENDPOINT_URL", "http://127.0.0.1:9")
-    done = subprocess.run(
-        [sys.executable, "-c", _LISTS, "s3://lake/set"],
-        capture_output=True,
-        text=True,
-        timeout=300,
-        check=False,
-    )
-    assert done.returncode == 4
-    assert "the store of 's3://lake/set' gives no answer" in done.stdout
-    assert "AWS_ENDPOINT_URL" in done.stdout
-    assert done.stderr == ""
+    with pytest.raises(
+        RemoteError, match=r"store of 's3://lake/set' gives no answer.*AWS_ENDPOINT_URL"
+    ) as told:
+        DataFolder("s3://lake/set").names()
+    assert told.value.exit_code == 4
+    assert capfd.readouterr() == ("", "")
 
 
+@pytest.mark.usefixtures("new_clients")
 def test_without_credentials_the_way_to_give_some_is_named(s3, monkeypatch, tmp_path):  # noqa: F811
     for name in ("AWS_ACCESS_KEY_ID", "AWS_SECRET_ACCESS_KEY"):
         monkeypatch.delenv(name)
@@ -251,7 +237,7 @@ def test_a_run_over_a_finished_set_reads_next_to_nothing_of_it(folder, s3, bucke
 
 
 def test_a_folder_in_a_store_holds_the_same_bytes_as_a_local_one(folder, s3, bucket, tmp_path):  # noqa: F811
-    build(folder, toy_plan(), ProcessRunner(2))
+    build(folder, toy_plan(), InlineRunner())
     build(DataFolder(str(tmp_path)), toy_plan(), InlineRunner())
     stored = {key.removeprefix("deep/set/"): content for key, content in s3.objects(bucket).items()}
     assert stored == folder_bytes(tmp_path)
@@ -295,6 +281,7 @@ def test_verify_brings_each_shard_once(folder, s3):  # noqa: F811
     assert found[third] == "is missing"
 
 
+@pytest.mark.usefixtures("new_clients")
 @pytest.mark.filterwarnings("ignore::ResourceWarning")
 def test_a_store_that_takes_connections_and_says_nothing_is_named(s3, monkeypatch):  # noqa: F811
     """Its silence ends the first request at the time limit, which is here a second instead of twenty."""
