@@ -107,10 +107,10 @@ class TouchTensors(torch.utils.data.Dataset):  # type: ignore[misc]
         found = self._decoded(indices)
         if found is None:
             return [self[index] for index in indices]
-        images = torch.from_numpy(found[0]).as_subclass(_tv_tensors().Image)
+        image_type = _tv_tensors().Image
         return [
-            _given(touch, image, None, self.transform, self.target)
-            for touch, image in zip(found[1], images.unbind(), strict=True)
+            _given(touch, image.as_subclass(image_type), None, self.transform, self.target)
+            for touch, image in zip(found[1], torch.from_numpy(found[0]), strict=True)
         ]
 
     def collated(self, indices: Sequence[int]) -> Any:
@@ -129,7 +129,10 @@ class TouchTensors(torch.utils.data.Dataset):  # type: ignore[misc]
         images = torch.from_numpy(pixels)
         if self.target is None:
             return images
-        return [images, collate([_given(touch, None, None, None, self.target)[1] for touch in touches])]
+        return [
+            images,
+            collate(tuple([_given(touch, None, None, None, self.target)[1] for touch in touches])),
+        ]
 
     def _decoded(self, indices: Sequence[int]) -> tuple[Pixels, list[Touch]] | None:
         """Decode images of one size, shape (n, 3, H, W), beside their touches; None where they are not that.

@@ -91,6 +91,7 @@ MEMORY = MemoryBlocks(512 << 20, lambda group: int(group.table.nbytes))
 _UNPACKED = DiskCache(
     "blocks",
     32 << 30,
+    durable=False,  # its blocks have checksums: what a power cut leaves is seen, and unpacked again
     warning="row groups cannot be kept unpacked, {problem}; what was used last stays in the memory of this "
     "process, all else is decoded again",
 )
@@ -114,11 +115,13 @@ class _Footer:
     """The footer of a Parquet file, and what follows from it."""
 
     metadata: Any
+    stored_schema: Any
     path: str
 
     @cached_property
     def schema(self) -> Any:
-        return plain_schema(self.metadata.schema.to_arrow_schema())
+        # That of the metadata would hold them, and they it: megabytes that wait for the garbage collector.
+        return plain_schema(self.stored_schema)
 
     @cached_property
     def types(self) -> dict[str, Any]:
@@ -160,16 +163,17 @@ class Shard:
     @property
     def _footer(self) -> _Footer:
         key = (self.path, self.rows, self.identity)
-        return _FOOTERS.get(key) or self._keep_footer(key, self._parquet().metadata)
+        return _FOOTERS.get(key) or self._keep_footer(key, self._parquet())
 
-    def _keep_footer(self, key: Any, metadata: Any) -> _Footer:
+    def _keep_footer(self, key: Any, parquet: Any) -> _Footer:
+        metadata = parquet.metadata
         if self.rows not in (None, metadata.num_rows):
             message = (
                 f"{self.path!r}: {metadata.num_rows} rows; expected {self.rows} by the manifest; next: run "
                 "`verify` on the data set, then generate, convert or download it again"
             )
             raise IntegrityError(message)
-        footer = _Footer(metadata, self.path)
+        footer = _Footer(metadata, parquet.schema_arrow, self.path)
         _FOOTERS.put(key, footer)
         return footer
 
@@ -214,7 +218,7 @@ class Shard:
         """Decode row groups, all columns or those named (a struct's fields by dotted name)."""
         parquet = self._parquet()
         # What it says of itself is looked at once, although it may have left the footers that are kept.
-        metadata = self._keep_footer((self.path, self.rows, self.identity), parquet.metadata).metadata
+        metadata = self._keep_footer((self.path, self.rows, self.identity), parquet).metadata
         wanted = range(metadata.num_row_groups) if groups is None else groups
         for index in wanted if columns is None else ():  # a plain column is no larger than its rows
             self._require_bounded(index)
@@ -346,15 +350,15 @@ class Shard:
         folder, _, name = path.rpartition("/")
         return f"{_real_folder(folder)}/{name}", *identity_of(facts)
 
-    def _opened(self) -> tuple[Any, tuple[object, ...]]:
-        """Open the file, and return with it what tells it from any other."""
+    def _opened(self, metadata: Any = None) -> tuple[Any, tuple[object, ...]]:
+        """Open the file, whose footer may be known, and return with it what tells it from any other."""
         if not self._is_remote:
             # After opening: what takes its place from now on is not what was opened.
-            return open_checked(self.path), self._found_now()
+            return open_checked(self.path, metadata), self._found_now()
         store, name = file_at(self.path)
         stream = store.open(name)
         facts = getattr(stream, "details", None) or store.facts(name)
-        return open_checked(stream), (
+        return open_checked(stream, metadata), (
             self.path,
             *((key, str(facts[key])) for key in _TELLING if key in facts),
         )
@@ -365,8 +369,9 @@ class Shard:
 
     def _parquet(self) -> Any:
         expected = self.identity
+        kept = _FOOTERS.get((self.path, self.rows, expected))
         with self._named_damage():
-            parquet, found = self._opened()
+            parquet, found = self._opened(None if kept is None else kept.metadata)
         if found != expected:
             message = (
                 f"{self.path!r} was replaced or changed after the data set was loaded: none of its rows were "

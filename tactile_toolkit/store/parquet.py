@@ -114,14 +114,30 @@ def open_parquet(folder: DataFolder, path: str) -> Any:
         return open_checked(folder.address(path) if folder.is_local else io.BytesIO(folder.read_bytes(path)))
 
 
-def open_checked(source: str | IO[bytes]) -> Any:
+def open_checked(source: str | IO[bytes], metadata: Any = None) -> Any:
     """Open a Parquet file, by its path or as a stream, so that what was damaged is refused when it is read.
 
-    A flipped bit may unpack to other numbers without a word. Raises pyarrow.ArrowInvalid for a footer that
+    A flipped bit may unpack to other numbers without a word. ``metadata`` is the footer where it was read
+    and checked before: of a hundred row groups it takes half a megabyte, in pieces that scatter the memory of
+    a process that opens the file for each of them. Raises pyarrow.ArrowInvalid for a footer that
     does not match its checksum; reading pages that do not match theirs raises OSError.
     """
-    import pyarrow as pa
     import pyarrow.parquet as pq
+
+    if metadata is None:
+        _require_checked_footer(source)
+    # Buffering ahead starts a thread of Arrow's, which aborts about 1 % of interpreters at their end.
+    return pq.ParquetFile(
+        source,
+        metadata=metadata,
+        memory_map=isinstance(source, str),
+        pre_buffer=False,
+        page_checksum_verification=True,
+    )
+
+
+def _require_checked_footer(source: str | IO[bytes]) -> None:
+    import pyarrow as pa
 
     with Path(source).open("rb") if isinstance(source, str) else contextlib.nullcontext(source) as stream:
         size = stream.seek(0, io.SEEK_END)
@@ -139,10 +155,6 @@ def open_checked(source: str | IO[bytes]) -> Any:
             if mark == _FOOTER_MARK and zlib.crc32(footer) != checksum:
                 message = "the footer does not match its checksum"
                 raise pa.ArrowInvalid(message)
-    # Buffering ahead starts a thread of Arrow's, which aborts about 1 % of interpreters at their end.
-    return pq.ParquetFile(
-        source, memory_map=isinstance(source, str), pre_buffer=False, page_checksum_verification=True
-    )
 
 
 def has_page_checksums(folder: DataFolder, path: str) -> bool:
