@@ -129,10 +129,8 @@ class TouchTensors(torch.utils.data.Dataset):  # type: ignore[misc]
         images = torch.from_numpy(pixels)
         if self.target is None:
             return images
-        return [
-            images,
-            collate(tuple([_given(touch, None, None, None, self.target)[1] for touch in touches])),
-        ]
+        targets: Any = tuple([_given(touch, None, None, None, self.target)[1] for touch in touches])
+        return [images, collate(targets)]
 
     def _decoded(self, indices: Sequence[int]) -> tuple[Pixels, list[Touch]] | None:
         """Decode images of one size, shape (n, 3, H, W), beside their touches; None where they are not that.

@@ -118,8 +118,7 @@ def open_checked(source: str | IO[bytes], metadata: Any = None) -> Any:
     """Open a Parquet file, by its path or as a stream, so that what was damaged is refused when it is read.
 
     A flipped bit may unpack to other numbers without a word. ``metadata`` is the footer where it was read
-    and checked before: of a hundred row groups it takes half a megabyte, in pieces that scatter the memory of
-    a process that opens the file for each of them. Raises pyarrow.ArrowInvalid for a footer that
+    and checked before. Raises pyarrow.ArrowInvalid for a footer that
     does not match its checksum; reading pages that do not match theirs raises OSError.
     """
     import pyarrow.parquet as pq
