@@ -116,6 +116,16 @@ class TouchTensors(torch.utils.data.Dataset):  # type: ignore[misc]
     def collated(self, indices: Sequence[int]) -> Any:
         """Return what torch's ``default_collate`` makes of some items, without a tensor for each of them.
 
+        Parameters
+        ----------
+        indices : sequence of int
+            Which items.
+
+        Returns
+        -------
+        Tensor or list
+            Images, shape (items, 3, H, W), uint8; with a target, a list of them and the targets.
+
         Raises
         ------
         IntegrityError
