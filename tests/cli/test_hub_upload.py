@@ -187,7 +187,7 @@ def test_dry_run_sends_nothing_and_needs_no_login(server, folder, capsys, monkey
     assert call("starstruck", "upload", folder, NAME, "--dry-run", "--private", "--revision", "next") == 0
     printed = capsys.readouterr().out
     assert "private repository to create: someone/stars (next)" in printed
-    assert "5 of 5 files to send" in printed
+    assert "6 of 6 files to send" in printed
     assert printed.endswith("nothing was sent\n")
     assert {request.method for request in server.requests} == {"GET"}
     server.create(NAME, {"old.txt": b"x"})
