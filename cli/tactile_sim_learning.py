@@ -152,6 +152,9 @@ def train(
     compiled: Annotated[
         bool, typer.Option("--compile", help="Compile the generators first; for GPUs.")
     ] = False,
+    tensorboard: Annotated[
+        bool, typer.Option("--tensorboard", help="Write losses and sheets for TensorBoard too.")
+    ] = False,
     sink: Sink,
 ) -> None:
     """Train a CycleGAN on a training set: weights of depth to touch, and of touch to depth.
@@ -179,6 +182,7 @@ def train(
             deterministic=deterministic,
             resume=resume,
             compiled=compiled,
+            tensorboard=tensorboard,
             on_progress=update,
         )
     talks.document(

@@ -31,6 +31,7 @@ from env_assets.published.fit import (
     refuse_unknown_settings,
 )
 from env_assets.published.ids import FOREIGN, Assets, PublishedEnvironment, published_environment
+from env_assets.published.learned import learned_sensor
 from env_assets.published.packages import (
     published_package,
     require_drawing,
@@ -60,6 +61,7 @@ def make(
     num_envs: int | None = None,
     config: Mapping[str, Any] | None = None,
     renderer: str = "opengl",
+    weights: str | Path | None = None,
     **options: Any,
 ) -> Any:
     """Make a published environment on the provider's assets, or on meshes of your own.
@@ -92,6 +94,9 @@ def make(
         same observations, to a micrometre of depth, as with Mesa's driver. Not for Taxim, CycleGAN or
         recorded touches; ``render()`` still draws the scene with OpenGL, and where no library of it is
         installed all else works. The extra ``sim`` makes it fast.
+    weights : str or path, optional
+        Weights for the sensor of CycleGAN environments: ``depth_to_touch.npz`` of ``tactile-sim train``, of
+        any size, instead of those that the package ships.
     **options
         Passed on to ``ap_gym.make`` or ``ap_gym.make_vec``, such as ``render_mode``.
 
@@ -103,7 +108,7 @@ def make(
     Raises
     ------
     InputError
-        No such environment, number of them or setting; assets that are absent or do not fit it.
+        No such environment, number of them or setting; assets or weights that are absent or do not fit it.
     MissingExtraError
         The packages of the extra ``env``, or those of the sensor asked for, are not installed.
     IntegrityError
@@ -121,6 +126,8 @@ def make(
     settings = {**environment.settings, **own}
     refuse_unfit_renderer(renderer, environment, settings, options)
     _require_fitting_place(environment, own, settings, renderer)
+    if weights is not None:
+        own["sensor_type"] = learned_sensor(weights, environment, settings)
     found = assets_for(environment, provider, settings, assets)
     spec = dataclasses.replace(
         environment.spec,

@@ -39,23 +39,29 @@ class Batches:
     def __exit__(self, *_: object) -> None:
         self._pool.shutdown(cancel_futures=True)
 
-    def of(self, step: int) -> tuple[Any, Any]:
-        """Return depth and touches of a step, each (n, 3, h, w), float32, -1 to 1."""
+    def of(self, step: int) -> tuple[Any, Any, Any]:
+        """Return depth and touches of a step, (n, 3, h, w), and row and column of the touches, -1 to 1."""
         ahead = self._ahead
-        found: tuple[Any, Any] = (
+        found: tuple[Any, Any, Any] = (
             ahead[1].result() if ahead is not None and ahead[0] == step else self._make(step)
         )
         if step + 1 < self._config.steps:
             self._ahead = (step + 1, self._pool.submit(self._make, step + 1))
         return found
 
-    def _make(self, step: int) -> tuple[Any, Any]:
+    def _make(self, step: int) -> tuple[Any, Any, Any]:
         rng = step_rng(self._config, step, self._rank, "batch")
-        return self._cropped(self._pairs.depth, rng), self._cropped(self._pairs.real, rng)
+        depth = self._cropped(depth_channels(self._drawn(self._pairs.depth, rng)), rng)
+        pictures = picture_channels(self._drawn(self._pairs.real, rng))
+        width, height = self._pairs.size_px
+        where = depth_channels(np.ones((1, height, width), np.float32))[:, :2]
+        touch = self._cropped(torch.cat([pictures, where.expand(len(pictures), -1, -1, -1)], dim=1), rng)
+        return depth, touch[:, :3], touch[:, 3:]
 
-    def _cropped(self, domain: Domain, rng: np.random.Generator) -> Any:
-        images = domain.images(rng.integers(len(domain), size=self._config.batch))
-        channels = depth_channels(images) if domain.is_depth else picture_channels(images)
+    def _drawn(self, domain: Domain, rng: np.random.Generator) -> Any:
+        return domain.images(rng.integers(len(domain), size=self._config.batch))
+
+    def _cropped(self, channels: Any, rng: np.random.Generator) -> Any:
         width, height = self._crop
         crops = []
         for whole in channels:

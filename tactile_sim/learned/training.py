@@ -5,8 +5,9 @@ from __future__ import annotations
 import math
 import os
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, closing, contextmanager
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -26,9 +27,11 @@ from tactile_sim.learned.config import TrainConfig
 from tactile_sim.learned.cyclegan import LOSSES, CycleGan
 from tactile_sim.learned.networks import weights_of
 from tactile_sim.learned.sheets import sheet_png
+from tactile_sim.learned.tensorboard import Events, require_tensorboard
 from tactile_sim.learned.weights import write_weights
 from tactile_sim.pairs.reading import Pairs
 from tactile_toolkit.errors import InputError, SpecMismatchError, ToolkitError
+from tactile_toolkit.run.system import locked
 from tactile_toolkit.store.folder import DataFolder
 
 __all__ = ["Trained", "train"]
@@ -64,6 +67,7 @@ def train(
     deterministic: bool = False,
     resume: bool = False,
     compiled: bool = False,
+    tensorboard: bool = False,
     on_progress: Callable[[int, int], None] = lambda _done, _total: None,
 ) -> Trained:
     """Train both generators of a CycleGAN; the same call goes on where a run was stopped.
@@ -86,6 +90,8 @@ def train(
         Refuse to begin: there must be a training to go on with.
     compiled : bool
         Compile the generators first, for GPUs.
+    tensorboard : bool
+        Write losses and sheets for TensorBoard too, into ``tensorboard/``.
     on_progress : callable
         Called with steps done and in all.
 
@@ -96,7 +102,8 @@ def train(
     Raises
     ------
     InputError
-        What was given cannot be used: no training set, no GPU, crops that are too small.
+        What was given cannot be used: no training set, no GPU, crops that are too small, a folder where
+        another training is at work, or TensorBoard is asked for and not installed.
     SpecMismatchError
         The folder holds a training with other settings, or of another number of processes.
     IntegrityError
@@ -110,13 +117,19 @@ def train(
     data = Pairs.open(pairs)
     config.crop_px(data.size_px)
     folder = DataFolder(os.fspath(out))
-    with _processes(device, deterministic=deterministic) as place:
+    if tensorboard:
+        require_tensorboard(folder)
+    with _processes(device, deterministic=deterministic) as place, _alone(folder, place):
         if place.rank == 0:
             claim_folder(folder, {"config": config.to_dict(), "pairs": data.identity}, resume=resume)
         _wait()
         model = CycleGan(config, place.device, compiled=compiled)
         run = _Run(config, data, folder, place, model, on_progress)
-        return run.to_the_end()
+        first, log = run.restored()
+        with ExitStack() as stack:
+            if tensorboard and place.rank == 0:
+                run.events = stack.enter_context(closing(Events(folder, LOSSES, first)))
+            return run.to_the_end(first, log)
 
 
 @dataclass(eq=False)
@@ -129,17 +142,18 @@ class _Run:
     place: _Place
     model: CycleGan
     on_progress: Callable[[int, int], None]
+    events: Events | None = None
 
-    def to_the_end(self) -> Trained:
+    def to_the_end(self, first: int, log: list[list[float]]) -> Trained:
+        """Take the steps from the first that is left."""
         config = self.config
-        first, log = self._restored()
         self.on_progress(first, config.steps)
         sums, losses = np.zeros(len(LOSSES)), dict.fromkeys(LOSSES, math.nan)
         since = first
         with Batches(self.data, config, self.place.rank) as batches:
             for step in range(first, config.steps):
-                depth, touch = batches.of(step)
-                losses = self.model.step(step, depth, touch, step_rng(config, step, self.place.rank, "pool"))
+                rng = step_rng(config, step, self.place.rank, "pool")
+                losses = self.model.step(step, *batches.of(step), rng)
                 sums += list(losses.values())
                 done = step + 1
                 self._require_finite(losses, done)
@@ -152,7 +166,8 @@ class _Run:
                 self.on_progress(done, config.steps)
         return Trained(self.folder.address(), config.steps, config.steps - first, losses)
 
-    def _restored(self) -> tuple[int, list[list[float]]]:
+    def restored(self) -> tuple[int, list[list[float]]]:
+        """Take up the checkpoint, if there is one; return how many steps were taken, and their log."""
         state = read_checkpoint(self.folder)
         if state is None:
             return 0, []
@@ -183,7 +198,10 @@ class _Run:
             network: Any = self.model.networks[direction]
             write_weights(self.folder, name, weights_of(network, self.data.size_px))
         write_log(self.folder, LOSSES, log)
-        self.folder.write_bytes(f"samples/step-{done:07d}.png", self._sheet())
+        sheet = self._sheet()
+        self.folder.write_bytes(f"samples/step-{done:07d}.png", sheet)
+        if self.events is not None:
+            self.events.add(log, sheet)
 
     def _sheet(self) -> bytes:
         """Draw the first pictures with contact of both kinds, what becomes of them, and what comes back."""
@@ -198,6 +216,8 @@ class _Run:
         with torch.inference_mode():
             for name, other in (("depth", "touch"), ("touch", "depth")):
                 made = networks[other](start[name].to(self.place.device))
+                if other == "depth":
+                    made = torch.cat([start["depth"][:, :2].to(made.device), made[:, 2:]], dim=1)
                 back = networks[name](made)
                 columns.append((f"{name}", shown[name]))
                 columns.append((f"made {other}", _pictures(made, other, size)))
@@ -222,6 +242,25 @@ def _pictures(channels: Any, name: str, size_px: tuple[int, int]) -> Any:
 
 
 @contextmanager
+def _alone(folder: DataFolder, place: _Place) -> Iterator[None]:
+    """Hold the folder, so that no other training writes there; InputError where one is at work."""
+    if place.rank or not folder.is_local:
+        yield
+        return
+    folder.require_folder()
+    with ExitStack() as stack:
+        try:
+            stack.enter_context(locked(Path(folder.address()), wait=False))
+        except BlockingIOError as error:
+            message = (
+                f"another training is at work in {folder.address()!r}; nothing was changed; next: wait for "
+                "it, or choose another folder (--out)"
+            )
+            raise InputError(message) from error
+        yield
+
+
+@contextmanager
 def _processes(device: str, *, deterministic: bool) -> Iterator[_Place]:
     """Find out where to compute, and join the other processes of ``torchrun`` where there are any."""
     rank, count = int(os.environ.get("RANK", "0")), int(os.environ.get("WORLD_SIZE", "1"))
@@ -233,8 +272,10 @@ def _processes(device: str, *, deterministic: bool) -> Iterator[_Place]:
         chosen = f"cuda:{int(os.environ.get('LOCAL_RANK', '0'))}"
         torch.cuda.set_device(chosen)
     before, threads = torch.are_deterministic_algorithms_enabled(), torch.get_num_threads()
+    fills = torch.utils.deterministic.fill_uninitialized_memory
     torch.use_deterministic_algorithms(deterministic)
     if deterministic:
+        torch.utils.deterministic.fill_uninitialized_memory = False  # nothing reads it; an eighth of the time
         torch.set_num_threads(1)  # sums are divided among threads, and a run may go on where there are others
     if count > 1:
         torch.distributed.init_process_group("nccl" if chosen != "cpu" else "gloo")
@@ -242,6 +283,7 @@ def _processes(device: str, *, deterministic: bool) -> Iterator[_Place]:
         yield _Place(rank, count, chosen)
     finally:
         torch.use_deterministic_algorithms(before)
+        torch.utils.deterministic.fill_uninitialized_memory = fills
         torch.set_num_threads(threads)
         if count > 1:
             torch.distributed.destroy_process_group()

@@ -7,6 +7,7 @@ level otherwise, as its convolutions add in another order.
 
 from __future__ import annotations
 
+import hashlib
 from pathlib import Path
 from typing import Any
 
@@ -34,11 +35,16 @@ class _Learned:
         self._network = generator_of(read).eval()
 
     def _made(self, channels: Any) -> Any:
-        """Run the network on one picture after another."""
+        """Run the network on one picture after another; equal ones, such as no contact, only once."""
         import torch
 
+        made: dict[bytes, Any] = {}
+        keys = [hashlib.sha256(each.contiguous().numpy()).digest() for each in channels]
         with torch.inference_mode():
-            return torch.cat([self._network(channels[[number]]) for number in range(len(channels))])
+            for number, key in enumerate(keys):
+                if key not in made:
+                    made[key] = self._network(channels[[number]])
+            return torch.cat([made[key] for key in keys])
 
 
 class CycleganOptics(_Learned):

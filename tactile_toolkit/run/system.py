@@ -22,11 +22,12 @@ _ENDED_STATES = ("Z", "X")  # a zombie has ended; its parent has not asked for i
 
 
 @contextlib.contextmanager
-def locked(path: Path) -> Iterator[None]:
+def locked(path: Path, *, wait: bool = True) -> Iterator[None]:
     """Wait for the lock of a file, which is made, or of a folder that is there, and hold it.
 
     Held by the open file: threads wait for one another too, and a killed process lets go. Where the system or
-    the file system cannot lock it, nobody waits. Raises OSError where the file cannot be opened.
+    the file system cannot lock it, nobody waits. Raises OSError where the file cannot be opened, and
+    BlockingIOError, without ``wait``, where another holds it.
     """
     is_folder = path.is_dir()
     if is_folder and _module("fcntl") is None:  # Windows opens no folders
@@ -34,8 +35,12 @@ def locked(path: Path) -> Iterator[None]:
         return
     handle = os.open(path, os.O_RDONLY if is_folder else os.O_RDWR | os.O_CREAT, 0o666)
     try:
-        with contextlib.suppress(OSError):
-            _lock(handle)
+        try:
+            _lock(handle, wait=wait)
+        except BlockingIOError:
+            raise
+        except OSError:
+            pass  # it cannot be locked here
         yield
     finally:
         # Said, not left to closing: a child forked meanwhile has the file open too.
@@ -44,15 +49,17 @@ def locked(path: Path) -> Iterator[None]:
         os.close(handle)
 
 
-def _lock(handle: int) -> None:
+def _lock(handle: int, *, wait: bool) -> None:
     if fcntl := _module("fcntl"):
-        fcntl.flock(handle, fcntl.LOCK_EX)
+        fcntl.flock(handle, fcntl.LOCK_EX | (0 if wait else fcntl.LOCK_NB))
     elif msvcrt := _module("msvcrt"):
         while True:
             try:
-                msvcrt.locking(handle, msvcrt.LK_LOCK, 1)
-            except OSError:  # it gives up after ten seconds
-                continue
+                msvcrt.locking(handle, msvcrt.LK_LOCK if wait else msvcrt.LK_NBLCK, 1)
+            except OSError as error:
+                if not wait:
+                    raise BlockingIOError from error
+                continue  # it gives up after ten seconds
             return
 
 

@@ -5,11 +5,14 @@ from __future__ import annotations
 import json
 import os
 import signal
+import socket
 import subprocess
 import sys
+from importlib.util import find_spec
 from pathlib import Path
 
 import numpy as np
+import pyarrow.parquet as pq
 import pytest
 from typer.testing import CliRunner
 
@@ -31,6 +34,7 @@ from tactile_sim.learned.config import TrainConfig  # noqa: E402
 from tactile_sim.learned.evaluation import evaluate  # noqa: E402
 from tactile_sim.learned.measures import colour_distance, kernel_distance, spectrum_distance  # noqa: E402
 from tactile_sim.learned.training import train  # noqa: E402
+from tactile_sim.learned.weights import GeneratorWeights, read_weights, write_weights  # noqa: E402
 from tactile_toolkit.store.folder import DataFolder  # noqa: E402
 
 SPEC = PairsSpec((32, 32), 60, without_contact=0.2, like="environment")
@@ -127,6 +131,8 @@ def test_killed_at_any_moment_it_ends_in_the_same_weights(pairs, trained, tmp_pa
         assert run.stdout is not None
         for line in run.stdout:
             if int(line) >= 3:
+                with pytest.raises(InputError, match="another training is at work"):
+                    train(pairs, out, CONFIG, device="cpu")
                 run.send_signal(signal.SIGKILL)
                 break
     assert (out / "checkpoint.pt").exists()
@@ -182,14 +188,14 @@ def test_the_chain_from_the_command_line(sources, pairs, trained, tmp_path):
     from cli.tactile_sim import app
 
     run = CliRunner()
+    # A folder of another specification would be refused: the options mean what `SPEC` says.
     made = run.invoke(
         app,
         ["pairs", sources[0], "--real", sources[1], "--size", "32x32", "--count", "60",
-         "--without-contact", "0.2", "--like", "environment", "--out", str(tmp_path / "pairs"), "-w", "1"],
+         "--without-contact", "0.2", "--like", "environment", "--out", pairs, "-w", "1"],
     )  # fmt: skip
     assert made.exit_code == 0, made.output
-    assert Pairs.open(str(tmp_path / "pairs")).identity == Pairs.open(pairs).identity
-    verified = run.invoke(app, ["verify", str(tmp_path / "pairs")])
+    verified = run.invoke(app, ["verify", pairs])
     assert verified.exit_code == 0, verified.output
     found = run.invoke(
         app, ["evaluate", str(trained), "--pairs", pairs, "--out", str(tmp_path / "found"), "--json"]
@@ -213,41 +219,55 @@ def test_the_chain_from_the_command_line(sources, pairs, trained, tmp_path):
     )  # fmt: skip
     assert made.exit_code == 0, made.output
     assert realtouch.load(tmp_path / "touches", "train").touches().images().shape == (2, 32, 32, 3)
-    make_pairs(*sources, "train", PairsSpec((36, 36), 60, without_contact=0.2), tmp_path / "larger")
-    with pytest.raises(InputError, match="weights were trained with 32 x 32"):
-        evaluate(trained, str(tmp_path / "larger"))
+    larger = GeneratorWeights(read_weights(weights).arrays, (36, 36))
+    write_weights(DataFolder(str(tmp_path)), weights.name, larger)
+    with pytest.raises(InputError, match="weights were trained with 36 x 36"):
+        evaluate(tmp_path, pairs)
 
 
-def test_two_processes_of_torchrun_train_together(pairs, tmp_path):
-    out = tmp_path / "two"
-    command = [
-        sys.executable,
-        "-m",
-        "torch.distributed.run",
-        "--standalone",
-        "--nproc-per-node=2",
-        "-m",
-        "tactile_sim",
-    ]
-    command += [
-        "train",
-        pairs,
-        "--out",
-        str(out),
-        "--filters",
-        "2",
-        "--blocks",
-        "1",
-        "--judge-filters",
-        "4",
-        "--steps",
-        "2",
-    ]
-    command += ["--crop", "1", "--device", "cpu"]
-    done = subprocess.run(command, capture_output=True, text=True, env={**os.environ, "OMP_NUM_THREADS": "1"})
-    assert done.returncode == 0, done.stderr[-2000:]
+def test_tensorboard_holds_the_log_or_is_named(pairs, tmp_path):
+    out = tmp_path / "weights"
+    if find_spec("tensorboard") is None:
+        with pytest.raises(InputError, match="pip install tensorboard"):
+            train(pairs, out, CONFIG, device="cpu", tensorboard=True)
+        assert not out.exists()
+        return
+    from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
+
+    train(pairs, out, CONFIG, device="cpu", tensorboard=True)
+    found = EventAccumulator(str(out / "tensorboard"))
+    found.Reload()
+    log = pq.read_table(out / "losses.parquet")
+    told = found.Scalars("losses/touch_cycle")
+    assert [event.step for event in told] == log["step"].to_pylist()
+    np.testing.assert_allclose([event.value for event in told], log["touch_cycle"], rtol=1e-6)
+    assert [event.step for event in found.Images("samples")] == [2, 4, 6]
+
+
+def test_two_processes_of_torchrun_train_together(pairs, tmp_path, monkeypatch):
+    """One is this process, with the variables that `torchrun` gives to each."""
+    out, config = tmp_path / "two", TrainConfig(2, 1, 4, steps=2, crop=1.0)
+    with socket.create_server(("127.0.0.1", 0)) as free:
+        port = str(free.getsockname()[1])
+    shared = {"WORLD_SIZE": "2", "MASTER_ADDR": "127.0.0.1", "MASTER_PORT": port, "OMP_NUM_THREADS": "1"}
+    options = ["--filters", "2", "--blocks", "1", "--judge-filters", "4", "--steps", "2", "--crop", "1"]
+    command = [sys.executable, "-m", "tactile_sim", "train", pairs, "--out", str(out), *options]
+    with subprocess.Popen(
+        [*command, "--device", "cpu"],
+        env={**os.environ, **shared, "RANK": "1", "LOCAL_RANK": "1"},
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    ) as other:
+        for name, value in {**shared, "RANK": "0", "LOCAL_RANK": "0"}.items():
+            monkeypatch.setenv(name, value)
+        assert train(pairs, out, config, device="cpu").taken == 2
+        said = other.communicate()
+    monkeypatch.undo()
+    assert other.returncode == 0, said
+    assert not said[0]  # the first process speaks for all
     with pytest.raises(SpecMismatchError, match="trained by 2 processes"):
-        train(pairs, out, TrainConfig(2, 1, 4, steps=2, crop=1.0), device="cpu")
+        train(pairs, out, config, device="cpu")
 
 
 def test_measures_know_equal_sets_from_others():

@@ -11,6 +11,7 @@ import pytest
 
 import env_assets
 import realtouch
+import tactile_sim
 from tactile_toolkit.errors import InputError
 from tests.env_assets.published.rollouts import (
     CONTACT_HEIGHT_M,
@@ -232,6 +233,32 @@ def test_cycle_gan(provider, own_statistics):
         assert np.std(observation["sensor_img"]) > 0.01
     finally:
         env.close()
+
+
+def test_cycle_gan_with_weights_of_ones_own(provider, own_statistics, tmp_path):
+    """What `tactile-sim train` writes, of any size, renders as `tactile-sim generate` does with it."""
+    pytest.importorskip("torchvision", reason="torchvision (extra `torch`) is not installed")
+    from tactile_sim.learned.networks import Generator, initialise, weights_of
+    from tactile_sim.learned.weights import weights_bytes
+    from tactile_sim.optics.cyclegan import CycleganOptics
+
+    network, file = Generator(filters=4, blocks=2), tmp_path / "depth_to_touch.npz"
+    initialise(network, seed=5)
+    file.write_bytes(weights_bytes(weights_of(network, (32, 32))))
+    name = "TactileMNIST-CycleGAN-train-v0"
+    env = env_assets.make(name, provider=provider, num_envs=2, weights=file)
+    try:
+        observation, info = env.reset(seed=SEED)
+        for _ in range(2):
+            shades = CycleganOptics(file).shades(info["depth"], tactile_sim.as_environment(32, 32), (64, 64))
+            np.testing.assert_allclose(observation["sensor_img"], shades, atol=1e-4)
+            observation, *_, info = env.step(env.action_space.sample())
+    finally:
+        env.close()
+    with pytest.raises(InputError, match=r"weights do not apply .* its sensor is 'depth'"):
+        env_assets.make("TactileMNIST-Depth-train-v0", provider=provider, weights=file)
+    with pytest.raises(InputError, match="no file of weights"):
+        env_assets.make(name, provider=provider, weights=tmp_path / "absent.npz")
 
 
 def test_noise_of_recorded_touches(assets, provider, own_statistics):
