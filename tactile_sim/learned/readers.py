@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from typing import Any
 
 import numpy as np
@@ -17,6 +19,17 @@ READER_PX = 64
 _FEATURES = 64
 _BATCH = 32
 _RATE = 2e-3
+
+
+@contextmanager
+def _one_thread() -> Iterator[None]:
+    """Compute on one thread: on a busy machine networks this small wait for others many times as long."""
+    threads = torch.get_num_threads()
+    torch.set_num_threads(1)
+    try:
+        yield
+    finally:
+        torch.set_num_threads(threads)
 
 
 class Reader:
@@ -47,6 +60,7 @@ class Reader:
                 if hasattr(module, "reset_parameters"):
                     module.reset_parameters()
 
+    @_one_thread()
     def learn(self, pictures: Any, answers: NDArray[np.int64]) -> Reader:
         """Learn pictures (n, 3, H, W), -1 to 1; each answer is shown equally often."""
         rng = np.random.default_rng(self._seed)
@@ -64,11 +78,13 @@ class Reader:
         self._network.eval()
         return self
 
+    @_one_thread()
     def answers(self, pictures: Any) -> NDArray[np.int64]:
         """Return an answer for each picture."""
         with torch.inference_mode():
             return np.asarray(self._network(pictures).argmax(dim=1).numpy(), np.int64)
 
+    @_one_thread()
     def features(self, pictures: Any) -> NDArray[np.float64]:
         """Return what stands before the last layer, shape (n, 64)."""
         with torch.inference_mode():
