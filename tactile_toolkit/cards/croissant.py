@@ -162,7 +162,7 @@ def _file_objects(folder: DataFolder, manifest: Manifest | None) -> Iterator[dic
         return
     digests = {MANIFEST_FILE: _manifest_digest(folder, manifest)}
     # What the Hub's page shows says nothing that the shards do not.
-    digests |= {path: each for path, each in (manifest.files or {}).items() if not _is_shown(path)}
+    digests |= {path: each for path, each in sorted((manifest.files or {}).items()) if not _is_shown(path)}
     if len(manifest.shards) <= _MOST_SHARDS_NAMED:
         digests |= {record.shard.data_path: record.sha256 for record in manifest.shards}
     for path, digest in digests.items():

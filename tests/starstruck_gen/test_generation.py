@@ -199,7 +199,7 @@ def test_shards_finished_before_a_scene_that_cannot_be_made_are_kept_and_named(t
         ({"scenes": (("train", -1),)}, "--scenes of split 'train' is -1"),
         ({"scenes": (("train", 1), ("train", 2))}, "names a split twice"),
         ({"scenes": (("validation", 5),)}, "unknown split 'validation'"),
-        ({"seed": -3}, "seed is -3"),
+        ({"seed": -3}, "seed .* is -3; expected a whole number of at least 0"),
         ({"limit": 0}, "--limit is 0"),
         ({"limit": 2.5}, "--limit is 2.5; expected a whole number of at least 1"),
         ({"seed": "a"}, "seed .* is 'a'; expected a whole number"),
