@@ -69,7 +69,15 @@ class TrainOptions:
     batch: Annotated[int, typer.Option(min=1, metavar="N", help="Pictures of each kind in a step.")] = 1
     crop: Annotated[float, typer.Option(metavar="SHARE", help="Side of the random crops.")] = 0.875
     learning_rate: Annotated[float, typer.Option(metavar="RATE", help="Learning rate of Adam.")] = 2e-4
+    depth_cycle_weight: Annotated[
+        float, typer.Option(metavar="W", help="Weight of depth that comes back.")
+    ] = 10.0
+    touch_cycle_weight: Annotated[float, typer.Option(metavar="W", help="Weight of touches' cycle.")] = 10.0
     identity_weight: Annotated[float, typer.Option(metavar="W", help="Weight of the identity loss.")] = 5.0
+    noise: Annotated[
+        float,
+        typer.Option(metavar="STD", help="Noise over touches that networks are shown."),
+    ] = 0.0
     checkpoint_every: Annotated[int, typer.Option(min=1, metavar="N", help="Steps between checkpoints.")] = (
         1000
     )

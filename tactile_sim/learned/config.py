@@ -33,8 +33,12 @@ class TrainConfig:
         Of Adam (Zhu et al. 2017); the second moment is 0.999.
     decay_from : float
         Share of the steps after which the learning rate falls linearly to 0 (Zhu et al. 2017).
-    cycle_weight, identity_weight : float
-        Weights of the losses beside the adversarial one (Zhu et al. 2017: 10 and 5).
+    depth_cycle_weight, touch_cycle_weight, identity_weight : float
+        Weights of the losses beside the adversarial one (Zhu et al. 2017: 10, 10 and 5). Most of a touch is
+        background: where no relief is learned, weigh the cycle of touches more.
+    noise : float
+        Standard deviation of noise over all touches that discriminators and the way back are shown, of values
+        from -1 to 1; ours. It keeps generators from hiding depth in marks that nobody sees.
     pool : int
         Made pictures that discriminators are shown again (Zhu et al. 2017).
     seed : int
@@ -52,8 +56,10 @@ class TrainConfig:
     learning_rate: float = real_number(2e-4, 1e-8, 1)
     first_moment: float = real_number(0.5, 0, 0.999)
     decay_from: float = real_number(0.5, 0, 1)
-    cycle_weight: float = real_number(10.0, 0, 1e4)
+    depth_cycle_weight: float = real_number(10.0, 0, 1e4)
+    touch_cycle_weight: float = real_number(10.0, 0, 1e4)
     identity_weight: float = real_number(5.0, 0, 1e4)
+    noise: float = real_number(0.0, 0, 1)
     pool: int = whole_number(50, 0, 10_000)
     seed: int = whole_number(0, 0, 2**63)
     checkpoint_every: int = whole_number(1000, 1, 10**9)

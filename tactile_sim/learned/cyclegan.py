@@ -86,6 +86,13 @@ class CycleGan:
             for key, parameters in self.parameters.items()
         }
         self.pools = {name: _Pool(config.pool) for name in ("touch", "depth")}
+        self._weights = {
+            "touch_cycle": config.touch_cycle_weight,
+            "depth_cycle": config.depth_cycle_weight,
+            "touch_identity": config.identity_weight,
+            "depth_identity": config.identity_weight,
+        }
+        self._noise = torch.Generator(device)
         self._run = {
             name: torch.compile(network) if compiled and not name.endswith("judge") else network
             for name, network in self.networks.items()
@@ -102,19 +109,19 @@ class CycleGan:
         for optimiser in self.optimisers.values():
             for group in optimiser.param_groups:
                 group["lr"] = self.config.rate(number)
+        if self.config.noise:
+            self._noise.manual_seed(int(rng.integers(2**62)))
         real = {"touch": self._laid(touch), "depth": self._laid(depth)}
         places = {"touch": self._laid(where), "depth": real["depth"][:, :2]}
         with torch.autocast("cuda", torch.bfloat16, enabled=self.device.startswith("cuda")):
             made, losses = self._generator_losses(real, places)
-            weights = {"adversarial": 1.0, "cycle": self.config.cycle_weight}
-            weights["identity"] = self.config.identity_weight
-            total = sum(weights[name.split("_")[1]] * loss for name, loss in losses.items())
+            total = sum(self._weights.get(name, 1.0) * loss for name, loss in losses.items())
         self._descend("generators", total)
         with torch.autocast("cuda", torch.bfloat16, enabled=self.device.startswith("cuda")):
             for name in ("touch", "depth"):
                 shown = self.pools[name].exchange(made[name], rng)
                 # Each picture is normalised alone, so that both kinds can be shown at once.
-                said = self._run[f"{name}_judge"](torch.cat([real[name], shown]))
+                said = self._run[f"{name}_judge"](self._seen(name, torch.cat([real[name], shown])))
                 mistaken = _distance(said[: len(shown)], 1) + _distance(said[len(shown) :], 0)
                 losses[f"{name}_judge"] = 0.5 * mistaken
             judging = losses["touch_judge"] + losses["depth_judge"]
@@ -128,6 +135,13 @@ class CycleGan:
         made = self._run[name](pictures)
         return made if name == "touch" else torch.cat([where.to(made.dtype), made[:, 2:]], dim=1)
 
+    def _seen(self, name: str, pictures: Any) -> Any:
+        """Return pictures as other networks are shown them: touches under noise."""
+        if name == "depth" or not self.config.noise:
+            return pictures
+        noise = torch.randn(pictures.shape, generator=self._noise, device=pictures.device)
+        return pictures + self.config.noise * noise.to(pictures.dtype)
+
     def _generator_losses(
         self, real: dict[str, Any], places: dict[str, Any]
     ) -> tuple[dict[str, Any], dict[str, Any]]:
@@ -136,8 +150,9 @@ class CycleGan:
         made, losses = {}, {}
         for name, other in (("touch", "depth"), ("depth", "touch")):
             made[name] = self._make(name, real[other], places[other])
-            losses[f"{name}_adversarial"] = _distance(self._run[f"{name}_judge"](made[name]), 1)
-            again = self._make(other, made[name], places[other])
+            seen = self._seen(name, made[name])
+            losses[f"{name}_adversarial"] = _distance(self._run[f"{name}_judge"](seen), 1)
+            again = self._make(other, seen, places[other])
             losses[f"{other}_cycle"] = _mean_error(other, again, real[other])
             if self.config.identity_weight:
                 same = self._make(name, real[name], places[name])

@@ -38,7 +38,7 @@ from tactile_sim.learned.weights import GeneratorWeights, read_weights, write_we
 from tactile_toolkit.store.folder import DataFolder  # noqa: E402
 
 SPEC = PairsSpec((32, 32), 60, without_contact=0.2, like="environment")
-CONFIG = TrainConfig(2, 1, 4, steps=6, crop=1.0, pool=3, checkpoint_every=2, log_every=1)
+CONFIG = TrainConfig(2, 1, 4, steps=6, crop=1.0, pool=3, checkpoint_every=2, log_every=1, noise=0.05)
 FILES = ("depth_to_touch.npz", "touch_to_depth.npz", "losses.parquet")
 
 
