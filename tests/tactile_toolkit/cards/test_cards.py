@@ -161,7 +161,7 @@ def _wrong_class(head: dict) -> None:
         (_lost_column, "column 'source' is missing in it, {'dtype': 'string'} in the data"),
         (_wrong_class, "column 'label' is {'dtype': {'class_label'"),
         (lambda head: head.pop("dataset_info"), "has no 'dataset_info'"),
-        (lambda head: head.pop("configs"), "'configs' are None; expected one configuration"),
+        (lambda head: head.pop("configs"), "'configs' are None; expected 'default', with data_files"),
         (lambda head: head.pop("license"), "has no 'license'"),
         (lambda head: head.update(size_categories=["n>1T"]), "expected ['n<1K']"),
         (lambda head: head["dataset_info"].update(download_size=1), "'download_size' is 1, expected"),
