@@ -176,7 +176,9 @@ def test_a_data_set_in_a_store_is_not_replaced():
         InputError, match=r"--overwrite replaces none in an object store.*next: choose another"
     ):
         build(folder, other_plan(), InlineRunner(), overwrite=True)
-    with pytest.raises(SpecMismatchError, match=r"choose another folder \(--out or OUT\)$"):
+    with pytest.raises(
+        SpecMismatchError, match=r"choose another folder \(--out or OUT\), or remove '.*' first$"
+    ):
         build(folder, other_plan(), InlineRunner())
     assert build(folder, toy_plan(error=RuntimeError("all is there")), InlineRunner()) == finished
 
