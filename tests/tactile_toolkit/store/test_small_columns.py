@@ -38,9 +38,9 @@ def opened(folder: Path, monkeypatch: pytest.MonkeyPatch) -> tuple[list[int], li
     seen: set[str] = set()
     whole = Shard._opened
 
-    def noted(self: Shard) -> object:
+    def noted(self: Shard, metadata: object = None) -> object:
         seen.add(Path(self.path).name)
-        return whole(self)
+        return whole(self, metadata)
 
     with monkeypatch.context() as patch:
         patch.setattr(Shard, "_opened", noted)
