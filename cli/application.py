@@ -12,6 +12,7 @@ from functools import wraps
 from typing import Annotated, Any, TypeVar, get_type_hints
 
 import typer
+from typer.core import TyperCommand
 
 from tactile_toolkit.errors import ToolkitError
 
@@ -63,6 +64,17 @@ def new_app(name: str, purpose: str) -> typer.Typer:
     return app
 
 
+class _Command(TyperCommand):
+    """A command whose refusals of a value are in plain words, without the library's own in front."""
+
+    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
+        try:
+            return super().parse_args(ctx, args)
+        except typer.BadParameter as error:
+            error.message = error.message.removeprefix("Value error, ")
+            raise
+
+
 def command(app: typer.Typer, name: str | None = None) -> Callable[[F], F]:
     """Add a function to a command line, by its own name or another one; errors become messages.
 
@@ -72,7 +84,7 @@ def command(app: typer.Typer, name: str | None = None) -> Callable[[F], F]:
     """
 
     def add(function: F) -> F:
-        app.command(name)(_with_groups(function))
+        app.command(name, cls=_Command)(_with_groups(function))
         return function
 
     return add

@@ -210,7 +210,9 @@ def import_images(
 
 def _refuse_inside(folder: DataFolder, home: Path) -> None:
     if not home.exists():
-        message = f"{str(home)!r} does not exist; expected a folder of images, or of tars"
+        message = (
+            f"{str(home)!r} does not exist; expected a folder of images, or of tars; next: check the name"
+        )
         raise InputError(message)
     out = Path(folder.address()).resolve() if folder.is_local else None
     if out is not None and (out.is_relative_to(home.resolve()) or home.resolve().is_relative_to(out)):

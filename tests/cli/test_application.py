@@ -163,3 +163,11 @@ def test_a_closed_pipe_ends_a_command_as_it_ends_other_tools(tmp_path, words):
             check=False,
         )
     assert (done.returncode, done.stderr or "") == (141, "")
+
+
+def test_values_that_are_refused_are_told_in_plain_words():
+    words = [sys.executable, "-m", "mnist3d", "generate", "--split-by", "foo", "--out", "never"]
+    done = subprocess.run(words, capture_output=True, text=True, check=False)
+    assert done.returncode == 2
+    assert "'--split-by': 'foo' is not one of 'digit'" in done.stderr
+    assert "Value error" not in done.stderr
