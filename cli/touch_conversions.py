@@ -27,7 +27,7 @@ from cli.touch_tables import announce_fetching, print_made
 from realtouch.kind import KIND
 
 if TYPE_CHECKING:
-    from realtouch.exchange.reading import ImportColumns
+    from realtouch.exchange.sources import ImportColumns
     from tactile_toolkit.store.manifest import Manifest
 
 __all__ = ["add_conversions"]
@@ -138,7 +138,7 @@ class Columns:
 
     def chosen(self) -> ImportColumns:
         """Return what functions take."""
-        from realtouch.exchange.reading import ImportColumns
+        from realtouch.exchange.sources import ImportColumns
 
         return ImportColumns(
             self.image_column,

@@ -34,6 +34,7 @@ __all__ = [
     "MeshSet",
     "PlainMeshes",
     "PointRecord",
+    "RecordView",
     "Remembering",
     "SceneMeshes",
     "SolidDataset",
@@ -226,6 +227,23 @@ class PlainMeshes(Sequence[Any]):
             message = f"no column {name!r} in these meshes"
             raise InputError(message)
         return np.array([getattr(record, name) for record in self.records], np.int64)
+
+
+@dataclass(frozen=True, eq=False)
+class RecordView:
+    """A record that is shown otherwise, with its own id and label."""
+
+    record: Any
+
+    @property
+    def id(self) -> int:
+        """Number of the row, unique in its data set."""
+        return int(self.record.id)
+
+    @property
+    def label(self) -> int:
+        """Number of the class."""
+        return int(self.record.label)
 
 
 @dataclass(frozen=True, eq=False)

@@ -14,7 +14,8 @@ if TYPE_CHECKING:
     from realtouch.convert.api import frames, resize, select, to_single
     from realtouch.dataset import TouchDataset, TouchSeqDataset, TouchSingleDataset, TouchStream
     from realtouch.exchange.api import export
-    from realtouch.exchange.reading import ImportColumns, import_images
+    from realtouch.exchange.reading import import_images
+    from realtouch.exchange.sources import ImportColumns
     from realtouch.integrity.verify import verify
     from realtouch.media.clips import TouchClip
     from realtouch.names import SHORT_NAMES
@@ -76,7 +77,8 @@ _HOMES = {
     "tactile_toolkit": ("__version__",),
     "realtouch.convert.api": ("frames", "resize", "select", "to_single"),
     "realtouch.exchange.api": ("export",),
-    "realtouch.exchange.reading": ("ImportColumns", "import_images"),
+    "realtouch.exchange.reading": ("import_images",),
+    "realtouch.exchange.sources": ("ImportColumns",),
     "realtouch.dataset": ("TouchDataset", "TouchSeqDataset", "TouchSingleDataset", "TouchStream"),
     "realtouch.integrity.verify": ("verify",),
     "realtouch.opening": ("load",),

@@ -24,7 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from env_assets.measures import bounds_m, volumes_m3
-from env_assets.mesh_sets import PlainMeshes, as_records, measurable
+from env_assets.mesh_sets import PlainMeshes, RecordView, as_records, measurable
 from env_assets.published.flat import FlatMeshes
 from env_assets.published.packages import published_package
 from tactile_toolkit.errors import InputError
@@ -123,20 +123,8 @@ CacheSize = int | Literal["full"]
 
 
 @dataclass(frozen=True, eq=False)
-class MeshPoint:
+class MeshPoint(RecordView):
     """One mesh, as the environments want it: ``id``, ``label`` and ``mesh``."""
-
-    record: Any
-
-    @property
-    def id(self) -> int:
-        """Number of the row, unique in its data set."""
-        return int(self.record.id)
-
-    @property
-    def label(self) -> int:
-        """Number of the class."""
-        return int(self.record.label)
 
     @cached_property
     def mesh(self) -> Any:

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from env_assets.mesh_sets import PlainMeshes
+from env_assets.mesh_sets import PlainMeshes, RecordView
 from tactile_toolkit.read.dataset import RecordDataset
 
 __all__ = ["FlatMeshes", "flat_turn"]
@@ -32,20 +32,8 @@ def flat_turn(mesh: Any) -> NDArray[np.float64]:
 
 
 @dataclass(frozen=True, eq=False)
-class _FlatRecord:
+class _FlatRecord(RecordView):
     """A record in the pose that :func:`flat_turn` gives it."""
-
-    record: Any
-
-    @property
-    def id(self) -> int:
-        """As the record's."""
-        return int(self.record.id)
-
-    @property
-    def label(self) -> int:
-        """As the record's."""
-        return int(self.record.label)
 
     @property
     def faces(self) -> NDArray[np.int32]:

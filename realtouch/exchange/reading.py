@@ -2,15 +2,10 @@
 
 from __future__ import annotations
 
-import csv
-import io
 import json
 import re
-import tarfile
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
-from enum import StrEnum
-from itertools import groupby
 from os import PathLike, fspath
 from pathlib import Path
 from typing import Any, Literal
@@ -21,111 +16,37 @@ import pyarrow as pa
 from realtouch.card import write_card
 from realtouch.convert.plan import KIND
 from realtouch.exchange.flat import require_whole
+from realtouch.exchange.sources import (
+    LONGEST_SHOWN,
+    ImportColumns,
+    Item,
+    Reason,
+    items_of_table,
+    items_of_tars,
+)
 from realtouch.poses import bad_pose
-from tactile_toolkit.errors import InputError, IntegrityError, ItemError
+from tactile_toolkit.errors import InputError, ItemError
+from tactile_toolkit.read.parquet import Shard
 from tactile_toolkit.run.processes import Runner, runner_for
 from tactile_toolkit.store.build import Progress, build
 from tactile_toolkit.store.folder import DataFolder
 from tactile_toolkit.store.manifest import Manifest
-from tactile_toolkit.store.names import problem_of_name
 from tactile_toolkit.store.parquet import ParquetStyle, sha256_hex
 from tactile_toolkit.store.plan import BuildPlan, ShardContent
-from tactile_toolkit.store.shards import ShardName, Skipped
+from tactile_toolkit.store.shards import ShardName, ShardRecord, Skipped
 from tactile_toolkit.touch.jpeg import MAX_IMAGE_BYTES
-from tactile_toolkit.touch.rows import number_lists
 from tactile_toolkit.touch.schema import CLASS_NAMES, MEDIA_TYPE, with_features
-from tactile_toolkit.wording import did_you_mean
 
-__all__ = ["ImportColumns", "import_images"]
+__all__ = ["import_images"]
 
 _SPLIT = re.compile(r"\w+")
 _UNNAMED = re.compile(r"[^A-Za-z0-9_-]")
-_IMAGES = ("jpg", "jpeg", "png", "webp")
 _TOUCHES_PER_SHARD = 4096
 _TOUCHES_PER_GROUP = 1024
-_MOST_JSON_BYTES = 1 << 20
-_LONGEST_SHOWN = 80
+_SHARD_BYTES = 256 << 20
+_GROUP_BYTES = 32 << 20
 _POSE = "gel_pose_cell_frame"
-
-
-class Reason(StrEnum):
-    """Why an image is left out; stable words for tables and manifests."""
-
-    missing = "missing"
-    name = "name"
-    duplicate = "duplicate"
-    columns = "columns"
-    json = "json"
-    image = "image"
-    size = "size"
-    label = "label"
-    object = "object"
-    round = "round"
-    position = "position"
-    pose = "pose"
-
-
-@dataclass(frozen=True, slots=True)
-class ImportColumns:
-    """Which columns of a table, or fields of JSON files, hold what; None: nothing does.
-
-    Attributes
-    ----------
-    image : str or None
-        Path of the image below the folder; of WebDataset, its ending, the first image of a sample if None.
-    label : str
-        Class: a whole number, or a name.
-    round : str or None
-        Which touches belong together; without it each is a round of its own.
-    object_id : str or None
-        Whole number of the touched object.
-    position : tuple of str
-        x and y of the intended position, metres, cell frame; or one field that holds both.
-    pose : tuple of str
-        Position and quaternion (x, y, z, w) of the gel, metres, cell frame: seven, or one field with all.
-    split : str or None
-        Split of each touch.
-    """
-
-    image: str | None = "file"
-    label: str = "label"
-    round: str | None = None
-    object_id: str | None = None
-    position: tuple[str, ...] = ()
-    pose: tuple[str, ...] = ()
-    split: str | None = None
-
-    def __post_init__(self) -> None:
-        for what, names, count in (("position", self.position, 2), ("pose", self.pose, 7)):
-            if len(names) not in (0, 1, count):
-                message = (
-                    f"{len(names)} {what} columns ({', '.join(names)}); expected {count}, or one that holds "
-                    f"a list of {count}"
-                )
-                raise InputError(message)
-
-    def names(self) -> list[str]:
-        """Return the columns that must be there."""
-        plain = (self.label, self.round, self.object_id, self.split, *self.position, *self.pose)
-        return list(dict.fromkeys(name for name in plain if name is not None))
-
-
-@dataclass(frozen=True, slots=True)
-class _Item:
-    """A touch to import: where its image lies, what is said of it, and why it cannot be used, if so."""
-
-    number: int
-    name: str
-    path: str
-    start: int
-    size: int
-    values: Mapping[str, Any] = field(repr=False)
-    problem: tuple[Reason, str] | None = None
-
-    def read(self) -> bytes:
-        with Path(self.path).open("rb") as stream:
-            stream.seek(self.start)
-            return stream.read(self.size)
+_OF_ROUND = ("label", "object_id")
 
 
 def import_images(
@@ -180,7 +101,7 @@ def import_images(
         The folder cannot be written. What was finished stays.
     """
     home, chosen = Path(fspath(source)).expanduser(), columns or ImportColumns()
-    readers = {"folder": _items_of_table, "webdataset": _items_of_tars}
+    readers = {"folder": items_of_table, "webdataset": items_of_tars}
     if layout not in readers:
         message = f"there is no layout {layout!r} to import; expected folder or webdataset"
         raise InputError(message)
@@ -197,7 +118,7 @@ def import_images(
     if not items:
         message = f"{str(home)!r} holds nothing to import; expected images"
         raise InputError(message)
-    plan = _plan(items, chosen, tuple(classes), split, layout)
+    plan = _plan(folder, items, chosen, tuple(classes), split, layout)
     return build(
         folder,
         plan,
@@ -223,168 +144,13 @@ def _refuse_inside(folder: DataFolder, home: Path) -> None:
         raise InputError(message)
 
 
-def _items_of_table(home: Path, columns: ImportColumns, table: str | None) -> Iterator[_Item]:
-    """Yield a touch for each line of the table; of a file that cannot be found, why."""
-    if columns.image is None:
-        message = "no column names the images; next: add --image-column NAME"
-        raise InputError(message)
-    path = _table_path(home, table)
-    try:
-        text = path.read_text(encoding="utf-8-sig")
-    except (OSError, UnicodeDecodeError) as error:
-        message = f"{str(path)!r} cannot be read as UTF-8 text ({error}); expected a table with commas"
-        raise InputError(message) from error
-    lines = csv.DictReader(io.StringIO(text, newline=""), strict=True)
-    known = list(lines.fieldnames or ())
-    _require_columns(known, [columns.image, *columns.names()], str(path))
-    seen: dict[str, int] = {}
-    try:
-        for number, values in enumerate(lines):
-            name = str(values[columns.image] or "")
-            yield _file_item(home, number, name, values, seen)
-    except csv.Error as error:
-        message = f"{str(path)!r}, line {lines.line_num}: {error}; expected a table with commas"
-        raise InputError(message) from error
-
-
-def _table_path(home: Path, table: str | None) -> Path:
-    if table is not None:
-        path = home / table
-        if not path.is_file():
-            message = f"there is no table {table!r} in {str(home)!r}"
-            raise InputError(message)
-        return path
-    found = sorted(home.glob("*.csv")) if home.is_dir() else []
-    if len(found) != 1:
-        names = ", ".join(path.name for path in found) or "none"
-        message = f"{str(home)!r} should hold one CSV file; found {names}; next: name it with --table"
-        raise InputError(message)
-    return found[0]
-
-
-def _file_item(home: Path, number: int, name: str, values: Mapping[str, Any], seen: dict[str, int]) -> _Item:
-    path, size = home / name, 0
-    problem: tuple[Reason, str] | None = None
-    words = problem_of_name(name)
-    if words:
-        problem = (Reason.name, f"the name {words}; expected a path below the folder")
-    elif not _is_below(path, home):
-        problem = (Reason.name, "a link leads out of the folder; expected a path below it")
-    elif not path.is_file():
-        problem = (Reason.missing, "there is no such file")
-    elif seen.setdefault(name, number) != number:
-        problem = (Reason.duplicate, f"the same file as in row {seen[name]} of the table")
-    else:
-        size = path.stat().st_size
-    if None in values:
-        problem = problem or (Reason.columns, "the line has more values than the table has columns")
-    return _Item(number, name, str(path), 0, size, dict(values), problem)
-
-
-def _is_below(path: Path, home: Path) -> bool:
-    """Tell whether a path stays in a folder, links followed; one in a circle does not."""
-    try:
-        return path.resolve().is_relative_to(home.resolve())
-    except (OSError, RuntimeError):
-        return False
-
-
-def _require_columns(known: Sequence[str], wanted: Iterable[str], where: str) -> None:
-    for name in wanted:
-        if name not in known:
-            message = (
-                f"{where!r} has no column {name!r}{did_you_mean(name, known)}; found "
-                f"{', '.join(known) or 'none'}; next: name the columns with the options of `realtouch import`"
-            )
-            raise InputError(message)
-
-
-def _items_of_tars(home: Path, columns: ImportColumns, table: str | None) -> Iterator[_Item]:
-    """Yield a touch for each sample of the tars, by their headers and JSON files alone."""
-    if table is not None:
-        message = "--table is about folders of images; a WebDataset has JSON files"
-        raise InputError(message)
-    paths = sorted(home.glob("*.tar")) if home.is_dir() else [home]
-    if not paths:
-        message = f"{str(home)!r} holds no tars (*.tar); compressed ones are unpacked first"
-        raise InputError(message)
-    number, seen, known = 0, set[str](), dict[str, None]()
-    for path in paths:
-        for key, members in groupby(_members(path), key=lambda each: each[0]):
-            item = _sample(path, number, key, list(members), columns)
-            if key in seen:
-                item = replace(
-                    item, problem=(Reason.duplicate, f"the key {key!r} stands in an earlier sample")
-                )
-            seen.add(key)
-            known |= dict.fromkeys(item.values)
-            number += 1
-            yield item
-    if number:
-        _require_columns(list(known), columns.names(), str(home))
-
-
-def _members(path: Path) -> Iterator[tuple[str, str, int, int, bytes]]:
-    """Yield key, ending, place and size of each file of a tar, and the content where it is small text."""
-    try:
-        size = path.stat().st_size
-        with path.open("rb") as stream, tarfile.open(fileobj=stream, mode="r:") as tar:
-            for member in tar:
-                if not member.isfile():
-                    continue
-                start = member.offset_data
-                if start + member.size > size:
-                    problem = f"it ends in {member.name!r}"
-                    raise EOFError(problem)
-                directory, _, base = member.name.rpartition("/")
-                stem, _, ending = base.partition(".")
-                key = f"{directory}/{stem}" if directory else stem
-                content = b""
-                if ending.lower() not in _IMAGES and member.size <= _MOST_JSON_BYTES:
-                    stream.seek(start)
-                    content = stream.read(member.size)
-                yield key, ending.lower(), start, member.size, content
-            stream.seek(max(0, size - tarfile.BLOCKSIZE))
-            if stream.read().strip(b"\0"):
-                problem = "the mark of its end is missing"
-                raise EOFError(problem)
-    except (tarfile.TarError, EOFError, OSError) as error:
-        message = f"{str(path)!r} is no whole tar ({error}); nothing was written; next: fetch it again"
-        raise IntegrityError(message) from error
-
-
-def _sample(
-    path: Path,
-    number: int,
-    key: str,
-    members: Sequence[tuple[str, str, int, int, bytes]],
-    columns: ImportColumns,
-) -> _Item:
-    """Put the files of one key together."""
-    values: dict[str, Any] = {}
-    problem: tuple[Reason, str] | None = None
-    images = []
-    for _, ending, start, size, content in members:
-        if ending in _IMAGES:
-            if columns.image in (None, "file", ending):
-                images.append((start, size))
-        elif ending == "json":
-            try:
-                values |= dict(json.loads(content))
-            except (ValueError, TypeError, RecursionError) as error:
-                problem = (Reason.json, f"its JSON file cannot be read ({error}); expected an object")
-        elif size <= _MOST_JSON_BYTES:
-            values.setdefault(ending, content.decode(errors="replace").strip())
-    if not images:
-        problem = (Reason.missing, f"no image; expected one of {', '.join(_IMAGES)}")
-    start, size = images[0] if images else (0, 0)
-    if problem_of_name(key):
-        problem = (Reason.name, f"the key {problem_of_name(key)}")
-    return _Item(number, key, str(path), start, size, values, problem)
-
-
 def _plan(
-    items: Sequence[_Item], columns: ImportColumns, classes: tuple[str, ...], split: str, layout: str
+    folder: DataFolder,
+    items: Sequence[Item],
+    columns: ImportColumns,
+    classes: tuple[str, ...],
+    split: str,
+    layout: str,
 ) -> BuildPlan:
     """Divide the touches into splits, rounds and shards. InputError where nothing can be imported."""
     names = classes or _class_names(_text(item.values, columns.label) for item in items)
@@ -393,14 +159,16 @@ def _plan(
     schema = _schema(columns, names)
     tasks = []
     for each, found in rounds.items():
-        shards: list[list[tuple[str, tuple[_Item, ...]]]] = [[]]
-        touches = 0
+        shards: list[list[tuple[str, tuple[Item, ...]]]] = [[]]
+        touches = size_bytes = 0
         for name, members in found.items():
-            if touches + len(members) > _TOUCHES_PER_SHARD and shards[-1]:
+            more, more_bytes = len(members), sum(item.size for item in members)
+            is_full = touches + more > _TOUCHES_PER_SHARD or size_bytes + more_bytes > _SHARD_BYTES
+            if is_full and shards[-1]:
                 shards.append([])
-                touches = 0
+                touches = size_bytes = 0
             shards[-1].append((name, tuple(members)))
-            touches += len(members)
+            touches, size_bytes = touches + more, size_bytes + more_bytes
         for index, part in enumerate(shards):
             shard = ShardName(each, index, len(shards))
             tasks.append(_ImportShard(shard, tuple(part), columns, names, size, schema))
@@ -419,13 +187,36 @@ def _plan(
         },
         "listing_sha256": sha256_hex(json.dumps(listing, sort_keys=True, default=str).encode()),
     }
+    per_group = min(_TOUCHES_PER_GROUP, _GROUP_BYTES // (sum(item.size for item in items) // len(items) + 1))
     per_round = max(1, len(items) // sum(map(len, rounds.values())))
     style = ParquetStyle(
-        max(1, _TOUCHES_PER_GROUP // per_round),
+        max(1, per_group // per_round),
         compression_level=3,
         encodings=(("sensor_image.list.element.bytes", "PLAIN"),),
     )
-    return BuildPlan(KIND, spec, tuple(rounds), tuple(tasks), style, libraries=("numpy", "pyarrow"))
+    return BuildPlan(
+        KIND,
+        spec,
+        tuple(rounds),
+        tuple(tasks),
+        style,
+        extras_intact=_SourceIsTheSame(folder, {str(task.shard): task for task in tasks}),
+        libraries=("numpy", "pyarrow"),
+    )
+
+
+@dataclass(frozen=True)
+class _SourceIsTheSame:
+    """Tells whether a finished shard holds what the source gives now: names and sizes would not say it."""
+
+    folder: DataFolder
+    tasks: Mapping[str, _ImportShard]
+
+    def __call__(self, record: ShardRecord) -> bool:
+        """Read the images again."""
+        content = self.tasks[str(record.shard)].make()
+        stored = Shard(self.folder.address(record.shard.data_path)).read()
+        return content.skipped == record.skipped and stored.equals(content.table)
 
 
 def _class_names(labels: Iterable[str]) -> tuple[str, ...]:
@@ -436,23 +227,24 @@ def _class_names(labels: Iterable[str]) -> tuple[str, ...]:
     return tuple(found)
 
 
-def _rounds(items: Sequence[_Item], columns: ImportColumns, split: str) -> dict[str, dict[str, list[_Item]]]:
+def _rounds(items: Sequence[Item], columns: ImportColumns, split: str) -> dict[str, dict[str, list[Item]]]:
     """Return the touches of each round of each split, in order; a touch without a round is one."""
-    found: dict[str, dict[str, list[_Item]]] = {}
+    found: dict[str, dict[str, list[Item]]] = {}
     home: dict[str, str] = {}
     for item in items:
         part = split if columns.split is None else _text(item.values, columns.split) or split
         if not _SPLIT.fullmatch(part):
-            message = f"{item.name!r}: the split {part[:_LONGEST_SHOWN]!r}; expected letters and digits"
+            message = f"{item.name!r}: the split {part[:LONGEST_SHOWN]!r}; expected letters and digits"
             raise InputError(message)
         if columns.round is None:
             name = _UNNAMED.sub("_", item.name.rpartition(".")[0] or item.name)
-            name = f"{name}_{item.number}" if name in home else name
+            while name in home:
+                name = f"{name}_{item.number}"
         else:
             name = _text(item.values, columns.round) or f"unnamed_{item.number}"
         if home.setdefault(name, part) != part:
             message = (
-                f"{item.name!r}: round {name[:_LONGEST_SHOWN]!r} lies in the splits {home[name]!r} and "
+                f"{item.name!r}: round {name[:LONGEST_SHOWN]!r} lies in the splits {home[name]!r} and "
                 f"{part!r}; expected each round in one"
             )
             raise InputError(message)
@@ -460,7 +252,7 @@ def _rounds(items: Sequence[_Item], columns: ImportColumns, split: str) -> dict[
     return found
 
 
-def _first_size(items: Sequence[_Item]) -> tuple[int, int] | None:
+def _first_size(items: Sequence[Item]) -> tuple[int, int] | None:
     """Return height and width of the first image that is one."""
     for item in items:
         if item.problem is None and item.size <= MAX_IMAGE_BYTES:
@@ -486,24 +278,12 @@ def _schema(columns: ImportColumns, names: Sequence[str]) -> pa.Schema:
     return with_features(pa.schema(fields), names)
 
 
-@dataclass(frozen=True, slots=True)
-class _Touch:
-    """A touch that can be used."""
-
-    path: str
-    image: bytes
-    label: int
-    object_id: int
-    position: tuple[float, ...]
-    pose: tuple[float, ...]
-
-
 @dataclass(frozen=True, eq=False)
 class _ImportShard:
     """Picklable: read the images of some rounds and check what is said of them."""
 
     shard: ShardName
-    rounds: tuple[tuple[str, tuple[_Item, ...]], ...] = field(repr=False)
+    rounds: tuple[tuple[str, tuple[Item, ...]], ...] = field(repr=False)
     columns: ImportColumns
     names: tuple[str, ...] = field(repr=False)
     image_size: tuple[int, int] | None
@@ -518,17 +298,20 @@ class _ImportShard:
         """Read the touches; those that cannot be used are left out and listed."""
         rows, skipped = [], []
         for name, items in self.rounds:
-            touches: list[_Touch] = []
+            touches: list[dict[str, Any]] = []
             for item in items:
                 try:
                     touches.append(self._touch(item, touches))
                 except ItemError as error:
                     skipped.append(Skipped(item.number, str(error.reason), f"{item.name!r}: {error.message}"))
             if touches:
-                rows.append((name, touches))
-        return ShardContent(self._table(rows), tuple(skipped))
+                of_round = {each: touches[0][each] for each in _OF_ROUND}
+                of_touch = {each: [touch[each] for touch in touches] for each in touches[0]}
+                rows.append({"id": name, **of_touch, **of_round})
+        return ShardContent(pa.Table.from_pylist(rows, self.schema), tuple(skipped))
 
-    def _touch(self, item: _Item, before: Sequence[_Touch]) -> _Touch:
+    def _touch(self, item: Item, before: Sequence[dict[str, Any]]) -> dict[str, Any]:
+        """Return what the columns hold of a touch; ItemError where it cannot be used."""
         if item.problem is not None:
             raise ItemError(*item.problem)
         if item.size > MAX_IMAGE_BYTES:
@@ -546,17 +329,17 @@ class _ImportShard:
         values, columns = item.values, self.columns
         label = _text(values, columns.label)
         if label not in self.names:
-            raise ItemError(Reason.label, f"the label {label[:_LONGEST_SHOWN]!r}; expected a class")
+            raise ItemError(Reason.label, f"the label {label[:LONGEST_SHOWN]!r}; expected a class")
         object_id = 0
         if columns.object_id is not None:
             text = _text(values, columns.object_id)
             if not (text.isdecimal() and text.isascii() and len(text) < 19):
                 raise ItemError(
-                    Reason.object, f"the object {text[:_LONGEST_SHOWN]!r}; expected a whole number"
+                    Reason.object, f"the object {text[:LONGEST_SHOWN]!r}; expected a whole number"
                 )
             object_id = int(text)
         number = self.names.index(label)
-        if before and (number, object_id) != (before[0].label, before[0].object_id):
+        if before and (number, object_id) != tuple(before[0][each] for each in _OF_ROUND):
             raise ItemError(Reason.round, "another label or object than the first touch of its round")
         position = _numbers(values, columns.position, 2, Reason.position)
         pose = _numbers(values, columns.pose, 7, Reason.pose)
@@ -564,36 +347,11 @@ class _ImportShard:
             wrong = bad_pose(np.array([pose[:3]]), np.array([pose[3:]]))
             if wrong is not None:
                 raise ItemError(Reason.pose, wrong[1])
-        return _Touch(Path(item.name).name, image, number, object_id, position, pose)
-
-    def _table(self, rows: Sequence[tuple[str, Sequence[_Touch]]]) -> pa.Table:
-        if not rows:
-            return self.schema.empty_table()
-        touches = [touches for _, touches in rows]
-        images = pa.StructArray.from_arrays(
-            [
-                pa.array([touch.image for each in touches for touch in each], pa.binary()),
-                pa.array([touch.path for each in touches for touch in each], pa.string()),
-            ],
-            fields=list(MEDIA_TYPE),
-        )
-        ends = np.cumsum([0, *map(len, touches)]).astype(np.int32)
-        positions = [np.array([touch.position for touch in each]) for each in touches]
-        poses = [np.array([touch.pose for touch in each]) for each in touches]
-        plain: dict[str, Callable[[], Any]] = {
-            "id": lambda: pa.array([name for name, _ in rows], pa.string()),
-            "label": lambda: pa.array([each[0].label for each in touches], pa.int64()),
-            "object_id": lambda: pa.array([each[0].object_id for each in touches], pa.int64()),
-            "pos_in_cell": lambda: number_lists(positions, self.schema.field("pos_in_cell").type),
-            f"{_POSE}.position": lambda: number_lists(
-                [each[:, :3] for each in poses], self.schema.field(f"{_POSE}.position").type
-            ),
-            f"{_POSE}.quaternion": lambda: number_lists(
-                [each[:, 3:] for each in poses], self.schema.field(f"{_POSE}.quaternion").type
-            ),
-            "sensor_image": lambda: pa.ListArray.from_arrays(pa.array(ends), images),
+        return {
+            **{"label": number, "object_id": object_id, "pos_in_cell": position},
+            **{f"{_POSE}.position": pose[:3], f"{_POSE}.quaternion": pose[3:]},
+            "sensor_image": {"bytes": image, "path": Path(item.name).name},
         }
-        return pa.table([plain[each.name]() for each in self.schema], schema=self.schema)
 
 
 def _text(values: Mapping[str, Any], name: str) -> str:
@@ -613,7 +371,7 @@ def _numbers(values: Mapping[str, Any], names: Sequence[str], count: int, what: 
     try:
         numbers = tuple(float(value) for value in found)
     except (TypeError, ValueError, OverflowError) as error:
-        raise ItemError(what, f"{str(found)[:_LONGEST_SHOWN]}; expected {count} numbers") from error
+        raise ItemError(what, f"{str(found)[:LONGEST_SHOWN]}; expected {count} numbers") from error
     if len(numbers) != count or not np.isfinite(numbers).all():
-        raise ItemError(what, f"{str(found)[:_LONGEST_SHOWN]}; expected {count} finite numbers")
+        raise ItemError(what, f"{str(found)[:LONGEST_SHOWN]}; expected {count} finite numbers")
     return numbers

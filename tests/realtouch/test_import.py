@@ -122,6 +122,19 @@ def test_what_cannot_be_used_is_left_out_and_named(home: Path, tmp_path: Path) -
     assert not (tmp_path / "none").exists()
 
 
+def test_an_image_that_changed_in_place_is_imported_anew(home: Path, tmp_path: Path) -> None:
+    write_table(home, [line(f"pictures/{number}.jpg") for number in range(4)])
+    realtouch.import_images(home, tmp_path / "out", "folder")
+    first, size = home / "pictures" / "0.jpg", (home / "pictures" / "0.jpg").stat().st_size
+    assert (home / "pictures" / "1.jpg").stat().st_size == size
+    first.write_bytes(picture(40))
+    realtouch.import_images(home, tmp_path / "out", "folder")
+    (image,) = realtouch.load(tmp_path / "out", "train")[0].sensor_image
+    assert np.array_equal(image, np.full((24, 32, 3), 40))
+    realtouch.import_images(home, tmp_path / "whole", "folder", workers=2)
+    assert folder_bytes(tmp_path / "out") == folder_bytes(tmp_path / "whole")
+
+
 def test_tables_and_options_that_cannot_be_used(home: Path, tmp_path: Path) -> None:
     def refused(words: str, columns: Any = None, where: Path = home, **options: Any) -> None:
         layout = options.pop("layout", "folder")
