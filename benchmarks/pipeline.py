@@ -31,12 +31,12 @@ from tactile_toolkit.run.limits import limit_threads
 limit_threads()
 
 import numpy as np
+from figures import tell
 
 from mnist3d.generation import GenerateSpec, generate, make_row
 from mnist3d.rows import PARQUET_STYLE, MeshRow, mesh_table
 from mnist3d.solid import SolidSpec, solidify
 from mnist3d.sources.synthetic import SyntheticSource
-from mnist3d.splits import SPLITS
 from tactile_toolkit.mesh.printability import inspect
 from tactile_toolkit.store.parquet import encode_parquet
 
@@ -91,9 +91,12 @@ def report_written(count: int) -> None:
             start_s = time.perf_counter()
             bare_s.append(literal_row(digit_id))
             literal_s.append(time.perf_counter() - start_s)
-    fast, literal, bare = (1000 * statistics.median(values) for values in (fast_s, literal_s, bare_s))
-    print(f"validated mesh, drawn and written, one core: fast {fast:.1f} ms, literal {literal:.0f} ms")
-    print(f"  ratio {literal / fast:.1f} (literal mesh alone, not validated or written: {bare / fast:.1f})")
+    fast, literal, bare = (statistics.median(values) for values in (fast_s, literal_s, bare_s))
+    tell(
+        "digit", "a digit drawn, made, proved a solid and written, one core; the algorithm as printed",
+        fast, "s", other=literal, target="at least 20",
+        note=f"its mesh alone, not proved or written: {bare / fast:.1f} times",
+    )  # fmt: skip
 
 
 def literal_row(digit_id: int) -> float:
@@ -119,7 +122,7 @@ def report_workers(folder: Path) -> None:
             generate(spec, out, ("train",), workers=workers)
             seconds[workers].append(time.perf_counter() - start_s)
     one, two = (statistics.median(seconds[workers]) for workers in (1, 2))
-    print(f"1,200 digits: one worker {one:.1f} s, two workers {two:.1f} s, ratio {one / two:.2f}")
+    tell("workers", "1,200 digits, whole runs: two workers; one", two, "s", other=one, target="at least 1.8")
 
 
 def report_size(folder: Path) -> None:
@@ -133,7 +136,8 @@ def report_size(folder: Path) -> None:
         for group in range(pq.ParquetFile(file).metadata.num_row_groups)
     )
     size = sum(file.stat().st_size for file in files)
-    print(f"Parquet: {size / rows / 1000:.1f} kB per mesh, largest row group {largest / 1e6:.1f} MB unpacked")
+    tell("bytes", "a digit in Parquet", size / rows, "bytes", target="at most 60000")
+    tell("group", "its largest row group, unpacked", largest, "bytes", target="at most 100000000")
 
 
 def report_loading(folder: Path) -> None:
@@ -147,29 +151,27 @@ def report_loading(folder: Path) -> None:
     start_s = time.perf_counter()
     for row in order:
         _ = digits[row].mesh
-    cold_us = (time.perf_counter() - start_s) / len(order) * 1e6
-    ours_us = median_s(partial(load_each, digits, order), 5) / len(order) * 1e6
-    print(
-        f"loading a mesh: first {first_s * 1000:.0f} ms, first pass {cold_us:.0f} us, then {ours_us:.0f} us"
-    )
-    theirs_us = published_us(folder, order[:40])
-    if theirs_us is not None:
-        ratios = f"ratio {theirs_us / ours_us:.0f} (first pass {theirs_us / cold_us:.0f})"
-        print(f"  SimpleMeshDataset {theirs_us:.0f} us, {ratios}")
+    cold_s = (time.perf_counter() - start_s) / len(order)
+    ours_s = median_s(partial(load_each, digits, order), 5) / len(order)
+    theirs_s = published_s(folder, order[:40]) or 0.0
+    tell("first", "the first mesh of a set", first_s, "s")
+    what = "loading a mesh, random order, unpacked before; `SimpleMeshDataset`"
+    tell("load", what, ours_s, "s", other=theirs_s, target="at least 300" if theirs_s else "")
+    tell("cold", "the same, first pass: unpacks Parquet into the cache", cold_s, "s", other=theirs_s)
 
 
-def published_us(folder: Path, order: list[int]) -> float | None:
+def published_s(folder: Path, order: list[int]) -> float | None:
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
             import datasets
             import tactile_mnist
     except ImportError as error:
-        print(f"  not compared with SimpleMeshDataset: {error}")
+        print(f"not compared with SimpleMeshDataset: {error}")
         return None
     theirs = tactile_mnist.SimpleMeshDataset(datasets.load_dataset(str(folder), split="train"))
     _ = theirs[0].mesh
-    return median_s(partial(load_each, theirs, order), 3) / len(order) * 1e6
+    return median_s(partial(load_each, theirs, order), 3) / len(order)
 
 
 def load_each(digits: Sequence[Any], order: list[int]) -> None:
@@ -189,7 +191,14 @@ def report_start() -> None:
         ],
     }
     for what, arguments in commands.items():
-        print(f"{what}: {median_s(partial(run_python, arguments), 7):.2f} s")
+        target = "" if what == "python alone" else "at most 0.5"
+        tell(
+            what.replace(" ", "_"),
+            f"`{what}`",
+            median_s(partial(run_python, arguments), 7),
+            "s",
+            target=target,
+        )
 
 
 def run_python(arguments: list[str]) -> None:
@@ -212,7 +221,8 @@ def report_memory() -> None:
         shutil.rmtree(out)
         if process.returncode:
             sys.exit(f"{what}: the run ended with exit code {process.returncode}")
-        print(f"{what}: {elapsed_s:.0f} s, peak {peak.bytes / 1e6:.0f} MB, {size / 1e6:.0f} MB written")
+        note = f"{elapsed_s:.0f} s, {size / 1e6:.0f} MB written"
+        tell(f"memory_{what}", f"peak of the memory of {what}, two workers", peak.bytes, "bytes", note=note)
 
 
 class Peak:
@@ -251,5 +261,4 @@ def _pss(pid: int) -> int:
 
 
 if __name__ == "__main__":
-    print(f"splits: {', '.join(SPLITS)}; python {sys.version.split()[0]}, {os.cpu_count()} cores")
     main()

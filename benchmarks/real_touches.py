@@ -1,8 +1,7 @@
 """How fast real touches load: ours against the published loader and plain `datasets`, in one run.
 
 Sets in the published schema (256 touches per round) are made in a temporary folder, with noise in all frames
-so that decoding costs what it costs on a real sensor. Each line prints medians, the ratios against both, and
-the ratio against the published loader that is wanted.
+so that decoding costs what it costs on a real sensor. Told are medians.
 
     python benchmarks/real_touches.py [--folder KEPT] [--rounds 6]
 """
@@ -11,6 +10,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import re
 import statistics
 import subprocess
 import sys
@@ -23,12 +23,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from figures import in_words, tell
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 TOUCHES = 256
 DISTINCT_CLIPS = 24
 CLIP_NOISE = 0.8
-IMPORT_TARGET_S = 0.5
 ORDER = np.random.default_rng(0)
 
 
@@ -71,21 +71,11 @@ def median_s(work: Callable[[], Any], repeats: int) -> float:
     return statistics.median(times)
 
 
-def line(what: str, ours_s: float, published_s: float | None, plain_s: float | None, wanted: float) -> None:
-    """Print one line: times and ratios."""
-
-    def cell(seconds: float | None) -> str:
-        if seconds is None:
-            return f"{'-':>12}"
-        return f"{seconds * 1e6:>9.1f} us" if seconds < 0.01 else f"{seconds * 1e3:>9.1f} ms"
-
-    ratio = published_s / ours_s if published_s else float("nan")
-    against_plain = f"{plain_s / ours_s:>8.1f}x" if plain_s else f"{'-':>9}"
-    verdict = "ok" if ratio >= wanted else "MISSED"
-    print(
-        f"{what:<44}{cell(ours_s)}{cell(published_s)}{cell(plain_s)} {ratio:>8.1f}x {against_plain}"
-        f"   wanted {wanted:g}x {verdict}"
-    )
+def line(what: str, ours_s: float, published_s: float, plain_s: float | None, wanted: float = 0) -> None:
+    """Tell a figure beside the published package's and that of `datasets` alone."""
+    note = f"`datasets` alone {in_words(plain_s, 's')}" if plain_s else ""
+    target = f"at least {wanted:g}" if wanted else ""
+    tell(re.sub(r"\W+", "_", what), what, ours_s, "s", other=published_s, target=target, note=note)
 
 
 def draw(*sizes: int) -> list[int]:
@@ -151,7 +141,7 @@ def bench_images(folder: Path, size: str, pass_wanted: float) -> None:
     line(f"full pass {size}, into one batch", batched, theirs, plains, 4 if size == "64x64" else pass_wanted)
     if size != "64x64":
         one, two = (thread_s(folder / f"single-{size}", threads) / TOUCHES for threads in (1, 2))
-        line(f"two threads against one, {size}", two, one, None, 1.7)
+        line(f"two threads, {size}; ours, one thread", two, one, None, 1.7)
 
 
 def bench_clips(folder: Path) -> None:
@@ -231,7 +221,7 @@ def bench_contact(ours: Any, published: Any) -> None:
     theirs = median_s(their_windows, 5)
     for what, threads in (("all 7 frames of each contact (default)", None), ("the same, one thread", 1)):
         record = ours[0]
-        line(what, median_s(partial(record.contact_windows, threads=threads), 9), theirs, None, 5)
+        line(what, median_s(partial(record.contact_windows, threads=threads), 9), theirs, None)
 
 
 def bench_poses(ours: Any, published: Any) -> None:
@@ -334,20 +324,17 @@ def main() -> None:
         folder = options.folder or Path(temporary)
         if not (folder / "seq").is_dir():
             make_sets(folder, options.rounds)
-        print(f"{'':<44}{'ours':>12}{'published':>12}{'datasets':>12} {'ratio':>9} {'datasets':>9}")
         bench_images(folder, "64x64", 3)
         bench_images(folder, "320x240", 1.8)
         bench_clips(folder)
-        ours_s, theirs_s = import_s("realtouch"), import_s("tactile_mnist")
-        verdict = "ok" if ours_s < IMPORT_TARGET_S else "MISSED"
-        print(
-            f"import realtouch {ours_s:.3f} s (wanted below {IMPORT_TARGET_S:g} s, {verdict}), "
-            f"tactile_mnist {theirs_s:.1f} s"
-        )
+        note = f"`import tactile_mnist` {import_s('tactile_mnist'):.1f} s"
+        tell("import", "`import realtouch`", import_s("realtouch"), "s", target="at most 0.5", note=note)
         ours, theirs = (
             memory_mb(folder / "single-320x240", *what) for what in (("ours", 1000), ("theirs", 60))
         )
-        print(f"private memory after 1,000 random touches {ours:.1f} MB; published after 60 {theirs:.0f} MB")
+        what = "memory that 1,000 random touches at 320x240 add"
+        note = f"published, 60 of them: {theirs:,.0f} MB"
+        tell("memory", what, max(ours, 0.0), "MB", target="at most 50", note=note)
 
 
 if __name__ == "__main__":

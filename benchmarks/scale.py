@@ -29,6 +29,8 @@ limit_threads()
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
+from figures import tell
+
 from mnist3d.generation import GenerateSpec, generate, plan_build
 from mnist3d.sources.synthetic import SyntheticSource
 from tactile_toolkit.run import InlineRunner, ProcessRunner, RayRunner, Runner
@@ -69,10 +71,11 @@ def nodes() -> None:
         same = digests(folder / "ray-0") == digests(folder / "processes-0")
     local, ray = (statistics.median(values[1:]) for values in seconds.values())
     ratios = [one / other for one, other in zip(seconds["processes"][1:], seconds["ray"][1:], strict=True)]
-    print(
-        f"600 digits: two processes {local:.1f} s, two Ray nodes {ray:.1f} s, ratio {local / ray:.2f} "
-        f"({min(ratios):.2f} to {max(ratios):.2f}), target 0.9; the same bytes: {same}"
-    )
+    assert same, "the bytes differ"
+    tell(
+        "nodes", "600 digits on two Ray nodes of one core; two local processes, the same bytes", ray, "s",
+        other=local, target="at least 0.9", note=f"{min(ratios):.2f} to {max(ratios):.2f} times",
+    )  # fmt: skip
 
 
 @row
@@ -95,10 +98,8 @@ def overhead() -> None:
                     both[name].append((time.perf_counter() - start_s) / (count - 1))
     here, there = (statistics.median(values[1:]) for values in both.values())
     share = (there - here) / shard_s
-    print(
-        f"a shard of {size} digits {shard_s:.2f} s; Ray adds {1000 * (there - here):.2f} ms: "
-        f"{100 * share:.2f} %, target 2 %"
-    )
+    what = f"what Ray adds to a shard of {size} digits, as a share of {shard_s:.1f} s"
+    tell("overhead", what, 100 * share, "%", target="at most 2")
 
 
 @row
@@ -118,10 +119,9 @@ def again() -> None:
         generate(spec, "s3://lake/digits", ("train",), workers=2)
         elapsed_s = time.perf_counter() - start_s
     read, requests = server.traffic.sent_bytes, server.traffic.requests.total()
-    print(
-        f"a run over a finished set of {size / 1e6:.1f} MB in a store reads {read:,} bytes in {requests} "
-        f"requests, {elapsed_s:.2f} s: {100 * read / size:.2f} %, target 1 %"
-    )
+    what = f"what a run over a finished set of {size / 1e6:.1f} MB in an S3 store reads of it"
+    note = f"{read:,} bytes in {requests} requests, {elapsed_s:.2f} s"
+    tell("again", what, 100 * read / size, "%", target="at most 1", note=note)
 
 
 class Nothing:
@@ -180,5 +180,4 @@ def median_s(work: Callable[[], object], times: int = 5) -> float:
 
 
 if __name__ == "__main__":
-    print(f"python {sys.version.split()[0]}, {os.cpu_count()} cores")
     main()

@@ -23,15 +23,14 @@ import warnings
 from collections.abc import Callable
 from pathlib import Path
 
+from figures import tell
+
 from starstruck_gen import SceneDataset, SceneSpec, load, sample_scenes, stamp
 from starstruck_gen.sampling import require_feasible
 
 __all__ = ["main"]
 
 SCENES = 1_000
-TARGET_RATIO = 10.0
-TARGET_CPU_S = 5.0
-TARGET_BYTES = 1_500
 
 
 def main() -> None:
@@ -47,19 +46,27 @@ def main() -> None:
         work(10)
     # The three take turns, so that other work on the machine weighs on all of them alike.
     rates = [[_scenes_per_s(work) for work in warm] for _ in range(repeats)]
-    published, batched, single = (statistics.median(column) for column in zip(*rates, strict=True))
+    _, batched, single = (statistics.median(column) for column in zip(*rates, strict=True))
     ratio = statistics.median(row[1] / row[0] for row in rates)
     ratio_single = statistics.median(row[2] / row[0] for row in rates)
     cpu_s, size = _written(repeats)
-    print(f"published generator           {published:10,.0f} scenes/s")
-    print(
-        f"ours, in batches              {batched:10,.0f} scenes/s  {ratio:5.1f} x (target {TARGET_RATIO:.0f})"
+    tell(
+        "scene",
+        "the mesh of a scene, in batches",
+        1 / batched,
+        "s",
+        other=ratio / batched,
+        target="at least 10",
     )
-    print(f"ours, one by one, as trimesh  {single:10,.0f} scenes/s  {ratio_single:5.1f} x")
-    print(
-        f"3,300 scenes written          {cpu_s:10.2f} s of processor time (target below {TARGET_CPU_S:.0f} s)"
+    tell("single", "a scene alone, as trimesh", 1 / single, "s", other=ratio_single / single)
+    tell(
+        "written",
+        "3,300 scenes written, with card and picture, processor time",
+        cpu_s,
+        "s",
+        target="at most 5",
     )
-    print(f"Parquet                       {size:10.0f} bytes per scene (target below {TARGET_BYTES:,})")
+    tell("bytes", "a scene in Parquet", size, "bytes", target="at most 1500")
 
 
 def _published(count: int) -> None:

@@ -1,9 +1,8 @@
 """How fast touches are rendered: against the published environment, its renderer, and Taxim on JAX.
 
-Usage: python benchmarks/touches.py DIGITS [SPLIT [PART ...]]
+Usage: python benchmarks/touches.py [PART ...]
 
-One thread, everything warm, processor time, so that a busy machine changes little. DIGITS is a folder that
-``mnist3d generate`` wrote.
+One thread, everything warm, processor time, so that a busy machine changes little.
 """
 
 from __future__ import annotations
@@ -25,9 +24,11 @@ from typing import Any
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 import numpy as np
+from figures import tell
 
 import mnist3d
 import tactile_sim
+from mnist3d.sources.synthetic import SyntheticSource
 from tactile_sim.optics import make_optics
 from tests.tactile_sim.oracle import Oracle
 
@@ -75,14 +76,23 @@ def depth_and_taxim(digits: Any) -> None:
 
         bare_ms = best_ms(bare, TOUCHES)
         depth_m = tactile_sim.press(solids[:16], objects[:16], targets[:16], sensor).depth_m
-        ours_ms = best_ms(lambda s=sensor, d=depth_m: ours.render(d, s, s.size_px), 16)
+        taxim_ms = best_ms(lambda s=sensor, d=depth_m: ours.render(d, s, s.size_px), 16)
         package_ms = best_ms(lambda s=size, d=depth_m: package.render(d, s), 16, 2)
-        print(
-            f"{size[0]}x{size[1]}: depth {depth_ms:.3f} ms a touch, published renderer {bare_ms:.2f} ms "
-            f"({bare_ms / depth_ms:.1f} times); Taxim {ours_ms:.2f} ms, JAX, 16 at once, {package_ms:.1f} ms "
-            f"({package_ms / ours_ms:.1f} times)",
-            flush=True,
-        )
+        name, small = f"{size[0]}x{size[1]}", size[0] == 64
+        for key, what, ours_ms, other_ms, target in (
+            (
+                "depth",
+                "depth of a touch; the renderer of the environments",
+                depth_ms,
+                bare_ms,
+                10 if small else 6,
+            ),
+            ("taxim", "Taxim; the package's, 16 at once on JAX", taxim_ms, package_ms, 5 if small else 25),
+        ):
+            tell(
+                f"{key}_{size[0]}", f"{what}, {name}", ours_ms / 1e3, "s", other=other_ms / 1e3,
+                target=f"at least {target}",
+            )  # fmt: skip
 
 
 def environments(folder: str) -> None:
@@ -105,9 +115,9 @@ def environments(folder: str) -> None:
 
             steps_ms[renderer] = best_ms(step, 15 * count)
             env.close()
-        ratio = steps_ms["opengl"] / steps_ms["fast"]
-        shown = ", ".join(f"{name} {ms:.2f} ms" for name, ms in steps_ms.items())
-        print(f"step of {count} environments, 64x64, each: {shown} ({ratio:.1f} times)", flush=True)
+        what = f"a step of an environment, {count} at once, 64x64; the package's renderer"
+        fast_s, opengl_s = steps_ms["fast"] / 1e3, steps_ms["opengl"] / 1e3
+        tell(f"step_{count}", what, fast_s, "s", other=opengl_s, target="at least 5")
 
 
 def sets(folder: str, split: str) -> None:
@@ -117,18 +127,17 @@ def sets(folder: str, split: str) -> None:
         spec = tactile_sim.GenerateSpec(size, "depth", plan=plan, limit=limit)
         written_ms(folder, split, dataclasses.replace(spec, limit=1), 1)
         taken_ms = written_ms(folder, split, spec, 1) / (limit * plan.rounds * TOUCHES)
-        print(f"writing a set, {size[0]}x{size[1]}: {taken_ms:.2f} ms a touch, all included", flush=True)
+        what = f"a touch of a set written, {size[0]}x{size[1]}, all included"
+        target = "at most 0.0005" if size[0] == 64 else "at most 0.008"
+        tell(f"written_{size[0]}", what, taken_ms / 1e3, "s", target=target)
 
 
 def workers(folder: str, split: str) -> None:
     """Compare the work of two workers with that of one: on a busy machine the clock says nothing."""
     spec = tactile_sim.GenerateSpec((64, 64), "depth", plan=tactile_sim.TouchPlan(64, 64), limit=20)
     one_ms, two_ms = (written_ms(folder, split, spec, count) for count in (1, 2))
-    print(
-        f"two workers: {two_ms / one_ms:.2f} times the processor time of one, so at most "
-        f"{2 * one_ms / two_ms:.2f} times as many touches with a core for each",
-        flush=True,
-    )
+    what = "touches that two workers make with a core for each, by their processor time; one makes 1"
+    tell("workers", what, 2 * one_ms / two_ms, "times", target="at least 1.8")
 
 
 def written_ms(folder: str, split: str, spec: tactile_sim.GenerateSpec, workers: int) -> float:
@@ -141,17 +150,17 @@ def written_ms(folder: str, split: str, spec: tactile_sim.GenerateSpec, workers:
 
 
 def main() -> None:
-    folder, split = sys.argv[1], (sys.argv[2:] or ["test"])[0]
-    digits = mnist3d.load(folder, split)
-    parts = sys.argv[3:] or ["depth", "environments", "sets", "workers"]
-    if "depth" in parts:
-        depth_and_taxim(digits)
-    if "environments" in parts:
-        environments(folder)
-    if "sets" in parts:
-        sets(folder, split)
-    if "workers" in parts:
-        workers(folder, split)
+    parts = sys.argv[1:] or ["depth", "environments", "sets", "workers"]
+    with tempfile.TemporaryDirectory() as folder:
+        mnist3d.generate(mnist3d.GenerateSpec(SyntheticSource(), per_class=4), folder, ["test"])
+        if "depth" in parts:
+            depth_and_taxim(mnist3d.load(folder, "test"))
+        if "environments" in parts:
+            environments(folder)
+        if "sets" in parts:
+            sets(folder, "test")
+        if "workers" in parts:
+            workers(folder, "test")
 
 
 if __name__ == "__main__":

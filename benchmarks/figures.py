@@ -1,0 +1,256 @@
+"""The figures that the benchmarks tell: kept with date, machine and versions, written into the documents.
+
+A benchmark calls :func:`tell` for each figure. ``benchmarks/run`` runs the benchmarks, keeps what they tell
+in ``results.json`` and writes the tables between ``<!-- figures: NAME -->`` and ``<!-- end -->`` in README.md
+and benchmarks/README.md. A table whose code has changed since it was measured says so.
+"""
+
+from __future__ import annotations
+
+import argparse
+import ast
+import datetime
+import hashlib
+import json
+import os
+import platform
+import re
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Iterator, Mapping
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from typing import Any, NamedTuple
+
+ROOT = Path(__file__).resolve().parents[1]
+RESULTS = ROOT / "benchmarks" / "results.json"
+DOCUMENTS = (ROOT / "README.md", ROOT / "benchmarks" / "README.md")
+FIGURES_FILE = "BENCHMARK_FIGURES"
+LIBRARIES = ("numpy", "pyarrow", "scikit-image", "manifold3d", "trimesh", "datasets", "tactile-mnist", "ray")
+
+
+_PLACE = re.compile(r"\{([^}]+)\}")
+_UNITS = {
+    "s": ((1.0, "s"), (1e-3, "ms"), (1e-6, "µs")),
+    "bytes": ((1e9, "GB"), (1e6, "MB"), (1e3, "kB"), (1.0, "bytes")),
+}
+
+
+class Benchmark(NamedTuple):
+    """How a script is called, and what of the toolkit its figures are of."""
+
+    code: tuple[str, ...]
+    arguments: tuple[str, ...] = ()
+
+
+_STORE = ("tactile_toolkit/store", "tactile_toolkit/run")
+_READ = ("tactile_toolkit/read", "tactile_toolkit/cache.py")
+_DIGIT = (
+    "mnist3d/solid.py",
+    "mnist3d/steps.py",
+    "mnist3d/lattice.py",
+    "mnist3d/rows.py",
+    "mnist3d/generation.py",
+)
+BENCHMARKS = {
+    "pipeline": Benchmark((*_DIGIT, "mnist3d/sources", "tactile_toolkit/mesh", *_STORE, *_READ)),
+    "starstruck": Benchmark(("starstruck_gen", *_STORE)),
+    "real_touches": Benchmark(
+        ("realtouch/media", "realtouch/columns", "realtouch/touches.py", "tactile_toolkit/touch", *_READ)
+    ),
+    "exchange": Benchmark(("realtouch/exchange", "realtouch/convert", "tactile_toolkit/touch", *_STORE)),
+    "height_maps": Benchmark(("tactile_toolkit/mesh/height_map.py", "tactile_toolkit/mesh/raster.py")),
+    "env_adapter": Benchmark(("env_assets/published", "env_assets/provider.py", *_READ)),
+    "touches": Benchmark(("tactile_sim", "env_assets/published/fast.py")),
+    "training_order": Benchmark(("realtouch/torch.py", "tactile_toolkit/touch", *_READ)),
+    "large_sets": Benchmark(("mnist3d/splits.py", "mnist3d/generation.py", *_STORE, *_READ)),
+    "scale": Benchmark((*_STORE, "mnist3d/generation.py")),
+}
+
+SHOWN = (
+    ("a digit drawn, made, proved a solid and written", "{pipeline.digit} a core, {pipeline.bytes}",
+     "the algorithm as printed: {pipeline.digit:ratio} slower"),
+    ("loading a mesh in random order", "{pipeline.load}",
+     "`tactile_mnist.SimpleMeshDataset`: {pipeline.load:ratio} slower"),
+    ("making a Starstruck scene", "{starstruck.scene}, {starstruck.bytes}",
+     "the published generator: {starstruck.scene:ratio} slower"),
+    ("one random real touch, 64x64", "{real_touches.random_touch_64x64}",
+     "`tactile_mnist`: {real_touches.random_touch_64x64:ratio} slower"),
+    ("one random real touch, 320x240", "{real_touches.random_touch_320x240}",
+     "`tactile_mnist`: {real_touches.random_touch_320x240:ratio} slower"),
+    ("a mesh for an environment", "{env_adapter.fetch}",
+     "`tactile_mnist.SimpleMeshDataset`: {env_adapter.fetch:ratio} slower"),
+    ("a synthetic touch of a digit, depth, 64x64", "{touches.depth_64}",
+     "the renderer of the environments: {touches.depth_64:ratio} slower"),
+)  # fmt: skip
+"""The table of README.md: what, measured, compared with; figures by their names."""
+
+
+def tell(
+    name: str,
+    what: str,
+    value: float,
+    unit: str = "",
+    *,
+    other: float = 0.0,
+    target: str = "",
+    note: str = "",
+) -> None:
+    """Print a figure and keep it for ``benchmarks/run``.
+
+    ``name`` is what README.md finds it by. ``unit`` is ``"s"``, ``"bytes"``, or what stands after the number.
+    ``other`` is what it is compared with, in the same unit. ``target`` is ``"at least 20"`` or
+    ``"at most 0.5"``: of other / value where there is another, else of the value.
+    """
+    figure: dict[str, Any] = {"name": name, "what": what, "value": float(f"{value:.4g}"), "unit": unit}
+    if other:
+        figure |= {"other": float(f"{other:.4g}"), "ratio": float(f"{other / value:.4g}")}
+    figure |= {key: text for key, text in (("target", target), ("note", note)) if text}
+    print(" | ".join(_cells(figure)).replace("**", ""), flush=True)
+    kept = os.environ.get(FIGURES_FILE)
+    if kept:
+        with Path(kept).open("a") as file:
+            file.write(json.dumps(figure) + "\n")
+
+
+def in_words(value: float, unit: str) -> str:
+    """Write a figure with a unit that suits its size."""
+    steps = _UNITS.get(unit, ((1, unit),))
+    scale, unit = next((step for step in steps if abs(value) >= step[0]), steps[-1])
+    shown = value / scale
+    return f"{shown:,.0f} {unit}".strip() if abs(shown) >= 100 else f"{shown:.3g} {unit}".strip()
+
+
+def is_met(figure: Mapping[str, Any]) -> bool:
+    """Tell whether a figure reaches its target; one without a target does."""
+    found = re.fullmatch(r"at (least|most) ([\d.]+)", figure.get("target", "at most inf"))
+    if found is None:
+        return True
+    value, bound = figure.get("ratio", figure["value"]), float(found[2])
+    return bool(value >= bound if found[1] == "least" else value <= bound)
+
+
+def fingerprint(paths: tuple[str, ...]) -> str:
+    """Return the SHA-256 of code without its comments and docstrings."""
+    digest = hashlib.sha256()
+    for path in paths:
+        for file in sorted((ROOT / path).rglob("*.py")) or [ROOT / path]:
+            tree = ast.parse(file.read_text(encoding="utf-8"))
+            for node in ast.walk(tree):
+                body = getattr(node, "body", None)
+                if isinstance(body, list):
+                    node.body = [each for each in body if not _is_text(each)]  # type: ignore[attr-defined]
+            digest.update(ast.dump(tree).encode())
+    return digest.hexdigest()
+
+
+def _is_text(node: ast.AST) -> bool:
+    return isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant)
+
+
+def measured(name: str, figures: list[dict[str, Any]], taken_s: float) -> dict[str, Any]:
+    """Say of figures when, where, with which versions, and of which code they were taken."""
+    versions = {}
+    for library in LIBRARIES:
+        try:
+            versions[library] = version(library)
+        except PackageNotFoundError:
+            continue
+    return {
+        "date": datetime.datetime.now(datetime.UTC).date().isoformat(),
+        "machine": f"{os.cpu_count()} cores ({_processor()}), {platform.system()}",
+        "versions": {"python": platform.python_version(), **versions},
+        "minutes": round(taken_s / 60, 1),
+        "load": round(os.getloadavg()[0], 1),
+        "code": fingerprint(BENCHMARKS[name].code),
+        "figures": figures,
+    }
+
+
+def _processor() -> str:
+    try:
+        lines = Path("/proc/cpuinfo").read_text().splitlines()
+    except OSError:
+        return platform.machine()
+    return next((line.split(": ")[1] for line in lines if line.startswith("model name")), platform.machine())
+
+
+def tables(results: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
+    """Yield the name and text of each table."""
+    for name, result in results.items():
+        rows = ["| what | measured | compared with | target |", "| --- | --- | --- | --- |"]
+        rows += [f"| {' | '.join(_cells(figure))} |" for figure in result["figures"]]
+        python, *others = (f"{library} {number}" for library, number in result["versions"].items())
+        aged = (
+            "" if fingerprint(BENCHMARKS[name].code) == result["code"] else " **The code has changed since.**"
+        )
+        rows += ["", f"Taken on {result['date']}, {result['machine']}, {python}, {', '.join(others)}.{aged}"]
+        yield name, "\n".join(rows)
+    by_name = {
+        f"{name}.{each['name']}": each for name, result in results.items() for each in result["figures"]
+    }
+    rows = ["| what | measured | compared with |", "| --- | --- | --- |"]
+    for cells in SHOWN:
+        if all(each.removesuffix(":ratio") in by_name for each in _PLACE.findall("".join(cells))):
+            rows.append(f"| {' | '.join(_filled(cell, by_name) for cell in cells)} |")
+    yield "shown", "\n".join(rows)
+
+
+def _filled(cell: str, figures: Mapping[str, Any]) -> str:
+    def words(found: re.Match[str]) -> str:
+        figure = figures[found[1].removesuffix(":ratio")]
+        return _times(figure) if found[1].endswith(":ratio") else in_words(figure["value"], figure["unit"])
+
+    return _PLACE.sub(words, cell)
+
+
+def _times(figure: Mapping[str, Any]) -> str:
+    return in_words(figure["ratio"], "times")
+
+
+def _cells(figure: Mapping[str, Any]) -> tuple[str, str, str, str]:
+    other = f"{in_words(figure['other'], figure['unit'])}: **{_times(figure)}**" if "other" in figure else ""
+    beside = "; ".join(text for text in (other, figure.get("note", "")) if text)
+    ours = in_words(figure["value"], figure["unit"])
+    target = figure.get("target", "") + ("" if is_met(figure) else ": **missed**")
+    return figure["what"], ours if other else f"**{ours}**", beside, target
+
+
+def written(text: str, results: Mapping[str, Any]) -> str:
+    """Return a document with its tables as they are to be."""
+    for name, table in tables(results):
+        block = re.compile(rf"(<!-- figures: {name} -->\n).*?(<!-- end -->)", re.DOTALL)
+        text = block.sub(lambda found, table=table: f"{found[1]}\n{table}\n\n{found[2]}", text)  # type: ignore[misc]
+    return text
+
+
+def main() -> None:
+    """Run benchmarks one after another, keep their figures and write the tables."""
+    parser = argparse.ArgumentParser(prog="benchmarks/run", description=main.__doc__)
+    parser.add_argument("names", nargs="*", metavar="NAME", help=f"all by default: {', '.join(BENCHMARKS)}")
+    parser.add_argument("--write", action="store_true", help="only write the tables again")
+    options = parser.parse_args()
+    unknown = set(options.names) - set(BENCHMARKS)
+    if unknown:
+        parser.error(f"unknown: {', '.join(sorted(unknown))}; expected {', '.join(BENCHMARKS)}")
+    results = json.loads(RESULTS.read_text()) if RESULTS.exists() else {}
+    failed = []
+    for name in () if options.write else options.names or BENCHMARKS:
+        started_s = time.monotonic()
+        with tempfile.TemporaryDirectory() as folder:
+            kept = Path(folder) / "figures.jsonl"
+            command = [sys.executable, str(ROOT / "benchmarks" / f"{name}.py"), *BENCHMARKS[name].arguments]
+            code = subprocess.run(command, env=os.environ | {FIGURES_FILE: str(kept)}, check=False).returncode
+            told = kept.read_text().splitlines() if kept.exists() else []
+        if code or not told:
+            failed.append(name)  # its figures stay those of before
+            continue
+        results[name] = measured(name, list(map(json.loads, told)), time.monotonic() - started_s)
+        ordered = {each: results[each] for each in BENCHMARKS if each in results}
+        RESULTS.write_text(json.dumps(ordered, indent=1, ensure_ascii=False) + "\n")
+    for document in DOCUMENTS:
+        document.write_text(written(document.read_text(encoding="utf-8"), results), encoding="utf-8")
+    if failed:
+        sys.exit(f"not measured: {', '.join(failed)}; what they said is above")

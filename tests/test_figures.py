@@ -1,0 +1,75 @@
+"""Figures in the documents are those that benchmarks told, and say so when their code has changed since."""
+
+from __future__ import annotations
+
+import json
+import sys
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[1]
+sys.path.insert(0, str(ROOT / "benchmarks"))
+import figures  # noqa: E402
+
+
+def results() -> dict[str, Any]:
+    found: dict[str, Any] = json.loads(figures.RESULTS.read_text(encoding="utf-8"))
+    return found
+
+
+@pytest.mark.parametrize("document", figures.DOCUMENTS, ids=lambda path: path.parent.name)
+def test_tables_are_written_by_the_script(document: Path) -> None:
+    """Nobody edits a figure by hand; ``benchmarks/run --write`` marks what is older than its code."""
+    text = document.read_text(encoding="utf-8")
+    assert text == figures.written(text, results()), "next: run benchmarks/run --write"
+
+
+def test_every_table_has_its_place() -> None:
+    text = "".join(document.read_text(encoding="utf-8") for document in figures.DOCUMENTS)
+    for name in (*figures.BENCHMARKS, "shown"):
+        assert f"<!-- figures: {name} -->" in text
+    for name, _ in figures.tables(results()):
+        assert name == "shown" or name in figures.BENCHMARKS
+
+
+def test_code_changes_mark_and_comments_do_not(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(figures, "ROOT", tmp_path)
+    code = tmp_path / "code.py"
+    code.write_text('"""Text."""\n\ndef f():\n    """More."""\n    return 1\n')
+    before = figures.fingerprint(("code.py",))
+    code.write_text("def f():\n    # why\n    return 1\n")
+    assert figures.fingerprint(("code.py",)) == before
+    code.write_text("def f():\n    return 2\n")
+    assert figures.fingerprint(("code.py",)) != before
+
+
+@pytest.mark.parametrize(
+    ("value", "unit", "words"),
+    [
+        (0.0000299, "s", "29.9 µs"),
+        (0.03274, "s", "32.7 ms"),
+        (14.2, "s", "14.2 s"),
+        (713, "bytes", "713 bytes"),
+        (53_200, "bytes", "53.2 kB"),
+        (1001.4, "times", "1,001 times"),
+        (0.5, "%", "0.5 %"),
+    ],
+)
+def test_units_suit_their_size(value: float, unit: str, words: str) -> None:
+    assert figures.in_words(value, unit) == words
+
+
+@pytest.mark.parametrize(
+    ("figure", "met"),
+    [
+        ({"value": 3.0, "target": "at most 5"}, True),
+        ({"value": 6.0, "target": "at most 5"}, False),
+        ({"value": 1e-5, "ratio": 29.0, "target": "at least 30"}, False),
+        ({"value": 1e-5, "ratio": 30.0, "target": "at least 30"}, True),
+        ({"value": 1.0}, True),
+    ],
+)
+def test_targets_are_of_the_ratio_where_there_is_one(figure: dict[str, Any], met: bool) -> None:
+    assert figures.is_met(figure) is met
