@@ -29,6 +29,14 @@ if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
 _EXTRAS = ("browser", "env", "lerobot", "pictures", "ray", "s3", "sim", "simulators", "slicer", "torch")
 
 
+_LONG = ("test_readme.py", "test_ray.py", "test_damage.py")
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Begin with the tests of a minute or more: as the last ones they would keep one core waiting."""
+    items.sort(key=lambda item: item.path.name not in _LONG)
+
+
 @pytest.fixture(autouse=True)
 def _own_cache(tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest.MonkeyPatch) -> None:
     cache = tmp_path_factory.mktemp("cache")
