@@ -25,6 +25,7 @@ __all__ = [
     "Revision",
     "RunnerName",
     "Seed",
+    "OneSplit",
     "Split",
     "TouchSet",
     "Work",
@@ -98,6 +99,9 @@ LocalOut = Annotated[
 ]
 Split = Annotated[
     str | None, typer.Option("--split", metavar="NAME", help="Only this split; all by default.")
+]
+OneSplit = Annotated[
+    str | None, typer.Option("--split", metavar="NAME", help="Split to open; needed where there are several.")
 ]
 TouchSet = Annotated[
     str, typer.Argument(metavar="NAME|DIR", help="Short name (real-single-64x64), Hub id, folder or file.")

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from cli.options import Revision, Split, TouchSet, local_place
+from cli.options import OneSplit, Revision, Split, TouchSet, local_place
 from cli.output import Sink, bytes_text
 
 if TYPE_CHECKING:
@@ -157,7 +157,7 @@ def preview_touches(
             "cell, a clip as a strip, the drift of the gel over all rounds.",
         ),
     ] = None,
-    split: Annotated[str, typer.Option("--split", metavar="NAME", help="Split to open.")] = "train",
+    split: OneSplit = None,
     row: Annotated[int, typer.Option("--round", min=0, metavar="N", help="Which round.")] = 0,
     touches: Annotated[int, typer.Option(min=1, metavar="N", help="How many touches a grid shows.")] = 32,
     touch: Annotated[int, typer.Option(min=0, metavar="N", help="Which touch a strip shows.")] = 0,

@@ -11,7 +11,7 @@ from cli.folders import add_card, print_unfinished
 from cli.gallery_commands import add_touch_gallery
 from cli.hub_download import add_download
 from cli.hub_upload import add_upload
-from cli.options import Json, ReaderThreads, Revision, Split, TouchSet, process_count
+from cli.options import Json, OneSplit, ReaderThreads, Revision, Split, TouchSet, process_count
 from cli.output import Sink, counted
 from cli.preview_commands import preview_touches
 from cli.touch_conversions import add_conversions
@@ -30,7 +30,7 @@ app = new_app("realtouch", "Real touches: load, check, filter and convert the re
 def load(
     *,
     name: TouchSet,
-    split: Annotated[str, typer.Option("--split", metavar="NAME", help="Split to open.")] = "train",
+    split: OneSplit = None,
     revision: Revision = None,
     check: Annotated[bool, typer.Option(help="Check every round and the headers of its pictures.")] = True,
     sink: Sink,
@@ -46,9 +46,11 @@ def load(
     if check:
         raise_findings(sink, _verified(sink, name, split, revision, quick=True), name)
     summary = summarise(dataset)
-    sink.document({"name": name, "split": split, "checked": check, **summary.to_dict()})
-    print_summary(sink, split, summary)
-    sink.line(f"next in Python: realtouch.load({name!r}, {split!r}).touches()")
+    opened = split or " and ".join(dataset.splits)
+    sink.document({"name": name, "split": opened, "checked": check, **summary.to_dict()})
+    print_summary(sink, opened, summary)
+    arguments = ", ".join(map(repr, filter(None, (name, opened))))
+    sink.line(f"next in Python: realtouch.load({arguments}).touches()")
 
 
 @command(app)

@@ -66,7 +66,7 @@ class TouchPreviewSpec:
     """Which pictures of touches to draw; the grid where no kind is asked for."""
 
     kinds: tuple[str, ...] = ()
-    split: str = "train"
+    split: str | None = None  # the only one
     round_number: int = 0  # which round of the split, from 0
     touches: int = 32  # of a grid, evenly spaced over the round
     touch: int = 0  # which touch of the round is drawn as a strip, from 0
@@ -81,15 +81,16 @@ def plan_previews(name: str, spec: TouchPreviewSpec) -> PicturePlan:
     matplotlib. IntegrityError and HubError as :func:`realtouch.load`.
     """
     dataset = load(name, spec.split, revision=spec.revision)
+    split = spec.split or "-".join(dataset.splits)
     if not len(dataset):
-        message = f"split {spec.split!r} of {name!r} holds no round; next: choose another split"
+        message = f"split {split!r} of {name!r} holds no round; next: choose another split"
         raise InputError(message)
     number = spec.round_number
     if not 0 <= number < len(dataset):
-        message = f"--round is {number}; split {spec.split!r} has rounds 0 to {len(dataset) - 1}"
+        message = f"--round is {number}; split {split!r} has rounds 0 to {len(dataset) - 1}"
         raise InputError(message)
     record = dataset[number]
-    stem = f"{file_stem(name)}-{spec.split}"
+    stem = "-".join(filter(None, (file_stem(name), split)))
     of_round = f"{stem}-round-{number}"
     plans = {
         "grid": lambda: [

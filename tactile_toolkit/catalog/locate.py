@@ -200,7 +200,8 @@ def _split_of(known: Sequence[str], split: str | None, name: str) -> str:
     if further:
         listed = ", ".join([only, *further])
         message = (
-            f"{_shown(name)} has the splits {listed}; expected one of them; next: name it, split={only!r}"
+            f"{_shown(name)} has the splits {listed}; expected one of them; next: say which, split={only!r} "
+            f"(in a shell --split {only})"
         )
         raise InputError(message)
     return only

@@ -415,6 +415,11 @@ class RecordDataset(LazySequence[T]):
         return with_origins(counted(len(self), type(self).things), self._tables)
 
     @property
+    def splits(self) -> tuple[str, ...]:
+        """Splits that the rows are of, as the names of their files tell them."""
+        return tuple(dict.fromkeys(split for table in self._tables for _, split in table.origins if split))
+
+    @property
     def _types(self) -> dict[str, Any]:
         """Arrow type of each column that all parts store alike, by dotted name; structs are left out."""
         import pyarrow as pa

@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import os
 import re
 import shutil
-import sys
 from pathlib import Path
 
 import datasets
@@ -15,27 +13,12 @@ from huggingface_hub import DatasetCard
 import realtouch
 from tactile_toolkit.cards.checks import check_card
 from tactile_toolkit.store.folder import DataFolder
+from tests.command_line import call
 from tests.realtouch import factories
 from tests.realtouch.factories import Layout
 from tests.tactile_toolkit.toy import folder_bytes
 
 KINDS = ("mnist3d", "starstruck", "single", "seq", "synthetic", "frames")
-
-
-def call(command: str, *arguments: object) -> int:
-    """Run a command line in this process and return its exit code."""
-    from importlib import import_module
-
-    before = sys.argv
-    sys.argv = [command, *map(str, arguments)]
-    try:
-        import_module(f"cli.{command.replace('-', '_')}").main()
-    except SystemExit as leave:
-        return int(leave.code or 0)
-    finally:
-        sys.argv = before
-        os.environ.pop("TACTILE_TOOLKIT_DEBUG", None)
-    return 0
 
 
 def command_of(kind: str) -> str:

@@ -4,9 +4,7 @@ from __future__ import annotations
 
 import csv
 import json
-import os
-import sys
-from importlib import import_module
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -14,22 +12,10 @@ import pytest
 
 from tactile_toolkit.mesh.files import read_mesh
 from tactile_toolkit.mesh.solid_check import check_manifold
+from tests import command_line
 from tests.tactile_toolkit.toy import folder_bytes
 
-
-def call(*arguments: object, program: str = "mnist3d") -> int:
-    """Run the command line in this process and return its exit code."""
-    main = import_module(f"cli.{program}").main
-    before = sys.argv
-    sys.argv = [program, *map(str, arguments)]
-    try:
-        main()
-    except SystemExit as leave:
-        return int(leave.code or 0)
-    finally:
-        sys.argv = before
-        os.environ.pop("TACTILE_TOOLKIT_DEBUG", None)
-    return 0
+call = partial(command_line.call, "mnist3d")
 
 
 @pytest.fixture(scope="module")
@@ -218,12 +204,12 @@ def test_what_is_no_solid_is_named_and_the_rest_is_written(
 
 def test_starstruck_exports_alike(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     options = ("--scenes", "test=2,train=0", "--split", "test", "--workers", "1", "--quiet")
-    assert call("generate", *options, "--out", tmp_path / "scenes", program="starstruck") == 0
+    assert command_line.call("starstruck", "generate", *options, "--out", tmp_path / "scenes") == 0
     out = tmp_path / "out"
-    assert call("export", tmp_path / "scenes", "--out", out, program="starstruck") == 0
+    assert command_line.call("starstruck", "export", tmp_path / "scenes", "--out", out) == 0
     files = sorted(out.iterdir())
     assert [path.name for path in files] == ["test-1-1000000000.stl", "test-2-1000000001.stl"]
     assert all(check_manifold(read_mesh(path)).problem is None for path in files)
     plate = ("--plate", "130x250", "--out", tmp_path / "plates")
-    assert call("export", tmp_path / "scenes", *plate, program="starstruck") == 0
+    assert command_line.call("starstruck", "export", tmp_path / "scenes", *plate) == 0
     assert "wrote 2 objects" in capsys.readouterr().out

@@ -1,6 +1,5 @@
 from __future__ import annotations
 
-import importlib
 import json
 import os
 import signal
@@ -12,25 +11,11 @@ from pathlib import Path
 import pytest
 
 from tactile_toolkit.wording import counted
+from tests.command_line import call
 from tests.realtouch import factories
 from tests.tactile_toolkit.toy import folder_bytes
 
 DIGITS = ("--split", "test", "--per-class", "1", "--vertices", "600", "--workers", "1", "--quiet")
-
-
-def call(program: str, *arguments: object) -> int:
-    """Run a command line in this process and return its exit code."""
-    main = importlib.import_module(f"cli.{program}").main
-    before = sys.argv
-    sys.argv = [program, *map(str, arguments)]
-    try:
-        main()
-    except SystemExit as leave:
-        return int(leave.code or 0)
-    finally:
-        sys.argv = before
-        os.environ.pop("TACTILE_TOOLKIT_DEBUG", None)
-    return 0
 
 
 @pytest.fixture(scope="module")

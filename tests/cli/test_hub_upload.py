@@ -15,6 +15,7 @@ import pytest
 
 import realtouch
 from starstruck_gen.generation import GenerateSpec, generate
+from tests.command_line import call
 from tests.hub_server import HubServer, hub
 from tests.processes import PATIENCE_S
 from tests.realtouch import factories
@@ -26,22 +27,6 @@ NAME = "someone/stars"
 pytestmark = pytest.mark.filterwarnings(
     "ignore:Use 'content=<...>':DeprecationWarning"  # of the client's own making, in every PUT
 )
-
-
-def call(command: str, *arguments: object) -> int:
-    """Run a command line in this process and return its exit code."""
-    from importlib import import_module
-
-    before = sys.argv
-    sys.argv = [command, *map(str, arguments)]
-    try:
-        import_module(f"cli.{command}").main()
-    except SystemExit as leave:
-        return int(leave.code or 0)
-    finally:
-        sys.argv = before
-        os.environ.pop("TACTILE_TOOLKIT_DEBUG", None)
-    return 0
 
 
 def run(command: str, *arguments: object, environment: dict[str, str]) -> subprocess.CompletedProcess[str]:

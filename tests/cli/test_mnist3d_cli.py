@@ -1,9 +1,9 @@
 from __future__ import annotations
 
 import json
-import os
 import subprocess
 import sys
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -11,25 +11,13 @@ import pytest
 from PIL import Image
 
 import mnist3d
+from tests import command_line
 from tests.tactile_toolkit.toy import folder_bytes
 
 SMALL = ("--split", "test", "--per-class", "1", "--vertices", "600", "--workers", "1")
 
 
-def call(*arguments: object) -> int:
-    """Run the command line in this process and return its exit code."""
-    from cli.mnist3d import main
-
-    before = sys.argv
-    sys.argv = ["mnist3d", *map(str, arguments)]
-    try:
-        main()
-    except SystemExit as leave:
-        return int(leave.code or 0)
-    finally:
-        sys.argv = before
-        os.environ.pop("TACTILE_TOOLKIT_DEBUG", None)
-    return 0
+call = partial(command_line.call, "mnist3d")
 
 
 @pytest.fixture(scope="module")

@@ -9,16 +9,17 @@ import signal
 import subprocess
 import sys
 from collections.abc import Callable, Iterable, Iterator
+from functools import partial
 from pathlib import Path
 
 import pytest
 
-from cli.starstruck import main
 from realtouch import frames
 from tactile_toolkit.errors import InputError, IntegrityError
 from tactile_toolkit.run.parts import Finish, Part
 from tactile_toolkit.store.build import build
 from tactile_toolkit.store.folder import DataFolder
+from tests import command_line
 from tests.processes import start_held
 from tests.realtouch.factories import make_round, single_rows, write_set
 from tests.tactile_toolkit.toy import folder_bytes, toy_plan
@@ -43,16 +44,7 @@ def ended(process: subprocess.Popen[str]) -> tuple[int, str, str]:
     return process.returncode, said, talked
 
 
-def given(*words: object) -> int:
-    """Give a command in this process, where its being one is not the point; return its exit code."""
-    before, sys.argv = sys.argv, ["starstruck", *map(str, words)]
-    try:
-        main()
-    except SystemExit as leave:
-        return int(leave.code or 0)
-    finally:
-        sys.argv = before
-    return 0
+given = partial(command_line.call, "starstruck")
 
 
 @pytest.fixture(scope="module")

@@ -1,31 +1,18 @@
 from __future__ import annotations
 
 import json
-import os
 import subprocess
 import sys
+from functools import partial
 from pathlib import Path
 
 import pytest
 
 import realtouch
+from tests import command_line
 from tests.realtouch import factories
 
-
-def call(*arguments: object) -> int:
-    """Run the command line in this process and return its exit code."""
-    from cli.realtouch import main
-
-    before = sys.argv
-    sys.argv = ["realtouch", *map(str, arguments)]
-    try:
-        main()
-    except SystemExit as leave:
-        return int(leave.code or 0)
-    finally:
-        sys.argv = before
-        os.environ.pop("TACTILE_TOOLKIT_DEBUG", None)
-    return 0
+call = partial(command_line.call, "realtouch")
 
 
 @pytest.fixture(scope="module")
@@ -39,6 +26,23 @@ def images(tmp_path_factory: pytest.TempPathFactory) -> Path:
     rows = factories.single_rows([factories.make_round(index, 3, (64, 48)) for index in range(3)])
     folder = tmp_path_factory.mktemp("images")
     return factories.write_set(folder, {"train": rows[:2], "test": rows[2:]}, "single")
+
+
+def test_the_only_split_is_opened_and_another_kind_is_named(clips, tmp_path, capsys):
+    rows = factories.single_rows([factories.make_round(0, 3, (64, 48))])
+    only = factories.write_set(tmp_path / "only", {"test": rows}, "single")
+    assert call("load", only) == 0
+    assert capsys.readouterr().out.endswith(
+        f"next in Python: realtouch.load({str(only)!r}, 'test').touches()\n"
+    )
+    assert call("load", clips) == 2
+    assert "has the splits" in (said := capsys.readouterr().err)
+    assert "--split" in said
+    scenes = tmp_path / "scenes"
+    made = ("generate", "--scenes", "test=2,train=0", "--split", "test", "-w", 1, "-q", "--out", scenes)
+    assert command_line.call("starstruck", *made) == 0
+    assert call("load", scenes) == 2
+    assert "is not a data set of touches" in capsys.readouterr().err
 
 
 def test_load_checks_and_prints_what_there_is(clips, capsys):
@@ -181,9 +185,9 @@ def test_verify_names_all_damage_and_leaves_with_3(images, tmp_path, capsys):
 
 
 def test_preview_writes_a_picture(clips, tmp_path, capsys):
-    assert call("preview", clips, "--round", 1, "--out", tmp_path / "sheet.png") == 0
+    assert call("preview", clips, "--split", "train", "--round", 1, "--out", tmp_path / "sheet.png") == 0
     assert (tmp_path / "sheet.png").read_bytes().startswith(b"\x89PNG")
-    assert call("preview", clips, "--round", 9) == 2
+    assert call("preview", clips, "--split", "train", "--round", 9) == 2
     assert "rounds 0 to 1" in capsys.readouterr().err
 
 

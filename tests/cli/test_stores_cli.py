@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 import json
-import os
-import sys
-from importlib import import_module
 
 import numpy as np
 import pytest
 
 from tactile_toolkit.store.folder import DataFolder
+from tests.command_line import call
 from tests.hub_server import hub
 from tests.tactile_toolkit.exchange.upload_client import logged_in
 from tests.tactile_toolkit.toy import folder_bytes
@@ -28,21 +26,6 @@ from tests.s3_fixtures import bucket, new_clients, s3, s3_server  # noqa: E402, 
 from tests.s3_server import KEY, SECRET  # noqa: E402
 
 SCENES = ("generate", "--scenes", "train=6,test=3", "--stars", "1", "--workers", "1", "--quiet")
-
-
-def call(program: str, *arguments: object) -> int:
-    """Run a command line in this process and return its exit code."""
-    main = import_module(f"cli.{program}").main
-    before = sys.argv
-    sys.argv = [program, *map(str, arguments)]
-    try:
-        main()
-    except SystemExit as leave:
-        return int(leave.code or 0)
-    finally:
-        sys.argv = before
-        os.environ.pop("TACTILE_TOOLKIT_DEBUG", None)
-    return 0
 
 
 def stored(s3, bucket, prefix):  # noqa: F811
