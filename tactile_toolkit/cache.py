@@ -13,6 +13,7 @@ import warnings
 from collections import OrderedDict
 from collections.abc import Callable, Hashable
 from dataclasses import dataclass
+from functools import lru_cache
 from pathlib import Path
 from threading import RLock
 from typing import IO, Any, Generic, TypeVar
@@ -28,10 +29,15 @@ CACHE_VARIABLE = "TACTILE_TOOLKIT_CACHE"
 
 def cache_folder() -> Path:
     """Return the cache folder: ``$TACTILE_TOOLKIT_CACHE``, or ours in the user's cache folder."""
-    named = os.environ.get(CACHE_VARIABLE)
+    get = os.environ.get
+    return _cache_folder(get(CACHE_VARIABLE), get("XDG_CACHE_HOME"), get("HOME"))
+
+
+@lru_cache(maxsize=8)  # asked for with each block that is mapped
+def _cache_folder(named: str | None, user_cache: str | None, _home: str | None) -> Path:
     if named:
         return expanded(named, CACHE_VARIABLE)
-    return expanded(os.environ.get("XDG_CACHE_HOME") or "~/.cache", "XDG_CACHE_HOME") / "tactile-toolkit"
+    return expanded(user_cache or "~/.cache", "XDG_CACHE_HOME") / "tactile-toolkit"
 
 
 _LEDGER = ".total"
@@ -110,15 +116,18 @@ class DiskCache:
     def _book(self, folder: Path, further_bytes: int) -> None:
         """Add to what a folder holds, removing what was used longest ago where that is too much."""
         ledger = folder / _LEDGER
-        with locked(ledger):
-            content = ledger.read_bytes()
+        # Never cut short and filled again: file systems bring what was to the disk at once, in milliseconds.
+        with locked(ledger), ledger.open("r+b") as stream:
+            content = stream.read(_TOTALS.size + 1)
             held, counted = _TOTALS.unpack(content) if len(content) == _TOTALS.size else (-1, 0)
             if min(held, counted) < 0:  # new and empty, or damaged
+                stream.truncate(0)
                 held, counted = self.limit_bytes, 0
             most = min(self.limit_bytes, counted + self.limit_bytes // _COUNTED_ANEW_AFTER)
             if further_bytes > 0 and held + further_bytes > most:
                 held = counted = self._make_room(folder, further_bytes)
-            ledger.write_bytes(_TOTALS.pack(held + further_bytes, counted))
+            stream.seek(0)
+            stream.write(_TOTALS.pack(held + further_bytes, counted))
 
     def _make_room(self, folder: Path, needed_bytes: int) -> int:
         """Remove what was used longest ago where the limit is passed, and return what the folder holds then.
@@ -165,7 +174,7 @@ class MemoryCache(Generic[K, V]):
     def _begin(self) -> None:
         self._process = os.getpid()
         self._own_lock = RLock()
-        self._kept: OrderedDict[K, V] = OrderedDict()
+        self._kept: OrderedDict[K, tuple[V, int]] = OrderedDict()
         self._size = 0
 
     @property
@@ -190,17 +199,19 @@ class MemoryCache(Generic[K, V]):
         if not self._kept:  # the common case of an idle cache, without a lock
             return None
         with self._lock:
-            value = self._kept.get(key)
-            if value is not None:
-                self._kept.move_to_end(key)
-            return value
+            kept = self._kept.get(key)
+            if kept is None:
+                return None
+            self._kept.move_to_end(key)
+            return kept[0]
 
     def put(self, key: K, value: V) -> None:
         """Keep a value, and let go of those used longest ago while there are too many."""
         with self._lock:
             self._drop(key)
-            self._kept[key] = value
-            self._size += self._sized(value)
+            size = 1 if self._size_of is None else self._size_of(value)
+            self._kept[key] = value, size
+            self._size += size
             while self._size > self.limit and len(self._kept) > min(self.limit, 1):
                 self._drop(next(iter(self._kept)))
 
@@ -218,10 +229,7 @@ class MemoryCache(Generic[K, V]):
 
     def _drop(self, key: K) -> None:
         if key in self._kept:
-            self._size -= self._sized(self._kept.pop(key))
-
-    def _sized(self, value: V) -> int:
-        return 1 if self._size_of is None else self._size_of(value)
+            self._size -= self._kept.pop(key)[1]
 
     def __reduce__(self) -> tuple[Any, ...]:
         return (type(self), (self.limit, self._size_of))

@@ -10,11 +10,11 @@ import os
 import struct
 from collections.abc import Iterable
 from pathlib import Path
-from typing import IO, Any
+from typing import IO, Any, NamedTuple
 
 from tactile_toolkit.cache import MemoryCache
 
-__all__ = ["identity_of", "map_block", "write_blocks"]
+__all__ = ["MappedBlock", "identity_of", "map_block", "write_blocks"]
 
 _MARK = b"TTBLOCK1"
 _BLOCK = struct.Struct("<QQQ")  # start, size in bytes, checksum
@@ -23,6 +23,9 @@ _ALIGNMENT = 64  # what Arrow recommends for its buffers
 
 _checked: MemoryCache[tuple[str, int], tuple[int, ...]] = MemoryCache(1 << 16)
 """Blocks that this process has checked, by file and number, with what the file was then."""
+
+_schemas: MemoryCache[bytes, Any] = MemoryCache(64)
+"""Schemas by their stored bytes: blocks share them, for to parse one takes longer than to map a block."""
 
 
 class _Checksummed:
@@ -46,6 +49,13 @@ class _Checksummed:
 
     def checksum(self) -> int:
         return self._digest.intdigest()
+
+
+class MappedBlock(NamedTuple):
+    """A block as a table, and how many bytes of its file it is."""
+
+    table: Any
+    size_bytes: int
 
 
 def write_blocks(stream: IO[bytes], file_name: str, schema: Any, tables: Iterable[Any]) -> None:
@@ -72,7 +82,7 @@ def _list_checksum(file_name: str, entries: bytes) -> int:
     return xxhash.xxh3_64_intdigest(file_name.encode() + b"\0" + entries)
 
 
-def map_block(path: Path, number: int) -> Any:
+def map_block(path: Path, number: int) -> MappedBlock:
     """Map a block into memory as a table, without a copy; its checksum is compared once in each process.
 
     Raises OSError; ValueError when the file is not whole, was changed, is of another program or another name,
@@ -102,7 +112,23 @@ def map_block(path: Path, number: int) -> Any:
             message = f"block {number} does not match its checksum"
             raise ValueError(message)
         _checked.put(checked, identity)
-    return pa.Table.from_batches([pa.ipc.open_stream(mapped.slice(start, size)).read_next_batch()])
+    return MappedBlock(_table(mapped.slice(start, size)), size)
+
+
+def _table(block: Any) -> Any:
+    """Read the stream of a block: the message of its schema, then that of its rows."""
+    import pyarrow as pa
+
+    reader = pa.BufferReader(block)
+    head = pa.ipc.read_message(reader)
+    stored = head.metadata.to_pybytes()
+    schema = _schemas.get_or_make(stored, lambda: pa.ipc.read_schema(head))
+    rows = pa.ipc.read_message(reader)
+    if rows.type == "record batch":
+        batch = pa.ipc.read_record_batch(rows, schema)
+    else:  # dictionaries, as pandas stores categories
+        batch = pa.ipc.open_stream(block).read_next_batch()
+    return pa.Table.from_batches([batch])
 
 
 def identity_of(facts: os.stat_result) -> tuple[int, ...]:

@@ -373,13 +373,14 @@ class RowGroup:
     """One unpacked row group, or a block of a large one: columns as numpy views of mapped memory.
 
     ``table`` has one chunk per column; ``path`` and ``first_row`` say where the rows are from, for messages.
-    ``mapped`` rows lie in a mapped file of the cache, so that holding on to them costs no memory.
+    ``mapped_bytes`` of them lie in a mapped file of the cache, so that holding on to them costs little; 0
+    where they lie in memory.
     """
 
     table: Any
     path: str = ""
     first_row: int = 0
-    mapped: bool = False
+    mapped_bytes: int = 0
     _ragged: dict[str, RaggedColumn] = field(default_factory=dict, repr=False)
     _flat: dict[str, NDArray[Any]] = field(default_factory=dict, repr=False)
     _nested: dict[str, NestedColumn] = field(default_factory=dict, repr=False)

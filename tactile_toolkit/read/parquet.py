@@ -28,7 +28,7 @@ from numpy.typing import NDArray
 from tactile_toolkit.bounds import cache_limit_bytes, require_unpackable
 from tactile_toolkit.cache import CACHE_VARIABLE, DiskCache, MemoryCache, cache_folder
 from tactile_toolkit.errors import IntegrityError
-from tactile_toolkit.read.blocks import identity_of, map_block, write_blocks
+from tactile_toolkit.read.blocks import MappedBlock, identity_of, map_block, write_blocks
 from tactile_toolkit.read.columns import (
     RowGroup,
     column_types,
@@ -98,9 +98,10 @@ _UNPACKED = DiskCache(
 
 
 _MAPPED_BYTES = 4 << 30
-_LEAST_MAPPED_BYTES = 4 << 20
-"""The blocks that a table has mapped are let go above so many bytes, or 1,024 of them: a process may have
-65,530 maps, and what one holds open takes room on the disk after its file has left the cache."""
+_LEAST_MAPPED_BYTES = 1 << 20
+"""The blocks that a table has mapped are let go above so many bytes, or 4,096 of them: a process may have
+65,530 maps, each takes some 7 kB, and what it holds open takes room on the disk after its file has left the
+cache. To map a block again is quick, however many there are."""
 
 _FEW_SHARDS = 8
 _REMOTE_READERS = 16
@@ -245,25 +246,25 @@ class Shard:
         A cache that cannot be written (full, read-only) costs speed, never the data: the blocks used last are
         then kept in the memory of this process, see :class:`MemoryBlocks`.
         """
-        path = self._unpacked_path(index)
-        name = path.stem
+        name = self._unpacked_name(index)
         kept = MEMORY.get((name, block))
         if kept is not None:
             return kept
-        table = _mapped_table(path, block)
-        if table is None and self._unpack(path, index):
-            table = _mapped_table(path, block)
-        if table is None:
+        path = _UNPACKED.path(name)
+        mapped = _mapped(path, block)
+        if mapped is None and self._unpack(path, index):
+            mapped = _mapped(path, block)
+        if mapped is None:
             return MEMORY.block(name, block, lambda: self.blocks(index))
         first_row = self.group_starts[index] + block * self.block_rows[index]
-        return RowGroup(table, self.path, first_row, mapped=True)
+        return RowGroup(mapped.table, self.path, first_row, mapped.size_bytes)
 
     def unpack(self, index: int) -> bool:
         """See to it that a row group lies unpacked in the cache; tell whether it does.
 
         One process of the machine unpacks it, others wait for that one.
         """
-        path = self._unpacked_path(index)
+        path = _UNPACKED.path(self._unpacked_name(index))
         _UNPACKED.mark_used(path)
         return path.exists() or self._unpack(path, index)
 
@@ -271,9 +272,12 @@ class Shard:
         """About how much a row group takes when it is unpacked, by the footer."""
         return int(self.metadata.row_group(index).total_byte_size)
 
-    def _unpacked_path(self, index: int) -> Path:
-        digest = hashlib.sha256(repr(self.identity).encode()).hexdigest()
-        return _UNPACKED.path(f"{digest[:32]}-{index:05d}.arrow")
+    def _unpacked_name(self, index: int) -> str:
+        return f"{self._digest}-{index:05d}.arrow"
+
+    @cached_property
+    def _digest(self) -> str:
+        return hashlib.sha256(repr(self.identity).encode()).hexdigest()[:32]
 
     def _unpack(self, path: Path, index: int) -> bool:
         def fill(stream: IO[bytes]) -> None:
@@ -429,8 +433,8 @@ def _small_column(file: Shard, made_of: str, shards: Sequence[Shard], name: str)
     return None
 
 
-def _mapped_bytes(group: RowGroup) -> int:
-    return max(_LEAST_MAPPED_BYTES, int(group.table.nbytes))
+def _held_bytes(group: RowGroup) -> int:
+    return max(_LEAST_MAPPED_BYTES, group.mapped_bytes)
 
 
 @lru_cache(maxsize=256)
@@ -438,17 +442,17 @@ def _real_folder(folder: str) -> str:
     return os.path.realpath(f"{folder}/").rstrip("/")
 
 
-def _mapped_table(path: Path, number: int) -> Any:
+def _mapped(path: Path, number: int) -> MappedBlock | None:
     """Map one block of an unpacked row group; None when it is not there, or was damaged (it goes)."""
     try:
-        table = map_block(path, number)
+        mapped = map_block(path, number)
     except FileNotFoundError:
         return None
     except (ValueError, OSError):
         _UNPACKED.drop(path)
         return None
     _UNPACKED.mark_used(path)
-    return table
+    return mapped
 
 
 def _origin(path: str) -> tuple[str, str]:
@@ -487,7 +491,7 @@ class ShardedTable:
 
     @cached_property
     def _groups(self) -> MemoryCache[tuple[int, int, int], RowGroup]:
-        return MemoryCache(_MAPPED_BYTES, _mapped_bytes)
+        return MemoryCache(_MAPPED_BYTES, _held_bytes)
 
     @cached_property
     def _columns(self) -> dict[str, NDArray[Any]]:
@@ -529,7 +533,7 @@ class ShardedTable:
         group = self._groups.get(key)
         if group is None:
             group = made = shard.block(group_index, block)
-            if made.mapped:  # what lies in memory is kept by MEMORY
+            if made.mapped_bytes:  # what lies in memory is kept by MEMORY
                 group = self._groups.get_or_make(key, lambda: made)
         return group, index
 

@@ -144,6 +144,17 @@ def test_damaged_blocks_are_made_anew(shard_file: Path, tmp_path: Path) -> None:
     assert values_of(shard_file) == expected
 
 
+def test_categories_are_found_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Their values lie before the rows of a block."""
+    monkeypatch.setenv(CACHE_VARIABLE, str(tmp_path / "cache"))
+    words = pa.array(["round", "flat"] * 30).dictionary_encode()
+    pq.write_table(pa.table({"id": range(60), "shape": words}), tmp_path / NAME)
+    for _ in range(2):
+        group, index = ShardedTable((Shard(str(tmp_path / NAME)),)).locate(59)
+        assert group.mapped_bytes
+        assert group.arrow("shape")[index].as_py() == "flat"
+
+
 def test_a_block_is_checked_once_in_each_process(shard_file: Path, tmp_path: Path) -> None:
     values_of(shard_file)
     code = (

@@ -163,9 +163,9 @@ def test_a_cache_that_is_back_is_used(
     shard: Shard, no_cache: MemoryBlocks, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     with pytest.warns(RuntimeWarning, match="cannot be kept"):
-        assert not ShardedTable((shard,)).locate(0)[0].mapped
+        assert not ShardedTable((shard,)).locate(0)[0].mapped_bytes
     monkeypatch.setenv(CACHE_VARIABLE, str(tmp_path / "other"))
-    assert ShardedTable((shard,)).locate(700)[0].mapped
+    assert ShardedTable((shard,)).locate(700)[0].mapped_bytes
 
 
 def test_damage_is_told_as_damage(shard: Shard, no_cache: MemoryBlocks) -> None:
@@ -216,7 +216,7 @@ def test_a_forked_process_starts_anew() -> None:
         MEMORY._lock.acquire()
         child = os.fork()
         if child == 0:
-            os._exit(0 if MEMORY.size == 0 and MEMORY.block("a", 0, decode).mapped is False else 1)
+            os._exit(0 if MEMORY.size == 0 and MEMORY.block("a", 0, decode).mapped_bytes == 0 else 1)
         assert os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == 0
         assert MEMORY.get(("a", 0)) is not None
     """
