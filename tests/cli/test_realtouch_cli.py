@@ -165,7 +165,9 @@ def test_conversions(command, check, images, tmp_path, capsys):
 
 def test_verify_names_all_damage_and_leaves_with_3(images, tmp_path, capsys):
     assert call("verify", images) == 0
-    assert "3 rounds, 9 touches: nothing is wrong" in capsys.readouterr().out
+    printed = capsys.readouterr().out
+    assert "3 rounds, 9 touches: nothing is wrong" in printed
+    assert "2 files unprotected" in printed
 
     def cut(row, index):
         if index == 1:

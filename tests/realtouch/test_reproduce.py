@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -67,3 +68,6 @@ def test_the_command_says_both_and_ends_with_1(folder):
     assert result.exit_code == 1
     table = {each["what"]: each for each in json.loads(result.stdout)}
     assert (table["rounds"]["paper"], table["rounds"]["found"]) == ("600", "6")
+    shown = CliRunner().invoke(app, ["reproduce", str(folder)])
+    verdicts = re.findall(r"(yes|NO) *$", shown.stdout, re.MULTILINE)
+    assert verdicts == ["yes" if each["agrees"] else "NO" for each in table.values()]

@@ -75,6 +75,7 @@ def test_process_that_never_registered_the_kind_learns_it_from_a_pickle():
         "print(sample_scenes(spec, 'train', 0, 0, 1)[0].mesh().volume_m3 > 0)"
     )
     sent = pickle.dumps(_kite_spec())
+    assert pickle.loads(sent) == _kite_spec()
     done = subprocess.run([sys.executable, "-c", code], input=sent, capture_output=True, check=True)
     assert done.stdout.strip() == b"True"
 

@@ -179,6 +179,8 @@ def test_exact_rule_on_known_pairs(one, other, clearance_m, clear):
     a, b = (Placement(name, x, 0.0, angle, 0.01, 0.005) for name, x, angle in (one, other))
     found = outlines_clear(a, b, clearance_m)
     assert found == outlines_clear(b, a, clearance_m)
+    # Both outlines are their own mirror images in the diagonal.
+    assert found == outlines_clear(*(each._replace(x_m=0.0, y_m=each.x_m) for each in (a, b)), clearance_m)
     assert not circles_clear(a, b, clearance_m)
     if clear is not None:
         assert found is clear
@@ -200,6 +202,8 @@ def test_impossible_specification_ends_with_what_failed_and_what_to_change():
     assert (error.shape, error.attempts, error.restarts) == ("star", 20, 3)
     assert 8 < error.number < 20
     assert 30 <= error.objects <= 35
+    free_m = np.subtract(spec.cell_m, spec.padding_m) - 2 * spec.star.radius_m
+    assert error.area_mm == pytest.approx(1e3 * free_m)
     text = str(error)
     for part in (f"object {error.number} of {error.objects} (a star)", "20 attempts", "3 times", "--cell-mm"):
         assert part in text

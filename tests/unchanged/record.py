@@ -1,4 +1,4 @@
-"""What users and stored data rely on, as text: bytes of small data sets, public names, help of every command.
+"""What users and stored data rely on, as text: bytes of data sets, pixels of pictures, public names, helps.
 
 ``python -m tests.unchanged.record`` writes it anew after a change that was meant, and what notebooks show;
 review shows the rest.
@@ -7,6 +7,7 @@ review shows the rest.
 from __future__ import annotations
 
 import hashlib
+import io
 import json
 import tempfile
 from importlib import import_module
@@ -14,16 +15,28 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import typer.main
+from PIL import Image
 from typer.testing import CliRunner
 
 import mnist3d
+import mnist3d.previews
 import realtouch
+import realtouch.show.previews
 import starstruck_gen
+import starstruck_gen.previews
 from mnist3d.sources.synthetic import SyntheticSource
+from realtouch.show.previews import TouchPreviewSpec
+from tactile_toolkit.pictures.previews import PreviewSpec
+from tactile_toolkit.pictures.render import Renderer
+from tactile_toolkit.printing.layout import arrange, measure
+from tactile_toolkit.printing.packing import PlateSpec
+from tactile_toolkit.printing.plate_map import draw_map
 from tests.notebooks.running import main as record_notebooks
 from tests.realtouch.factories import make_round, seq_rows, single_rows, write_set
 from tests.tactile_sim.sets import touch_sets
+from tests.tactile_toolkit.printing.solids import box, ell, named, ring
 
 FOLDER = Path(__file__).parent
 PACKAGES = ("mnist3d", "starstruck_gen", "realtouch", "realtouch.torch", "tactile_sim", "env_assets")
@@ -94,6 +107,28 @@ def data_sets(folder: Path) -> dict[str, Any]:
     return found | {"the literal solid": hashlib.sha256(content).hexdigest()}
 
 
+def pictures(sets: Path) -> dict[str, str]:
+    """Draw the sets of :func:`data_sets` and a plate, in shaded relief, and return digests of the pixels."""
+    plans = (
+        mnist3d.previews.plan_previews(
+            str(sets / "coarse"), PreviewSpec(("sheet", "object", "steps"), per_class=2)
+        ),
+        starstruck_gen.previews.plan_previews(
+            str(sets / "scenes"), PreviewSpec(("sheet", "scene"), "test", per_class=2)
+        ),
+        realtouch.show.previews.plan_previews(
+            str(sets / "clips"), TouchPreviewSpec(("grid", "overlay", "strip"))
+        ),
+    )
+    renderer = Renderer(smooth=False)
+    drawn = {planned.name: planned.draw(renderer).pixels for plan in plans for planned in plan.pictures}
+    objects = named([ell(40, 9), ring(20, 14), box(20, 12), box(8, 50)])
+    layout = arrange(measure(objects, PlateSpec(100, 80, 3.0, 2.0), 1.0))
+    plate = draw_map(layout.plates[0], layout.spec, "Plate 1 of 1", [str(label) for label in range(10)])
+    drawn["plate"] = np.asarray(Image.open(io.BytesIO(plate)))
+    return {name: hashlib.sha256(pixels.tobytes()).hexdigest() for name, pixels in drawn.items()}
+
+
 def synthetic_touches(folder: Path) -> dict[str, Any]:
     """Make small sets of touches below a folder and return their digests, and what else decides them."""
     starstruck_gen.generate(starstruck_gen.GenerateSpec(scenes=(("train", 3),)), folder / "scenes")
@@ -106,12 +141,14 @@ def synthetic_touches(folder: Path) -> dict[str, Any]:
 def main() -> None:
     with tempfile.TemporaryDirectory() as folder:
         digests = data_sets(Path(folder) / "sets")
+        pixels = pictures(Path(folder) / "sets")
         touches = synthetic_touches(Path(folder) / "touches")
     found = {
         "libraries": library_versions(),
         "help_libraries": library_versions(HELP_LIBRARIES),
         "names": {package: public_names(package) for package in PACKAGES},
         "parquet": digests,
+        "pictures": pixels,
         "touches": touches,
     }
     (FOLDER / "record.json").write_text(json.dumps(found, indent=1) + "\n", encoding="utf-8")

@@ -14,6 +14,7 @@ from tests.unchanged.record import (
     data_sets,
     helps,
     library_versions,
+    pictures,
     public_names,
     synthetic_touches,
 )
@@ -39,13 +40,11 @@ def test_help_is_unchanged(command_line):
     assert helps(command_line) == (FOLDER / f"{command_line}.txt").read_text(encoding="utf-8")
 
 
-def test_bytes_of_data_sets_are_unchanged(tmp_path):
+def test_bytes_of_data_sets_and_their_pictures_are_unchanged(tmp_path):
     if library_versions() != RECORD["libraries"]:
         pytest.skip(f"bytes follow from the versions of libraries; recorded with {RECORD['libraries']}")
-    found = data_sets(tmp_path)
-    assert set(found) == set(RECORD["parquet"])
-    for name, digest in RECORD["parquet"].items():
-        assert found[name] == digest, name
+    assert data_sets(tmp_path) == RECORD["parquet"]
+    assert pictures(tmp_path) == RECORD["pictures"]
 
 
 @pytest.mark.sim
