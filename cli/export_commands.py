@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from enum import StrEnum
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any, TypeVar
 
 import typer
 
@@ -23,6 +24,8 @@ if TYPE_CHECKING:
 
 __all__ = ["add_export"]
 
+T = TypeVar("T")
+
 _ROWS_SHOWN = 20
 
 
@@ -36,6 +39,12 @@ class MeshFormat(StrEnum):
     glb = "glb"
     mjcf = "mjcf"
     urdf = "urdf"
+
+
+class ObjectLayout(StrEnum):
+    """Layouts of tables for other libraries."""
+
+    flat = "flat"
 
 
 def _beds(begun: str) -> list[str]:
@@ -58,6 +67,10 @@ class ExportOptions:
             "--format",
             help="Format of the files, mm (glb, mjcf and urdf: m). Default stl; plates are 3mf or mjcf.",
         ),
+    ] = None
+    layout: Annotated[
+        ObjectLayout | None,
+        typer.Option(help="Instead of files, tables: Parquet, a row for each object, its mesh as GLB."),
     ] = None
     ids: Annotated[
         str | None, typer.Option(metavar="3,17,40-60", help="Only the objects with these ids.")
@@ -110,7 +123,9 @@ def add_export(app: typer.Typer, kind: DatasetKind) -> None:
 
     @command(app)
     def export(options: ExportOptions) -> None:
-        """Write files for printing or for simulators: one per object, or packed on build plates.
+        """Write files for printers and simulators, or tables for other libraries.
+
+        One file per object, or objects packed on build plates; tables have a row for each.
 
         Objects keep the pose that they have, their lowest point at z = 0.
 
@@ -120,10 +135,16 @@ def add_export(app: typer.Typer, kind: DatasetKind) -> None:
 
         Exit code 1 when an object or plate could not be written as a solid.
         """
+        from tactile_toolkit.printing.objects import choose, choose_rows
+
+        sink = Sink(options.as_json, options.quiet)
+        if options.layout is not None:
+            _refuse_options_of_files(options)
+            _export_flat(sink, _chosen(kind, options, choose_rows), options)
+            return
         spec = _plate_spec(options)
         _physics(options)  # what cannot be used is said before any work
-        objects = _chosen(kind, options)
-        sink = Sink(options.as_json, options.quiet)
+        objects = _chosen(kind, options, choose)
         if spec is None:
             failures = _export_files(sink, objects, options)
         else:
@@ -165,9 +186,24 @@ def _physics(options: ExportOptions) -> Physics:
     return Physics(**chosen)
 
 
-def _chosen(kind: DatasetKind, options: ExportOptions) -> list[PrintObject]:
+def _refuse_options_of_files(options: ExportOptions) -> None:
+    from tactile_toolkit.errors import InputError
+
+    names = {"file_format": "--format", "scale": "--scale", "plate": "--plate", "gap": "--gap"}
+    names |= {name: f"--{name}" for name in ("margin", "density", "friction")}
+    plain = ExportOptions(options.name)
+    for name, option in names.items():
+        if getattr(options, name) != getattr(plain, name):
+            message = (
+                f"{option} is about files, --layout writes tables of meshes as they are stored; next: leave "
+                "one of them out"
+            )
+            raise InputError(message)
+
+
+def _chosen(kind: DatasetKind, options: ExportOptions, choose: Callable[..., T]) -> T:
     from tactile_toolkit.catalog.locate import splits_of
-    from tactile_toolkit.printing.objects import choose, parse_ids
+    from tactile_toolkit.printing.objects import parse_ids
 
     splits = splits_of(options.name) if options.split == "all" else (options.split,)
     labels = None if options.labels is None else [word.strip() for word in options.labels.split(",")]
@@ -218,6 +254,33 @@ def _export_files(sink: Sink, objects: list[PrintObject], options: ExportOptions
         f"{counted(len(made.files), 'files')} in {out} ({size}), each read back as a solid{_kept(kept)}"
     )
     return made.failures
+
+
+def _export_flat(sink: Sink, choices: Any, options: ExportOptions) -> None:
+    from tactile_toolkit.printing.flat import export_flat, forecast_flat
+
+    out = str(options.out)
+    if options.dry_run:
+        made = forecast_flat(choices, out, overwrite=options.overwrite)
+    else:
+        with sink.progress("writing", "rows") as update:
+            made = export_flat(
+                choices,
+                out,
+                overwrite=options.overwrite,
+                workers=options.workers or os.cpu_count() or 1,
+                on_progress=update,
+            )
+    sink.document({"out": out, "files": [file.to_dict() for file in made]})
+    size, rows = (
+        bytes_text(sum(file.bytes for file in made)),
+        counted(sum(file.rows for file in made), "rows"),
+    )
+    if options.dry_run:
+        sink.line(f"would write {rows} to {out}, about {size}; nothing was written")
+        return
+    kept = sum(file.state == "kept" for file in made)
+    sink.line(f"{rows} in {counted(len(made), 'tables')} in {out} ({size}){_kept(kept)}")
 
 
 def _export_plates(

@@ -27,7 +27,7 @@ from tactile_toolkit.read.parquet import Shard
 from tactile_toolkit.store.folder import DataFolder
 from tactile_toolkit.store.manifest import Manifest
 from tactile_toolkit.store.names import problem_of_name
-from tactile_toolkit.store.parquet import file_sha256, sha256_hex
+from tactile_toolkit.store.parquet import is_whole_file, sha256_hex
 from tactile_toolkit.store.shards import ShardRecord
 from tactile_toolkit.touch.jpeg import Pixels, encode_image
 
@@ -167,10 +167,7 @@ def repeated_ids(source: Source, choices: Mapping[str, RowChoices]) -> dict[str,
 def pictures_are_whole(folder: DataFolder, record: ShardRecord) -> bool:
     """Tell whether every picture that a finished shard lists is there, unchanged."""
     table = Shard(folder.address(record.shard.data_path)).read(columns=["file", "sha256"])
-    return all(
-        folder.exists(line["file"]) and file_sha256(folder, line["file"]) == line["sha256"]
-        for line in table.to_pylist()
-    )
+    return all(is_whole_file(folder, line["file"], line["sha256"]) for line in table.to_pylist())
 
 
 def _folder_name(row: Row, name: str) -> str:

@@ -26,12 +26,12 @@ from realtouch.exchange.sources import (
 )
 from realtouch.poses import bad_pose
 from tactile_toolkit.errors import InputError, ItemError
-from tactile_toolkit.read.parquet import Shard
 from tactile_toolkit.run.processes import Runner, runner_for
+from tactile_toolkit.store.address import is_remote, shown
 from tactile_toolkit.store.build import Progress, build
 from tactile_toolkit.store.folder import DataFolder
 from tactile_toolkit.store.manifest import Manifest
-from tactile_toolkit.store.parquet import ParquetStyle, sha256_hex
+from tactile_toolkit.store.parquet import ParquetStyle, encode_parquet, sha256_hex
 from tactile_toolkit.store.plan import BuildPlan, ShardContent
 from tactile_toolkit.store.shards import ShardName, ShardRecord, Skipped
 from tactile_toolkit.touch.jpeg import MAX_IMAGE_BYTES
@@ -100,6 +100,12 @@ def import_images(
     StorageError
         The folder cannot be written. What was finished stays.
     """
+    if is_remote(fspath(source)):
+        message = (
+            f"{shown(fspath(source))!r} is a remote address; images are imported from this machine; nothing "
+            "was written; next: copy them here first"
+        )
+        raise InputError(message)
     home, chosen = Path(fspath(source)).expanduser(), columns or ImportColumns()
     readers = {"folder": items_of_table, "webdataset": items_of_tars}
     if layout not in readers:
@@ -118,7 +124,7 @@ def import_images(
     if not items:
         message = f"{str(home)!r} holds nothing to import; expected images"
         raise InputError(message)
-    plan = _plan(folder, items, chosen, tuple(classes), split, layout)
+    plan = _plan(items, chosen, tuple(classes), split, layout)
     return build(
         folder,
         plan,
@@ -145,7 +151,6 @@ def _refuse_inside(folder: DataFolder, home: Path) -> None:
 
 
 def _plan(
-    folder: DataFolder,
     items: Sequence[Item],
     columns: ImportColumns,
     classes: tuple[str, ...],
@@ -200,7 +205,7 @@ def _plan(
         tuple(rounds),
         tuple(tasks),
         style,
-        extras_intact=_SourceIsTheSame(folder, {str(task.shard): task for task in tasks}),
+        extras_intact=_SourceIsTheSame({str(task.shard): task for task in tasks}, style),
         libraries=("numpy", "pyarrow"),
     )
 
@@ -209,14 +214,14 @@ def _plan(
 class _SourceIsTheSame:
     """Tells whether a finished shard holds what the source gives now: names and sizes would not say it."""
 
-    folder: DataFolder
-    tasks: Mapping[str, _ImportShard]
+    tasks: Mapping[str, _ImportShard] = field(repr=False)
+    style: ParquetStyle
 
     def __call__(self, record: ShardRecord) -> bool:
         """Read the images again."""
         content = self.tasks[str(record.shard)].make()
-        stored = Shard(self.folder.address(record.shard.data_path)).read()
-        return content.skipped == record.skipped and stored.equals(content.table)
+        is_listed = content.skipped == record.skipped
+        return is_listed and sha256_hex(encode_parquet(content.table, self.style)) == record.sha256
 
 
 def _class_names(labels: Iterable[str]) -> tuple[str, ...]:

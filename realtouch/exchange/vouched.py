@@ -10,7 +10,7 @@ import pyarrow as pa
 from tactile_toolkit.read.parquet import Shard
 from tactile_toolkit.store.folder import DataFolder
 from tactile_toolkit.store.manifest import Manifest
-from tactile_toolkit.store.parquet import file_sha256, sha256_hex
+from tactile_toolkit.store.parquet import is_whole_file, sha256_hex
 from tactile_toolkit.store.shards import ShardRecord
 
 __all__ = ["FilesAreWhole", "file_fields", "files_of", "vouched_files", "with_files"]
@@ -55,7 +55,7 @@ class FilesAreWhole:
     def __call__(self, record: ShardRecord) -> bool:
         """Compare the checksums of the files of a shard with its index."""
         return all(
-            self.folder.exists(path) and file_sha256(self.folder, path) == checksum
+            is_whole_file(self.folder, path, checksum)
             for path, checksum in files_of(self.folder, record).items()
         )
 

@@ -260,12 +260,12 @@ class PreparedUpload:
     @property
     def removed(self) -> tuple[str, ...]:
         """Files of the repository that are to be removed."""
-        return tuple(file.path for file in self.plan.remote_only) if self.options.delete else ()
+        return tuple(file.path for file in self.plan.to_remove(delete=self.options.delete))
 
     @property
     def kept(self) -> tuple[str, ...]:
         """Files of the repository that the folder lacks and that stay."""
-        return () if self.options.delete else tuple(file.path for file in self.plan.remote_only)
+        return tuple(file.path for file in self.plan.remote_only if file.path not in self.removed)
 
     @property
     def mixed(self) -> tuple[str, ...]:
@@ -425,8 +425,9 @@ def _payload(
     ``shown`` are the files for the Hub's page, by path.
     """
     payload = collect(root, manifest, shown)
-    there = () if options.delete else compare(payload.files, state.files).remote_only
-    staying = [file for file in there if file.path not in shown]
+    there = compare(payload.files, state.files)
+    replaced = there.to_remove(delete=options.delete)
+    staying = [file for file in there.remote_only if file not in replaced]
     stored = (root / CARD_FILE).read_text(encoding="utf-8")
     shards = {split: [r.shard.data_path for r in manifest.shards_of(split)] for split in manifest.splits}
     others = [file.path for file in staying]
@@ -478,7 +479,7 @@ def _ensure_sent(prepared: PreparedUpload) -> tuple[Sent, bool]:
         return target.send(
             {file.path: prepared.payload.content(file) for file in plan.to_send},
             prepared.message,
-            delete=[file.path for file in plan.remote_only] if options.delete else [],
+            delete=[file.path for file in plan.to_remove(delete=options.delete)],
             parent=head,
             pull=options.create_pr,
         )
@@ -515,8 +516,8 @@ def _require_arrival(prepared: PreparedUpload, sent: Sent) -> None:
         *(f"{file.path} is missing" for file in arrived.new),
         *(f"{f.path} differs" for f in arrived.changed),
     ]
-    if prepared.options.delete:
-        wrong += [f"{file.path} is still there" for file in arrived.remote_only]
+    still_there = arrived.to_remove(delete=prepared.options.delete)
+    wrong += [f"{file.path} is still there" for file in still_there]
     if wrong:
         message = (
             f"{prepared.target.repo_id!r} does not hold what was sent (commit {sent.commit[:12]}): "

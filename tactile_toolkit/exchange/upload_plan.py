@@ -17,7 +17,7 @@ from tactile_toolkit.errors import InputError
 from tactile_toolkit.store.folder import DataFolder
 from tactile_toolkit.store.manifest import MANIFEST_FILE, Manifest
 from tactile_toolkit.store.names import problem_of_name
-from tactile_toolkit.store.shards import VIEWER_FOLDER
+from tactile_toolkit.store.shards import VIEWER_FOLDER, ShardName
 from tactile_toolkit.store.verify import problem_of_place
 
 __all__ = [
@@ -60,7 +60,8 @@ class UploadOptions:
     delete : bool
         Remove files from the repository that the folder does not have.
     viewer : bool
-        Send each row once more, with its mesh as a file that the Hub's page shows.
+        Send each row once more, with its mesh as a file that the Hub's page shows; without, such files of
+        former uploads are removed.
     """
 
     private: bool = False
@@ -151,9 +152,18 @@ class UploadPlan:
         """Size of what is to be sent."""
         return sum(file.size for file in self.to_send)
 
+    def to_remove(self, *, delete: bool) -> tuple[RemoteFile, ...]:
+        """Return what is to go: what former uploads made for the Hub's page, and all else with ``delete``."""
+        return tuple(file for file in self.remote_only if delete or _is_for_page(file.path))
+
     def is_done(self, *, delete: bool) -> bool:
-        """Tell whether the repository holds the folder already (and nothing else, with ``delete``)."""
-        return not self.to_send and not (delete and self.remote_only)
+        """Tell whether the repository holds the folder already, and nothing that is to go."""
+        return not self.to_send and not self.to_remove(delete=delete)
+
+
+def _is_for_page(path: str) -> bool:
+    folder, _, name = path.rpartition("/")
+    return folder == VIEWER_FOLDER and ShardName.parse(name) is not None
 
 
 def compare(local: Iterable[LocalFile], remote: Mapping[str, RemoteFile]) -> UploadPlan:

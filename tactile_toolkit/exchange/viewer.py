@@ -6,36 +6,33 @@ the shards, and a download leaves it where it is.
 
 from __future__ import annotations
 
-import json
 import os
 import shutil
 import tempfile
 import weakref
 from functools import partial
 from pathlib import Path
-from typing import Any
 
 from tactile_toolkit.errors import InputError
-from tactile_toolkit.mesh.columns import FACES, VERTICES
-from tactile_toolkit.mesh.files import pack_mesh
-from tactile_toolkit.mesh.mesh import Mesh
+from tactile_toolkit.mesh.columns import FACES, VERTICES, class_names
+from tactile_toolkit.mesh.flat import MESH, flat_table
+from tactile_toolkit.mesh.records import SolidDataset
 from tactile_toolkit.read.columns import column_names
-from tactile_toolkit.read.parquet import Shard
+from tactile_toolkit.read.parquet import Shard, ShardedTable
 from tactile_toolkit.run.threads import in_threads
 from tactile_toolkit.store.folder import DataFolder
 from tactile_toolkit.store.manifest import Manifest
-from tactile_toolkit.store.parquet import ParquetStyle, sha256_hex, write_parquet
+from tactile_toolkit.store.parquet import ParquetStyle, encode_parquet, sha256_hex
 from tactile_toolkit.store.shards import VIEWER_FOLDER, ShardRecord
 
 __all__ = ["ViewerFiles"]
 
-_COLUMN = "mesh"
 _MOST_AT_ONCE = 8
 """Shards in memory at a time; packing them at level 19 takes some 100 MB more for each."""
 _STYLE = ParquetStyle(
     rows_per_group=100,
     compression_level=19,  # at 9 the meshes of digits take a fifth more
-    encodings=((f"{_COLUMN}.bytes", "PLAIN"),),
+    encodings=((f"{MESH}.bytes", "PLAIN"),),
 )
 
 
@@ -58,7 +55,8 @@ class ViewerFiles:
 def _make(folder: DataFolder, out: Path, record: ShardRecord) -> tuple[str, str]:
     shard = Shard(folder.address(record.shard.data_path), record.rows)
     _require_meshes(shard, folder)
-    content, _ = write_parquet(_table(shard), _STYLE)
+    rows = SolidDataset([ShardedTable((shard,))], label_names=class_names(shard.schema, ()))
+    content = encode_parquet(flat_table(rows), _STYLE)
     path = f"{VIEWER_FOLDER}/{record.shard}.parquet"
     (out / VIEWER_FOLDER).mkdir(parents=True, exist_ok=True)
     (out / path).write_bytes(content)
@@ -72,34 +70,3 @@ def _require_meshes(shard: Shard, folder: DataFolder) -> None:
             "clips without it); nothing was sent; next: leave --viewer out"
         )
         raise InputError(message)
-
-
-def _table(shard: Shard) -> Any:
-    """Return the plain columns of a shard and its meshes as files."""
-    import pyarrow as pa
-
-    plain = [field for field in shard.schema if not pa.types.is_nested(field.type)]
-    names = [field.name for field in plain]
-    held: dict[str, list[Any]] = {name: [] for name in names}
-    meshes: list[dict[str, Any]] = []
-    for group in range(shard.metadata.num_row_groups):
-        for block in shard.blocks(group, [*names, VERTICES, FACES]):
-            for name in names:
-                held[name] += block.table.column(name).to_pylist()
-            vertices, faces = block.ragged(VERTICES), block.ragged(FACES)
-            for row in range(len(block.table)):
-                content = pack_mesh(Mesh(vertices[row], faces[row]), ".glb")
-                # `datasets` tells by the name what kind of file the bytes are.
-                meshes.append({"bytes": content, "path": f"{len(meshes):05d}.glb"})
-    files = pa.struct([("bytes", pa.binary()), ("path", pa.string())])
-    schema = pa.schema([*plain, pa.field(_COLUMN, files)], _metadata(shard.schema.metadata, names))
-    columns = [pa.array(held[field.name], field.type) for field in plain]
-    return pa.Table.from_arrays([*columns, pa.array(meshes, files)], schema=schema)
-
-
-def _metadata(stored: Any, names: list[str]) -> dict[str, str]:
-    """Return what `datasets` is told of the columns: as the shard says, and which one holds the files."""
-    text = (stored or {}).get(b"huggingface")
-    known = json.loads(text)["info"]["features"] if text else {}
-    features = {name: known[name] for name in names if name in known}
-    return {"huggingface": json.dumps({"info": {"features": {**features, _COLUMN: {"_type": "Mesh"}}}})}

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from tactile_toolkit.mesh.records import SolidRecord
     from tactile_toolkit.read.dataset import RecordDataset
 
-__all__ = ["IdChoice", "PrintObject", "choose", "parse_ids", "require_scale", "standing"]
+__all__ = ["IdChoice", "PrintObject", "choose", "choose_rows", "parse_ids", "require_scale", "standing"]
 
 _ID_DIGITS = 5  # file names sort as the ids do, up to 99,999
 _UNSAFE = re.compile(r"[^\w+-]+")
@@ -65,40 +65,35 @@ def standing(surface: Mesh | SolidRecord, scale: float = 1.0) -> Mesh:
     return Mesh(vertices_m, faces)
 
 
-def choose(
+def choose_rows(
     datasets: Iterable[tuple[str, RecordDataset[SolidRecord]]],
     *,
     ids: IdChoice | None = None,
     labels: Sequence[str] | None = None,
     limit: int | None = None,
-) -> list[PrintObject]:
-    """Choose rows of splits, each with its name, in their order; no mesh is read.
+) -> list[tuple[str, RecordDataset[SolidRecord], NDArray[np.int64]]]:
+    """Choose rows of splits, each with its name; return those with their positions, in order.
 
     Only rows with these ``ids`` (a pair stands for all from its first to its last that are there), of these
     classes, and of what is left the first ``limit`` of each split. Raises InputError where an id or a class
-    is not there, no id of a range is, an id stands twice in a split, or nothing is left.
+    is not there, no id of a range is, or nothing is left.
     """
-    objects: list[PrintObject] = []
     ranges = None if ids is None else [entry if isinstance(entry, tuple) else (entry, entry) for entry in ids]
     seen = np.zeros(len(ranges or ()), bool)
+    found = []
     for split, rows in datasets:
         wanted = np.ones(len(rows), bool)
         if ranges is not None:
-            wanted, found = _within(rows.ids, ranges)
-            seen |= found
-        classes = list(rows.label_names)
+            wanted, is_there = _within(rows.ids, ranges)
+            seen |= is_there
         if labels is not None:
+            classes = list(rows.label_names)
             unknown = [label for label in labels if label not in classes]
             if unknown:
                 message = f"no class {unknown[0]!r} in split {split!r}; expected one of {', '.join(classes)}"
                 raise InputError(message)
             wanted &= np.isin(rows.labels, [classes.index(label) for label in labels])
-        chosen = np.flatnonzero(wanted)[:limit]
-        columns = (chosen.tolist(), rows.ids[chosen].tolist(), rows.labels[chosen].tolist())
-        for row, number, label in zip(*columns, strict=True):
-            word = classes[label] if 0 <= label < len(classes) else str(label)
-            name = "-".join(part for part in (_safe(split), _safe(word), f"{number:0{_ID_DIGITS}d}") if part)
-            objects.append(PrintObject(name, split, word, number, partial(_row, rows, row)))
+        found.append((split, rows, np.flatnonzero(wanted)[:limit]))
     missing = [pair for pair, there in zip(ranges or (), seen, strict=True) if not there]
     if missing:
         low, high = missing[0]
@@ -109,11 +104,33 @@ def choose(
             "another --split"
         )
         raise InputError(message)
-    if not objects:
+    if not any(len(chosen) for _, _, chosen in found):
         message = (
             "no object is chosen; expected rows of the split with the ids and classes that were asked for"
         )
         raise InputError(message)
+    return found
+
+
+def choose(
+    datasets: Iterable[tuple[str, RecordDataset[SolidRecord]]],
+    *,
+    ids: IdChoice | None = None,
+    labels: Sequence[str] | None = None,
+    limit: int | None = None,
+) -> list[PrintObject]:
+    """Choose objects as :func:`choose_rows` does; no mesh is read.
+
+    Raises InputError as there, and where an id stands twice in a split.
+    """
+    objects: list[PrintObject] = []
+    for split, rows, chosen in choose_rows(datasets, ids=ids, labels=labels, limit=limit):
+        classes = rows.label_names
+        columns = (chosen.tolist(), rows.ids[chosen].tolist(), rows.labels[chosen].tolist())
+        for row, number, label in zip(*columns, strict=True):
+            word = classes[label] if 0 <= label < len(classes) else str(label)
+            name = "-".join(part for part in (_safe(split), _safe(word), f"{number:0{_ID_DIGITS}d}") if part)
+            objects.append(PrintObject(name, split, word, number, partial(_row, rows, row)))
     names = Counter(item.name for item in objects)
     twice = next((name for name, count in names.items() if count > 1), None)
     if twice is not None:

@@ -22,6 +22,7 @@ __all__ = [
     "encode_parquet",
     "file_sha256",
     "has_page_checksums",
+    "is_whole_file",
     "named_damage",
     "open_checked",
     "open_parquet",
@@ -200,6 +201,11 @@ def file_sha256(folder: DataFolder, path: str) -> str:
         while piece := stream.read(1 << 20):
             digest.update(piece)
     return digest.hexdigest()
+
+
+def is_whole_file(folder: DataFolder, path: str, sha256: str) -> bool:
+    """Tell whether a file is there, unchanged; in a store, where files appear whole, none is read for it."""
+    return folder.exists(path) and (not folder.is_local or file_sha256(folder, path) == sha256)
 
 
 def unpacked_bytes(footer: Any, schema: Any, read_text: Callable[[list[str]], Any]) -> int:

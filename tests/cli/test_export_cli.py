@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import csv
+import io
 import json
 from functools import partial
 from pathlib import Path
 
 import numpy as np
 import pytest
+import trimesh
 
 from tactile_toolkit.mesh.files import read_mesh
 from tactile_toolkit.mesh.solid_check import check_manifold
@@ -213,3 +215,78 @@ def test_starstruck_exports_alike(tmp_path: Path, capsys: pytest.CaptureFixture[
     plate = ("--plate", "130x250", "--out", tmp_path / "plates")
     assert command_line.call("starstruck", "export", tmp_path / "scenes", *plate) == 0
     assert "wrote 2 objects" in capsys.readouterr().out
+
+
+def test_tables_for_other_libraries(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    import datasets
+    import pandas as pd
+    import polars
+
+    import mnist3d
+
+    out = tmp_path / "flat"
+    assert call("export", folder, "--layout", "flat", "--out", out, "--workers", "1", "--json", "-q") == 0
+    files = json.loads(capsys.readouterr().out)["files"]
+    assert [(file["rows"], file["state"]) for file in files] == [(10, "written")] * 2
+    digits = mnist3d.load(folder, split="printed_test")
+    plain = ["id", "label", "label_name", "writer", "volume_m3", "source", "size_x_m", "size_y_m", "size_z_m"]
+    frame = pd.read_parquet(out / "data" / "printed_test-00000-of-00001.parquet")
+    assert list(frame.columns) == [*plain, "mesh"]
+    table = polars.read_parquet(out / "data" / "printed_test-*.parquet")
+    assert table.drop("mesh").to_dicts() == frame.drop(columns="mesh").to_dict("records")
+    rows = datasets.load_dataset(str(out), split="printed_test")
+    assert isinstance(rows.features["mesh"], datasets.Mesh)
+    assert rows.features["label"].names == list(digits.label_names)
+    assert frame.label_name.tolist() == [digits.label_names[label] for label in digits.labels]
+    for digit, row, file in zip(digits, rows, frame.mesh, strict=True):
+        assert (row["id"], row["label"], row["volume_m3"]) == (digit.id, digit.label, digit.volume_m3)
+        found = trimesh.load_mesh(io.BytesIO(file["bytes"]), file_type="glb")
+        for mesh in (found, row["mesh"].to_mesh()):
+            np.testing.assert_array_equal(mesh.vertices, digit.vertices_m)
+            np.testing.assert_array_equal(mesh.faces, digit.faces)
+        size = [row[name] for name in ("size_x_m", "size_y_m", "size_z_m")]
+        np.testing.assert_allclose(size, digit.mesh.extents)
+
+
+def test_tables_are_kept_and_nothing_of_others_is_touched(
+    folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "flat"
+    words = ("export", folder, "--layout", "flat", "--out", out, "--workers", "1", "-q")
+    assert call(*words) == 0
+    before = folder_bytes(out)
+    (out / "data" / "printed_train-00000-of-00001.parquet").unlink()
+    assert call(*words) == 0
+    assert folder_bytes(out) == before
+    some = ("--split", "printed_test", "--limit", "3")
+    assert call(*words, *some) == 2
+    assert "holds 'data/printed_train-00000-of-00001.parquet'" in capsys.readouterr().err
+    assert folder_bytes(out) == before
+    assert call(*words, *some, "--overwrite") == 0
+    assert list(folder_bytes(out)) == ["data/printed_test-00000-of-00001.parquet"]
+    whole = folder_bytes(folder)
+    assert call(*words, "--overwrite", "--out", folder) == 2
+    assert "not of an export as tables" in capsys.readouterr().err
+    assert folder_bytes(folder) == whole
+    assert call(*words, "--scale", "2") == 2
+    assert "--scale is about files" in capsys.readouterr().err
+    assert call(*words, "--dry-run", "--out", tmp_path / "none") == 0
+    assert not (tmp_path / "none").exists()
+
+
+def test_scenes_keep_what_stands_where(tmp_path: Path) -> None:
+    import datasets
+
+    import starstruck_gen
+
+    scenes = tmp_path / "scenes"
+    making = ("--scenes", "train=3", "--workers", "1", "--quiet", "--out", scenes)
+    assert call("generate", *making, program="starstruck") == 0
+    out = tmp_path / "flat"
+    assert call("export", scenes, "--layout", "flat", "--out", out, "-q", program="starstruck") == 0
+    rows = datasets.load_dataset(str(out), split="train")
+    for row, scene in zip(rows, starstruck_gen.load(scenes, split="train"), strict=True):
+        stored = [(each["shape"], each["x_m"], each["y_m"]) for each in row["placements"]]
+        assert stored == [(each.shape, each.x_m, each.y_m) for each in scene.placements]
+        assert row["star_count"] == scene.star_count
+        assert row["mesh"].to_mesh().volume == pytest.approx(scene.mesh.volume, rel=1e-6)

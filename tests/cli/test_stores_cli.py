@@ -110,6 +110,35 @@ def test_touches_of_digits_of_a_store(s3, bucket, tmp_path):  # noqa: F811
     assert call("realtouch", "resize", touches, f"{touches}/inside", "--size", "8x8", "--quiet") == 2
 
 
+def test_touches_for_other_libraries_and_back(s3, bucket, tmp_path, capfd):  # noqa: F811
+    from tests.realtouch import factories
+
+    truths = [factories.make_round(index, 4, (64, 64), (4, 5)) for index in range(3)]
+    source = factories.write_set(tmp_path / "touches", {"train": factories.single_rows(truths)}, "single")
+    tars = f"s3://{bucket}/webdataset"
+    for layout in ("flat", "webdataset", "lerobot"):
+        there, here = f"s3://{bucket}/{layout}", tmp_path / layout
+        words = ("export", source, "--layout", layout, "--workers", "1", "--quiet", "--out")
+        assert call("realtouch", *words, there) == call("realtouch", *words, here) == 0
+        assert stored(s3, bucket, layout) == folder_bytes(here)
+        assert call("realtouch", "verify", there) == 0
+    words = ("import", f"{tmp_path}/webdataset/webdataset", "--layout", "webdataset", "--workers", "1", "-q")
+    for out in (f"s3://{bucket}/back", tmp_path / "back", f"s3://{bucket}/back"):
+        assert call("realtouch", *words, "--round-column", "round_id", "--out", out) == 0
+    assert stored(s3, bucket, "back") == folder_bytes(tmp_path / "back")
+    tar = "webdataset/train-000000.tar"
+    DataFolder(tars).write_bytes(tar, b"cut")
+    assert call("realtouch", "verify", tars) == 3
+    assert tar in capfd.readouterr().err
+    DataFolder(tars).remove(tar)
+    again = ("export", source, "--layout", "webdataset", "--workers", "1", "--quiet", "--out", tars)
+    assert call("realtouch", *again) == 0
+    assert stored(s3, bucket, "webdataset") == folder_bytes(tmp_path / "webdataset")
+    assert call("realtouch", "import", tars, "--layout", "webdataset", "--out", tmp_path / "none") == 2
+    assert "is a remote address" in capfd.readouterr().err
+    assert not (tmp_path / "none").exists()
+
+
 @pytest.mark.usefixtures("new_clients")
 @pytest.mark.parametrize("debug", [(), ("--debug",)])
 def test_what_goes_wrong_is_named_without_any_secret(s3, monkeypatch, capfd, tmp_path, debug):  # noqa: F811

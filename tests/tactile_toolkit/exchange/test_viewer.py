@@ -87,7 +87,10 @@ def test_each_row_is_shown_in_3d_and_the_fast_columns_stay_the_default(server, m
     assert done.returncode == 0, done.stderr
     report = json.loads(next(line for line in done.stdout.splitlines() if line.startswith("REPORT"))[6:])
     assert report["kind"] == "Mesh(decode=True)"
-    assert report["columns"] == ["id", "label", "writer", "volume_m3", "source", "mesh"]
+    assert report["columns"] == [
+        *("id", "label", "label_name", "writer", "volume_m3", "source"),
+        *("size_x_m", "size_y_m", "size_z_m", "mesh"),
+    ]
     assert "mesh.vertices" in report["fast"]
     assert report["ids"] == [True]
     assert report["watertight"]
@@ -149,8 +152,12 @@ def test_a_download_leaves_it_out(server, made, tmp_path):
 
 def test_an_upload_without_it_takes_it_back(server, made):
     upload(made, viewer=True)
-    upload(made, delete=True)
-    assert not any(path.startswith("viewer/") for path in held(server))
+    repository = server.repository(NAME)
+    repository.commit({"viewer/notes.md": repository.blob("viewer/notes.md", b"of somebody")}, "notes")
+    without = upload(made)
+    assert without.removed == tuple(f"viewer/{split}-00000-of-00001.parquet" for split in sorted(SPLITS))
+    assert [path for path in held(server) if path.startswith("viewer/")] == ["viewer/notes.md"]
+    assert upload(made).sent == ()
     head = yaml.safe_load(held(server)["README.md"].decode().split("---\n")[1])
     assert [config["config_name"] for config in head["configs"]] == ["default"]
 
