@@ -18,6 +18,8 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+from figures import tell
+
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 TOUCHES = 256
 BY_HAND_ROUNDS = 4
@@ -57,6 +59,14 @@ def make_set(folder: Path, size: tuple[int, int], rounds: int) -> Path:
     return f.write_set(folder, {"train": rows}, "single", f.Layout(group_rows=10))
 
 
+COMMANDS = {
+    "flat": "--layout flat",
+    "webdataset": "--layout webdataset",
+    "lerobot": "--layout lerobot",
+    "import": "realtouch import --layout webdataset",
+}
+
+
 def jobs(source: Path, tars: Path) -> dict[str, Callable[[Path], Any]]:
     import realtouch
 
@@ -76,18 +86,19 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--rounds", type=int, default=100)
     options = parser.parse_args()
-    print(f"{'images':10}{'what':12}{'touches/s':>10}{'of by hand':>12}")
     with tempfile.TemporaryDirectory() as folder:
         home = Path(folder)
         for size in ((64, 64), (320, 240)):
             name = f"{size[0]}x{size[1]}"
             source, touches = make_set(home / name, size, options.rounds), options.rounds * TOUCHES
             hand = per_second(partial(by_hand, source), BY_HAND_ROUNDS * TOUCHES, home)
-            print(f"{name:10}{'by hand':12}{hand:10,.0f}", flush=True)
             for what, job in jobs(source, home / f"tars-{name}").items():
                 rate = per_second(job, touches, home)
-                note = "" if rate >= TARGET or what == "import" else f"  below {TARGET:,}"
-                print(f"{name:10}{what:12}{rate:10,.0f}{rate / hand:12.1f}{note}", flush=True)
+                target = "" if what == "import" else f"at least {TARGET}"
+                tell(
+                    f"{what}_{size[0]}", f"`{COMMANDS[what]}`, {name}", rate, "touches/s", target=target,
+                    note=f"by hand {hand:,.0f}: {rate / hand:.1f} times",
+                )  # fmt: skip
 
 
 if __name__ == "__main__":

@@ -60,7 +60,9 @@ BENCHMARKS = {
     "real_touches": Benchmark(
         ("realtouch/media", "realtouch/columns", "realtouch/touches.py", "tactile_toolkit/touch", *_READ)
     ),
-    "exchange": Benchmark(("realtouch/exchange", "realtouch/convert", "tactile_toolkit/touch", *_STORE)),
+    "exchange": Benchmark(
+        ("realtouch/exchange", "realtouch/convert", "tactile_toolkit/touch", *_STORE), ("--rounds", "40")
+    ),
     "height_maps": Benchmark(("tactile_toolkit/mesh/height_map.py", "tactile_toolkit/mesh/raster.py")),
     "env_adapter": Benchmark(("env_assets/published", "env_assets/provider.py", *_READ)),
     "touches": Benchmark(("tactile_sim", "env_assets/published/fast.py")),
