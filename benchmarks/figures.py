@@ -67,7 +67,6 @@ BENCHMARKS = {
     "env_adapter": Benchmark(("env_assets/published", "env_assets/provider.py", *_READ)),
     "touches": Benchmark(("tactile_sim", "env_assets/published/fast.py")),
     "training_order": Benchmark(("realtouch/torch.py", "tactile_toolkit/touch", *_READ)),
-    "large_sets": Benchmark(("mnist3d/splits.py", "mnist3d/generation.py", *_STORE, *_READ)),
     "scale": Benchmark((*_STORE, "mnist3d/generation.py")),
 }
 
