@@ -302,10 +302,9 @@ class _ConvertShard:
                 skipped.append(Skipped(choice.row, DAMAGED, str(error)))
             except ItemError as error:
                 skipped.append(Skipped(choice.row, error.reason, error.message))
-        made = pa.concat_tables(tables).combine_chunks()
-        if self.pack is not None:
-            made = self.pack.apply(self.shard, made, skipped)
-        return ShardContent(made, tuple(skipped))
+        made = pa.concat_tables(tables)
+        kept = made if self.pack is None else self.pack.apply(self.shard, made, skipped)
+        return ShardContent(kept.combine_chunks(), tuple(skipped))
 
     def _rows(self) -> Iterator[tuple[RowChoice, Row]]:
         """Read the blocks that hold chosen rows, one at a time, in order."""

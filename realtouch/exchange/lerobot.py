@@ -196,6 +196,7 @@ class _PackEpisodes:
                 "nothing of this file was written; next: leave the round out first (`realtouch select`)"
             )
             raise IntegrityError(message)
+        rows = rows.combine_chunks()
         episode, frame = self.starts[shard.index]
         starts = np.flatnonzero(rows["frame_index"].to_numpy() == 0)
         lengths = np.diff([*starts, len(rows)])

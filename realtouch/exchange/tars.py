@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import io
 import json
 import tarfile
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
+import numpy as np
 import pyarrow as pa
 
 from realtouch.exchange.flat import IMAGE
@@ -38,19 +38,31 @@ class PackTars:
 
 
 def _tar_bytes(rows: pa.Table, index: pa.Table) -> bytes:
-    images = rows[IMAGE].combine_chunks()
-    names = images.field("path").to_pylist()
+    texts, pieces = _json_texts(index), list[bytes | memoryview]()
+    for images in filter(len, rows[IMAGE].chunks):
+        blobs, paths = images.field("bytes"), images.field("path").to_pylist()
+        _, offsets, content = blobs.buffers()
+        ends = np.frombuffer(offsets, np.int32)[blobs.offset : blobs.offset + len(blobs) + 1].tolist()
+        stored = memoryview(content)
+        for name, start, end in zip(paths, ends[:-1], ends[1:], strict=True):
+            text = next(texts)
+            for member, held in ((name, stored[start:end]), (f"{name.partition('.')[0]}.json", text)):
+                pieces += (_header(member, len(held)), held, _FILL[: -len(held) % tarfile.BLOCKSIZE])
+    pieces.append(bytes(2 * tarfile.BLOCKSIZE))
+    pieces.append(bytes(-sum(map(len, pieces)) % tarfile.RECORDSIZE))
+    return b"".join(pieces)
+
+
+def _json_texts(index: pa.Table) -> Iterator[bytes]:
+    """Yield each row as JSON; put together from columns, which takes three quarters of the time of an encoder."""
     encode = json.JSONEncoder(ensure_ascii=False, separators=(",", ":")).encode
-    stream = io.BytesIO()
-    for name, image, fields in zip(names, images.field("bytes"), index.to_pylist(), strict=True):
-        text = encode(fields).encode()
-        for member, content in ((name, image.as_buffer()), (f"{name.partition('.')[0]}.json", text)):
-            stream.write(_header(member, len(content)))
-            stream.write(content)
-            stream.write(bytes(-len(content) % tarfile.BLOCKSIZE))
-    stream.write(bytes(2 * tarfile.BLOCKSIZE))
-    stream.write(bytes(-stream.tell() % tarfile.RECORDSIZE))
-    return stream.getvalue()
+    columns = []
+    for each in index.columns:
+        values = each.to_pylist()
+        is_text = pa.types.is_string(each.type)
+        columns.append(map(encode, values) if is_text else encode(values)[1:-1].split(","))
+    row = ",".join(f"{encode(name)}:%s" for name in index.column_names)
+    return ((f"{{{row}}}" % values).encode() for values in zip(*columns, strict=True))
 
 
 def _header(name: str, size: int) -> bytes:
@@ -64,5 +76,6 @@ def _header(name: str, size: int) -> bytes:
     return bytes(header)
 
 
+_FILL = bytes(tarfile.BLOCKSIZE)
 _EMPTY = tarfile.TarInfo("").tobuf(tarfile.USTAR_FORMAT)
 _EMPTY_SUM = int(_EMPTY[148:154], 8)
