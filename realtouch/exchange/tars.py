@@ -54,7 +54,7 @@ def _tar_bytes(rows: pa.Table, index: pa.Table) -> bytes:
 
 
 def _json_texts(index: pa.Table) -> Iterator[bytes]:
-    """Yield each row as JSON; put together from columns, which takes three quarters of the time of an encoder."""
+    """Yield each row as JSON, put together from columns: that takes a quarter less than an encoder."""
     encode = json.JSONEncoder(ensure_ascii=False, separators=(",", ":")).encode
     columns = []
     for each in index.columns:
