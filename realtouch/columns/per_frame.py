@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from realtouch.columns.per_touch import column_of, entries_of, per_touch, value_of
+from realtouch.columns.per_touch import entries_of, per_touch, value_of
 from realtouch.damage import damaged, missing_column
 from tactile_toolkit.read.columns import NestedColumn
 from tactile_toolkit.read.dataset import Row
@@ -193,11 +193,11 @@ def cut(row: Row, name: str, width: int) -> tuple[NDArray[Any], ...]:
 def cut_touch(row: Row, name: str, touch: int, length: int | None, width: int) -> NDArray[Any]:
     """Return the sequence of one touch: ``length`` entries, or as many as its clip has; see :func:`cut`.
 
-    Raises IntegrityError when fewer are stored, or they are not ``width`` values each; InputError when
-    nothing tells padding from frames: neither a stated length nor the clip is there.
+    Raises IntegrityError when there are not T sequences, this one is shorter, or entries are not ``width``
+    values each; InputError when nothing tells padding from frames: neither a stated length nor the clip.
     """
-    column = column_of(row, name)
-    all_of_round = column.inside(0, row.index, row.index + 1)
+    # Counted for a single touch, too: else it would be given the next round's for what is lacking.
+    column, *all_of_round = entries_of(row, name)
     first = all_of_round[0] + touch
     start, stop = column.inside(1, first, first + 1)
     if length is None and _same_length(column, *all_of_round):

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from realtouch.columns.per_frame import clip_length, cut, cut_touch
-from realtouch.columns.per_touch import entries_of, touch_total, vector_of, vectors
+from realtouch.columns.per_touch import touch_total, vector_of, vectors
 from realtouch.damage import damaged
 from realtouch.poses import Poses, PoseSequences, bad_pose, rigid_transform
 from tactile_toolkit.errors import IntegrityError
@@ -79,15 +79,10 @@ def pose_sequences(row: Row) -> PoseSequences:
 def clip_poses(row: Row, touch: int) -> Poses:
     """Return the poses of one touch of a ``seq`` round, N_i poses; see :func:`pose_sequences`."""
     length = clip_length(row, touch)
-    position = _frames_of(row, f"{_POSE_SEQUENCE}.position", touch, length, 3)
-    quaternion = _frames_of(row, f"{_POSE_SEQUENCE}.quaternion", touch, length, 4)
+    position = cut_touch(row, f"{_POSE_SEQUENCE}.position", touch, length, 3)
+    quaternion = cut_touch(row, f"{_POSE_SEQUENCE}.quaternion", touch, length, 4)
     _require_frames(row, touch, position, quaternion)
     return Poses(position, quaternion)
-
-
-def _frames_of(row: Row, name: str, touch: int, length: int | None, width: int) -> NDArray[Any]:
-    entries_of(row, name)  # else the next row would be read for what is lacking
-    return cut_touch(row, name, touch, length, width)
 
 
 def _require_frames(row: Row, touch: int, position: NDArray[Any], quaternion: NDArray[Any]) -> None:
@@ -120,7 +115,7 @@ def touch_contact_z_m(row: Row, kind: Kind, touch: int) -> float:
     """Return what :func:`contact_z_m` says of one touch, looking at no other."""
     if kind == "seq":
         name = f"{_POSE_SEQUENCE}.position"
-        frames = _frames_of(row, name, touch, clip_length(row, touch), 3)
+        frames = cut_touch(row, name, touch, clip_length(row, touch), 3)
         height = float(frames[:, 2].min(initial=np.inf))
     else:
         name = f"{_POSE}.position"

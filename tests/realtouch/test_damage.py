@@ -226,6 +226,27 @@ def test_damage_is_named_listed_and_left_out(
                 _ = item.image
 
 
+@pytest.mark.parametrize(
+    "field",
+    [
+        "gel_pose_cell_frame_seq.position",
+        "gel_pose_cell_frame_seq.quaternion",
+        "time_stamp_rel_seq",
+        "video_length_frames",
+        "touch_start_time_rel",
+    ],
+)
+def test_the_last_touch_never_takes_what_the_next_round_begins_with(
+    field: str, seq_rows: list[dict], tmp_path: Path
+) -> None:
+    def one_less(row: dict[str, Any]) -> None:
+        row[field] = row[field][:-1]
+
+    record = realtouch.load(damaged_set(tmp_path, seq_rows, "seq", one_less))[1]
+    with pytest.raises(IntegrityError, match=f"field '{field}'.*4 touches; expected 5"):
+        _ = [(clip.poses, clip.timestamps_s, clip.contact_window) for clip in record.sensor_video]
+
+
 def test_streams_leave_damage_out_as_they_go(single_rows: list[dict], tmp_path: Path) -> None:
     for edit, expected in ((no_jpeg, [5, 4, 5]), (one_image_less, [5, 5])):
         folder = damaged_set(tmp_path / edit.__name__, single_rows, "single", edit)
