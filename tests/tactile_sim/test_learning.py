@@ -24,6 +24,7 @@ from tactile_sim.pairs.making import PairsSpec, make_pairs
 from tactile_sim.pairs.reading import Pairs
 from tactile_sim.pairs.rows import decode_depth, depth_levels, encode_depth
 from tactile_toolkit.errors import InputError, IntegrityError, SpecMismatchError, StorageError
+from tactile_toolkit.pictures.writing import png_bytes
 
 pytestmark = [pytest.mark.torch, pytest.mark.sim]
 torch = pytest.importorskip("torch", reason="needs torch, of the extra torch")
@@ -77,6 +78,9 @@ def test_depth_survives_its_picture():
     image = np.linspace(0, 1, 32 * 24, dtype=np.float32).reshape(24, 32)
     assert np.abs(decode_depth(encode_depth(depth_levels(image))) - image).max() < 1e-5
     assert (depth_levels(np.zeros((4, 4), np.float32)) == 65535).all()  # a level surface counts as no contact
+    for other, words in ((b"no picture", "cannot be decoded"), (png_bytes(image.astype(np.uint8)), "mode L")):
+        with pytest.raises(ValueError, match=words):
+            decode_depth(other)
 
 
 def test_pairs_hold_what_was_asked_for_with_any_number_of_workers(sources, pairs, tmp_path, monkeypatch):

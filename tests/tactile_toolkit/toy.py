@@ -87,7 +87,7 @@ def toy_plan(splits: tuple[str, ...] = SPLITS, spec: dict | None = None, **task_
             ids = tuple(range(first + index * 5, first + index * 5 + 5))
             tasks.append(ToyTask(ShardName(split, index, count), ids, **task_options))
     return BuildPlan(
-        "toy", spec or {"seed": 1, "size": [1, 2]}, SPLITS, tuple(tasks), STYLE, "reports/toy.parquet"
+        "toy", spec or {"seed": 1, "size": (1, 2)}, SPLITS, tuple(tasks), STYLE, "reports/toy.parquet"
     )
 
 

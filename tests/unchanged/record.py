@@ -10,6 +10,7 @@ import hashlib
 import io
 import json
 import tempfile
+from dataclasses import fields, is_dataclass
 from importlib import import_module
 from importlib.metadata import version
 from pathlib import Path
@@ -64,6 +65,18 @@ def library_versions(names: tuple[str, ...] = LIBRARIES) -> dict[str, str]:
 
 def public_names(package: str) -> list[str]:
     return sorted(import_module(package).__all__)
+
+
+def defaults_and_limits(package: str) -> dict[str, str]:
+    """Return the default of each field of the public dataclasses, and which values it takes if it says so."""
+    found = {}
+    for name in public_names(package):
+        kind = getattr(import_module(package), name)
+        for each in fields(kind) if isinstance(kind, type) and is_dataclass(kind) else ():
+            if each.default is None or isinstance(each.default, (bool, int, float, str, tuple)):
+                rule = each.metadata.get("rule")
+                found[f"{name}.{each.name}"] = repr(each.default) + (f"; {rule.expected}" if rule else "")
+    return found
 
 
 def helps(command_line: str) -> str:
@@ -147,6 +160,7 @@ def main() -> None:
         "libraries": library_versions(),
         "help_libraries": library_versions(HELP_LIBRARIES),
         "names": {package: public_names(package) for package in PACKAGES},
+        "fields": {package: defaults_and_limits(package) for package in PACKAGES},
         "parquet": digests,
         "pictures": pixels,
         "touches": touches,

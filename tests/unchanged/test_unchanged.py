@@ -12,6 +12,7 @@ from tests.unchanged.record import (
     HELP_LIBRARIES,
     PACKAGES,
     data_sets,
+    defaults_and_limits,
     helps,
     library_versions,
     pictures,
@@ -23,10 +24,11 @@ RECORD = json.loads((FOLDER / "record.json").read_text(encoding="utf-8"))
 
 
 @pytest.mark.parametrize("package", PACKAGES)
-def test_public_names_are_unchanged(package):
+def test_public_names_defaults_and_limits_are_unchanged(package):
     if package == "realtouch.torch":
         pytest.importorskip("torch", reason="needs torch, of the extra torch")
     assert public_names(package) == RECORD["names"][package]
+    assert defaults_and_limits(package) == RECORD["fields"][package]
 
 
 def test_every_package_is_recorded():

@@ -17,6 +17,7 @@ import pytest
 
 from tactile_toolkit.cache import CACHE_VARIABLE
 from tactile_toolkit.errors import IntegrityError, ToolkitError
+from tactile_toolkit.read.blocks import map_block, write_blocks
 from tactile_toolkit.read.columns import list_array
 from tactile_toolkit.read.parquet import Shard, ShardedTable
 from tactile_toolkit.store.folder import DataFolder
@@ -41,6 +42,17 @@ def shard_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     file = tmp_path / NAME
     file.write_bytes(encode_parquet(rows(), STYLE))
     return file
+
+
+def test_blocks_come_back_alike_and_where_arrow_may_read_any_number(tmp_path: Path) -> None:
+    """Arrow reads numbers of 8 bytes at once, which some processors do only at multiples of 8."""
+    tables = [pa.table({"x": pa.array(range(count), pa.int8())}) for count in (1, 70, 3)]
+    with (tmp_path / "blocks").open("wb") as stream:
+        write_blocks(stream, "blocks", tables[0].schema, tables)
+    for number, table in enumerate(tables):
+        found = map_block(tmp_path / "blocks", number).table
+        assert found == table
+        assert found["x"].chunk(0).buffers()[1].address % 8 == 0
 
 
 def flipped(content: bytes, place: int, bit: int) -> bytes:

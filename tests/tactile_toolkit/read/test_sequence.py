@@ -292,6 +292,13 @@ def test_a_hugging_face_set_shares_the_rows(every_set: dict[str, Any], rows: Row
     assert endless.to_hf()[:]["seed"] == [scene.seed for scene in endless]
 
 
+def test_a_hugging_face_set_of_unlike_sets_has_the_columns_they_agree_on(tmp_path: Path) -> None:
+    one = written(tmp_path / "one", id=np.arange(3), label=[0, 1, 2], size=[1, 2, 3], only_here=[1, 2, 3])
+    other = written(tmp_path / "other", id=np.arange(3, 5), label=[2, 1], size=[0.5, 1.5])
+    shared = (one + other).to_hf()
+    assert shared[:] == {"id": [0, 1, 2, 3, 4], "label": [0, 1, 2, 2, 1]}
+
+
 @pytest.mark.parametrize("kind", ["touches", pytest.param("touches of clips", marks=pytest.mark.torch)])
 def test_a_hugging_face_set_of_touches_has_a_row_each(every_set: dict[str, Any], kind: str) -> None:
     if kind == "touches of clips":
