@@ -39,6 +39,7 @@ class MeshFormat(StrEnum):
     glb = "glb"
     mjcf = "mjcf"
     urdf = "urdf"
+    usd = "usd"
 
 
 class ObjectLayout(StrEnum):
@@ -65,7 +66,7 @@ class ExportOptions:
         MeshFormat | None,
         typer.Option(
             "--format",
-            help="Format of the files, mm (glb, mjcf and urdf: m). Default stl; plates are 3mf or mjcf.",
+            help="Format of the files, mm (glb, mjcf, urdf, usd: m). Default stl; plates are 3mf or mjcf.",
         ),
     ] = None
     layout: Annotated[
@@ -181,7 +182,9 @@ def _physics(options: ExportOptions) -> Physics:
     given = {"density_kg_m3": options.density, "friction": options.friction}
     chosen = {name: value for name, value in given.items() if value is not None}
     if chosen and (options.file_format is None or options.file_format.value not in MODELS):
-        message = "--density and --friction are about bodies for simulators; next: add --format mjcf or urdf"
+        message = (
+            "--density and --friction are about bodies for simulators; next: add --format mjcf, urdf or usd"
+        )
         raise InputError(message)
     return Physics(**chosen)
 

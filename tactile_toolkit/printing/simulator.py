@@ -1,4 +1,4 @@
-"""Bodies for simulators: MJCF and URDF with the true mass and inertia, and convex parts for contacts.
+"""Bodies for simulators: MJCF, URDF and USD with true mass and inertia, and convex parts for contacts.
 
 A simulator that is given the mesh alone takes its convex hull for contacts, and may take another mass.
 """
@@ -6,6 +6,7 @@ A simulator that is given the mesh alone takes its convex hull for contacts, and
 from __future__ import annotations
 
 import io
+import re
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,6 +15,7 @@ from xml.etree import ElementTree
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
 from tactile_toolkit.checked_fields import check_fields, real_number
 from tactile_toolkit.errors import InputError
@@ -23,7 +25,7 @@ from tactile_toolkit.mesh.mesh import MM_PER_M, Mesh
 
 __all__ = ["MODELS", "Body", "Physics", "body_of", "model_files", "pack_mjcf", "read_mjcf", "read_model"]
 
-MODELS = {"mjcf": ".xml", "urdf": ".urdf"}
+MODELS = {"mjcf": ".xml", "urdf": ".urdf", "usd": ".usda"}
 """Formats of bodies for simulators, and how their files end."""
 
 
@@ -78,9 +80,9 @@ def body_of(name: str, mesh: Mesh, physics: Physics) -> Body:
 def model_files(name: str, mesh: Mesh, ending: str, physics: Physics) -> dict[str, bytes]:
     """Write a solid as a body: the files by path, the model last, behind what it refers to."""
     body = body_of(name, mesh, physics)
-    return (
-        {f"{name}.xml": pack_mjcf([(body, (0.0, 0.0))], name)} if ending == ".xml" else _pack_urdf(body, name)
-    )
+    if ending == ".urdf":
+        return _pack_urdf(body, name)
+    return {f"{name}{ending}": pack_mjcf([(body, (0.0, 0.0))], name) if ending == ".xml" else _pack_usd(body)}
 
 
 def read_model(path: Path) -> Mesh:
@@ -89,6 +91,8 @@ def read_model(path: Path) -> Mesh:
         if path.suffix == ".xml":
             ((mesh, _),) = read_mjcf(path.read_bytes()).values()
             return mesh
+        if path.suffix == ".usda":
+            return _read_usd(path.read_text())
         shown = ElementTree.fromstring(path.read_bytes()).find("link/visual/geometry/mesh")
         file = path.parent / (shown.attrib["filename"] if shown is not None else "")
         in_mm = read_mesh(file)  # OBJ names no unit, and is taken for millimetres elsewhere
@@ -180,6 +184,95 @@ def _pack_urdf(body: Body, folder: str) -> dict[str, bytes]:
     return {**files, f"{folder}.urdf": _written(root)}
 
 
+_USD = """#usda 1.0
+(
+    defaultPrim = "{prim}"
+    kilogramsPerUnit = 1
+    metersPerUnit = 1
+    upAxis = "Z"
+)
+
+def Xform "{prim}" (
+    prepend apiSchemas = ["PhysicsRigidBodyAPI", "PhysicsMassAPI"]
+)
+{{
+    float physics:mass = {mass}
+    point3f physics:centerOfMass = ({center})
+    float3 physics:diagonalInertia = ({moments})
+    quatf physics:principalAxes = ({axes})
+
+    def Material "material" (
+        prepend apiSchemas = ["PhysicsMaterialAPI"]
+    )
+    {{
+        float physics:dynamicFriction = {friction}
+        float physics:staticFriction = {friction}
+    }}
+{meshes}}}
+"""
+_USD_MESH = """
+    def Mesh "{name}"{schemas}
+    {{
+        uniform token subdivisionScheme = "none"
+        int[] faceVertexCounts = [{counts}]
+        int[] faceVertexIndices = [{faces}]
+        point3f[] points = [{points}]{felt}
+    }}
+"""
+_USD_SCHEMAS = """ (
+        prepend apiSchemas = ["PhysicsCollisionAPI", "PhysicsMeshCollisionAPI", "MaterialBindingAPI"]
+    )"""
+_USD_FELT = """
+        uniform token purpose = "guide"
+        uniform token physics:approximation = "convexHull"
+        rel material:binding:physics = <{path}/material>"""
+_USD_VISUAL = re.compile(r'"visual".*?Indices = \[(.*?)\].*?points = \[(.*?)\]', re.DOTALL)
+
+
+def _pack_usd(body: Body) -> bytes:
+    """Write a body as one USD file in words, metres and kilograms."""
+    prim = re.sub(r"\W|^(?=\d)", "_", body.name, flags=re.ASCII)  # USD knows no other names
+    moments, axes = np.linalg.eigh(body.inertia_kg_m2)
+    # An axis and its opposite are one: taken is the one whose largest share is positive.
+    axes = axes * np.sign(np.take_along_axis(axes, np.abs(axes).argmax(axis=0)[None], axis=0))
+    axes[:, 2] = np.cross(axes[:, 0], axes[:, 1])
+    x, y, z, w = Rotation.from_matrix(axes).as_quat(canonical=True)
+    meshes = []
+    for name, mesh in {
+        "visual": body.mesh,
+        **{f"part_{n:02d}": part for n, part in enumerate(body.parts)},
+    }.items():
+        is_felt = name != "visual"
+        meshes.append(
+            _USD_MESH.format(
+                name=name,
+                schemas=_USD_SCHEMAS if is_felt else "",
+                counts=", ".join(["3"] * len(mesh.faces)),
+                faces=", ".join(map(str, mesh.faces.ravel().tolist())),
+                points=", ".join(f"({_text(row, ', ')})" for row in mesh.vertices_m),
+                felt=_USD_FELT.format(path=f"/{prim}") if is_felt else "",
+            )
+        )
+    return _USD.format(
+        prim=prim,
+        mass=_text((body.mass_kg,)),
+        center=_text(body.center_m, ", "),
+        moments=_text(moments, ", ", 7),
+        axes=_text((w, x, y, z), ", ", 6),  # LAPACK rounds otherwise on other processors
+        friction=_text((body.friction,)),
+        meshes="".join(meshes),
+    ).encode()
+
+
+def _read_usd(text: str) -> Mesh:
+    found = _USD_VISUAL.search(text)
+    if found is None:
+        message = "no mesh 'visual'"
+        raise ValueError(message)
+    faces, points = (re.sub(r"[(),]", " ", words).split() for words in found.groups())
+    return Mesh(np.array(points, np.float64).reshape(-1, 3), np.array(faces, np.int32).reshape(-1, 3))
+
+
 def _obj(mesh: Mesh) -> bytes:
     out = io.StringIO()
     for row in np.asarray(mesh.vertices_m, np.float64).tolist():
@@ -189,8 +282,8 @@ def _obj(mesh: Mesh) -> bytes:
     return out.getvalue().encode()
 
 
-def _text(values: Iterable[Any]) -> str:
-    return " ".join(f"{float(value):.9g}" for value in values)
+def _text(values: Iterable[Any], between: str = " ", digits: int = 9) -> str:
+    return between.join(f"{float(value):.{digits}g}" for value in values)
 
 
 def _written(root: ElementTree.Element) -> bytes:

@@ -168,8 +168,8 @@ def export_files(
     there already with the very same bytes is kept, so a stopped export goes on where it was.
 
     Objects that are not solids are listed in the result, and do not stop the others. ``kind`` is ``"stl"``,
-    ``"3mf"``, ``"ply"``, ``"obj"`` (millimetres), ``"glb"``, or ``"mjcf"`` or ``"urdf"`` for simulators
-    (metres), whose masses follow from ``physics``; ``scale`` is a factor on all lengths.
+    ``"3mf"``, ``"ply"``, ``"obj"`` (millimetres), ``"glb"``, or ``"mjcf"``, ``"urdf"`` or ``"usd"`` for
+    simulators (metres), whose masses follow from ``physics``; ``scale`` is a factor on all lengths.
     With ``overwrite``, files of the same name that hold something else are replaced, and that of an object
     that fails is removed.
 

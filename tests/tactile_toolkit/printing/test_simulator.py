@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -100,7 +101,48 @@ def test_a_reader_of_urdf_finds_masses_and_convex_parts(tmp_path: Path):
         assert felt.volume <= 1.1 * solid.volume_m3
 
 
-@pytest.mark.parametrize("kind", ["mjcf", "urdf"])
+@needs_simulators
+def test_usd_knows_the_body_and_its_parts(tmp_path: Path):
+    pytest.importorskip("pxr", reason="needs usd-core, of the extra simulators")
+    from pxr import Gf, Usd, UsdGeom, UsdPhysics, UsdShade
+
+    solids = [*SHAPES, *digits()[:1]]
+    made = export_files(named(solids), str(tmp_path), "usd", physics=Physics(1100, 0.7))
+    for solid, file in zip(solids, made.files, strict=True):
+        stage = Usd.Stage.Open(str(tmp_path / file.file))
+        assert (UsdGeom.GetStageMetersPerUnit(stage), UsdGeom.GetStageUpAxis(stage)) == (1, "Z")
+        body = stage.GetDefaultPrim()
+        assert body.HasAPI(UsdPhysics.RigidBodyAPI)
+        exact = solid.to_trimesh()
+        exact.density = 1100
+        mass = UsdPhysics.MassAPI(body)
+        assert mass.GetMassAttr().Get() == pytest.approx(exact.mass, rel=1e-6)
+        assert list(mass.GetCenterOfMassAttr().Get()) == pytest.approx(list(exact.center_mass), abs=1e-8)
+        turn = np.array(Gf.Matrix3d(Gf.Quatd(mass.GetPrincipalAxesAttr().Get()))).T
+        inertia = turn @ np.diag(mass.GetDiagonalInertiaAttr().Get()) @ turn.T
+        size = np.abs(exact.moment_inertia).max()
+        np.testing.assert_allclose(inertia, exact.moment_inertia, atol=1e-5 * size)
+        visual, *parts = (UsdGeom.Mesh(prim) for prim in body.GetChildren() if prim.IsA(UsdGeom.Mesh))
+        found = trimesh.Trimesh(visual.GetPointsAttr().Get(), _triangles(visual))
+        assert found.volume == pytest.approx(solid.volume_m3, rel=1e-5)
+        assert not visual.GetPrim().HasAPI(UsdPhysics.CollisionAPI)
+        felt = 0.0
+        for part in parts:
+            assert part.GetPrim().HasAPI(UsdPhysics.CollisionAPI)
+            assert UsdPhysics.MeshCollisionAPI(part.GetPrim()).GetApproximationAttr().Get() == "convexHull"
+            material, _ = UsdShade.MaterialBindingAPI(part.GetPrim()).ComputeBoundMaterial("physics")
+            friction = UsdPhysics.MaterialAPI(material.GetPrim()).GetDynamicFrictionAttr().Get()
+            assert friction == pytest.approx(0.7)
+            felt += trimesh.Trimesh(part.GetPointsAttr().Get(), _triangles(part)).convex_hull.volume
+        assert solid.volume_m3 * 0.999 <= felt <= 1.1 * solid.volume_m3
+
+
+def _triangles(mesh: Any) -> np.ndarray:
+    assert set(mesh.GetFaceVertexCountsAttr().Get()) == {3}
+    return np.array(mesh.GetFaceVertexIndicesAttr().Get()).reshape(-1, 3)
+
+
+@pytest.mark.parametrize("kind", ["mjcf", "urdf", "usd"])
 def test_models_are_kept_replaced_and_resumed_as_other_files(kind: str, tmp_path: Path):
     export_files(named(SHAPES), str(tmp_path / "whole"), kind)
     export_files(named(SHAPES)[:1], str(tmp_path / "parts"), kind)
