@@ -101,11 +101,14 @@ def _responsible_ai(manifest: Manifest | None, head: Mapping[str, Any], body: st
         "rai:dataCollection": " ".join(_lines(_section(body, "How it was made"))),
         "rai:dataUseCases": list(head["task_categories"]),
         "rai:dataLimitations": _lines(_section(body, "Known limits")),
+        "rai:dataBiases": _shares(_section(body, "Splits")),
     }
     if manifest is None:
         return known
     skipped = [f"{count:,} left out: {reason}" for reason, count in manifest.skipped_reasons().items()]
     libraries = ", ".join(f"{name} {version}" for name, version in sorted(manifest.libraries.items()))
+    if "source" in manifest.spec:
+        known["rai:dataCollectionRawData"] = f"what it was made of is 'source' in {MANIFEST_FILE}"
     return {
         **known,
         "rai:dataCollectionMissingData": "; ".join(skipped) or "nothing was left out",
@@ -138,6 +141,19 @@ def _lines(markdown: str) -> list[str]:
         elif lines and not lines[-1].endswith(":"):  # what introduces a block of code
             found.append(" ".join(lines))
     return [_LINK.sub(r"\1", line).replace("`", "").replace("\\", "") for line in found]
+
+
+def _shares(markdown: str) -> list[str]:
+    """Return how the rows divide, as the table of splits has it, without what it says of files."""
+    table = [line.strip(" |").split(" | ") for line in markdown.splitlines() if line.startswith("|")]
+    if not table:
+        return []
+    (_, *names), _, *rows = table
+    counts = names.index("shards") if "shards" in names else len(names)
+    return [
+        f"{split}: {', '.join(f'{name} {cell}' for name, cell in zip(names[:counts], cells, strict=False))}"
+        for split, *cells in rows
+    ]
 
 
 def _structure(folder: DataFolder, facts: FolderFacts, manifest: Manifest | None) -> dict[str, Any]:

@@ -82,6 +82,7 @@ def test_it_says_what_the_card_and_the_manifest_say(made):
     assert len(metadata.data_limitations) >= 4
     assert all(line in card.replace("`", "") for line in metadata.data_limitations)
     assert metadata.data_collection_missing_data == "nothing was left out"
+    assert metadata.data_biases == [f"{split}: digits 10, per class 1" for split in ("test", "holdout")]
     assert "seed 0" in metadata.data_collection
     assert "numpy" in metadata.data_preprocessing_protocol[0]
     files = {each.id: each.sha256 for each in metadata.file_objects}
