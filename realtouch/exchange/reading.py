@@ -40,6 +40,7 @@ from tactile_toolkit.touch.schema import CLASS_NAMES, MEDIA_TYPE, with_features
 __all__ = ["import_images"]
 
 _SPLIT = re.compile(r"\w+")
+_WITH_POINT = re.compile(r"^(\d+)\.0+$", re.ASCII)
 _UNNAMED = re.compile(r"[^A-Za-z0-9_-]")
 _TOUCHES_PER_SHARD = 4096
 _TOUCHES_PER_GROUP = 1024
@@ -158,7 +159,10 @@ def _plan(
     layout: str,
 ) -> BuildPlan:
     """Divide the touches into splits, rounds and shards. InputError where nothing can be imported."""
-    names = classes or _class_names(_text(item.values, columns.label) for item in items)
+    names = tuple(map(_whole, classes)) or _class_names(_whole(_text(i.values, columns.label)) for i in items)
+    if len(set(names)) < len(names):
+        message = f"the classes are {', '.join(names)}; expected each once"
+        raise InputError(message)
     rounds = _rounds(items, columns, split)
     size = _first_size(items)
     schema = _schema(columns, names)
@@ -236,17 +240,17 @@ def _rounds(items: Sequence[Item], columns: ImportColumns, split: str) -> dict[s
     """Return the touches of each round of each split, in order; a touch without a round is one."""
     found: dict[str, dict[str, list[Item]]] = {}
     home: dict[str, str] = {}
+    named = set() if columns.round is None else {_text(item.values, columns.round) for item in items}
     for item in items:
         part = split if columns.split is None else _text(item.values, columns.split) or split
         if not _SPLIT.fullmatch(part):
             message = f"{item.name!r}: the split {part[:LONGEST_SHOWN]!r}; expected letters and digits"
             raise InputError(message)
-        if columns.round is None:
+        name = "" if columns.round is None else _text(item.values, columns.round)
+        if not name:
             name = _UNNAMED.sub("_", item.name.rpartition(".")[0] or item.name)
-            while name in home:
+            while name in home or name in named:
                 name = f"{name}_{item.number}"
-        else:
-            name = _text(item.values, columns.round) or f"unnamed_{item.number}"
         if home.setdefault(name, part) != part:
             message = (
                 f"{item.name!r}: round {name[:LONGEST_SHOWN]!r} lies in the splits {home[name]!r} and "
@@ -332,12 +336,12 @@ class _ImportShard:
             problem = f"{width} x {height} pixels; expected {first_width} x {first_height} as in the first"
             raise ItemError(Reason.size, problem)
         values, columns = item.values, self.columns
-        label = _text(values, columns.label)
+        label = _whole(_text(values, columns.label))
         if label not in self.names:
             raise ItemError(Reason.label, f"the label {label[:LONGEST_SHOWN]!r}; expected a class")
         object_id = 0
         if columns.object_id is not None:
-            text = _text(values, columns.object_id)
+            text = _whole(_text(values, columns.object_id))
             if not (text.isdecimal() and text.isascii() and len(text) < 19):
                 raise ItemError(
                     Reason.object, f"the object {text[:LONGEST_SHOWN]!r}; expected a whole number"
@@ -362,6 +366,11 @@ class _ImportShard:
 def _text(values: Mapping[str, Any], name: str) -> str:
     value = values.get(name)
     return "" if value is None else str(value).strip()
+
+
+def _whole(text: str) -> str:
+    """Return ``"3"`` for ``"3.0"``: so tables have whole numbers whose column lacks a value somewhere."""
+    return _WITH_POINT.sub(r"\1", text)
 
 
 def _numbers(values: Mapping[str, Any], names: Sequence[str], count: int, what: Reason) -> tuple[float, ...]:

@@ -181,6 +181,11 @@ def _require_columns(known: Sequence[str], wanted: Iterable[str], where: str) ->
                 f"{', '.join(known) or 'none'}; next: name the columns with the options of `realtouch import`"
             )
             raise InputError(message)
+        if known.count(name) > 1:
+            message = (
+                f"{where!r} has {known.count(name)} columns {name!r}; expected one; next: name them apart"
+            )
+            raise InputError(message)
 
 
 def items_of_tars(home: Path, columns: ImportColumns, table: str | None) -> Iterator[Item]:

@@ -165,6 +165,31 @@ def test_tables_and_options_that_cannot_be_used(home: Path, tmp_path: Path) -> N
     refused("round 'a' lies in the splits", columns, table="index.csv")
 
 
+def test_names_that_meet_and_numbers_with_a_point(home: Path, tmp_path: Path) -> None:
+    for name in ("a_b_2", "a_b", "pictures/x"):
+        (home / f"{name}.jpg").write_bytes(picture(9))
+    (home / "a").mkdir()
+    (home / "a" / "b.jpg").write_bytes(picture(9))
+    names = ("a_b_2.jpg", "a/b.jpg", "a_b.jpg", "pictures/x.jpg")
+    write_table(home, [{"file": name, "label": "3.0", "round": ""} for name in names])
+    realtouch.import_images(home, tmp_path / "out", "folder")
+    found = realtouch.load(tmp_path / "out", "train")
+    assert found.ids.tolist() == ["a_b_2", "a_b", "a_b_2_2", "pictures_x"]
+    assert (found.label_names, found.labels.tolist()) == (tuple("0123456789"), [3] * 4)
+    lines = [{"file": name, "label": 1, "round": "a_b"[: 3 * (name == names[3])]} for name in names]
+    write_table(home, lines)
+    realtouch.import_images(home, tmp_path / "rounds", "folder", realtouch.ImportColumns(round="round"))
+    assert realtouch.load(tmp_path / "rounds", "train").ids.tolist() == ["a_b_2", "a_b_1", "a_b_2_2", "a_b"]
+    for classes, table, words in (
+        (("3", "3.0"), "file,label\na_b.jpg,3\n", "expected each once"),
+        ((), "file,label,label\na_b.jpg,3,4\n", "2 columns 'label'"),
+    ):
+        (home / "index.csv").write_text(table)
+        with pytest.raises(InputError, match=words):
+            realtouch.import_images(home, tmp_path / "none", "folder", classes=classes)
+        assert not (tmp_path / "none").exists()
+
+
 def write_tar(path: Path, members: list[tuple[str, bytes]]) -> None:
     with tarfile.open(path, "w") as tar:
         for name, content in members:
