@@ -6,8 +6,8 @@
 
 Everything runs on one thread of one process, in turn, and is given in processor time per touch: a batch of
 images and labels as tensors. Printed are medians of the runs, and medians of the ratios to the training
-order, turn by turn; beside them what decoding alone takes, of which nobody can have less. What lies in the
-cache was unpacked before, as in every epoch but the first, which is a line of its own.
+order in both memory formats, turn by turn; beside them what decoding alone takes, of which nobody can have
+less. What lies in the cache was unpacked before, as in every epoch but the first, which is a line of its own.
 """
 
 from __future__ import annotations
@@ -99,9 +99,11 @@ def passes(folder: Path) -> dict[str, Callable[[], Iterator[Any]]]:
     from realtouch.torch import TouchTensors, TrainingBatches
 
     tensors = TouchTensors(realtouch.load(folder, "train"))
+    channels_last = TouchTensors(tensors.touches, channels_last=True)
     return {
         "plain": lambda: iter(torch.utils.data.DataLoader(tensors, batch_size=BATCH)),
         "training": lambda: iter(TrainingBatches(tensors, BATCH)),
+        "channels_last": lambda: iter(TrainingBatches(channels_last, BATCH)),
         "random": lambda: iter(torch.utils.data.DataLoader(tensors, batch_size=BATCH, shuffle=True)),
         "datasets": lambda: streamed(folder),
         "decoding": lambda: decoded(folder),
@@ -156,11 +158,12 @@ def main() -> None:
         turns = [{name: processor_s(work) for name, work in compared.items()} for _ in range(options.turns)]
         for name in compared:
             median_s = statistics.median(turn[name] for turn in turns)
-            ratios = [turn[name] / turn["training"] for turn in turns]
-            spread = f"{min(ratios):.2f} to {max(ratios):.2f}"
-            print(
-                f"{name:<10}{median_s * 1e6:>8.0f} us a touch, {statistics.median(ratios):>6.2f} ({spread})"
-            )
+            told = f"{name:<14}{median_s * 1e6:>8.0f} us a touch"
+            for beside in ("training", "channels_last"):
+                ratios = [turn[name] / turn[beside] for turn in turns]
+                spread = f"{min(ratios):.2f} to {max(ratios):.2f}"
+                told += f", {statistics.median(ratios):>6.2f} of {beside} ({spread})"
+            print(told)
         first_s, late_s = resume_s(folder)
         print(f"first batch of an epoch {first_s * 1e3:.0f} ms, resumed at nine tenths {late_s * 1e3:.0f} ms")
 

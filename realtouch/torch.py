@@ -70,6 +70,9 @@ class TouchTensors(torch.utils.data.Dataset):  # type: ignore[misc]
         Of clips, give one contact frame as an image, chosen by this method (see
         :meth:`realtouch.TouchClip.contact_index`), instead of the whole clip. A function as ``target`` is
         given the touch, whose pose is that of the last frame of contact.
+    channels_last : bool
+        Lay out batches of images in torch's memory format ``channels_last``: the same values in a fifth less
+        time, and what convolutions like best. ``view`` cannot flatten them; ``flatten`` and ``reshape`` can.
 
     Raises
     ------
@@ -83,11 +86,14 @@ class TouchTensors(torch.utils.data.Dataset):  # type: ignore[misc]
         transform: Transform | None = None,
         target: Target = "label",
         frames: str | None = None,
+        *,
+        channels_last: bool = False,
     ) -> None:
         self.touches = dataset if isinstance(dataset, Touches) else dataset.touches()
         self.transform = transform
         self.target = _require_target(target)
         self.frames = _require_frames(frames)
+        self.channels_last = channels_last
         self._rounds: MemoryCache[int, Any] = MemoryCache(_ROUNDS_KEPT)
 
     @property
@@ -110,7 +116,7 @@ class TouchTensors(torch.utils.data.Dataset):  # type: ignore[misc]
         image_type = _tv_tensors().Image
         return [
             _given(touch, image.as_subclass(image_type), None, self.transform, self.target)
-            for touch, image in zip(found[1], torch.from_numpy(found[0]), strict=True)
+            for touch, image in zip(found[1], found[0], strict=True)
         ]
 
     def collated(self, indices: Sequence[int]) -> Any:
@@ -135,14 +141,13 @@ class TouchTensors(torch.utils.data.Dataset):  # type: ignore[misc]
         found = self._decoded(indices) if self.transform is None else None
         if found is None:
             return collate(self.__getitems__(indices))
-        pixels, touches = found
-        images = torch.from_numpy(pixels)
+        images, touches = found
         if self.target is None:
             return images
         targets: Any = tuple([_given(touch, None, None, None, self.target)[1] for touch in touches])
         return [images, collate(targets)]
 
-    def _decoded(self, indices: Sequence[int]) -> tuple[Pixels, list[Touch]] | None:
+    def _decoded(self, indices: Sequence[int]) -> tuple[torch.Tensor, list[Touch]] | None:
         """Decode images of one size, shape (n, 3, H, W), beside their touches; None where they are not that.
 
         Where an image is damaged it is None, too: whoever asks for the item by itself is told of it.
@@ -156,19 +161,24 @@ class TouchTensors(torch.utils.data.Dataset):  # type: ignore[misc]
         images: Any = None
         try:
             size = self._round(wanted[0][0]).sensor_image.size(wanted[0][1])
-            pixels = room_for(len(wanted), size).reshape(len(wanted), 3, *size)
-            one = room_for(1, size)[0]  # all are decoded here: it stays in the processor's cache
-            planes = one.transpose(2, 0, 1)
+            # Decoders write colour by colour for each pixel. One picture stays in the processor's cache.
+            pixels = room_for(len(wanted), size)
+            planes = pixels.transpose(0, 3, 1, 2)
+            if not self.channels_last:
+                planes = pixels.reshape(planes.shape)
+                one = room_for(1, size)[0]
             for position, number, slot in wanted:
                 if position != last:
                     last, record = position, self._round(position)
                     images = record.sensor_image
                 touches[slot] = Touch(record, number)
-                decode_image(images.encoded(number), one)
-                pixels[slot] = planes
+                if self.channels_last:
+                    decode_image(images.encoded(number), pixels[slot])
+                else:
+                    planes[slot] = decode_image(images.encoded(number), one).transpose(2, 0, 1)
         except (IntegrityError, ValueError):
             return None
-        return pixels, touches
+        return torch.from_numpy(planes), touches
 
     def _round(self, position: int) -> Any:
         found = self._rounds.get(position)

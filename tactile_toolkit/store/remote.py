@@ -7,6 +7,7 @@ another process may write there at any moment. Objects appear whole. No bucket i
 from __future__ import annotations
 
 import io
+import logging
 import os
 import re
 import time
@@ -60,6 +61,8 @@ class RemoteFolder:
             raise InputError(message) from error
         if scheme == "s3":
             system.retries = 1  # see _LIMITS
+        # What goes wrong is told here; where nobody listens to its log, gcsfs prints it with tracebacks.
+        logging.getLogger(type(system).__module__.partition(".")[0]).addHandler(logging.NullHandler())
         return system
 
     @cached_property

@@ -145,6 +145,9 @@ def test_a_batch_made_at_once_is_that_of_its_items(single_folder: Path, target: 
         return
     assert torch.equal(given[0], expected[0])
     assert given[0].is_contiguous()
+    other = TouchTensors(data.touches, target=target, channels_last=True).collated(order)
+    assert torch.equal(other[0], expected[0])
+    assert other[0].is_contiguous(memory_format=torch.channels_last)
     assert type(given[1]) is type(expected[1])
     assert torch.equal(given[1], expected[1]) if target != "round_id" else given[1] == expected[1]
     assert pickle.loads(pickle.dumps(data)).collated([3])[0].shape == (1, *given[0].shape[1:])
