@@ -71,12 +71,10 @@ class MissingExtraError(InputError):
         super().__init__(
             f"{feature} needs the package {package!r}, which is not installed; next: {install_line(extra)}"
         )
-        self.package = package
-        self.extra = extra
 
     def __reduce__(self) -> tuple[object, ...]:
         """Rebuild from the message, so that the error crosses process borders."""
-        return (_rebuild_missing_extra, (self.args[0], self.package, self.extra))
+        return (_rebuild_missing_extra, self.args)
 
 
 def install_line(extra: str) -> str:
@@ -133,8 +131,7 @@ class HubError(RemoteError):
     """The Hugging Face Hub, or the network on the way there, refused or failed."""
 
 
-def _rebuild_missing_extra(message: str, package: str, extra: str) -> MissingExtraError:
+def _rebuild_missing_extra(message: str) -> MissingExtraError:
     error = MissingExtraError.__new__(MissingExtraError)
     Exception.__init__(error, message)
-    error.package, error.extra = package, extra
     return error

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import pickle
 import subprocess
 import sys
 from pathlib import Path
 
 import pytest
 
+from tactile_toolkit.errors import HubError, InputError, IntegrityError, ItemError, MissingExtraError
 from tactile_toolkit.run.processes import ProcessRunner
 
 REPOSITORY = Path(__file__).resolve().parents[3]
@@ -56,3 +58,19 @@ import pandas  # whoever wants it has it
 """
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
+
+
+@pytest.mark.parametrize(
+    "error",
+    [
+        InputError("what"),
+        ItemError("no-ink", "what"),
+        IntegrityError("what"),
+        HubError("what"),
+        MissingExtraError("a plot", "matplotlib", "pictures"),
+    ],
+    ids=lambda error: type(error).__name__,
+)
+def test_errors_cross_the_border_of_a_process(error: Exception) -> None:
+    copy = pickle.loads(pickle.dumps(error))
+    assert (type(copy), str(copy), vars(copy)) == (type(error), str(error), vars(error))
