@@ -13,6 +13,7 @@ import realtouch
 import starstruck_gen
 import tactile_sim
 from tactile_sim.generation import plan_build
+from tactile_sim.optics import make_optics
 from tactile_sim.plan import REACH_M
 from tactile_toolkit.errors import InputError, SpecMismatchError
 from tests.tactile_sim.oracle import GEL_M, PRESS_M, Oracle, require_package
@@ -290,3 +291,15 @@ def test_one_look_at_a_mesh_file(tmp_path):
     assert decode_image(out.read_bytes()).shape == (60, 80, 3)
     for wrong in ("80", "axb", "0x10"):
         assert CliRunner().invoke(app, [*command, wrong, "--out", str(out)]).exit_code == 2
+
+
+@pytest.mark.parametrize(
+    ("given", "words"),
+    [
+        (("glass",), "no optics 'glass'; expected one of depth"),
+        (("depth", "own.npz"), "weights were given, but"),
+    ],
+)
+def test_optics_that_are_not_there_are_named(given, words):
+    with pytest.raises(InputError, match=words):
+        make_optics(*given)
