@@ -5,9 +5,9 @@
     python benchmarks/training_order.py [--folder SET] [--shards 20] [--rounds 2]
 
 Everything runs on one thread of one process, in turn, and is given in processor time per touch: a batch of
-images and labels as tensors. Printed are medians of the runs, and medians of the ratios to the training
-order in both memory formats, turn by turn; beside them what decoding alone takes, of which nobody can have
-less. What lies in the cache was unpacked before, as in every epoch but the first, which is a line of its own.
+images and labels as tensors. Told are medians of the turns; beside them what decoding alone takes, of which
+nobody can have less. What lies in the cache was unpacked before, as in every epoch but the first, which is a
+line of its own.
 """
 
 from __future__ import annotations
@@ -28,6 +28,7 @@ from typing import Any
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 import numpy as np
+from figures import tell
 
 BATCH = 64
 TOUCHES = 256
@@ -154,18 +155,34 @@ def main() -> None:
         compared = passes(folder)
         touches_given(islice(compared["random"](), 1))  # imports what making tensors takes
         first_s = processor_s(compared["training"])
-        print(f"first epoch, row groups unpacked meanwhile: {first_s * 1e6:.0f} us a touch")
         turns = [{name: processor_s(work) for name, work in compared.items()} for _ in range(options.turns)]
-        for name in compared:
-            median_s = statistics.median(turn[name] for turn in turns)
-            told = f"{name:<14}{median_s * 1e6:>8.0f} us a touch"
-            for beside in ("training", "channels_last"):
-                ratios = [turn[name] / turn[beside] for turn in turns]
-                spread = f"{min(ratios):.2f} to {max(ratios):.2f}"
-                told += f", {statistics.median(ratios):>6.2f} of {beside} ({spread})"
-            print(told)
-        first_s, late_s = resume_s(folder)
-        print(f"first batch of an epoch {first_s * 1e3:.0f} ms, resumed at nine tenths {late_s * 1e3:.0f} ms")
+        tell_turns(turns)
+        tell("first_epoch", "the first epoch, which unpacks row groups meanwhile, a touch", first_s, "s")
+        begun_s, resumed_s = resume_s(folder)
+        tell("begun", "first batch of an epoch", begun_s, "s")
+        tell("resumed", "first batch, resumed at nine tenths of an epoch", resumed_s, "s")
+
+
+def tell_turns(turns: list[dict[str, float]]) -> None:
+    """Tell medians, and how ratios differ from turn to turn."""
+    medians = {name: statistics.median(turn[name] for turn in turns) for name in turns[0]}
+    for name, beside, what, target in (
+        ("training", "datasets", "the order of training; `datasets` streaming with its shuffle buffer", 5),
+        ("channels_last", "datasets", "the same in torch's `channels_last`; `datasets`", 5),
+        ("training", "plain", "the order of training; the plain pass in stored order", 0.8),
+        ("training", "random", "the order of training; any touch at random", 0),
+        ("decoding", "datasets", "decoding alone, the bound for any reader; `datasets`", 0),
+    ):
+        ratios = [turn[beside] / turn[name] for turn in turns]
+        tell(
+            f"{name}_{beside}",
+            f"a touch in {what}",
+            medians[name],
+            "s",
+            other=medians[beside],
+            target=f"at least {target}" if target else "",
+            note=f"{min(ratios):.1f} to {max(ratios):.1f} in {len(turns)} turns",
+        )
 
 
 if __name__ == "__main__":
