@@ -124,9 +124,6 @@ class PictureOptions:
         from tactile_sim.noise import SensorNoise
         from tactile_sim.plan import TouchPlan
 
-        noise = None
-        if self.noise != "none":
-            noise = SensorNoise.calibrated() if self.noise == "calibrated" else SensorNoise.read(self.noise)
         return GenerateSpec(
             parse_size(self.size),
             self.optics,
@@ -137,7 +134,7 @@ class PictureOptions:
             self.weights_name,
             limit,
             self.layer_mm / 1000 if self.surface == "printed" else 0.0,
-            noise,
+            SensorNoise.named(self.noise),
         )
 
     @property

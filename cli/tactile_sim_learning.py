@@ -74,9 +74,18 @@ class TrainOptions:
     ] = 10.0
     touch_cycle_weight: Annotated[float, typer.Option(metavar="W", help="Weight of touches' cycle.")] = 10.0
     identity_weight: Annotated[float, typer.Option(metavar="W", help="Weight of the identity loss.")] = 5.0
+    sensor_noise: Annotated[
+        str,
+        typer.Option(
+            metavar="none|calibrated|FILE",
+            help="Noise of the sensor, which generators need not make: as for `generate --noise`.",
+        ),
+    ] = "none"
     noise: Annotated[
-        float,
-        typer.Option(metavar="STD", help="Noise over touches that networks are shown."),
+        float, typer.Option(metavar="STD", help="Noise over made touches that the way back is shown.")
+    ] = 0.0
+    judge_noise: Annotated[
+        float, typer.Option(metavar="STD", help="Noise over touches that discriminators are shown at first.")
     ] = 0.0
     checkpoint_every: Annotated[int, typer.Option(min=1, metavar="N", help="Steps between checkpoints.")] = (
         1000
@@ -178,8 +187,9 @@ def train(
     import tactile_sim.learned  # noqa: F401  (says what is missing)
     from tactile_sim.learned.config import TrainConfig
     from tactile_sim.learned.training import train as train_both
+    from tactile_sim.noise import SensorNoise
 
-    config = TrainConfig(**asdict(options))
+    config = TrainConfig(**{**asdict(options), "sensor_noise": SensorNoise.named(options.sensor_noise)})
     talks = sink if os.environ.get("RANK", "0") == "0" else Sink(quiet=True)
     with talks.progress("training", "steps") as update:
         done = train_both(
@@ -211,6 +221,13 @@ def evaluate(
     out: LocalOut = Path("evaluation"),
     count: Annotated[int, typer.Option(min=1, metavar="N", help="At most so many pictures.")] = 2000,
     taxim: Annotated[bool, typer.Option(help="Compare with Taxim (extra sim).")] = True,
+    noise: Annotated[
+        str,
+        typer.Option(
+            metavar="none|calibrated|FILE",
+            help="Noise of the sensor over all that is made, as for `generate --noise`.",
+        ),
+    ] = "none",
     seed: Seed = 0,
     sink: Sink,
 ) -> None:
@@ -221,9 +238,11 @@ def evaluate(
     import tactile_sim.learned  # noqa: F401  (says what is missing)
     from tactile_sim.learned.evaluation import BASELINES
     from tactile_sim.learned.evaluation import evaluate as measure
+    from tactile_sim.noise import SensorNoise
 
     baselines = tuple(name for name in BASELINES if taxim or name != "taxim")
-    found = measure(weights, pairs, baselines=baselines, count=count, seed=seed)
+    sensor_noise = SensorNoise.named(noise)
+    found = measure(weights, pairs, baselines=baselines, count=count, noise=sensor_noise, seed=seed)
     found.write(out)
     sink.document(found.to_dict())
     sink.line(found.to_markdown())

@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 from tactile_toolkit.checked_fields import check_fields, real_number
 from tactile_toolkit.errors import InputError, MissingExtraError
 
-__all__ = ["SensorNoise", "add_noise"]
+__all__ = ["SensorNoise", "add_noise", "draw_noise"]
 
 _PACKAGE, _FILE, _CLASS = "tactile_mnist", "sensor_noise.py", "SensorNoiseConfig"
 
@@ -112,6 +112,13 @@ class SensorNoise:
             raise InputError(message)
         return cls(**found)
 
+    @classmethod
+    def named(cls, text: str) -> SensorNoise | None:
+        """Return what the command line calls ``none``, ``calibrated``, or by the name of a JSON file."""
+        if text == "none":
+            return None
+        return cls.calibrated() if text == "calibrated" else cls.read(text)
+
     def to_dict(self) -> dict[str, float]:
         """Return JSON values."""
         return asdict(self)
@@ -128,25 +135,43 @@ def add_noise(
     ``round_rng`` gives gain, offset and pattern, in this order; ``touch_rng(i)`` the noise of picture i.
     Fields are right to the last bits, which depend on the machine and vanish in 256 levels.
     """
-    shape = pictures.shape[1:]
-    gain = 1 + round_rng.normal(scale=noise.episode_gain_std)
-    offset = round_rng.normal(scale=noise.episode_offset_std)
-    pattern = noise.episode_pattern_std * _field(
-        round_rng, shape, noise.episode_pattern_spectrum_exponent, noise.episode_pattern_channel_correlation
-    )
+    gain, offset, pattern = _of_round(noise, round_rng, pictures.shape[1:])
     noisy = np.empty_like(pictures)
     for touch, picture in enumerate(pictures):
-        field = noise.frame_noise_std * _field(
-            touch_rng(touch),
-            shape,
-            noise.frame_noise_spectrum_exponent,
-            noise.frame_noise_channel_correlation,
-        )
+        field = _of_touch(noise, touch_rng(touch), picture.shape)
         shown = picture / 255
         mean = shown.mean()
         shown = (shown - mean) * gain + mean + (pattern + field + offset)
         noisy[touch] = np.rint(255 * shown.clip(0, 1))
     return noisy
+
+
+def draw_noise(
+    noise: SensorNoise, rng: np.random.Generator, shape: tuple[int, ...]
+) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """Draw the noise of pictures (n, H, W, C), each of a round of its own: gain (n,), and what is added."""
+    gains, added = [], []
+    for _ in range(shape[0]):
+        gain, offset, pattern = _of_round(noise, rng, shape[1:])
+        gains.append(gain)
+        added.append(pattern + _of_touch(noise, rng, shape[1:]) + offset)
+    return np.array(gains, np.float32), np.array(added, np.float32)
+
+
+def _of_round(
+    noise: SensorNoise, rng: np.random.Generator, shape: tuple[int, ...]
+) -> tuple[float, float, Numbers]:
+    gain = 1 + rng.normal(scale=noise.episode_gain_std)
+    offset = rng.normal(scale=noise.episode_offset_std)
+    field = _field(
+        rng, shape, noise.episode_pattern_spectrum_exponent, noise.episode_pattern_channel_correlation
+    )
+    return gain, offset, noise.episode_pattern_std * field
+
+
+def _of_touch(noise: SensorNoise, rng: np.random.Generator, shape: tuple[int, ...]) -> Numbers:
+    exponent, correlation = noise.frame_noise_spectrum_exponent, noise.frame_noise_channel_correlation
+    return noise.frame_noise_std * _field(rng, shape, exponent, correlation)
 
 
 def _field(rng: np.random.Generator, shape: tuple[int, ...], exponent: float, correlation: float) -> Numbers:

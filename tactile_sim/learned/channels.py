@@ -13,7 +13,9 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-__all__ = ["depth_channels", "picture_channels", "shades_of"]
+from tactile_sim.noise import SensorNoise, draw_noise
+
+__all__ = ["depth_channels", "noisy_channels", "picture_channels", "shades_of"]
 
 
 def depth_channels(images: NDArray[np.float32]) -> Any:
@@ -30,6 +32,16 @@ def picture_channels(pictures: NDArray[np.uint8]) -> Any:
     """Return pictures (n, H, W, 3), uint8, as (n, 3, H, W) float32, -1 to 1."""
     levels = torch.from_numpy(np.array(pictures)).permute(0, 3, 1, 2).to(torch.float32)
     return (levels / 255 - 0.5) / 0.5
+
+
+def noisy_channels(channels: Any, noise: SensorNoise, rng: np.random.Generator) -> Any:
+    """Return pictures (n, 3, H, W), -1 to 1, under noise of a sensor, each of a round of its own."""
+    count, colours, height, width = channels.shape
+    drawn = draw_noise(noise, rng, (count, height, width, colours))
+    gain, added = (torch.from_numpy(each).to(channels) for each in drawn)
+    mean = channels.mean(dim=(1, 2, 3), keepdim=True)
+    shown = mean + (channels - mean) * gain[:, None, None, None] + 2 * added.permute(0, 3, 1, 2)
+    return shown.clip(-1, 1)
 
 
 def shades_of(channels: Any, size_px: tuple[int, int]) -> Any:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import asdict, dataclass
 from typing import Any
 
+from tactile_sim.noise import SensorNoise
 from tactile_toolkit.checked_fields import check_fields, real_number, whole_number
 from tactile_toolkit.errors import InputError
 
@@ -36,9 +37,15 @@ class TrainConfig:
     depth_cycle_weight, touch_cycle_weight, identity_weight : float
         Weights of the losses beside the adversarial one (Zhu et al. 2017: 10, 10 and 5). Most of a touch is
         background: where no relief is learned, weigh the cycle of touches more.
+    sensor_noise : SensorNoise, optional
+        Noise of the sensor that made the real touches, laid over made ones wherever networks are shown them;
+        ours. A generator cannot make noise, and need not: ``generate --noise`` adds it to what it makes.
     noise : float
-        Standard deviation of noise over all touches that discriminators and the way back are shown, of values
-        from -1 to 1; ours. It keeps generators from hiding depth in marks that nobody sees.
+        Standard deviation of noise over made touches that the way back is shown, of values from -1 to 1;
+        ours. It keeps generators from hiding depth in marks that nobody sees.
+    judge_noise : float
+        The same over all touches that discriminators are shown at first; it falls linearly to 0 until the
+        learning rate begins to fall. Ours: they see coarse things first, and fine ones in the end.
     pool : int
         Made pictures that discriminators are shown again (Zhu et al. 2017).
     seed : int
@@ -59,13 +66,21 @@ class TrainConfig:
     depth_cycle_weight: float = real_number(10.0, 0, 1e4)
     touch_cycle_weight: float = real_number(10.0, 0, 1e4)
     identity_weight: float = real_number(5.0, 0, 1e4)
+    sensor_noise: SensorNoise | None = None
     noise: float = real_number(0.0, 0, 1)
+    judge_noise: float = real_number(0.0, 0, 1)
     pool: int = whole_number(50, 0, 10_000)
     seed: int = whole_number(0, 0, 2**63)
     checkpoint_every: int = whole_number(1000, 1, 10**9)
     log_every: int = whole_number(50, 1, 10**9)
 
     def __post_init__(self) -> None:
+        noise: Any = self.sensor_noise
+        if isinstance(noise, dict):  # as it was written
+            object.__setattr__(self, "sensor_noise", SensorNoise(**noise))
+        elif not (noise is None or isinstance(noise, SensorNoise)):
+            message = f"sensor_noise of the training is {noise!r}; expected a SensorNoise, or None"
+            raise InputError(message)
         check_fields(self, "the training")
 
     def crop_px(self, size_px: tuple[int, int]) -> tuple[int, int]:
@@ -85,6 +100,10 @@ class TrainConfig:
         start = self.decay_from * self.steps
         left = 1.0 if step < start else (self.steps - step) / max(self.steps - start, 1.0)
         return self.learning_rate * left
+
+    def judge_noise_at(self, step: int) -> float:
+        """Return the noise that discriminators are shown at a step, counted from 0."""
+        return self.judge_noise * max(0.0, 1 - step / max(self.decay_from * self.steps, 1.0))
 
     def to_dict(self) -> dict[str, Any]:
         """Return JSON values."""

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import torch
 
+from tactile_sim.learned.channels import noisy_channels
 from tactile_sim.learned.config import TrainConfig
 from tactile_sim.learned.networks import Generator, discriminator, initialise
 
@@ -109,19 +110,20 @@ class CycleGan:
         for optimiser in self.optimisers.values():
             for group in optimiser.param_groups:
                 group["lr"] = self.config.rate(number)
-        if self.config.noise:
-            self._noise.manual_seed(int(rng.integers(2**62)))
+        self._noise.manual_seed(int(rng.integers(2**62)))
+        judged = self.config.judge_noise_at(number)
         real = {"touch": self._laid(touch), "depth": self._laid(depth)}
         places = {"touch": self._laid(where), "depth": real["depth"][:, :2]}
         with torch.autocast("cuda", torch.bfloat16, enabled=self.device.startswith("cuda")):
-            made, losses = self._generator_losses(real, places)
+            made, losses = self._generator_losses(real, places, judged, rng)
             total = sum(self._weights.get(name, 1.0) * loss for name, loss in losses.items())
         self._descend("generators", total)
         with torch.autocast("cuda", torch.bfloat16, enabled=self.device.startswith("cuda")):
             for name in ("touch", "depth"):
-                shown = self.pools[name].exchange(made[name], rng)
+                shown = self._sensed(name, self.pools[name].exchange(made[name], rng), rng)
                 # Each picture is normalised alone, so that both kinds can be shown at once.
-                said = self._run[f"{name}_judge"](self._seen(name, torch.cat([real[name], shown])))
+                both = self._blurred(name, torch.cat([real[name], shown]), judged)
+                said = self._run[f"{name}_judge"](both)
                 mistaken = _distance(said[: len(shown)], 1) + _distance(said[len(shown) :], 0)
                 losses[f"{name}_judge"] = 0.5 * mistaken
             judging = losses["touch_judge"] + losses["depth_judge"]
@@ -135,24 +137,30 @@ class CycleGan:
         made = self._run[name](pictures)
         return made if name == "touch" else torch.cat([where.to(made.dtype), made[:, 2:]], dim=1)
 
-    def _seen(self, name: str, pictures: Any) -> Any:
-        """Return pictures as other networks are shown them: touches under noise."""
-        if name == "depth" or not self.config.noise:
+    def _sensed(self, name: str, made: Any, rng: np.random.Generator) -> Any:
+        """Return made pictures as a sensor would have shown them: touches under its noise."""
+        noise = None if name == "depth" else self.config.sensor_noise
+        return made if noise is None else noisy_channels(made, noise, rng)
+
+    def _blurred(self, name: str, pictures: Any, deviation: float) -> Any:
+        """Return touches under white noise, which hides what is faint."""
+        if name == "depth" or not deviation:
             return pictures
         noise = torch.randn(pictures.shape, generator=self._noise, device=pictures.device)
-        return pictures + self.config.noise * noise.to(pictures.dtype)
+        return pictures + deviation * noise.to(pictures.dtype)
 
     def _generator_losses(
-        self, real: dict[str, Any], places: dict[str, Any]
+        self, real: dict[str, Any], places: dict[str, Any], judged: float, rng: np.random.Generator
     ) -> tuple[dict[str, Any], dict[str, Any]]:
         for parameter in self.parameters["judges"]:
             parameter.requires_grad_(False)
         made, losses = {}, {}
         for name, other in (("touch", "depth"), ("depth", "touch")):
             made[name] = self._make(name, real[other], places[other])
-            seen = self._seen(name, made[name])
-            losses[f"{name}_adversarial"] = _distance(self._run[f"{name}_judge"](seen), 1)
-            again = self._make(other, seen, places[other])
+            seen = self._sensed(name, made[name], rng)
+            said = self._run[f"{name}_judge"](self._blurred(name, seen, judged))
+            losses[f"{name}_adversarial"] = _distance(said, 1)
+            again = self._make(other, self._blurred(name, seen, self.config.noise), places[other])
             losses[f"{other}_cycle"] = _mean_error(other, again, real[other])
             if self.config.identity_weight:
                 same = self._make(name, real[name], places[name])

@@ -20,26 +20,33 @@ import mnist3d
 import realtouch
 import tactile_sim
 from mnist3d.sources.synthetic import SyntheticSource
+from tactile_sim.noise import add_noise
 from tactile_sim.pairs.making import PairsSpec, make_pairs
 from tactile_sim.pairs.reading import Pairs
 from tactile_sim.pairs.rows import decode_depth, depth_levels, encode_depth
 from tactile_toolkit.errors import InputError, IntegrityError, SpecMismatchError, StorageError
 from tactile_toolkit.pictures.writing import png_bytes
+from tests.tactile_sim.sets import NOISE
 
 pytestmark = [pytest.mark.torch, pytest.mark.sim]
 torch = pytest.importorskip("torch", reason="needs torch, of the extra torch")
 pytest.importorskip("numba", reason="needs numba, of the extra sim")
 
+from tactile_sim.learned.channels import noisy_channels, picture_channels, shades_of  # noqa: E402
 from tactile_sim.learned.checkpoints import settings_of  # noqa: E402
 from tactile_sim.learned.config import TrainConfig  # noqa: E402
 from tactile_sim.learned.evaluation import evaluate  # noqa: E402
 from tactile_sim.learned.measures import colour_distance, kernel_distance, spectrum_distance  # noqa: E402
+from tactile_sim.learned.readers import Reader, balanced_accuracy, ranked_right  # noqa: E402
 from tactile_sim.learned.training import train  # noqa: E402
 from tactile_sim.learned.weights import GeneratorWeights, read_weights, write_weights  # noqa: E402
 from tactile_toolkit.store.folder import DataFolder  # noqa: E402
 
 SPEC = PairsSpec((32, 32), 60, without_contact=0.2, like="environment")
-CONFIG = TrainConfig(2, 1, 4, steps=6, crop=1.0, pool=3, checkpoint_every=2, log_every=1, noise=0.05)
+CONFIG = TrainConfig(
+    2, 1, 4, steps=6, crop=1.0, pool=3, checkpoint_every=2, log_every=1, sensor_noise=NOISE, noise=0.05,
+    judge_noise=0.1,
+)  # fmt: skip
 FILES = ("depth_to_touch.npz", "touch_to_depth.npz", "losses.parquet")
 
 
@@ -160,6 +167,8 @@ def test_a_finished_training_stays_and_others_are_refused(pairs, trained, source
         train(pairs, tmp_path / "new", TrainConfig(crop=0.5))
     with pytest.raises(InputError, match="learning_rate"):
         TrainConfig(learning_rate=float("nan"))
+    with pytest.raises(InputError, match="expected a SensorNoise"):
+        TrainConfig(sensor_noise="calibrated")
     if not torch.cuda.is_available():
         with pytest.raises(InputError, match="finds no GPU"):
             train(pairs, tmp_path / "new", CONFIG, device="cuda")
@@ -188,7 +197,7 @@ def test_a_damaged_checkpoint_and_a_full_disk_are_named(pairs, trained, tmp_path
     assert not [file for file in full.rglob("*") if file.is_file()]
 
 
-def test_the_chain_from_the_command_line(sources, pairs, trained, tmp_path):
+def test_the_chain_from_the_command_line(sources, pairs, trained, tmp_path, monkeypatch):
     from cli.tactile_sim import app
 
     run = CliRunner()
@@ -199,13 +208,18 @@ def test_the_chain_from_the_command_line(sources, pairs, trained, tmp_path):
          "--without-contact", "0.2", "--like", "environment", "--out", pairs, "-w", "1"],
     )  # fmt: skip
     assert made.exit_code == 0, made.output
+    monkeypatch.setattr("tactile_sim.learned.evaluation._READER_STEPS", 60)
     verified = run.invoke(app, ["verify", pairs])
     assert verified.exit_code == 0, verified.output
-    found = run.invoke(
-        app, ["evaluate", str(trained), "--pairs", pairs, "--out", str(tmp_path / "found"), "--json"]
-    )
+    noise = tmp_path / "noise.json"
+    noise.write_text(json.dumps(NOISE.to_dict()))
+    options = ["--pairs", pairs, "--out", str(tmp_path / "found"), "--noise", str(noise), "--json"]
+    found = run.invoke(app, ["evaluate", str(trained), *options])
     assert found.exit_code == 0, found.output
-    rows = {row["name"]: row for row in json.loads(found.output)["measured"]}
+    told = json.loads(found.output)
+    assert told["noise"] == NOISE.to_dict()
+    assert "under a sensor's noise" in (tmp_path / "found" / "evaluation.md").read_text()
+    rows = {row["name"]: row for row in told["measured"]}
     assert list(rows) == ["real", "trained", "taxim", "untrained"]
     assert rows["untrained"]["told_apart"] > 0.9  # noise is not a touch
     # These real touches are Taxim's own, and a reader learns no worse from them than from themselves.
@@ -272,6 +286,34 @@ def test_two_processes_of_torchrun_train_together(pairs, tmp_path, monkeypatch):
     assert not said[0]  # the first process speaks for all
     with pytest.raises(SpecMismatchError, match="trained by 2 processes"):
         train(pairs, out, config, device="cpu")
+
+
+def test_noise_in_training_is_that_of_generated_touches():
+    pictures = np.random.default_rng(0).integers(60, 200, (1, 24, 32, 3)).astype(np.uint8)
+    rngs = [np.random.default_rng(5) for _ in range(2)]
+    shades = shades_of(noisy_channels(picture_channels(pictures), NOISE, rngs[0]), (32, 24))
+    expected = add_noise(pictures, NOISE, rngs[1], lambda _: rngs[1])
+    off = np.abs(255 * shades.permute(0, 2, 3, 1).numpy() - expected)
+    assert off.max() < 0.501  # what is rounded to levels
+    assert np.abs(expected.astype(int) - pictures).mean() > 1
+
+
+def test_noise_for_discriminators_ends_where_the_rate_begins_to_fall():
+    config = TrainConfig(steps=100, judge_noise=0.1)
+    assert [round(config.judge_noise_at(step), 3) for step in (0, 25, 50, 99)] == [0.1, 0.05, 0, 0]
+    assert [config.rate(step) < config.learning_rate for step in (0, 49, 51)] == [False, False, True]
+
+
+def test_readers_tell_bright_from_dark_and_rank_by_votes():
+    rng = np.random.default_rng(0)
+    answers = np.arange(64) % 2
+    pictures = rng.integers(0, 100, (64, 16, 16, 3)) + 100 * answers[:, None, None, None]
+    seen = picture_channels(pictures.astype(np.uint8))
+    reader = Reader(2, 0, 60).learn(seen[:32], answers[:32])
+    assert balanced_accuracy(reader.answers(seen[32:]), answers[32:]) == 1
+    votes = reader.votes(seen[32:])
+    assert ranked_right(votes[:, 1] - votes[:, 0], answers[32:]) == 1
+    assert ranked_right(np.array([1.0, 2, 2, 3]), np.array([0, 0, 1, 1])) == 3.5 / 4
 
 
 def test_measures_know_equal_sets_from_others():
