@@ -37,6 +37,8 @@ BASELINES = ("taxim", "untrained")
 _LEAST = 40
 _LABELS_FROM = 2000
 _LABEL_STEPS = 1500
+_STEADY = 0.04  # five levels
+_COARSE = 4
 _GEL_UM = 2125.0
 _SHOWN = 6
 _READER_STEPS = 600  # after 120, contact was read at chance from what 400 read at 96 %
@@ -61,8 +63,12 @@ class Measured:
     ranked_right : float
         How often that classifier finds a real picture more real than a made one: the area under its ROC. It
         still tells better from worse where nearly all are told apart; 0.5 is best.
+    told_coarse : float
+        The same share where pictures are seen in a quarter of their size, so that fine grain says nothing.
     contact_reader : float
         Balanced accuracy, on held-back real touches, of a reader of contact that learned from its pictures.
+    steady_reader : float
+        The same of a reader that learned under white noise of five levels, which fine grain misleads less.
     label_reader : float
         The same of a reader of classes; NaN with fewer than 2,000 touches.
     kid, kid_error : float
@@ -78,7 +84,9 @@ class Measured:
     told_apart: float
     told_apart_error: float
     ranked_right: float
+    told_coarse: float
     contact_reader: float
+    steady_reader: float
     label_reader: float
     kid: float
     kid_error: float
@@ -110,9 +118,9 @@ class Evaluation:
     def to_markdown(self) -> str:
         """Return the table in Markdown."""
         lines = [
-            "| pictures | depth error | told from real | AUC | contact read | class read | KID x 1000 "
-            "| spectrum | colours |",
-            "| --- | --- | --- | --- | --- | --- | --- | --- | --- |",
+            "| pictures | depth error | told from real | AUC | told at a quarter | contact read "
+            "| under noise | class read | KID x 1000 | spectrum | colours |",
+            "| --- | --- | --- | --- | --- | --- | --- | --- | --- | --- | --- |",
         ]
         for each in self.measured:
             cells = (
@@ -120,7 +128,9 @@ class Evaluation:
                 _text(each.depth_um, "{:.0f} um"),
                 _text(100 * each.told_apart, "{:.1f}") + f" ± {100 * each.told_apart_error:.1f} %",
                 _text(each.ranked_right, "{:.3f}"),
+                _text(100 * each.told_coarse, "{:.1f} %"),
                 _text(100 * each.contact_reader, "{:.1f} %"),
+                _text(100 * each.steady_reader, "{:.1f} %"),
                 _text(100 * each.label_reader, "{:.1f} %"),
                 _text(1e3 * each.kid, "{:.0f}") + _text(1e3 * each.kid_error, " ± {:.0f}"),
                 _text(each.spectrum_db, "{:.1f} dB"),
@@ -259,16 +269,17 @@ class _Bench:
     def real(self) -> Measured:
         """Measure one half of the real touches against the other: nothing can be better."""
         held, other = self.pictures[self.held], self.pictures[~self.held]
-        one, same = ((self.pictures[start::2], self.objects[start::2]) for start in (0, 1))
+        drawn = np.random.default_rng(self.seed).permutation(len(self.rows))
+        one, same = ((self.pictures[drawn[k::2]], self.objects[drawn[k::2]]) for k in (0, 1))
         apart = told_apart(one, same, self.seed)
-        contact = balanced_accuracy(self.reader.answers(self.seen[self.held]), self.contact[self.held])
+        contact = self._contact_readers(self.seen[~self.held], self.contact[~self.held])
         labels = self._label_reader(self.seen[~self.held], self.labels[~self.held])
         kid = self._kid(self.seen[~self.held])
         return Measured(
             "real",
             math.nan,
             *apart,
-            contact,
+            *contact,
             labels,
             *kid,
             spectrum_distance(held, other),
@@ -286,20 +297,27 @@ class _Bench:
             pictures = under_noise(pictures, objects, self.noise, self.seed)
         apart = told_apart((self.pictures, self.objects), (pictures, objects), self.seed)
         seen, other = _seen(pictures), _second_half(objects)
-        reader = Reader(2, self.seed, _READER_STEPS).learn(seen[~other], contact[~other].astype(np.int64))
-        read = balanced_accuracy(reader.answers(self.seen[self.held]), self.contact[self.held])
+        read = self._contact_readers(seen[~other], contact[~other].astype(np.int64))
         labels = self._label_reader(seen[~other], domain.labels[self.depth_rows][~other])
         held = self.pictures[self.held]
         return Measured(
             name,
             float(off_um),
             *apart,
-            read,
+            *read,
             labels,
             *self._kid(seen),
             spectrum_distance(held, pictures),
             colour_distance(held, pictures),
         )
+
+    def _contact_readers(self, seen: Any, contact: NDArray[np.int64]) -> tuple[float, float]:
+        """Let readers learn contact, without and with white noise, and ask them about real touches."""
+        readers = (Reader(2, self.seed, _READER_STEPS, noise).learn(seen, contact) for noise in (0, _STEADY))
+        plain, steady = (
+            balanced_accuracy(each.answers(self.seen[self.held]), self.contact[self.held]) for each in readers
+        )
+        return plain, steady
 
     def _label_reader(self, seen: Any, labels: NDArray[np.int64]) -> float:
         if len(self.rows) < _LABELS_FROM:
@@ -331,20 +349,24 @@ def told_apart(
     real: tuple[NDArray[np.uint8], NDArray[np.int64]],
     made: tuple[NDArray[np.uint8], NDArray[np.int64]],
     seed: int,
-) -> tuple[float, float, float]:
+) -> tuple[float, float, float, float]:
     """Let a classifier learn both kinds by one half of their objects, and tell those of the other half.
 
     Each kind is pictures and their objects: touches of a round share its noise, which could be learned by
-    heart. Returns the balanced accuracy, its standard error and the area under the ROC.
+    heart. Returns the balanced accuracy, its standard error, the area under the ROC, and the balanced
+    accuracy where pictures are seen in a quarter of their size.
     """
     pictures = _seen(np.concatenate([real[0], made[0]]))
     held = _second_half(np.concatenate([real[1], made[1]]))
     answers = np.repeat([1, 0], [len(real[0]), len(made[0])]).astype(np.int64)
-    judge = Reader(2, seed + 1, _READER_STEPS).learn(pictures[~held], answers[~held])
-    votes, truth = judge.votes(pictures[held]), answers[held]
-    share = balanced_accuracy(votes.argmax(axis=1), truth)
+    truth, found = answers[held], []
+    for seen in (pictures, torch.nn.functional.avg_pool2d(pictures, _COARSE)):
+        judge = Reader(2, seed + 1, _READER_STEPS).learn(seen[~held], answers[~held])
+        found.append(judge.votes(seen[held]))
+    votes = found[0]
+    share, coarse = (balanced_accuracy(each.argmax(axis=1), truth) for each in found)
     error = float(np.sqrt(max(share * (1 - share), 0.25 / len(truth)) / len(truth)))
-    return share, error, ranked_right(votes[:, 1] - votes[:, 0], truth)
+    return share, error, ranked_right(votes[:, 1] - votes[:, 0], truth), coarse
 
 
 def _second_half(objects: NDArray[np.int64]) -> NDArray[np.bool_]:

@@ -43,10 +43,12 @@ class Reader:
         Seed of weights and order.
     steps : int
         Steps of Adam with 32 pictures each; the learning rate falls to 0.
+    noise : float
+        Standard deviation of white noise over what it learns from, of values from -1 to 1.
     """
 
-    def __init__(self, classes: int, seed: int, steps: int) -> None:
-        self._seed, self._steps = seed, steps
+    def __init__(self, classes: int, seed: int, steps: int, noise: float = 0.0) -> None:
+        self._seed, self._steps, self._noise = seed, steps, noise
         layers: list[Any] = []
         for inside, outside in ((3, 16), (16, 32), (32, _FEATURES)):
             layers += [nn.Conv2d(inside, outside, 3, stride=2, padding=1), nn.BatchNorm2d(outside), nn.ReLU()]
@@ -67,12 +69,14 @@ class Reader:
         groups = [np.flatnonzero(answers == answer) for answer in np.unique(answers)]
         optimiser = torch.optim.Adam(self._network.parameters(), lr=_RATE)
         self._network.train()
+        white = torch.Generator().manual_seed(self._seed)
         for step in range(self._steps):
             optimiser.param_groups[0]["lr"] = _RATE * (1 - step / self._steps)
             chosen = np.array([rng.choice(groups[int(rng.integers(len(groups)))]) for _ in range(_BATCH)])
-            loss: Any = nn.functional.cross_entropy(
-                self._network(pictures[chosen]), torch.from_numpy(answers[chosen])
-            )
+            shown = pictures[chosen]
+            if self._noise:
+                shown = shown + self._noise * torch.randn(shown.shape, generator=white)
+            loss: Any = nn.functional.cross_entropy(self._network(shown), torch.from_numpy(answers[chosen]))
             optimiser.zero_grad(set_to_none=True)
             loss.backward()
             optimiser.step()
