@@ -168,19 +168,10 @@ def _plan(
     schema = _schema(columns, names)
     tasks = []
     for each, found in rounds.items():
-        shards: list[list[tuple[str, tuple[Item, ...]]]] = [[]]
-        touches = size_bytes = 0
-        for name, members in found.items():
-            more, more_bytes = len(members), sum(item.size for item in members)
-            is_full = touches + more > _TOUCHES_PER_SHARD or size_bytes + more_bytes > _SHARD_BYTES
-            if is_full and shards[-1]:
-                shards.append([])
-                touches = size_bytes = 0
-            shards[-1].append((name, tuple(members)))
-            touches, size_bytes = touches + more, size_bytes + more_bytes
-        for index, part in enumerate(shards):
-            shard = ShardName(each, index, len(shards))
-            tasks.append(_ImportShard(shard, tuple(part), columns, names, size, schema))
+        parts = _divided(found)
+        for index, part in enumerate(parts):
+            shard = ShardName(each, index, len(parts))
+            tasks.append(_ImportShard(shard, part, columns, names, size, schema))
     listing = [(item.name, item.start, item.size, item.values) for item in items]
     spec = {
         "operation": "import",
@@ -212,6 +203,21 @@ def _plan(
         extras_intact=_SourceIsTheSame({str(task.shard): task for task in tasks}, style),
         libraries=("numpy", "pyarrow"),
     )
+
+
+def _divided(rounds: Mapping[str, Sequence[Item]]) -> list[tuple[tuple[str, tuple[Item, ...]], ...]]:
+    """Divide rounds into shards that a worker can hold."""
+    shards: list[list[tuple[str, tuple[Item, ...]]]] = [[]]
+    touches = size_bytes = 0
+    for name, items in rounds.items():
+        more, more_bytes = len(items), sum(item.size for item in items)
+        is_full = touches + more > _TOUCHES_PER_SHARD or size_bytes + more_bytes > _SHARD_BYTES
+        if is_full and shards[-1]:
+            shards.append([])
+            touches = size_bytes = 0
+        shards[-1].append((name, tuple(items)))
+        touches, size_bytes = touches + more, size_bytes + more_bytes
+    return [tuple(shard) for shard in shards]
 
 
 @dataclass(frozen=True)
