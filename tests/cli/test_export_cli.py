@@ -281,9 +281,9 @@ def test_scenes_keep_what_stands_where(tmp_path: Path) -> None:
 
     scenes = tmp_path / "scenes"
     making = ("--scenes", "train=3", "--workers", "1", "--quiet", "--out", scenes)
-    assert call("generate", *making, program="starstruck") == 0
+    assert command_line.call("starstruck", "generate", *making) == 0
     out = tmp_path / "flat"
-    assert call("export", scenes, "--layout", "flat", "--out", out, "-q", program="starstruck") == 0
+    assert command_line.call("starstruck", "export", scenes, "--layout", "flat", "--out", out, "-q") == 0
     rows = datasets.load_dataset(str(out), split="train")
     for row, scene in zip(rows, starstruck_gen.load(scenes, split="train"), strict=True):
         stored = [(each["shape"], each["x_m"], each["y_m"]) for each in row["placements"]]
