@@ -91,10 +91,11 @@ def map_block(path: Path, number: int) -> MappedBlock:
     import pyarrow as pa
     import xxhash
 
+    # Asked first: what takes the place of the file from here on is not what was checked.
+    identity = identity_of(path.stat())
     # From the map's own buffer, still without a copy: from the map, Arrow would read in its own threads. The
     # map is as long as the file is now: of one that was cut off the end is missing, and no more is touched.
     mapped = pa.memory_map(str(path)).read_buffer()
-    identity = identity_of(path.stat())
     content = memoryview(mapped)
     end = len(content) - _END.size
     count, checksum, mark = _END.unpack_from(content, end) if end >= 0 else (0, 0, b"")
