@@ -326,6 +326,18 @@ def test_a_wrong_column_type_is_named(
     assert not realtouch.verify(str(tmp_path)).ok
 
 
+def test_one_name_for_a_value_and_a_group_of_values_is_damage(
+    single_rows: list[dict], tmp_path: Path
+) -> None:
+    factories.write_set(tmp_path, {"train": single_rows}, "single")
+    place = tmp_path / "data" / "train-00000-of-00001.parquet"
+    table = pq.read_table(place)
+    for name in ("info.gel_id.maker", "info.notes.by"):
+        pq.write_table(table.append_column(name, pa.array([1, 2, 3])), place)
+        with pytest.raises(IntegrityError, match="the name of a value and of a group of values"):
+            _ = realtouch.load(tmp_path)[0].info
+
+
 def test_verify_needs_a_data_set(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="no Parquet files in"):
         realtouch.verify(str(tmp_path))
