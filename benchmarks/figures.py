@@ -134,21 +134,21 @@ def is_met(figure: Mapping[str, Any]) -> bool:
 
 
 def fingerprint(paths: tuple[str, ...]) -> str:
-    """Return the SHA-256 of code without its comments and docstrings."""
+    """Return the SHA-256 of code without its comments and docstrings, the same with every Python."""
     digest = hashlib.sha256()
     for path in paths:
         for file in sorted((ROOT / path).rglob("*.py")) or [ROOT / path]:
-            tree = ast.parse(file.read_text(encoding="utf-8"))
-            for node in ast.walk(tree):
-                body = getattr(node, "body", None)
-                if isinstance(body, list):
-                    node.body = [each for each in body if not _is_text(each)]  # type: ignore[attr-defined]
-            digest.update(ast.dump(tree).encode())
+            text = file.read_text(encoding="utf-8")
+            told = {
+                number
+                for node in ast.walk(ast.parse(text))
+                if isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant)
+                for number in range(node.lineno, (node.end_lineno or node.lineno) + 1)
+            }
+            for number, line in enumerate(map(str.strip, text.splitlines()), start=1):
+                if line and number not in told and not line.startswith("#"):
+                    digest.update(line.encode() + b"\n")
     return digest.hexdigest()
-
-
-def _is_text(node: ast.AST) -> bool:
-    return isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant)
 
 
 def measured(name: str, figures: list[dict[str, Any]], taken_s: float) -> dict[str, Any]:
@@ -164,7 +164,7 @@ def measured(name: str, figures: list[dict[str, Any]], taken_s: float) -> dict[s
         "machine": f"{os.cpu_count()} cores ({_processor()}), {platform.system()}",
         "versions": {"python": platform.python_version(), **versions},
         "minutes": round(taken_s / 60, 1),
-        "load": round(os.getloadavg()[0], 1),
+        "load": round(os.getloadavg()[1], 1),  # of the last five minutes
         "code": fingerprint(BENCHMARKS[name].code),
         "figures": figures,
     }
@@ -187,7 +187,8 @@ def tables(results: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
         aged = (
             "" if fingerprint(BENCHMARKS[name].code) == result["code"] else " **The code has changed since.**"
         )
-        rows += ["", f"Taken on {result['date']}, {result['machine']}, {python}, {', '.join(others)}.{aged}"]
+        where = f"{result['machine']}, load {result['load']}"
+        rows += ["", f"Taken on {result['date']}, {where}, {python}, {', '.join(others)}.{aged}"]
         yield name, "\n".join(rows)
     by_name = {
         f"{name}.{each['name']}": each for name, result in results.items() for each in result["figures"]

@@ -267,7 +267,7 @@ def test_a_drift_that_cannot_be_known_is_left_out_of_all(tmp_path: Path, single_
 
 def test_plans_name_round_and_touch(seq_folder: Path, single_folder: Path) -> None:
     plan = plan_previews(
-        str(seq_folder), TouchPreviewSpec(("grid", "strip", "overlay"), round_number=2, touch=3)
+        str(seq_folder), TouchPreviewSpec(("grid", "strip", "overlay"), "train", round_number=2, touch=3)
     )
     stem = f"{seq_folder.name}-train"
     assert [picture.name for picture in plan.pictures] == [
@@ -277,7 +277,7 @@ def test_plans_name_round_and_touch(seq_folder: Path, single_folder: Path) -> No
     ]
     for picture in plan.pictures:
         assert np.array_equal(picture.draw(RELIEF_ONLY).pixels, picture.draw(RELIEF_ONLY).pixels)
-    everything = plan_previews(str(single_folder), TouchPreviewSpec(("all",)))
+    everything = plan_previews(str(single_folder), TouchPreviewSpec(("all",), "train"))
     assert any("film strip needs clips" in reason for reason in everything.left_out)
     for kinds, spec, words in (
         (("strip",), {}, "film strip needs clips"),
@@ -285,16 +285,16 @@ def test_plans_name_round_and_touch(seq_folder: Path, single_folder: Path) -> No
         (("hat",), {}, "no pictures of kind 'hat'"),
     ):
         with pytest.raises(InputError, match=words):
-            plan_previews(str(single_folder), TouchPreviewSpec(kinds, **spec))
+            plan_previews(str(single_folder), TouchPreviewSpec(kinds, "train", **spec))
     with pytest.raises(InputError, match="--touch is 5; round 0 has touches 0 to 4"):
-        plan_previews(str(seq_folder), TouchPreviewSpec(("strip",), touch=5))
+        plan_previews(str(seq_folder), TouchPreviewSpec(("strip",), "train", touch=5))
     assert SIZE == (96, 72)
 
 
 @pytest.mark.pictures
 @pytest.mark.skipif(NO_PLOTS, reason="needs the extra `pictures` (matplotlib)")
 def test_the_drift_is_plotted(seq_folder: Path) -> None:
-    plan = plan_previews(str(seq_folder), TouchPreviewSpec(("all",)))
+    plan = plan_previews(str(seq_folder), TouchPreviewSpec(("all",), "train"))
     assert plan.left_out == ()
     assert [picture.name.rpartition("-")[2] for picture in plan.pictures] == [
         "grid.png",
