@@ -216,7 +216,11 @@ def _cells(figure: Mapping[str, Any]) -> tuple[str, str, str, str]:
     other = f"{in_words(figure['other'], figure['unit'])}: **{_times(figure)}**" if "other" in figure else ""
     beside = "; ".join(text for text in (other, figure.get("note", "")) if text)
     ours = in_words(figure["value"], figure["unit"])
-    target = figure.get("target", "") + ("" if is_met(figure) else ": **missed**")
+    target = figure.get("target", "")
+    if target and not other:  # of the value itself, in its unit
+        bound, _, number = target.rpartition(" ")
+        target = f"{bound} {in_words(float(number), figure['unit'])}"
+    target += "" if is_met(figure) else ": **missed**"
     return figure["what"], ours if other else f"**{ours}**", beside, target
 
 
