@@ -324,4 +324,4 @@ def _export_plates(
 
 
 def _kept(count: int) -> str:
-    return f"; {count:,} were there already" if count else ""
+    return f"; {count:,} {'was' if count == 1 else 'were'} there already" if count else ""
