@@ -222,6 +222,8 @@ def test_sensor_without_one_of_its_packages():
 def test_the_package_has_the_sensors_that_we_know(packages):
     from tactile_mnist.tactile_renderer.factory import TACTILE_RENDERER_FACTORIES
 
-    assert set(TACTILE_RENDERER_FACTORIES) == set(BACKENDS)
-    for sensor, makers in TACTILE_RENDERER_FACTORIES.items():
+    # Weights that another test of this process entered stay in the table, under names with a digest.
+    shipped = {name: makers for name, makers in TACTILE_RENDERER_FACTORIES.items() if "-" not in name}
+    assert set(shipped) == set(BACKENDS)
+    for sensor, makers in shipped.items():
         assert set(makers) <= set(BACKENDS[sensor])
