@@ -140,11 +140,11 @@ def test_clean_drops_specks_and_fills_pinholes_below_the_limit_only() -> None:
     assert count_bodies_and_holes(result) == (2, 1)
 
 
-def a_stroke(attached: list[str], angle_deg: float = 0) -> np.ndarray:
-    """A bar 40 pixels wide and what is drawn below its middle."""
+def a_stroke(attached: list[str], angle_deg: float = 0, wide_px: int = 41) -> np.ndarray:
+    """A bar and what is drawn below its middle."""
     rows, columns = np.mgrid[:160, :160] - 80
     angle = np.radians(angle_deg)
-    mask = np.abs(rows * np.cos(angle) + columns * np.sin(angle)) < 20.5
+    mask = np.abs(rows * np.cos(angle) + columns * np.sin(angle)) < wide_px / 2
     mask &= np.abs(columns * np.cos(angle) - rows * np.sin(angle)) < 60
     first = 1 + np.flatnonzero(mask[:, 80])[-1]
     for row, line in enumerate(attached):
@@ -162,7 +162,12 @@ def a_stroke(attached: list[str], angle_deg: float = 0) -> np.ndarray:
     ids=["by one pixel", "by three pixels", "a hair"],
 )
 def test_a_speck_that_touches_a_stroke_goes(speck: list[str], rest: list[str]) -> None:
-    assert np.array_equal(cleaned(a_stroke(speck), speck_px=100), a_stroke(rest))
+    for wide_px in (41, 13):
+        stroke = a_stroke(speck, wide_px=wide_px)
+        assert np.array_equal(cleaned(stroke, speck_px=100), a_stroke(rest, wide_px=wide_px))
+    # What sits on ink that is narrower may be its tip.
+    narrow = a_stroke(speck, wide_px=11)
+    assert np.array_equal(cleaned(narrow, speck_px=100), narrow)
     # With a limit that it exceeds it is ink.
     assert np.array_equal(cleaned(a_stroke(speck), speck_px=15), a_stroke(speck))
 

@@ -23,6 +23,7 @@ from realtouch.contact import (
 from realtouch.media.clips import TouchClip
 from tactile_toolkit.errors import InputError, IntegrityError, ItemError, MissingExtraError
 from tactile_toolkit.touch.avi import MAX_CLIP_FRAMES, Avi, NoIndexError, read_index, write_avi
+from tactile_toolkit.touch.ffmpeg import ffmpeg_frames
 from tactile_toolkit.touch.jpeg import decode_image, encode_image
 from tests.realtouch import factories
 from tests.realtouch.factories import Layout, RoundTruth
@@ -291,6 +292,18 @@ def test_other_containers_go_through_ffmpeg(
     clip = realtouch.load(tmp_path)[0].sensor_video[0]
     assert (clip.has_index, clip.fps) == (False, 25.0)
     assert np.abs(clip.frames().astype(int) - truth[0].touches[0].pixels).mean() < 6
+
+
+def test_frames_before_damage_are_decoded_and_those_in_it_refused(truth: list[RoundTruth]) -> None:
+    """Of a codec whose frames follow from those before, so that FFmpeg would patch up what is damaged."""
+    pixels = truth[0].touches[0].pixels
+    data = bytearray(factories.encode_avi(pixels, "mpeg4", "matroska"))
+    first = ffmpeg_frames(memoryview(bytes(data)), [0, 1], len(pixels))
+    middle = len(data) * 2 // 3
+    data[middle : middle + 400] = bytes(400)
+    np.testing.assert_array_equal(ffmpeg_frames(memoryview(data), [0, 1], len(pixels)), first)
+    with pytest.raises(ValueError, match="frame"):
+        ffmpeg_frames(memoryview(data), range(len(pixels)), len(pixels))
 
 
 def test_torchcodec_is_an_extra(clip: TouchClip, monkeypatch: pytest.MonkeyPatch) -> None:

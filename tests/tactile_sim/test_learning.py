@@ -101,6 +101,10 @@ def test_pairs_hold_what_was_asked_for_with_any_number_of_workers(sources, pairs
     assert (met.min(axis=(1, 2)) == 0).all()
     monkeypatch.setattr("tactile_sim.pairs.making._ROWS_PER_SHARD", 25)
     make_pairs(*sources, "train", SPEC, tmp_path / "again", workers=2)
+    sheets = {
+        path.read_bytes() for folder in (pairs, tmp_path / "again") for path in Path(folder).rglob("*.png")
+    }
+    assert len(sheets) == 1, "the card shows the first rows, in however many shards they are"
     other = Pairs.open(str(tmp_path / "again"))
     for one, again in ((data.depth, other.depth), (data.real, other.real)):
         assert (one.images(range(60)) == again.images(range(60))).all()

@@ -11,7 +11,7 @@ from mnist3d.sources.synthetic import SyntheticSource
 from tactile_toolkit.errors import ItemError
 from tactile_toolkit.mesh.convex import convex_parts
 from tactile_toolkit.mesh.mesh import Mesh
-from tests.tactile_toolkit.printing.solids import box, ell, open_box, ring
+from tests.tactile_toolkit.printing.solids import box, ell, open_box, prism, ring
 
 
 def outside_mm(mesh: Mesh, parts: list[Mesh]) -> float:
@@ -44,6 +44,7 @@ def test_what_is_convex_is_one_part():
 
 def test_bays_holes_and_several_bodies():
     assert len(convex_parts(ell(30, 8))) == 2
+    assert len(convex_parts(prism([(0, 0), (40, 0), (40, 10), (8, 3), (0, 15)]))) == 2, "cut in its bay"
     hollow = ring(12, 6)
     parts = convex_parts(hollow)
     assert sum(part.volume_m3 for part in parts) <= 1.08 * hollow.volume_m3

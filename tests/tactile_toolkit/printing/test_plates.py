@@ -25,7 +25,7 @@ from tactile_toolkit.mesh.solid_check import check_manifold
 from tactile_toolkit.mesh.threemf import BuildItem, read_build, write_build
 from tactile_toolkit.printing.layout import Layout, Placed, arrange, measure
 from tactile_toolkit.printing.objects import PrintObject, standing
-from tactile_toolkit.printing.packing import PlateSpec
+from tactile_toolkit.printing.packing import BEDS_MM, PlateSpec
 from tactile_toolkit.printing.plate_map import draw_map
 from tactile_toolkit.printing.plates import forecast_plates, write_plates
 from tests.tactile_toolkit.printing.solids import box, ell, mesh_of, named, open_box, ring
@@ -136,6 +136,11 @@ def test_the_map_shows_which_parts_belong_together(tmp_path: Path) -> None:
     assert len(points) > 20
     seen = [picture[int(60 + (80 - y) * px_per_mm), int(60 + x * px_per_mm)] for x, y in points]
     assert (np.array(seen) >= 250).all()
+    # A dark line goes round it, a little outside of the parts, and is closed.
+    line = polygon_of(placed).convex_hull.buffer(1.5).exterior
+    around = [line.interpolate(at_mm) for at_mm in np.arange(0, line.length, 1)]
+    at = [(int(60 + (80 - point.y) * px_per_mm), int(60 + point.x * px_per_mm)) for point in around]
+    assert max(picture[row - 3 : row + 4, column - 3 : column + 4].min() for row, column in at) < 180
 
 
 def grid_points(width_mm: int, depth_mm: int) -> list[tuple[float, float]]:
@@ -227,6 +232,9 @@ def test_a_file_that_leaves_the_plate_by_either_side_is_removed(
 def test_beds_have_names() -> None:
     assert PlateSpec.parse("Prusa-MK4") == PlateSpec(250, 210)
     assert PlateSpec.parse("250x210", 1, 0) == PlateSpec(250, 210, 1, 0)
+    # As the makers give them.
+    sides = {"bambu-a1-mini": 180, "bambu-a1": 256, "bambu-p1": 256, "bambu-x1": 256, "ender-3": 220}
+    assert {name: BEDS_MM[name] for name in sides} == {name: (side, side) for name, side in sides.items()}
     with pytest.raises(InputError, match=r"expected .* prusa-mk4, .*; did you mean 'prusa-mk4'\?"):
         PlateSpec.parse("prusa-mk5")
 
