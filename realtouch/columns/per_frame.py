@@ -179,8 +179,6 @@ def cut(row: Row, name: str, width: int) -> tuple[NDArray[Any], ...]:
     """
     lengths = clip_lengths(row)
     column, first, last = entries_of(row, name)
-    if lengths is None and _same_length(column, first, last):
-        lengths = np.array([_length_by_clip(row, touch) for touch in range(last - first)], np.int64)
     padded = _padded(column, first, last, width)
     if padded is not None and lengths is not None and padded.shape[1] >= lengths.max(initial=0):
         return tuple(values[:length] for values, length in zip(padded, lengths.tolist(), strict=True))

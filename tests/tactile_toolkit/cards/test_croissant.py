@@ -64,6 +64,8 @@ def loaded(folder: Path, **options: object):
 def test_records_are_the_rows(made):
     found = loaded(made)
     for split in ("test", "holdout"):
+        (described,) = (each for each in found.metadata.record_sets if each.id == split)
+        assert described.key == [f"{split}/id"]
         records, rows = list(found.records(split)), mnist3d.load(str(made), split=split)
         assert [record[f"{split}/id"] for record in records] == [row.id for row in rows]
         assert [record[f"{split}/label"] for record in records] == [row.label for row in rows]

@@ -336,9 +336,12 @@ def test_files_put_in_its_place_meanwhile_are_kept(tmp_path, there, overwrite):
         if done == 8:
             (out / "items").mkdir(parents=True, exist_ok=True)
             (out / "items" / "thesis.txt").write_text("years of work")
+            seen.append((out / "items").stat().st_ctime_ns)
 
+    seen: list[int] = []
     with pytest.raises(InputError, match=r"not part of a gallery; nothing was changed"):
         build(out, toy_gallery(16), overwrite=overwrite, on_progress=put)
+    assert [(out / "items").stat().st_ctime_ns] == seen, "what is refused is not even moved out and back"
     assert (out / "items" / "thesis.txt").read_text() == "years of work"
     whole = build(tmp_path / "same").files if there == "a gallery" else 0
     assert len(folder_bytes(out)) == 1 + whole

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import subprocess
 import sys
 
@@ -53,3 +54,23 @@ def test_reading_starts_no_thread(tmp_path, what):
         [sys.executable, "-c", script, str(tmp_path)], capture_output=True, text=True, check=False
     )
     assert done.returncode == 0, done.stderr
+
+
+LIMITED = """
+import pathlib
+from tactile_toolkit.run.limits import limit_threads
+limit_threads()
+import numpy
+numpy.ones((500, 500)) @ numpy.ones((500, 500))
+print(len(list(pathlib.Path("/proc/self/task").iterdir())))
+"""
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="threads are counted in /proc")
+def test_a_process_that_is_limited_starts_no_threads_for_sums():
+    """Machines of one core prove nothing here: their libraries start none by themselves."""
+    settings = {name: value for name, value in os.environ.items() if not name.endswith("_NUM_THREADS")}
+    done = subprocess.run(
+        [sys.executable, "-c", LIMITED], env=settings, capture_output=True, text=True, check=True
+    )
+    assert done.stdout.strip() == "1"
