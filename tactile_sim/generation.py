@@ -29,7 +29,7 @@ from tactile_toolkit.catalog.locate import find_shards, splits_of
 from tactile_toolkit.catalog.published import place_of
 from tactile_toolkit.checked_fields import check_fields, choice, whole_number
 from tactile_toolkit.errors import InputError
-from tactile_toolkit.mesh.columns import class_names, require_mesh_columns
+from tactile_toolkit.mesh.columns import require_mesh_columns
 from tactile_toolkit.mesh.files import FORMATS
 from tactile_toolkit.mesh.records import SolidDataset
 from tactile_toolkit.read.parquet import Shard, ShardedTable
@@ -42,6 +42,7 @@ from tactile_toolkit.store.parquet import encode_parquet, file_sha256
 from tactile_toolkit.store.plan import BuildPlan, ShardContent, require_known_splits
 from tactile_toolkit.store.shards import ShardName, Skipped, rows_per_shard
 from tactile_toolkit.touch.jpeg import encode_image
+from tactile_toolkit.touch.schema import class_names
 
 __all__ = ["GenerateSpec", "TouchShard", "forecast", "generate", "noisy", "plan_build"]
 
@@ -259,7 +260,7 @@ def plan_build(
         shards = find_shards(place, split)
         table = ShardedTable(shards)
         require_mesh_columns(table.schema, source, "mnist3d generate")
-        names = class_names(table.schema, tuple(map(str, range(10))), source)
+        names = class_names(table.schema, source)
         objects = sum(map(len, shards)) if spec.limit is None else min(sum(map(len, shards)), spec.limit)
         total = objects * spec.plan.rounds
         per_shard = min(rows_per_shard(total, usual), most)

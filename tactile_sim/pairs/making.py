@@ -25,7 +25,7 @@ from tactile_toolkit.catalog.published import place_of
 from tactile_toolkit.checked_fields import check_fields, choice, real_number, whole_number
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.kind import lazy
-from tactile_toolkit.mesh.columns import class_names, require_mesh_columns
+from tactile_toolkit.mesh.columns import require_mesh_columns
 from tactile_toolkit.mesh.records import SolidDataset
 from tactile_toolkit.read.parquet import Shard, ShardedTable
 from tactile_toolkit.run.processes import Runner, runner_for
@@ -35,6 +35,7 @@ from tactile_toolkit.store.manifest import Manifest
 from tactile_toolkit.store.plan import BuildPlan, ShardContent
 from tactile_toolkit.store.shards import ShardName, Skipped
 from tactile_toolkit.touch.jpeg import encode_image, resized
+from tactile_toolkit.touch.schema import class_names
 
 __all__ = ["SPLITS", "PairsSpec", "make_pairs", "plan_pairs"]
 
@@ -222,7 +223,7 @@ def plan_pairs(objects: str, real: str, split: str, spec: PairsSpec) -> BuildPla
     shards = find_shards(place_of(objects), split)
     table = ShardedTable(shards)
     require_mesh_columns(table.schema, objects, "mnist3d generate")
-    names = class_names(table.schema, tuple(map(str, range(10))), objects)
+    names = class_names(table.schema, objects)
     meshes = sum(map(len, shards))
     if not meshes:
         message = f"split {split!r} of {objects!r} holds no mesh; next: choose another split"

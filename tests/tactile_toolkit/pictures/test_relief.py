@@ -206,6 +206,20 @@ def test_bars_are_as_high_as_their_counts(matplotlib):
     assert bars[1] / 20 == pytest.approx(bars[2] / 40, rel=0.02)
 
 
+@pytest.mark.pictures
+def test_a_limit_is_a_line_at_its_value(matplotlib):
+    from tactile_toolkit.pictures.plots import Spread, plot_spreads
+
+    groups = (("a", np.linspace(0, 1, 50)),)
+    lines = []
+    for limit in (0.25, 0.5, 0.75):
+        drawn = plot_spreads([Spread("t", "mm", groups, "rows", (limit, ""))], "title")
+        near = np.abs(drawn.astype(int) - ACCENTS[3]).sum(axis=2) < 60
+        lines.append(int(near.sum(axis=0).argmax()))
+    assert np.diff(lines) == pytest.approx([np.mean(np.diff(lines))] * 2, abs=1)
+    assert lines[1] - lines[0] > 40
+
+
 PLOT = """
 import hashlib, sys, numpy as np
 from tactile_toolkit.pictures.plots import Points, Spread, plot_points, plot_spreads

@@ -136,11 +136,19 @@ def test_the_map_shows_which_parts_belong_together(tmp_path: Path) -> None:
     assert len(points) > 20
     seen = [picture[int(60 + (80 - y) * px_per_mm), int(60 + x * px_per_mm)] for x, y in points]
     assert (np.array(seen) >= 250).all()
-    # A dark line goes round it, a little outside of the parts, and is closed.
-    line = polygon_of(placed).convex_hull.buffer(1.5).exterior
-    around = [line.interpolate(at_mm) for at_mm in np.arange(0, line.length, 1)]
-    at = [(int(60 + (80 - point.y) * px_per_mm), int(60 + point.x * px_per_mm)) for point in around]
-    assert max(picture[row - 3 : row + 4, column - 3 : column + 4].min() for row, column in at) < 180
+
+
+def test_the_line_round_the_parts_of_an_object_is_closed() -> None:
+    """From whichever corner it begins, and where no part of the object has an outline of its own."""
+    spec = PlateSpec(100, 80, 0.0, 0.0)
+    for turned_deg in (0, 100, 200, 300):
+        parts = GROUPS[1].to_manifold().rotate((0, 0, turned_deg))
+        ((placed,),) = lay_out(named([mesh_of(parts)]), spec).plates
+        picture = np.asarray(Image.open(io.BytesIO(draw_map([placed], spec, "", ["0"]))).convert("L"))
+        line = polygon_of(placed).convex_hull.exterior
+        points = [line.interpolate(at_mm) for at_mm in np.arange(0, line.length, 1)]
+        at = [(int(60 + (80 - point.y) * 12), int(60 + point.x * 12)) for point in points]
+        assert max(picture[row - 3 : row + 4, column - 3 : column + 4].min() for row, column in at) < 180
 
 
 def grid_points(width_mm: int, depth_mm: int) -> list[tuple[float, float]]:

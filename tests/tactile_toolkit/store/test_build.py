@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import errno
+import gc
 import importlib.metadata
 import json
 import os
@@ -140,6 +141,7 @@ def test_damaged_manifest_is_named(tmp_path):
     (tmp_path / "set" / "manifest.json").write_text('{"schema_version": 1')
     with pytest.raises(IntegrityError, match=r"manifest\.json' is damaged, a JSON object was"):
         make(tmp_path / "set")
+    assert gc.isenabled(), "manifests are read without collecting garbage"
 
 
 def test_later_schema_is_refused(tmp_path):
