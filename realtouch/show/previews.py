@@ -210,9 +210,7 @@ def draw_grid(record: TouchRound, most: int) -> Drawing:
     words = [f"{len(tiles)} of {counted(record.touch_count, 'touches')} of object {record.object_id}"]
     if heights_m is not None:
         mm = MIN_CONTACT_HEIGHT_M * 1e3
-        words += [
-            f"framed: the gel stopped {mm:g} mm or more above the deepest touch; its height beside the number"
-        ]
+        words += [f"framed: the gel stopped {mm:g} mm or more above the plate; its height beside the number"]
     return Drawing(sheet(tiles, Sheet(_COLUMNS, _title(record), ("; ".join(words),))))
 
 

@@ -128,6 +128,8 @@ def test_pairs_that_cannot_be_made_are_named(sources, tmp_path):
             PairsSpec(**{"count": 9, **wrong})
     with pytest.raises(InputError, match="not a training set"):
         Pairs.open(sources[1])
+    with pytest.raises(InputError, match="baselines has 'paint'; expected some of taxim, untrained"):
+        evaluate(tmp_path, sources[0], baselines=("taxim", "paint"))
     assert not list(tmp_path.iterdir())
 
 
