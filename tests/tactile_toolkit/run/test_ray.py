@@ -79,7 +79,7 @@ from tests.tactile_toolkit.run.test_ray import plan_of
 # A shell that starts a job in the background has it ignore Ctrl-C.
 signal.signal(signal.SIGINT, signal.default_int_handler)
 try:
-    build(DataFolder(sys.argv[2]), plan_of(sys.argv[3]), RayRunner(sys.argv[1]))
+    build(DataFolder(sys.argv[2]), plan_of(sys.argv[3]), RayRunner(sys.argv[1], *map(int, sys.argv[4:])))
 except ToolkitError as error:
     sys.exit(f"{type(error).__name__}: {error}")
 """
@@ -304,10 +304,11 @@ def test_other_versions_are_refused_by_name(cluster: Cluster, tmp_path: Path) ->
     wait_for(lambda: list((tmp_path / "late").glob(".pending/*.json")), running)
     different = cluster.add(PYTHONPATH=str(information.parent))
     try:
-        # A node that comes later gets a task, which it refuses; one that is there is asked before anything.
+        # A node that comes later gets a task, which it refuses; one that is there is asked before anything,
+        # also where one task at a time finds room on another node.
         for driver, made in (
             (running, ["data/train-00000-of-00004.parquet"]),
-            (cluster.start(DRIVER, tmp_path / "early", tmp_path / "never"), []),
+            (cluster.start(DRIVER, tmp_path / "early", information, 1), []),
         ):
             refusal = driver.communicate()[1]
             assert refusal.startswith(f"InputError: node {socket.gethostname()} (")
