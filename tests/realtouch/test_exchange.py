@@ -250,6 +250,17 @@ def test_lerobot_reads_its_data_set(single_folder: Path, seq_folder: Path, tmp_p
         np.testing.assert_allclose(found["mean"], states.mean(axis=0), rtol=1e-6, atol=1e-9)
 
 
+def test_lerobot_is_told_how_its_own_files_would_be_cut(single_folder: Path, tmp_path: Path) -> None:
+    """By its defaults, so that what it appends to the data set is cut alike."""
+    realtouch.export(single_folder, tmp_path, "lerobot", split="train")
+    info = json.loads((tmp_path / "lerobot" / "meta" / "info.json").read_text())
+    assert (info["chunks_size"], info["data_files_size_in_mb"], info["video_files_size_in_mb"]) == (
+        1000,
+        100,
+        200,
+    )
+
+
 def test_what_cannot_be_exported_is_named(
     single_rows: list[dict], single_folder: Path, tmp_path: Path
 ) -> None:

@@ -122,6 +122,20 @@ def test_what_cannot_be_used_is_left_out_and_named(home: Path, tmp_path: Path) -
     assert not (tmp_path / "none").exists()
 
 
+def test_a_round_is_of_one_label_and_one_object(home: Path, tmp_path: Path) -> None:
+    objects = [("cat", 1), ("dog", 1), ("cat", 2), ("cat", 1)]
+    lines = [
+        {"file": f"pictures/{number}.jpg", "label": label, "object": object_id, "round": "a"}
+        for number, (label, object_id) in enumerate(objects)
+    ]
+    write_table(home, lines)
+    columns = realtouch.ImportColumns(round="round", object_id="object")
+    manifest = realtouch.import_images(home, tmp_path / "out", "folder", columns)
+    assert [(item.id, item.reason) for item in manifest.shards[0].skipped] == [(1, "round"), (2, "round")]
+    (only,) = realtouch.load(tmp_path / "out", "train")
+    assert (only.id, only.label, only.object_id, only.touch_count) == ("a", 0, 1, 2)
+
+
 def test_an_image_that_changed_in_place_is_imported_anew(home: Path, tmp_path: Path) -> None:
     write_table(home, [line(f"pictures/{number}.jpg") for number in range(4)])
     realtouch.import_images(home, tmp_path / "out", "folder")

@@ -7,6 +7,7 @@ import random
 import subprocess
 import sys
 import textwrap
+import time
 from dataclasses import replace
 from pathlib import Path
 
@@ -254,6 +255,17 @@ def test_a_damaged_agreement_is_named(tmp_path, monkeypatch):
     (tmp_path / "set" / PARTS_FILE).write_text('{"parts": 2')
     with pytest.raises(IntegrityError, match=r"plan\.json', what the parts agreed on, is damaged"):
         make(tmp_path / "set", Part(1, 2))
+
+
+def test_an_agreement_that_another_machine_still_writes_is_waited_for(tmp_path, whole, monkeypatch):
+    make(tmp_path / "set", Part(0, 2))
+    agreed = tmp_path / "set" / PARTS_FILE
+    content = agreed.read_bytes()
+    agreed.write_bytes(content[:20])
+    monkeypatch.setattr(time, "sleep", lambda _: agreed.write_bytes(content))
+    make(tmp_path / "set", Part(1, 2))
+    make(tmp_path / "set", Finish())
+    assert folder_bytes(tmp_path / "set") == whole
 
 
 SLURM = {"COUNT": "500", "MIN": "0", "MAX": "499", "ID": "17"}
