@@ -119,15 +119,15 @@ def items_of_table(home: Path, columns: ImportColumns, table: str | None) -> Ite
         message = f"{str(path)!r} cannot be read as UTF-8 text ({error}); expected a table with commas"
         raise InputError(message) from error
     lines = csv.DictReader(io.StringIO(text, newline=""), strict=True)
-    known = list(lines.fieldnames or ())
-    _require_columns(known, [columns.image, *columns.names()], str(path))
     seen: dict[str, int] = {}
     try:
+        _require_columns(list(lines.fieldnames or ()), [columns.image, *columns.names()], str(path))
         for number, values in enumerate(lines):
             name = str(values[columns.image] or "")
             yield _file_item(home, number, name, values, seen)
     except csv.Error as error:
-        message = f"{str(path)!r}, line {lines.line_num}: {error}; expected a table with commas"
+        # Of a line that was not read it counts none; a quote that never ends reaches over all that follow.
+        message = f"{str(path)!r}, line {lines.line_num + 1}: {error}; expected a table with commas"
         raise InputError(message) from error
 
 

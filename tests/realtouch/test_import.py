@@ -17,6 +17,7 @@ from typer.testing import CliRunner
 import realtouch
 from cli.realtouch import app
 from tactile_toolkit.errors import InputError, IntegrityError
+from tactile_toolkit.touch.jpeg import MAX_IMAGE_BYTES
 from tests.realtouch import factories
 from tests.tactile_toolkit.toy import folder_bytes
 
@@ -90,7 +91,11 @@ def test_what_cannot_be_used_is_left_out_and_named(home: Path, tmp_path: Path) -
     (pictures / "large.jpg").write_bytes(picture(9, (30, 40)))
     (tmp_path / "outside.jpg").write_bytes(picture(1))
     (pictures / "link.jpg").symlink_to(tmp_path / "outside.jpg")
+    with (pictures / "huge.jpg").open("wb") as huge:
+        huge.truncate(MAX_IMAGE_BYTES + 1)
+    (pictures / "turned.jpg").write_bytes(picture(1))
     wrong = {
+        "pictures/huge.jpg": "image",
         "pictures/cut.jpg": "image",
         "pictures/text.jpg": "image",
         "pictures/large.jpg": "size",
@@ -102,18 +107,21 @@ def test_what_cannot_be_used_is_left_out_and_named(home: Path, tmp_path: Path) -
         "pictures/1.jpg": "label",
         "pictures/2.jpg": "pose",
         "pictures/3.jpg": "pose",
+        "pictures/turned.jpg": "pose",
     }
     lines = [line("pictures/0.jpg"), *(line(name, "dog") for name in wrong)]
-    lines[-3] |= {"label": ""}
-    lines[-2] |= {"pose": "0 0 0.1 0 0 0"}
-    lines[-1] |= {"pose": "0 0 nan 0 0 0 1"}
+    lines[-4] |= {"label": ""}
+    lines[-3] |= {"pose": "0 0 0.1 0 0 0"}
+    lines[-2] |= {"pose": "0 0 nan 0 0 0 1"}
+    lines[-1] |= {"pose": "0 0 0.1 0 0 0 0"}
     write_table(home, lines)
     columns = realtouch.ImportColumns(pose=("pose",))
     manifest = realtouch.import_images(home, tmp_path / "out", "folder", columns)
     skipped = manifest.shards[0].skipped
     assert [(item.id, item.reason) for item in skipped] == list(enumerate(wrong.values(), 1))
     assert all(repr(name) in item.message for name, item in zip(wrong, skipped, strict=True))
-    assert "40 x 30 pixels; expected 32 x 24" in skipped[2].message
+    assert "67,108,865 bytes; the limit is 67,108,864" in skipped[0].message
+    assert "40 x 30 pixels; expected 32 x 24" in skipped[3].message
     (only,) = realtouch.load(tmp_path / "out", "train")
     assert (only.id, only.label) == ("pictures_0", 0)
     assert realtouch.load(tmp_path / "out", "train").label_names == ("cat", "dog")
@@ -123,7 +131,8 @@ def test_what_cannot_be_used_is_left_out_and_named(home: Path, tmp_path: Path) -
 
 
 def test_a_round_is_of_one_label_and_one_object(home: Path, tmp_path: Path) -> None:
-    objects = [("cat", 1), ("dog", 1), ("cat", 2), ("cat", 1)]
+    (home / "pictures" / "4.jpg").write_bytes(picture(9))
+    objects = [("cat", 1), ("dog", 1), ("cat", 2), ("cat", 1), ("cat", "one")]
     lines = [
         {"file": f"pictures/{number}.jpg", "label": label, "object": object_id, "round": "a"}
         for number, (label, object_id) in enumerate(objects)
@@ -131,7 +140,8 @@ def test_a_round_is_of_one_label_and_one_object(home: Path, tmp_path: Path) -> N
     write_table(home, lines)
     columns = realtouch.ImportColumns(round="round", object_id="object")
     manifest = realtouch.import_images(home, tmp_path / "out", "folder", columns)
-    assert [(item.id, item.reason) for item in manifest.shards[0].skipped] == [(1, "round"), (2, "round")]
+    skipped = [(item.id, item.reason) for item in manifest.shards[0].skipped]
+    assert skipped == [(1, "round"), (2, "round"), (4, "object")]
     (only,) = realtouch.load(tmp_path / "out", "train")
     assert (only.id, only.label, only.object_id, only.touch_count) == ("a", 0, 1, 2)
 
@@ -150,7 +160,7 @@ def test_an_image_that_changed_in_place_is_imported_anew(home: Path, tmp_path: P
 
 
 def test_tables_and_options_that_cannot_be_used(home: Path, tmp_path: Path) -> None:
-    def refused(words: str, columns: Any = None, where: Path = home, **options: Any) -> None:
+    def refused(words: str, columns: Any = None, where: Path | str = home, **options: Any) -> None:
         layout = options.pop("layout", "folder")
         out = options.pop("out", tmp_path / "out")
         with pytest.raises(InputError, match=words):
@@ -167,16 +177,26 @@ def test_tables_and_options_that_cannot_be_used(home: Path, tmp_path: Path) -> N
     refused("does not exist", where=tmp_path / "nothing")
     refused("letters, digits", split="a/b")
     refused("no tars", layout="webdataset")
+    refused("--table is about folders of images", layout="webdataset", table="index.csv")
+    refused("no column names the images", realtouch.ImportColumns(image=None))
+    refused("is a remote address", where="s3://bucket/images")
     with pytest.raises(InputError, match="6 pose columns"):
         realtouch.ImportColumns(pose=POSE[:6])
     write_table(home, [line("pictures/0.jpg")], "second.csv")
     refused("found index.csv, second.csv")
     (home / "index.csv").write_bytes(b"file,label\n\xff\xfe,1\n")
     refused("UTF-8", table="index.csv")
+    (home / "index.csv").write_text("file,label\n")
+    refused("holds nothing to import", table="index.csv")
+    for number, content in ((1, '"file,label\n'), (3, 'file,label\npictures/0.jpg,1\n"pictures/1.jpg,1\n\n')):
+        (home / "index.csv").write_text(content)
+        refused(f"line {number}: .*; expected a table with commas", table="index.csv")
     columns = realtouch.ImportColumns(round="round", split="split")
     splits = [{"file": f"pictures/{n}.jpg", "label": 1, "round": "a", "split": "ab"[n]} for n in (0, 1)]
     write_table(home, splits)
     refused("round 'a' lies in the splits", columns, table="index.csv")
+    write_table(home, [each | {"split": "../a"} for each in splits])
+    refused(r"0\.jpg': the split '\.\./a'; expected letters and digits", columns, table="index.csv")
 
 
 def test_names_that_meet_and_numbers_with_a_point(home: Path, tmp_path: Path) -> None:
