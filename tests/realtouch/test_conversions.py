@@ -267,8 +267,17 @@ def test_another_option_is_refused(seq_folder: Path, tmp_path: Path) -> None:
     assert len(realtouch.load(tmp_path / "a", "train")) == 1
 
 
-def test_what_cannot_be_converted_is_said(seq_folder: Path, single_folder: Path, tmp_path: Path) -> None:
+def test_what_cannot_be_converted_is_said(
+    seq_folder: Path, single_folder: Path, seq_rows: list[dict], tmp_path: Path
+) -> None:
     out = str(tmp_path / "out")
+    with pytest.raises(InputError, match=r"nothing is left of .* after 'select'; next: choose fewer filters"):
+        realtouch.select(single_folder, out, labels=[9])
+    position = "gel_pose_cell_frame_seq.position"
+    bare = Layout(leave_out=(position, "gel_pose_cell_frame_seq.quaternion"))
+    factories.write_set(tmp_path / "bare", {"train": seq_rows}, "seq", bare)
+    with pytest.raises(InputError, match=f"the source has no column '{position}'"):
+        realtouch.to_single(tmp_path / "bare", out)
     with pytest.raises(InputError, match="holds single images already"):
         realtouch.to_single(str(single_folder), out)
     with pytest.raises(InputError, match="no way 'finest'"):

@@ -185,6 +185,8 @@ def test_ids_that_come_again_are_left_out(single_rows: list[dict], tmp_path: Pat
     record = realtouch.load(source)[0]
     first = tmp_path / "out" / "images" / "train" / "same" / "000.jpg"
     assert first.read_bytes() == bytes(record.sensor_image.encoded(0))
+    rows = realtouch.export(source, tmp_path / "rows", "flat")
+    assert [item.message for item in rows.shards[0].skipped] == [skipped.message]
 
 
 def test_a_folder_of_pictures_becomes_another_set(

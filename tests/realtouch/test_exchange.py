@@ -327,3 +327,33 @@ def test_what_cannot_be_exported_is_named(
     with pytest.raises(InputError, match=r"20 x 10 pixels; expected 96 x 72.*resize"):
         realtouch.export(tmp_path / "grown", tmp_path / "robots", "lerobot")
     assert not (tmp_path / "robots").exists()
+
+
+@pytest.mark.parametrize("layout", ["flat", "webdataset"])
+def test_a_frame_without_its_end_is_not_copied(layout: Any, seq_rows: list[dict], tmp_path: Path) -> None:
+    def spoil(row: dict[str, Any], index: int) -> None:
+        if index == 1:
+            row["sensor_video"] = [dict(each) for each in row["sensor_video"]]
+            row["sensor_video"][2]["bytes"] = row["sensor_video"][2]["bytes"].replace(b"\xff\xd9", bytes(2))
+
+    source = factories.write_set(tmp_path / "source", {"train": seq_rows}, "seq", Layout(edit=spoil))
+    (skipped,) = realtouch.export(source, tmp_path / "out", layout).shards[0].skipped
+    assert skipped.id == 1
+    assert "row 1, touch 2, field 'sensor_video': frame" in skipped.message
+    assert realtouch.verify(tmp_path / "out").ok
+
+
+def test_lerobot_needs_lengths_that_are_true(seq_rows: list[dict], tmp_path: Path) -> None:
+    """Frames are numbered through all files, and so before they are read."""
+
+    def shorten(row: dict[str, Any], index: int) -> None:
+        row["video_length_frames"] = [length - (index == 1) for length in row["video_length_frames"]]
+
+    for layout, error, words in (
+        (Layout(leave_out=("video_length_frames",)), InputError, "numbered ahead; next: make single images"),
+        (Layout(edit=shorten), IntegrityError, "row 1"),
+    ):
+        factories.write_set(tmp_path / "source", {"train": seq_rows}, "seq", layout)
+        with pytest.raises(error, match=words):
+            realtouch.export(tmp_path / "source", tmp_path / "robots", "lerobot")
+        assert not (tmp_path / "robots").exists()
