@@ -204,6 +204,25 @@ def test_what_is_no_solid_is_named_and_the_rest_is_written(
         assert f"failed: {name}" in printed.err
 
 
+def test_choices_of_nothing_and_ids_that_stand_twice_are_refused(
+    folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    import pyarrow as pa
+    from pyarrow import parquet
+
+    (source,) = (folder / "data").glob("printed_test-*.parquet")
+    table = parquet.ParquetFile(source).read(use_threads=False)
+    other = str((table["label"][0].as_py() + 1) % 10)
+    parquet.write_table(pa.concat_tables([table, table]), tmp_path / "twice.parquet")
+    for place, choice, words in (
+        (source, ("--ids", table["id"][0].as_py(), "--labels", other), "no object is chosen"),
+        (tmp_path / "twice.parquet", (), "an id stands twice in a split"),
+    ):
+        assert call("export", place, *choice, "--out", tmp_path / "out") == 2
+        assert words in " ".join(capsys.readouterr().err.split())
+        assert not (tmp_path / "out").exists()
+
+
 def test_starstruck_exports_alike(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     options = ("--scenes", "test=2,train=0", "--split", "test", "--workers", "1", "--quiet")
     assert command_line.call("starstruck", "generate", *options, "--out", tmp_path / "scenes") == 0

@@ -249,6 +249,20 @@ def test_paths_to_what_a_package_lacks_are_named(component: str, words: str, tmp
         read_mesh(package(tmp_path / "a.3mf", component, a="millimeter"))
 
 
+def test_packages_without_a_model_or_with_numbers_that_are_none(tmp_path: Path) -> None:
+    path = tmp_path / "a.3mf"
+    with zipfile.ZipFile(path, "w") as archive:
+        archive.writestr("[Content_Types].xml", "<Types/>")
+    with pytest.raises(InputError, match=r"a\.3mf.*holds no \.model file"):
+        read_mesh(path)
+    far = BODY.replace('v1="1"', f'v1="{2**32}"')
+    with zipfile.ZipFile(path, "w") as archive:
+        model = f'<model unit="millimeter" xmlns="{CORE}"><resources>{far}</resources>'
+        archive.writestr("3D/3dmodel.model", f'{model}<build><item objectid="1"/></build></model>')
+    with pytest.raises(InputError, match=r"a\.3mf.*more than 32 bits"):
+        read_mesh(path)
+
+
 def test_a_mesh_of_trimesh_and_a_record_are_taken_as_they_are(ring: Mesh, tmp_path: Path) -> None:
     class Record:
         vertices_m, faces = ring.vertices_m, ring.faces

@@ -16,7 +16,7 @@ from tactile_toolkit.errors import InputError, ItemError, StorageError
 from tactile_toolkit.mesh.files import FORMATS, read_mesh
 from tactile_toolkit.mesh.mesh import Mesh
 from tactile_toolkit.mesh.solid_check import check_manifold
-from tactile_toolkit.printing.checked import write_checked
+from tactile_toolkit.printing.checked import require_same_solid, require_solid, write_checked
 from tactile_toolkit.printing.objects import parse_ids, standing
 from tactile_toolkit.printing.singles import export_files, forecast_files
 from tests.tactile_toolkit.printing.solids import box, ell, named, open_box, ring
@@ -216,3 +216,18 @@ def test_a_killed_export_leaves_whole_files_only(tmp_path: Path) -> None:
     made = export_files(objects, str(tmp_path / "out"), "3mf")
     assert {file.state for file in made.files} == {"kept"}
     assert {path.name for path in (tmp_path / "out").iterdir()} == names
+
+
+def test_another_solid_is_not_what_was_written() -> None:
+    """Of as many bodies and holes, of the same bounds, or of the same volume: all three are compared."""
+    meant = box(10, 10)
+    require_same_solid(meant, meant, require_solid(meant))
+    moved = Mesh(meant.vertices_m + 1e-3, meant.faces)
+    for found, words in (
+        (ring(5, 2), "it has 1 bodies and 1 holes; 1 and 0 were written"),
+        (ell(10, 9), "its volume is 495"),
+        (moved, "its bounds moved by 1 mm"),
+    ):
+        with pytest.raises(ItemError, match=words) as caught:
+            require_same_solid(found, meant, require_solid(meant))
+        assert caught.value.reason == "changed"
