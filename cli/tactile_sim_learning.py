@@ -66,6 +66,9 @@ class TrainOptions:
         64
     )
     steps: Annotated[int, typer.Option(min=1, metavar="N", help="Steps in all.")] = 200_000
+    start_steps: Annotated[
+        int, typer.Option(min=0, metavar="N", help="First of these, which learn from pairs by Taxim.")
+    ] = 0
     batch: Annotated[int, typer.Option(min=1, metavar="N", help="Pictures of each kind in a step.")] = 1
     crop: Annotated[float, typer.Option(metavar="SHARE", help="Side of the random crops.")] = 0.875
     learning_rate: Annotated[float, typer.Option(metavar="RATE", help="Learning rate of Adam.")] = 2e-4
@@ -74,6 +77,9 @@ class TrainOptions:
     ] = 10.0
     touch_cycle_weight: Annotated[float, typer.Option(metavar="W", help="Weight of touches' cycle.")] = 10.0
     identity_weight: Annotated[float, typer.Option(metavar="W", help="Weight of the identity loss.")] = 5.0
+    level_weight: Annotated[
+        float, typer.Option(metavar="W", help="Weight of what is known: how a touch of nothing looks.")
+    ] = 10.0
     sensor_noise: Annotated[
         str,
         typer.Option(

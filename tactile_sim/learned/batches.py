@@ -3,23 +3,64 @@
 from __future__ import annotations
 
 import hashlib
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
-from typing import Any
+from functools import cached_property
+from typing import Any, NamedTuple
 
 import numpy as np
 import torch
+from numpy.typing import NDArray
 
 from tactile_sim.learned.channels import depth_channels, picture_channels
 from tactile_sim.learned.config import TrainConfig
+from tactile_sim.optics import make_optics
 from tactile_sim.pairs.reading import Domain, Pairs
+from tactile_sim.sensor import as_environment, as_sensor
 
-__all__ = ["Batches", "step_rng"]
+__all__ = ["Batch", "Batches", "by_taxim", "step_rng"]
+
+_LEVEL_TOUCHES = 512
+
+
+class Batch(NamedTuple):
+    """What a step is shown: ``n`` pictures of each kind, which do not belong together, from -1 to 1."""
+
+    depth: Any
+    """Row, column and depth, (n, 3, h, w)."""
+
+    touch: Any
+    """Colours of touches, (n, 3, h, w)."""
+
+    where: Any
+    """Row and column of the touches, (n, 2, h, w)."""
+
+    level: Any
+    """What the sensor shows of nothing where the depth images lie, (n, 3, h, w); None if not known."""
+
+    contact: Any
+    """Whether each touch met its object, (n, 1, 1, 1)."""
+
+    simulated: Any
+    """Touches of the depth as Taxim shows it, (n, 3, h, w); None after the first steps."""
 
 
 def step_rng(config: TrainConfig, step: int, rank: int, what: str) -> np.random.Generator:
     """Return the random numbers of one step."""
     words = hashlib.sha256(f"{config.seed}/{step}/{rank}/{what}".encode()).digest()
     return np.random.Generator(np.random.Philox(key=int.from_bytes(words[:16], "little")))
+
+
+def by_taxim(pairs: Pairs) -> Callable[[NDArray[np.float32]], NDArray[np.uint8]]:
+    """Return what makes Taxim's pictures of depth images of a training set; MissingExtraError without."""
+    sensor = (as_sensor if pairs.like == "published" else as_environment)(*pairs.size_px)
+    taxim = make_optics("taxim")
+
+    def made(depth: NDArray[np.float32]) -> NDArray[np.uint8]:
+        depth_m = sensor.press_m + depth.astype(np.float64) * (sensor.gel_m - sensor.press_m)
+        return taxim.render(depth_m, sensor, pairs.size_px)
+
+    return made
 
 
 class Batches:
@@ -30,6 +71,7 @@ class Batches:
         self._config = config
         self._rank = rank
         self._crop = config.crop_px(pairs.size_px)
+        self._taxim = by_taxim(pairs) if config.start_steps else None
         self._pool = ThreadPoolExecutor(1)
         self._ahead: tuple[int, Any] | None = None
 
@@ -39,27 +81,51 @@ class Batches:
     def __exit__(self, *_: object) -> None:
         self._pool.shutdown(cancel_futures=True)
 
-    def of(self, step: int) -> tuple[Any, Any, Any]:
-        """Return depth and touches of a step, (n, 3, h, w), and row and column of the touches, -1 to 1."""
+    def of(self, step: int) -> Batch:
+        """Return the batch of a step."""
         ahead = self._ahead
-        found: tuple[Any, Any, Any] = (
-            ahead[1].result() if ahead is not None and ahead[0] == step else self._make(step)
-        )
+        found: Batch = ahead[1].result() if ahead is not None and ahead[0] == step else self._make(step)
         if step + 1 < self._config.steps:
             self._ahead = (step + 1, self._pool.submit(self._make, step + 1))
         return found
 
-    def _make(self, step: int) -> tuple[Any, Any, Any]:
+    @cached_property
+    def _level(self) -> Any:
+        """The median of touches without contact, (3, H, W): a sensor's noise is not in it."""
+        real = self._pairs.real
+        numbers = np.flatnonzero(~real.contact)
+        if not len(numbers):
+            return None
+        chosen = numbers[np.unique(np.linspace(0, len(numbers) - 1, _LEVEL_TOUCHES).astype(np.int64))]
+        return picture_channels(np.median(real.images(chosen), axis=0)[None])[0]
+
+    def _make(self, step: int) -> Batch:
         rng = step_rng(self._config, step, self._rank, "batch")
-        depth = self._cropped(depth_channels(self._drawn(self._pairs.depth, rng)), rng)
-        pictures = picture_channels(self._drawn(self._pairs.real, rng))
-        width, height = self._pairs.size_px
+        images = self._pairs.depth.images(self._drawn(self._pairs.depth, rng))
+        height, width = images.shape[1:]
+        parts = [depth_channels(images)]
+        if self._level is not None:
+            parts.append(self._level.expand(len(images), -1, -1, -1))
+        if step < self._config.start_steps:
+            parts.append(self._simulated(images))
+        cropped = self._cropped(torch.cat(parts, dim=1), rng)
+        depth, level = cropped[:, :3], None if self._level is None else cropped[:, 3:6]
+        simulated = cropped[:, -3:] if step < self._config.start_steps else None
+        numbers = self._drawn(self._pairs.real, rng)
+        pictures = picture_channels(self._pairs.real.images(numbers))
         where = depth_channels(np.ones((1, height, width), np.float32))[:, :2]
         touch = self._cropped(torch.cat([pictures, where.expand(len(pictures), -1, -1, -1)], dim=1), rng)
-        return depth, touch[:, :3], touch[:, 3:]
+        contact = torch.from_numpy(self._pairs.real.contact[numbers])[:, None, None, None]
+        return Batch(depth, touch[:, :3], touch[:, 3:], level, contact, simulated)
+
+    def _simulated(self, images: NDArray[np.float32]) -> Any:
+        """Return the relief that Taxim shows of depth, on what the sensor shows of nothing."""
+        shown = picture_channels(self._taxim(np.concatenate([images, np.ones_like(images[:1])])))
+        level = shown[-1] if self._level is None else self._level
+        return (level + shown[:-1] - shown[-1]).clip(-1, 1)
 
     def _drawn(self, domain: Domain, rng: np.random.Generator) -> Any:
-        return domain.images(rng.integers(len(domain), size=self._config.batch))
+        return rng.integers(len(domain), size=self._config.batch)
 
     def _cropped(self, channels: Any, rng: np.random.Generator) -> Any:
         width, height = self._crop

@@ -26,6 +26,11 @@ class TrainConfig:
         Of the discriminators (Zhu et al. 2017).
     steps : int
         Optimiser steps; ours: ten passes over 20,000 pictures.
+    start_steps : int
+        First steps, in which both directions also learn from pairs that simulation knows: depth, and the
+        relief that Taxim shows of it, on what the real touches show of nothing (needs the extra ``sim``). It
+        has the weight of the cycles, which falls to 0; ours. Pictures that are not paired do not say where in
+        them depth and relief belong together: these do.
     batch : int
         Pictures of each kind in a step and process (Zhu et al. 2017).
     crop : float
@@ -37,12 +42,15 @@ class TrainConfig:
     depth_cycle_weight, touch_cycle_weight, identity_weight : float
         Weights of the losses beside the adversarial one (Zhu et al. 2017: 10, 10 and 5). Most of a touch is
         background: where no relief is learned, weigh the cycle of touches more.
+    level_weight : float
+        Weight of what is known without pairs, if there are touches without contact: they have no depth, and
+        where depth has no contact a touch looks as they do; ours. It keeps depth and relief in one place.
     sensor_noise : SensorNoise, optional
         Noise of the sensor that made the real touches, laid over made ones wherever networks are shown them;
         ours. A generator cannot make noise, and need not: ``generate --noise`` adds it to what it makes.
     noise : float
-        Standard deviation of noise over made touches that the way back is shown, of values from -1 to 1;
-        ours. It keeps generators from hiding depth in marks that nobody sees.
+        White noise over all touches that the way back is shown, of values from -1 to 1: up to this standard
+        deviation; ours. It keeps generators from hiding depth in marks that nobody sees.
     judge_noise : float
         The same over all touches that discriminators are shown at first; it falls linearly to 0 until the
         learning rate begins to fall. Ours: they see coarse things first, and fine ones in the end.
@@ -58,6 +66,7 @@ class TrainConfig:
     blocks: int = whole_number(9, 0, 64)
     judge_filters: int = whole_number(64, 1, 1024)
     steps: int = whole_number(200_000, 1, 10**9)
+    start_steps: int = whole_number(0, 0, 10**9)
     batch: int = whole_number(1, 1, 4096)
     crop: float = real_number(0.875, 0.1, 1)
     learning_rate: float = real_number(2e-4, 1e-8, 1)
@@ -66,6 +75,7 @@ class TrainConfig:
     depth_cycle_weight: float = real_number(10.0, 0, 1e4)
     touch_cycle_weight: float = real_number(10.0, 0, 1e4)
     identity_weight: float = real_number(5.0, 0, 1e4)
+    level_weight: float = real_number(10.0, 0, 1e4)
     sensor_noise: SensorNoise | None = None
     noise: float = real_number(0.0, 0, 1)
     judge_noise: float = real_number(0.0, 0, 1)

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import torch
 
+from tactile_sim.learned.batches import Batch
 from tactile_sim.learned.channels import noisy_channels
 from tactile_sim.learned.config import TrainConfig
 from tactile_sim.learned.networks import Generator, discriminator, initialise
@@ -22,10 +23,17 @@ LOSSES = (
     "depth_cycle",
     "touch_identity",
     "depth_identity",
+    "touch_level",
+    "depth_level",
+    "touch_start",
+    "depth_start",
     "touch_judge",
     "depth_judge",
 )
-"""What a step reports; mean absolute errors of cycle and identity are of values from -1 to 1."""
+"""What a step reports; those that compare pictures are mean absolute errors of values from -1 to 1."""
+
+
+_SHADOW = 32  # of the picture: farther from pressed gel, 0.6 mm, a touch is as without, to 2 levels
 
 
 class _Pool:
@@ -92,6 +100,10 @@ class CycleGan:
             "depth_cycle": config.depth_cycle_weight,
             "touch_identity": config.identity_weight,
             "depth_identity": config.identity_weight,
+            "touch_level": config.level_weight,
+            "depth_level": config.level_weight,
+            "touch_start": config.touch_cycle_weight,
+            "depth_start": config.depth_cycle_weight,
         }
         self._noise = torch.Generator(device)
         self._run = {
@@ -99,24 +111,26 @@ class CycleGan:
             for name, network in self.networks.items()
         }
 
-    def step(
-        self, number: int, depth: Any, touch: Any, where: Any, rng: np.random.Generator
-    ) -> dict[str, float]:
-        """Take one step with a batch of each kind, (n, 3, H, W) from -1 to 1; return its losses.
+    def step(self, number: int, batch: Batch, rng: np.random.Generator) -> dict[str, float]:
+        """Take one step; return its losses.
 
-        ``where``, (n, 2, H, W), is row and column of the touches: what a generator says of these is not used,
-        here as in `tactile-mnist`, as nobody needs to guess them.
+        What a generator says of row and column is not used, here as in `tactile-mnist`: nobody needs to guess
+        them.
         """
         for optimiser in self.optimisers.values():
             for group in optimiser.param_groups:
                 group["lr"] = self.config.rate(number)
         self._noise.manual_seed(int(rng.integers(2**62)))
         judged = self.config.judge_noise_at(number)
-        real = {"touch": self._laid(touch), "depth": self._laid(depth)}
-        places = {"touch": self._laid(where), "depth": real["depth"][:, :2]}
+        real = {"touch": self._laid(batch.touch), "depth": self._laid(batch.depth)}
+        places = {"touch": self._laid(batch.where), "depth": real["depth"][:, :2]}
         with torch.autocast("cuda", torch.bfloat16, enabled=self.device.startswith("cuda")):
             made, losses = self._generator_losses(real, places, judged, rng)
-            total = sum(self._weights.get(name, 1.0) * loss for name, loss in losses.items())
+            if self.config.level_weight and batch.level is not None:
+                losses |= self.level_losses(made, real["depth"][:, 2:], batch)
+            if batch.simulated is not None:
+                losses |= self._start_losses(made["touch"], batch.simulated, real["depth"], rng)
+            total = sum(self._weight(name, number) * loss for name, loss in losses.items())
         self._descend("generators", total)
         with torch.autocast("cuda", torch.bfloat16, enabled=self.device.startswith("cuda")):
             for name in ("touch", "depth"):
@@ -129,6 +143,10 @@ class CycleGan:
             judging = losses["touch_judge"] + losses["depth_judge"]
         self._descend("judges", judging)
         return {name: float(losses[name].detach()) if name in losses else 0.0 for name in LOSSES}
+
+    def _weight(self, name: str, number: int) -> float:
+        fading = 1 - number / self.config.start_steps if name.endswith("start") else 1.0
+        return fading * self._weights.get(name, 1.0)
 
     def _laid(self, pictures: Any) -> Any:
         return pictures.to(self.device, memory_format=torch.channels_last)
@@ -149,6 +167,10 @@ class CycleGan:
         noise = torch.randn(pictures.shape, generator=self._noise, device=pictures.device)
         return pictures + deviation * noise.to(pictures.dtype)
 
+    def _smeared(self, name: str, pictures: Any, rng: np.random.Generator) -> Any:
+        """Return touches as the way back is shown them; real and made alike, so that it cannot tell them."""
+        return self._blurred(name, pictures, self.config.noise * rng.random())
+
     def _generator_losses(
         self, real: dict[str, Any], places: dict[str, Any], judged: float, rng: np.random.Generator
     ) -> tuple[dict[str, Any], dict[str, Any]]:
@@ -156,11 +178,11 @@ class CycleGan:
             parameter.requires_grad_(False)
         made, losses = {}, {}
         for name, other in (("touch", "depth"), ("depth", "touch")):
-            made[name] = self._make(name, real[other], places[other])
+            made[name] = self._make(name, self._smeared(other, real[other], rng), places[other])
             seen = self._sensed(name, made[name], rng)
             said = self._run[f"{name}_judge"](self._blurred(name, seen, judged))
             losses[f"{name}_adversarial"] = _distance(said, 1)
-            again = self._make(other, self._blurred(name, seen, self.config.noise), places[other])
+            again = self._make(other, self._smeared(name, seen, rng), places[other])
             losses[f"{other}_cycle"] = _mean_error(other, again, real[other])
             if self.config.identity_weight:
                 same = self._make(name, real[name], places[name])
@@ -168,6 +190,33 @@ class CycleGan:
         for parameter in self.parameters["judges"]:
             parameter.requires_grad_(True)
         return made, losses
+
+    def _start_losses(
+        self, made: Any, simulated: Any, depth: Any, rng: np.random.Generator
+    ) -> dict[str, Any]:
+        """Compare what both directions make with pairs that simulation knows."""
+        shown = self._laid(simulated)
+        sensed = self._smeared("touch", self._sensed("touch", shown, rng), rng)
+        again = self._make("depth", sensed, depth[:, :2])
+        return {
+            "touch_start": _mean_error("touch", made, shown),
+            "depth_start": _mean_error("depth", again, depth),
+        }
+
+    def level_losses(self, made: dict[str, Any], depth: Any, batch: Batch) -> dict[str, Any]:
+        """Compare what is made with what is known without pairs: how nothing looks, and how deep it is.
+
+        Where the gel is not pressed, a little away from where it is, it looks as it does without any touch.
+        Unlike the cycle, this ties a relief in the picture to the place of its depth.
+        """
+        reach = max(1, round(min(depth.shape[-2:]) / _SHADOW))
+        pressed = torch.nn.functional.max_pool2d((depth < 1).float(), 2 * reach + 1, 1, reach)
+        level = self._laid(batch.level)
+        nothing = 1.0 - batch.contact.to(self.device, torch.float32)
+        return {
+            "touch_level": ((made["touch"] - level).abs() * (1 - pressed)).mean(),
+            "depth_level": ((made["depth"][:, 2:] - 1).abs() * nothing).mean(),
+        }
 
     def _descend(self, key: str, loss: Any) -> None:
         self.optimisers[key].zero_grad(set_to_none=True)

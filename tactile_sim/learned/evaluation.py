@@ -15,6 +15,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
+from tactile_sim.learned.batches import by_taxim
 from tactile_sim.learned.channels import depth_channels, picture_channels, shades_of
 from tactile_sim.learned.checkpoints import DEPTH_WEIGHTS, TOUCH_WEIGHTS
 from tactile_sim.learned.measures import colour_distance, kernel_distance, spectrum_distance
@@ -23,7 +24,6 @@ from tactile_sim.learned.readers import READER_PX, Reader, balanced_accuracy, ra
 from tactile_sim.learned.sheets import sheet_png
 from tactile_sim.learned.weights import read_weights
 from tactile_sim.noise import SensorNoise, add_noise
-from tactile_sim.optics import make_optics
 from tactile_sim.pairs.reading import Domain, Pairs
 from tactile_sim.plan import generator
 from tactile_toolkit.errors import InputError
@@ -217,7 +217,7 @@ def evaluate(
     makers: dict[str, Callable[[NDArray[np.float32]], NDArray[np.uint8]]] = {
         "trained": _by_network(generator_of(touch)),
         "untrained": _by_network(untrained),
-        "taxim": _by_taxim(data),
+        "taxim": by_taxim(data),
     }
     depth_rows = _spread(data.depth, count, pairs)
     depth = data.depth.images(depth_rows)
@@ -392,18 +392,6 @@ def _by_network(network: Generator) -> Callable[[NDArray[np.float32]], NDArray[n
         return np.asarray(np.rint(shades.permute(0, 2, 3, 1).numpy() * 255), np.uint8)
 
     return torch.inference_mode()(made)  # type: ignore[no-any-return]
-
-
-def _by_taxim(data: Pairs) -> Callable[[NDArray[np.float32]], NDArray[np.uint8]]:
-    from tactile_sim.sensor import as_environment, as_sensor
-
-    sensor = (as_sensor if data.like == "published" else as_environment)(*data.size_px)
-
-    def made(depth: NDArray[np.float32]) -> NDArray[np.uint8]:
-        depth_m = sensor.press_m + depth.astype(np.float64) * (sensor.gel_m - sensor.press_m)
-        return make_optics("taxim").render(depth_m, sensor, data.size_px)
-
-    return made
 
 
 def _depth_again(inverse: Generator, pictures: NDArray[np.uint8]) -> NDArray[np.float32]:

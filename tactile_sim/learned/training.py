@@ -153,7 +153,7 @@ class _Run:
         with Batches(self.data, config, self.place.rank) as batches:
             for step in range(first, config.steps):
                 rng = step_rng(config, step, self.place.rank, "pool")
-                losses = self.model.step(step, *batches.of(step), rng)
+                losses = self.model.step(step, batches.of(step), rng)
                 sums += list(losses.values())
                 done = step + 1
                 self._require_finite(losses, done)

@@ -32,14 +32,17 @@ pytestmark = [pytest.mark.torch, pytest.mark.sim]
 torch = pytest.importorskip("torch", reason="needs torch, of the extra torch")
 pytest.importorskip("numba", reason="needs numba, of the extra sim")
 
+from tactile_sim.learned.batches import Batch, by_taxim  # noqa: E402
 from tactile_sim.learned.channels import noisy_channels, picture_channels, shades_of  # noqa: E402
 from tactile_sim.learned.checkpoints import settings_of  # noqa: E402
 from tactile_sim.learned.config import TrainConfig  # noqa: E402
+from tactile_sim.learned.cyclegan import CycleGan  # noqa: E402
 from tactile_sim.learned.evaluation import evaluate  # noqa: E402
 from tactile_sim.learned.measures import colour_distance, kernel_distance, spectrum_distance  # noqa: E402
 from tactile_sim.learned.readers import Reader, balanced_accuracy, ranked_right  # noqa: E402
 from tactile_sim.learned.training import train  # noqa: E402
 from tactile_sim.learned.weights import GeneratorWeights, read_weights, write_weights  # noqa: E402
+from tactile_sim.optics.cyclegan import CycleganDepth, CycleganOptics  # noqa: E402
 from tactile_toolkit.store.folder import DataFolder  # noqa: E402
 
 SPEC = PairsSpec((32, 32), 60, without_contact=0.2, like="environment")
@@ -292,6 +295,54 @@ def test_two_processes_of_torchrun_train_together(pairs, tmp_path, monkeypatch):
     assert not said[0]  # the first process speaks for all
     with pytest.raises(SpecMismatchError, match="trained by 2 processes"):
         train(pairs, out, config, device="cpu")
+
+
+def test_what_is_known_without_pairs_is_learned(pairs, tmp_path):
+    """A touch of nothing looks as in the real set, and its depth is none; otherwise nothing says so."""
+    data = Pairs.open(pairs)
+    nothing = data.real.images(np.flatnonzero(~data.real.contact))
+    off = {}
+    for weight in (0, 100):
+        others = dict.fromkeys(("depth_cycle_weight", "touch_cycle_weight", "identity_weight"), 0)
+        config = TrainConfig(
+            4, 0, 4, steps=120, batch=2, crop=1.0, learning_rate=2e-3, level_weight=weight, **others
+        )
+        out = tmp_path / str(weight)
+        train(pairs, out, config, device="cpu", deterministic=True)
+        sensor = tactile_sim.as_environment(32, 32)
+        level_m = np.full((1, 32, 32), sensor.gel_m)
+        made = CycleganOptics(out / "depth_to_touch.npz").render(level_m, sensor, (32, 32))[0]
+        depth = CycleganDepth(out / "touch_to_depth.npz").images(nothing, (32, 32))
+        off[weight] = np.abs(made - np.median(nothing, axis=0)).mean(), np.abs(depth - 1).mean()
+    assert off[100][0] < 8 < off[0][0]
+    assert off[100][1] < 0.05 < off[0][1]
+
+
+def test_the_start_learns_where_relief_belongs(pairs, tmp_path):
+    """Of pairs that simulation knows: the way back finds the depth of touches that it made."""
+    config = TrainConfig(4, 1, 1, steps=150, start_steps=150, batch=4, crop=1.0, learning_rate=3e-3)
+    train(pairs, tmp_path, config, device="cpu", deterministic=True)
+    data = Pairs.open(pairs)
+    depth = data.depth.images(np.flatnonzero(data.depth.contact))
+    found = CycleganDepth(tmp_path / "touch_to_depth.npz").images(by_taxim(data)(depth), (32, 32))
+    assert np.corrcoef(found.ravel(), depth.ravel())[0, 1] > 0.7
+    log = pq.read_table(tmp_path / "losses.parquet")
+    assert log["touch_start"][-1].as_py() < log["touch_start"][0].as_py()
+
+
+def test_relief_is_free_only_near_the_contact():
+    depth, level = torch.ones(1, 1, 64, 64), torch.zeros(1, 3, 64, 64)
+    depth[..., 30, 30] = 0.5
+    batch = Batch(None, None, None, level, torch.tensor([True])[:, None, None, None])
+    model = CycleGan(TrainConfig(1, 0, 1), "cpu")
+
+    def error(*place):
+        made = {"touch": level.clone(), "depth": torch.zeros(1, 3, 64, 64)}
+        made["touch"][(..., *place)] = 1
+        return {name: float(loss) for name, loss in model.level_losses(made, depth, batch).items()}
+
+    assert error(30, 32) == error(28, 28) == {"touch_level": 0, "depth_level": 0}  # that touch met something
+    assert error(30, 33)["touch_level"] == error(0, 0)["touch_level"] > 0
 
 
 def test_noise_in_training_is_that_of_generated_touches():
