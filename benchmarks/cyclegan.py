@@ -46,12 +46,12 @@ SMALL = {
     "batch": 2,
     "crop": 1.0,
     # Without these three, depth hides in faint dots, and real touches are said to be empty.
-    "depth_cycle_weight": 6.0,
+    "depth_cycle_weight": 10.0,
     "touch_cycle_weight": 40.0,
     "noise": 0.06,
     # Noise tells real touches from all that is made without it; at first fine detail does, too.
     "sensor_noise": SensorNoise.calibrated(),
-    "judge_noise": 0.08,
+    "judge_noise": 0.06,
     "identity_weight": 0.0,
     "learning_rate": 3e-4,
 }

@@ -333,7 +333,8 @@ def test_the_start_learns_where_relief_belongs(pairs, tmp_path):
 def test_relief_is_free_only_near_the_contact():
     depth, level = torch.ones(1, 1, 64, 64), torch.zeros(1, 3, 64, 64)
     depth[..., 30, 30] = 0.5
-    batch = Batch(None, None, None, level, torch.tensor([True])[:, None, None, None])
+    met = torch.tensor([True])[:, None, None, None]
+    batch = Batch(depth, level, depth[:, :2], level, met, None)
     model = CycleGan(TrainConfig(1, 0, 1), "cpu")
 
     def error(*place):
