@@ -12,7 +12,7 @@ from tactile_toolkit.hub.repository import HubName, HubRepository, hub_name
 from tactile_toolkit.kind import kinds
 from tactile_toolkit.read.parquet import Shard
 from tactile_toolkit.store.address import is_remote, place_of_data, scheme_of
-from tactile_toolkit.store.folder import DataFolder, unreadable
+from tactile_toolkit.store.folder import DataFolder, is_there, unreadable
 from tactile_toolkit.store.manifest import (
     MANIFEST_FILE,
     manifest_so_far,
@@ -171,10 +171,10 @@ def _local_place(name: str) -> Path | None:
         return None
     try:
         place = Path(place_of_data(name)).expanduser()
-        return place if place.exists() else None
+        return place if is_there(place) else None
     except PermissionError as error:
         raise unreadable(name) from error
-    except (OSError, RuntimeError, ValueError):  # too long a name, an unknown user's home, a null byte
+    except RuntimeError:  # an unknown user's home
         return None
 
 

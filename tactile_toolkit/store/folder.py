@@ -36,6 +36,7 @@ __all__ = [
     "file_at",
     "folders_below",
     "is_stale",
+    "is_there",
     "named_failures",
     "open_regular",
     "remove_tree",
@@ -161,6 +162,20 @@ def _readable(address: str) -> Iterator[None]:
         yield
     except PermissionError as error:
         raise unreadable(address) from error
+
+
+def is_there(path: Path) -> bool:
+    """Tell whether there is such a file or folder; PermissionError where this user may not know.
+
+    `Path.exists` says so too, but from Python 3.14 on it answers no.
+    """
+    try:
+        path.stat()
+    except PermissionError:
+        raise
+    except (OSError, ValueError):  # too long a name, a circle of links, a null byte
+        return False
+    return True
 
 
 def expanded(place: str | Path, what: str = "path") -> Path:
@@ -303,7 +318,7 @@ class DataFolder:
         if self.is_local:
             # Who asks for the folder itself is about to write there, and says so.
             with _readable(self.address(path)) if path else contextlib.nullcontext():
-                return Path(self.address(path)).exists()
+                return is_there(Path(self.address(path)))
         return self._remote.info(self._inside(path)) is not None
 
     def lacks(self, what: str) -> str:
@@ -321,8 +336,9 @@ class DataFolder:
         """List the file names directly in a sub-folder, sorted; an absent sub-folder is empty."""
         if self.is_local:
             path = Path(self.address(folder))
-            with _readable(str(path)):
-                return sorted(entry.name for entry in path.iterdir()) if path.is_dir() else []
+            with _readable(str(path)), contextlib.suppress(FileNotFoundError, NotADirectoryError):
+                return sorted(entry.name for entry in path.iterdir())
+            return []
         return list(self._remote.entries(self._inside(folder)))
 
     def sizes(self, folder: str = "") -> dict[str, int]:
