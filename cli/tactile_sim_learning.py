@@ -67,7 +67,7 @@ class TrainOptions:
     )
     steps: Annotated[int, typer.Option(min=1, metavar="N", help="Steps in all.")] = 200_000
     start_steps: Annotated[
-        int, typer.Option(min=0, metavar="N", help="First of these, which learn from pairs by Taxim.")
+        int, typer.Option(min=0, metavar="N", help="First of these, which also learn from pairs by Taxim.")
     ] = 0
     batch: Annotated[int, typer.Option(min=1, metavar="N", help="Pictures of each kind in a step.")] = 1
     crop: Annotated[float, typer.Option(metavar="SHARE", help="Side of the random crops.")] = 0.875
@@ -78,7 +78,7 @@ class TrainOptions:
     touch_cycle_weight: Annotated[float, typer.Option(metavar="W", help="Weight of touches' cycle.")] = 10.0
     identity_weight: Annotated[float, typer.Option(metavar="W", help="Weight of the identity loss.")] = 5.0
     level_weight: Annotated[
-        float, typer.Option(metavar="W", help="Weight of what is known: how a touch of nothing looks.")
+        float, typer.Option(metavar="W", help="Weight of the error where nothing is touched.")
     ] = 10.0
     sensor_noise: Annotated[
         str,
