@@ -51,7 +51,10 @@ def step_rng(config: TrainConfig, step: int, rank: int, what: str) -> np.random.
     return np.random.Generator(np.random.Philox(key=int.from_bytes(words[:16], "little")))
 
 
-def by_taxim(pairs: Pairs) -> Callable[[NDArray[np.float32]], NDArray[np.uint8]]:
+_Maker = Callable[[NDArray[np.float32]], NDArray[np.uint8]]
+
+
+def by_taxim(pairs: Pairs) -> _Maker:
     """Return what makes Taxim's pictures of depth images of a training set; MissingExtraError without."""
     sensor = (as_sensor if pairs.like == "published" else as_environment)(*pairs.size_px)
     taxim = make_optics("taxim")
@@ -106,11 +109,12 @@ class Batches:
         parts = [depth_channels(images)]
         if self._level is not None:
             parts.append(self._level.expand(len(images), -1, -1, -1))
-        if step < self._config.start_steps:
-            parts.append(self._simulated(images))
+        taxim = self._taxim if step < self._config.start_steps else None
+        if taxim is not None:
+            parts.append(self._simulated(images, taxim))
         cropped = self._cropped(torch.cat(parts, dim=1), rng)
         depth, level = cropped[:, :3], None if self._level is None else cropped[:, 3:6]
-        simulated = cropped[:, -3:] if step < self._config.start_steps else None
+        simulated = None if taxim is None else cropped[:, -3:]
         numbers = self._drawn(self._pairs.real, rng)
         pictures = picture_channels(self._pairs.real.images(numbers))
         where = depth_channels(np.ones((1, height, width), np.float32))[:, :2]
@@ -118,9 +122,9 @@ class Batches:
         contact = torch.from_numpy(self._pairs.real.contact[numbers])[:, None, None, None]
         return Batch(depth, touch[:, :3], touch[:, 3:], level, contact, simulated)
 
-    def _simulated(self, images: NDArray[np.float32]) -> Any:
+    def _simulated(self, images: NDArray[np.float32], taxim: _Maker) -> Any:
         """Return the relief that Taxim shows of depth, on what the sensor shows of nothing."""
-        shown = picture_channels(self._taxim(np.concatenate([images, np.ones_like(images[:1])])))
+        shown = picture_channels(taxim(np.concatenate([images, np.ones_like(images[:1])])))
         level = shown[-1] if self._level is None else self._level
         return (level + shown[:-1] - shown[-1]).clip(-1, 1)
 

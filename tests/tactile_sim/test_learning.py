@@ -48,7 +48,7 @@ from tactile_toolkit.store.folder import DataFolder  # noqa: E402
 SPEC = PairsSpec((32, 32), 60, without_contact=0.2, like="environment")
 CONFIG = TrainConfig(
     2, 1, 4, steps=6, crop=1.0, pool=3, checkpoint_every=2, log_every=1, sensor_noise=NOISE, noise=0.05,
-    judge_noise=0.1,
+    judge_noise=0.1, start_steps=3,
 )  # fmt: skip
 FILES = ("depth_to_touch.npz", "touch_to_depth.npz", "losses.parquet")
 
