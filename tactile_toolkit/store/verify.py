@@ -210,6 +210,8 @@ def _compared(path: str, stream: IO[bytes], checksum: str) -> list[Finding]:
 
 def _check_shard(folder: DataFolder, schema: Any, record: ShardRecord) -> tuple[list[Finding], Any]:
     """Check one shard; return what is wrong with it, and its ids as an Arrow array (None: unreadable)."""
+    import pyarrow as pa
+
     path = record.shard.data_path
     problem = problem_of_place(folder, path)
     if problem:
@@ -221,14 +223,26 @@ def _check_shard(folder: DataFolder, schema: Any, record: ShardRecord) -> tuple[
                 return findings, None
             parquet = open_checked(folder.address(path) if folder.is_local else stream)
             rows, stored = parquet.metadata.num_rows, parquet.schema_arrow
-            ids = parquet.read(columns=["id"], use_threads=False).column(0).combine_chunks()
+            place, ids = stored.get_field_index("id"), None
+            if place < 0 or pa.types.is_nested(stored.field(place).type):
+                findings.append(Finding(path, "holds no column 'id' of one value for each row"))
+            else:
+                ids = parquet.read(columns=["id"], use_threads=False).column(0).combine_chunks()
     except IntegrityError as error:
         return [Finding(path, str(error))], None
     if rows != record.rows:
         findings.append(Finding(path, f"has {rows} rows, expected {record.rows}"))
     if schema is not None and not stored.equals(schema):
-        found, expected = set(map(str, stored)), set(map(str, schema))
-        differences = f"{sorted(found - expected)} there, {sorted(expected - found)} expected"
+        # Compared by Arrow: how the element of a list is called does not count.
+        there, expected = (
+            [str(each).partition("<")[2][:-1] for each in one if not any(map(each.equals, other))]
+            for one, other in ((stored, schema), (schema, stored))
+        )
+        differences = f"{there} there, {expected} expected"
+        if not there and not expected:
+            differences = (
+                f"columns in the order {', '.join(stored.names)}, expected {', '.join(schema.names)}"
+            )
         findings.append(Finding(path, f"schema differs: {differences}"))
     return findings, ids
 

@@ -36,24 +36,44 @@ def test_one_form_of_each_place(given, place):
 
 
 @pytest.mark.parametrize(
-    "address",
+    ("address", "words"),
     [
-        "s3://",
-        "s3:///set",
-        "file://set",
-        "s3://a/../b",
-        "s3://KEY:SECRET@bucket/set",
-        "s3://bucket/set?X-Amz-Signature=SECRET",
-        "https://KEY:SECRET@host/set",
-        "s3:/bucket/set",
-        "https://host/set?X-Amz-Signature=SECRET",
+        ("s3://", "'s3://' names no bucket; next: write it as s3://BUCKET/FOLDER"),
+        ("s3:///set", "names no bucket"),
+        ("file://set", "expected file:///FOLDER; next: write it so, or as a path"),
+        ("s3://a/../b", "'s3://a/../b' has '.' or '..' in it, which lead nowhere in a store"),
+        ("s3://a/./b", "next: write the folder in full"),
+        ("s3://../b", "which lead nowhere in a store"),
+        ("s3://a/b\0", "which lead nowhere in a store"),
+        ("s3://KEY:SECRET@bucket/set", "'s3://...@bucket/set' holds a user, a key or a signature"),
+        ("s3://bucket/set?X-Amz-Signature=SECRET", "'s3://bucket/set?...' holds a user"),
+        ("https://KEY:SECRET@host/set", "'https://...@host/set' is an address of the web"),
+        ("s3:/bucket/set", "'s3:/bucket/set' is an address of which a slash was lost"),
+        ("http://host/set?X-Amz-Signature=SECRET", "give a folder, s3://BUCKET/FOLDER"),
     ],
 )
-def test_what_is_no_address_of_data_is_refused_without_repeating_secrets(address):
-    with pytest.raises(InputError, match="; next: ") as told:
+def test_what_is_no_address_of_data_is_refused_without_repeating_secrets(address, words):
+    with pytest.raises(InputError, match=rf"{re.escape(words)}") as told:
         DataFolder(address)
+    assert "; next: " in str(told.value)
     assert "SECRET" not in str(told.value)
     assert "KEY" not in str(told.value)
+
+
+@pytest.mark.parametrize(
+    "act",
+    [
+        DataFolder.require_folder,
+        lambda folder: folder.write_bytes("data/a", b"1"),
+        lambda folder: folder.create_bytes("data/a", b"1"),
+        lambda folder: folder.copy_in("data/a", Path(__file__)),
+        lambda folder: folder.remove("data/a"),
+    ],
+)
+def test_nothing_is_written_to_the_hub_file_by_file(act):
+    """Said before anything is asked there: no server is reached."""
+    with pytest.raises(InputError, match=r"'hf://datasets/a/b.*' cannot be written to: .* command `upload`"):
+        act(DataFolder("hf://datasets/a/b"))
 
 
 def test_an_address_of_this_machine_is_a_local_folder(tmp_path):

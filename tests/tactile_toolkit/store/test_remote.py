@@ -137,6 +137,11 @@ def test_no_bucket_is_ever_made(s3, act):  # noqa: F811
     assert DataFolder("s3://mistyped/set").lacks("data") == "the bucket of 's3://mistyped/set' does not exist"
 
 
+def test_a_name_that_no_bucket_can_have_is_named(s3):  # noqa: F811
+    with pytest.raises(InputError, match=r"'s3://two words/set.*' holds no name that a bucket or file can"):
+        DataFolder("s3://two words/set").names()
+
+
 def test_a_file_in_the_place_of_the_folder_is_refused(folder, bucket):  # noqa: F811
     folder.write_bytes("data/a", b"1")
     with pytest.raises(InputError, match="is a file, a folder was expected"):
@@ -159,6 +164,7 @@ def test_what_fails_in_passing_is_tried_again(folder, s3, code):  # noqa: F811
         ("ExpiredToken", "have expired"),
         ("AccessDenied", "is refused"),
         ("RequestTimeTooSkewed", "clock"),
+        ("IllegalLocationConstraint", r"another region \(IllegalLocationConstraint\)"),
         ("NotImplemented", "failed: NotImplemented: .*as the test wants"),
     ],
 )

@@ -11,6 +11,7 @@ from pathlib import Path
 import pytest
 
 from tactile_toolkit.errors import InputError, SpecMismatchError, StorageError
+from tactile_toolkit.run.parts import Finish, Part
 from tactile_toolkit.run.processes import InlineRunner, ProcessRunner
 from tactile_toolkit.store.build import build
 from tactile_toolkit.store.folder import DataFolder, temporary_name
@@ -190,6 +191,11 @@ def test_a_folder_that_another_run_is_replacing_is_left_alone(finished):
     before = folder_bytes(finished)
     with pytest.raises(InputError, match="another run is replacing"):
         make(finished)
+    for runner in (Part(0, 2), Finish()):
+        with pytest.raises(
+            InputError, match=r"is replacing, or was killed .*next: give the command that was"
+        ):
+            make(finished, runner=runner)
     assert folder_bytes(finished) == before
 
 

@@ -5,6 +5,8 @@ from __future__ import annotations
 import hashlib
 import json
 
+import pyarrow as pa
+import pyarrow.parquet as pq
 import pytest
 
 from tactile_toolkit.errors import InputError
@@ -12,8 +14,9 @@ from tactile_toolkit.run.processes import InlineRunner
 from tactile_toolkit.store.build import build
 from tactile_toolkit.store.folder import DataFolder
 from tactile_toolkit.store.origin import Digest, DownloadRecord, HubFile, write_record
+from tactile_toolkit.store.parquet import encode_parquet, file_sha256
 from tactile_toolkit.store.verify import verify
-from tests.tactile_toolkit.toy import SCHEMA, toy_plan
+from tests.tactile_toolkit.toy import SCHEMA, STYLE, toy_plan
 
 
 @pytest.fixture
@@ -62,6 +65,65 @@ def test_strange_files_are_named_once_the_set_is_complete(folder):
     edited(folder, lambda values: values.update(complete=False))
     interrupted = ("manifest.json", "the run was interrupted; the same command goes on")
     assert problems(folder) == [interrupted], "they may be shards that a run is about to record"
+
+
+def rewritten(folder, path, change):
+    """Put another table in the place of a shard, with the checksum of that in the manifest."""
+    table = change(pq.read_table(folder.address(path)))
+    folder.write_bytes(path, encode_parquet(table, STYLE))
+
+    def vouch(values):
+        (record,) = (each for each in values["shards"] if each["file"] == path)
+        table = values["splits"][record["split"]]
+        size = folder.size_bytes(path)
+        table["bytes"] += size - record["bytes"]
+        record |= {"bytes": size, "sha256": file_sha256(folder, path)}
+
+    edited(folder, vouch)
+
+
+def with_ids(ids):
+    return lambda table: table.set_column(0, "id", [ids])
+
+
+NO_ID = "holds no column 'id' of one value for each row"
+
+
+@pytest.mark.parametrize(
+    ("change", "found"),
+    [
+        (lambda table: table.slice(1), ["has 4 rows, expected 5"]),
+        (
+            with_ids(pa.array([10, 11, 12, 13, 11])),
+            ["id 11 is not unique, it also stands in {} (1 such ids)"],
+        ),
+        (
+            with_ids(pa.array([0, 11, 4, 12, 1])),
+            ["id 0 is not unique, it also stands in {first} (3 such ids)"],
+        ),
+        (
+            with_ids(pa.array([[1]] * 5)),
+            [NO_ID, "schema differs: ['id: list<element: int64>'] there, ['id: int64'] expected"],
+        ),
+        (lambda table: table.drop_columns("id"), [NO_ID, "schema differs: [] there, ['id: int64'] expected"]),
+        (
+            lambda table: table.rename_columns(["id", "class", "points"]),
+            ["schema differs: ['class: int64'] there, ['label: int64'] expected"],
+        ),
+        (
+            lambda table: table.select(["label", "id", "points"]),
+            ["schema differs: columns in the order label, id, points, expected id, label, points"],
+        ),
+    ],
+)
+def test_shards_that_are_as_recorded_and_not_as_they_should_be(folder, change, found):
+    """Their checksums are right: somebody made them so."""
+    first, path = (f"data/train-0000{index}-of-00004.parquet" for index in (0, 2))
+    rewritten(folder, path, change)
+    told = problems(folder)
+    assert {file for file, _ in told} == {path}
+    expected = [each.format(path, first=first) for each in found]
+    assert [problem[: len(each)] for (_, problem), each in zip(told, expected, strict=True)] == expected
 
 
 def copy_of(tmp_path, **files):
