@@ -103,9 +103,6 @@ class Pairs:
         if manifest.spec.get("operation") != "pairs":
             message = f"{folder!r} is not a training set; expected a folder that `tactile-sim pairs` made"
             raise InputError(message)
-        if not manifest.complete:
-            message = f"{folder!r} is not finished; next: give the same `tactile-sim pairs` again"
-            raise InputError(message)
         options = manifest.spec["options"]
         width, height = options["size_px"]
         tables = [ShardedTable(find_shards(folder, split)) for split in SPLITS]

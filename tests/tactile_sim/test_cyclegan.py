@@ -116,6 +116,8 @@ def test_our_weights_run_in_the_package(small):
 
 def test_files_that_are_no_weights_are_named(small, tmp_path, monkeypatch):
     good = small()
+    with pytest.raises(InputError, match="a picture of 64 x 15 pixels is too small; expected at least 16 x"):
+        make_optics("cyclegan", good).depth_size(64, 15)
     cases = {
         "absent.npz": (None, InputError, "no file of weights"),
         "text.npz": (b"no archive", InputError, "not an .npz"),
@@ -143,10 +145,16 @@ def test_files_that_are_no_weights_are_named(small, tmp_path, monkeypatch):
         np.savez(tmp_path / name, **content)
         with pytest.raises(error, match=text):
             files.read_weights(tmp_path / name)
-    with zipfile.ZipFile(good, "a") as archive:
-        archive.comment = b'{"size_px": [30, 1000000]}'
-    with pytest.raises(IntegrityError, match="multiples of 4"):
-        files.read_weights(good)
+    for comment, text in (
+        (b'{"size_px": [30, 1000000]}', "is of 30 x 1000000 pixels; expected multiples of 4"),
+        (b'{"size_px": [true, 32]}', "is of True x 32 pixels"),
+        (b'{"size_px": 32}', "does not say the size of its pictures"),
+        (b"made by somebody", "does not say the size of its pictures"),
+    ):
+        with zipfile.ZipFile(good, "a") as archive:
+            archive.comment = comment
+        with pytest.raises(IntegrityError, match=text):
+            files.read_weights(good)
     monkeypatch.setattr(files, "find_spec", lambda _: None)
     with pytest.raises(MissingExtraError, match="the extra `env`"):
         make_optics("cyclegan")

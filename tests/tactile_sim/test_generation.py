@@ -6,6 +6,7 @@ import json
 from pathlib import Path
 
 import numpy as np
+import pyarrow.parquet as pq
 import pytest
 from typer.testing import CliRunner
 
@@ -230,6 +231,12 @@ def test_sources_that_cannot_be_are_refused(scenes, touches, tmp_path):
         plan_build(tmp_path / "part.stl", SPEC)
     with pytest.raises(InputError, match="unknown split 'dev'"):
         plan_build(scenes, SPEC, ["dev"])
+    shard = next(Path(scenes, "data").glob("train-*"))
+    (tmp_path / "data").mkdir()
+    pq.write_table(pq.read_table(shard).slice(0, 0), tmp_path / "data" / shard.name)
+    with pytest.raises(InputError, match=r"' holds no mesh in train; next: choose another split"):
+        tactile_sim.generate(tmp_path, SPEC, tmp_path / "out", ["train"])
+    assert not (tmp_path / "out").exists()
     with pytest.raises(InputError, match=r"mesh\.vertices"):
         plan_build(str(touches), SPEC)
     with pytest.raises(InputError, match="expected one of"):

@@ -12,6 +12,7 @@ from importlib.util import find_spec
 from pathlib import Path
 
 import numpy as np
+import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 from typer.testing import CliRunner
@@ -22,10 +23,12 @@ import tactile_sim
 from mnist3d.sources.synthetic import SyntheticSource
 from tactile_sim.noise import add_noise
 from tactile_sim.pairs.making import PairsSpec, make_pairs
-from tactile_sim.pairs.reading import Pairs
+from tactile_sim.pairs.reading import Domain, Pairs
 from tactile_sim.pairs.rows import decode_depth, depth_levels, encode_depth
-from tactile_toolkit.errors import InputError, IntegrityError, SpecMismatchError, StorageError
+from tactile_toolkit.catalog.locate import find_shards
+from tactile_toolkit.errors import InputError, IntegrityError, SpecMismatchError, StorageError, ToolkitError
 from tactile_toolkit.pictures.writing import png_bytes
+from tactile_toolkit.read.parquet import ShardedTable
 from tests.tactile_sim.sets import NOISE
 
 pytestmark = [pytest.mark.torch, pytest.mark.sim]
@@ -126,6 +129,9 @@ def test_pairs_that_cannot_be_made_are_named(sources, tmp_path):
     for spec, text in cases:
         with pytest.raises(InputError, match=text):
             make_pairs(*sources, "train", spec, tmp_path / "out")
+    _without_rows(sources[0], tmp_path / "none")
+    with pytest.raises(InputError, match=r"split 'train' of '.*none' holds no mesh; next: choose another"):
+        make_pairs(str(tmp_path / "none"), sources[1], "train", SPEC, tmp_path / "out")
     for wrong, text in (({"size_px": (30, 32)}, "multiples of 4"), ({"without_contact": 2}, "0 to 1")):
         with pytest.raises(InputError, match=text):
             PairsSpec(**{"count": 9, **wrong})
@@ -133,7 +139,59 @@ def test_pairs_that_cannot_be_made_are_named(sources, tmp_path):
         Pairs.open(sources[1])
     with pytest.raises(InputError, match="baselines has 'paint'; expected some of taxim, untrained"):
         evaluate(tmp_path, sources[0], baselines=("taxim", "paint"))
-    assert not list(tmp_path.iterdir())
+    assert [path.name for path in tmp_path.iterdir()] == ["none"]
+
+
+def test_objects_that_are_too_low_for_a_touch_are_named(sources, tmp_path):
+    highest_m = float(realtouch.load(sources[1], "train").touches().heights_m().max())
+    spec = PairsSpec((32, 32), 1, 0.0, highest_m, "environment")
+    with pytest.raises(
+        InputError, match=r"object \d+ is nowhere \d\.\d mm high.*next: lower --min-height-mm"
+    ):
+        make_pairs(*sources, "train", spec, tmp_path / "out")
+    assert not (tmp_path / "out").exists()
+
+
+def _without_rows(source, folder):
+    """Write the shard of a set with its columns and no row."""
+    (file,) = Path(source, "data").iterdir()
+    (folder / "data").mkdir(parents=True)
+    pq.write_table(pq.read_table(file).slice(0, 0), folder / "data" / file.name)
+
+
+def test_damaged_pairs_are_named(pairs, tmp_path):
+    data = tmp_path / "data"
+    data.mkdir()
+    (file,) = Path(pairs, "data").glob("depth-*")
+    table = pq.read_table(file)
+    images = table["sensor_image"].to_pylist()
+    images[0]["bytes"] = encode_depth(depth_levels(np.ones((24, 32), np.float32)))
+    images[1]["bytes"] = images[1]["bytes"][:40]
+    place = table.schema.get_field_index("sensor_image")
+    column = pa.array(images, table.schema.field(place).type)
+    pq.write_table(table.set_column(place, table.schema.field(place), column), data / file.name)
+    depth = Domain(ShardedTable(find_shards(str(tmp_path), "depth")), True, (32, 32))
+    for row, text in (
+        (0, f"{file.name}', row 0: a picture of 32 x 24 pixels; expected 32 x 32 as the manifest says"),
+        (1, f"{file.name}', row 1: .*cannot be decoded.*next: run `tactile-sim verify`"),
+    ):
+        with pytest.raises(IntegrityError, match=text):
+            depth.image(row)
+    assert (depth.image(2) == Pairs.open(pairs).depth.image(2)).all()
+
+
+def test_pairs_that_are_not_finished_or_too_few_are_no_training_set(sources, pairs, trained, tmp_path):
+    few = PairsSpec((32, 32), 12, without_contact=0.2, like="environment")
+    make_pairs(*sources, "train", few, tmp_path / "few")
+    with pytest.raises(
+        InputError, match=r"few' holds 12 pictures .*, 10 with contact, .*at least 40.*--count"
+    ):
+        evaluate(trained, str(tmp_path / "few"), baselines=())
+    manifest = tmp_path / "few" / "manifest.json"
+    manifest.write_text(manifest.read_text().replace('"complete": true', '"complete": false'))
+    with pytest.raises(InputError, match="few' is not finished; next: the same command"):
+        train(str(tmp_path / "few"), tmp_path / "out", CONFIG, device="cpu")
+    assert not (tmp_path / "out").exists()
 
 
 def test_killed_at_any_moment_it_ends_in_the_same_weights(pairs, trained, tmp_path):
@@ -174,6 +232,8 @@ def test_a_finished_training_stays_and_others_are_refused(pairs, trained, source
         train(pairs, sources[0], CONFIG)
     with pytest.raises(InputError, match="too small for the discriminators"):
         train(pairs, tmp_path / "new", TrainConfig(crop=0.5))
+    with pytest.raises(InputError, match="device is 'tpu'; expected auto, cpu or cuda"):
+        train(pairs, tmp_path / "new", CONFIG, device="tpu")
     with pytest.raises(InputError, match="learning_rate"):
         TrainConfig(learning_rate=float("nan"))
     with pytest.raises(InputError, match="expected a SensorNoise"):
@@ -204,6 +264,25 @@ def test_a_damaged_checkpoint_and_a_full_disk_are_named(pairs, trained, tmp_path
     with pytest.raises(StorageError, match="no space is left"):
         train(pairs, full, CONFIG, device="cpu")
     assert not [file for file in full.rglob("*") if file.is_file()]
+
+
+def test_a_training_that_runs_away_keeps_its_last_checkpoint(pairs, trained, tmp_path, monkeypatch):
+    step = CycleGan.step
+
+    def broken(model, number, *rest):
+        if number == 3:
+            next(model.networks["touch"].parameters()).data.fill_(np.inf)
+        return step(model, number, *rest)
+
+    out = tmp_path / "weights"
+    with monkeypatch.context() as patch:
+        patch.setattr(CycleGan, "step", broken)
+        with pytest.raises(
+            ToolkitError, match=r"is nan at step 4: the training ran away; the last checkpoint"
+        ):
+            train(pairs, out, CONFIG, device="cpu", deterministic=True)
+    assert train(pairs, out, CONFIG, device="cpu", deterministic=True, resume=True).taken == 4
+    assert _weights(out) == _weights(trained)
 
 
 def test_the_chain_from_the_command_line(sources, pairs, trained, tmp_path, monkeypatch):
@@ -252,8 +331,12 @@ def test_the_chain_from_the_command_line(sources, pairs, trained, tmp_path, monk
         evaluate(tmp_path, pairs)
 
 
-def test_tensorboard_holds_the_log_or_is_named(pairs, tmp_path):
+def test_tensorboard_holds_the_log_or_is_named(pairs, tmp_path, monkeypatch):
     out = tmp_path / "weights"
+    with monkeypatch.context() as patch:
+        patch.setattr("tactile_sim.learned.tensorboard.find_spec", lambda name: name)
+        with pytest.raises(InputError, match="writes to local folders only, not to 'memory://weights'"):
+            train(pairs, "memory://weights", CONFIG, device="cpu", tensorboard=True)
     if find_spec("tensorboard") is None:
         with pytest.raises(InputError, match="pip install tensorboard"):
             train(pairs, out, CONFIG, device="cpu", tensorboard=True)

@@ -79,6 +79,11 @@ def test_optics_that_cannot_be_are_refused(monkeypatch):
         make_optics("depth", "weights.npz")
     with pytest.raises(InputError, match="too small for Taxim"):
         make_optics("taxim").depth_size(8, 64)
+    with monkeypatch.context() as patch:
+        patch.setattr("tactile_sim.heights._has_numba", lambda: False)
+        patch.setattr("tactile_sim.heights._say_slow", lambda: None)
+        with pytest.raises(MissingExtraError, match=r"'taxim'.*numba.*the extra `sim`"):
+            make_optics("taxim")
     monkeypatch.setattr("tactile_sim.optics.taxim.find_spec", lambda _: None)
     from tactile_sim.optics import taxim
 

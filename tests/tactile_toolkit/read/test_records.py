@@ -3,6 +3,7 @@ from __future__ import annotations
 import gc
 import multiprocessing
 import pickle
+import re
 import threading
 from pathlib import Path
 
@@ -116,10 +117,19 @@ def test_index_out_of_range(dataset, wrong):
 
 
 @pytest.mark.parametrize(
-    ("wrong", "error"), [([True] * 3, IndexError), ([0.5], TypeError), ([99], IndexError)]
+    ("wrong", "error", "words"),
+    [
+        ([True] * 3, IndexError, "a boolean mask of shape (3,) for 18 rows"),
+        (np.ones((18, 1), bool), IndexError, "a boolean mask of shape (18, 1) for 18 rows"),
+        ([0.5], TypeError, "a slice, ints or booleans, not float64 of shape (1,)"),
+        (["a"], TypeError, "not <U1 of shape (1,)"),
+        ([[0, 1]], TypeError, "not int64 of shape (1, 2)"),
+        ([99, 3], IndexError, "index 3 to 99 is out of range for 18 rows"),
+        ([-19], IndexError, "index -19 to -19 is out of range for 18 rows"),
+    ],
 )
-def test_bad_selection(dataset, wrong, error):
-    with pytest.raises(error):
+def test_bad_selection(dataset, wrong, error, words):
+    with pytest.raises(error, match=re.escape(words)):
         dataset[wrong]
 
 
@@ -133,21 +143,33 @@ def test_filter_and_group_by_label(dataset):
         dataset.filter_labels("z")
     with pytest.raises(InputError, match="no class 7"):
         dataset.filter_labels(7)
+    for wrong in (1.5, True, None):
+        with pytest.raises(InputError, match=r"was given; expected classes as whole numbers or names"):
+            dataset.filter_labels([wrong])
 
 
 def test_concatenate(dataset):
     assert ToyDataset.concatenate([dataset, dataset, dataset[:1]]).ids.tolist() == [*IDS, *IDS, IDS[0]]
     with pytest.raises(InputError, match="nothing to concatenate"):
         ToyDataset.concatenate([])
-    with pytest.raises(InputError, match="classes"):
+    with pytest.raises(
+        InputError, match=r"cannot join data sets with classes \('a', 'b', 'c'\) and \('x',\)"
+    ):
         dataset + ToyDataset(dataset._tables, label_names=("x",))
+    with pytest.raises(TypeError):
+        _ = dataset + list(dataset)
+    assert dataset != ToyDataset(dataset._tables, label_names=("x",))
+    assert dataset != [*dataset]
 
 
 def test_unknown_column_and_frozen_record(dataset):
-    with pytest.raises(InputError, match="no column 'colour'"):
-        dataset.column("colour")
-    with pytest.raises(AttributeError, match="frozen"):
-        dataset[0].id = 3
+    for name in ("colour", "points.x", "points.x.y"):
+        with pytest.raises(InputError, match=f"no column '{name}'"):
+            dataset.column(name)
+    record = dataset[0]
+    with pytest.raises(AttributeError, match="ToyRecord is frozen; 'id' cannot be set"):
+        record.id = 3
+    assert record.id == IDS[0]
 
 
 def test_records_and_views_pickle_small(dataset):
