@@ -22,8 +22,9 @@ def did_you_mean(name: str, known: Iterable[str]) -> str:
     """Name what was probably meant, to stand behind a message: ``"; did you mean 'test'?"``, or ``""``."""
     import difflib
 
-    close = difflib.get_close_matches(name.lower(), [*known], n=1)
-    return f"; did you mean {close[0]!r}?" if close else ""
+    lowered = {each.lower(): each for each in known}
+    close = difflib.get_close_matches(name.lower(), lowered, n=1)
+    return f"; did you mean {lowered[close[0]]!r}?" if close else ""
 
 
 def plain(value: Any, kind: type[int] | type[float] = int) -> Any:

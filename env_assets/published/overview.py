@@ -44,12 +44,15 @@ def overview(words: Sequence[str] = ()) -> list[EnvironmentState]:
 
     InputError: none does. MissingExtraError: the package is not installed.
     """
-    found = [each for each in published_environments() if set(words) <= {*each.spec.id.split("-")}]
+    published = published_environments()
+    found = [each for each in published if set(words) <= {*each.spec.id.split("-")}]
     if not found:
-        near = did_you_mean(words[0], FAMILIES)
+        known = {word for each in published for word in each.spec.id.split("-")}
+        strange = [word for word in words if word not in known]
+        near = did_you_mean(strange[0], known) if strange else ""
         message = (
-            f"no environment has {' and '.join(map(repr, words))} in its id{near}; next: choose words such "
-            f"as {', '.join(FAMILIES)}, Depth, CycleGAN, DR, train or test"
+            f"no environment has {' and '.join(map(repr, strange or words))} in its id{near}; next: choose "
+            f"fewer words, or others such as {', '.join(FAMILIES)}, Depth, CycleGAN, DR, train or test"
         )
         raise InputError(message)
     return [_state(each) for each in found]

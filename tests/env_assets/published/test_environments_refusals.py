@@ -7,11 +7,13 @@ import shutil
 from pathlib import Path
 from typing import Any
 
+import pyarrow.parquet as pq
 import pytest
 import trimesh
 
 import env_assets
 import realtouch
+from env_assets.published.overview import overview
 from env_assets.published.packages import BACKENDS, require_sensor
 from tactile_toolkit.errors import InputError, MissingExtraError
 from tests.env_assets.factories import write_meshes
@@ -136,6 +138,30 @@ def test_a_source_may_give_a_plain_list(provider):
             return [1, 2]
 
     refused(ENV, Wrong(), "expected a sequence of records with id, label")
+
+
+@pytest.mark.parametrize(
+    ("env_id", "name", "what"),
+    [(ENV, "mnist3d", "mesh"), ("TactileMNISTRealSnap-train-v0", "real-single", "round")],
+)
+def test_a_split_without_a_row(assets, tmp_path, env_id, name, what):
+    (file,) = (assets / name / "data").glob("train-*")
+    (tmp_path / "none" / "data").mkdir(parents=True)
+    pq.write_table(pq.read_table(file).slice(0, 0), tmp_path / "none" / "data" / file.name)
+    refused(env_id, with_place(assets, name, tmp_path / "none"), f"holds no {what}; next: choose another spl")
+
+
+@pytest.mark.parametrize(
+    ("words", "told"),
+    [
+        (["TactileMNST"], "no environment has 'TactileMNST' in its id; did you mean 'TactileMNIST'?; next: "),
+        (["Starstruck", "cyclegan"], "has 'cyclegan' in its id; did you mean 'CycleGAN'?; next: "),
+        (["Starstruck", "Minecraft"], "has 'Starstruck' and 'Minecraft' in its id; next: choose fewer words"),
+    ],
+)
+def test_words_that_no_environment_has(words, told):
+    with pytest.raises(InputError, match=re.escape(told)):
+        overview(words)
 
 
 @pytest.mark.parametrize("num_envs", [0, -1, 1.5, "2"])
