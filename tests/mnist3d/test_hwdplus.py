@@ -254,6 +254,14 @@ class TestDamagedFiles:
         (tmp_path / name).write_bytes((tmp_path / name).read_bytes()[:kept])
         assert f"{name}: the header of this .npy file is damaged" in refusal(made)
 
+    def test_a_negative_shape(self, tmp_path: Path, name: str) -> None:
+        made = source(tmp_path)
+        with (tmp_path / name).open("wb") as stream:
+            header = {"descr": "|u1", "fortran_order": False, "shape": (-3, 1)}
+            np.lib.format.write_array_header_1_0(stream, header)
+            stream.write(bytes(64))
+        assert f"{name}: the header of this .npy file is damaged (shape (-3, 1))" in refusal(made)
+
     def test_pickled_objects_are_never_loaded(self, tmp_path: Path, name: str) -> None:
         made = source(tmp_path)
         np.save(tmp_path / name, np.array([[1, None]] * 3, object), allow_pickle=True)
