@@ -95,6 +95,8 @@ def test_unsound_meshes_are_named(tmp_path, wrong, words):
         (bounds_m if wrong is HOLLOW else volumes_m3)(meshes)
     (summary,) = inventory(tmp_path)
     assert "mesh 1 (row 1 of" in summary.problem
+    with pytest.raises(InputError, match=r"nowhere' does not exist; next: give the folder of an AssetProv"):
+        inventory(tmp_path / "nowhere")
 
 
 def test_labels_are_classes(tmp_path):

@@ -13,6 +13,7 @@ import trimesh
 
 import env_assets
 import realtouch
+from env_assets.published.fit import refuse_unfit_noise
 from env_assets.published.overview import overview
 from env_assets.published.packages import BACKENDS, require_sensor
 from tactile_toolkit.errors import InputError, MissingExtraError
@@ -149,6 +150,18 @@ def test_a_split_without_a_row(assets, tmp_path, env_id, name, what):
     (tmp_path / "none" / "data").mkdir(parents=True)
     pq.write_table(pq.read_table(file).slice(0, 0), tmp_path / "none" / "data" / file.name)
     refused(env_id, with_place(assets, name, tmp_path / "none"), f"holds no {what}; next: choose another spl")
+
+
+def test_touches_without_noise_to_take(assets, seq_folder):
+    rounds, clips = realtouch.load(str(assets / "real-single")), realtouch.load(str(seq_folder), "train")
+    refuse_unfit_noise(rounds, ("/data/train.parquet",), "these")
+    for given, file, words in (
+        (rounds[:0], "/data/train.parquet", "these holds no round; the noise of a -DR environment needs"),
+        (clips, "/data/train.parquet", "these holds clips; the noise of a -DR environment needs"),
+        (rounds, "s3://lake/train.parquet", "these is read from 's3://lake/train.parquet'; .*next: download"),
+    ):
+        with pytest.raises(InputError, match=words):
+            refuse_unfit_noise(given, (file,), "these")
 
 
 @pytest.mark.parametrize(

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 import env_assets
 import mnist3d
-from env_assets.wrench.generation import wrench_schema, write_wrench
+from env_assets.wrench.generation import mesh_file_at, wrench_schema, write_wrench
 from env_assets.wrench.solid import wrench_mesh
 from env_assets.wrench.spec import (
     LARGEST_MM,
@@ -21,7 +21,7 @@ from env_assets.wrench.spec import (
     width_across_flats_mm,
 )
 from tactile_toolkit.cards.checks import check_card
-from tactile_toolkit.errors import InputError, SpecMismatchError
+from tactile_toolkit.errors import InputError, SpecMismatchError, StorageError
 from tactile_toolkit.mesh.height_map import top_surface
 from tactile_toolkit.store.folder import DataFolder
 from tactile_toolkit.store.verify import verify
@@ -287,3 +287,19 @@ def test_what_cannot_be_written_is_refused_before_anything_is(tmp_path):
     with pytest.raises(InputError, match=r"files ending in '.step' are not known; .* nothing was written"):
         write_wrench(WrenchSpec.for_size(), str(tmp_path / "wrench"), mesh_file=tmp_path / "wrench.step")
     assert list(tmp_path.iterdir()) == []
+
+
+def test_places_where_no_mesh_file_can_be_written(tmp_path):
+    (tmp_path / "folder.stl").mkdir()
+    for place, words in (
+        ("folder.stl", "cannot be written, it is a folder; nothing was written"),
+        ("none/wrench.stl", "cannot be written, there is no folder '.*none'"),
+    ):
+        with pytest.raises(StorageError, match=words):
+            mesh_file_at(tmp_path / place)
+    with pytest.raises(
+        InputError, match=r"wrench\.stp: files ending in '\.stp' are not known; expected one of "
+    ):
+        mesh_file_at(tmp_path / "wrench.stp")
+    assert mesh_file_at(str(tmp_path / "wrench.stl")) == tmp_path / "wrench.stl"
+    assert [path.name for path in tmp_path.iterdir()] == ["folder.stl"]
