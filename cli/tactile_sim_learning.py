@@ -67,8 +67,11 @@ class TrainOptions:
     )
     steps: Annotated[int, typer.Option(min=1, metavar="N", help="Steps in all.")] = 200_000
     start_steps: Annotated[
-        int, typer.Option(min=0, metavar="N", help="First of these, which also learn from pairs by Taxim.")
-    ] = 0
+        int,
+        typer.Option(
+            min=0, metavar="N", help="First of these, which also learn from pairs by Taxim; 0: none."
+        ),
+    ] = 2500
     batch: Annotated[int, typer.Option(min=1, metavar="N", help="Pictures of each kind in a step.")] = 1
     crop: Annotated[float, typer.Option(metavar="SHARE", help="Side of the random crops.")] = 0.875
     learning_rate: Annotated[float, typer.Option(metavar="RATE", help="Learning rate of Adam.")] = 2e-4

@@ -28,9 +28,9 @@ class TrainConfig:
         Optimiser steps; ours: ten passes over 20,000 pictures.
     start_steps : int
         First steps, in which both directions also learn from pairs that simulation knows: depth, and the
-        relief that Taxim shows of it, on what the real touches show of nothing (needs the extra ``sim``). It
-        has the weight of the cycles, which falls to 0; ours. Pictures that are not paired do not say where in
-        them depth and relief belong together: these do.
+        relief that Taxim shows of it, on what the real touches show of nothing (needs the extra ``sim``; 0
+        does not). It has the weight of the cycles, which falls to 0; ours. Pictures that are not paired do
+        not say where in them depth and relief belong together: these do.
     batch : int
         Pictures of each kind in a step and process (Zhu et al. 2017).
     crop : float
@@ -66,7 +66,7 @@ class TrainConfig:
     blocks: int = whole_number(9, 0, 64)
     judge_filters: int = whole_number(64, 1, 1024)
     steps: int = whole_number(200_000, 1, 10**9)
-    start_steps: int = whole_number(0, 0, 10**9)
+    start_steps: int = whole_number(2500, 0, 10**9)
     batch: int = whole_number(1, 1, 4096)
     crop: float = real_number(0.875, 0.1, 1)
     learning_rate: float = real_number(2e-4, 1e-8, 1)

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 import torch
 
-from tactile_sim.learned.batches import Batches, step_rng
+from tactile_sim.learned.batches import Batches, by_taxim, step_rng
 from tactile_sim.learned.channels import depth_channels, picture_channels, shades_of
 from tactile_sim.learned.checkpoints import (
     DEPTH_WEIGHTS,
@@ -104,6 +104,8 @@ def train(
     InputError
         What was given cannot be used: no training set, no GPU, crops that are too small, a folder where
         another training is at work, or TensorBoard is asked for and not installed.
+    MissingExtraError
+        Taxim is not installed, which pairs of the first steps come from (``start_steps``).
     SpecMismatchError
         The folder holds a training with other settings, or of another number of processes.
     IntegrityError
@@ -116,6 +118,8 @@ def train(
     config = config or TrainConfig()
     data = Pairs.open(pairs)
     config.crop_px(data.size_px)
+    if config.start_steps:
+        by_taxim(data)  # says what is missing before anything is written
     folder = DataFolder(os.fspath(out))
     if tensorboard:
         require_tensorboard(folder)

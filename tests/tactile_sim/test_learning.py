@@ -386,7 +386,9 @@ def test_what_is_known_without_pairs_is_learned(pairs, tmp_path):
     nothing = data.real.images(np.flatnonzero(~data.real.contact))
     off = {}
     for weight in (0, 100):
-        others = dict.fromkeys(("depth_cycle_weight", "touch_cycle_weight", "identity_weight"), 0)
+        others = dict.fromkeys(
+            ("start_steps", "depth_cycle_weight", "touch_cycle_weight", "identity_weight"), 0
+        )
         config = TrainConfig(
             4, 0, 4, steps=120, batch=2, crop=1.0, learning_rate=2e-3, level_weight=weight, **others
         )
