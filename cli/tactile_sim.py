@@ -120,10 +120,12 @@ class PictureOptions:
 
     def spec(self, plan: TouchPlan | None = None, limit: int | None = None) -> GenerateSpec:
         """Return the specification of touches."""
-        from tactile_sim.generation import GenerateSpec
+        from tactile_sim.generation import GenerateSpec, require_pictures
         from tactile_sim.noise import SensorNoise
         from tactile_sim.plan import TouchPlan
 
+        if self.noise != "none":
+            require_pictures(self.optics)  # before a package is asked for that would not help
         return GenerateSpec(
             parse_size(self.size),
             self.optics,

@@ -54,6 +54,13 @@ _JPEG_BYTES_PER_PX = 0.25
 _SAMPLED_ROUNDS = 3
 
 
+def require_pictures(optics: str) -> None:
+    """Raise InputError where noise is asked for and optics make no pictures that a camera could take."""
+    if optics == "depth":
+        message = "the optics 'depth' have no noise: it is that of a camera's pictures; next: --optics taxim"
+        raise InputError(message)
+
+
 @dataclass(frozen=True)
 class GenerateSpec:
     """Everything that decides the touches of a set of solids.
@@ -103,11 +110,8 @@ class GenerateSpec:
         if not (noise is None or isinstance(noise, SensorNoise)):
             message = f"noise is {noise!r}; expected a SensorNoise, or None"
             raise InputError(message)
-        if self.noise is not None and self.optics == "depth":
-            message = (
-                "the optics 'depth' have no noise: it is that of a camera's pictures; next: --optics taxim"
-            )
-            raise InputError(message)
+        if self.noise is not None:
+            require_pictures(self.optics)
 
     def sensor(self, optics: Optics) -> Sensor:
         """Return the sensor whose depth maps the optics get."""

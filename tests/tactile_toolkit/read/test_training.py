@@ -448,7 +448,11 @@ JOB = """
     batches = TrainingBatches(
         RecordDataset([ShardedTable(tuple(map(Shard, paths)))]), 2, seed=5, window=2, collate_fn=ids
     )
-    loader = StatefulDataLoader(batches, batch_size=None, num_workers=int(workers))
+    # A program that is no file cannot be read again by workers that start afresh, as from Python 3.14 on.
+    started = "fork" if int(workers) else None
+    loader = StatefulDataLoader(
+        batches, batch_size=None, num_workers=int(workers), multiprocessing_context=started
+    )
     saved = folder / "state"
     if saved.exists():
         batches.load_state_dict(torch.load(saved)["data"])
