@@ -98,17 +98,24 @@ class Pairs:
 
     @classmethod
     def open(cls, folder: str) -> Pairs:
-        """Open a folder; InputError where it holds something else, or was not finished."""
+        """Open a folder; InputError where it is of something else or not finished, IntegrityError if damaged."""
         manifest = require_manifest(KIND, DataFolder(folder))
         if manifest.spec.get("operation") != "pairs":
             message = f"{folder!r} is not a training set; expected a folder that `tactile-sim pairs` made"
             raise InputError(message)
-        options = manifest.spec["options"]
-        width, height = options["size_px"]
+        try:
+            options = manifest.spec["options"]
+            (width, height), like = options["size_px"], options["like"]
+        except (KeyError, TypeError, ValueError) as error:
+            message = (
+                f"the specification in {folder!r} does not say size and window of the pictures; "
+                "next: make the set again"
+            )
+            raise IntegrityError(message) from error
         tables = [ShardedTable(find_shards(folder, split)) for split in SPLITS]
         depth, real = (
             Domain(table, split == "depth", (width, height))
             for table, split in zip(tables, SPLITS, strict=True)
         )
         checksums = "/".join(record.sha256 for split in SPLITS for record in manifest.shards_of(split))
-        return cls(depth, real, (width, height), options["like"], checksums)
+        return cls(depth, real, (width, height), like, checksums)

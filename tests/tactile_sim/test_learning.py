@@ -178,6 +178,11 @@ def test_damaged_pairs_are_named(pairs, tmp_path):
         with pytest.raises(IntegrityError, match=text):
             depth.image(row)
     assert (depth.image(2) == Pairs.open(pairs).depth.image(2)).all()
+    said = json.loads(Path(pairs, "manifest.json").read_text())
+    del said["spec"]["options"]["size_px"]
+    (tmp_path / "manifest.json").write_text(json.dumps(said))
+    with pytest.raises(IntegrityError, match="does not say size and window of the pictures"):
+        Pairs.open(str(tmp_path))
 
 
 def test_pairs_that_are_not_finished_or_too_few_are_no_training_set(sources, pairs, trained, tmp_path):
