@@ -98,7 +98,7 @@ class Pairs:
 
     @classmethod
     def open(cls, folder: str) -> Pairs:
-        """Open a folder; InputError where it is of something else or not finished, IntegrityError if damaged."""
+        """Open a folder; InputError for something else or an unfinished one, IntegrityError if damaged."""
         manifest = require_manifest(KIND, DataFolder(folder))
         if manifest.spec.get("operation") != "pairs":
             message = f"{folder!r} is not a training set; expected a folder that `tactile-sim pairs` made"
