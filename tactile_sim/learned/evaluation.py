@@ -272,7 +272,7 @@ class _Bench:
         drawn = np.random.default_rng(self.seed).permutation(len(self.rows))
         one, same = ((self.pictures[drawn[k::2]], self.objects[drawn[k::2]]) for k in (0, 1))
         apart = told_apart(one, same, self.seed)
-        contact = self._contact_readers(self.seen[~self.held], self.contact[~self.held])
+        contact = self._contact_readers(self.seen[~self.held], self.contact[~self.held], self.reader)
         labels = self._label_reader(self.seen[~self.held], self.labels[~self.held])
         kid = self._kid(self.seen[~self.held])
         return Measured(
@@ -311,13 +311,18 @@ class _Bench:
             colour_distance(held, pictures),
         )
 
-    def _contact_readers(self, seen: Any, contact: NDArray[np.int64]) -> tuple[float, float]:
+    def _contact_readers(
+        self, seen: Any, contact: NDArray[np.int64], plain: Reader | None = None
+    ) -> tuple[float, float]:
         """Let readers learn contact, without and with white noise, and ask them about real touches."""
-        readers = (Reader(2, self.seed, _READER_STEPS, noise).learn(seen, contact) for noise in (0, _STEADY))
-        plain, steady = (
-            balanced_accuracy(each.answers(self.seen[self.held]), self.contact[self.held]) for each in readers
+        if plain is None:
+            plain = Reader(2, self.seed, _READER_STEPS).learn(seen, contact)
+        steady = Reader(2, self.seed, _READER_STEPS, _STEADY).learn(seen, contact)
+        alone, under_white = (
+            balanced_accuracy(each.answers(self.seen[self.held]), self.contact[self.held])
+            for each in (plain, steady)
         )
-        return plain, steady
+        return alone, under_white
 
     def _label_reader(self, seen: Any, labels: NDArray[np.int64]) -> float:
         if len(self.rows) < _LABELS_FROM:

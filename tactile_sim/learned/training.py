@@ -30,7 +30,7 @@ from tactile_sim.learned.sheets import sheet_png
 from tactile_sim.learned.tensorboard import Events, require_tensorboard
 from tactile_sim.learned.weights import write_weights
 from tactile_sim.pairs.reading import Pairs
-from tactile_toolkit.errors import InputError, SpecMismatchError, ToolkitError
+from tactile_toolkit.errors import InputError, MissingExtraError, SpecMismatchError, ToolkitError
 from tactile_toolkit.run.system import locked
 from tactile_toolkit.store.folder import DataFolder
 
@@ -103,9 +103,8 @@ def train(
     ------
     InputError
         What was given cannot be used: no training set, no GPU, crops that are too small, a folder where
-        another training is at work, or TensorBoard is asked for and not installed.
-    MissingExtraError
-        Taxim is not installed, which pairs of the first steps come from (``start_steps``).
+        another training is at work, TensorBoard is asked for and not installed, or Taxim is not, which the
+        pairs of the first steps come from (``start_steps``).
     SpecMismatchError
         The folder holds a training with other settings, or of another number of processes.
     IntegrityError
@@ -119,7 +118,11 @@ def train(
     data = Pairs.open(pairs)
     config.crop_px(data.size_px)
     if config.start_steps:
-        by_taxim(data)  # says what is missing before anything is written
+        try:
+            by_taxim(data)
+        except MissingExtraError as error:
+            message = f"{error}, or leave out the pairs of the first steps: --start-steps 0"
+            raise InputError(message) from error
     folder = DataFolder(os.fspath(out))
     if tensorboard:
         require_tensorboard(folder)

@@ -225,7 +225,7 @@ def test_killed_at_any_moment_it_ends_in_the_same_weights(pairs, trained, tmp_pa
     assert all(np.isfinite(loss) for loss in done.losses.values())
 
 
-def test_a_finished_training_stays_and_others_are_refused(pairs, trained, sources, tmp_path):
+def test_a_finished_training_stays_and_others_are_refused(pairs, trained, sources, tmp_path, monkeypatch):
     before = {file: file.stat().st_mtime_ns for file in trained.iterdir() if file.suffix == ".pt"}
     assert train(pairs, trained, CONFIG, device="cpu", deterministic=True).taken == 0
     assert before == {file: file.stat().st_mtime_ns for file in before}
@@ -243,6 +243,10 @@ def test_a_finished_training_stays_and_others_are_refused(pairs, trained, source
         TrainConfig(learning_rate=float("nan"))
     with pytest.raises(InputError, match="expected a SensorNoise"):
         TrainConfig(sensor_noise="calibrated")
+    with monkeypatch.context() as without:
+        without.setattr("tactile_sim.optics.taxim.chosen_backend", lambda _: "numpy")
+        with pytest.raises(InputError, match=r"'numba'.*not installed.*or leave out.*--start-steps 0"):
+            train(pairs, tmp_path / "new", CONFIG)
     if not torch.cuda.is_available():
         with pytest.raises(InputError, match="finds no GPU"):
             train(pairs, tmp_path / "new", CONFIG, device="cuda")
