@@ -94,8 +94,9 @@ def require_types(shard: Shard) -> None:
     Raises IntegrityError, which names file and column, for a type that values cannot be read from.
     """
     _ = shard.class_names
+    types = shard.types
     for name, (depth, tests, expected) in KNOWN_COLUMNS.items():
-        data_type = shard.types.get(name)
+        data_type = types.get(name)
         if data_type is None:
             continue
         found_depth, leaf = list_depth(data_type)
