@@ -17,6 +17,7 @@ from functools import lru_cache
 from pathlib import Path
 from threading import RLock
 from typing import IO, Any, Generic, TypeVar
+from weakref import WeakSet
 
 from tactile_toolkit.run.system import locked
 from tactile_toolkit.store.folder import atomic_file, expanded, stale_files
@@ -157,32 +158,37 @@ class DiskCache:
 K = TypeVar("K", bound=Hashable)
 V = TypeVar("V")
 
+_MEMORY_CACHES: WeakSet[MemoryCache[Any, Any]] = WeakSet()
+
+
+def _begin_anew() -> None:
+    """Empty all memory caches of a forked process."""
+    # A lock that another thread held at the fork never opens again; open files would share their position.
+    for cache in list(_MEMORY_CACHES):
+        cache._begin()
+
+
+if hasattr(os, "register_at_fork"):  # not on Windows, which cannot fork
+    os.register_at_fork(after_in_child=_begin_anew)
+
 
 class MemoryCache(Generic[K, V]):
     """Values by key, bounded by the sum of their sizes; without ``size_of`` each counts 1.
 
     The value kept last stays even where it alone is larger than the limit; a limit of 0 keeps none. Safe to
-    share between threads. A forked process starts with an empty cache, for a lock that another thread held at
-    that moment would never open again; so does one that received it pickled.
+    share between threads. A forked process starts with an empty cache; so does one that received it pickled.
     """
 
     def __init__(self, limit: int, size_of: Callable[[V], int] | None = None) -> None:
         self.limit = limit
         self._size_of = size_of
         self._begin()
+        _MEMORY_CACHES.add(self)
 
     def _begin(self) -> None:
-        self._process = os.getpid()
-        self._own_lock = RLock()
+        self._lock = RLock()
         self._kept: OrderedDict[K, tuple[V, int]] = OrderedDict()
         self._size = 0
-
-    @property
-    def _lock(self) -> Any:
-        """The lock of this process, taken for every change."""
-        if self._process != os.getpid():
-            self._begin()
-        return self._own_lock
 
     @property
     def size(self) -> int:
@@ -196,14 +202,16 @@ class MemoryCache(Generic[K, V]):
 
     def get(self, key: K) -> V | None:
         """Return what is kept under a key, or None."""
-        if not self._kept:  # the common case of an idle cache, without a lock
+        # Without the lock, which takes a third of the time of a mesh: each of the two calls is one step for
+        # other threads, and between them the value may leave.
+        kept = self._kept.get(key)
+        if kept is None:
             return None
-        with self._lock:
-            kept = self._kept.get(key)
-            if kept is None:
-                return None
+        try:
             self._kept.move_to_end(key)
+        except KeyError:
             return kept[0]
+        return kept[0]
 
     def put(self, key: K, value: V) -> None:
         """Keep a value, and let go of those used longest ago while there are too many."""
