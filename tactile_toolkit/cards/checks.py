@@ -50,12 +50,12 @@ def check_card(
         head = _head(text)
         manifest = manifest or read_manifest(folder)
         facts = recorded_facts(folder, manifest)
+        missing = [f"its head has no {name!r}" for name in _REQUIRED if not head.get(name)]
+        problems = [*missing, *_wrong_files(head, facts), *_wrong_info(head, facts), *_gaps(text)]
     except ToolkitError as error:
         return [_finding(f"cannot be compared with the data: {error}")]
-    except ValueError as error:
+    except (ValueError, TypeError) as error:  # YAML gives values of any type in any place
         return [_finding(f"its YAML head cannot be read: {_first_line(error)}")]
-    missing = [f"its head has no {name!r}" for name in _REQUIRED if not head.get(name)]
-    problems = [*missing, *_wrong_files(head, facts), *_wrong_info(head, facts), *_gaps(text)]
     return [
         *map(_finding, problems),
         *_pictures(folder, text, held),

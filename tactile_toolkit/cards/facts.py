@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import os
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -12,6 +11,7 @@ from typing import Any
 
 from tactile_toolkit.catalog.locate import available_splits, find_shards
 from tactile_toolkit.errors import InputError
+from tactile_toolkit.read.columns import stored_features
 from tactile_toolkit.read.parquet import Shard
 from tactile_toolkit.run.threads import in_threads
 from tactile_toolkit.store.folder import DataFolder
@@ -70,7 +70,7 @@ class FolderFacts:
     @cached_property
     def features(self) -> list[dict[str, Any]]:
         """Columns as `datasets` describes them in a card."""
-        return yaml_features(self.schema)
+        return yaml_features(self.schema, self.splits[0].shards[0].path)
 
 
 def recorded_facts(folder: DataFolder, manifest: Manifest | None, schema: Any = None) -> FolderFacts:
@@ -143,15 +143,15 @@ def _sizes(folder: DataFolder, file: tuple[Shard, str]) -> tuple[int, int, int]:
     return len(shard), folder.size_bytes(path), unpacked
 
 
-def yaml_features(schema: Any) -> list[dict[str, Any]]:
+def yaml_features(schema: Any, where: str = "") -> list[dict[str, Any]]:
     """Describe each column of a schema as `datasets` itself writes it in ``dataset_info.features``.
 
     The metadata that `datasets` stores names classes, images and videos. Dots in the names of columns stay:
-    ``mesh.vertices`` is one column, not a struct. Written here, because importing `datasets` would take
-    longer than making a small data set.
+    ``mesh.vertices`` is one column, not a struct. Raises IntegrityError, which names the file ``where``, for
+    metadata that cannot be read.
     """
-    metadata = (schema.metadata or {}).get(b"huggingface")
-    features = json.loads(metadata)["info"]["features"] if metadata else {}
+    # Not by `datasets` itself: importing it takes longer than making a small data set.
+    features = stored_features(schema, where)
     return [_named(field.name, _entry(field.type, features.get(field.name))) for field in schema]
 
 
@@ -164,14 +164,14 @@ def _entry(data_type: Any, feature: Any) -> dict[str, Any]:
     import pyarrow as pa
 
     known = feature if isinstance(feature, dict) else {}
-    if known.get("_type") == "ClassLabel":
+    if known.get("_type") == "ClassLabel" and isinstance(known.get("names"), list):
         return {"dtype": {"class_label": {"names": {str(n): name for n, name in enumerate(known["names"])}}}}
     if isinstance(known.get("_type"), str) and known["_type"] in _MEDIA:
         return {"dtype": _MEDIA[known["_type"]]}
     types = pa.types
     if types.is_list(data_type) or types.is_large_list(data_type) or types.is_fixed_size_list(data_type):
         # What the metadata says of the elements, in the spellings of all releases.
-        element = feature[0] if isinstance(feature, list) else known.get("feature")
+        element = next(iter(feature), None) if isinstance(feature, list) else known.get("feature")
         inner = _entry(data_type.value_type, element)
         fixed = {"length": data_type.list_size} if types.is_fixed_size_list(data_type) else {}
         is_short = set(inner) in ({"dtype"}, {"struct"})

@@ -72,7 +72,7 @@ class DownloadPlan:
     missing : tuple of HubFile
         Those of them that are to be fetched.
     leftover : tuple of str
-        Files of an earlier download that the repository has no more; they are removed. None where the cache
+        Files of an earlier download that the repository has no more; they are removed. Empty where the cache
         answers for the Hub: what it does not list may well be there.
     is_done : bool
         Whether there is nothing to do at all.
@@ -509,14 +509,14 @@ def _fitted_card(content: bytes, folder: DataFolder, note: str) -> bytes:
     match = _CARD.fullmatch(content.decode("utf-8", errors="replace"))
     try:
         head = yaml.safe_load(match["head"]) if match else None
+        if match is None or not isinstance(head, dict):
+            return content
         facts = folder_facts(folder)
+        head["configs"] = configs(facts)
+        if "size_categories" in head:
+            head["size_categories"] = [size_category(facts.rows)]
+        if "dataset_info" in head:
+            head["dataset_info"] = dataset_info(facts)
     except (yaml.YAMLError, ToolkitError):
         return content
-    if match is None or not isinstance(head, dict):
-        return content
-    head["configs"] = configs(facts)
-    if "size_categories" in head:
-        head["size_categories"] = [size_category(facts.rows)]
-    if "dataset_info" in head:
-        head["dataset_info"] = dataset_info(facts)
     return (head_text(head) + note + match["body"]).encode()

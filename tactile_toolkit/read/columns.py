@@ -28,6 +28,7 @@ __all__ = [
     "ragged_column",
     "same_values",
     "stored_class_names",
+    "stored_features",
 ]
 
 
@@ -219,21 +220,21 @@ def column_names(schema: Any) -> tuple[str, ...]:
     return tuple([name for name, data_type in types if not pa.types.is_struct(data_type)])
 
 
-def stored_class_names(schema: Any, where: str) -> tuple[str, ...] | None:
-    """Return the names of the classes that `datasets` stored in a schema; None where it stored none.
+def stored_features(schema: Any, where: str) -> dict[str, Any]:
+    """Return what `datasets` stored in a schema about its columns, by name; nothing where it stored nothing.
 
     Raises IntegrityError, which names the file ``where``, when the metadata do not describe features.
     """
     text = (schema.metadata or {}).get(b"huggingface")
     if text is None:
-        return None
+        return {}
     try:
         found = json.loads(text)
-        for part in ("info", "features", "label", "names"):
+        for part in ("info", "features"):
             found = None if found is None else found.get(part)
-        if found is None:
-            return None
-        if not isinstance(found, list) or not set(map(type, found)) <= {str}:
+        label = {} if found is None else found.get("label") or {}
+        names = label.get("names")
+        if names is not None and not (isinstance(names, list) and set(map(type, names)) <= {str}):
             raise TypeError
     except (ValueError, AttributeError, TypeError, RecursionError) as error:
         beginning = text[:80].decode(errors="replace")
@@ -243,7 +244,13 @@ def stored_class_names(schema: Any, where: str) -> tuple[str, ...] | None:
             "set again"
         )
         raise IntegrityError(message) from error
-    return tuple(found)
+    return found or {}
+
+
+def stored_class_names(schema: Any, where: str) -> tuple[str, ...] | None:
+    """Return the names of the classes that `datasets` stored in a schema; None where it stored none."""
+    names = (stored_features(schema, where).get("label") or {}).get("names")
+    return None if names is None else tuple(names)
 
 
 def same_values(one: Any, other: Any) -> bool:

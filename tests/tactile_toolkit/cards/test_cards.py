@@ -8,6 +8,8 @@ from collections.abc import Callable
 from pathlib import Path
 
 import datasets
+import pyarrow as pa
+import pyarrow.parquet as pq
 import pytest
 import yaml
 from datasets.exceptions import (
@@ -201,6 +203,42 @@ def test_datasets_stumbles_over_the_same_lies(folder, lie, error):
 def test_what_is_missing_is_named(folder, harm, file, words):
     harm(folder)
     assert any(problem.startswith(f"{file}: ") and words in problem for problem in problems(folder))
+
+
+@pytest.mark.parametrize(
+    "lines",
+    [
+        "configs: [{config_name: default, data_files: [{split: test, path: 5}, {split: holdout, path: x}]}]",
+        "configs: [{config_name: default, data_files: [{split: test, path: x}, {split: 1, path: x}]}]",
+        "dataset_info: {splits: 5}",
+        "dataset_info: {splits: [{name: [1]}]}",
+        "dataset_info: {features: [{name: [1]}]}",
+        "1: 2",
+    ],
+)
+def test_a_head_with_values_of_other_types_is_named(folder, lines):
+    card = folder / "README.md"
+    _, head, body = card.read_text().split("---\n", 2)
+    values = {key: value for key, value in yaml.safe_load(head).items() if not lines.startswith(f"{key}:")}
+    card.write_text(f"---\n{yaml.safe_dump(values)}{lines}\n---\n{body}")
+    assert any("YAML head cannot be read" in problem for problem in problems(folder))
+
+
+@pytest.mark.parametrize("stored", ["{", "[]", '{"info": 5}', '{"info": {"features": [1]}}'])
+def test_columns_that_are_described_wrongly_are_named(folder, stored):
+    (path,) = (folder / "data").glob("test-*.parquet")
+    table = pq.read_table(path)
+    pq.write_table(table.replace_schema_metadata({"huggingface": stored}), path, write_page_checksum=True)
+    assert any(f"{path.name!r}"[1:-1] in problem and "huggingface" in problem for problem in problems(folder))
+
+
+def test_what_is_stored_of_columns_may_lack_parts():
+    features = {"label": {"_type": "ClassLabel"}, "places": []}
+    text = json.dumps({"info": {"features": features}})
+    schema = pa.schema([("label", pa.int64()), ("places", pa.list_(pa.float32()))], {"huggingface": text})
+    found = [{"name": "label", "dtype": "int64"}, {"name": "places", "list": "float32"}]
+    assert yaml_features(schema) == found
+    assert yaml_features(schema.remove_metadata()) == found
 
 
 def test_a_damaged_picture_is_named(folder):
