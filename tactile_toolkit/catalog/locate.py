@@ -109,7 +109,7 @@ def repository_named(name: str, revision: str | None = None) -> HubRepository:
     """Return the repository that a name means; InputError for other names, and for a part of one."""
     named = _named_on_hub(name, revision)
     if named.path:
-        message = f"{name!r} is a part of a repository; expected all of it; next: leave {named.path!r} away"
+        message = f"{name!r} is a part of a repository; expected all of it; next: leave {named.path!r} out"
         raise InputError(message)
     return HubRepository(named.repo_id, named.revision)
 

@@ -6,10 +6,10 @@ import shutil
 import tempfile
 import weakref
 from collections.abc import Iterator
-from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 from tactile_toolkit.errors import StorageError
+from tactile_toolkit.run.threads import in_threads
 from tactile_toolkit.store.folder import DataFolder
 from tactile_toolkit.store.names import names_inside
 
@@ -38,9 +38,8 @@ class LocalCopy:
                 "name a folder with more room"
             )
             raise StorageError(message)
-        with ThreadPoolExecutor(_THREADS) as threads:
-            for done in [threads.submit(folder.copy_out, path, self.root / path) for path in paths]:
-                done.result()
+        for _ in in_threads(lambda path: folder.copy_out(path, self.root / path), paths, _THREADS):
+            pass
 
 
 def _files_below(folder: DataFolder, path: str) -> Iterator[tuple[str, int]]:

@@ -65,7 +65,7 @@ def hub_name(name: str, revision: str | None = None) -> HubName | None:
     if named and revision and named != revision:
         message = (
             f"{name!r} names the revision {named!r}, and {revision!r} is given beside it; "
-            "next: leave one of them away"
+            "next: leave one of them out"
         )
         raise InputError(message)
     return HubName(match["repo"], named or revision, match["path"] or "")

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import io
 import json
 import struct
@@ -17,7 +16,7 @@ import numpy as np
 from tactile_toolkit.errors import InputError, StorageError
 from tactile_toolkit.mesh.mesh import MM_PER_M, Mesh, as_mesh
 from tactile_toolkit.mesh.threemf import BuildItem, joined, read_build, write_build
-from tactile_toolkit.store.folder import temporary_name
+from tactile_toolkit.store.folder import atomic_file
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -101,13 +100,11 @@ def write_mesh(path: str | Path, mesh: MeshLike) -> None:
     """
     path = Path(path)
     data = pack_mesh(as_mesh(mesh), _ending(path))
-    partial = path.with_name(temporary_name(path.name))
     try:
-        partial.write_bytes(data)
-        partial.replace(path)
+        path.parent.stat()  # a folder that is mistyped is refused, not made
+        with atomic_file(path) as stream:
+            stream.write(data)
     except OSError as error:
-        with contextlib.suppress(OSError):  # where the folder is missing, there is nothing to remove
-            partial.unlink(missing_ok=True)
         message = (
             f"{path}: cannot be written ({error.strerror}); next: choose a folder with room and permission"
         )

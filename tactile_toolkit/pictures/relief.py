@@ -14,12 +14,13 @@ __all__ = ["relief", "relief_of", "relief_tile_html"]
 
 _PITCH_M = 0.0002
 _TILE_PX = 96
+_MOST_PX = 4096  # of the longer side
 
 
 def relief(
     vertices_m: NDArray[np.floating[Any]], faces: NDArray[np.integer[Any]], pitch_m: float = _PITCH_M
 ) -> NDArray[np.uint8]:
-    """Draw a mesh from above in shaded relief, one pixel every ``pitch_m``.
+    """Draw a mesh from above in shaded relief, one pixel every ``pitch_m``; coarser where that is too many.
 
     Returns levels of uint8, shape (H, W): 255 is empty paper; row 0 is the largest y.
     """
@@ -28,6 +29,8 @@ def relief(
 
     vertices, faces = np.asarray(vertices_m, np.float64), np.asarray(faces)
     low, high = vertices[:, :2].min(axis=0), vertices[:, :2].max(axis=0)
+    # A mesh in millimetres, taken for metres, would have 10^10 pixels.
+    pitch_m = max(pitch_m, float((high - low).max()) / _MOST_PX)
     width, height = (np.ceil((high - low) / pitch_m).astype(int) + 9).tolist()
     columns, rows = ((vertices[:, :2] - low) / pitch_m + 4).T
     # Rows grow with y here, so that triangles keep their orientation; the picture is turned over at the end.

@@ -38,6 +38,7 @@ Pixels: TypeAlias = NDArray[np.uint8]
 """Grey levels of shape (H, W) or colours of shape (H, W, 3); row 0 at the top."""
 
 PNG = ".png"
+_MOST_DIGITS = 20  # more than any id of 64 bits; Python refuses to read thousands
 
 TILE_STYLE = "margin:0;text-align:center;font-size:smaller"
 """Style of a small picture among others in a notebook."""
@@ -180,7 +181,7 @@ def parse_ids(option: str, text: str | None) -> tuple[int, ...]:
     """Read ``3,17`` as numbers; InputError where a part is not a whole number."""
     parts = [] if text is None else [part.strip() for part in text.split(",")]
     for part in parts:
-        if not (part.isascii() and part.isdigit()):
+        if not (part.isascii() and part.isdigit() and len(part) <= _MOST_DIGITS):
             message = f"{option} has {part!r}; expected whole numbers, such as 12,408"
             raise InputError(message)
     return tuple(int(part) for part in parts)

@@ -30,13 +30,15 @@ def _open_video(data: memoryview) -> Any:
     av = _av()
     try:
         container = av.open(io.BytesIO(data))
-        stream = container.streams.video[0]
-    except (av.FFmpegError, IndexError) as error:
+        stream = next(iter(container.streams.video), None)
+    except av.FFmpegError as error:
         start = bytes(data[:8]).hex(" ")
         message = f"{len(data):,} bytes that begin with {start}; expected an AVI with MJPEG frames ({error})"
         raise ValueError(message) from error
     problem = ""
-    if stream.codec_context is None:  # then it has no size either
+    if stream is None:
+        problem = "a file without a video; expected an AVI with MJPEG frames"
+    elif stream.codec_context is None:  # then it has no size either
         problem = "a clip of a codec that FFmpeg does not know; expected an AVI with MJPEG frames"
     elif stream.width * stream.height > MAX_IMAGE_PIXELS:
         size = f"{stream.width} x {stream.height}"

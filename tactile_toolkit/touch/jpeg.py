@@ -72,9 +72,8 @@ def decode_image(data: memoryview | bytes, out: Pixels | None = None) -> Pixels:
     than ``out``. Nothing half-decoded is ever returned.
     """
     if out is not None and data[:3] == _JPEG_START and len(data) <= MAX_IMAGE_BYTES:
-        with suppress(
-            ValueError
-        ):  # what is wrong is named below; to look into the header first takes a while
+        # What is wrong is named below: to look into the header of each image first takes a while.
+        with suppress(ValueError):
             if simplejpeg.decode_jpeg(data, "RGB", buffer=out).shape == out.shape:
                 return out
     height, width = image_size(data)
@@ -147,7 +146,7 @@ def room_for(count: int, size: tuple[int, int], out: Pixels | None = None) -> Pi
     shape = (count, height, width, 3)
     message = (
         f"out is {found}; expected a writable array of uint8 and shape {shape} with C-contiguous images; "
-        f"next: make one with numpy.empty({shape}, numpy.uint8), or leave out away"
+        f"next: make one with numpy.empty({shape}, numpy.uint8), or leave `out` out"
     )
     raise InputError(message)
 

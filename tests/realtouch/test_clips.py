@@ -3,6 +3,7 @@ from __future__ import annotations
 import io
 import struct
 import sys
+import wave
 from pathlib import Path
 
 import av
@@ -330,6 +331,15 @@ def test_a_clip_of_another_length_is_named(seq_rows: list[dict], tmp_path: Path)
 
 def _copy(row: dict) -> dict:
     return {**row, "sensor_video": [dict(blob) for blob in row["sensor_video"]]}
+
+
+def test_sound_without_a_video_is_refused() -> None:
+    sound = io.BytesIO()
+    with wave.open(sound, "wb") as writer:
+        writer.setparams((1, 2, 8000, 0, "NONE", ""))
+        writer.writeframes(bytes(800))
+    with pytest.raises(ValueError, match="a file without a video; expected an AVI"):
+        ffmpeg_frames(memoryview(sound.getvalue()), [0], 1)
 
 
 def test_ffmpeg_hands_on_no_damaged_frame(seq_rows: list[dict], tmp_path: Path) -> None:

@@ -53,7 +53,7 @@ def test_a_revision_is_given_once():
 
 def test_a_part_of_a_repository_is_none():
     assert repository_named("a/b@dev").revision == "dev"
-    with pytest.raises(InputError, match="leave 'data' away"):
+    with pytest.raises(InputError, match="leave 'data' out"):
         repository_named("hf://datasets/a/b/data")
 
 

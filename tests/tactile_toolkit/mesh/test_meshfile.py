@@ -92,6 +92,16 @@ def test_a_file_that_cannot_be_written_leaves_nothing_behind(ring: Mesh, tmp_pat
     assert list(tmp_path.iterdir()) == []
 
 
+def test_ctrl_c_leaves_nothing_behind(ring: Mesh, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def interrupted(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(Path, "replace", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        write_mesh(tmp_path / "mesh.stl", ring)
+    assert list(tmp_path.iterdir()) == []
+
+
 def test_ascii_stl(tmp_path: Path) -> None:
     corners = [[(0, 0, 0), (0, 1, 0), (1, 0, 0)], [(0, 0, 0), (1, 0, 0), (0, 0, 1)]]
     corners += [[(0, 0, 0), (0, 0, 1), (0, 1, 0)], [(1, 0, 0), (0, 1, 0), (0, 0, 1)]]

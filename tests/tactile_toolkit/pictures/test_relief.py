@@ -15,6 +15,7 @@ from hypothesis import strategies as st
 
 from tactile_toolkit.mesh.mesh import Mesh
 from tactile_toolkit.pictures.lettering import ACCENTS
+from tactile_toolkit.pictures.relief import relief
 from tactile_toolkit.pictures.render import (
     OBLIQUE,
     TOP,
@@ -72,6 +73,14 @@ def test_what_is_closer_hides_what_is_behind():
         assert drawn[50, 50, 0] > 100
         assert drawn[50, 50, 1] == 0
         assert drawn[14, 50, 1] > 100
+
+
+def test_a_mesh_in_millimetres_is_drawn_coarser():
+    mesh = box(38e3, 19e3, 8e3)
+    drawn = relief(mesh.vertices_m, mesh.faces)
+    assert drawn.shape[1] == pytest.approx(2 * drawn.shape[0], rel=0.01)
+    assert 4000 < drawn.shape[1] < 4200
+    assert (drawn < 250).mean() > 0.98
 
 
 def test_a_fitting_scale_fills_one_side():
