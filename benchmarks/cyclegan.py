@@ -26,10 +26,10 @@ from tactile_sim.learned.checkpoints import DEPTH_WEIGHTS, TOUCH_WEIGHTS
 from tactile_sim.learned.config import TrainConfig
 from tactile_sim.learned.evaluation import told_apart, under_noise
 from tactile_sim.learned.networks import Generator, initialise, weights_of
+from tactile_sim.learned.rendering import CycleganDepth, CycleganOptics
 from tactile_sim.learned.training import train
 from tactile_sim.learned.weights import GeneratorWeights, published_weights, read_weights, write_weights
 from tactile_sim.noise import SensorNoise
-from tactile_sim.optics.cyclegan import CycleganDepth, CycleganOptics
 from tactile_sim.optics.taxim import TaximOptics
 from tactile_sim.pairs.reading import Pairs
 from tactile_toolkit.store.folder import DataFolder

@@ -20,6 +20,7 @@ from tactile_toolkit.mesh.printability import WARNINGS, inspect
 from tactile_toolkit.pictures.relief import relief
 from tactile_toolkit.store.folder import DataFolder
 from tactile_toolkit.store.parquet import read_report
+from tactile_toolkit.wording import class_name
 
 __all__ = ["plan_gallery"]
 
@@ -69,7 +70,7 @@ def _item(record: MeshRecord, split: str, names: tuple[str, ...], report: Mappin
         found = inspect(Mesh(vertices_m, faces))
         broken = (found.problem,) if found.problem else ()
         report = {**found.to_row(), "warnings": (*broken, *found.warnings)}
-    label = names[record.label] if 0 <= record.label < len(names) else str(record.label)
+    label = class_name(names, record.label)
     longest_m = float(np.ptp(vertices_m[:, :2], axis=0).max())
     pitch_m = max(longest_m, 1e-3 / MM_PER_M) / (_OVERSAMPLING * THUMBNAIL_PX - _MARGIN_PX)
     source = [("Source", record.source)] if record.source else []

@@ -33,7 +33,7 @@ from tactile_toolkit.pictures.sheets import Tile, with_scale_bar
 from tactile_toolkit.pictures.writing import Drawing, PicturePlan, PlannedPicture, chosen_kinds, file_stem
 from tactile_toolkit.store.folder import DataFolder
 from tactile_toolkit.store.parquet import read_report
-from tactile_toolkit.wording import counted
+from tactile_toolkit.wording import class_name, counted
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -172,12 +172,8 @@ def _plan_distributions(opened: MeshPreviews[MeshDataset]) -> PlannedPicture:
 
 
 def _heading(opened: MeshPreviews[MeshDataset], split: str, record: MeshRecord) -> str:
-    label = _class_name(next(iter(opened.datasets.values())).label_names, record.label)
+    label = class_name(next(iter(opened.datasets.values())).label_names, record.label)
     return f"Digit {label}, id {record.id} ({opened.stem}, {split})"
-
-
-def _class_name(names: Sequence[str], label: int) -> str:
-    return names[label] if label < len(names) else str(label)
 
 
 def draw_sheet(records: Sequence[MeshRecord], per_row: int, title: str, names: Sequence[str]) -> Drawing:
@@ -185,7 +181,7 @@ def draw_sheet(records: Sequence[MeshRecord], per_row: int, title: str, names: S
     meshes = [Mesh(record.vertices_m, record.faces) for record in records]
     px_per_mm = _TILE_PX / (MM_PER_M * max(float(np.ptp(mesh.vertices_m[:, :2], 0).max()) for mesh in meshes))
     tiles = [
-        (_class_name(names, record.label), Tile(relief_of(mesh, px_per_mm), f"{record.id}"))
+        (class_name(names, record.label), Tile(relief_of(mesh, px_per_mm), f"{record.id}"))
         for mesh, record in zip(meshes, records, strict=True)
     ]
     words = f"{counted(len(records), 'digits')} from above, at one scale; the id of each below it"

@@ -14,8 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mnist3d.sources import NO_WRITER, DigitCatalog
+from tactile_toolkit.checked_fields import check_fields, choice, whole_number
 from tactile_toolkit.errors import InputError
-from tactile_toolkit.wording import plain_number, plain_pairs
+from tactile_toolkit.wording import is_whole, plain_pairs
 
 __all__ = ["PUBLISHED_SIZES", "SPLITS", "SplitPlan", "SplitSpec", "plan_splits"]
 
@@ -56,21 +57,28 @@ class SplitSpec:
         proportions where a class has fewer than 1,358 digits.
     """
 
-    seed: int = 0
-    by: Literal["digit", "writer"] = "digit"
+    seed: int = whole_number(0)
+    by: Literal["digit", "writer"] = choice("digit", ("digit", "writer"))
     sizes: tuple[tuple[str, int], ...] | None = None
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "seed", plain_number(self.seed))
-        if self.sizes is not None:
-            object.__setattr__(self, "sizes", plain_pairs(self.sizes))
-        for split, size in self.sizes or ():
+        check_fields(self, "the division into splits")
+        if self.sizes is None:
+            return
+        object.__setattr__(self, "sizes", plain_pairs(self.sizes))
+        if not all(isinstance(pair, tuple) and len(pair) == 2 for pair in self.sizes):
+            message = f"the split sizes are {self.sizes!r}; expected pairs such as {{'train': 8, 'test': 2}}"
+            raise InputError(message)
+        for split, size in self.sizes:
             if split not in SPLITS:
                 message = f"unknown split {split!r} in the split sizes; expected one of {', '.join(SPLITS)}"
                 raise InputError(message)
-            if not isinstance(size, int) or size < 0:
+            if not is_whole(size) or size < 0:
                 message = f"the size of split {split!r} is {size!r}; expected 0 or more digits per class"
                 raise InputError(message)
+        if len(dict(self.sizes)) < len(self.sizes):
+            message = f"the split sizes are {self.sizes!r}; expected each split once"
+            raise InputError(message)
 
     def to_dict(self) -> dict[str, Any]:
         """Return JSON values."""

@@ -151,7 +151,7 @@ def traced(record: SceneRecord, spec: SceneSpec | None) -> SceneTrace | None:
 
     None where the data set does not say how it was made, or where the seed now gives another scene.
     """
-    if spec is None or not record.has_placements or record.star_count not in spec.stars:
+    if spec is None or not record.has_placements or record.star_count not in spec.stars or record.seed < 0:
         return None
     trace = trace_scene(spec, scene_rng(record.seed), record.star_count)
     return trace if trace.scene == record.scene else None

@@ -58,7 +58,10 @@ def scene_id(split: str, index: int) -> int:
 
 
 def scene_rng(seed: int) -> np.random.Generator:
-    """Return the generator of one scene, from its own seed (see :func:`scene_seed`)."""
+    """Return the generator of one scene, from its own seed (see :func:`scene_seed`); InputError below 0."""
+    if seed < 0:
+        message = f"the seed of a scene is {seed}; expected a whole number from 0"
+        raise InputError(message)
     return np.random.Generator(np.random.Philox(key=seed))
 
 

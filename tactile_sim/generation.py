@@ -9,7 +9,7 @@ import os
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from functools import cache, partial
+from functools import lru_cache, partial
 from pathlib import Path
 from typing import Any
 
@@ -203,16 +203,24 @@ def _suffix(spec: GenerateSpec) -> str:
     return {"jpeg": "jpg", "png": "png"}[spec.image_format]
 
 
-@cache
-def _optics(name: str, weights: str | None) -> Optics:
-    """Make optics once in a process: tables and networks take longer to load than a round to render."""
+def optics_of(spec: GenerateSpec) -> Optics:
+    """Return the optics of a specification, made once in a process and again when the weights change."""
+    file = Path(spec.weights).expanduser() if spec.weights else None
+    # A notebook trains into the same file again and again; the manifest has the checksum of the new one.
+    facts = file.stat() if file is not None and file.is_file() else None
+    return _optics(spec.optics, spec.weights, facts and (facts.st_ino, facts.st_size, facts.st_mtime_ns))
+
+
+@lru_cache(maxsize=2)
+def _optics(name: str, weights: str | None, _stamp: tuple[int, ...] | None) -> Optics:
+    # Tables and networks take longer to load than a round to render.
     return make_optics(name, weights)
 
 
 def _make_row(
     spec: GenerateSpec, solid: Pressable, split: str, object_id: int, label: int, number: int
 ) -> TouchRow:
-    optics = _optics(spec.optics, spec.weights)
+    optics = optics_of(spec)
     sensor = spec.sensor(optics)
     plan = plan_round(spec.plan, solid, split, object_id, number)
     targets = np.tile(np.eye(4), (len(plan.positions_m), 1, 1))

@@ -102,7 +102,7 @@ class GivenTouches:
             raise InputError(message) from error
         unknown, missing = set(columns) - set(_COLUMNS), set(_PLACES) - set(columns)
         if unknown or missing:
-            wrong = f"unknown columns {[*unknown]}" if unknown else f"no {[*missing]}"
+            wrong = f"unknown columns {sorted(unknown)}" if unknown else f"no {sorted(missing)}"
             message = (
                 f"given touches in {str(path)!r} have {wrong}; expected x_m, y_m and of these: "
                 f"{', '.join(_COLUMNS[2:])}"

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import numbers
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
-__all__ = ["counted", "did_you_mean", "is_whole", "plain", "plain_number", "plain_pairs"]
+__all__ = ["class_name", "counted", "did_you_mean", "is_whole", "plain", "plain_number", "plain_pairs"]
 
 _LONG_PLURALS = ("ches", "shes", "sses", "xes")
 
@@ -16,6 +16,11 @@ def counted(count: int, things: str) -> str:
     if count == 1:
         things = things.removesuffix("es" if things.endswith(_LONG_PLURALS) else "s")
     return f"{count:,} {things}"
+
+
+def class_name(names: Sequence[str], label: int) -> str:
+    """Return the name of a class; its number where no name is stated for it."""
+    return names[label] if 0 <= label < len(names) else str(label)
 
 
 def did_you_mean(name: str, known: Iterable[str]) -> str:

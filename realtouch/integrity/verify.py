@@ -186,8 +186,9 @@ def _verify_exported(
     """Count what ``realtouch export`` wrote, whose files were compared already, and decode its images."""
     named = {finding.file for finding in findings}
     whole = [record for record in manifest.shards if record.shard.data_path not in named]
+    rows = sum(record.rows for record in whole)
     rounds: set[str] = set()
-    touches = 0
+    done = touches = 0
     for record in whole:
         shard = Shard(folder.address(record.shard.data_path))
         table = shard.read(columns=[name for name in ("round_id", "file", "frames") if name in shard.types])
@@ -200,7 +201,8 @@ def _verify_exported(
         )
         for path in paths if decode else ():
             findings += [] if path in named else _undecodable_images(folder, path)
-        on_progress(touches, touches)
+        done += record.rows
+        on_progress(done, rows)
     return TouchVerification(len(rounds), touches, tuple(findings))
 
 

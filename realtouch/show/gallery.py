@@ -26,6 +26,7 @@ from tactile_toolkit.gallery.items import Facet, Gallery, Item, Measure, gallery
 from tactile_toolkit.gallery.packing import thumbnail
 from tactile_toolkit.mesh.mesh import MM_PER_M
 from tactile_toolkit.touch.jpeg import Pixels, encode_image, resized
+from tactile_toolkit.wording import class_name
 
 __all__ = ["DEFAULT_TOUCHES", "FRAMES_PER_FILM", "RoundChoice", "film_of", "plan_gallery", "sheet_of"]
 
@@ -114,7 +115,7 @@ def _item(
             name = f"{touch.touch_index:03d}.jpg"
             media[name], entry["film"] = film_of(touch.clip, name)
         listed.append(entry)
-    label = names[record.label] if 0 <= record.label < len(names) else str(record.label)
+    label = class_name(names, record.label)
     met = None if heights_m is None else heights_m >= MIN_CONTACT_HEIGHT_M
     # The highest touch shows the object best.
     cover = touches[0]

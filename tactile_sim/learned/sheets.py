@@ -18,7 +18,11 @@ _TITLE_PX = 18
 
 
 def sheet_png(columns: Sequence[tuple[str, NDArray[Any]]]) -> bytes:
-    """Draw columns of pictures under their titles; uint8 colours (n, H, W, 3), or depth images (n, H, W)."""
+    """Draw columns of pictures under their titles: uint8 colours (n, H, W, 3), or depth images (n, H, W).
+
+    Where objects were left out of a set, its two kinds of pictures differ in number: shorter columns end in
+    white.
+    """
     from PIL import Image, ImageDraw
 
     strips = []
@@ -27,7 +31,11 @@ def sheet_png(columns: Sequence[tuple[str, NDArray[Any]]]) -> bytes:
         head = Image.new("RGB", (tiles[0].shape[1], _TITLE_PX), PAPER)
         draw_text(ImageDraw.Draw(head), (3, 2), title, 11)
         strips.append(np.concatenate([np.asarray(head), *tiles]))
-    return png_bytes(np.concatenate(strips, axis=1))
+    tallest = max(map(len, strips))
+    filled = [
+        np.pad(strip, ((0, tallest - len(strip)), (0, 0), (0, 0)), constant_values=255) for strip in strips
+    ]
+    return png_bytes(np.concatenate(filled, axis=1))
 
 
 def _tile(picture: NDArray[Any]) -> NDArray[np.uint8]:

@@ -29,6 +29,7 @@ from tactile_sim.learned.networks import weights_of
 from tactile_sim.learned.sheets import sheet_png
 from tactile_sim.learned.tensorboard import Events, require_tensorboard
 from tactile_sim.learned.weights import write_weights
+from tactile_sim.pairs.making import SPLITS
 from tactile_sim.pairs.reading import Pairs
 from tactile_toolkit.errors import InputError, MissingExtraError, SpecMismatchError, ToolkitError
 from tactile_toolkit.run.system import locked
@@ -117,6 +118,13 @@ def train(
     config = config or TrainConfig()
     data = Pairs.open(pairs)
     config.crop_px(data.size_px)
+    for split, domain in zip(SPLITS, (data.depth, data.real), strict=True):
+        if not domain.contact.any():
+            message = (
+                f"split {split!r} of {pairs!r} holds no picture with contact, so that nothing can be learned "
+                "of it; next: a larger --count or a smaller --without-contact of `tactile-sim pairs`"
+            )
+            raise InputError(message)
     if config.start_steps:
         try:
             by_taxim(data)

@@ -9,13 +9,13 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_sim.optics.scaling import scaled
 from tactile_sim.pressing import depth_image
 from tactile_sim.sensor import Sensor
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.kind import lazy
+from tactile_toolkit.touch.jpeg import resized
 
-__all__ = ["OPTICS", "Optics", "make_optics"]
+__all__ = ["OPTICS", "Optics", "make_optics", "scaled"]
 
 
 class Optics(Protocol):
@@ -28,6 +28,14 @@ class Optics(Protocol):
         self, depth_m: NDArray[np.float64], sensor: Sensor, size_px: tuple[int, int]
     ) -> NDArray[np.uint8]:
         """Return pictures (n, H, W, 3), uint8, in the size asked for, of depth maps (n, h, w), metres."""
+
+
+def scaled(pictures: NDArray[np.uint8], size_px: tuple[int, int]) -> NDArray[np.uint8]:
+    """Scale pictures (n, H, W, 3) to the size that is wanted, where they have another."""
+    width, height = size_px
+    if pictures.shape[1:3] == (height, width):
+        return pictures
+    return np.stack([resized(each, width, height) for each in pictures])
 
 
 class DepthOptics:
@@ -71,7 +79,7 @@ def make_optics(name: str, weights: str | Path | None = None) -> Optics:
         "taxim": lazy("tactile_sim.optics.taxim:TaximOptics"),
     }
     if name == "cyclegan":
-        return lazy("tactile_sim.optics.cyclegan:CycleganOptics")(weights)  # type: ignore[no-any-return]
+        return lazy("tactile_sim.learned.rendering:CycleganOptics")(weights)  # type: ignore[no-any-return]
     if name not in OPTICS:
         message = f"no optics {name!r}; expected one of {', '.join(OPTICS)}"
         raise InputError(message)

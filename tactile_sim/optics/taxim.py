@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactile_sim.heights import chosen_backend
-from tactile_sim.optics.scaling import scaled
+from tactile_sim.optics import scaled
 from tactile_sim.sensor import Sensor
 from tactile_toolkit.arithmetic import cosine_sine, decay
 from tactile_toolkit.errors import InputError, MissingExtraError

@@ -17,6 +17,7 @@ import numpy as np
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.mesh.files import merge_equal_vertices
 from tactile_toolkit.mesh.mesh import Mesh
+from tactile_toolkit.wording import class_name
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -128,7 +129,7 @@ def choose(
         classes = rows.label_names
         columns = (chosen.tolist(), rows.ids[chosen].tolist(), rows.labels[chosen].tolist())
         for row, number, label in zip(*columns, strict=True):
-            word = classes[label] if 0 <= label < len(classes) else str(label)
+            word = class_name(classes, label)
             name = "-".join(part for part in (_safe(split), _safe(word), f"{number:0{_ID_DIGITS}d}") if part)
             objects.append(PrintObject(name, split, word, number, partial(_row, rows, row)))
     names = Counter(item.name for item in objects)

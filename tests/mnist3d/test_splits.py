@@ -124,6 +124,22 @@ def test_sizes_of_ones_own():
         SplitSpec(sizes=(("test", -1),))
 
 
+@pytest.mark.parametrize(
+    ("wrong", "message"),
+    [
+        ({"by": "Writer"}, "by of the division into splits is 'Writer'; expected one of digit, writer"),
+        ({"seed": -1}, "seed of the division into splits is -1; expected a whole number"),
+        ({"seed": 1.5}, "seed of the division into splits is 1.5"),
+        ({"sizes": "train"}, "split sizes are 'train'; expected pairs"),
+        ({"sizes": {"train": True}}, "size of split 'train' is True"),
+        ({"sizes": [("train", 3), ("train", 4)]}, "expected each split once"),
+    ],
+)
+def test_a_division_that_cannot_be_is_refused(wrong, message):
+    with pytest.raises(InputError, match=message):
+        SplitSpec(**wrong)
+
+
 @given(
     counts=st.lists(st.integers(1, 40), min_size=5, max_size=60),
     seed=st.integers(0, 1000),

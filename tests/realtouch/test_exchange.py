@@ -156,7 +156,10 @@ def test_lerobot_numbers_frames_over_all_files(source: Path, truth: list[RoundTr
     frames = pq.read_table(home / "data")
     episodes = pq.read_table(home / "meta" / "episodes").to_pylist()
     info = json.loads((home / "meta" / "info.json").read_text())
-    checked = realtouch.verify(tmp_path / "robots")
+    told: list[tuple[int, int]] = []
+    checked = realtouch.verify(tmp_path / "robots", on_progress=lambda *now: told.append(now))
+    assert told == [(1, 3), (2, 3), (3, 3)] if "seq" not in source.name else told[-1] == (15, 15)
+    assert len({total for _, total in told}) == 1
     assert (checked.ok, checked.rounds, checked.touches) == (True, 3, 15)
     count = sum(touch.frames for each in truth for touch in each.touches)
     is_seq = "seq" in source.name

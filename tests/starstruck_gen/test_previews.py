@@ -125,7 +125,7 @@ def test_the_plain_picture_is_as_before():
         assert tuple(picture[int(row), int(column)]) == colour
 
 
-def test_a_stored_scene_tells_what_was_rejected_while_it_was_made(folder):
+def test_a_stored_scene_tells_what_was_rejected_while_it_was_made(folder, monkeypatch):
     for record in starstruck_gen.load(str(folder), "train"):
         trace = traced(record, CROWDED)
         assert trace is not None
@@ -133,6 +133,10 @@ def test_a_stored_scene_tells_what_was_rejected_while_it_was_made(folder):
         assert traced(record, None) is None
         assert traced(record, replace(CROWDED, cell_m=(0.13, 0.12))) is None
         assert traced(record, replace(CROWDED, stars=(1,))) is None
+    monkeypatch.setattr(starstruck_gen.SceneRecord, "seed", -5)  # as another tool may have stored it
+    assert traced(record, CROWDED) is None
+    with pytest.raises(InputError, match="seed of a scene is -5; expected a whole number from 0"):
+        scene_rng(-5)
 
 
 def test_without_a_specification_the_scene_is_drawn_all_the_same(folder):

@@ -16,10 +16,11 @@ torch = pytest.importorskip("torch", reason="needs torch, of the extra torch")
 pytest.importorskip("numba", reason="needs numba, of the extra sim")
 pytest.importorskip("tactile_mnist", reason="needs tactile-mnist, of the extra env")
 
+from tactile_sim.generation import optics_of  # noqa: E402
 from tactile_sim.learned import weights as files  # noqa: E402
 from tactile_sim.learned.networks import Generator, generator_of, initialise, weights_of  # noqa: E402
+from tactile_sim.learned.rendering import CycleganDepth, CycleganOptics  # noqa: E402
 from tactile_sim.optics import make_optics  # noqa: E402
-from tactile_sim.optics.cyclegan import CycleganDepth, CycleganOptics  # noqa: E402
 from tactile_toolkit.errors import InputError, IntegrityError, MissingExtraError, ToolkitError  # noqa: E402
 from tactile_toolkit.store.folder import DataFolder  # noqa: E402
 
@@ -48,9 +49,9 @@ def package():
 def small(tmp_path):
     """A file of small weights, drawn at random, for 32 x 24 pixels."""
 
-    def made(name="small.npz", size_px=(32, 24), filters=4, blocks=2):
+    def made(name="small.npz", size_px=(32, 24), filters=4, blocks=2, seed=5):
         network = Generator(filters, blocks)
-        initialise(network, 5)
+        initialise(network, seed)
         files.write_weights(DataFolder(str(tmp_path)), name, weights_of(network, size_px))
         return tmp_path / name
 
@@ -85,6 +86,18 @@ def test_a_picture_does_not_depend_on_its_batch_nor_on_threads(small):
         assert (optics.render(depths, sensor, (40, 30)) == together).all()
     finally:
         torch.set_num_threads(threads)
+
+
+def test_weights_that_were_trained_anew_are_read_anew(small):
+    """In one process: the manifest has the checksum of the file, and pictures must be of that file."""
+    spec = tactile_sim.GenerateSpec((32, 24), "cyclegan", weights=str(small()))
+    sensor, depths = _depths((32, 24))
+    before = optics_of(spec)
+    assert optics_of(spec) is before
+    small(seed=6)
+    found = optics_of(spec).render(depths, sensor, (32, 24))
+    assert (found == CycleganOptics(spec.weights).render(depths, sensor, (32, 24))).all()
+    assert (found != before.render(depths, sensor, (32, 24))).any()
 
 
 def test_weights_survive_the_file_and_are_the_same_bytes(small):

@@ -115,7 +115,7 @@ def test_files_that_cannot_be_are_refused(tmp_path):
         ("poses.txt", b"", r"expected a file \.csv"),
         ("torn.parquet", b"PAR1 and no more", "cannot be read"),
         ("torn.npz", b"PK", "cannot be read"),
-        ("other.csv", b"x_m,z_m\n0,0\n", "unknown columns"),
+        ("other.csv", b"x_m,q,p,o,n,m\n0,0,0,0,0,0\n", r"unknown columns \['m', 'n', 'o', 'p', 'q'\]"),
         ("half.csv", b"x_m\n0\n", r"no \['y_m'\]"),
         ("hole.csv", b"x_m,y_m\n0.0,\n", "row 0; expected metres"),
         ("empty.csv", b"x_m,y_m\n", "expected"),

@@ -43,10 +43,12 @@ from tactile_sim.learned.cyclegan import CycleGan  # noqa: E402
 from tactile_sim.learned.evaluation import evaluate  # noqa: E402
 from tactile_sim.learned.measures import colour_distance, kernel_distance, spectrum_distance  # noqa: E402
 from tactile_sim.learned.readers import Reader, balanced_accuracy, ranked_right  # noqa: E402
+from tactile_sim.learned.rendering import CycleganDepth, CycleganOptics  # noqa: E402
+from tactile_sim.learned.sheets import sheet_png  # noqa: E402
 from tactile_sim.learned.training import train  # noqa: E402
 from tactile_sim.learned.weights import GeneratorWeights, read_weights, write_weights  # noqa: E402
-from tactile_sim.optics.cyclegan import CycleganDepth, CycleganOptics  # noqa: E402
 from tactile_toolkit.store.folder import DataFolder  # noqa: E402
+from tactile_toolkit.touch.jpeg import decode_image  # noqa: E402
 
 SPEC = PairsSpec((32, 32), 60, without_contact=0.2, like="environment")
 CONFIG = TrainConfig(
@@ -192,11 +194,23 @@ def test_pairs_that_are_not_finished_or_too_few_are_no_training_set(sources, pai
         InputError, match=r"few' holds 12 pictures .*, 10 with contact, .*at least 40.*--count"
     ):
         evaluate(trained, str(tmp_path / "few"), baselines=())
+    make_pairs(*sources, "train", PairsSpec((32, 32), 4, 1.0, like="environment"), tmp_path / "untouched")
+    with pytest.raises(InputError, match=r"'depth' of .*untouched' holds no picture with contact"):
+        train(str(tmp_path / "untouched"), tmp_path / "out", CONFIG, device="cpu")
     manifest = tmp_path / "few" / "manifest.json"
     manifest.write_text(manifest.read_text().replace('"complete": true', '"complete": false'))
     with pytest.raises(InputError, match="few' is not finished; next: the same command"):
         train(str(tmp_path / "few"), tmp_path / "out", CONFIG, device="cpu")
     assert not (tmp_path / "out").exists()
+
+
+def test_a_sheet_takes_columns_of_any_lengths():
+    """Objects that bound no solid are left out of the depth images alone."""
+    touches, depth = np.zeros((3, 8, 8, 3), np.uint8), np.zeros((1, 8, 8), np.float32)
+    sheet = decode_image(sheet_png([("touch", touches), ("depth", depth)]))
+    middle = sheet.shape[1] // 2
+    assert sheet[-20:, :middle].min() == 0
+    assert sheet[-20:, middle:].min() == 255
 
 
 def test_killed_at_any_moment_it_ends_in_the_same_weights(pairs, trained, tmp_path):

@@ -2,7 +2,7 @@ from __future__ import annotations
 
 import pytest
 
-from tactile_toolkit.wording import counted
+from tactile_toolkit.wording import class_name, counted
 
 
 @pytest.mark.parametrize(
@@ -19,3 +19,7 @@ from tactile_toolkit.wording import counted
 )
 def test_one_thing_is_one(count, things, words):
     assert counted(count, things) == words
+
+
+def test_a_class_without_a_name_is_its_number():
+    assert [class_name(("zero", "one"), label) for label in (0, 1, 2, -1)] == ["zero", "one", "2", "-1"]
