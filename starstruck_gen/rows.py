@@ -18,7 +18,8 @@ from starstruck_gen.solid import prism
 from starstruck_gen.spec import SceneSpec
 from starstruck_gen.streams import scene_id, scene_seed
 from tactile_toolkit.errors import IntegrityError
-from tactile_toolkit.mesh.columns import FACES, VERTICES, mesh_set_schema, ragged_array
+from tactile_toolkit.mesh.columns import FACES, VERTICES, mesh_set_schema
+from tactile_toolkit.read.columns import ragged_array
 from tactile_toolkit.store.parquet import ParquetStyle
 
 __all__ = [

@@ -11,7 +11,7 @@ from typing import Any
 
 from tactile_toolkit.catalog.locate import available_splits, find_shards
 from tactile_toolkit.errors import InputError
-from tactile_toolkit.read.columns import stored_features
+from tactile_toolkit.read.features import dtype_name, stored_features
 from tactile_toolkit.read.parquet import Shard
 from tactile_toolkit.run.threads import in_threads
 from tactile_toolkit.store.folder import DataFolder
@@ -29,7 +29,6 @@ __all__ = [
     "yaml_features",
 ]
 
-_DTYPES = {"double": "float64", "float": "float32", "halffloat": "float16"}
 _MEDIA = {"Image": "image", "Video": "video", "Audio": "audio"}
 
 
@@ -178,4 +177,4 @@ def _entry(data_type: Any, feature: Any) -> dict[str, Any]:
         return {"list": next(iter(inner.values())) if is_short else inner, **fixed}
     if types.is_struct(data_type):
         return {"struct": [_named(f.name, _entry(f.type, known.get(f.name))) for f in data_type]}
-    return {"dtype": _DTYPES.get(str(data_type), str(data_type))}
+    return {"dtype": dtype_name(data_type)}

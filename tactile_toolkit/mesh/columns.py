@@ -6,23 +6,19 @@ such column to the mesh class, so that no other column may begin so (package tac
 
 from __future__ import annotations
 
-import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 from tactile_toolkit.errors import InputError
-from tactile_toolkit.read.columns import RaggedColumn, stored_class_names
+from tactile_toolkit.read.columns import column_names, vectors_type
+from tactile_toolkit.read.features import dtype_name, feature_metadata, label_feature, stored_class_names
 
 __all__ = [
     "FACES",
     "VERTICES",
     "class_names",
-    "feature_metadata",
-    "label_feature",
     "mesh_set_schema",
-    "ragged_array",
     "require_mesh_columns",
-    "vectors_type",
 ]
 
 VERTICES = "mesh.vertices"
@@ -30,26 +26,6 @@ VERTICES = "mesh.vertices"
 
 FACES = "mesh.faces"
 """Column of triangles: ``list<int32[3]>``, rows of the vertices."""
-
-_NAMES = {"float": "float32", "double": "float64"}  # what Arrow calls otherwise than `datasets`
-
-
-def vectors_type(value_type: Any, width: int = 3) -> Any:
-    """Return the Arrow type ``list<value_type[width]>``."""
-    import pyarrow as pa
-
-    return pa.list_(pa.list_(value_type, width))
-
-
-def ragged_array(column: RaggedColumn, value_type: Any) -> Any:
-    """Pack rows that already lie one after another into ``list<value_type[width]>``, with no Python list."""
-    import pyarrow as pa
-
-    width = column.values.shape[1]
-    flat = pa.array(column.values.reshape(-1), value_type)
-    inner = pa.FixedSizeListArray.from_arrays(flat, width)
-    offsets = pa.array(column.offsets, pa.int32())
-    return pa.ListArray.from_arrays(offsets, inner, type=vectors_type(value_type, width))
 
 
 def mesh_set_schema(class_names: tuple[str, ...], further: Sequence[tuple[str, Any]] = ()) -> Any:
@@ -77,17 +53,7 @@ def _feature(data_type: Any) -> Any:
         return {"feature": inner, "length": data_type.list_size, "_type": "Sequence"}
     if pa.types.is_list(data_type):
         return {"feature": _feature(data_type.value_type), "_type": "Sequence"}
-    return {"dtype": _NAMES.get(str(data_type), str(data_type)), "_type": "Value"}
-
-
-def label_feature(names: tuple[str, ...]) -> dict[str, Any]:
-    """Describe the label column to `datasets`."""
-    return {"names": list(names), "_type": "ClassLabel"}
-
-
-def feature_metadata(features: Mapping[str, Any]) -> dict[str, str]:
-    """Return schema metadata from which `datasets` reads the features of a Parquet file."""
-    return {"huggingface": json.dumps({"info": {"features": dict(features)}})}
+    return {"dtype": dtype_name(data_type), "_type": "Value"}
 
 
 def class_names(schema: Any, default: tuple[str, ...], where: str = "") -> tuple[str, ...]:
@@ -104,8 +70,6 @@ def require_mesh_columns(schema: Any, name: str, made_by: str) -> None:
 
     ``made_by`` is the command that writes such data sets, for the message of the InputError.
     """
-    from tactile_toolkit.read.columns import column_names
-
     found = column_names(schema)
     missing = [column for column in ("id", "label", VERTICES, FACES) if column not in found]
     if missing:

@@ -6,9 +6,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from tactile_toolkit.mesh.columns import FACES, VERTICES, feature_metadata
+from tactile_toolkit.mesh.columns import FACES, VERTICES
 from tactile_toolkit.mesh.files import pack_mesh
 from tactile_toolkit.mesh.mesh import Mesh
+from tactile_toolkit.read.features import feature_metadata
 
 if TYPE_CHECKING:
     from tactile_toolkit.read.dataset import RecordDataset

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -10,8 +9,6 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-
-from tactile_toolkit.errors import IntegrityError
 
 __all__ = [
     "BytesColumn",
@@ -25,10 +22,10 @@ __all__ = [
     "null_fields",
     "plain_schema",
     "plain_table",
+    "ragged_array",
     "ragged_column",
     "same_values",
-    "stored_class_names",
-    "stored_features",
+    "vectors_type",
 ]
 
 
@@ -99,16 +96,28 @@ def _refuse_nulls(array: Any) -> None:
         raise ValueError(message)
 
 
-def list_array(rows: list[NDArray[Any]], value_type: Any, width: int = 3) -> Any:
-    """Pack arrays of shape (n_i, width) into an Arrow ``list<fixed_size_list<value_type>[width]>``."""
+def vectors_type(value_type: Any, width: int = 3) -> Any:
+    """Return the Arrow type ``list<value_type[width]>``."""
     import pyarrow as pa
 
-    offsets = np.zeros(len(rows) + 1, dtype=np.int32)
-    np.cumsum([len(row) for row in rows], out=offsets[1:])
-    flat: Any = np.concatenate([row.reshape(-1) for row in rows]) if rows else []
+    return pa.list_(pa.list_(value_type, width))
+
+
+def ragged_array(column: RaggedColumn, value_type: Any) -> Any:
+    """Pack rows that already lie one after another into ``list<value_type[width]>``, with no Python list."""
+    import pyarrow as pa
+
+    width = column.values.shape[1]
     # Not value_type.to_pandas_dtype(): it imports pandas, which takes a second.
-    inner = pa.FixedSizeListArray.from_arrays(pa.array(flat, value_type), width)
-    return pa.ListArray.from_arrays(pa.array(offsets), inner, type=pa.list_(pa.list_(value_type, width)))
+    inner = pa.FixedSizeListArray.from_arrays(pa.array(column.values.reshape(-1), value_type), width)
+    offsets = pa.array(column.offsets, pa.int32())
+    return pa.ListArray.from_arrays(offsets, inner, type=vectors_type(value_type, width))
+
+
+def list_array(rows: Sequence[NDArray[Any]], value_type: Any) -> Any:
+    """Pack arrays of shape (n_i, 3) into an Arrow ``list<value_type[3]>``."""
+    offsets = np.cumsum([0, *map(len, rows)])
+    return ragged_array(RaggedColumn(np.concatenate([np.zeros((0, 3), np.int8), *rows]), offsets), value_type)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -218,39 +227,6 @@ def column_names(schema: Any) -> tuple[str, ...]:
 
     types = column_types(schema).items()
     return tuple([name for name, data_type in types if not pa.types.is_struct(data_type)])
-
-
-def stored_features(schema: Any, where: str) -> dict[str, Any]:
-    """Return what `datasets` stored in a schema about its columns, by name; nothing where it stored nothing.
-
-    Raises IntegrityError, which names the file ``where``, when the metadata do not describe features.
-    """
-    text = (schema.metadata or {}).get(b"huggingface")
-    if text is None:
-        return {}
-    try:
-        found = json.loads(text)
-        for part in ("info", "features"):
-            found = None if found is None else found.get(part)
-        label = {} if found is None else found.get("label") or {}
-        names = label.get("names")
-        if names is not None and not (isinstance(names, list) and set(map(type, names)) <= {str}):
-            raise TypeError
-    except (ValueError, AttributeError, TypeError, RecursionError) as error:
-        beginning = text[:80].decode(errors="replace")
-        message = (
-            f"{where!r}, field 'label': the metadata 'huggingface' begins with {beginning!r}; expected the "
-            "features of the data set, class names among them, in JSON; next: download or convert the data "
-            "set again"
-        )
-        raise IntegrityError(message) from error
-    return found or {}
-
-
-def stored_class_names(schema: Any, where: str) -> tuple[str, ...] | None:
-    """Return the names of the classes that `datasets` stored in a schema; None where it stored none."""
-    names = (stored_features(schema, where).get("label") or {}).get("names")
-    return None if names is None else tuple(names)
 
 
 def same_values(one: Any, other: Any) -> bool:

@@ -29,13 +29,8 @@ from tactile_toolkit.bounds import cache_limit_bytes, require_unpackable
 from tactile_toolkit.cache import CACHE_VARIABLE, DiskCache, MemoryCache, cache_folder
 from tactile_toolkit.errors import IntegrityError
 from tactile_toolkit.read.blocks import MappedBlock, identity_of, map_block, write_blocks
-from tactile_toolkit.read.columns import (
-    RowGroup,
-    column_types,
-    plain_schema,
-    plain_table,
-    stored_class_names,
-)
+from tactile_toolkit.read.columns import RowGroup, column_types, plain_schema, plain_table
+from tactile_toolkit.read.features import stored_class_names
 from tactile_toolkit.run.system import locked
 from tactile_toolkit.run.threads import in_threads
 from tactile_toolkit.store.folder import file_at, unreadable

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, Literal
 
 import pyarrow as pa
 
 from tactile_toolkit.errors import InputError, IntegrityError
-from tactile_toolkit.read.columns import column_names, column_types, list_depth, stored_class_names
+from tactile_toolkit.read.columns import column_names, column_types, list_depth
+from tactile_toolkit.read.features import dtype_name, feature_metadata, label_feature, stored_class_names
 from tactile_toolkit.read.parquet import Shard
 
 __all__ = [
@@ -139,12 +139,12 @@ def _plain_type(data_type: pa.DataType) -> pa.DataType:
 def with_features(schema: pa.Schema, label_names: Sequence[str]) -> pa.Schema:
     """Add the metadata from which `datasets` reads the features: classes, images, videos, numbers."""
     features = {field.name: _feature(field.name, field.type, label_names) for field in schema}
-    return schema.with_metadata({"huggingface": json.dumps({"info": {"features": features}})})
+    return schema.with_metadata(feature_metadata(features))
 
 
 def _feature(name: str, data_type: pa.DataType, label_names: Sequence[str]) -> Mapping[str, Any]:
     if name == "label":
-        return {"names": list(label_names), "_type": "ClassLabel"}
+        return label_feature(label_names)
     if list_depth(data_type)[0]:
         length = data_type.list_size if pa.types.is_fixed_size_list(data_type) else -1
         inner = _feature(name, data_type.value_type, label_names)
@@ -152,5 +152,4 @@ def _feature(name: str, data_type: pa.DataType, label_names: Sequence[str]) -> M
         return {"feature": inner, "length": length, "_type": "Sequence"}
     if name in MEDIA_COLUMN.values() or data_type == MEDIA_TYPE:
         return {"_type": "Video" if name == MEDIA_COLUMN["seq"] else "Image"}
-    numpy_names = {"double": "float64", "float": "float32"}
-    return {"dtype": numpy_names.get(str(data_type), str(data_type)), "_type": "Value"}
+    return {"dtype": dtype_name(data_type), "_type": "Value"}

@@ -1,0 +1,62 @@
+"""The features that `datasets` stores in the schema of a Parquet file: class names, and types of columns."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from tactile_toolkit.errors import IntegrityError
+
+__all__ = ["dtype_name", "feature_metadata", "label_feature", "stored_class_names", "stored_features"]
+
+# Arrow's words for what numpy and `datasets` call otherwise.
+_DTYPES = {"double": "float64", "float": "float32", "halffloat": "float16"}
+
+
+def dtype_name(data_type: Any) -> str:
+    """Return what `datasets` calls an Arrow type of single values."""
+    return _DTYPES.get(str(data_type), str(data_type))
+
+
+def label_feature(names: Sequence[str]) -> dict[str, Any]:
+    """Describe the label column to `datasets`."""
+    return {"names": list(names), "_type": "ClassLabel"}
+
+
+def feature_metadata(features: Mapping[str, Any]) -> dict[str, str]:
+    """Return schema metadata from which `datasets` reads the features of a Parquet file."""
+    return {"huggingface": json.dumps({"info": {"features": dict(features)}})}
+
+
+def stored_features(schema: Any, where: str) -> dict[str, Any]:
+    """Return what `datasets` stored in a schema about its columns, by name; nothing where it stored nothing.
+
+    Raises IntegrityError, which names the file ``where``, when the metadata do not describe features.
+    """
+    text = (schema.metadata or {}).get(b"huggingface")
+    if text is None:
+        return {}
+    try:
+        found = json.loads(text)
+        for part in ("info", "features"):
+            found = None if found is None else found.get(part)
+        label = {} if found is None else found.get("label") or {}
+        names = label.get("names")
+        if names is not None and not (isinstance(names, list) and set(map(type, names)) <= {str}):
+            raise TypeError
+    except (ValueError, AttributeError, TypeError, RecursionError) as error:
+        beginning = text[:80].decode(errors="replace")
+        message = (
+            f"{where!r}, field 'label': the metadata 'huggingface' begins with {beginning!r}; expected the "
+            "features of the data set, class names among them, in JSON; next: download or convert the data "
+            "set again"
+        )
+        raise IntegrityError(message) from error
+    return found or {}
+
+
+def stored_class_names(schema: Any, where: str) -> tuple[str, ...] | None:
+    """Return the names of the classes that `datasets` stored in a schema; None where it stored none."""
+    names = (stored_features(schema, where).get("label") or {}).get("names")
+    return None if names is None else tuple(names)
