@@ -4,32 +4,31 @@ from __future__ import annotations
 
 from dataclasses import asdict, dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from cli.output import Sink, bytes_text
 from tactile_toolkit.kind import DatasetKind
 
-__all__ = ["print_copy"]
+if TYPE_CHECKING:
+    from tactile_toolkit.store.manifest import Manifest
+
+__all__ = ["manifest_or_copy"]
 
 
-def print_copy(sink: Sink, folder: str, kind: DatasetKind) -> None:
-    """Print what the splits of a folder without a manifest hold, and where they were downloaded from.
+def manifest_or_copy(sink: Sink, kind: DatasetKind, folder: str) -> Manifest | None:
+    """Return the manifest of a folder, also of an unfinished one; None for a copy, which is then printed."""
+    from tactile_toolkit.store.folder import DataFolder
+    from tactile_toolkit.store.manifest import manifest_so_far
 
-    Parameters
-    ----------
-    sink : Sink
-        Where to print.
-    folder : str
-        The folder.
-    kind : DatasetKind
-        What it is read as.
+    manifest = manifest_so_far(DataFolder(folder))
+    if manifest is None:
+        _print_copy(sink, folder, kind)
+    kind.refuse_other(manifest, folder)
+    return manifest
 
-    Raises
-    ------
-    InputError
-        When it holds no Parquet files, or other ones.
-    IntegrityError
-        When a file is damaged or missing.
-    """
+
+def _print_copy(sink: Sink, folder: str, kind: DatasetKind) -> None:
+    """Print what the splits of a folder without a manifest hold, and where they were downloaded from."""
     from tactile_toolkit.catalog.choose import open_splits
     from tactile_toolkit.catalog.locate import find_shards
     from tactile_toolkit.errors import InputError

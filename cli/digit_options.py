@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
-from cli.options import Limit, Seed
+from cli.options import Limit, Seed, is_count
 
 if TYPE_CHECKING:
     from mnist3d.solid import SolidSpec
@@ -144,8 +144,8 @@ class DivisionOptions:
             return SplitSpec(self.seed, self.split_by)
         sizes: dict[str, int] = {}
         for part in self.split_sizes.split(","):
-            split, equals, size = part.strip().partition("=")
-            if not equals or not size.strip().isdecimal() or split in sizes:
+            split, _, size = part.strip().partition("=")
+            if not is_count(size.strip()) or split in sizes:
                 message = (
                     f"--split-sizes has {part!r}; expected SPLIT=N once per split, such as train=8,test=2"
                 )

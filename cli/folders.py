@@ -34,7 +34,7 @@ def print_made(
     """
     sink.document(
         {
-            "folder": str(out),
+            "folder": out,
             "complete": manifest.complete,
             "toolkit_version": manifest.toolkit_version,
             "elapsed_s": None if elapsed_s is None else round(elapsed_s, 3),
@@ -69,20 +69,18 @@ def print_unfinished(sink: Sink, manifest: Manifest, out: str, unit: str, comman
     from tactile_toolkit.store.origin import read_record
     from tactile_toolkit.store.parts import read_parts_plan
 
-    record = read_record(DataFolder(str(out)))
-    if record is None:
-        found, next_step = "no shard is finished yet", f"the same `{command}` goes on where it stopped"
-        agreed = read_parts_plan(DataFolder(str(out)))
-        if agreed is not None:
-            next_step = f"it is made in {agreed.parts} parts, --finish says which are missing"
-    else:
+    folder, table = DataFolder(out), manifest.split_table()
+    record, agreed = read_record(folder), read_parts_plan(folder)
+    found = "the run is under way or was interrupted" if table else "no shard is finished yet"
+    next_step = f"the same `{command}` goes on where it stopped"
+    if record is not None:
         found = "the download is under way or was interrupted"
         next_step = f"download {record.repo_id} there again, it goes on where it stopped"
-    table = manifest.split_table()
+    elif agreed is not None:
+        next_step = f"it is made in {agreed.parts} parts, --finish says which are missing"
+    sink.line(f"{out}: unfinished, {found}; {next_step}")
     if not table:
-        sink.line(f"{out}: unfinished, {found}; {next_step}")
         return
-    sink.line(f"{out}: unfinished, the run is under way or was interrupted; {next_step}")
     rows = [
         (split, f"{held['shards']:,} of {planned:,}", held["rows"], bytes_text(held["bytes"]))
         for (split, held), planned in zip(table.items(), _shards_planned(manifest).values(), strict=True)
@@ -106,7 +104,7 @@ def add_verify(app: typer.Typer, kind: DatasetKind, what: str) -> None:
         from tactile_toolkit.store.origin import read_record
         from tactile_toolkit.store.verify import verify
 
-        place = DataFolder(str(folder))
+        place = DataFolder(folder)
         kind.refuse_other(read_manifest(place), place.address())
         schema = None if kind.schema is None else kind.schema()
         result = verify(place, schema, check_card=check_card, workers=process_count(workers))
@@ -129,7 +127,7 @@ def add_verify(app: typer.Typer, kind: DatasetKind, what: str) -> None:
             cure = f"{first}run the same `{kind.made_by}` again, it makes the damaged shards anew"
         else:
             cure = f"download {record.repo_id} there again, only what is damaged is fetched"
-        message = f"{counted(len(findings), 'problems')} in {str(folder)!r}; next: {cure}"
+        message = f"{counted(len(findings), 'problems')} in {folder!r}; next: {cure}"
         raise IntegrityError(message)
 
     verify.__doc__ = f"""Check every checksum, row count, schema and id of {what}.
@@ -156,18 +154,18 @@ def add_card(app: typer.Typer, kind: DatasetKind) -> None:
         from tactile_toolkit.errors import IntegrityError
         from tactile_toolkit.store.folder import DataFolder
 
-        place = DataFolder(str(folder))
+        place = DataFolder(folder)
         manifest_of = require_manifest if kind.needs_manifest else finished_manifest
         kind.write_card(place, manifest_of(kind, place))
         findings = check_card(place)
         if findings:
-            message = f"{findings[0].file} of {str(folder)!r}: {findings[0].problem}"
+            message = f"{findings[0].file} of {folder!r}: {findings[0].problem}"
             raise IntegrityError(message)
         pictures = [
             f"{PREVIEW_FOLDER}/{name}" for name in place.names(PREVIEW_FOLDER) if name.endswith(".png")
         ]
         sink.document(
-            {"folder": str(folder), "card": CARD_FILE, "croissant": CROISSANT_FILE, "previews": pictures}
+            {"folder": folder, "card": CARD_FILE, "croissant": CROISSANT_FILE, "previews": pictures}
         )
         made = ", ".join([CARD_FILE, CROISSANT_FILE, *pictures])
         sink.line(f"{folder}: wrote {made}; all of it matches the data")

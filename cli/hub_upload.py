@@ -81,11 +81,11 @@ def add_upload(app: typer.Typer, kind: DatasetKind) -> None:
         from tactile_toolkit.store.folder import DataFolder
 
         options = UploadOptions(**asdict(sending))
-        require_manifest(kind, DataFolder(str(folder)))
+        require_manifest(kind, DataFolder(folder))
         sink.talk(f"checking {folder}")
         check = partial(check_folder, kind, workers=process_count(workers))
         prepared = prepare_upload(
-            str(folder), repository, options, check=check, dry_run=dry_run, on_wait=sink.talk
+            folder, repository, options, check=check, dry_run=dry_run, on_wait=sink.talk
         )
         _print_plan(sink, prepared)
         if dry_run:

@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from cli.options import Making
+from cli.options import Making, Work
 from cli.output import Sink, bytes_text, counted, duration_text
 from tactile_toolkit.kind import DatasetKind
 
@@ -16,31 +16,40 @@ if TYPE_CHECKING:
     from tactile_toolkit.store.forecast import Forecast
     from tactile_toolkit.store.manifest import Manifest
 
-__all__ = ["Made", "make_with_progress", "print_conclusion", "print_forecast", "print_part"]
+__all__ = ["Made", "make_with_progress", "print_conclusion", "print_forecast"]
 
 
 @dataclass(frozen=True, slots=True)
 class Made:
-    """A finished run: its manifest, how many rows it made, how many items gave none, and how long it took."""
+    """A finished run: what its folder holds now, what the run made, in words, and how long it took."""
 
     manifest: Manifest
-    rows: int
-    skipped: int
+    text: str
     elapsed_s: float
 
 
 def make_with_progress(
-    sink: Sink, what: str, unit: str, make: Callable[[Callable[[Progress], None]], Manifest]
-) -> Made:
-    """Run ``make`` with a progress bar; it takes the function that is called after each shard.
+    sink: Sink,
+    what: str,
+    nouns: str,
+    make: Callable[..., Manifest],
+    work: Work,
+    out: str,
+    *,
+    unit: str | None = None,
+) -> Made | None:
+    """Run ``make`` with a progress bar, which counts ``unit`` where that is not the ``nouns`` of rows.
 
-    Ctrl-C before the first one is raised with what is to be said then.
+    It takes ``workers``, ``overwrite`` and ``on_progress``. Ctrl-C before the first shard is raised with what
+    is to be said then. None where this was one part of many: what it made has been said.
     """
+    from tactile_toolkit.store.folder import DataFolder
+    from tactile_toolkit.store.manifest import manifest_so_far
     from tactile_toolkit.store.parts import MissingPartsError
 
     start_s = time.monotonic()
     rows = skipped = 0
-    with sink.progress(what, unit) as update:
+    with sink.progress(what, unit or nouns) as update:
 
         def on_progress(progress: Progress) -> None:
             nonlocal rows, skipped
@@ -50,51 +59,51 @@ def make_with_progress(
             update(progress.done, progress.total)
 
         try:
-            manifest = make(on_progress)
+            manifest = make(workers=work.chosen_runner(), overwrite=work.overwrite, on_progress=on_progress)
         except MissingPartsError as error:
             sink.document({"complete": False, "array": error.array, "parts": error.parts})
             if error.parts is not None:
                 sink.line(f"--array={error.array}")
             raise
         except KeyboardInterrupt as error:
-            if rows:
+            if rows or skipped:
                 raise
-            message = "interrupted before a shard was finished: none is kept, the same command starts again"
+            # What runs before this one have finished is kept all the same.
+            message = (
+                "interrupted before this run finished a shard: it leaves nothing, the same command starts "
+                "again"
+            )
             raise KeyboardInterrupt(message) from error
-    return Made(manifest, rows, skipped, time.monotonic() - start_s)
-
-
-def print_part(sink: Sink, kind: DatasetKind, made: Made, out: str, part: str) -> None:
-    """Say what one part of many has made, and what comes when all have ended."""
+    elapsed_s = time.monotonic() - start_s
+    text = "nothing was left to make"
+    if rows or skipped:
+        left_out = f", {skipped:,} left out," if skipped else ""
+        text = f"made {counted(rows, nouns)}{left_out} in {duration_text(elapsed_s)}"
+    if work.part is None:
+        # Another split may be unfinished: what is finished of it stays and is shown, as `info` shows it.
+        return Made(manifest_so_far(DataFolder(out)) or manifest, text, elapsed_s)
     sink.document(
         {
-            "folder": str(out),
+            "folder": out,
             "complete": False,
-            "part": part,
-            "rows": made.rows,
-            "skipped": made.skipped,
-            "elapsed_s": round(made.elapsed_s, 3),
+            "part": work.part,
+            "rows": rows,
+            "skipped": skipped,
+            "elapsed_s": round(elapsed_s, 3),
         }
     )
-    sink.line(f"{_made(made, kind.nouns)}; part {part} of the data set in {out} is there")
+    sink.line(f"{text}; part {work.part} of the data set in {out} is there")
     sink.line("next: when all parts have ended, the same command with --finish instead of --part")
-
-
-def _made(made: Made, nouns: str) -> str:
-    if not made.rows and not made.skipped:
-        return "nothing was left to make"
-    left_out = f", {made.skipped:,} left out," if made.skipped else ""
-    return f"made {counted(made.rows, nouns)}{left_out} in {duration_text(made.elapsed_s)}"
+    return None
 
 
 def print_conclusion(sink: Sink, kind: DatasetKind, made: Made, out: str, splits: Sequence[str]) -> None:
     """Say what was made and where, and which commands come next."""
-    sink.line(f"{_made(made, kind.nouns)}; the data set is in {out}")
+    sink.line(f"{made.text}; the data set is in {out}")
     table = made.manifest.split_table()
     split = next((name for name in splits if name in table and table[name]["rows"]), splits[0])
     sink.line(
-        f"next: {kind.command} validate {out}   or in Python: "
-        f"{kind.package}.load({str(out)!r}, split={split!r})"
+        f"next: {kind.command} validate {out}   or in Python: {kind.package}.load({out!r}, split={split!r})"
     )
 
 

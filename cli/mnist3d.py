@@ -2,19 +2,20 @@
 
 from __future__ import annotations
 
+from functools import partial
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from cli.application import EXIT_FAILED, command, new_app, run
-from cli.copies import print_copy
+from cli.copies import manifest_or_copy
 from cli.digit_options import DigitSplit, DivisionOptions, SolidOptions, SourceOptions
 from cli.export_commands import add_export
 from cli.folders import add_card, add_verify, least_to_most, print_made, print_spec
 from cli.gallery_commands import add_mesh_gallery
 from cli.hub_download import add_download
 from cli.hub_upload import add_upload
-from cli.making import make_with_progress, print_conclusion, print_forecast, print_part
+from cli.making import make_with_progress, print_conclusion, print_forecast
 from cli.options import Folder, Json, Limit, Making, Out, Workers, place_of_data, process_count
 from cli.output import Sink, bytes_text, counted
 from cli.preview_commands import preview_digits
@@ -49,8 +50,6 @@ def generate(
     from mnist3d.generation import generate as make
     from mnist3d.splits import SPLITS
     from tactile_toolkit.run.limits import prepare_batch_process
-    from tactile_toolkit.store.folder import DataFolder
-    from tactile_toolkit.store.manifest import manifest_so_far
 
     spec = GenerateSpec(
         source=source.build(division.seed),
@@ -61,29 +60,16 @@ def generate(
     )
     splits = SPLITS if split == "all" else (split,)
     if making.dry_run:
-        view = forecast(spec, str(out), splits, making.processes, overwrite=making.overwrite)
+        view = forecast(spec, out, splits, making.processes, overwrite=making.overwrite)
         print_forecast(sink, KIND, view, out, making)
         return
     prepare_batch_process()
     made = make_with_progress(
-        sink,
-        "making digits",
-        "digits",
-        lambda on_progress: make(
-            spec,
-            str(out),
-            splits,
-            workers=making.chosen_runner(),
-            overwrite=making.overwrite,
-            on_progress=on_progress,
-        ),
+        sink, "making digits", KIND.nouns, partial(make, spec, out, splits), making, out
     )
-    if making.part is not None:
-        print_part(sink, KIND, made, out, making.part)
-        return
-    # Another split may be unfinished: what is finished of it stays and is shown, as `info` shows it.
-    _print_made(sink, manifest_so_far(DataFolder(str(out))) or made.manifest, out, made.elapsed_s)
-    print_conclusion(sink, KIND, made, out, splits)
+    if made is not None:
+        _print_made(sink, made.manifest, out, made.elapsed_s)
+        print_conclusion(sink, KIND, made, out, splits)
 
 
 @command(app)
@@ -129,17 +115,11 @@ def validate(
 @command(app)
 def info(folder: Folder, as_json: Json = False) -> None:
     """Show what a data set folder holds and how it was made."""
-    from tactile_toolkit.store.folder import DataFolder
-    from tactile_toolkit.store.manifest import manifest_so_far
-
-    manifest = manifest_so_far(DataFolder(str(folder)))
     sink = Sink(as_json)
-    if manifest is None:
-        print_copy(sink, folder, KIND)
-        return
-    KIND.refuse_other(manifest, str(folder))
-    _print_made(sink, manifest, folder)
-    print_spec(sink, manifest, "source and spec")
+    manifest = manifest_or_copy(sink, KIND, folder)
+    if manifest is not None:
+        _print_made(sink, manifest, folder)
+        print_spec(sink, manifest, "source and spec")
 
 
 def _print_made(sink: Sink, manifest: Manifest, out: str, elapsed_s: float | None = None) -> None:
@@ -148,9 +128,7 @@ def _print_made(sink: Sink, manifest: Manifest, out: str, elapsed_s: float | Non
     from tactile_toolkit.store.parquet import read_report
 
     # The report that the figures come from is written at the end of a run.
-    summaries = (
-        summarise(manifest, read_report(DataFolder(str(out)), REPORT_FILE)) if manifest.complete else []
-    )
+    summaries = summarise(manifest, read_report(DataFolder(out), REPORT_FILE)) if manifest.complete else []
     rows = [
         (
             summary.split,

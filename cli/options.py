@@ -30,14 +30,17 @@ __all__ = [
     "TouchSet",
     "Work",
     "Workers",
-    "chosen_runner",
+    "is_count",
     "local_place",
+    "parse_size",
     "place_of_data",
     "process_count",
 ]
 
 
 _RUNNERS = ("processes", "ray")
+_LONGEST_COUNT = 18
+"""Digits of a count: more may not fit into 64 bits, and ``int`` itself fails from 4,301 digits on."""
 
 
 def local_place(text: str | Path) -> Path:
@@ -58,6 +61,22 @@ def local_place(text: str | Path) -> Path:
         return expanded(text)
     except InputError as error:
         raise typer.BadParameter(str(error)) from error
+
+
+def is_count(text: str) -> bool:
+    """Tell whether a text is a whole number of sensible length; a superscript is a digit, but no number."""
+    return text.isdecimal() and len(text) <= _LONGEST_COUNT
+
+
+def parse_size(text: str) -> tuple[int, int]:
+    """Read ``--size``, such as ``64x64``: width and height, pixels. Raises InputError."""
+    width, _, height = text.strip().lower().partition("x")
+    if not (is_count(width) and is_count(height)):
+        from tactile_toolkit.errors import InputError
+
+        message = f"--size is {text!r}; expected WIDTHxHEIGHT in pixels, such as 64x64"
+        raise InputError(message)
+    return int(width), int(height)
 
 
 def _runner_name(text: str) -> str:
@@ -167,17 +186,25 @@ class Work:
 
     def chosen_runner(self) -> int | Runner:
         """Return what makes the shards, as functions take it."""
-        if self.part is None and not self.finish:
-            return chosen_runner(self.runner, self.workers)
-        from tactile_toolkit.errors import InputError
-        from tactile_toolkit.run.parts import Finish, part_of
-
-        if self.part is None:
-            return Finish()
         if self.finish:
+            from tactile_toolkit.errors import InputError
+            from tactile_toolkit.run.parts import Finish
+
+            if self.part is None:
+                return Finish()
             message = "--part and --finish were both given; expected --finish when all parts have ended"
             raise InputError(message)
-        return part_of(self.part, chosen_runner(self.runner, self.workers))
+        runner: int | Runner = self.processes
+        name, _, address = self.runner.partition("=")
+        if name == "ray":
+            from tactile_toolkit.run.ray import RayRunner
+
+            runner = RayRunner(address or None, self.workers)
+        if self.part is None:
+            return runner
+        from tactile_toolkit.run.parts import part_of
+
+        return part_of(self.part, runner)
 
 
 @dataclass(frozen=True, slots=True)
@@ -190,13 +217,3 @@ class Making(Work):
 def process_count(workers: int) -> int:
     """Return what ``--workers`` asks for: 0 means one process per processor core."""
     return workers or os.cpu_count() or 1
-
-
-def chosen_runner(runner: str, workers: int) -> int | Runner:
-    """Return what ``--runner`` and ``--workers`` ask for, as functions take it."""
-    name, _, address = runner.partition("=")
-    if name == "processes":
-        return process_count(workers)
-    from tactile_toolkit.run.ray import RayRunner
-
-    return RayRunner(address or None, workers)

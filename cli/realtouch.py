@@ -15,7 +15,7 @@ from cli.options import Json, OneSplit, ReaderThreads, Revision, Split, TouchSet
 from cli.output import Sink, counted
 from cli.preview_commands import preview_touches
 from cli.touch_conversions import add_conversions
-from cli.touch_tables import announce_fetching, print_made, print_summary, raise_findings
+from cli.touch_tables import announce_fetching, print_converted, print_summary, raise_findings
 from realtouch.kind import KIND
 
 if TYPE_CHECKING:
@@ -73,7 +73,7 @@ def info(name: TouchSet, split: Split = None, revision: Revision = None, as_json
         print_unfinished(sink, manifest, name, "rounds", f"realtouch {manifest.spec['operation']}")
         return
     if manifest is not None and manifest.spec.get("operation") in ("frames", "export"):
-        print_made(sink, manifest, name)
+        print_converted(sink, manifest, name)
         return
     announce_fetching(sink, name, split)
     source = Source.open(name, revision, split)

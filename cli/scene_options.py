@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
+from cli.options import is_count
+
 if TYPE_CHECKING:
     from starstruck_gen.shapes import Shape
     from starstruck_gen.spec import SceneSpec
@@ -17,8 +19,6 @@ __all__ = ["SceneOptions", "split_sizes"]
 
 # Notches at half the radius, as published, are not notches any more between 3 tips.
 _FEWEST_POINTS, _RATIO_OF_FEWEST = 3, 0.25
-
-_LONGEST_COUNT = 18
 
 _BETWEEN_SHAPES = re.compile(r",(?![^(]*\))")  # a comma within brackets belongs to a shape
 
@@ -112,10 +112,10 @@ def _counts(option: str, text: str) -> tuple[int, ...]:
     from tactile_toolkit.errors import InputError
 
     least, dash, most = (part.strip() for part in text.partition("-"))
-    if dash and _is_count(least) and _is_count(most) and int(least) <= int(most) < 10_000:
+    if dash and is_count(least) and is_count(most) and int(least) <= int(most) < 10_000:
         return tuple(range(int(least), int(most) + 1))
     parts = [part.strip() for part in text.split(",")]
-    if all(_is_count(part) for part in parts):
+    if all(is_count(part) for part in parts):
         return tuple(int(part) for part in parts)
     message = f"{option} is {text!r}; expected a range such as 1-3, or numbers such as 1,2,5"
     raise InputError(message)
@@ -126,15 +126,10 @@ def _least_and_most(option: str, text: str) -> tuple[int, int]:
     from tactile_toolkit.errors import InputError
 
     parts = [part.strip() for part in (text.split("-") if "-" in text else text.split(","))]
-    if len(parts) > 2 or not all(_is_count(part) for part in parts):
+    if len(parts) > 2 or not all(is_count(part) for part in parts):
         message = f"{option} is {text!r}; expected the least and the most such as 0-5, or one number"
         raise InputError(message)
     return int(parts[0]), int(parts[-1])
-
-
-def _is_count(text: str) -> bool:
-    """Tell whether a text is a whole number of sensible length; a superscript is a digit, but no number."""
-    return text.isdecimal() and len(text) <= _LONGEST_COUNT
 
 
 def _lengths_m(option: str, text: str) -> tuple[float, ...]:
@@ -153,12 +148,12 @@ def split_sizes(text: str) -> tuple[tuple[str, int], ...]:
     from starstruck_gen.streams import SPLITS
     from tactile_toolkit.errors import InputError
 
-    if _is_count(text.strip()):
+    if is_count(text.strip()):
         return tuple((split, int(text)) for split in SPLITS)
     sizes = []
     for part in text.split(","):
         split, _, count = (piece.strip() for piece in part.partition("="))
-        if not _is_count(count):
+        if not is_count(count):
             message = f"--scenes has {part!r}; expected a number, or SPLIT=N such as train=3000,test=300"
             raise InputError(message)
         sizes.append((split, int(count)))

@@ -4,18 +4,19 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
+from functools import partial
 from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
 from cli.application import EXIT_FAILED, command, new_app, run
-from cli.copies import print_copy
+from cli.copies import manifest_or_copy
 from cli.export_commands import add_export
 from cli.folders import add_card, add_verify, least_to_most, print_made, print_spec
 from cli.gallery_commands import add_mesh_gallery
 from cli.hub_download import add_download
 from cli.hub_upload import add_upload
-from cli.making import make_with_progress, print_conclusion, print_forecast, print_part
+from cli.making import make_with_progress, print_conclusion, print_forecast
 from cli.options import Folder, Json, Limit, Making, Out, Seed, Workers, place_of_data, process_count
 from cli.output import Sink, bytes_text, counted
 from cli.preview_commands import preview_scenes
@@ -63,8 +64,6 @@ def generate(
     from starstruck_gen.generation import generate as make
     from starstruck_gen.streams import SPLITS
     from tactile_toolkit.run.limits import limit_threads
-    from tactile_toolkit.store.folder import DataFolder
-    from tactile_toolkit.store.manifest import manifest_so_far
 
     sizes = PUBLISHED_SIZES if scenes is None else split_sizes(scenes)
     spec = GenerateSpec(scene.spec(), sizes, seed, limit)
@@ -72,7 +71,7 @@ def generate(
     on_failure = trial_reporter(sink)
     if making.dry_run:
         view = forecast(
-            spec, str(out), splits, making.processes, overwrite=making.overwrite, on_failure=on_failure
+            spec, out, splits, making.processes, overwrite=making.overwrite, on_failure=on_failure
         )
         print_forecast(sink, KIND, view, out, making)
         return
@@ -80,26 +79,11 @@ def generate(
         # Outlines are measured by manifold3d: 5.9 s of processor time with one thread, 7.1 s with its own
         # ones. Circles do without it, and would only pay for the 0.1 s that the setting costs.
         limit_threads()
-    made = make_with_progress(
-        sink,
-        "making scenes",
-        "scenes",
-        lambda on_progress: make(
-            spec,
-            str(out),
-            splits,
-            workers=making.chosen_runner(),
-            overwrite=making.overwrite,
-            on_progress=on_progress,
-            on_failure=on_failure,
-        ),
-    )
-    if making.part is not None:
-        print_part(sink, KIND, made, out, making.part)
-        return
-    # Another split may be unfinished: what is finished of it stays and is shown, as `info` shows it.
-    _print_made(sink, manifest_so_far(DataFolder(str(out))) or made.manifest, out, made.elapsed_s)
-    print_conclusion(sink, KIND, made, out, splits)
+    make_scenes = partial(make, spec, out, splits, on_failure=on_failure)
+    made = make_with_progress(sink, "making scenes", KIND.nouns, make_scenes, making, out)
+    if made is not None:
+        _print_made(sink, made.manifest, out, made.elapsed_s)
+        print_conclusion(sink, KIND, made, out, splits)
 
 
 @command(app)
@@ -148,15 +132,11 @@ def validate(
 def info(folder: Folder, as_json: Json = False) -> None:
     """Show what a data set folder holds, how it was made, and how hard it was to place objects."""
     from starstruck_gen.summary import summarise
-    from tactile_toolkit.store.folder import DataFolder
-    from tactile_toolkit.store.manifest import manifest_so_far
 
-    manifest = manifest_so_far(DataFolder(str(folder)))
     sink = Sink(as_json)
+    manifest = manifest_or_copy(sink, KIND, folder)
     if manifest is None:
-        print_copy(sink, folder, KIND)
         return
-    KIND.refuse_other(manifest, str(folder))
     _print_made(sink, manifest, folder)
     for summary in summarise(manifest):
         counts = summary.acceptance

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
@@ -13,11 +14,11 @@ from cli.folders import add_card, add_verify, print_made, print_spec
 from cli.gallery_commands import add_touch_gallery
 from cli.hub_download import add_download
 from cli.hub_upload import add_upload
-from cli.making import make_with_progress, print_forecast, print_part
-from cli.options import Folder, Json, Limit, Making, Out, Seed, local_place
-from cli.output import Sink, bytes_text, counted, duration_text
+from cli.making import make_with_progress, print_forecast
+from cli.options import Folder, Json, Limit, Making, Out, Seed, local_place, parse_size
+from cli.output import Sink, bytes_text
 from cli.preview_commands import preview_touches
-from cli.tactile_sim_learning import add_learning, parse_size
+from cli.tactile_sim_learning import add_learning
 from tactile_sim.kind import KIND
 
 if TYPE_CHECKING:
@@ -123,7 +124,11 @@ class PictureOptions:
         from tactile_sim.generation import GenerateSpec, require_pictures
         from tactile_sim.noise import SensorNoise
         from tactile_sim.plan import TouchPlan
+        from tactile_toolkit.errors import InputError
 
+        if self.layer_mm != PictureOptions().layer_mm and self.surface != "printed":
+            message = "--layer-mm is about printed solids; next: add --surface printed"
+            raise InputError(message)
         if self.noise != "none":
             require_pictures(self.optics)  # before a package is asked for that would not help
         return GenerateSpec(
@@ -133,16 +138,11 @@ class PictureOptions:
             TouchPlan() if plan is None else plan,
             self.image_format,
             self.quality,
-            self.weights_name,
+            None if self.weights is None else str(self.weights),
             limit,
             self.layer_mm / 1000 if self.surface == "printed" else 0.0,
             SensorNoise.named(self.noise),
         )
-
-    @property
-    def weights_name(self) -> str | None:
-        """The file of weights, as a name."""
-        return None if self.weights is None else str(self.weights)
 
 
 @command(app)
@@ -173,34 +173,19 @@ def generate(
     spec = picture.spec(plan.plan(), limit)
     splits = None if split == "all" else (split,)
     if making.dry_run:
-        view = forecast(objects, spec, str(out), splits, making.processes, overwrite=making.overwrite)
+        view = forecast(objects, spec, out, splits, making.processes, overwrite=making.overwrite)
         print_forecast(sink, KIND, view, out, making)
         return
     prepare_batch_process()
     made = make_with_progress(
-        sink,
-        "rendering",
-        "rounds",
-        lambda on_progress: make(
-            objects,
-            spec,
-            str(out),
-            splits,
-            workers=making.chosen_runner(),
-            overwrite=making.overwrite,
-            on_progress=on_progress,
-        ),
+        sink, "rendering", KIND.nouns, partial(make, objects, spec, out, splits), making, out
     )
-    if making.part is not None:
-        print_part(sink, KIND, made, out, making.part)
+    if made is None:
         return
     _print_made(sink, made.manifest, out, made.elapsed_s)
-    done = f"made {counted(made.rows, 'rounds')} in {duration_text(made.elapsed_s)}"
-    sink.line(
-        f"{done if made.rows or made.skipped else 'nothing was left to make'}; the data set is in {out}"
-    )
+    sink.line(f"{made.text}; the data set is in {out}")
     first = next(iter(made.manifest.split_table()))
-    sink.line(f"next in Python: realtouch.load({str(out)!r}, split={first!r})")
+    sink.line(f"next in Python: {KIND.package}.load({out!r}, split={first!r})")
 
 
 @command(app)
@@ -208,9 +193,12 @@ def info(folder: Folder, as_json: Json = False) -> None:
     """Show what a data set folder holds and how it was made."""
     from tactile_toolkit.catalog.kinds import require_manifest
     from tactile_toolkit.store.folder import DataFolder
+    from tactile_toolkit.store.manifest import manifest_so_far
 
-    sink = Sink(as_json)
-    manifest = require_manifest(KIND, DataFolder(str(folder)))
+    sink, place = Sink(as_json), DataFolder(folder)
+    # Rows alone would not tell synthetic touches from recorded ones, so these folders have a manifest.
+    manifest = manifest_so_far(place) or require_manifest(KIND, place)
+    KIND.refuse_other(manifest, folder)
     _print_made(sink, manifest, folder)
     print_spec(sink, manifest, "spec")
 

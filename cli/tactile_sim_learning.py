@@ -2,32 +2,25 @@
 
 from __future__ import annotations
 
+import math
 import os
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
+from functools import partial
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
 import typer
 
 from cli.application import command
 from cli.folders import print_made
 from cli.making import make_with_progress
-from cli.options import LocalOut, Making, Out, Seed
+from cli.options import LocalOut, Making, Out, Seed, parse_size
 from cli.output import Sink, bytes_text, counted
 from tactile_sim.kind import KIND
 
-__all__ = ["add_learning", "parse_size"]
+__all__ = ["add_learning"]
 
 PairsFolder = Annotated[str, typer.Argument(metavar="PAIRS", help="Folder that `tactile-sim pairs` made.")]
-
-
-def parse_size(text: str) -> tuple[int, int]:
-    """Read a size such as ``64x64``: width and height, pixels."""
-    width, cross, height = text.partition("x")
-    if not (cross and width.isdecimal() and height.isdecimal()):
-        message = f"{text!r} is not a size; expected width and height in pixels, such as 64x64"
-        raise typer.BadParameter(message)
-    return int(width), int(height)
 
 
 @dataclass(frozen=True, slots=True)
@@ -141,21 +134,10 @@ def pairs(
         sink.line(f"would make {counted(2 * spec.count, 'rows')} in {out}; nothing was written")
         return
     prepare_batch_process()
-    made = make_with_progress(
-        sink,
-        "pressing and scaling",
-        "pictures",
-        lambda on_progress: make_pairs(
-            objects,
-            real,
-            split,
-            spec,
-            str(out),
-            workers=making.chosen_runner(),
-            overwrite=making.overwrite,
-            on_progress=on_progress,
-        ),
-    )
+    make = partial(make_pairs, objects, real, split, spec, out)
+    made = make_with_progress(sink, "pressing and scaling", "pictures", make, making, out)
+    if made is None:
+        return
     header = ("split", "rows", "objects left out", "Parquet")
     table = made.manifest.split_table()
     rows = [(name, held["rows"], held["skipped"], bytes_text(held["bytes"])) for name, held in table.items()]
@@ -191,8 +173,6 @@ def train(
     again.
     On several GPUs: torchrun --nproc-per-node 4 -m tactile_sim train pairs --out weights
     """
-    from dataclasses import asdict
-
     import tactile_sim.learned  # noqa: F401  (says what is missing)
     from tactile_sim.learned.config import TrainConfig
     from tactile_sim.learned.training import train as train_both
@@ -212,9 +192,9 @@ def train(
             tensorboard=tensorboard,
             on_progress=update,
         )
-    talks.document(
-        {"folder": done.folder, "steps": done.steps, "taken": done.taken, "losses": _plain(done.losses)}
-    )
+    # JSON has no NaN, which losses are where no step was left to take.
+    losses = {name: loss if math.isfinite(loss) else None for name, loss in done.losses.items()}
+    talks.document({"folder": done.folder, "steps": done.steps, "taken": done.taken, "losses": losses})
     talks.line(f"{counted(done.taken, 'steps')} taken, {done.steps:,} in all; the weights are in {out}")
     talks.line(f"next: tactile-sim evaluate {out} --pairs {pairs}")
 
@@ -256,8 +236,3 @@ def evaluate(
     sink.document(found.to_dict())
     sink.line(found.to_markdown())
     sink.line(f"table and pictures are in {out}")
-
-
-def _plain(losses: dict[str, float]) -> dict[str, Any]:
-    """Return losses as JSON has numbers."""
-    return {name: loss if loss == loss else None for name, loss in losses.items()}

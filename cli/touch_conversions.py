@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Callable
 from dataclasses import dataclass
 from enum import StrEnum
+from functools import partial
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
 from cli.application import command
-from cli.making import make_with_progress, print_part
+from cli.making import make_with_progress
 from cli.options import (
     Json,
     Limit,
@@ -20,10 +20,12 @@ from cli.options import (
     Split,
     TouchSet,
     Work,
+    is_count,
+    parse_size,
     place_of_data,
 )
 from cli.output import Sink
-from cli.touch_tables import announce_fetching, print_made
+from cli.touch_tables import announce_fetching, print_converted
 from realtouch.kind import KIND
 
 if TYPE_CHECKING:
@@ -93,26 +95,10 @@ class Converting(Work):
         """Say what will be fetched, convert with a progress bar, and say what was made."""
         sink = Sink(self.as_json, self.quiet)
         announce_fetching(sink, source, self.split)
-        made = make_with_progress(
-            sink,
-            "converting",
-            "rounds",
-            lambda on_progress: convert(
-                source,
-                out,
-                *values,
-                **options,
-                split=self.split,
-                limit=self.limit,
-                workers=self.chosen_runner(),
-                overwrite=self.overwrite,
-                on_progress=on_progress,
-            ),
-        )
-        if self.part is not None:
-            print_part(sink, KIND, made, out, self.part)
-            return
-        print_made(sink, made.manifest, out)
+        make = partial(convert, source, out, *values, **options, split=self.split, limit=self.limit)
+        made = make_with_progress(sink, "converting", KIND.nouns, make, self, out)
+        if made is not None:
+            print_converted(sink, made.manifest, out)
 
 
 def _column(words: str) -> Any:
@@ -149,14 +135,6 @@ class Columns:
             tuple(_listed(self.pose_columns)),
             self.split_column,
         )
-
-
-@dataclass(frozen=True, slots=True)
-class Working(Work):
-    """Options of an import."""
-
-    as_json: Json = False
-    quiet: Quiet = False
 
 
 def add_conversions(app: typer.Typer) -> None:
@@ -197,7 +175,7 @@ def resize(
     """
     from realtouch.convert.api import resize as convert
 
-    converting.run(convert, source, out, *_size(size), quality=quality)
+    converting.run(convert, source, out, *parse_size(size), quality=quality)
 
 
 def frames(
@@ -306,7 +284,8 @@ def import_touches(
         str | None, typer.Option(metavar="A,B", help="Names of the classes in order; those found by default.")
     ] = None,
     split: Annotated[str, typer.Option(metavar="NAME", help="Split, where no column says it.")] = "train",
-    working: Working,
+    work: Work,
+    sink: Sink,
 ) -> None:
     """Make a data set of touches of images and a table of labels and poses; images stay as they are.
 
@@ -316,42 +295,23 @@ def import_touches(
     """
     from realtouch.exchange.reading import import_images
 
-    sink = Sink(working.as_json, working.quiet)
-    made = make_with_progress(
-        sink,
-        "importing",
-        "touches",
-        lambda on_progress: import_images(
-            source,
-            out,
-            layout.value,
-            columns.chosen(),
-            table=table,
-            classes=_listed(classes),
-            split=split,
-            workers=working.chosen_runner(),
-            overwrite=working.overwrite,
-            on_progress=on_progress,
-        ),
+    make = partial(
+        import_images,
+        source,
+        out,
+        layout.value,
+        columns.chosen(),
+        table=table,
+        classes=_listed(classes),
+        split=split,
     )
-    if working.part is not None:
-        print_part(sink, KIND, made, out, working.part)
+    made = make_with_progress(sink, "importing", KIND.nouns, make, work, out, unit="touches")
+    if made is None:
         return
     skipped = [item for record in made.manifest.shards for item in record.skipped]
     for item in skipped[:_SKIPPED_SHOWN]:
         sink.talk(f"left out: {item.message} ({item.reason})")
-    print_made(sink, made.manifest, out, "touches")
-
-
-def _size(text: str) -> tuple[int, int]:
-    """Parse ``64x64``."""
-    from tactile_toolkit.errors import InputError
-
-    match = re.fullmatch(r"(\d{1,5})x(\d{1,5})", text.strip().lower())
-    if match is None:
-        message = f"--size is {text!r}; expected WIDTHxHEIGHT in pixels, such as 64x64"
-        raise InputError(message)
-    return int(match[1]), int(match[2])
+    print_converted(sink, made.manifest, out, "touches")
 
 
 def _listed(text: str | None) -> list[str]:
@@ -361,7 +321,7 @@ def _listed(text: str | None) -> list[str]:
 def _object_id(text: str) -> int:
     from tactile_toolkit.errors import InputError
 
-    if not text.isdecimal():
+    if not is_count(text):
         message = f"--objects has {text!r}; expected whole numbers, such as 12,408"
         raise InputError(message)
     return int(text)

@@ -12,13 +12,13 @@ if TYPE_CHECKING:
     from realtouch.summary import Summary
     from tactile_toolkit.store.manifest import Manifest
 
-__all__ = ["print_made", "print_summary", "raise_findings", "announce_fetching"]
+__all__ = ["announce_fetching", "print_converted", "print_summary", "raise_findings"]
 
 
-def print_made(sink: Sink, manifest: Manifest, out: str, nouns: str = "rounds") -> None:
+def print_converted(sink: Sink, manifest: Manifest, out: str, nouns: str = "rounds") -> None:
     """Print what a conversion wrote."""
     table = manifest.split_table()
-    sink.document({"folder": str(out), "splits": table, "spec": manifest.spec})
+    sink.document({"folder": out, "splits": table, "spec": manifest.spec})
     rows = [
         (split, e["rows"], e["shards"], bytes_text(e["bytes"]), e["skipped"]) for split, e in table.items()
     ]

@@ -18,16 +18,18 @@ name, shards, marker = sys.argv[1], int(sys.argv[2]), Path(sys.argv[3])
 module = importlib.import_module(f"cli.{name}")
 make_with_progress = module.make_with_progress
 
-def held(sink, what, unit, make):
+def held(sink, what, nouns, make, *others):
     finished = []
-    def hold(on_progress, progress):
-        on_progress(progress)
-        finished.extend([progress] * (progress.record is not None))
-        if len(finished) == shards:
-            marker.touch()
-            while True:
-                time.sleep(60)
-    return make_with_progress(sink, what, unit, lambda told: make(lambda progress: hold(told, progress)))
+    def stand_still(on_progress, **options):
+        def hold(progress):
+            on_progress(progress)
+            finished.extend([progress] * (progress.record is not None))
+            if len(finished) == shards:
+                marker.touch()
+                while True:
+                    time.sleep(60)
+        return make(on_progress=hold, **options)
+    return make_with_progress(sink, what, nouns, stand_still, *others)
 
 module.make_with_progress = held
 sys.argv = [name, *sys.argv[4:]]

@@ -154,6 +154,7 @@ def write(mesh, path: Path) -> None:
         (("generate", "--half-thickness-mm", "50"), 2, ("error: --half-thickness-mm", "0.2 to 20 mm")),
         (("generate", "--split-sizes", "train"), 2, ("--split-sizes has 'train'", "train=8,test=2")),
         (("generate", "--split-sizes", "train=1,train=2"), 2, ("once per split",)),
+        (("generate", "--split-sizes", f"train={'9' * 5_000}"), 2, ("--split-sizes has 'train=99",)),
         (("generate", "--split-sizes", "validation=3"), 2, ("unknown split 'validation'",)),
         (("generate", "--split-sizes", "train=9999"), 2, ("9999 digits per class", "1358")),
         (("generate", "--half-thickness-mm", "-1"), 2, ("error: --half-thickness-mm",)),

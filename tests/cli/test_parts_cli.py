@@ -96,7 +96,9 @@ def test_what_is_said_of_a_run_that_was_stopped_before_its_first_shard(tmp_path)
     process.send_signal(signal.SIGINT)
     _, talked = process.communicate()
     assert process.returncode == 130
-    assert talked == b"interrupted before a shard was finished: none is kept, the same command starts again\n"
+    assert talked == (
+        b"interrupted before this run finished a shard: it leaves nothing, the same command starts again\n"
+    )
     assert not (tmp_path / "scenes").exists()
 
 

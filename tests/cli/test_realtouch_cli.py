@@ -200,6 +200,8 @@ def test_preview_writes_a_picture(clips, tmp_path, capsys):
         (("load", "{images}", "--split", "holdout"), "no split 'holdout'"),
         (("resize", "{images}", "{out}", "--size", "64"), "expected WIDTHxHEIGHT"),
         (("resize", "{images}", "{out}", "--size", "0x9"), "expected at least 1 x 1"),
+        (("resize", "{images}", "{out}", "--size", f"9x{'9' * 5_000}"), "expected WIDTHxHEIGHT"),
+        (("select", "{images}", "{out}", "--objects", "9" * 5_000), "expected whole numbers"),
         (("frames", "{images}", "{out}", "--png", "--jpeg"), "expected one of them"),
         (("select", "{images}", "{out}", "--labels", "cat"), "no class 'cat'"),
         (("select", "{images}", "{out}", "--objects", "x"), "expected whole numbers"),

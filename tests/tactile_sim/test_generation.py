@@ -256,10 +256,10 @@ def test_the_command_line_makes_shows_and_checks_a_set(scenes, tmp_path):
         "1",
         "--touches",
         "3",
-        "--out",
-        out,
         "-w",
         "1",
+        "--out",
+        out,
     ]
 
     def call(*arguments: str) -> str:
@@ -268,6 +268,15 @@ def test_the_command_line_makes_shows_and_checks_a_set(scenes, tmp_path):
         return result.output
 
     assert "would make 3 rounds" in call(*command, "--optics", "depth", "--dry-run")
+    assert "made 3 rounds" in call(*command, "--optics", "depth", "--part", "0/2")
+    unfinished = call("info", out)
+    assert "it is made in 2 parts, --finish says which are missing" in unfinished
+    assert "1 of 1" in unfinished
+    assert "nothing was left to make; part 1/2" in call(*command, "--optics", "depth", "--part", "1/2")
+    assert "nothing was left to make" in call(*command, "--optics", "depth", "--finish")
+    assert "all as manifest.json says" in call("verify", out)
+    assert CliRunner().invoke(app, ["info", scenes]).exit_code == 2
+    command[-1] = out = str(tmp_path / "again")
     assert "made 3 rounds" in call(*command, "--optics", "depth")
     assert "nothing was left to make" in call(*command, "--optics", "depth")
     assert "options.optics = depth" in call("info", out)
@@ -281,23 +290,16 @@ def test_one_look_at_a_mesh_file(tmp_path):
 
     block((0.02, 0.006, 0.004)).apply_scale(1000).export(tmp_path / "part.stl")
     out = tmp_path / "touch.png"
-    command = [
-        "render",
-        str(tmp_path / "part.stl"),
-        "--at",
-        "0.002,0",
-        "--turn",
-        "0.3",
-        "--optics",
-        "depth",
-        "--size",
-    ]
+    place = ("--at", "0.002,0", "--turn", "0.3")
+    command = ["render", str(tmp_path / "part.stl"), *place, "--optics", "depth", "--size"]
     result = CliRunner().invoke(app, [*command, "80x60", "--out", str(out)])
     assert result.exit_code == 0, result.output
     assert "stops 6.125 mm above the plate" in result.output
     assert decode_image(out.read_bytes()).shape == (60, 80, 3)
-    for wrong in ("80", "axb", "0x10"):
+    for wrong in ("80", "axb", "0x10", f"9x{'9' * 5_000}"):
         assert CliRunner().invoke(app, [*command, wrong, "--out", str(out)]).exit_code == 2
+    refused = CliRunner().invoke(app, [*command, "80x60", "--out", str(out), "--layer-mm", "0.3"])
+    assert (refused.exit_code, "next: add --surface printed" in refused.stderr) == (2, True)
 
 
 @pytest.mark.parametrize(

@@ -313,12 +313,15 @@ def test_the_chain_from_the_command_line(sources, pairs, trained, tmp_path, monk
 
     run = CliRunner()
     # A folder of another specification would be refused: the options mean what `SPEC` says.
-    made = run.invoke(
-        app,
-        ["pairs", sources[0], "--real", sources[1], "--size", "32x32", "--count", "60",
-         "--without-contact", "0.2", "--like", "environment", "--out", pairs, "-w", "1"],
-    )  # fmt: skip
+    words = [
+        "pairs", sources[0], "--real", sources[1], "--size", "32x32", "--count", "60",
+        "--without-contact", "0.2", "--like", "environment", "-w", "1", "--out",
+    ]  # fmt: skip
+    made = run.invoke(app, [*words, pairs])
     assert made.exit_code == 0, made.output
+    part = run.invoke(app, [*words, str(tmp_path / "parts"), "--part", "0/1"])
+    assert "pictures in" in part.output
+    assert "tactile-sim train" not in part.output, "there is nothing to train with before --finish"
     monkeypatch.setattr("tactile_sim.learned.evaluation._READER_STEPS", 60)
     verified = run.invoke(app, ["verify", pairs])
     assert verified.exit_code == 0, verified.output
