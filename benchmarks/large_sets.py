@@ -27,6 +27,7 @@ SHARDS = 50_000
 GROUPS = (200, 2_000, 20_000)
 GROUPS_OF_SHARD = 100
 ROWS = 10**8
+REPORT_ROWS, REPORTS = 3 * 10**6, 1_500
 SCENES = 10**9
 
 Measure = Callable[[Path], dict[str, float]]
@@ -186,6 +187,64 @@ def random_access(folder: Path) -> dict[str, float]:
     return figures
 
 
+def fabricate_reports(folder: Path, rows: int, shards: int) -> None:
+    """Write the printability reports of so many finished shards, as they lie before they are merged."""
+    import numpy as np
+    import pyarrow as pa
+
+    from mnist3d.rows import report_table
+    from tactile_toolkit.store.parquet import REPORT_STYLE, encode_parquet
+    from tactile_toolkit.store.shards import ShardName
+
+    rng = np.random.default_rng(1)
+    each = rows // shards
+    for index in range(shards):
+        shard = ShardName("train", index, shards)
+        values = {
+            pa.string(): lambda: rng.choice(["ok", "not"], each),
+            pa.int64(): lambda: rng.integers(1, 9, each),
+            pa.float64(): lambda: rng.normal(1000, 100, each),
+            pa.bool_(): lambda: rng.random(each) < 0.5,
+            pa.list_(pa.string()): lambda: [["thin_wall"] * int(few) for few in rng.random(each) < 0.3],
+        }
+        given = {"split": [shard.split] * each, "shard": [str(shard)] * each}
+        schema = report_table(shard, [], []).schema
+        columns = [pa.array(given.get(field.name, values[field.type]()), field.type) for field in schema]
+        path = folder / shard.report_path
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_bytes(encode_parquet(pa.Table.from_arrays(columns, schema=schema), REPORT_STYLE))
+
+
+def merging(folder: Path) -> dict[str, float]:
+    """The report of a set, merged from those of its shards, and what the card says of it."""
+    import pyarrow.parquet  # noqa: F401
+
+    from mnist3d.rows import REPORT_FILE
+    from mnist3d.summary import summarise
+    from tactile_toolkit.store.folder import DataFolder
+    from tactile_toolkit.store.manifest import Manifest
+    from tactile_toolkit.store.reports import merge_reports
+    from tactile_toolkit.store.shards import ShardName, ShardRecord
+
+    where, names = DataFolder(str(folder)), [ShardName("train", i, REPORTS) for i in range(REPORTS)]
+    each, digest = REPORT_ROWS // REPORTS, "0" * 64
+    records = [ShardRecord(name, each, 1, digest, digest, (), None, 1) for name in names]
+    manifest = Manifest("mnist3d", "0", {}, ("train",), tuple(records))
+    before_mb, start_s = peak_mb(), time.process_time()
+    merge_reports(where, REPORT_FILE, manifest)
+    merged_mb, merged_s = peak_mb(), time.process_time() - start_s
+    (summary,) = summarise(where, manifest)
+    assert sum(summary.per_class) == REPORT_ROWS
+    card_s = time.process_time() - start_s - merged_s
+    return {
+        "s of the processor": merged_s,
+        "for the card": card_s,
+        "MB before": before_mb,
+        "MB": merged_mb,
+        "MB with card": peak_mb(),
+    }
+
+
 def planning_digits(_: Path) -> dict[str, float]:
     from mnist3d.generation import GenerateSpec, plan_build
     from mnist3d.sources.synthetic import SyntheticSource
@@ -212,6 +271,7 @@ for count in GROUPS:
     measure(
         random_access, f"random_access_{count}", f"groups-{count}", partial(fabricate_groups, groups=count)
     )
+measure(merging, "merging", "reports", partial(fabricate_reports, rows=REPORT_ROWS, shards=REPORTS))
 for function in (planning_digits, planning_scenes):
     measure(function, function.__name__, "nothing", Path.mkdir)
 

@@ -123,12 +123,11 @@ def info(folder: Folder, as_json: Json = False) -> None:
 
 
 def _print_made(sink: Sink, manifest: Manifest, out: str, elapsed_s: float | None = None) -> None:
-    from mnist3d.rows import REPORT_FILE, summarise
+    from mnist3d.summary import summarise
     from tactile_toolkit.store.folder import DataFolder
-    from tactile_toolkit.store.parquet import read_report
 
     # The report that the figures come from is written at the end of a run.
-    summaries = summarise(manifest, read_report(DataFolder(out), REPORT_FILE)) if manifest.complete else []
+    summaries = summarise(DataFolder(out), manifest) if manifest.complete else []
     rows = [
         (
             summary.split,

@@ -8,7 +8,8 @@ from itertools import islice
 from typing import Any
 
 from mnist3d.kind import KIND
-from mnist3d.rows import CLASS_NAMES, REPORT_FILE, SplitSummary, mesh_schema, summarise
+from mnist3d.rows import CLASS_NAMES, REPORT_FILE, mesh_schema
+from mnist3d.summary import SplitSummary, summarise
 from tactile_toolkit.cards.card import (
     HWD_PLUS,
     MESH_COLUMNS,
@@ -33,7 +34,7 @@ from tactile_toolkit.pictures.writing import png_bytes
 from tactile_toolkit.read.dataset import Row
 from tactile_toolkit.store.folder import DataFolder
 from tactile_toolkit.store.manifest import Manifest
-from tactile_toolkit.store.parquet import read_report
+from tactile_toolkit.store.reports import report_columns
 
 __all__ = ["COLUMNS", "SourceWords", "words_of", "write_card"]
 
@@ -50,16 +51,13 @@ _PITCH_M = 0.0004
 _ROWS_SEEN = 200
 
 
-def write_card(folder: DataFolder, manifest: Manifest, report: Any = None) -> None:
+def write_card(folder: DataFolder, manifest: Manifest) -> None:
     """Write ``README.md`` of a data set folder and the picture that it shows.
 
-    A run that has just ended gives its printability ``report``, an Arrow table; it is read otherwise. Raises
-    IntegrityError when a shard or the report is missing or damaged.
+    Raises IntegrityError when a shard or the printability report is missing or damaged.
     """
-    if report is None:
-        report = read_report(folder, REPORT_FILE)
     facts = recorded_facts(folder, manifest, mesh_schema())
-    summaries = summarise(manifest, report)
+    summaries = summarise(folder, manifest)
     spec = manifest.spec
     words = words_of(str(spec["source"]["name"]))
     profile, solid = spec["print_profile"], spec["solid"]
@@ -77,7 +75,7 @@ def write_card(folder: DataFolder, manifest: Manifest, report: Any = None) -> No
         "split_table": _split_table(summaries, facts),
         "field_table": field_table(facts, COLUMNS),
         "print_table": _print_table(summaries),
-        "report_columns": ", ".join(f"`{name}`" for name in report.schema.names),
+        "report_columns": ", ".join(f"`{name}`" for name in report_columns(folder, REPORT_FILE)),
         "nozzle_mm": f"{profile['nozzle_mm']:g}",
         "min_wall_mm": f"{profile['min_wall_mm']:g}",
         "overhang_deg": f"{profile['overhang_deg']:g}",

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from mnist3d.dataset import MeshDataset, MeshRecord
 from mnist3d.kind import KIND
@@ -19,7 +20,7 @@ from tactile_toolkit.mesh.mesh import MM_PER_M, Mesh
 from tactile_toolkit.mesh.printability import WARNINGS, inspect
 from tactile_toolkit.pictures.relief import relief
 from tactile_toolkit.store.folder import DataFolder
-from tactile_toolkit.store.parquet import read_report
+from tactile_toolkit.store.reports import report_columns, report_pieces
 from tactile_toolkit.wording import class_name
 
 __all__ = ["plan_gallery"]
@@ -49,18 +50,30 @@ _MEASURES = (
 
 def plan_gallery(choice: Choice) -> Gallery:
     """Say what a gallery of digits shows; see :func:`~tactile_toolkit.gallery.items.gallery_of_meshes`."""
-    # What the data set's own report says of each digit; nothing where it has none.
-    reports: dict[tuple[str, int], Mapping[str, Any]] = {}
-    if Path(choice.name).expanduser().is_dir() and (folder := DataFolder(choice.name)).exists(REPORT_FILE):
-        table = read_report(folder, REPORT_FILE)
-        wanted = [measure.name for measure in _MEASURES] + ["split", "id", "bodies", "warnings"]
-        rows = table.select([column for column in wanted if column in table.column_names]).to_pylist()
-        reports = {(row["split"], row["id"]): row for row in rows}
+    # What the data set's own report says of each digit that is shown; nothing where it has none.
+    is_folder = Path(choice.name).expanduser().is_dir()
+    has_report = is_folder and DataFolder(choice.name).exists(REPORT_FILE)
 
     def known(rows: MeshDataset, split: str) -> list[Mapping[str, Any] | None]:
-        return [reports.get((split, int(number))) for number in rows.ids]
+        reports = _reported(DataFolder(choice.name), split, rows.ids) if has_report else {}
+        return [reports.get(int(number)) for number in rows.ids]
 
     return gallery_of_meshes(KIND, choice, "3D digits", _FACETS, _MEASURES, _item, _ROWS_PER_TASK, known)
+
+
+def _reported(folder: DataFolder, split: str, ids: NDArray[np.int64]) -> dict[int, Mapping[str, Any]]:
+    """Return the rows of some digits of a split in the report of printability, by id."""
+    import pyarrow as pa
+    import pyarrow.compute as pc
+
+    wanted = {*(measure.name for measure in _MEASURES), "split", "id", "bodies", "warnings"}
+    columns = [name for name in report_columns(folder, REPORT_FILE) if name in wanted]
+    values = pa.array(ids)
+    found: dict[int, Mapping[str, Any]] = {}
+    for piece in report_pieces(folder, REPORT_FILE, columns):
+        chosen = pc.and_(pc.equal(piece["split"], split), pc.is_in(piece["id"], values))
+        found |= {row["id"]: row for row in piece.filter(chosen).to_pylist()}
+    return found
 
 
 def _item(record: MeshRecord, split: str, names: tuple[str, ...], report: Mapping[str, Any] | None) -> Item:

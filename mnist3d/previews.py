@@ -32,7 +32,7 @@ from tactile_toolkit.pictures.render import TOP, Body, Picture3d, Renderer, fitt
 from tactile_toolkit.pictures.sheets import Tile, with_scale_bar
 from tactile_toolkit.pictures.writing import Drawing, PicturePlan, PlannedPicture, chosen_kinds, file_stem
 from tactile_toolkit.store.folder import DataFolder
-from tactile_toolkit.store.parquet import read_report
+from tactile_toolkit.store.reports import read_report
 from tactile_toolkit.wording import class_name, counted
 
 if TYPE_CHECKING:
@@ -216,10 +216,12 @@ def object_facts(mesh: Mesh) -> tuple[str, ...]:
 
 
 def report_rows(folder: DataFolder, splits: Sequence[str]) -> dict[str, Any]:
-    """Read the rows of some splits in the report of printability, as Arrow tables by split."""
-    report = read_report(folder, REPORT_FILE)
-    of_row = np.asarray(report["split"].to_pylist())
-    return {split: report.filter(of_row == split) for split in splits}
+    """Read what is drawn of some splits of the report of printability, as Arrow tables by split."""
+    import pyarrow.compute as pc
+
+    columns = ["split", "id", "size_z_mm", "volume_mm3", "vertices", "thinnest_wall_mm"]
+    report = read_report(folder, REPORT_FILE, columns)
+    return {split: report.filter(pc.equal(report["split"], split)) for split in splits}
 
 
 def draw_distributions(tables: dict[str, Any], least_wall_mm: float | None, title: str) -> Drawing:

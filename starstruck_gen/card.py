@@ -59,7 +59,7 @@ COLUMNS = {
 }
 
 
-def write_card(folder: DataFolder, manifest: Manifest, _report: object = None) -> None:
+def write_card(folder: DataFolder, manifest: Manifest) -> None:
     """Write ``README.md`` of a data set folder and the picture that it shows; scenes have no report.
 
     Raises IntegrityError when a shard is missing or damaged.

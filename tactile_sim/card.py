@@ -58,7 +58,7 @@ _OPTICS = {
 }
 
 
-def write_card(folder: DataFolder, manifest: Manifest, _report: object = None) -> None:
+def write_card(folder: DataFolder, manifest: Manifest) -> None:
     """Write ``README.md`` of a data set folder and the picture that it shows.
 
     Raises IntegrityError when a shard is missing or damaged.

@@ -338,7 +338,7 @@ def convert(
         runner_for(workers),
         overwrite=overwrite,
         on_progress=on_progress,
-        write_card=lambda folder, manifest, _report: write_card(folder, manifest, card),
+        write_card=lambda folder, manifest: write_card(folder, manifest, card),
     )
 
 

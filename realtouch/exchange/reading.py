@@ -132,7 +132,7 @@ def import_images(
         runner_for(workers),
         overwrite=overwrite,
         on_progress=on_progress,
-        write_card=lambda folder, manifest, _report: write_card(folder, manifest, "single"),
+        write_card=lambda folder, manifest: write_card(folder, manifest, "single"),
     )
 
 

@@ -6,14 +6,11 @@ behaviour: interrupted work goes on, finished work is never made twice, another 
 
 from __future__ import annotations
 
-import contextlib
 import math
 import time
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import chain
-from pathlib import PurePosixPath
-from typing import Any
 
 from tactile_toolkit.errors import InputError, IntegrityError, StorageError
 from tactile_toolkit.run.parts import Finish, Part
@@ -32,8 +29,6 @@ from tactile_toolkit.store.parquet import (
     REPORT_STYLE,
     ParquetStyle,
     encode_parquet,
-    file_sha256,
-    read_report,
     sha256_hex,
     unpacked_bytes,
     write_parquet,
@@ -55,6 +50,7 @@ from tactile_toolkit.store.plan import (
     refuse_other_parts,
 )
 from tactile_toolkit.store.replace import FolderBefore, FormerSet, recover, refuse_unrecovered
+from tactile_toolkit.store.reports import merge_reports
 from tactile_toolkit.store.shards import DAMAGED, DATA_FOLDER, PENDING_FOLDER, ShardRecord, Skipped
 from tactile_toolkit.store.small_columns import write_small_columns
 from tactile_toolkit.wording import counted
@@ -65,8 +61,8 @@ _CAUSES_SHOWN = 3
 _APPEARS_S = 30.0
 """How long a file may take to show on another machine; network file systems keep listings that long."""
 
-WriteCard = Callable[[DataFolder, Manifest, Any], None]
-"""Writes the card of a finished folder; the last argument is the merged report, or None without one."""
+WriteCard = Callable[[DataFolder, Manifest], None]
+"""Writes the card of a finished folder, whose report is there by then."""
 
 
 @dataclass(frozen=True)
@@ -339,10 +335,9 @@ def _conclude(
         manifest = replace(manifest, shards=there.shards, files=there.files)
     manifest = manifest.with_shards(records)
     files = dict(manifest.files or {})
-    report = None
     if plan.report_file is not None:
-        report, checksum = _merge_reports(folder, plan.report_file, manifest)
-        files |= {plan.report_file: checksum} if report is not None else {}
+        checksum = merge_reports(folder, plan.report_file, manifest)
+        files |= {plan.report_file: checksum} if checksum is not None else {}
     files |= write_small_columns(folder, manifest)
     files |= plan.write_files(folder, manifest)
     # Shards of a split that another run began stay its own until that run is given again.
@@ -350,7 +345,7 @@ def _conclude(
     parts_left = agreed is not None and not agreed.is_covered_by(record.shard for record in manifest.shards)
     finished = replace(manifest, files=files, complete=not begun and not parts_left)
     if write_card is not None:
-        write_card(folder, finished, report)
+        write_card(folder, finished)
     # A run that had nothing to do leaves the file as it is, with its time.
     if read_manifest(folder) != finished:
         write_manifest(folder, finished)
@@ -417,47 +412,3 @@ def _require_rows(records: Sequence[ShardRecord]) -> None:
         f"{causes}; next: mend the source, or choose another one"
     )
     raise (IntegrityError if set(first) == {DAMAGED} else InputError)(message)
-
-
-def _merge_reports(folder: DataFolder, path: str, manifest: Manifest) -> tuple[Any, str]:
-    """Write one report over all shards of the manifest and return it with its checksum.
-
-    Rows of shards finished in an earlier run come from the report that run wrote; the order is always that
-    of the manifest, so the bytes do not depend on the order of the work.
-    """
-    import pyarrow as pa
-
-    if not any(record.report_sha256 for record in manifest.shards):
-        return None, ""
-    rows = _ReportRows(folder, path)
-    found = (rows.of(record) for record in manifest.shards if record.report_sha256)
-    report = pa.concat_tables([table for table in found if table is not None])
-    content = encode_parquet(report, REPORT_STYLE)
-    checksum = sha256_hex(content)
-    if not folder.exists(path) or file_sha256(folder, path) != checksum:
-        folder.write_bytes(path, content)
-    return report, checksum
-
-
-class _ReportRows:
-    """Report rows of shards: in pending files of their own, or in the report of a run that has ended."""
-
-    def __init__(self, folder: DataFolder, path: str) -> None:
-        self._folder, self._path = folder, path
-        self._pending = set(folder.names(PENDING_FOLDER))
-        self._merged: Any = None
-
-    def of(self, record: ShardRecord) -> Any:
-        """Return the rows of a shard, None for one without. Raises IntegrityError where they are nowhere."""
-        import pyarrow.compute as pc
-
-        if PurePosixPath(record.shard.report_path).name in self._pending:
-            # It goes where another run of the same ends at this moment; then that one has merged it.
-            with contextlib.suppress(IntegrityError):
-                return read_report(self._folder, record.shard.report_path)
-        if not record.rows:
-            return None
-        if self._merged is None:
-            # The rows of a damaged one are in pending reports again, see inspect_folder.
-            self._merged = read_report(self._folder, self._path)
-        return self._merged.filter(pc.equal(self._merged["shard"], str(record.shard)))

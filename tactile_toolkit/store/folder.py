@@ -13,6 +13,7 @@ import os
 import re
 import shutil
 import stat
+import tempfile
 import uuid
 from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -429,6 +430,22 @@ class DataFolder:
             return
         with named_failures(self.address(path)), atomic_file(Path(self.address(path))) as stream:
             stream.write(content)
+
+    @contextlib.contextmanager
+    def writing(self, path: str) -> Iterator[IO[bytes]]:
+        """Open a file to be written in pieces, which appears whole when all is written, or never.
+
+        What goes to a store is put together in ``$TMPDIR`` first. Raises as :meth:`write_bytes`.
+        """
+        if self.is_local:
+            with named_failures(self.address(path)), atomic_file(Path(self.address(path))) as stream:
+                yield stream
+            return
+        with tempfile.TemporaryDirectory() as scratch:
+            file = Path(scratch) / "file"
+            with named_failures(str(file)), file.open("wb") as stream:
+                yield stream
+            self.copy_in(path, file)
 
     def copy_in(self, path: str, source: Path) -> None:
         """Write a whole file of another place of this machine, as :meth:`write_bytes` does, in pieces."""

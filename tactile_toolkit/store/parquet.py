@@ -8,8 +8,9 @@ import io
 import re
 import struct
 import zlib
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
+from itertools import chain
 from pathlib import Path
 from typing import IO, Any
 
@@ -26,8 +27,8 @@ __all__ = [
     "named_damage",
     "open_checked",
     "open_parquet",
-    "read_report",
     "sha256_hex",
+    "stream_parquet",
     "unpacked_bytes",
     "write_parquet",
 ]
@@ -61,17 +62,59 @@ REPORT_STYLE = ParquetStyle(rows_per_group=1 << 16)
 
 def write_parquet(table: Any, style: ParquetStyle) -> tuple[bytes, Any]:
     """Encode an Arrow table as a Parquet file and return its bytes and footer; equal tables, equal bytes."""
+    stream = io.BytesIO()
+    footer = _write(stream.write, table.schema, [table], style)
+    return stream.getvalue(), footer
+
+
+def encode_parquet(table: Any, style: ParquetStyle) -> bytes:
+    """Encode an Arrow table as the bytes of a Parquet file."""
+    return write_parquet(table, style)[0]
+
+
+def stream_parquet(stream: IO[bytes], tables: Iterable[Any], style: ParquetStyle) -> str:
+    """Write tables, one after another, as the bytes that :func:`encode_parquet` gives of all of them at once.
+
+    Only a row group is held at a time. Returns the SHA-256 of what was written.
+    """
+    digest = hashlib.sha256()
+
+    def write(content: Any) -> None:
+        digest.update(content)
+        stream.write(content)
+
+    groups = _whole_groups(tables, style.rows_per_group)
+    first = next(groups)
+    _write(write, first.schema, chain([first], groups), style)
+    return digest.hexdigest()
+
+
+def _whole_groups(tables: Iterable[Any], rows: int) -> Iterator[Any]:
+    """Yield tables of so many rows each, the last of fewer."""
+    import pyarrow as pa
+
+    held: list[Any] = []
+    for table in tables:
+        held.append(table)
+        while sum(map(len, held)) > rows:
+            whole = pa.concat_tables(held)
+            yield whole.slice(0, rows)
+            held = [whole.slice(rows)]
+    yield pa.concat_tables(held)
+
+
+def _write(write: Callable[[bytes], object], schema: Any, groups: Iterable[Any], style: ParquetStyle) -> Any:
+    """Write tables of whole row groups as one file, forward only; return its footer."""
     import pyarrow.parquet as pq
 
     encodings = dict(style.encodings)
     # pyarrow takes columns with a dictionary by their paths in the file.
-    others = [path for path, _ in _leaves(table.schema) if path not in encodings] if encodings else True
-    stream = io.BytesIO()
+    others = [path for path, _ in _leaves(schema) if path not in encodings] if encodings else True
+    sink = _Sink(write)
     footers: list[Any] = []
-    pq.write_table(
-        table,
-        stream,
-        row_group_size=style.rows_per_group,
+    with pq.ParquetWriter(
+        sink,
+        schema,
         compression=style.compression,
         compression_level=style.compression_level,
         use_dictionary=others,
@@ -80,16 +123,42 @@ def write_parquet(table: Any, style: ParquetStyle) -> tuple[bytes, Any]:
         data_page_size=1 << 20,
         write_page_checksum=True,
         metadata_collector=footers,
-    )
-    content = stream.getvalue()
-    start = len(content) - _TAIL.size - _TAIL.unpack_from(content, len(content) - _TAIL.size)[0]
-    checksum = _FOOTER_CHECKSUM.pack(_FOOTER_MARK, zlib.crc32(memoryview(content)[start : -_TAIL.size]))
-    return b"".join((content[:start], checksum, content[start:])), footers[0]
+    ) as writer:
+        for table in groups:
+            writer.write_table(table, row_group_size=style.rows_per_group)
+        sink.hold()
+    sink.finish()
+    return footers[0]
 
 
-def encode_parquet(table: Any, style: ParquetStyle) -> bytes:
-    """Encode an Arrow table as the bytes of a Parquet file."""
-    return write_parquet(table, style)[0]
+class _Sink(io.RawIOBase):
+    """Passes on what is written, and puts the checksum of the footer before the footer."""
+
+    def __init__(self, write: Callable[[bytes], object]) -> None:
+        super().__init__()
+        self._write, self._tail = write, bytearray()
+        self._holds = False
+
+    def writable(self) -> bool:
+        return True
+
+    def write(self, content: Any) -> int:
+        if self._holds:
+            self._tail += content
+        else:
+            self._write(content)
+        return len(content)
+
+    def hold(self) -> None:
+        """Keep back what is written from here on, the footer with it."""
+        self._holds = True
+
+    def finish(self) -> None:
+        """Write what was kept back."""
+        tail = bytes(self._tail)
+        start = len(tail) - _TAIL.size - _TAIL.unpack_from(tail, len(tail) - _TAIL.size)[0]
+        checksum = _FOOTER_CHECKSUM.pack(_FOOTER_MARK, zlib.crc32(memoryview(tail)[start : -_TAIL.size]))
+        self._write(b"".join((tail[:start], checksum, tail[start:])))
 
 
 @contextlib.contextmanager
@@ -180,13 +249,6 @@ def has_page_checksums(folder: DataFolder, path: str) -> bool:
 _CHECKED_PAGE = re.compile(rb"(?:\x15[\x80-\xff]*[\x00-\x7f]){4}", re.DOTALL)
 """How the head of a page with a checksum begins: four whole numbers (type, two sizes, the checksum), each
 after the mark of a field that follows on the one before it (Thrift's compact protocol)."""
-
-
-def read_report(folder: DataFolder, path: str) -> Any:
-    """Read a report as an Arrow table; IntegrityError when the file is missing or damaged."""
-    with named_damage(folder.address(path)):
-        # pq.read_table would start threads, see open_parquet.
-        return open_parquet(folder, path).read(use_threads=False)
 
 
 def sha256_hex(content: bytes) -> str:

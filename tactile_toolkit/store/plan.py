@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 from collections import Counter
 from collections.abc import Callable, Collection, Mapping, Sequence
@@ -11,8 +12,9 @@ from typing import Any, Protocol
 from tactile_toolkit.errors import InputError, IntegrityError, SpecMismatchError
 from tactile_toolkit.store.folder import DataFolder
 from tactile_toolkit.store.manifest import MANIFEST_FILE, Manifest, pending_records, read_manifest
-from tactile_toolkit.store.parquet import ParquetStyle, file_sha256, read_report, sha256_hex
+from tactile_toolkit.store.parquet import ParquetStyle, file_sha256, sha256_hex
 from tactile_toolkit.store.parts import PartsPlan, read_parts_plan
+from tactile_toolkit.store.reports import report_shards
 from tactile_toolkit.store.shards import DATA_FOLDER, PENDING_FOLDER, ShardName, ShardRecord, Skipped
 from tactile_toolkit.versions import library_versions, toolkit_version
 
@@ -326,11 +328,8 @@ def _report_check(
         is_merged = folder.exists(str(plan.report_file))
         return lambda _: is_merged
     if plan.report_file is not None and folder.exists(plan.report_file):
-        try:
-            counts = read_report(folder, plan.report_file)["shard"].value_counts()
-            merged = {entry["values"]: entry["counts"] for entry in counts.to_pylist()}
-        except IntegrityError:
-            pass  # a damaged report holds no rows
+        with contextlib.suppress(IntegrityError):  # a damaged report holds no rows
+            merged = report_shards(folder, plan.report_file)
     there = {f"{PENDING_FOLDER}/{name}" for name in folder.names(PENDING_FOLDER)}
     paths = [record.shard.report_path for record in records if record.shard.report_path in there]
     digests = {

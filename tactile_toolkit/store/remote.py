@@ -143,11 +143,11 @@ class RemoteFolder:
         return True
 
     def upload(self, path: str, source: str) -> None:
-        """Copy a local file to the store, in several pieces at once where it is large."""
-        key = self._key(path)
+        """Copy a local file to the store, in pieces where it is large, two of which are held at a time."""
+        key, options = self._key(path), {"max_concurrency": 2} if scheme_of(self.address) == "s3" else {}
         self._require_writable(path)
         try:
-            self._asked(lambda: self._system.put_file(source, key), "writing", path)
+            self._asked(lambda: self._system.put_file(source, key, **options), "writing", path)
         except FileNotFoundError as error:
             raise self._no_bucket() from error
 

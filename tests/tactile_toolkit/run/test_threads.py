@@ -35,10 +35,10 @@ for shard in find_shards(sys.argv[1], "train"):
 """,
     ),
     "report": (
-        "tactile_toolkit.store.parquet",
+        "tactile_toolkit.store.reports",
         """
 from tactile_toolkit.store.folder import DataFolder
-assert len(tactile_toolkit.store.parquet.read_report(DataFolder(sys.argv[1]), "reports/toy.parquet"))
+assert len(tactile_toolkit.store.reports.read_report(DataFolder(sys.argv[1]), "reports/toy.parquet"))
 """,
     ),
 }

@@ -10,7 +10,14 @@ import pyarrow.parquet as pq
 import pytest
 
 from tactile_toolkit.read.parquet import Shard
-from tactile_toolkit.store.parquet import ParquetStyle, encode_parquet, unpacked_bytes, write_parquet
+from tactile_toolkit.store.parquet import (
+    ParquetStyle,
+    encode_parquet,
+    sha256_hex,
+    stream_parquet,
+    unpacked_bytes,
+    write_parquet,
+)
 
 MEDIA = pa.struct([("bytes", pa.binary()), ("path", pa.string())])
 PLACEMENT = pa.struct([("shape", pa.string()), ("x_m", pa.float64())])
@@ -71,3 +78,25 @@ def test_columns_are_encoded_as_asked_whatever_their_nesting() -> None:
     others = set(columns) - {path for path, _ in encodings}
     assert {path for path in others if columns[path].has_dictionary_page} == others - {"info.used"}
     assert all(columns[path].is_stats_set for path in others)
+
+
+@pytest.mark.parametrize("sizes", [[7], [3], [1, 1, 1], [2, 5, 0, 1, 9], [0, 4], [0]])
+def test_tables_one_after_another_are_the_bytes_of_all_at_once(sizes):
+    tables = [table(size) for size in sizes]
+    stream = io.BytesIO()
+    checksum = stream_parquet(stream, iter(tables), ParquetStyle(rows_per_group=3))
+    whole = encode_parquet(pa.concat_tables(tables), ParquetStyle(rows_per_group=3))
+    assert (stream.getvalue(), checksum) == (whole, sha256_hex(whole))
+
+
+def test_of_tables_one_after_another_no_more_than_a_row_group_is_held():
+    written = io.BytesIO()
+    sizes = []
+
+    def tables():
+        for _ in range(6):
+            yield table(3)
+            sizes.append(len(written.getvalue()))
+
+    stream_parquet(written, tables(), ParquetStyle(rows_per_group=3))
+    assert sizes[0] < sizes[2] < sizes[4] < len(written.getvalue())

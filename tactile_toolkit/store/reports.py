@@ -1,0 +1,150 @@
+"""The report of a data set: rows of all its shards in one file, written and read a row group at a time."""
+
+from __future__ import annotations
+
+import contextlib
+import io
+from collections import Counter, defaultdict
+from collections.abc import Collection, Iterator, Sequence
+from pathlib import PurePosixPath
+from typing import Any
+
+from tactile_toolkit.errors import IntegrityError
+from tactile_toolkit.store.folder import DataFolder
+from tactile_toolkit.store.manifest import Manifest
+from tactile_toolkit.store.parquet import (
+    REPORT_STYLE,
+    file_sha256,
+    named_damage,
+    open_checked,
+    stream_parquet,
+)
+from tactile_toolkit.store.shards import PENDING_FOLDER, ShardName, ShardRecord
+
+__all__ = ["merge_reports", "read_report", "report_columns", "report_pieces", "report_shards"]
+
+_READ_AHEAD = 16
+"""Pending reports that are held at a time; a store is asked for all of them at once."""
+
+
+@contextlib.contextmanager
+def _opened(folder: DataFolder, path: str) -> Iterator[Any]:
+    """Open a report; IntegrityError where it is missing or damaged, also when it is read."""
+    with contextlib.ExitStack() as stack, named_damage(folder.address(path)):
+        source = folder.address(path) if folder.is_local else stack.enter_context(folder.open(path))
+        yield stack.enter_context(open_checked(source))
+
+
+def report_columns(folder: DataFolder, path: str) -> list[str]:
+    """Return the names of the columns of a report; IntegrityError where it is missing or damaged."""
+    with _opened(folder, path) as parquet:
+        return list(parquet.schema_arrow.names)
+
+
+def report_pieces(folder: DataFolder, path: str, columns: Sequence[str] | None = None) -> Iterator[Any]:
+    """Yield a report, or some of its columns, as Arrow tables, one for each row group.
+
+    Raises IntegrityError when the file is missing or damaged.
+    """
+    with _opened(folder, path) as parquet:
+        for group in range(parquet.num_row_groups):
+            # Arrow's threads are not started, see open_checked.
+            yield parquet.read_row_group(group, columns=columns, use_threads=False)
+
+
+def read_report(folder: DataFolder, path: str, columns: Sequence[str] | None = None) -> Any:
+    """Read a report, or some of its columns, as one Arrow table; raises as :func:`report_pieces`."""
+    import pyarrow as pa
+
+    return pa.concat_tables(report_pieces(folder, path, columns))
+
+
+def report_shards(folder: DataFolder, path: str) -> dict[str, int]:
+    """Count the rows of each shard in a report; raises as :func:`report_pieces`."""
+    rows: Counter[str] = Counter()
+    for piece in report_pieces(folder, path, ["shard"]):
+        rows.update({entry["values"]: entry["counts"] for entry in piece["shard"].value_counts().to_pylist()})
+    return dict(rows)
+
+
+def merge_reports(folder: DataFolder, path: str, manifest: Manifest) -> str | None:
+    """Write one report over all shards of the manifest and return its checksum; None where none has rows.
+
+    Rows of shards finished in an earlier run come from the report that run wrote; the order is always that
+    of the manifest, so the bytes do not depend on the order of the work. Where that report is of the same
+    shards it stays as it is. Raises IntegrityError where rows are nowhere.
+    """
+    records = [record for record in manifest.shards if record.report_sha256]
+    if not records:
+        return None
+    there = set(folder.names(PENDING_FOLDER))
+    pending = {record.shard for record in records if PurePosixPath(record.shard.report_path).name in there}
+    known = (manifest.files or {}).get(path)
+    if known and not pending and folder.exists(path) and file_sha256(folder, path) == known:
+        return known
+    # What is read is let go before the new file takes its place.
+    with folder.writing(path) as stream, contextlib.ExitStack() as stack:
+        merged = _MergedRows(folder, path, stack)
+        return stream_parquet(stream, _tables(folder, records, pending, merged), REPORT_STYLE)
+
+
+def _tables(
+    folder: DataFolder, records: Sequence[ShardRecord], pending: Collection[ShardName], merged: _MergedRows
+) -> Iterator[Any]:
+    """Yield the report rows of each of these shards, in their order."""
+    for start in range(0, len(records), _READ_AHEAD):
+        some = records[start : start + _READ_AHEAD]
+        paths = [record.shard.report_path for record in some if record.shard in pending]
+        contents = dict(zip(paths, folder.read_many(paths), strict=True))
+        for record in some:
+            # It goes where another run of the same ends at this moment; then that one has merged it.
+            table = _table(contents.get(record.shard.report_path))
+            if table is not None:
+                yield table
+            elif record.rows:
+                yield merged.of(record)
+
+
+def _table(content: bytes | None) -> Any:
+    """Return the rows of a pending report; None without one, and for one that is damaged."""
+    if content is not None:
+        with contextlib.suppress(IntegrityError), named_damage(PENDING_FOLDER):
+            return open_checked(io.BytesIO(content)).read(use_threads=False)
+    return None
+
+
+class _MergedRows:
+    """Rows of shards in the report of a run that has ended; the row group that was read last is kept."""
+
+    def __init__(self, folder: DataFolder, path: str, stack: contextlib.ExitStack) -> None:
+        self._folder, self._path, self._stack = folder, path, stack
+        self._parquet: Any = None
+        self._groups: defaultdict[str, list[int]] = defaultdict(list)
+        self._last: tuple[int, Any] = (-1, None)
+
+    def of(self, record: ShardRecord) -> Any:
+        """Return the rows of a shard. Raises IntegrityError where they are not all there."""
+        import pyarrow as pa
+        import pyarrow.compute as pc
+
+        if self._parquet is None:
+            for group, piece in enumerate(report_pieces(self._folder, self._path, ["shard"])):
+                for shard in piece["shard"].unique().to_pylist():
+                    self._groups[shard].append(group)
+            self._parquet = self._stack.enter_context(_opened(self._folder, self._path))
+        name = str(record.shard)
+        with named_damage(self._folder.address(self._path)):
+            pieces = [self._group(group) for group in self._groups[name]]
+        rows = [piece.filter(pc.equal(piece["shard"], name)) for piece in pieces]
+        if sum(map(len, rows)) != record.rows:
+            message = (
+                f"{self._folder.address(self._path)!r} holds {sum(map(len, rows)):,} rows of shard {name}, "
+                f"expected {record.rows:,}; nothing was changed; next: run the same command again"
+            )
+            raise IntegrityError(message)
+        return pa.concat_tables(rows)
+
+    def _group(self, group: int) -> Any:
+        if self._last[0] != group:
+            self._last = (group, self._parquet.read_row_group(group, use_threads=False))
+        return self._last[1]

@@ -1,0 +1,77 @@
+"""The report over all shards: the same bytes wherever its rows come from, a few of them at a time."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from tactile_toolkit.errors import IntegrityError
+from tactile_toolkit.run.processes import InlineRunner
+from tactile_toolkit.store import reports
+from tactile_toolkit.store.build import build
+from tactile_toolkit.store.folder import DataFolder
+from tactile_toolkit.store.parquet import ParquetStyle
+from tactile_toolkit.store.reports import merge_reports, read_report, report_shards
+from tests.s3_fixtures import bucket, s3, s3_server  # noqa: F401
+from tests.tactile_toolkit.toy import folder_bytes, toy_plan
+
+REPORT = "reports/toy.parquet"
+
+
+@pytest.fixture(autouse=True)
+def small_row_groups(monkeypatch):
+    """Shards lie across row groups, as they do in large sets."""
+    monkeypatch.setattr(reports, "REPORT_STYLE", ParquetStyle(rows_per_group=3))
+    monkeypatch.setattr(reports, "_READ_AHEAD", 2)
+
+
+@pytest.fixture
+def whole(tmp_path: Path) -> Path:
+    build(DataFolder(str(tmp_path / "whole")), toy_plan(), InlineRunner())
+    return tmp_path / "whole"
+
+
+@pytest.mark.parametrize("splits", [("train", "test"), ("test", "train")])
+def test_rows_come_from_the_run_before_and_from_this_one(tmp_path, whole, splits):
+    folder = DataFolder(str(tmp_path / "set"))
+    for split in splits:
+        build(folder, toy_plan((split,)), InlineRunner())
+    assert folder_bytes(tmp_path / "set") == folder_bytes(whole)
+    (tmp_path / "set" / "data/train-00002-of-00004.parquet").unlink()  # made again, the others are not
+    build(folder, toy_plan(), InlineRunner())
+    assert folder_bytes(tmp_path / "set") == folder_bytes(whole)
+    assert report_shards(folder, REPORT) == {
+        **{f"train-{index:05d}-of-00004": 5 - index % 2 for index in range(4)},
+        "test-00000-of-00002": 5,
+        "test-00001-of-00002": 4,
+    }
+
+
+def test_in_a_store_too(s3, bucket, whole):  # noqa: F811
+    folder = DataFolder(f"s3://{bucket}/set")
+    for split in ("test", "train"):
+        build(folder, toy_plan((split,)), InlineRunner())
+    stored = {key.removeprefix("set/"): content for key, content in s3.objects(bucket).items()}
+    assert stored == folder_bytes(whole)
+
+
+def test_what_is_as_it_should_be_is_not_written_again(whole):
+    folder = DataFolder(str(whole))
+    before = (whole / REPORT).stat()
+    build(folder, toy_plan(), InlineRunner())
+    after = (whole / REPORT).stat()
+    assert (after.st_ino, after.st_mtime_ns) == (before.st_ino, before.st_mtime_ns)
+
+
+def test_rows_that_are_nowhere_are_named_and_the_report_stays(whole):
+    folder = DataFolder(str(whole))
+    manifest = build(folder, toy_plan(), InlineRunner())
+    before = folder_bytes(whole)
+    first, *others = manifest.shards
+    more = replace(manifest, files={}, shards=(first._replace(rows=first.rows + 1), *others))
+    with pytest.raises(IntegrityError, match=r"holds 5 rows of shard train-00000-of-00004, expected 6"):
+        merge_reports(folder, REPORT, more)
+    assert folder_bytes(whole) == before
+    assert len(read_report(folder, REPORT, ["id"])) == 27
