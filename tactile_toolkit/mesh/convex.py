@@ -59,7 +59,9 @@ def convex_parts(
 
     add(solid)
     whole_mm3 = solid.volume()
-    while len(parts) < most and sum(hull.volume() for *_, hull in parts) > excess * whole_mm3:
+    for _ in range(most):  # of so many cuts: one may split off a chip that is no part, time and again
+        if len(parts) >= most or sum(hull.volume() for *_, hull in parts) <= excess * whole_mm3:
+            break
         _, _, part, _ = heapq.heappop(parts)
         normal, offset_mm = _best_cut(part.project().simplify(_OUTLINE_MM))
         for half in part.split_by_plane((*normal.tolist(), 0.0), offset_mm):
@@ -80,35 +82,35 @@ def _as_mesh(solid: Any) -> Mesh:
 def _best_cut(outline: Any) -> tuple[NDArray[np.float64], float]:
     """Return the line, normal and offset in mm, that leaves the least between the halves and their hulls.
 
-    It goes through the point that lies deepest in a bay, or in the middle where that gives no two halves.
+    It goes through the corner that lies deepest in a bay. Where there is no bay, what the hull adds lies
+    above the outline, as over a stroke that swells: it is halved across its length.
     """
-    low_x, low_y, high_x, high_y = outline.bounds()
-    middle = np.array([(low_x + high_x) / 2, (low_y + high_y) / 2])
-    for point in (_deepest_in_a_bay(outline), middle):
-        cuts = []
-        for number, normal in enumerate(_DIRECTIONS):
-            half = _half_plane(normal, float(normal @ point))
-            halves = (outline ^ half, outline - half)
-            if not any(each.is_empty() for each in halves):
-                area = sum(piece.hull().area() for each in halves for piece in each.decompose())
-                cuts.append((area, number))
-        if cuts:
-            normal = _DIRECTIONS[min(cuts)[1]]
-            return normal, float(normal @ point)
-    message = "an outline without an inside cannot be cut"
-    raise AssertionError(message)
+    corners = np.concatenate([np.asarray(each) for each in outline.to_polygons()])
+    depths_mm = _depths_mm(outline, corners)
+    deepest = corners[int(depths_mm.argmax())]
+    cuts = []
+    for number, normal in enumerate(_DIRECTIONS if depths_mm.max() > _OUTLINE_MM else ()):
+        half = _half_plane(normal, float(normal @ deepest))
+        halves = (outline ^ half, outline - half)
+        if not any(each.is_empty() for each in halves):
+            area = sum(piece.hull().area() for each in halves for piece in each.decompose())
+            cuts.append((area, number))
+    if cuts:
+        normal = _DIRECTIONS[min(cuts)[1]]
+        return normal, float(normal @ deepest)
+    normal = max(_DIRECTIONS, key=lambda each: float(np.ptp(corners @ each)))
+    along = corners @ normal
+    return normal, float(along.min() + along.max()) / 2
 
 
-def _deepest_in_a_bay(outline: Any) -> NDArray[np.float64]:
-    """Return the corner of an outline that lies deepest below its convex hull."""
+def _depths_mm(outline: Any, corners: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return how deep each corner of an outline lies below its convex hull, shape (N,)."""
     hull = np.asarray(outline.hull().to_polygons()[0])
     along = np.roll(hull, -1, axis=0) - hull
     inwards = np.stack([-along[:, 1], along[:, 0]], axis=1)
     inwards /= np.maximum(np.linalg.norm(inwards, axis=1, keepdims=True), 1e-12)
-    corners = np.concatenate([np.asarray(each) for each in outline.to_polygons()])
-    depth = ((corners[:, None] - hull[None]) * inwards[None]).sum(axis=2).min(axis=1)
-    deepest: NDArray[np.float64] = corners[int(depth.argmax())]
-    return deepest
+    depths: NDArray[np.float64] = ((corners[:, None] - hull[None]) * inwards[None]).sum(axis=2).min(axis=1)
+    return depths
 
 
 def _half_plane(normal: NDArray[np.float64], offset_mm: float) -> Any:
