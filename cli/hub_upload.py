@@ -77,7 +77,8 @@ def add_upload(app: typer.Typer, kind: DatasetKind) -> None:
         Run again after an interruption, it goes on; run again after success, it sends nothing and says so.
         """
         from tactile_toolkit.catalog.kinds import require_manifest
-        from tactile_toolkit.exchange.upload import UploadOptions, check_folder, prepare_upload, run_upload
+        from tactile_toolkit.exchange.upload import check_folder, prepare_upload, run_upload
+        from tactile_toolkit.exchange.upload_plan import UploadOptions
         from tactile_toolkit.store.folder import DataFolder
 
         options = UploadOptions(**asdict(sending))
@@ -206,14 +207,14 @@ def _held(prepared: PreparedUpload, pull: str | None) -> str:
 
 
 def _where(prepared: PreparedUpload) -> str:
-    from tactile_toolkit.exchange.upload import MAIN
+    from tactile_toolkit.exchange.upload_plan import MAIN
 
     branch = prepared.target.branch
     return prepared.target.repo_id if branch == MAIN else f"{prepared.target.repo_id} ({branch})"
 
 
 def _address(prepared: PreparedUpload, result: UploadResult | None) -> str:
-    from tactile_toolkit.exchange.upload import MAIN
+    from tactile_toolkit.exchange.upload_plan import MAIN
 
     page, branch = prepared.target.page, prepared.target.branch
     if result is not None and result.pull is not None:
@@ -222,7 +223,7 @@ def _address(prepared: PreparedUpload, result: UploadResult | None) -> str:
 
 
 def _python_lines(kind: DatasetKind, prepared: PreparedUpload, result: UploadResult | None) -> list[str]:
-    from tactile_toolkit.exchange.upload import MAIN
+    from tactile_toolkit.exchange.upload_plan import MAIN
 
     branch = result.pull if result is not None and result.pull else prepared.target.branch
     revision = None if branch == MAIN else branch

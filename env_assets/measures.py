@@ -11,7 +11,7 @@ from env_assets.mesh_sets import PlainMeshes, Remembering
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.mesh.columns import FACES, VERTICES
 from tactile_toolkit.mesh.mesh import Mesh
-from tactile_toolkit.read.parquet import RowGroup
+from tactile_toolkit.read.columns import RowGroup
 
 __all__ = ["Measurable", "bounds_m", "mesh_bounds_m", "volumes_m3"]
 

@@ -24,8 +24,9 @@ from tactile_toolkit.catalog.kinds import kind_of_meshes
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.mesh.columns import class_names, require_mesh_columns
 from tactile_toolkit.mesh.records import SolidDataset, SolidRecord
+from tactile_toolkit.read.columns import RowGroup
 from tactile_toolkit.read.dataset import RecordDataset, Row
-from tactile_toolkit.read.parquet import RowGroup, Shard, ShardedTable
+from tactile_toolkit.read.parquet import Shard, ShardedTable
 from tactile_toolkit.read.sequence import positions
 
 __all__ = [

@@ -14,7 +14,7 @@ from mnist3d.kind import KIND
 from mnist3d.rows import REPORT_FILE
 from mnist3d.sources import NO_WRITER
 from tactile_toolkit.catalog.choose import Choice
-from tactile_toolkit.gallery.items import NONE, Facet, Gallery, Item, Measure, gallery_of_meshes
+from tactile_toolkit.gallery.items import NONE, Facet, Gallery, Item, Measure, gallery_of_rows
 from tactile_toolkit.gallery.packing import THUMBNAIL_PX, packed_mesh, require_mesh, size_text, thumbnail
 from tactile_toolkit.mesh.mesh import MM_PER_M, Mesh
 from tactile_toolkit.mesh.printability import WARNINGS, inspect
@@ -49,7 +49,7 @@ _MEASURES = (
 
 
 def plan_gallery(choice: Choice) -> Gallery:
-    """Say what a gallery of digits shows; see :func:`~tactile_toolkit.gallery.items.gallery_of_meshes`."""
+    """Say what a gallery of digits shows; see :func:`~tactile_toolkit.gallery.items.gallery_of_rows`."""
     # What the data set's own report says of each digit that is shown; nothing where it has none.
     is_folder = Path(choice.name).expanduser().is_dir()
     has_report = is_folder and DataFolder(choice.name).exists(REPORT_FILE)
@@ -58,7 +58,7 @@ def plan_gallery(choice: Choice) -> Gallery:
         reports = _reported(DataFolder(choice.name), split, rows.ids) if has_report else {}
         return [reports.get(int(number)) for number in rows.ids]
 
-    return gallery_of_meshes(KIND, choice, "3D digits", _FACETS, _MEASURES, _item, _ROWS_PER_TASK, known)
+    return gallery_of_rows(KIND, choice, "3D digits", _FACETS, _MEASURES, _item, _ROWS_PER_TASK, known)
 
 
 def _reported(folder: DataFolder, split: str, ids: NDArray[np.int64]) -> dict[int, Mapping[str, Any]]:

@@ -17,8 +17,9 @@ from realtouch.integrity.check_round import check_round
 from realtouch.rounds import GroupWithoutMedia, RowWithoutMedia, TouchRound, TouchSeqRound, TouchSingleRound
 from realtouch.touches import Touches
 from tactile_toolkit.errors import InputError, IntegrityError
+from tactile_toolkit.read.columns import RowGroup
 from tactile_toolkit.read.dataset import RecordDataset, Row, with_origins
-from tactile_toolkit.read.parquet import RowGroup, Shard, ShardedTable
+from tactile_toolkit.read.parquet import Shard, ShardedTable
 from tactile_toolkit.touch.schema import CLASS_NAMES, MEDIA_COLUMN, PLATE_COLUMN, Kind
 from tactile_toolkit.wording import counted
 

@@ -21,9 +21,9 @@ from realtouch.media.images import SensorImages, in_parallel
 from realtouch.media.round_clips import SensorClips, contact_frames_of, contact_windows_of, decode_frames
 from realtouch.poses import Poses, PoseSequences
 from tactile_toolkit.errors import InputError, IntegrityError, ToolkitError
-from tactile_toolkit.read.columns import column_names
+from tactile_toolkit.read.columns import RowGroup, column_names
 from tactile_toolkit.read.dataset import Record, Row
-from tactile_toolkit.read.parquet import RowGroup, Shard
+from tactile_toolkit.read.parquet import Shard
 from tactile_toolkit.read.sequence import positions
 from tactile_toolkit.touch.jpeg import Pixels
 from tactile_toolkit.touch.rows import flat_row, take_touches

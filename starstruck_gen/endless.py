@@ -18,9 +18,9 @@ from starstruck_gen.spec import SceneSpec
 from starstruck_gen.streams import MOST_SCENES, SPLITS, scene_id, scene_seed
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.mesh.columns import FACES, VERTICES
-from tactile_toolkit.read.columns import RaggedColumn, column_names
+from tactile_toolkit.read.columns import RaggedColumn, RowGroup, column_names
 from tactile_toolkit.read.dataset import RecordDataset
-from tactile_toolkit.read.parquet import RowGroup, ShardedTable
+from tactile_toolkit.read.parquet import ShardedTable
 from tactile_toolkit.wording import is_whole, plain_number
 
 __all__ = ["DEFAULT_SIZE", "SceneDataset", "SceneTable"]

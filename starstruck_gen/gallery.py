@@ -10,7 +10,7 @@ from starstruck_gen.picture import draw_scene
 from starstruck_gen.solid import prism
 from starstruck_gen.spec import SceneSpec
 from tactile_toolkit.catalog.choose import Choice
-from tactile_toolkit.gallery.items import Facet, Gallery, Item, Measure, gallery_of_meshes
+from tactile_toolkit.gallery.items import Facet, Gallery, Item, Measure, gallery_of_rows
 from tactile_toolkit.gallery.packing import (
     THUMBNAIL_PX,
     packed_mesh,
@@ -44,8 +44,8 @@ _MEASURES = (
 
 
 def plan_gallery(choice: Choice) -> Gallery:
-    """Say what a gallery of scenes shows; see :func:`~tactile_toolkit.gallery.items.gallery_of_meshes`."""
-    return gallery_of_meshes(KIND, choice, "Starstruck scenes", _FACETS, _MEASURES, _item, _ROWS_PER_TASK)
+    """Say what a gallery of scenes shows; see :func:`~tactile_toolkit.gallery.items.gallery_of_rows`."""
+    return gallery_of_rows(KIND, choice, "Starstruck scenes", _FACETS, _MEASURES, _item, _ROWS_PER_TASK)
 
 
 def _item(record: SceneRecord, split: str, _names: tuple[str, ...], _known: None) -> Item:

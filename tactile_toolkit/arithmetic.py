@@ -17,9 +17,9 @@ if TYPE_CHECKING:
 __all__ = ["cosine_sine", "decay", "moved", "way_back"]
 
 _QUARTER_TURN = math.pi / 2
+# pi / 2 in two parts: multiples of the first are exact, so that nothing of a turned angle is lost.
 _QUARTER_TURN_HIGH = float.fromhex("0x1.921fb544p+0")
 _QUARTER_TURN_LOW = float.fromhex("0x1.0b4611a626331p-34")
-"""pi / 2 in two parts: multiples of the first are exact, so that nothing of a turned angle is lost."""
 
 # Taylor's sums, last terms first: within an eighth of a turn these are exact to the last place.
 _SINE = tuple((-1) ** term / math.factorial(2 * term + 1) for term in range(8, 0, -1))

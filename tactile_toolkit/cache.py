@@ -42,16 +42,16 @@ def _cache_folder(named: str | None, user_cache: str | None, _home: str | None) 
 
 
 _LEDGER = ".total"
+# The ledger of a folder: bytes that it holds by what was written since it was counted, and by that count. All
+# processes keep it together, so that none has to look at every file for each that it writes.
 _TOTALS = struct.Struct("<qq")
-"""The ledger of a folder: bytes that it holds by what was written since it was counted, and by that count.
-All processes keep it together, so that none has to look at every file for each that it writes."""
 
+# A folder is counted anew after writing one part in so many of its limit: a killed writer, or somebody who
+# removes files by hand, leaves a ledger that is wrong.
 _COUNTED_ANEW_AFTER = 8
-"""A folder is counted anew after writing one part in so many of its limit: a killed writer, or somebody who
-removes files by hand, leaves a ledger that is wrong."""
 
+# What leaves makes room for one part in so many of the limit: a count for each new file would be slow.
 _ROOM_MADE = 16
-"""What leaves makes room for one part in so many of the limit: a count for each new file would be slow."""
 
 _unwritable: set[Path] = set()  # folders that this process has given up on
 

@@ -13,8 +13,9 @@ from realtouch.damage import Damage, unreadable_rows
 from realtouch.integrity.agreement import stated_class_names
 from realtouch.integrity.check_round import check_round
 from tactile_toolkit.errors import IntegrityError
+from tactile_toolkit.read.columns import RowGroup
 from tactile_toolkit.read.dataset import Row
-from tactile_toolkit.read.parquet import RowGroup, Shard
+from tactile_toolkit.read.parquet import Shard
 
 __all__ = ["PartialShard", "find_damage"]
 

@@ -21,7 +21,6 @@ from tactile_toolkit.store.manifest import Manifest
 __all__ = [
     "CARD_FILE",
     "Column",
-    "FOLDER_NAME",
     "HWD_PLUS",
     "MESH_COLUMNS",
     "MESH_TASKS",
@@ -45,9 +44,6 @@ __all__ = [
 
 CARD_FILE = "README.md"
 PREVIEW_FOLDER = "previews"
-FOLDER_NAME = "FOLDER"
-"""Stands for the data set in lines that load it, as long as it is a folder and has no name on the Hub."""
-
 Column = tuple[str, str]
 """Shape, unit and frame of a column, and its meaning."""
 
@@ -63,6 +59,7 @@ MESH_COLUMNS: dict[str, Column] = {
 }
 
 _UNKNOWN: Column = ("", "a column of this copy; not in the published schema")
+# Templates have "FOLDER" there: a folder has no name by which others could load it.
 _LOADED_NAME = re.compile(r'datasets\.load_dataset\("(?P<name>[^"]+)"')
 
 

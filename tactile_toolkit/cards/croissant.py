@@ -32,8 +32,8 @@ __all__ = [
 
 CROISSANT_FILE = "croissant.json"
 
+# Up to so many shards are listed with their digests; of more, those in the manifest must do.
 _MOST_SHARDS_NAMED = 64
-"""Up to so many shards are listed with their digests; of more, those in the manifest must do."""
 
 _PARQUET = "application/x-parquet"
 _NUMBERS = re.compile(r"(?:u?int(?:8|16|32|64)|float(?:16|32|64))")
@@ -43,8 +43,8 @@ _LINK = re.compile(r"\[([^\]]+)\]\([^)]*\)")
 _BIBTEX = re.compile(r"```bibtex\n(.*?)```", re.DOTALL)
 _UNNAMED_LICENCES = ("other", "unknown")
 _REPOSITORY = "repository"
+# What stands, by agreement of those who keep the format, for the digest of a repository.
 _GIT_HAS_NO_DIGEST = "https://github.com/mlcommons/croissant/issues/80"
-"""What stands, by agreement of those who keep the format, for the digest of a repository."""
 
 # As Croissant 1.1 prints it: readers warn of any other.
 _CONTEXT: dict[str, Any] = {

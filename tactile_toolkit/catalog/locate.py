@@ -31,15 +31,12 @@ from tactile_toolkit.store.small_columns import small_files
 from tactile_toolkit.wording import did_you_mean
 
 __all__ = [
-    "ShardFile",
     "available_splits",
-    "files_of_split",
     "find_files",
     "find_shards",
     "folder_named",
     "repository_named",
     "repository_shards",
-    "shard_files",
     "splits_of",
     "splits_to_check",
 ]

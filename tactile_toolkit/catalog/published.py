@@ -9,13 +9,12 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 
-from tactile_toolkit.catalog.locate import shard_files
 from tactile_toolkit.errors import ToolkitError
 from tactile_toolkit.hub.cache import RepositoryCache
 from tactile_toolkit.hub.repository import HubSnapshot, look_at
 from tactile_toolkit.kind import DatasetKind, PublishedSet, kinds
 from tactile_toolkit.store.manifest import MANIFEST_FILE
-from tactile_toolkit.store.shards import DATA_FOLDER
+from tactile_toolkit.store.shards import DATA_FOLDER, shard_files
 
 __all__ = ["SetState", "kind_that_published", "place_of", "published_set", "states"]
 
@@ -24,18 +23,19 @@ _THREADS = 8
 
 def published_set(name: str) -> PublishedSet | None:
     """Return a published set by its short name or its repository; None for any other name."""
-    return next(
-        (entry for _, entry in _published() if name in (entry.name, entry.repo_id, *entry.aliases)), None
-    )
+    return next((entry for _, entry in _named(name)), None)
 
 
 def kind_that_published(name: str) -> DatasetKind | None:
     """Return the kind of a published set, by its short name or its repository; None for any other name."""
-    return next((kind for kind, entry in _published() if entry is published_set(name)), None)
+    return next((kind for kind, _ in _named(name)), None)
 
 
-def _published() -> Iterator[tuple[DatasetKind, PublishedSet]]:
-    return ((kind, entry) for kind in kinds() for entry in kind.published)
+def _named(name: str) -> Iterator[tuple[DatasetKind, PublishedSet]]:
+    for kind in kinds():
+        for entry in kind.published:
+            if name in (entry.name, entry.repo_id, *entry.aliases):
+                yield kind, entry
 
 
 def place_of(name: str | os.PathLike[str]) -> str:

@@ -18,7 +18,7 @@ from tactile_toolkit.cards.card import CARD_FILE
 from tactile_toolkit.cards.croissant import CROISSANT_FILE, croissant_of_folder
 from tactile_toolkit.cards.facts import folder_facts, viewer_files
 from tactile_toolkit.cards.head import configs, dataset_info, head_text, size_category
-from tactile_toolkit.catalog.locate import files_of_split, repository_named, repository_shards, shard_files
+from tactile_toolkit.catalog.locate import repository_named, repository_shards
 from tactile_toolkit.catalog.published import published_set
 from tactile_toolkit.errors import (
     HubError,
@@ -37,12 +37,12 @@ from tactile_toolkit.store.manifest import MANIFEST_FILE, Manifest, read_manifes
 from tactile_toolkit.store.names import names_inside
 from tactile_toolkit.store.origin import DownloadRecord, HubFile, read_record, write_record
 from tactile_toolkit.store.plan import refuse_unknown_files
-from tactile_toolkit.store.shards import DATA_FOLDER
+from tactile_toolkit.store.shards import DATA_FOLDER, files_of_split, shard_files
 
 __all__ = ["DownloadPlan", "download", "plan_download"]
 
+# What is fitted to the splits that a folder gets.
 _LABELS = (CARD_FILE, MANIFEST_FILE, CROISSANT_FILE)
-"""What is fitted to the splits that a folder gets."""
 
 _EXTRA_FOLDERS = ("reports", "previews")
 _EXTRA_FILES = ("LICENSE", "LICENSE.md", "LICENSE.txt")

@@ -39,9 +39,7 @@ from tactile_toolkit.store.shards import DATA_FOLDER, Finding
 from tactile_toolkit.store.verify import verify
 
 __all__ = [
-    "MAIN",
     "PreparedUpload",
-    "UploadOptions",
     "UploadResult",
     "check_folder",
     "prepare_upload",

@@ -27,8 +27,8 @@ from tactile_toolkit.store.shards import VIEWER_FOLDER, ShardRecord
 
 __all__ = ["ViewerFiles"]
 
+# Shards in memory at a time; packing them at level 19 takes some 100 MB more for each.
 _MOST_AT_ONCE = 8
-"""Shards in memory at a time; packing them at level 19 takes some 100 MB more for each."""
 _STYLE = ParquetStyle(
     rows_per_group=100,
     compression_level=19,  # at 9 the meshes of digits take a fifth more

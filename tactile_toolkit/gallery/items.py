@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Protocol
 
@@ -22,7 +22,6 @@ __all__ = [
     "ItemTask",
     "Measure",
     "RowsTask",
-    "gallery_of_meshes",
     "gallery_of_rows",
 ]
 
@@ -136,16 +135,20 @@ def gallery_of_rows(
     measures: tuple[Measure, ...],
     item: Callable[[Any, str, tuple[str, ...], Any], Item],
     rows_per_task: int,
-    known: Callable[[Any, str], Sequence[Any]],
-    splits: Iterable[tuple[str, RecordDataset[Any]]],
+    known: Callable[[Any, str], Sequence[Any]] = lambda rows, _: [None] * len(rows),
+    splits: Iterable[tuple[str, RecordDataset[Any]]] | None = None,
 ) -> Gallery:
     """Plan a gallery of the rows that are chosen of some splits; see :class:`RowsTask` for ``item``.
 
-    ``known`` takes the chosen rows and their split, and says what is known of each beforehand.
+    ``known`` takes the chosen rows and their split, and says what is known of each beforehand. ``splits`` are
+    those chosen, opened as data of the kind, by default.
+
+    InputError: no such data set or split, or one of another kind. IntegrityError: it is damaged or
+    unfinished. HubError: the repository cannot be reached or does not exist.
     """
     tasks: list[ItemTask] = []
     shown: dict[str, int] = {}
-    for split, dataset in splits:
+    for split, dataset in _opened(kind, choice) if splits is None else splits:
         rows = dataset[chosen_rows(dataset.labels, choice.limit, choice.per_class)]
         shown[split] = len(rows)
         given = known(rows, split)
@@ -155,26 +158,8 @@ def gallery_of_rows(
     return Gallery(kind.name, heading, (kind.noun, kind.nouns), facets, measures, tuple(tasks), shown)
 
 
-def gallery_of_meshes(
-    kind: DatasetKind,
-    choice: Choice,
-    title: str,
-    facets: tuple[Facet, ...],
-    measures: tuple[Measure, ...],
-    item: Callable[[Any, str, tuple[str, ...], Any], Item],
-    rows_per_task: int,
-    known: Callable[[Any, str], Sequence[Any]] = lambda rows, _: [None] * len(rows),
-) -> Gallery:
-    """Plan a gallery of a data set of meshes; reads ids and labels, no mesh.
-
-    InputError: no such data set or split, or one of another kind. IntegrityError: it is damaged or
-    unfinished. HubError: the repository cannot be reached or does not exist.
-    """
-
-    def opened() -> Iterable[tuple[str, RecordDataset[Any]]]:
-        for split in splits_to_show(choice.name, choice.split):
-            dataset = kind.load(choice.name, split)
-            require_kind(kind, "gallery", choice.name, [dataset])
-            yield split, dataset
-
-    return gallery_of_rows(kind, choice, title, facets, measures, item, rows_per_task, known, opened())
+def _opened(kind: DatasetKind, choice: Choice) -> Iterator[tuple[str, RecordDataset[Any]]]:
+    for split in splits_to_show(choice.name, choice.split):
+        dataset = kind.load(choice.name, split)
+        require_kind(kind, "gallery", choice.name, [dataset])
+        yield split, dataset

@@ -75,8 +75,8 @@ class IndexBuilder:
     gallery: Gallery
     _ids: list[str] = field(default_factory=list)
     _titles: list[str] = field(default_factory=list)
-    _facets: dict[str, list[tuple[str, ...]]] = field(default_factory=dict)
-    _measures: dict[str, list[float | None]] = field(default_factory=dict)
+    _facets: dict[str, list[tuple[str, ...]]] = field(init=False)
+    _measures: dict[str, list[float | None]] = field(init=False)
 
     def __post_init__(self) -> None:
         self._facets = {facet.name: [] for facet in self.gallery.facets}

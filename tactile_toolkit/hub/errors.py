@@ -166,19 +166,23 @@ class _Request:
     def subject(self) -> str:
         return f"Hub data set {self.repo_id!r}"
 
+    @property
+    def task(self) -> str:
+        return f"{self.doing} {self.subject}"
+
     def storage(self, error: BaseException) -> ToolkitError | None:
         if not isinstance(error, OSError) or status_of(error) is not None:
             return None
         where = f" ({error.filename!r})" if error.filename else ""
         if error.errno in _FULL:
             return StorageError(
-                f"no space is left on the device{where} while {self.doing} {self.subject}; nothing "
+                f"no space is left on the device{where} while {self.task}; nothing "
                 "half-written counts as whole; next: free some space, or choose another place with --out or "
                 "HF_HOME, and run it again"
             )
         if error.errno in _FORBIDDEN:
             return StorageError(
-                f"may not write{where} while {self.doing} {self.subject}: {error.strerror}; next: choose "
+                f"may not write{where} while {self.task}: {error.strerror}; next: choose "
                 "another place with --out or HF_HOME"
             )
         return None
@@ -217,7 +221,7 @@ class _Request:
         status = status_of(error)
         if status is None:
             return None
-        doing = f"{self.doing} {self.subject}"
+        doing = self.task
         words = {
             409: f"{self.subject} has that already: {_server_words(error)}; next: choose another name",
             412: f"{self.subject} was changed by someone else meanwhile; next: run the same command again",
@@ -241,7 +245,7 @@ class _Request:
     def network(self, error: BaseException) -> ToolkitError | None:
         from huggingface_hub import constants, errors
 
-        doing = f"{self.doing} {self.subject}"
+        doing = self.task
         not_here = isinstance(error, errors.LocalEntryNotFoundError) and constants.HF_HUB_OFFLINE
         if isinstance(error, errors.OfflineModeIsEnabled) or not_here:
             if self.doing.startswith("uploading"):
@@ -282,11 +286,11 @@ class _Request:
             )
         if isinstance(error, OSError):
             what = f"{type(error).__name__}: {_server_words(error)}"
-            return HubError(f"{self.doing} {self.subject} failed: {what}; next: try again")
+            return HubError(f"{self.task} failed: {what}; next: try again")
         return None
 
     def _needs_login(self) -> str:
-        return f"{self.doing} {self.subject} needs a login, and there is no token here; next: {_LOGIN}"
+        return f"{self.task} needs a login, and there is no token here; next: {_LOGIN}"
 
     def _unauthorized(self) -> str:
         source = _token_source()
@@ -302,7 +306,7 @@ class _Request:
         """Ask the Hub whose token this is: its refusals read the same for a weak token and another's name."""
         from huggingface_hub import HfApi
 
-        doing, namespace = f"{self.doing} {self.subject}", self.repo_id.partition("/")[0]
+        doing, namespace = self.task, self.repo_id.partition("/")[0]
         person: dict[str, Any] = {}
         # Only to word the refusal better: whatever goes wrong here must not hide that refusal.
         with contextlib.suppress(Exception):

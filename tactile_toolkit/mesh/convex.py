@@ -12,9 +12,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from tactile_toolkit.errors import ItemError
 from tactile_toolkit.mesh.mesh import MM_PER_M, Mesh
-from tactile_toolkit.mesh.solid_check import check_manifold
+from tactile_toolkit.mesh.solid_check import require_solid
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -40,11 +39,7 @@ def convex_parts(
 
     Raises ItemError where the mesh bounds no solid.
     """
-    solid = mesh.to_manifold()
-    verdict = check_manifold(mesh)
-    if verdict.problem is not None:
-        message = f"it does not bound a solid ({verdict.problem}: {verdict.detail})"
-        raise ItemError(verdict.problem, message)
+    solid = require_solid(mesh).manifold
     parts: list[tuple[float, int, Any, Any]] = []
     made = 0
 

@@ -23,8 +23,8 @@ Indices = NDArray[np.int64]
 _TOLERANCE = 2.0**-21
 _MOST_ODD = 64
 _DOUBTS_ASKED = 32
+# How many tolerances from a doubtful place the winding number is asked for.
 _ASIDE = 16.0
-"""How many tolerances from a doubtful place the winding number is asked for."""
 
 
 def tolerance_mm(vertices_mm: Numbers) -> float:

@@ -180,8 +180,8 @@ def _centres_m(first: int, count: int, pitch_m: float) -> NDArray[np.float64]:
     return np.asarray((np.arange(first, first + count) + 0.5) * pitch_m)
 
 
+# Raised whenever the same mesh and pitch would give other heights than before.
 _VERSION = 1
-"""Raised whenever the same mesh and pitch would give other heights than before."""
 
 _CHECKSUM_BYTES = 4
 

@@ -12,8 +12,8 @@ __all__ = ["OPPOSED", "near_pairs"]
 Numbers = NDArray[np.float64]
 Indices = NDArray[np.int64]
 
+# Pairs that are looked at together: bounds the memory.
 _AT_ONCE = 1 << 17
-"""Pairs that are looked at together: bounds the memory."""
 
 OPPOSED = -0.3
 """Largest cosine of the angle between directions that oppose each other."""

@@ -228,8 +228,8 @@ def unreadable(detail: str) -> PrintReport:
     return _report(ManifoldCheck(None, "NotTried", UNREADABLE, detail), 0, 0, **_NOT_MEASURED)
 
 
+# Share of the height by which the middle section avoids the vertices that lie in the mid-plane.
 _OFF_VERTICES = 1e-7
-"""Share of the height by which the middle section avoids the vertices that lie in the mid-plane."""
 
 
 _NOT_MEASURED: dict[str, Any] = {

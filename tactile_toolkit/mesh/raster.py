@@ -16,15 +16,15 @@ from numpy.typing import NDArray
 
 __all__ = ["ScanLines", "highest_faces", "highest_values", "pixels_of", "scan_lines"]
 
+# A centre no further than this outside an edge counts as on it: rounding must leave no hole between
+# neighbours.
 _EDGE_PX = 1e-9
-"""A centre no further than this outside an edge counts as on it: rounding must leave no hole between
-neighbours."""
 
+# Lines or pixels that are worked on together: bounds the memory of large triangles on fine grids.
 _AT_ONCE = 1 << 20
-"""Lines or pixels that are worked on together: bounds the memory of large triangles on fine grids."""
 
+# Heights that :func:`highest_faces` tells apart: 1e-7 mm on a solid of 10 cm.
 _DEPTH_STEPS = 1 << 30
-"""Heights that :func:`highest_faces` tells apart: 1e-7 mm on a solid of 10 cm."""
 
 Numbers = NDArray[np.float64]
 Indices = NDArray[np.int64]

@@ -14,9 +14,9 @@ from tactile_toolkit.mesh.raster import highest_values, pixels_of, scan_lines
 
 __all__ = ["Box", "heights_in", "surface_points", "voxels_in"]
 
+# Columns of voxels are followed this far beside their centres, in voxels: there no edge of a solid lies, and
+# only one of the triangles that share it is met.
 _ASIDE_PX = (0.618e-5, 0.414e-5)
-"""Columns of voxels are followed this far beside their centres, in voxels: there no edge of a solid lies, and
-only one of the triangles that share it is met."""
 
 
 @dataclass(frozen=True, slots=True)

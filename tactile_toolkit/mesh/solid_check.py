@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from tactile_toolkit.errors import ItemError
 from tactile_toolkit.mesh.crossings import faces_not_proven_free, self_crossing
 from tactile_toolkit.mesh.mesh import MM_PER_M
 
@@ -20,7 +21,7 @@ if TYPE_CHECKING:
 
     from tactile_toolkit.mesh.mesh import Mesh
 
-__all__ = ["PROBLEMS", "ManifoldCheck", "check_manifold"]
+__all__ = ["PROBLEMS", "ManifoldCheck", "check_manifold", "require_solid"]
 
 PROBLEMS = (
     "bad-shape",
@@ -89,6 +90,15 @@ def check_manifold(mesh: Mesh) -> ManifoldCheck:
             volume_mm3 = math.nan
         return ManifoldCheck(None, status, *problem, len(outer), genus, volume_mm3)
     return ManifoldCheck(manifold, status, None, None, len(outer), genus, volume_mm3, back_to_back)
+
+
+def require_solid(mesh: Mesh) -> ManifoldCheck:
+    """Return the verdict on a mesh that bounds a solid; raises ItemError where it bounds none."""
+    verdict = check_manifold(mesh)
+    if verdict.problem is not None:
+        message = f"it does not bound a solid ({verdict.problem}: {verdict.detail})"
+        raise ItemError(verdict.problem, message)
+    return verdict
 
 
 def _array_problem(mesh: Mesh) -> tuple[str, str] | None:

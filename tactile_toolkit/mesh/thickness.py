@@ -21,20 +21,20 @@ Indices = NDArray[np.int64]
 FACING = 0.95
 """Least cosine between the way across a wall and the direction into the solid: 18 degrees."""
 
+# Shares of the reach that are searched one after the other: the fewer pairs, the nearer they have to be.
 _STEPS = (0.06, 0.16, 0.4, 1.0)
-"""Shares of the reach that are searched one after the other: the fewer pairs, the nearer they have to be."""
 
+# What is found is accepted when nothing is nearer than this share of it.
 _CLOSER = 0.97
-"""What is found is accepted when nothing is nearer than this share of it."""
 
+# Triangles smaller than this share of their distance are taken at their middles.
 _FINE = 0.25
-"""Triangles smaller than this share of their distance are taken at their middles."""
 
+# Cosine of the angle from which on an edge that points into the solid is a notch: 16 degrees.
 _NOTCH = 0.96
-"""Cosine of the angle from which on an edge that points into the solid is a notch: 16 degrees."""
 
+# Cosine up to which a way along the surface counts as leading no nearer.
 _ALONG = 0.05
-"""Cosine up to which a way along the surface counts as leading no nearer."""
 
 
 def thinnest_wall_mm(vertices_mm: Numbers, faces: Indices, reach_mm: float) -> float:

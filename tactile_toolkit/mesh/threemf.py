@@ -222,8 +222,8 @@ _RELATIONS = (
     '<Relationship Target="/3D/3dmodel.model" Id="model" '
     'Type="http://schemas.microsoft.com/3dmanufacturing/2013/01/3dmodel"/></Relationships>'
 )
+# The first date that a zip archive can hold: with the time of writing, no two files would be the same.
 _EPOCH = (1980, 1, 1, 0, 0, 0)
-"""The first date that a zip archive can hold: with the time of writing, no two files would be the same."""
 
 
 def write_build(items: Sequence[BuildItem]) -> bytes:

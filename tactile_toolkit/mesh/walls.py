@@ -30,9 +30,9 @@ NORMAL_SPAN = 2
 LEAST_CONTACT_SINE = 0.9
 """Sine of half the angle between the two contacts, seen from the middle of the disc: 128 degrees."""
 
+# Distance from the outline, in heights, from which on a low place is not of the slope at the outline: digits
+# are round there, and so steeper.
 _STEEP = 0.5
-"""Distance from the outline, in heights, from which on a low place is not of the slope at the outline: digits
-are round there, and so steeper."""
 
 # Every point is compared with every other: the first bounds the time; a block of the second stays in a cache.
 MAX_POINTS = 6000

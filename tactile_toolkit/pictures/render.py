@@ -42,8 +42,8 @@ __all__ = [
     "shades",
 ]
 
+# Where the light comes from: right, up and out of the picture.
 _LIGHT = np.array([-0.45, 0.55, 0.70])
-"""Where the light comes from: right, up and out of the picture."""
 
 _DARKEST, _RANGE = 60, 180
 
@@ -314,8 +314,8 @@ def _end_of(stream: IO[bytes] | None) -> IO[bytes]:
 
 _AMBIENT, _DIFFUSE, _SPECULAR = 0.22, 0.78, 0.12
 _SHARP_EDGE_DEG = 40.0
+# Direction (right, up, towards the viewer) and strength of the lights; the first is the relief's.
 _LIGHTS = (((-0.5, 0.75, 0.9), 0.88), ((0.9, 0.1, 0.6), 0.30))
-"""Direction (right, up, towards the viewer) and strength of the lights; the first is the relief's."""
 
 
 def main() -> None:

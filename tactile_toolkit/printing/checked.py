@@ -11,7 +11,7 @@ import numpy as np
 
 from tactile_toolkit.errors import InputError, IntegrityError, ItemError
 from tactile_toolkit.mesh.mesh import MM_PER_M
-from tactile_toolkit.mesh.solid_check import ManifoldCheck, check_manifold
+from tactile_toolkit.mesh.solid_check import ManifoldCheck, require_solid
 from tactile_toolkit.store.folder import DataFolder, atomic_file, named_failures
 
 if TYPE_CHECKING:
@@ -30,7 +30,6 @@ __all__ = [
     "refuse_others",
     "remove",
     "require_same_solid",
-    "require_solid",
     "settle",
     "write_checked",
 ]
@@ -42,8 +41,8 @@ WRITTEN, KEPT = "written", "kept"
 """What :func:`settle` did."""
 
 _BOUNDS_TOLERANCE_MM = 1e-3
+# Share of the volume. STL and GLB hold single precision, 1e-5 mm on an object of 20 cm.
 _VOLUME_TOLERANCE = 1e-3
-"""Share of the volume. STL and GLB hold single precision, 1e-5 mm on an object of 20 cm."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,15 +56,6 @@ class Failure:
     def to_dict(self) -> dict[str, Any]:
         """Return JSON values."""
         return asdict(self)
-
-
-def require_solid(mesh: Mesh) -> ManifoldCheck:
-    """Return the verdict on a mesh that bounds a solid; raises ItemError where it bounds none."""
-    verdict = check_manifold(mesh)
-    if verdict.problem is not None:
-        message = f"it does not bound a solid ({verdict.problem}: {verdict.detail})"
-        raise ItemError(verdict.problem, message)
-    return verdict
 
 
 def require_same_solid(found: Mesh, meant: Mesh, verdict: ManifoldCheck) -> None:

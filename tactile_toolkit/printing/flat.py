@@ -26,8 +26,8 @@ Choices: TypeAlias = "Iterable[tuple[str, RecordDataset[SolidRecord], NDArray[An
 
 _ROWS_PER_FILE = 1000
 _SAMPLED = 32
+# 100 digits are 12 MB unpacked. Level 9 makes their files 8 % smaller and takes three times as long.
 _STYLE = ParquetStyle(100, compression_level=3, encodings=((f"{MESH}.bytes", "PLAIN"),))
-"""100 digits are 12 MB unpacked. Level 9 makes their files 8 % smaller and takes three times as long."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from tactile_toolkit.errors import InputError, ItemError
-from tactile_toolkit.printing.checked import Failure, require_solid
+from tactile_toolkit.mesh.solid_check import require_solid
+from tactile_toolkit.printing.checked import Failure
 from tactile_toolkit.printing.objects import require_scale, standing
 from tactile_toolkit.printing.packing import Outline, PlateSpec, outline_of, pack
 

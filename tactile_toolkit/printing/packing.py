@@ -111,8 +111,8 @@ MARGIN_MM = 7.0
 
 _PLATE_TEXT = re.compile(r"(\d+(?:\.\d+)?)x(\d+(?:\.\d+)?)")
 _PITCH_MM = 1.0
+# Cells along the longer side of a plate; beyond it cells grow with the plate.
 _MOST_CELLS = 400
-"""Cells along the longer side of a plate; beyond it cells grow with the plate."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -22,19 +22,19 @@ __all__ = ["draw_map"]
 
 _PAPER, _PLATE, _GRID, _INK, _FIELD = "#ffffff", "#f4f2ec", "#e0dcd2", "#222222", "#ffffff"
 _MARGIN = "#b9b3a3"
+# One per class; the words on the map, not the colours, tell objects apart.
 _FILLS = (
     *("#9ecae1", "#fdbe85", "#a1d99b", "#fc9f97", "#cbb8dd"),
     *("#d8b49c", "#f5b9d6", "#c4c9cf", "#d9dc8c", "#9fdde2"),
 )
-"""One per class; the words on the map, not the colours, tell objects apart."""
 _COARSE_FROM_MM = 50
 _LEAST_TICK_PX = 20
 _TICKS_MM = (1, 2, 5, 10, 20, 50, 100, 200, 500)
 _TICKS_A_NUMBER = 5
 _TITLE_PX, _SMALL_PX = 20, 15
 _WORDS_PX = (14, 12, 10, 8)
+# What words may take on an object that is narrower.
 _SLACK_PX = 30
-"""What words may take on an object that is narrower."""
 _FIELD_MM = 1.5
 _SPOT_MM = 0.5
 _MOST_SPOTS = 600
@@ -43,8 +43,8 @@ _LONGER_SIDE_PX = 1_200
 _LEAST_PX_PER_MM = 4.0
 _LONGEST_SIDE_PX = 4_000
 _SUPERSAMPLING = 2  # drawn so many times larger: PIL's own lines have no smooth edges
+# Width of a thin line.
 _LINE_PX = _SUPERSAMPLING
-"""Width of a thin line."""
 _MARGIN_PX = 60
 _LINE_HEIGHT = 1.25
 

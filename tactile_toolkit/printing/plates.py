@@ -17,6 +17,7 @@ import numpy as np
 from tactile_toolkit.errors import IntegrityError, ItemError
 from tactile_toolkit.mesh.files import BROKEN_FILE
 from tactile_toolkit.mesh.mesh import MM_PER_M, Mesh
+from tactile_toolkit.mesh.solid_check import require_solid
 from tactile_toolkit.mesh.threemf import BuildItem, read_build, write_build
 from tactile_toolkit.printing.checked import (
     CHANGED,
@@ -29,7 +30,6 @@ from tactile_toolkit.printing.checked import (
     refuse_others,
     remove,
     require_same_solid,
-    require_solid,
     settle,
 )
 from tactile_toolkit.printing.layout import Layout, Placed
@@ -49,8 +49,8 @@ __all__ = [
 
 TABLE_FILE = "plates.csv"
 _PLATE_FILE = re.compile(r"plate-\d{2,}\.(3mf|xml)", re.ASCII)
+# Objects that a forecast packs to tell the size of all.
 _SAMPLED = 4
-"""Objects that a forecast packs to tell the size of all."""
 
 _EDGE_TOLERANCE_MM = 1e-3  # 3MF is written with nine digits, and no printer knows a micrometre
 

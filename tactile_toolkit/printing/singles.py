@@ -12,6 +12,7 @@ import numpy as np
 from tactile_toolkit.errors import InputError, ItemError
 from tactile_toolkit.mesh.files import FORMATS, pack_mesh, read_mesh
 from tactile_toolkit.mesh.mesh import MM_PER_M, Mesh
+from tactile_toolkit.mesh.solid_check import require_solid
 from tactile_toolkit.printing.checked import (
     KEPT,
     Failure,
@@ -21,7 +22,6 @@ from tactile_toolkit.printing.checked import (
     refuse_others,
     remove,
     require_same_solid,
-    require_solid,
     settle,
 )
 from tactile_toolkit.printing.objects import PrintObject, require_scale, standing
@@ -30,8 +30,8 @@ from tactile_toolkit.run.processes import runner_for
 
 __all__ = ["FileExport", "FileForecast", "WrittenFile", "export_files", "forecast_files"]
 
+# Objects that a forecast packs, from all over the list, to tell the size of all.
 _SAMPLED = 32
-"""Objects that a forecast packs, from all over the list, to tell the size of all."""
 
 
 @dataclass(frozen=True, slots=True)

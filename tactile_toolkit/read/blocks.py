@@ -21,11 +21,11 @@ _BLOCK = struct.Struct("<QQQ")  # start, size in bytes, checksum
 _END = struct.Struct("<QQ8s")  # number of blocks, checksum of what lies where, mark
 _ALIGNMENT = 64  # what Arrow recommends for its buffers
 
+# Blocks that this process has checked, by file and number, with what the file was then.
 _checked: MemoryCache[tuple[str, int], tuple[int, ...]] = MemoryCache(1 << 16)
-"""Blocks that this process has checked, by file and number, with what the file was then."""
 
+# Schemas by their stored bytes: blocks share them, for to parse one takes longer than to map a block.
 _schemas: MemoryCache[bytes, Any] = MemoryCache(64)
-"""Schemas by their stored bytes: blocks share them, for to parse one takes longer than to map a block."""
 
 
 class _Checksummed:

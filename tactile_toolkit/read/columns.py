@@ -382,16 +382,12 @@ class RowGroup:
     def ragged(self, name: str) -> RaggedColumn:
         """Return a column of arrays of shape (n_i, width), by dotted name."""
         column = self._ragged.get(name)
-        if column is None:
-            column = self._ragged.setdefault(name, ragged_column(self.arrow(name)))
-        return column
+        return self._ragged.setdefault(name, ragged_column(self.arrow(name))) if column is None else column
 
     def nested(self, name: str) -> NestedColumn:
         """Return a column of nested lists, by dotted name."""
         column = self._nested.get(name)
-        if column is None:
-            column = self._nested.setdefault(name, _nested_column(self.arrow(name)))
-        return column
+        return self._nested.setdefault(name, _nested_column(self.arrow(name))) if column is None else column
 
     def flat(self, name: str) -> NDArray[Any]:
         """Return a column of plain values as a numpy array."""

@@ -10,9 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactile_toolkit.errors import InputError, IntegrityError
-from tactile_toolkit.read.columns import column_types, same_values
+from tactile_toolkit.read.columns import RowGroup, column_types, same_values
 from tactile_toolkit.read.order import StoredParts
-from tactile_toolkit.read.parquet import RowGroup, Shard, ShardedTable
+from tactile_toolkit.read.parquet import Shard, ShardedTable
 from tactile_toolkit.read.sequence import LazySequence
 from tactile_toolkit.wording import counted
 
@@ -286,8 +286,7 @@ class RecordDataset(LazySequence[T]):
         names = [
             each.name
             for each in schemas[0]
-            if all(other.field(each.name).type == each.type for other in schemas if each.name in other.names)
-            and all(each.name in other.names for other in schemas)
+            if all(each.name in other.names and other.field(each.name).type == each.type for other in schemas)
         ]
         table = pa.concat_tables([part.select(names) for part in parts])
         # Its own fingerprint would be that of all bytes.

@@ -26,7 +26,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactile_toolkit.bounds import cache_limit_bytes, require_unpackable
-from tactile_toolkit.cache import CACHE_VARIABLE, DiskCache, MemoryCache, cache_folder
+from tactile_toolkit.cache import DiskCache, MemoryCache, cache_folder
 from tactile_toolkit.errors import IntegrityError
 from tactile_toolkit.read.blocks import MappedBlock, identity_of, map_block, write_blocks
 from tactile_toolkit.read.columns import RowGroup, column_types, plain_schema, plain_table
@@ -38,15 +38,15 @@ from tactile_toolkit.store.parquet import open_checked
 from tactile_toolkit.store.shards import DATA_FOLDER, ShardName
 from tactile_toolkit.store.small_columns import MADE_OF
 
-__all__ = ["CACHE_VARIABLE", "RowGroup", "Shard", "ShardedTable", "cache_folder"]
+__all__ = ["Shard", "ShardedTable"]
 
 _BLOCK_BYTES = 64 << 20
 _VALUE_BYTES = {"BOOLEAN": 1, "INT64": 8, "DOUBLE": 8, "INT96": 12}
+# Rows take at most so many times the bytes that are stored of them, or might be one row; padding of clips
+# takes about 20 times.
 _MOST_TIMES = 500
-"""Rows take at most so many times the bytes that are stored of them, or might be one row; padding of clips
-takes about 20 times."""
+# What stores say of a file, under which name each, that changes with its content.
 _TELLING = ("size", "ETag", "etag", "blob_id", "mtime", "created")
-"""What stores say of a file, under which name each, that changes with its content."""
 
 
 class MemoryBlocks(MemoryCache[tuple[str, int], RowGroup]):
@@ -92,11 +92,11 @@ _UNPACKED = DiskCache(
 )
 
 
+# The blocks that a table has mapped are let go above so many bytes, or 4,096 of them: a process may have
+# 65,530 maps, each takes some 7 kB, and what it holds open takes room on the disk after its file has left the
+# cache. To map a block again is quick, however many there are.
 _MAPPED_BYTES = 4 << 30
 _LEAST_MAPPED_BYTES = 1 << 20
-"""The blocks that a table has mapped are let go above so many bytes, or 4,096 of them: a process may have
-65,530 maps, each takes some 7 kB, and what it holds open takes room on the disk after its file has left the
-cache. To map a block again is quick, however many there are."""
 
 _FEW_SHARDS = 8
 _REMOTE_READERS = 16
@@ -428,10 +428,6 @@ def _small_column(file: Shard, made_of: str, shards: Sequence[Shard], name: str)
     return None
 
 
-def _held_bytes(group: RowGroup) -> int:
-    return max(_LEAST_MAPPED_BYTES, group.mapped_bytes)
-
-
 @lru_cache(maxsize=256)
 def _real_folder(folder: str) -> str:
     return os.path.realpath(f"{folder}/").rstrip("/")
@@ -486,7 +482,7 @@ class ShardedTable:
 
     @cached_property
     def _groups(self) -> MemoryCache[tuple[int, int, int], RowGroup]:
-        return MemoryCache(_MAPPED_BYTES, _held_bytes)
+        return MemoryCache(_MAPPED_BYTES, lambda group: max(_LEAST_MAPPED_BYTES, group.mapped_bytes))
 
     @cached_property
     def _columns(self) -> dict[str, NDArray[Any]]:

@@ -11,8 +11,8 @@ import pytest
 import realtouch
 from realtouch.columns.poses import clip_poses, contact_z_m, pose_sequences
 from tactile_toolkit.errors import InputError
+from tactile_toolkit.read.columns import RowGroup
 from tactile_toolkit.read.dataset import Row
-from tactile_toolkit.read.parquet import RowGroup
 from tests.realtouch import factories
 from tests.realtouch.factories import Layout, RoundTruth
 

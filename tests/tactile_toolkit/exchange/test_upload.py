@@ -15,7 +15,8 @@ import pytest
 
 from starstruck_gen.generation import GenerateSpec, generate
 from tactile_toolkit.errors import HubError, InputError, IntegrityError
-from tactile_toolkit.exchange.upload import UploadOptions, prepare_upload, run_upload
+from tactile_toolkit.exchange.upload import prepare_upload, run_upload
+from tactile_toolkit.exchange.upload_plan import UploadOptions
 from tactile_toolkit.store.folder import DataFolder
 from tactile_toolkit.store.manifest import read_manifest
 from tests.hub_server import HubServer, hub

@@ -8,9 +8,10 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
-from tactile_toolkit.catalog.locate import find_files, find_shards, repository_named, shard_files, splits_of
+from tactile_toolkit.catalog.locate import find_files, find_shards, repository_named, splits_of
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.hub.repository import HubName, hub_name
+from tactile_toolkit.store.shards import shard_files
 
 
 @pytest.mark.parametrize(

@@ -14,11 +14,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from tactile_toolkit.cache import cache_folder
 from tactile_toolkit.catalog.locate import find_shards
 from tactile_toolkit.errors import InputError, IntegrityError
 from tactile_toolkit.read.columns import list_array, ragged_column
 from tactile_toolkit.read.dataset import Record, RecordDataset
-from tactile_toolkit.read.parquet import Shard, ShardedTable, cache_folder
+from tactile_toolkit.read.parquet import Shard, ShardedTable
 from tactile_toolkit.run.processes import InlineRunner
 from tactile_toolkit.store.build import build
 from tactile_toolkit.store.folder import DataFolder
