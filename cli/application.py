@@ -14,7 +14,8 @@ from typing import Annotated, Any, TypeVar, get_type_hints
 import typer
 from typer.core import TyperCommand
 
-from tactile_toolkit.errors import ToolkitError
+from tactile_toolkit.errors import InputError, ToolkitError
+from tactile_toolkit.printable import printable
 
 __all__ = ["EXIT_FAILED", "EXIT_INTERRUPTED", "command", "new_app", "run"]
 
@@ -149,11 +150,22 @@ def _errors_reported(debug: bool, options: Mapping[str, str]) -> Iterator[None]:
 
         skip_pandas()
         yield
-    except ToolkitError as error:
+    except (ToolkitError, OSError) as error:
         if debug or os.environ.get(_DEBUG_VARIABLE):
             raise
-        sys.stderr.write(f"error: {_with_option(str(error), options)}\n")
-        raise typer.Exit(error.exit_code) from error
+        if isinstance(error, ToolkitError):
+            message, code = _with_option(str(error), options), error.exit_code
+        elif error.filename is not None:
+            # A path that the system refuses and nobody asked for more about, such as too long a name. As a
+            # traceback it would end with 1, which says that a validation failed.
+            message = (
+                f"{str(error.filename)!r}: {error.strerror}; next: give another path (--debug says where)"
+            )
+            code = InputError.exit_code
+        else:
+            raise
+        sys.stderr.write(f"error: {printable(message)}\n")
+        raise typer.Exit(code) from error
     except KeyboardInterrupt as error:
         said = str(error) or "interrupted; what was finished is kept, the same command goes on from there"
         sys.stderr.write(f"{said}\n")

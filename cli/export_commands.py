@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from enum import StrEnum
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, TypeVar
+from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeVar
 
 import typer
 
 from cli.application import EXIT_FAILED, command
-from cli.options import Json, Limit, LocalOut, Quiet, Workers
+from cli.options import Limit, LocalOut, Workers, process_count
 from cli.output import Sink, bytes_text, counted
 from tactile_toolkit.kind import DatasetKind
 
@@ -29,23 +27,11 @@ T = TypeVar("T")
 _ROWS_SHOWN = 20
 
 
-class MeshFormat(StrEnum):
-    """Formats of mesh files on the command line."""
+MeshFormat = Literal["stl", "3mf", "ply", "obj", "glb", "mjcf", "urdf", "usd"]
+"""Formats of mesh files on the command line."""
 
-    stl = "stl"
-    threemf = "3mf"
-    ply = "ply"
-    obj = "obj"
-    glb = "glb"
-    mjcf = "mjcf"
-    urdf = "urdf"
-    usd = "usd"
-
-
-class ObjectLayout(StrEnum):
-    """Layouts of tables for other libraries."""
-
-    flat = "flat"
+ObjectLayout = Literal["flat"]
+"""Layouts of tables for other libraries."""
 
 
 def _beds(begun: str) -> list[str]:
@@ -115,15 +101,13 @@ class ExportOptions:
         bool,
         typer.Option("--dry-run", help="Say which files would be made and how large; write nothing."),
     ] = False
-    as_json: Json = False
-    quiet: Quiet = False
 
 
 def add_export(app: typer.Typer, kind: DatasetKind) -> None:
     """Add the command for a kind of data set of meshes to its command line."""
 
     @command(app)
-    def export(options: ExportOptions) -> None:
+    def export(options: ExportOptions, sink: Sink) -> None:
         """Write files for printers and simulators, or tables for other libraries.
 
         One file per object, or objects packed on build plates; tables have a row for each.
@@ -138,7 +122,6 @@ def add_export(app: typer.Typer, kind: DatasetKind) -> None:
         """
         from tactile_toolkit.printing.objects import choose, choose_rows
 
-        sink = Sink(options.as_json, options.quiet)
         if options.layout is not None:
             _refuse_options_of_files(options)
             _export_flat(sink, _chosen(kind, options, choose_rows), options)
@@ -166,7 +149,7 @@ def _plate_spec(options: ExportOptions) -> PlateSpec | None:
                 message = f"{option} is about build plates; next: add --plate 256x256"
                 raise InputError(message)
         return None
-    if options.file_format not in (None, MeshFormat.threemf, MeshFormat.mjcf):
+    if options.file_format not in (None, "3mf", "mjcf"):
         message = (
             f"--plate writes 3mf or mjcf, which hold named objects; --format {options.file_format} does not"
         )
@@ -181,7 +164,7 @@ def _physics(options: ExportOptions) -> Physics:
 
     given = {"density_kg_m3": options.density, "friction": options.friction}
     chosen = {name: value for name, value in given.items() if value is not None}
-    if chosen and (options.file_format is None or options.file_format.value not in MODELS):
+    if chosen and options.file_format not in MODELS:
         message = (
             "--density and --friction are about bodies for simulators; next: add --format mjcf, urdf or usd"
         )
@@ -218,7 +201,7 @@ def _chosen(kind: DatasetKind, options: ExportOptions, choose: Callable[..., T])
 def _export_files(sink: Sink, objects: list[PrintObject], options: ExportOptions) -> tuple[Failure, ...]:
     from tactile_toolkit.printing.singles import export_files, forecast_files
 
-    ending, out = (options.file_format or MeshFormat.stl).value, options.out
+    ending, out = options.file_format or "stl", options.out
     if options.dry_run:
         view = forecast_files(
             *(objects, ending, options.scale),
@@ -240,7 +223,7 @@ def _export_files(sink: Sink, objects: list[PrintObject], options: ExportOptions
             scale=options.scale,
             physics=_physics(options),
             overwrite=options.overwrite,
-            workers=options.workers or os.cpu_count() or 1,
+            workers=process_count(options.workers),
             on_progress=update,
         )
     sink.document({"out": str(out), **made.to_dict()})
@@ -271,14 +254,12 @@ def _export_flat(sink: Sink, choices: Any, options: ExportOptions) -> None:
                 choices,
                 out,
                 overwrite=options.overwrite,
-                workers=options.workers or os.cpu_count() or 1,
+                workers=process_count(options.workers),
                 on_progress=update,
             )
     sink.document({"out": out, "files": [file.to_dict() for file in made]})
-    size, rows = (
-        bytes_text(sum(file.bytes for file in made)),
-        counted(sum(file.rows for file in made), "rows"),
-    )
+    size = bytes_text(sum(file.bytes for file in made))
+    rows = counted(sum(file.rows for file in made), "rows")
     if options.dry_run:
         sink.line(f"would write {rows} to {out}, about {size}; nothing was written")
         return
@@ -297,7 +278,7 @@ def _export_plates(
         measured = measure(objects, spec, options.scale, update)
     with sink.progress("packing", "objects") as update:
         layout = arrange(measured, update)
-    if options.file_format is MeshFormat.mjcf:
+    if options.file_format == "mjcf":
         layout = replace(layout, physics=_physics(options))
     if dry_run:
         made = forecast_plates(layout, str(out), overwrite=overwrite)

@@ -14,7 +14,6 @@ from cli.output import BYTES, Sink, bytes_text, counted
 from tactile_toolkit.kind import DatasetKind
 
 if TYPE_CHECKING:
-    from tactile_toolkit.catalog.published import SetState
     from tactile_toolkit.exchange.download import DownloadPlan
 
 __all__ = ["FILES_SHOWN", "add_download", "listed"]
@@ -73,13 +72,7 @@ def add_download(app: typer.Typer, kind: DatasetKind) -> None:
         from tactile_toolkit.exchange.download import plan_download
 
         _refuse_other_kind(name, kind)
-        plan = plan_download(
-            name,
-            split or (),
-            revision=revision,
-            out=out,
-            on_wait=sink.talk,
-        )
+        plan = plan_download(name, split or (), revision=revision, out=out, on_wait=sink.talk)
         kind.refuse_other(plan.manifest, plan.repository.repo_id)
         _introduce(sink, name, plan)
         if not dry_run:
@@ -193,12 +186,6 @@ def _conclude(sink: Sink, plan: DownloadPlan, place: str, kind: DatasetKind) -> 
     sink.line(f"next in Python: {line}")
 
 
-def _here(state: SetState) -> str:
-    if not state.local_bytes:
-        return "-"
-    return f"{bytes_text(state.local_bytes)} ({', '.join(state.local_splits)})"
-
-
 def _print_sets(sink: Sink, kind: DatasetKind) -> None:
     from tactile_toolkit.catalog.published import states
 
@@ -224,7 +211,9 @@ def _print_sets(sink: Sink, kind: DatasetKind) -> None:
             state.published.content,
             state.licence or "see its card",
             "?" if state.hub_bytes is None else bytes_text(state.hub_bytes),
-            _here(state),
+            f"{bytes_text(state.local_bytes)} ({', '.join(state.local_splits)})"
+            if state.local_bytes
+            else "-",
         )
         for state in found
     ]

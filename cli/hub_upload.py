@@ -1,4 +1,4 @@
-"""``upload``: bring a data set folder to the Hugging Face Hub."""
+"""``upload``: bring a data set folder to the Hugging Face Hub; and all commands that have to do with it."""
 
 from __future__ import annotations
 
@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from cli.application import EXIT_FAILED, command
-from cli.hub_download import FILES_SHOWN, listed
+from cli.folders import add_card
+from cli.hub_download import FILES_SHOWN, add_download, listed
 from cli.options import Folder, ReaderThreads, process_count
 from cli.output import Sink, bytes_text, counted
 from tactile_toolkit.kind import DatasetKind
@@ -18,29 +19,9 @@ from tactile_toolkit.kind import DatasetKind
 if TYPE_CHECKING:
     from tactile_toolkit.exchange.upload import PreparedUpload, UploadResult
 
-__all__ = ["add_upload"]
+__all__ = ["add_hub_commands"]
 
 Repository = Annotated[str, typer.Argument(metavar="USER/NAME", help="Repository of the Hub.")]
-Private = Annotated[bool, typer.Option("--private", help="Create the repository for your eyes only.")]
-Revision = Annotated[
-    str | None,
-    typer.Option("--revision", metavar="BRANCH", help="Branch to write to; made if it is not there."),
-]
-CreatePr = Annotated[
-    bool, typer.Option("--create-pr", help="Open a pull request instead of writing to main.")
-]
-Message = Annotated[str | None, typer.Option("--message", metavar="TEXT", help="First line of the commit.")]
-Tag = Annotated[
-    str | None,
-    typer.Option("--tag", metavar="NAME", help="Name of this state, beside the schema's, such as v1."),
-]
-Delete = Annotated[
-    bool, typer.Option("--delete", help="Remove files from the repository that the folder does not have.")
-]
-Viewer = Annotated[
-    bool,
-    typer.Option("--viewer", help="Send each mesh as a file that the Hub shows in 3D, too."),
-]
 DryRun = Annotated[bool, typer.Option("--dry-run", help="Say what would be sent; send nothing.")]
 Yes = Annotated[bool, typer.Option("--yes", "-y", help="Send without asking.")]
 
@@ -49,17 +30,31 @@ Yes = Annotated[bool, typer.Option("--yes", "-y", help="Send without asking.")]
 class Sending:
     """What the user decides of an upload; named as the fields of ``UploadOptions``."""
 
-    private: Private = False
-    revision: Revision = None
-    create_pr: CreatePr = False
-    message: Message = None
-    tag: Tag = None
-    delete: Delete = False
-    viewer: Viewer = False
+    private: Annotated[bool, typer.Option("--private", help="Create the repository for your eyes only.")] = (
+        False
+    )
+    revision: Annotated[
+        str | None, typer.Option(metavar="BRANCH", help="Branch to write to; made if it is not there.")
+    ] = None
+    create_pr: Annotated[
+        bool, typer.Option("--create-pr", help="Open a pull request instead of writing to main.")
+    ] = False
+    message: Annotated[str | None, typer.Option(metavar="TEXT", help="First line of the commit.")] = None
+    tag: Annotated[
+        str | None,
+        typer.Option(metavar="NAME", help="Name of this state, beside the schema's, such as v1."),
+    ] = None
+    delete: Annotated[
+        bool, typer.Option("--delete", help="Remove files from the repository that the folder does not have.")
+    ] = False
+    viewer: Annotated[
+        bool, typer.Option("--viewer", help="Send each mesh as a file that the Hub shows in 3D, too.")
+    ] = False
 
 
-def add_upload(app: typer.Typer, kind: DatasetKind) -> None:
-    """Add the command ``upload`` to a command line."""
+def add_hub_commands(app: typer.Typer, kind: DatasetKind) -> None:
+    """Add ``card``, ``upload``, ``download`` and ``list`` to the command line of a kind of data set."""
+    add_card(app, kind)
 
     @command(app)
     def upload(
@@ -96,10 +91,16 @@ def add_upload(app: typer.Typer, kind: DatasetKind) -> None:
             return
         if not (prepared.is_done and prepared.state.has_branch) and not yes:
             _ask(prepared)
-        _show_bars(sink)
+        if sink.quiet or not sys.stderr.isatty():
+            from huggingface_hub.utils.tqdm import disable_progress_bars
+
+            # The Hub's client draws them whatever stderr is.
+            disable_progress_bars()
         result = run_upload(prepared)
         sink.document(_document(kind, prepared, result))
         _print_result(sink, kind, prepared, result)
+
+    add_download(app, kind)
 
 
 def _ask(prepared: PreparedUpload) -> None:
@@ -114,14 +115,6 @@ def _ask(prepared: PreparedUpload) -> None:
     if not typer.confirm(f"Send this to {prepared.target.page}?", err=True):
         sys.stderr.write("nothing was sent\n")
         raise typer.Exit(EXIT_FAILED)
-
-
-def _show_bars(sink: Sink) -> None:
-    """Let the Hub's client show its progress bars on a terminal only."""
-    if sink.quiet or not sys.stderr.isatty():
-        from huggingface_hub.utils.tqdm import disable_progress_bars
-
-        disable_progress_bars()
 
 
 def _print_plan(sink: Sink, prepared: PreparedUpload) -> None:

@@ -210,11 +210,13 @@ def rate_text(done: int, elapsed_s: float, unit: str) -> str:
 
 def bytes_text(size: float) -> str:
     """Write a size for people: ``"12.3 MB"``."""
-    for unit in ("B", "kB", "MB", "GB"):
-        if size < 1000 or unit == "GB":
-            return f"{size:.0f} B" if unit == "B" else f"{size:.1f} {unit}"
+    if size < 999.5:
+        return f"{size:.0f} B"
+    for unit in ("kB", "MB"):
         size /= 1000
-    return ""
+        if size < 999.95:  # what would round to 1000.0 is one of the next unit
+            return f"{size:.1f} {unit}"
+    return f"{size / 1000:.1f} GB"
 
 
 def duration_text(seconds: float) -> str:

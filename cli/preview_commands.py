@@ -34,6 +34,7 @@ PictureDryRun = Annotated[
 ]
 
 
+# Typer takes lists of enumerations, but not of literals, which all other choices are.
 class DigitPicture(StrEnum):
     """Pictures of digits."""
 

@@ -7,10 +7,9 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from cli.application import EXIT_FAILED, command, new_app, run
-from cli.folders import add_card, print_unfinished
+from cli.folders import print_unfinished
 from cli.gallery_commands import add_touch_gallery
-from cli.hub_download import add_download
-from cli.hub_upload import add_upload
+from cli.hub_upload import add_hub_commands
 from cli.options import Json, OneSplit, ReaderThreads, Revision, Split, TouchSet, process_count
 from cli.output import Sink, counted
 from cli.preview_commands import preview_touches
@@ -161,9 +160,7 @@ def reproduce(*, name: TouchSet, revision: Revision = None, sink: Sink) -> None:
 
 add_conversions(app)
 command(app, "preview")(preview_touches)
-add_card(app, KIND)
-add_upload(app, KIND)
-add_download(app, KIND)
+add_hub_commands(app, KIND)
 add_touch_gallery(app)
 
 

@@ -12,10 +12,9 @@ import typer
 from cli.application import EXIT_FAILED, command, new_app, run
 from cli.copies import manifest_or_copy
 from cli.export_commands import add_export
-from cli.folders import add_card, add_verify, least_to_most, print_made, print_spec
+from cli.folders import add_verify, least_to_most, print_made, print_spec
 from cli.gallery_commands import add_mesh_gallery
-from cli.hub_download import add_download
-from cli.hub_upload import add_upload
+from cli.hub_upload import add_hub_commands
 from cli.making import make_with_progress, print_conclusion, print_forecast
 from cli.options import Folder, Json, Limit, Making, Out, Seed, Workers, place_of_data, process_count
 from cli.output import Sink, bytes_text, counted
@@ -192,9 +191,7 @@ def trial_reporter(sink: Sink) -> Callable[[int, int], None]:
 
 add_verify(app, KIND, "a data set folder")
 command(app, "preview")(preview_scenes)
-add_card(app, KIND)
-add_upload(app, KIND)
-add_download(app, KIND)
+add_hub_commands(app, KIND)
 add_mesh_gallery(app, KIND)
 add_export(app, KIND)
 

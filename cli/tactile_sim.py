@@ -10,10 +10,9 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import typer
 
 from cli.application import command, new_app, run
-from cli.folders import add_card, add_verify, print_made, print_spec
+from cli.folders import add_verify, print_made, print_spec
 from cli.gallery_commands import add_touch_gallery
-from cli.hub_download import add_download
-from cli.hub_upload import add_upload
+from cli.hub_upload import add_hub_commands
 from cli.making import make_with_progress, print_forecast
 from cli.options import Folder, Json, Limit, Making, Out, Seed, local_place, parse_size
 from cli.output import Sink, bytes_text
@@ -269,9 +268,7 @@ def render(
 add_learning(app)
 add_verify(app, KIND, "a data set folder")
 command(app, "preview")(preview_touches)
-add_card(app, KIND)
-add_upload(app, KIND)
-add_download(app, KIND)
+add_hub_commands(app, KIND)
 add_touch_gallery(app)
 
 

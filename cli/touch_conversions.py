@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from enum import StrEnum
 from functools import partial
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -13,10 +12,8 @@ import typer
 from cli.application import command
 from cli.making import make_with_progress
 from cli.options import (
-    Json,
     Limit,
     Out,
-    Quiet,
     Split,
     TouchSet,
     Work,
@@ -37,37 +34,17 @@ __all__ = ["add_conversions"]
 _SKIPPED_SHOWN = 20
 
 
-class DifferenceName(StrEnum):
-    """Ways to show what differs from the background."""
+DifferenceName = Literal["grey", "absolute"]
+"""Ways to show what differs from the background."""
 
-    grey = "grey"
-    absolute = "absolute"
+FrameName = Literal["contact_end", "contact_start", "peak", "median", "best"]
+"""Ways to choose the frame of a clip that shows the contact."""
 
+LayoutName = Literal["flat", "webdataset", "lerobot"]
+"""Formats of other libraries."""
 
-class FrameName(StrEnum):
-    """Ways to choose the frame of a clip that shows the contact."""
-
-    contact_end = "contact_end"
-    contact_start = "contact_start"
-    peak = "peak"
-    median = "median"
-    best = "best"
-
-
-class LayoutName(StrEnum):
-    """Formats of other libraries."""
-
-    flat = "flat"
-    webdataset = "webdataset"
-    lerobot = "lerobot"
-
-
-class ImportLayout(StrEnum):
-    """Formats of others that become touches."""
-
-    folder = "folder"
-    webdataset = "webdataset"
-
+ImportLayout = Literal["folder", "webdataset"]
+"""Formats of others that become touches."""
 
 Target = Annotated[str, typer.Argument(metavar="OUT", help="Folder to write.", parser=place_of_data)]
 Frame = Annotated[
@@ -86,14 +63,17 @@ class Converting(Work):
 
     split: Split = None
     limit: Limit = None
-    as_json: Json = False
-    quiet: Quiet = False
 
     def run(
-        self, convert: Callable[..., Manifest], source: str, out: str, *values: Any, **options: Any
+        self,
+        sink: Sink,
+        convert: Callable[..., Manifest],
+        source: str,
+        out: str,
+        *values: Any,
+        **options: Any,
     ) -> None:
         """Say what will be fetched, convert with a progress bar, and say what was made."""
-        sink = Sink(self.as_json, self.quiet)
         announce_fetching(sink, source, self.split)
         make = partial(convert, source, out, *values, **options, split=self.split, limit=self.limit)
         made = make_with_progress(sink, "converting", KIND.nouns, make, self, out)
@@ -149,8 +129,9 @@ def to_single(
     *,
     source: TouchSet,
     out: Target,
-    frame: Frame = FrameName.contact_end,
+    frame: Frame = "contact_end",
     converting: Converting,
+    sink: Sink,
 ) -> None:
     """Make a data set of single images of one of clips: a frame of each, with the pose at that moment.
 
@@ -158,7 +139,7 @@ def to_single(
     """
     from realtouch.convert.api import to_single as convert
 
-    converting.run(convert, source, out, frame.value)
+    converting.run(sink, convert, source, out, frame)
 
 
 def resize(
@@ -168,6 +149,7 @@ def resize(
     size: Annotated[str, typer.Option("--size", metavar="WIDTHxHEIGHT", help="Size wanted, pixels.")],
     quality: Annotated[int, typer.Option(min=1, max=100, help="JPEG quality of what is encoded again.")] = 95,
     converting: Converting,
+    sink: Sink,
 ) -> None:
     """Write the same data set with pictures or clips of another size.
 
@@ -175,7 +157,7 @@ def resize(
     """
     from realtouch.convert.api import resize as convert
 
-    converting.run(convert, source, out, *parse_size(size), quality=quality)
+    converting.run(sink, convert, source, out, *parse_size(size), quality=quality)
 
 
 def frames(
@@ -184,7 +166,7 @@ def frames(
     out: Target,
     png: Annotated[bool, typer.Option("--png", help="Write PNG (the default); pixels stay exact.")] = False,
     jpeg: Annotated[bool, typer.Option("--jpeg", help="Write the stored JPEGs as they are.")] = False,
-    frame: Frame = FrameName.contact_end,
+    frame: Frame = "contact_end",
     difference: Annotated[
         DifferenceName | None,
         typer.Option(
@@ -192,6 +174,7 @@ def frames(
         ),
     ] = None,
     converting: Converting,
+    sink: Sink,
 ) -> None:
     """Write touches as plain image files with an index in CSV and Parquet.
 
@@ -206,8 +189,7 @@ def frames(
         message = "--png and --jpeg were both given; expected one of them"
         raise InputError(message)
     kind: Literal["png", "jpeg"] = "jpeg" if jpeg else "png"
-    form = None if difference is None else difference.value
-    converting.run(convert, source, out, kind, frame.value, difference=form)
+    converting.run(sink, convert, source, out, kind, frame, difference=difference)
 
 
 def select(
@@ -225,6 +207,7 @@ def select(
     labels: Annotated[str | None, typer.Option(metavar="3,5", help="Only these classes.")] = None,
     objects: Annotated[str | None, typer.Option(metavar="ID,ID", help="Only these objects.")] = None,
     converting: Converting,
+    sink: Sink,
 ) -> None:
     """Write some rounds and touches of a data set; pictures pass through byte for byte.
 
@@ -233,6 +216,7 @@ def select(
     from realtouch.convert.api import select as convert
 
     converting.run(
+        sink,
         convert,
         source,
         out,
@@ -255,8 +239,9 @@ def export(
         ),
     ],
     out: Out,
-    frame: Frame = FrameName.contact_end,
+    frame: Frame = "contact_end",
     converting: Converting,
+    sink: Sink,
 ) -> None:
     """Write touches for other libraries; stored JPEGs are copied, never encoded again.
 
@@ -266,7 +251,7 @@ def export(
     """
     from realtouch.exchange.api import export as convert
 
-    converting.run(convert, source, out, layout.value, frame=frame.value)
+    converting.run(sink, convert, source, out, layout, frame=frame)
 
 
 def import_touches(
@@ -299,7 +284,7 @@ def import_touches(
         import_images,
         source,
         out,
-        layout.value,
+        layout,
         columns.chosen(),
         table=table,
         classes=_listed(classes),

@@ -37,12 +37,15 @@ def volumes_m3(meshes: Measurable) -> NDArray[np.float64]:
 def bounds_m(meshes: Measurable) -> NDArray[np.float64]:
     """Return lowest and highest corner of each mesh, shape (n, 2, 3), metres; reads vertices alone."""
     if isinstance(meshes, PlainMeshes):
-        return np.array([_some_bounds_m(mesh.vertices_m, f"mesh {mesh.id}") for mesh in meshes])
+        return np.array([mesh_bounds_m(mesh.vertices_m, f"mesh {mesh.id}") for mesh in meshes])
     return meshes.measured("bounds of the meshes", ["id", VERTICES], _bounds_m)
 
 
-def mesh_bounds_m(vertices_m: NDArray[np.floating[Any]]) -> NDArray[np.float64]:
-    """Return lowest and highest corner of some vertices, shape (2, 3), metres."""
+def mesh_bounds_m(vertices_m: NDArray[np.floating[Any]], where: str) -> NDArray[np.float64]:
+    """Return lowest and highest corner of some vertices, shape (2, 3), metres; InputError without any."""
+    if not len(vertices_m):
+        message = f"{where} has no vertices; next: run `validate` on the data set and generate it again"
+        raise InputError(message)
     # Column by column: numpy reduces short rows slowly.
     return np.array([[reduce(column) for column in vertices_m.T] for reduce in (np.min, np.max)], np.float64)
 
@@ -56,7 +59,7 @@ def _volumes_m3(group: RowGroup) -> NDArray[np.float64]:
 def _bounds_m(group: RowGroup) -> NDArray[np.float64]:
     vertices = group.ragged(VERTICES)
     rows = range(len(vertices))
-    return np.array([_some_bounds_m(vertices[row], _row_of(group, row)) for row in rows]).reshape(-1, 2, 3)
+    return np.array([mesh_bounds_m(vertices[row], _row_of(group, row)) for row in rows]).reshape(-1, 2, 3)
 
 
 def _row_of(group: RowGroup, row: int) -> str:
@@ -72,10 +75,3 @@ def _volume_m3(vertices_m: NDArray[Any], faces: NDArray[Any], where: str) -> flo
         )
         raise InputError(message)
     return float(Mesh(vertices_m, faces).volume_m3)
-
-
-def _some_bounds_m(vertices_m: NDArray[Any], where: str) -> NDArray[np.float64]:
-    if not len(vertices_m):
-        message = f"{where} has no vertices; next: run `validate` on the data set and generate it again"
-        raise InputError(message)
-    return mesh_bounds_m(vertices_m)

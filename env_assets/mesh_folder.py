@@ -16,7 +16,7 @@ from tactile_toolkit.errors import InputError
 from tactile_toolkit.gallery.page import natural_order
 from tactile_toolkit.mesh.files import FORMATS, read_mesh
 from tactile_toolkit.mesh.mesh import Mesh
-from tactile_toolkit.store.folder import expanded
+from tactile_toolkit.store.folder import expanded, is_there
 
 __all__ = ["MeshFile", "mesh_files"]
 
@@ -74,6 +74,8 @@ def mesh_files(place: str | PathLike[str], split: str) -> PlainMeshes | None:
     the order of their names. InputError: a class is there twice, or files lie beside classes.
     """
     root = expanded(fspath(place))
+    if not is_there(root):
+        return None
     if root.is_file() and root.suffix.lower() in FORMATS:
         return _as_meshes([root], [root.stem])
     if (root / split).is_dir():

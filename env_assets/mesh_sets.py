@@ -6,6 +6,7 @@ all at once.
 
 from __future__ import annotations
 
+import operator
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from importlib import import_module
@@ -276,7 +277,7 @@ class PointRecord:
 
 
 def as_records(meshes: Any, label_names: Sequence[str] = ()) -> PlainMeshes | None:
-    """Take a sequence for meshes; None where it holds something else.
+    """Take a sequence for meshes; None where it holds something else, InputError where a label is no number.
 
     ``label_names`` are the classes of a sequence that does not name its own; numbers by default.
     """
@@ -285,5 +286,12 @@ def as_records(meshes: Any, label_names: Sequence[str] = ()) -> PlainMeshes | No
     if not all(hasattr(record, name) for record in meshes[:1] for name in _FIELDS):
         return None
     names = tuple(getattr(meshes, "label_names", label_names))
-    most = max((int(record.label) for record in meshes), default=-1)
+    most = -1
+    for row, record in enumerate(meshes):
+        label: Any = getattr(record, "label", None)
+        try:
+            most = max(most, operator.index(label))
+        except TypeError:
+            message = f"record {row} has label {label!r}; expected the number of its class, from 0 on"
+            raise InputError(message) from None
     return PlainMeshes(meshes, names or tuple(str(label) for label in range(most + 1)))

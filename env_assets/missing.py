@@ -45,13 +45,10 @@ class AssetMaker:
 
     def __post_init__(self) -> None:
         """Refuse numbers that nothing can be made of, before anything is asked for."""
-        for name, value, least in (
-            ("seed", self.seed, 0),
-            ("per_class", self.per_class, 1),
-            ("workers", self.workers, 1),
-        ):
-            if not (value is None and name == "per_class"):
-                require_whole(name, value, least)
+        require_whole("seed", self.seed, 0)
+        require_whole("workers", self.workers, 1)
+        if self.per_class is not None:
+            require_whole("per_class", self.per_class, 1)
 
     def place(self, kind: str) -> Path:
         """Return the folder of a kind."""

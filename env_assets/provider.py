@@ -21,12 +21,13 @@ from tactile_toolkit.errors import InputError, IntegrityError
 from tactile_toolkit.mesh.height_map import HeightCache, HeightMap
 from tactile_toolkit.mesh.mesh import as_mesh
 from tactile_toolkit.read.parquet import Shard
+from tactile_toolkit.store.folder import expanded, is_there
 
 if TYPE_CHECKING:
     from realtouch.dataset import TouchSeqDataset, TouchSingleDataset
     from starstruck_gen.placement import Placement
 
-__all__ = ["AssetProvider", "Pins", "repository_id"]
+__all__ = ["AssetProvider", "repository_id"]
 
 _REPOSITORY = re.compile(r"(?:hf://datasets/)?(?P<repo>[\w.-]+/[\w.-]+)")
 
@@ -89,9 +90,10 @@ class AssetProvider:
         per_class: int | None = None,
         workers: int = 1,
     ) -> None:
-        self._maker = AssetMaker(Path(fspath(root)).expanduser().absolute(), seed, per_class, workers)
+        self._maker = AssetMaker(expanded(fspath(root)).absolute(), seed, per_class, workers)
         self._places = {name: _held(fspath(place)) for name, place in (places or {}).items()}
-        self._pins = Pins(revision)
+        self._revision = revision
+        self._commits: dict[str, str] = {}
         self._generate = generate
         require_whole("cache_meshes", cache_meshes, 0)
         self._memory = MemoryCache[Any, Any](cache_meshes)
@@ -170,7 +172,7 @@ class AssetProvider:
         opened = self._opened.get(("touches", name, split))
         if opened is None:
             place = repository_of(self._place(name))
-            opened = load(place, split, revision=self._pins.commit_of(place))
+            opened = load(place, split, revision=self._commit_of(place))
             opened = self._opened.setdefault(("touches", name, split), opened)
         found: TouchSeqDataset | TouchSingleDataset = opened
         return found
@@ -215,7 +217,7 @@ class AssetProvider:
         InputError
             No mesh.
         """
-        return mesh_bounds_m(as_mesh(record).vertices_m)
+        return mesh_bounds_m(as_mesh(record).vertices_m, "the mesh")
 
     def placements(self, record: Any) -> tuple[Placement, ...]:
         """Return what stands where in a Starstruck scene, stars first; metres and radians, cell frame.
@@ -241,13 +243,26 @@ class AssetProvider:
         if name in self._places:
             return self._places[name]
         inside = self.root / name
-        return str(inside) if name in KINDS or inside.is_dir() else name
+        return str(inside) if name in KINDS or (is_there(inside) and inside.is_dir()) else name
+
+    def _commit_of(self, place: str) -> str | None:
+        """Return the commit of a repository, looked up on first use and kept; None for a folder or a file."""
+        repo_id = repository_id(place)
+        if repo_id is None:
+            return None
+        commit = self._commits.get(repo_id)
+        if commit is None:
+            from tactile_toolkit.hub.repository import HubRepository
+
+            # The first answer stays, whichever thread it came from.
+            commit = self._commits.setdefault(repo_id, HubRepository(repo_id, self._revision).snapshot.commit)
+        return commit
 
     def _shards(self, name: str, split: str) -> tuple[Shard, ...]:
         place = self._place(name)
         made_here = name in KINDS and name not in self._places
         try:
-            return find_shards(place, split, revision=self._pins.commit_of(place))
+            return find_shards(place, split, revision=self._commit_of(place))
         except (InputError, IntegrityError) as error:
             if not made_here:
                 raise
@@ -284,30 +299,9 @@ def _held(place: str) -> str:
         return place
 
 
-class Pins:
-    """The commits of repositories of the Hub, each looked up on first use and kept."""
-
-    def __init__(self, revision: str | None) -> None:
-        self._revision = revision
-        self._commits: dict[str, str] = {}
-
-    def commit_of(self, place: str) -> str | None:
-        """Return the commit of a repository; None for a folder or a file."""
-        repo_id = repository_id(place)
-        if repo_id is None:
-            return None
-        commit = self._commits.get(repo_id)
-        if commit is None:
-            from tactile_toolkit.hub.repository import HubRepository
-
-            # The first answer stays, whichever thread it came from.
-            commit = self._commits.setdefault(repo_id, HubRepository(repo_id, self._revision).snapshot.commit)
-        return commit
-
-
 def repository_id(place: str) -> str | None:
     """Return the repository (``USER/NAME``) that a place names; None for what is, or can only be, a path."""
-    if place.startswith((".", "/", "~")) or Path(place).expanduser().exists():
+    if place.startswith((".", "/", "~")) or is_there(Path(place)):
         return None
     match = _REPOSITORY.fullmatch(place)
     return None if match is None else match["repo"]

@@ -140,7 +140,9 @@ class StoredMeshDataset(tactile_mnist.HuggingfaceMeshDataset):  # type: ignore[m
     """A ``tactile_mnist.MeshDataset`` that reads meshes by our loader; see :func:`as_mesh_dataset`."""
 
     def __init__(self, meshes: Records, cache_size: CacheSize = 0) -> None:
-        super().__init__(_mesh_rows(meshes), cache_size=cache_size)
+        plain = {name: attrgetter(name) for name in _PLAIN}
+        rows = StoredRows(meshes, {**plain, "mesh": mesh_keywords}, label_feature(meshes))
+        super().__init__(rows, cache_size=cache_size)
         self._meshes = meshes
 
     @property
@@ -180,11 +182,6 @@ def has_equal_rows(vertices_m: NDArray[np.float32]) -> bool:
     mixed = grid @ _MIXERS
     mixed.sort()
     return bool((mixed[1:] == mixed[:-1]).any())
-
-
-def _mesh_rows(meshes: Records) -> StoredRows:
-    readers: dict[str, Reader] = {"id": attrgetter("id"), "label": attrgetter("label"), "mesh": mesh_keywords}
-    return StoredRows(meshes, readers, label_feature(meshes))
 
 
 @dataclass(frozen=True, eq=False)

@@ -47,7 +47,7 @@ from tactile_toolkit.store.shards import ShardName
 if TYPE_CHECKING:
     from env_assets.source import AssetSource
 
-__all__ = ["SPARSE_SINGLE_BROKEN", "TOUCHES", "assets_for", "folder_of_links", "make"]
+__all__ = ["SPARSE_SINGLE_BROKEN", "TOUCHES", "assets_for", "folder_of_links", "make", "takes_recorded_noise"]
 
 SPARSE_SINGLE_BROKEN = ("0.7.1",)
 """Versions of ap-gym whose own wrapper for sparse rewards fails with a single environment."""
@@ -213,9 +213,8 @@ def assets_for(
         else:
             meshes = _own_meshes(environment, own, settings)
         found = {"dataset": _points(environment, meshes, settings), "smallest_dimension_up": False}
-        noise = settings.get("sensor_noise")
-        if getattr(noise, "real_base_depth_dataset", None) is not None:
-            found["sensor_noise"] = _noise_from(_required(provider, environment), noise)
+        if takes_recorded_noise(settings):
+            found["sensor_noise"] = _noise_from(_required(provider, environment), settings["sensor_noise"])
         return found
     if own is not None:
         message = (
@@ -232,6 +231,11 @@ def assets_for(
         refuse_unknown_objects(rounds, printed, f"{TOUCHES!r}")
         found["mesh_dataset"] = _points(environment, printed, settings)
     return found
+
+
+def takes_recorded_noise(settings: Mapping[str, Any]) -> bool:
+    """Tell whether the noise of the sensor is drawn from recorded touches, as in ``-DR`` environments."""
+    return getattr(settings.get("sensor_noise"), "real_base_depth_dataset", None) is not None
 
 
 def _required(provider: AssetSource | None, environment: PublishedEnvironment) -> AssetSource:

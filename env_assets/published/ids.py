@@ -112,7 +112,10 @@ def published_environment(env_id: str) -> PublishedEnvironment:
     name = env_id.removeprefix(_PACKAGE_PREFIX)
     registry = published_package("gymnasium").registry
     if name not in registry:
-        raise _unknown(env_id, name, registry)
+        ours = [known for known in registry if known.split("-")[0] in FAMILIES]
+        close = difflib.get_close_matches(name, ours, n=3) or ["TactileMNIST-Depth-train-v0"]
+        message = f"no environment {env_id!r} is registered; next: choose one such as {', '.join(close)}"
+        raise InputError(message)
     if name.split("-")[0] not in FAMILIES:
         message = (
             f"{env_id!r} is not an environment of tactile-mnist (families {', '.join(FAMILIES)}); next: make "
@@ -133,9 +136,3 @@ def _described(spec: Any) -> PublishedEnvironment:
     words = spec.id.split("-")
     split = "test" if "test" in words else "train"
     return PublishedEnvironment(FAMILIES[words[0]], split, _SPARSE in spec.id, spec)
-
-
-def _unknown(env_id: str, name: str, registry: Any) -> InputError:
-    ours = [known for known in registry if known.split("-")[0] in FAMILIES]
-    close = difflib.get_close_matches(name, ours, n=3) or ["TactileMNIST-Depth-train-v0"]
-    return InputError(f"no environment {env_id!r} is registered; next: choose one such as {', '.join(close)}")

@@ -8,7 +8,7 @@ from functools import cache
 from importlib.metadata import version
 from typing import Any
 
-from env_assets.published.environments import SPARSE_SINGLE_BROKEN, TOUCHES
+from env_assets.published.environments import SPARSE_SINGLE_BROKEN, TOUCHES, takes_recorded_noise
 from env_assets.published.ids import FAMILIES, FOREIGN, PublishedEnvironment, published_environments
 from env_assets.published.packages import published_package, require_sensor, sensor_factories
 from tactile_toolkit.errors import InputError
@@ -68,7 +68,7 @@ def _state(environment: PublishedEnvironment) -> EnvironmentState:
             f"meshes: {family.assets} are {FOREIGN[family.assets]}; give env_assets.make(ID, assets=FOLDER) "
             "meshes of your own, or a provider with a place for them"
         )
-    elif family.recorded or _has_recorded_noise(environment):
+    elif family.recorded or takes_recorded_noise(environment.settings):
         state = "touches"
         note = f"touches: recorded ones are read, from places={{{TOUCHES!r}: ...}} of the provider"
     lacking = None if family.recorded and sensor == "direct" else _lacking(sensor)
@@ -86,11 +86,6 @@ def _state(environment: PublishedEnvironment) -> EnvironmentState:
         state,
         note,
     )
-
-
-def _has_recorded_noise(environment: PublishedEnvironment) -> bool:
-    noise = environment.settings.get("sensor_noise")
-    return getattr(noise, "real_base_depth_dataset", None) is not None
 
 
 @cache

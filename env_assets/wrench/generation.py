@@ -1,8 +1,9 @@
-"""A wrench as a data set of one row: rows, build and card."""
+"""A wrench as a data set of one row: rows, build and card; and how the usual one is made."""
 
 from __future__ import annotations
 
 import os
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cache
 from pathlib import Path
@@ -18,7 +19,7 @@ from tactile_toolkit.mesh.mesh import Mesh
 from tactile_toolkit.read.columns import list_array
 from tactile_toolkit.run.processes import InlineRunner
 from tactile_toolkit.store.build import build
-from tactile_toolkit.store.folder import DataFolder
+from tactile_toolkit.store.folder import DataFolder, expanded, named_failures
 from tactile_toolkit.store.manifest import Manifest
 from tactile_toolkit.store.parquet import ParquetStyle
 from tactile_toolkit.store.plan import BuildPlan, ShardContent
@@ -27,6 +28,7 @@ from tactile_toolkit.store.shards import ShardName
 __all__ = [
     "LENGTHS",
     "SPLIT",
+    "WrenchRecipe",
     "mesh_file_at",
     "plan_build",
     "wrench_schema",
@@ -124,13 +126,37 @@ def wrench_schema() -> Any:
     return mesh_set_schema(KIND.class_names, [("volume_m3", pa.float64()), *lengths])
 
 
+@dataclass(frozen=True, slots=True)
+class WrenchRecipe:
+    """A ``Recipe`` of the usual wrench, which has neither a seed nor classes."""
+
+    seed: int
+    per_class: int | None
+    splits: tuple[str, ...] = (SPLIT,)
+
+    def spec(self) -> WrenchSpec:
+        """Return the specification."""
+        return WrenchSpec.for_size()
+
+    def begun(self, spec: Mapping[str, Any]) -> None:
+        """Return None: folders of other wrenches are made by their own settings."""
+
+    def arguments(self, split: str) -> str:
+        """Return the arguments of the command that makes a split."""
+        return ""
+
+    def make(self, out: str, split: str, workers: int) -> None:
+        """Make one split."""
+        write_wrench(self.spec(), out)
+
+
 def mesh_file_at(place: str | Path) -> Path:
     """Return where a mesh file is to be written; a leading ``~`` is the user's home.
 
     InputError for an unknown ending, StorageError when there is no folder to write it in or a folder has its
     name.
     """
-    mesh_file = Path(place).expanduser()
+    mesh_file = expanded(place)
     if mesh_file.suffix.lower() not in FORMATS:
         message = (
             f"{mesh_file}: files ending in {mesh_file.suffix!r} are not known; expected one of "
@@ -138,8 +164,10 @@ def mesh_file_at(place: str | Path) -> Path:
         )
         raise InputError(message)
     parent = mesh_file.parent
-    if mesh_file.is_dir() or not parent.is_dir():
-        found = "it is a folder" if mesh_file.is_dir() else f"there is no folder {str(parent)!r}"
+    with named_failures(str(mesh_file)):  # too long a name
+        is_folder, has_folder = mesh_file.is_dir(), parent.is_dir()
+    if is_folder or not has_folder:
+        found = "it is a folder" if is_folder else f"there is no folder {str(parent)!r}"
         message = f"{mesh_file}: cannot be written, {found}; nothing was written; next: choose another file"
         raise StorageError(message)
     if not os.access(parent, os.W_OK):

@@ -19,5 +19,5 @@ KIND = DatasetKind(
     schema=lazy("env_assets.wrench.generation:wrench_schema"),
     class_names=("wrench",),
     columns=("opening_mm",),
-    recipe=lazy("env_assets.wrench.recipe:WrenchRecipe"),
+    recipe=lazy("env_assets.wrench.generation:WrenchRecipe"),
 )

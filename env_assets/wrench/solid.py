@@ -175,7 +175,9 @@ def chamfered_plate(outline: Sequence[Line], thickness_mm: float, chamfer_mm: fl
     levels: list[tuple[Sequence[Line], float]] = [(inner, 0.0), (inner, thickness_mm)]
     if chamfer_mm:
         levels[1:1] = [(outline, chamfer_mm), (outline, thickness_mm - chamfer_mm)]
-    vertices_mm = np.concatenate([_lifted(np.concatenate(lines), z_mm) for lines, z_mm in levels])
+    vertices_mm = np.concatenate(
+        [np.insert(np.concatenate(lines), 2, z_mm, axis=1) for lines, z_mm in levels]
+    )
     faces = [*_caps(inner, len(levels)), *_sides(outline, len(levels))]
     mesh = Mesh((vertices_mm / MM_PER_M).astype(np.float32), np.concatenate(faces).astype(np.int32))
     verdict = check_manifold(mesh)
@@ -197,10 +199,6 @@ def _moved_in(line: Line, by_mm: float) -> Line:
     if ((sides * along).sum(axis=1) <= 0).any():
         raise InputError(_too_large(by_mm, "a side of the outline vanishes"))
     return np.asarray(moved)
-
-
-def _lifted(points_mm: Line, z_mm: float) -> Line:
-    return np.column_stack([points_mm, np.full(len(points_mm), z_mm)])
 
 
 def _caps(lines: Sequence[Line], levels: int) -> list[NDArray[np.int64]]:

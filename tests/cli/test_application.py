@@ -18,6 +18,7 @@ from cli.application import command, new_app
 from cli.options import Folder, Making, Quiet, Seed
 from cli.output import Sink
 from tactile_toolkit.errors import IntegrityError
+from tests.command_line import call
 
 
 @dataclass(frozen=True)
@@ -57,6 +58,32 @@ def test_errors_of_the_toolkit_are_a_line_and_an_exit_code():
 
     result = CliRunner().invoke(app, ["break"])
     assert (result.exit_code, result.stderr) == (3, "error: it is damaged\n")
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        "mnist3d info NAME",
+        "mnist3d preview NAME",
+        "starstruck verify NAME",
+        "starstruck generate --dry-run --out NAME",
+        "env-assets info NAME",
+        "env-assets wrench --dry-run --stl NAME.stl",
+    ],
+)
+def test_a_path_that_the_system_refuses_is_input(words, tmp_path, monkeypatch, capsys):
+    """A traceback would end with 1, as validations do that fail."""
+    monkeypatch.chdir(tmp_path)
+    name = "a" * 300
+    assert call(*words.replace("NAME", name).split()) == 2
+    said = capsys.readouterr().err
+    assert said.startswith("error: ")
+    assert name in said
+    assert "name too long" in said.lower()
+    assert said.count("\n") == 1
+    with pytest.raises(Exception, match="name too long"):
+        call(*words.replace("NAME", name).split(), "--debug")
+    assert list(tmp_path.iterdir()) == []
 
 
 def test_two_options_of_one_name_are_a_mistake_of_ours():

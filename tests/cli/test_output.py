@@ -13,7 +13,7 @@ import termios
 
 import pytest
 
-from cli.output import BYTES, Sink, duration_text, flat_lines, rate_text
+from cli.output import BYTES, Sink, bytes_text, duration_text, flat_lines, rate_text
 from tactile_toolkit.wording import did_you_mean
 
 HEADER = ("mesh", "solid", "volume mm³", "size mm", "bodies", "thinnest wall mm", "findings")
@@ -95,6 +95,22 @@ def test_sizes_are_sizes_while_they_are_fetched(capsys, monkeypatch):
     with Sink().progress("fetching", BYTES) as update:
         update(12_300_000, 45_600_000)
     assert capsys.readouterr().err.startswith("fetching: 12.3 MB of 45.6 MB, ")
+
+
+@pytest.mark.parametrize(
+    ("size", "text"),
+    [
+        (0, "0 B"),
+        (999, "999 B"),
+        (999.6, "1.0 kB"),
+        (999_940, "999.9 kB"),
+        (999_960, "1.0 MB"),
+        (999_960_000, "1.0 GB"),
+        (2.5e12, "2500.0 GB"),
+    ],
+)
+def test_sizes_stay_below_a_thousand_of_their_unit(size: float, text: str) -> None:
+    assert bytes_text(size) == text
 
 
 def test_specifications_are_told_in_words():

@@ -16,6 +16,7 @@ import mnist3d
 import realtouch
 import starstruck_gen
 from tactile_toolkit.errors import InputError, IntegrityError
+from tactile_toolkit.mesh.mesh import Mesh
 from tests.env_assets.factories import write_meshes
 from tests.env_assets.processes import answer, fingerprint
 from tests.env_assets.shapes import box
@@ -252,3 +253,12 @@ def test_opening_imports_what_reading_needs(assets):
         "assert not {name for name in new if name.split('.')[0] in heavy}, new\n"
     )
     subprocess.run([sys.executable, "-c", code], check=True)
+
+
+def test_names_and_folders_that_cannot_be_are_refused(provider):
+    with pytest.raises(InputError, match="does not exist"):
+        provider.meshes("a" * 300)
+    with pytest.raises(InputError, match="no home folder is known"):
+        env_assets.AssetProvider("~nobody-of-that-name/assets")
+    with pytest.raises(InputError, match="the mesh has no vertices"):
+        provider.bounds(Mesh(np.zeros((0, 3), np.float32), np.zeros((0, 3), np.int32)))

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import shutil
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -181,6 +182,10 @@ def test_what_cannot_be_used_is_named(folder, tmp_path, assets):
     refused("empty", tmp_path / "empty")
     refused("nowhere", tmp_path / "nowhere")
     refused("expected a folder of meshes", 7)
+    refused("does not exist", "a" * 300)
+    solid = trimesh.creation.box((0.01, 0.02, 0.03))
+    record = SimpleNamespace(id=0, label="nut", vertices_m=solid.vertices, faces=solid.faces, mesh=solid)
+    refused("record 0 has label 'nut'; expected the number of its class", [record])
     refused("has one class; expected at least two", train / "nut.stl")
     refused("has meshes of one volume alone", train / "nut.stl", "ABCVolume-Depth-train-v0")
     refused("recorded touches", folder, "TactileMNISTRealSnap-train-v0")
