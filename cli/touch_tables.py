@@ -30,10 +30,10 @@ def print_converted(sink: Sink, manifest: Manifest, out: str, nouns: str = "roun
 
 def announce_fetching(sink: Sink, name: str, split: str | None) -> None:
     """Say what of a data set on the Hub is about to be fetched: a published one may have many gigabytes."""
-    from realtouch.names import repository_of
+    from tactile_toolkit.catalog.published import place_of
     from tactile_toolkit.hub.repository import hub_name
 
-    place = repository_of(name)
+    place = place_of(name)
     if hub_name(place) is None or Path(place).expanduser().exists():
         return
     part = f"the files of split {split!r}" if split else "the files of all splits (--split takes one)"

@@ -8,8 +8,9 @@ use, so that ``import env_assets`` costs nothing.
 
 from __future__ import annotations
 
-from importlib import import_module
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
+
+from tactile_toolkit.lazy_names import on_first_use
 
 if TYPE_CHECKING:
     from env_assets.mesh_sets import SolidDataset, WrenchDataset, WrenchRecord
@@ -40,28 +41,17 @@ __all__ = [
 
 __version__: str
 
-_HOMES = {
-    "tactile_toolkit": ("__version__",),
-    "env_assets.published.environments": ("make",),
-    "env_assets.mesh_sets": ("SolidDataset", "WrenchDataset", "WrenchRecord"),
-    "env_assets.provider": ("AssetProvider",),
-    "env_assets.source": ("AssetSource",),
-    "env_assets.published.datasets": ("as_mesh_dataset", "as_touch_dataset"),
-    "env_assets.wrench.generation": ("write_wrench",),
-    "env_assets.wrench.spec": ("WrenchSpec",),
-    "env_assets.wrench.solid": ("wrench_mesh",),
-    "tactile_toolkit.mesh.height_map": ("HeightMap", "top_surface"),
-}
-
-
-def __getattr__(name: str) -> Any:
-    # No sub-module may bear the name of something public: importing it would shadow that.
-    for home, names in _HOMES.items():
-        if name in names:
-            return getattr(import_module(home), name)
-    message = f"module 'env_assets' has no attribute {name!r}"
-    raise AttributeError(message)
-
-
-def __dir__() -> list[str]:
-    return sorted(__all__)
+__getattr__, __dir__ = on_first_use(
+    __name__,
+    {
+        "env_assets.published.environments": ("make",),
+        "env_assets.mesh_sets": ("SolidDataset", "WrenchDataset", "WrenchRecord"),
+        "env_assets.provider": ("AssetProvider",),
+        "env_assets.source": ("AssetSource",),
+        "env_assets.published.datasets": ("as_mesh_dataset", "as_touch_dataset"),
+        "env_assets.wrench.generation": ("write_wrench",),
+        "env_assets.wrench.spec": ("WrenchSpec",),
+        "env_assets.wrench.solid": ("wrench_mesh",),
+        "tactile_toolkit.mesh.height_map": ("HeightMap", "top_surface"),
+    },
+)

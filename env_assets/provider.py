@@ -165,13 +165,13 @@ class AssetProvider:
         InputError, IntegrityError, HubError
             As :meth:`meshes`.
         """
-        from realtouch.names import repository_of
         from realtouch.opening import load
+        from tactile_toolkit.catalog.published import place_of
 
         name = fspath(name)
         opened = self._opened.get(("touches", name, split))
         if opened is None:
-            place = repository_of(self._place(name))
+            place = place_of(self._place(name))
             opened = load(place, split, revision=self._commit_of(place))
             opened = self._opened.setdefault(("touches", name, split), opened)
         found: TouchSeqDataset | TouchSingleDataset = opened

@@ -7,8 +7,9 @@ mesh and ``mnist3d.inspect`` tells whether a mesh prints. Names are imported on 
 
 from __future__ import annotations
 
-from importlib import import_module
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
+
+from tactile_toolkit.lazy_names import on_first_use
 
 if TYPE_CHECKING:
     from mnist3d.dataset import MeshDataset, MeshRecord, MeshStream, load
@@ -45,27 +46,16 @@ __all__ = [
 
 __version__: str
 
-_HOMES = {
-    "tactile_toolkit": ("__version__",),
-    "mnist3d.dataset": ("MeshDataset", "MeshRecord", "MeshStream", "load"),
-    "mnist3d.generation": ("GenerateSpec", "generate"),
-    "mnist3d.solid": ("SolidSpec", "solidify"),
-    "mnist3d.sources": ("DigitCatalog", "DigitImage", "DigitSource"),
-    "mnist3d.splits": ("SPLITS", "SplitSpec", "plan_splits"),
-    "tactile_toolkit.mesh.files": ("read_mesh", "write_mesh"),
-    "tactile_toolkit.mesh.mesh": ("Mesh",),
-    "tactile_toolkit.mesh.printability": ("PrintProfile", "PrintReport", "inspect"),
-}
-
-
-def __getattr__(name: str) -> Any:
-    # No sub-module may bear the name of something public: importing it would shadow that.
-    for home, names in _HOMES.items():
-        if name in names:
-            return getattr(import_module(home), name)
-    message = f"module 'mnist3d' has no attribute {name!r}"
-    raise AttributeError(message)
-
-
-def __dir__() -> list[str]:
-    return sorted(__all__)
+__getattr__, __dir__ = on_first_use(
+    __name__,
+    {
+        "mnist3d.dataset": ("MeshDataset", "MeshRecord", "MeshStream", "load"),
+        "mnist3d.generation": ("GenerateSpec", "generate"),
+        "mnist3d.solid": ("SolidSpec", "solidify"),
+        "mnist3d.sources": ("DigitCatalog", "DigitImage", "DigitSource"),
+        "mnist3d.splits": ("SPLITS", "SplitSpec", "plan_splits"),
+        "tactile_toolkit.mesh.files": ("read_mesh", "write_mesh"),
+        "tactile_toolkit.mesh.mesh": ("Mesh",),
+        "tactile_toolkit.mesh.printability": ("PrintProfile", "PrintReport", "inspect"),
+    },
+)

@@ -7,8 +7,9 @@ are imported on first use, so that ``import realtouch`` costs nothing.
 
 from __future__ import annotations
 
-from importlib import import_module
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
+
+from tactile_toolkit.lazy_names import on_first_use
 
 if TYPE_CHECKING:
     from realtouch.convert.api import frames, resize, select, to_single
@@ -73,42 +74,32 @@ __all__ = [
 
 __version__: str
 
-_HOMES = {
-    "tactile_toolkit": ("__version__",),
-    "realtouch.convert.api": ("frames", "resize", "select", "to_single"),
-    "realtouch.exchange.api": ("export",),
-    "realtouch.exchange.reading": ("import_images",),
-    "realtouch.exchange.sources": ("ImportColumns",),
-    "realtouch.dataset": ("TouchDataset", "TouchSeqDataset", "TouchSingleDataset", "TouchStream"),
-    "realtouch.integrity.verify": ("verify",),
-    "realtouch.opening": ("load",),
-    "realtouch.media.clips": ("TouchClip",),
-    "realtouch.names": ("SHORT_NAMES",),
-    "realtouch.poses": ("PoseSequences", "Poses"),
-    "realtouch.preprocess": (
-        "ContactRule",
-        "ContactScore",
-        "Contacts",
-        "background",
-        "best_frame",
-        "contact_score",
-        "difference",
-        "find_contacts",
-    ),
-    "realtouch.rounds": ("TouchRound", "TouchSeqRound", "TouchSingleRound"),
-    "realtouch.summary": ("Summary", "summarise"),
-    "realtouch.touch": ("Touch",),
-    "realtouch.touches": ("Touches",),
-}
-
-
-def __getattr__(name: str) -> Any:
-    for home, names in _HOMES.items():
-        if name in names:
-            return getattr(import_module(home), name)
-    message = f"module 'realtouch' has no attribute {name!r}"
-    raise AttributeError(message)
-
-
-def __dir__() -> list[str]:
-    return sorted(__all__)
+__getattr__, __dir__ = on_first_use(
+    __name__,
+    {
+        "realtouch.convert.api": ("frames", "resize", "select", "to_single"),
+        "realtouch.exchange.api": ("export",),
+        "realtouch.exchange.reading": ("import_images",),
+        "realtouch.exchange.sources": ("ImportColumns",),
+        "realtouch.dataset": ("TouchDataset", "TouchSeqDataset", "TouchSingleDataset", "TouchStream"),
+        "realtouch.integrity.verify": ("verify",),
+        "realtouch.opening": ("load",),
+        "realtouch.media.clips": ("TouchClip",),
+        "realtouch.names": ("SHORT_NAMES",),
+        "realtouch.poses": ("PoseSequences", "Poses"),
+        "realtouch.preprocess": (
+            "ContactRule",
+            "ContactScore",
+            "Contacts",
+            "background",
+            "best_frame",
+            "contact_score",
+            "difference",
+            "find_contacts",
+        ),
+        "realtouch.rounds": ("TouchRound", "TouchSeqRound", "TouchSingleRound"),
+        "realtouch.summary": ("Summary", "summarise"),
+        "realtouch.touch": ("Touch",),
+        "realtouch.touches": ("Touches",),
+    },
+)

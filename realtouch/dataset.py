@@ -20,7 +20,7 @@ from tactile_toolkit.errors import InputError, IntegrityError
 from tactile_toolkit.read.columns import RowGroup
 from tactile_toolkit.read.dataset import RecordDataset, Row, with_origins
 from tactile_toolkit.read.parquet import Shard, ShardedTable
-from tactile_toolkit.touch.schema import CLASS_NAMES, MEDIA_COLUMN, PLATE_COLUMN, Kind
+from tactile_toolkit.touch.schema import CLASS_NAMES, MEDIA_COLUMN, PLATE_COLUMN, POSE_COLUMN, Kind
 from tactile_toolkit.wording import counted
 
 __all__ = ["TouchDataset", "TouchSeqDataset", "TouchSingleDataset", "TouchStream", "dataset_of"]
@@ -122,8 +122,7 @@ class TouchDataset(RecordDataset[R]):
 
     def known_contact_z_m(self) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
         """Return what :meth:`contact_z_m` does; NaN wherever a height cannot be read."""
-        suffix = "gel_pose_cell_frame" if self.kind == "single" else "gel_pose_cell_frame_seq"
-        columns = ["pos_in_cell", "video_length_frames", f"{suffix}.position"]
+        columns = ["pos_in_cell", "video_length_frames", f"{POSE_COLUMN[self.kind]}.position"]
 
         def compute(group: RowGroup) -> NDArray[np.float64]:
             rows = [known_contact_z_m(Row(group, index), self.kind) for index in range(len(group.table))]
@@ -213,9 +212,11 @@ class TouchDataset(RecordDataset[R]):
     __hash__ = RecordDataset.__hash__
 
     def _lost_places(self) -> set[tuple[int, int]]:
-        lost = self._lost_touches
+        lost: dict[int, list[int]] = {}
+        for row, touch in self._lost_touches:
+            lost.setdefault(row, []).append(touch)
         rows = enumerate(self.row_numbers.tolist()) if lost else ()
-        return {(place, touch) for place, row in rows for lost_row, touch in lost if lost_row == row}
+        return {(place, touch) for place, row in rows for touch in lost.get(row, ())}
 
     def _joined(self, other: Self) -> Self:
         joined = super()._joined(other)

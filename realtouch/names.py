@@ -13,20 +13,12 @@ from tactile_toolkit.catalog.published import place_of as place_of_name
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.read.parquet import Shard
 
-__all__ = ["Name", "Place", "SHORT_NAMES", "open_shards", "place_of", "repository_of"]
+__all__ = ["Name", "Place", "SHORT_NAMES", "open_shards", "place_of"]
 
 SHORT_NAMES = {
     name: entry.repo_id.partition("/")[2] for entry in KIND.published for name in (entry.name, *entry.aliases)
 }
 """Short name to the name of the published repository, without its owner."""
-
-
-def repository_of(name: str) -> str:
-    """Return the Hub repository of a short name, unless there is a data set of that name in this folder.
-
-    Any other name is returned as it is.
-    """
-    return place_of_name(name)
 
 
 Name = str | PathLike[str]
@@ -41,7 +33,7 @@ def place_of(name: Name | Sequence[Name]) -> Place:
     """
     if not isinstance(name, (str, PathLike)):
         return tuple(_file_names(name))
-    place = repository_of(fsdecode(name))
+    place = place_of_name(fsdecode(name))
     try:
         return str(Path(place).expanduser()) if place.startswith("~") else place
     except RuntimeError:  # the home of somebody unknown; refused where it is opened
@@ -53,7 +45,7 @@ def open_shards(
 ) -> tuple[Shard, ...]:
     """Find the shards of one split of whatever :func:`realtouch.load` understands; InputError without any."""
     if isinstance(name, (str, PathLike)):
-        place = repository_of(fsdecode(name))
+        place = place_of_name(fsdecode(name))
         return find_shards(place, split, revision=revision, streaming=streaming)
     return find_files(_file_names(name), revision=revision, streaming=streaming)
 

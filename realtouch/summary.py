@@ -13,6 +13,7 @@ from realtouch.dataset import TouchDataset
 from realtouch.rounds import TouchSingleRound
 from realtouch.touches import Touches
 from tactile_toolkit.errors import InputError
+from tactile_toolkit.touch.schema import POSE_COLUMN
 
 __all__ = ["Summary", "summarise"]
 
@@ -90,8 +91,7 @@ def summarise(dataset: TouchDataset[Any]) -> Summary:
     else:
         clip = first.clip
         (height, width), fps = clip.size, clip.fps
-    suffix = "" if dataset.kind == "single" else "_seq"
-    has_poses = dataset.has_column(f"gel_pose_cell_frame{suffix}.position")
+    has_poses = dataset.has_column(f"{POSE_COLUMN[dataset.kind]}.position")
     gels: Counter[str] = Counter()
     if dataset.has_column("info.gel_id"):
         gels.update(str(record.info["gel_id"]) for _, record in dataset.rounds_without_media())

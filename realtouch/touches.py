@@ -6,7 +6,7 @@ import hashlib
 from collections.abc import Collection, Iterable, Iterator
 from itertools import groupby
 from operator import itemgetter
-from typing import TYPE_CHECKING, Any, Generic, Protocol, Self, TypeVar
+from typing import Any, Generic, Protocol, Self, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,9 +27,6 @@ from tactile_toolkit.touch.jpeg import Pixels, room_for
 from tactile_toolkit.touch.rows import flat_row
 from tactile_toolkit.touch.schema import Kind, is_per_touch
 from tactile_toolkit.wording import counted, is_whole, plain_number
-
-if TYPE_CHECKING:
-    pass
 
 __all__ = ["Touches", "with_empties"]
 
@@ -164,14 +161,15 @@ class Touches(LazySequence[Touch], Generic[R]):
             There is no such touch.
         """
         length = self._length
+        # In place: `checked_index` would cost a tenth of all that `touches[i]` does.
         if not -length <= index < length:
             message = f"index {index} is out of range for {length} touches"
             raise IndexError(message)
         flat = index % length if self._chosen is None else int(self._chosen[index])
         if self._per_round:
             return divmod(flat, self._per_round)
-        position = int(np.searchsorted(self._starts, flat, side="right")) - 1
-        return position, flat - int(self._starts[position])
+        place = int(np.searchsorted(self._starts, flat, side="right")) - 1
+        return place, flat - int(self._starts[place])
 
     @property
     def round_positions(self) -> NDArray[np.int64]:

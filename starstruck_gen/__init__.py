@@ -7,8 +7,9 @@ makes a single scene. Names are imported on first use, so that ``import starstru
 
 from __future__ import annotations
 
-from importlib import import_module
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
+
+from tactile_toolkit.lazy_names import on_first_use
 
 if TYPE_CHECKING:
     from starstruck_gen.dataset import SceneMeshDataset, SceneRecord, load
@@ -53,37 +54,27 @@ __all__ = [
 
 __version__: str
 
-_HOMES = {
-    "tactile_toolkit": ("__version__",),
-    "starstruck_gen.dataset": ("SceneMeshDataset", "SceneRecord", "load"),
-    "starstruck_gen.endless": ("SceneDataset",),
-    "starstruck_gen.generation": ("GenerateSpec", "generate"),
-    "starstruck_gen.placement": ("Placement", "SceneMeshes", "stamp"),
-    "starstruck_gen.sampling": ("SamplingExhausted", "sample_scene", "sample_scenes"),
-    "starstruck_gen.scene": ("Scene",),
-    "starstruck_gen.shapes": (
-        "OUTLINES",
-        "Crescent",
-        "Cross",
-        "Disc",
-        "Proportions",
-        "Ring",
-        "Shape",
-        "Star",
-    ),
-    "starstruck_gen.solid": ("register_shape",),
-    "starstruck_gen.spec": ("SceneSpec",),
-    "starstruck_gen.streams": ("SPLITS", "scene_rng", "scene_seed"),
-}
-
-
-def __getattr__(name: str) -> Any:
-    for home, names in _HOMES.items():
-        if name in names:
-            return getattr(import_module(home), name)
-    message = f"module 'starstruck_gen' has no attribute {name!r}"
-    raise AttributeError(message)
-
-
-def __dir__() -> list[str]:
-    return sorted(__all__)
+__getattr__, __dir__ = on_first_use(
+    __name__,
+    {
+        "starstruck_gen.dataset": ("SceneMeshDataset", "SceneRecord", "load"),
+        "starstruck_gen.endless": ("SceneDataset",),
+        "starstruck_gen.generation": ("GenerateSpec", "generate"),
+        "starstruck_gen.placement": ("Placement", "SceneMeshes", "stamp"),
+        "starstruck_gen.sampling": ("SamplingExhausted", "sample_scene", "sample_scenes"),
+        "starstruck_gen.scene": ("Scene",),
+        "starstruck_gen.shapes": (
+            "OUTLINES",
+            "Crescent",
+            "Cross",
+            "Disc",
+            "Proportions",
+            "Ring",
+            "Shape",
+            "Star",
+        ),
+        "starstruck_gen.solid": ("register_shape",),
+        "starstruck_gen.spec": ("SceneSpec",),
+        "starstruck_gen.streams": ("SPLITS", "scene_rng", "scene_seed"),
+    },
+)

@@ -6,8 +6,9 @@ Names are imported on first use, so that ``import tactile_sim`` costs nothing.
 
 from __future__ import annotations
 
-from importlib import import_module
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
+
+from tactile_toolkit.lazy_names import on_first_use
 
 if TYPE_CHECKING:
     from tactile_sim.generation import GenerateSpec, generate
@@ -37,25 +38,18 @@ __all__ = [
     "press",
 ]
 
-_HOMES = {
-    "tactile_sim.generation": ("GenerateSpec", "generate"),
-    "tactile_sim.given": ("GivenTouches",),
-    "tactile_sim.noise": ("SensorNoise",),
-    "tactile_sim.optics": ("make_optics",),
-    "tactile_sim.plan": ("RoundPlan", "TouchPlan", "plan_round"),
-    "tactile_sim.poses": ("pose",),
-    "tactile_sim.pressing": ("Pressable", "Pressed", "press"),
-    "tactile_sim.sensor": ("Sensor", "as_environment", "as_sensor"),
-}
+__version__: str
 
-
-def __getattr__(name: str) -> Any:
-    for home, names in _HOMES.items():
-        if name in names:
-            return getattr(import_module(home), name)
-    message = f"module 'tactile_sim' has no attribute {name!r}"
-    raise AttributeError(message)
-
-
-def __dir__() -> list[str]:
-    return sorted(__all__)
+__getattr__, __dir__ = on_first_use(
+    __name__,
+    {
+        "tactile_sim.generation": ("GenerateSpec", "generate"),
+        "tactile_sim.given": ("GivenTouches",),
+        "tactile_sim.noise": ("SensorNoise",),
+        "tactile_sim.optics": ("make_optics",),
+        "tactile_sim.plan": ("RoundPlan", "TouchPlan", "plan_round"),
+        "tactile_sim.poses": ("pose",),
+        "tactile_sim.pressing": ("Pressable", "Pressed", "press"),
+        "tactile_sim.sensor": ("Sensor", "as_environment", "as_sensor"),
+    },
+)

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from tactile_sim.kind import KIND
+from tactile_sim.sheets import tile
 from tactile_toolkit.cards.card import (
     TACTILE_MNIST,
     Column,
@@ -31,7 +32,6 @@ __all__ = ["COLUMNS", "write_card"]
 
 _COLUMNS_SHOWN = 8
 _ROUNDS_SHOWN = 4
-_TILE_PX = 96
 _CELL = "m, cell frame"
 
 COLUMNS: dict[str, Column] = {
@@ -131,12 +131,8 @@ def _sheet(facts: FolderFacts) -> bytes | None:
     """Draw the first touches of the first rounds, a round a row, as PNG."""
     rows = []
     for row in islice(first_rows(facts, ["sensor_image"]), _ROUNDS_SHOWN):
-        images = [decode_image(each["bytes"]) for each in row.value("sensor_image")[:_COLUMNS_SHOWN]]
-        step = max(1, images[0].shape[1] // _TILE_PX)
-        tiles = [
-            np.pad(image[::step, ::step], ((1, 1), (1, 1), (0, 0)), constant_values=255) for image in images
-        ]
-        rows.append(np.concatenate(tiles, axis=1))
+        images = row.value("sensor_image")[:_COLUMNS_SHOWN]
+        rows.append(np.concatenate([tile(decode_image(each["bytes"])) for each in images], axis=1))
     widest = max((row.shape[1] for row in rows), default=0)  # given rounds may differ in length
     filled = [np.pad(row, ((0, 0), (0, widest - row.shape[1]), (0, 0)), constant_values=255) for row in rows]
     return png_bytes(np.concatenate(filled)) if rows else None

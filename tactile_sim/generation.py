@@ -11,7 +11,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from functools import lru_cache, partial
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -41,7 +41,7 @@ from tactile_toolkit.store.manifest import Manifest
 from tactile_toolkit.store.parquet import encode_parquet, file_sha256
 from tactile_toolkit.store.plan import BuildPlan, ShardContent, require_known_splits
 from tactile_toolkit.store.shards import ShardName, Skipped, rows_per_shard
-from tactile_toolkit.touch.jpeg import encode_image
+from tactile_toolkit.touch.jpeg import IMAGE_SUFFIX, encode_image
 from tactile_toolkit.touch.schema import class_names
 
 __all__ = ["GenerateSpec", "TouchShard", "forecast", "generate", "noisy", "plan_build"]
@@ -95,7 +95,7 @@ class GenerateSpec:
     optics: str = choice("taxim", OPTICS)
     like: str = choice("environment", ("environment", "published"))
     plan: TouchPlan = field(default_factory=TouchPlan)
-    image_format: str = choice("jpeg", ("jpeg", "png"))
+    image_format: Literal["jpeg", "png"] = choice("jpeg", ("jpeg", "png"))
     quality: int = whole_number(95, 1, 100)
     weights: str | None = None
     limit: int | None = whole_number(None, 1, optional=True, option="--limit")
@@ -163,13 +163,11 @@ class TouchShard:
         rows, skipped = [], []
         first, last = self.start // rounds, (self.start + self.size - 1) // rounds
         for place in range(first, last + 1):
-            record = solids[place]
+            record, start = solids[place], self.start - place * rounds
             numbers = [
-                number - place * rounds
-                for number in range(
-                    max(self.start, place * rounds), min(self.start + self.size, (place + 1) * rounds)
-                )
-                if self.spec.plan.touches_of(record.id, number - place * rounds)
+                number
+                for number in range(max(start, 0), min(start + self.size, rounds))
+                if self.spec.plan.touches_of(record.id, number)
             ]
             if not numbers:
                 continue
@@ -182,25 +180,12 @@ class TouchShard:
                 _make_row(self.spec, solid, self.shard.split, record.id, record.label, number)
                 for number in numbers
             ]
-        table = touch_table(rows, self.names, _suffix(self.spec)) if rows else _empty(self.names)
+        table = touch_table(rows, self.names, IMAGE_SUFFIX[self.spec.image_format])
         touches = sum(len(row.images) for row in rows)
-        contacts = sum(int((row.sensor_z_m > _lowest_m(self.spec)).sum()) for row in rows)
+        # A sensor that met nothing but the plate stops at this height; a micrometre is for rounding.
+        plate_m = as_sensor(*self.spec.size_px).press_m + 1e-6
+        contacts = sum(int((row.sensor_z_m > plate_m).sum()) for row in rows)
         return ShardContent(table, tuple(skipped), statistics={"touches": touches, "on_object": contacts})
-
-
-def _empty(names: tuple[str, ...]) -> Any:
-    from tactile_sim.rows import touch_schema
-
-    return touch_schema(names).empty_table()
-
-
-def _lowest_m(spec: GenerateSpec) -> float:
-    """Return the height of a sensor that met nothing but the plate, and a micrometre for rounding."""
-    return as_sensor(*spec.size_px).press_m + 1e-6
-
-
-def _suffix(spec: GenerateSpec) -> str:
-    return {"jpeg": "jpg", "png": "png"}[spec.image_format]
 
 
 def optics_of(spec: GenerateSpec) -> Optics:
@@ -228,7 +213,7 @@ def _make_row(
     pressed = press(solid, plan.object_poses[:-1], targets, sensor)
     pictures = optics.render(pressed.depth_m, sensor, spec.size_px)
     pictures = noisy(spec, pictures, split, object_id, number)
-    images = [encode_image(each, _kind(spec), spec.quality) for each in pictures]
+    images = [encode_image(each, spec.image_format, spec.quality) for each in pictures]
     return TouchRow(f"{object_id}-{number}", label, object_id, plan, pressed.sensor_z_m, images)
 
 
@@ -240,10 +225,6 @@ def noisy(
         return pictures
     draw = partial(generator, spec.plan.seed, split, object_id, number, "noise")
     return add_noise(pictures, spec.noise, draw(), draw)
-
-
-def _kind(spec: GenerateSpec) -> Any:
-    return spec.image_format
 
 
 def plan_build(

@@ -161,7 +161,7 @@ def _profile(
 def _layer_rise(
     column: int, row: int, height: float, run: float, sideways: float, layers: NDArray[np.float64]
 ) -> float:
-    """Return how far above the solid its layers end, as :func:`tactile_sim.layers.layer_rise` does."""
+    """Return how far above the solid its layers end, as :func:`tactile_sim.layers.layer_rises` does."""
     layer, slack, count, upward = layers[0], layers[1], layers[2], layers[5]
     over = ((layers[6] * column + layers[7] * row) + layers[8] * height) + layers[9]
     radius = 0.5 * layer

@@ -11,14 +11,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactile_sim.given import GivenTouches
-from tactile_sim.poses import product, turn_quaternion
+from tactile_sim.poses import pose, product, turn_quaternion
 from tactile_sim.pressing import Pressable
 from tactile_sim.sensor import CELL_M
 from tactile_toolkit.arithmetic import cosine_sine
 from tactile_toolkit.checked_fields import check_fields, choice, real_number, switch, whole_number
 from tactile_toolkit.errors import InputError
 
-__all__ = ["PLACES", "REACH_M", "TURNS", "RoundPlan", "TouchPlan", "generator", "plan_round"]
+__all__ = ["PLACES", "REACH_M", "TURNS", "RoundPlan", "TouchPlan", "generator", "key_of", "plan_round"]
 
 PLACES = ("cell", "grid", "object", "given")
 
@@ -131,23 +131,25 @@ def plan_round(plan: TouchPlan, solid: Pressable, split: str, object_id: int, nu
         lies = _shifted(drawn, x_m, y_m, angle_rad, shift=plan.shift)
     else:
         lies = np.concatenate([lies, lies[-1:]])  # nobody says where the object is after the last touch
-    poses, quaternions = [], []
-    for x_m, y_m, turned_rad in lies.tolist():
-        cosine, sine = cosine_sine(turned_rad)
-        poses.append(
-            [[cosine, -sine, 0, x_m], [sine, cosine, 0, y_m], [0, 0, 1, 0.0 - solid.foot_m], [0, 0, 0, 1]]
-        )
-        quaternions.append(turn_quaternion(turned_rad))
-    matrices = np.array(poses, np.float64)
+    z_m = 0.0 - solid.foot_m  # not -foot_m, which of a foot of 0 would be -0.0: other bytes
+    matrices = np.array([pose(x_m, y_m, z_m, turn_rad=turned_rad) for x_m, y_m, turned_rad in lies.tolist()])
+    quaternions = [turn_quaternion(turned_rad) for turned_rad in lies[:, 2].tolist()]
     if positions is None:
         positions = _positions(plan, solid, matrices, rng)
     return RoundPlan(positions, matrices[:, :3, 3].copy(), np.array(quaternions), matrices)
 
 
-def generator(seed: int, split: str, object_id: int, number: int, *purpose: str | int) -> np.random.Generator:
-    """Return the random numbers of one round of an object, or of something in it."""
-    words = hashlib.sha256("/".join(map(str, (seed, split, object_id, number, *purpose))).encode()).digest()
-    return np.random.Generator(np.random.Philox(key=int.from_bytes(words[:16], "little")))
+def key_of(*words: str | int) -> int:
+    """Return 128 bits that are those of these words alone."""
+    return int.from_bytes(hashlib.sha256("/".join(map(str, words)).encode()).digest()[:16], "little")
+
+
+def generator(*words: str | int) -> np.random.Generator:
+    """Return random numbers of their own for whatever the words name, such as seed, split, object and round.
+
+    A counter-based generator has no state to hand on: any worker finds the numbers of its round by name.
+    """
+    return np.random.Generator(np.random.Philox(key=key_of(*words)))
 
 
 def _shifted(

@@ -59,6 +59,8 @@ def touch_table(rows: Sequence[TouchRow], class_names: tuple[str, ...], suffix: 
     import pyarrow as pa
 
     schema = touch_schema(class_names)
+    if not rows:
+        return schema.empty_table()
     upright = np.array([0.0, 0.0, 0.0, 1.0])
     columns = {
         # As published: the pose after the shift, so that touch i was rendered at the pose of touch i - 1.

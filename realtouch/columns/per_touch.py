@@ -15,6 +15,7 @@ from realtouch.damage import damaged, missing_column
 from tactile_toolkit.errors import IntegrityError
 from tactile_toolkit.read.columns import NestedColumn
 from tactile_toolkit.read.dataset import Row
+from tactile_toolkit.read.sequence import checked_index
 
 __all__ = [
     "column_of",
@@ -106,10 +107,7 @@ def vector_of(row: Row, name: str, touch: int, width: int) -> NDArray[np.floatin
     Raises IntegrityError for another number of values, IndexError when there is no such touch.
     """
     column, first, last = entries_of(row, name)
-    if not -(last - first) <= touch < last - first:
-        message = f"touch {touch} is out of range for {last - first} touches"
-        raise IndexError(message)
-    entry = (first if touch >= 0 else last) + touch
+    entry = first + checked_index(touch, last - first, "touch", "touches")
     values = column.flat(1, entry, entry + 1)
     if len(values) != width:
         raise damaged(row, name, f"{len(values)} values; expected {width}", touch)

@@ -18,7 +18,7 @@ from realtouch.damage import damaged
 from realtouch.poses import Poses, PoseSequences, bad_pose, rigid_transform
 from tactile_toolkit.errors import IntegrityError
 from tactile_toolkit.read.dataset import Row
-from tactile_toolkit.touch.schema import PLATE_COLUMN, Kind
+from tactile_toolkit.touch.schema import PLATE_COLUMN, POSE_COLUMN, Kind
 
 if TYPE_CHECKING:
     from realtouch.pose import Pose
@@ -34,8 +34,7 @@ __all__ = [
     "touch_pose",
 ]
 
-_POSE = "gel_pose_cell_frame"
-_POSE_SEQUENCE = "gel_pose_cell_frame_seq"
+_POSE, _POSE_SEQUENCE = POSE_COLUMN["single"], POSE_COLUMN["seq"]
 
 
 def poses(row: Row) -> Poses:

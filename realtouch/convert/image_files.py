@@ -29,7 +29,7 @@ from tactile_toolkit.store.manifest import Manifest
 from tactile_toolkit.store.names import problem_of_name
 from tactile_toolkit.store.parquet import is_whole_file, sha256_hex
 from tactile_toolkit.store.shards import ShardRecord
-from tactile_toolkit.touch.jpeg import Pixels, encode_image
+from tactile_toolkit.touch.jpeg import IMAGE_SUFFIX, ImageFormat, Pixels, encode_image
 
 __all__ = [
     "IMAGE_FOLDER",
@@ -80,7 +80,7 @@ class WritePictures:
     """
 
     folder: DataFolder
-    kind: Literal["png", "jpeg"]
+    kind: ImageFormat
     method: ContactMethod
     difference: Literal["grey", "absolute"] | None = None
     repeated: Mapping[str, frozenset[int]] = field(default_factory=dict, repr=False)
@@ -111,8 +111,7 @@ class WritePictures:
         name = _folder_name(row, record.id)
         found = self._single(row, touch, base) if row.has("sensor_image") else self._seq(row, touch)
         encoded, frame, pose = found
-        suffix = "png" if self.kind == "png" else "jpg"
-        file = f"{IMAGE_FOLDER}/{split}/{name}/{touch:03d}.{suffix}"
+        file = f"{IMAGE_FOLDER}/{split}/{name}/{touch:03d}.{IMAGE_SUFFIX[self.kind]}"
         position = vectors(row, "pos_in_cell", 2)[touch] if row.has("pos_in_cell") else [None, None]
         numbers = dict(zip(_NUMBER_COLUMNS, [*position, *pose], strict=True))
         line = {

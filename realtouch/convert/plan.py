@@ -20,8 +20,9 @@ import numpy as np
 import pyarrow as pa
 from numpy.typing import NDArray
 
-from realtouch.names import open_shards, repository_of
+from realtouch.names import open_shards
 from tactile_toolkit.catalog.locate import splits_of
+from tactile_toolkit.catalog.published import place_of
 from tactile_toolkit.errors import InputError, IntegrityError, ItemError
 from tactile_toolkit.read.dataset import Row
 from tactile_toolkit.read.parquet import Shard
@@ -77,7 +78,7 @@ class Source:
         Reads footers. Raises as :func:`realtouch.load`.
         """
         name = fspath(name)
-        splits = (split,) if split is not None else splits_of(repository_of(name), revision=revision)
+        splits = (split,) if split is not None else splits_of(place_of(name), revision=revision)
         shards = {each: open_shards(name, each, revision=revision) for each in splits}
         for found in shards.values():
             deque(in_threads(require_types, found, _READERS), maxlen=0)

@@ -25,6 +25,7 @@ from tactile_toolkit.touch.schema import (
     MEDIA_COLUMN,
     MEDIA_TYPE,
     PLATE_COLUMN,
+    POSE_COLUMN,
     Kind,
     column_type,
     is_per_touch,
@@ -32,7 +33,8 @@ from tactile_toolkit.touch.schema import (
 
 __all__ = ["KeepTouches", "ResizeMedia", "TakeContactFrames", "contact_frame_of"]
 
-_POSE, _POSE_SEQUENCE = "gel_pose_cell_frame", "gel_pose_cell_frame_seq"
+_POSE, _POSE_SEQUENCE = POSE_COLUMN["single"], POSE_COLUMN["seq"]
+_WIDTHS = {"position": 3, "quaternion": 4}
 _SEQ_ONLY = (
     "video_length_frames",
     "time_stamp_rel_seq",
@@ -60,8 +62,10 @@ class TakeContactFrames:
         return pa.schema(
             [
                 *(field for field in source if not _is_seq_only(field.name)),
-                pa.field(f"{_POSE}.position", pa.list_(pa.list_(number, 3), count)),
-                pa.field(f"{_POSE}.quaternion", pa.list_(pa.list_(number, 4), count)),
+                *(
+                    pa.field(f"{_POSE}.{part}", pa.list_(pa.list_(number, width), count))
+                    for part, width in _WIDTHS.items()
+                ),
                 pa.field("sensor_image", pa.list_(MEDIA_TYPE, count)),
             ]
         )
@@ -70,8 +74,9 @@ class TakeContactFrames:
         """Take a frame of each clip of a row; its JPEG passes through as it is stored."""
         flat = flat_row(row)
         schema = self.schema(flat.schema)
-        positions: list[NDArray[Any]] = [np.empty((0, 3))]
-        quaternions: list[NDArray[Any]] = [np.empty((0, 4))]
+        poses: dict[str, list[NDArray[Any]]] = {
+            part: [np.empty((0, width))] for part, width in _WIDTHS.items()
+        }
         pictures: list[bytes | memoryview] = []
         for touch in range(touch_total(row)):
             clip = TouchClip(row, touch)
@@ -79,17 +84,12 @@ class TakeContactFrames:
             pixels = clip[frame]  # decoded in any case: what passes through must be whole
             pictures.append(clip.encoded(frame) if clip.has_index else encode_image(pixels))
             pose = clip.poses[frame : frame + 1]
-            positions.append(pose.position_m)
-            quaternions.append(pose.quaternion)
-        made = {
-            f"{_POSE}.position": number_lists(
-                [np.concatenate(positions)], schema.field(f"{_POSE}.position").type
-            ),
-            f"{_POSE}.quaternion": number_lists(
-                [np.concatenate(quaternions)], schema.field(f"{_POSE}.quaternion").type
-            ),
-            "sensor_image": bytes_lists([pictures], "jpg", schema.field("sensor_image").type),
-        }
+            poses["position"].append(pose.position_m)
+            poses["quaternion"].append(pose.quaternion)
+        made = {"sensor_image": bytes_lists([pictures], "jpg", schema.field("sensor_image").type)}
+        for part, values in poses.items():
+            name = f"{_POSE}.{part}"
+            made[name] = number_lists([np.concatenate(values)], schema.field(name).type)
         if row.has("pos_in_cell"):
             vectors(row, "pos_in_cell", 2)  # checked here, passed through below
         columns = [made[name] if name in made else flat.column(name) for name in schema.names]

@@ -24,7 +24,7 @@ from tactile_toolkit.errors import InputError, IntegrityError, MissingExtraError
 from tactile_toolkit.read.dataset import Row
 from tactile_toolkit.touch.ffmpeg import ffmpeg_count
 from tactile_toolkit.touch.jpeg import decode_image, image_size
-from tactile_toolkit.touch.schema import MEDIA_COLUMN, PER_TOUCH_COLUMNS
+from tactile_toolkit.touch.schema import MEDIA_COLUMN, PER_TOUCH_COLUMNS, POSE_COLUMN, Kind
 
 __all__ = ["check_round"]
 
@@ -73,9 +73,8 @@ def check_round(
     if expected_touches is not None and count != expected_touches:
         problem = f"{count} touches; expected {expected_touches} as in the other rounds"
         found.append(Damage(row.path, row.number, None, "pos_in_cell", problem))
-    is_seq = row.has(MEDIA_COLUMN["seq"])
-    media = MEDIA_COLUMN["seq" if is_seq else "single"]
-    pose = "gel_pose_cell_frame_seq" if is_seq else "gel_pose_cell_frame"
+    kind: Kind = "seq" if row.has(MEDIA_COLUMN["seq"]) else "single"
+    media, pose = MEDIA_COLUMN[kind], POSE_COLUMN[kind]
     has_poses = row.has(f"{pose}.position") and row.has(f"{pose}.quaternion")
     start, stop = column_of(row, media).inside(0, row.index, row.index + 1)
     sizes: dict[int, Size] = {}
@@ -85,11 +84,11 @@ def check_round(
                 intended_position(row, touch)
         if has_poses:
             with noted():
-                _ = clip_poses(row, touch) if is_seq else touch_pose(row, touch)
+                _ = clip_poses(row, touch) if kind == "seq" else touch_pose(row, touch)
         if touch >= stop - start:  # too few images or clips: those that are there are checked
             continue
         with noted():
-            if not is_seq:
+            if kind == "single":
                 images = SensorImages(row)
                 sizes[touch] = images[touch].shape[:2] if decode else images.size(touch)
                 continue

@@ -30,7 +30,7 @@ from realtouch.media.images import in_parallel
 from realtouch.poses import Poses
 from tactile_toolkit.errors import InputError, IntegrityError, ItemError, MissingExtraError
 from tactile_toolkit.read.dataset import Row
-from tactile_toolkit.read.sequence import positions
+from tactile_toolkit.read.sequence import checked_index, positions
 from tactile_toolkit.touch.avi import Avi, AviIndex, NoIndexError
 from tactile_toolkit.touch.ffmpeg import ffmpeg_count, ffmpeg_fps, ffmpeg_frames, ffmpeg_size
 from tactile_toolkit.touch.jpeg import Pixels, decode_image, image_size, room_for
@@ -113,7 +113,7 @@ class TouchClip(Sequence[Pixels]):
         """
         if isinstance(index, (slice, list, tuple, np.ndarray)):
             return self.frames(index)
-        frame = self._position(operator.index(index))
+        frame = checked_index(operator.index(index), self._count, "frame", "frames")
         if self._avi is not None:
             return self._decode(frame)
         pixels: Pixels = self._named(lambda: ffmpeg_frames(self.data, [frame], self._count))[0]
@@ -211,9 +211,9 @@ class TouchClip(Sequence[Pixels]):
         if self._avi is None:
             message = f"touch {self.touch}: the clip is not an indexed AVI of JPEGs; next: decode its frames"
             raise InputError(message)
-        position = self._position(frame)
-        found = self._avi.frame(position) if self._index is None else None
-        return self._whole_index().frame(self.data, position) if found is None else found
+        number = checked_index(frame, self._count, "frame", "frames")
+        found = self._avi.frame(number) if self._index is None else None
+        return self._whole_index().frame(self.data, number) if found is None else found
 
     def contact_into(self, out: Pixels, method: str = "contact_end", **thresholds: float) -> None:
         """Decode the frame that shows the contact into an array of its size; see :meth:`contact_index`.
@@ -373,12 +373,6 @@ class TouchClip(Sequence[Pixels]):
             return work()
         except ValueError as error:
             raise damaged(self._row, "sensor_video", str(error), self.touch) from error
-
-    def _position(self, frame: int) -> int:
-        if not -self._count <= frame < self._count:
-            message = f"frame {frame} is out of range for {self._count} frames"
-            raise IndexError(message)
-        return frame + self._count if frame < 0 else frame
 
     def __reduce__(self) -> tuple[Any, ...]:
         return (TouchClip, (self._row, self.touch))

@@ -13,7 +13,7 @@ import numpy as np
 from realtouch.damage import damaged
 from tactile_toolkit.read.columns import BytesColumn
 from tactile_toolkit.read.dataset import Row
-from tactile_toolkit.read.sequence import positions
+from tactile_toolkit.read.sequence import checked_index, positions
 from tactile_toolkit.touch.jpeg import Pixels, decode_image, image_size, room_for
 
 __all__ = ["SensorImages", "in_parallel"]
@@ -48,7 +48,7 @@ class SensorImages(Sequence[Pixels]):
         """
         if isinstance(index, (slice, list, tuple, np.ndarray)):
             return self.batch(index)
-        return self._decode(self._position(operator.index(index)))
+        return self._decode(checked_index(operator.index(index), self._count, "touch", "touches"))
 
     def __iter__(self) -> Iterator[Pixels]:
         return (self._decode(touch) for touch in range(self._count))
@@ -92,10 +92,10 @@ class SensorImages(Sequence[Pixels]):
 
     def encoded(self, touch: int) -> memoryview:
         """Return the stored bytes of one image, without a copy; raises IntegrityError when there are none."""
-        position = self._position(touch)
-        blob = self._blobs[self._start + position]
+        place = checked_index(touch, self._count, "touch", "touches")
+        blob = self._blobs[self._start + place]
         if blob is None or len(blob) == 0:
-            raise damaged(self._row, self._name, "no bytes are stored; expected a JPEG", position)
+            raise damaged(self._row, self._name, "no bytes are stored; expected a JPEG", place)
         return blob
 
     def size(self, touch: int = 0) -> tuple[int, int]:
@@ -110,12 +110,6 @@ class SensorImages(Sequence[Pixels]):
             return decode_image(self.encoded(touch), out)
         except ValueError as error:
             raise damaged(self._row, self._name, str(error), touch) from error
-
-    def _position(self, touch: int) -> int:
-        if not -self._count <= touch < self._count:
-            message = f"touch {touch} is out of range for {self._count} touches"
-            raise IndexError(message)
-        return touch + self._count if touch < 0 else touch
 
     def __reduce__(self) -> tuple[Any, ...]:
         return (SensorImages, (self._row, self._name))

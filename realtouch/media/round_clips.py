@@ -18,7 +18,7 @@ from realtouch.media.clips import TouchClip
 from realtouch.media.images import in_parallel
 from tactile_toolkit.read.columns import BytesColumn
 from tactile_toolkit.read.dataset import Row
-from tactile_toolkit.read.sequence import positions
+from tactile_toolkit.read.sequence import checked_index, positions
 from tactile_toolkit.touch.avi import Avi
 from tactile_toolkit.touch.jpeg import Pixels, decode_image, room_for
 
@@ -48,11 +48,7 @@ class SensorClips(Sequence[TouchClip]):
         """Open one clip, or some; raises as :class:`TouchClip`."""
         if isinstance(index, (slice, list, tuple, np.ndarray)):
             return [TouchClip(self.row, touch) for touch in positions(index, self._count).tolist()]
-        touch = operator.index(index)
-        if not -self._count <= touch < self._count:
-            message = f"touch {touch} is out of range for {self._count} touches"
-            raise IndexError(message)
-        return TouchClip(self.row, touch % self._count)
+        return TouchClip(self.row, checked_index(operator.index(index), self._count, "touch", "touches"))
 
     def room(self, count: int, out: Pixels | None = None) -> Pixels:
         """Return an array for ``count`` frames of the first clip's size: a new one, or ``out`` if it fits.

@@ -16,11 +16,11 @@ from realtouch.dataset import TouchDataset
 from realtouch.kind import KIND
 from realtouch.media.clips import TouchClip
 from realtouch.media.sheets import evenly_spaced
-from realtouch.names import repository_of
 from realtouch.opening import load
 from realtouch.rounds import TouchRound, TouchSeqRound
 from realtouch.touch import Touch
 from tactile_toolkit.catalog.choose import Choice, splits_to_show
+from tactile_toolkit.catalog.published import place_of
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.gallery.items import Facet, Gallery, Item, Measure, gallery_of_rows
 from tactile_toolkit.gallery.packing import thumbnail
@@ -85,7 +85,7 @@ def plan_gallery(choice: RoundChoice) -> Gallery:
         by_round = np.split(heights_m, np.cumsum(rows.touch_counts)[:-1])
         return [(choice.touches, heights_m) for heights_m in by_round]
 
-    splits = splits_to_show(repository_of(choice.name), choice.split, choice.revision)
+    splits = splits_to_show(place_of(choice.name), choice.split, choice.revision)
     opened = ((split, load(choice.name, split, revision=choice.revision)) for split in splits)
     return gallery_of_rows(KIND, choice, "Real touches", _FACETS, _MEASURES, _item, 1, known, opened)
 

@@ -11,9 +11,11 @@ from numpy.typing import NDArray
 
 from realtouch.media.images import in_parallel
 from realtouch.rounds import TouchRound, TouchSeqRound
+from realtouch.touch import Touch
 from tactile_toolkit.arithmetic import way_back
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.touch.jpeg import Pixels
+from tactile_toolkit.touch.schema import POSE_COLUMN, Kind
 
 __all__ = [
     "CELL_M",
@@ -68,11 +70,9 @@ def placed_touches(record: TouchRound, touches: Sequence[int]) -> list[Placed]:
 
     Where the data set stores no pose of the gel, its intended position is taken and no rotation.
     """
-    from realtouch.touch import Touch
-
     placed: list[Any] = [None] * len(touches)
-    suffix = "_seq" if isinstance(record, TouchSeqRound) else ""
-    has_poses = record._row.has(f"gel_pose_cell_frame{suffix}.position")
+    kind: Kind = "seq" if isinstance(record, TouchSeqRound) else "single"
+    has_poses = record._row.has(f"{POSE_COLUMN[kind]}.position")
 
     def read(number: int) -> None:
         touch = Touch(record, int(touches[number]))

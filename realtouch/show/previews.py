@@ -28,7 +28,7 @@ from tactile_toolkit.pictures.writing import (
     file_stem,
     plan_kinds,
 )
-from tactile_toolkit.touch.schema import Kind, column_type
+from tactile_toolkit.touch.schema import POSE_COLUMN, Kind
 from tactile_toolkit.wording import counted
 
 __all__ = [
@@ -197,8 +197,7 @@ def draw_grid(record: TouchRound, most: int) -> Drawing:
     """Draw touches of a round, evenly spaced, with their numbers; those that met an object are framed."""
     kind: Kind = "seq" if isinstance(record, TouchSeqRound) else "single"
     heights_m = None
-    suffix = "_seq" if kind == "seq" else ""
-    if record._row.has(f"gel_pose_cell_frame{suffix}.position"):
+    if record._row.has(f"{POSE_COLUMN[kind]}.position"):
         heights_m = contact_heights_m(contact_z_m(record._row, kind), plate_z_m=plate_z_m(record._row))
     tiles = []
     for touch in evenly_spaced(record.touch_count, most):
@@ -240,7 +239,7 @@ def gel_drift(dataset: TouchDataset[Any]) -> tuple[NDArray[np.float64], tuple[st
     deepest = np.array([np.fmin.reduce(z_m[starts[row] : starts[row + 1]], initial=np.inf) for row in rows])
     stored = dataset.plates_z_m()[rows]
     levels_m = np.where(np.isnan(stored), deepest, stored)
-    if column_type(dataset._tables[0].schema, "info.gel_id") is None:
+    if not dataset.has_column("info.gel_id"):
         return levels_m, ("",) * len(dataset)
     by_row = {row: record.info["gel_id"] for row, record in dataset.rounds_without_media()}
     gels = [by_row[row] for row in rows.tolist()]
@@ -248,8 +247,7 @@ def gel_drift(dataset: TouchDataset[Any]) -> tuple[NDArray[np.float64], tuple[st
 
 
 def _require_poses(dataset: TouchDataset[Any]) -> None:
-    suffix = "" if dataset.kind == "single" else "_seq"
-    if column_type(dataset._tables[0].schema, f"gel_pose_cell_frame{suffix}.position") is None:
+    if not dataset.has_column(f"{POSE_COLUMN[dataset.kind]}.position"):
         message = "the drift of the gel needs its poses, which this data set does not store"
         raise InputError(message)
 

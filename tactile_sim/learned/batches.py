@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from functools import cached_property
@@ -16,9 +15,10 @@ from tactile_sim.learned.channels import depth_channels, picture_channels
 from tactile_sim.learned.config import TrainConfig
 from tactile_sim.optics import make_optics
 from tactile_sim.pairs.reading import Domain, Pairs
+from tactile_sim.plan import generator
 from tactile_sim.sensor import as_environment, as_sensor
 
-__all__ = ["Batch", "Batches", "by_taxim", "step_rng"]
+__all__ = ["Batch", "Batches", "by_taxim"]
 
 _LEVEL_TOUCHES = 512
 
@@ -43,12 +43,6 @@ class Batch(NamedTuple):
 
     simulated: Any
     """Touches of the depth as Taxim shows it, (n, 3, h, w); None after the first steps."""
-
-
-def step_rng(config: TrainConfig, step: int, rank: int, what: str) -> np.random.Generator:
-    """Return the random numbers of one step."""
-    words = hashlib.sha256(f"{config.seed}/{step}/{rank}/{what}".encode()).digest()
-    return np.random.Generator(np.random.Philox(key=int.from_bytes(words[:16], "little")))
 
 
 _Maker = Callable[[NDArray[np.float32]], NDArray[np.uint8]]
@@ -103,7 +97,7 @@ class Batches:
         return picture_channels(np.median(real.images(chosen), axis=0)[None])[0]
 
     def _make(self, step: int) -> Batch:
-        rng = step_rng(self._config, step, self._rank, "batch")
+        rng = generator(self._config.seed, step, self._rank, "batch")
         images = self._pairs.depth.images(self._drawn(self._pairs.depth, rng))
         height, width = images.shape[1:]
         parts = [depth_channels(images)]

@@ -21,11 +21,11 @@ from tactile_sim.learned.checkpoints import DEPTH_WEIGHTS, TOUCH_WEIGHTS
 from tactile_sim.learned.measures import colour_distance, kernel_distance, spectrum_distance
 from tactile_sim.learned.networks import Generator, generator_of, initialise
 from tactile_sim.learned.readers import READER_PX, Reader, balanced_accuracy, ranked_right
-from tactile_sim.learned.sheets import sheet_png
 from tactile_sim.learned.weights import read_weights
 from tactile_sim.noise import SensorNoise, add_noise
 from tactile_sim.pairs.reading import Domain, Pairs
 from tactile_sim.plan import generator
+from tactile_sim.sheets import sheet_png
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.store.folder import DataFolder
 

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 import torch
 
-from tactile_sim.learned.batches import Batches, by_taxim, step_rng
+from tactile_sim.learned.batches import Batches, by_taxim
 from tactile_sim.learned.channels import depth_channels, picture_channels, shades_of
 from tactile_sim.learned.checkpoints import (
     DEPTH_WEIGHTS,
@@ -26,11 +26,12 @@ from tactile_sim.learned.checkpoints import (
 from tactile_sim.learned.config import TrainConfig
 from tactile_sim.learned.cyclegan import LOSSES, CycleGan
 from tactile_sim.learned.networks import weights_of
-from tactile_sim.learned.sheets import sheet_png
 from tactile_sim.learned.tensorboard import Events, require_tensorboard
 from tactile_sim.learned.weights import write_weights
 from tactile_sim.pairs.making import SPLITS
 from tactile_sim.pairs.reading import Pairs
+from tactile_sim.plan import generator
+from tactile_sim.sheets import sheet_png
 from tactile_toolkit.errors import InputError, MissingExtraError, SpecMismatchError, ToolkitError
 from tactile_toolkit.run.system import locked
 from tactile_toolkit.store.folder import DataFolder
@@ -167,7 +168,7 @@ class _Run:
         since = first
         with Batches(self.data, config, self.place.rank) as batches:
             for step in range(first, config.steps):
-                rng = step_rng(config, step, self.place.rank, "pool")
+                rng = generator(config.seed, step, self.place.rank, "pool")
                 losses = self.model.step(step, batches.of(step), rng)
                 sums += list(losses.values())
                 done = step + 1

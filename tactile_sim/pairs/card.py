@@ -8,6 +8,7 @@ import numpy as np
 
 from tactile_sim.pairs.making import SPLITS
 from tactile_sim.pairs.rows import decode_depth
+from tactile_sim.sheets import tile
 from tactile_toolkit.cards.card import (
     TACTILE_MNIST,
     Column,
@@ -28,7 +29,6 @@ from tactile_toolkit.touch.jpeg import decode_image
 __all__ = ["COLUMNS", "write_card"]
 
 _SHOWN = 8
-_TILE_PX = 96
 COLUMNS: dict[str, Column] = {
     "id": ("", "object and number, or round and touch"),
     "label": ("", "class of the touched object"),
@@ -83,16 +83,8 @@ def _sheet(facts: FolderFacts) -> bytes | None:
     rows = []
     for split in facts.splits:
         block = next(split.shards[0].blocks(0, ["sensor_image"]))
-        tiles = [_tile(each["bytes"], split.split) for each in block.table.column(0)[:_SHOWN].to_pylist()]
-        rows.append(np.concatenate(tiles, axis=1))
+        decode: Any = decode_depth if split.split == "depth" else decode_image
+        images = [decode(each["bytes"]) for each in block.table.column(0)[:_SHOWN].to_pylist()]
+        rows.append(np.concatenate([tile(image) for image in images], axis=1))
     shown: Any = [row[:, : min(row.shape[1] for row in rows)] for row in rows]
     return png_bytes(np.concatenate(shown)) if rows else None
-
-
-def _tile(data: bytes, split: str) -> Any:
-    if split == "depth":
-        image = np.rint(decode_depth(data) * 255).astype(np.uint8)[..., None].repeat(3, axis=2)
-    else:
-        image = decode_image(data)
-    step = max(1, image.shape[1] // _TILE_PX)
-    return np.pad(image[::step, ::step], ((1, 1), (1, 1), (0, 0)), constant_values=255)

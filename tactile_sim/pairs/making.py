@@ -6,7 +6,6 @@ with fewer of those without contact than there are; it does not say how few.
 
 from __future__ import annotations
 
-import hashlib
 import os
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, field
@@ -16,8 +15,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactile_sim.kind import KIND
+from tactile_sim.optics import scaled
 from tactile_sim.pairs.rows import PairRow, depth_levels, encode_depth, pair_table, pairs_style
-from tactile_sim.plan import TouchPlan, plan_round
+from tactile_sim.plan import TouchPlan, key_of, plan_round
 from tactile_sim.pressing import Pressable, press
 from tactile_sim.sensor import Sensor, as_environment, as_sensor
 from tactile_toolkit.catalog.locate import find_shards
@@ -34,7 +34,7 @@ from tactile_toolkit.store.folder import DataFolder
 from tactile_toolkit.store.manifest import Manifest
 from tactile_toolkit.store.plan import BuildPlan, ShardContent
 from tactile_toolkit.store.shards import ShardName, Skipped
-from tactile_toolkit.touch.jpeg import encode_image, resized
+from tactile_toolkit.touch.jpeg import IMAGE_SUFFIX, encode_image
 from tactile_toolkit.touch.schema import class_names
 
 __all__ = ["SPLITS", "PairsSpec", "make_pairs", "plan_pairs"]
@@ -95,11 +95,6 @@ class PairsSpec:
         """What the depth images are of."""
         return (as_sensor if self.like == "published" else as_environment)(*self.size_px)
 
-    @property
-    def empty(self) -> int:
-        """How many touches of each split meet no object."""
-        return sum(map(self.is_empty, range(self.count)))
-
     def is_empty(self, number: int) -> bool:
         """Tell whether a touch meets no object: evenly spread, so that every shard has its share."""
         return int((number + 1) * self.without_contact) > int(number * self.without_contact)
@@ -127,13 +122,16 @@ class _DepthShard:
         solids = SolidDataset([ShardedTable(tuple(map(Shard, self.paths)))], label_names=self.names)
         rows: list[PairRow] = []
         skipped: list[Skipped] = []
-        held: dict[int, Pressable | None] = {}
+        last, solid = -1, None
         for number in range(self.start, self.start + self.size):
             place = number * self.objects // spec.count  # neighbours share an object, which is checked once
             record = solids[place]
-            if place not in held:
-                held = {place: _pressable(record, skipped)}
-            solid = held[place]
+            if place != last:
+                last, solid = place, None
+                try:
+                    solid = Pressable.of(record)
+                except InputError as error:
+                    skipped.append(Skipped(record.id, "no-solid", f"object {record.id}: {error}"))
             if solid is None:
                 continue
             image = _touched(spec, solid, record.id, number)
@@ -147,14 +145,6 @@ class _DepthShard:
                 )
             )
         return ShardContent(pair_table(rows, self.names, "png"), tuple(skipped), statistics=_counts(rows))
-
-
-def _pressable(record: Any, skipped: list[Skipped]) -> Pressable | None:
-    try:
-        return Pressable.of(record)
-    except InputError as error:
-        skipped.append(Skipped(record.id, "no-solid", f"object {record.id}: {error}"))
-        return None
 
 
 def _touched(spec: PairsSpec, solid: Pressable, object_id: int, number: int) -> NDArray[np.float32]:
@@ -199,15 +189,12 @@ class _RealShard:
         """Decode, scale and encode the touches."""
         touches = KIND.load(self.source, self.split).touches()
         kind, rows = self.spec.image_format, []
-        width, height = self.spec.size_px
         for number, contact in self.chosen:
             touch = touches[number]
-            picture = touch.image
-            if picture.shape[:2] != (height, width):
-                picture = resized(picture, width, height)
+            (picture,) = scaled(touch.image[None], self.spec.size_px)
             key = f"{touch.round_id}-{touch.touch_index}"
             rows.append(PairRow(key, touch.label, touch.object_id, contact, encode_image(picture, kind)))
-        table = pair_table(rows, self.names, {"png": "png", "jpeg": "jpg"}[kind])
+        table = pair_table(rows, self.names, IMAGE_SUFFIX[kind])
         return ShardContent(table, statistics=_counts(rows))
 
 
@@ -246,7 +233,7 @@ def plan_pairs(objects: str, real: str, split: str, spec: PairsSpec) -> BuildPla
         "operation": "pairs",
         "options": spec.to_dict(),
         "split": split,
-        "source": {"depth": _fingerprint(shards), "real": str(dataset.identity)},
+        "source": {"depth": table.identity, "real": str(dataset.identity)},
     }
     libraries = ("numpy", "pillow", "pyarrow")
     return BuildPlan(KIND.name, identity, SPLITS, tuple(tasks), pairs_style(), libraries=libraries)
@@ -255,28 +242,22 @@ def plan_pairs(objects: str, real: str, split: str, spec: PairsSpec) -> BuildPla
 def _draw(touches: Any, spec: PairsSpec, real: str) -> list[tuple[int, bool]]:
     """Draw touches with and without contact, each once, and spread those without as in the other split."""
     contact = touches.heights_m() >= spec.min_height_m
-    rng = np.random.Generator(np.random.Philox(_key(spec.seed, "real")))
-    pools = {}
-    for wanted, count in ((True, spec.count - spec.empty), (False, spec.empty)):
-        numbers = np.flatnonzero(contact == wanted)
-        if len(numbers) < count:
-            message = (
-                f"{real!r} holds {int(contact.sum()):,} touches with contact and {int((~contact).sum()):,} "
-                f"without; expected at least {spec.count - spec.empty:,} and {spec.empty:,}; nothing was "
-                "written; next: a smaller --count, or another --without-contact"
-            )
-            raise InputError(message)
-        pools[wanted] = iter(np.sort(rng.permutation(numbers)[:count]).tolist())
+    # A seed here, where `plan.generator` has a key: other numbers, which sets that were made so hold.
+    rng = np.random.Generator(np.random.Philox(key_of(spec.seed, "real")))
     flags = [not spec.is_empty(number) for number in range(spec.count)]
+    wanted = {True: sum(flags), False: spec.count - sum(flags)}
+    found = {flag: np.flatnonzero(contact == flag) for flag in wanted}
+    if any(len(found[flag]) < count for flag, count in wanted.items()):
+        message = (
+            f"{real!r} holds {len(found[True]):,} touches with contact and {len(found[False]):,} "
+            f"without; expected at least {wanted[True]:,} and {wanted[False]:,}; nothing was "
+            "written; next: a smaller --count, or another --without-contact"
+        )
+        raise InputError(message)
+    pools = {
+        flag: iter(np.sort(rng.permutation(found[flag])[:count]).tolist()) for flag, count in wanted.items()
+    }
     return [(next(pools[flag]), flag) for flag in flags]
-
-
-def _key(seed: int, what: str) -> int:
-    return int.from_bytes(hashlib.sha256(f"{seed}/{what}".encode()).digest()[:16], "little")
-
-
-def _fingerprint(shards: Sequence[Shard]) -> str:
-    return ShardedTable(tuple(shards)).identity
 
 
 def make_pairs(

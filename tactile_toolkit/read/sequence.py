@@ -21,7 +21,7 @@ from tactile_toolkit.wording import counted, is_whole, plain_number
 if TYPE_CHECKING:
     from tactile_toolkit.read.parquet import Shard
 
-__all__ = ["ColumnStatistics", "LazySequence", "Statistics", "positions"]
+__all__ = ["ColumnStatistics", "LazySequence", "Statistics", "checked_index", "positions"]
 
 T = TypeVar("T")
 
@@ -71,6 +71,14 @@ class Statistics:
     def to_dict(self) -> dict[str, Any]:
         """Return JSON values."""
         return asdict(self)
+
+
+def checked_index(index: int, length: int, of: str, things: str) -> int:
+    """Turn an index that may count from the end into one from 0; IndexError, in these words, out of range."""
+    if not -length <= index < length:
+        message = f"{of} {index} is out of range for {length} {things}"
+        raise IndexError(message)
+    return index + length if index < 0 else index
 
 
 def positions(index: Any, length: int) -> NDArray[np.int64]:

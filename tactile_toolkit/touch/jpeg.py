@@ -17,9 +17,11 @@ from numpy.typing import NDArray
 from tactile_toolkit.errors import InputError
 
 __all__ = [
+    "IMAGE_SUFFIX",
     "MAX_BATCH_PIXELS",
     "MAX_IMAGE_BYTES",
     "MAX_IMAGE_PIXELS",
+    "ImageFormat",
     "Pixels",
     "decode_image",
     "encode_image",
@@ -39,6 +41,10 @@ MAX_BATCH_PIXELS = 1 << 31
 
 Pixels = NDArray[np.uint8]
 """Colours as red, green, blue; 0 to 255."""
+
+ImageFormat = Literal["jpeg", "png"]
+IMAGE_SUFFIX: dict[ImageFormat, str] = {"jpeg": "jpg", "png": "png"}
+"""How the names of stored images end."""
 
 _JPEG_START = b"\xff\xd8\xff"
 
@@ -151,7 +157,7 @@ def room_for(count: int, size: tuple[int, int], out: Pixels | None = None) -> Pi
     raise InputError(message)
 
 
-def encode_image(pixels: Pixels, kind: Literal["jpeg", "png"] = "jpeg", quality: int = 95) -> bytes:
+def encode_image(pixels: Pixels, kind: ImageFormat = "jpeg", quality: int = 95) -> bytes:
     """Encode RGB pixels, shape (H, W, 3), uint8; the same pixels give the same bytes.
 
     ``quality`` is that of a JPEG, 1 to 100, which keeps the colour resolution whole (4:4:4).

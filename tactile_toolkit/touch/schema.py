@@ -19,6 +19,7 @@ __all__ = [
     "MEDIA_TYPE",
     "PER_TOUCH_COLUMNS",
     "PLATE_COLUMN",
+    "POSE_COLUMN",
     "Kind",
     "class_names",
     "column_type",
@@ -32,6 +33,9 @@ __all__ = [
 Kind = Literal["seq", "single"]
 MEDIA_COLUMN: dict[Kind, str] = {"seq": "sensor_video", "single": "sensor_image"}
 """The column that makes a data set one of clips or one of images."""
+
+POSE_COLUMN: dict[Kind, str] = {"seq": "gel_pose_cell_frame_seq", "single": "gel_pose_cell_frame"}
+"""The columns ``.position`` and ``.quaternion`` below it hold the pose of the gel, of each frame or touch."""
 
 MEDIA_TYPE = pa.struct([("bytes", pa.binary()), ("path", pa.string())])
 """Arrow type of an image or clip: its bytes, and the name it once had."""

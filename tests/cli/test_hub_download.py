@@ -20,9 +20,9 @@ from mnist3d.generation import GenerateSpec, generate
 from mnist3d.solid import SolidSpec
 from mnist3d.sources.synthetic import SyntheticSource
 from realtouch.kind import KIND as TOUCH_KIND
-from realtouch.names import SHORT_NAMES, repository_of
+from realtouch.names import SHORT_NAMES
 from starstruck_gen.generation import GenerateSpec as StarstruckSpec
-from tactile_toolkit.catalog.published import published_set
+from tactile_toolkit.catalog.published import place_of, published_set
 from tactile_toolkit.kind import kinds
 from tests.hub_server import HubServer, hub
 from tests.realtouch.factories import make_round, single_rows, write_set
@@ -401,8 +401,8 @@ def test_short_names():
         assert published_set(entry.name) == published_set(entry.repo_id) == entry
         assert entry.citation.startswith("Schneider")
     assert published_set("someone/digits") is None
-    assert repository_of("real-single") == repository_of("real-single-320x240")
-    assert {repository_of(name) for name in SHORT_NAMES} == {e.repo_id for e in TOUCH_KIND.published}
+    assert place_of("real-single") == place_of("real-single-320x240")
+    assert {place_of(name) for name in SHORT_NAMES} == {e.repo_id for e in TOUCH_KIND.published}
 
 
 @pytest.mark.parametrize("command", ["mnist3d", "starstruck", "realtouch"])

@@ -11,7 +11,7 @@ import pytest
 
 import mnist3d
 import realtouch
-from realtouch.names import SHORT_NAMES, repository_of
+from realtouch.names import SHORT_NAMES
 from tactile_toolkit.catalog.published import place_of
 from tactile_toolkit.errors import InputError
 from tests.hub_server import HubServer, hub
@@ -36,11 +36,11 @@ def test_local_data_of_a_short_name_comes_first(
     name: str, single_folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    assert repository_of(name).startswith("TimSchneider42/")
+    assert place_of(name).startswith("TimSchneider42/")
     Path(name).mkdir()
-    assert repository_of(name).startswith("TimSchneider42/"), "a folder without data is none"
+    assert place_of(name).startswith("TimSchneider42/"), "a folder without data is none"
     shutil.copytree(single_folder / "data", Path(name) / "data")
-    assert repository_of(name) == name
+    assert place_of(name) == name
     assert len(realtouch.load(name, "train")) == 3
     assert realtouch.verify(name).ok
 

@@ -44,9 +44,9 @@ from tactile_sim.learned.evaluation import evaluate  # noqa: E402
 from tactile_sim.learned.measures import colour_distance, kernel_distance, spectrum_distance  # noqa: E402
 from tactile_sim.learned.readers import Reader, balanced_accuracy, ranked_right  # noqa: E402
 from tactile_sim.learned.rendering import CycleganDepth, CycleganOptics  # noqa: E402
-from tactile_sim.learned.sheets import sheet_png  # noqa: E402
 from tactile_sim.learned.training import train  # noqa: E402
 from tactile_sim.learned.weights import GeneratorWeights, read_weights, write_weights  # noqa: E402
+from tactile_sim.sheets import sheet_png  # noqa: E402
 from tactile_toolkit.store.folder import DataFolder  # noqa: E402
 from tactile_toolkit.touch.jpeg import decode_image  # noqa: E402
 

@@ -1,4 +1,4 @@
-"""Sheets of pictures: how far a training is, and what came of it."""
+"""Sheets of pictures: those of cards, how far a training is, and what came of it."""
 
 from __future__ import annotations
 
@@ -11,9 +11,11 @@ from numpy.typing import NDArray
 from tactile_toolkit.pictures.lettering import PAPER, draw_text
 from tactile_toolkit.pictures.writing import png_bytes
 
-__all__ = ["sheet_png"]
+__all__ = ["TILE_PX", "sheet_png", "tile"]
 
-_TILE_PX = 96
+TILE_PX = 96
+"""Width of pictures in sheets, about."""
+
 _TITLE_PX = 18
 
 
@@ -27,7 +29,7 @@ def sheet_png(columns: Sequence[tuple[str, NDArray[Any]]]) -> bytes:
 
     strips = []
     for title, pictures in columns:
-        tiles = [_tile(picture) for picture in pictures]
+        tiles = [tile(picture, TILE_PX, 2 * TILE_PX) for picture in pictures]  # titles need the room
         head = Image.new("RGB", (tiles[0].shape[1], _TITLE_PX), PAPER)
         draw_text(ImageDraw.Draw(head), (3, 2), title, 11)
         strips.append(np.concatenate([np.asarray(head), *tiles]))
@@ -38,10 +40,13 @@ def sheet_png(columns: Sequence[tuple[str, NDArray[Any]]]) -> bytes:
     return png_bytes(np.concatenate(filled, axis=1))
 
 
-def _tile(picture: NDArray[Any]) -> NDArray[np.uint8]:
+def tile(picture: NDArray[Any], least_px: int = 1, most_px: int = TILE_PX) -> NDArray[np.uint8]:
+    """Return a picture, uint8 colours (H, W, 3) or depth (H, W), in a white frame; its width between both.
+
+    Every n-th pixel, or each n times: as a data set holds it, nothing is smoothed.
+    """
     if picture.ndim == 2:
         picture = np.rint(np.clip(picture, 0, 1) * 255).astype(np.uint8)[..., None].repeat(3, axis=2)
-    times = -(-_TILE_PX // picture.shape[1])  # titles need the room
-    step = max(1, picture.shape[1] // (2 * _TILE_PX))
+    times, step = -(-least_px // picture.shape[1]), max(1, picture.shape[1] // most_px)
     shown = picture[::step, ::step].repeat(times, axis=0).repeat(times, axis=1)
     return np.pad(shown, ((1, 1), (1, 1), (0, 0)), constant_values=255)
