@@ -25,6 +25,7 @@ _QUARTER_TURN_LOW = float.fromhex("0x1.0b4611a626331p-34")
 _SINE = tuple((-1) ** term / math.factorial(2 * term + 1) for term in range(8, 0, -1))
 _COSINE = tuple((-1) ** term / math.factorial(2 * term) for term in range(8, 1, -1))
 
+# exp(-20) is 2e-9, less than what decay() may be off.
 _FARTHEST = 20.0
 _SQUARINGS = 6
 

@@ -123,6 +123,7 @@ class DiskCache:
             held, counted = _TOTALS.unpack(content) if len(content) == _TOTALS.size else (-1, 0)
             if min(held, counted) < 0:  # new and empty, or damaged
                 stream.truncate(0)
+                # As if it were full: the folder is counted before anything is written.
                 held, counted = self.limit_bytes, 0
             most = min(self.limit_bytes, counted + self.limit_bytes // _COUNTED_ANEW_AFTER)
             if further_bytes > 0 and held + further_bytes > most:
@@ -143,6 +144,8 @@ class DiskCache:
                 with contextlib.suppress(OSError):  # other processes may remove some meanwhile
                     facts = entry.stat(follow_symlinks=False)
                     if entry.name != _LEDGER:
+                        # File systems are mounted without access times: mark_used sets them, and a file never
+                        # used again has that of its writing.
                         files.append((max(facts.st_atime_ns, facts.st_mtime_ns), facts.st_size, entry.path))
         held = sum(size for _, size, _ in files)
         if held + needed_bytes > self.limit_bytes:

@@ -76,6 +76,7 @@ def choice(default: str, known: Sequence[str]) -> Any:
     """Declare one of several words."""
     return _field(
         default,
+        # As int, plain() leaves what is not a number as it was given.
         _Rule(int, lambda value: isinstance(value, str) and value in known, f"one of {', '.join(known)}"),
     )
 

@@ -86,6 +86,7 @@ def install_line(extra: str) -> str:
         entries = [entry.partition(";") for entry in requires("tactile-toolkit") or ()]
     except PackageNotFoundError:
         entries = []
+    # Build tools write these quotes either way.
     names = [name.strip() for name, _, marker in entries if re.search(rf"extra == ['\"]{extra}['\"]", marker)]
     packages = " ".join(map(shlex.quote, names)) or f"'.[{extra}]'"
     return f"pip install {packages} (the extra `{extra}`)"

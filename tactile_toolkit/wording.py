@@ -8,6 +8,7 @@ from typing import Any
 
 __all__ = ["class_name", "counted", "did_you_mean", "is_whole", "plain", "plain_number", "plain_pairs"]
 
+# Touches, meshes, classes and boxes; in anything else the e belongs to the word.
 _LONG_PLURALS = ("ches", "shes", "sses", "xes")
 
 

@@ -17,7 +17,7 @@ from tactile_toolkit.errors import ToolkitError
 from tactile_toolkit.store.folder import DataFolder
 from tactile_toolkit.store.manifest import Manifest, read_manifest
 from tactile_toolkit.store.names import problem_of_name
-from tactile_toolkit.store.shards import DATA_FOLDER, VIEWER_FOLDER, Finding
+from tactile_toolkit.store.shards import VIEWER_FOLDER, Finding
 
 __all__ = ["check_card"]
 
@@ -184,7 +184,8 @@ def _gaps(text: str) -> Iterator[str]:
 def _pictures(folder: DataFolder, text: str, held: Collection[str] | None) -> Iterator[Finding]:
     """Yield pictures of the card that are missing, left out or damaged."""
     for path in dict.fromkeys(match["path"] for match in _PICTURE.finditer(text)):
-        if "://" in path or path.startswith(DATA_FOLDER):
+        # Elsewhere, or in the card itself.
+        if "://" in path or path.startswith("data:"):
             continue
         problem = problem_of_name(normpath(path))
         if problem:

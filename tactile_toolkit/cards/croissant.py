@@ -250,6 +250,7 @@ def _data_type(dtype: Any) -> tuple[str | list[str], str]:
         return ["cr:Int64", "cr:Label"], f"classes: {listed}"
     if _NUMBERS.fullmatch(str(dtype)):
         return f"cr:{dtype.replace('uint', 'UInt').replace('int', 'Int').replace('float', 'Float')}", ""
+    # Spans of time and moments alike are stored as whole numbers.
     if _TIMES.fullmatch(str(dtype)):
         return "cr:Int64", f"stored as {dtype}"
     return _PLAIN_TYPES.get(str(dtype), "sc:Text"), ""
@@ -274,6 +275,7 @@ def croissant_of_folder(text: str, folder: DataFolder) -> str:
     if not isinstance(values, dict):
         message = "not a JSON object"
         raise ValueError(message)
+    # That is the page of the repository, of which the folder may be a part only.
     values.pop("url", None)
     return printable_json({**values, **_structure(folder, recorded_facts(folder, manifest), manifest)}) + "\n"
 

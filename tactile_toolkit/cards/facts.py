@@ -91,6 +91,7 @@ def recorded_facts(folder: DataFolder, manifest: Manifest | None, schema: Any = 
         shards = tuple(Shard(folder.address(path), count) for path, count in zip(paths, rows, strict=True))
         file_bytes = sum(record.bytes for record in records)
         splits.append(SplitFacts(split, shards, paths, sum(rows), file_bytes, sum(sizes)))
+    # Another version of the toolkit may have written other columns.
     if schema is None or manifest.toolkit_version != toolkit_version():
         schema = splits[0].shards[0].schema
     return FolderFacts(tuple(splits), schema, recorded=True, viewer=viewer_files(manifest))

@@ -86,10 +86,8 @@ def _path_of(split: str, folder: str, paths: Mapping[str, Sequence[str]]) -> str
 
 
 def _patterns(split: str, folder: str, paths: Sequence[str]) -> tuple[str, ...]:
-    """Return patterns of the files of a split, as ``datasets`` writes them.
-
-    It sorts what a pattern finds as text: numbers of each length have one of their own.
-    """
+    """Return patterns of the files of a split, as ``datasets`` writes them."""
+    # It sorts what a pattern finds as text: numbers of each length have one of their own.
     names = (ShardName.parse(PurePosixPath(path).name) for path in paths)
     lengths = sorted({len(f"{name.index:05d}") for name in names if name is not None})
     if len(lengths) < 2:

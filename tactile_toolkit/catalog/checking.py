@@ -123,6 +123,7 @@ class _CheckPart(Generic[T]):
                 readable = RowGroup(block.table.take(whole).combine_chunks(), block.path)
             index = 0
             for row, row_id in enumerate(block.table["id"].to_pylist(), block.first_row):
+                # In data sets of others it may be null, or a text.
                 known_id = row_id if isinstance(row_id, int) else None
                 null_field, found = nulls.get(row - block.first_row, ""), None
                 if not null_field:

@@ -58,20 +58,18 @@ def find_shards(
     have remote addresses that are read piece by piece. Raises InputError (no such folder or split),
     IntegrityError (a damaged manifest, an interrupted run) or HubError.
     """
-    file = _file_here(name)
-    if file is not None:
-        _require_split(file, split)
-        return (Shard(file),)
-    folder = folder_named(name)
-    if folder is not None:
+    place = _place_of(name, revision)
+    if isinstance(place, str):
+        _require_split(place, split)
+        return (Shard(place),)
+    if isinstance(place, DataFolder):
         with without_collecting():
-            return _folder_shards(folder, split)
-    named = _named_on_hub(name, revision)
-    repository = HubRepository(named.repo_id, named.revision)
-    if _is_file(named):
-        _require_split(named.path, split)
-        return _hub_shards(repository, [named.path], streaming)
-    found = _shards_below(repository, named.path)
+            return _folder_shards(place, split)
+    repository = HubRepository(place.repo_id, place.revision)
+    if _is_file(place):
+        _require_split(place.path, split)
+        return _hub_shards(repository, [place.path], streaming)
+    found = _shards_below(repository, place.path)
     chosen = _split_of([file.split for file in found], split, name)
     with repository.missing_as_not_cached(f"split {chosen!r}"):
         files = files_of_split(found, chosen, name)
@@ -109,6 +107,13 @@ def repository_named(name: str, revision: str | None = None) -> HubRepository:
         message = f"{name!r} is a part of a repository; expected all of it; next: leave {named.path!r} out"
         raise InputError(message)
     return HubRepository(named.repo_id, named.revision)
+
+
+def _place_of(name: str, revision: str | None) -> str | DataFolder | HubName:
+    """Return what a name means: a Parquet file by its path, a folder, or what lies on the Hub."""
+    file = _file_here(name)
+    folder = folder_named(name) if file is None else None
+    return file or folder or _named_on_hub(name, revision)
 
 
 def _named_on_hub(name: str, revision: str | None) -> HubName:
@@ -183,7 +188,7 @@ def _is_file(named: HubName) -> bool:
     return named.path.endswith(_PARQUET)
 
 
-def _told_split(path: str) -> str | None:
+def _split_in_name(path: str) -> str | None:
     """Return the split that the name of a file tells, such as ``test-00000-of-00002.parquet``."""
     shard = ShardName.parse(Path(path).name)
     return None if shard is None else shard.split
@@ -205,14 +210,11 @@ def _split_of(known: Sequence[str], split: str | None, name: str) -> str:
 
 
 def _require_split(path: str, split: str | None) -> None:
-    """Refuse to take a file of one split for another that was asked for.
-
-    ``train`` is what every ``load`` asks for when nobody says anything: a file named alone is opened then,
-    whatever its split.
-    """
-    told = _told_split(path)
-    if split is not None and told not in (None, split) and split != _USUAL_SPLIT:
-        raise no_split(split, (str(told),), path)
+    """Refuse to take a file of one split for another that was asked for."""
+    # Whoever says nothing asks for train, in older versions too: a file named alone is opened then.
+    found = _split_in_name(path)
+    if split is not None and found not in (None, split) and split != _USUAL_SPLIT:
+        raise no_split(split, (str(found),), path)
 
 
 def _hub_shards(repository: HubRepository, paths: Sequence[str], streaming: bool) -> tuple[Shard, ...]:
@@ -231,17 +233,13 @@ def _shards_below(repository: HubRepository, folder: str) -> list[ShardFile]:
 
 def splits_of(name: str, *, revision: str | None = None) -> tuple[str, ...]:
     """List the splits of a data set by its name; InputError where it holds no Parquet files."""
-    file = _file_here(name)
-    if file is not None:
-        return (_told_split(file) or "train",)
-    folder = folder_named(name)
-    named = _named_on_hub(name, revision) if folder is None else None
-    if named is not None and _is_file(named):
-        return (_told_split(named.path) or "train",)
-    if folder is not None:
-        splits = available_splits(folder)
-    elif named is not None:
-        files = _shards_below(HubRepository(named.repo_id, named.revision), named.path)
+    place = _place_of(name, revision)
+    if isinstance(place, DataFolder):
+        splits = available_splits(place)
+    elif isinstance(place, str) or _is_file(place):
+        splits = (_split_in_name(place if isinstance(place, str) else place.path) or _USUAL_SPLIT,)
+    else:
+        files = _shards_below(HubRepository(place.repo_id, place.revision), place.path)
         splits = tuple(dict.fromkeys(file.split for file in files))
     if not splits:
         message = f"no Parquet files in {name!r}; next: give the folder or repository of a data set"
@@ -317,20 +315,18 @@ def _numbered(folder: DataFolder) -> list[str]:
     """List the numbered Parquet files of folders that are called as their split."""
     if not folder.is_local:
         return []
+    # As the Hub's branch refs/convert/parquet has them: default/train/0000.parquet.
     root = Path(folder.address())
     found = [file for pattern in ("[!.]*/*.parquet", "[!.]*/[!.]*/*.parquet") for file in root.glob(pattern)]
     return [file.relative_to(root).as_posix() for file in found if file.stem.isdigit()]
 
 
 def repository_shards(repository: HubRepository) -> list[ShardFile]:
-    """Sort the Parquet files of a repository by split.
-
-    A manifest tells which files belong to the data set: shards of an older layout may lie beside them,
-    because an upload removes nothing that it was not told to remove.
-    """
+    """Sort the Parquet files of a repository by split."""
     files = shard_files(repository.files())
     if repository.manifest is None:
         return files
+    # An upload removes nothing that it was not told to: shards of an older layout may lie beside these.
     listed = {record.shard.data_path for record in repository.manifest.shards}
     return [file for file in files if file.path in listed]
 

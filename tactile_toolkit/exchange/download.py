@@ -47,6 +47,7 @@ _LABELS = (CARD_FILE, MANIFEST_FILE, CROISSANT_FILE)
 _EXTRA_FOLDERS = ("reports", "previews")
 _EXTRA_FILES = ("LICENSE", "LICENSE.md", "LICENSE.txt")
 _PICTURE_FOLDER = "images"
+# Hidden, so that readers and `verify` pass over it.
 _STAGE_FOLDER = ".downloading"
 _CARD = re.compile(r"---\r?\n(?P<head>.*?)\n---\r?\n(?P<body>.*)", flags=re.DOTALL)
 
@@ -274,6 +275,7 @@ def _chosen_splits(
     known = tuple(split for split in order if split in names) or tuple(sorted(names))
     chosen = tuple(split for split in known if split in splits) if splits else known
     shards = []
+    # Of a repository without shards, the usual split is the one that is said to be missing.
     for split in dict.fromkeys([*chosen, *splits] or ["train"]):
         with repository.missing_as_not_cached(f"split {split!r}"):
             shards += [file.path for file in files_of_split(found, split, repository.repo_id)]
@@ -292,6 +294,7 @@ def _extras(repository: HubRepository, splits: Sequence[str], *, fitted: bool) -
     def is_extra(path: str) -> bool:
         if path in _LABELS:
             return fitted
+        # What repeats the shards for the Hub's page stays there.
         if path in shown:  # repeats the shards for the Hub's page
             return False
         return path in listed or path in _EXTRA_FILES or PurePosixPath(path).parts[0] in _EXTRA_FOLDERS
@@ -501,9 +504,9 @@ def _note_of_part(plan: DownloadPlan) -> str:
 def _fitted_card(content: bytes, folder: DataFolder, note: str) -> bytes:
     """Return a card whose YAML head names what is here, with a note in front of its text.
 
-    ``datasets.load_dataset(folder)`` fails over a split that the head names and the folder lacks. A card
-    without a head that can be read is left as it is. Shards and manifest must be in place.
+    A card without a head that can be read is left as it is. Shards and manifest must be in place.
     """
+    # ``datasets.load_dataset(folder)`` fails over a split that the head names and the folder lacks.
     import yaml
 
     match = _CARD.fullmatch(content.decode("utf-8", errors="replace"))

@@ -47,6 +47,7 @@ __all__ = [
 ]
 
 _KIND = "dataset"
+# All files of each are listed and compared.
 _PULLS_SEEN = 10
 
 T = TypeVar("T")
@@ -205,6 +206,7 @@ class UploadTarget:
         api = self._api()
         try:
             private = bool(api.repo_info(self.repo_id, repo_type=_KIND).private)
+        # To the client it is a kind of RepositoryNotFoundError, but such a repository is there.
         except errors.GatedRepoError:
             raise
         except errors.RepositoryNotFoundError:

@@ -227,6 +227,7 @@ def collect(root: Path, manifest: Manifest, elsewhere: Container[str] = ()) -> P
         others += [path for path in found if not problem_of_name(path) and not problem_of_place(place, path)]
     files = [_of_file(root / path, path, known.get(path)) for path in dict.fromkeys([*others, *known])]
     sent = {file.path for file in files}
+    # A folder of which anything is sent is looked into; any other is named once.
     holding = {parent.as_posix() for path in sent for parent in Path(path).parents}
     return Payload(root, tuple(files), tuple(_unsent(root, root, sent, holding)))
 

@@ -69,6 +69,7 @@ def packed_mesh(
 def _packed(numbers: NDArray[np.int64]) -> str:
     # Neighbours differ little, so the upper planes of bytes are almost all zero and deflate to nothing.
     change = np.diff(numbers, prepend=0)
+    # Small differences of either sign become small numbers (as in Protocol Buffers).
     zigzag = ((change << 1) ^ (change >> 63)).astype("<u4")
     planes = zigzag.view(np.uint8).reshape(-1, 4).T
     return base64.b64encode(zlib.compress(planes.tobytes(), 6)).decode("ascii")

@@ -40,6 +40,7 @@ MOST_ITEMS = 20_000
 MOST_BYTES = 2_000_000_000
 """Larger sites are refused: nobody copies them to look at a data set."""
 
+# The first few items may be unusually large.
 _JUDGED_AFTER = 24
 _SAMPLED_TASKS = 3
 _MARK = "tactile-toolkit gallery"
@@ -223,6 +224,7 @@ def _in_order(runner: Runner, tasks: tuple[ItemTask, ...]) -> Iterator[list[Item
     waiting: dict[int, list[Item]] = {}
     following = 0
     finished = cast("Generator[tuple[int, list[Item]]]", runner.run(_make, list(enumerate(tasks))))
+    # Ends the workers when an item is refused.
     with closing(finished) as results:
         for number, items in results:
             waiting[number] = items

@@ -63,6 +63,7 @@ class RepositoryCache:
         """Folder of the repository."""
         from huggingface_hub import constants
 
+        # The layout of the Hub's own client, so that either finds what the other has fetched.
         return Path(constants.HF_HUB_CACHE) / f"datasets--{self.repo_id.replace('/', '--')}"
 
     def snapshot_folder(self, commit: str) -> Path:

@@ -31,6 +31,7 @@ __all__ = [
     "storage_failure_as_hub_error",
 ]
 
+# Tokens of users begin with hf_, those of organisations with api_org_.
 _TOKEN = re.compile(r"\b(?:hf|api_org)_[A-Za-z0-9]{6,}")
 _HEADER = re.compile(r"(?i)\b(bearer|authorization:?)\s+(?!bearer)[^\s'\"]+")
 # Addresses of stores carry what signs them behind the question mark.
@@ -201,6 +202,7 @@ class _Request:
         )
         address = str(getattr(getattr(error, "response", None), "url", ""))
         file = re.sub(r".*/resolve/[^/]+/|[?#].*", "", address)
+        # In this order: that a repository is gated is, to the client, a kind of its not being found.
         words: dict[type[Exception], str] = {
             errors.LocalTokenNotFoundError: self._needs_login(),
             errors.GatedRepoError: f"{self.subject} is gated; next: {accept}",

@@ -33,6 +33,7 @@ _NAME = re.compile(
     r"(?:@(?P<revision>refs/convert/[\w.-]+|refs/pr/\d+|[^/@]+))?"
     r"(?:/(?P<path>[^/].*?))?/?"
 )
+# No longer, where the cache can answer in the Hub's place.
 _PROBE_TIMEOUT_S = 5.0
 _MAIN = "main"
 _SHA256_DIGITS = 64
@@ -206,6 +207,7 @@ class Transfers:
         try:
             for thread in threads:
                 while thread.is_alive() and not self._stopped.is_set():
+                    # In short steps, to see when another thread has failed.
                     thread.join(0.1)
         finally:
             if len(results) < len(items):
@@ -255,6 +257,7 @@ class _ProgressBar:
         self._transfers.count(-self._arrived_bytes)
         self._arrived_bytes = 0
 
+    # Asked for by name (huggingface_hub 2.4).
     def update_transfer(self, size_bytes: float | None = 1) -> None:
         """Pass over what is received of a file in compressed pieces; `update` counts what is written."""
 
@@ -499,5 +502,6 @@ def _may_repeat_download(error: Exception) -> bool:
     chain = cause_chain(error)
     if any(isinstance(link, errors.LocalEntryNotFoundError) for link in chain):
         return False
+    # The client has no type of its own for a file that is shorter than was announced.
     is_cut_short = any(isinstance(link, OSError) and "Consistency check" in str(link) for link in chain)
     return is_cut_short or is_passing(error)

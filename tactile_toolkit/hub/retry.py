@@ -29,9 +29,11 @@ WAITS_VARIABLE = "TACTILE_TOOLKIT_HUB_WAITS"
 
 _WAITS_S = (1.0, 2.0, 4.0, 8.0, 16.0)
 _LONGEST_WAIT_S = 120.0
+# Too slow, too early, too many, and a server in trouble; 501 stays, as what is not offered will not be.
 _PASSING_STATUS = frozenset({408, 425, 429, 500, 502, 503, 504})
 _LIBRARY = "huggingface_hub"
 _ADDRESS = re.compile(r"(https?://[^/\s'\"]+)[^\s'\"]*")
+# What we say ourselves, in our own words.
 _SAID_ANYWAY = ("Retrying in", "Rate limited", "No files have been modified")
 
 T = TypeVar("T")

@@ -24,6 +24,7 @@ _DIRECTIONS = [
     np.array([math.cos(angle), math.sin(angle)]) for angle in np.linspace(0, math.pi, 12, endpoint=False)
 ]
 _OUTLINE_MM = 0.02  # finer detail of an outline decides no cut
+# Larger than any plate, and small enough for a half plane of doubles.
 _FAR_MM = 1e5
 _LEAST_MM3 = 1e-6  # what a cut leaves of a face is no part
 
@@ -49,6 +50,7 @@ def convex_parts(
             if part.volume() > _LEAST_MM3:
                 hull = part.hull()
                 # The count decides between equals, as solids cannot be compared.
+                # Least first: the part to which its hull adds most.
                 heapq.heappush(parts, (part.volume() - hull.volume(), made, part, hull))
                 made += 1
 

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactile_toolkit.mesh.nearness import near_pairs
+from tactile_toolkit.mesh.raster import positions_in_runs
 
 __all__ = ["faces_not_proven_free", "self_crossing", "tolerance_mm"]
 
@@ -21,7 +22,9 @@ Numbers = NDArray[np.float64]
 Indices = NDArray[np.int64]
 
 _TOLERANCE = 2.0**-21
+# Each of them takes a pass over all faces.
 _MOST_ODD = 64
+# Each takes 26 winding numbers, every one over all faces.
 _DOUBTS_ASKED = 32
 # How many tolerances from a doubtful place the winding number is asked for.
 _ASIDE = 16.0
@@ -123,7 +126,7 @@ def _rim_is_simple(x: Numbers, y: Numbers, upper: Indices, on_level: NDArray[np.
     )
     count = np.searchsorted(low_x, high_x, side="right") - np.arange(len(start)) - 1
     one = np.repeat(np.arange(len(start)), count)
-    other = one + 1 + np.arange(len(one)) - np.repeat(np.cumsum(count) - count, count)
+    other = one + 1 + positions_in_runs(count)
     meet = (low_y[one] <= high_y[other]) & (low_y[other] <= high_y[one])
     one, other = one[meet], other[meet]
     ax, ay, bx, by = px[one], py[one], qx[one], qy[one]
@@ -198,6 +201,7 @@ def _crossing_among(vertices_mm: Numbers, faces: Indices, suspects: Indices) -> 
     for place in asked:
         around = place + _ASIDE * tolerance * _DIRECTIONS
         winding = _winding_numbers(vertices_mm, faces, around)
+        # Off the surface these are whole: 1 inside, 0 outside, and the quarter is for rounding.
         if ((winding > 1.25) | (winding < -0.25)).any():
             return np.asarray(place)
     return None
@@ -207,6 +211,7 @@ def _folds(
     vertices_mm: Numbers, triangles: Indices, normal: Numbers, one: Indices, other: Indices, tolerance: float
 ) -> Numbers:
     """Return the middle of edges at which two triangles lie on one another instead of side by side."""
+    # Within 8 degrees of opposite: the angle alone does not tell a fold from a thin edge, the gap below does.
     opposed = np.flatnonzero((normal[one] * normal[other]).sum(axis=1) < -0.99)
     one, other = triangles[one[opposed]], triangles[other[opposed]]
     shared = (one[:, :, None] == other[:, None, :]).any(axis=2)

@@ -180,6 +180,7 @@ def _require_whole_stl(data: bytes) -> None:
     expected = _STL_HEADER_BYTES + count * _STL_TRIANGLE.itemsize
     if len(data) == expected:
         return
+    # After the length: many programs begin binary files with "solid", too.
     if data.lstrip()[:5].lower() == b"solid" and b"facet" in data[:4096]:
         if b"endsolid" in data.rsplit(b"endfacet", 1)[-1]:
             return
@@ -197,6 +198,8 @@ def _pack_glb(vertices: NDArray[np.float32], faces: NDArray[np.int32]) -> bytes:
     if len(vertices) > np.iinfo(np.uint16).max:
         corners, kind = faces.ravel().astype("<u4"), 5125
     buffer = vertices.tobytes() + corners.tobytes()
+    # Both chunks end at multiples of four, this one with zeros and the JSON with blanks (glTF 2.0, section
+    # 4.4.3).
     buffer += bytes(-len(buffer) % 4)
     low_high = {"min": vertices.min(axis=0).tolist(), "max": vertices.max(axis=0).tolist()}
     scene = {
@@ -205,6 +208,8 @@ def _pack_glb(vertices: NDArray[np.float32], faces: NDArray[np.int32]) -> bytes:
         "scenes": [{"nodes": [0]}],
         "nodes": [{"mesh": 0}],
         "meshes": [{"primitives": [{"attributes": {"POSITION": 0}, "indices": 1}]}],
+        # glTF takes the numbers of OpenGL: 5126 is float, 34962 and 34963 are buffers of vertices and of
+        # indices.
         "accessors": [
             {"bufferView": 0, "componentType": 5126, "count": len(vertices), "type": "VEC3", **low_high},
             {"bufferView": 1, "componentType": kind, "count": len(corners), "type": "SCALAR"},
@@ -230,4 +235,5 @@ def _pack_stl(corners_mm: NDArray[np.float64]) -> bytes:
     triangles = np.zeros(len(corners_mm), _STL_TRIANGLE)
     triangles["normal"] = normals / np.where(lengths > 0, lengths, 1)
     triangles["corners"] = corners_mm
+    # Any words but "solid", which begins the text form.
     return b"millimetres".ljust(80) + len(corners_mm).to_bytes(4, "little") + triangles.tobytes()

@@ -97,6 +97,7 @@ class Mesh:
         """
         import manifold3d
 
+        # Mesh64, as manifold3d merges vertices that single precision does not tell apart.
         vertices_mm = np.ascontiguousarray(self.vertices_m, dtype=np.float64) * MM_PER_M
         return manifold3d.Manifold(manifold3d.Mesh64(vertices_mm, self.faces.astype(np.uint64)))
 

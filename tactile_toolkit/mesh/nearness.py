@@ -33,6 +33,7 @@ def near_pairs(
     if inward is not None:
         low, high = np.concatenate([low, inward], axis=1), np.concatenate([high, inward], axis=1)
     levels = max(1, int(np.ceil(np.log2(max(len(order), 2)))))
+    # Leaves without a triangle are boxes inside out, which meet nothing.
     lows = np.full((1 << levels, low.shape[1]), np.inf)
     highs = np.full((1 << levels, low.shape[1]), -np.inf)
     lows[: len(order)], highs[: len(order)] = low[order], high[order]
@@ -43,6 +44,7 @@ def near_pairs(
     root = np.zeros(1, np.int64)
     waiting = [(levels, root, root)]
     while waiting:
+        # Depth first: all pairs of one level would not fit into memory.
         level, one, other = waiting.pop()
         if level == 0:
             apart = one != other
@@ -77,6 +79,7 @@ def _along_a_curve(points: Numbers) -> Indices:
     """Return an order of points in which neighbours are near: that of Morton's curve."""
     low = points.min(axis=0)
     span = max(float((points.max(axis=0) - low).max()), 1e-300)
+    # Ten bits for each axis, then each bit moved to every third place.
     cells = ((points - low) * (1023.0 / span)).astype(np.int64)
     for shift, mask in ((16, 0x30000FF), (8, 0x300F00F), (4, 0x30C30C3), (2, 0x9249249)):
         cells = (cells | (cells << shift)) & mask

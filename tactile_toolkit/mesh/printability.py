@@ -233,6 +233,7 @@ _OFF_VERTICES = 1e-7
 
 
 _NOT_MEASURED: dict[str, Any] = {
+    # NaN, so that reports stay columns of numbers.
     "mass_g": math.nan,
     "size_mm": (math.nan, math.nan, math.nan),
     "thinnest_wall_mm": math.nan,

@@ -140,6 +140,7 @@ def _pairs_with_meeting_boxes(parts: list[Any]) -> list[tuple[int, int]]:
     boxes = np.array([part.bounding_box() for part in parts]).reshape(-1, 6)
     pairs = []
     for place, box in enumerate(boxes[:-1]):
+        # Strictly: bodies that touch share no volume.
         meets = (boxes[place + 1 :, :3] < box[3:]) & (box[:3] < boxes[place + 1 :, 3:])
         pairs += [(place, place + 1 + int(other)) for other in np.flatnonzero(meets.all(axis=1))]
     return pairs

@@ -72,10 +72,10 @@ class _Model:
 
 
 class _Package:
-    """The models of an archive. Slicers keep the objects of a plate in models of their own.
+    """The models of an archive."""
 
-    Those are named by paths inside the archive (3MF production extension); nothing else is ever opened.
-    """
+    # Slicers keep the objects of a plate in models of their own, named by paths inside the archive (3MF
+    # production extension); nothing else is ever opened.
 
     def __init__(self, archive: zipfile.ZipFile) -> None:
         self._archive = archive

@@ -36,6 +36,7 @@ _STYLE = {
     "font.family": "DejaVu Sans",
     "font.size": 9,
     "text.color": hex_of(INK),
+    # Names of data sets and classes may hold dollars.
     "text.parse_math": False,
     "xtick.color": hex_of(MUTED),
     "ytick.color": hex_of(MUTED),
@@ -99,8 +100,8 @@ def plot_bars(panels: Sequence[Bars], title: str) -> NDArray[np.uint8]:
             axes.yaxis.get_major_locator().set_params(integer=True)
             axes.tick_params(axis="x", length=0)
 
-    rows = -(-len(panels) // _columns(len(panels)))
-    return _drawn(fill, (4.4 * _columns(len(panels)), 2.9 * rows + 0.4), title)
+    rows, columns = _grid(len(panels))
+    return _drawn(fill, (4.4 * columns, 2.9 * rows + 0.4), title)
 
 
 def plot_spreads(panels: Sequence[Spread], title: str) -> NDArray[np.uint8]:
@@ -114,8 +115,8 @@ def plot_spreads(panels: Sequence[Spread], title: str) -> NDArray[np.uint8]:
             handles = figure.axes[0].get_legend_handles_labels()[0][: len(names)]
             figure.legend(handles, names, loc="outside lower center", ncols=len(names), frameon=False)
 
-    rows = -(-len(panels) // _columns(len(panels)))
-    return _drawn(fill, (4.6 * _columns(len(panels)), 3.0 * rows + 0.6), title)
+    rows, columns = _grid(len(panels))
+    return _drawn(fill, (4.6 * columns, 3.0 * rows + 0.6), title)
 
 
 def plot_points(panel: Points, subtitle: str = "") -> NDArray[np.uint8]:
@@ -195,14 +196,13 @@ def _bin_edges(values: NDArray[Any]) -> NDArray[np.float64]:
     return np.linspace(low, high, min(_MOST_BINS, max(6, round(2 * len(values) ** (1 / 2)))) + 1)
 
 
-def _columns(panels: int) -> int:
-    return 1 if panels == 1 else 2 if panels in (2, 4) else 3
+def _grid(panels: int) -> tuple[int, int]:
+    columns = 1 if panels == 1 else 2 if panels in (2, 4) else 3
+    return -(-panels // columns), columns
 
 
 def _axes(figure: Any, panels: int) -> Iterator[Any]:
-    columns = _columns(panels)
-    grid = figure.subplots(-(-panels // columns), columns, squeeze=False)
-    for number, axes in enumerate(grid.flat):
+    for number, axes in enumerate(figure.subplots(*_grid(panels), squeeze=False).flat):
         if number < panels:
             yield axes
         else:

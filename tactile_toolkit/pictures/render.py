@@ -260,6 +260,7 @@ def _killed_after(child: subprocess.Popen[bytes], seconds: float, late: threadin
         yield
     finally:
         timer.cancel()
+        # Else it might end the child while that draws the next picture.
         timer.join()
 
 

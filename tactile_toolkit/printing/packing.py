@@ -18,7 +18,7 @@ import numpy as np
 from scipy import fft, ndimage
 
 from tactile_toolkit.errors import InputError
-from tactile_toolkit.mesh.raster import highest_values
+from tactile_toolkit.mesh.raster import highest_values, positions_in_runs
 from tactile_toolkit.mesh.walls import signed_area_mm2
 from tactile_toolkit.wording import did_you_mean
 
@@ -231,8 +231,8 @@ def cells_touched(rings: Rings, shape: tuple[int, int]) -> NDArray[np.bool_]:
     steps = np.concatenate([np.roll(ring, -1, axis=0) for ring in rings]) - starts
     count = np.maximum(np.ceil(np.linalg.norm(steps, axis=1) * _SAMPLES_PER_CELL).astype(int), 1)
     edge = np.repeat(np.arange(len(count)), count)
-    step = np.arange(len(edge)) - np.repeat(np.cumsum(count) - count, count)
-    column, row = np.floor(starts[edge] + (step / count[edge])[:, None] * steps[edge]).astype(int).T
+    share = positions_in_runs(count) / count[edge]
+    column, row = np.floor(starts[edge] + share[:, None] * steps[edge]).astype(int).T
     inside = (row >= 0) & (row < shape[0]) & (column >= 0) & (column < shape[1])
     cells[row[inside], column[inside]] = True
     return cells

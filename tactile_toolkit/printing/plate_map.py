@@ -78,10 +78,7 @@ def draw_map(
 
 
 class _Sheet:
-    """A drawing in millimetres, y upwards, below its title; words are in pixels of the finished picture.
-
-    Pixels grow with the sides up to a limit, so that words keep their room.
-    """
+    """A drawing in millimetres, y upwards, below its title; words are in pixels of the finished picture."""
 
     def __init__(self, sides_mm: tuple[float, float], title: str) -> None:
         from PIL import Image, ImageDraw, features
@@ -93,6 +90,7 @@ class _Sheet:
             )
             raise InputError(message)
         longer_mm = max(sides_mm)
+        # More pixels for a larger plate, so that words keep their room.
         longer_px = min(max(_LONGER_SIDE_PX, _LEAST_PX_PER_MM * longer_mm), _LONGEST_SIDE_PX)
         self.px_per_mm = longer_px / longer_mm
         """Of the finished picture."""

@@ -282,10 +282,8 @@ def _differing(layout: Layout, folder: Path) -> Iterator[str]:
 
 
 def _unknown_files(layout: Layout, folder: Path) -> list[str]:
-    """Name plates and maps of the export whose table is in the folder that this layout has not.
-
-    Files that only have such a name may be anybody's. Raises IntegrityError where the table cannot be read.
-    """
+    """Name plates and maps of the export whose table is in the folder that this layout has not."""
+    # Files that only have such a name may be anybody's.
     try:
         with (folder / TABLE_FILE).open(newline="", encoding="utf-8") as stream:
             listed = {str(row.get("file")) for row in csv.DictReader(stream)}

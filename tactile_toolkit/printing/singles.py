@@ -113,6 +113,7 @@ class _Export:
             mesh = standing(item.load(), self.scale)
             verdict = require_solid(mesh)
             *parts, (path, content) = self.files_of(item, mesh)
+            # A body may have had more parts in an earlier export.
             stale = set((Path(self.folder) / item.name).glob("part-*.obj")) - dict(parts).keys()
             if self.only_look:
                 is_same = all(holds(*each) for each in (*parts, (path, content)))

@@ -46,6 +46,8 @@ class UnpackingAhead:
             )
             warnings.warn(message, RuntimeWarning, stacklevel=2)
         if 2 * size_bytes <= limit_bytes:  # the next one must not drive this one out
+            # A job that ends in the middle of an epoch does not wait for row groups that nobody asks for any
+            # more.
             self._thread = Thread(target=self._unpack, args=(window + 1,), daemon=True)
             self._thread.start()
 

@@ -61,6 +61,7 @@ def ragged_column(array: Any) -> RaggedColumn:
     _refuse_nulls(array)
     offsets = _numbers(array.offsets)
     first, last = (int(offsets[0]), int(offsets[-1])) if len(offsets) else (0, 0)
+    # A slice keeps the values of all rows, and offsets that begin in the middle of them.
     inner = array.values.slice(first, last - first)
     _refuse_nulls(inner)
     if pa.types.is_fixed_size_list(inner.type):
@@ -69,6 +70,7 @@ def ragged_column(array: Any) -> RaggedColumn:
     else:
         flat = inner.flatten()
         widths = np.diff(_numbers(inner.offsets))
+        # Without a row nothing tells the width; that of corners and triangles does no harm.
         width = int(widths[0]) if len(widths) else 3
         if len(widths) and (widths != width).any():
             message = f"inner lists of {width} and {int(widths[widths != width][0])} values in one column"
@@ -188,6 +190,7 @@ def _nested_column(array: Any) -> NestedColumn:
     if not is_large and not pa.types.is_binary(array.type):
         return NestedColumn(tuple(levels), array.to_numpy(zero_copy_only=False))
     dtype = np.dtype(np.int64 if is_large else np.int32)
+    # Byte strings have offsets as lists do, but pyarrow 26 does not hand them out.
     _, stored_offsets, data = array.buffers()
     offsets = np.frombuffer(stored_offsets, dtype, len(array) + 1, array.offset * dtype.itemsize)
     present = None if array.null_count == 0 else array.is_valid().to_numpy(zero_copy_only=False)
@@ -240,6 +243,7 @@ def same_values(one: Any, other: Any) -> bool:
     if one.null_count != other.null_count or not one.is_valid().equals(other.is_valid()):
         return False
     if pa.types.is_floating(one.type):
+        # To Arrow a NaN equals nothing; bits equal themselves.
         bits = {16: pa.int16(), 32: pa.int32(), 64: pa.int64()}[one.type.bit_width]
         return bool(one.view(bits).equals(other.view(bits)))
     if pa.types.is_struct(one.type):
@@ -381,6 +385,7 @@ class RowGroup:
 
     def ragged(self, name: str) -> RaggedColumn:
         """Return a column of arrays of shape (n_i, width), by dotted name."""
+        # setdefault, here and below: of two threads that build a view at once, both get that of the first.
         column = self._ragged.get(name)
         return self._ragged.setdefault(name, ragged_column(self.arrow(name))) if column is None else column
 
@@ -410,6 +415,7 @@ class RowGroup:
             index = array.type.get_field_index(part) if pa.types.is_struct(array.type) else -1
             if index < 0:
                 raise KeyError(name)
+            # Not field(): that passes over the nulls of the struct itself.
             array = array.flatten()[index]
         return array
 

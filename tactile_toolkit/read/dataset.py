@@ -56,6 +56,7 @@ def _ints(array: Any) -> NDArray[np.int64]:
     if values.dtype.kind == "u":
         unusable = unusable | (values > _LARGEST)
     elif values.dtype.kind == "f":
+        # Not ">=": a NaN is neither.
         unusable = unusable | ~(np.abs(values) < float(_LARGEST))
         values = np.where(unusable, 0, values)
     return np.column_stack([values.astype(np.int64), unusable])
@@ -336,6 +337,7 @@ class RecordDataset(LazySequence[T]):
         rows = self._rows
         if isinstance(rows, np.ndarray):
             return rows
+        # A range that runs down to row 0 stops at -1, which to a slice is the last row.
         return slice(rows.start, rows.stop if rows.stop >= 0 else None, rows.step)
 
     def __len__(self) -> int:

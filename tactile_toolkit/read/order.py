@@ -114,6 +114,7 @@ class EpochOrder:
         """Shuffle by the stream of PCG64, which numpy promises to keep, unlike its own shuffles."""
         if self._order.seed is None:
             return values
+        # A stream for each window: it is shuffled without those before it, wherever a job begins.
         bits = np.random.PCG64([self._order.seed, self._number, stream]).random_raw(len(values))
         return values[np.argsort(bits, kind="stable")]
 

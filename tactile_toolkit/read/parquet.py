@@ -41,6 +41,7 @@ from tactile_toolkit.store.small_columns import MADE_OF
 __all__ = ["Shard", "ShardedTable"]
 
 _BLOCK_BYTES = 64 << 20
+# Unpacked sizes of Parquet's physical types; of all others a value takes its offset of four bytes at least.
 _VALUE_BYTES = {"BOOLEAN": 1, "INT64": 8, "DOUBLE": 8, "INT96": 12}
 # Rows take at most so many times the bytes that are stored of them, or might be one row; padding of clips
 # takes about 20 times.
@@ -219,6 +220,7 @@ class Shard:
         for index in wanted if columns is None else ():  # a plain column is no larger than its rows
             self._require_bounded(index)
         with self._named_damage():
+            # Arrow's threads would be as many again: shards are read side by side already.
             table = parquet.read_row_groups(list(wanted), columns=columns, use_threads=False)
         return plain_table(table)
 
@@ -242,6 +244,7 @@ class Shard:
         then kept in the memory of this process, see :class:`MemoryBlocks`.
         """
         name = self._unpacked_name(index)
+        # Empty, and quick to ask, wherever the cache folder can be written.
         kept = MEMORY.get((name, block))
         if kept is not None:
             return kept
@@ -278,8 +281,10 @@ class Shard:
         def fill(stream: IO[bytes]) -> None:
             write_blocks(stream, path.name, self.schema, (group.table for group in self.blocks(index)))
 
+        # Asked anew: a notebook may set the variable at any time.
         _UNPACKED.limit_bytes = cache_limit_bytes()
         with _lock_of(path.name):
+            # Whoever held the lock may have unpacked it meanwhile.
             return path.exists() or _UNPACKED.write(path.name, self.unpacked_bytes(index), fill)
 
     def blocks(self, index: int, columns: Sequence[str] | None = None) -> Iterator[RowGroup]:
@@ -298,11 +303,9 @@ class Shard:
             raise IntegrityError(message)
 
     def _require_bounded(self, index: int) -> None:
-        """Refuse rows that unpack to more than the limit, by what the footer says of them.
-
-        A large row group is no harm, for blocks of it are unpacked; one of which next to nothing is stored
-        may be a single row.
-        """
+        """Refuse rows that unpack to more than the limit, by what the footer says of them."""
+        # A large row group is no harm, for blocks of it are unpacked; one of which next to nothing is stored
+        # may be a single row.
         group = self.metadata.row_group(index)
         columns = [group.column(number) for number in range(group.num_columns)]
         unpacked = sum(
@@ -406,6 +409,7 @@ def _lock_of(name: str) -> Iterator[None]:
     with contextlib.ExitStack() as stack:
         with contextlib.suppress(OSError):
             folder.mkdir(parents=True, exist_ok=True)
+            # 256 files for all row groups: one each would stay in the cache for good.
             stack.enter_context(locked(folder / name[:2]))
         yield
 

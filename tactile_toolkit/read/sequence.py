@@ -27,6 +27,7 @@ T = TypeVar("T")
 
 _SHOWN_PICTURES = 8
 _MOST_NAMES = 10
+# 0.7 + 0.2 + 0.1 is 0.9999999999999999.
 _ROUNDING = 1e-9
 
 
@@ -315,6 +316,7 @@ class LazySequence(Sequence[T], Generic[T]):
         # alike, up to one item of each.
         labels = self.labels[order]
         classes, counts = np.unique(labels, return_counts=True)
+        # Numbers behind those of the order, which is the same whether classes are asked for or not.
         starts = _numbers(seed, len(order) + len(classes))[len(order) :] / 2.0**64
         spread = np.empty(len(order))
         for label, count, start in zip(classes, counts, starts, strict=True):
@@ -395,6 +397,7 @@ class LazySequence(Sequence[T], Generic[T]):
         for position in range(len(self)):
             yield self._item(position)
 
+    # Sequence's own search would read every item, where small columns tell most of them apart.
     def __contains__(self, item: object) -> bool:
         return next(self._places(item), None) is not None
 
@@ -426,6 +429,7 @@ class LazySequence(Sequence[T], Generic[T]):
         return self._same_rows(other) or all(one == another for one, another in zip(self, other, strict=True))
 
     def __hash__(self) -> int:
+        # Equal sets have equal hashes; what the rows hold is not read for that.
         return hash((type(self), len(self), self.label_names))
 
     def __repr__(self) -> str:

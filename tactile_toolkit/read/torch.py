@@ -29,6 +29,7 @@ __all__ = ["TrainingBatches"]
 
 _FORMAT = "tactile_toolkit_training"
 _VERSION = 1
+# How torchdata 0.11 calls the batches that a StatefulDataLoader has given since it asked its workers.
 _SINCE = "_steps_since_snapshot"
 _MOST_WORKERS = 255
 

@@ -24,6 +24,7 @@ MAX_CLIP_BYTES = 1 << 30
 
 _RIFF = struct.Struct("<4sI4s")
 _CHUNK = struct.Struct("<4sI")
+# Kind, codec, scale and rate (whose quotient are the frames per second), and length in frames.
 _STREAM_HEADER = struct.Struct("<4s4s12xII4xI")
 _ENTRY = struct.Struct("<4s4xII")  # name of the chunk, flags, offset, size
 
@@ -222,8 +223,10 @@ def write_avi(frames: Sequence[bytes], width: int, height: int, fps: float) -> b
 
     ``width`` and ``height`` are in pixels, ``fps`` in frames per second.
     """
+    # So that 30000/1001, the rate of NTSC, comes back exactly.
     rate = Fraction(fps).limit_denominator(1001)
     largest = max(map(len, frames), default=0)
+    # 0x10 says in the header that there is an index, and in the index that a frame stands alone.
     main = struct.pack(
         "<14I", round(1e6 / fps), 0, 0, 0x10, len(frames), 0, 1, largest, width, height, 0, 0, 0, 0
     )
@@ -245,4 +248,5 @@ def write_avi(frames: Sequence[bytes], width: int, height: int, fps: float) -> b
 
 
 def _chunk(name: bytes, content: bytes) -> bytes:
+    # RIFF fills chunks up to an even length, which their size does not count.
     return name + struct.pack("<I", len(content)) + content + b"\0" * (len(content) % 2)

@@ -109,6 +109,7 @@ def _open_other(data: memoryview | bytes) -> Any:
     from PIL import Image
 
     try:
+        # Pillow would try its 43 decoders on whatever these bytes are.
         return Image.open(io.BytesIO(data), formats=["PNG", "WEBP"])
     except Exception as error:  # as in decode_image
         start = bytes(data[:8]).hex(" ")
@@ -166,6 +167,7 @@ def encode_image(pixels: Pixels, kind: ImageFormat = "jpeg", quality: int = 95) 
 
     stream = io.BytesIO()
     if kind == "png":
+        # Pillow's own level, said here so that another release writes the same bytes.
         Image.fromarray(pixels).save(stream, "PNG", compress_level=6)
     else:
         Image.fromarray(pixels).save(stream, "JPEG", quality=quality, subsampling=0)

@@ -19,6 +19,7 @@ __all__ = ["bytes_lists", "flat_row", "number_lists", "take_touches"]
 def flat_row(row: Row) -> pa.Table:
     """Return a stored row as a table with structs ``a{b, c}`` as flat columns ``a.b``, ``a.c``."""
     table = row.group.table.slice(row.index, 1)
+    # Unpacks one level of structs at a time.
     while any(pa.types.is_struct(field.type) for field in table.schema):
         table = table.flatten()
     return table

@@ -191,10 +191,22 @@ def test_datasets_stumbles_over_the_same_lies(folder, lie, error):
         datasets.load_dataset(str(folder))
 
 
+def show(folder: Path, picture: str) -> None:
+    with (folder / "README.md").open("a") as card:
+        card.write(f"\n![a picture]({picture})\n")
+
+
+def test_pictures_that_lie_elsewhere_are_left_alone(folder):
+    show(folder, "https://example.org/a.png")
+    show(folder, "data:image/png;base64,AAAA")
+    assert problems(folder) == []
+
+
 @pytest.mark.parametrize(
     ("harm", "file", "words"),
     [
         (lambda f: (f / "README.md").unlink(), "README.md", "is missing; next: write it with"),
+        (lambda f: show(f, "datasheet.png"), "datasheet.png", "README.md shows it"),
         (lambda f: (f / "README.md").write_text("# No head"), "README.md", "has no 'license'"),
         (lambda f: (f / "README.md").write_text("---\na: [\n---\n"), "README.md", "head cannot be read"),
         (lambda f: (f / "previews" / "digits.png").unlink(), "previews/digits.png", "README.md shows it"),
