@@ -47,7 +47,9 @@ COLUMNS = {
     "source": ("", "digit source"),
 }
 
+# Two pixels of the published scale: a digit is some 150 pixels tall.
 _PITCH_M = 0.0004
+# Rows mix the classes: that 200 of them lack one has a chance of 1 in 10^8.
 _ROWS_SEEN = 200
 
 
@@ -60,6 +62,7 @@ def write_card(folder: DataFolder, manifest: Manifest) -> None:
     summaries = summarise(folder, manifest)
     spec = manifest.spec
     words = words_of(str(spec["source"]["name"]))
+    # From the manifest, never from defaults: the card may be written anew by a later version.
     profile, solid = spec["print_profile"], spec["solid"]
     joined = ", separate pieces bridged" if solid["join_bodies"] else ""
     values = {

@@ -171,6 +171,7 @@ def clean(
         window = (slice(rows[0], rows[-1] + 1), slice(columns[0], columns[-1] + 1))
         # Corners first: whole pieces that go later cannot leave a new contact at a corner behind.
         inked = repair_corners(np.pad(mask[window], 1))
+        # The corner of the padding is the paper around the digit, which is no pinhole.
         inked = ~_without_small(~inked, min_pinhole_mm2 / pixel_mm2, always=(0, 0))
         inked = _without_small(inked, min_speck_mm2 / pixel_mm2)
         cleaned[window] = _without_attached_specks(inked, min_speck_mm2 / pixel_mm2)[1:-1, 1:-1]
@@ -201,6 +202,7 @@ def _without_small(
     from scipy import ndimage
 
     labels, count = ndimage.label(mask)
+    # One piece, as with most digits: nothing to look up pixel by pixel.
     if count == 1 and (always is not None or np.count_nonzero(mask) >= min_px):
         return mask
     keep = np.bincount(labels.ravel()) >= min_px
@@ -239,6 +241,8 @@ def _without_attached_specks(mask: NDArray[np.bool_], min_px: float) -> NDArray[
 
 def _opened(mask: NDArray[np.bool_], radius_px: int) -> NDArray[np.bool_]:
     """Keep what octagons within the mask cover; they are ``2 * radius_px + 1`` pixels wide."""
+    # Shifts of the whole mask take a twelfth of the time of scipy's opening (0.5 and 5.6 ms at radius 6).
+    # With and without corners in turn, squares and diamonds add up to octagons.
     paper = ~mask
     for step in range(radius_px):
         paper = _grown(paper, corners=step % 2 == 0)
@@ -264,6 +268,8 @@ def count_bodies_and_holes(mask: NDArray[np.bool_]) -> tuple[int, int]:
     from scipy import ndimage
 
     bodies = ndimage.label(mask)[1]
+    # Paper around the image joins what touches its edge, and paper connects over corners where ink does not:
+    # each spot counts once.
     papers = ndimage.label(np.pad(~mask, 1, constant_values=True), _CORNERS_CONNECT)[1]
     return int(bodies), int(papers) - 1
 
@@ -281,6 +287,7 @@ def join_bodies(mask: NDArray[np.bool_], width_px: float) -> NDArray[np.bool_]:
         labels, count = ndimage.label(mask)
         if count < 2:
             return mask
+        # Of all pixels, not of outlines: the nearest of two pieces lie on their outlines anyway.
         here, there = (np.argwhere(part).astype(np.float64) for part in (labels == 1, labels > 1))
         found = cKDTree(there).query(here)
         distances, nearest = np.asarray(found[0]), np.asarray(found[1])

@@ -30,7 +30,9 @@ __all__ = ["distance_px", "lattice_solid", "signed_distance_px"]
 
 F = TypeVar("F", np.float32, np.float64)
 
+# The default budget comes to 3.9 to 5.7 px, so that two rounds settle it.
 FIRST_PITCH_PX = 4.0
+# Half the published thickness is 20 px: at a larger pitch two layers would have to show the shoulder.
 LARGEST_PITCH_PX = 8.0
 
 NARROW_PX = 2.0
@@ -113,6 +115,7 @@ def lattice_solid(mask: NDArray[np.bool_], spec: SolidSpec) -> Mesh:
             found = bodies_and_holes(vertices, faces)
             if found == counts:
                 break
+            # Bodies or holes are lost where the lattice shows ink for paper, or paper for ink.
             missed = (shown > 0) != crop
         if len(rows) == crop.shape[0] and len(columns) == crop.shape[1]:
             message = (
@@ -122,10 +125,12 @@ def lattice_solid(mask: NDArray[np.bool_], spec: SolidSpec) -> Mesh:
             raise ItemError(reason="topology", message=message)
         before = len(rows), len(columns)
         rows, columns = _refined(rows, missed), _refined(columns, missed.T)
+        # Where nothing more can be added line by line, every pixel becomes a node; then the loop ends.
         if (len(rows), len(columns)) == before:
             rows, columns = (np.arange(side, dtype=np.float64) for side in crop.shape)
     corner = np.array([top, left, 0], dtype=np.float32)
     mesh = scale(vertices + corner, faces, (mask.shape[0], mask.shape[1]), spec)
+    # Who asks for a pitch has asked for its vertices, too.
     bounded = spec.lattice_pitch_mm is None and len(vertices) > BUDGET_SLACK * spec.target_vertices
     return decimate(mesh, spec.target_vertices) if bounded else mesh
 
@@ -154,6 +159,8 @@ def distance_px(mask: NDArray[np.bool_], reach_px: float) -> NDArray[np.float32]
     above = np.maximum.accumulate(np.where(mask, np.int16(-reach), rows), axis=0)
     below = np.minimum.accumulate(np.where(mask, np.int16(height + reach), rows)[::-1], axis=0)[::-1]
     along_columns = np.minimum(np.minimum(rows - above, below - rows), np.int16(reach))
+    # Sums of two squares below 128^2 fit 16 bits, which halves the memory that is walked through: 1.2 ms
+    # where scipy's transform of the window takes 1.9.
     squared = along_columns * along_columns
     padded = np.full((height, width + 2 * reach), reach * reach, dtype=np.int16)
     padded[:, reach : reach + width] = squared
@@ -260,6 +267,7 @@ def _on_grid(values: NDArray[F], grain: float) -> NDArray[F]:
 
 def _weights(nodes: NDArray[np.float64], count: int, sigma_per_pitch: float) -> Any:
     """Return a sparse matrix from pixels to nodes; a node one pixel from the next is not blurred."""
+    # Pitches differ along an axis: each node is blurred as the finer of its two sides needs.
     gaps = np.diff(nodes)
     pitch = np.minimum(np.append(gaps, gaps[-1]), np.append(gaps[0], gaps))
     sigma = np.where(pitch > 1, sigma_per_pitch * pitch, 0)
@@ -305,6 +313,7 @@ def _sparse(weights: NDArray[np.float64], places: NDArray[np.intp], count: int) 
     from scipy.sparse import csr_array
 
     weights = _on_grid(weights, _WEIGHT_GRAIN)
+    # A row reaches as far as the widest bell does; most outer weights round to nothing.
     kept = weights != 0
     starts = np.append(0, np.cumsum(np.count_nonzero(kept, axis=1)))
     return csr_array((weights[kept], places[kept], starts), shape=(len(weights), count))
@@ -318,6 +327,7 @@ def _upper_surface(lattice: PlaneLattice, spec: SolidSpec) -> tuple[NDArray[np.f
     # A node on the surface itself would give triangles without area.
     least = np.float32(NUDGE * pitch)
     depth = np.where(np.abs(depth) < least, np.where(depth > 0, least, -least), depth)
+    # The lower half would be the same again; mirrored, it is so to the last bit.
     vertices, faces = marching_cubes(depth, 0.0)
     faces = _in_storage_order(faces)
     beside_thin = _beside_thin_parts(vertices, depth > 0)
@@ -326,6 +336,7 @@ def _upper_surface(lattice: PlaneLattice, spec: SolidSpec) -> tuple[NDArray[np.f
     vertices[:, 2] *= np.float32(pitch)
     rim = vertices[:, 2] == 0
     moved = smooth(vertices, faces, spec.smoothing_iterations, spec.smoothing_factor, rim)
+    # Volume and topology come before smoothness there: a wall that folds is no solid.
     moved = np.where(beside_thin[:, None], vertices, moved)
     moved[:, 2] = np.where(rim, 0, np.maximum(moved[:, 2], least))
     return np.asarray(moved, dtype=np.float32), faces

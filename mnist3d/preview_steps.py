@@ -35,6 +35,8 @@ _SAMPLING = 2
 _SPREAD = 2.5
 """How many times their thickness the layers of the stack are drawn apart."""
 
+# Who wrote a digit shows in no picture, and the column of writers is not asked for here: that part of the
+# fingerprint may differ.
 _WRITERS = "writers_sha256"
 
 
@@ -51,6 +53,7 @@ def draw_steps(renderer: Renderer, pixels: NDArray[Any], spec: SolidSpec, title:
     mask = ink[window]
     radii = erosion_radii_px(spec)
     layers = [erode(mask, radius) for radius in radii]
+    # The literal way: it has the steps of the paper, the fast way has not.
     vertices, faces = marching_cubes(np.pad(mirror(stack(layers)), 1), 0.5)
     even = smooth(vertices, faces, spec.literal_smoothing_iterations, spec.smoothing_factor)
     shape = (mask.shape[0], mask.shape[1])

@@ -77,6 +77,7 @@ def plan_previews(name: str, spec: PreviewSpec) -> PicturePlan:
         from mnist3d.sources.canvas import fit
         from mnist3d.sources.folder import read_picture
 
+        # As the sources do: the numbers of the default specification are for sheets of 500 px.
         pixels = fit(read_picture(path))
         draw = partial(draw_steps, pixels=pixels, spec=SolidSpec(), title=path.name)
         return _plan_file("steps", name, spec, draw)

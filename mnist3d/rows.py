@@ -99,6 +99,7 @@ def report_table(shard: ShardName, rows: Sequence[MeshRow], reports: Sequence[Pr
         }
         for row, report in zip(rows, reports, strict=True)
     ]
+    # The columns of the report are those of `PrintReport`: a further measure needs no edit here.
     arrow = {bool: pa.bool_(), str: pa.string(), int: pa.int64(), float: pa.float64()}
     # Rows are only of meshes that are solids: a reason why one is not has no column.
     left_out = ("problem", "detail", "warnings")

@@ -118,6 +118,7 @@ def ink_mask(
     if resample:
         from mnist3d.sources.canvas import fit
 
+        # Other levels have another threshold.
         levels, threshold = fit(levels), None
     elif max(levels.shape) < SMALL_PX:
         size_mm = max(levels.shape) * spec.pixel_pitch_mm

@@ -94,6 +94,8 @@ class SolidSpec:
     def __post_init__(self) -> None:
         """Refuse numbers that describe no solid."""
         check_fields(self, "the solid's specification")
+        # Less than a pixel thick there is no layer; a storage grid beyond a tenth of a pixel would show as
+        # steps.
         thinnest_mm, coarsest_mm = self.pixel_pitch_mm, self.pixel_pitch_mm / 10
         thickest_mm = thinnest_mm * LARGEST_HALF_THICKNESS_PX
         for name, holds, span in (
@@ -171,6 +173,7 @@ def half_height_px(s_px: Floats, spec: SolidSpec) -> Floats:
     half_px = spec.half_thickness_px
     depth = np.where(s_px > 0, np.clip(s_px + _reserve_px(spec), 0, half_px), 0)
     if spec.profile == "round":
+        # The same quarter circle as in `erosion_radius_px`, solved for the height.
         return np.asarray(np.sqrt(depth * (2 * half_px - depth)))
     return depth if spec.profile == "linear" else np.where(s_px > 0, np.float32(half_px), np.float32(0))
 

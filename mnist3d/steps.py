@@ -43,6 +43,7 @@ TAUBIN_RATIO = -1.06
 """Step outward over step inward that lets smoothing keep the volume (Taubin 1995: slightly above one)."""
 
 FIRST_TOLERANCE_MM = 0.01
+# Small steps: see the note on many careful passes in `decimate`.
 TOLERANCE_GROWTH = 1.25
 
 BUDGET_SLACK = 1.5
@@ -92,6 +93,7 @@ def erode(mask: NDArray[np.bool_], radius_px: float) -> NDArray[np.bool_]:
     """
     from scipy import ndimage
 
+    # One transform serves any radius; repeated small erosions would draw polygons.
     distance: Any = ndimage.distance_transform_edt(np.pad(mask, 1))
     return np.asarray(mask & (distance[1:-1, 1:-1] >= radius_px + 0.5))
 
@@ -146,6 +148,7 @@ def smooth(
     # The order in which neighbours are added decides the last bit: here from the last to the first.
     starts, sizes = average.indptr, np.diff(average.indptr)
     backwards = np.repeat(starts[:-1] + starts[1:] - 1, sizes) - np.arange(starts[-1])
+    # A vertex without a face has no neighbours and stays where it is.
     shares = np.float32(1) / np.maximum(counts, 1).astype(np.float32)
     average.data = average.data[backwards] * np.repeat(shares, sizes)
     average.indices = average.indices[backwards]

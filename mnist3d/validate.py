@@ -142,6 +142,7 @@ def validate_paths(
         A shard is damaged, or the run that makes a data set is not finished.
     """
     profile = profile or PrintProfile()
+    # All names are looked at first: a typing error should not show after an hour of checking.
     missing = [path for path in paths if not is_remote(path) and not Path(place_of_data(path)).exists()]
     if missing:
         message = f"{missing[0]!r} does not exist; expected a data set folder or a mesh file"

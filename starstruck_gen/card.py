@@ -69,6 +69,7 @@ def write_card(folder: DataFolder, manifest: Manifest) -> None:
     summaries = summarise(manifest)
     least, most = spec.distractors
     turned = math.degrees(spec.rotation_rad)
+    # Sizes as a printer needs them: the specification has radii in metres.
     radii = sorted({shape.radius_m for shape in (spec.star, *spec.distractor_shapes)})
     widths = " to ".join(dict.fromkeys(f"{2e3 * radius:g}" for radius in (radii[0], radii[-1])))
     values = {

@@ -95,6 +95,7 @@ class SceneRecord(SolidRecord):
     def _drawn(self, px_per_mm: float) -> NDArray[np.uint8]:
         from starstruck_gen.picture import draw_scene
 
+        # A record does not know its specification; the published cell is what most were made for.
         return np.asarray(draw_scene(self.placements, (0.12, 0.12), px_per_mm))
 
 
@@ -111,6 +112,7 @@ class SceneMeshDataset(RecordDataset[SceneRecord]):
         stored = ["star_count" in column_names(table.schema) for table in tables]
         if all(stored) and stored:
             return self.int_column("star_count")
+        # Joined sets may differ: the published one stores no such column.
         if any(stored):
             return np.array([record.star_count for record in self], dtype=np.int64)
         return self.labels + 1

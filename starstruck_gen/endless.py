@@ -41,6 +41,7 @@ class SceneTable(ShardedTable):
     seed: int
 
     def __init__(self, spec: SceneSpec, split: str, size: int, seed: int) -> None:
+        # There are no files: all that the base asks of shards is answered below.
         super().__init__(())
         self.__setstate__({"spec": spec, "split": split, "size": size, "seed": seed})
 

@@ -95,6 +95,7 @@ def _parts(record: SceneRecord) -> list[tuple[int, str]]:
 
 def _thumbnail(record: SceneRecord) -> bytes:
     """Show the scene from above, in the published cell or a larger one where it reaches beyond that."""
+    # Twice the farthest corner, and a little room.
     reach_m = 2.05 * np.abs(record.vertices_m[:, :2]).max(axis=0)
     width_m, depth_m = (max(cell, float(side)) for cell, side in zip(_PUBLISHED_CELL_M, reach_m, strict=True))
     px_per_mm = THUMBNAIL_PX / (max(width_m, depth_m) * MM_PER_M)

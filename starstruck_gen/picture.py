@@ -36,6 +36,7 @@ SUPERSAMPLING = 4
 
 _PLATE = (245, 243, 238)
 _EDGE = (40, 40, 40)
+# 300 MB at three bytes each.
 _MOST_PIXELS = 100_000_000  # while drawing, so larger than the picture by SUPERSAMPLING**2
 
 

@@ -85,6 +85,7 @@ Clear = Callable[[Placement, Placement, float], bool]
 def circles_clear(one: Placement, other: Placement, clearance_m: float) -> bool:
     """Tell whether circumscribed circles keep a clearance: the rule of package tactile-mnist 0.13.0."""
     least_m = one.radius_m + other.radius_m + clearance_m + STORAGE_MARGIN_M
+    # Squares, no root: this is asked up to 100 times for each pair of objects.
     return (one.x_m - other.x_m) ** 2 + (one.y_m - other.y_m) ** 2 > least_m * least_m
 
 
@@ -180,6 +181,7 @@ def _vertices(
     ]
     x, y, c, s, height = np.repeat(np.array(poses, dtype=np.float64).reshape(-1, 5).T, counts, axis=1)
     corners = _joined([made.corners for made in prisms], 2, np.float64)
+    # In double precision up to here and rounded once, so that a scene's bytes do not depend on its batch.
     vertices = np.zeros((len(corners), 2, 3), dtype=np.float32)
     vertices[:, :, 0] = (c * corners[:, 0] - s * corners[:, 1] + x)[:, None]
     vertices[:, :, 1] = (s * corners[:, 0] + c * corners[:, 1] + y)[:, None]

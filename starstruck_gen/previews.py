@@ -56,6 +56,7 @@ _CROSS = 4.0 * SUPERSAMPLING
 _TILE_PX = 150
 _PANEL_PX = 600
 _PLATE = (236, 233, 226)
+# Below the feet of the objects: at one height the two would be drawn through one another.
 _PLATE_DEPTH_M = 2e-4
 _OBJECT = (150, 160, 172)
 """Colour of objects of which it is not stored whether they are stars."""
@@ -185,6 +186,7 @@ def draw_trace(
             radius = (placement.radius_m + spec.clearance_m / 2) * scale
             box = (x - radius, y - radius, x + radius, y + radius)
             pen.ellipse(box, outline=_AREA, width=SUPERSAMPLING)
+    # Those of layouts that were given up first: what was rejected in the scene itself lies above them.
     for lost in sorted(rejected, key=lambda each: not each.given_up):
         colour = _AREA if lost.given_up else REJECTED
         if not lost.given_up:

@@ -38,6 +38,7 @@ CLASS_NAMES = KIND.class_names
 PARQUET_STYLE = ParquetStyle(
     rows_per_group=1_000,
     compression="zstd",
+    # Level 9: scenes are few bytes, and repeat the triangles of their shapes.
     compression_level=9,
     encodings=(
         # A corner stands twice, on the plate and above it: zstd finds the pair in plain bytes, where any
@@ -166,6 +167,7 @@ def _turned_scene(rows: SceneRows) -> int | None:
     prisms = [prism(placement.shape) for scene in rows.scenes for placement in scene.placements]
     starts = np.cumsum([0, *(made.vertex_count for made in prisms)])
     flat = rows.meshes.vertices_m.values[:, :2].astype(np.float64)
+    # A shape at a time, all its objects at once; walls stand upright and cannot turn.
     for made in dict.fromkeys(prisms):
         members = [start for start, other in zip(starts[:-1], prisms, strict=True) if other is made]
         corners = flat[np.array(members)[:, None, None] + 2 * made.cap]

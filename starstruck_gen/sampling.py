@@ -150,6 +150,7 @@ def require_feasible(
 
     Trying can take long, so ``on_failure`` is called after each layout that failed. Raises SamplingExhausted.
     """
+    # Without a single position tried: by the area alone.
     most = most_objects_that_fit(spec)
     if spec.most_objects > most:
         shape = spec.star if most < spec.stars[-1] else spec.distractor_shapes[0]
@@ -185,6 +186,7 @@ def is_hopeless(reached: list[int], objects: int) -> bool:
     recent = reached[-_RECENT_LAYOUTS:]
     mean = sum(recent) / len(recent)
     deviation = math.sqrt(sum((count - mean) ** 2 for count in recent) / len(recent))
+    # Layouts that all held equally many have a deviation of 0.
     return objects - mean > _HOPELESS_DEVIATIONS * max(1.0, deviation)
 
 
@@ -246,6 +248,7 @@ def _place(
 ) -> tuple[Placement | None, int]:
     clearance_m = spec.clearance_m
     half_x_m, half_y_m = spec.half_area_m
+    # Drawn once for an object, not for each attempt: part of the order that all bytes follow from.
     height_m = _choice(spec.heights_m, uniform)
     for attempt in range(1, spec.attempts + 1):
         x_m = (2.0 * uniform() - 1.0) * half_x_m

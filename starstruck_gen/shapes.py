@@ -288,6 +288,7 @@ class Cross(Proportions):
     def rings(self) -> Outline:
         """Return one ring of twelve corners."""
         side = self.arm_ratio
+        # The corners of the arms lie on the circumscribed circle.
         far = math.sqrt(1.0 - side**2)
         arm = [(far, -side), (far, side), (side, side)]
         turned = [arm, [(-y, x) for x, y in arm], [(-x, -y) for x, y in arm], [(y, -x) for x, y in arm]]
@@ -367,12 +368,14 @@ def outline(key: str) -> Outline:
     Frame: origin at the centre of the circumscribed circle, first corner of a star on +x. Raises InputError
     when there is no such shape, or its proportions cannot be used.
     """
+    # A user's class may hand out its own arrays: nobody may change them from here on.
     rings = tuple(np.asarray(ring, dtype=np.float64) for ring in _parse_key(key).rings())
     for ring in rings:
         ring.setflags(write=False)
     return rings
 
 
+# Stands for those of the kind, which is known only when its name is looked up.
 _OF_THE_KIND = Proportions()
 
 

@@ -23,7 +23,9 @@ _PADDING_M = (0.003 + 0.032 / 2 + 0.005 / 2, 0.003 + 0.028 / 2 + 0.005 / 2)
 _PUBLISHED_STAR = Shape(STAR)
 _PUBLISHED_DISTRACTORS = (Shape("box"), Shape("disc"))
 _MEASURES = ("cell_m", "padding_m", "heights_m", "rotation_rad", "clearance_m")
+# Coordinates stay below 1 m, where float32 moves them by 0.03 um: a third of STORAGE_MARGIN_M.
 _LARGEST_CELL_M = 2.0
+# Each is held against all others of its scene: the work grows with the square.
 _MOST_OBJECTS = 1_000
 
 

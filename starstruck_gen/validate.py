@@ -29,6 +29,7 @@ _COLUMNS = (
     *("star_count", "distractor_count", "placements", "seed", "attempts", "restarts"),
 )
 
+# Rows whose id is null: JSON and tables want a number.
 _NO_ID = -1
 
 _SHOWN = 20

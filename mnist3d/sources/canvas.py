@@ -20,6 +20,7 @@ SIDE_PX = 500
 """Side of the square sheet that every source hands out: 100 mm at the published 0.2 mm per pixel."""
 
 _PAPER = 255
+# Rounding by whoever wrote the file may have left white that much above the scale.
 _HALF_LEVEL = 0.5 / 255
 _MESH = 5
 """Samples per original pixel at which the ink is smoothed before it is drawn."""
@@ -68,6 +69,7 @@ def fit(pixels: NDArray[np.uint8]) -> NDArray[np.uint8]:
     if height == width == SIDE_PX:
         return pixels
     height, width = max(1, round(height * scale)), max(1, round(width * scale))
+    # Plain interpolation winds around the pixel rows, see `enlarge`.
     if scale > 1:
         resized = enlarge(pixels, (height, width))
     else:

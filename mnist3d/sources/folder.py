@@ -30,6 +30,7 @@ _SUFFIXES = frozenset(
 _INKS = ("auto", "dark", "light")
 _DIGITS = frozenset("0123456789")
 _LABEL = re.compile(r"(?<![a-z])label[_=-]?([0-9])(?![0-9])", re.IGNORECASE)
+# At most 18 figures: the number fits 64 bits.
 _WRITER = re.compile(r"(?<![a-z])writer[_=-]?([0-9]{1,18})", re.IGNORECASE)
 _CONTRAST = 24
 """A picture whose grey levels span less shows nothing but paper."""
@@ -219,6 +220,7 @@ def read_picture(path: Path, ink: str = "auto") -> NDArray[np.uint8]:
     if ink == "light" or (ink == "auto" and paper_is_dark(grey, threshold, str(path))):
         grey, threshold = 255 - grey, 254 - threshold
     dark = grey <= threshold
+    # Nothing to stretch by, and a division by nothing below.
     if dark.all() or not dark.any():
         return grey
     # Ink of thin strokes is mostly edge, so its median would be too light; single dark pixels are specks.
@@ -234,6 +236,7 @@ def _decoded(path: Path) -> Image:
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
+            # Pillow only warns of pictures up to twice its limit; one of them takes half a gigabyte.
             warnings.simplefilter("error", Image.DecompressionBombWarning)
             with Image.open(path) as picture:
                 upright = ImageOps.exif_transpose(picture)

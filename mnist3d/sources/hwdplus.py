@@ -23,6 +23,7 @@ __all__ = ["HwdPlusSource", "NpyFile", "open_npy"]
 
 _SCALE_SAMPLE = 16
 _FINGERPRINT_SAMPLE = 64
+# At most 18 figures: the number fits 64 bits.
 _INTEGER = re.compile(r"\s*([+-]?[0-9]{1,18})(\.0*)?\s*")
 _MAGIC = b"\x93NUMPY"
 
@@ -135,6 +136,7 @@ def _full_scale(stack: NpyFile) -> float:
     if stack.dtype.kind == "b":
         return 1.0
     brightest = []
+    # A median of several: a single image may be damaged, or hold no paper.
     for row in _evenly_spaced(stack.shape[0], _SCALE_SAMPLE):
         values = stack.row(row)
         finite = values[np.isfinite(values)]
@@ -191,6 +193,7 @@ def _int_column(table: NDArray[Any], column: int, path: str) -> NDArray[np.int64
     if cells.dtype.kind in "biu":
         return cells.astype(np.int64)
     if cells.dtype.kind == "f":
+        # From 2**53 on a float no longer tells one whole number from the next.
         whole = np.isfinite(cells) & (np.rint(cells) == cells) & (np.abs(cells) < 2.0**53)
         numbers = np.where(whole, cells, 0).astype(np.int64)
     else:
@@ -299,6 +302,7 @@ def _checked(path: str, size: int, time_ns: int) -> NpyFile:
                 if np.lib.format.read_magic(stream) == (1, 0):
                     shape, fortran, dtype = np.lib.format.read_array_header_1_0(stream)
                 else:
+                    # It reads version 3 as well, which only spells names of fields otherwise.
                     shape, fortran, dtype = np.lib.format.read_array_header_2_0(stream)
             if min(shape, default=0) < 0:
                 message = f"shape {shape}"

@@ -153,6 +153,8 @@ def download_mnist(root: str) -> None:
         raise MissingExtraError(feature, "torchvision", "torch") from None
     try:
         Path(root).mkdir(parents=True, exist_ok=True)
+        # Within the folder, so that a rename puts the files in place; hidden, so that a killed download is
+        # not read.
         with tempfile.TemporaryDirectory(prefix=".mnist-", dir=root) as half_done:
             _fetch(MNIST, half_done)
             target = Path(root, "MNIST", "raw")
@@ -168,6 +170,7 @@ def download_mnist(root: str) -> None:
 
 
 def _fetch(dataset: Any, folder: str) -> None:
+    # The default of the process is the only handle: torchvision's download takes no timeout.
     patience = socket.getdefaulttimeout()
     socket.setdefaulttimeout(_TIMEOUT_S)
     try:

@@ -69,6 +69,7 @@ def on_page(
     low, high = _bounds(paths)
     wish = 0.5 * PAGE_PX - 0.5 * (low + high) + _OFF_CENTRE_PX * rng.approx_normals(2)
     edge = 0.5 * pen_px + _MARGIN_PX
+    # People write off-centre, but not off the sheet.
     shift = np.clip(wish, edge - low, PAGE_PX - edge - high)
     # Compiled interpolation may fuse multiply and add on some machines; a grid hides the last bit.
     return [np.floor((path + shift) * _GRID + 0.5) / _GRID for path in paths]
@@ -155,6 +156,7 @@ def _stamp(field: Floats, path: Floats, radius: Floats) -> None:
     gap_x = off_x[:, None, :] - t * step[:, 0, None, None]
     gap_y = off_y[:, :, None] - t * step[:, 1, None, None]
     away = np.sqrt(gap_x * gap_x + gap_y * gap_y) - (radius[:-1, None, None] + t * swell[:, None, None])
+    # Unbuffered, as neighbouring capsules share nodes of the field.
     np.minimum.at(field, (row[:, :, None] * _NODES + column[:, None, :]).ravel(), away.ravel())
 
 
