@@ -58,6 +58,13 @@ def _counted(
     """Count for each pixel how many pictures hold each of 16 values there, shape (16, H, W, 3)."""
     counts: NDArray[np.int64] | None = None
     for batch in batches:
+        if counts is not None and counts.shape[1:] != batch.shape[1:]:
+            (first_height, first_width), (height, width) = counts.shape[1:3], batch.shape[1:3]
+            message = (
+                f"pictures of {first_width} x {first_height} and of {width} x {height} pixels have no common "
+                "background; expected one size; next: take one of each set"
+            )
+            raise InputError(message)
         seen = part(batch)
         if counts is None:
             counts = np.zeros((16, *batch.shape[1:]), np.int64)
@@ -158,7 +165,8 @@ class ContactRule:
 
     def window(self, height: int, width: int) -> tuple[slice, slice]:
         """Return rows and columns that are looked at."""
-        margins = (round(height * (1 - self.crop) / 2), round(width * (1 - self.crop) / 2))
+        # At least a pixel or two stay, however small the crop.
+        margins = [min(round(size * (1 - self.crop) / 2), (size - 1) // 2) for size in (height, width)]
         rows, columns = (
             slice(margin, size - margin) for margin, size in zip(margins, (height, width), strict=True)
         )

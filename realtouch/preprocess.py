@@ -59,9 +59,9 @@ def background(pictures: Any) -> Pixels:
     Raises
     ------
     InputError
-        There is no picture.
+        There is no picture, or clips or sets are of several sizes.
     IntegrityError
-        A picture is damaged or of another size.
+        A picture is damaged, or of another size than those of its set.
     """
     first = list(islice(_batches(pictures), 2))
     # What is one batch need not be decoded a second time.

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import io
 import json
 import re
-from collections.abc import Callable, Iterable, Mapping, Sequence
+import struct
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import asdict, dataclass, field, replace
 from os import PathLike, fspath
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 from typing import Any, Literal
 
 import numpy as np
@@ -21,20 +24,19 @@ from realtouch.exchange.sources import (
     ImportColumns,
     Item,
     Reason,
+    contents_of,
     items_of_table,
     items_of_tars,
 )
 from realtouch.poses import bad_pose
 from tactile_toolkit.errors import InputError, ItemError
 from tactile_toolkit.run.processes import Runner, runner_for
-from tactile_toolkit.store.address import is_remote, shown
 from tactile_toolkit.store.build import Progress, build
 from tactile_toolkit.store.folder import DataFolder
 from tactile_toolkit.store.manifest import Manifest
 from tactile_toolkit.store.parquet import ParquetStyle, encode_parquet, sha256_hex
 from tactile_toolkit.store.plan import BuildPlan, ShardContent
 from tactile_toolkit.store.shards import ShardName, ShardRecord, Skipped
-from tactile_toolkit.touch.jpeg import MAX_IMAGE_BYTES
 from tactile_toolkit.touch.schema import CLASS_NAMES, MEDIA_TYPE, with_features
 
 __all__ = ["import_images"]
@@ -42,12 +44,15 @@ __all__ = ["import_images"]
 _SPLIT = re.compile(r"\w+")
 _WITH_POINT = re.compile(r"^(\d+)\.0+$", re.ASCII)
 _UNNAMED = re.compile(r"[^A-Za-z0-9_-]")
+_LONGEST_ID = 64  # of the end of a path: exports write ids of 80 letters at most
 _TOUCHES_PER_SHARD = 4096
 _TOUCHES_PER_GROUP = 1024
 _SHARD_BYTES = 256 << 20
 _GROUP_BYTES = 32 << 20
 _POSE = "gel_pose_cell_frame"
 _OF_ROUND = ("label", "object_id")
+_EXIF_BYTES = 1 << 12  # it stands at the beginning
+_ORIENTATION = 0x0112
 
 
 def import_images(
@@ -68,7 +73,8 @@ def import_images(
     Parameters
     ----------
     source : str or path
-        Folder of images with a CSV table, or of the tars of a WebDataset (or one tar).
+        Folder of images with a CSV table, or of the tars of a WebDataset (or one tar); also an address such
+        as ``s3://BUCKET/FOLDER``, which is listed once and read as it is needed.
     out : str or path
         Folder to write, outside the source.
     layout : "folder" or "webdataset"
@@ -100,14 +106,10 @@ def import_images(
         The folder holds a data set of another specification.
     StorageError
         The folder cannot be written. What was finished stays.
+    RemoteError
+        A store cannot be reached, or refuses.
     """
-    if is_remote(fspath(source)):
-        message = (
-            f"{shown(fspath(source))!r} is a remote address; images are imported from this machine; nothing "
-            "was written; next: copy them here first"
-        )
-        raise InputError(message)
-    home, chosen = Path(fspath(source)).expanduser(), columns or ImportColumns()
+    home, chosen = DataFolder(fspath(source)), columns or ImportColumns()
     readers = {"folder": items_of_table, "webdataset": items_of_tars}
     if layout not in readers:
         message = f"there is no layout {layout!r} to import; expected folder or webdataset"
@@ -123,7 +125,7 @@ def import_images(
         for item in readers[layout](home, chosen, table)
     ]
     if not items:
-        message = f"{str(home)!r} holds nothing to import; expected images"
+        message = f"{home.address()!r} holds nothing to import; expected images"
         raise InputError(message)
     plan = _plan(items, chosen, tuple(classes), split, layout)
     return build(
@@ -136,16 +138,19 @@ def import_images(
     )
 
 
-def _refuse_inside(folder: DataFolder, home: Path) -> None:
+def _refuse_inside(folder: DataFolder, home: DataFolder) -> None:
     if not home.exists():
         message = (
-            f"{str(home)!r} does not exist; expected a folder of images, or of tars; next: check the name"
+            f"{home.address()!r} does not exist; expected a folder of images or tars; next: check the name"
         )
         raise InputError(message)
-    out = Path(folder.address()).resolve() if folder.is_local else None
-    if out is not None and (out.is_relative_to(home.resolve()) or home.resolve().is_relative_to(out)):
+    out, source = (
+        Path(each.address()).resolve() if each.is_local else PurePosixPath(each.address())
+        for each in (folder, home)
+    )
+    if out.is_relative_to(source) or source.is_relative_to(out):
         message = (
-            f"{folder.address()!r}, the folder to write, is, holds or lies in the source {str(home)!r}; "
+            f"{folder.address()!r}, the folder to write, is, holds or lies in the source {home.address()!r}; "
             "nothing was changed; next: choose a folder outside it"
         )
         raise InputError(message)
@@ -254,7 +259,7 @@ def _rounds(items: Sequence[Item], columns: ImportColumns, split: str) -> dict[s
             raise InputError(message)
         name = "" if columns.round is None else _text(item.values, columns.round)
         if not name:
-            name = _UNNAMED.sub("_", item.name.rpartition(".")[0] or item.name)
+            name = _UNNAMED.sub("_", item.name.rpartition(".")[0] or item.name)[-_LONGEST_ID:]
             while name in home or name in named:
                 name = f"{name}_{item.number}"
         if home.setdefault(name, part) != part:
@@ -270,11 +275,10 @@ def _rounds(items: Sequence[Item], columns: ImportColumns, split: str) -> dict[s
 def _first_size(items: Sequence[Item]) -> tuple[int, int] | None:
     """Return height and width of the first image that is one."""
     for item in items:
-        if item.problem is None and item.size <= MAX_IMAGE_BYTES:
-            try:
-                return require_whole(item.read())
-            except (ValueError, OSError):
-                continue
+        for content in contents_of([item]):
+            if isinstance(content, bytes):
+                with suppress(ValueError):
+                    return require_whole(content)
     return None
 
 
@@ -312,11 +316,12 @@ class _ImportShard:
     def make(self) -> ShardContent:
         """Read the touches; those that cannot be used are left out and listed."""
         rows, skipped = [], []
+        contents = contents_of(item for _, items in self.rounds for item in items)
         for name, items in self.rounds:
             touches: list[dict[str, Any]] = []
             for item in items:
                 try:
-                    touches.append(self._touch(item, touches))
+                    touches.append(self._touch(item, contents, touches))
                 except ItemError as error:
                     skipped.append(Skipped(item.number, str(error.reason), f"{item.name!r}: {error.message}"))
             if touches:
@@ -325,18 +330,22 @@ class _ImportShard:
                 rows.append({"id": name, **of_touch, **of_round})
         return ShardContent(pa.Table.from_pylist(rows, self.schema), tuple(skipped))
 
-    def _touch(self, item: Item, before: Sequence[dict[str, Any]]) -> dict[str, Any]:
+    def _touch(
+        self, item: Item, contents: Iterator[bytes | Exception], before: Sequence[dict[str, Any]]
+    ) -> dict[str, Any]:
         """Return what the columns hold of a touch; ItemError where it cannot be used."""
         if item.problem is not None:
             raise ItemError(*item.problem)
-        if item.size > MAX_IMAGE_BYTES:
-            problem = f"{item.size:,} bytes; the limit is {MAX_IMAGE_BYTES:,}"
-            raise ItemError(Reason.image, problem)
+        image = next(contents)
+        if isinstance(image, Exception):
+            raise ItemError(Reason.image, str(image)) from image
         try:
-            image = item.read()
             size = require_whole(image)
-        except (ValueError, OSError) as error:
+        except ValueError as error:
             raise ItemError(Reason.image, str(error)) from error
+        if _is_turned(image):
+            problem = "its EXIF data ask to turn it, which some readers do; expected pixels that lie as seen"
+            raise ItemError(Reason.image, problem)
         if self.image_size is not None and size != self.image_size:
             (height, width), (first_height, first_width) = size, self.image_size
             problem = f"{width} x {height} pixels; expected {first_width} x {first_height} as in the first"
@@ -369,9 +378,24 @@ class _ImportShard:
         }
 
 
+def _is_turned(image: bytes) -> bool:
+    """Tell whether an image says of itself that it is to be turned before it is shown."""
+    if b"Exif" not in image[:_EXIF_BYTES]:
+        return False
+    from PIL import Image
+
+    try:
+        with Image.open(io.BytesIO(image)) as opened:
+            return bool(opened.getexif().get(_ORIENTATION, 1) != 1)
+    except (OSError, SyntaxError, ValueError, struct.error):
+        return False  # such data turn nothing
+
+
 def _text(values: Mapping[str, Any], name: str) -> str:
+    """Return a value as text; nothing for what is none: JSON has NaN, lists and objects too."""
     value = values.get(name)
-    return "" if value is None else str(value).strip()
+    is_none = value is None or value != value or isinstance(value, (list, dict))
+    return "" if is_none else str(value).strip()
 
 
 def _whole(text: str) -> str:

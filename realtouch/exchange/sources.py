@@ -5,25 +5,43 @@ from __future__ import annotations
 import csv
 import io
 import json
+import re
 import tarfile
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
+from functools import cache
 from itertools import groupby
 from pathlib import Path
 from typing import Any
 
 from tactile_toolkit.errors import InputError, IntegrityError
+from tactile_toolkit.run.threads import in_threads
+from tactile_toolkit.store.address import is_remote
+from tactile_toolkit.store.folder import DataFolder, file_at
 from tactile_toolkit.store.names import problem_of_name
+from tactile_toolkit.touch.jpeg import MAX_IMAGE_BYTES
 from tactile_toolkit.wording import did_you_mean
 
-__all__ = ["LONGEST_SHOWN", "ImportColumns", "Item", "Reason", "items_of_table", "items_of_tars"]
+__all__ = [
+    "LONGEST_SHOWN",
+    "ImportColumns",
+    "Item",
+    "Reason",
+    "contents_of",
+    "items_of_table",
+    "items_of_tars",
+]
 
 LONGEST_SHOWN = 80
 """Letters of a value that a message repeats."""
 
 _IMAGES = ("jpg", "jpeg", "png", "webp")
 _MOST_JSON_BYTES = 1 << 20
+_FAR_READERS = 16
+"""Images of a store that are asked for at a time: each answer takes long, and they are small."""
+
+_HERE = re.compile(r"^(?:\./+)+")
 
 
 class Reason(StrEnum):
@@ -100,69 +118,112 @@ class Item:
     values: Mapping[str, Any] = field(repr=False)
     problem: tuple[Reason, str] | None = None
 
-    def read(self) -> bytes:
-        """Return the bytes of the image."""
-        with Path(self.path).open("rb") as stream:
-            stream.seek(self.start)
-            return stream.read(self.size)
+    def __post_init__(self) -> None:
+        if self.problem is None and self.size > MAX_IMAGE_BYTES:
+            problem = (Reason.image, f"{self.size:,} bytes; the limit is {MAX_IMAGE_BYTES:,}")
+            object.__setattr__(self, "problem", problem)
 
 
-def items_of_table(home: Path, columns: ImportColumns, table: str | None) -> Iterator[Item]:
+def contents_of(items: Iterable[Item]) -> Iterator[bytes | Exception]:
+    """Yield the bytes of each image without a problem, in order, or why it cannot be read.
+
+    A tar is opened once for all that follow each other in it.
+    """
+    usable = (item for item in items if item.problem is None)
+    groups = [tuple(group) for _, group in groupby(usable, key=lambda item: item.path)]
+    threads = _FAR_READERS if groups and is_remote(groups[0][0].path) else 1
+    for found in in_threads(_contents, groups, threads):
+        yield from found
+
+
+def _contents(items: Sequence[Item]) -> list[bytes | Exception]:
+    folder, name = file_at(items[0].path)
+    found: list[bytes | Exception] = []
+    try:
+        with folder.open(name) as stream:
+            for item in items:
+                stream.seek(item.start)
+                found.append(stream.read(item.size))
+    except (OSError, InputError) as error:
+        return [*found, *[error] * (len(items) - len(found))]
+    return found
+
+
+def items_of_table(home: DataFolder, columns: ImportColumns, table: str | None) -> Iterator[Item]:
     """Yield a touch for each line of the table; of a file that cannot be found, why."""
     if columns.image is None:
         message = "no column names the images; next: add --image-column NAME"
         raise InputError(message)
-    path = _table_path(home, table)
+    found = _table_name(home, table)
+    path = home.address(found)
     try:
-        text = path.read_text(encoding="utf-8-sig")
-    except (OSError, UnicodeDecodeError) as error:
-        message = f"{str(path)!r} cannot be read as UTF-8 text ({error}); expected a table with commas"
+        text = home.read_bytes(found).decode("utf-8-sig")
+    except (IntegrityError, UnicodeDecodeError) as error:
+        message = f"{path!r} cannot be read as UTF-8 text ({error}); expected a table with commas"
         raise InputError(message) from error
     lines = csv.DictReader(io.StringIO(text, newline=""), strict=True)
     seen: dict[str, int] = {}
+    sizes = cache(home.sizes)  # of a store, one look at each folder
     try:
-        _require_columns(list(lines.fieldnames or ()), [columns.image, *columns.names()], str(path))
+        _require_columns(list(lines.fieldnames or ()), [columns.image, *columns.names()], path)
         for number, values in enumerate(lines):
-            name = str(values[columns.image] or "")
-            yield _file_item(home, number, name, values, seen)
+            name = _HERE.sub("", str(values[columns.image] or ""))
+            yield _file_item(home, sizes, number, name, values, seen)
     except csv.Error as error:
         # Of a line that was not read it counts none; a quote that never ends reaches over all that follow.
-        message = f"{str(path)!r}, line {lines.line_num + 1}: {error}; expected a table with commas"
+        message = f"{path!r}, line {lines.line_num + 1}: {error}; expected a table with commas"
         raise InputError(message) from error
 
 
-def _table_path(home: Path, table: str | None) -> Path:
+def _table_name(home: DataFolder, table: str | None) -> str:
     if table is not None:
-        path = home / table
-        if not path.is_file():
-            message = f"there is no table {table!r} in {str(home)!r}"
+        if problem_of_name(table) or not home.exists(table):
+            message = f"there is no table {table!r} in {home.address()!r}"
             raise InputError(message)
-        return path
-    found = sorted(home.glob("*.csv")) if home.is_dir() else []
+        return table
+    found = [name for name in home.sizes() if name.endswith(".csv") and not name.startswith(".")]
     if len(found) != 1:
-        names = ", ".join(path.name for path in found) or "none"
-        message = f"{str(home)!r} should hold one CSV file; found {names}; next: name it with --table"
+        message = (
+            f"{home.address()!r} should be a folder with one CSV file; found {', '.join(found) or 'none'}; "
+            "next: name it with --table"
+        )
         raise InputError(message)
     return found[0]
 
 
-def _file_item(home: Path, number: int, name: str, values: Mapping[str, Any], seen: dict[str, int]) -> Item:
-    path, size = home / name, 0
+def _file_item(
+    home: DataFolder,
+    sizes: Callable[[str], Mapping[str, int]],
+    number: int,
+    name: str,
+    values: Mapping[str, Any],
+    seen: dict[str, int],
+) -> Item:
     problem: tuple[Reason, str] | None = None
+    size: int | None = None
     words = problem_of_name(name)
     if words:
         problem = (Reason.name, f"the name {words}; expected a path below the folder")
-    elif not _is_below(path, home):
+    elif home.is_local and not _is_below(Path(home.address(name)), Path(home.address())):
         problem = (Reason.name, "a link leads out of the folder; expected a path below it")
-    elif not path.is_file():
-        problem = (Reason.missing, "there is no such file")
-    elif seen.setdefault(name, number) != number:
-        problem = (Reason.duplicate, f"the same file as in row {seen[name]} of the table")
     else:
-        size = path.stat().st_size
+        size = _size_bytes(home, sizes, name)
+        if size is None:
+            problem = (Reason.missing, "there is no such file")
+        elif seen.setdefault(name, number) != number:
+            problem = (Reason.duplicate, f"the same file as in row {seen[name]} of the table")
     if None in values:
         problem = problem or (Reason.columns, "the line has more values than the table has columns")
-    return Item(number, name, str(path), 0, size, dict(values), problem)
+    return Item(number, name, f"{home.address()}/{name}", 0, size or 0, dict(values), problem)
+
+
+def _size_bytes(home: DataFolder, sizes: Callable[[str], Mapping[str, int]], name: str) -> int | None:
+    """Return the size of a file; None where there is none."""
+    if home.is_local:
+        path = Path(home.address(name))
+        return path.stat().st_size if path.is_file() else None
+    folder, _, base = name.rpartition("/")
+    return sizes(folder).get(base)
 
 
 def _is_below(path: Path, home: Path) -> bool:
@@ -188,19 +249,15 @@ def _require_columns(known: Sequence[str], wanted: Iterable[str], where: str) ->
             raise InputError(message)
 
 
-def items_of_tars(home: Path, columns: ImportColumns, table: str | None) -> Iterator[Item]:
+def items_of_tars(home: DataFolder, columns: ImportColumns, table: str | None) -> Iterator[Item]:
     """Yield a touch for each sample of the tars, by their headers and JSON files alone."""
     if table is not None:
         message = "--table is about folders of images; a WebDataset has JSON files"
         raise InputError(message)
-    paths = sorted(home.glob("*.tar")) if home.is_dir() else [home]
-    if not paths:
-        message = f"{str(home)!r} holds no tars (*.tar); compressed ones are unpacked first"
-        raise InputError(message)
     number, seen, known = 0, set[str](), dict[str, None]()
-    for path in paths:
-        for key, members in groupby(_members(path), key=lambda each: each[0]):
-            item = _sample(path, number, key, list(members), columns)
+    for folder, name in _tars(home):
+        for key, members in groupby(_members(folder, name), key=lambda each: each[0]):
+            item = _sample(folder.address(name), number, key, list(members), columns)
             if key in seen:
                 item = replace(
                     item, problem=(Reason.duplicate, f"the key {key!r} stands in an earlier sample")
@@ -210,14 +267,26 @@ def items_of_tars(home: Path, columns: ImportColumns, table: str | None) -> Iter
             number += 1
             yield item
     if number:
-        _require_columns(list(known), columns.names(), str(home))
+        _require_columns(list(known), columns.names(), home.address())
 
 
-def _members(path: Path) -> Iterator[tuple[str, str, int, int, bytes]]:
+def _tars(home: DataFolder) -> list[tuple[DataFolder, str]]:
+    """Return the tars of a folder, or the one that was named itself, each with its folder."""
+    names = [name for name in home.sizes() if name.endswith(".tar") and not name.startswith(".")]
+    if names:
+        return [(home, name) for name in names]
+    place = home.address()
+    if Path(place).is_file() if home.is_local else place.endswith(".tar"):
+        return [file_at(place)]
+    message = f"{place!r} holds no tars (*.tar); compressed ones are unpacked first"
+    raise InputError(message)
+
+
+def _members(folder: DataFolder, name: str) -> Iterator[tuple[str, str, int, int, bytes]]:
     """Yield key, ending, place and size of each file of a tar, and the content where it is small text."""
     try:
-        size = path.stat().st_size
-        with path.open("rb") as stream, tarfile.open(fileobj=stream, mode="r:") as tar:
+        size = folder.size_bytes(name)
+        with folder.open(name) as stream, tarfile.open(fileobj=stream, mode="r:") as tar:
             for member in tar:
                 if not member.isfile():
                     continue
@@ -225,11 +294,11 @@ def _members(path: Path) -> Iterator[tuple[str, str, int, int, bytes]]:
                 if start + member.size > size:
                     problem = f"it ends in {member.name!r}"
                     raise EOFError(problem)
-                directory, _, base = member.name.rpartition("/")
+                directory, _, base = _HERE.sub("", member.name).rpartition("/")
                 stem, _, ending = base.partition(".")
                 key = f"{directory}/{stem}" if directory else stem
                 content = b""
-                if ending.lower() not in _IMAGES and member.size <= _MOST_JSON_BYTES:
+                if not _is_image(ending) and member.size <= _MOST_JSON_BYTES:
                     stream.seek(start)
                     content = stream.read(member.size)
                 yield key, ending.lower(), start, member.size, content
@@ -238,12 +307,19 @@ def _members(path: Path) -> Iterator[tuple[str, str, int, int, bytes]]:
                 problem = "the mark of its end is missing"
                 raise EOFError(problem)
     except (tarfile.TarError, EOFError, OSError) as error:
-        message = f"{str(path)!r} is no whole tar ({error}); nothing was written; next: fetch it again"
+        message = (
+            f"{folder.address(name)!r} is no whole tar ({error}); nothing was written; next: fetch it again"
+        )
         raise IntegrityError(message) from error
 
 
+def _is_image(ending: str) -> bool:
+    """Tell images by their endings, of which there may be several: ``rgb.jpg``."""
+    return ending.lower().rpartition(".")[2] in _IMAGES
+
+
 def _sample(
-    path: Path,
+    path: str,
     number: int,
     key: str,
     members: Sequence[tuple[str, str, int, int, bytes]],
@@ -253,10 +329,13 @@ def _sample(
     values: dict[str, Any] = {}
     problem: tuple[Reason, str] | None = None
     images = []
+    wanted = None if columns.image in (None, "file") else str(columns.image).lower()
     for _, ending, start, size, content in members:
-        if ending in _IMAGES:
-            if columns.image in (None, "file", ending):
+        if _is_image(ending):
+            if wanted in (None, ending):
                 images.append((start, size))
+        elif ending == "json" and size > _MOST_JSON_BYTES:
+            problem = (Reason.json, f"its JSON file has {size:,} bytes; the limit is {_MOST_JSON_BYTES:,}")
         elif ending == "json":
             try:
                 values |= dict(json.loads(content))
@@ -265,8 +344,8 @@ def _sample(
         elif size <= _MOST_JSON_BYTES:
             values.setdefault(ending, content.decode(errors="replace").strip())
     if not images:
-        problem = (Reason.missing, f"no image; expected one of {', '.join(_IMAGES)}")
+        problem = (Reason.missing, f"no image; expected one of {wanted or ', '.join(_IMAGES)}")
     start, size = images[0] if images else (0, 0)
     if problem_of_name(key):
         problem = (Reason.name, f"the key {problem_of_name(key)}")
-    return Item(number, key, str(path), start, size, values, problem)
+    return Item(number, key, path, start, size, values, problem)

@@ -47,6 +47,8 @@ IMAGE_SUFFIX: dict[ImageFormat, str] = {"jpeg": "jpg", "png": "png"}
 """How the names of stored images end."""
 
 _JPEG_START = b"\xff\xd8\xff"
+_DEEP = ("I", "I;16", "I;16B", "I;16L", "I;16N", "F")
+"""Modes of Pillow whose values it cuts at 255 when it makes colours of them."""
 
 
 def image_size(data: memoryview | bytes) -> tuple[int, int]:
@@ -65,6 +67,9 @@ def image_size(data: memoryview | bytes) -> tuple[int, int]:
     else:
         with _open_other(data) as image:
             height, width = image.height, image.width
+            if image.mode in _DEEP:
+                message = f"an image of 16 bits ({image.mode}), most of which 8 would lose; expected 8"
+                raise ValueError(message)
     if height * width > MAX_IMAGE_PIXELS:
         message = f"an image of {width} x {height} pixels; the limit is {MAX_IMAGE_PIXELS:,} pixels"
         raise ValueError(message)
@@ -111,9 +116,12 @@ def _open_other(data: memoryview | bytes) -> Any:
     try:
         # Pillow would try its 43 decoders on whatever these bytes are.
         return Image.open(io.BytesIO(data), formats=["PNG", "WEBP"])
+    except Image.DecompressionBombError as error:
+        message = f"an image of far more than {MAX_IMAGE_PIXELS:,} pixels, which is the limit"
+        raise ValueError(message) from error
     except Exception as error:  # as in decode_image
         start = bytes(data[:8]).hex(" ")
-        message = f"{len(data):,} bytes that begin with {start or 'nothing'}; expected a JPEG"
+        message = f"{len(data):,} bytes that begin with {start or 'nothing'}; expected a JPEG, PNG or WebP"
         raise ValueError(message) from error
 
 

@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from PIL import Image
 from typer.testing import CliRunner
 
 import realtouch
@@ -179,7 +180,7 @@ def test_tables_and_options_that_cannot_be_used(home: Path, tmp_path: Path) -> N
     refused("no tars", layout="webdataset")
     refused("--table is about folders of images", layout="webdataset", table="index.csv")
     refused("no column names the images", realtouch.ImportColumns(image=None))
-    refused("is a remote address", where="s3://bucket/images")
+    refused("one CSV file; found none", where=home / "pictures" / "0.jpg")
     with pytest.raises(InputError, match="6 pose columns"):
         realtouch.ImportColumns(pose=POSE[:6])
     write_table(home, [line("pictures/0.jpg")], "second.csv")
@@ -224,6 +225,29 @@ def test_names_that_meet_and_numbers_with_a_point(home: Path, tmp_path: Path) ->
         assert not (tmp_path / "none").exists()
 
 
+def test_images_that_readers_would_see_differently(tmp_path: Path) -> None:
+    """What is deeper than 8 bits would be cut at 255; what asks to be turned is turned by some readers."""
+    upright = Image.new("RGB", (32, 24), (9, 9, 9))
+    turned = Image.Exif()
+    turned[0x0112] = 6
+    upright.save(tmp_path / "turned.jpg", exif=turned)
+    turned[0x0112] = 1
+    upright.save(tmp_path / "upright.jpg", exif=turned)
+    Image.fromarray(np.full((24, 32), 3000, np.uint16)).save(tmp_path / "deep.png")
+    Image.new("L", (32, 24), 7).save(tmp_path / "grey.png")
+    Image.new("1", (20_000, 20_000)).save(tmp_path / "bomb.png")
+    upright.save(tmp_path / "other.gif")
+    names = ("turned.jpg", "deep.png", "bomb.png", "other.gif", "upright.jpg", "grey.png")
+    write_table(tmp_path, [{"file": f"./{name}", "label": 1} for name in names])
+    manifest = realtouch.import_images(tmp_path, tmp_path.parent / "seen", "folder")
+    skipped = manifest.shards[0].skipped
+    assert [(item.id, item.reason) for item in skipped] == [(number, "image") for number in range(4)]
+    for item, words in zip(skipped, ("to turn it", "16 bits", "the limit", "PNG or WebP"), strict=True):
+        assert words in item.message
+    seen = realtouch.load(tmp_path.parent / "seen", "train")
+    assert [int(each.sensor_image[0].mean().round()) for each in seen] == [9, 7]
+
+
 def write_tar(path: Path, members: list[tuple[str, bytes]]) -> None:
     with tarfile.open(path, "w") as tar:
         for name, content in members:
@@ -253,6 +277,17 @@ def test_tars_of_others(tmp_path: Path) -> None:
     reasons = [(item.id, item.reason) for item in manifest.shards[0].skipped]
     assert reasons == [(3, "missing"), (4, "json"), (5, "duplicate"), (6, "pose")]
     assert [record.label for record in realtouch.load(tmp_path / "out", "train")] == [0, 1, 2]
+    as_json = [json.dumps({"label": value}).encode() for value in (float("nan"), [1], {}, None, 1)]
+    odd = [(f"./{number}.rgb.jpg", picture(1)) for number in range(6)]
+    odd += [(f"./{number}.json", text) for number, text in enumerate([*as_json, b" " * (1 << 21)])]
+    write_tar(tmp_path / "odd.tar", sorted(odd))
+    for image in (None, "rgb.jpg"):
+        chosen = realtouch.ImportColumns(image=image)
+        made = realtouch.import_images(tmp_path / "odd.tar", tmp_path / f"odd-{image}", "webdataset", chosen)
+        reasons = [(item.id, item.reason) for item in made.shards[0].skipped]
+        assert reasons == [*((number, "label") for number in range(4)), (5, "json")]
+        assert "2,097,152 bytes; the limit is 1,048,576" in made.shards[0].skipped[-1].message
+        assert realtouch.load(tmp_path / f"odd-{image}", "train").ids.tolist() == ["4"]
     by_class = realtouch.ImportColumns(label="cls")
     realtouch.import_images(home / "x-001.tar", tmp_path / "one", "webdataset", by_class)
     assert realtouch.load(tmp_path / "one", "train")[0].label == 2

@@ -75,6 +75,7 @@ def test_scores_are_those_of_plain_numpy(data):
 def test_the_window_is_the_middle():
     assert realtouch.ContactRule().window(240, 320) == (slice(60, 180), slice(80, 240))
     assert realtouch.ContactRule(crop=1).window(3, 5) == (slice(0, 3), slice(0, 5))
+    assert realtouch.ContactRule(crop=1e-6).window(3, 8) == (slice(1, 2), slice(3, 5))
 
 
 def test_the_best_frame_lies_in_the_contact_and_is_the_deepest(seq_folder: Path, truth):
@@ -167,6 +168,14 @@ def test_samples_by_height(single_folder: Path):
     assert list(touches.sample(empties=0)) == list(touches.with_contact())
     assert list(touches.sample(4, 1)) == list(touches.shuffle(1)[:4])
     assert len(touches.sample(3, empties=0.5)) == 3
+
+
+def test_clips_of_several_sizes_have_no_background(seq_folder: Path, tmp_path: Path):
+    realtouch.resize(seq_folder, tmp_path / "small", width=48, height=36, split="train")
+    both = realtouch.load(seq_folder, split="train") + realtouch.load(tmp_path / "small", split="train")
+    with pytest.raises(InputError, match="96 x 72 and of 48 x 36 pixels have no common background"):
+        realtouch.background(both)
+    assert len(realtouch.find_contacts(both.touches()[10:20])) == 10
 
 
 def test_what_cannot_be_used_is_named(single_folder: Path):

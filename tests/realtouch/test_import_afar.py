@@ -1,0 +1,79 @@
+"""Images of others that lie in an object store."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+import realtouch
+from tactile_toolkit.errors import InputError
+from tactile_toolkit.store.folder import DataFolder
+from tests.tactile_toolkit.toy import folder_bytes
+
+pytestmark = pytest.mark.s3
+pytest.importorskip("s3fs")
+pytest.importorskip("moto")
+
+from tests.s3_fixtures import bucket, s3, s3_server  # noqa: E402, F401
+
+COLUMNS = realtouch.ImportColumns(round="round_id", object_id="object_id", split="split")
+
+
+def lists(server: Any) -> list[str]:
+    """Return the listings that were asked for: of a bucket, and of no object in it."""
+    return [path for path in server.traffic.paths if path.startswith("GET") and path.count("/") < 3]
+
+
+@pytest.mark.parametrize("layout", ["folder", "webdataset"])
+def test_what_lies_in_a_store_becomes_what_a_folder_becomes(
+    layout: Any,
+    single_folder: Path,
+    tmp_path: Path,
+    s3: Any,  # noqa: F811
+    bucket: str,  # noqa: F811
+) -> None:
+    columns = COLUMNS
+    if layout == "folder":
+        realtouch.frames(single_folder, tmp_path / "there", "jpeg")
+        (tmp_path / "there" / "images" / "train").rename(tmp_path / "there" / "images" / "moved")
+        index = (tmp_path / "there" / "index.csv").read_text().replace("images/train/", "images/moved/", 3)
+        (tmp_path / "there" / "index.csv").write_text(index.replace("images/train/", "./images/moved/"))
+        next((tmp_path / "there" / "images" / "moved").rglob("002.jpg")).unlink()
+        home = tmp_path / "there"
+    else:
+        realtouch.export(single_folder, tmp_path / "there", "webdataset", split="train")
+        home, columns = tmp_path / "there" / "webdataset", realtouch.ImportColumns(round="round_id")
+    afar = DataFolder(f"s3://{bucket}/of others")
+    for path in folder_bytes(home):
+        afar.copy_in(path, home / path)
+    s3.traffic.reset()
+    made = realtouch.import_images(afar.url, tmp_path / "afar", layout, columns)
+    folders = {str(Path(path).parent) for path in folder_bytes(home)}
+    assert len(lists(s3)) <= len(folders) + 3, "a folder is listed once"
+    size = sum(len(content) for content in folder_bytes(home).values())
+    assert s3.traffic.sent_bytes < 3 * size + 100_000
+    skipped = [item.reason for record in made.shards for item in record.skipped]
+    assert skipped == (["missing"] if layout == "folder" else [])
+    realtouch.import_images(home, tmp_path / "near", layout, columns)
+    assert folder_bytes(tmp_path / "afar") == folder_bytes(tmp_path / "near")
+    realtouch.import_images(afar.url, f"s3://{bucket}/touches", layout, columns)
+    assert len(realtouch.load(f"s3://{bucket}/touches", "train")) == 3
+    if layout == "webdataset":
+        one = realtouch.import_images(f"{afar.url}/train-000000.tar", tmp_path / "one", layout, columns)
+        assert one.split_table() == made.split_table()
+
+
+def test_addresses_that_cannot_be_read(tmp_path: Path, s3: Any, bucket: str) -> None:  # noqa: F811
+    DataFolder(f"s3://{bucket}/images").write_bytes("a.jpg", b"no table here")
+    for place, out, words in (
+        (f"s3://{bucket}/nothing", tmp_path / "out", "does not exist"),
+        (f"s3://{bucket}/images", tmp_path / "out", "one CSV file; found none"),
+        (f"s3://{bucket}/images", f"s3://{bucket}/images/in", "lies in the source"),
+        ("https://example.org/images", tmp_path / "out", "can be neither listed nor written"),
+        ("s3://key@bucket/images", tmp_path / "out", "holds a user, a key"),
+    ):
+        with pytest.raises(InputError, match=words):
+            realtouch.import_images(place, out, "folder")
+        assert not (tmp_path / "out").exists()
