@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from mnist3d.solid import ink_mask
 from mnist3d.steps import erode, erosion_radii_px, marching_cubes, mirror, scale, smooth, stack
-from tactile_toolkit.arithmetic import way_back
+from tactile_toolkit.arithmetic import inverse_affine
 from tactile_toolkit.errors import InputError, ItemError
 from tactile_toolkit.mesh.mesh import MM_PER_M
 from tactile_toolkit.pictures.render import OBLIQUE, Body, Picture3d, Renderer, averaged
@@ -184,7 +184,7 @@ def _back_to_layer(
     # Rows of a layer grow along -y, those of the picture along -up.
     to_view = px * np.array([[right[0], -right[1]], [-up[0], up[1]]])
     middle = np.array([side_px / 2, side_px / 2 - px * up[2] * height + drop_px])
-    return way_back(to_view, middle, np.array([shape[1] / 2, shape[0] / 2]))
+    return inverse_affine(to_view, middle, np.array([shape[1] / 2, shape[0] / 2]))
 
 
 def _tint(share: float) -> tuple[int, int, int]:

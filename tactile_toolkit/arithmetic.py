@@ -14,7 +14,7 @@ import numpy as np
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-__all__ = ["cosine_sine", "decay", "moved", "way_back"]
+__all__ = ["cosine_sine", "decay", "moved", "inverse_affine"]
 
 _QUARTER_TURN = math.pi / 2
 # pi / 2 in two parts: multiples of the first are exact, so that nothing of a turned angle is lost.
@@ -62,7 +62,7 @@ def moved(points: NDArray[np.float64], matrix: NDArray[np.float64]) -> NDArray[n
     return np.stack([sum(points[:, k] * factor for k, factor in enumerate(column)) for column in matrix.T], 1)
 
 
-def way_back(
+def inverse_affine(
     forward: NDArray[np.float64], at: NDArray[np.float64], from_there: NDArray[np.float64]
 ) -> tuple[float, ...]:
     """Return the map that undoes a matrix, shape (2, 2), and takes a point to another, as Pillow takes it."""

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from realtouch.media.images import in_parallel
 from realtouch.rounds import TouchRound, TouchSeqRound
 from realtouch.touch import Touch
-from tactile_toolkit.arithmetic import way_back
+from tactile_toolkit.arithmetic import inverse_affine
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.touch.jpeg import Pixels
 from tactile_toolkit.touch.schema import POSE_COLUMN, Kind
@@ -155,7 +155,7 @@ def _back_to_touch(touch: Placed, cell: CellMap) -> tuple[tuple[slice, slice], t
     half = np.abs(forward * np.array([width, height]) / 2).sum(axis=1)
     low = np.maximum(np.floor(centre - half).astype(int), 0)
     high = np.minimum(np.ceil(centre + half).astype(int), cell.size_px)
-    back = way_back(forward, centre - low, np.array([width, height]) / 2)
+    back = inverse_affine(forward, centre - low, np.array([width, height]) / 2)
     window = (slice(int(low[1]), int(high[1])), slice(int(low[0]), int(high[0])))
     return window, back
 

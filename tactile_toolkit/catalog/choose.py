@@ -62,8 +62,9 @@ def chosen_records(
         return [(split, dataset[0])]
     found: dict[int, tuple[str, Any]] = {}
     for split, dataset in datasets.items():
-        for row in np.flatnonzero(np.isin(dataset.ids, ids)).tolist():
-            found.setdefault(int(dataset.ids[row]), (split, dataset[row]))
+        known = dataset.ids  # each time, a copy of the rows chosen
+        for row in np.flatnonzero(np.isin(known, ids)).tolist():
+            found.setdefault(int(known[row]), (split, dataset[row]))
     missing = [str(number) for number in dict.fromkeys(ids) if number not in found]
     if missing:
         message = (

@@ -46,7 +46,7 @@ __all__ = [
     "run_upload",
 ]
 
-_KIND = "dataset"
+_REPO_TYPE = "dataset"
 # All files of each are listed and compared.
 _PULLS_SEEN = 10
 
@@ -125,7 +125,7 @@ class UploadTarget:
         def pulls() -> list[int]:
             found = self._api().get_repo_discussions(
                 self.repo_id,
-                repo_type=_KIND,
+                repo_type=_REPO_TYPE,
                 author=author,
                 discussion_type="pull_request",
                 discussion_status="open",
@@ -137,20 +137,20 @@ class UploadTarget:
     def commit_of(self, revision: str) -> str:
         """Return the commit that a branch or pull request points to."""
         return self._ask(
-            lambda: str(self._api().repo_info(self.repo_id, repo_type=_KIND, revision=revision).sha)
+            lambda: str(self._api().repo_info(self.repo_id, repo_type=_REPO_TYPE, revision=revision).sha)
         )
 
     def create(self, *, private: bool) -> None:
         """Create the repository; one that is there already stays as it is."""
         api = self._api()
-        self._ask(lambda: api.create_repo(self.repo_id, repo_type=_KIND, private=private, exist_ok=True))
+        self._ask(lambda: api.create_repo(self.repo_id, repo_type=_REPO_TYPE, private=private, exist_ok=True))
 
     def create_branch(self, start: str | None) -> None:
         """Create the branch at a commit, or at the head of ``main``; one that is there stays as it is."""
         api = self._api()
         self._ask(
             lambda: api.create_branch(
-                self.repo_id, branch=self.branch, revision=start, repo_type=_KIND, exist_ok=True
+                self.repo_id, branch=self.branch, revision=start, repo_type=_REPO_TYPE, exist_ok=True
             )
         )
 
@@ -175,7 +175,7 @@ class UploadTarget:
             made = self._api().create_commit(
                 repo_id=self.repo_id,
                 operations=[*(CommitOperationDelete(path) for path in delete), *added],
-                repo_type=_KIND,
+                repo_type=_REPO_TYPE,
                 commit_message=message,
                 revision=None if pull else self.branch,
                 create_pr=pull,
@@ -187,9 +187,11 @@ class UploadTarget:
         """Make a tag name a commit; one that names another is moved."""
         api = self._api()
         if there is not None:
-            self._ask(lambda: api.delete_tag(self.repo_id, tag=name, repo_type=_KIND))
+            self._ask(lambda: api.delete_tag(self.repo_id, tag=name, repo_type=_REPO_TYPE))
         self._ask(
-            lambda: api.create_tag(self.repo_id, tag=name, revision=commit, repo_type=_KIND, exist_ok=True)
+            lambda: api.create_tag(
+                self.repo_id, tag=name, revision=commit, repo_type=_REPO_TYPE, exist_ok=True
+            )
         )
 
     def _ask(self, action: Callable[[], T]) -> T:
@@ -205,18 +207,18 @@ class UploadTarget:
 
         api = self._api()
         try:
-            private = bool(api.repo_info(self.repo_id, repo_type=_KIND).private)
+            private = bool(api.repo_info(self.repo_id, repo_type=_REPO_TYPE).private)
         # To the client it is a kind of RepositoryNotFoundError, but such a repository is there.
         except errors.GatedRepoError:
             raise
         except errors.RepositoryNotFoundError:
             return RemoteState(exists=False)
-        refs = api.list_repo_refs(self.repo_id, repo_type=_KIND)
+        refs = api.list_repo_refs(self.repo_id, repo_type=_REPO_TYPE)
         tags = {ref.name: str(ref.target_commit) for ref in refs.tags}
         heads = {ref.name: str(ref.target_commit) for ref in refs.branches}
         there = heads.get(self.branch)
         if there is None and self.branch.startswith("refs/"):  # a pull request that is written to
-            there = str(api.repo_info(self.repo_id, repo_type=_KIND, revision=self.branch).sha)
+            there = str(api.repo_info(self.repo_id, repo_type=_REPO_TYPE, revision=self.branch).sha)
         head = there or heads.get(MAIN)
         files = self._tree(head) if head is not None else {}
         return RemoteState(True, private, head, files, tags, frozenset(heads), there is not None)
@@ -224,7 +226,9 @@ class UploadTarget:
     def _tree(self, revision: str) -> dict[str, RemoteFile]:
         from huggingface_hub.hf_api import RepoFile
 
-        entries = self._api().list_repo_tree(self.repo_id, recursive=True, revision=revision, repo_type=_KIND)
+        entries = self._api().list_repo_tree(
+            self.repo_id, recursive=True, revision=revision, repo_type=_REPO_TYPE
+        )
         return {
             entry.path: RemoteFile(
                 entry.path, entry.size, entry.blob_id, entry.lfs.sha256 if entry.lfs is not None else None
@@ -367,14 +371,16 @@ def _finished(folder: str) -> tuple[DataFolder, Manifest]:
 def _require_sound(folder: str, findings: Sequence[Finding]) -> None:
     if not findings:
         return
-    told = [f"{finding.file} {finding.problem}".partition("; next: ")[0] for finding in findings[:3]]
-    listed = "; ".join(told)
+    listed = "; ".join(f"{each.file} {each.problem}".partition("; next: ")[0] for each in findings[:3])
     more = f" and {len(findings) - 3} more" if len(findings) > 3 else ""
     cards = {CARD_FILE, CROISSANT_FILE}
     only_card = all(cards.intersection((finding.file, *finding.problem.split())) for finding in findings)
-    cure = "write it with the command `card`, or mend it by hand"
-    cure = cure if only_card else "run the command that made it again, or `card` for the card alone"
-    message = f"{folder!r} is not fit to be sent, nothing was: {listed}{more}; next: {cure}"
+    next_step = (
+        "write it with the command `card`, or mend it by hand"
+        if only_card
+        else "run the command that made it again, or `card` for the card alone"
+    )
+    message = f"{folder!r} is not fit to be sent, nothing was: {listed}{more}; next: {next_step}"
     raise IntegrityError(message)
 
 

@@ -35,7 +35,7 @@ __all__ = [
 MAIN = "main"
 _COMMIT = re.compile(r"[0-9a-f]{40}")
 # Written by the Hub itself; every repository has them.
-_HUBS_OWN = frozenset({".gitattributes"})
+_WRITTEN_BY_HUB = frozenset({".gitattributes"})
 _PICTURE_FOLDER = "images"
 _MOST_IN_GIT_BYTES = 10 << 20  # from here on the Hub keeps every file as a large one
 _FENCE = "---\n"
@@ -176,7 +176,7 @@ def compare(local: Iterable[LocalFile], remote: Mapping[str, RemoteFile]) -> Upl
         changed=tuple(file for file in files if file.path in remote and file not in same),
         same=same,
         remote_only=tuple(
-            remote[path] for path in sorted(remote) if path not in known and path not in _HUBS_OWN
+            remote[path] for path in sorted(remote) if path not in known and path not in _WRITTEN_BY_HUB
         ),
     )
 

@@ -483,11 +483,11 @@ def _guard_client() -> None:
     from huggingface_hub import get_session
 
     hooks = get_session().event_hooks["response"]
-    if _refuse_wild_head not in hooks:
-        hooks.append(_refuse_wild_head)
+    if _refuse_unsafe_names not in hooks:
+        hooks.append(_refuse_unsafe_names)
 
 
-def _refuse_wild_head(response: Any) -> None:
+def _refuse_unsafe_names(response: Any) -> None:
     for name in ("etag", "x-linked-etag", "x-repo-commit") if response.request.method == "HEAD" else ():
         value = response.headers.get(name, "").removeprefix("W/").strip('"')
         if value and ("/" in value or problem_of_name(value)):

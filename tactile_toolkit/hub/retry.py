@@ -34,7 +34,7 @@ _PASSING_STATUS = frozenset({408, 425, 429, 500, 502, 503, 504})
 _LIBRARY = "huggingface_hub"
 _ADDRESS = re.compile(r"(https?://[^/\s'\"]+)[^\s'\"]*")
 # What we say ourselves, in our own words.
-_SAID_ANYWAY = ("Retrying in", "Rate limited", "No files have been modified")
+_SAID_BY_US = ("Retrying in", "Rate limited", "No files have been modified")
 
 T = TypeVar("T")
 
@@ -54,7 +54,7 @@ class _ClientLog(logging.Handler):
         first_line = (record.getMessage().splitlines() or [""])[0]
         text = _ADDRESS.sub(r"\1", scrub(first_line))
         listeners = self._listeners[-1:]
-        if text in self._said or text.startswith(_SAID_ANYWAY):
+        if text in self._said or text.startswith(_SAID_BY_US):
             return
         self._said.add(text)
         for on_message in listeners:

@@ -126,18 +126,18 @@ def pack_mjcf(bodies: Sequence[tuple[Body, tuple[float, float]]], model: str, fl
             fullinertia=_text((i[0, 0], i[1, 1], i[2, 2], i[0, 1], i[0, 2], i[1, 2])),
         )
         # Group 2 is drawn and group 3 is not, as in the models that MuJoCo's own viewer comes with.
-        seen = {"type": "mesh", "contype": "0", "conaffinity": "0", "group": "2", "mass": "0"}
-        ElementTree.SubElement(element, "geom", {"name": body.name, "mesh": body.name, **seen})
+        visual = {"type": "mesh", "contype": "0", "conaffinity": "0", "group": "2", "mass": "0"}
+        ElementTree.SubElement(element, "geom", {"name": body.name, "mesh": body.name, **visual})
         for number, part in enumerate(body.parts):
             name = f"{body.name}-{number:02d}"
             _add_asset(assets, name, part, with_faces=False)
-            felt = {
+            collision = {
                 "type": "mesh",
                 "group": "3",
                 "mass": "0",
                 "friction": _text((body.friction, 0.005, 1e-4)),
             }
-            ElementTree.SubElement(element, "geom", {"name": name, "mesh": name, **felt})
+            ElementTree.SubElement(element, "geom", {"name": name, "mesh": name, **collision})
     return _written(root)
 
 
@@ -216,13 +216,13 @@ _USD_MESH = """
         uniform token subdivisionScheme = "none"
         int[] faceVertexCounts = [{counts}]
         int[] faceVertexIndices = [{faces}]
-        point3f[] points = [{points}]{felt}
+        point3f[] points = [{points}]{collision}
     }}
 """
 _USD_SCHEMAS = """ (
         prepend apiSchemas = ["PhysicsCollisionAPI", "PhysicsMeshCollisionAPI", "MaterialBindingAPI"]
     )"""
-_USD_FELT = """
+_USD_COLLISION = """
         uniform token purpose = "guide"
         uniform token physics:approximation = "convexHull"
         rel material:binding:physics = <{path}/material>"""
@@ -242,15 +242,15 @@ def _pack_usd(body: Body) -> bytes:
         "visual": body.mesh,
         **{f"part_{n:02d}": part for n, part in enumerate(body.parts)},
     }.items():
-        is_felt = name != "visual"
+        collides = name != "visual"
         meshes.append(
             _USD_MESH.format(
                 name=name,
-                schemas=_USD_SCHEMAS if is_felt else "",
+                schemas=_USD_SCHEMAS if collides else "",
                 counts=", ".join(["3"] * len(mesh.faces)),
                 faces=", ".join(map(str, mesh.faces.ravel().tolist())),
                 points=", ".join(f"({_text(row, ', ')})" for row in mesh.vertices_m),
-                felt=_USD_FELT.format(path=f"/{prim}") if is_felt else "",
+                collision=_USD_COLLISION.format(path=f"/{prim}") if collides else "",
             )
         )
     return _USD.format(

@@ -291,8 +291,8 @@ class RecordDataset(LazySequence[T]):
         ]
         table = pa.concat_tables([part.select(names) for part in parts])
         # Its own fingerprint would be that of all bytes.
-        told = repr([names, list(starts), self.identity])
-        whole = Dataset(table, fingerprint=hashlib.sha256(told.encode()).hexdigest()[:16])
+        content = repr([names, list(starts), self.identity])
+        whole = Dataset(table, fingerprint=hashlib.sha256(content.encode()).hexdigest()[:16])
         return whole if np.array_equal(places, np.arange(total)) else whole.select(places)
 
     def column(self, name: str) -> NDArray[Any]:

@@ -61,9 +61,9 @@ class GlobalOrder:
     def fingerprint(self) -> str:
         """What tells this order from others: a checksum of all that it follows from."""
         order = self.parts.order
-        told = [repr((self.seed, self.window)).encode(), self.parts.starts.astype("<i8").tobytes()]
-        told += [] if order is None else [order.astype("<i8").tobytes()]
-        return hashlib.sha256(b"\0".join(told)).hexdigest()[:16]
+        parts = [repr((self.seed, self.window)).encode(), self.parts.starts.astype("<i8").tobytes()]
+        parts += [] if order is None else [order.astype("<i8").tobytes()]
+        return hashlib.sha256(b"\0".join(parts)).hexdigest()[:16]
 
     def epoch(self, number: int) -> EpochOrder:
         """Return the order of one epoch."""

@@ -45,9 +45,9 @@ _BLOCK_BYTES = 64 << 20
 _VALUE_BYTES = {"BOOLEAN": 1, "INT64": 8, "DOUBLE": 8, "INT96": 12}
 # Rows take at most so many times the bytes that are stored of them, or might be one row; padding of clips
 # takes about 20 times.
-_MOST_TIMES = 500
+_MOST_EXPANSION = 500
 # What stores say of a file, under which name each, that changes with its content.
-_TELLING = ("size", "ETag", "etag", "blob_id", "mtime", "created")
+_VERSION_KEYS = ("size", "ETag", "etag", "blob_id", "mtime", "created")
 
 
 class MemoryBlocks(MemoryCache[tuple[str, int], RowGroup]):
@@ -313,7 +313,7 @@ class Shard:
             for column in columns
         )
         stored = sum(column.total_compressed_size for column in columns)
-        if unpacked <= _MOST_TIMES * stored:
+        if unpacked <= _MOST_EXPANSION * stored:
             unpacked //= max(group.num_rows, 1)
         require_unpackable(unpacked, f"{self.path!r}, rows from {self.group_starts[index]}:")
 
@@ -362,7 +362,7 @@ class Shard:
         facts = getattr(stream, "details", None) or store.facts(name)
         return open_checked(stream, metadata), (
             self.path,
-            *((key, str(facts[key])) for key in _TELLING if key in facts),
+            *((key, str(facts[key])) for key in _VERSION_KEYS if key in facts),
         )
 
     @property

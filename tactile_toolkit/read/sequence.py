@@ -335,8 +335,7 @@ class LazySequence(Sequence[T], Generic[T]):
         """
         columns = {}
         for name in self._plain_columns:
-            values = self.column(name) if name not in ("id", "label") else np.empty(0, object)
-            if values.dtype.kind not in "iufb":
+            if name in ("id", "label") or (values := self.column(name)).dtype.kind not in "iufb":
                 continue
             numbers = values.astype(np.float64)
             known = numbers[~np.isnan(numbers)]

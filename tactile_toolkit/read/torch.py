@@ -126,13 +126,13 @@ class TrainingBatches(torch.utils.data.IterableDataset):  # type: ignore[misc]
             )
             raise InputError(message)
         self.data = data
-        self.batch_size = _whole(batch_size, 1, "batch_size")
+        self.batch_size = _whole_number(batch_size, 1, "batch_size")
         self.drop_last = drop_last
         self.collate_fn = collate_fn
-        self.rank, self.world_size = _place(rank, world_size)
-        seed = None if seed is None else _whole(seed, 0, "seed")
+        self.rank, self.world_size = _rank_of(rank, world_size)
+        seed = None if seed is None else _whole_number(seed, 0, "seed")
         self._sequence = sequence
-        self._order = GlobalOrder(sequence._stored_parts(), seed, _whole(window, 1, "window"))
+        self._order = GlobalOrder(sequence._stored_parts(), seed, _whole_number(window, 1, "window"))
         self._resumed = (0, 0)
         self._current: _Pass | None = None
         # What the next pass is, for this process and for each worker: epoch, start, batches given already,
@@ -150,7 +150,7 @@ class TrainingBatches(torch.utils.data.IterableDataset):  # type: ignore[misc]
 
         Needed only to repeat or skip epochs, or when another number of workers takes over.
         """
-        number = _whole(epoch, 0, "epoch")
+        number = _whole_number(epoch, 0, "epoch")
         self._set(number, self._resumed[1] if number == self._resumed[0] else 0)
 
     def __len__(self) -> int:
@@ -340,7 +340,7 @@ def _holding(key: str, found: Any) -> Iterator[Mapping[str, Any]]:
             yield from _holding(key, value)
 
 
-def _whole(value: Any, least: int, name: str) -> int:
+def _whole_number(value: Any, least: int, name: str) -> int:
     number = plain_number(value)
     if not (is_whole(number) and number >= least):
         message = f"{name} is {value!r}; expected a whole number from {least}"
@@ -348,7 +348,7 @@ def _whole(value: Any, least: int, name: str) -> int:
     return int(number)
 
 
-def _place(rank: int | None, world_size: int | None) -> tuple[int, int]:
+def _rank_of(rank: int | None, world_size: int | None) -> tuple[int, int]:
     """Return which process of how many this is."""
     distributed = torch.distributed
     if rank is not None or world_size is not None:

@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from tactile_toolkit.arithmetic import cosine_sine, decay, moved, way_back
+from tactile_toolkit.arithmetic import cosine_sine, decay, inverse_affine, moved
 
 NUMBERS = st.floats(-100, 100)
 
@@ -41,6 +41,6 @@ def test_the_way_back_undoes_a_map(forward: np.ndarray, at: np.ndarray, start: n
     (a, b), (c, d) = forward.tolist()
     if abs(a * d - b * c) < 1:
         return
-    back = np.array(way_back(forward, at, start)).reshape(2, 3)
+    back = np.array(inverse_affine(forward, at, start)).reshape(2, 3)
     assert np.allclose(back @ [*at, 1], start, atol=1e-6)
     assert np.allclose(back[:, :2] @ forward, np.eye(2), atol=1e-6)
