@@ -57,7 +57,7 @@ def new_app(name: str, purpose: str) -> typer.Typer:
     app = typer.Typer(name=name, help=purpose, no_args_is_help=True, pretty_exceptions_enable=False)
 
     def before_the_command(debug: Debug = False, version: Version = False) -> None:
-        if debug:
+        if debug:  # given before the command, which has options of its own and does not see this one
             os.environ[_DEBUG_VARIABLE] = "1"
 
     # Besides its options, this keeps the names of commands even of an application with one command.
@@ -93,6 +93,7 @@ def command(app: typer.Typer, name: str | None = None) -> Callable[[F], F]:
 
 def _with_groups(function: Callable[..., None]) -> Callable[..., None]:
     """Return a function that takes the fields of option groups one by one, and those of every command."""
+    # Annotations are text: those of a group are names of the group's module, where Typer would not look.
     hints = get_type_hints(function, include_extras=True)
     groups: dict[str, Any] = {name: hint for name, hint in hints.items() if is_dataclass(hint)}
     parameters: list[inspect.Parameter] = []
@@ -100,6 +101,7 @@ def _with_groups(function: Callable[..., None]) -> Callable[..., None]:
         if parameter.name in groups:
             parameters += _parameters_of(groups[parameter.name])
         else:
+            # By keyword only: options without a default may stand behind those with one.
             parameters.append(
                 parameter.replace(kind=parameter.KEYWORD_ONLY, annotation=hints[parameter.name])
             )
@@ -176,6 +178,7 @@ def _with_option(message: str, options: Mapping[str, str]) -> str:
     """Begin a message about a parameter of the library with the name that it has on the command line."""
     first, space, rest = message.partition(" ")
     name = first.rpartition(".")[2]
+    # The library takes metres where people give millimetres: `cell_m` is --cell-mm.
     option = options.get(name) or (options.get(f"{name}m", "") and f"{options[f'{name}m']}, in metres,")
     return f"{option or first}{space}{rest}"
 

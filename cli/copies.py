@@ -44,8 +44,9 @@ def _print_copy(sink: Sink, folder: str, kind: DatasetKind) -> None:
     for split, dataset in open_splits(folder, None, kind.load, kind.nouns).items():
         paths = [shard.path for shard in find_shards(folder, split)]
         size = sum(store.size_bytes(name) for store, name in map(file_at, paths))
-        labels = dataset.labels.tolist()
-        per_class = {name: labels.count(index) for index, name in enumerate(dataset.label_names)}
+        labels = dataset.labels
+        # Not by `bincount`, which fails on labels below 0 as other people's data have them.
+        per_class = {name: int((labels == index).sum()) for index, name in enumerate(dataset.label_names)}
         entries.append(_Split(split, len(dataset), len(paths), size, per_class))
     sink.document(
         {

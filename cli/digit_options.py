@@ -36,6 +36,8 @@ _SYNTHETIC_DIGITS = 13_580
 class SourceOptions:
     """Where the images come from; an option that was not given is None or False."""
 
+    # Defaults stand in `show_default` where None has to say that nothing was given: an option of another
+    # source is refused even with the value that is its default.
     source: Annotated[SourceName, typer.Option(help="Where the images come from.")] = "synthetic"
     images: Annotated[
         Path | None,
@@ -180,4 +182,5 @@ class SolidOptions:
         """Return the specification of solids."""
         from mnist3d.solid import SolidSpec
 
+        # Fields are named as those of `SolidSpec`; here so that --help imports no numpy.
         return SolidSpec(**{field.name: getattr(self, field.name) for field in fields(self)})

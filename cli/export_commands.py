@@ -144,6 +144,7 @@ def _plate_spec(options: ExportOptions) -> PlateSpec | None:
     from tactile_toolkit.printing.packing import PlateSpec
 
     if options.plate is None:
+        # None where not given, so that a distance without plates is refused instead of ignored.
         for option, value in (("--gap", options.gap), ("--margin", options.margin)):
             if value is not None:
                 message = f"{option} is about build plates; next: add --plate 256x256"
@@ -191,6 +192,7 @@ def _chosen(kind: DatasetKind, options: ExportOptions, choose: Callable[..., T])
     from tactile_toolkit.catalog.locate import splits_of
     from tactile_toolkit.printing.objects import parse_ids
 
+    # One by one, as no loader opens several splits as one data set.
     splits = splits_of(options.name) if options.split == "all" else (options.split,)
     labels = None if options.labels is None else [word.strip() for word in options.labels.split(",")]
     ids = None if options.ids is None else parse_ids(options.ids)
@@ -278,6 +280,7 @@ def _export_plates(
         measured = measure(objects, spec, options.scale, update)
     with sink.progress("packing", "objects") as update:
         layout = arrange(measured, update)
+    # Plates in MJCF are bodies that lie on a floor; 3MF knows neither density nor friction.
     if options.file_format == "mjcf":
         layout = replace(layout, physics=_physics(options))
     if dry_run:

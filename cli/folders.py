@@ -90,6 +90,7 @@ def print_unfinished(sink: Sink, manifest: Manifest, out: str, unit: str, comman
 
 def _shards_planned(manifest: Manifest) -> dict[str, int]:
     """Return how many shards each split is to have, as far as a finished one tells."""
+    # The name of a shard says of how many it is one, so any of them will do.
     return {split: manifest.shards_of(split)[0].shard.count for split in manifest.splits}
 
 
@@ -110,6 +111,7 @@ def add_verify(app: typer.Typer, kind: DatasetKind, what: str) -> None:
         result = verify(place, schema, check_card=check_card, workers=process_count(workers))
         findings = [{"file": finding.file, "problem": finding.problem} for finding in result.findings]
         counts_of = {"files": result.files, "rows": result.rows}
+        # "witness" is what programs read, and older than the name that Python has for it.
         sink.document({"ok": result.ok, "witness": result.reference, **counts_of, "findings": findings})
         if result.ok:
             size = bytes_text(result.bytes)
@@ -119,6 +121,7 @@ def add_verify(app: typer.Typer, kind: DatasetKind, what: str) -> None:
         for finding in result.findings:
             sink.insist(f"damaged: {finding.file}: {finding.problem}")  # the error below only counts
         record = read_record(place)
+        # Unknown files, links and cards: what no run would mend says itself what to do.
         if all("; next: " in finding.problem for finding in result.findings):
             cure = "do what each of them says"
         elif record is None:
@@ -130,6 +133,7 @@ def add_verify(app: typer.Typer, kind: DatasetKind, what: str) -> None:
         message = f"{counted(len(findings), 'problems')} in {folder!r}; next: {cure}"
         raise IntegrityError(message)
 
+    # Typer takes the help from here, and a docstring cannot be an f-string.
     verify.__doc__ = f"""Check every checksum, row count, schema and id of {what}.
 
     Exit code 3 when something is damaged; each damaged file is named.
@@ -155,6 +159,7 @@ def add_card(app: typer.Typer, kind: DatasetKind) -> None:
         from tactile_toolkit.store.folder import DataFolder
 
         place = DataFolder(folder)
+        # Touches may be of the publisher, who writes no manifest.
         manifest_of = require_manifest if kind.needs_manifest else finished_manifest
         kind.write_card(place, manifest_of(kind, place))
         findings = check_card(place)

@@ -131,6 +131,7 @@ def _make(sink: Sink, gallery: Gallery, out: Path, page: Page) -> None:
         with sink.progress("making the gallery", nouns) as update:
             site = build_site(gallery, str(out), workers, overwrite=page.overwrite, on_progress=update)
     except KeyboardInterrupt as error:
+        # The usual words promise that finished work is kept, but half a page would be of no use.
         sys.stderr.write(f"interrupted; nothing was left behind, {out} is as it was before\n")
         raise typer.Exit(EXIT_INTERRUPTED) from error
     index = str(Path(site.path) / "index.html")

@@ -108,6 +108,7 @@ def _introduce(sink: Sink, name: str, plan: DownloadPlan) -> None:
     """Say what is fetched, how large it is, and under which terms it stands."""
     from tactile_toolkit.catalog.published import published_set
 
+    # Asking for a snapshot goes to the Hub, which a finished download does without.
     snapshot_licence = None if plan.is_done else plan.repository.snapshot.licence
     known = published_set(name)
     licence = (known.licence if known else None) or snapshot_licence
@@ -137,6 +138,7 @@ def _require_consent(plan: DownloadPlan, *, yes: bool) -> None:
     if yes or plan.missing_bytes <= _LARGE_BYTES:
         return
     size = bytes_text(plan.missing_bytes)
+    # The question goes to stderr: stdout may be a file, or hold the JSON document.
     if not (sys.stdin.isatty() and sys.stderr.isatty()):
         message = f"{size} would be fetched, and nobody can be asked; next: add --yes, or name a --split"
         raise InputError(message)
@@ -149,6 +151,7 @@ def _fetch(sink: Sink, plan: DownloadPlan) -> str:
     from tactile_toolkit.exchange.download import download as carry_out
 
     with sink.progress("fetching", BYTES) as update:
+        # Where files of 0 bytes alone are missing the total is 0, and a bar of 0 is never full.
         return carry_out(plan, lambda done, total: update(done, max(total, 1)), on_wait=sink.talk)
 
 
@@ -180,6 +183,7 @@ def _conclude(sink: Sink, plan: DownloadPlan, place: str, kind: DatasetKind) -> 
     else:
         gone = f", removed {len(plan.leftover):,} that the Hub has no more" if plan.leftover else ""
         sink.line(f"fetched {missing}{gone}; all {len(plan.files):,} are whole, in {place}")
+    # Files in the Hub's cache are found again by the name of the repository, and by the revision asked for.
     name = place if plan.folder is not None else plan.repository.repo_id
     revision = plan.repository.revision if plan.folder is None else None
     line = kind.loading_lines(plan.manifest, name, plan.splits[0], revision)[1]

@@ -89,6 +89,7 @@ def add_hub_commands(app: typer.Typer, kind: DatasetKind) -> None:
             there = f"{_held(prepared, prepared.pull)}; " if prepared.is_done else ""
             sink.line(f"{there}nothing was sent")
             return
+        # Even where all files are there, a branch to make is a change that nobody may have meant.
         if not (prepared.is_done and prepared.state.has_branch) and not yes:
             _ask(prepared)
         if sink.quiet or not sys.stderr.isatty():
@@ -210,6 +211,7 @@ def _address(prepared: PreparedUpload, result: UploadResult | None) -> str:
     from tactile_toolkit.exchange.upload_plan import MAIN
 
     page, branch = prepared.target.page, prepared.target.branch
+    # The pull request itself: its branch (refs/pr/N) has no page that can be merged from.
     if result is not None and result.pull is not None:
         return f"{page}/discussions/{result.pull.rpartition('/')[2]}"
     return page if branch == MAIN else f"{page}/tree/{branch}"

@@ -62,6 +62,7 @@ def make_with_progress(
             manifest = make(workers=work.chosen_runner(), overwrite=work.overwrite, on_progress=on_progress)
         except MissingPartsError as error:
             sink.document({"complete": False, "array": error.array, "parts": error.parts})
+            # On stdout, for a script to hand to `sbatch`; the sentence about it goes to stderr.
             if error.parts is not None:
                 sink.line(f"--array={error.array}")
             raise
@@ -101,6 +102,7 @@ def print_conclusion(sink: Sink, kind: DatasetKind, made: Made, out: str, splits
     """Say what was made and where, and which commands come next."""
     sink.line(f"{made.text}; the data set is in {out}")
     table = made.manifest.split_table()
+    # One that has rows, so that the line works when it is tried.
     split = next((name for name in splits if name in table and table[name]["rows"]), splits[0])
     sink.line(
         f"next: {kind.command} validate {out}   or in Python: {kind.package}.load({out!r}, split={split!r})"

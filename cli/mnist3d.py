@@ -99,6 +99,7 @@ def validate(
     with sink.progress("checking", "meshes") as update:
         results = validate_paths(paths, chosen, limit, process_count(workers), on_progress=update)
     sink.document([result.to_dict() for result in results])
+    # Named even with --quiet: a mesh that could not be read has no row in any table.
     for item in (item for result in results for item in result.unreadable):
         sink.insist(f"unreadable: {item.report.detail}")
     for result in results:

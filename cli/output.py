@@ -22,6 +22,7 @@ BYTES = "bytes"
 """A unit of progress: counts are sizes."""
 
 _PLAIN_INTERVAL_S = 5.0
+"""Where no terminal is, lines stay: a job of a day writes some 17,000 of them, 1 MB of log."""
 _SPANS_S = (("s", 1), ("min", 60))
 _SENTENCE = 24
 """Cells of a table that are longer may be folded between words."""
@@ -111,6 +112,7 @@ def _widths(header: Sequence[str], rows: Sequence[Sequence[str]], room: int) -> 
     ]
     if sum(least) > room:
         return None
+    # The column with the most to give, one character at a time, so that several long ones end alike.
     while sum(widths) > room:
         widest = max(range(len(widths)), key=lambda index: widths[index] - least[index])
         widths[widest] -= 1
@@ -164,6 +166,7 @@ def _bar(what: str, unit: str) -> Iterator[Callable[[int, int], None]]:
         progress.TextColumn("{task.fields[rate]}"),
         progress.TimeRemainingColumn(),
     )
+    # Rates are over all the time: shards come in bursts, of which rich's own rate of the last seconds jumps.
     start_s = time.monotonic()
     with progress.Progress(*columns, console=Console(file=sys.stderr)) as bar:
         task = bar.add_task(printable(what), total=None, count="", rate="")
@@ -181,6 +184,7 @@ def _plain_lines(talk: Callable[[str], None], what: str, unit: str) -> Callable[
     def update(done: int, total: int) -> None:
         nonlocal last_s
         now_s = time.monotonic()
+        # The last one always: a log that ends at 80 % looks like work that was stopped.
         if done == 0 or (done < total and now_s - last_s < _PLAIN_INTERVAL_S):
             return
         last_s = now_s
@@ -205,6 +209,7 @@ def rate_text(done: int, elapsed_s: float, unit: str) -> str:
     each, rate = next(
         ((each, rate * seconds) for each, seconds in _SPANS_S if rate * seconds >= 1), ("h", rate * 3600)
     )
+    # Two digits are enough: from 9.95 on a decimal would make three of them.
     return f"{rate:,.0f} {unit}/{each}" if rate >= 9.95 else f"{rate:.1f} {unit}/{each}"
 
 

@@ -112,6 +112,7 @@ def _counts(option: str, text: str) -> tuple[int, ...]:
     from tactile_toolkit.errors import InputError
 
     least, dash, most = (part.strip() for part in text.partition("-"))
+    # Bounded here, before a tuple of the range is made; what a cell has room for `SceneSpec` checks.
     if dash and is_count(least) and is_count(most) and int(least) <= int(most) < 10_000:
         return tuple(range(int(least), int(most) + 1))
     parts = [part.strip() for part in text.split(",")]

@@ -67,6 +67,7 @@ def generate(
     sizes = PUBLISHED_SIZES if scenes is None else split_sizes(scenes)
     spec = GenerateSpec(scene.spec(), sizes, seed, limit)
     splits = SPLITS if split == "all" else (split,)
+    # A forecast tries the fullest scene, too.
     on_failure = trial_reporter(sink)
     if making.dry_run:
         view = forecast(
@@ -112,6 +113,7 @@ def validate(
     with sink.progress("checking", "scenes") as update:
         results = [validate_folder(path, chosen, limit, count, on_progress=update) for path in paths]
     sink.document([result.to_dict() for result in results])
+    # The table has the scenes that failed, so of a set that is fine it would be its title alone.
     for result in results:
         if result.failed:
             sink.table(*result.table())

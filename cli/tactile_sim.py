@@ -68,6 +68,7 @@ class PlanOptions:
         from tactile_sim.plan import TURNS, TouchPlan
 
         given = None if self.touches_from is None else GivenTouches.read(self.touches_from)
+        # "cell" is the default, and who gives a table means it; any other place with a table is refused.
         return TouchPlan(
             self.rounds,
             self.touches,
@@ -205,6 +206,7 @@ def info(folder: Folder, as_json: Json = False) -> None:
 def _print_made(sink: Sink, manifest: Manifest, out: str, elapsed_s: float | None = None) -> None:
     rows = []
     for split, held in manifest.split_table().items():
+        # Shards carry their counts, so that no row is read for this table.
         parts = [record.statistics or {} for record in manifest.shards_of(split)]
         touches, contact = (sum(part.get(name, 0) for part in parts) for name in ("touches", "on_object"))
         share = f"{100 * contact / touches:.1f} %" if touches else "-"

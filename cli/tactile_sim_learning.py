@@ -53,6 +53,7 @@ class PairsOptions:
 class TrainOptions:
     """How long and how large; what is not here stands in `TrainConfig`."""
 
+    # Defaults are those of `TrainConfig`, which says where each number is from (Zhu et al. 2017, or ours).
     filters: Annotated[int, typer.Option(min=1, metavar="N", help="Filters of the generators.")] = 64
     blocks: Annotated[int, typer.Option(min=0, metavar="N", help="Residual blocks.")] = 9
     judge_filters: Annotated[int, typer.Option(min=1, metavar="N", help="Filters of the discriminators.")] = (
@@ -130,6 +131,7 @@ def pairs(
     )
     if making.dry_run:
         plan = plan_pairs(objects, real, split, spec)
+        # Two rows of a pair that is none: a depth image and a touch that do not belong together.
         sink.document({"rows": 2 * spec.count, "shards": len(plan.tasks)})
         sink.line(f"would make {counted(2 * spec.count, 'rows')} in {out}; nothing was written")
         return
@@ -179,6 +181,7 @@ def train(
     from tactile_sim.noise import SensorNoise
 
     config = TrainConfig(**{**asdict(options), "sensor_noise": SensorNoise.named(options.sensor_noise)})
+    # `torchrun` starts this command once for each GPU, numbered by RANK: the first speaks for all.
     talks = sink if os.environ.get("RANK", "0") == "0" else Sink(quiet=True)
     with talks.progress("training", "steps") as update:
         done = train_both(

@@ -185,6 +185,7 @@ def frames(
     from realtouch.convert.api import frames as convert
     from tactile_toolkit.errors import InputError
 
+    # PNG is the default; --png says so in scripts, and must not meet its contrary.
     if png and jpeg:
         message = "--png and --jpeg were both given; expected one of them"
         raise InputError(message)

@@ -34,6 +34,7 @@ def announce_fetching(sink: Sink, name: str, split: str | None) -> None:
     from tactile_toolkit.hub.repository import hub_name
 
     place = place_of(name)
+    # A folder called USER/NAME that is here comes before the repository of that name, as in `load`.
     if hub_name(place) is None or Path(place).expanduser().exists():
         return
     part = f"the files of split {split!r}" if split else "the files of all splits (--split takes one)"

@@ -76,6 +76,7 @@ def require_fitting(
     """Refuse meshes larger than the cell they are to lie in, as they are or laid flat."""
     corners_m = bounds_m(meshes)
     size_m = corners_m[:, 1] - corners_m[:, 0]
+    # Laid flat, the shortest side stands upright. Not by `>`, here and below: NaN is wrong, too.
     size_m = np.sort(size_m, axis=1)[:, 1:] if lays_flat else size_m[:, :2]
     wrong = np.flatnonzero(~(size_m <= np.asarray(cell_m)).all(axis=1))
     if len(wrong):
@@ -107,6 +108,7 @@ def require_inside(meshes: Measurable, cell_m: tuple[float, float], where: str) 
 
 def _named(meshes: Any, row: int) -> str:
     """Name a mesh by its id, and by its file where it has one of its own."""
+    # A user knows the files of a folder by their names; the ids are ours.
     path = getattr(meshes[int(row)], "path", None)
     return f"mesh {meshes.ids[row]}" + (f" ({path.name!r})" if isinstance(path, Path) else "")
 

@@ -71,8 +71,10 @@ def _summary(place: Path, split: str) -> AssetSummary:
     try:
         shards = find_shards(str(place), split)
         schema = ShardedTable(shards).schema
+        # Only touches have the column; they are not opened, as no mesh is to be measured.
         if "pos_in_cell" in schema.names:
             return AssetSummary(place.name, split, "touches", sum(len(shard) for shard in shards))
+        # Nothing is kept: every mesh is measured once.
         meshes = open_meshes(shards, place.name, MemoryCache(0))
         kind = kind_of_meshes(schema)
         name = "meshes" if kind is None else kind.name

@@ -26,6 +26,7 @@ def volumes_m3(meshes: Measurable) -> NDArray[np.float64]:
     Reads the column of volumes alone where there is one, and else vertices and faces, once for each data set
     that was opened.
     """
+    # Records that a user has, whatever they say of themselves: their volumes are measured.
     if isinstance(meshes, PlainMeshes):
         return np.array([_volume_m3(mesh.vertices_m, mesh.faces, f"mesh {mesh.id}") for mesh in meshes])
     try:
@@ -67,6 +68,7 @@ def _row_of(group: RowGroup, row: int) -> str:
 
 
 def _volume_m3(vertices_m: NDArray[Any], faces: NDArray[Any], where: str) -> float:
+    # Data may be anybody's: numpy would raise an error of its own, or for -1 take the last vertex.
     if len(faces) and not (faces.min() >= 0 and faces.max() < len(vertices_m)):
         missing = faces[(faces < 0) | (faces >= len(vertices_m))]
         message = (

@@ -21,6 +21,7 @@ from tactile_toolkit.store.folder import expanded, is_there
 __all__ = ["MeshFile", "mesh_files"]
 
 _KEPT = 64
+"""As many as an ``AssetProvider`` keeps by default."""
 
 
 @dataclass(frozen=True)
@@ -61,6 +62,7 @@ class MeshFile:
 
             found = read_mesh(self.path)
             vertices_m = np.asarray(found.vertices_m, np.float32)
+            # Not processed: trimesh would merge and drop vertices, of which volume and bounds were measured.
             return Mesh(vertices_m, found.faces), trimesh.Trimesh(vertices_m, found.faces, process=False)
 
         return self.memory.get_or_make(self.path, read)
@@ -93,6 +95,7 @@ def mesh_files(place: str | PathLike[str], split: str) -> PlainMeshes | None:
             "files alone"
         )
         raise InputError(message)
+    # Without folders, two files of one name, such as nut.stl and nut.ply, would be one class by accident.
     if not classes:
         return _as_meshes(loose, [file.stem for file in loose]) if loose else None
     files = [file for held in classes.values() for file in held]
@@ -100,6 +103,8 @@ def mesh_files(place: str | PathLike[str], split: str) -> PlainMeshes | None:
 
 
 def _meshes_in(folder: Path) -> list[Path]:
+    # Hidden files may be half-written. In natural order (2 before 10) and not in that of the file system,
+    # so that ids are the same on every machine.
     found = (file for file in folder.iterdir() if file.suffix.lower() in FORMATS and file.is_file())
     return [folder / name for name in natural_order(file.name for file in found if file.name[0] != ".")]
 

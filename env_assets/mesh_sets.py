@@ -82,6 +82,7 @@ class Remembering(RecordDataset[R]):
         if self.memory is None:
             return super()._make(row)
         make = super()._make
+        # The kind of record is in the key, as all data sets of a provider share one memory.
         kept: R = self.memory.get_or_make((type(self), row.path, row.number), lambda: make(row))
         return kept
 
@@ -179,6 +180,7 @@ def measurable(meshes: Any) -> Remembering[Any] | PlainMeshes:
     """Return meshes that can be measured all at once; a source other than our provider may give others."""
     if isinstance(meshes, (Remembering, PlainMeshes)):
         return meshes
+    # The same tables and rows as a class that can: `mnist3d.load` and its like know nothing of measuring.
     return SolidMeshes(meshes._tables, meshes._rows, meshes.label_names)
 
 
@@ -283,6 +285,7 @@ def as_records(meshes: Any, label_names: Sequence[str] = ()) -> PlainMeshes | No
     """
     if not isinstance(meshes, Sequence) or isinstance(meshes, (str, bytes)):
         return None
+    # Of the first alone: reading all fields of a lazy sequence would read all meshes.
     if not all(hasattr(record, name) for record in meshes[:1] for name in _FIELDS):
         return None
     names = tuple(getattr(meshes, "label_names", label_names))

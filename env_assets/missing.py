@@ -66,6 +66,7 @@ class AssetMaker:
 
         Raises IntegrityError when the manifest of the folder is damaged.
         """
+        # What the message says must work when it is typed: a folder with other settings would refuse ours.
         recipe, folder = self._recipe(kind), self.place(kind)
         manifest = read_manifest(DataFolder(str(folder))) if folder.is_dir() else None
         if manifest is None or manifest.spec == _stored(recipe):
@@ -91,6 +92,7 @@ class AssetMaker:
     @contextlib.contextmanager
     def alone(self, kind: str) -> Iterator[None]:
         """Wait until nobody else on this machine makes assets of a kind here, and keep others waiting."""
+        # Stays for good: were it removed, two processes could each hold a file of that name.
         lock = self.root / f".{kind}.lock"
         with named_failures(str(lock)):
             self.root.mkdir(parents=True, exist_ok=True)
@@ -107,6 +109,7 @@ class AssetMaker:
 
 def _stored(recipe: Recipe) -> Any:
     """Return the specification of a recipe as a manifest gives it back."""
+    # Through JSON, which makes lists of tuples: only so are equal ones equal.
     return json.loads(json.dumps(recipe.spec().to_dict()))
 
 

@@ -172,6 +172,7 @@ class AssetProvider:
         opened = self._opened.get(("touches", name, split))
         if opened is None:
             place = place_of(self._place(name))
+            # By commit and not by branch: rounds stay as they were when somebody pushes meanwhile.
             opened = load(place, split, revision=self._commit_of(place))
             opened = self._opened.setdefault(("touches", name, split), opened)
         found: TouchSeqDataset | TouchSingleDataset = opened
@@ -242,6 +243,8 @@ class AssetProvider:
         """Return folder, file or repository that a name stands for."""
         if name in self._places:
             return self._places[name]
+        # The toolkit's own names stand for the root even before anything is there: so it is made there, and a
+        # folder of that name where the user happens to be is not taken for it.
         inside = self.root / name
         return str(inside) if name in KINDS or (is_there(inside) and inside.is_dir()) else name
 
@@ -263,7 +266,7 @@ class AssetProvider:
         made_here = name in KINDS and name not in self._places
         try:
             return find_shards(place, split, revision=self._commit_of(place))
-        except (InputError, IntegrityError) as error:
+        except (InputError, IntegrityError) as error:  # the latter of runs too that were killed: they go on
             if not made_here:
                 raise
             if isinstance(error, InputError):

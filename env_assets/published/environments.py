@@ -212,6 +212,7 @@ def assets_for(
             meshes = _meshes(environment, provider, environment.split, settings)
         else:
             meshes = _own_meshes(environment, own, settings)
+        # Where the registration wants objects turned, they arrive so (published/flat.py).
         found = {"dataset": _points(environment, meshes, settings), "smallest_dimension_up": False}
         if takes_recorded_noise(settings):
             found["sensor_noise"] = _noise_from(_required(provider, environment), settings["sensor_noise"])
@@ -260,6 +261,7 @@ def _own_meshes(environment: PublishedEnvironment, own: Any, settings: Mapping[s
     if isinstance(own, (str, PathLike)):
         where = f"{fspath(own)!r}, split {split!r},"
         own = mesh_files(own, split) or AssetProvider(places={_GIVEN: own}).meshes(_GIVEN, split)
+    # Its points are read by its own code: what it does to a mesh, nobody else knows.
     if isinstance(own, published_package("tactile_mnist").MeshDataset):
         own = PlainMeshes([PointRecord(own, index) for index in range(len(own))], tuple(own.label_names))
     meshes = own if isinstance(own, (PlainMeshes, RecordDataset)) else as_records(own)
@@ -314,6 +316,7 @@ def _meshes(
             "with id, label, vertices_m, faces and mesh; next: see `env_assets.AssetSource`"
         )
         raise InputError(message)
+    # Meshes that nobody makes here may be of any number of classes, in any order.
     kind = None if name in FOREIGN else name
     refuse_unfit_meshes(meshes, kind, where, _cell_m(settings), lays_flat=_lays_flat(settings))
     if kind is None:

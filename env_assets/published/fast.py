@@ -70,6 +70,7 @@ class _FastRenderer:
     _poses: NDArray[np.float64]
 
     def __init__(self, scene: Any, env: Any, size_px: tuple[int, int]) -> None:
+        # Past `__setattr__`, which hands on to the scene what is not here yet.
         self.__dict__.update(
             _scene=scene,
             _sensor=as_environment(*size_px),
@@ -105,6 +106,7 @@ class _FastRenderer:
         return self._objects
 
     def _show(self, objects: tuple[Any, ...]) -> None:
+        # One environment that resets gives the objects of all beside it again, which are prepared already.
         solids = dict(zip(map(id, self._meshes), self._solids, strict=True))
         self._meshes = tuple(point.mesh for point in objects)
         # Whether meshes are closed was found out before the environment started.
@@ -126,6 +128,7 @@ class _FastRenderer:
             virtual_sensor_poses = self._scene.sensor_poses
         targets = virtual_sensor_poses.matrix
         pressed = press(self._solids, self._poses, targets, self._sensor, cell_m=self._cell_m)
+        # `press` measures from where the sensor stopped, the package from where it was to go.
         travel_m = (pressed.sensor_z_m - targets[:, 2, 3]) / targets[:, 2, 2]
         return np.asarray(pressed.depth_m - travel_m[:, None, None])
 

@@ -27,6 +27,7 @@ def flat_turn(mesh: Any) -> NDArray[np.float64]:
     box = mesh.bounding_box_oriented.primitive
     short, *others = np.asarray(box.transform)[:3, :3].T[np.argsort(box.extents)]
     up = -short if short[2] < 0 else short
+    # From the longest on: of two sides that lie alike, the package takes that one.
     along = max(reversed(others), key=lambda side: abs(side[0]))
     return np.stack([along, np.cross(up, along), up])
 

@@ -133,6 +133,7 @@ def published_environments() -> list[PublishedEnvironment]:
 
 
 def _described(spec: Any) -> PublishedEnvironment:
+    # Ids without a split, such as Minecraft's, have one set of objects, which is called train.
     words = spec.id.split("-")
     split = "test" if "test" in words else "train"
     return PublishedEnvironment(FAMILIES[words[0]], split, _SPARSE in spec.id, spec)

@@ -34,6 +34,8 @@ def learned_sensor(
     from tactile_sim.learned.weights import read_weights
 
     read = read_weights(weights)
+    # Named by its content: environments of two files of one name must not share a sensor, which the package
+    # looks up by its name alone.
     content = Path(weights).expanduser().read_bytes()
     name = f"cycle_gan-{hashlib.sha256(content).hexdigest()[:16]}"
     factory: Any = published_package("tactile_mnist.tactile_renderer.factory")
@@ -69,6 +71,7 @@ def _renderer_class() -> Any:
 
             shown = depth_image(depth.cpu().numpy(), as_environment(*self._size_px))
             with torch.inference_mode():
+                # Generators end in tanh, -1 to 1; the package wants 0 to 1.
                 return (self._generator(depth_channels(shown).to(self.torch_device)) + 1) / 2
 
     return LearnedRenderer

@@ -88,6 +88,7 @@ def _state(environment: PublishedEnvironment) -> EnvironmentState:
     )
 
 
+# Hundreds of ids share three sensors, and a failing import is tried anew each time.
 @cache
 def _lacking(sensor: str) -> str:
     """Say what a sensor lacks on this machine; empty where nothing is missing."""

@@ -26,6 +26,7 @@ __all__ = [
 ]
 
 _SHOWN_BY = {"tactile_mnist": "tactile-mnist", "ap_gym": "ap-gym"}
+# X11 and Wayland: with neither, pyglet and GLX have nothing to draw on.
 _SCREENS = ("DISPLAY", "WAYLAND_DISPLAY")
 
 
@@ -114,6 +115,7 @@ def require_sensor(sensor: str, backend: str, factories: Mapping[str, Mapping[st
         choice = "; ".join(f"{name}: auto, {', '.join(of)}" for name, of in BACKENDS.items())
         message = f"no sensor {sensor!r} with backend {backend!r}; expected one of these ({choice})"
         raise InputError(message)
+    # "auto" takes the first that is installed, so it fails only where all of them do.
     chosen = [name for name in BACKENDS[sensor] if backend in (name, "auto")]
     missing = [_missing_module(name, factories.get(sensor, {})) for name in chosen]
     if None not in missing:

@@ -170,6 +170,7 @@ def mesh_file_at(place: str | Path) -> Path:
         found = "it is a folder" if is_folder else f"there is no folder {str(parent)!r}"
         message = f"{mesh_file}: cannot be written, {found}; nothing was written; next: choose another file"
         raise StorageError(message)
+    # Asked before the folder of the data set is made, which would be there without its mesh file.
     if not os.access(parent, os.W_OK):
         message = (
             f"{mesh_file}: cannot be written, no permission in {str(parent)!r}; nothing was written; next: "

@@ -72,6 +72,7 @@ def _tip_radius_mm(spec: WrenchSpec) -> float:
     nut: the disc between the jaw's flat side (at half the width w) and the circle of the head (of radius R)
     still touches that side at the nut's corner, ``(R - r)^2 - (w / 2 + r)^2 >= w^2 / 12``.
     """
+    # One jaw less than heads where the second end is plain: nothing has to be held there.
     heads_mm = (spec.head_mm, spec.second_head_mm)
     most_mm = []
     for head_mm, (_, opening_mm, _) in zip(heads_mm, _jaws(spec), strict=False):
@@ -134,6 +135,7 @@ def _jaw(spec: WrenchSpec, opening_mm: float) -> Any:
     from manifold3d import CrossSection
 
     width_mm = opening_mm + spec.clearance_mm
+    # Not by numpy's cosine, which processors round differently: the shard's bytes are the same on all.
     corners = width_mm / math.sqrt(3) * np.array([cosine_sine(math.tau * side / 6) for side in range(6)])
     way_out = CrossSection.square((spec.length_mm, width_mm)).translate((0.0, -width_mm / 2))
     # A round root breaks less easily than a sharp one, and a printer rounds it anyway.
@@ -175,6 +177,8 @@ def chamfered_plate(outline: Sequence[Line], thickness_mm: float, chamfer_mm: fl
     levels: list[tuple[Sequence[Line], float]] = [(inner, 0.0), (inner, thickness_mm)]
     if chamfer_mm:
         levels[1:1] = [(outline, chamfer_mm), (outline, thickness_mm - chamfer_mm)]
+    # Inner lines have as many corners as the outline, so that levels are joined corner by corner: offsets of
+    # manifold3d add and drop some.
     vertices_mm = np.concatenate(
         [np.insert(np.concatenate(lines), 2, z_mm, axis=1) for lines, z_mm in levels]
     )

@@ -164,6 +164,7 @@ def _require_proportions(spec: WrenchSpec) -> None:
                 f"{name} of the wrench is {head_mm:g}; its jaw of {opening_mm:g} needs {least_mm:.1f} or more"
             )
             raise InputError(message)
+        # A wider handle would swallow the circle of the head, and the jaw would be cut into the handle.
         if spec.handle_mm > head_mm:
             message = f"handle_mm of the wrench is {spec.handle_mm:g}, wider than {name} ({head_mm:g})"
             raise InputError(message)
