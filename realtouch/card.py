@@ -44,6 +44,7 @@ __all__ = ["COLUMNS", "SYNTHETIC", "is_synthetic", "write_card"]
 
 _TILES = 16
 _TILE_WIDTH = 96
+# Each is a block to unpack: of a damaged set a card should not try them all.
 _ROUNDS_SEEN = 4
 
 T = TypeVar("T")
@@ -121,6 +122,7 @@ def _first_rounds(facts: FolderFacts, kind: Kind) -> Iterator[TouchSeqRound | To
     for count, group in enumerate(shard.blocks(0)):
         if count == _ROUNDS_SEEN:
             return
+        # One of each block, so that a damaged block does not use up all tries.
         yield home(Row(group, 0))
 
 
@@ -378,6 +380,7 @@ def _card_kind(
 
 def is_synthetic(schema: Any) -> bool:
     """Tell rendered touches from recorded ones: they have a pose of the object for each touch."""
+    # Recorded rounds have at most one pose of the object; rendered ones move it after each touch.
     pose = column_type(schema, "info.object_pose.position")
     return pose is not None and list_depth(pose)[0] == 2
 

@@ -180,6 +180,7 @@ class TouchDataset(RecordDataset[R]):
     def rounds_without_media(self) -> Iterator[tuple[int, R]]:
         """Yield stored row number and round, row by row, without opening images or clips until asked for."""
         number = 0
+        # Through the stored rows in their order: each block is read once, whatever the order of the view.
         wanted = set(self.row_numbers.tolist())
         media = MEDIA_COLUMN[self.kind]
         for shard in (shard for table in self._tables for shard in table.shards):
@@ -198,6 +199,7 @@ class TouchDataset(RecordDataset[R]):
         places: dict[int, list[int]] = {}
         for place, row in enumerate(self.row_numbers.tolist()):
             places.setdefault(row, []).append(place)
+        # A view may hold a round several times, at several places.
         for row, record in self.rounds_without_media():
             for place in places[row]:
                 yield place, record
@@ -334,6 +336,7 @@ class TouchStream:
 
     def __iter__(self) -> Iterator[TouchRound]:
         """Yield rounds; a bounded block of rows is in memory at a time."""
+        # In place: who holds the list sees what this pass leaves out.
         self.skipped[:] = self._left_out
         record = TouchSingleRound if self.kind == "single" else TouchSeqRound
         for shard in self.shards:

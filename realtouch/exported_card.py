@@ -17,6 +17,8 @@ class ExportText:
     loading: str
 
 
+# What a foreign folder needs to be verified and resumed lies in `data`, so that it stays as its readers know
+# it.
 _INDEX = "is the index: it names the files of each shard with their checksums, and what stands in them."
 
 EXPORTS = {

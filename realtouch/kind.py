@@ -9,6 +9,7 @@ from tactile_toolkit.kind import DatasetKind, lazy, tactile_mnist_set
 __all__ = ["KIND"]
 
 _LICENCE = "CC BY 2.0"
+# Patterns of what `verify` and `upload` take for the data set's own beside `data`.
 _EXCHANGED = (
     "webdataset/*.tar",
     "lerobot/data/*/*.parquet",

@@ -106,6 +106,7 @@ def load(
         shards = tuple(files.shards)
         return TouchStream(shards, files.kind) if streaming else dataset_of(shards, files.kind)
     left_out = files.add_undamaged(found, at_least_one=True)
+    # Over all files: one of them may have lost touches of every round.
     expected = usual_touch_count(files.shards, place)
     if streaming:
         return TouchStream(

@@ -37,6 +37,7 @@ __all__ = [
     "find_contacts",
 ]
 
+# 291 pictures of 320 x 240: a clip is one batch, a round of images also.
 _BATCH_BYTES = 64 << 20
 
 
@@ -238,6 +239,7 @@ def find_contacts(touches: Touches[Any], rule: ContactRule | None = None, *, thr
         score = contact_score(images, background(images), rule)
         area[chosen], intensity[chosen] = score.area_px, score.intensity
 
+    # Images stand alone: the background is what those of a round have in common.
     rounds = np.unique(places)
     if count and isinstance(touches[0].round, TouchSingleRound):
         in_parallel(look_at_round, len(rounds), threads)

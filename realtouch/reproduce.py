@@ -16,6 +16,7 @@ from tactile_toolkit.errors import InputError
 
 __all__ = ["PaperNumber", "paper_numbers"]
 
+# Tactile MNIST paper, section on the real data set: 600 printed digits, 256 touches each, two gels.
 _HALF_CELL_M = 0.06
 _ROUNDS = {"train": 500, "test": 100}
 _TOUCHES = 256
@@ -150,6 +151,7 @@ def _gels(rounds: list[_Round], touches: int) -> list[PaperNumber]:
     if any(each.gel is None for each in rounds):
         return [PaperNumber(what, paper, "the set does not say", False)]
     ends, done = [], 0
+    # Ids begin with the time of recording, so that their order is that of the gels.
     for before, after in pairwise(rounds):
         done += before.touches
         if before.gel != after.gel:

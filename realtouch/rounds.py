@@ -51,6 +51,7 @@ class GroupWithoutMedia(RowGroup):
         try:
             return super().arrow(name)
         except KeyError:
+            # One round's pictures were asked for after all: its block is read whole.
             return self.whole().arrow(name)
 
     def whole(self) -> RowGroup:

@@ -94,6 +94,7 @@ def summarise(dataset: TouchDataset[Any]) -> Summary:
     has_poses = dataset.has_column(f"{POSE_COLUMN[dataset.kind]}.position")
     gels: Counter[str] = Counter()
     if dataset.has_column("info.gel_id"):
+        # Through all rounds, without their pictures: the gel is not a plain column.
         gels.update(str(record.info["gel_id"]) for _, record in dataset.rounds_without_media())
     by_label = dataset.by_label() if dataset.has_column("label") else {}
     return Summary(

@@ -148,6 +148,7 @@ class Touches(LazySequence[Touch], Generic[R]):
         last, current = -1, None
         for index in range(len(self)):
             position, touch = self.locate(index)
+            # Neighbours share a round, whose columns are then resolved once.
             if position != last or current is None:
                 last, current = position, self.dataset[position]
             yield Touch(current, touch)
@@ -359,6 +360,7 @@ class Touches(LazySequence[Touch], Generic[R]):
     def without(self, lost: Iterable[tuple[int, int | None]]) -> Touches[R]:
         """Return the touches but some, given as stored row and number in the round."""
         rows = self.dataset.row_numbers[self.round_positions].tolist()
+        # By stored row: places in a view change with each filter.
         gone = set(lost)
         pairs = zip(rows, self.touch_indices.tolist(), strict=True)
         return self[np.array([pair not in gone for pair in pairs], bool)]

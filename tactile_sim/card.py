@@ -71,6 +71,7 @@ def write_card(folder: DataFolder, manifest: Manifest) -> None:
     width, height = spec["size_px"]
     plan = spec["plan"]
     layer_m = spec.get("layer_m", 0.0)
+    # A network shows the window of the size that it was trained in, whatever the pictures are scaled to.
     across, down = spec.get("weights_size_px", (width, height))
     window = "18.88 x 14.16" if spec["like"] == "published" else f"{14.16 * across / down:.4g} x 14.16"
     made = [
@@ -111,6 +112,7 @@ def _like(like: str) -> str:
 
 
 def _counts(manifest: Manifest, split: str) -> dict[str, int]:
+    # Counted by the shards: nothing that was written is read back.
     parts: list[Any] = [record.statistics for record in manifest.shards_of(split)]
     return {name: sum(part[name] for part in parts) for name in ("touches", "on_object")}
 

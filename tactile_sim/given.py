@@ -21,6 +21,7 @@ _PLACES = ("x_m", "y_m")
 _NUMBERS = ("object_id", "round")
 _POSES = ("object_x_m", "object_y_m", "object_turn_rad")
 _COLUMNS = (*_PLACES, *_NUMBERS, *_POSES)
+# More is a wrong unit or column; sines are right up to a million turns.
 _MOST_TURNS_RAD = 1e4
 
 
@@ -129,6 +130,7 @@ class GivenTouches:
 
         T is 0 where the table has no such round.
         """
+        # None stands for every object, and for every round.
         rows = self._rows.get(
             (None if self.object_id is None else object_id, None if self.round is None else number), []
         )
@@ -140,6 +142,7 @@ class GivenTouches:
     def to_dict(self) -> dict[str, Any]:
         """Return JSON values that decide what is made: which columns, how many rows, and their checksum."""
         held = [name for name in _COLUMNS if getattr(self, name) is not None]
+        # Little-endian: the checksum is that of the numbers, not of the machine.
         stored = b"".join(
             getattr(self, name).astype(getattr(self, name).dtype.newbyteorder("<")).tobytes() for name in held
         )

@@ -20,7 +20,10 @@ from tactile_toolkit.mesh.raster import scan_lines
 
 __all__ = ["Backend", "chosen_backend", "face_blocks", "finish", "raise_heights"]
 
+# Runs of 16 to 64 are alike: a touch of a digit takes 0.10 ms, and 0.24 where all its faces are looked at (64
+# x 64, one core).
 _FACES_PER_BLOCK = 32
+# A seventh of the window; of a digit about as many faces as a run lie in each.
 _CELL_OF_FACES_M = 0.002
 
 Backend = Literal["auto", "numba", "numpy"]
@@ -93,6 +96,7 @@ def raise_heights(
         if layers is not None:
             run, sideways = (each[lines.face[line]] for each in profile)
             height += layer_rises(lines.column[line] + within, lines.row[line], height, run, sideways, layers)
+        # Unbuffered: triangles share pixels at their edges.
         np.maximum.at(upright, (lines.row[line], lines.column[line] + within), height)
 
 
@@ -126,6 +130,7 @@ def face_blocks(
     middles = (first[:, :2] + second[:, :2] + third[:, :2]) / 3
     cells = np.floor((middles - vertices[:, :2].min(axis=0)) / _CELL_OF_FACES_M).astype(np.int64)
     one, other = second - first, third - first
+    # Faces that look down are never felt: kept apart, they make the balls of the others smaller.
     down = one[:, 0] * other[:, 1] - one[:, 1] * other[:, 0] <= 0
     order = np.lexsort((cells[:, 0], cells[:, 1], down))
     corners = [each[order] for each in (first, second, third)]

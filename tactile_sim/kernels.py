@@ -23,6 +23,8 @@ def _compiled(function: F) -> F:
     jit: Any = numba.njit
     compiled: F
     try:
+        # nogil: threads may render side by side. numpy's error model: a division by 0 is an infinity, not an
+        # exception that every loop has to look for.
         compiled = jit(cache=True, nogil=True, error_model="numpy")(function)
     except RuntimeError:  # numba finds no folder for its cache
         compiled = jit(nogil=True, error_model="numpy")(function)
@@ -55,6 +57,7 @@ def raise_heights_numba(
     for block in range(len(blocks)):
         x, y, z, radius = blocks[block, 0], blocks[block, 1], blocks[block, 2], blocks[block, 3]
         middle_x, middle_y = xx * x + xy * y + xz * z + x0, yx * x + yy * y + yz * z + y0
+        # A thousandth of a pixel more: a ball is rounded, too.
         far_x, far_y = radius * reach_x + 1e-3, radius * reach_y + 1e-3
         if middle_x + far_x < 0.0 or middle_x - far_x > columns - 1:
             continue
@@ -71,6 +74,7 @@ def raise_heights_numba(
             x, y, z = vertices[c, 0], vertices[c, 1], vertices[c, 2]
             cx, cy = ((xx * x + xy * y) + xz * z) + x0, ((yx * x + yy * y) + yz * z) + y0
             cz = ((zx * x + zy * y) + zz * z) + z0
+            # Faces that look down or stand upright; so written, NaN is left out as well.
             if not (bx - ax) * (cy - ay) - (by - ay) * (cx - ax) > 0.0:
                 continue
             if max(max(ax, bx), cx) + _EDGE_PX < 0.0 or min(min(ax, bx), cx) - _EDGE_PX > columns - 1:
@@ -122,6 +126,7 @@ def _raise_rows(
         level = az + along_column * (row - ay)
         start = min(max(level + along_row * (first - ax), low_z), high_z)
         end = min(max(level + along_row * (last - ax), low_z), high_z)
+        # Both ends are bounded by the corners: a steep sliver cannot shoot beyond its own heights.
         rise = (end - start) / max(last - first, 1)
         line = out[rows - 1 - row]
         if layers is None:
@@ -281,6 +286,7 @@ def _angle(y: float, x: float) -> float:
     ratio = near / far
     folded = (ratio - 1.0) / (ratio + 1.0) if ratio > 0.41421356237309503 else ratio
     square = folded * folded
+    # Nine terms of the arcus tangent's series; below tan(pi / 8), where it is folded, they are right to 3e-9.
     series = 1.0 / 17.0
     for odd in range(15, 0, -2):
         series = 1.0 / odd - square * series
@@ -424,6 +430,7 @@ def _cast_shadows(
         for column in range(columns):
             if not sources[row, column]:
                 continue
+            # Tables of the package hold steps of these sizes; it rounds down, too.
             toward = int(direction[row, column] / plain[4])
             here = soft[row, column]
             level = math.floor((gel_mm[row, column] - here - plain[6]) / plain[5]) + int(plain[7])
@@ -438,6 +445,8 @@ def _cast_shadows(
                     y_px = np.float32(row) + along_y * fan[toward, ray, 1]
                     if x_px <= -1.0 or y_px <= -1.0 or x_px >= columns or y_px >= rows:
                         continue
+                    # Towards 0, as the package's cast: what leaves the picture by less than a pixel still
+                    # counts.
                     other_column, other_row = int(x_px), int(y_px)
                     if here < soft[other_row, other_column]:
                         for colour in range(3):

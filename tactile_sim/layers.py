@@ -25,6 +25,7 @@ __all__ = ["checked_layer_m", "layer_rises", "profiles", "seen_layers"]
 
 Numbers = NDArray[np.float64]
 
+# Printers lay 0.05 to 0.6 mm; a wrong unit is off by a thousand.
 _LEAST_M, _MOST_M = 2e-5, 2e-3
 _SLACK = 0.005  # of a layer: rounding must not decide whether a top at the middle of a layer is printed
 _LEVEL = 1e-9  # least slope: the outline of a level face is far away, and still a finite number

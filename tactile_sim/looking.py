@@ -31,6 +31,7 @@ def look(mesh: MeshLike, spec: GenerateSpec, x_m: float, y_m: float, *, turn_rad
     sensor = spec.sensor(optics)
     solid = Pressable.of(mesh, layer_m=spec.layer_m)
     pressed = press(solid, pose(z_m=-solid.foot_m, turn_rad=turn_rad), pose(x_m, y_m), sensor)
+    # Noise is drawn as for round 0 of an object 0, so that a look is the same each time.
     pictures = optics.render(pressed.depth_m[None], sensor, spec.size_px)
     picture = noisy(spec, pictures, "look", 0, 0)[0]
     return Look(picture, pressed.sensor_z_m, float((pressed.depth_m < sensor.gel_m).mean()))

@@ -140,6 +140,7 @@ def add_noise(
     for touch, picture in enumerate(pictures):
         field = _of_touch(noise, touch_rng(touch), picture.shape)
         shown = picture / 255
+        # Contrast is about the mean of the picture, as in the package: brightness stays.
         mean = shown.mean()
         shown = (shown - mean) * gain + mean + (pattern + field + offset)
         noisy[touch] = np.rint(255 * shown.clip(0, 1))
@@ -179,6 +180,7 @@ def _field(rng: np.random.Generator, shape: tuple[int, ...], exponent: float, co
     from scipy.fft import irfft2, rfft2
 
     height, width = shape[:2]
+    # The common field first: the package draws in this order.
     white = np.concatenate([rng.normal(size=(height, width, 1)), rng.normal(size=shape)], axis=2)
     # Transforms of real numbers, several at once: a sixth of the time of numpy's complex ones.
     spectrum = rfft2(white, axes=(0, 1)) * _amplitudes(height, width, exponent)[..., None]
@@ -193,5 +195,6 @@ def _amplitudes(height: int, width: int, exponent: float) -> Numbers:
     frequency = np.hypot(down[:, None], across[None])
     factors = np.zeros_like(frequency)
     factors[frequency > 0] = frequency[frequency > 0] ** (-exponent / 2)
+    # Scaled by what the exponent leaves of white noise, so that a deviation means the same at each.
     power = np.mean(factors**2)
     return np.asarray((factors / np.sqrt(power) if power else factors)[:, : width // 2 + 1])

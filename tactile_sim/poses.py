@@ -60,6 +60,7 @@ def as_matrices(value: Any, name: str) -> Matrix:
     `tactile-mnist` and of scipy. Raises InputError for anything that moves no solid body.
     """
     found: Any = value
+    # scipy's transforms have `as_matrix()`, those of the published package an attribute `matrix`.
     if not isinstance(value, np.ndarray):
         if hasattr(value, "as_matrix"):
             found = value.as_matrix()

@@ -71,12 +71,14 @@ class Pressable:
         InputError
             The mesh is open, inside out, flat, or has corners that are no numbers; layers of no such height.
         """
+        # Prepared already: its layers are its own.
         if isinstance(solid, Pressable):
             return solid
         layer_m = checked_layer_m(layer_m)
         mesh = as_mesh(solid)
         if check:
             _require_closed(mesh)
+        # The type that both backends compute in: a condition for the same bytes.
         vertices = np.ascontiguousarray(mesh.vertices_m, np.float64)
         return cls(vertices, *face_blocks(vertices, np.asarray(mesh.faces, np.int32)), layer_m)
 
@@ -191,6 +193,7 @@ def press(
     affines = _to_pixels(inverse_times(targets, objects), sensor)
     plates = _to_pixels(inverse_times(targets, np.eye(4)[None]), sensor)
     plate_m = np.array([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]]) * [cell_m[0] / 2, cell_m[1] / 2, 0.0]
+    # Nearly always a plate is level and fills the window: one number, no triangle.
     levels = _level_plates(plate_m, plates, sensor)
     # Where there is neither object nor plate: the far end of the published camera.
     nothing_m = -2 * max(cell_m)

@@ -59,8 +59,10 @@ def touch_table(rows: Sequence[TouchRow], class_names: tuple[str, ...], suffix: 
     import pyarrow as pa
 
     schema = touch_schema(class_names)
+    # Where no object of a shard bounds a solid.
     if not rows:
         return schema.empty_table()
+    # No turn, as x, y, z, w: sensors of the published sets keep their orientation.
     upright = np.array([0.0, 0.0, 0.0, 1.0])
     columns = {
         # As published: the pose after the shift, so that touch i was rendered at the pose of touch i - 1.

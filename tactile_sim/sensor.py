@@ -94,6 +94,7 @@ def as_sensor(width_px: int = 320, height_px: int = 240) -> Sensor:
     Sensor
         18.88 x 14.16 mm; pixels look at their centres.
     """
+    # The window stays, whatever the aspect: so are the published 64 x 64 pictures made.
     return Sensor((width_px, height_px))
 
 

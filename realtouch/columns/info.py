@@ -62,6 +62,7 @@ def read_info(row: Row) -> Info:
     for name in row.group.names:
         if not name.startswith("info."):
             continue
+        # The published sets store the struct `info` as flat columns with dotted names.
         *outer, last = name.split(".")[1:]
         group: Any = nested
         for part in outer:

@@ -41,8 +41,10 @@ def _as_timedelta(values: NDArray[Any]) -> NDArray[np.timedelta64]:
     """Return times as ``timedelta64``: numbers count seconds and are rounded to nanoseconds."""
     if values.dtype.kind == "m":
         return values
+    # Durations arrive as seconds in floats, too.
     nanoseconds = np.round(np.asarray(values, np.float64) * 1e9)
     unknown = ~np.isfinite(nanoseconds)
+    # What NaN becomes as a whole number differs between processors.
     times = np.where(unknown, 0, nanoseconds).astype(np.int64).astype("timedelta64[ns]")
     times[unknown] = np.timedelta64("NaT", "ns")
     return times
@@ -180,6 +182,7 @@ def cut(row: Row, name: str, width: int) -> tuple[NDArray[Any], ...]:
     lengths = clip_lengths(row)
     column, first, last = entries_of(row, name)
     padded = _padded(column, first, last, width)
+    # Published clips are padded to the longest of their round: one view, cut T times.
     if padded is not None and lengths is not None and padded.shape[1] >= lengths.max(initial=0):
         return tuple(values[:length] for values, length in zip(padded, lengths.tolist(), strict=True))
     return tuple(

@@ -54,6 +54,7 @@ def column_of(row: Row, name: str) -> NestedColumn:
 
 def touch_total(row: Row) -> int:
     """Return T: the number of intended positions, or else of images or clips, or of poses read alone."""
+    # Once for a block of rows: this is asked for each touch.
     starts = row.group.once("starts of touches", lambda: _touch_starts(row))
     return starts if isinstance(starts, int) else int(starts[row.index + 1] - starts[row.index])
 
@@ -169,6 +170,7 @@ def int_value(row: Row, name: str) -> int:
     value = plain_value(row, name)
     if isinstance(value, float) and np.isfinite(value):  # a null beside it made numpy's column inexact
         value = stored_value(row, name)
+    # Files of others store whole numbers as floats, and missing ones as NaN.
     if not np.isfinite(value) or int(value) != value or not 0 <= value < _INT_LIMIT:
         raise damaged(row, name, f"the value is {value}; expected a whole number of 0 or more, below 2**63")
     return int(value)

@@ -99,6 +99,7 @@ def contact_z_m(row: Row, kind: Kind) -> NDArray[np.float64]:
     """
     if kind == "seq":
         name = f"{_POSE_SEQUENCE}.position"
+        # A clip without frames has no height: infinity is refused below.
         heights = np.array([touch[:, 2].min(initial=np.inf) for touch in cut(row, name, 3)])
     else:
         name = f"{_POSE}.position"
@@ -133,6 +134,7 @@ def known_contact_z_m(row: Row, kind: Kind) -> NDArray[np.float64]:
     try:
         return contact_z_m(row, kind)
     except IntegrityError:
+        # One by one only where something is damaged: all at once is many times as fast.
         heights = np.full(touch_total(row), np.nan)
     for touch in range(len(heights)):
         with suppress(IntegrityError):

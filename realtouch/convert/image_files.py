@@ -100,6 +100,7 @@ class WritePictures:
             raise damaged(row, "id", f"{problem}; expected ids that differ")
         base = None
         if self.difference is not None and row.has("sensor_image") and touch_total(row):
+            # Of the whole round, once; a clip has a background of its own.
             base = background(TouchSingleRound(row))
         made = [self._picture(row, touch, split, base) for touch in range(touch_total(row))]
         for line, encoded in made:
@@ -165,6 +166,7 @@ def repeated_ids(source: Source, choices: Mapping[str, RowChoices]) -> dict[str,
 
 def pictures_are_whole(folder: DataFolder, record: ShardRecord) -> bool:
     """Tell whether every picture that a finished shard lists is there, unchanged."""
+    # By checksum, not by size: pictures are files that people open and save.
     table = Shard(folder.address(record.shard.data_path)).read(columns=["file", "sha256"])
     return all(is_whole_file(folder, line["file"], line["sha256"]) for line in table.to_pylist())
 
@@ -190,6 +192,7 @@ def write_index(folder: DataFolder, manifest: Manifest) -> dict[str, str]:
             writer.writerow(header)
         writer.writerows([record.shard.split, *line.values()] for line in table.to_pylist())
     content = stream.getvalue().encode()
+    # Only where it differs: a run over a finished set changes nothing.
     if not folder.exists(INDEX_FILE) or folder.read_bytes(INDEX_FILE) != content:
         folder.write_bytes(INDEX_FILE, content)
     return {INDEX_FILE: sha256_hex(content)}

@@ -57,7 +57,9 @@ __all__ = [
 
 KIND = "realtouch"
 
+# What a worker may hold, unpacked.
 _SHARD_BYTES = 256 << 20
+# A touch read at random unpacks its whole row group.
 _GROUP_BYTES = 32 << 20
 _MOST_ROWS_PER_SHARD = 64
 _READERS = 4  # threads that read footers
@@ -135,6 +137,7 @@ def _values_and_bytes(shard: Shard, column: str) -> tuple[int, int]:
 def _file_fingerprint(shard: Shard) -> dict[str, Any]:
     folder, name = file_at(shard.path)
     with folder.open(name) as stream:
+        # A Parquet file ends in the length of its footer and four letters.
         size = stream.seek(-8, 2) + 8
         footer_bytes = int.from_bytes(stream.read(4), "little")
         stream.seek(-8 - footer_bytes, 2)
@@ -155,6 +158,7 @@ def refuse_source(folder: DataFolder, source: Source) -> None:
     out = Path(folder.address()).resolve()
     home = Path(source.name).expanduser().resolve()
     files = [Path(shard.path).absolute() for shards in source.shards.values() for shard in shards]
+    # By both paths: files of the Hub's cache are links into another folder.
     real = [file.resolve() for file in files]
     if any(file.is_relative_to(out) for file in real):
         found = "holds the source"
@@ -298,6 +302,7 @@ class _ConvertShard:
         tables, skipped = [self.schema.empty_table()], []
         for choice, row in self._rows():
             try:
+                # Cast: Arrow names the items of lists in several ways, and a file has one schema.
                 tables.append(self.step.apply(row, choice, self.shard.split).cast(self.schema))
             except IntegrityError as error:
                 skipped.append(Skipped(choice.row, DAMAGED, str(error)))
@@ -309,6 +314,7 @@ class _ConvertShard:
 
     def _rows(self) -> Iterator[tuple[RowChoice, Row]]:
         """Read the blocks that hold chosen rows, one at a time, in order."""
+        # Row groups without a chosen row are not read at all.
         wanted = {choice.row: choice for choice in self.choices}
         first, last = min(wanted), max(wanted)
         start = self.start

@@ -56,6 +56,7 @@ class TakeContactFrames:
         if leaf is None:
             message = f"the source has no column '{_POSE_SEQUENCE}.position'; expected poses of each frame"
             raise InputError(message)
+        # In the precision of the source: poses are copied, not computed.
         number = pa.float64() if "double" in str(leaf) else pa.float32()
         video = column_type(source, "sensor_video")
         count = video.list_size if pa.types.is_fixed_size_list(video) else -1
@@ -104,6 +105,7 @@ def contact_frame_of(clip: TouchClip, method: ContactMethod) -> int:
     """Choose the frame of a clip; the last one of registered contact where ``"median"`` sees none."""
     try:
         return clip.contact_index(method)
+    # "median" saw no contact: the touch stays in its round all the same.
     except ItemError:
         return clip.contact_index("contact_end")
 

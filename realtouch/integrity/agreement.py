@@ -103,6 +103,7 @@ def usual_touch_count(shards: Iterable[Shard], place: str | Sequence[str]) -> in
     if folder is not None:
         manifest = read_manifest(folder)
         spec = {} if manifest is None else manifest.spec
+        # Such rounds differ in length by intention.
         if spec.get("options", {}).get("contact") or spec.get("operation") == "import":
             return None
     counts: Counter[int] = Counter()

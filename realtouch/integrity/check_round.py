@@ -99,6 +99,7 @@ def check_round(
             size = _check_frames(row, clip, decode)
             if size is not None:
                 sizes[touch] = size
+    # Several fields may run into one fault, and say the same of it.
     return list(dict.fromkeys([*found, *_odd_sizes(row, sizes, media)]))
 
 
@@ -107,6 +108,7 @@ def _noted(found: list[Damage], row: Row) -> Iterator[None]:
     """Note what is wrong instead of raising it."""
     try:
         yield
+    # A set is not damaged because PyAV is missing here.
     except MissingExtraError:  # says nothing of the data
         raise
     except DamagedRoundError as error:

@@ -123,6 +123,7 @@ def verify(
         check = partial(
             check_round, expected_touches=expected, decode=not quick, class_names=files.stated_names
         )
+        # In the order of the rows, whoever comes first: findings do not depend on the number of workers.
         for row, problems in in_threads(partial(_checked, check), _readable_rows(files.shards), workers):
             findings += problems
             if isinstance(row, Row):

@@ -81,6 +81,8 @@ class TouchClip(Sequence[Pixels]):
     def __init__(self, row: Row, touch: int) -> None:
         self._row, self.touch = row, touch
         self.data = stored_clip(row, touch)
+        # The index is read only where the stated length does not find a frame without it: one frame of a clip
+        # is the common wish.
         self._avi: Avi | None = None
         self._index: AviIndex | None = None
         stated = clip_length(row, touch)
@@ -150,6 +152,7 @@ class TouchClip(Sequence[Pixels]):
     def __iter__(self) -> Iterator[dict[str, Any]]:  # type: ignore[override]
         """Yield ``{"data", "pts"}``: a (3, H, W) uint8 tensor (without torch an array), and seconds."""
         to_data: Callable[[Pixels], Any] = np.asarray
+        # Consumers of torchvision's reader expect tensors; without torch the arrays do.
         with contextlib.suppress(ImportError):
             import torch
 

@@ -18,6 +18,7 @@ from tactile_toolkit.touch.jpeg import Pixels, decode_image, image_size, room_fo
 
 __all__ = ["SensorImages", "in_parallel"]
 
+# Long enough that taking a run costs nothing, short enough that threads end together.
 _LONGEST_RUN = 16
 
 
@@ -142,11 +143,13 @@ def in_parallel(work: Callable[[int], object], count: int, threads: int) -> None
             while run := next_run():
                 for piece in run:
                     work(piece)
+        # The others would go on with pieces that nobody wants any more.
         except BaseException:
             while next_run():
                 pass
             raise
 
+    # Decoders leave the interpreter's lock; what they write is one array, so that nothing is handed back.
     with ThreadPoolExecutor(threads - 1) as pool:
         others = [pool.submit(share) for _ in range(threads - 1)]
         share()

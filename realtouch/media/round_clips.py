@@ -34,6 +34,7 @@ class SensorClips(Sequence[TouchClip]):
         self.row = row
         column, self._start, stop = entries_of(row, "sensor_video")
         self._count = stop - self._start
+        # Kept here: opening a clip takes several times as long as finding one frame.
         self._blobs: BytesColumn = column.values
         self._lengths: list[int] | None = None
 

@@ -35,6 +35,7 @@ FRAMES_PER_FILM = 24
 
 _TILE_WIDTH_PX = 160
 _FILM_COLUMNS = 6
+# A round of clips shows 1,536 frames.
 _QUALITY = 80
 
 DEFAULT_TOUCHES = 64
@@ -185,6 +186,7 @@ def film_of(clip: TouchClip, name: str) -> tuple[bytes, dict[str, Any]]:
     These say for the page which frames and times (seconds) are shown, and the first and last tile in contact.
     """
     window = clip.contact_window
+    # Both ends of the contact are always among them: they are what one looks for.
     numbers = np.unique([*evenly_spaced(len(clip), FRAMES_PER_FILM), window.start, window.stop - 1])
     jpeg, columns, _ = sheet_of(list(clip.frames(numbers)), _FILM_COLUMNS)
     return jpeg, {

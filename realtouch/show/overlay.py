@@ -33,7 +33,9 @@ SENSING_AREA_M = (0.01888, 0.01416)
 CELL_M = (0.12, 0.12)
 """Size of the cell along x and y, metres (package tactile-mnist 0.13.0)."""
 
+# Share of a side over which a picture fades: no edges show where touches overlap.
 _FEATHER = 0.06
+# A touch of bare plate counts a little, or nothing would be seen where only such are.
 _PLAIN_WEIGHT = 0.02
 _MOST_THREADS = 4
 
@@ -92,6 +94,7 @@ def placed_touches(record: TouchRound, touches: Sequence[int]) -> list[Placed]:
 
 def cell_map(touches: Sequence[Placed], px_per_mm: float, cell_m: tuple[float, float] = CELL_M) -> CellMap:
     """Return a map that holds the cell and every touch whole."""
+    # Touches near the edge of the cell reach beyond it.
     reach = np.array(cell_m) / 2
     for touch in touches:
         half = np.abs(touch.axes * np.array(SENSING_AREA_M)[:, None] / 2).sum(axis=0)

@@ -20,6 +20,7 @@ from tactile_sim.sensor import as_environment, as_sensor
 
 __all__ = ["Batch", "Batches", "by_taxim"]
 
+# Enough for a median without noise, and 100 MB at 256 x 256 pixels.
 _LEVEL_TOUCHES = 512
 
 
@@ -69,6 +70,8 @@ class Batches:
         self._rank = rank
         self._crop = config.crop_px(pairs.size_px)
         self._taxim = by_taxim(pairs) if config.start_steps else None
+        # One batch ahead is enough, as decoding is much faster than a step; a thread, as decoders and torch
+        # leave the interpreter's lock.
         self._pool = ThreadPoolExecutor(1)
         self._ahead: tuple[int, Any] | None = None
 
@@ -111,6 +114,7 @@ class Batches:
         simulated = None if taxim is None else cropped[:, -3:]
         numbers = self._drawn(self._pairs.real, rng)
         pictures = picture_channels(self._pairs.real.images(numbers))
+        # A touch has no depth to go with its row and column: only those two are kept.
         where = depth_channels(np.ones((1, height, width), np.float32))[:, :2]
         touch = self._cropped(torch.cat([pictures, where.expand(len(pictures), -1, -1, -1)], dim=1), rng)
         contact = torch.from_numpy(self._pairs.real.contact[numbers])[:, None, None, None]
@@ -120,6 +124,7 @@ class Batches:
         """Return the relief that Taxim shows of depth, on what the sensor shows of nothing."""
         shown = picture_channels(taxim(np.concatenate([images, np.ones_like(images[:1])])))
         level = shown[-1] if self._level is None else self._level
+        # The colours of Taxim's own gel are taken away, and those of the real one put in their place.
         return (level + shown[:-1] - shown[-1]).clip(-1, 1)
 
     def _drawn(self, domain: Domain, rng: np.random.Generator) -> Any:

@@ -21,7 +21,7 @@ __all__ = ["depth_channels", "noisy_channels", "picture_channels", "shades_of"]
 def depth_channels(images: NDArray[np.float32]) -> Any:
     """Return the input of a generator, (n, 3, H, W) float32, -1 to 1, of depth images (n, H, W), 0 to 1."""
     depth = torch.from_numpy(np.ascontiguousarray(images, np.float32))
-    depth = torch.where((depth == 0).all(dim=-1).all(dim=-1)[:, None, None], 1.0, depth)
+    depth = torch.where((depth == 0).all(dim=(-2, -1))[:, None, None], 1.0, depth)
     count, height, width = depth.shape
     row = torch.linspace(0, 1, height)[None, :, None].expand(count, height, width)
     column = torch.linspace(0, 1, width)[None, None, :].expand(count, height, width)
@@ -40,6 +40,7 @@ def noisy_channels(channels: Any, noise: SensorNoise, rng: np.random.Generator) 
     drawn = draw_noise(noise, rng, (count, height, width, colours))
     gain, added = (torch.from_numpy(each).to(channels) for each in drawn)
     mean = channels.mean(dim=(1, 2, 3), keepdim=True)
+    # Twice the noise: values run from -1 to 1, where a picture has a range of 1.
     shown = mean + (channels - mean) * gain[:, None, None, None] + 2 * added.permute(0, 3, 1, 2)
     return shown.clip(-1, 1)
 

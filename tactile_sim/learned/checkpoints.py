@@ -59,6 +59,7 @@ def claim_folder(folder: DataFolder, settings: Mapping[str, Any], *, resume: boo
     folder.require_folder()
     there = settings_of(folder)
     if there is not None:
+        # As they would be read back: tuples become lists.
         wanted = json.loads(json.dumps(settings))
         differing = [name for name in wanted["config"] if there["config"].get(name) != wanted["config"][name]]
         differing += ["pairs"] if there["pairs"] != wanted["pairs"] else []
@@ -106,6 +107,7 @@ def read_checkpoint(folder: DataFolder) -> dict[str, Any] | None:
             "train again in another folder"
         )
         raise IntegrityError(message)
+    # weights_only: a checkpoint is data, and unpickling it must run no code.
     found: dict[str, Any] = torch.load(io.BytesIO(content), map_location="cpu", weights_only=True)
     return found
 

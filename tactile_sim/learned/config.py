@@ -11,6 +11,7 @@ from tactile_toolkit.errors import InputError
 
 __all__ = ["TrainConfig"]
 
+# Five convolutions of 4 x 4, three of them halving, leave a patch of 2 x 2.
 _LEAST_CROP_PX = 32
 
 

@@ -34,11 +34,13 @@ __all__ = ["BASELINES", "Evaluation", "Measured", "evaluate", "told_apart", "und
 BASELINES = ("taxim", "untrained")
 """What trained weights may be compared with."""
 
+# A half of these is held back: fewer say nothing.
 _LEAST = 40
 _LABELS_FROM = 2000
 _LABEL_STEPS = 1500
 _STEADY = 0.04  # five levels
 _COARSE = 4
+# What the gel can be pressed by: depth images run from 0 to 1 over it.
 _GEL_UM = 2125.0
 _SHOWN = 6
 _READER_STEPS = 600  # after 120, contact was read at chance from what 400 read at 96 %
@@ -269,6 +271,7 @@ class _Bench:
     def real(self) -> Measured:
         """Measure one half of the real touches against the other: nothing can be better."""
         held, other = self.pictures[self.held], self.pictures[~self.held]
+        # Halves of all touches at random, as made and real pictures are of the same objects too.
         drawn = np.random.default_rng(self.seed).permutation(len(self.rows))
         one, same = ((self.pictures[drawn[k::2]], self.objects[drawn[k::2]]) for k in (0, 1))
         apart = told_apart(one, same, self.seed)

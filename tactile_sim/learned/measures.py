@@ -10,6 +10,7 @@ __all__ = ["colour_distance", "kernel_distance", "spectrum_distance"]
 Features = NDArray[np.float64]
 Pictures = NDArray[np.uint8]
 
+# The paper of KID takes 100 of 1,000 pictures; sets here are often smaller than that.
 _SUBSETS = 50
 _LARGEST_SUBSET = 100
 
@@ -20,8 +21,10 @@ def kernel_distance(first: Features, second: Features, seed: int = 0) -> tuple[f
     The unbiased squared MMD with the kernel (x.y / d + 1)^3 (Binkowski et al. 2018), over random subsets;
     both are scaled by mean and deviation of the first.
     """
+    # Features of a network have scales of their own, which the kernel would add up.
     mean, deviation = first.mean(axis=0), first.std(axis=0) + 1e-9
     one, other = (first - mean) / deviation, (second - mean) / deviation
+    # Half of each set at most, or all subsets would be the same.
     size = min(_LARGEST_SUBSET, len(one) // 2, len(other) // 2)
     if size < 2:
         return float("nan"), float("nan")

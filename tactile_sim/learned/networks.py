@@ -47,6 +47,7 @@ class Generator(nn.Module):  # type: ignore[misc]
         def after(channels: int) -> list[Any]:
             return [nn.InstanceNorm2d(channels), nn.ReLU(inplace=True)]
 
+        # Reflected, not zeros: a grey border would be something to see.
         layers: list[Any] = [nn.ReflectionPad2d(3), nn.Conv2d(3, filters, 7), *after(filters)]
         for channels in (filters, 2 * filters):
             layers += [nn.Conv2d(channels, 2 * channels, 3, stride=2, padding=1), *after(2 * channels)]
@@ -84,6 +85,7 @@ def initialise(network: Any, seed: int) -> None:
     What doubles the size begins as linear interpolation: drawn freely, it draws a chequered grain.
     """
     rng = torch.Generator().manual_seed(seed)
+    # By name: the order of modules does not decide which numbers a layer gets.
     for name, parameter in sorted(network.named_parameters()):
         with torch.no_grad():
             if name.endswith("bias"):

@@ -72,6 +72,7 @@ class Reader:
         white = torch.Generator().manual_seed(self._seed)
         for step in range(self._steps):
             optimiser.param_groups[0]["lr"] = _RATE * (1 - step / self._steps)
+            # A class first, then a picture of it: rare answers are learned as well.
             chosen = np.array([rng.choice(groups[int(rng.integers(len(groups)))]) for _ in range(_BATCH)])
             shown = pictures[chosen]
             if self._noise:

@@ -39,6 +39,8 @@ class _Learned:
         import torch
 
         made: dict[bytes, Any] = {}
+        # Most touches may meet nothing (of the real ones four of five), and a network takes far longer than a
+        # digest.
         keys = [hashlib.sha256(each.contiguous().numpy()).digest() for each in channels]
         with torch.inference_mode():
             for number, key in enumerate(keys):

@@ -139,6 +139,7 @@ def train(
         if place.rank == 0:
             claim_folder(folder, {"config": config.to_dict(), "pairs": data.identity}, resume=resume)
         _wait()
+        # After the folder is claimed: a refusal should not wait for networks to be built.
         model = CycleGan(config, place.device, compiled=compiled)
         run = _Run(config, data, folder, place, model, on_progress)
         first, log = run.restored()
@@ -260,6 +261,7 @@ def _pictures(channels: Any, name: str, size_px: tuple[int, int]) -> Any:
 @contextmanager
 def _alone(folder: DataFolder, place: _Place) -> Iterator[None]:
     """Hold the folder, so that no other training writes there; InputError where one is at work."""
+    # Object stores know no locks; the other processes of torchrun belong to the first.
     if place.rank or not folder.is_local:
         yield
         return
@@ -279,6 +281,7 @@ def _alone(folder: DataFolder, place: _Place) -> Iterator[None]:
 @contextmanager
 def _processes(device: str, *, deterministic: bool) -> Iterator[_Place]:
     """Find out where to compute, and join the other processes of ``torchrun`` where there are any."""
+    # torchrun tells each process who it is by these variables.
     rank, count = int(os.environ.get("RANK", "0")), int(os.environ.get("WORLD_SIZE", "1"))
     chosen = _device(device)
     if deterministic and chosen != "cpu":

@@ -49,6 +49,7 @@ _PUBLISHED = {
     "touch": "cycle_gan_tactile_mnist_v0.npz",
     "depth": "cycle_gan_inverse_tactile_mnist_v0.npz",
 }
+# A name in a file must not decide how much is built before it was compared.
 _MOST_BLOCKS, _MOST_FILTERS = 64, 1024
 _SIDES_PX = range(16, 2049)
 
@@ -211,6 +212,7 @@ def _noted_size(comment: bytes, where: str) -> tuple[int, int]:
 def weights_bytes(weights: GeneratorWeights) -> bytes:
     """Return the content of a file of weights; equal weights give equal bytes."""
     buffer = io.BytesIO()
+    # Stored, not deflated: floats of a network do not compress, and zlib differs between machines.
     with zipfile.ZipFile(buffer, "w") as archive:
         for name in layer_shapes(weights.filters, weights.blocks):
             entry = zipfile.ZipInfo(f"{name}.npy", (1980, 1, 1, 0, 0, 0))  # no time of day in it

@@ -74,6 +74,7 @@ def make_optics(name: str, weights: str | Path | None = None) -> Optics:
     MissingExtraError
         The packages that it needs are not installed.
     """
+    # Each is imported when it is asked for: Taxim needs numba, CycleGAN needs torch.
     makers: dict[str, Callable[[], Any]] = {
         "depth": DepthOptics,
         "taxim": lazy("tactile_sim.optics.taxim:TaximOptics"),

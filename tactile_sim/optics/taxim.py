@@ -72,6 +72,7 @@ class TaximOptics:
         for number in range(count):
             taxim_numba(
                 out[number],
+                # Taxim counts from the surface of the gel, in millimetres, negative where it is pressed.
                 depth_m[number] * 1000.0 - sensor.gel_m * 1000.0,
                 shape.gel_mm,
                 shape.background,
@@ -141,6 +142,7 @@ def _tables() -> _Tables:
     rays = int(simulator["fan_angle"] * 2 / simulator["fan_precision"])
     spread = np.linspace(-simulator["fan_angle"], simulator["fan_angle"], rays)
     fan = np.array([[cosine_sine(float(d + s)) for s in spread] for d in directions], np.float32)
+    # Blue and red again.
     lists = stored["shadowTable"]["shadowTable"][::-1]
     longest = max(map(len, lists.reshape(-1)))
     shadows = np.full((len(directions), lists.shape[2] + 1, longest, 3), np.inf)
@@ -164,6 +166,7 @@ def _tables() -> _Tables:
     # The package compares the mean difference of the first column with a threshold in levels.
     mixed = ((smooth - frame).mean(axis=0) < simulator["diff_threshold"])[0]
     background = np.where(mixed, share * smooth + (1 - share) * frame, frame)
+    # Only differences count: the highest point of the gel is its zero.
     gel_mm -= gel_mm.max()
     return _Tables(colours, fan, shadows, lengths, plain, simulator, gel_mm, background)
 
@@ -204,6 +207,7 @@ def _half_kernel(sigma_px: float) -> Numbers:
     half = int(taps) // 2
     place = np.arange(half + 1) / sigma_px
     weights = decay(0.5 * place * place)
+    # Added one by one: `sum` of numpy adds in blocks that depend on the processor.
     total = weights[0]
     for weight in weights[1:]:
         total = total + 2 * weight

@@ -117,5 +117,6 @@ class Pairs:
             Domain(table, split == "depth", (width, height))
             for table, split in zip(tables, SPLITS, strict=True)
         )
+        # Content and order of the rows: what a training may go on with.
         checksums = "/".join(record.sha256 for split in SPLITS for record in manifest.shards_of(split))
         return cls(depth, real, (width, height), like, checksums)

@@ -40,6 +40,7 @@ class PairRow:
 
 def depth_levels(image: NDArray[np.float32]) -> NDArray[np.uint16]:
     """Return a depth image, 0 to 1, as 16-bit levels; one of zeros, a level surface, as no contact."""
+    # A level surface and a bare plate give the same image; the paper's 'non-contact 0' is the plate.
     if not image.any():
         return np.full(image.shape, DEPTH_LEVELS, np.uint16)
     return np.rint(image.astype(np.float64) * DEPTH_LEVELS).astype(np.uint16)
