@@ -40,7 +40,7 @@ from tactile_toolkit.store.manifest import Manifest
 from tactile_toolkit.touch.jpeg import decode_image
 from tactile_toolkit.touch.schema import Kind, column_type, kind_of
 
-__all__ = ["COLUMNS", "SYNTHETIC", "is_synthetic", "write_card"]
+__all__ = ["COLUMNS", "IMPORTED", "SYNTHETIC", "is_imported", "is_synthetic", "write_card"]
 
 _TILES = 16
 _TILE_WIDTH = 96
@@ -174,6 +174,8 @@ SYNTHETIC_COLUMNS: dict[str, Column] = {
     "object_id": ("", "`id` of the mesh of the touched object, in the data set that it comes from"),
 }
 
+_OBJECT_OF_OTHERS: Column = ("", "number of the touched object, as the source gave it")
+
 _FAMILIES: dict[str, Column] = {"info.": ("", "metadata of the round, as recorded")}
 
 INDEX_COLUMNS: dict[str, Column] = {
@@ -220,6 +222,10 @@ Cell frame: origin at the centre of the 120 x 120 mm cell; metres; right-handed.
 in this frame; quaternions are x, y, z, w. The zero of z drifts by up to 3 mm between rounds: take the
 deepest touch of a round as the plate, or `plate_z_m` where that column is there."""
 
+_FRAMES_OF_OTHERS = """\
+Positions and poses, where there are columns of them, are those of the source: metres, in a frame that its
+maker knows; quaternions are x, y, z, w. Rows and columns of images lie as they were stored."""
+
 _COMMON = (
     "The pose of the gel is that of the arm; an object may have moved a little while it was touched.",
     "Force is estimated from the arm's joints: 5 N are not the same at every place of the cell.",
@@ -232,6 +238,10 @@ _LIMITS: dict[str, tuple[str, ...]] = {
     "single": (*_COMMON, "Images are JPEG; what compression lost is lost."),
     "frames": _COMMON,
     "export": _COMMON,
+    "imported": (
+        "Nothing is known here of the sensor, of how touches were made, or who may use the images.",
+        "Labels and poses are those of the source; nobody compared them with the images.",
+    ),
     "synthetic": (
         "Rendered images lack the texture of prints, the wear of gels and the shift of objects.",
         "Touch i was rendered against the object pose of touch i - 1 in the published sets.",
@@ -243,6 +253,8 @@ _PRINTABILITY = {
     "real": """\
 `object_id` is the `id` of the touched object's mesh in its own data set: for the real touches MNIST 3D, whose
 splits `printed_train` and `printed_test` were printed, and whose report tells height, walls and volume.""",
+    "imported": """\
+Nothing is known here of the touched objects.""",
     "synthetic": """\
 Nothing was printed: the objects are meshes. `object_id` is the `id` of the mesh in its data set.""",
 }
@@ -252,6 +264,8 @@ _CardKind = Literal["seq", "single", "synthetic", "frames", "export"]
 _PLAIN = ("frames", "export")
 SYNTHETIC = "synthetic"
 """What the option ``touches`` of plain pictures says of touches that were rendered."""
+IMPORTED = "imported"
+"""What the option ``touches`` of any conversion says where it was of images of others."""
 
 _TITLES: dict[_CardKind, str] = {
     "seq": "Real touches: clips",
@@ -260,7 +274,7 @@ _TITLES: dict[_CardKind, str] = {
     "frames": "Touches as plain pictures",
     "export": "Touches",
 }
-_RENDERED_PICTURES = "Synthetic touches as plain pictures"
+_ORIGINS = {"synthetic": "Synthetic", "imported": "Imported"}
 _LICENCE = (
     "cc-by-2.0",
     "CC BY 2.0, as the published touches: name their authors, and say what was changed.",
@@ -270,16 +284,22 @@ _LICENCE_OF_TOUCHES = (
     "That of the touches: CC BY 2.0 for the published real ones; name their authors.",
 )
 _LICENCES = {"frames": _LICENCE_OF_TOUCHES, "export": _LICENCE_OF_TOUCHES}
+_IMPORTED_LICENCE = (
+    "other",
+    "The terms of the images that were imported: ask whoever made them before passing them on.",
+)
 _SYNTHETIC_LICENCE = (
     "other",
     "The terms of the published set that the touches come from; see its page on the Hub.",
 )
 
+_CITED = {"real": (TACTILE_MNIST, HWD_PLUS), "synthetic": (TACTILE_MNIST,)}
 _CITATIONS = {
     "real": (
         "The touches and the digits: Schneider et al. 2025. The digits were made from the handwriting of "
         "HWD+ (Beaulac and Rosenthal 2022)."
     ),
+    "imported": "Whoever made the images wants to be named, as they ask for it.",
     "synthetic": "The touches: Schneider et al. 2025.",
 }
 
@@ -301,7 +321,10 @@ def write_card(
     options = {} if manifest is None else manifest.spec.get("options", {})
     # Of plain pictures the manifest alone knows whether the touches were rendered.
     rendered = card == "synthetic" or (card in _PLAIN and options.get("touches") == SYNTHETIC)
-    licence, licence_text = _SYNTHETIC_LICENCE if rendered else _LICENCES.get(card, _LICENCE)
+    origin = "synthetic" if rendered else "imported" if is_imported(manifest) else "real"
+    licence, licence_text = _LICENCES.get(card, _LICENCE)
+    if origin != "real":
+        licence, licence_text = _SYNTHETIC_LICENCE if rendered else _IMPORTED_LICENCE
     figures: list[_SplitFigures] = []
     size: tuple[int, int] | None = None
     if card == "frames":
@@ -312,11 +335,16 @@ def write_card(
         sheet, size = _touch_sheet(facts, stored), _picture_size(facts, stored)
         figures = [_split_figures(split, stored) for split in facts.splits]
         columns = SYNTHETIC_COLUMNS if rendered else COLUMNS
-    title = _RENDERED_PICTURES if rendered and card == "frames" else _TITLES[card]
+    title = _TITLES[card]
+    if origin == "imported":
+        columns = {**columns, "object_id": _OBJECT_OF_OTHERS}
+        title = title.replace("Real", "Imported")
+    if origin != "real" and card == "frames":
+        title = f"{_ORIGINS[origin]} {title[0].lower()}{title[1:]}"
     words: dict[str, str] = {}
     if card == "export":
         text = EXPORTS.get(str(options.get("layout")), EXPORTS["flat"])
-        title = f"Synthetic: {text.title}" if rendered else text.title
+        title = f"{_ORIGINS[origin]}: {text.title}" if origin != "real" else text.title
         words = {
             "layout_text": text.summary,
             "content_text": text.content,
@@ -337,26 +365,28 @@ def write_card(
         "split_table": _split_table(facts, figures, manifest),
         "contact_mm": f"{1e3 * MIN_CONTACT_HEIGHT_M:g}",
         "field_table": field_table(facts, columns, _FAMILIES),
-        "frames": _FRAMES,
-        "limits": "\n".join(f"- {line}" for line in _LIMITS["synthetic" if rendered else card]),
-        "printability": _PRINTABILITY["synthetic" if rendered else "real"],
+        "frames": _FRAMES_OF_OTHERS if origin == "imported" else _FRAMES,
+        "limits": "\n".join(f"- {line}" for line in _LIMITS[card if origin == "real" else origin]),
+        "printability": _PRINTABILITY[origin],
         "licence_text": licence_text,
-        "citation_text": _CITATIONS["synthetic" if rendered else "real"],
-        "bibtex": bibtex(TACTILE_MNIST, *(() if rendered else (HWD_PLUS,))),
+        "citation_text": _CITATIONS[origin],
+        "bibtex": bibtex(*_CITED[origin]) if origin in _CITED else "",
     }
     real_tags = ["mnist", "digits", "video"] if card == "seq" else ["mnist", "digits"]
     write_card_files(
         folder,
         facts,
         manifest,
-        KIND.card_template.format(card),
+        KIND.card_template.format("imported" if origin == "imported" and card == stored else card),
         values,
         ("touches.png", sheet, "Some touches, each at contact"),
         license=licence,
         pretty_name=title,
         task_categories=["robotics", "image-classification"],
         task_ids=["multi-class-image-classification"],
-        tags=[
+        tags=["tactile", "touch"]
+        if origin == "imported"
+        else [
             "tactile",
             "active-perception",
             "gelsight",
@@ -385,6 +415,15 @@ def is_synthetic(schema: Any) -> bool:
     return pose is not None and list_depth(pose)[0] == 2
 
 
+def is_imported(manifest: Manifest | None) -> bool:
+    """Tell whether a folder holds images of others, be they imported or what was made of such."""
+    if manifest is None:
+        return False
+    options = manifest.spec.get("options")
+    touches = options.get("touches") if isinstance(options, dict) else None
+    return manifest.spec.get("operation") == "import" or touches == IMPORTED
+
+
 def _made(manifest: Manifest | None) -> str:
     if manifest is None:
         return (
@@ -394,10 +433,13 @@ def _made(manifest: Manifest | None) -> str:
     source = manifest.spec["source"]
     files = ", ".join(f"{split}: {len(names)}" for split, names in source.items())
     rows = ", ".join(f"{split}: {sum(file['rows'] for file in names):,}" for split, names in source.items())
+    found = f"files {files}; rounds {rows}; `manifest.json` names and fingerprints each file"
+    if manifest.spec["operation"] == "import":
+        found = f"images {rows}; `manifest.json` has the checksum of their list"
     lines = [
         ("made by", f"tactile-toolkit {manifest.toolkit_version} (schema {manifest.schema_version})"),
         ("command", f"`realtouch {manifest.spec['operation']}`"),
-        ("source", f"files {files}; rounds {rows}; `manifest.json` names and fingerprints each file"),
+        ("source", found),
         ("rounds left out", skipped_text(manifest)),
     ]
     return markdown_table(("", ""), lines) + "\n\nOptions:\n\n" + json_block(manifest.spec["options"])

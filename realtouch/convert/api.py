@@ -8,13 +8,14 @@ from __future__ import annotations
 
 import operator
 from collections.abc import Callable, Iterable
+from dataclasses import replace
 from functools import partial
 from os import PathLike, fspath
 from typing import Any, Literal, SupportsIndex
 
 import numpy as np
 
-from realtouch.card import SYNTHETIC, is_synthetic, write_card
+from realtouch.card import IMPORTED, SYNTHETIC, is_imported, is_synthetic, write_card
 from realtouch.contact import MIN_CONTACT_HEIGHT_M, require_method
 from realtouch.convert.image_files import (
     IMAGE_FOLDER,
@@ -332,6 +333,9 @@ def convert(
     """Write a conversion as a data set folder with a card; an interrupted one goes on where it stopped."""
     folder = DataFolder(fspath(out))
     refuse_source(folder, conversion.source)
+    if is_imported(conversion.source.manifest()):
+        options = {**conversion.options, "touches": IMPORTED}  # the terms are those of the images
+        conversion = replace(conversion, options=options)
     return build(
         folder,
         plan_conversion(conversion),

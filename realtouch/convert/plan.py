@@ -28,7 +28,7 @@ from tactile_toolkit.read.dataset import Row
 from tactile_toolkit.read.parquet import Shard
 from tactile_toolkit.run.threads import in_threads
 from tactile_toolkit.store.folder import DataFolder, file_at
-from tactile_toolkit.store.manifest import Manifest
+from tactile_toolkit.store.manifest import Manifest, read_manifest
 from tactile_toolkit.store.parquet import ParquetStyle
 from tactile_toolkit.store.plan import BuildPlan, ShardContent
 from tactile_toolkit.store.shards import DAMAGED, ShardName, ShardRecord, Skipped, rows_per_shard
@@ -90,6 +90,11 @@ class Source:
     def schema(self) -> pa.Schema:
         """Arrow schema of the first shard."""
         return next(iter(self.shards.values()))[0].schema
+
+    def manifest(self) -> Manifest | None:
+        """Return the manifest beside the shards, where there is one."""
+        data, _ = file_at(next(iter(self.shards.values()))[0].path)
+        return read_manifest(file_at(data.address())[0])
 
     def row_bytes(self) -> int:
         """Return the size of a row unpacked, on average over the data set; at least 1."""

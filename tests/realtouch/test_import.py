@@ -17,7 +17,9 @@ from typer.testing import CliRunner
 
 import realtouch
 from cli.realtouch import app
+from tactile_toolkit.cards.checks import check_card
 from tactile_toolkit.errors import InputError, IntegrityError
+from tactile_toolkit.store.folder import DataFolder
 from tactile_toolkit.touch.jpeg import MAX_IMAGE_BYTES
 from tests.realtouch import factories
 from tests.tactile_toolkit.toy import folder_bytes
@@ -83,6 +85,34 @@ def home(tmp_path: Path) -> Path:
 
 def line(name: str, label: str = "cat", pose: str = "0 0 0.1 0 0 0 1") -> dict[str, str]:
     return {"file": name, "label": label, "pose": pose}
+
+
+@pytest.mark.parametrize("kind", ["imported", "smaller", "chosen", "flat", "webdataset", "frames"])
+def test_no_card_claims_that_images_of_others_are_ours_to_license(
+    kind: str, single_folder: Path, tmp_path: Path
+) -> None:
+    realtouch.frames(single_folder, tmp_path / "there", "jpeg", split="train")
+    out, imported = tmp_path / "out", tmp_path / "imported"
+    realtouch.import_images(tmp_path / "there", imported, "folder", COLUMNS)
+    if kind == "imported":
+        out = imported
+    elif kind == "smaller":  # also of what was made of it
+        realtouch.select(imported, tmp_path / "some", labels=["0", "1"])
+        realtouch.resize(tmp_path / "some", out, width=48, height=36)
+    elif kind == "chosen":
+        realtouch.select(imported, out, labels=["0", "1"])
+    elif kind == "frames":
+        realtouch.frames(imported, out)
+    else:
+        realtouch.export(imported, out, kind)  # type: ignore[arg-type]
+    card, croissant = (out / "README.md").read_text(), json.loads((out / "croissant.json").read_text())
+    assert "license: other" in card
+    assert "mported" in card.split("\n# ")[1].split("\n")[0]
+    for words in ("CC BY", "cc-by", "Schneider", "GelSight", "Franka", "MNIST", "gel pad", "120 x 120"):
+        assert words not in card, words
+    assert croissant["license"].startswith("The terms of the images that were imported")
+    assert "citeAs" not in croissant
+    assert check_card(DataFolder(str(out))) == []
 
 
 def test_what_cannot_be_used_is_left_out_and_named(home: Path, tmp_path: Path) -> None:
