@@ -177,8 +177,10 @@ def _file_objects(folder: DataFolder, manifest: Manifest | None) -> Iterator[dic
     if manifest is None:
         return
     digests = {MANIFEST_FILE: _manifest_digest(folder, manifest)}
-    # What the Hub's page shows says nothing that the shards do not.
-    digests |= {path: each for path, each in sorted((manifest.files or {}).items()) if not _is_shown(path)}
+    shown = f"{VIEWER_FOLDER}/"  # of the Hub's page: it says nothing that the shards do not
+    digests |= {
+        path: each for path, each in sorted((manifest.files or {}).items()) if not path.startswith(shown)
+    }
     if len(manifest.shards) <= _MOST_SHARDS_NAMED:
         digests |= {record.shard.data_path: record.sha256 for record in manifest.shards}
     for path, digest in digests.items():
@@ -190,10 +192,6 @@ def _file_objects(folder: DataFolder, manifest: Manifest | None) -> Iterator[dic
             "encodingFormat": guessed or "application/octet-stream",
             "sha256": digest,
         }
-
-
-def _is_shown(path: str) -> bool:
-    return path.startswith(f"{VIEWER_FOLDER}/")
 
 
 def _manifest_digest(folder: DataFolder, manifest: Manifest) -> str:

@@ -84,7 +84,8 @@ def find_files(
     repositories: dict[HubName, HubRepository] = {}  # one each, so that its files are of one commit
     for name in names:
         file = _file_here(name)
-        named = hub_name(name, revision) if file is None and not _stands_here(name) else None
+        is_here = _is_of_store(name) or _local_place(name) is not None
+        named = None if is_here else hub_name(name, revision)
         if named is not None and _is_file(named):
             key = HubName(named.repo_id, named.revision, "")
             repository = repositories.setdefault(key, HubRepository(named.repo_id, named.revision))
@@ -156,10 +157,6 @@ def _file_here(name: str) -> str | None:
         return place_of_data(name) if name.endswith(_PARQUET) else None
     place = _local_place(name)
     return str(place) if place is not None and place.is_file() else None
-
-
-def _stands_here(name: str) -> bool:
-    return _is_of_store(name) or _local_place(name) is not None
 
 
 def _is_of_store(name: str) -> bool:

@@ -12,6 +12,7 @@ import shutil
 import tempfile
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path, PurePosixPath
 
 from tactile_toolkit.cards.card import CARD_FILE
@@ -171,7 +172,7 @@ def _plan_for_folder(
     wanted = [*splits, *(split for split in before if split in now)] if splits else []
     chosen, all_splits, shards = _chosen_splits(repository, wanted)
     files = _wanted(repository, [*_extras(repository, chosen, fitted=False), *shards])
-    missing = _missing(files, _presence(folder, record))
+    missing = _missing(files, partial(_is_here, folder, record))
     recorded = record.files if record else {}
     _refuse_own_files(folder, [file.path for file in missing if file.path not in recorded])
     kept = {file.path for file in files}
@@ -197,7 +198,7 @@ def _plan_by_cache(
         shards = _chosen_splits(repository, further)[2]
         added = _wanted(repository, [*_extras(repository, further, fitted=False), *shards])
         files |= {file.path: file for file in added}
-    missing = _missing(files.values(), _presence(folder, record))
+    missing = _missing(files.values(), partial(_is_here, folder, record))
     _require_cached_if_offline(repository, [*(file.path for file in missing), *record.labels])
     chosen = tuple(split for split in record.splits if split in {*here, *further})
     return DownloadPlan(
@@ -215,7 +216,7 @@ def _plan_by_record(
     files = tuple(record.files.values())
     if not set(splits or record.splits) <= here or not _is_labelled(folder, record.labels):
         return None
-    if _missing(files, _presence(folder, record)):
+    if _missing(files, partial(_is_here, folder, record)):
         return None
     chosen = tuple(split for split in record.splits if split in here)
     return DownloadPlan(repository, folder, record.commit, chosen, record.splits, files, (), is_done=True)
@@ -320,26 +321,17 @@ def _missing(files: Iterable[HubFile], is_here: Callable[[HubFile], bool]) -> tu
     return tuple(file for file, there in zip(wanted, here, strict=True) if not there)
 
 
-def _presence(folder: DataFolder, record: DownloadRecord | None) -> Callable[[HubFile], bool]:
-    """Return a test whether a folder holds a file whole, as far as that can be known."""
-    return lambda file: _is_here(folder, file) if folder.is_local else _is_in_store(folder, record, file)
-
-
-def _is_in_store(folder: DataFolder, record: DownloadRecord | None, file: HubFile) -> bool:
-    """Tell whether a store holds a file; what a finished download wrote there is known by its size."""
+def _is_here(folder: DataFolder, record: DownloadRecord | None, file: HubFile) -> bool:
+    """Tell whether a folder holds a file whole, as far as that can be known."""
     if file.digest is None or not folder.exists(file.path) or folder.size_bytes(file.path) != file.size_bytes:
         return False
+    if folder.is_local:
+        return is_whole(Path(folder.address(file.path)), file.digest, anew=True)
+    # A store changes no bit by itself: what a finished download wrote there is known by its size.
     if record is not None and record.finished and record.files.get(file.path) == file:
         return True
     with folder.open(file.path) as stream:
         return file.digest.of_stream(stream, file.size_bytes) == file.digest
-
-
-def _is_here(folder: DataFolder, file: HubFile) -> bool:
-    path = Path(folder.address(file.path))
-    if not path.is_file() or path.stat().st_size != file.size_bytes or file.digest is None:
-        return False
-    return is_whole(path, file.digest, anew=True)
 
 
 def _labels_of(repository: HubRepository) -> tuple[str, ...]:

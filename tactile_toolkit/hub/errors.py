@@ -223,12 +223,14 @@ class _Request:
         status = status_of(error)
         if status is None:
             return None
+        wait = getattr(getattr(error, "response", None), "headers", {}).get("Retry-After")
+        when = f"in {wait} s" if wait and str(wait).isdigit() else "in some minutes"
         doing = self.task
         words = {
             409: f"{self.subject} has that already: {_server_words(error)}; next: choose another name",
             412: f"{self.subject} was changed by someone else meanwhile; next: run the same command again",
             429: (
-                f"the Hub wants fewer requests (429) while {doing}; next: try again {_when(error)}, what has "
+                f"the Hub wants fewer requests (429) while {doing}; next: try again {when}, what has "
                 "arrived is kept"
             ),
         }
@@ -345,8 +347,3 @@ def _server_words(error: BaseException) -> str:
     words = getattr(error, "server_message", None) or str(error)
     lines = [line.strip() for line in str(words).splitlines() if line.strip()]
     return lines[0][:300] if lines else type(error).__name__
-
-
-def _when(error: BaseException) -> str:
-    wait = getattr(getattr(error, "response", None), "headers", {}).get("Retry-After")
-    return f"in {wait} s" if wait and str(wait).isdigit() else "in some minutes"

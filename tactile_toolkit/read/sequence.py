@@ -471,14 +471,9 @@ class LazySequence(Sequence[T], Generic[T]):
     def _class_counts(self) -> dict[str, int]:
         if "label" not in self._plain_columns:
             return {}
-        numbers, counts = np.unique(self.labels, return_counts=True)
-        found = {
-            self._class_name(int(number)): int(count) for number, count in zip(numbers, counts, strict=True)
-        }
-        return dict.fromkeys(self.label_names, 0) | found
-
-    def _class_name(self, number: int) -> str:
-        return self.label_names[number] if 0 <= number < len(self.label_names) else str(number)
+        known, (numbers, counts) = self.label_names, np.unique(self.labels, return_counts=True)
+        names = (known[label] if 0 <= label < len(known) else str(label) for label in numbers.tolist())
+        return dict.fromkeys(known, 0) | dict(zip(names, counts.tolist(), strict=True))
 
     def _classes_in_words(self) -> str:
         try:
