@@ -79,6 +79,7 @@ class MissingExtraError(InputError):
 
 def install_line(extra: str) -> str:
     """Return what installs the packages of an extra anywhere, with or without a checkout of the toolkit."""
+    # Here: every command line starts with this file.
     import shlex
     from importlib.metadata import PackageNotFoundError, requires
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import re
+import reprlib
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from fnmatch import fnmatch
 from posixpath import normpath
@@ -26,6 +27,7 @@ _DOLLAR = re.compile(r"\$(?:(?P<bare>[a-z_]\w*)|\{(?P<braced>[a-z_]\w*)\})")
 # Code may have variables of its own, some of which are called like placeholders.
 _CODE = re.compile(r"```.*?```|`[^`\n]+`", re.DOTALL)
 _PICTURE = re.compile(r"!\[[^\]]*\]\((?P<path>[^)\s]+)\)")
+_MOST_SHOWN = 300
 _REQUIRED = ("license", "pretty_name", "task_categories", "tags")
 
 
@@ -75,7 +77,7 @@ def _head(text: str) -> dict[str, Any]:
     try:
         parsed: dict[str, Any] = DatasetCard(text).data.to_dict()  # type: ignore[no-untyped-call]
         return parsed
-    except yaml.YAMLError as error:
+    except (yaml.YAMLError, RecursionError) as error:
         raise ValueError(_first_line(error)) from error
 
 
@@ -98,7 +100,7 @@ def _wrong_files(head: Mapping[str, Any], facts: FolderFacts) -> Iterator[str]:
         stated = {}
     if set(stated) != set(held):
         named = " and ".join(map(repr, held))
-        yield f"its 'configs' are {found!r}; expected {named}, with data_files of each split"
+        yield f"its 'configs' are {_shown(found)}; expected {named}, with data_files of each split"
         return
     everything = [path for splits in held.values() for paths in splits.values() for path in paths]
     for name, there in held.items():
@@ -117,8 +119,8 @@ def _wrong_splits_of(
         )
         if matched != sorted(there[split]):
             yield (
-                f"{stated[split]!r} of split {split!r} finds {len(matched)} files; its {len(there[split])} "
-                f"are {there[split][0]} and so on"
+                f"{_shown(stated[split])} of split {split!r} finds {len(matched)} files; "
+                f"its {len(there[split])} are {there[split][0]} and so on"
             )
 
 
@@ -132,11 +134,11 @@ def _wrong_info(head: Mapping[str, Any], facts: FolderFacts) -> Iterator[str]:
     yield from _wrong_splits(stated.get("splits"), expected["splits"])
     for name in ("download_size", "dataset_size"):
         if stated.get(name) != expected[name]:
-            yield f"its {name!r} is {stated.get(name)!r}, expected {expected[name]}"
+            yield f"its {name!r} is {_shown(stated.get(name))}, expected {expected[name]}"
     yield from _wrong_columns(stated.get("features"), facts)
     category = [size_category(facts.rows)]
     if head.get("size_categories") not in (category, category[0]):
-        yield f"its 'size_categories' are {head.get('size_categories')!r}, expected {category}"
+        yield f"its 'size_categories' are {_shown(head.get('size_categories'))}, expected {category}"
 
 
 def _wrong_splits(stated: Any, expected: list[dict[str, Any]]) -> Iterator[str]:
@@ -149,7 +151,7 @@ def _wrong_splits(stated: Any, expected: list[dict[str, Any]]) -> Iterator[str]:
             continue
         for key in ("num_examples", "num_bytes"):
             if found.get(key) != entry[key]:
-                yield f"{key} of split {entry['name']!r} is {found.get(key)!r}, expected {entry[key]}"
+                yield f"{key} of split {entry['name']!r} is {_shown(found.get(key))}, expected {entry[key]}"
     for name in by_name:
         yield f"its 'dataset_info' names split {name!r}, which the folder does not have"
 
@@ -170,7 +172,15 @@ def _wrong_columns(stated: Any, facts: FolderFacts) -> Iterator[str]:
 def _described(entry: Mapping[str, Any] | None) -> str:
     if entry is None:
         return "missing"
-    return str({key: value for key, value in entry.items() if key != "name"})
+    return _shown({key: value for key, value in entry.items() if key != "name"})
+
+
+def _shown(value: Any) -> str:
+    """Return the beginning of a value's repr."""
+    # A head of a few lines may name its own parts so often that all of it would fill any memory.
+    short = reprlib.Repr()
+    short.maxstring = short.maxother = _MOST_SHOWN
+    return short.repr(value)[:_MOST_SHOWN]
 
 
 def _gaps(text: str) -> Iterator[str]:

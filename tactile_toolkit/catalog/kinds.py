@@ -36,6 +36,7 @@ def require_kind(kind: DatasetKind, command: str, name: str, datasets: Iterable[
     stated = None if manifest is None else manifest.kind
     if stated is None:
         schemas = (table.schema for dataset in datasets for table in dataset._tables)
+        # What does not say of what kind it is may well be of this one.
         other: DatasetKind | None = next(filter(None, map(kind_of_meshes, schemas)), kind)
     else:
         other = next((each for each in kinds() if each.name == stated), None)

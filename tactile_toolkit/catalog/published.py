@@ -78,6 +78,7 @@ def states(sets: Sequence[PublishedSet]) -> list[SetState]:
 def _state(entry: PublishedSet) -> SetState:
     found: HubSnapshot | None = None
     with contextlib.suppress(ToolkitError):
+        # Of a list, nobody waits for a Hub in trouble.
         found = look_at(entry.repo_id, patient=False)
     snapshot = None if found is None or found.is_cache else found
     cache = RepositoryCache(entry.repo_id)

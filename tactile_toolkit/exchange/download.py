@@ -142,6 +142,7 @@ def _plan(repository: HubRepository, splits: Sequence[str], out: str | None) -> 
         is_offline = repository.snapshot.is_cache
     except HubError as error:
         done = _plan_by_record(repository, folder, record, splits)
+        # A refusal counts, whatever is here.
         if done is None or not is_unanswered(error):
             raise
         return done
@@ -512,6 +513,6 @@ def _fitted_card(content: bytes, folder: DataFolder, note: str) -> bytes:
             head["size_categories"] = [size_category(facts.rows)]
         if "dataset_info" in head:
             head["dataset_info"] = dataset_info(facts)
-    except (yaml.YAMLError, ToolkitError):
+    except (yaml.YAMLError, RecursionError, ToolkitError):
         return content
     return (head_text(head) + note + match["body"]).encode()

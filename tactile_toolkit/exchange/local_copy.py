@@ -29,6 +29,7 @@ class LocalCopy:
         sizes = dict(_files_below(folder, ""))
         paths = names_inside(sizes, repr(folder.address()))
         self.root = Path(tempfile.mkdtemp(prefix="tactile-toolkit-"))
+        # Not a TemporaryDirectory, which warns of every object that is not closed.
         self._removal = weakref.finalize(self, shutil.rmtree, self.root, ignore_errors=True)
         needed, free = sum(sizes.values()), shutil.disk_usage(self.root).free
         if needed > free:

@@ -46,6 +46,7 @@ def staged_folder(path: Path, refuse: Callable[[Path], None] = lambda _folder: N
 def _put_in_place(staging: Path, path: Path, refuse: Callable[[Path], None]) -> None:
     if not path.exists():
         try:
+            # One step for whoever looks: no moment without a whole folder.
             staging.rename(path)
         except OSError:
             # Another run may have been faster: its folder holds something.

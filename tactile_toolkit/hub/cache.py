@@ -40,6 +40,7 @@ def remember_whole(file: Path, digest: Digest) -> None:
     mark = _mark(file, digest)
     with contextlib.suppress(OSError):
         mark.parent.mkdir(parents=True, exist_ok=True)
+        # The name of an empty file says it all: nothing to lock, nothing to tear.
         mark.touch()
 
 

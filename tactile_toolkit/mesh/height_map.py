@@ -229,6 +229,7 @@ class HeightCache(DiskCache):
 def content_key(mesh: Any, pitch_m: float) -> str:
     """Name the height map of a mesh: equal vertices, triangles and pitch give an equal name."""
     vertices_m, faces = np.ascontiguousarray(mesh.vertices_m), np.ascontiguousarray(mesh.faces)
+    # Types too: the same bytes in another precision are another mesh.
     digest = hashlib.sha256(repr((_VERSION, float(pitch_m), vertices_m.dtype.str, faces.dtype.str)).encode())
     digest.update(vertices_m.data)
     digest.update(faces.data)

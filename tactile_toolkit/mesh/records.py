@@ -57,6 +57,8 @@ class SolidRecord(Record):
 
             return trimesh.Trimesh(self.vertices_m, self.faces, process=False)
 
+        # Nearly all of the 76 µs of a mesh are trimesh's own, which takes no float32 as it is
+        # (benchmarks/README.md).
         return self._once("mesh", build)
 
     @property

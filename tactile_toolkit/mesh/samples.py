@@ -103,6 +103,7 @@ def voxels_in(
     (ab_x, ab_y), (ac_x, ac_y) = (points[:2, faces.T[corner]] - points[:2, faces.T[0]] for corner in (1, 2))
     upwards = ab_x * ac_y > ab_y * ac_x
     # How often the surface is entered less how often it is left, on the way up a column: 1 inside.
+    # One layer more, for what is entered or left above the box.
     change = np.zeros((layers + 1) * rows * columns, np.int32)
     for lines in scan_lines(points, faces, (rows, columns), both_sides=True):
         for line, pixel, height in pixels_of(lines, columns):

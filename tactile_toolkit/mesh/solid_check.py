@@ -86,6 +86,7 @@ def check_manifold(mesh: Mesh) -> ManifoldCheck:
     outer = [part for part in parts if part.volume() > 0]
     genus = sum(part.genus() for part in parts)
     if problem is not None:
+        # Some of the space is counted twice.
         if problem[0] in ("overlap", "self-crossing"):
             volume_mm3 = math.nan
         return ManifoldCheck(None, status, *problem, len(outer), genus, volume_mm3)

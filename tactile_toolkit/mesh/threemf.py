@@ -149,6 +149,7 @@ class _Package:
         if element.get("transform") is not None:
             numbers = [float(number) for number in element.attrib["transform"].split()]
             matrix = np.array(numbers).reshape(4, 3)
+        # Each model of a package has a unit of its own.
         ratio = model.mm_per_unit / here.mm_per_unit
         mirrored = np.linalg.det(matrix[:3]) < 0
         return [

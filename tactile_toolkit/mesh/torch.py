@@ -177,6 +177,7 @@ class SolidTensors(torch.utils.data.Dataset):  # type: ignore[misc]
     def _tensor(self, record: SolidRecord, place: int) -> torch.Tensor | MeshItem:
         vertices_m, faces = record.vertices_m, record.faces
         if self.form == "points":
+            # Not of torch's generator, whose state differs from worker to worker.
             random = np.random.default_rng([self.seed, self.epoch, place])
             return torch.from_numpy(surface_points(vertices_m, faces, self.points, random))
         if self.form == "voxels":

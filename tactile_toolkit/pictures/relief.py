@@ -31,6 +31,7 @@ def relief(
     low, high = vertices[:, :2].min(axis=0), vertices[:, :2].max(axis=0)
     # A mesh in millimetres, taken for metres, would have 10^10 pixels.
     pitch_m = max(pitch_m, float((high - low).max()) / _MOST_PX)
+    # Four pixels of paper on every side, and one for the pixel that the last corner lies in.
     width, height = (np.ceil((high - low) / pitch_m).astype(int) + 9).tolist()
     columns, rows = ((vertices[:, :2] - low) / pitch_m + 4).T
     # Rows grow with y here, so that triangles keep their orientation; the picture is turned over at the end.

@@ -119,6 +119,7 @@ def plan_kinds(
             reasons.append(error)
     if not pictures and reasons:
         raise reasons[0]
+    # Several kinds may lack the same package.
     return PicturePlan(tuple(pictures), tuple(dict.fromkeys(str(reason) for reason in reasons)))
 
 
@@ -192,4 +193,5 @@ def file_stem(name: str) -> str:
     path = Path(name).expanduser()
     last = path.resolve().name if path.is_dir() else path.stem if path.is_file() else path.name
     plain = "".join(letter if letter.isalnum() or letter in "-_." else "-" for letter in last)
+    # With a dot in front it would be hidden, and with a dash an option.
     return plain.strip("-.") or "pictures"

@@ -106,6 +106,7 @@ def settle(path: Path, content: bytes, check: Callable[[Path], None] = lambda _p
 def holds(path: Path, content: bytes) -> bool:
     """Tell whether a file is there with exactly this content."""
     try:
+        # The size first: most files that differ need not be read.
         return path.stat().st_size == len(content) and path.read_bytes() == content
     except FileNotFoundError:
         return False

@@ -116,6 +116,7 @@ def _piece(item: PrintObject, spec: PlateSpec, scale: float) -> Piece:
     verdict = require_solid(standing(item.load(), scale))
     outline = outline_of(verdict.manifold)
     width_mm, depth_mm = outline.size_mm
+    # Outlines as wide as the plate fit, whatever their last bits.
     if width_mm > spec.inner_mm[0] + 1e-6 or depth_mm > spec.inner_mm[1] + 1e-6:
         margins = f" less {spec.margin_mm:g} mm at each edge" if spec.margin_mm else ""
         message = (
@@ -138,6 +139,7 @@ def arrange(measured: Measured, on_progress: Progress = _silent) -> Layout:
     placed over all attempts.
     """
     spec, pieces = measured.spec, measured.pieces
+    # Plates that are filled to the last bit are not one more.
     least = math.ceil(sum(piece.area_mm2 for piece in pieces) / spec.area_mm2 - 1e-9)
     packed = pack([piece.cells for piece in pieces], spec.cells, least, on_progress)
     cell_width_mm, cell_depth_mm = spec.cell_mm

@@ -112,6 +112,7 @@ def pack_mjcf(bodies: Sequence[tuple[Body, tuple[float, float]]], model: str, fl
     world = ElementTree.SubElement(root, "worldbody")
     if floor:
         ElementTree.SubElement(world, "light", pos="0 0 1", dir="0 0 -1", directional="true")
+        # Without end, and 5 cm between the lines that are drawn on it.
         ElementTree.SubElement(world, "geom", name="floor", type="plane", size="0 0 0.05")
     for body, (x_m, y_m) in bodies:
         _add_asset(assets, body.name, body.mesh, with_faces=True)
@@ -135,6 +136,7 @@ def pack_mjcf(bodies: Sequence[tuple[Body, tuple[float, float]]], model: str, fl
                 "type": "mesh",
                 "group": "3",
                 "mass": "0",
+                # Against turning and rolling, MuJoCo's own defaults.
                 "friction": _text((body.friction, 0.005, 1e-4)),
             }
             ElementTree.SubElement(element, "geom", {"name": name, "mesh": name, **collision})

@@ -35,6 +35,7 @@ class StoredParts:
     @classmethod
     def of(cls, starts: NDArray[np.int64], order: NDArray[np.int64] | None = None) -> StoredParts:
         """Return the parts that hold anything."""
+        # A part without items begins where the next one does.
         return cls(np.unique(starts), order)
 
     def __len__(self) -> int:

@@ -344,6 +344,7 @@ class Shard:
 
     def _found_now(self) -> tuple[object, ...]:
         path = self.path
+        # One call for most files: only of a link is asked where it leads.
         facts = os.lstat(path)
         if stat.S_ISLNK(facts.st_mode) or path[0] != "/":
             real = os.path.realpath(path)

@@ -298,6 +298,8 @@ class TrainingBatches(torch.utils.data.IterableDataset):  # type: ignore[misc]
         workers = max(first["workers"], 1)
         counts = [state["batches"] for state in states]
         batches = sum(counts)
+        # Workers take turns, the first ones first: other counts are of states that were taken at different
+        # times.
         in_turn = [batches // workers + (index < batches % workers) for index in range(workers)]
         if counts != in_turn or any(state["epoch"] != first["epoch"] for state in states):
             message = (

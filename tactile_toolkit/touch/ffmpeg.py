@@ -100,6 +100,7 @@ def _frames(container: Any, chosen: set[int]) -> Iterator[tuple[int, Pixels]]:
                 if frame.is_corrupt:
                     message = f"frame {coded} is damaged"
                     raise ValueError(message)
+                # Out they come in the order in which they are shown, by which they are counted.
                 number = waiting.popleft() if waiting else coded
                 if number in chosen:
                     yield number, frame.to_ndarray(format="rgb24")

@@ -226,7 +226,9 @@ def test_what_is_missing_is_named(folder, harm, file, words):
         "dataset_info: {splits: [{name: [1]}]}",
         "dataset_info: {features: [{name: [1]}]}",
         "1: 2",
+        "tags: " + "[" * 100_000,
     ],
+    ids=lambda lines: lines[:60],
 )
 def test_a_head_with_values_of_other_types_is_named(folder, lines):
     card = folder / "README.md"
@@ -234,6 +236,14 @@ def test_a_head_with_values_of_other_types_is_named(folder, lines):
     values = {key: value for key, value in yaml.safe_load(head).items() if not lines.startswith(f"{key}:")}
     card.write_text(f"---\n{yaml.safe_dump(values)}{lines}\n---\n{body}")
     assert any("YAML head cannot be read" in problem for problem in problems(folder))
+
+
+def test_a_head_that_repeats_itself_is_shown_in_part(folder):
+    lines = [f"x{level}: &x{level} [{', '.join([f'*x{level - 1}'] * 9)}]" for level in range(1, 12)]
+    text = "\n".join(["x0: &x0 [a]", *lines, "configs: *x11"])
+    (folder / "README.md").write_text(f"---\n{text}\n---\n")
+    (found,) = [problem for problem in problems(folder) if "'configs' are" in problem]
+    assert len(found) < 1000
 
 
 @pytest.mark.parametrize("stored", ["{", "[]", '{"info": 5}', '{"info": {"features": [1]}}'])
