@@ -41,6 +41,7 @@ _TIMES = re.compile(r"(?:duration|timestamp)\[.*\]")
 _PLAIN_TYPES = {"bool": "sc:Boolean", "image": "sc:ImageObject", "video": "sc:VideoObject"}
 _LINK = re.compile(r"\[([^\]]+)\]\([^)]*\)")
 _BIBTEX = re.compile(r"```bibtex\n(.*?)```", re.DOTALL)
+# Words of the Hub that are no licence of SPDX.
 _UNNAMED_LICENCES = ("other", "unknown")
 _REPOSITORY = "repository"
 # What stands, by agreement of those who keep the format, for the digest of a repository.
@@ -86,6 +87,7 @@ def croissant_text(
         "description": " ".join([_intro(body), *_lines(_section(body, "What it is"))]),
         "license": " ".join(_lines(_section(body, "Licence")))
         if licence in _UNNAMED_LICENCES
+        # SPDX writes CC-BY-2.0, the Hub cc-by-2.0.
         else f"https://spdx.org/licenses/{licence.upper()}.html",
         "keywords": list(head["tags"]),
         **({"citeAs": citation[1].strip()} if citation else {}),

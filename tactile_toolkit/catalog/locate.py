@@ -271,6 +271,7 @@ def _folder_shards(folder: DataFolder, split: str | None) -> tuple[Shard, ...]:
             first = file.records[0].shard.index
             entry = (Shard(folder.address(file.path), file.rows), file.made_of)
             small[first : first + len(file.records)] = [entry] * len(file.records)
+    # Names were checked when the manifest was read: address(PATH) would do so again for each of 50,000.
     root = folder.address()
     return tuple(
         [

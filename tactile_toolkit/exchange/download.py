@@ -158,6 +158,7 @@ def _plan_for_cache(repository: HubRepository, splits: Sequence[str]) -> Downloa
     _require_known_splits(repository, splits)
     chosen, all_splits, shards = _chosen_splits(repository, splits)
     files = _wanted(repository, [*_extras(repository, chosen, fitted=True), *shards])
+    # Anew, although each was found whole once: a bit that the disk has flipped changes no time.
     missing = _missing(files, lambda file: repository.cached(file.path, anew=True) is not None)
     _require_cached_if_offline(repository, [file.path for file in missing])
     commit = repository.snapshot.commit
@@ -211,6 +212,7 @@ def _plan_by_record(
     repository: HubRepository, folder: DataFolder, record: DownloadRecord | None, splits: Sequence[str]
 ) -> DownloadPlan | None:
     """Return a plan with nothing to do if all that is wanted is there; for a Hub that cannot be asked."""
+    # Only the Hub knows whether two names mean one commit.
     if record is None or not record.finished or record.revision != repository.revision:
         return None
     here = {file.split for file in shard_files(record.files)}
@@ -383,6 +385,7 @@ def download(
 def _require_space(plan: DownloadPlan) -> None:
     from huggingface_hub import constants
 
+    # A store has no end.
     if plan.folder is not None and not plan.folder.is_local:
         return
     target = Path(plan.folder.address() if plan.folder else constants.HF_HUB_CACHE)
@@ -416,6 +419,7 @@ def _fill(plan: DownloadPlan, folder: DataFolder, transfers: Transfers) -> None:
     write_record(folder, replace(record, files=files, finished=False))
     if manifest is not None and (plan.missing or plan.leftover):
         write_manifest(folder, replace(manifest, shards=(), complete=False))
+    # Before the first new file comes: old and new ones side by side would pass for one set.
     for path in (*plan.leftover, *(file.path for file in plan.missing)):
         folder.remove(path)
     transfers.each(lambda file: _bring(plan, folder, file, transfers), plan.missing)

@@ -177,6 +177,8 @@ class UploadTarget:
                 operations=[*(CommitOperationDelete(path) for path in delete), *added],
                 repo_type=_REPO_TYPE,
                 commit_message=message,
+                # The Hub opens pull requests against main itself, from wherever that is; only a branch may
+                # have moved on.
                 revision=None if pull else self.branch,
                 create_pr=pull,
                 parent_commit=None if pull else parent,
@@ -187,6 +189,7 @@ class UploadTarget:
         """Make a tag name a commit; one that names another is moved."""
         api = self._api()
         if there is not None:
+            # The client moves no tag.
             self._ask(lambda: api.delete_tag(self.repo_id, tag=name, repo_type=_REPO_TYPE))
         self._ask(
             lambda: api.create_tag(
@@ -280,6 +283,7 @@ class PreparedUpload:
     @property
     def tags(self) -> tuple[str, ...]:
         """Names that the commit gets: the schema version's on the main branch, and the user's."""
+        # What is not merged yet may never be.
         if self.options.create_pr or self.target.branch.startswith("refs/"):
             return ()
         schema = [f"schema-{self.manifest.schema_version}"] if self.target.branch == MAIN else []
@@ -474,6 +478,7 @@ def _ensure_sent(prepared: PreparedUpload) -> tuple[Sent, bool]:
     target, options = prepared.target, prepared.options
     if prepared.pull is not None:
         return Sent(target.commit_of(prepared.pull), prepared.pull), False
+    # exist_ok, here and below: another upload may have made it since it was looked for.
     if not prepared.state.exists:
         target.create(private=options.private)
     if not prepared.state.has_branch and target.branch != MAIN:

@@ -103,6 +103,7 @@ class RepositoryCache:
         """Return the size of all whole contents."""
         blobs = self.folder / "blobs"
         files = [file for file in blobs.iterdir() if file.is_file()] if blobs.is_dir() else []
+        # Contents, as each file of a commit is a link to one of them, and commits share them.
         return sum(file.stat().st_size for file in files if file.suffix != ".incomplete")
 
 

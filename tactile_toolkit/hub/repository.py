@@ -137,6 +137,7 @@ def look_at(
         commit = Digest("git-sha1", answer.sha).value
         for entry in answer.siblings or ():
             large = entry.lfs
+            # Files that git keeps itself are named by git's own digest.
             digest = Digest("sha256", large.sha256) if large else Digest("git-sha1", entry.blob_id)
             files[entry.rfilename] = HubFile(entry.rfilename, int(entry.size), digest)
     except (TypeError, ValueError, AttributeError) as error:

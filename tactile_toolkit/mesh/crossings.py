@@ -84,6 +84,7 @@ def faces_not_proven_free(vertices_mm: Numbers, faces: Indices) -> Indices:
     # Of a corner: above, in or below the level; a half has corners of one kind beside those in the level.
     side = np.sign(z - level).astype(np.int8)[corners]
     least, most = np.minimum.reduce(side), np.maximum.reduce(side)
+    # A face passes through the level, none reaches it, or one lies in it: there are no two halves.
     if (least * most < 0).any() or (least == most).all() or ((least == 0) & (most == 0)).any():
         return everything
     above = most > 0
@@ -115,6 +116,7 @@ def _rim_is_simple(x: Numbers, y: Numbers, upper: Indices, on_level: NDArray[np.
     following = dict(zip(start.tolist(), end.tolist(), strict=True))
     if len(following) != len(start):
         return False  # lines that share a corner
+    # A sweep along x: only edges whose ranges overlap there are compared.
     order = np.argsort(np.minimum(x[start], x[end]), kind="stable")
     start, end = start[order], end[order]
     px, py, qx, qy = x[start], y[start], x[end], y[end]
@@ -137,6 +139,7 @@ def _rim_is_simple(x: Numbers, y: Numbers, upper: Indices, on_level: NDArray[np.
     turn_a, turn_b = (
         (dx - cx) * (y_mm - cy) - (dy - cy) * (x_mm - cx) for x_mm, y_mm in ((ax, ay), (bx, by))
     )
+    # Edges cross unless one of them has both ends of the other on one side.
     apart = (turn_c * turn_d > 0) | (turn_a * turn_b > 0)
     # Neighbours share their corner; they are apart otherwise unless one runs back along the other.
     joined = (start[one] == end[other]) | (end[one] == start[other])

@@ -57,6 +57,7 @@ class _Surface:
         a, b, c = (vertices_mm[faces[:, corner]] for corner in range(3))
         outward = np.cross(b - a, c - a)
         area = np.sqrt((outward * outward).sum(axis=1))
+        # Triangles without area face nowhere.
         kept = area > 0
         self.points, self.faces = vertices_mm, faces[kept]
         self.inward = -outward[kept] / area[kept, None]

@@ -370,6 +370,7 @@ class _Filling:
         near = ndimage.distance_transform_cdt(~body, "taxicab") <= self._weights.rim_cells
         rim = near & ~body
         spectra = (
+            # Conjugate, for a correlation; a product of spectra as they are is a convolution.
             np.conj(fft.rfft2(part.astype(np.float32), self._size)).astype(np.complex64)
             for part in (body, rim)
         )

@@ -159,6 +159,7 @@ class Shard:
 
     @property
     def _footer(self) -> _Footer:
+        # The rows too: another manifest may expect another number of the same file.
         key = (self.path, self.rows, self.identity)
         return _FOOTERS.get(key) or self._keep_footer(key, self._parquet())
 
@@ -455,6 +456,7 @@ def _origin(path: str) -> tuple[str, str]:
     """Return name in quotes and split of the data set of a shard: a repository of the Hub, or a folder."""
     shard = ShardName.parse(path.rpartition("/")[2])
     split = "" if shard is None else shard.split
+    # hf://datasets/USER/NAME@COMMIT, or datasets--USER--NAME in the cache of the Hub's client.
     on_hub = re.search(r"(?:^hf://datasets/|/datasets--)([^/]+?)(?:/|--)([^/@]+)(?:@[^/]*)?/", path)
     if on_hub is not None:
         return repr(f"{on_hub[1]}/{on_hub[2]}"), split
@@ -582,6 +584,7 @@ class ShardedTable:
         if values is None:
             arrays = list(parts())
             values = np.concatenate(arrays) if arrays else np.zeros(0)
+            # It is kept as it is handed out.
             values.setflags(write=False)
             values = self._columns.setdefault(key, values)
         return values

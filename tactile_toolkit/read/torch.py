@@ -31,6 +31,7 @@ _FORMAT = "tactile_toolkit_training"
 _VERSION = 1
 # How torchdata 0.11 calls the batches that a StatefulDataLoader has given since it asked its workers.
 _SINCE = "_steps_since_snapshot"
+# The table that workers share is made before anybody knows how many there will be.
 _MOST_WORKERS = 255
 
 
@@ -168,6 +169,7 @@ class TrainingBatches(torch.utils.data.IterableDataset):  # type: ignore[misc]
         worker = torch.utils.data.get_worker_info()
         if worker is None:
             epoch, start = (self.epoch, 0) if self._workers_began() else self._next[0, :2].tolist()
+            # Of all rows: workers that take over next time begin there, too.
             self._next[:] = torch.tensor([epoch + 1, 0, 0, 0])
             self._current = _Pass(epoch, start)
             return self._batches(self._current, 0, 1)
@@ -191,6 +193,7 @@ class TrainingBatches(torch.utils.data.IterableDataset):  # type: ignore[misc]
         turn = (self.rank * workers + worker) / (self.world_size * workers)
         ahead = UnpackingAhead(self._sequence, order, turn)
         make = self._maker()
+        # Points on surfaces are other ones in each epoch.
         if hasattr(self.data, "set_epoch"):
             self.data.set_epoch(current.epoch)
         try:

@@ -102,6 +102,7 @@ class Avi:
         if self._in_order is None:
             offsets = np.frombuffer(self.data, "<u4", self.entry_count * 4, self._entries_start)[2::4]
             offsets = offsets[offsets < len(self.data)]  # others are named when their frames are asked for
+            # Looked at once for each clip: entries could otherwise name the frames in any order.
             self._in_order = bool((offsets[1:] > offsets[:-1]).all())
         if not self._in_order or not 0 <= entry < self.entry_count:
             return None

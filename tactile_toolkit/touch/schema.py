@@ -97,6 +97,7 @@ def require_types(shard: Shard) -> None:
 
     Raises IntegrityError, which names file and column, for a type that values cannot be read from.
     """
+    # Asked for only to have it fail here, by name, and not at the first label.
     _ = shard.class_names
     types = shard.types
     for name, (depth, tests, expected) in KNOWN_COLUMNS.items():
