@@ -31,6 +31,7 @@ from tactile_toolkit.pictures.relief import relief_of
 from tactile_toolkit.pictures.render import TOP, Body, Picture3d, Renderer, fitting_scale
 from tactile_toolkit.pictures.sheets import Tile, with_scale_bar
 from tactile_toolkit.pictures.writing import Drawing, PicturePlan, PlannedPicture, chosen_kinds, file_stem
+from tactile_toolkit.store.address import is_remote
 from tactile_toolkit.store.folder import DataFolder
 from tactile_toolkit.store.reports import read_report
 from tactile_toolkit.wording import class_name, counted
@@ -63,6 +64,8 @@ def plan_previews(name: str, spec: PreviewSpec) -> PicturePlan:
     MissingExtraError where a plot is asked for by name without matplotlib; IntegrityError where the data set
     is damaged or unfinished.
     """
+    if is_remote(name):
+        return _plan_set(name, spec)
     path = Path(name).expanduser()
     if not path.exists():
         message = f"{name!r} does not exist; expected a data set folder, a Parquet file or a mesh file"

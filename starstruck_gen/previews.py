@@ -42,6 +42,7 @@ from tactile_toolkit.pictures.previews import (
 from tactile_toolkit.pictures.render import TOP, Body, Picture3d, Renderer, fitting_scale, shaded
 from tactile_toolkit.pictures.sheets import Tile, with_scale_bar
 from tactile_toolkit.pictures.writing import Drawing, PicturePlan, PlannedPicture
+from tactile_toolkit.store.address import is_remote
 from tactile_toolkit.wording import counted
 
 if TYPE_CHECKING:
@@ -69,7 +70,8 @@ def plan_previews(name: str, spec: PreviewSpec) -> PicturePlan:
     is asked for by name without matplotlib; IntegrityError where the data set is damaged or unfinished.
     """
     path = Path(name).expanduser()
-    if not path.is_dir() and not (path.is_file() and path.suffix.lower() == ".parquet"):
+    is_here = path.is_dir() or (path.is_file() and path.suffix.lower() == ".parquet")
+    if not is_here and not is_remote(name):
         found = "is not a Parquet file" if path.exists() else "does not exist"
         message = f"{name!r} {found}; expected the folder or a Parquet file of a data set of scenes"
         raise InputError(message)

@@ -58,7 +58,13 @@ class Part:
 
     def first_of(self, count: int) -> int:
         """Return the first shard of this part of so many. Raises InputError where there is no such part."""
-        if not 0 <= self.index <= count or not count:
+        if not count:
+            message = (
+                f"--part {self.index}/{count}: a set cannot be made in no parts; expected a number of parts "
+                "of at least 1; nothing was made; next: say --part K/N"
+            )
+            raise InputError(message)
+        if not 0 <= self.index <= count:
             message = (
                 f"--part {self.index}/{count}: there is no part {self.index} of {count}; expected 0 to "
                 f"{count - 1} (or 1 to {count}); nothing was made; next: number the jobs of the array so"

@@ -208,17 +208,18 @@ def _make_part(
     folder: DataFolder, plan: BuildPlan, part: Part, on_progress: Callable[[Progress], None]
 ) -> Manifest:
     """Make the tasks of a part that have no record; return what the manifest would hold of them."""
-    folder.require_folder()
-    refuse_unrecovered(folder)
     there = read_parts_plan(folder)
     count = part.count or (part.assumed if there is None else there.parts)
     if count is None:
         message = (
             f"--part auto: nothing says how many parts there are: {folder.address()!r} holds none yet, and "
-            "this is not all of a Slurm array from 0 or 1 on; nothing was made; next: say --part auto/N"
+            "neither a whole Slurm array from 0 or 1 on nor JOB_COMPLETION_COUNT does; nothing was made; "
+            "next: say --part auto/N"
         )
         raise InputError(message)
     first, wanted = part.first_of(count), plan.for_parts(count)
+    folder.require_folder()
+    refuse_unrecovered(folder)
     state = inspect_folder(folder, plan, plan.tasks[first::count], in_parts=True)
     if state.agreed is not None:
         refuse_other_division(folder, state.agreed, wanted)
@@ -298,7 +299,7 @@ def _finish(
     write_card: WriteCard | None,
 ) -> Manifest:
     """Put together what all parts have made. Raises MissingPartsError where something is missing."""
-    if not folder.exists():
+    if not folder.names():
         message = f"{folder.lacks('data set')}; nothing can be finished; next: make its parts with --part"
         raise InputError(message)
     folder.require_folder()

@@ -50,6 +50,12 @@ def test_scenes_from_generation_to_the_hub_and_back(s3, bucket, tmp_path, monkey
     assert (told["folder"], told["complete"]) == (place, True)
     assert call("starstruck", "verify", f"{place}/") == 0
     assert call("starstruck", "validate", place, "--limit", "1", "--quiet") == 0
+    pictures = tmp_path / "pictures"
+    assert call("starstruck", "preview", place, "--kind", "sheet", "--out", pictures, "--quiet") == 0
+    assert sorted(path.name for path in pictures.iterdir()) == [
+        "scenes-test-sheet.png",
+        "scenes-train-sheet.png",
+    ]
     shard = f"data/{DataFolder(place).names('data')[0]}"
     assert call("starstruck", "validate", f"{place}/{shard}", "--quiet") == 0
     for split in ("train", "test"):
@@ -60,6 +66,7 @@ def test_scenes_from_generation_to_the_hub_and_back(s3, bucket, tmp_path, monkey
         streamed = [record.id for record in starstruck_gen.load(place, split, streaming=True)]
         assert streamed == here.ids.tolist()
 
+    here_ids = starstruck_gen.load(str(local), "train").ids
     with hub() as server, logged_in(server, server.account("someone"), monkeypatch):
         assert call("starstruck", "upload", place, "someone/scenes", "--yes", "--quiet") == 0
         assert call("starstruck", "upload", place, "someone/scenes", "--yes") == 0
@@ -69,6 +76,12 @@ def test_scenes_from_generation_to_the_hub_and_back(s3, bucket, tmp_path, monkey
         assert {path: held[path].content for path in made if path not in CARDS} == {
             path: content for path, content in made.items() if path not in CARDS
         }
+        on_hub = "hf://datasets/someone/scenes"
+        for command in ("info", "verify", "validate"):
+            assert call("starstruck", command, on_hub) == 0
+        np.testing.assert_array_equal(starstruck_gen.load(on_hub, "train").ids, here_ids)
+        assert call("starstruck", *SCENES, "--out", on_hub) == 2
+        assert "the Hub takes whole commits; next: write to a folder" in capfd.readouterr().err
         back = f"s3://{bucket}/back"
         assert call("starstruck", "download", "someone/scenes", "--out", back, "--quiet") == 0
         copied = stored(s3, bucket, "back")

@@ -71,6 +71,14 @@ def test_what_is_missing_is_told_as_numbers_of_an_array(tmp_path, whole, runner)
     assert folder_bytes(tmp_path / "set") == whole
 
 
+@pytest.mark.parametrize("place", ["{}/set", "memory://nothing-to-finish"])
+def test_where_no_part_made_anything_nothing_can_be_finished(tmp_path, place):
+    folder = place.format(tmp_path)
+    make(folder, Part(SHARDS, SHARDS + 1))  # there are fewer shards than parts
+    with pytest.raises(InputError, match=r"no data set in .*; nothing can be finished; next: make its parts"):
+        make(folder, Finish())
+
+
 @pytest.mark.parametrize("damage", ["file gone", "file cut", "record gone", "report cut"])
 def test_a_record_counts_only_with_its_whole_file(tmp_path, whole, damage):
     for index in range(2):
@@ -300,7 +308,7 @@ def test_a_part_is_named_or_taken_from_the_scheduler(text, environment, expected
         ("-1/4", "expected K/N"),
         ("1/4/2", "expected K/N"),
         ("5/4", "there is no part 5 of 4; expected 0 to 3"),
-        ("0/0", "there is no part 0 of 0"),
+        ("0/0", "cannot be made in no parts; expected a number of parts of at least 1"),
         ("auto", "neither SLURM_ARRAY_TASK_ID nor JOB_COMPLETION_INDEX is a number"),
     ],
 )
@@ -313,6 +321,9 @@ def test_some_of_an_array_given_again_are_the_same_parts(tmp_path, whole):
     again = Part(5, assumed=None)
     with pytest.raises(InputError, match=r"nothing says how many parts.*--part auto/N"):
         make(tmp_path / "set", again)
+    with pytest.raises(InputError, match="no part 7 of 6"):
+        make(tmp_path / "set", Part(7, assumed=SHARDS))
+    assert not (tmp_path / "set").exists()  # nothing was made
     make(tmp_path / "set", Part(0, assumed=SHARDS))
     make(tmp_path / "set", Part(5, assumed=2))
     with pytest.raises(MissingPartsError, match="--array=1-4"):
