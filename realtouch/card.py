@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
+from itertools import islice
 from operator import attrgetter
 from typing import Any, Literal, TypeVar
 
@@ -24,6 +25,7 @@ from tactile_toolkit.cards.card import (
     bibtex,
     field_table,
     json_block,
+    made_by,
     markdown_table,
     megabytes,
     skipped_text,
@@ -35,9 +37,10 @@ from tactile_toolkit.pictures.writing import png_bytes
 from tactile_toolkit.printable import markdown_text
 from tactile_toolkit.read.columns import list_depth
 from tactile_toolkit.read.dataset import Row
+from tactile_toolkit.read.parquet import Shard
 from tactile_toolkit.store.folder import DataFolder
 from tactile_toolkit.store.manifest import Manifest
-from tactile_toolkit.touch.jpeg import decode_image
+from tactile_toolkit.touch.jpeg import Pixels, decode_image
 from tactile_toolkit.touch.schema import Kind, column_type, kind_of
 
 __all__ = ["COLUMNS", "IMPORTED", "SYNTHETIC", "is_imported", "is_synthetic", "write_card"]
@@ -76,62 +79,49 @@ def _split_figures(split: SplitFacts, kind: Kind) -> _SplitFigures:
 
 def _picture_size(facts: FolderFacts, kind: Kind) -> tuple[int, int] | None:
     """Return width and height of the first image or frame that can be read, pixels."""
-    sizes = (_or_none(_size, record) for record in _first_rounds(facts, kind))
+    sizes = (_or_none(record._picture_size, 0) for record in _first_rounds(facts, kind))
     return next((size for size in sizes if size is not None), None)
 
 
-def _touch_sheet(facts: FolderFacts, kind: Kind) -> bytes | None:
-    """Draw up to 16 touches of the first round that can be read, as PNG; of clips, the end of contact."""
-    for record in _first_rounds(facts, kind):
-        count = _or_none(attrgetter("touch_count"), record) or 0
-        touches = [Touch(record, touch) for touch in evenly_spaced(count, _TILES)]
-        images = [_or_none(attrgetter("image"), touch) for touch in touches]
-        whole = [image for image in images if image is not None]
-        if whole:
-            return png_bytes(contact_sheet(whole, tile_width=_TILE_WIDTH))
-    return None
-
-
-def _index_sheet(facts: FolderFacts, folder: DataFolder) -> bytes | None:
-    """Draw the first 16 pictures that an index of plain files names, as PNG."""
-    shard = next((shard for split in facts.splits for shard in split.shards if len(shard)), None)
-    names = [] if shard is None else shard.read(columns=["file"]).column(0).to_pylist()[:_TILES]
-    images = [_or_none(lambda name: decode_image(folder.read_bytes(name)), name) for name in names]
-    whole = [image for image in images if image is not None]
-    return png_bytes(contact_sheet(whole, tile_width=_TILE_WIDTH)) if whole else None
-
-
-def _flat_sheet(facts: FolderFacts) -> bytes | None:
-    """Draw the first 16 touches of rows that hold their images, as PNG; None where they hold none."""
-    shard = next((shard for split in facts.splits for shard in split.shards if len(shard)), None)
-    if shard is None or "image.bytes" not in shard.types:
+def _sheet(facts: FolderFacts, folder: DataFolder, card: _CardKind, stored: Kind) -> bytes | None:
+    """Draw the first 16 pictures that can be read, as PNG; of clips, the end of contact."""
+    if card not in _PLAIN:
+        for record in _first_rounds(facts, stored):
+            count = _or_none(attrgetter("touch_count"), record) or 0
+            touches = [Touch(record, touch) for touch in evenly_spaced(count, _TILES)]
+            drawn = _drawn(_or_none(attrgetter("image"), touch) for touch in touches)
+            if drawn is not None:
+                return drawn
+        return None
+    shard = _first_shard(facts)
+    if shard is None:
+        return None
+    if card == "frames":
+        names = shard.read(columns=["file"]).column(0).to_pylist()[:_TILES]
+        return _drawn(_or_none(lambda name: decode_image(folder.read_bytes(name)), name) for name in names)
+    if "image.bytes" not in shard.types:  # an index of tars, or of files of LeRobot
         return None
     group = next(iter(shard.blocks(0, ["image.bytes"])))
     blobs = group.arrow("image.bytes")[:_TILES].to_pylist()
-    images = [_or_none(decode_image, blob) for blob in blobs]
+    return _drawn(_or_none(decode_image, blob) for blob in blobs)
+
+
+def _drawn(images: Iterable[Pixels | None]) -> bytes | None:
     whole = [image for image in images if image is not None]
     return png_bytes(contact_sheet(whole, tile_width=_TILE_WIDTH)) if whole else None
+
+
+def _first_shard(facts: FolderFacts) -> Shard | None:
+    return next((shard for split in facts.splits for shard in split.shards if len(shard)), None)
 
 
 def _first_rounds(facts: FolderFacts, kind: Kind) -> Iterator[TouchSeqRound | TouchSingleRound]:
     """Yield the first rounds, decoding the blocks they lie in and keeping none in the cache."""
     home = TouchSingleRound if kind == "single" else TouchSeqRound
-    shard = next((shard for split in facts.splits for shard in split.shards if len(shard)), None)
-    if shard is None:
-        return
-    for count, group in enumerate(shard.blocks(0)):
-        if count == _ROUNDS_SEEN:
-            return
+    shard = _first_shard(facts)
+    for group in islice(shard.blocks(0) if shard is not None else (), _ROUNDS_SEEN):
         # One of each block, so that a damaged block does not use up all tries.
         yield home(Row(group, 0))
-
-
-def _size(record: TouchSeqRound | TouchSingleRound) -> tuple[int, int]:
-    if isinstance(record, TouchSeqRound):
-        height, width = record.sensor_video[0].size
-    else:
-        height, width = record.sensor_image.size(0)
-    return width, height
 
 
 def _or_none(ask: Callable[..., T], *parts: Any) -> T | None:
@@ -261,7 +251,9 @@ Nothing was printed: the objects are meshes. `object_id` is the `id` of the mesh
 
 
 _CardKind = Literal["seq", "single", "synthetic", "frames", "export"]
-_PLAIN = ("frames", "export")
+_PLAIN: dict[_CardKind, dict[str, Column]] = {"frames": INDEX_COLUMNS, "export": _EXPORT_COLUMNS}
+"""Columns of folders whose pictures are files, or rows of other formats: no rounds that can be loaded."""
+
 SYNTHETIC = "synthetic"
 """What the option ``touches`` of plain pictures says of touches that were rendered."""
 IMPORTED = "imported"
@@ -320,21 +312,15 @@ def write_card(
     stored: Literal["seq", "single"] = "seq" if card == "seq" else "single"
     options = {} if manifest is None else manifest.spec.get("options", {})
     # Of plain pictures the manifest alone knows whether the touches were rendered.
-    rendered = card == "synthetic" or (card in _PLAIN and options.get("touches") == SYNTHETIC)
+    plain = card in _PLAIN
+    rendered = card == "synthetic" or (plain and options.get("touches") == SYNTHETIC)
     origin = "synthetic" if rendered else "imported" if is_imported(manifest) else "real"
     licence, licence_text = _LICENCES.get(card, _LICENCE)
     if origin != "real":
         licence, licence_text = _SYNTHETIC_LICENCE if rendered else _IMPORTED_LICENCE
-    figures: list[_SplitFigures] = []
-    size: tuple[int, int] | None = None
-    if card == "frames":
-        sheet, columns = _index_sheet(facts, folder), INDEX_COLUMNS
-    elif card == "export":
-        sheet, columns = _flat_sheet(facts), _EXPORT_COLUMNS
-    else:
-        sheet, size = _touch_sheet(facts, stored), _picture_size(facts, stored)
-        figures = [_split_figures(split, stored) for split in facts.splits]
-        columns = SYNTHETIC_COLUMNS if rendered else COLUMNS
+    figures = [] if plain else [_split_figures(split, stored) for split in facts.splits]
+    size = None if plain else _picture_size(facts, stored)
+    columns = _PLAIN[card] if plain else SYNTHETIC_COLUMNS if rendered else COLUMNS
     title = _TITLES[card]
     if origin == "imported":
         columns = {**columns, "object_id": _OBJECT_OF_OTHERS}
@@ -345,14 +331,7 @@ def write_card(
     if card == "export":
         text = EXPORTS.get(str(options.get("layout")), EXPORTS["flat"])
         title = f"{_ORIGINS[origin]}: {text.title}" if origin != "real" else text.title
-        words = {
-            "layout_text": text.summary,
-            "content_text": text.content,
-            "loading": text.loading.replace("$first_split", facts.splits[0].split),
-            "size_note": ""
-            if text is EXPORTS["flat"]
-            else "Parquet is the size of the index, unpacked that of its rows in memory.",
-        }
+        words = text.words(facts.splits[0].split)
     counts = [figure.touches for figure in figures if figure.touches is not None]
     known = len(counts) == len(figures)
     values = {
@@ -379,7 +358,7 @@ def write_card(
         manifest,
         KIND.card_template.format("imported" if origin == "imported" and card == stored else card),
         values,
-        ("touches.png", sheet, "Some touches, each at contact"),
+        ("touches.png", _sheet(facts, folder, card, stored), "Some touches, each at contact"),
         license=licence,
         pretty_name=title,
         task_categories=["robotics", "image-classification"],
@@ -401,7 +380,7 @@ def _card_kind(
 ) -> _CardKind:
     """Tell which card a folder gets; InputError where it holds no touches."""
     operation = None if manifest is None else manifest.spec.get("operation")
-    for plain in ("frames", "export"):
+    for plain in _PLAIN:
         if kind == plain or operation == plain:
             return plain
     stored = kind_of(facts.schema, where)
@@ -437,7 +416,7 @@ def _made(manifest: Manifest | None) -> str:
     if manifest.spec["operation"] == "import":
         found = f"images {rows}; `manifest.json` has the checksum of their list"
     lines = [
-        ("made by", f"tactile-toolkit {manifest.toolkit_version} (schema {manifest.schema_version})"),
+        made_by(manifest),
         ("command", f"`realtouch {manifest.spec['operation']}`"),
         ("source", found),
         ("rounds left out", skipped_text(manifest)),

@@ -15,6 +15,16 @@ class ExportText:
     summary: str
     content: str
     loading: str
+    size_note: str = "Parquet is the size of the index, unpacked that of its rows in memory."
+
+    def words(self, first_split: str) -> dict[str, str]:
+        """Return what the template of the card is filled with."""
+        return {
+            "layout_text": self.summary,
+            "content_text": self.content,
+            "loading": self.loading.replace("$first_split", first_split),
+            "size_note": self.size_note,
+        }
 
 
 # What a foreign folder needs to be verified and resumed lies in `data`, so that it stays as its readers know
@@ -45,6 +55,7 @@ from PIL import Image
 touches = pandas.read_parquet("FOLDER/data", columns=["image", "label", "gel_z_m"])
 picture = Image.open(io.BytesIO(touches.image[0]["bytes"]))
 ```""",
+        size_note="",
     ),
     "webdataset": ExportText(
         "Touches as WebDataset",

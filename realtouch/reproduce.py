@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from realtouch.dataset import TouchDataset
-from realtouch.rounds import TouchRound, TouchSingleRound
+from realtouch.rounds import TouchRound
 from tactile_toolkit.errors import InputError
 
 __all__ = ["PaperNumber", "paper_numbers"]
@@ -92,7 +92,7 @@ def paper_numbers(splits: Mapping[str, TouchDataset[Any]]) -> list[PaperNumber]:
     objects = {split: {each.object_id for each in rounds if each.split == split} for split in splits}
     apart = sum(map(len, objects.values())) == len(set().union(*objects.values()))
     per_round = sorted({each.touches for each in rounds})
-    size = _picture_size(splits)
+    size = next(data[0] for data in splits.values() if len(data))._picture_size(0)
     farthest_m = max(each.farthest_m for each in rounds)
     return [
         _number("rounds", 600, len(rounds)),
@@ -158,11 +158,3 @@ def _gels(rounds: list[_Round], touches: int) -> list[PaperNumber]:
             ends.append(done)
     found = " and ".join(f"{end:,}" for end in ends) or "never"
     return [PaperNumber(what, paper, f"{found} of {touches:,}", ends == [_TOUCHES_OF_A_GEL])]
-
-
-def _picture_size(splits: Mapping[str, TouchDataset[Any]]) -> tuple[int, int]:
-    first = next(data[0] for data in splits.values() if len(data))
-    height, width = (
-        first.sensor_image.size(0) if isinstance(first, TouchSingleRound) else first.sensor_video[0].size
-    )
-    return width, height

@@ -165,6 +165,10 @@ class TouchRound(Record):
         """Return the picture of one contact, shape (H, W, 3), uint8; of a clip, its last frame of contact."""
         raise NotImplementedError
 
+    def _picture_size(self, touch: int) -> tuple[int, int]:
+        """Return width and height of the picture, or of the frames, of one touch; decodes nothing."""
+        raise NotImplementedError
+
 
 class TouchSingleRound(TouchRound):
     """T touches of one object, one image each."""
@@ -188,6 +192,9 @@ class TouchSingleRound(TouchRound):
 
     def _contact_image(self, touch: int) -> Pixels:
         return self.sensor_image[touch]
+
+    def _picture_size(self, touch: int) -> tuple[int, int]:
+        return self.sensor_image.size(touch)[::-1]
 
 
 class TouchSeqRound(TouchRound):
@@ -230,6 +237,9 @@ class TouchSeqRound(TouchRound):
 
     def _contact_image(self, touch: int) -> Pixels:
         return self.sensor_video[touch].contact_frame("contact_end")
+
+    def _picture_size(self, touch: int) -> tuple[int, int]:
+        return self.sensor_video[touch].size[::-1]
 
     def contact_frames(
         self, method: str = "contact_end", *, threads: int | None = None, out: Pixels | None = None

@@ -10,7 +10,6 @@ import numpy as np
 
 from realtouch.columns.per_frame import clip_length
 from realtouch.dataset import TouchDataset
-from realtouch.rounds import TouchSingleRound
 from realtouch.touches import Touches
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.touch.schema import POSE_COLUMN
@@ -85,12 +84,7 @@ def summarise(dataset: TouchDataset[Any]) -> Summary:
         message = "an empty data set has no summary; next: choose other filters"
         raise InputError(message)
     counts = np.bincount(touches.round_positions, minlength=len(dataset))
-    first, fps = touches[0], None
-    if isinstance(first.round, TouchSingleRound):
-        height, width = first.round.sensor_image.size(first.touch_index)
-    else:
-        clip = first.clip
-        (height, width), fps = clip.size, clip.fps
+    first = touches[0]
     has_poses = dataset.has_column(f"{POSE_COLUMN[dataset.kind]}.position")
     gels: Counter[str] = Counter()
     if dataset.has_column("info.gel_id"):
@@ -105,9 +99,9 @@ def summarise(dataset: TouchDataset[Any]) -> Summary:
         touches_per_round=(int(counts.min()), int(counts.max())),
         contact_share=len(touches.with_contact()) / len(touches) if has_poses else None,
         labels={name: len(rows) for name, rows in by_label.items()},
-        image_size=(width, height),
+        image_size=first.round._picture_size(first.touch_index),
         clip_frames=_clip_frames(touches),
-        fps=fps,
+        fps=first.clip.fps if dataset.kind == "seq" else None,
         gel_ids=dict(sorted(gels.items())),
     )
 

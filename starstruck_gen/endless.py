@@ -79,17 +79,20 @@ class SceneTable(ShardedTable):
 
     def column(self, name: str) -> NDArray[Any]:
         """Return one column of all rows, of those that need no scene."""
-        classes = np.arange(self.size, dtype=np.int64) % len(self.spec.stars)
+        return self.known(name, range(self.size))
+
+    def known(self, name: str, rows: range) -> NDArray[np.int64]:
+        """Return what follows from the number of each of some rows; KeyError for any other column."""
+        numbers = np.arange(rows.start, rows.stop, dtype=np.int64)
+        classes = numbers % len(self.spec.stars)
         if name == "id":
-            return np.arange(self.size, dtype=np.int64) + scene_id(self.split, 0)
+            return numbers + scene_id(self.split, 0)
         if name == "label":
             return classes
         if name == "star_count":
             return np.array(self.spec.stars, dtype=np.int64)[classes]
         if name == "seed":
-            return np.array(
-                [scene_seed(self.seed, self.split, row) for row in range(self.size)], dtype=np.int64
-            )
+            return np.array([scene_seed(self.seed, self.split, row) for row in rows], dtype=np.int64)
         raise KeyError(name)
 
 
@@ -131,23 +134,14 @@ class _MadeRow(RowGroup):
 
     def flat(self, name: str) -> NDArray[Any]:
         """Return a plain column of one value."""
-        origin, row = self._origin, self.first_row
-        value: Any
-        if name == "id":
-            value = scene_id(origin.split, row)
-        elif name == "label":
-            value = row % len(origin.spec.stars)
-        elif name == "star_count":
-            value = origin.spec.stars[row % len(origin.spec.stars)]
-        elif name == "seed":
-            value = scene_seed(origin.seed, origin.split, row)
-        elif name == "placements":
-            value = [placement._asdict() for placement in self._scene.placements]
-        else:
-            value = getattr(self._scene, name)
+        if name in _KNOWN:
+            return self._origin.known(name, range(self.first_row, self.first_row + 1))
         # Filled by index: numpy would spread a list over an array of its own.
         values = np.empty(1, dtype=object)
-        values[0] = value
+        if name == "placements":
+            values[0] = [placement._asdict() for placement in self._scene.placements]
+        else:
+            values[0] = getattr(self._scene, name)
         return values
 
 

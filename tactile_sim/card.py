@@ -16,6 +16,7 @@ from tactile_toolkit.cards.card import (
     field_table,
     first_rows,
     json_block,
+    made_by,
     markdown_table,
     megabytes,
     skipped_text,
@@ -75,7 +76,7 @@ def write_card(folder: DataFolder, manifest: Manifest) -> None:
     across, down = spec.get("weights_size_px", (width, height))
     window = "18.88 x 14.16" if spec["like"] == "published" else f"{14.16 * across / down:.4g} x 14.16"
     made = [
-        ("made by", f"tactile-toolkit {manifest.toolkit_version} (schema {manifest.schema_version})"),
+        made_by(manifest),
         ("optics", f"{spec['optics']}: {_OPTICS[spec['optics']]}"),
         ("window", f"{window} mm of gel, as in the {_like(spec['like'])}"),
         ("surface", f"printed, in layers of {1e3 * layer_m:g} mm" if layer_m else "as modelled"),

@@ -9,7 +9,7 @@ import warnings
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, ClassVar, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -58,13 +58,11 @@ class FolderSource:
     the folder alone during a run.
     """
 
+    name: ClassVar[str] = "folder"
+    """Word that selects this source on the command line."""
+
     root: str
     ink: str = "auto"
-
-    @property
-    def name(self) -> str:
-        """Word that selects this source on the command line."""
-        return "folder"
 
     def catalog(self) -> DigitCatalog:
         """List the folder and return ids, labels and writers.

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from functools import lru_cache
 from math import prod
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -53,14 +53,12 @@ class HwdPlusSource:
     image lie all over the file.
     """
 
+    name: ClassVar[str] = "hwdplus"
+    """Word that selects this source on the command line."""
+
     images: str
     writer_info: str
     writer_column: int | None = None
-
-    @property
-    def name(self) -> str:
-        """Word that selects this source on the command line."""
-        return "hwdplus"
 
     def catalog(self) -> DigitCatalog:
         """Check both files and return ids, labels and writers.

@@ -17,7 +17,7 @@ from http.client import HTTPException
 from itertools import product
 from math import prod
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 from urllib.error import URLError
 
 import numpy as np
@@ -68,13 +68,11 @@ class MnistSource:
     Each process holds the small images it needs: 47 MB for training, 8 MB for test.
     """
 
+    name: ClassVar[str] = "mnist"
+    """Word that selects this source on the command line."""
+
     root: str
     part: str = "auto"
-
-    @property
-    def name(self) -> str:
-        """Word that selects this source on the command line."""
-        return "mnist"
 
     def catalog(self) -> DigitCatalog:
         """Read and check the files and return ids and labels.

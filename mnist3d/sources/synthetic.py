@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from operator import index
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -96,16 +97,14 @@ class SyntheticSource:
     (0, 1, (500, 500))
     """
 
+    name: ClassVar[str] = "synthetic"
+    """Word that selects this source on the command line."""
+
     seed: int = whole_number(0)
     count: int = whole_number(HWD_PLUS_COUNT, 1)
 
     def __post_init__(self) -> None:
         check_fields(self, "the synthetic source")
-
-    @property
-    def name(self) -> str:
-        """Word that selects this source on the command line."""
-        return "synthetic"
 
     def fingerprint(self) -> dict[str, object]:
         """Return name, seed, count and the version of the drawing."""

@@ -16,6 +16,7 @@ from tactile_toolkit.errors import IntegrityError
 from tactile_toolkit.read.columns import NestedColumn
 from tactile_toolkit.read.dataset import Row
 from tactile_toolkit.read.sequence import checked_index
+from tactile_toolkit.touch.schema import PER_TOUCH_COLUMNS
 
 __all__ = [
     "column_of",
@@ -26,6 +27,7 @@ __all__ = [
     "known_positions",
     "per_touch",
     "plain_value",
+    "require_touches",
     "stored_value",
     "touch_total",
     "value_of",
@@ -74,6 +76,13 @@ def entries_of(row: Row, name: str) -> tuple[NestedColumn, int, int]:
     if stop - start != expected:
         raise damaged(row, name, f"{stop - start} touches; expected {expected} as in 'pos_in_cell'")
     return column, start, stop
+
+
+def require_touches(row: Row) -> None:
+    """Refuse a round whose columns differ in their number of touches; IntegrityError, with the column."""
+    for name in PER_TOUCH_COLUMNS:
+        if row.has(name):
+            entries_of(row, name)
 
 
 def per_touch(row: Row, name: str) -> NDArray[Any]:

@@ -11,15 +11,12 @@ from typing import Any, Literal
 import numpy as np
 import pyarrow as pa
 
-from realtouch.columns.per_touch import touch_total, vectors
-from realtouch.columns.poses import clip_poses, poses
+from realtouch.columns.per_touch import vectors
 from realtouch.contact import ContactMethod
 from realtouch.convert.plan import RowChoice, RowChoices, Source
 from realtouch.convert.steps import contact_frame_of
 from realtouch.damage import damaged
 from realtouch.dataset import dataset_of
-from realtouch.media.images import SensorImages
-from realtouch.media.round_clips import SensorClips
 from realtouch.preprocess import background, difference
 from realtouch.rounds import TouchSeqRound, TouchSingleRound
 from tactile_toolkit.read.dataset import Row
@@ -30,6 +27,7 @@ from tactile_toolkit.store.names import problem_of_name
 from tactile_toolkit.store.parquet import is_whole_file, sha256_hex
 from tactile_toolkit.store.shards import ShardRecord
 from tactile_toolkit.touch.jpeg import IMAGE_SUFFIX, ImageFormat, Pixels, encode_image
+from tactile_toolkit.touch.schema import POSE_COLUMN
 
 __all__ = [
     "IMAGE_FOLDER",
@@ -98,21 +96,26 @@ class WritePictures:
         if choice.row in self.repeated.get(split, ()):
             problem = f"{row.value('id')!r} stands in an earlier round of split {split!r} too"
             raise damaged(row, "id", f"{problem}; expected ids that differ")
+        record = TouchSingleRound(row) if row.has("sensor_image") else TouchSeqRound(row)
+        folder = f"{IMAGE_FOLDER}/{split}/{_folder_name(row, record.id)}"
         base = None
-        if self.difference is not None and row.has("sensor_image") and touch_total(row):
+        if self.difference is not None and isinstance(record, TouchSingleRound) and record.touch_count:
             # Of the whole round, once; a clip has a background of its own.
-            base = background(TouchSingleRound(row))
-        made = [self._picture(row, touch, split, base) for touch in range(touch_total(row))]
+            base = background(record)
+        made = [self._picture(record, touch, folder, base) for touch in range(record.touch_count)]
         for line, encoded in made:
             self.folder.write_bytes(line["file"], encoded)
         return pa.Table.from_pylist([line for line, _ in made], schema=_INDEX_SCHEMA)
 
-    def _picture(self, row: Row, touch: int, split: str, base: Pixels | None) -> tuple[dict[str, Any], bytes]:
-        record = TouchSingleRound(row) if row.has("sensor_image") else TouchSeqRound(row)
-        name = _folder_name(row, record.id)
-        found = self._single(row, touch, base) if row.has("sensor_image") else self._seq(row, touch)
-        encoded, frame, pose = found
-        file = f"{IMAGE_FOLDER}/{split}/{name}/{touch:03d}.{IMAGE_SUFFIX[self.kind]}"
+    def _picture(
+        self, record: TouchSingleRound | TouchSeqRound, touch: int, folder: str, base: Pixels | None
+    ) -> tuple[dict[str, Any], bytes]:
+        row = record._row
+        if isinstance(record, TouchSingleRound):
+            encoded, frame, pose = self._single(record, touch, base)
+        else:
+            encoded, frame, pose = self._seq(record, touch)
+        file = f"{folder}/{touch:03d}.{IMAGE_SUFFIX[self.kind]}"
         position = vectors(row, "pos_in_cell", 2)[touch] if row.has("pos_in_cell") else [None, None]
         numbers = dict(zip(_NUMBER_COLUMNS, [*position, *pose], strict=True))
         line = {
@@ -128,18 +131,20 @@ class WritePictures:
         }
         return line, encoded
 
-    def _single(self, row: Row, touch: int, base: Pixels | None) -> tuple[bytes, int, list[Any]]:
-        images = SensorImages(row)
+    def _single(
+        self, record: TouchSingleRound, touch: int, base: Pixels | None
+    ) -> tuple[bytes, int, list[Any]]:
+        images = record.sensor_image
         encoded = self._encoded(images[touch], images.encoded(touch), base)
-        if not row.has("gel_pose_cell_frame.position"):
+        if not record._row.has(f"{POSE_COLUMN['single']}.position"):
             return encoded, 0, [None] * 7
-        pose = poses(row)
+        pose = record.gel_pose_cell_frame
         return encoded, 0, [*pose.position_m[touch], *pose.quaternion[touch]]
 
-    def _seq(self, row: Row, touch: int) -> tuple[bytes, int, list[Any]]:
-        clip = SensorClips(row)[touch]
+    def _seq(self, record: TouchSeqRound, touch: int) -> tuple[bytes, int, list[Any]]:
+        clip = record.sensor_video[touch]
         frame = contact_frame_of(clip, self.method)
-        pose = clip_poses(row, touch)
+        pose = clip.poses
         base = None if self.difference is None else background(clip)
         encoded = self._encoded(clip[frame], clip.encoded(frame) if clip.has_index else b"", base)
         return encoded, frame, [*pose.position_m[frame], *pose.quaternion[frame]]

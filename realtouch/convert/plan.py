@@ -11,6 +11,7 @@ from bisect import bisect_right
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from itertools import accumulate, chain
 from os import PathLike, fspath
 from pathlib import Path
@@ -20,6 +21,7 @@ import numpy as np
 import pyarrow as pa
 from numpy.typing import NDArray
 
+from realtouch.columns.per_touch import require_touches
 from realtouch.names import open_shards
 from tactile_toolkit.catalog.locate import splits_of
 from tactile_toolkit.catalog.published import place_of
@@ -98,17 +100,16 @@ class Source:
 
     def row_bytes(self) -> int:
         """Return the size of a row unpacked, on average over the data set; at least 1."""
-        found = chain.from_iterable(self.shards.values())
-        rows, size = map(sum, zip(*in_threads(_rows_and_bytes, found, _READERS), strict=True))
-        return max(size // max(rows, 1), 1)
+        return self._average(_rows_and_bytes)
 
     def media_bytes(self) -> int:
         """Return the size of an image or clip, on average over the data set; at least 1."""
-        column = f"{MEDIA_COLUMN[self.kind]}."
+        return self._average(partial(_values_and_bytes, column=f"{MEDIA_COLUMN[self.kind]}."))
+
+    def _average(self, count_and_bytes: Callable[[Shard], tuple[int, int]]) -> int:
         found = chain.from_iterable(self.shards.values())
-        each = in_threads(lambda shard: _values_and_bytes(shard, column), found, _READERS)
-        values, size = map(sum, zip(*each, strict=True))
-        return max(size // max(values, 1), 1)
+        count, size = map(sum, zip(*in_threads(count_and_bytes, found, _READERS), strict=True))
+        return max(size // max(count, 1), 1)
 
     def fingerprint(self) -> dict[str, list[dict[str, Any]]]:
         """Return JSON values that identify the rows: names, sizes and footers of the files.
@@ -307,6 +308,8 @@ class _ConvertShard:
         tables, skipped = [self.schema.empty_table()], []
         for choice, row in self._rows():
             try:
+                # Here for all steps: one that copies a column would pass on what it never looked at.
+                require_touches(row)
                 # Cast: Arrow names the items of lists in several ways, and a file has one schema.
                 tables.append(self.step.apply(row, choice, self.shard.split).cast(self.schema))
             except IntegrityError as error:

@@ -23,7 +23,7 @@ from tactile_toolkit.run.threads import in_threads
 from tactile_toolkit.store.folder import DataFolder, file_at
 from tactile_toolkit.store.manifest import Manifest, read_manifest
 from tactile_toolkit.store.origin import read_record
-from tactile_toolkit.store.parquet import file_sha256, has_page_checksums
+from tactile_toolkit.store.parquet import has_page_checksums, sha256_hex
 from tactile_toolkit.store.shards import Finding
 from tactile_toolkit.store.verify import verify as verify_files
 from tactile_toolkit.touch.jpeg import decode_image, image_size
@@ -99,10 +99,10 @@ def verify(
         if vouched_for:
             for finding in verify_files(folder, check_card=check_card, workers=workers).findings:
                 findings.append(Damage(finding.file, None, None, "", finding.problem))
-        if manifest is not None and manifest.spec.get("operation") == "frames":
-            return _verify_pictures(folder, manifest, findings, on_progress, decode=not quick)
-        if manifest is not None and manifest.spec.get("operation") == "export":
-            return _verify_exported(folder, manifest, findings, on_progress, decode=not quick)
+        plain = {"frames": _verify_pictures, "export": _verify_exported}
+        if manifest is not None and manifest.spec.get("operation") in plain:
+            check_plain = plain[manifest.spec["operation"]]
+            return check_plain(folder, manifest, findings, on_progress, decode=not quick)
     if not isinstance(place, str):
         parts: tuple[str, ...] = ("train",)  # files come without a split
     else:
@@ -162,16 +162,19 @@ def _verify_pictures(
     tables = [Shard(path).read(columns=["round_id", "touch", "file", "sha256"]) for path in paths]
     lines = [line for table in tables for line in table.to_pylist()]
     for done, line in enumerate(lines, 1):
-        if not folder.exists(line["file"]):
-            findings.append(Damage(line["file"], None, line["touch"], "", "is missing"))
-        elif file_sha256(folder, line["file"]) != line["sha256"]:
+        problem = ""
+        content = folder.read_bytes(line["file"]) if folder.exists(line["file"]) else None
+        if content is None:
+            problem = "is missing"
+        elif sha256_hex(content) != line["sha256"]:
             problem = f"its sha256 differs from the index, which says {line['sha256']}"
-            findings.append(Damage(line["file"], None, line["touch"], "", problem))
         else:
             try:
-                (decode_image if decode else image_size)(folder.read_bytes(line["file"]))
+                (decode_image if decode else image_size)(content)
             except ValueError as error:
-                findings.append(Damage(line["file"], None, line["touch"], "", str(error)))
+                problem = str(error)
+        if problem:
+            findings.append(Damage(line["file"], None, line["touch"], "", problem))
         on_progress(done, len(lines))
     return TouchVerification(len({line["round_id"] for line in lines}), len(lines), tuple(findings))
 

@@ -15,6 +15,7 @@ from tactile_toolkit.cards.card import (
     bibtex,
     field_table,
     json_block,
+    made_by,
     markdown_table,
     megabytes,
     skipped_text,
@@ -50,7 +51,7 @@ def write_card(folder: DataFolder, manifest: Manifest) -> None:
         sizes = len(split.paths), megabytes(split.file_bytes), megabytes(split.unpacked_bytes)
         rows.append((split.split, f"{split.rows:,}", f"{met:,}", *sizes))
     made = [
-        ("made by", f"tactile-toolkit {manifest.toolkit_version} (schema {manifest.schema_version})"),
+        made_by(manifest),
         ("without contact", f"{100 * spec['without_contact']:.4g} % of each split"),
         ("contact", f"the gel stopped at least {1e3 * spec['min_height_m']:.4g} mm above the plate"),
         ("objects left out", skipped_text(manifest)),

@@ -34,6 +34,7 @@ __all__ = [
     "field_table",
     "first_rows",
     "json_block",
+    "made_by",
     "markdown_table",
     "megabytes",
     "placeholders",
@@ -226,6 +227,11 @@ def column_type_text(entry: Any) -> str:
 def json_block(values: Any) -> str:
     """Lay out JSON values as a block of code."""
     return f"```json\n{printable_json(values)}\n```"
+
+
+def made_by(manifest: Manifest) -> tuple[str, str]:
+    """Return a line of a table: which version made a folder, in which schema."""
+    return "made by", f"tactile-toolkit {manifest.toolkit_version} (schema {manifest.schema_version})"
 
 
 def megabytes(size: int) -> str:

@@ -133,6 +133,35 @@ def test_pictures_of_damaged_rounds_are_left_out(kind: Any, single_rows: list[di
     assert realtouch.verify(tmp_path / "out").ok
 
 
+@pytest.mark.parametrize("change", [-1, 1])
+@pytest.mark.parametrize("kind", ["seq", "single"])
+def test_rounds_with_too_few_or_many_pictures_are_left_out(
+    kind: str, change: int, truth: list[RoundTruth], tmp_path: Path
+) -> None:
+    """By the steps that decode pictures, and by those that would pass columns on as they are."""
+
+    def edit(row: dict[str, Any], index: int) -> None:
+        column = "sensor_image" if kind == "single" else "sensor_video"
+        if index == 1:
+            row[column] = row[column][:-1] if change < 0 else [*row[column], row[column][0]]
+
+    rows = factories.single_rows(truth) if kind == "single" else factories.seq_rows(truth)
+    source = factories.write_set(tmp_path / "source", {"train": rows}, kind, Layout(edit=edit, fixed=False))
+    conversions: dict[str, Callable[[Path], Any]] = {
+        "select": lambda out: realtouch.select(source, out, labels=range(10)),
+        "contact": lambda out: realtouch.select(source, out, contact=True, min_height_m=-1),
+        "resize": lambda out: realtouch.resize(source, out, 24, 18),
+        "frames": lambda out: realtouch.frames(source, out),
+    }
+    if kind == "seq":
+        conversions["single"] = lambda out: realtouch.to_single(source, out)
+    for name, convert in conversions.items():
+        (skipped,) = [each for record in convert(tmp_path / name).shards for each in record.skipped]
+        assert skipped.id == 1, name
+        assert f"{5 + change} touches; expected 5 as in 'pos_in_cell'" in skipped.message
+        assert realtouch.verify(tmp_path / name).ok
+
+
 @pytest.mark.parametrize("name", ["frames", "to_single"])
 def test_a_damaged_frame_does_not_pass_through(name: str, seq_rows: list[dict], tmp_path: Path) -> None:
     source = edited(tmp_path / "source", seq_rows, "seq", spoil_last_contact)
