@@ -10,6 +10,7 @@ import pytest
 
 import realtouch
 from realtouch.dataset import TouchStream
+from tactile_toolkit.cache import CACHE_VARIABLE
 from tactile_toolkit.read import parquet as rowgroups
 from tactile_toolkit.read.parquet import Shard, ShardedTable
 from tests.realtouch import factories
@@ -29,7 +30,7 @@ def test_blocks_read_as_one(rows_per_block: int, one_group: Path, monkeypatch: p
     shard = Shard(str(next((one_group / "data").glob("*.parquet"))))
     size = shard.metadata.row_group(0).total_byte_size
     monkeypatch.setattr(rowgroups, "_BLOCK_BYTES", size * rows_per_block // 6 + 1)
-    monkeypatch.setenv(rowgroups.CACHE_VARIABLE, str(one_group / "cache"))
+    monkeypatch.setenv(CACHE_VARIABLE, str(one_group / "cache"))
     dataset = realtouch.load(one_group)
     assert list(dataset._tables[0].shards[0].block_rows) == [rows_per_block]
     for row in (5, 0, 3, 1, 4, 2):  # in any order
@@ -46,7 +47,7 @@ def test_a_cache_that_cannot_be_written_costs_speed_only(
 ) -> None:
     monkeypatch.setattr(rowgroups, "_BLOCK_BYTES", 1)
     (one_group / "a file").write_text("")
-    monkeypatch.setenv(rowgroups.CACHE_VARIABLE, str(one_group / "a file"))
+    monkeypatch.setenv(CACHE_VARIABLE, str(one_group / "a file"))
     dataset = realtouch.load(one_group)
     with pytest.warns(RuntimeWarning, match=r"a file.*another folder"):
         assert [record._row.number for record in dataset] == list(range(6))
@@ -54,7 +55,7 @@ def test_a_cache_that_cannot_be_written_costs_speed_only(
 
 
 def test_a_damaged_cache_is_made_again(one_group: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv(rowgroups.CACHE_VARIABLE, str(one_group / "cache"))
+    monkeypatch.setenv(CACHE_VARIABLE, str(one_group / "cache"))
     expected = realtouch.load(one_group)[0].id
     cached = next((one_group / "cache" / "blocks").glob("*.arrow"))
     cached.write_bytes(cached.read_bytes()[:100])
