@@ -111,7 +111,8 @@ def _require_free(out: str, *, overwrite: bool) -> Path:
     if path.is_dir():
         _refuse_taken(path, path, overwrite=overwrite)
     elif path.exists():
-        raise _not_ours(path, path.name)
+        message = f"{str(path)!r} is a file; a gallery is a folder; nothing was changed; next: another --out"
+        raise InputError(message)
     return path
 
 
@@ -120,20 +121,17 @@ def _refuse_taken(path: Path, folder: Path, *, overwrite: bool) -> None:
     names = sorted(entry.name for entry in folder.iterdir() if not is_unfinished(entry.name))
     unknown = _unknown_file(folder, names)
     if unknown is not None:
-        raise _not_ours(path, unknown)
+        message = (
+            f"{str(path)!r} holds {unknown!r}, which is not part of a gallery; nothing was changed; next: "
+            "choose an empty or new folder with --out"
+        )
+        raise InputError(message)
     if names and not overwrite:
         message = (
             f"{str(path)!r} holds a gallery already; nothing was changed; next: replace it with "
             "--overwrite, or choose another folder with --out"
         )
         raise InputError(message)
-
-
-def _not_ours(path: Path, unknown: str) -> InputError:
-    return InputError(
-        f"{str(path)!r} holds {unknown!r}, which is not part of a gallery; nothing was changed; next: "
-        "choose an empty or new folder with --out"
-    )
 
 
 def _unknown_file(folder: Path, names: list[str]) -> str | None:

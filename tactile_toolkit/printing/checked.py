@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from tactile_toolkit.errors import InputError, IntegrityError, ItemError
+from tactile_toolkit.errors import InputError, ItemError
 from tactile_toolkit.mesh.mesh import MM_PER_M
 from tactile_toolkit.mesh.solid_check import ManifoldCheck, require_solid
 from tactile_toolkit.store.folder import DataFolder, atomic_file, named_failures
@@ -26,6 +26,7 @@ __all__ = [
     "WRITTEN",
     "existing",
     "holds",
+    "in_the_way",
     "prepare",
     "refuse_others",
     "remove",
@@ -108,11 +109,18 @@ def holds(path: Path, content: bytes) -> bool:
     try:
         # The size first: most files that differ need not be read.
         return path.stat().st_size == len(content) and path.read_bytes() == content
-    except FileNotFoundError:
+    except (FileNotFoundError, NotADirectoryError):
         return False
     except OSError as error:
-        message = f"cannot read {str(path)!r}: {error.strerror or error}"
-        raise IntegrityError(message) from error
+        raise in_the_way(path, error) from error
+
+
+def in_the_way(path: Path, error: OSError) -> InputError:
+    """Return the error for what stands where a file is to be and cannot be read, such as a folder."""
+    return InputError(
+        f"cannot read {str(path)!r}: {error.strerror or error}; expected a file of an earlier export, or "
+        "none; next: move it away, or another --out"
+    )
 
 
 def remove(paths: Iterable[Path]) -> None:

@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from tactile_toolkit.errors import IntegrityError, ItemError
+from tactile_toolkit.errors import ItemError
 from tactile_toolkit.mesh.files import BROKEN_FILE
 from tactile_toolkit.mesh.mesh import MM_PER_M, Mesh
 from tactile_toolkit.mesh.solid_check import require_solid
@@ -26,6 +26,7 @@ from tactile_toolkit.printing.checked import (
     Failure,
     existing,
     holds,
+    in_the_way,
     prepare,
     refuse_others,
     remove,
@@ -290,8 +291,7 @@ def _unknown_files(layout: Layout, folder: Path) -> list[str]:
     except (FileNotFoundError, UnicodeDecodeError, csv.Error):
         return []
     except OSError as error:
-        message = f"cannot read {str(folder / TABLE_FILE)!r}: {error.strerror or error}"
-        raise IntegrityError(message) from error
+        raise in_the_way(folder / TABLE_FILE, error) from error
     solids = [name for name in listed if _PLATE_FILE.fullmatch(name)]
     before = {name for solid in solids for name in (solid, Path(solid).with_suffix(".png").name)}
     numbers = range(1, len(layout.plates) + 1)

@@ -117,7 +117,7 @@ def test_another_folder_is_refused_even_with_overwrite(tmp_path):
         ):
             build(tmp_path / "mine", overwrite=overwrite)
     (tmp_path / "file").write_text("x")
-    with pytest.raises(InputError, match="not part of a gallery"):
+    with pytest.raises(InputError, match="is a file; a gallery is a folder; nothing was changed"):
         build(tmp_path / "file", overwrite=True)
     assert entries(tmp_path) == ["file", "mine"]
     assert (tmp_path / "mine" / "thesis.txt").read_text() == "years of work"

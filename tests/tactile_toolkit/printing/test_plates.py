@@ -409,6 +409,9 @@ def test_forecast_says_what_stands_in_the_way(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
     with pytest.raises(InputError, match="is a file"):
         forecast_plates(lay_out(named(FEW), SMALL), str(tmp_path / "file"), overwrite=True)
+    (tmp_path / "folders" / "plates.csv").mkdir(parents=True)
+    with pytest.raises(InputError, match=r"cannot read '.*plates.csv': .*; next: move it away"):
+        forecast_plates(lay_out(named(FEW), SMALL), str(tmp_path / "folders"))
 
 
 def test_forecast_says_what_will_be_written() -> None:

@@ -173,6 +173,14 @@ def test_bad_places_and_formats_are_named(tmp_path: Path) -> None:
         export_files(named(SHAPES), "memory://prints")
     with pytest.raises(InputError, match="step"):
         export_files(named(SHAPES), str(tmp_path / "out"), "step")
+    (name,) = [item.name for item in named(SHAPES)[:1]]
+    (tmp_path / "files").mkdir()
+    (tmp_path / "files" / name).write_text("where the folder of the parts should be")
+    with pytest.raises(StorageError, match="a part of the path is a file"):
+        export_files(named(SHAPES)[:1], str(tmp_path / "files"), "urdf")
+    (tmp_path / "folders" / f"{name}.stl").mkdir(parents=True)
+    with pytest.raises(InputError, match="with other content"):
+        export_files(named(SHAPES)[:1], str(tmp_path / "folders"))
 
 
 @pytest.mark.parametrize(
