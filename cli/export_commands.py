@@ -124,7 +124,7 @@ def add_export(app: typer.Typer, kind: DatasetKind) -> None:
 
         if options.layout is not None:
             _refuse_options_of_files(options)
-            _export_flat(sink, _chosen(kind, options, choose_rows), options)
+            _export_flat(sink, kind, _chosen(kind, options, choose_rows), options)
             return
         spec = _plate_spec(options)
         _physics(options)  # what cannot be used is said before any work
@@ -244,29 +244,27 @@ def _export_files(sink: Sink, objects: list[PrintObject], options: ExportOptions
     return made.failures
 
 
-def _export_flat(sink: Sink, choices: Any, options: ExportOptions) -> None:
-    from tactile_toolkit.printing.flat import export_flat, forecast_flat
+def _export_flat(sink: Sink, kind: DatasetKind, choices: Any, options: ExportOptions) -> None:
+    from cli.touch_tables import print_converted
+    from tactile_toolkit.exchange.tables import export_tables, forecast_tables
 
-    out = str(options.out)
+    chosen_by = {"ids": options.ids, "labels": options.labels, "limit": options.limit}
+    what, out = (kind, options.name, choices, chosen_by), str(options.out)
     if options.dry_run:
-        made = forecast_flat(choices, out, overwrite=options.overwrite)
-    else:
-        with sink.progress("writing", "rows") as update:
-            made = export_flat(
-                choices,
-                out,
-                overwrite=options.overwrite,
-                workers=process_count(options.workers),
-                on_progress=update,
-            )
-    sink.document({"out": out, "files": [file.to_dict() for file in made]})
-    size = bytes_text(sum(file.bytes for file in made))
-    rows = counted(sum(file.rows for file in made), "rows")
-    if options.dry_run:
-        sink.line(f"would write {rows} to {out}, about {size}; nothing was written")
+        rows, size = forecast_tables(*what, out, overwrite=options.overwrite)
+        sink.document({"folder": out, "rows": rows, "bytes": size})
+        made = f"{counted(rows, kind.nouns)} to {out}, about {bytes_text(size)}"
+        sink.line(f"would write {made}; nothing was written")
         return
-    kept = sum(file.state == "kept" for file in made)
-    sink.line(f"{rows} in {counted(len(made), 'tables')} in {out} ({size}){_kept(kept)}")
+    with sink.progress("writing", kind.nouns) as update:
+        manifest = export_tables(
+            *what,
+            out,
+            overwrite=options.overwrite,
+            workers=process_count(options.workers),
+            on_progress=lambda progress: update(progress.done, progress.total),
+        )
+    print_converted(sink, manifest, out, kind.nouns)
 
 
 def _export_plates(

@@ -106,9 +106,11 @@ def add_verify(app: typer.Typer, kind: DatasetKind, what: str) -> None:
         from tactile_toolkit.store.verify import verify
 
         place = DataFolder(folder)
-        kind.refuse_other(read_manifest(place), place.address())
-        schema = None if kind.schema is None else kind.schema()
-        result = verify(place, schema, check_card=check_card, workers=process_count(workers))
+        manifest = read_manifest(place)
+        kind.refuse_other(manifest, place.address())
+        result = verify(
+            place, kind.schema_of(manifest), check_card=check_card, workers=process_count(workers)
+        )
         findings = [{"file": finding.file, "problem": finding.problem} for finding in result.findings]
         counts_of = {"files": result.files, "rows": result.rows}
         # "witness" is what programs read, and older than the name that Python has for it.

@@ -18,7 +18,9 @@ from cli.making import make_with_progress, print_conclusion, print_forecast
 from cli.options import Folder, Json, Limit, Making, Out, Workers, place_of_data, process_count
 from cli.output import Sink, bytes_text, counted
 from cli.preview_commands import preview_digits
+from cli.touch_tables import print_converted
 from mnist3d.kind import KIND
+from tactile_toolkit.kind import is_export
 
 if TYPE_CHECKING:
     from tactile_toolkit.store.manifest import Manifest
@@ -117,7 +119,9 @@ def info(folder: Folder, as_json: Json = False) -> None:
     """Show what a data set folder holds and how it was made."""
     sink = Sink(as_json)
     manifest = manifest_or_copy(sink, KIND, folder)
-    if manifest is not None:
+    if manifest is not None and is_export(manifest):
+        print_converted(sink, manifest, folder, KIND.nouns)
+    elif manifest is not None:
         _print_made(sink, manifest, folder)
         print_spec(sink, manifest, "source and spec")
 

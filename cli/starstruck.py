@@ -20,7 +20,9 @@ from cli.options import Folder, Json, Limit, Making, Out, Seed, Workers, place_o
 from cli.output import Sink, bytes_text, counted
 from cli.preview_commands import preview_scenes
 from cli.scene_options import SceneOptions, split_sizes
+from cli.touch_tables import print_converted
 from starstruck_gen.kind import KIND
+from tactile_toolkit.kind import is_export
 
 if TYPE_CHECKING:
     from tactile_toolkit.store.manifest import Manifest
@@ -137,6 +139,9 @@ def info(folder: Folder, as_json: Json = False) -> None:
     sink = Sink(as_json)
     manifest = manifest_or_copy(sink, KIND, folder)
     if manifest is None:
+        return
+    if is_export(manifest):
+        print_converted(sink, manifest, folder, KIND.nouns)
         return
     _print_made(sink, manifest, folder)
     for summary in summarise(manifest):

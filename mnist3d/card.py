@@ -27,6 +27,8 @@ from tactile_toolkit.cards.card import (
     write_card_files,
 )
 from tactile_toolkit.cards.facts import FolderFacts, recorded_facts
+from tactile_toolkit.cards.table_card import Terms, write_table_card
+from tactile_toolkit.kind import is_export
 from tactile_toolkit.mesh.columns import FACES, VERTICES
 from tactile_toolkit.pictures.relief import relief
 from tactile_toolkit.pictures.sheets import Sheet, Tile, sheet
@@ -58,6 +60,9 @@ def write_card(folder: DataFolder, manifest: Manifest) -> None:
 
     Raises IntegrityError when a shard or the printability report is missing or damaged.
     """
+    if is_export(manifest):
+        write_table_card(folder, manifest, KIND, "MNIST 3D", COLUMNS, _terms_of_tables(manifest))
+        return
     facts = recorded_facts(folder, manifest, mesh_schema())
     summaries = summarise(folder, manifest)
     spec = manifest.spec
@@ -99,6 +104,17 @@ def write_card(folder: DataFolder, manifest: Manifest) -> None:
         **MESH_TASKS,
         tags=["tactile", "active-perception", "3d", "mesh", "mnist", "digits", "3d-printing"],
     )
+
+
+def _terms_of_tables(manifest: Manifest) -> Terms:
+    """Return the terms of the source of the digits; of copies of the published set none are known here."""
+    made = manifest.spec["source_spec"]
+    if made is None:
+        text = "The terms of the data set that these rows come from: see its page."
+        return Terms("other", text, f"{_PUBLISHED}.", bibtex(TACTILE_MNIST, HWD_PLUS))
+    words = words_of(str(made["source"]["name"]))
+    cited = (TACTILE_MNIST, *((MNIST,) if words.name == "mnist" else ()), HWD_PLUS)
+    return Terms(words.licence, words.licence_text, words.citation_text, bibtex(*cited))
 
 
 def _sheet(facts: FolderFacts) -> bytes | None:

@@ -20,7 +20,7 @@ _EXCHANGED = (
 
 def _loader(manifest: Any) -> str:
     # Plain pictures have an index only, which `datasets` opens.
-    is_plain = manifest is not None and manifest.spec.get("operation") in ("frames", "export")
+    is_plain = manifest is not None and manifest.spec.get("operation") == "frames"
     return "datasets.load_dataset" if is_plain else "realtouch.load"
 
 

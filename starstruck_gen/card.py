@@ -17,7 +17,9 @@ from starstruck_gen.summary import SplitSummary, summarise
 from tactile_toolkit.cards.card import (
     MESH_COLUMNS,
     MESH_TASKS,
+    TACTILE_MNIST,
     between,
+    bibtex,
     field_table,
     first_rows,
     json_block,
@@ -26,6 +28,8 @@ from tactile_toolkit.cards.card import (
     write_card_files,
 )
 from tactile_toolkit.cards.facts import FolderFacts, recorded_facts
+from tactile_toolkit.cards.table_card import Terms, write_table_card
+from tactile_toolkit.kind import is_export
 from tactile_toolkit.pictures.sheets import Sheet, Tile, sheet
 from tactile_toolkit.pictures.writing import png_bytes
 from tactile_toolkit.printable import markdown_text
@@ -64,6 +68,13 @@ def write_card(folder: DataFolder, manifest: Manifest) -> None:
 
     Raises IntegrityError when a shard is missing or damaged.
     """
+    if is_export(manifest):
+        is_ours = manifest.spec["source_spec"] is not None
+        text = "MIT, as the toolkit." if is_ours else "The terms of the data set that these rows come from."
+        licence = "mit" if is_ours else "other"
+        terms = Terms(licence, text, "The task: Schneider et al. 2025.", bibtex(TACTILE_MNIST))
+        write_table_card(folder, manifest, KIND, "Starstruck", COLUMNS, terms)
+        return
     spec = SceneSpec.from_dict(manifest.spec["scene"])
     facts = recorded_facts(folder, manifest, scene_schema(spec.class_names))
     summaries = summarise(manifest)

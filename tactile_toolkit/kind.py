@@ -15,10 +15,27 @@ from typing import Any, Protocol
 
 from tactile_toolkit.errors import InputError
 
-__all__ = ["DatasetKind", "PublishedSet", "Recipe", "kinds", "lazy", "tactile_mnist_set"]
+__all__ = [
+    "EXPORT",
+    "DatasetKind",
+    "PublishedSet",
+    "Recipe",
+    "is_export",
+    "kinds",
+    "lazy",
+    "tactile_mnist_set",
+]
+
+EXPORT = "export"
+"""The operation, in a manifest, that made a copy of a data set for other libraries."""
 
 _PAPER = "Schneider et al., Tactile MNIST: Benchmarking Active Tactile Perception, 2025"
 _HAND = "Beaulac & Rosenthal, doi 10.1007/s42979-022-01494-2, 2022"
+
+
+def is_export(manifest: Any) -> bool:
+    """Tell whether a manifest is that of a copy for other libraries, with columns of their own."""
+    return manifest is not None and manifest.spec.get("operation") == EXPORT
 
 
 def lazy(path: str) -> Callable[..., Any]:
@@ -173,11 +190,17 @@ class DatasetKind:
         )
         raise InputError(message)
 
+    def schema_of(self, manifest: Any) -> Any:
+        """Return the Arrow schema of every shard of a data set; None where it follows from a source."""
+        return None if self.schema is None or is_export(manifest) else self.schema()
+
     def loading_lines(
         self, manifest: Any, name: str, split: str, revision: str | None = None
     ) -> tuple[str, str]:
         """Return an import and a call that open a split of a data set of this kind in Python."""
         function = f"{self.package}.load" if self.loader is None else self.loader(manifest)
+        if is_export(manifest):
+            function = "datasets.load_dataset"
         further = f", revision={_quoted(revision)}" if revision else ""
         call = f"{function}({_quoted(name)}, split={_quoted(split)}{further})"
         return f"import {function.partition('.')[0]}", call

@@ -10,6 +10,7 @@ import operator
 from collections.abc import Callable, Iterable
 from dataclasses import replace
 from functools import partial
+from itertools import chain
 from os import PathLike, fspath
 from typing import Any, Literal, SupportsIndex
 
@@ -25,10 +26,11 @@ from realtouch.convert.image_files import (
     repeated_ids,
     write_index,
 )
-from realtouch.convert.plan import Conversion, RowChoices, Source, plan_conversion, refuse_source
+from realtouch.convert.plan import Conversion, RowChoices, Source, plan_conversion
 from realtouch.convert.steps import KeepTouches, ResizeMedia, TakeContactFrames
 from realtouch.dataset import dataset_of
 from tactile_toolkit.errors import InputError
+from tactile_toolkit.read.source import refuse_source
 from tactile_toolkit.run.processes import Runner, runner_for
 from tactile_toolkit.store.build import Progress, build
 from tactile_toolkit.store.folder import DataFolder
@@ -332,8 +334,9 @@ def convert(
 ) -> Manifest:
     """Write a conversion as a data set folder with a card; an interrupted one goes on where it stopped."""
     folder = DataFolder(fspath(out))
-    refuse_source(folder, conversion.source)
-    if is_imported(conversion.source.manifest()):
+    source = conversion.source
+    refuse_source(folder, source.name, chain.from_iterable(source.shards.values()))
+    if is_imported(source.manifest()):
         options = {**conversion.options, "touches": IMPORTED}  # the terms are those of the images
         conversion = replace(conversion, options=options)
     return build(

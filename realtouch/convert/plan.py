@@ -6,7 +6,6 @@ and makes one shard. See :mod:`tactile_toolkit.store.build` for resuming and byt
 
 from __future__ import annotations
 
-import hashlib
 from bisect import bisect_right
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -14,7 +13,6 @@ from dataclasses import dataclass, field
 from functools import partial
 from itertools import accumulate, chain
 from os import PathLike, fspath
-from pathlib import Path
 from typing import Any, Protocol, overload
 
 import numpy as np
@@ -28,9 +26,10 @@ from tactile_toolkit.catalog.published import place_of
 from tactile_toolkit.errors import InputError, IntegrityError, ItemError
 from tactile_toolkit.read.dataset import Row
 from tactile_toolkit.read.parquet import Shard
+from tactile_toolkit.read.source import file_fingerprint, manifest_beside
 from tactile_toolkit.run.threads import in_threads
-from tactile_toolkit.store.folder import DataFolder, file_at
-from tactile_toolkit.store.manifest import Manifest, read_manifest
+from tactile_toolkit.store.folder import DataFolder
+from tactile_toolkit.store.manifest import Manifest
 from tactile_toolkit.store.parquet import ParquetStyle
 from tactile_toolkit.store.plan import BuildPlan, ShardContent
 from tactile_toolkit.store.shards import DAMAGED, ShardName, ShardRecord, Skipped, rows_per_shard
@@ -54,7 +53,6 @@ __all__ = [
     "Source",
     "Step",
     "plan_conversion",
-    "refuse_source",
 ]
 
 KIND = "realtouch"
@@ -95,8 +93,7 @@ class Source:
 
     def manifest(self) -> Manifest | None:
         """Return the manifest beside the shards, where there is one."""
-        data, _ = file_at(next(iter(self.shards.values()))[0].path)
-        return read_manifest(file_at(data.address())[0])
+        return manifest_beside(next(iter(self.shards.values()))[0])
 
     def row_bytes(self) -> int:
         """Return the size of a row unpacked, on average over the data set; at least 1."""
@@ -118,8 +115,7 @@ class Source:
         reading 28 GB to plan a conversion would cost minutes.
         """
         return {
-            split: list(in_threads(_file_fingerprint, found, _READERS))
-            for split, found in self.shards.items()
+            split: list(in_threads(file_fingerprint, found, _READERS)) for split, found in self.shards.items()
         }
 
 
@@ -138,56 +134,6 @@ def _values_and_bytes(shard: Shard, column: str) -> tuple[int, int]:
     media = [chunk for chunk in chunks if chunk.path_in_schema.startswith(column)]
     values = [chunk.num_values for chunk in media if chunk.path_in_schema.endswith(".bytes")]
     return sum(values), sum(chunk.total_uncompressed_size for chunk in media)
-
-
-def _file_fingerprint(shard: Shard) -> dict[str, Any]:
-    folder, name = file_at(shard.path)
-    with folder.open(name) as stream:
-        # A Parquet file ends in the length of its footer and four letters.
-        size = stream.seek(-8, 2) + 8
-        footer_bytes = int.from_bytes(stream.read(4), "little")
-        stream.seek(-8 - footer_bytes, 2)
-        footer = stream.read(footer_bytes)
-    return {
-        "file": name,
-        "rows": len(shard),
-        "bytes": size,
-        "footer_sha256": hashlib.sha256(footer).hexdigest(),
-    }
-
-
-def refuse_source(folder: DataFolder, source: Source) -> None:
-    """Refuse to write where the source is read, be it by another name or through a link (InputError)."""
-    if not folder.is_local:
-        _refuse_store_of_source(folder, source)
-        return
-    out = Path(folder.address()).resolve()
-    home = Path(source.name).expanduser().resolve()
-    files = [Path(shard.path).absolute() for shards in source.shards.values() for shard in shards]
-    # By both paths: files of the Hub's cache are links into another folder.
-    real = [file.resolve() for file in files]
-    if any(file.is_relative_to(out) for file in real):
-        found = "holds the source"
-    elif home.is_dir() and out.is_relative_to(home) and any(f.is_relative_to(home) for f in [*real, *files]):
-        found = "lies in the source"
-    else:
-        return
-    message = (
-        f"{folder.address()!r}, the folder to write, {found} {source.name!r}; nothing was changed; next: "
-        "choose a folder outside it"
-    )
-    raise InputError(message)
-
-
-def _refuse_store_of_source(folder: DataFolder, source: Source) -> None:
-    files = [shard.path for shards in source.shards.values() for shard in shards]
-    inside = f"{folder.address()}/"
-    if any(file.startswith(inside) for file in files) or inside.startswith(f"{source.name.rstrip('/')}/"):
-        message = (
-            f"{folder.address()!r}, the folder to write, holds or lies in the source {source.name!r}; "
-            "nothing was changed; next: choose another folder"
-        )
-        raise InputError(message)
 
 
 @dataclass(frozen=True, slots=True)

@@ -38,7 +38,12 @@ _MOST_SHARDS_NAMED = 64
 _PARQUET = "application/x-parquet"
 _NUMBERS = re.compile(r"(?:u?int(?:8|16|32|64)|float(?:16|32|64))")
 _TIMES = re.compile(r"(?:duration|timestamp)\[.*\]")
-_PLAIN_TYPES = {"bool": "sc:Boolean", "image": "sc:ImageObject", "video": "sc:VideoObject"}
+_PLAIN_TYPES = {
+    "bool": "sc:Boolean",
+    "image": "sc:ImageObject",
+    "video": "sc:VideoObject",
+    "mesh": "sc:Text",
+}
 _LINK = re.compile(r"\[([^\]]+)\]\([^)]*\)")
 _BIBTEX = re.compile(r"```bibtex\n(.*?)```", re.DOTALL)
 # Words of the Hub that are no licence of SPDX.
@@ -227,14 +232,16 @@ def _field(split: str, entry: Mapping[str, Any], column: str = "", path: str = "
         **({"transform": {"jsonPath": path}} if column else {}),
     }
     described = {"@type": "cr:Field", "@id": f"{split}/{place}"}
-    if "struct" in entry:
-        above = f"{path}." if path else ""
-        below = [_field(split, each, column or name, f"{above}{each['name']}") for each in entry["struct"]]
-        return {**described, "subField": below}
     shape, inner = _unpacked(entry)
+    parts = inner if isinstance(inner, list) else entry.get("struct")
+    if parts is not None:
+        above = f"{path}." if path else ""
+        below = [_field(split, each, column or name, f"{above}{each['name']}") for each in parts]
+        # A path is looked up in each entry of a list, and records then have lists of structs again.
+        return {**described, **({"repeated": True} if shape else {}), "subField": below}
     array = {"isArray": True, "arrayShape": ",".join(map(str, shape))} if shape else {}
     dtype = inner["dtype"] if isinstance(inner, Mapping) and "dtype" in inner else inner
-    if dtype == "image":
+    if dtype in ("image", "mesh"):
         source["transform"] = {"jsonPath": "bytes"}
         array = {"repeated": True} if shape else {}  # of pictures, readers take no other word for a list
     data_type, words = _data_type(dtype)

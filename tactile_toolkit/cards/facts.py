@@ -29,7 +29,7 @@ __all__ = [
     "yaml_features",
 ]
 
-_MEDIA = {"Image": "image", "Video": "video", "Audio": "audio"}
+_MEDIA = {"Image": "image", "Video": "video", "Audio": "audio", "Mesh": "mesh"}
 
 
 @dataclass(frozen=True)

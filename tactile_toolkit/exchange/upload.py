@@ -315,8 +315,7 @@ def check_folder(kind: DatasetKind, folder: DataFolder, workers: int = 1) -> Ite
     if kind.check is not None:
         found: Iterable[Finding] = kind.check(folder, workers)
         return found
-    require_manifest(kind, folder)
-    schema = None if kind.schema is None else kind.schema()
+    schema = kind.schema_of(require_manifest(kind, folder))
     return verify(folder, schema, check_card=check_card, workers=workers).findings
 
 

@@ -245,8 +245,8 @@ def test_tables_for_other_libraries(folder: Path, tmp_path: Path, capsys: pytest
 
     out = tmp_path / "flat"
     assert call("export", folder, "--layout", "flat", "--out", out, "--workers", "1", "--json", "-q") == 0
-    files = json.loads(capsys.readouterr().out)["files"]
-    assert [(file["rows"], file["state"]) for file in files] == [(10, "written")] * 2
+    made = json.loads(capsys.readouterr().out)["splits"]
+    assert {split: each["rows"] for split, each in made.items()} == {"printed_test": 10, "printed_train": 10}
     digits = mnist3d.load(folder, split="printed_test")
     plain = ["id", "label", "label_name", "writer", "volume_m3", "source", "size_x_m", "size_y_m", "size_z_m"]
     frame = pd.read_parquet(out / "data" / "printed_test-00000-of-00001.parquet")
@@ -267,6 +267,31 @@ def test_tables_for_other_libraries(folder: Path, tmp_path: Path, capsys: pytest
         np.testing.assert_allclose(size, digit.mesh.extents)
 
 
+def test_tables_are_a_data_set_folder(
+    folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "flat"
+    words = ("export", folder, "--layout", "flat", "--out", out, "--workers", "1", "-q")
+    assert call(*words) == 0
+    before = folder_bytes(out)
+    assert {"README.md", "croissant.json", "manifest.json", "previews/tables.png"} <= set(before)
+    for command, *further in (("verify",), ("card",), ("info", "--json")):
+        assert call(command, out, *further) == 0, capsys.readouterr().err
+    assert folder_bytes(out) == before, "card and checks agree with the export"
+    assert '"operation": "export"' in capsys.readouterr().out
+    card = before["README.md"].decode()
+    assert "license: mit" in card, "as drawn digits are"
+    assert "MIT, as the toolkit: no one's handwriting is in it." in card
+    table = out / "data" / "printed_train-00000-of-00001.parquet"
+    table.write_bytes(table.read_bytes()[:-9])
+    assert call("verify", out) == 3
+    assert "printed_train-00000-of-00001.parquet: sha256 is" in capsys.readouterr().err
+    assert call(*words) == 0
+    assert folder_bytes(out) == before
+    assert call("validate", out) == 2
+    assert "column 'mesh.vertices' is missing" in capsys.readouterr().err
+
+
 def test_tables_are_kept_and_nothing_of_others_is_touched(
     folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -274,19 +299,23 @@ def test_tables_are_kept_and_nothing_of_others_is_touched(
     words = ("export", folder, "--layout", "flat", "--out", out, "--workers", "1", "-q")
     assert call(*words) == 0
     before = folder_bytes(out)
-    (out / "data" / "printed_train-00000-of-00001.parquet").unlink()
-    assert call(*words) == 0
-    assert folder_bytes(out) == before
     some = ("--split", "printed_test", "--limit", "3")
-    assert call(*words, *some) == 2
-    assert "holds 'data/printed_train-00000-of-00001.parquet'" in capsys.readouterr().err
-    assert folder_bytes(out) == before
+    for further in (some, (*some, "--dry-run")):
+        assert call(*words, *further) == 2
+        assert "options.limit is None there, 3 was asked for" in capsys.readouterr().err
+        assert folder_bytes(out) == before
     assert call(*words, *some, "--overwrite") == 0
-    assert list(folder_bytes(out)) == ["data/printed_test-00000-of-00001.parquet"]
+    assert [path for path in folder_bytes(out) if path.startswith("data/")] == [
+        "data/printed_test-00000-of-00001.parquet"
+    ]
     whole = folder_bytes(folder)
     assert call(*words, "--overwrite", "--out", folder) == 2
-    assert "not of an export as tables" in capsys.readouterr().err
+    assert "holds the source" in capsys.readouterr().err
     assert folder_bytes(folder) == whole
+    (tmp_path / "mine").mkdir()
+    (tmp_path / "mine" / "notes.txt").write_text("mine")
+    assert call(*words, "--overwrite", "--out", tmp_path / "mine") == 2
+    assert list(folder_bytes(tmp_path / "mine")) == ["notes.txt"]
     assert call(*words, "--scale", "2") == 2
     assert "--scale is about files" in capsys.readouterr().err
     assert call(*words, "--dry-run", "--out", tmp_path / "none") == 0
@@ -309,3 +338,10 @@ def test_scenes_keep_what_stands_where(tmp_path: Path) -> None:
         assert stored == [(each.shape, each.x_m, each.y_m) for each in scene.placements]
         assert row["star_count"] == scene.star_count
         assert row["mesh"].to_mesh().volume == pytest.approx(scene.mesh.volume, rel=1e-6)
+    assert command_line.call("starstruck", "verify", out) == 0
+    assert command_line.call("starstruck", "info", out) == 0
+    wrench = tmp_path / "wrench"
+    assert command_line.call("env-assets", "wrench", "--size", "13", "--out", wrench, "-q") == 0
+    tables = ("--layout", "flat", "--out", tmp_path / "wrenches", "-q")
+    assert command_line.call("env-assets", "export", wrench, *tables) == 0
+    assert command_line.call("env-assets", "verify", tmp_path / "wrenches") == 0

@@ -76,6 +76,10 @@ def test_lines_that_open_a_data_set():
         "import datasets",
         'datasets.load_dataset("me/touches", split="test", revision="v1")',
     )
+    tables = SimpleNamespace(kind="starstruck", spec={"operation": "export"})
+    for kind in (SCENES, TOUCHES):
+        assert kind.loading_lines(tables, "x", "test")[1] == 'datasets.load_dataset("x", split="test")'
+    assert SCENES.schema_of(tables) is None
     assert TOUCHES.loading_lines(None, "x", "test")[1] == 'realtouch.load("x", split="test")'
 
 

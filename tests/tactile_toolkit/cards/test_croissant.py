@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import io
 import json
 import shutil
 from dataclasses import replace
@@ -11,10 +12,12 @@ from pathlib import Path
 import numpy as np
 import pyarrow.parquet as pq
 import pytest
+import trimesh
 import yaml
 
 import mnist3d
 import realtouch
+import starstruck_gen
 from mnist3d.generation import GenerateSpec, generate
 from mnist3d.rows import mesh_schema
 from mnist3d.solid import SolidSpec
@@ -72,6 +75,25 @@ def test_records_are_the_rows(made):
         for record, row in zip(records, rows, strict=True):
             assert np.array_equal(record[f"{split}/mesh.vertices"], row.vertices_m.astype(np.float32))
             assert record[f"{split}/volume_m3"] == pytest.approx(row.volume_m3)
+
+
+def test_records_of_scenes_and_of_tables(tmp_path):
+    """Structs in lists, and meshes as files."""
+    scenes, tables = tmp_path / "scenes", tmp_path / "tables"
+    starstruck_gen.generate(starstruck_gen.GenerateSpec(scenes=(("train", 3),)), scenes, ["train"])
+    assert call("starstruck", "export", scenes, "--layout", "flat", "--out", tables, "-q") == 0
+    rows = starstruck_gen.load(scenes, "train")
+    for folder in (scenes, tables):
+        for record, row in zip(loaded(folder).records("train"), rows, strict=True):
+            assert record["train/id"] == row.id
+            found = [
+                (each["train/placements/shape"].decode(), each["train/placements/x_m"])
+                for each in record["train/placements"]
+            ]
+            assert found == [(each.shape, each.x_m) for each in row.placements]
+    for record, row in zip(loaded(tables).records("train"), rows, strict=True):
+        mesh = trimesh.load_mesh(io.BytesIO(record["train/mesh"]), file_type="glb")
+        assert mesh.volume == pytest.approx(row.mesh.volume, rel=1e-6)
 
 
 def test_it_says_what_the_card_and_the_manifest_say(made):

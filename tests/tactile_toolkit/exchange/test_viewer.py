@@ -19,6 +19,7 @@ from tactile_toolkit.exchange.upload import prepare_upload, run_upload
 from tactile_toolkit.exchange.upload_plan import UploadOptions
 from tactile_toolkit.store.folder import DataFolder
 from tactile_toolkit.store.verify import verify
+from tests.cli.test_cards_cli import call
 from tests.hub_server import HubServer, hub
 from tests.realtouch.factories import make_round, seq_rows, write_set
 from tests.tactile_toolkit.exchange.upload_client import logged_in
@@ -161,6 +162,18 @@ def test_an_upload_without_it_takes_it_back(server, made):
     assert upload(made).sent == ()
     head = yaml.safe_load(held(server)["README.md"].decode().split("---\n")[1])
     assert [config["config_name"] for config in head["configs"]] == ["default"]
+
+
+def test_tables_go_to_the_hub_and_come_back(server, made, tmp_path):
+    tables, out = tmp_path / "tables", tmp_path / "back"
+    assert call("mnist3d", "export", made, "--layout", "flat", "--out", tables, "-q") == 0
+    upload(tables)
+    assert "- name: mesh\n    dtype: mesh" in held(server)["README.md"].decode()
+    done = run_here(DOWNLOAD.format(splits=(), out=str(out)), settings(server, tmp_path), tmp_path)
+    assert done.stdout.split() == ["0", "True"], done.stdout + done.stderr
+    assert verify(DataFolder(str(out)), check_card=check_card).findings == ()
+    with pytest.raises(InputError, match="--viewer shows meshes in 3D"):
+        upload(tables, viewer=True)
 
 
 def test_touches_have_nothing_to_show_in_3d(server, tmp_path):

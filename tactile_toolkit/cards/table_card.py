@@ -1,0 +1,113 @@
+"""The card of tables that were made of a data set of meshes for other libraries."""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from tactile_toolkit.cards.card import (
+    MESH_TASKS,
+    Column,
+    field_table,
+    json_block,
+    markdown_table,
+    megabytes,
+    skipped_text,
+    write_card_files,
+)
+from tactile_toolkit.cards.facts import FolderFacts, recorded_facts
+from tactile_toolkit.kind import DatasetKind
+from tactile_toolkit.mesh.flat import MESH, SIZES
+from tactile_toolkit.pictures.relief import relief
+from tactile_toolkit.pictures.sheets import Sheet, Tile, sheet
+from tactile_toolkit.pictures.writing import png_bytes
+from tactile_toolkit.store.folder import DataFolder
+from tactile_toolkit.store.manifest import Manifest
+
+__all__ = ["Terms", "write_table_card"]
+
+_COLUMNS: dict[str, Column] = {
+    "label_name": ("", "name of the class"),
+    **{name: ("m", f"extent along {name[5]}") for name in SIZES},
+    f"{MESH}": ("GLB file, m, frame below", "the solid, its vertices and faces in their order"),
+}
+_SHOWN = 10
+_TILE_PX = 120
+
+
+@dataclass(frozen=True, slots=True)
+class Terms:
+    """What a card says of whose the data are: the Hub's word for the licence, and sentences."""
+
+    licence: str
+    licence_text: str
+    citation_text: str
+    bibtex: str
+
+
+def write_table_card(
+    folder: DataFolder,
+    manifest: Manifest,
+    kind: DatasetKind,
+    title: str,
+    columns: Mapping[str, Column],
+    terms: Terms,
+) -> None:
+    """Write ``README.md``, its picture and ``croissant.json`` of tables; IntegrityError for a damaged one.
+
+    ``columns`` are those of the data set that they were made of, ``title`` is its name.
+    """
+    facts, spec = recorded_facts(folder, manifest), manifest.spec
+    rows = ", ".join(
+        f"{split}: {sum(file['rows'] for file in files):,}" for split, files in spec["source"].items()
+    )
+    made = [
+        ("made by", f"tactile-toolkit {manifest.toolkit_version} (schema {manifest.schema_version})"),
+        ("command", f"`{kind.command} export --layout flat`"),
+        ("source", f"{kind.nouns} {rows}; `manifest.json` names and fingerprints each file"),
+        (f"{kind.nouns} left out", skipped_text(manifest)),
+    ]
+    sizes = [
+        (s.split, f"{s.rows:,}", len(s.paths), megabytes(s.file_bytes), megabytes(s.unpacked_bytes))
+        for s in facts.splits
+    ]
+    values = {
+        "title": f"{title} as tables",
+        "nouns": kind.nouns,
+        "noun": kind.noun,
+        "made": markdown_table(("", ""), made) + "\n\nOptions:\n\n" + json_block(spec["options"]),
+        "split_table": markdown_table(("split", kind.nouns, "shards", "Parquet", "unpacked"), sizes),
+        "field_table": field_table(facts, {**columns, **_COLUMNS}),
+        "licence_text": terms.licence_text,
+        "citation_text": terms.citation_text,
+        "bibtex": terms.bibtex,
+    }
+    write_card_files(
+        folder,
+        facts,
+        manifest,
+        "mesh_tables.md",
+        values,
+        ("tables.png", _sheet(facts), f"The first {kind.nouns}, seen from above"),
+        license=terms.licence,
+        pretty_name=f"{title} as tables",
+        **MESH_TASKS,
+        tags=["tactile", "active-perception", "3d", "mesh"],
+    )
+
+
+def _sheet(facts: FolderFacts) -> bytes | None:
+    """Draw the first objects as PNG; None without rows."""
+    import trimesh
+
+    shard = next((shard for split in facts.splits for shard in split.shards if len(shard)), None)
+    if shard is None:
+        return None
+    group = next(iter(shard.blocks(0, [f"{MESH}.bytes"])))
+    tiles = []
+    for content in group.arrow(f"{MESH}.bytes")[:_SHOWN].to_pylist():
+        mesh = trimesh.load_mesh(io.BytesIO(content), file_type="glb")
+        pitch_m = max(float(mesh.extents[:2].max()) / _TILE_PX, 1e-6)
+        tiles.append(Tile(relief(mesh.vertices, mesh.faces, pitch_m)))
+    return png_bytes(sheet(tiles, Sheet(5, margin_px=8)))
