@@ -46,7 +46,7 @@ def _card_head(text: str) -> Any:
     head = re.match(r"---\n(.*?)\n---", text, flags=re.DOTALL)
     try:
         return yaml.safe_load(head[1]) if head else None
-    except yaml.YAMLError:
+    except (yaml.YAMLError, RecursionError):
         return None
 
 

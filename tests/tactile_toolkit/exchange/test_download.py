@@ -240,6 +240,13 @@ def test_a_flipped_byte_is_repaired(server, tmp_path, kept_in_git):
     assert [request.sent for request in server.content_requests(SHARD)] == [len(CONTENT)] * 2
 
 
+def test_a_card_that_cannot_be_fitted_stays_as_it_is(server, tmp_path):
+    card = b"---\ntags: " + b"[" * 100_000 + b"\n---\n"
+    (tmp_path / "root" / NAME / "README.md").write_bytes(card)
+    place = Path(fetch(server, tmp_path, script(NAME, "test", out=tmp_path / "out"))[0])
+    assert (place / "README.md").read_bytes() == card
+
+
 @pytest.mark.parametrize("to_folder", [False, True])
 def test_a_byte_flipped_twice_is_an_error_and_leaves_nothing(server, tmp_path, to_folder):
     out = tmp_path / "out" if to_folder else None
