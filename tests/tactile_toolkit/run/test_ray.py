@@ -263,6 +263,16 @@ found = {}
 def odd(task):
     raise Odd("one", "two")
 
+import tactile_toolkit.run.ray as runner
+finished, most = runner._finished, 0
+def counted(ray, running):
+    global most
+    most = max(most, len(running))
+    return finished(ray, running)
+runner._finished = counted
+assert sorted(RayRunner(address).run(abs, range(20))) == list(range(20))
+found["at once"] = most / (2 * ray.cluster_resources()["CPU"])
+
 try:
     list(RayRunner(address).run(odd, [1]))
 except Exception as error:
@@ -283,6 +293,7 @@ Path(folder + "-found").write_text(json.dumps(found))
 def test_errors_are_raised_as_they_are_and_only_deaths_tried_again(cluster: Cluster, tmp_path: Path) -> None:
     finish(cluster.start(ERRORS, tmp_path / "set"))
     found = json.loads((tmp_path / "set-found").read_text())
+    assert found["at once"] == 1  # two for each core, however many there are
     assert found["own"] == "ItemError: nothing is drawn"
     assert found["extra"].startswith("MissingExtraError: this needs the package 'that'")
     assert found["foreign"] == "ZeroDivisionError: of the task"

@@ -120,6 +120,29 @@ def test_what_the_parts_are_of_is_agreed_once_and_held_to(tmp_path):
     assert folder_bytes(tmp_path / "set") == before
 
 
+@pytest.mark.parametrize(
+    ("first", "told"),
+    [
+        (toy_plan(spec={"seed": 2, "size": [1, 2]}).for_parts(4), "seed is 2 there, 1 was asked for"),
+        (toy_plan().for_parts(5), "parts is 5 there, 4 was asked for"),
+    ],
+)
+def test_of_two_first_parts_at_the_same_moment_the_later_is_held_to_the_other(
+    tmp_path, monkeypatch, first, told
+):
+    create = DataFolder.create_bytes
+
+    def just_behind(folder, path, content):
+        if path == PARTS_FILE:
+            create(folder, path, first.to_json())
+        return create(folder, path, content)
+
+    monkeypatch.setattr(DataFolder, "create_bytes", just_behind)
+    with pytest.raises(SpecMismatchError, match=told):
+        make(tmp_path / "set", Part(1, 4))
+    assert folder_bytes(tmp_path / "set") == {PARTS_FILE: first.to_json()}
+
+
 def test_parts_of_another_specification_are_told_what_parts_can_do(tmp_path, whole):
     """Not of --overwrite, which they refuse."""
     other = toy_plan(spec={"seed": 2, "size": [1, 2]})

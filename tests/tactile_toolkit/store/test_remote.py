@@ -61,12 +61,25 @@ def test_what_is_written_is_listed_with_its_size_and_read_again(folder):
 
 
 def test_a_file_of_several_megabytes_is_one_request(folder, s3, bucket):  # noqa: F811
-    content = bytes(range(256)) * (52 << 12)  # more than the client sends in one piece by itself
+    content = bytes(101 << 20)  # more than the client sends in one piece by itself
     s3.traffic.reset()
     folder.write_bytes("data/large", content)
     assert s3.traffic.requests["PUT"] == 1
     assert s3.traffic.requests["POST"] == 0
-    assert folder.read_bytes("data/large") == content
+    assert folder.size_bytes("data/large") == len(content)
+
+
+def test_of_a_large_file_that_cannot_be_sent_whole_no_piece_stays(folder, s3, bucket, tmp_path):  # noqa: F811
+    with (tmp_path / "report").open("wb") as file:
+        file.truncate(101 << 20)
+    s3.refuse = lambda asked: (
+        ("403 Forbidden", "AccessDenied") if "partNumber=3" in asked["QUERY_STRING"] else None
+    )
+    with pytest.raises(RemoteError, match="AccessDenied"):
+        folder.copy_in("reports/large", tmp_path / "report")
+    assert s3.traffic.requests["POST"] == 1  # it was begun in pieces
+    assert s3.uploads(bucket) == []
+    assert folder.names("reports") == []
 
 
 def test_what_another_client_writes_is_seen_at_once(folder, s3, bucket):  # noqa: F811
