@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 from cli.options import Making, Work
@@ -21,11 +21,21 @@ __all__ = ["Made", "make_with_progress", "print_conclusion", "print_forecast"]
 
 @dataclass(frozen=True, slots=True)
 class Made:
-    """A finished run: what its folder holds now, what the run made, in words, and how long it took."""
+    """A finished run: what its folder holds now, what it made, what gave no row, and how long it took."""
 
     manifest: Manifest
-    text: str
+    nouns: str
+    rows: int
+    skipped: int
     elapsed_s: float
+
+    @property
+    def text(self) -> str:
+        """What it made, in words."""
+        if not self.rows and not self.skipped:
+            return "nothing was left to make"
+        left_out = f", {self.skipped:,} left out," if self.skipped else ""
+        return f"made {counted(self.rows, self.nouns)}{left_out} in {duration_text(self.elapsed_s)}"
 
 
 def make_with_progress(
@@ -75,27 +85,27 @@ def make_with_progress(
                 "again"
             )
             raise KeyboardInterrupt(message) from error
-    elapsed_s = time.monotonic() - start_s
-    text = "nothing was left to make"
-    if rows or skipped:
-        left_out = f", {skipped:,} left out," if skipped else ""
-        text = f"made {counted(rows, nouns)}{left_out} in {duration_text(elapsed_s)}"
-    if work.part is None:
-        # Another split may be unfinished: what is finished of it stays and is shown, as `info` shows it.
-        return Made(manifest_so_far(DataFolder(out)) or manifest, text, elapsed_s)
+    made = Made(manifest, nouns, rows, skipped, time.monotonic() - start_s)
+    if work.part is not None:
+        _print_part(sink, made, out, work.part)
+        return None
+    # Another split may be unfinished: what is finished of it stays and is shown, as `info` shows it.
+    return replace(made, manifest=manifest_so_far(DataFolder(out)) or manifest)
+
+
+def _print_part(sink: Sink, made: Made, out: str, part: str) -> None:
     sink.document(
         {
             "folder": out,
             "complete": False,
-            "part": work.part,
-            "rows": rows,
-            "skipped": skipped,
-            "elapsed_s": round(elapsed_s, 3),
+            "part": part,
+            "rows": made.rows,
+            "skipped": made.skipped,
+            "elapsed_s": round(made.elapsed_s, 3),
         }
     )
-    sink.line(f"{text}; part {work.part} of the data set in {out} is there")
+    sink.line(f"{made.text}; part {part} of the data set in {out} is there")
     sink.line("next: when all parts have ended, the same command with --finish instead of --part")
-    return None
 
 
 def print_conclusion(sink: Sink, kind: DatasetKind, made: Made, out: str, splits: Sequence[str]) -> None:

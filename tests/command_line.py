@@ -1,4 +1,4 @@
-"""Command lines given in this process, as tests of what they say and write need them."""
+"""Command lines given in this process, or as a process of their own."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import os
 import sys
 from importlib import import_module
 
-__all__ = ["call"]
+__all__ = ["call", "program"]
 
 
 def call(program: str, *arguments: object) -> int:
@@ -22,3 +22,9 @@ def call(program: str, *arguments: object) -> int:
         sys.argv = before
         os.environ.pop("TACTILE_TOOLKIT_DEBUG", None)
     return 0
+
+
+def program(name: str, *arguments: object) -> list[str]:
+    """Return what an interpreter of its own is started with to run a command line."""
+    script = f"import sys; sys.argv[0] = {name!r}; from cli.{name.replace('-', '_')} import main; main()"
+    return [sys.executable, "-c", script, *map(str, arguments)]

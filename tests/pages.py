@@ -18,6 +18,8 @@ from itertools import chain
 from pathlib import Path
 from typing import Any, NamedTuple
 
+from tests import command_line
+
 __all__ = ["ROOT", "Block", "blocks", "commands", "main", "program"]
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -52,9 +54,8 @@ def program(command: str) -> list[str]:
     """Translate ``mnist3d ...`` into this interpreter running that command line."""
     bare = command.rpartition("&&")[2].strip().removeprefix(".venv/bin/")
     name, *arguments = shlex.split(bare, comments=True)
-    script = f"import sys; sys.argv[0] = {name!r}; from cli.{name.replace('-', '_')} import main; main()"
     files = [sorted(map(str, Path().glob(each))) if "*" in each else [each] for each in arguments]
-    return [sys.executable, "-c", script, *chain.from_iterable(files)]
+    return command_line.program(name, *chain.from_iterable(files))
 
 
 def main() -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
+import textwrap
 import time
 from pathlib import Path
 
@@ -35,6 +36,24 @@ module.make_with_progress = held
 sys.argv = [name, *sys.argv[4:]]
 module.main()
 """
+
+
+def printed_by(code: str, *words: object, **environment: str) -> str:
+    """Run code in an interpreter of its own, at the root of the repository; return what it printed.
+
+    What it says on stderr is shown where it ends with an error.
+    """
+    done = subprocess.run(
+        [sys.executable, "-c", textwrap.dedent(code), *map(str, words)],
+        cwd=Path(__file__).parents[1],
+        env=os.environ | environment,
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=PATIENCE_S,
+    )
+    assert done.returncode == 0, done.stdout + done.stderr
+    return done.stdout
 
 
 def start_held(command_line: str, shards: int, marker: Path, *words: object) -> subprocess.Popen[bytes]:

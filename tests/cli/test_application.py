@@ -19,6 +19,16 @@ from cli.options import Folder, Making, Quiet, Seed
 from cli.output import Sink
 from tactile_toolkit.errors import IntegrityError
 from tests.command_line import call
+from tests.processes import printed_by
+
+PACKAGES = {
+    "mnist3d": "mnist3d",
+    "starstruck_gen": "starstruck",
+    "realtouch": "realtouch",
+    "tactile_sim": "tactile-sim",
+    "env_assets": "env-assets",
+}
+COMMAND_LINES = [name.replace("-", "_") for name in PACKAGES.values()]
 
 
 @dataclass(frozen=True)
@@ -94,10 +104,35 @@ def test_two_options_of_one_name_are_a_mistake_of_ours():
             """Take --quiet twice."""
 
 
-def test_every_command_documents_version_and_debug():
-    from cli import env_assets, mnist3d, realtouch, starstruck
+HEAVY = (
+    *("PIL", "av", "datasets", "httpx", "huggingface_hub", "manifold3d", "numpy", "pandas", "pyarrow"),
+    *("pydantic", "scipy", "skimage", "tactile_mnist", "torch", "trimesh", "yaml"),
+)
+HELPS = """
+import sys
+from cli.{line} import app, main
+from typer.main import get_command_name
+names = [info.name or get_command_name(info.callback.__name__) for info in app.registered_commands]
+for words in (["--version"], *([name, "--help"] for name in names), ["--help"]):
+    sys.argv = [app.info.name, *words]
+    try:
+        main()
+    except SystemExit as leave:
+        assert not leave.code, words
+    heavy = {heavy} & {{name.partition(".")[0] for name in sys.modules}}
+    assert not heavy, (words, heavy)
+"""
 
-    for module in (mnist3d, starstruck, realtouch, env_assets):
+
+@pytest.mark.parametrize("line", COMMAND_LINES)
+def test_no_help_of_any_command_imports_a_heavy_library(line):
+    said = printed_by(HELPS.format(line=line, heavy=set(HEAVY)))
+    assert said.count("Usage: ") > 5
+
+
+def test_every_command_documents_version_and_debug():
+    for line in COMMAND_LINES:
+        module = import_module(f"cli.{line}")
         group = typer.main.get_command(module.app)
         assert {"--install-completion", "--show-completion"} <= _options(group)
         for name, each in {"": group, **group.commands}.items():
@@ -122,14 +157,6 @@ def test_debug_lets_the_traceback_through(place, monkeypatch):
 
     words = ["--debug", "break"] if place == "before" else ["break", "--debug"]
     assert isinstance(CliRunner().invoke(app, words).exception, IntegrityError)
-
-
-PACKAGES = {
-    "mnist3d": "mnist3d",
-    "starstruck_gen": "starstruck",
-    "realtouch": "realtouch",
-    "env_assets": "env-assets",
-}
 
 
 @pytest.mark.parametrize("package", PACKAGES)

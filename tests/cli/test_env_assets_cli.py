@@ -1,16 +1,13 @@
 from __future__ import annotations
 
-import importlib.metadata
 import json
-import subprocess
-import sys
 
 import pytest
 from typer.testing import CliRunner
 
 import mnist3d
 import starstruck_gen
-from cli.env_assets import app, main
+from cli.env_assets import app
 
 
 def run(*words):
@@ -117,27 +114,6 @@ def test_info_lists_what_a_provider_would_give(tmp_path):
     assert wrench["volume_mm3"][0] == wrench["volume_mm3"][1]
     assert "stars" in run("info", tmp_path).stdout
     assert run("info", tmp_path / "nowhere").exit_code == 2
-
-
-def test_help_needs_no_heavy_library():
-    code = (
-        "import sys\n"
-        "from typer.testing import CliRunner\n"
-        "from cli.env_assets import app, main\n"
-        "for words in (['--help'], ['wrench', '--help'], ['info', '--help'], ['verify', '--help']):\n"
-        "    assert CliRunner().invoke(app, words).exit_code == 0\n"
-        "heavy = {'numpy', 'pyarrow', 'manifold3d', 'trimesh', 'datasets', 'scipy'}\n"
-        "assert not heavy & set(sys.modules), heavy & set(sys.modules)"
-    )
-    subprocess.run([sys.executable, "-c", code], check=True)
-
-
-def test_version_is_that_of_the_toolkit(capsys, monkeypatch):
-    monkeypatch.setattr(sys, "argv", ["env-assets", "--version"])
-    with pytest.raises(SystemExit) as leave:
-        main()
-    assert not leave.value.code
-    assert capsys.readouterr().out == f"tactile-toolkit {importlib.metadata.version('tactile-toolkit')}\n"
 
 
 def test_a_wrench_is_exported_for_printers_and_simulators(tmp_path):

@@ -123,14 +123,3 @@ def test_ctrl_c_leaves_nothing_and_says_so(folders, tmp_path):
     assert "interrupted; nothing was left behind" in words
     assert "Traceback" not in words
     assert list(place.iterdir()) == []
-
-
-def test_help_loads_no_heavy_library():
-    code = (
-        "import sys\nfrom cli.mnist3d import main\nsys.argv = ['mnist3d', 'gallery', '--help']\n"
-        "try:\n    main()\nexcept SystemExit:\n    pass\n"
-        "print(sorted({'numpy', 'pyarrow', 'trimesh', 'PIL'} & set(sys.modules)))"
-    )
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert done.stdout.rstrip().endswith("[]")
-    assert "opens without a network" in done.stdout

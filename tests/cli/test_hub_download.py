@@ -403,15 +403,3 @@ def test_short_names():
     assert published_set("someone/digits") is None
     assert place_of("real-single") == place_of("real-single-320x240")
     assert {place_of(name) for name in SHORT_NAMES} == {e.repo_id for e in TOUCH_KIND.published}
-
-
-@pytest.mark.parametrize("command", ["mnist3d", "starstruck", "realtouch"])
-def test_help_is_light(command, tmp_path):
-    script = (
-        f"import sys; from cli.{command} import app; from typer.testing import CliRunner\n"
-        "result = CliRunner().invoke(app, ['download', '--help'])\n"
-        "heavy = {'huggingface_hub', 'pyarrow', 'numpy', 'httpx2', 'yaml'} & set(sys.modules)\n"
-        "print(result.exit_code, sorted(heavy), all(w in result.output for w in ('--split', '--dry-run')))"
-    )
-    done = run_python(script, settings("http://127.0.0.1:9", tmp_path, COLUMNS="120"), tmp_path)
-    assert done.stdout.strip() == "0 [] True", done.stdout + done.stderr

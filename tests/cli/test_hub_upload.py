@@ -7,7 +7,6 @@ import os
 import pty
 import re
 import subprocess
-import sys
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -15,7 +14,7 @@ import pytest
 
 import realtouch
 from starstruck_gen.generation import GenerateSpec, generate
-from tests.command_line import call
+from tests.command_line import call, program
 from tests.hub_server import HubServer, hub
 from tests.processes import PATIENCE_S
 from tests.realtouch import factories
@@ -31,10 +30,10 @@ pytestmark = pytest.mark.filterwarnings(
 
 def run(command: str, *arguments: object, environment: dict[str, str]) -> subprocess.CompletedProcess[str]:
     """Run a command line in a process of its own."""
-    program = [sys.executable, "-c", f"from cli.{command} import main; main()", *map(str, arguments)]
     environment = {**environment, "PYTHONPATH": str(Path.cwd())}
+    words = program(command, *arguments)
     return subprocess.run(
-        program, env=environment, capture_output=True, text=True, check=False, timeout=PATIENCE_S
+        words, env=environment, capture_output=True, text=True, check=False, timeout=PATIENCE_S
     )
 
 
@@ -217,9 +216,12 @@ def test_without_a_terminal_it_does_not_send_unasked(server, folder, capsys):
 def test_on_a_terminal_it_asks(server, folder, tmp_path, answer, code):
     environment = settings(server, tmp_path, next(iter(server.accounts)), PYTHONPATH=str(Path.cwd()))
     ours, theirs = pty.openpty()
-    program = [sys.executable, "-c", "from cli.starstruck import main; main()", "upload", str(folder), NAME]
     process = subprocess.Popen(
-        program, env=environment, stdin=theirs, stderr=theirs, stdout=subprocess.DEVNULL
+        program("starstruck", "upload", folder, NAME),
+        env=environment,
+        stdin=theirs,
+        stderr=theirs,
+        stdout=subprocess.DEVNULL,
     )
     os.close(theirs)
     os.write(ours, f"{answer}\n".encode())

@@ -1,8 +1,6 @@
 from __future__ import annotations
 
 import json
-import subprocess
-import sys
 from functools import partial
 from pathlib import Path
 
@@ -229,26 +227,6 @@ def test_join_bodies_gives_one_body_each(tmp_path, capsys):
     for name, bodies in (("apart", 2), ("joined", 1)):
         (digit,) = mnist3d.load(str(tmp_path / name), "train")
         assert digit.mesh.body_count == bodies
-
-
-def test_help_is_light_and_shows_every_command():
-    script = (
-        "import sys; sys.argv = ['mnist3d', '--help']\n"
-        "from cli.mnist3d import main\n"
-        "try: main()\n"
-        "except SystemExit: pass\n"
-        "heavy = {'scipy', 'skimage', 'trimesh', 'datasets', 'pyarrow', 'numpy'} & set(sys.modules)\n"
-        "sys.exit(f'imported {heavy}' if heavy else 0)"
-    )
-    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=False)
-    assert done.returncode == 0, done.stderr
-    for command in ("generate", "validate", "info", "verify"):
-        assert command in done.stdout
-
-
-def test_version(capsys):
-    assert call("--version") == 0
-    assert capsys.readouterr().out.startswith("tactile-toolkit ")
 
 
 def test_an_unreadable_file_hides_no_verdict(tmp_path, capsys):

@@ -30,7 +30,7 @@ SCENES = ("generate", "--scenes", "train=3000,test=20", "-w", "1", "--out")
 
 def start(*words: object, **environment: str) -> subprocess.Popen[str]:
     return subprocess.Popen(
-        [sys.executable, "-c", "from cli.starstruck import main; main()", *map(str, words)],
+        command_line.program("starstruck", *words),
         cwd=REPOSITORY,
         env=os.environ | environment,
         stdout=subprocess.PIPE,

@@ -26,6 +26,7 @@ from starstruck_gen.generation import generate as generate_scenes
 from starstruck_gen.spec import SceneSpec
 from tactile_toolkit.mesh.files import write_mesh
 from tactile_toolkit.mesh.mesh import Mesh
+from tests.command_line import program
 from tests.realtouch import factories
 
 NO_PLOTS = find_spec("matplotlib") is None
@@ -54,10 +55,9 @@ def clips(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def process(room: str, *arguments: object, cwd: Path, **environment: str) -> subprocess.CompletedProcess[str]:
     """Run a command line as a user does, without a screen."""
-    command = f"import sys; sys.argv[0] = {room!r}; from cli.{room} import main; main()"
     outer = {name: value for name, value in os.environ.items() if name != "DISPLAY"}
     return subprocess.run(
-        [sys.executable, "-c", command, "preview", *map(str, arguments)],
+        program(room, "preview", *arguments),
         cwd=cwd,
         env={**outer, **environment},
         capture_output=True,

@@ -1,8 +1,6 @@
 from __future__ import annotations
 
 import json
-import subprocess
-import sys
 from functools import partial
 from pathlib import Path
 
@@ -217,23 +215,3 @@ def test_bad_input_is_said_in_a_line_with_exit_code_2(arguments, words, images, 
     assert words in printed.err
     assert "Traceback" not in printed.err
     assert not (tmp_path / "out").exists()
-
-
-def test_help_imports_nothing_heavy():
-    code = (
-        "import sys; sys.argv = ['realtouch', '--help']\n"
-        "from cli.realtouch import app\n"
-        "try: app()\n"
-        "except SystemExit: pass\n"
-        "heavy = ('numpy', 'pyarrow', 'torch', 'av', 'datasets')\n"
-        "print([name for name in heavy if name in sys.modules], file=sys.stderr)"
-    )
-    run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert run.stderr.strip() == "[]"
-    for command in ("load", "info", "verify", "to-single", "resize", "frames", "select", "preview"):
-        assert command in run.stdout
-
-
-def test_version(capsys):
-    assert call("--version") == 0
-    assert "tactile-toolkit" in capsys.readouterr().out

@@ -1,8 +1,6 @@
 from __future__ import annotations
 
 import json
-import subprocess
-import sys
 
 import pyarrow as pa
 import pyarrow.parquet as pq
@@ -291,16 +289,3 @@ def test_folder_without_a_data_set_is_refused(tmp_path, command):
     result = run(command, tmp_path)
     assert result.exit_code == 2
     assert "error: " in result.stderr
-
-
-@pytest.mark.parametrize("words", [["--help"], ["generate", "--help"], ["--version"]])
-def test_help_and_version_import_no_heavy_library(words):
-    code = (
-        "import sys\n"
-        "from cli.starstruck import main\n"
-        f"sys.argv = ['starstruck', *{words!r}]\n"
-        "try:\n    main()\nexcept SystemExit as leave:\n    assert not leave.code\n"
-        "assert not {'pydantic', 'numpy', 'pyarrow', 'manifold3d', 'trimesh', 'datasets'} & set(sys.modules)"
-    )
-    shown = subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, text=True).stdout
-    assert "tactile-toolkit" in shown or "Usage" in shown

@@ -15,17 +15,15 @@ import starstruck_gen
 from tactile_toolkit.errors import InputError, IntegrityError, SpecMismatchError
 from tactile_toolkit.store.folder import DataFolder
 from tactile_toolkit.store.manifest import read_manifest
+from tests.command_line import program
 from tests.processes import PATIENCE_S
-
-COMMANDS = {"mnist3d": "cli.mnist3d", "starstruck": "cli.starstruck", "env-assets": "cli.env_assets"}
 
 
 def named_command(message: str) -> list[str]:
     """The command in a message, as the interpreter runs it."""
     command = re.search(r"next: run `([^`]+)`", message)
     assert command, message
-    program, *words = shlex.split(command[1])
-    return [sys.executable, "-c", f"from {COMMANDS[program]} import main; main()", *words, "--quiet"]
+    return program(*shlex.split(command[1]), "--quiet")
 
 
 def parquet(folder: Path) -> dict[str, bytes]:

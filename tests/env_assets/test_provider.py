@@ -3,8 +3,6 @@ from __future__ import annotations
 import multiprocessing
 import pickle
 import shutil
-import subprocess
-import sys
 import threading
 from concurrent.futures import ThreadPoolExecutor
 
@@ -20,7 +18,7 @@ from tactile_toolkit.mesh.mesh import Mesh
 from tests.env_assets.factories import write_meshes
 from tests.env_assets.processes import answer, fingerprint
 from tests.env_assets.shapes import box
-from tests.processes import PATIENCE_S
+from tests.processes import PATIENCE_S, printed_by
 
 
 def test_it_has_the_shape_that_environments_depend_on(provider):
@@ -252,7 +250,7 @@ def test_opening_imports_what_reading_needs(assets):
         "heavy = ('trimesh', 'pyarrow', 'numpy', 'pandas')\n"
         "assert not {name for name in new if name.split('.')[0] in heavy}, new\n"
     )
-    subprocess.run([sys.executable, "-c", code], check=True)
+    printed_by(code)
 
 
 def test_names_and_folders_that_cannot_be_are_refused(provider):

@@ -1,11 +1,9 @@
 from __future__ import annotations
 
-import subprocess
-import sys
-
 import pytest
 
 import env_assets
+from tests.processes import printed_by
 
 ADAPTERS = {"as_mesh_dataset", "as_touch_dataset"}
 """These need the packages of the extra ``env``."""
@@ -30,7 +28,7 @@ def test_no_module_bears_a_public_name():
 def test_import_brings_no_heavy_library():
     heavy = "{'numpy', 'pyarrow', 'manifold3d', 'trimesh', 'datasets', 'scipy', 'PIL', 'tactile_mnist'}"
     code = f"import sys, env_assets; assert not {heavy} & set(sys.modules)"
-    subprocess.run([sys.executable, "-c", code], check=True)
+    printed_by(code)
 
 
 def test_a_provider_needs_no_package_of_environments(assets):
@@ -41,4 +39,4 @@ def test_a_provider_needs_no_package_of_environments(assets):
         "heavy = {'tactile_mnist', 'ap_gym', 'gymnasium', 'torch', 'jax', 'datasets'}\n"
         "assert not heavy & set(sys.modules), heavy & set(sys.modules)"
     )
-    subprocess.run([sys.executable, "-c", code, str(assets)], check=True)
+    printed_by(code, assets)

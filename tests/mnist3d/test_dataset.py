@@ -1,8 +1,6 @@
 from __future__ import annotations
 
 import pickle
-import subprocess
-import sys
 from itertools import pairwise
 from pathlib import Path
 
@@ -15,6 +13,7 @@ from mnist3d.solid import SolidSpec
 from mnist3d.sources.synthetic import SyntheticSource
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.mesh.records import RecordStream
+from tests.processes import printed_by
 
 ROWS = 40
 
@@ -147,8 +146,7 @@ def test_import_is_light():
     script = (
         "import sys, mnist3d; print(*sorted({'scipy', 'skimage', 'trimesh', 'datasets'} & set(sys.modules)))"
     )
-    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True)
-    assert done.stdout.strip() == ""
+    assert printed_by(script).strip() == ""
 
 
 def test_public_names_resolve():

@@ -1,6 +1,5 @@
 from __future__ import annotations
 
-import json
 import shutil
 from pathlib import Path
 
@@ -19,6 +18,7 @@ from tactile_toolkit.gallery.site import build_site, forecast_site
 from tactile_toolkit.store.folder import DataFolder
 from tactile_toolkit.store.reports import read_report
 from tests.gallery_browser import browser, opened
+from tests.gallery_files import column, content_of, index_of
 from tests.tactile_toolkit.toy import folder_bytes
 
 
@@ -32,16 +32,6 @@ def folder(tmp_path_factory) -> Path:
     )
     mnist3d.generate(spec, str(out), ("train", "test"), workers=1)
     return out
-
-
-def index_of(site: Path) -> dict:
-    text = (site / "items.js").read_text()
-    return json.loads(text.removeprefix("gallery.start(").removesuffix(");\n"))
-
-
-def column(index: dict, title: str) -> list[list[str]]:
-    facet = next(facet for facet in index["facets"] if facet["title"] == title)
-    return [[facet["values"][value] for value in row] for row in facet["rows"]]
 
 
 def measure(index: dict, title: str) -> list[float | None]:
@@ -64,8 +54,7 @@ def test_the_page_shows_every_digit_with_what_the_report_says(folder, tmp_path):
     assert column(index, "Print warnings") == [row["warnings"] or ["none"] for row in rows]
     assert measure(index, "Thinnest wall") == [round(row["thinnest_wall_mm"], 2) for row in rows]
     assert measure(index, "Volume") == [round(row["volume_mm3"]) for row in rows]
-    content = (tmp_path / "site" / "items" / "000000.js").read_text()
-    notes = dict(json.loads(content.partition(",")[2].removesuffix(");\n"))["notes"])
+    notes = dict(content_of(tmp_path / "site", 0)["notes"])
     size_mm = np.ptp(expected[0][1].vertices_m, axis=0) * 1000
     assert notes["Size"] == " x ".join(f"{side:.1f}" for side in size_mm) + " mm"
 

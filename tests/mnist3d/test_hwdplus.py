@@ -2,9 +2,6 @@ from __future__ import annotations
 
 import pickle
 import re
-import subprocess
-import sys
-import textwrap
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +15,7 @@ from mnist3d.sources import NO_WRITER, DigitSource
 from mnist3d.sources.hwdplus import HwdPlusSource
 from tactile_toolkit.errors import ItemError
 from tests.mnist3d.sources import refusal
+from tests.processes import printed_by
 from tests.real_input import SHARED, needs_shared
 
 SIDE = 500
@@ -339,16 +337,7 @@ def test_memory_does_not_grow_with_the_file(tmp_path: Path, order: str, count: i
     In Fortran order an image touches every page of the file, so there 200 MB have to do.
     """
     made = _sparse_source(tmp_path, count, order)
-    command = [sys.executable, "-c", textwrap.dedent(_READ_WITHIN_LIMITS)]
-    done = subprocess.run(
-        [*command, made.images, made.writer_info, order, str(count)],
-        capture_output=True,
-        text=True,
-        check=False,
-        cwd=Path(__file__).parents[2],
-    )
-    assert done.returncode == 0, done.stderr
-    assert int(done.stdout) < 30
+    assert int(printed_by(_READ_WITHIN_LIMITS, made.images, made.writer_info, order, count)) < 30
 
 
 @needs_shared

@@ -1,7 +1,6 @@
 from __future__ import annotations
 
 import io
-import json
 import pickle
 import re
 from pathlib import Path
@@ -15,23 +14,13 @@ from realtouch.show.gallery import RoundChoice, plan_gallery
 from tactile_toolkit.errors import InputError, IntegrityError
 from tactile_toolkit.gallery.site import build_site, forecast_site
 from tests.gallery_browser import browser, opened
+from tests.gallery_files import column, content_of, index_of
 from tests.realtouch import factories
 from tests.realtouch.factories import Layout
 
 
-def index_of(site: Path) -> dict:
-    text = (site / "items.js").read_text()
-    return json.loads(text.removeprefix("gallery.start(").removesuffix(");\n"))
-
-
-def column(index: dict, title: str) -> list[str]:
-    facet = next(facet for facet in index["facets"] if facet["title"] == title)
-    return [facet["values"][row[0]] for row in facet["rows"]]
-
-
 def touches_of(site: Path, number: int) -> dict:
-    text = (site / "items" / f"{number:06d}.js").read_text()
-    return json.loads(text.partition(",")[2].removesuffix(");\n"))["touches"]
+    return content_of(site, number)["touches"]
 
 
 def tile(site: Path, name: str, size: list[int], columns: int, place: int) -> np.ndarray:
@@ -48,13 +37,13 @@ def test_rounds_are_filtered_by_class_gel_and_contact(kind, truth, tmp_path, req
     assert site.splits == {"test": 1, "train": 3}
     index = index_of(tmp_path / "site")
     split = column(index, "Split")
-    train = [number for number, name in enumerate(split) if name == "train"]
+    train = [number for number, name in enumerate(split) if name == ["train"]]
     assert [index["ids"][number] for number in train] == [round_.id for round_ in truth]
-    assert [column(index, "Class")[number] for number in train] == [str(round_.label) for round_ in truth]
-    assert [column(index, "Gel")[number] for number in train] == [str(round_.gel_id) for round_ in truth]
+    assert [column(index, "Class")[number] for number in train] == [[str(round_.label)] for round_ in truth]
+    assert [column(index, "Gel")[number] for number in train] == [[str(round_.gel_id)] for round_ in truth]
     objects = [column(index, "Object")[number] for number in train]
-    assert objects == [str(round_.object_id) for round_ in truth]
-    assert [column(index, "Touches with contact")[number] for number in train] == ["more than half"] * 3
+    assert objects == [[str(round_.object_id)] for round_ in truth]
+    assert [column(index, "Touches with contact")[number] for number in train] == [["more than half"]] * 3
     for number, round_ in zip(train, truth, strict=True):
         shown = touches_of(tmp_path / "site", number)
         assert [entry["contact"] for entry in shown["list"]] == [touch.on_digit for touch in round_.touches]
@@ -104,7 +93,7 @@ def test_a_set_without_poses_is_shown_without_contact(single_rows, tmp_path):
     layout = Layout(leave_out=("gel_pose_cell_frame.position", "gel_pose_cell_frame.quaternion"))
     factories.write_set(tmp_path / "bare", {"train": single_rows}, "single", layout)
     build_site(plan_gallery(RoundChoice(str(tmp_path / "bare"))), str(tmp_path / "site"))
-    assert column(index_of(tmp_path / "site"), "Touches with contact") == ["unknown"] * 3
+    assert column(index_of(tmp_path / "site"), "Touches with contact") == [["unknown"]] * 3
     assert {entry["contact"] for entry in touches_of(tmp_path / "site", 0)["list"]} == {None}
 
 
@@ -113,7 +102,7 @@ def test_a_set_without_metadata_is_shown_too(single_rows, tmp_path):
     assert names
     factories.write_set(tmp_path / "bare", {"train": single_rows}, "single", Layout(leave_out=tuple(names)))
     build_site(plan_gallery(RoundChoice(str(tmp_path / "bare"))), str(tmp_path / "site"))
-    assert column(index_of(tmp_path / "site"), "Gel") == ["unknown"] * 3
+    assert column(index_of(tmp_path / "site"), "Gel") == [["unknown"]] * 3
 
 
 def test_the_revision_asked_for_is_opened(seq_folder, monkeypatch):

@@ -13,7 +13,7 @@ import pytest
 
 import realtouch
 from tactile_toolkit.errors import InputError
-from tests.processes import children, wait_until_gone
+from tests.processes import children, printed_by, wait_until_gone
 from tests.tactile_toolkit.toy import folder_bytes
 
 REPOSITORY = Path(__file__).resolve().parents[2]
@@ -155,7 +155,5 @@ def test_pictures_that_cannot_be_written_leave_no_trace(single_folder: Path, tmp
         "    print(error)\n"
     )
     out = tmp_path / "out"
-    command = [sys.executable, "-c", code, str(single_folder), str(out)]
-    done = subprocess.run(command, cwd=REPOSITORY, capture_output=True, text=True, check=True)
-    assert "cannot write" in done.stdout
+    assert "cannot write" in printed_by(code, single_folder, out)
     assert not out.exists()

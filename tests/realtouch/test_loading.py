@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import os
 import pickle
-import subprocess
 import sys
 from pathlib import Path
 
@@ -15,6 +13,7 @@ import pytest
 import realtouch
 from realtouch.columns.poses import contact_z_m
 from tactile_toolkit.errors import InputError, IntegrityError
+from tests.processes import printed_by
 from tests.realtouch import factories
 from tests.realtouch.factories import Layout, RoundTruth
 
@@ -249,11 +248,7 @@ def test_import_is_quick_and_light() -> None:
     code = (
         "import sys, realtouch; print(*(n for n in sys.modules if n in ('numpy', 'pyarrow', 'torch', 'av')))"
     )
-    environment = {**os.environ, "PYTHONDONTWRITEBYTECODE": "1"}
-    run = subprocess.run(
-        [sys.executable, "-c", code], capture_output=True, text=True, check=True, env=environment
-    )
-    assert run.stdout.strip() == ""
+    assert printed_by(code).strip() == ""
 
 
 def test_touches_and_conversions_import_no_geometry(seq_folder: Path, tmp_path: Path) -> None:
@@ -267,7 +262,7 @@ def test_touches_and_conversions_import_no_geometry(seq_folder: Path, tmp_path: 
         "touch.gel_pose\n"
         "assert 'scipy.spatial' in sys.modules"
     )
-    subprocess.run([sys.executable, "-c", code, str(seq_folder), str(tmp_path / "single")], check=True)
+    printed_by(code, seq_folder, tmp_path / "single")
 
 
 def test_public_names_exist() -> None:

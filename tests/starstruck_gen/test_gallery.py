@@ -1,7 +1,6 @@
 from __future__ import annotations
 
 import io
-import json
 import pickle
 from dataclasses import replace
 from pathlib import Path
@@ -16,6 +15,7 @@ from tactile_toolkit.catalog.choose import Choice
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.gallery.site import build_site, forecast_site
 from tests.gallery_browser import browser, opened
+from tests.gallery_files import column, content_of, index_of
 
 
 @pytest.fixture(scope="module")
@@ -24,21 +24,6 @@ def folder(tmp_path_factory) -> Path:
     spec = starstruck_gen.GenerateSpec(scenes=(("train", 12), ("test", 6)))
     starstruck_gen.generate(spec, str(out), ("train", "test"), workers=1)
     return out
-
-
-def index_of(site: Path) -> dict:
-    text = (site / "items.js").read_text()
-    return json.loads(text.removeprefix("gallery.start(").removesuffix(");\n"))
-
-
-def column(index: dict, title: str) -> list[list[str]]:
-    facet = next(facet for facet in index["facets"] if facet["title"] == title)
-    return [[facet["values"][value] for value in row] for row in facet["rows"]]
-
-
-def content_of(site: Path, number: int) -> dict:
-    text = (site / "items" / f"{number:06d}.js").read_text()
-    return json.loads(text.partition(",")[2].removesuffix(");\n"))
 
 
 def test_scenes_are_filtered_by_what_stands_in_them(folder, tmp_path):

@@ -5,8 +5,6 @@ from __future__ import annotations
 import gzip
 import io
 import struct
-import subprocess
-import sys
 import zipfile
 from pathlib import Path
 
@@ -22,6 +20,7 @@ from tactile_toolkit.errors import InputError
 from tactile_toolkit.mesh.files import read_mesh
 from tactile_toolkit.mesh.threemf import BuildItem, write_build
 from tactile_toolkit.read.parquet import Shard, ShardedTable
+from tests.processes import printed_by
 
 VERTICES = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]], np.float64)
 FACES = np.array([[0, 2, 1], [0, 1, 3], [1, 2, 3], [0, 3, 2]], np.int32)
@@ -56,10 +55,7 @@ except ToolkitError as error:
     print(error)
 print((resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before) / 1024)
 """
-    done = subprocess.run(
-        [sys.executable, "-c", lines, *arguments], check=True, capture_output=True, text=True
-    )
-    said, _, peak = done.stdout.strip().rpartition("\n")
+    said, _, peak = printed_by(lines, *arguments).strip().rpartition("\n")
     return float(peak), said
 
 

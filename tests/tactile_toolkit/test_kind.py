@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import json
-import subprocess
-import sys
 from importlib import import_module
 from pathlib import Path
 from types import SimpleNamespace
@@ -21,6 +19,7 @@ from tactile_toolkit.catalog.kinds import kind_of_meshes
 from tactile_toolkit.catalog.published import kind_that_published, published_set
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.kind import DatasetKind, kinds
+from tests.processes import printed_by
 
 ALL = (DIGITS, TOUCHES, SCENES, SIMULATED, WRENCH)
 
@@ -105,5 +104,4 @@ def test_looking_at_kinds_imports_nothing_heavy():
         "import sys; from tactile_toolkit.kind import kinds; kinds();"
         "print(*{'numpy', 'pyarrow', 'trimesh', 'datasets', 'PIL'} & set(sys.modules))"
     )
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert done.stdout.strip() == ""
+    assert printed_by(code).strip() == ""

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import pickle
-import subprocess
-import sys
 import threading
 from pathlib import Path
 from typing import Any
@@ -19,6 +17,7 @@ import realtouch
 import starstruck_gen
 from tactile_toolkit.errors import InputError
 from tests.env_assets.factories import TOUCHES_PER_ROUND, write_meshes
+from tests.processes import printed_by
 from tests.realtouch import factories
 
 pytestmark = [pytest.mark.env, pytest.mark.filterwarnings("ignore")]
@@ -257,8 +256,7 @@ for name in ("make", "as_mesh_dataset"):
 
 
 def test_without_the_package_the_extra_is_named():
-    done = subprocess.run([sys.executable, "-c", WITHOUT], capture_output=True, text=True, check=True)
-    lines = done.stdout.splitlines()
+    lines = printed_by(WITHOUT).splitlines()
     assert len(lines) == 2
     for line in lines:
         assert line.startswith("MissingExtraError")

@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import os
-import subprocess
-import sys
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -18,6 +15,7 @@ import realtouch
 from cli.tactile_sim import app
 from tactile_toolkit.errors import InputError
 from tests.env_assets.published.rollouts import roll
+from tests.processes import printed_by
 
 pytestmark = [pytest.mark.env, pytest.mark.sim, pytest.mark.filterwarnings("ignore")]
 
@@ -163,13 +161,7 @@ def test_no_library_of_opengl_is_needed(provider, assets):
     """The packages import OpenGL in any case; where none is installed, the loader of libraries fails."""
     _, rest = WITHOUT_OPENGL.split("import hashlib")
     with_opengl, without = (
-        subprocess.run(
-            [sys.executable, "-W", "ignore", "-c", script, str(assets)],
-            capture_output=True,
-            text=True,
-            check=True,
-            env={**os.environ, "PYOPENGL_PLATFORM": "egl"},
-        ).stdout.splitlines()
+        printed_by(script, assets, PYTHONWARNINGS="ignore", PYOPENGL_PLATFORM="egl").splitlines()
         for script in (f"import sys\nimport hashlib{rest}", WITHOUT_OPENGL)
     )
     assert without[0] == with_opengl[0]

@@ -35,20 +35,6 @@ from tactile_toolkit.store.manifest import read_manifest
 from tactile_toolkit.store.verify import verify
 
 
-@pytest.fixture(scope="module")
-def made(tmp_path_factory) -> Path:
-    """Two splits of digits."""
-    folder = tmp_path_factory.mktemp("cards") / "digits"
-    spec = GenerateSpec(SyntheticSource(), SolidSpec(target_vertices=300), per_class=1)
-    generate(spec, str(folder), ("test", "holdout"))
-    return folder
-
-
-@pytest.fixture
-def folder(made, tmp_path) -> Path:
-    return Path(shutil.copytree(made, tmp_path / "digits"))
-
-
 def head_of(folder: Path) -> dict:
     return yaml.safe_load((folder / "README.md").read_text().split("---\n")[1])
 

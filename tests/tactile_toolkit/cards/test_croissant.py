@@ -5,7 +5,6 @@ from __future__ import annotations
 import hashlib
 import io
 import json
-import shutil
 from dataclasses import replace
 from pathlib import Path
 
@@ -18,17 +17,14 @@ import yaml
 import mnist3d
 import realtouch
 import starstruck_gen
-from mnist3d.generation import GenerateSpec, generate
 from mnist3d.rows import mesh_schema
-from mnist3d.solid import SolidSpec
-from mnist3d.sources.synthetic import SyntheticSource
 from tactile_toolkit.cards.checks import check_card
 from tactile_toolkit.cards.croissant import croissant_for_hub, croissant_of_folder, croissant_text
 from tactile_toolkit.cards.facts import recorded_facts
 from tactile_toolkit.store.folder import DataFolder
 from tactile_toolkit.store.manifest import read_manifest
 from tactile_toolkit.store.shards import ShardName
-from tests.cli.test_cards_cli import call
+from tests.command_line import call
 from tests.realtouch.factories import make_round, seq_rows, single_rows, write_set
 
 mlc = pytest.importorskip("mlcroissant")
@@ -40,19 +36,6 @@ pytestmark = [
 ]
 
 RAI = "http://mlcommons.org/croissant/RAI/1.0"
-
-
-@pytest.fixture(scope="module")
-def made(tmp_path_factory) -> Path:
-    folder = tmp_path_factory.mktemp("croissant") / "digits"
-    spec = GenerateSpec(SyntheticSource(), SolidSpec(target_vertices=300), per_class=1)
-    generate(spec, str(folder), ("test", "holdout"))
-    return folder
-
-
-@pytest.fixture
-def folder(made, tmp_path) -> Path:
-    return Path(shutil.copytree(made, tmp_path / "digits"))
 
 
 def loaded(folder: Path, **options: object):

@@ -8,7 +8,6 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Iterator
 from pathlib import Path, PurePosixPath
 
 import pytest
@@ -19,8 +18,7 @@ from tactile_toolkit.exchange.upload import prepare_upload, run_upload
 from tactile_toolkit.exchange.upload_plan import UploadOptions
 from tactile_toolkit.store.folder import DataFolder
 from tactile_toolkit.store.manifest import read_manifest
-from tests.hub_server import HubServer, hub
-from tests.tactile_toolkit.exchange.upload_client import logged_in
+from tests.hub_server import HubServer
 from tests.tactile_toolkit.hub.client import run_here, settings
 from tests.tactile_toolkit.toy import folder_bytes
 
@@ -42,12 +40,6 @@ def made(tmp_path_factory) -> Path:
 @pytest.fixture
 def folder(made, tmp_path) -> Path:
     return Path(shutil.copytree(made, tmp_path / "stars"))
-
-
-@pytest.fixture
-def server(monkeypatch) -> Iterator[HubServer]:
-    with hub() as running, logged_in(running, running.account("someone"), monkeypatch):
-        yield running
 
 
 def upload(folder: Path, name: str = NAME, **options: object):

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import shutil
-from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -19,10 +18,9 @@ from tactile_toolkit.exchange.upload import prepare_upload, run_upload
 from tactile_toolkit.exchange.upload_plan import UploadOptions
 from tactile_toolkit.store.folder import DataFolder
 from tactile_toolkit.store.verify import verify
-from tests.cli.test_cards_cli import call
-from tests.hub_server import HubServer, hub
+from tests.command_line import call
+from tests.hub_server import HubServer
 from tests.realtouch.factories import make_round, seq_rows, write_set
-from tests.tactile_toolkit.exchange.upload_client import logged_in
 from tests.tactile_toolkit.hub.client import run_here, run_python, settings
 from tests.tactile_toolkit.toy import folder_bytes
 
@@ -40,12 +38,6 @@ def made(tmp_path_factory) -> Path:
     folder = tmp_path_factory.mktemp("viewer") / "digits"
     generate(GenerateSpec(SyntheticSource(), per_class=1), str(folder), SPLITS)
     return folder
-
-
-@pytest.fixture
-def server(monkeypatch) -> Iterator[HubServer]:
-    with hub() as running, logged_in(running, running.account("someone"), monkeypatch):
-        yield running
 
 
 def upload(folder: Path, **options: object):

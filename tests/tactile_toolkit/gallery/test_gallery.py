@@ -1,6 +1,5 @@
 from __future__ import annotations
 
-import json
 import os
 import re
 import signal
@@ -17,7 +16,9 @@ from tactile_toolkit.gallery.items import Gallery
 from tactile_toolkit.gallery.page import ASSETS, asset, viewer_library
 from tactile_toolkit.gallery.site import MARKER_FILE, MOST_ITEMS, build_site, forecast_site
 from tactile_toolkit.run.processes import InlineRunner, ProcessRunner
+from tests.gallery_files import index_of
 from tests.gallery_toy import HOSTILE, ToyTask, toy_gallery
+from tests.processes import printed_by
 from tests.tactile_toolkit.toy import folder_bytes
 
 
@@ -27,11 +28,6 @@ def entries(folder: Path) -> list[str]:
 
 def build(out: Path, gallery: Gallery | None = None, **options: object) -> site_module.Site:
     return build_site(gallery or toy_gallery(), str(out), InlineRunner(), **options)  # type: ignore[arg-type]
-
-
-def index_of(site: Path) -> dict:
-    text = (site / "items.js").read_text()
-    return json.loads(text.removeprefix("gallery.start(").removesuffix(");\n"))
 
 
 def test_a_site_holds_what_it_says(tmp_path):
@@ -228,15 +224,7 @@ except StorageError as error:
 
 
 def test_no_room_leaves_nothing_and_says_so(tmp_path):
-    environment = {**os.environ, "PYTHONPATH": str(Path(__file__).resolve().parents[3])}
-    done = subprocess.run(
-        [sys.executable, "-c", FULL, str(tmp_path / "site")],
-        capture_output=True,
-        text=True,
-        env=environment,
-        check=True,
-    )
-    assert "the file would be larger than allowed here" in done.stdout
+    assert "the file would be larger than allowed here" in printed_by(FULL, tmp_path / "site")
     assert entries(tmp_path) == []
 
 

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import pickle
-import subprocess
-import sys
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +14,7 @@ import mnist3d
 import starstruck_gen
 from mnist3d.sources.synthetic import SyntheticSource
 from tactile_toolkit.errors import InputError
+from tests.processes import printed_by
 
 torch = pytest.importorskip("torch", reason="torch (extra `torch`) is not installed")
 
@@ -179,16 +178,11 @@ def test_what_cannot_be_is_refused() -> None:
 def test_without_torch_the_extra_is_named(room: str, tmp_path: Path) -> None:
     (tmp_path / "torch.py").write_text("raise ImportError('no torch')")
     code = (
-        f"import {room}, {room}.dataset, sys\n"
+        f"import sys; sys.path.insert(0, {str(tmp_path)!r})\nimport {room}, {room}.dataset\n"
         "assert 'torch' not in sys.modules\n"
         f"try:\n    import {room}.torch\n"
         "except Exception as error:\n    print(type(error).__name__, error)"
     )
-    done = subprocess.run(
-        [sys.executable, "-c", f"import sys; sys.path.insert(0, {str(tmp_path)!r})\n{code}"],
-        check=True,
-        capture_output=True,
-        text=True,
-    )
-    assert done.stdout.startswith("MissingExtraError a torch data set of solids needs the package 'torch'")
-    assert "the extra `torch`" in done.stdout
+    said = printed_by(code)
+    assert said.startswith("MissingExtraError a torch data set of solids needs the package 'torch'")
+    assert "the extra `torch`" in said

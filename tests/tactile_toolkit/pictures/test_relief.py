@@ -3,9 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-import os
-import subprocess
-import sys
 from importlib.util import find_spec
 
 import numpy as np
@@ -27,7 +24,7 @@ from tactile_toolkit.pictures.render import (
     fitting_scale,
     shaded,
 )
-from tests.processes import PATIENCE_S
+from tests.processes import PATIENCE_S, printed_by
 
 CLAY = (200, 120, 40)
 angles = st.floats(-180, 180), st.floats(5, 90)
@@ -126,18 +123,8 @@ print(hashlib.sha256(png_bytes(drawn)).hexdigest())
 """
 
 
-def test_every_process_draws_the_same_bytes(tmp_path):
-    printed = {
-        subprocess.run(
-            [sys.executable, "-c", DRAW],
-            env={**os.environ, "PYTHONHASHSEED": seed},
-            capture_output=True,
-            text=True,
-            check=True,
-            cwd=tmp_path,
-        ).stdout
-        for seed in ("1", "2")
-    }
+def test_every_process_draws_the_same_bytes():
+    printed = {printed_by(DRAW, PYTHONHASHSEED=seed) for seed in ("1", "2")}
     assert len(printed) == 1
 
 
@@ -245,14 +232,7 @@ def test_plots_do_not_depend_on_the_settings_of_the_machine(matplotlib, tmp_path
     (tmp_path / "matplotlibrc").write_text("axes.facecolor: red\nfont.size: 30\nbackend: TkAgg\n")
     printed = set()
     for more in ({}, {"MATPLOTLIBRC": str(tmp_path / "matplotlibrc"), "PYTHONHASHSEED": "5"}):
-        done = subprocess.run(
-            [sys.executable, "-W", "error", "-c", PLOT],
-            env={**os.environ, **more},
-            capture_output=True,
-            text=True,
-            check=True,
-        )
-        printed.add(done.stdout)
+        printed.add(printed_by(PLOT, PYTHONWARNINGS="error", **more))
     assert len(printed) == 1
     assert len(printed.pop().strip()) == len(hashlib.sha256().hexdigest())
 

@@ -2,10 +2,7 @@
 
 from __future__ import annotations
 
-import os
 import pickle
-import subprocess
-import sys
 from collections import Counter
 from pathlib import Path
 
@@ -22,6 +19,7 @@ from tactile_toolkit.read.columns import list_array
 from tactile_toolkit.read.parquet import Shard, ShardedTable
 from tactile_toolkit.store.folder import DataFolder
 from tactile_toolkit.store.parquet import ParquetStyle, encode_parquet, has_page_checksums
+from tests.processes import printed_by
 
 VERTICES = "mesh.vertices"
 NAME = "train-00000-of-00001.parquet"
@@ -175,14 +173,7 @@ def test_a_block_is_checked_once_in_each_process(shard_file: Path, tmp_path: Pat
         "xxhash.xxh3_64_intdigest = lambda data: sizes.append(len(data)) or whole(data)\n"
         "values_of(Path(sys.argv[1])); values_of(Path(sys.argv[1])); print(sum(s > 1000 for s in sizes))"
     )
-    done = subprocess.run(
-        [sys.executable, "-c", code, str(shard_file)],
-        check=True,
-        capture_output=True,
-        text=True,
-        env=os.environ | {CACHE_VARIABLE: str(tmp_path / "cache")},
-    )
-    assert done.stdout.strip() == "3"
+    assert printed_by(code, shard_file, **{CACHE_VARIABLE: str(tmp_path / "cache")}).strip() == "3"
 
 
 def replaced(file: Path) -> None:

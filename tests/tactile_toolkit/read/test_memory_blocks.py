@@ -20,7 +20,7 @@ from tactile_toolkit.errors import IntegrityError
 from tactile_toolkit.read import parquet as rowgroups
 from tactile_toolkit.read.columns import RowGroup
 from tactile_toolkit.read.parquet import MemoryBlocks, Shard, ShardedTable
-from tests.processes import PATIENCE_S
+from tests.processes import printed_by
 
 BLOCK_BYTES = 80  # ten numbers of eight bytes
 
@@ -220,9 +220,4 @@ def test_a_forked_process_starts_anew() -> None:
         assert os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == 0
         assert MEMORY.get(("a", 0)) is not None
     """
-    subprocess.run(
-        [sys.executable, "-c", textwrap.dedent(code)],
-        cwd=Path(__file__).resolve().parents[3],
-        check=True,
-        timeout=PATIENCE_S,
-    )
+    printed_by(code)

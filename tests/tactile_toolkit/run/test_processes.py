@@ -11,6 +11,7 @@ import pytest
 
 from tactile_toolkit.errors import HubError, InputError, IntegrityError, ItemError, MissingExtraError
 from tactile_toolkit.run.processes import ProcessRunner
+from tests.processes import printed_by
 
 REPOSITORY = Path(__file__).resolve().parents[3]
 
@@ -56,8 +57,7 @@ pa.array([1, 2]), pa.Table.from_pylist([{"x": "a"}])
 assert "pandas" not in sys.modules
 import pandas  # whoever wants it has it
 """
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
-    assert done.returncode == 0, done.stderr
+    printed_by(code)
 
 
 @pytest.mark.parametrize(

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import re
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
@@ -12,6 +10,7 @@ import pytest
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.store.address import is_remote, place_of_data
 from tactile_toolkit.store.folder import DataFolder
+from tests.processes import printed_by
 
 
 @pytest.mark.parametrize(
@@ -105,6 +104,6 @@ try:
 except InputError as error:
     print(error)
 """
-    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
-    assert re.search(words, done.stdout), done.stdout
+    said = printed_by(program)
+    assert re.search(words, said), said
     assert not Path("s3:").exists()

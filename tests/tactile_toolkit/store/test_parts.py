@@ -4,9 +4,6 @@ from __future__ import annotations
 
 import json
 import random
-import subprocess
-import sys
-import textwrap
 import time
 from dataclasses import replace
 from pathlib import Path
@@ -22,6 +19,7 @@ from tactile_toolkit.store.manifest import manifest_so_far, read_manifest
 from tactile_toolkit.store.parts import PARTS_FILE, MissingPartsError, PartsEndedError, array_text
 from tactile_toolkit.store.plan import BuildPlan
 from tactile_toolkit.store.verify import verify
+from tests.processes import printed_by
 from tests.tactile_toolkit.toy import SCHEMA, folder_bytes, toy_plan
 
 REPOSITORY = Path(__file__).resolve().parents[3]
@@ -443,14 +441,6 @@ def few_shards() -> BuildPlan:
 
 
 def test_killed_at_any_moment_the_same_again_leads_to_the_same_bytes(tmp_path):
-    done = subprocess.run(
-        [sys.executable, "-c", textwrap.dedent(DIES_EVERYWHERE), str(tmp_path)],
-        cwd=REPOSITORY,
-        capture_output=True,
-        text=True,
-        check=False,
-    )
-    assert done.returncode == 0, done.stderr
-    parts, ends = map(int, done.stdout.split())
+    parts, ends = map(int, printed_by(DIES_EVERYWHERE, tmp_path).split())
     assert parts > 15
     assert ends > 15

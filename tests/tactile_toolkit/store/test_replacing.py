@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import subprocess
-import sys
-import textwrap
 from dataclasses import replace
 from pathlib import Path
 
@@ -15,6 +12,7 @@ from tactile_toolkit.run.parts import Finish, Part
 from tactile_toolkit.run.processes import InlineRunner, ProcessRunner
 from tactile_toolkit.store.build import build
 from tactile_toolkit.store.folder import DataFolder, temporary_name
+from tests.processes import printed_by
 from tests.tactile_toolkit.toy import folder_bytes, toy_plan
 
 REPOSITORY = Path(__file__).resolve().parents[3]
@@ -305,15 +303,7 @@ def test_killed_at_any_moment_the_former_set_comes_back_or_the_new_one_goes_on(t
     make(tmp_path / "former")
     (tmp_path / "former" / "README.md").write_text("the card")
     make(tmp_path / "fresh", replace(other_plan(), extra_dirs=("images",)))
-    done = subprocess.run(
-        [sys.executable, "-c", textwrap.dedent(DIES_EVERYWHERE), str(tmp_path)],
-        cwd=REPOSITORY,
-        capture_output=True,
-        text=True,
-        check=False,
-    )
-    assert done.returncode == 0, done.stderr
-    back, ahead, pairs = map(int, done.stdout.split())
+    back, ahead, pairs = map(int, printed_by(DIES_EVERYWHERE, tmp_path).split())
     assert back > 10
     assert ahead > 10
     assert pairs > 100

@@ -1,0 +1,27 @@
+"""What the scripts of a gallery hold: the index of its page, and single items."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+__all__ = ["column", "content_of", "index_of"]
+
+
+def index_of(site: Path) -> dict[str, Any]:
+    text = (site / "items.js").read_text()
+    index: dict[str, Any] = json.loads(text.removeprefix("gallery.start(").removesuffix(");\n"))
+    return index
+
+
+def column(index: dict[str, Any], title: str) -> list[list[str]]:
+    """Return the values that a facet has for each item."""
+    facet = next(facet for facet in index["facets"] if facet["title"] == title)
+    return [[facet["values"][value] for value in row] for row in facet["rows"]]
+
+
+def content_of(site: Path, number: int) -> dict[str, Any]:
+    text = (site / "items" / f"{number:06d}.js").read_text()
+    content: dict[str, Any] = json.loads(text.partition(",")[2].removesuffix(");\n"))
+    return content

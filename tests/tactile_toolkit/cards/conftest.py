@@ -1,0 +1,27 @@
+"""A folder with a card, made once."""
+
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+
+import pytest
+
+from mnist3d.generation import GenerateSpec, generate
+from mnist3d.solid import SolidSpec
+from mnist3d.sources.synthetic import SyntheticSource
+
+
+@pytest.fixture(scope="package")
+def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Two splits of digits, not to be changed."""
+    folder = tmp_path_factory.mktemp("cards") / "digits"
+    spec = GenerateSpec(SyntheticSource(), SolidSpec(target_vertices=300), per_class=1)
+    generate(spec, str(folder), ("test", "holdout"))
+    return folder
+
+
+@pytest.fixture
+def folder(made: Path, tmp_path: Path) -> Path:
+    """A copy of them."""
+    return Path(shutil.copytree(made, tmp_path / "digits"))
