@@ -31,8 +31,9 @@ from tactile_toolkit.errors import (
 )
 from tactile_toolkit.hub.cache import RepositoryCache, is_whole, remember_whole
 from tactile_toolkit.hub.errors import named_failures, not_cached, storage_failure_as_hub_error
-from tactile_toolkit.hub.repository import HubRepository, Transfers
+from tactile_toolkit.hub.repository import HubRepository
 from tactile_toolkit.hub.retry import is_unanswered
+from tactile_toolkit.hub.transfers import Transfers
 from tactile_toolkit.store.folder import DataFolder, atomic_file
 from tactile_toolkit.store.manifest import MANIFEST_FILE, Manifest, read_manifest, write_manifest
 from tactile_toolkit.store.names import names_inside
