@@ -24,20 +24,28 @@ def is_whole(file: Path, digest: Digest, *, anew: bool = False) -> bool:
 
     A bit that the disk has flipped is no change that shows: ``anew`` reads the file in any case.
     """
-    mark = _mark(file, digest)
-    if not anew and mark.exists():
-        return True
-    if digest.of(file) != digest:
+    try:
+        # Before the file is read: what takes its place meanwhile is not what was found whole.
+        mark = _mark(file, digest)
+        if not anew and mark.exists():
+            return True
+        is_same = digest.of(file) == digest
+    except FileNotFoundError:  # another process has found it damaged, and removed it
+        return False
+    if is_same:
+        _note(mark)
+    else:
         with contextlib.suppress(OSError):
             mark.unlink(missing_ok=True)
-        return False
-    remember_whole(file, digest)
-    return True
+    return is_same
 
 
 def remember_whole(file: Path, digest: Digest) -> None:
     """Note that a file has a digest; where notes cannot be kept, it is read again next time."""
-    mark = _mark(file, digest)
+    _note(_mark(file, digest))
+
+
+def _note(mark: Path) -> None:
     with contextlib.suppress(OSError):
         mark.parent.mkdir(parents=True, exist_ok=True)
         # The name of an empty file says it all: nothing to lock, nothing to tear.

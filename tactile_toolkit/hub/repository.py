@@ -345,7 +345,9 @@ class HubRepository:
             )
             if is_whole(file, digest):
                 return file
-            found = digest.of(file)
+            found = "nothing"
+            with contextlib.suppress(FileNotFoundError):  # removed by another process that found the same
+                found = str(digest.of(file))
             remove_with_content(file)
             bar.take_back()
         message = (

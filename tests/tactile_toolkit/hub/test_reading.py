@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import hashlib
 import os
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
 
+from tactile_toolkit.hub.cache import is_whole
 from tactile_toolkit.store.origin import Digest
 from tests.hub_server import HubServer
 from tests.processes import PATIENCE_S
@@ -51,6 +53,25 @@ def test_a_file_damaged_in_the_cache_is_repaired_and_a_whole_one_is_not_read_aga
     os.utime(blob, ns=(facts.st_atime_ns, facts.st_mtime_ns))
     assert Path(load(server, tmp_path).removeprefix("path ")).read_bytes() == CONTENT
     assert len(server.content_requests(SHARD)) == 2
+
+
+def test_what_takes_the_place_of_a_file_while_it_is_read_is_not_whole(tmp_path, monkeypatch):
+    file, other = tmp_path / "file", tmp_path / "other"
+    file.write_bytes(b"whole")
+    other.write_bytes(b"other")
+    digest, digest_of = Digest("sha256", hashlib.sha256(b"whole").hexdigest()), Digest.of
+
+    def replaced_meanwhile(kind: Digest, path: Path) -> Digest:
+        found = digest_of(kind, path)
+        other.replace(path)
+        return found
+
+    with monkeypatch.context() as patch:
+        patch.setattr(Digest, "of", replaced_meanwhile)
+        assert is_whole(file, digest), "it was"
+    assert not is_whole(file, digest)
+    file.unlink()
+    assert not is_whole(file, digest), "another process may remove what it finds damaged"
 
 
 def test_what_the_manifest_does_not_list_is_not_handed_out(server, tmp_path):
