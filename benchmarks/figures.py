@@ -63,6 +63,7 @@ BENCHMARKS = {
     "exchange": Benchmark(
         ("realtouch/exchange", "realtouch/convert", "tactile_toolkit/touch", *_STORE), ("--rounds", "40")
     ),
+    "simulators": Benchmark(("tactile_toolkit/mesh/convex.py", "tactile_toolkit/printing/simulator.py")),
     "height_maps": Benchmark(("tactile_toolkit/mesh/height_map.py", "tactile_toolkit/mesh/raster.py")),
     "env_adapter": Benchmark(("env_assets/published", "env_assets/provider.py", *_READ)),
     "touches": Benchmark(("tactile_sim", "env_assets/published/fast.py")),

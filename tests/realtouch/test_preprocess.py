@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -14,6 +15,7 @@ from PIL import Image
 import realtouch
 from realtouch import preprocess
 from tactile_toolkit.errors import InputError
+from tests.realtouch import factories
 
 PICTURES = arrays.arrays(np.uint8, st.tuples(st.integers(1, 9), st.just(3), st.just(4), st.just(3)))
 
@@ -114,6 +116,40 @@ def test_contacts_of_clips_and_of_images(seq_folder: Path, single_folder: Path):
     assert (found.area_px[:5] == score.area_px).all()
     assert (found.picture(6) == images[6].image).all()
     assert not found.frame.any()
+
+
+def test_the_selection_of_a_known_consumer_by_plain_numpy(tmp_path: Path):
+    """Median of the clip, middle half, grey above 10, 40 pixels, mean 12; clips of one frame too."""
+    rounds = [factories.make_round(number, 5, (96, 72), (20, 30), noise=4.0) for number in range(3)]
+    still = [replace(each, contact_start=0, contact_end=0, peak=0) for each in rounds[1].touches]
+    still = [
+        replace(
+            each,
+            frames=1,
+            pixels=each.pixels[:1],
+            position_m=each.position_m[:1],
+            quaternion=each.quaternion[:1],
+        )
+        for each in still
+    ]
+    rounds[1] = replace(rounds[1], touches=still)
+    factories.write_set(tmp_path / "clips", {"train": factories.seq_rows(rounds)}, "seq")
+    touches = realtouch.load(tmp_path / "clips", split="train").touches()
+    found = realtouch.find_contacts(touches, threads=2)
+    for index, touch in enumerate(touches):
+        frames = np.asarray(touch.clip.frames()).astype(int)
+        change = np.abs(frames - np.floor(np.median(frames, axis=0)).astype(int))[:, 18:54, 24:72]
+        grey = (change @ [4899, 9617, 1868] + 8192) >> 14
+        changed = np.where(grey > 10, grey, 0)
+        best = int(changed.sum(axis=(1, 2)).argmax())
+        area = int((changed[best] > 0).sum())
+        intensity = changed[best].sum() / max(area, 1)
+        assert (found.frame[index], found.area_px[index]) == (best, area)
+        assert found.intensity[index] == pytest.approx(intensity, rel=1e-12)
+        assert found.contact[index] == (area >= 40 and intensity >= 12)
+    assert found.contact.tolist() == [True] * 5 + [False] * 5 + [True] * 5
+    assert len(found.select(empties=0.25)) == 10 + 3
+    assert (found.select(empties=0.0).touches.round_positions == [0] * 5 + [2] * 5).all()
 
 
 @pytest.mark.parametrize("share", [0.0, 0.2, 0.5, 0.99])
