@@ -208,7 +208,7 @@ def _split_of(known: Sequence[str], split: str | None, name: str) -> str:
 
 def _require_split(path: str, split: str | None) -> None:
     """Refuse to take a file of one split for another that was asked for."""
-    # Whoever says nothing asks for train, in older versions too: a file named alone is opened then.
+    # `train` may be what is asked for by default: a file named alone is opened then, whatever its split.
     found = _split_in_name(path)
     if split is not None and found not in (None, split) and split != _USUAL_SPLIT:
         raise no_split(split, (str(found),), path)

@@ -342,7 +342,6 @@ def prepare_upload(
     found = DataFolder(str(root))
     _require_sound(folder, list(check(found) if check else verify(found, check_card=check_card).findings))
     target = UploadTarget(repo_id, chosen.revision or MAIN, on_wait)
-    # Before all the rest: whoever is not logged in waits for nothing.
     name = "" if dry_run else target.who()
     state = target.state()
     _refuse_exposure(target, chosen, state)

@@ -41,7 +41,7 @@ from tactile_toolkit.store.small_columns import MADE_OF
 __all__ = ["Shard", "ShardedTable"]
 
 _BLOCK_BYTES = 64 << 20
-# Unpacked sizes of Parquet's physical types; of all others a value takes its offset of four bytes at least.
+# Unpacked sizes of Parquet's physical types; all others take four bytes at least, a number or an offset.
 _VALUE_BYTES = {"BOOLEAN": 1, "INT64": 8, "DOUBLE": 8, "INT96": 12}
 # Rows take at most so many times the bytes that are stored of them, or might be one row; padding of clips
 # takes about 20 times.
