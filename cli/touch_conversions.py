@@ -32,6 +32,7 @@ if TYPE_CHECKING:
 __all__ = ["add_conversions"]
 
 _SKIPPED_SHOWN = 20
+_HEIGHT_MM = 6.0
 
 
 DifferenceName = Literal["grey", "absolute"]
@@ -200,7 +201,7 @@ def select(
     contact: Annotated[bool, typer.Option("--contact", help="Only touches that met an object.")] = False,
     min_height_mm: Annotated[
         float, typer.Option(metavar="MM", help="Height above the plate from which a touch counts.")
-    ] = 6.0,
+    ] = _HEIGHT_MM,
     recalibrate: Annotated[
         bool,
         typer.Option("--recalibrate/--as-recorded", help="Take each round's deepest touch as the plate."),
@@ -215,7 +216,11 @@ def select(
     Example: realtouch select real-single-64x64 touched --contact --labels 3,5
     """
     from realtouch.convert.api import select as convert
+    from tactile_toolkit.errors import InputError
 
+    if not contact and (min_height_mm != _HEIGHT_MM or not recalibrate):
+        message = "--min-height-mm and --as-recorded are about --contact; next: add --contact"
+        raise InputError(message)
     converting.run(
         sink,
         convert,

@@ -6,6 +6,7 @@ and options give byte-identical Parquet, whatever the number of workers.
 
 from __future__ import annotations
 
+import math
 import operator
 from collections.abc import Callable, Iterable
 from dataclasses import replace
@@ -208,6 +209,9 @@ def select(
     InputError, SpecMismatchError, StorageError
         As :func:`to_single`.
     """
+    if not math.isfinite(min_height_m):  # nothing is as high as NaN, and no JSON can keep it
+        message = f"min_height_m is {min_height_m}; expected metres, such as {MIN_CONTACT_HEIGHT_M}"
+        raise InputError(message)
     options: dict[str, Any] = {
         "contact": contact,
         "min_height_m": float(min_height_m),

@@ -203,6 +203,12 @@ def test_preview_writes_a_picture(clips, tmp_path, capsys):
         (("frames", "{images}", "{out}", "--png", "--jpeg"), "expected one of them"),
         (("select", "{images}", "{out}", "--labels", "cat"), "no class 'cat'"),
         (("select", "{images}", "{out}", "--objects", "x"), "expected whole numbers"),
+        (
+            ("select", "{images}", "{out}", "--contact", "--min-height-mm", "nan"),
+            "--min-height-mm, in metres, is nan; expected metres",
+        ),
+        (("select", "{images}", "{out}", "--min-height-mm", "7"), "next: add --contact"),
+        (("select", "{images}", "{out}", "--as-recorded"), "next: add --contact"),
         (("to-single", "{images}", "{out}"), "holds single images already"),
         (("verify", "{out}/nothing"), "does not exist"),
     ],
