@@ -75,3 +75,13 @@ def test_rows_that_are_nowhere_are_named_and_the_report_stays(whole):
         merge_reports(folder, REPORT, more)
     assert folder_bytes(whole) == before
     assert len(read_report(folder, REPORT, ["id"])) == 27
+
+
+def test_a_report_of_more_shards_than_the_manifest_is_put_right(tmp_path, whole):
+    """A run of another split was killed between the two."""
+    folder = DataFolder(str(tmp_path / "set"))
+    build(folder, toy_plan(("train",)), InlineRunner())
+    before = folder_bytes(tmp_path / "set")
+    (tmp_path / "set" / REPORT).write_bytes((whole / REPORT).read_bytes())
+    build(folder, toy_plan(("train",)), InlineRunner())
+    assert folder_bytes(tmp_path / "set") == before
