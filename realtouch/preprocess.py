@@ -17,6 +17,7 @@ from realtouch.changes import (
     best_of,
     contact_score,
     difference,
+    median_at_once,
     median_of,
 )
 from realtouch.media.clips import TouchClip
@@ -65,9 +66,9 @@ def background(pictures: Any) -> Pixels:
         A picture is damaged, or of another size than those of its set.
     """
     first = list(islice(_batches(pictures), 2))
-    # What is one batch need not be decoded a second time.
-    whole = len(first) < 2
-    found = median_of(lambda: first if whole else _batches(pictures))
+    if len(first) == 1:
+        return median_at_once(first[0])
+    found = median_of(lambda: _batches(pictures)) if first else None
     if found is None:
         message = "no pictures to take a background of; expected a clip, a round or touches that hold any"
         raise InputError(message)

@@ -14,6 +14,7 @@ from PIL import Image
 
 import realtouch
 from realtouch import preprocess
+from realtouch.changes import median_of
 from tactile_toolkit.errors import InputError
 from tests.realtouch import factories
 
@@ -23,6 +24,13 @@ PICTURES = arrays.arrays(np.uint8, st.tuples(st.integers(1, 9), st.just(3), st.j
 @given(PICTURES)
 def test_the_background_is_the_median(pictures):
     assert (realtouch.background(pictures) == np.floor(np.median(pictures, axis=0))).all()
+
+
+@pytest.mark.parametrize("count", [255, 256, 1000])
+def test_the_background_of_many_pictures(count: int):
+    pictures = np.random.default_rng(count).integers(0, 256, (count, 60, 80, 3)).astype(np.uint8)
+    assert (realtouch.background(pictures) == np.floor(np.median(pictures, axis=0))).all()
+    assert (median_of(lambda: [pictures[:99], pictures[99:]]) == realtouch.background(pictures)).all()
 
 
 def test_the_background_of_pictures_read_a_few_at_a_time(single_folder: Path, seq_folder: Path, monkeypatch):
