@@ -156,14 +156,15 @@ def add_card(app: typer.Typer, kind: DatasetKind) -> None:
         from tactile_toolkit.cards.card import CARD_FILE, PREVIEW_FOLDER
         from tactile_toolkit.cards.checks import check_card
         from tactile_toolkit.cards.croissant import CROISSANT_FILE
-        from tactile_toolkit.catalog.kinds import finished_manifest, require_manifest
+        from tactile_toolkit.catalog.kinds import finished_manifest, require_manifest, specification_read
         from tactile_toolkit.errors import IntegrityError
         from tactile_toolkit.store.folder import DataFolder
 
         place = DataFolder(folder)
         # Touches may be of the publisher, who writes no manifest.
         manifest_of = require_manifest if kind.needs_manifest else finished_manifest
-        kind.write_card(place, manifest_of(kind, place))
+        with specification_read(place.address()):
+            kind.write_card(place, manifest_of(kind, place))
         findings = check_card(place)
         if findings:
             message = f"{findings[0].file} of {folder!r}: {findings[0].problem}"

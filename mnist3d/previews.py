@@ -15,6 +15,7 @@ from mnist3d.kind import KIND
 from mnist3d.preview_steps import CLAY, draw_steps, source_option
 from mnist3d.rows import REPORT_FILE
 from mnist3d.spec import SolidSpec
+from tactile_toolkit.catalog.kinds import specification_read
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.mesh.files import FORMATS, read_mesh
 from tactile_toolkit.mesh.mesh import MM_PER_M, Mesh
@@ -137,8 +138,9 @@ def _plan_steps(opened: MeshPreviews[MeshDataset]) -> list[PlannedPicture]:
         message = f"{opened.name!r} does not say where its images came from; next: give a picture of a digit"
         raise InputError(message)
     given = opened.spec if isinstance(opened.spec, DigitPreviewSpec) else DigitPreviewSpec()
-    source = source_option(dict(opened.made_by["source"]), given.images, given.writer_info)
-    solid = SolidSpec.from_dict(dict(opened.made_by["solid"]))
+    with specification_read(opened.name):
+        source = source_option(dict(opened.made_by["source"]), given.images, given.writer_info)
+        solid = SolidSpec.from_dict(dict(opened.made_by["solid"]))
     return [
         PlannedPicture(
             f"{opened.stem}-{split}-{record.id}-steps.png",
@@ -163,7 +165,8 @@ def _plan_distributions(opened: MeshPreviews[MeshDataset]) -> PlannedPicture:
             "folder of a data set made by `mnist3d generate`"
         )
         raise InputError(message)
-    least_wall_mm = opened.made_by.get("print_profile", {}).get("min_wall_mm")
+    with specification_read(opened.name):
+        least_wall_mm = opened.made_by.get("print_profile", {}).get("min_wall_mm")
     return PlannedPicture(
         f"{opened.stem}-distributions.png",
         "height, volume, vertices and thinnest wall",

@@ -12,7 +12,7 @@ import numpy as np
 
 from realtouch.contact import MIN_CONTACT_HEIGHT_M
 from realtouch.dataset import dataset_of
-from realtouch.exported_card import EXPORTS
+from realtouch.exported_card import EXPORTS, ExportText
 from realtouch.kind import KIND
 from realtouch.media.sheets import contact_sheet, evenly_spaced
 from realtouch.rounds import TouchSeqRound, TouchSingleRound
@@ -275,15 +275,18 @@ _LICENCE_OF_TOUCHES = (
     _LICENCE[0],
     "That of the touches: CC BY 2.0 for the published real ones; name their authors.",
 )
-_LICENCES = {"frames": _LICENCE_OF_TOUCHES, "export": _LICENCE_OF_TOUCHES}
-_IMPORTED_LICENCE = (
-    "other",
-    "The terms of the images that were imported: ask whoever made them before passing them on.",
-)
-_SYNTHETIC_LICENCE = (
-    "other",
-    "The terms of the published set that the touches come from; see its page on the Hub.",
-)
+_LICENCES = {
+    "frames": _LICENCE_OF_TOUCHES,
+    "export": _LICENCE_OF_TOUCHES,
+    "imported": (
+        "other",
+        "The terms of the images that were imported: ask whoever made them before passing them on.",
+    ),
+    "synthetic": (
+        "other",
+        "The terms of the published set that the touches come from; see its page on the Hub.",
+    ),
+}
 
 _CITED = {"real": (TACTILE_MNIST, HWD_PLUS), "synthetic": (TACTILE_MNIST,)}
 _CITATIONS = {
@@ -315,27 +318,18 @@ def write_card(
     plain = card in _PLAIN
     rendered = card == "synthetic" or (plain and options.get("touches") == SYNTHETIC)
     origin = "synthetic" if rendered else "imported" if is_imported(manifest) else "real"
-    licence, licence_text = _LICENCES.get(card, _LICENCE)
-    if origin != "real":
-        licence, licence_text = _SYNTHETIC_LICENCE if rendered else _IMPORTED_LICENCE
+    licence, licence_text = _LICENCES.get(card if origin == "real" else origin, _LICENCE)
     figures = [] if plain else [_split_figures(split, stored) for split in facts.splits]
     size = None if plain else _picture_size(facts, stored)
     columns = _PLAIN[card] if plain else SYNTHETIC_COLUMNS if rendered else COLUMNS
-    title = _TITLES[card]
     if origin == "imported":
         columns = {**columns, "object_id": _OBJECT_OF_OTHERS}
-        title = title.replace("Real", "Imported")
-    if origin != "real" and card == "frames":
-        title = f"{_ORIGINS[origin]} {title[0].lower()}{title[1:]}"
-    words: dict[str, str] = {}
-    if card == "export":
-        text = EXPORTS.get(str(options.get("layout")), EXPORTS["flat"])
-        title = f"{_ORIGINS[origin]}: {text.title}" if origin != "real" else text.title
-        words = text.words(facts.splits[0].split)
+    text = EXPORTS.get(str(options.get("layout")), EXPORTS["flat"]) if card == "export" else None
+    title = _title(card, origin, text)
     counts = [figure.touches for figure in figures if figure.touches is not None]
     known = len(counts) == len(figures)
     values = {
-        **words,
+        **({} if text is None else text.words(facts.splits[0].split)),
         "title": title,
         "rounds": f"{facts.rows:,}",
         "touches": f"{sum(counts):,}" if known else "an unknown number of",
@@ -373,6 +367,15 @@ def write_card(
             *(["synthetic"] if rendered else real_tags),
         ],
     )
+
+
+def _title(card: _CardKind, origin: str, text: ExportText | None) -> str:
+    if text is not None:
+        return text.title if origin == "real" else f"{_ORIGINS[origin]}: {text.title}"
+    title = _TITLES[card].replace("Real", "Imported") if origin == "imported" else _TITLES[card]
+    if origin == "real" or card != "frames":
+        return title
+    return f"{_ORIGINS[origin]} {title[0].lower()}{title[1:]}"
 
 
 def _card_kind(

@@ -29,6 +29,7 @@ from starstruck_gen.sampling import SceneTrace, trace_scene
 from starstruck_gen.shapes import outline
 from starstruck_gen.spec import SceneSpec
 from starstruck_gen.streams import scene_rng
+from tactile_toolkit.catalog.kinds import specification_read
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.mesh.mesh import MM_PER_M, Mesh
 from tactile_toolkit.pictures.plots import Bars
@@ -76,7 +77,8 @@ def plan_previews(name: str, spec: PreviewSpec) -> PicturePlan:
         message = f"{name!r} {found}; expected the folder or a Parquet file of a data set of scenes"
         raise InputError(message)
     opened: MeshPreviews[SceneMeshDataset] = MeshPreviews(KIND, name, spec)
-    made_by = SceneSpec.from_dict(opened.made_by["scene"]) if opened.made_by else None
+    with specification_read(name):
+        made_by = SceneSpec.from_dict(opened.made_by["scene"]) if opened.made_by else None
     known = any(dataset[0].has_placements for dataset in opened.datasets.values())
 
     def scene(split: str, record: SceneRecord) -> PlannedPicture:

@@ -158,7 +158,7 @@ class Scene:
         """
         try:
             values = json.loads(text)
-        except ValueError as error:
+        except (ValueError, RecursionError) as error:
             message = f"a scene must be JSON: {error}"
             raise InputError(message) from error
         return cls.from_dict(values)

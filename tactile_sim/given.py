@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import zipfile
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
@@ -13,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactile_sim.sensor import CELL_M
+from tactile_toolkit.bounds import require_unpackable
 from tactile_toolkit.errors import InputError
 
 __all__ = ["GivenTouches"]
@@ -213,5 +215,7 @@ def _numbers(table: Any) -> Mapping[str, Any]:
 
 
 def _read_npz(file: Path) -> Mapping[str, Any]:
+    with zipfile.ZipFile(file) as archive:
+        require_unpackable(sum(entry.file_size for entry in archive.infolist()), repr(str(file)))
     with np.load(file, allow_pickle=False) as stored:
         return dict(stored)

@@ -103,7 +103,7 @@ class SensorNoise:
         names = [each.name for each in fields(cls)]
         try:
             found = json.loads(Path(path).read_text(encoding="utf-8"))
-        except (OSError, ValueError) as error:
+        except (OSError, ValueError, RecursionError) as error:
             message = f"the noise cannot be read from {str(path)!r} ({error}); expected a JSON file"
             raise InputError(message) from error
         if not (isinstance(found, dict) and sorted(found) == sorted(names)):

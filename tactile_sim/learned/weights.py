@@ -199,7 +199,7 @@ def _noted_size(comment: bytes, where: str) -> tuple[int, int]:
         return PUBLISHED_SIZE_PX
     try:
         width, height = json.loads(comment)["size_px"]
-    except (ValueError, TypeError, KeyError) as error:
+    except (ValueError, TypeError, KeyError, RecursionError) as error:
         message = f"{where!r} does not say the size of its pictures as `tactile-sim train` does"
         raise IntegrityError(message) from error
     for side in (width, height):

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
 from typing import Any
 
 from tactile_toolkit.catalog.locate import folder_named
-from tactile_toolkit.errors import InputError
+from tactile_toolkit.errors import InputError, IntegrityError
 from tactile_toolkit.kind import DatasetKind, kinds
 from tactile_toolkit.mesh.columns import class_names
 from tactile_toolkit.read.dataset import RecordDataset
@@ -14,7 +15,7 @@ from tactile_toolkit.store.folder import DataFolder
 from tactile_toolkit.store.manifest import MANIFEST_FILE, Manifest, read_manifest
 from tactile_toolkit.store.origin import read_record
 
-__all__ = ["finished_manifest", "kind_of_meshes", "require_kind", "require_manifest"]
+__all__ = ["finished_manifest", "kind_of_meshes", "require_kind", "require_manifest", "specification_read"]
 
 
 def kind_of_meshes(schema: Any) -> DatasetKind | None:
@@ -79,3 +80,16 @@ def require_manifest(kind: DatasetKind, folder: DataFolder) -> Manifest:
         )
         raise InputError(message)
     return manifest
+
+
+@contextmanager
+def specification_read(where: str) -> Iterator[None]:
+    """Take a manifest whose specification lacks something, or holds something else there, for damaged."""
+    try:
+        yield
+    except (KeyError, TypeError, AttributeError) as error:
+        message = (
+            f"the specification in {where!r} is not that of a data set of this kind ({type(error).__name__}: "
+            f"{error}); next: download or generate the data set again"
+        )
+        raise IntegrityError(message) from error

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import re
 import shutil
 from pathlib import Path
@@ -261,3 +262,17 @@ def test_sources_of_digits_are_named_with_their_terms(name, licence, words):
     source = words_of(name)
     assert source.licence == licence
     assert words in source.describe({"name": name, **FINGERPRINTS[name]})
+
+
+@pytest.mark.parametrize("kind", ["mnist3d", "starstruck"])
+def test_a_specification_of_something_else_is_named(kind, folders, tmp_path, capsys):
+    """The manifest is JSON of its schema; what a kind of data set holds in its specification is its own."""
+    folder = shutil.copytree(folders[kind], tmp_path / "copy")
+    manifest = json.loads((folder / "manifest.json").read_text())
+    for spec in ({}, {"source": 5, "scene": [1]}, dict.fromkeys(manifest["spec"])):
+        (folder / "manifest.json").write_text(json.dumps({**manifest, "spec": spec}))
+        assert call(kind, "card", folder) in (2, 3)
+        assert call(kind, "preview", folder, "--out", tmp_path / "out") in (0, 2, 3)
+        assert "Traceback" not in capsys.readouterr().err
+    assert call(kind, "card", folder) == 3
+    assert "is not that of a data set of this kind (TypeError" in " ".join(capsys.readouterr().err.split())

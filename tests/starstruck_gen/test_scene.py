@@ -129,6 +129,7 @@ def _changed(**changes):
     ("text", "message"),
     [
         ("{", "must be JSON"),
+        ("[" * 100_000, "must be JSON"),
         ("{}", "not a scene: field 'placements'"),
         ("[]", "not a scene"),
         (_changed(star_count=2), "declares star_count 2 and places 3"),

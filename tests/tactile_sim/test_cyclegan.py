@@ -163,6 +163,7 @@ def test_files_that_are_no_weights_are_named(small, tmp_path, monkeypatch):
         (b'{"size_px": [true, 32]}', "is of True x 32 pixels"),
         (b'{"size_px": 32}', "does not say the size of its pictures"),
         (b"made by somebody", "does not say the size of its pictures"),
+        (b"[" * 60_000, "does not say the size of its pictures"),
     ):
         with zipfile.ZipFile(good, "a") as archive:
             archive.comment = comment

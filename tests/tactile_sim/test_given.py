@@ -108,7 +108,7 @@ def test_tables_that_cannot_be_are_refused(changed, message, tmp_path):
         tactile_sim.GivenTouches(**table)
 
 
-def test_files_that_cannot_be_are_refused(tmp_path):
+def test_files_that_cannot_be_are_refused(tmp_path, monkeypatch):
     read = tactile_sim.GivenTouches.read
     for name, content, message in (
         ("no.csv", None, "cannot be read"),
@@ -125,6 +125,10 @@ def test_files_that_cannot_be_are_refused(tmp_path):
             file.write_bytes(content)
         with pytest.raises(InputError, match=message):
             read(file)
+    np.savez_compressed(tmp_path / "bomb.npz", x_m=np.zeros(100_000), y_m=np.zeros(100_000))
+    monkeypatch.setenv("TACTILE_TOOLKIT_UNPACKED_MIB", "1")
+    with pytest.raises(InputError, match=r"unpacks to 1,600,\d+ bytes; expected at most 1,048,576"):
+        read(tmp_path / "bomb.npz")
     objects = tmp_path / "objects.npz"
     np.savez(objects, x_m=np.array([{"a": 1}], dtype=object), y_m=np.zeros(1))
     with pytest.raises(InputError, match="cannot be read"):

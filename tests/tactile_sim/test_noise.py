@@ -154,7 +154,12 @@ def test_noise_that_cannot_be_is_refused(tmp_path, monkeypatch):
     file = tmp_path / "noise.json"
     file.write_text(json.dumps(VALUES))
     assert tactile_sim.SensorNoise.read(file) == NOISE
-    for text, message in (("{", "cannot be read"), ("[]", "holds list"), ('{"gain": 1}', "holds 'gain'")):
+    for text, message in (
+        ("{", "cannot be read"),
+        ("[" * 100_000, "cannot be read"),
+        ("[]", "holds list"),
+        ('{"gain": 1}', "holds 'gain'"),
+    ):
         file.write_text(text)
         with pytest.raises(InputError, match=message):
             tactile_sim.SensorNoise.read(file)
