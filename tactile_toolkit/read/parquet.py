@@ -391,6 +391,8 @@ class Shard:
         try:
             with self.failures():
                 yield
+        except GeneratorExit:  # a pass left in its middle, maybe at exit, when Arrow's names are gone
+            raise
         except PermissionError as error:
             raise unreadable(self.path) from error
         except FileNotFoundError as error:
