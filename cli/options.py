@@ -159,6 +159,12 @@ Finishing = Annotated[
 Limit = Annotated[
     int | None, typer.Option("--limit", min=1, metavar="N", help="Only the first N rows of each split.")
 ]
+Checking = Annotated[
+    bool,
+    typer.Option(
+        "--check", help="Read all that is finished again, in stores too, and make what is damaged anew."
+    ),
+]
 Overwrite = Annotated[
     bool, typer.Option("--overwrite", help="Start again in a folder that holds another data set.")
 ]
@@ -177,6 +183,7 @@ class Work:
     runner: RunnerName = _RUNNERS[0]
     part: PartText = None
     finish: Finishing = False
+    check: Checking = False
     overwrite: Overwrite = False
 
     @property
@@ -186,6 +193,13 @@ class Work:
 
     def chosen_runner(self) -> int | Runner:
         """Return what makes the shards, as functions take it."""
+        if not self.check:
+            return self._maker()
+        from tactile_toolkit.run.parts import Check
+
+        return Check(self._maker())
+
+    def _maker(self) -> int | Runner:
         if self.finish:
             from tactile_toolkit.errors import InputError
             from tactile_toolkit.run.parts import Finish

@@ -169,11 +169,11 @@ def repeated_ids(source: Source, choices: Mapping[str, RowChoices]) -> dict[str,
     return repeated
 
 
-def pictures_are_whole(folder: DataFolder, record: ShardRecord) -> bool:
+def pictures_are_whole(folder: DataFolder, record: ShardRecord, reads: bool) -> bool:
     """Tell whether every picture that a finished shard lists is there, unchanged."""
     # By checksum, not by size: pictures are files that people open and save.
     table = Shard(folder.address(record.shard.data_path)).read(columns=["file", "sha256"])
-    return all(is_whole_file(folder, line["file"], line["sha256"]) for line in table.to_pylist())
+    return all(is_whole_file(folder, line["file"], line["sha256"], reads) for line in table.to_pylist())
 
 
 def _folder_name(row: Row, name: str) -> str:

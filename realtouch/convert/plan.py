@@ -222,7 +222,7 @@ class Conversion:
     rows_per_shard: int | None = None
     rows_per_group: int | None = None
     extra_dirs: tuple[str, ...] = ()
-    extras_intact: Callable[[ShardRecord], bool] = field(default=lambda _: True, repr=False)
+    extras_intact: Callable[[ShardRecord, bool], bool] = field(default=lambda *_: True, repr=False)
     write_files: Callable[[DataFolder, Manifest], Mapping[str, str]] = field(
         default=lambda _folder, _manifest: {}, repr=False
     )

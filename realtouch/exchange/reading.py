@@ -232,7 +232,7 @@ class _SourceIsTheSame:
     tasks: Mapping[str, _ImportShard] = field(repr=False)
     style: ParquetStyle
 
-    def __call__(self, record: ShardRecord) -> bool:
+    def __call__(self, record: ShardRecord, _reads: bool) -> bool:
         """Read the images again."""
         content = self.tasks[str(record.shard)].make()
         is_listed = content.skipped == record.skipped

@@ -52,10 +52,10 @@ class FilesAreWhole:
 
     folder: DataFolder
 
-    def __call__(self, record: ShardRecord) -> bool:
+    def __call__(self, record: ShardRecord, reads: bool) -> bool:
         """Compare the checksums of the files of a shard with its index."""
         return all(
-            is_whole_file(self.folder, path, checksum)
+            is_whole_file(self.folder, path, checksum, reads)
             for path, checksum in files_of(self.folder, record).items()
         )
 

@@ -6,13 +6,14 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from tactile_toolkit.run.parts import Finish, Part
+    from tactile_toolkit.run.parts import Check, Finish, Part
     from tactile_toolkit.run.processes import InlineRunner, ProcessRunner, Runner
     from tactile_toolkit.run.ray import RayRunner
 
-__all__ = ["Finish", "InlineRunner", "Part", "ProcessRunner", "RayRunner", "Runner"]
+__all__ = ["Check", "Finish", "InlineRunner", "Part", "ProcessRunner", "RayRunner", "Runner"]
 
 _HOMES = {
+    "Check": "parts",
     "Finish": "parts",
     "Part": "parts",
     "InlineRunner": "processes",

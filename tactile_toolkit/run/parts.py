@@ -1,7 +1,7 @@
 """One process of many that make a data set together and never meet: elements of a job array.
 
-:class:`Part` and :class:`Finish` stand where a runner stands, so that every function that makes data takes
-them; what they mean for a folder is said in :mod:`tactile_toolkit.store.build`.
+:class:`Part`, :class:`Finish` and :class:`Check` stand where a runner stands, so that every function that
+makes data takes them; what they mean for a folder is said in :mod:`tactile_toolkit.store.build`.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from typing import TypeVar
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.run.processes import Runner, runner_for
 
-__all__ = ["Finish", "Part", "part_of"]
+__all__ = ["Check", "Finish", "Part", "part_of"]
 
 T = TypeVar("T")
 R = TypeVar("R")
@@ -84,6 +84,26 @@ class Finish:
     def run(self, function: Callable[[T], R], tasks: Iterable[T]) -> Iterator[R]:
         """Yield nothing."""
         return iter(())
+
+
+@dataclass(frozen=True)
+class Check:
+    """Reads all that is finished again before it goes on, and makes anew what is damaged.
+
+    Without it parts, and all runs in an object store, believe sizes and records.
+
+    Parameters
+    ----------
+    workers : int or Runner
+        What makes the shards: a number of local processes, or a runner, :class:`Part` and :class:`Finish`
+        too, which then counts damaged shards among those that are missing.
+    """
+
+    workers: int | Runner = 1
+
+    def run(self, function: Callable[[T], R], tasks: Iterable[T]) -> Iterator[R]:
+        """Yield the results of tasks as the workers finish them."""
+        return runner_for(self.workers).run(function, tasks)
 
 
 def part_of(text: str, workers: int | Runner = 1, environment: Mapping[str, str] = os.environ) -> Part:

@@ -13,8 +13,8 @@ from dataclasses import dataclass, field, replace
 from itertools import chain
 
 from tactile_toolkit.errors import InputError, IntegrityError, StorageError
-from tactile_toolkit.run.parts import Finish, Part
-from tactile_toolkit.run.processes import Runner
+from tactile_toolkit.run.parts import Check, Finish, Part
+from tactile_toolkit.run.processes import Runner, runner_for
 from tactile_toolkit.store.folder import FORSAKEN_S, DataFolder, folders_below, named_failures
 from tactile_toolkit.store.manifest import (
     MANIFEST_FILE,
@@ -145,7 +145,8 @@ def build(
 
     With a :class:`~tactile_toolkit.run.parts.Part` for a runner, only its tasks are made: no manifest, report
     or card is written, and nothing of others is removed. :class:`~tactile_toolkit.run.parts.Finish` writes
-    those, from what all parts have made.
+    those, from what all parts have made. :class:`~tactile_toolkit.run.parts.Check` around any runner trusts
+    no size: all that is finished is read.
 
     Raises
     ------
@@ -160,6 +161,9 @@ def build(
     StorageError
         The folder cannot be written, or the disk is full. Finished shards stay.
     """
+    check = isinstance(runner, Check)
+    if isinstance(runner, Check):
+        runner = runner_for(runner.workers)
     if isinstance(runner, (Part, Finish)):
         if overwrite:
             message = (
@@ -169,15 +173,15 @@ def build(
             )
             raise InputError(message)
         if isinstance(runner, Part):
-            return _make_part(folder, plan, runner, on_progress)
-        return _finish(folder, plan, on_progress, write_card)
+            return _make_part(folder, plan, runner, on_progress, check)
+        return _finish(folder, plan, on_progress, write_card, check)
     with named_failures(folder.address()):
         existed = folder.exists()
     folder.require_folder()
     recover(folder)
     former = FormerSet.set_aside(folder, plan.extra_dirs) if overwrite else None
-    state = inspect_folder(folder, plan)
-    if not folder.is_local and _is_finished(folder, state):
+    state = inspect_folder(folder, plan, check=check)
+    if not folder.is_local and not check and _is_finished(folder, state):
         return state.manifest
     before = FolderBefore.of(folder, existed, former)
     try:
@@ -205,7 +209,7 @@ def build(
 
 
 def _make_part(
-    folder: DataFolder, plan: BuildPlan, part: Part, on_progress: Callable[[Progress], None]
+    folder: DataFolder, plan: BuildPlan, part: Part, on_progress: Callable[[Progress], None], check: bool
 ) -> Manifest:
     """Make the tasks of a part that have no record; return what the manifest would hold of them."""
     there = read_parts_plan(folder)
@@ -220,7 +224,7 @@ def _make_part(
     first, wanted = part.first_of(count), plan.for_parts(count)
     folder.require_folder()
     refuse_unrecovered(folder)
-    state = inspect_folder(folder, plan, plan.tasks[first::count], in_parts=True)
+    state = inspect_folder(folder, plan, plan.tasks[first::count], in_parts=True, check=check)
     if state.agreed is not None:
         refuse_other_division(folder, state.agreed, wanted)
     if state.unproven:
@@ -231,7 +235,7 @@ def _make_part(
         raise InputError(message)
     if state.todo and _agree(folder, plan, wanted):
         # All parts may have been finished since this one looked: then none are at work.
-        state = inspect_folder(folder, plan, plan.tasks[first::count], in_parts=True)
+        state = inspect_folder(folder, plan, plan.tasks[first::count], in_parts=True, check=check)
         if not state.todo:
             folder.remove(PARTS_FILE)
             folder.remove_empty(PENDING_FOLDER)
@@ -297,6 +301,7 @@ def _finish(
     plan: BuildPlan,
     on_progress: Callable[[Progress], None],
     write_card: WriteCard | None,
+    check: bool,
 ) -> Manifest:
     """Put together what all parts have made. Raises MissingPartsError where something is missing."""
     if not folder.names():
@@ -306,7 +311,7 @@ def _finish(
     refuse_unrecovered(folder)
     folder.refresh(DATA_FOLDER)
     folder.refresh(PENDING_FOLDER)
-    state = inspect_folder(folder, plan, in_parts=True)
+    state = inspect_folder(folder, plan, in_parts=True, check=check)
     on_progress(Progress(0, 0))
     parts = None
     if state.agreed is not None:

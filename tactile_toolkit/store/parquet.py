@@ -265,9 +265,9 @@ def file_sha256(folder: DataFolder, path: str) -> str:
     return digest.hexdigest()
 
 
-def is_whole_file(folder: DataFolder, path: str, sha256: str) -> bool:
-    """Tell whether a file is there, unchanged; in a store, where files appear whole, none is read for it."""
-    return folder.exists(path) and (not folder.is_local or file_sha256(folder, path) == sha256)
+def is_whole_file(folder: DataFolder, path: str, sha256: str, reads: bool) -> bool:
+    """Tell whether a file is there, and where it is to be read (in stores files appear whole), unchanged."""
+    return folder.exists(path) and (not reads or file_sha256(folder, path) == sha256)
 
 
 def unpacked_bytes(footer: Any, schema: Any, read_text: Callable[[list[str]], Any]) -> int:

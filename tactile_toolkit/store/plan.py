@@ -87,7 +87,8 @@ class BuildPlan:
         Sub-folders (or files) beside the rows that belong to the data set: tasks fill them with files of
         their own.
     extras_intact : callable
-        Tells whether all that a finished shard wrote into ``extra_dirs`` is still whole.
+        Tells whether all that a finished shard wrote into ``extra_dirs`` is still whole, by its content or,
+        where the second argument is False, by its being there.
     libraries : tuple of str
         Distributions whose versions decide bytes.
     write_files : callable
@@ -102,7 +103,7 @@ class BuildPlan:
     style: ParquetStyle
     report_file: str | None = None
     extra_dirs: tuple[str, ...] = ()
-    extras_intact: Callable[[ShardRecord], bool] = field(default=lambda _: True, repr=False)
+    extras_intact: Callable[[ShardRecord, bool], bool] = field(default=lambda *_: True, repr=False)
     libraries: tuple[str, ...] = ()
     write_files: Callable[[DataFolder, Manifest], Mapping[str, str]] = field(
         default=lambda _folder, _manifest: {}, repr=False
@@ -174,12 +175,13 @@ def inspect_folder(
     tasks: Sequence[ShardTask] | None = None,
     *,
     in_parts: bool = False,
+    check: bool = False,
 ) -> BuildState:
     """Compare a folder with a plan, or with some of its tasks, changing nothing.
 
     A record counts where its file is there in full size; in local folders also its checksum is compared, but
-    not ``in_parts``. Raises SpecMismatchError when the folder was made by another specification (the message
-    says what differs), and InputError when it holds something else.
+    not ``in_parts``; with ``check`` it always is. Raises SpecMismatchError when the folder was made by
+    another specification (the message says what differs), and InputError when it holds something else.
     """
     # Listed before what says whose they are is looked for: it is written before any of them, and goes last.
     pending = folder.names(PENDING_FOLDER)
@@ -192,7 +194,7 @@ def inspect_folder(
             refuse_unknown_files(folder)
         except InputError:
             if folder.exists(MANIFEST_FILE):  # another run began at this moment
-                return inspect_folder(folder, plan, tasks, in_parts=in_parts)
+                return inspect_folder(folder, plan, tasks, in_parts=in_parts, check=check)
             raise
         # Pending records that nothing stands beside may be of any specification: they prove nothing.
         unproven = tuple(f"{PENDING_FOLDER}/{name}" for name in pending if not name.startswith("."))
@@ -213,7 +215,7 @@ def inspect_folder(
     asked_for = None if tasks is None else [task.shard for task in chosen]
     known = {record.shard: record for record in (*manifest.shards, *pending_records(folder, asked_for))}
     recorded = [known[task.shard] for task in chosen if task.shard in known]
-    is_finished = _finished_check(folder, plan, manifest, recorded, reads=folder.is_local and not in_parts)
+    is_finished = _finished_check(folder, plan, manifest, recorded, in_parts=in_parts, check=check)
     kept, todo, damaged = [], [], []
     for task in chosen:
         record = known.get(task.shard)
@@ -238,11 +240,14 @@ def _finished_check(
     manifest: Manifest,
     records: Sequence[ShardRecord],
     *,
-    reads: bool,
+    in_parts: bool,
+    check: bool,
 ) -> Callable[[ShardRecord], bool]:
     """Return a test whether all that one of these records vouches for is there; lists the folder once."""
     sizes = folder.sizes(DATA_FOLDER)
-    has_report = _report_check(folder, plan, manifest, records)
+    has_report = _report_check(folder, plan, manifest, records, check)
+    reads_extras = check or folder.is_local
+    reads = reads_extras and (check or not in_parts)
 
     def is_finished(record: ShardRecord) -> bool:
         # Sizes first: most damage shows there, and costs no reading.
@@ -251,7 +256,7 @@ def _finished_check(
         try:
             if reads and file_sha256(folder, record.shard.data_path) != record.sha256:
                 return False
-            return plan.extras_intact(record)
+            return plan.extras_intact(record, reads_extras)
         except (IntegrityError, FileNotFoundError):  # damaged in the same size, or gone at this moment
             return False
 
@@ -320,11 +325,11 @@ def _refuse_strays(folder: DataFolder, plan: BuildPlan) -> None:
 
 
 def _report_check(
-    folder: DataFolder, plan: BuildPlan, manifest: Manifest, records: Sequence[ShardRecord]
+    folder: DataFolder, plan: BuildPlan, manifest: Manifest, records: Sequence[ShardRecord], check: bool
 ) -> Callable[[ShardRecord], bool]:
     """Return a test whether the report rows of one of these exist, in a file of their own or merged."""
     merged: dict[str, int] = {}
-    if not folder.is_local and manifest.complete and plan.report_file in (manifest.files or {}):
+    if not (folder.is_local or check) and manifest.complete and plan.report_file in (manifest.files or {}):
         is_merged = folder.exists(str(plan.report_file))
         return lambda _: is_merged
     if plan.report_file is not None and folder.exists(plan.report_file):

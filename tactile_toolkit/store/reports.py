@@ -62,7 +62,7 @@ def read_report(folder: DataFolder, path: str, columns: Sequence[str] | None = N
 def report_shards(folder: DataFolder, path: str) -> dict[str, int]:
     """Count the rows of each shard in a report; raises as :func:`report_pieces`."""
     rows: Counter[str] = Counter()
-    for piece in report_pieces(folder, path, ["shard"]):
+    for piece in report_pieces(folder, path):  # all columns: rows count where the whole of them can be read
         rows.update({entry["values"]: entry["counts"] for entry in piece["shard"].value_counts().to_pylist()})
     return dict(rows)
 

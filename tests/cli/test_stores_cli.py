@@ -143,9 +143,10 @@ def test_touches_for_other_libraries_and_back(s3, bucket, tmp_path, capfd):  # n
     DataFolder(tars).write_bytes(tar, b"cut")
     assert call("realtouch", "verify", tars) == 3
     assert tar in capfd.readouterr().err
-    DataFolder(tars).remove(tar)
     again = ("export", source, "--layout", "webdataset", "--workers", "1", "--quiet", "--out", tars)
     assert call("realtouch", *again) == 0
+    assert DataFolder(tars).read_bytes(tar) == b"cut"  # that it is there is all that is asked
+    assert call("realtouch", *again, "--check") == 0
     assert stored(s3, bucket, "webdataset") == folder_bytes(tmp_path / "webdataset")
     words = ("import", f"{tars}/webdataset", "--layout", "webdataset", "--workers", "1", "-q")
     for part in (("--part", "0/2"), ("--part", "1/2"), ("--finish",)):

@@ -112,6 +112,17 @@ def test_damaged_file_is_found_and_made_again(tmp_path, damage, victim):
     assert folder_bytes(tmp_path / "whole") == folder_bytes(tmp_path / "set")
 
 
+@pytest.mark.parametrize("share", [0.05, 0.25, 0.5, 0.75])
+def test_a_report_of_which_one_byte_changed_is_made_again(tmp_path, share):
+    whole = make(tmp_path / "set") and folder_bytes(tmp_path / "set")
+    report = tmp_path / "set" / "reports" / "toy.parquet"
+    content = bytearray(report.read_bytes())
+    content[int(share * len(content))] ^= 1
+    report.write_bytes(bytes(content))
+    make(tmp_path / "set")
+    assert folder_bytes(tmp_path / "set") == whole
+
+
 def test_another_spec_is_refused_and_named(tmp_path):
     make(tmp_path / "set")
     before = folder_bytes(tmp_path / "set")

@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from tactile_toolkit.errors import InputError, IntegrityError, SpecMismatchError, StorageError
-from tactile_toolkit.run.parts import Finish, Part, part_of
+from tactile_toolkit.run.parts import Check, Finish, Part, part_of
 from tactile_toolkit.run.processes import InlineRunner, ProcessRunner
 from tactile_toolkit.store.build import build
 from tactile_toolkit.store.folder import DataFolder, temporary_name
@@ -50,6 +50,24 @@ def test_parts_in_any_order_give_the_bytes_of_one_process(tmp_path, whole, count
     for _ in range(2):  # twice is once
         assert make(folder.url, Finish()).complete
         assert folder_bytes(tmp_path / "set") == whole
+
+
+def test_damage_of_the_same_size_counts_as_missing_where_all_is_read(tmp_path, whole):
+    folder = DataFolder(str(tmp_path / "set"))
+    make(folder.url, Part(0, 2))
+    make(folder.url, Part(1, 2))
+    path = toy_plan().tasks[1].shard.data_path
+    content = bytearray(folder.read_bytes(path))
+    content[len(content) // 2] ^= 1
+    folder.write_bytes(path, bytes(content))
+    make(folder.url, Part(1, 2))
+    assert folder.read_bytes(path) == content  # parts believe sizes
+    with pytest.raises(MissingPartsError) as caught:
+        make(folder.url, Check(Finish()))
+    assert caught.value.array == "1"
+    make(folder.url, Check(Part(1, 2)))
+    assert make(folder.url, Check(Finish())).complete
+    assert folder_bytes(tmp_path / "set") == whole
 
 
 @pytest.mark.parametrize("runner", [1, ProcessRunner(2)], ids=["inline", "processes"])
@@ -363,7 +381,7 @@ def test_numbers_are_written_as_slurm_takes_them():
 DIES_EVERYWHERE = """
 import os, shutil, signal, sys
 from pathlib import Path
-from tactile_toolkit.run.parts import Finish, Part
+from tactile_toolkit.run.parts import Check, Finish, Part
 from tactile_toolkit.run.processes import InlineRunner
 from tactile_toolkit.store.build import build
 from tactile_toolkit.store.folder import DataFolder

@@ -14,7 +14,7 @@ from dataclasses import replace
 import pytest
 
 from tactile_toolkit.errors import InputError, IntegrityError, RemoteError, SpecMismatchError
-from tactile_toolkit.run.parts import Finish, Part
+from tactile_toolkit.run.parts import Check, Finish, Part
 from tactile_toolkit.run.processes import InlineRunner, ProcessRunner
 from tactile_toolkit.store import remote
 from tactile_toolkit.store.build import build
@@ -252,6 +252,19 @@ def test_a_run_over_a_finished_set_reads_next_to_nothing_of_it(folder, s3, bucke
     folder.write_bytes("data/train-00001-of-00004.parquet", b"cut")
     folder.remove("data/train-00002-of-00004.parquet")
     assert build(folder, wide_plan(), InlineRunner()) == made
+    assert s3.objects(bucket) == before
+
+
+@pytest.mark.parametrize("path", ["data/train-00001-of-00004.parquet", "reports/toy.parquet"])
+def test_damage_of_the_same_size_is_put_right_where_it_is_asked_for(folder, s3, bucket, path):  # noqa: F811
+    made = build(folder, wide_plan(), InlineRunner())
+    before = s3.objects(bucket)
+    content = bytearray(folder.read_bytes(path))
+    content[len(content) // 2] ^= 1
+    folder.write_bytes(path, bytes(content))
+    assert build(folder, wide_plan(), InlineRunner()) == made
+    assert s3.objects(bucket) != before  # sizes are believed
+    assert build(folder, wide_plan(), Check(InlineRunner())) == made
     assert s3.objects(bucket) == before
 
 
