@@ -72,12 +72,13 @@ class Converting(Work):
         source: str,
         out: str,
         *values: Any,
+        nouns: str = KIND.nouns,
         **options: Any,
     ) -> None:
-        """Say what will be fetched, convert with a progress bar, and say what was made."""
+        """Say what will be fetched, convert with a progress bar, and say how many ``nouns`` were made."""
         announce_fetching(sink, source, self.split)
         make = partial(convert, source, out, *values, **options, split=self.split, limit=self.limit)
-        made = make_with_progress(sink, "converting", KIND.nouns, make, self, out)
+        made = make_with_progress(sink, "converting", nouns, make, self, out, unit=KIND.nouns)
         if made is not None:
             print_converted(sink, made.manifest, out)
 
@@ -257,7 +258,8 @@ def export(
     """
     from realtouch.exchange.api import export as convert
 
-    converting.run(sink, convert, source, out, layout, frame=frame)
+    # A row is a touch, or an episode of LeRobot.
+    converting.run(sink, convert, source, out, layout, nouns="rows", frame=frame)
 
 
 def import_touches(
