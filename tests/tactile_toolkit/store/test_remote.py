@@ -16,10 +16,11 @@ import pytest
 from tactile_toolkit.errors import InputError, IntegrityError, RemoteError, SpecMismatchError
 from tactile_toolkit.run.parts import Check, Finish, Part
 from tactile_toolkit.run.processes import InlineRunner, ProcessRunner
-from tactile_toolkit.store import remote
+from tactile_toolkit.store import remote, reports
 from tactile_toolkit.store.build import build
 from tactile_toolkit.store.folder import DataFolder
 from tactile_toolkit.store.manifest import read_manifest
+from tactile_toolkit.store.parquet import ParquetStyle
 from tactile_toolkit.store.parts import MissingPartsError
 from tactile_toolkit.store.verify import verify
 from tests.tactile_toolkit.toy import SCHEMA, folder_bytes, toy_plan
@@ -274,6 +275,16 @@ def test_a_folder_in_a_store_holds_the_same_bytes_as_a_local_one(folder, s3, buc
     stored = {key.removeprefix("deep/set/"): content for key, content in s3.objects(bucket).items()}
     assert stored == folder_bytes(tmp_path)
     assert verify(folder, SCHEMA).ok
+
+
+def test_the_report_of_splits_made_in_turn_is_that_of_one_run(folder, s3, bucket, tmp_path, monkeypatch):  # noqa: F811
+    # Shards lie across row groups, as they do in large sets.
+    monkeypatch.setattr(reports, "REPORT_STYLE", ParquetStyle(rows_per_group=3))
+    for split in ("test", "train"):
+        build(folder, toy_plan((split,)), InlineRunner())
+    build(DataFolder(str(tmp_path)), toy_plan(), InlineRunner())
+    stored = {key.removeprefix("deep/set/"): content for key, content in s3.objects(bucket).items()}
+    assert stored == folder_bytes(tmp_path)
 
 
 def test_parts_at_once_in_a_store_give_the_bytes_of_one_process(folder, s3, bucket, tmp_path):  # noqa: F811

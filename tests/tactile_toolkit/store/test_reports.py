@@ -14,7 +14,6 @@ from tactile_toolkit.store.build import build
 from tactile_toolkit.store.folder import DataFolder
 from tactile_toolkit.store.parquet import ParquetStyle
 from tactile_toolkit.store.reports import merge_reports, read_report, report_shards
-from tests.s3_fixtures import bucket, s3, s3_server  # noqa: F401
 from tests.tactile_toolkit.toy import folder_bytes, toy_plan
 
 REPORT = "reports/toy.parquet"
@@ -47,14 +46,6 @@ def test_rows_come_from_the_run_before_and_from_this_one(tmp_path, whole, splits
         "test-00000-of-00002": 5,
         "test-00001-of-00002": 4,
     }
-
-
-def test_in_a_store_too(s3, bucket, whole):  # noqa: F811
-    folder = DataFolder(f"s3://{bucket}/set")
-    for split in ("test", "train"):
-        build(folder, toy_plan((split,)), InlineRunner())
-    stored = {key.removeprefix("set/"): content for key, content in s3.objects(bucket).items()}
-    assert stored == folder_bytes(whole)
 
 
 def test_what_is_as_it_should_be_is_not_written_again(whole):
