@@ -115,7 +115,7 @@ def _mesh(folder: Path, kind: str) -> Path:
         ("block", ("--at", "0.07,0"), "above the cell of 120 x 120 mm"),
         ("block", ("--at", "1"), "is not a position"),
         ("block", ("--turn", "inf"), "turn_rad of a pose is inf"),
-        ("block", ("--size", "wide"), "is not a size"),
+        ("block", ("--size", "wide"), "expected WIDTHxHEIGHT in pixels"),
         ("block", ("--size", "9999x9999"), "at most 16,777,216 pixels"),
         ("block", ("--surface", "printed", "--layer-mm", "5"), "--layer-mm"),
         ("block", ("--noise", "calibrated"), "'depth' have no noise"),
