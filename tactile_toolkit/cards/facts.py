@@ -69,7 +69,8 @@ class FolderFacts:
     @cached_property
     def features(self) -> list[dict[str, Any]]:
         """Columns as `datasets` describes them in a card."""
-        return yaml_features(self.schema, self.splits[0].shards[0].path)
+        first = next((shard.path for split in self.splits for shard in split.shards), "")
+        return yaml_features(self.schema, first)
 
 
 def recorded_facts(folder: DataFolder, manifest: Manifest | None, schema: Any = None) -> FolderFacts:
