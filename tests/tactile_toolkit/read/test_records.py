@@ -217,6 +217,7 @@ def test_reads_from_threads(dataset):
     assert not wrong
 
 
+@pytest.mark.own_process  # servers of other tests leave garbage of theirs
 def test_records_are_no_reference_cycles(dataset):
     gc.collect()
     gc.disable()
