@@ -37,7 +37,10 @@ class Spread:
             self._least = float(np.minimum(self._least, values.min()))
             self._most = float(np.maximum(self._most, values.max()))
             if self._held is not None:
-                self._held = [*self._held, values] if self._count <= _HELD else None
+                self._held.append(values)
+                if self._count <= _HELD:
+                    return
+                values, self._held = np.concatenate(self._held), None
         bits = values.view(np.uint64)
         keys = np.where(bits & _SIGN, ~bits, bits | _SIGN)  # in the order of the numbers
         for ranked in self._middle:
