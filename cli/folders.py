@@ -127,9 +127,11 @@ def add_verify(app: typer.Typer, kind: DatasetKind, what: str) -> None:
         if all("; next: " in finding.problem for finding in result.findings):
             cure = "do what each of them says"
         elif record is None:
-            # Runs trust the sizes of what lies far away.
+            # Runs trust the sizes of what lies far away, and tables have no option to read it.
             first = "" if place.is_local else "remove those files, then "
-            cure = f"{first}run the same `{kind.made_by}` again, it makes the damaged shards anew"
+            is_export = manifest is not None and manifest.spec.get("operation") == "export"
+            maker = f"{kind.command} export" if is_export else kind.made_by
+            cure = f"{first}run the same `{maker}` again, it makes the damaged shards anew"
         else:
             cure = f"download {record.repo_id} there again, only what is damaged is fetched"
         message = f"{counted(len(findings), 'problems')} in {folder!r}; next: {cure}"
