@@ -13,7 +13,6 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_toolkit.mesh.nearness import near_pairs
 from tactile_toolkit.mesh.raster import positions_in_runs
 
 __all__ = ["faces_not_proven_free", "self_crossing", "tolerance_mm"]
@@ -35,16 +34,12 @@ def tolerance_mm(vertices_mm: Numbers) -> float:
     return _TOLERANCE * float(np.abs(vertices_mm).max())
 
 
-def self_crossing(
-    vertices_mm: Numbers, faces: Indices, bodies: int = 1, suspects: Indices | None = None
-) -> Numbers | None:
+def self_crossing(vertices_mm: Numbers, faces: Indices, bodies: int = 1) -> Numbers | None:
     """Return a place, shape (3,), where a body of a closed manifold mesh crosses itself; None if none does.
 
     ``bodies`` are the connected surfaces of the mesh; crossings of different ones are not looked for.
-    ``suspects`` are what :func:`faces_not_proven_free` has found.
     """
-    if suspects is None:
-        suspects = faces_not_proven_free(vertices_mm, faces)
+    suspects = faces_not_proven_free(vertices_mm, faces)
     if not len(suspects):
         return None
     if bodies == 1:
@@ -178,6 +173,8 @@ def _winds_once(following: dict[int, int], x: Numbers, y: Numbers) -> bool:
 
 def _crossing_among(vertices_mm: Numbers, faces: Indices, suspects: Indices) -> Numbers | None:
     """Return where faces among the suspects cross each other, if they do."""
+    from tactile_toolkit.mesh.nearness import near_pairs
+
     tolerance = tolerance_mm(vertices_mm)
     a, b, c = (vertices_mm[faces[suspects, corner]] for corner in range(3))
     normal = np.cross(b - a, c - a)

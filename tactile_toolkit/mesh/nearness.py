@@ -1,78 +1,81 @@
-"""Pairs of triangles that lie near each other: down a tree of boxes."""
+"""Triangles that lie near each other, and the thinnest wall between those that face each other.
+
+The thinnest wall is the smallest ball between stretches of surface that face each other. They face each
+other where the way from one to the other starts into the solid nearly at right angles to the surface, on both
+sides; or at an edge that points into the solid, as that of a notch, where every way along the surface leads
+further apart. The two sides of an outer edge sharper than twice the angle of :data:`FACING` face each other,
+those of blunter edges do not. Triangles with a common corner never do.
+
+numba compiles the loops, and takes half a second to import: this module is imported by the functions that
+call it. All kernels lie in one file, because numba's cache on disk looks at the file of a kernel only.
+Without fastmath every operation is an IEEE one, in the order in which it stands: values do not depend on the
+processor.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import math
+from collections.abc import Callable, Iterator
+from typing import Any, TypeAlias, TypeVar
 
+import numba
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["OPPOSED", "near_pairs"]
+__all__ = ["FACING", "compiled", "near_pairs", "thinnest_wall_mm"]
 
-Numbers = NDArray[np.float64]
-Indices = NDArray[np.int64]
+Numbers: TypeAlias = NDArray[np.float64]
+Indices: TypeAlias = NDArray[np.int64]
+Vector: TypeAlias = tuple[float, float, float]
+F = TypeVar("F", bound=Callable[..., Any])
 
-# Pairs that are looked at together: bounds the memory.
+FACING = 0.95
+"""Least cosine between the way across a wall and the direction into the solid: 18 degrees."""
+
+# Directions further from opposite do not face each other: 36 degrees by FACING, and 5 for directions between
+# those of two triangles, which the boxes hold the ends and the middle of.
+_OPPOSED = -0.75
+
+# Cosine up to which a way along the surface counts as leading no nearer.
+_ALONG = 0.05
+
+# Pairs that are handed over together: bounds the memory of who looks at them.
 _AT_ONCE = 1 << 17
 
-OPPOSED = -0.3
-"""Largest cosine of the angle between directions that oppose each other."""
+
+def compiled(function: F) -> F:
+    """Compile on first use; kept next to the file or in the user's cache folder, where one can be written."""
+    jit: Any = numba.njit
+    result: F
+    try:
+        # nogil: threads may work side by side. numpy's error model: a division by 0 is an infinity, not an
+        # exception that every loop has to look for.
+        result = jit(cache=True, nogil=True, error_model="numpy")(function)
+    except RuntimeError:  # numba finds no folder for its cache
+        result = jit(nogil=True, error_model="numpy")(function)
+    return result
 
 
-def near_pairs(
-    corners_mm: Numbers, reach_mm: float, inward: Numbers | None = None
-) -> Iterator[tuple[Indices, Indices]]:
-    """Yield pairs of triangles, shape (F, 3, 3), whose boxes are within reach along each axis, in parts.
-
-    With ``inward``, a direction for each, only those pairs whose directions oppose each other.
-    """
+def near_pairs(corners_mm: Numbers, reach_mm: float) -> Iterator[tuple[Indices, Indices]]:
+    """Yield pairs of triangles, shape (F, 3, 3), whose boxes are within reach along each axis, in parts."""
     if not len(corners_mm):
         return
     low, high = corners_mm.min(axis=1) - reach_mm / 2, corners_mm.max(axis=1) + reach_mm / 2
-    order = _along_a_curve((low + high) / 2)
-    if inward is not None:
-        low, high = np.concatenate([low, inward], axis=1), np.concatenate([high, inward], axis=1)
-    levels = max(1, int(np.ceil(np.log2(max(len(order), 2)))))
-    # Leaves without a triangle are boxes inside out, which meet nothing.
-    lows = np.full((1 << levels, low.shape[1]), np.inf)
-    highs = np.full((1 << levels, low.shape[1]), -np.inf)
-    lows[: len(order)], highs[: len(order)] = low[order], high[order]
-    tree = [(lows, highs)]
-    for _ in range(levels):
-        lows, highs = tree[-1]
-        tree.append((np.minimum(lows[::2], lows[1::2]), np.maximum(highs[::2], highs[1::2])))
-    root = np.zeros(1, np.int64)
-    waiting = [(levels, root, root)]
-    while waiting:
-        # Depth first: all pairs of one level would not fit into memory.
-        level, one, other = waiting.pop()
-        if level == 0:
-            apart = one != other
-            yield order[one[apart]], order[other[apart]]
-            continue
-        if len(one) > _AT_ONCE:
-            half = len(one) // 2
-            waiting += [(level, one[half:], other[half:]), (level, one[:half], other[:half])]
-            continue
-        same = one == other
-        left, right = 2 * one, 2 * other
-        one = np.concatenate([left, left + 1, left, left[~same] + 1])
-        other = np.concatenate([right, right + 1, right + 1, right[~same]])
-        lows, highs = tree[level - 1]
-        meet = np.ones(len(one), dtype=bool)
-        for axis in range(3):
-            near, far = lows[:, axis], highs[:, axis]
-            meet &= (near[one] <= far[other]) & (near[other] <= far[one])
-        one, other = one[meet], other[meet]
-        if inward is not None:
-            # The least cosine between directions of two boxes of directions.
-            cosine = np.zeros(len(one))
-            for axis in range(3, 6):
-                bounds = [(a[one, axis], b[other, axis]) for a in (lows, highs) for b in (lows, highs)]
-                cosine += np.minimum.reduce([first * second for first, second in bounds])
-            opposed = cosine < OPPOSED
-            one, other = one[opposed], other[opposed]
-        waiting.append((level - 1, one, other))
+    pairs = _meeting(_along_a_curve((low + high) / 2), low, high)
+    for start in range(0, len(pairs), _AT_ONCE):
+        one, other = pairs[start : start + _AT_ONCE].T
+        yield one, other
+
+
+def thinnest_wall_mm(vertices_mm: Numbers, faces: Indices, reach_mm: float) -> float:
+    """Return the thinnest wall of a closed manifold mesh, up to a reach; infinity where there is none.
+
+    Rounded to a nanometre, it depends on the triangles only, not on their order.
+    """
+    vertices_mm = np.ascontiguousarray(vertices_mm, dtype=np.float64)
+    faces = np.ascontiguousarray(faces, dtype=np.int64)
+    order = _along_a_curve(vertices_mm[faces].mean(axis=1))
+    return round(float(_thinnest_wall(vertices_mm, faces, order, reach_mm)), 6)
 
 
 def _along_a_curve(points: Numbers) -> Indices:
@@ -84,3 +87,288 @@ def _along_a_curve(points: Numbers) -> Indices:
     for shift, mask in ((16, 0x30000FF), (8, 0x300F00F), (4, 0x30C30C3), (2, 0x9249249)):
         cells = (cells | (cells << shift)) & mask
     return np.argsort(cells[:, 0] | (cells[:, 1] << 1) | (cells[:, 2] << 2), kind="stable")
+
+
+# --- a tree of boxes ------------------------------------------------------------------------------
+
+
+@compiled
+def _tree(order: Indices, low: Numbers, high: Numbers) -> tuple[Numbers, Numbers]:
+    """Return the boxes of a binary tree: node n holds nodes 2 n and 2 n + 1, the root is 1."""
+    leaves = 1
+    while leaves < len(order):
+        leaves *= 2
+    # Leaves without a triangle are boxes inside out, which meet nothing.
+    lows, highs = np.full((2 * leaves, low.shape[1]), np.inf), np.full((2 * leaves, low.shape[1]), -np.inf)
+    for leaf in range(len(order)):
+        for axis in range(low.shape[1]):
+            lows[leaves + leaf, axis] = low[order[leaf], axis]
+            highs[leaves + leaf, axis] = high[order[leaf], axis]
+    for node in range(leaves - 1, 0, -1):
+        for axis in range(low.shape[1]):
+            lows[node, axis] = min(lows[2 * node, axis], lows[2 * node + 1, axis])
+            highs[node, axis] = max(highs[2 * node, axis], highs[2 * node + 1, axis])
+    return lows, highs
+
+
+@compiled
+def _pushed(stack: Indices, top: int, one: int, other: int) -> Indices:
+    """Return a stack of pairs, a longer one if need be, with one more at its top."""
+    if top == len(stack):
+        stack = np.concatenate((stack, np.empty_like(stack)))
+    stack[top, 0], stack[top, 1] = one, other
+    return stack
+
+
+@compiled
+def _meeting(order: Indices, low: Numbers, high: Numbers) -> Indices:
+    """Return the pairs of boxes that meet, each pair once."""
+    lows, highs = _tree(order, low, high)
+    leaves = len(lows) // 2
+    found, count, stack, top = np.empty((1024, 2), np.int64), 0, np.ones((64, 2), np.int64), 1
+    while top:
+        top -= 1
+        one, other = stack[top]
+        if one >= leaves:
+            if one != other:
+                found = _pushed(found, count, order[one - leaves], order[other - leaves])
+                count += 1
+            continue
+        for left in range(2 * one, 2 * one + 2):
+            for right in range(max(2 * other, left), 2 * other + 2):
+                meet = True
+                for axis in range(low.shape[1]):
+                    meet &= lows[left, axis] <= highs[right, axis] and lows[right, axis] <= highs[left, axis]
+                if meet:
+                    stack = _pushed(stack, top, left, right)
+                    top += 1
+    return found[:count]
+
+
+# --- the thinnest wall ----------------------------------------------------------------------------
+
+
+@compiled
+def _row(array: Numbers, place: int) -> Vector:
+    return array[place, 0], array[place, 1], array[place, 2]
+
+
+@compiled
+def _sub(u: Vector, v: Vector) -> Vector:
+    return u[0] - v[0], u[1] - v[1], u[2] - v[2]
+
+
+@compiled
+def _dot(u: Vector, v: Vector) -> float:
+    return u[0] * v[0] + u[1] * v[1] + u[2] * v[2]
+
+
+@compiled
+def _cross(u: Vector, v: Vector) -> Vector:
+    return u[1] * v[2] - u[2] * v[1], u[2] * v[0] - u[0] * v[2], u[0] * v[1] - u[1] * v[0]
+
+
+@compiled
+def _unit(u: Vector) -> Vector:
+    length = max(math.sqrt(_dot(u, u)), 1e-300)
+    return u[0] / length, u[1] / length, u[2] / length
+
+
+@compiled
+def _thinnest_wall(points: Numbers, faces: Indices, order: Indices, reach: float) -> float:
+    """Return the least distance below the reach at which two triangles face each other, or infinity.
+
+    Branch and bound: boxes that are further apart than the best so far, or whose directions do not oppose
+    each other, are left out with all that they hold.
+    """
+    inward, at_corner, twin = _surface(points, faces)
+    low, high = _boxes(points, faces, inward, at_corner, twin)
+    lows, highs = _tree(order, low, high)
+    leaves, best = len(lows) // 2, reach
+    stack, top = np.ones((64, 2), np.int64), 1
+    while top:
+        top -= 1
+        one, other = stack[top]
+        if one >= leaves:
+            best = _between(
+                points, faces, inward, at_corner, twin, order[one - leaves], order[other - leaves], best
+            )
+            continue
+        for left in range(2 * one, 2 * one + 2):
+            for right in range(max(2 * other, left), 2 * other + 2):
+                squared = 0.0
+                for axis in range(3):
+                    apart = max(
+                        lows[left, axis] - highs[right, axis], lows[right, axis] - highs[left, axis], 0.0
+                    )
+                    squared += apart * apart
+                if squared >= best * best:
+                    continue
+                # The least cosine between directions of the two.
+                cosine = 0.0
+                for axis in range(3, 6):
+                    a, b, c, d = lows[left, axis], highs[left, axis], lows[right, axis], highs[right, axis]
+                    cosine += min(a * c, a * d, b * c, b * d)
+                if cosine < _OPPOSED:
+                    stack = _pushed(stack, top, left, right)
+                    top += 1
+    return best if best < reach else np.inf
+
+
+@compiled
+def _surface(points: Numbers, faces: Indices) -> tuple[Numbers, Numbers, Indices]:
+    """Return directions into the solid, of triangles and at corners, and which half-edge lies along which.
+
+    Half-edge 3 f + k leads from corner k of triangle f to the next one.
+    """
+    inward, at_corner = np.zeros((len(faces), 3)), np.zeros((len(points), 3))
+    begun = np.zeros(len(points) + 1, np.int64)
+    for face in range(len(faces)):
+        a, b, c = _row(points, faces[face, 0]), _row(points, faces[face, 1]), _row(points, faces[face, 2])
+        doubled = _cross(_sub(c, a), _sub(b, a))
+        unit = _unit(doubled)
+        for k in range(3):
+            begun[faces[face, k] + 1] += 1
+            for axis in range(3):
+                inward[face, axis] = unit[axis]
+                at_corner[faces[face, k], axis] += doubled[axis]
+    for corner in range(len(points)):
+        begun[corner + 1] += begun[corner]
+        unit = _unit(_row(at_corner, corner))
+        for axis in range(3):
+            at_corner[corner, axis] = unit[axis]
+    leaving, filled = np.empty(3 * len(faces), np.int64), begun.copy()
+    for half in range(3 * len(faces)):
+        start = faces[half // 3, half % 3]
+        leaving[filled[start]] = half
+        filled[start] += 1
+    twin = np.arange(3 * len(faces))
+    for half in range(3 * len(faces)):
+        start, end = faces[half // 3, half % 3], faces[half // 3, (half + 1) % 3]
+        for place in range(begun[end], begun[end + 1]):
+            if faces[leaving[place] // 3, (leaving[place] + 1) % 3] == start:
+                twin[half] = leaving[place]
+    return inward, at_corner, twin
+
+
+@compiled
+def _boxes(
+    points: Numbers, faces: Indices, inward: Numbers, at_corner: Numbers, twin: Indices
+) -> tuple[Numbers, Numbers]:
+    """Return boxes, shape (F, 6), around triangles and the directions in which each may face others."""
+    low, high = np.full((len(faces), 6), np.inf), np.full((len(faces), 6), -np.inf)
+    for face in range(len(faces)):
+        own = _row(inward, face)
+        for k in range(3):
+            corner, beyond = faces[face, k], _row(inward, twin[3 * face + k] // 3)
+            between = _unit((own[0] + beyond[0], own[1] + beyond[1], own[2] + beyond[2]))
+            for axis in range(3):
+                place, most = points[corner, axis], at_corner[corner, axis]
+                low[face, axis], high[face, axis] = min(low[face, axis], place), max(high[face, axis], place)
+                least = min(own[axis], beyond[axis], between[axis], most)
+                most = max(own[axis], beyond[axis], between[axis], most)
+                low[face, 3 + axis] = min(low[face, 3 + axis], least)
+                high[face, 3 + axis] = max(high[face, 3 + axis], most)
+    return low, high
+
+
+@compiled
+def _between(
+    points: Numbers,
+    faces: Indices,
+    inward: Numbers,
+    at_corner: Numbers,
+    twin: Indices,
+    one: int,
+    other: int,
+    best: float,
+) -> float:
+    """Return the least distance at which two triangles face each other, or the best so far."""
+    for k in range(3):
+        corner = faces[one, k]
+        if corner == faces[other, 0] or corner == faces[other, 1] or corner == faces[other, 2]:
+            return best
+    # Each has to have something of the other before it.
+    for here, there in ((one, other), (other, one)):
+        into, base = _row(inward, here), _row(points, faces[here, 0])
+        least, most = np.inf, -np.inf
+        for k in range(3):
+            depth = _dot(_sub(_row(points, faces[there, k]), base), into)
+            least, most = min(least, depth), max(most, depth)
+        if most <= 0 or least >= best:
+            return best
+    for here, there in ((one, other), (other, one)):
+        best = _from_corners(points, faces, inward, at_corner, here, there, best)
+    for half in range(3 * one, 3 * one + 3):
+        for opposite in range(3 * other, 3 * other + 3):
+            best = _between_edges(points, faces, inward, twin, half, opposite, best)
+    return best
+
+
+@compiled
+def _from_corners(
+    points: Numbers, faces: Indices, inward: Numbers, at_corner: Numbers, one: int, other: int, best: float
+) -> float:
+    """Return the least distance from a corner of the one triangle straight to the inside of the other."""
+    into, base = _row(inward, other), _row(points, faces[other, 0])
+    opposed = -_dot(_row(inward, one), into)
+    for k in range(3):
+        point = _row(points, faces[one, k])
+        depth = _dot(_sub(point, base), into)
+        cosine = max(opposed, -_dot(_row(at_corner, faces[one, k]), into))
+        # The ball that touches the surface on both sides is wider than the way where that is aslant.
+        inside = depth > 0 and cosine >= FACING and depth < best * cosine
+        for start in range(3):
+            corner = _row(points, faces[other, start])
+            along = _sub(_row(points, faces[other, (start + 1) % 3]), corner)
+            side = _dot(_cross(along, into), _sub(point, corner))
+            inside = inside and side >= -1e-9 * _dot(along, along)
+        if inside:
+            best = depth / cosine
+    return best
+
+
+@compiled
+def _between_edges(
+    points: Numbers, faces: Indices, inward: Numbers, twin: Indices, one: int, other: int, best: float
+) -> float:
+    """Return the least distance between two half-edges that face each other."""
+    p, q = _row(points, faces[one // 3, one % 3]), _row(points, faces[other // 3, other % 3])
+    u = _sub(_row(points, faces[one // 3, (one + 1) % 3]), p)
+    v = _sub(_row(points, faces[other // 3, (other + 1) % 3]), q)
+    r = _sub(p, q)
+    uu, vv, uv, ur, vr = _dot(u, u), _dot(v, v), _dot(u, v), _dot(u, r), _dot(v, r)
+    slant = uu * vv - uv * uv
+    s = min(max((uv * vr - ur * vv) / slant, 0.0), 1.0) if slant > 1e-12 * uu * vv else 0.5
+    t = min(max((uv * s + vr) / vv, 0.0), 1.0)
+    s = min(max((uv * t - ur) / uu, 0.0), 1.0)
+    way = t * v[0] - s * u[0] - r[0], t * v[1] - s * u[1] - r[1], t * v[2] - s * u[2] - r[2]
+    distance = math.sqrt(_dot(way, way))
+    if not 0 < distance < best:
+        return best
+    there = way[0] / distance, way[1] / distance, way[2] / distance
+    back = -there[0], -there[1], -there[2]
+    cosine = min(
+        _cosine_in(points, faces, inward, twin, one, there),
+        _cosine_in(points, faces, inward, twin, other, back),
+    )
+    return min(best, distance / cosine) if cosine >= FACING else best
+
+
+@compiled
+def _cosine_in(
+    points: Numbers, faces: Indices, inward: Numbers, twin: Indices, half: int, way: Vector
+) -> float:
+    """Return how straight a way that starts at an edge leads into the solid; 1 at an edge that is a notch."""
+    start, end = _row(points, faces[half // 3, half % 3]), _row(points, faces[half // 3, (half + 1) % 3])
+    along = _unit(_sub(end, start))
+    most, least, nearest = -1.0, 1.0, -1.0
+    for side, turned in ((half, 1.0), (twin[half], -1.0)):
+        into = _row(inward, side // 3)
+        cosine = _dot(into, way)
+        most, least = max(most, cosine), min(least, cosine)
+        # Away from the edge along the surface.
+        nearest = max(nearest, turned * _dot(_cross(along, into), way))
+    lengthwise = _dot(along, way)
+    is_notch = nearest <= _ALONG and least > 0 and lengthwise * lengthwise <= 1 - FACING * FACING
+    return 1.0 if is_notch else most

@@ -11,8 +11,7 @@ import numpy as np
 from tactile_toolkit.checked_fields import check_fields, real_number
 from tactile_toolkit.mesh.mesh import MM_PER_M, as_mesh
 from tactile_toolkit.mesh.solid_check import ManifoldCheck, check_manifold
-from tactile_toolkit.mesh.thickness import thinnest_wall_mm
-from tactile_toolkit.mesh.walls import Section, section_area_mm2
+from tactile_toolkit.mesh.walls import section_area_mm2, thinnest_width_mm
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -182,6 +181,8 @@ def inspect(mesh: MeshLike, profile: PrintProfile | None = None) -> PrintReport:
     InputError
         What was given holds no triangles at all.
     """
+    from tactile_toolkit.mesh.nearness import thinnest_wall_mm
+
     mesh = as_mesh(mesh)
     profile = PrintProfile() if profile is None else profile
     check = check_manifold(mesh)
@@ -192,15 +193,12 @@ def inspect(mesh: MeshLike, profile: PrintProfile | None = None) -> PrintReport:
     low, high = vertices_mm.min(axis=0), vertices_mm.max(axis=0)
     size_mm = (float(high[0] - low[0]), float(high[1] - low[1]), float(high[2] - low[2]))
     # Vertices that lie in the mid-plane would make the cut run along edges: it is taken just above them.
-    middle = check.manifold.slice((low[2] + high[2]) / 2 + _OFF_VERTICES * size_mm[2]).to_polygons()
+    outlines = check.manifold.slice((low[2] + high[2]) / 2 + _OFF_VERTICES * size_mm[2]).to_polygons()
     overhang_mm2 = _overhang_mm2(vertices_mm, mesh.faces, profile)
     contact_mm2 = float(check.manifold.slice(low[2] + profile.layer_height_mm).area())
-    section = Section(middle)
-    wall_mm = min(section.thinnest_width_mm(), size_mm[2])
-    if not check.back_to_back or section.relief_may_be_thin(vertices_mm, WALL_REACH_MM):
-        thin_mm = thinnest_wall_mm(vertices_mm, mesh.faces.astype(np.int64), WALL_REACH_MM)
-        wall_mm = min(thin_mm, max(wall_mm, min(WALL_REACH_MM, *size_mm)))
-    overhang_share = overhang_mm2 / max(section_area_mm2(middle), 1e-9)
+    wall_mm = max(min(thinnest_width_mm(outlines), size_mm[2]), min(WALL_REACH_MM, *size_mm))
+    wall_mm = min(wall_mm, thinnest_wall_mm(vertices_mm, mesh.faces, WALL_REACH_MM))
+    overhang_share = overhang_mm2 / max(section_area_mm2(outlines), 1e-9)
     # Turned on the plate, the longer side of the print goes along the longer one of the plate.
     sides = zip(sorted(size_mm[:2]), sorted(profile.plate_mm), strict=True)
     found = {

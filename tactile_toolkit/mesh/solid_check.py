@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from tactile_toolkit.errors import ItemError
-from tactile_toolkit.mesh.crossings import faces_not_proven_free, self_crossing
+from tactile_toolkit.mesh.crossings import self_crossing
 from tactile_toolkit.mesh.mesh import MM_PER_M
 
 if TYPE_CHECKING:
@@ -56,8 +56,6 @@ class ManifoldCheck:
     """Holes through all bodies in total."""
     volume_mm3: float = math.nan
     """Enclosed volume, negative inside out; NaN where unknown, as where some space is enclosed twice."""
-    back_to_back: bool = False
-    """Proved to be two reliefs whose common rim lies in the level plane at half height, as digits are."""
 
 
 def check_manifold(mesh: Mesh) -> ManifoldCheck:
@@ -71,18 +69,15 @@ def check_manifold(mesh: Mesh) -> ManifoldCheck:
         return ManifoldCheck(None, status, "not-manifold", _edge_story(mesh))
     parts = manifold.decompose()
     volume_mm3 = float(manifold.volume())
-    back_to_back = False
     if not parts or abs(volume_mm3) < FLAT_MM3:
         problem = "no-volume", "the surface is closed, but what it encloses adds up to nothing"
     elif volume_mm3 < 0:
         problem = "inside-out", f"the triangles face inwards, the volume is {volume_mm3:.3f} mm³"
     else:
         vertices_mm, faces = mesh.vertices_m.astype(np.float64) * MM_PER_M, mesh.faces.astype(np.int64)
-        suspects = faces_not_proven_free(vertices_mm, faces)
-        back_to_back = len(suspects) < len(faces)
         problem = _overlap_problem(parts)
         if problem is None:
-            problem = _crossing_problem(self_crossing(vertices_mm, faces, len(parts), suspects))
+            problem = _crossing_problem(self_crossing(vertices_mm, faces, len(parts)))
     outer = [part for part in parts if part.volume() > 0]
     genus = sum(part.genus() for part in parts)
     if problem is not None:
@@ -90,7 +85,7 @@ def check_manifold(mesh: Mesh) -> ManifoldCheck:
         if problem[0] in ("overlap", "self-crossing"):
             volume_mm3 = math.nan
         return ManifoldCheck(None, status, *problem, len(outer), genus, volume_mm3)
-    return ManifoldCheck(manifold, status, None, None, len(outer), genus, volume_mm3, back_to_back)
+    return ManifoldCheck(manifold, status, None, None, len(outer), genus, volume_mm3)
 
 
 def require_solid(mesh: Mesh) -> ManifoldCheck:

@@ -12,14 +12,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from tactile_toolkit.mesh.nearness import OPPOSED
-
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from numpy.typing import NDArray
 
-__all__ = ["Section", "section_area_mm2", "signed_area_mm2"]
+__all__ = ["section_area_mm2", "signed_area_mm2", "thinnest_width_mm"]
 
 SPACING_MM = 0.4
 """Distance of outline points; the outlines of the digits have corners every 0.4 to 0.8 mm."""
@@ -30,66 +28,30 @@ NORMAL_SPAN = 2
 LEAST_CONTACT_SINE = 0.9
 """Sine of half the angle between the two contacts, seen from the middle of the disc: 128 degrees."""
 
-# Distance from the outline, in heights, from which on a low place is not of the slope at the outline: digits
-# are round there, and so steeper.
-_STEEP = 0.5
-
 # Every point is compared with every other: the first bounds the time; a block of the second stays in a cache.
 MAX_POINTS = 6000
 _BLOCK = 64
 _LEAST_SQUARED_MM2 = np.float32(1e-3)  # the point itself, at distance 0, must not decide its own disc
 
 
-class Section:
-    """Points along the outlines of a section.
+def thinnest_width_mm(outlines_mm: Sequence[NDArray[np.float64]]) -> float:
+    """Measure the narrowest wall between two facing stretches of the outlines of a section, 0 without any.
 
-    Outlines are closed polygons, shape (N, 2), with the material on their left: outer ones counter-clockwise,
-    holes clockwise.
+    Outlines are closed polygons in mm, shape (N, 2), with the material on their left: outer ones
+    counter-clockwise, holes clockwise. Where they begin, and their order, change nothing: points are laid
+    along each from its lowest corner.
     """
-
-    def __init__(self, outlines_mm: Sequence[NDArray[np.float64]]) -> None:
-        outlines = [outline for outline in outlines_mm if len(outline) > 2]
-        self.is_empty = not outlines
-        if outlines:
-            self._points, self._inward, self._middle = _outline_points(outlines)
-
-    def thinnest_width_mm(self) -> float:
-        """Measure the narrowest wall between two facing stretches of the outline, mm; 0 without outlines."""
-        if self.is_empty:
-            return 0.0
-        radii, contacts = _largest_discs(self._points, self._inward)
-        facing = contacts >= 2 * LEAST_CONTACT_SINE * radii
-        return float(2 * (radii[facing].min() if facing.any() else radii.max()))
-
-    def relief_may_be_thin(self, vertices_mm: NDArray[np.float64], within_mm: float) -> bool:
-        """Tell whether two reliefs back to back, of which this is the plane between, may be thin somewhere.
-
-        They may where stretches of their common outline come so near each other across material, and where
-        the surface comes so near the plane between them far from the outline, as at the ground of a notch.
-        """
-        from scipy.spatial import cKDTree
-
-        if self.is_empty:
-            return True
-        points, inward = self._points, self._inward
-        tree = cKDTree(points)
-        one, other = tree.query_pairs(within_mm + 2 * SPACING_MM, output_type="ndarray").T
-        opposed = np.flatnonzero((inward[one] * inward[other]).sum(axis=1) < OPPOSED)
-        one, other = one[opposed], other[opposed]
-        away = points[other] - points[one]
-        if (((away * inward[one]).sum(axis=1) > 0) & ((away * inward[other]).sum(axis=1) < 0)).any():
-            return True
-        heights = np.abs(vertices_mm[:, 2] - (vertices_mm[:, 2].max() + vertices_mm[:, 2].min()) / 2)
-        low = np.flatnonzero((heights > 0) & (heights < within_mm / 2))
-        reach_mm = _STEEP * heights[low] + SPACING_MM / 2
-        distances = tree.query(
-            vertices_mm[low, :2] - self._middle, distance_upper_bound=reach_mm.max(initial=0) * 1.01
-        )[0]
-        return bool((distances > reach_mm).any())
+    begun = [np.roll(line, -np.lexsort(line.T)[0], axis=0) for line in outlines_mm if len(line) > 2]
+    if not begun:
+        return 0.0
+    begun.sort(key=lambda line: (*line[0].tolist(), len(line)))
+    radii, contacts = _largest_discs(*_outline_points(begun))
+    facing = contacts >= 2 * LEAST_CONTACT_SINE * radii
+    return float(2 * (radii[facing].min() if facing.any() else radii.max()))
 
 
 def section_area_mm2(outlines_mm: Sequence[NDArray[np.float64]]) -> float:
-    """Return the area that outlines enclose, turned as in :class:`Section`."""
+    """Return the area that outlines enclose, turned as in :func:`thinnest_width_mm`."""
     area = 0.0
     for outline in outlines_mm:  # not sum(), which rounds otherwise from Python 3.12 on
         area += signed_area_mm2(outline)
@@ -104,8 +66,8 @@ def signed_area_mm2(outline_mm: NDArray[np.float64]) -> float:
 
 def _outline_points(
     outlines: Sequence[NDArray[np.float64]],
-) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float64]]:
-    """Return points along outlines from their middle, directions to the material, and the middle."""
+) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """Return points along outlines, from their middle, and directions to the material."""
     lengths = [_edge_lengths(outline).sum() for outline in outlines]
     spacing_mm = max(SPACING_MM, sum(lengths) / MAX_POINTS)
     points, inward = [], []
@@ -113,16 +75,18 @@ def _outline_points(
         # A small hole too has enough points to tell its directions.
         count = max(16, round(length / spacing_mm))
         way = np.concatenate([[0.0], np.cumsum(_edge_lengths(outline))])
-        stops = np.arange(count) * (way[-1] / count)
+        # Half a step off the first corner: at a corner itself the outline has no direction.
+        stops = (np.arange(count) + 0.5) * (way[-1] / count)
         closed = np.concatenate([outline, outline[:1]])
         even = np.stack([np.interp(stops, way, closed[:, axis]) for axis in (0, 1)], axis=1)
         along = np.roll(even, -NORMAL_SPAN, axis=0) - np.roll(even, NORMAL_SPAN, axis=0)
         left = np.stack([-along[:, 1], along[:, 0]], axis=1)
         points.append(even)
         inward.append(left / np.maximum(np.linalg.norm(left, axis=1, keepdims=True), 1e-12))
-    middle = np.concatenate(points).mean(axis=0)
-    away, left = np.concatenate(points) - middle, np.concatenate(inward)
-    return away.astype(np.float32), left.astype(np.float32), middle
+    away = np.concatenate(points)
+    # Single precision is fine enough near the middle.
+    away -= away.mean(axis=0)
+    return away.astype(np.float32), np.concatenate(inward).astype(np.float32)
 
 
 def _edge_lengths(outline: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -15,7 +15,7 @@ from tactile_toolkit.errors import InputError
 from tactile_toolkit.mesh.mesh import Mesh
 from tactile_toolkit.mesh.printability import REPORT_COLUMNS, WARNINGS, PrintProfile, inspect
 from tactile_toolkit.mesh.solid_check import PROBLEMS
-from tactile_toolkit.mesh.walls import Section, section_area_mm2
+from tactile_toolkit.mesh.walls import section_area_mm2, thinnest_width_mm
 
 ANGLES = st.floats(0, 2 * math.pi)
 
@@ -138,7 +138,7 @@ def test_wall_of_a_bar_with_square_or_round_ends(width: float, angle: float, is_
         outline = np.concatenate([cap + end, -cap - end])
     else:
         outline = np.array([[-15, -half], [15, -half], [15, half], [-15, half]])
-    assert Section([turned_outline(outline, angle)]).thinnest_width_mm() == pytest.approx(width, abs=0.2)
+    assert thinnest_width_mm([turned_outline(outline, angle)]) == pytest.approx(width, abs=0.2)
 
 
 @given(st.floats(4, 20), st.floats(0.4, 3), ANGLES)
@@ -150,7 +150,7 @@ def test_wall_of_a_ring_is_narrowest_where_its_hole_is_nearest(
         return
     shift = (outer - inner - wall) * np.array([math.cos(angle), math.sin(angle)])
     hole = circle(inner)[::-1] + shift
-    assert Section([circle(outer), hole]).thinnest_width_mm() == pytest.approx(wall, abs=0.2)
+    assert thinnest_width_mm([circle(outer), hole]) == pytest.approx(wall, abs=0.2)
 
 
 @given(st.floats(0.4, 6), st.floats(2, 12), ANGLES)
@@ -161,7 +161,7 @@ def test_wall_of_a_neck(width: float, radius: float, angle: float) -> None:
     side, high = 2 * radius + 6, width / 2 + radius
     upper = np.array([[side, -high], [side, high], *notch, [-side, high], [-side, -high]])
     outline = np.array([*upper, *(notch * [1, -1])[::-1]])
-    assert Section([turned_outline(outline, angle)]).thinnest_width_mm() == pytest.approx(width, abs=0.2)
+    assert thinnest_width_mm([turned_outline(outline, angle)]) == pytest.approx(width, abs=0.2)
 
 
 @given(st.integers(0, 1000), ANGLES)
@@ -171,18 +171,28 @@ def test_rough_edges_are_no_thin_walls(seed: int, angle: float) -> None:
     rough = [np.convolve(rng.normal(size=len(x) + 4), np.ones(5) / 5, "valid") * 0.15 for _ in range(2)]
     lower = np.stack([x, -3 + rough[0]], axis=1)
     upper = np.stack([x, 3 + rough[1]], axis=1)[::-1]
-    found = Section([turned_outline(np.concatenate([lower, upper]), angle)]).thinnest_width_mm()
+    found = thinnest_width_mm([turned_outline(np.concatenate([lower, upper]), angle)])
     assert found == pytest.approx((rough[1] - rough[0]).min() + 6, abs=0.5)
 
 
 def test_a_thin_tail_on_a_thick_body_is_found() -> None:
     outline = np.array([[0, -5], [10, -5], [10, -0.3], [30, -0.3], [30, 0.3], [10, 0.3], [10, 5], [0, 5]])
-    assert Section([outline]).thinnest_width_mm() == pytest.approx(0.6, abs=0.1)
+    assert thinnest_width_mm([outline]) == pytest.approx(0.6, abs=0.1)
+
+
+@given(st.integers(0, 1000), st.integers(1, 300))
+def test_the_thinnest_wall_does_not_depend_on_where_outlines_begin(seed: int, begun: int) -> None:
+    way = np.arange(160) * 2 * math.pi / 160
+    radius = 9 + np.random.default_rng(seed).normal(size=(4, 4)) @ np.cos(np.outer(np.arange(2, 6), way))
+    outer = np.clip(radius[0], 6, 14)[:, None] * np.stack([np.cos(way), np.sin(way)], axis=1)
+    hole = circle(3, 60)[::-1] + np.array([1.0, 0.5])
+    found = thinnest_width_mm([np.roll(hole, begun, axis=0), np.roll(outer, -begun, axis=0)])
+    assert found == thinnest_width_mm([outer, hole])
 
 
 def test_the_area_of_a_section() -> None:
     assert section_area_mm2([circle(5, 2000), circle(2, 2000)[::-1]]) == pytest.approx(math.pi * 21, rel=1e-4)
-    assert Section([]).thinnest_width_mm() == 0
+    assert thinnest_width_mm([]) == 0
 
 
 # --- broken meshes --------------------------------------------------------------------------------

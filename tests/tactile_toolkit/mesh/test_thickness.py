@@ -15,8 +15,9 @@ from PIL import Image, ImageDraw
 
 from mnist3d.solid import solidify
 from tactile_toolkit.mesh.mesh import Mesh
+from tactile_toolkit.mesh.nearness import thinnest_wall_mm
 from tactile_toolkit.mesh.printability import PrintReport, inspect
-from tactile_toolkit.mesh.thickness import thinnest_wall_mm
+from tests.real_input import SHARED, needs_shared
 
 Solid = manifold3d.Manifold
 ANGLES = st.floats(0, 360)
@@ -109,3 +110,50 @@ def test_a_thin_stroke_of_a_digit_is_found(ink_px: int, angle: float) -> None:
     vertices_mm = mesh.vertices_m.astype(float) * 1000
     whole = thinnest_wall_mm(vertices_mm, mesh.faces.astype(np.int64), 2.5)
     assert inspect(mesh).thinnest_wall_mm == whole < 2.5
+
+
+@pytest.mark.parametrize("wall", [0.495, 1.5])
+def test_fins_far_from_the_outline_of_a_relief_are_found(wall: float) -> None:
+    """Two reliefs back to back, with walls that neither the outline nor the middle section shows."""
+    half = manifold3d.CrossSection.circle(15, 64).extrude(10, scale_top=(0.7, 0.7))
+    fin = manifold3d.CrossSection.square((8, 1.2 * wall), True).extrude(16, scale_top=(0.6, 0.6))
+    upper = half + fin.translate((0, 0, 0.01))
+    solid = (upper + upper.mirror((0, 0, 1))).refine_to_length(1.0)
+    assert report_of(solid).thinnest_wall_mm == pytest.approx(0.72 * wall, rel=0.05)
+
+
+THIN_DIGITS = {203: 2.24, 229: 2.30, 354: 2.35, 363: 2.35, 366: 2.19, 378: 2.17, 385: 2.08}
+
+
+@needs_shared
+@pytest.mark.parametrize("number", THIN_DIGITS)
+def test_thin_walls_of_handwritten_digits_are_found(number: int) -> None:
+    [path] = (SHARED / "digits" / "png").glob(f"{number:04d}_*.png")
+    with Image.open(path) as picture:
+        mesh = solidify(np.asarray(picture.convert("L")))
+    assert inspect(mesh).thinnest_wall_mm == pytest.approx(THIN_DIGITS[number], abs=0.01)
+
+
+def shuffled(mesh: Mesh, seed: int) -> Mesh:
+    """Return the same triangles, elsewhere on the plate and in another order, as are their corners."""
+    rng = np.random.default_rng(seed)
+    moved, turned = rng.permutation(len(mesh.vertices_m)), rng.integers(0, 3, len(mesh.faces))
+    faces = np.argsort(moved)[np.take_along_axis(mesh.faces, (np.arange(3) + turned[:, None]) % 3, axis=1)]
+    return Mesh(
+        mesh.vertices_m[moved] + rng.uniform(-0.1, 0.1, 3) * [1, 1, 0],
+        rng.permutation(faces).astype(np.int32),
+    )
+
+
+@settings(deadline=None, max_examples=10)
+@given(st.integers(0, 10**6), st.sampled_from([8, 40]))
+def test_walls_depend_neither_on_place_nor_on_order(seed: int, ink_px: int) -> None:
+    """Neither a thin one, found in the solid, nor a thick one, that of the middle section."""
+    picture = Image.new("L", (350, 350), 255)
+    draw = ImageDraw.Draw(picture)
+    draw.line([(80, 90), (250, 130), (150, 280)], fill=0, width=ink_px)
+    draw.ellipse((200, 80, 290, 190), fill=0)
+    mesh = solidify(np.asarray(picture))
+    report, other = inspect(mesh), inspect(shuffled(mesh, seed))
+    assert (report.thinnest_wall_mm < 2.5) == (ink_px == 8)
+    assert other.thinnest_wall_mm == pytest.approx(report.thinnest_wall_mm, rel=1e-4)
