@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
+import filecmp
 import json
 import os
 import re
 import time
-from collections.abc import Callable, Generator, Iterator
+from collections.abc import Callable, Generator, Iterable, Iterator
 from contextlib import closing
-from dataclasses import asdict, dataclass
-from functools import partial
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any, cast
 
@@ -32,7 +32,7 @@ from tactile_toolkit.versions import toolkit_version
 __all__ = ["MARKER_FILE", "MOST_BYTES", "MOST_ITEMS", "Site", "SiteForecast", "build_site", "forecast_site"]
 
 MARKER_FILE = "gallery.json"
-"""Says what a site is; only folders that hold it are ever replaced."""
+"""What a site is, and its files; nothing else is ever replaced."""
 
 MOST_ITEMS = 20_000
 """The page keeps its index in memory and is tested up to this many items."""
@@ -44,8 +44,11 @@ MOST_BYTES = 2_000_000_000
 _JUDGED_AFTER = 24
 _SAMPLED_TASKS = 3
 _MARK = "tactile-toolkit gallery"
-_OURS = {"items": r"\d{6}\.js", "thumbs": r"\d{6}\.png", "media": r"\d{6}-[\w.-]+", "assets": r"[\w.-]+"}
-_TOP = ("LICENSES.txt", MARKER_FILE, "index.html", "items.js", *_OURS)
+# The files of older galleries, whose marker does not list them.
+_UNLISTED = re.compile(
+    r"LICENSES\.txt|index\.html|items\.js|items/\d{6}\.js|thumbs/\d{6}\.png|media/\d{6}-[\w.-]+|"
+    r"assets/(page\.css|(dialog|film|filters|grid|page|state|theme|three|viewer)\.js)"
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,14 +72,19 @@ def build_site(
 ) -> Site:
     """Make the site of a gallery in a folder that appears whole or not at all; equal galleries, equal bytes.
 
-    ``overwrite`` replaces a gallery that stands there; anything else is never touched. InputError: the folder
-    holds something, there is nothing to show, or the site would be too large. StorageError: it cannot be
-    written, or the disk is full.
+    ``overwrite`` replaces another gallery that is there; the same one may be there, so that a run can be
+    repeated; anything else is never touched. InputError: the folder holds something, there is nothing to
+    show, or the site would be too large. StorageError: it cannot be written, or the disk is full.
     """
-    path = _require_free(out, overwrite=overwrite)
+    path = _require_free(gallery, out, overwrite=overwrite)
     _require_size(gallery)
-    refuse = partial(_refuse_taken, path, overwrite=overwrite)
-    with named_failures(str(path)), staged_folder(path, refuse) as staging:
+
+    def refuse(folder: Path, staging: Path) -> None:
+        _refuse_unknown(path, folder)
+        if not overwrite and not _is_part_of(folder, staging):
+            raise _taken(path)
+
+    with named_failures(str(path)), staged_folder(path, refuse, MARKER_FILE) as staging:
         index = IndexBuilder(gallery)
         writer = _Writer(staging)
         for name, content in _fixed_files(gallery).items():
@@ -97,11 +105,11 @@ def build_site(
                 raise InputError(message)
             on_progress(len(index), gallery.size)
         writer.write("items.js", index_script(index.to_dict()).encode())
-        writer.write(MARKER_FILE, _marker(gallery))
-    return Site(str(path), len(index), writer.files, writer.size, dict(gallery.splits))
+        writer.write(MARKER_FILE, _marker(gallery, writer.names))
+    return Site(str(path), len(index), len(writer.names), writer.size, dict(gallery.splits))
 
 
-def _require_free(out: str, *, overwrite: bool) -> Path:
+def _require_free(gallery: Gallery, out: str, *, overwrite: bool) -> Path:
     """Return where a site may be made; InputError where something stands that may not be replaced."""
     if "://" in out:
         message = f"--out is {out!r}; a gallery is made in a local folder; next: make it there, then copy it"
@@ -109,49 +117,82 @@ def _require_free(out: str, *, overwrite: bool) -> Path:
     # Where a symbolic link leads: the link itself is not ours to replace.
     path = Path(os.path.realpath(Path(out).expanduser()))
     if path.is_dir():
-        _refuse_taken(path, path, overwrite=overwrite)
+        _refuse_unknown(path, path)
+        # Whether it is this gallery is known for certain when this one is made, and mostly before.
+        if not overwrite and not _may_be(gallery, path):
+            raise _taken(path)
     elif path.exists():
         message = f"{str(path)!r} is a file; a gallery is a folder; nothing was changed; next: another --out"
         raise InputError(message)
     return path
 
 
-def _refuse_taken(path: Path, folder: Path, *, overwrite: bool) -> None:
-    """Refuse a folder, or what was moved out of ``path`` into it, that may not be replaced."""
-    names = sorted(entry.name for entry in folder.iterdir() if not is_unfinished(entry.name))
-    unknown = _unknown_file(folder, names)
-    if unknown is not None:
-        message = (
-            f"{str(path)!r} holds {unknown!r}, which is not part of a gallery; nothing was changed; next: "
-            "choose an empty or new folder with --out"
-        )
-        raise InputError(message)
-    if names and not overwrite:
-        message = (
-            f"{str(path)!r} holds a gallery already; nothing was changed; next: replace it with "
-            "--overwrite, or choose another folder with --out"
-        )
-        raise InputError(message)
+def _refuse_unknown(path: Path, folder: Path) -> None:
+    """Refuse a folder, or what was moved out of ``path`` into it, that holds what no gallery wrote."""
+    marker = _marker_in(folder)
+    ours = {MARKER_FILE, *map(str, marker.get("files", ()))} if marker else set()
+    is_listed = marker is None or "files" in marker
+    for name in _entries(folder):
+        if name not in ours and (is_listed or not _UNLISTED.fullmatch(name)):
+            message = (
+                f"{str(path)!r} holds {name!r}, which is not part of a gallery; nothing was changed; next: "
+                "choose an empty or new folder with --out"
+            )
+            raise InputError(message)
 
 
-def _unknown_file(folder: Path, names: list[str]) -> str | None:
-    """Return something in a folder, which holds ``names``, that is not part of a gallery."""
+def _taken(path: Path) -> InputError:
+    return InputError(
+        f"{str(path)!r} holds a gallery already; nothing was changed; next: replace it with "
+        "--overwrite, or choose another folder with --out"
+    )
+
+
+def _marker_in(folder: Path) -> dict[str, Any] | None:
+    """Return the marker of the gallery that a folder holds; None where it holds none."""
     try:
         marker = json.loads((folder / MARKER_FILE).read_bytes())
-        is_gallery = isinstance(marker, dict) and marker.get("what") == _MARK
     except (OSError, ValueError):
-        is_gallery = False
-    if not is_gallery:
-        return names[0] if names else None
-    for name in names:
-        if name not in _TOP:
-            return name
-    for inner, pattern in _OURS.items():
-        if (folder / inner).is_dir():
-            for entry in (folder / inner).iterdir():
-                if not re.fullmatch(pattern, entry.name):
-                    return f"{inner}/{entry.name}"
-    return None
+        return None
+    if not isinstance(marker, dict) or marker.get("what") != _MARK:
+        return None
+    return marker if isinstance(marker.get("files", []), list) else None
+
+
+def _entries(folder: Path) -> Iterator[str]:
+    """Yield the paths of all files, links and empty folders below a folder; links are not followed."""
+
+    def refuse(error: OSError) -> None:
+        raise error
+
+    for root, folders, files in os.walk(folder, onerror=refuse):
+        inside = Path(root).relative_to(folder)
+        if root == str(folder):
+            folders[:] = [name for name in folders if not is_unfinished(name)]
+            files = [name for name in files if not is_unfinished(name)]
+        elif not (folders or files):
+            yield inside.as_posix()
+        links = [name for name in folders if (Path(root) / name).is_symlink()]
+        yield from ((inside / name).as_posix() for name in sorted(files + links))
+
+
+def _may_be(gallery: Gallery, folder: Path) -> bool:
+    """Return whether a folder may hold this gallery, or be empty, as far as its page and marker show."""
+    if next(_entries(folder), None) is None:
+        return True
+    found = {**(_marker_in(folder) or {}), "files": []}
+    index = folder / "index.html"
+    return found == json.loads(_marker(gallery, ())) and (
+        not index.exists() or index.read_bytes() == page(gallery.title).encode()
+    )
+
+
+def _is_part_of(folder: Path, staging: Path) -> bool:
+    """Return whether everything that a folder holds is in another one too, byte for byte."""
+    return all(
+        (staging / name).is_file() and filecmp.cmp(folder / name, staging / name, shallow=False)
+        for name in _entries(folder)
+    )
 
 
 def _require_size(gallery: Gallery) -> None:
@@ -190,9 +231,15 @@ def _item_files(number: int, item: Item) -> dict[str, bytes]:
     }
 
 
-def _marker(gallery: Gallery) -> bytes:
-    """Return the file that tells a gallery from any other folder."""
-    content = {"what": _MARK, "kind": gallery.kind, "items": gallery.size, "version": toolkit_version()}
+def _marker(gallery: Gallery, files: Iterable[str]) -> bytes:
+    """Return the file that lists what a gallery is and holds, itself left out."""
+    content = {
+        "what": _MARK,
+        "kind": gallery.kind,
+        "items": gallery.size,
+        "version": toolkit_version(),
+        "files": sorted(files),
+    }
     return (json.dumps(content, indent=1) + "\n").encode()
 
 
@@ -201,14 +248,14 @@ class _Writer:
     """Writes files below a folder and counts them."""
 
     folder: Path
-    files: int = 0
+    names: list[str] = field(default_factory=list)
     size: int = 0
 
     def write(self, name: str, content: bytes) -> None:
         path = self.folder / name
         path.parent.mkdir(exist_ok=True)
         path.write_bytes(content)
-        self.files += 1
+        self.names.append(name)
         self.size += len(content)
 
 
@@ -250,11 +297,12 @@ class SiteForecast:
 
 def forecast_site(gallery: Gallery, out: str, workers: int, *, overwrite: bool = False) -> SiteForecast:
     """Make a few items, write nothing, and tell what all would take; InputError as :func:`build_site`."""
-    _require_free(out, overwrite=overwrite)
+    _require_free(gallery, out, overwrite=overwrite)
     _require_size(gallery)
     fixed = _fixed_files(gallery)
     index = IndexBuilder(gallery)
-    files = size = 0
+    names: list[str] = []
+    size = 0
     tasks = gallery.tasks
     if len(tasks) > _SAMPLED_TASKS:  # some, evenly from first to last
         steps = _SAMPLED_TASKS - 1
@@ -263,15 +311,16 @@ def forecast_site(gallery: Gallery, out: str, workers: int, *, overwrite: bool =
     for task in tasks:
         for item in task.make():
             made = _item_files(index.add(item), item)
-            files += len(made)
+            names += made
             size += sum(map(len, made.values()))
     elapsed_s = time.monotonic() - start_s
     share = gallery.size / len(index)
     size += len(index_script(index.to_dict()))
-    total = round(size * share) + sum(map(len, fixed.values())) + len(_marker(gallery))
+    listed = _marker(gallery, [*fixed, *names, "items.js"])
+    total = round((size + len(listed)) * share) + sum(map(len, fixed.values()))
     return SiteForecast(
         items=gallery.size,
-        files=round(files * share) + len(fixed) + 2,  # the index of items and the marker
+        files=round(len(names) * share) + len(fixed) + 2,  # the index of items and the marker
         bytes=total,
         seconds=elapsed_s * share / max(1, min(workers, len(gallery.tasks))),
         sampled=len(index),

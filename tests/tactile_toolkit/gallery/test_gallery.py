@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import json
 import os
 import re
 import signal
@@ -129,12 +130,105 @@ def test_a_gallery_is_replaced_only_when_asked_and_only_when_it_holds_nothing_el
     build(out, toy_gallery(4), overwrite=True)
     assert len(index_of(out)["ids"]) == 4
     assert len(entries(out / "items")) == 4
-    for stranger in ("notes.txt", "items/mine.js", "thumbs/cat.png"):
-        (out / stranger).write_text("mine")
-        with pytest.raises(InputError, match=re.escape(repr(stranger))):
-            build(out, overwrite=True)
-        (out / stranger).unlink()
     assert entries(tmp_path) == ["site"]
+
+
+@pytest.mark.parametrize("lists_its_files", [True, False])
+@pytest.mark.parametrize(
+    "stranger",
+    ["notes.txt", "items/mine.js", "thumbs/cat.png", "assets/logo.png", "assets/fonts/mine.woff", "media"],
+)
+def test_a_file_that_a_gallery_did_not_write_is_kept(tmp_path, stranger, lists_its_files):
+    """Galleries of before did not list their files."""
+    out = tmp_path / "site"
+    build(out)
+    if not lists_its_files:
+        marker = json.loads((out / MARKER_FILE).read_text())
+        del marker["files"]
+        (out / MARKER_FILE).write_text(json.dumps(marker))
+    build(out, overwrite=True)
+    (out / stranger).parent.mkdir(exist_ok=True)
+    (out / stranger).write_text("mine")
+    before = folder_bytes(out)
+    with pytest.raises(InputError, match=f"{stranger}', which is not part of a gallery; nothing was changed"):
+        build(out, overwrite=True)
+    assert folder_bytes(out) == before
+
+
+@pytest.mark.parametrize("stranger", ["items/000021.js", "media/000001-notes.txt", "assets/mine/"])
+def test_a_name_like_those_of_a_gallery_does_not_make_a_file_its_own(tmp_path, stranger):
+    out = tmp_path / "site"
+    build(out)
+    (out / stranger).parent.mkdir(exist_ok=True)
+    if stranger.endswith("/"):
+        (out / stranger).mkdir()
+    else:
+        (out / stranger).write_text("mine")
+    with pytest.raises(InputError, match=re.escape(repr(stranger.rstrip("/")))):
+        build(out, overwrite=True)
+    assert (out / stranger).exists()
+
+
+def test_links_in_a_gallery_are_kept(tmp_path):
+    out = tmp_path / "site"
+    build(out)
+    (tmp_path / "mine").mkdir()
+    (out / "assets" / "mine").symlink_to(tmp_path / "mine")
+    with pytest.raises(InputError, match=r"'assets/mine', which is not part of a gallery"):
+        build(out, overwrite=True)
+    assert (out / "assets" / "mine").is_symlink()
+
+
+CUT = """
+import os, signal, sys
+from pathlib import Path
+from tactile_toolkit.gallery.site import build_site
+from tactile_toolkit.run.processes import InlineRunner
+from tests.gallery_toy import toy_gallery
+
+def build_and_die(out, moves, overwrite):
+    rename = Path.rename
+    moved = []
+    def cut(self, target):
+        rename(self, target)
+        moved.append(target)
+        if len(moved) == moves:
+            os.kill(os.getpid(), signal.SIGKILL)
+    Path.rename = cut
+    build_site(toy_gallery(), str(out), InlineRunner(), overwrite=overwrite)
+
+for out in map(Path, sys.argv[1:]):
+    child = os.fork()
+    if child == 0:
+        build_and_die(out, int(out.suffix[1:]), out.stem == "former")
+        os._exit(0)
+    assert os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == -signal.SIGKILL
+"""
+
+
+def test_a_run_that_is_killed_while_its_site_appears_can_be_given_again(tmp_path):
+    """``new``: nothing is there; ``empty``: an empty folder; ``former``: another gallery, to be replaced."""
+    places = [tmp_path / name for name in ("new.1", *(f"empty.{moves}" for moves in (1, 2, 4, 7)))]
+    former = [tmp_path / f"former.{moves}" for moves in (1, 4, 6, 7, 8, 11, 14)]
+    for place in places[1:]:
+        place.mkdir()
+    for place in former:
+        build(place, toy_gallery(4))
+    printed_by(CUT, *places, *former)
+    build(tmp_path / "same")
+    for place in (*places, *former):
+        build(place, overwrite=place in former)
+        assert folder_bytes(place) == folder_bytes(tmp_path / "same"), place
+
+
+def test_the_same_gallery_may_be_there_but_not_another_of_its_name(tmp_path):
+    build(tmp_path / "site")
+    build(tmp_path / "site")
+    changed = tmp_path / "site" / "items" / "000003.js"
+    changed.write_text("mine")
+    with pytest.raises(InputError, match="holds a gallery already; nothing was changed"):
+        build(tmp_path / "site")
+    assert changed.read_text() == "mine"
 
 
 def test_an_empty_folder_is_used(tmp_path):
@@ -273,7 +367,7 @@ def test_forecast_of_all_items_is_exact_and_writes_nothing(tmp_path):
     assert view.fits
     assert view.to_dict()["splits"] == {"train": 20}
     with pytest.raises(InputError, match="--overwrite"):
-        forecast_site(toy_gallery(), str(out), 2)
+        forecast_site(toy_gallery(4), str(out), 2)
 
 
 def test_forecast_of_many_items_is_near(tmp_path):
