@@ -20,6 +20,7 @@ from tactile_toolkit.store.folder import expanded, is_there
 
 __all__ = ["MeshFile", "mesh_files"]
 
+_SPLITS = ("train", "test")
 _KEPT = 64
 """As many as an ``AssetProvider`` keeps by default."""
 
@@ -73,7 +74,8 @@ def mesh_files(place: str | PathLike[str], split: str) -> PlainMeshes | None:
 
     Sub-folders called ``train`` and ``test`` are splits; a folder without them is the same for both. Other
     sub-folders are classes; files that lie in none are a class each, named as they are. Ids count files in
-    the order of their names. InputError: a class is there twice, or files lie beside classes.
+    the order of their names. InputError: the folder holds another split alone, a class is there twice, or
+    files lie beside classes.
     """
     root = expanded(fspath(place))
     if not is_there(root):
@@ -82,6 +84,12 @@ def mesh_files(place: str | PathLike[str], split: str) -> PlainMeshes | None:
         return _as_meshes([root], [root.stem])
     if (root / split).is_dir():
         root = root / split
+    elif others := [name for name in _SPLITS if mesh_files(root / name, split)]:
+        message = (
+            f"{str(root)!r} has no split {split!r}, only {' and '.join(map(repr, others))}; next: put meshes "
+            f"into a sub-folder {split!r}, or give a folder without splits, such as {str(root / others[0])!r}"
+        )
+        raise InputError(message)
     if not root.is_dir():
         return None
     loose = _meshes_in(root)

@@ -21,10 +21,17 @@ from tactile_toolkit.run.system import locked
 from tactile_toolkit.store.folder import DataFolder, named_failures
 from tactile_toolkit.store.manifest import read_manifest
 
-__all__ = ["KINDS", "AssetMaker", "require_whole"]
+__all__ = ["FOREIGN", "KINDS", "AssetMaker", "require_whole"]
 
 KINDS: dict[str, DatasetKind] = {kind.name: kind for kind in (DIGITS, SCENES, WRENCH)}
 """Assets that the toolkit can make without any input, by name."""
+
+FOREIGN: dict[str, str] = {
+    "abc": "CAD models of the ABC data set; the published selection is "
+    "TimSchneider42/tactile-mnist-abc-dataset-small on the Hub",
+    "minecraft": "items that the package shapes from textures on Mojang's servers, not to be passed on",
+}
+"""Assets that this toolkit does not make, and where the published ones are from."""
 
 _LOG = logging.getLogger(__name__)
 

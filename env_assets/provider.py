@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from env_assets.checks import require_kind, require_scene
 from env_assets.measures import mesh_bounds_m, volumes_m3
 from env_assets.mesh_sets import DigitMeshes, MeshSet, SceneMeshes, WrenchMeshes, open_meshes
-from env_assets.missing import KINDS, AssetMaker, require_whole
+from env_assets.missing import FOREIGN, KINDS, AssetMaker, require_whole
 from tactile_toolkit.cache import MemoryCache
 from tactile_toolkit.catalog.locate import find_shards
 from tactile_toolkit.errors import InputError, IntegrityError
@@ -22,6 +22,7 @@ from tactile_toolkit.mesh.height_map import HeightCache, HeightMap
 from tactile_toolkit.mesh.mesh import as_mesh
 from tactile_toolkit.read.parquet import Shard
 from tactile_toolkit.store.folder import expanded, is_there
+from tactile_toolkit.wording import did_you_mean
 
 if TYPE_CHECKING:
     from realtouch.dataset import TouchSeqDataset, TouchSingleDataset
@@ -43,8 +44,9 @@ class AssetProvider:
     ----------
     root : path
         Folder of data set folders.
-    places : mapping of str to str, optional
-        What names stand for, such as ``{"mnist3d": "TimSchneider42/tactile-mnist-mnist3d"}``.
+    places : mapping of str to path, optional
+        Folder, file or repository of the Hub that a name stands for, such as ``{"mnist3d": "digits"}``. Names
+        are those of the toolkit, ``"abc"``, ``"minecraft"``, and those of :data:`realtouch.SHORT_NAMES`.
     revision : str, optional
         Branch, tag or commit of the repositories of the Hub. Each is looked up on first use and stays at the
         commit that it named then, in copies of the provider in other processes too.
@@ -68,7 +70,7 @@ class AssetProvider:
     Raises
     ------
     InputError
-        A number that cannot be used.
+        A number that cannot be used, or a name in ``places`` that no environment asks for.
 
     Examples
     --------
@@ -81,8 +83,8 @@ class AssetProvider:
     def __init__(
         self,
         root: str | PathLike[str] = "tactile-assets",
-        *,
         places: Mapping[str, str | PathLike[str]] | None = None,
+        *,
         revision: str | None = None,
         cache_meshes: int = 64,
         generate: bool = False,
@@ -91,7 +93,7 @@ class AssetProvider:
         workers: int = 1,
     ) -> None:
         self._maker = AssetMaker(expanded(fspath(root)).absolute(), seed, per_class, workers)
-        self._places = {name: _held(fspath(place)) for name, place in (places or {}).items()}
+        self._places = _held_places(places or {})
         self._revision = revision
         self._commits: dict[str, str] = {}
         self._generate = generate
@@ -291,6 +293,21 @@ class AssetProvider:
             f"{self._maker.next_step(name, split)}"
         )
         return InputError(message)
+
+
+def _held_places(places: Mapping[str, str | PathLike[str]]) -> dict[str, str]:
+    from realtouch.names import SHORT_NAMES
+
+    known = (*KINDS, *FOREIGN, *SHORT_NAMES)
+    for name in places:
+        if name not in known:
+            near = did_you_mean(str(name), known)
+            message = (
+                f"places of the AssetProvider has {name!r}; expected names of {', '.join(known)}, each with "
+                f"its folder{near}; next: data sets of other names are opened as `meshes(FOLDER)`"
+            )
+            raise InputError(message)
+    return {name: _held(fspath(place)) for name, place in places.items()}
 
 
 def _held(place: str) -> str:

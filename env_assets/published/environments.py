@@ -41,7 +41,7 @@ from env_assets.published.packages import (
 from tactile_toolkit.cache import cache_folder
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.read.dataset import RecordDataset
-from tactile_toolkit.store.folder import named_failures
+from tactile_toolkit.store.folder import expanded, is_there, named_failures
 from tactile_toolkit.store.shards import ShardName
 
 if TYPE_CHECKING:
@@ -260,7 +260,11 @@ def _own_meshes(environment: PublishedEnvironment, own: Any, settings: Mapping[s
     where = f"the given {type(own).__name__}"
     if isinstance(own, (str, PathLike)):
         where = f"{fspath(own)!r}, split {split!r},"
-        own = mesh_files(own, split) or AssetProvider(places={_GIVEN: own}).meshes(_GIVEN, split)
+        place = expanded(fspath(own))
+        # In full where it is there: a name would first be looked for among the assets of the toolkit.
+        own = mesh_files(place, split) or AssetProvider().meshes(
+            place.absolute() if is_there(place) else own, split
+        )
     # Its points are read by its own code: what it does to a mesh, nobody else knows.
     if isinstance(own, published_package("tactile_mnist").MeshDataset):
         own = PlainMeshes([PointRecord(own, index) for index in range(len(own))], tuple(own.label_names))
@@ -274,9 +278,6 @@ def _own_meshes(environment: PublishedEnvironment, own: Any, settings: Mapping[s
     refuse_unfit_meshes(meshes, None, where, _cell_m(settings), lays_flat=_lays_flat(settings))
     refuse_one_answer(meshes, environment.family.task, where)
     return meshes
-
-
-_GIVEN = "given"
 
 
 def _points(environment: PublishedEnvironment, meshes: Any, settings: Mapping[str, Any]) -> Any:

@@ -9,6 +9,7 @@ import difflib
 from dataclasses import dataclass
 from typing import Any, Literal
 
+from env_assets.missing import FOREIGN
 from env_assets.published.packages import published_package
 from tactile_toolkit.errors import InputError
 
@@ -76,13 +77,6 @@ FAMILIES: dict[str, Family] = {
     "MinecraftPose": Family("minecraft", "pose"),
 }
 """Families of tactile-mnist 0.13.0, by the first word of an id."""
-
-FOREIGN: dict[str, str] = {
-    "abc": "CAD models of the ABC data set; the published selection is "
-    "TimSchneider42/tactile-mnist-abc-dataset-small on the Hub",
-    "minecraft": "items that the package shapes from textures on Mojang's servers, not to be passed on",
-}
-"""Assets that this toolkit does not make, and where the published ones are from."""
 
 
 @dataclass(frozen=True)

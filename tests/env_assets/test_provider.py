@@ -231,10 +231,19 @@ def test_another_kind_under_the_name_of_a_kind_is_refused(assets, tmp_path):
 
 def test_places_do_not_follow_the_current_folder(assets, tmp_path, monkeypatch):
     monkeypatch.chdir(assets)
-    provider = env_assets.AssetProvider(places={"digits": "mnist3d"})
-    expected = len(provider.meshes(assets / "mnist3d"))
+    provider = env_assets.AssetProvider("nowhere", {"wrench": "wrench"})
+    expected = len(provider.meshes(assets / "wrench"))
     monkeypatch.chdir(tmp_path)
-    assert len(provider.meshes("digits")) == expected
+    assert len(provider.meshes("wrench")) == expected
+
+
+@pytest.mark.parametrize(
+    ("name", "near"), [("minst3d", "did you mean 'mnist3d'"), ("digits", "wrench"), (3, "3")]
+)
+def test_a_place_for_a_name_that_nothing_asks_for_is_refused(name, near):
+    with pytest.raises(InputError, match="expected names of mnist3d, starstruck, wrench, abc") as caught:
+        env_assets.AssetProvider("assets", {name: "digits"})
+    assert near in str(caught.value)
 
 
 def test_opening_imports_what_reading_needs(assets):

@@ -93,6 +93,13 @@ def test_a_family_runs_on_a_folder_of_meshes(folder, env_id, count):
         env.close()
 
 
+@pytest.mark.parametrize("in_classes", [False, True])
+def test_meshes_of_another_split_are_not_taken(tmp_path, in_classes):
+    write(tmp_path / "meshes" / "train" / ("tools" if in_classes else "."), solids_mm())
+    with pytest.raises(InputError, match="has no split 'test', only 'train'; next: put meshes into"):
+        env_assets.make("ABCVolume-Depth-test-v0", assets=tmp_path / "meshes")
+
+
 def test_the_fast_renderer_feels_the_same(folder):
     images = []
     for renderer in ("opengl", "fast"):
