@@ -119,8 +119,8 @@ class Pressed:
     ----------
     depth_m : ndarray of float64, shape (H, W) or (n, H, W)
         Distance from the sensor, along its axis, of the surface under each pixel, metres: ``info["depth"]``
-        of the published environments. The least value is the press depth. The first row is the greatest y of
-        the gel's frame, the first column the least x.
+        of the published environments, but for single pixels beyond the reach of the gel. The least value is
+        the press depth. The first row is the greatest y of the gel's frame, the first column the least x.
     image : ndarray of float32, shape (H, W) or (n, H, W)
         The depth image of the environments: 0 deepest in the gel, 1 no contact.
     sensor_z_m : float, or ndarray of float64, shape (n,)

@@ -1,12 +1,14 @@
-"""Runs the blocks of a page as a reader would: ``python -m tests.pages PAGE EXTRA...``.
+"""Runs the code of a page as a reader would: ``python -m tests.pages PAGE EXTRA...``.
 
 Blocks run in the order of the page, in the folder at hand. ``bash`` holds commands of this toolkit.
 ``python`` blocks share their names; one that begins with ``# with the extra `NAME` `` runs where that extra
 is given. A ``text`` block directly below one that ran is what it printed, ``...`` standing for anything.
+Calls in the text run after the blocks, with their names; those with ``...`` or a word in capitals do not.
 """
 
 from __future__ import annotations
 
+import ast
 import io
 import re
 import shlex
@@ -20,11 +22,13 @@ from typing import Any, NamedTuple
 
 from tests import command_line
 
-__all__ = ["ROOT", "Block", "blocks", "commands", "main", "program"]
+__all__ = ["ROOT", "Block", "blocks", "commands", "expression", "inline_code", "main", "program"]
 
 ROOT = Path(__file__).resolve().parents[1]
 
 _BLOCK = re.compile(r"^```(\w*)\n(.*?)^```\n?(?:\n*^```text\n(.*?)^```)?", flags=re.MULTILINE | re.DOTALL)
+_INLINE = re.compile(r"(?<!`)`([^`]+)`(?!`)")
+_REPLACED = re.compile(r"\.\.\.|\b[A-Z]{2,}\b")
 _EXTRA = re.compile(r"# with the extra `(\w+)`\n")
 
 
@@ -42,6 +46,20 @@ def blocks(page: str) -> list[Block]:
     found = _BLOCK.finditer((ROOT / page).read_text(encoding="utf-8"))
     extras = ((match, _EXTRA.match(match[2])) for match in found)
     return [Block(match[1], match[2], extra and extra[1], match[3]) for match, extra in extras]
+
+
+def inline_code(page: str) -> list[str]:
+    """Return the code in the text of a page, named from the root of the repository."""
+    text = _BLOCK.sub("", (ROOT / page).read_text(encoding="utf-8"))
+    return [" ".join(code.split()) for code in _INLINE.findall(text)]
+
+
+def expression(code: str) -> ast.expr | None:
+    """Parse an expression of Python; None where it is something else."""
+    try:
+        return ast.parse(code, mode="eval").body
+    except SyntaxError:
+        return None
 
 
 def commands(text: str) -> list[str]:
@@ -71,6 +89,12 @@ def main() -> None:
             continue
         if block.printed is not None and not _matches(block.printed, printed):
             sys.exit(f"{page} says that\n{block.text}prints\n{block.printed}but it prints\n{printed}")
+    for code in inline_code(page):
+        call = expression(code)
+        if isinstance(call, ast.Call) and not _REPLACED.search(code):
+            used = {node.id for node in ast.walk(call) if isinstance(node, ast.Name)}
+            if used <= set(names):
+                _python(page, code, names)
 
 
 def _shell(page: str, text: str) -> Iterator[str]:

@@ -5,6 +5,11 @@ from __future__ import annotations
 import re
 from pathlib import Path
 
+import pytest
+
+from tests.inline_code import fault
+from tests.pages import inline_code
+from tests.test_readme import every_page
 from tests.unchanged.record import PACKAGES as PACKAGES_OF_USERS
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -18,6 +23,35 @@ def test_files_that_documents_name_exist():
         assert named
         missing = [name for name in named if not (ROOT / name.rstrip(".")).exists()]
         assert not missing, f"{document} names {missing}"
+
+
+FOREIGN = {"--array", "--cpus-per-task", "tactile_toolkit.kinds"}
+"""Options of Slurm; a group of entry points."""
+
+
+@pytest.mark.parametrize("page", [*every_page(), "CONTRIBUTING.md"])
+def test_commands_options_and_calls_in_the_text_are_there(page):
+    faults = {code: fault(code) for code in inline_code(page) if code not in FOREIGN}
+    assert {code: wrong for code, wrong in faults.items() if wrong} == {}
+
+
+@pytest.mark.parametrize(
+    "code",
+    [
+        'AssetProvider("assets", {}, 3)',
+        'mnist3d.lood("digits")',
+        'mnist3d.load(..., spilt="test")',
+        "digits.filter_label(4)",
+        "realtouch.tensors",
+        "mnist3d genrate",
+        "starstruck preview --king steps",
+        "preview --king steps",
+        "--king steps",
+        "realtouch to-single | resise",
+    ],
+)
+def test_a_false_one_is_found(code):
+    assert fault(code)
 
 
 def test_every_public_package_is_in_the_reference():

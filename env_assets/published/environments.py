@@ -91,9 +91,10 @@ def make(
         ``TactileRealSnapConfig``, such as ``{"perturb_object_pose": False}``.
     renderer : "opengl" or "fast"
         ``"fast"`` renders the touches of depth environments without OpenGL, by :func:`tactile_sim.press`: the
-        same observations, to a micrometre of depth, as with Mesa's driver. Not for Taxim, CycleGAN or
-        recorded touches; ``render()`` still draws the scene with OpenGL, and where no library of it is
-        installed all else works. The extra ``sim`` makes it fast.
+        same pictures, to a micrometre of depth, as with Mesa's driver; in ``info["depth"]``, single pixels
+        beyond the reach of the gel may differ by millimetres. Not for Taxim, CycleGAN or recorded touches;
+        ``render()`` still draws the scene with OpenGL, and where no library of it is installed all else
+        works. The extra ``sim`` makes it fast.
     weights : str or path, optional
         Weights for the sensor of CycleGAN environments: ``depth_to_touch.npz`` of ``tactile-sim train``, of
         any size, instead of those that the package ships.
