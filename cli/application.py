@@ -2,19 +2,23 @@
 
 from __future__ import annotations
 
+import contextlib
+import errno
 import inspect
 import os
+import re
 import sys
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, redirect_stderr, redirect_stdout
 from dataclasses import MISSING, dataclass, fields, is_dataclass
 from functools import wraps
-from typing import Annotated, Any, TypeVar, get_type_hints
+from pathlib import Path
+from typing import Annotated, Any, NoReturn, TypeVar, get_type_hints
 
 import typer
 from typer.core import TyperCommand
 
-from tactile_toolkit.errors import InputError, ToolkitError
+from tactile_toolkit.errors import InputError, StorageError, ToolkitError
 from tactile_toolkit.printable import printable
 
 __all__ = ["EXIT_FAILED", "EXIT_INTERRUPTED", "command", "new_app", "run"]
@@ -152,12 +156,18 @@ def _errors_reported(debug: bool, options: Mapping[str, str]) -> Iterator[None]:
 
         skip_pandas()
         yield
-    except (ToolkitError, OSError) as error:
+    except (ToolkitError, OSError, MemoryError, ImportError) as error:
         if debug or os.environ.get(_DEBUG_VARIABLE):
             raise
         if isinstance(error, ToolkitError):
             message, code = _with_option(str(error), options), error.exit_code
-        elif error.filename is not None:
+        elif _is_lack_of_memory(error):
+            message = (
+                "there is not enough memory; next: give this command more (`ulimit -v`, or the limit of the "
+                "job), or run it with fewer --workers"
+            )
+            code = InputError.exit_code
+        elif isinstance(error, OSError) and error.filename is not None:
             # A path that the system refuses and nobody asked for more about, such as too long a name. As a
             # traceback it would end with 1, which says that a validation failed.
             message = (
@@ -174,6 +184,23 @@ def _errors_reported(debug: bool, options: Mapping[str, str]) -> Iterator[None]:
         raise typer.Exit(EXIT_INTERRUPTED) from error
 
 
+def _is_lack_of_memory(error: BaseException | None) -> bool:
+    """Return whether there was no memory for values, files or libraries, which say so in words alone."""
+    while error is not None:
+        no_room = isinstance(error, OSError) and error.errno == errno.ENOMEM
+        if (
+            no_room
+            or isinstance(error, MemoryError)
+            or (
+                isinstance(error, ImportError)
+                and re.search("failed to map segment|annot allocate memory", str(error))
+            )
+        ):
+            return True
+        error = error.__cause__ or error.__context__
+    return False
+
+
 def _with_option(message: str, options: Mapping[str, str]) -> str:
     """Begin a message about a parameter of the library with the name that it has on the command line."""
     first, space, rest = message.partition(" ")
@@ -184,42 +211,73 @@ def _with_option(message: str, options: Mapping[str, str]) -> str:
 
 
 class _Output:
-    """A standard stream whose closed pipe ends the command, quietly, as it ends other tools.
+    """A standard stream that ends the command when it takes no more.
 
-    Caught here, because rich and click would each end with another exit code, and because the same error of a
-    connection to the Hub is not the end.
+    A closed pipe does so quietly, as it ends other tools; a closed stream or a full device with a message.
+    Caught here, because rich and click would each end with another exit code, and because the same errors of
+    a file, or of a connection to the Hub, mean something else.
     """
 
     def __init__(self, stream: Any) -> None:
-        self._stream = stream
+        # Python has none where the caller closed it.
+        self._is_closed = stream is None
+        self._stream = stream or _nowhere()
 
     def __getattr__(self, name: str) -> Any:
         return getattr(self._stream, name)
 
     def write(self, text: str) -> int:
-        return int(self._unless_closed(self._stream.write, text))
+        if self._is_closed:
+            self._end("it is closed", _EXIT_CLOSED_PIPE)
+        return int(self._taken(self._stream.write, text))
 
     def flush(self) -> None:
-        self._unless_closed(self._stream.flush)
+        self._taken(self._stream.flush)
 
-    def _unless_closed(self, act: Callable[..., Any], *arguments: str) -> Any:
+    def _taken(self, act: Callable[..., Any], *arguments: str) -> Any:
         try:
             return act(*arguments)
-        except BrokenPipeError as error:
+        except OSError as error:
             # What is left in the buffer must go somewhere when Python ends.
             os.dup2(os.open(os.devnull, os.O_WRONLY), self._stream.fileno())
-            raise SystemExit(_EXIT_CLOSED_PIPE) from error
+            if isinstance(error, BrokenPipeError):
+                raise SystemExit(_EXIT_CLOSED_PIPE) from error
+            self._end(error.strerror, StorageError.exit_code)
+
+    def _end(self, why: str, code: int) -> NoReturn:
+        with contextlib.suppress(SystemExit):  # of a stderr that takes no more either
+            sys.stderr.write(
+                f"error: the output cannot be written: {why}; next: redirect it to another place\n"
+            )
+        raise SystemExit(code)
+
+
+def _nowhere() -> Any:
+    return Path(os.devnull).open("w", encoding="utf-8")
 
 
 def run(app: typer.Typer) -> None:
     """Run a command line, and end the process."""
+    # The next files would take the numbers of closed streams, and with them what libraries print.
+    while (handle := os.open(os.devnull, os.O_RDWR)) <= 2:
+        os.set_inheritable(handle, True)
+    os.close(handle)
     output: Any = _Output(sys.stdout)
-    talk: Any = _Output(sys.stderr)
+    talk: Any = _Output(sys.stderr or _nowhere())
     with redirect_stdout(output), redirect_stderr(talk):
         try:
+            _require_text(sys.argv)
             _dispatch(app)
         finally:
             output.flush()
+
+
+def _require_text(words: list[str]) -> None:
+    """Refuse names that are not UTF-8: data sets hold and print names, and Parquet files cannot be opened."""
+    for word in words:
+        if word.encode(errors="ignore").decode() != word:
+            sys.stderr.write(f"error: {word!r} is not text in UTF-8; next: give another name\n")
+            raise SystemExit(InputError.exit_code)
 
 
 def _dispatch(app: typer.Typer) -> None:

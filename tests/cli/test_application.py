@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import errno
 import os
+import shlex
 import subprocess
 import sys
 from dataclasses import dataclass
 from importlib import import_module
 from importlib.metadata import version
+from pathlib import Path
 from typing import Annotated
 
 import pytest
@@ -217,6 +220,112 @@ def test_a_closed_pipe_ends_a_command_as_it_ends_other_tools(tmp_path, words):
             check=False,
         )
     assert (done.returncode, done.stderr or "") == (141, "")
+
+
+@pytest.mark.parametrize("words", [["--help"], ["--version"], ["info", "."]])
+@pytest.mark.parametrize(
+    ("redirected", "code", "why"),
+    [(">&-", 141, "it is closed"), (">/dev/full", 2, "No space left on device")],
+)
+def test_an_output_that_takes_nothing_is_named(tmp_path, words, redirected, code, why):
+    done = _redirected(tmp_path, words, redirected)
+    message = f"error: the output cannot be written: {why}; next: redirect it to another place\n"
+    assert (done.returncode, done.stderr) == (code, message)
+
+
+@pytest.mark.parametrize("redirected", ["2>&-", "2>/dev/full", ">&- 2>&-", "<&- 2>&-"])
+def test_the_exit_code_needs_no_stream(tmp_path, redirected):
+    assert _redirected(tmp_path, ["info", "missing"], redirected).returncode == 2
+
+
+def test_a_file_does_not_take_the_number_of_a_closed_stream(tmp_path):
+    """What a library prints there would end in the file."""
+    words = ["wrench", "--out", "wrench", "--quiet"]
+    done = _redirected(tmp_path, words, "<&- >&- 2>&-")
+    assert done.returncode == 0
+    assert call("env-assets", "verify", tmp_path / "wrench") == 0
+    code = (
+        "import os, sys\n"
+        "from cli.application import new_app, run, command\n"
+        "app = new_app('toy', 'A toy.')\n"
+        "@command(app)\n"
+        "def write():\n"
+        "    with open('made', 'w') as file:\n"
+        "        os.system('echo printed')\n"
+        "        file.write('data')\n"
+        "sys.argv = ['toy', 'write']\n"
+        "run(app)\n"
+    )
+    done = _shell(tmp_path, [sys.executable, "-c", code], ">&-")
+    assert (done.returncode, done.stderr, (tmp_path / "made").read_text()) == (0, "", "data")
+
+
+def _redirected(folder: Path, words: list[str], redirected: str) -> subprocess.CompletedProcess[str]:
+    return _shell(folder, [sys.executable, "-m", "env_assets", *words], redirected)
+
+
+def _shell(folder: Path, words: list[str], redirected: str) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(
+        f"{shlex.join(words)} {redirected}",
+        shell=True,
+        cwd=folder,
+        stderr=subprocess.PIPE,
+        text=True,
+        check=False,
+    )
+
+
+@pytest.mark.parametrize(
+    "words", ["mnist3d generate --dry-run --out NAME", "starstruck info NAME", "realtouch gallery NAME"]
+)
+def test_a_name_that_is_not_text_is_refused(words, tmp_path, monkeypatch, capsys):
+    """As Python gives bytes that are not UTF-8."""
+    monkeypatch.chdir(tmp_path)
+    assert call(*(word.replace("NAME", "caf\udce9") for word in words.split())) == 2
+    said = capsys.readouterr().err
+    assert said == "error: 'caf\\udce9' is not text in UTF-8; next: give another name\n"
+
+
+@pytest.mark.parametrize(
+    "error",
+    [
+        MemoryError(),
+        OSError(errno.ENOMEM, "Cannot allocate memory", "file"),
+        ImportError("_path.so: failed to map segment from shared object"),
+    ],
+)
+def test_too_little_memory_is_named(error):
+    app = new_app("toy", "A toy.")
+
+    @command(app, "break")
+    def broken(sink: Sink) -> None:
+        raise error
+
+    result = CliRunner().invoke(app, ["break"])
+    assert result.exit_code == 2
+    assert result.stderr.startswith("error: there is not enough memory; next: ")
+    assert result.stderr.count("\n") == 1
+
+
+def test_a_library_that_does_not_fit_into_memory_is_named(tmp_path):
+    code = """
+    import resource, sys
+    from pathlib import Path
+    from cli.mnist3d import main
+    pages = int(Path("/proc/self/statm").read_text().split()[0])
+    most = pages * resource.getpagesize() + 16_000_000
+    resource.setrlimit(resource.RLIMIT_AS, (most, most))
+    sys.argv = ["mnist3d", "info", sys.argv[1]]
+    sys.stderr = sys.stdout
+    try:
+        main()
+    except SystemExit as leave:
+        print(leave.code)
+    """
+    said = printed_by(code, tmp_path).splitlines()
+    assert said[-1] == "2"
+    assert said[0].startswith("error: there is not enough memory; next: ")
+    assert len(said) == 2
 
 
 def test_values_that_are_refused_are_told_in_plain_words():
