@@ -156,18 +156,12 @@ def _errors_reported(debug: bool, options: Mapping[str, str]) -> Iterator[None]:
 
         skip_pandas()
         yield
-    except (ToolkitError, OSError, MemoryError, ImportError) as error:
+    except (ToolkitError, OSError) as error:
         if debug or os.environ.get(_DEBUG_VARIABLE):
             raise
         if isinstance(error, ToolkitError):
             message, code = _with_option(str(error), options), error.exit_code
-        elif _is_lack_of_memory(error):
-            message = (
-                "there is not enough memory; next: give this command more (`ulimit -v`, or the limit of the "
-                "job), or run it with fewer --workers"
-            )
-            code = InputError.exit_code
-        elif isinstance(error, OSError) and error.filename is not None:
+        elif error.filename is not None:
             # A path that the system refuses and nobody asked for more about, such as too long a name. As a
             # traceback it would end with 1, which says that a validation failed.
             message = (
@@ -268,6 +262,15 @@ def run(app: typer.Typer) -> None:
         try:
             _require_text(sys.argv)
             _dispatch(app)
+        except (MemoryError, ImportError, OSError) as error:
+            wants_traceback = "--debug" in sys.argv or os.environ.get(_DEBUG_VARIABLE)
+            if wants_traceback or not _is_lack_of_memory(error):
+                raise
+            sys.stderr.write(
+                "error: there is not enough memory; next: give this command more (`ulimit -v`, or the limit "
+                "of the job), or run it with fewer --workers\n"
+            )
+            raise SystemExit(InputError.exit_code) from error
         finally:
             output.flush()
 
