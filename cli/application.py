@@ -236,7 +236,7 @@ class _Output:
             os.dup2(os.open(os.devnull, os.O_WRONLY), self._stream.fileno())
             if isinstance(error, BrokenPipeError):
                 raise SystemExit(_EXIT_CLOSED_PIPE) from error
-            self._end(error.strerror, StorageError.exit_code)
+            self._end(error.strerror or str(error), StorageError.exit_code)
 
     def _end(self, why: str, code: int) -> NoReturn:
         with contextlib.suppress(SystemExit):  # of a stderr that takes no more either
