@@ -272,7 +272,8 @@ class PreparedUpload:
     @property
     def kept(self) -> tuple[str, ...]:
         """Files of the repository that the folder lacks and that stay."""
-        return tuple(file.path for file in self.plan.remote_only if file.path not in self.removed)
+        removed = set(self.removed)
+        return tuple(file.path for file in self.plan.remote_only if file.path not in removed)
 
     @property
     def mixed(self) -> tuple[str, ...]:
@@ -435,8 +436,8 @@ def _payload(
     """
     payload = collect(root, manifest, shown)
     there = compare(payload.files, state.files)
-    replaced = there.to_remove(delete=options.delete)
-    staying = [file for file in there.remote_only if file not in replaced]
+    replaced = {file.path for file in there.to_remove(delete=options.delete)}
+    staying = [file for file in there.remote_only if file.path not in replaced]
     stored = (root / CARD_FILE).read_text(encoding="utf-8")
     shards = {split: [r.shard.data_path for r in manifest.shards_of(split)] for split in manifest.splits}
     others = [file.path for file in staying]

@@ -170,11 +170,11 @@ def compare(local: Iterable[LocalFile], remote: Mapping[str, RemoteFile]) -> Upl
     """Compare all that is to be in a repository with its files by path, by checksums."""
     files = sorted(local, key=lambda file: file.path)
     known = {file.path for file in files}
-    same = tuple(file for file in files if file.path in remote and remote[file.path].holds(file))
+    there = [(file, remote[file.path].holds(file)) for file in files if file.path in remote]
     return UploadPlan(
         new=tuple(file for file in files if file.path not in remote),
-        changed=tuple(file for file in files if file.path in remote and file not in same),
-        same=same,
+        changed=tuple(file for file, is_same in there if not is_same),
+        same=tuple(file for file, is_same in there if is_same),
         remote_only=tuple(
             remote[path] for path in sorted(remote) if path not in known and path not in _WRITTEN_BY_HUB
         ),

@@ -8,6 +8,8 @@ import signal
 import subprocess
 import sys
 import time
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path, PurePosixPath
 
 import pytest
@@ -419,3 +421,39 @@ def test_a_killed_upload_goes_on_with_what_is_missing(server, folder, tmp_path):
 def _has_all_but(server: HubServer, arrived: set[str], late: str) -> bool:
     found = server.find("datasets", NAME)
     return found is not None and set(found.objects) == arrived and late in sent_objects(server)
+
+
+def test_the_plan_of_four_times_the_files_takes_about_four_times_the_calls(server, tmp_path):
+    """Counted, not timed: each file is here and on the Hub, and as many more are on the Hub alone."""
+    calls = []
+    for count in (200, 800):
+        folder = tmp_path / f"stars{count}"
+        generate(GenerateSpec(scenes=(("train", 3),)), str(folder))
+        (folder / "images").mkdir()
+        there = {f"images/{index}.txt": b"%d" % index for index in range(count)}
+        for path, content in there.items():
+            (folder / path).write_bytes(content)
+        name = f"someone/many{count}"
+        server.create(name, {**there, **{f"more/{index}.txt": b"." for index in range(count)}})
+        with profiled_calls() as seen:
+            prepared = prepare_upload(str(folder), name, dry_run=True)
+            assert (len(prepared.plan.same), len(prepared.kept)) == (count, count)
+            assert prepared.mixed == ()
+        calls.append(seen[0])
+    assert calls[1] < 5 * calls[0], calls
+
+
+@contextmanager
+def profiled_calls() -> Iterator[list[int]]:
+    """Count the calls of Python functions in this thread."""
+    seen = [0]
+
+    def count(_frame: object, event: str, _arg: object) -> None:
+        seen[0] += event == "call"
+
+    before = sys.getprofile()
+    sys.setprofile(count)
+    try:
+        yield seen
+    finally:
+        sys.setprofile(before)
