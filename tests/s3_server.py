@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import socket
 import threading
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator
@@ -30,10 +31,14 @@ class Traffic:
 
 @dataclass
 class S3Server:
-    """The server; ``refuse`` may answer a request itself, with a status and an error code of S3."""
+    """The server; ``refuse`` may answer a request itself, with a status and an error code of S3.
+
+    ``shorten`` says after how many bytes of its body an answer ends, although its head promises more.
+    """
 
     traffic: Traffic = field(default_factory=Traffic)
     refuse: Callable[[Environ], Answer | None] = lambda _: None
+    shorten: Callable[[Environ], int | None] = lambda _: None
     endpoint: str = ""
 
     def environment(self) -> dict[str, str]:
@@ -83,9 +88,13 @@ class S3Server:
                 start_response(status, headers)
                 yield b"" if environ["REQUEST_METHOD"] == "HEAD" else body
                 return
+            left = self.shorten(environ)
             for piece in app(environ, start_response):
                 self.traffic.sent_bytes += len(piece)
-                yield piece
+                yield piece[:left]
+                if left is not None:
+                    environ["werkzeug.socket"].shutdown(socket.SHUT_RDWR)
+                    return
 
         return call
 

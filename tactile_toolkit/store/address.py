@@ -18,6 +18,7 @@ _LOCAL_SCHEMES = ("file", "local")
 _WEB_SCHEMES = ("http", "https")
 _OTHER_NAMES = {"s3a": "s3", "gcs": "gs"}
 _USER = re.compile(r"://[^/\s'\"@]*@")
+_CONTROL = re.compile(r"[\x00-\x1f\x7f-\x9f]")
 _SIGNED = re.compile(r"\?[^\s'\"]*")
 
 
@@ -79,6 +80,8 @@ def _problem_of(scheme: str, rest: str) -> str:
             f"holds a user, a key or a signature; next: write {scheme}://BUCKET/FOLDER alone, and give "
             "credentials as the store's own tools take them, such as AWS_PROFILE"
         )
-    if {".", ".."} & {bucket, *parts} or "\0" in rest:
+    if _CONTROL.search(rest):
+        return "holds a line break or another control character; next: leave it out"
+    if {".", ".."} & {bucket, *parts}:
         return "has '.' or '..' in it, which lead nowhere in a store; next: write the folder in full"
     return ""

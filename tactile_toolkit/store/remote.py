@@ -362,6 +362,18 @@ def failure_of(error: Exception, doing: str, address: str) -> ToolkitError | Non
         return RemoteError(f"{where}: the clock of this machine is wrong, says the store; next: set it right")
     if code in _WRONG_CREDENTIALS:
         return RemoteError(f"{where}: the store does not take the credentials ({code}); {_CREDENTIALS_STEP}")
+    if code == "400" and "ClientError" in names:  # the answer of S3 to a question for the head of a file
+        message = (
+            f"{where}: the store answers '400 Bad Request' and gives no reason, as S3 does for a wrong "
+            "region or expired credentials; next: set AWS_DEFAULT_REGION to the region of the bucket, check "
+            "AWS_ENDPOINT_URL if you set it, and renew the credentials"
+        )
+        return RemoteError(message)
+    if "RecursionError" in names:
+        return RemoteError(
+            f"{where}: the store sends its client in a circle, as for a bucket of another region; next: set "
+            "AWS_DEFAULT_REGION to that of the bucket"
+        )
     if code in _ELSEWHERE:
         message = (
             f"{where} lies in another region ({code}); next: set AWS_DEFAULT_REGION to that of the bucket"
@@ -406,6 +418,9 @@ def _is_silence(error: BaseException) -> bool:
 
 
 def _is_of_client(error: BaseException) -> bool:
+    # The parser of aiohttp numbers what it cannot read (an answer that ends too early) like a status of HTTP.
+    if type(error).__module__ == "aiohttp.http_exceptions":
+        return False
     return any(kind.__module__.partition(".")[0] in _CLIENTS for kind in type(error).__mro__)
 
 

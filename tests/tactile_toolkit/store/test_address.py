@@ -43,7 +43,7 @@ def test_one_form_of_each_place(given, place):
         ("s3://a/../b", "'s3://a/../b' has '.' or '..' in it, which lead nowhere in a store"),
         ("s3://a/./b", "next: write the folder in full"),
         ("s3://../b", "which lead nowhere in a store"),
-        ("s3://a/b\0", "which lead nowhere in a store"),
+        ("s3://a/b\0", "holds a line break or another control character"),
         ("s3://KEY:SECRET@bucket/set", "'s3://...@bucket/set' holds a user, a key or a signature"),
         ("s3://bucket/set?X-Amz-Signature=SECRET", "'s3://bucket/set?...' holds a user"),
         ("https://KEY:SECRET@host/set", "'https://...@host/set' is an address of the web"),

@@ -171,6 +171,55 @@ def test_what_fails_in_passing_is_tried_again(folder, s3, code):  # noqa: F811
 
 
 @pytest.mark.parametrize(
+    "act",
+    [
+        lambda folder: folder.names("data") == ["a"],
+        lambda folder: folder.read_bytes("data/a") == b"1" * 999,
+        lambda folder: folder.open("data/a").read() == b"1" * 999,
+    ],
+)
+def test_an_answer_that_ends_too_early_is_asked_for_again(folder, s3, act):  # noqa: F811
+    folder.write_bytes("data/a", b"1" * 999)
+    asked = []
+
+    def shorten(environ):
+        asked.append(environ["REQUEST_METHOD"])
+        return 50 if asked.count("GET") == 1 and asked[-1] == "GET" else None
+
+    s3.shorten = shorten
+    assert act(folder)
+    assert asked.count("GET") == 2
+
+
+def test_answers_that_always_end_too_early_are_named(folder, s3, monkeypatch):  # noqa: F811
+    folder.write_bytes("a", b"1" * 999)
+    monkeypatch.setattr(remote, "_PATIENCE_S", 1.0)
+    s3.shorten = lambda _: 50
+    with pytest.raises(RemoteError, match=r"gives no answer .*not completed") as told:
+        folder.read_bytes("a")
+    assert "400, message" not in str(told.value).partition("(")[0]
+
+
+def test_a_status_without_a_reason_names_the_region(folder, s3):  # noqa: F811
+    """A question for one file of a bucket in another region: the answer has no body that could say so."""
+    folder.write_bytes("a", b"1")
+    s3.refuse = lambda _: ("400 Bad Request", "AuthorizationHeaderMalformed")
+    for act in (folder.exists, lambda: folder.exists("a"), lambda: folder.read_bytes("a")):
+        with pytest.raises(RemoteError, match=r"region.*; next: set AWS_DEFAULT_REGION"):
+            act()
+    s3.refuse = lambda _: ("301 Moved Permanently", "PermanentRedirect")
+    with pytest.raises(RemoteError, match=r"region.*; next: set AWS_DEFAULT_REGION"):
+        folder.names()
+
+
+@pytest.mark.parametrize("mark", ["\n", "\r", "\x1b"])
+def test_a_line_break_in_an_address_is_refused_and_no_bucket_is_called_missing(bucket, mark):  # noqa: F811
+    with pytest.raises(InputError, match="holds a line break or another control character; next: ") as told:
+        DataFolder(f"s3://{bucket}/se{mark}t").write_bytes("a", b"1")
+    assert mark not in str(told.value)
+
+
+@pytest.mark.parametrize(
     ("code", "words"),
     [
         ("InvalidAccessKeyId", "does not take the credentials"),
