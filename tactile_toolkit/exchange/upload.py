@@ -506,7 +506,13 @@ def _ensure_sent(prepared: PreparedUpload) -> tuple[Sent, bool]:
         return Sent(head) if head is not None and plan.is_done(delete=options.delete) else None
 
     sent = ask(
-        send, target.repo_id, target.branch, "uploading to", find_result=find_commit, on_wait=target.on_wait
+        send,
+        target.repo_id,
+        target.branch,
+        "uploading to",
+        is_question=False,
+        find_result=find_commit,
+        on_wait=target.on_wait,
     )
     return sent, True
 

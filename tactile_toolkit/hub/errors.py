@@ -136,9 +136,18 @@ def require_repository_name(repo_id: str) -> None:
 
 
 def failure_of(
-    error: Exception, repo_id: str, revision: str | None = None, doing: str = "reading", tries: int = 1
+    error: Exception,
+    repo_id: str,
+    revision: str | None = None,
+    doing: str = "reading",
+    tries: int = 1,
+    *,
+    is_answer: bool = False,
 ) -> ToolkitError | None:
-    """Name a failure that came after so many tries; None for one that has nothing to do with the Hub."""
+    """Name a failure that came after so many tries; None for one that has nothing to do with the Hub.
+
+    Where nothing but an answer of the Hub was read (``is_answer``), what cannot be read is not one.
+    """
     chain = cause_chain(error)
     if any(isinstance(link, ToolkitError) for link in chain):
         return None
@@ -152,6 +161,9 @@ def failure_of(
                 often = f" (tried {tries} times)" if tries > 1 else ""
                 head, next_step, rest = str(found).partition("; next: ")
                 return type(found)(scrub(f"{head}{often}{next_step}{rest}"))
+    # A page for people (a login of the network), a list where names were expected, ...
+    if is_answer and isinstance(error, (ValueError, TypeError, LookupError, AttributeError, RecursionError)):
+        return HubError(request.not_a_hub(f"{type(error).__name__}: {_server_words(error)}"))
     return None
 
 
@@ -279,10 +291,10 @@ class _Request:
 
     def other(self, error: BaseException) -> ToolkitError | None:
         """Name what is left of the client's and the system's errors."""
-        from huggingface_hub import constants, errors
+        from huggingface_hub import errors
 
         if isinstance(error, errors.FileMetadataError):
-            return HubError(f"{constants.ENDPOINT} does not answer as a Hub does; next: check HF_ENDPOINT")
+            return HubError(self.not_a_hub("FileMetadataError"))
         if isinstance(error, errors.LocalEntryNotFoundError):
             return HubError(
                 f"{self.subject} is not in the cache as far as asked for, and could not be fetched; next: "
@@ -292,6 +304,14 @@ class _Request:
             what = f"{type(error).__name__}: {_server_words(error)}"
             return HubError(f"{self.task} failed: {what}; next: try again")
         return None
+
+    def not_a_hub(self, found: str) -> str:
+        from huggingface_hub import constants
+
+        return (
+            f"{constants.ENDPOINT} does not answer as a Hub does while {self.task} ({scrub(found)}); next: "
+            "check HF_ENDPOINT, and whether the network asks for a login"
+        )
 
     def _needs_login(self) -> str:
         return f"{self.task} needs a login, and there is no token here; next: {_LOGIN}"

@@ -13,13 +13,13 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
-from tactile_toolkit.errors import HubError, InputError, IntegrityError, ToolkitError
+from tactile_toolkit.errors import HubError, InputError, IntegrityError
 from tactile_toolkit.hub.cache import RepositoryCache, is_whole, remove_with_content
-from tactile_toolkit.hub.errors import cause_chain, failure_of, not_cached, shown_cause
+from tactile_toolkit.hub.errors import cause_chain, not_cached
 from tactile_toolkit.hub.retry import ask, is_passing, is_unanswered
 from tactile_toolkit.hub.transfers import ProgressBar, Transfers
 from tactile_toolkit.store.manifest import MANIFEST_FILE, Manifest
-from tactile_toolkit.store.names import names_inside, problem_of_name
+from tactile_toolkit.store.names import names_inside
 from tactile_toolkit.store.origin import Digest, HubFile
 
 __all__ = ["HubName", "HubRepository", "HubSnapshot", "hub_name", "look_at"]
@@ -107,41 +107,37 @@ def look_at(
     """
     from huggingface_hub import HfApi, constants
 
-    def info(timeout_s: float) -> Any:
-        return HfApi().dataset_info(repo_id, revision=revision, files_metadata=True, timeout=timeout_s)
-
-    cache = RepositoryCache(repo_id)
-    known = cache.commit_of(revision or _MAIN)
-    has_files = known is not None and bool(cache.files(known))
-    try:
-        if not patient or (has_files and not must_be_online):
-            answer = info(_PROBE_TIMEOUT_S)
-        else:
-            answer = ask(lambda: info(constants.HF_HUB_ETAG_TIMEOUT), repo_id, revision, on_wait=on_wait)
-    except Exception as error:
-        failure = error if isinstance(error, ToolkitError) else failure_of(error, repo_id, revision)
-        if known is not None and has_files and isinstance(failure, HubError) and is_unanswered(error):
-            return _cached_snapshot(cache, known, may_pass=is_passing(error))
-        if failure is None or failure is error:
-            raise
-        raise failure from shown_cause(error)
-    files = {}
-    try:
-        commit = Digest("git-sha1", answer.sha).value
+    def look(timeout_s: float) -> HubSnapshot:
+        answer: Any = HfApi().dataset_info(repo_id, revision=revision, files_metadata=True, timeout=timeout_s)
+        files = {}
         for entry in answer.siblings or ():
             large = entry.lfs
             # Files that git keeps itself are named by git's own digest.
             digest = Digest("sha256", large.sha256) if large else Digest("git-sha1", entry.blob_id)
             files[entry.rfilename] = HubFile(entry.rfilename, int(entry.size), digest)
-    except (TypeError, ValueError, AttributeError) as error:
-        message = (
-            f"{constants.ENDPOINT} does not answer as a Hub does about data set {repo_id!r} ({error}); next: "
-            "check HF_ENDPOINT"
+        commit = Digest("git-sha1", answer.sha).value
+        licence = getattr(answer.card_data, "license", None)
+        return HubSnapshot(repo_id, commit, files, licence=licence if isinstance(licence, str) else None)
+
+    cache = RepositoryCache(repo_id)
+    known = cache.commit_of(revision or _MAIN)
+    has_files = known is not None and bool(cache.files(known))
+    probes = not patient or (has_files and not must_be_online)
+    timeout_s = _PROBE_TIMEOUT_S if probes else constants.HF_HUB_ETAG_TIMEOUT
+    try:
+        found = ask(
+            functools.partial(look, timeout_s),
+            repo_id,
+            revision,
+            waits_s=() if probes else None,
+            on_wait=on_wait,
         )
-        raise HubError(message) from error
-    cache.remember_commit(revision or _MAIN, commit)
-    licence = getattr(answer.card_data, "license", None)
-    return HubSnapshot(repo_id, commit, files, licence=licence if isinstance(licence, str) else None)
+    except HubError as error:
+        if known is not None and has_files and is_unanswered(error):
+            return _cached_snapshot(cache, known, may_pass=is_passing(error))
+        raise
+    cache.remember_commit(revision or _MAIN, found.commit)
+    return found
 
 
 def _cached_snapshot(cache: RepositoryCache, commit: str, *, may_pass: bool) -> HubSnapshot:
@@ -313,7 +309,6 @@ class HubRepository:
         digest = None if self.snapshot.is_cache else self.expected(path)
         if digest is None:
             raise not_cached(self.repo_id, repr(path))
-        _guard_client()
 
         def fetched(bar: Any, *, anew: bool) -> Path:
             try:
@@ -334,12 +329,13 @@ class HubRepository:
             return Path(file)
 
         for anew in (False, True):
-            bar = ProgressBar(transfers)
+            bar = ProgressBar(transfers, path, self._entry(path).size_bytes)
             file = ask(
                 functools.partial(fetched, bar, anew=anew),
                 self.repo_id,
                 self.revision,
                 f"fetching {path!r} of",
+                is_question=False,
                 may_repeat=_may_repeat_download,
                 on_wait=transfers.say,
             )
@@ -364,23 +360,6 @@ class HubRepository:
             raise not_cached(self.repo_id, repr(path))
         message = f"Hub data set {self.repo_id!r} has no file {path!r}; next: see what it has on its page"
         raise HubError(message)
-
-
-def _guard_client() -> None:
-    """Let the client refuse an answer whose head would lead it out of its cache: it names files by that."""
-    from huggingface_hub import get_session
-
-    hooks = get_session().event_hooks["response"]
-    if _refuse_unsafe_names not in hooks:
-        hooks.append(_refuse_unsafe_names)
-
-
-def _refuse_unsafe_names(response: Any) -> None:
-    for name in ("etag", "x-linked-etag", "x-repo-commit") if response.request.method == "HEAD" else ():
-        value = response.headers.get(name, "").removeprefix("W/").strip('"')
-        if value and ("/" in value or problem_of_name(value)):
-            message = f"the Hub calls a file {value[:80]!r}, which is not a digest; next: check HF_ENDPOINT"
-            raise HubError(message)
 
 
 def _may_repeat_download(error: Exception) -> bool:

@@ -13,6 +13,7 @@ from importlib import import_module
 from typing import TypeVar
 
 from tactile_toolkit.errors import InputError
+from tactile_toolkit.hub import limits
 from tactile_toolkit.hub.errors import (
     cause_chain,
     failure_of,
@@ -21,6 +22,7 @@ from tactile_toolkit.hub.errors import (
     shown_cause,
     status_of,
 )
+from tactile_toolkit.hub.limits import asked_wait_s, within_limits
 
 __all__ = ["WAITS_VARIABLE", "ask", "default_waits_s", "is_passing", "is_unanswered", "log_captured"]
 
@@ -28,13 +30,12 @@ WAITS_VARIABLE = "TACTILE_TOOLKIT_HUB_WAITS"
 """Environment variable with the waits between tries, seconds, such as ``1,2,4``; empty means one try."""
 
 _WAITS_S = (1.0, 2.0, 4.0, 8.0, 16.0)
-_LONGEST_WAIT_S = 120.0
 # Too slow, too early, too many, and a server in trouble; 501 stays, as what is not offered will not be.
 _PASSING_STATUS = frozenset({408, 425, 429, 500, 502, 503, 504})
 _LIBRARY = "huggingface_hub"
 _ADDRESS = re.compile(r"(https?://[^/\s'\"]+)[^\s'\"]*")
 # What we say ourselves, in our own words.
-_SAID_BY_US = ("Retrying in", "Rate limited", "No files have been modified")
+_SAID_BY_US = ("Retrying in", "No files have been modified")
 
 T = TypeVar("T")
 
@@ -135,6 +136,7 @@ def ask(
     doing: str = "reading",
     *,
     waits_s: tuple[float, ...] | None = None,
+    is_question: bool = True,
     find_result: Callable[[], T | None] = lambda: None,
     may_repeat: Callable[[Exception], bool] = is_passing,
     on_wait: Callable[[str], None] = lambda _: None,
@@ -142,34 +144,37 @@ def ask(
     """Do something with the Hub; what fails in passing is tried again after growing waits.
 
     Before every further try, ``find_result`` is asked whether the action has had its effect though it failed
-    (a commit whose answer was lost). ``on_wait`` is told, in a sentence, that and why there is a wait. Raises
-    what :func:`tactile_toolkit.hub.errors.named_failures` does, with the number of tries.
+    (a commit whose answer was lost). ``on_wait`` is told, in a sentence, that and why there is a wait; all
+    waits that the Hub asks for are limited together. What ``is_question`` (all but sending and fetching
+    files) has limits of its own, see :mod:`tactile_toolkit.hub.limits`. Raises what
+    :func:`tactile_toolkit.hub.errors.named_failures` does, with the number of tries.
     """
     waits = default_waits_s() if waits_s is None else waits_s
-    tries = 0
+    tries, waited_s = 0, 0.0
     with log_captured(on_wait):
         while True:
             tries += 1
             try:
                 found = find_result() if tries > 1 else None
-                return action() if found is None else found
+                return within_limits(action, is_question=is_question) if found is None else found
             except Exception as error:
-                failure = failure_of(error, repo_id, revision, doing, tries)
+                failure = failure_of(error, repo_id, revision, doing, tries, is_answer=True)
                 if failure is None:
                     raise
-                if tries > len(waits) or not may_repeat(error):
+                asked_s = _asked_s(error)
+                if tries > len(waits) or not may_repeat(error) or waited_s + asked_s > limits.WAIT_S:
                     raise failure from shown_cause(error)
-                wait_s = _wait_s(error, waits[tries - 1])
+                waited_s += asked_s
+                wait_s = max(waits[tries - 1], asked_s)
                 what = str(failure).partition("; next: ")[0].partition(" (tried ")[0]
                 on_wait(f"{what}; trying again in {wait_s:g} s")
             time.sleep(wait_s)
 
 
-def _wait_s(error: BaseException, planned_s: float) -> float:
-    """Return how long to wait: as planned, or longer if the Hub asks for it (up to two minutes)."""
+def _asked_s(error: BaseException) -> float:
+    """Return for how long the Hub asks to wait, seconds."""
     for link in cause_chain(error):
         headers = getattr(getattr(link, "response", None), "headers", None)
-        asked = headers.get("Retry-After") if headers is not None else None
-        if asked and str(asked).isdigit():
-            return min(max(planned_s, float(asked)), _LONGEST_WAIT_S)
-    return planned_s
+        if headers is not None:
+            return asked_wait_s(headers) or 0.0
+    return 0.0

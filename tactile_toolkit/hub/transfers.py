@@ -9,6 +9,8 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import Any, TypeVar
 
+from tactile_toolkit.errors import HubError
+
 __all__ = ["ProgressBar", "Transfers"]
 
 _FILES_AT_ONCE = 8  # as many as the Hub's own client fetches at once
@@ -88,10 +90,13 @@ class Transfers:
 
 
 class ProgressBar:
-    """What the client takes for a class of progress bars, and for a bar: it passes on what arrives."""
+    """What the client takes for a class of progress bars, and for a bar: it passes on what arrives of a file.
 
-    def __init__(self, transfers: Transfers) -> None:
-        self._transfers = transfers
+    The client asks for no end of it: more than the size that was stated is refused before it is written.
+    """
+
+    def __init__(self, transfers: Transfers, path: str, size_bytes: int) -> None:
+        self._transfers, self._path, self._size_bytes = transfers, path, size_bytes
         self._arrived_bytes = 0
 
     def __call__(self, **_: Any) -> ProgressBar:
@@ -105,8 +110,14 @@ class ProgressBar:
         pass
 
     def update(self, size_bytes: float | None = 1) -> None:
-        """Count what was written."""
+        """Count what is about to be written; HubError where that is more than the file has."""
         self._arrived_bytes += int(size_bytes or 0)
+        if self._arrived_bytes > self._size_bytes:
+            message = (
+                f"the Hub sends more of {self._path!r} than the {self._size_bytes:,} bytes that it states; "
+                "nothing of it was kept; next: try again later, or ask its owner to upload it again"
+            )
+            raise HubError(message)
         self._transfers.count(int(size_bytes or 0))
 
     def take_back(self) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import threading
 from dataclasses import dataclass, field
 from fnmatch import fnmatchcase
+from typing import Any
 
 
 @dataclass
@@ -48,12 +49,17 @@ class Fault:
     truncate_at: int | None = None
     stall_after: int | None = None
     lose_reply: bool = False
+    value: Any = None
+    """What is answered under ``status``: bytes as they are, anything else as JSON."""
+    drip_s: float | None = None
+    drips_head: bool = False
+    endless: bool = False
 
     @property
     def touches_content(self) -> bool:
         """Whether it shows only where the bytes of a file are sent."""
         spans = (self.drop_after, self.corrupt_at, self.truncate_at, self.stall_after)
-        return any(span is not None for span in spans)
+        return self.endless or any(span is not None for span in spans)
 
 
 class Faults:
@@ -96,6 +102,14 @@ class Faults:
     def stall(self, pattern: str, after: int, times: int = 1) -> None:
         """Stand still after some bytes of a file, until ``released`` is set."""
         self.add(Fault(pattern, times, stall_after=after))
+
+    def endless(self, pattern: str, times: int = 1) -> None:
+        """Send a file in pieces that do not end, without a word about its size."""
+        self.add(Fault(pattern, times, endless=True))
+
+    def drip(self, pattern: str, pause_s: float, times: int = 1, *, head: bool = False) -> None:
+        """Answer byte by byte, the head or what follows it."""
+        self.add(Fault(pattern, times, drip_s=pause_s, drips_head=head))
 
     def lose_reply(self, pattern: str, times: int = 1) -> None:
         """Do what is asked and close the connection without an answer."""

@@ -19,6 +19,7 @@ from tests.hub_server.repositories import Account, Repository
 from tests.hub_server.routes import answer
 
 _PIECE = 1 << 16
+_ENDLESS_PIECES = 1 << 11  # 128 MiB, so that a client that takes all of it fails its test and not the machine
 _PLACE = re.compile(r".*/resolve/[^/]+/|/cdn/\w+/[^/]+/[^/]+/\w+/")
 
 
@@ -181,7 +182,8 @@ class _Handler(BaseHTTPRequestHandler):
         early = hub.faults.take(self.command, note.path, content=False)
         self._read_body(asked, note, early.refuse_body_after if early else None)
         if early is not None and early.status is not None:
-            reply = Reply(early.status, {"error": f"{early.status} as told"}, early.headers)
+            value = {"error": f"{early.status} as told"} if early.value is None else early.value
+            reply = Reply(early.status, value, early.headers)
         else:
             try:
                 reply = answer(asked)
@@ -189,9 +191,9 @@ class _Handler(BaseHTTPRequestHandler):
                 reply = refusal.reply
         if early is not None and early.lose_reply:
             self._close()
-        late = None
+        late = early if early is not None and early.drip_s is not None else None
         if reply.is_content and self.command == "GET":
-            late = hub.faults.take(self.command, note.path, content=True)
+            late = hub.faults.take(self.command, note.path, content=True) or late
         self._send(reply, note, late)
 
     def _read_body(self, asked: Asked, note: Request, limit: int | None) -> None:
@@ -233,8 +235,17 @@ class _Handler(BaseHTTPRequestHandler):
             self.send_header(name, value)
         if note.status == 206:
             self.send_header("Content-Range", f"bytes {first}-{last}/{len(content)}")
+        if fault is not None and fault.endless:
+            self._send_without_end()
         self.send_header("Content-Length", str(last - first + 1 if reply.is_content else len(content)))
+        drip_s = None if fault is None else fault.drip_s
+        if drip_s is not None and fault is not None and fault.drips_head:
+            self._drip(b"".join(self._headers_buffer), drip_s, note)
+            self._headers_buffer = []
         self.end_headers()
+        if drip_s is not None:
+            self._drip(content[first : last + 1], drip_s, note)
+            return
         if self.command != "HEAD":
             self._send_pieces(content, first, last + 1 if reply.is_content else len(content), note, fault)
 
@@ -253,6 +264,21 @@ class _Handler(BaseHTTPRequestHandler):
             self.server.hub.faults.stalled.set()
             self.server.hub.faults.released.wait(60)
             self._write(content, cut, end, note)
+
+    def _send_without_end(self) -> None:
+        self.send_header("Transfer-Encoding", "chunked")
+        self.end_headers()
+        for _ in range(_ENDLESS_PIECES):
+            self.wfile.write(b"%x\r\n%s\r\n" % (_PIECE, bytes(_PIECE)))
+        self._close()
+
+    def _drip(self, content: bytes, pause_s: float, note: Request) -> None:
+        for place in range(len(content)):
+            note.sent += 1
+            self.wfile.write(content[place : place + 1])
+            self.wfile.flush()
+            if self.server.hub.faults.released.wait(pause_s):
+                self._close()
 
     def _write(self, content: bytes, start: int, end: int, note: Request) -> None:
         for place in range(start, end, _PIECE):

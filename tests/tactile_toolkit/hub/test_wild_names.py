@@ -125,7 +125,7 @@ def test_digests_of_the_hub_are_digests(server, tmp_path, home, monkeypatch, par
     monkeypatch.setattr(Blob, part, property(lambda _: "../../../../../../evil"))
     code, kind, words = fetch(server, home, script(BIG, out=home / "out"))
     assert (code, kind) == (4, "HubError")
-    assert "does not answer as a Hub does about data set 'someone/big'" in words
+    assert "does not answer as a Hub does while reading Hub data set 'someone/big'" in words
     assert outside(tmp_path, home) == before
 
 

@@ -1,0 +1,131 @@
+"""A Hub that sends too much, too slowly, or something else: each ends soon, in a sentence."""
+
+from __future__ import annotations
+
+import gzip
+import json
+import resource
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from tactile_toolkit.hub import limits
+from tests.hub_server import HubServer
+from tests.tactile_toolkit.hub import client
+from tests.tactile_toolkit.hub.client import run_here, settings
+from tests.tactile_toolkit.hub.sets import BIG, CONTENT, SHARD, fetch, script, two_sets
+
+LISTING = f"/api/datasets/{BIG}*"
+
+
+@pytest.fixture
+def server(tmp_path) -> Iterator[HubServer]:
+    with two_sets(tmp_path / "root") as running:
+        yield running
+
+
+def files_below(folder: Path) -> list[Path]:
+    return [file for file in folder.rglob("*") if file.is_file() and file.suffix != ".lock"]
+
+
+@pytest.mark.parametrize("to_folder", [False, True])
+def test_a_file_without_end_is_given_up_at_the_size_that_the_listing_states(server, tmp_path, to_folder):
+    out = tmp_path / "out" if to_folder else None
+    server.faults.endless("/cdn/*parquet")
+    code, kind, words = fetch(server, tmp_path, script(BIG, out=out))
+    assert (code, kind) == (4, "HubError")
+    assert f"the Hub sends more of {SHARD!r} than the {len(CONTENT):,} bytes that it states; " in words
+    kept = sum(file.stat().st_size for file in files_below(tmp_path) if "root" not in file.parts)
+    assert kept < len(CONTENT), "what arrived too much lies on the disk"
+    assert fetch(server, tmp_path, script(BIG, out=out))[1] == [SHARD]
+
+
+@pytest.mark.parametrize("head", [False, True])
+def test_a_listing_that_comes_byte_by_byte_ends_in_time(server, tmp_path, monkeypatch, head):
+    monkeypatch.setattr(limits, "QUESTION_S", 0.5)
+    server.faults.drip(LISTING, 0.05, head=head)
+    code, kind, words = fetch(server, tmp_path, script(BIG))
+    assert (code, kind) == (4, "HubError")
+    assert "does not answer in time while reading Hub data set 'someone/big'" in words
+
+
+def test_a_file_that_comes_byte_by_byte_ends_in_time(server, tmp_path, monkeypatch):
+    monkeypatch.setattr(limits, "WAIT_S", 0.5)
+    server.faults.drip("/cdn/*parquet", 0.05)
+    code, kind, words = fetch(server, tmp_path, script(BIG))
+    assert (code, kind) == (4, "HubError")
+    assert f"does not answer in time while fetching {SHARD!r} of Hub data set" in words
+
+
+def test_a_listing_that_unpacks_to_gigabytes_ends_soon(server, tmp_path, monkeypatch):
+    # A thousandth of what it is to do, under a limit as small.
+    monkeypatch.setattr(limits, "ANSWER_BYTES", 1 << 20)
+    packed = gzip.compress(b"[" + b" " * (64 << 20))
+    headers = {"Content-Encoding": "gzip", "Content-Type": "application/json"}
+    server.faults.fail(LISTING, 200, value=packed, headers=headers)
+    before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    code, kind, words = fetch(server, tmp_path, script(BIG))
+    assert (code, kind) == (4, "HubError")
+    assert "answers with more than 1,048,576 bytes" in words
+    assert "; next: " in words
+    assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before < 32 << 10  # in KiB
+
+
+PAGE = b"<!DOCTYPE html><title>Hotel</title><form>Please log in</form>"
+
+
+@pytest.mark.parametrize(
+    ("value", "kind"),
+    [
+        (PAGE, "text/html"),
+        (b"", "application/json"),
+        (b"[]", "application/json"),
+        (b'["a"]', "application/json"),
+        (b"7", "application/json"),
+        (b"{}", "application/json"),
+        (b'{"id": 1, "siblings": 7}', "application/json"),
+        (b"[" * 100_000, "application/json"),
+    ],
+)
+def test_what_is_not_the_answer_of_a_hub_is_named(server, tmp_path, value, kind):
+    server.faults.fail(LISTING, 200, times=99, value=value, headers={"Content-Type": kind})
+    code, error, words = fetch(server, tmp_path, script(BIG))
+    assert (code, error) == (4, "HubError")
+    assert f"{server.endpoint} does not answer as a Hub does while reading Hub data set" in words
+    assert "; next: check HF_ENDPOINT" in words
+    assert len(server.requests) == 1, "what does not pass was tried again"
+
+
+WAITS = [
+    {"Retry-After": "86400"},
+    {"Retry-After": "9" * 5000},
+    {"RateLimit": '"api";r=0;t=86400'},
+    {"RateLimit": '"api";r=0;t=' + "9" * 5000},
+]
+
+
+@pytest.mark.parametrize("headers", WAITS)
+@pytest.mark.parametrize("pattern", [LISTING, "/cdn/*parquet"])
+def test_a_hub_that_asks_for_a_long_wait_is_not_waited_for(server, tmp_path, monkeypatch, pattern, headers):
+    slept: list[float] = []
+    monkeypatch.setattr(time, "sleep", slept.append)
+    monkeypatch.setattr(client._NoWaits, "sleep", slept.append)
+    server.faults.fail(pattern, 429, times=99, headers=headers)
+    code, kind, words = fetch(server, tmp_path, script(BIG))
+    assert (code, kind) == (4, "HubError")
+    assert "the Hub wants fewer requests (429)" in words
+    assert "next: try again in " in words
+    assert sum(slept) <= limits.WAIT_S
+    assert "86400 s" in words or "999" in words or "1000000000 s" in words
+
+
+def test_short_waits_that_the_hub_asks_for_end_together(server, tmp_path, monkeypatch):
+    slept: list[float] = []
+    monkeypatch.setattr(time, "sleep", slept.append)
+    server.faults.fail(LISTING, 429, times=99, headers={"Retry-After": "50"})
+    environment = settings(server, tmp_path, TACTILE_TOOLKIT_HUB_WAITS="1,1,1,1,1,1")
+    done = run_here(script(BIG), environment, tmp_path)
+    assert json.loads(done.stdout.splitlines()[-1])[:2] == [4, "HubError"]
+    assert slept == [50.0, 50.0]
