@@ -10,7 +10,7 @@ import contextlib
 import re
 import shutil
 import tempfile
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path, PurePosixPath
@@ -34,6 +34,7 @@ from tactile_toolkit.hub.errors import named_failures, not_cached, storage_failu
 from tactile_toolkit.hub.repository import HubRepository
 from tactile_toolkit.hub.retry import is_unanswered
 from tactile_toolkit.hub.transfers import Transfers
+from tactile_toolkit.run.system import locked
 from tactile_toolkit.store.folder import DataFolder, atomic_file
 from tactile_toolkit.store.manifest import MANIFEST_FILE, Manifest, read_manifest, write_manifest
 from tactile_toolkit.store.names import names_inside
@@ -79,6 +80,8 @@ class DownloadPlan:
         answers for the Hub: what it does not list may well be there.
     is_done : bool
         Whether there is nothing to do at all.
+    record : DownloadRecord or None
+        What the folder recorded when the plan was made.
     """
 
     repository: HubRepository
@@ -90,6 +93,7 @@ class DownloadPlan:
     missing: tuple[HubFile, ...]
     leftover: tuple[str, ...] = ()
     is_done: bool = False
+    record: DownloadRecord | None = None
 
     @property
     def bytes(self) -> int:
@@ -177,14 +181,16 @@ def _plan_for_folder(
     files = _wanted(repository, [*_extras(repository, chosen, fitted=False), *shards])
     missing = _missing(files, partial(_is_here, folder, record))
     recorded = record.files if record else {}
-    _refuse_own_files(folder, [file.path for file in missing if file.path not in recorded])
+    _refuse_own_files(folder, [file.path for file in missing])
     kept = {file.path for file in files}
     leftover = tuple(path for path in recorded if path not in kept)
     labels, commit = _labels_of(repository), repository.snapshot.commit
     _require_cached_if_offline(repository, [*(file.path for file in missing), *labels])
     same = record is not None and record.finished and record.commit == commit
     done = same and not leftover and not missing and _is_labelled(folder, labels)
-    return DownloadPlan(repository, folder, commit, chosen, all_splits, files, missing, leftover, done)
+    return DownloadPlan(
+        repository, folder, commit, chosen, all_splits, files, missing, leftover, done, record
+    )
 
 
 def _plan_by_cache(
@@ -205,7 +211,14 @@ def _plan_by_cache(
     _require_cached_if_offline(repository, [*(file.path for file in missing), *record.labels])
     chosen = tuple(split for split in record.splits if split in {*here, *further})
     return DownloadPlan(
-        repository, folder, record.commit, chosen, record.splits, tuple(files.values()), missing
+        repository,
+        folder,
+        record.commit,
+        chosen,
+        record.splits,
+        tuple(files.values()),
+        missing,
+        record=record,
     )
 
 
@@ -228,23 +241,29 @@ def _plan_by_record(
 
 def _own_record(folder: DataFolder, repository: HubRepository) -> DownloadRecord | None:
     """Return the record of an earlier download of the same repository; refuse a folder of anything else."""
+    # What is there before the record of it: a download that begins meanwhile writes its record first.
+    holds_set, names = folder.exists(MANIFEST_FILE) or bool(folder.names(DATA_FOLDER)), folder.names()
     record = read_record(folder)
     if record is not None and record.repo_id == repository.repo_id:
         return record
     found = f"a download of {record.repo_id!r}" if record is not None else "a data set of another origin"
-    if record is not None or folder.exists(MANIFEST_FILE) or folder.names(DATA_FOLDER):
+    if record is not None or holds_set:
         message = (
             f"{folder.address()!r} holds {found}, not one of {repository.repo_id!r}; nothing in it was "
             "changed; next: choose another folder with --out"
         )
         raise SpecMismatchError(message)
-    refuse_unknown_files(folder)
+    if names:
+        refuse_unknown_files(folder)
     return None
 
 
 def _refuse_own_files(folder: DataFolder, paths: Iterable[str]) -> None:
     """Refuse to write over what no download has brought."""
     own = [path for path in paths if folder.exists(path)]
+    # Read after the look at the files: another download may have brought them just now.
+    record = read_record(folder) if own else None
+    own = [path for path in own if record is None or path not in record.files]
     if own:
         message = (
             f"{folder.address()!r} holds a file of your own where the data set has one ({own[0]!r}); nothing "
@@ -375,12 +394,32 @@ def download(
 
     _require_space(plan)
     transfers = Transfers(on_bytes, on_wait)
-    if plan.folder is None:
+    folder = plan.folder
+    if folder is None:
         plan.repository.fetch([file.path for file in plan.missing], transfers)
         return str(RepositoryCache(plan.repository.repo_id).snapshot_folder(plan.commit))
     if not plan.is_done:
-        _fill(plan, plan.folder, transfers)
-    return plan.folder.address()
+        with _alone(folder, on_wait):
+            if read_record(folder) != plan.record:  # another download was here, maybe of other splits
+                plan = _plan(plan.repository, plan.splits, folder.address())
+            if not plan.is_done:
+                _fill(plan, folder, transfers)
+    return folder.address()
+
+
+@contextlib.contextmanager
+def _alone(folder: DataFolder, on_wait: Callable[[str], None]) -> Iterator[None]:
+    """Keep other downloads on this machine out of a folder, and wait for one that is at work there."""
+    folder.require_folder()
+    with contextlib.ExitStack() as stack:
+        if folder.is_local:
+            place = Path(folder.address())
+            try:
+                stack.enter_context(locked(place, wait=False))
+            except BlockingIOError:
+                on_wait(f"another download fills {str(place)!r}; this one begins when that one has ended")
+                stack.enter_context(locked(place))
+        yield
 
 
 def _require_space(plan: DownloadPlan) -> None:
@@ -403,7 +442,6 @@ def _require_space(plan: DownloadPlan) -> None:
 def _fill(plan: DownloadPlan, folder: DataFolder, transfers: Transfers) -> None:
     """Bring a folder to the commit of the plan; a reader never takes a mixture for a finished data set."""
     repository, manifest = plan.repository, plan.repository.manifest
-    folder.require_folder()
     for sub in ("", DATA_FOLDER):
         folder.remove_stale_files(sub)
     record = DownloadRecord(

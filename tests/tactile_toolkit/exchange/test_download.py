@@ -7,17 +7,22 @@ import os
 import signal
 import time
 from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor, wait
 from pathlib import Path
 
 import pytest
+from huggingface_hub import constants
 
 from tactile_toolkit.catalog.locate import find_shards
 from tactile_toolkit.errors import IntegrityError
+from tactile_toolkit.exchange.download import download, plan_download
 from tactile_toolkit.run.processes import InlineRunner
 from tactile_toolkit.store.build import build
 from tactile_toolkit.store.folder import DataFolder
 from tactile_toolkit.store.verify import verify
 from tests.hub_server import HubServer
+from tests.processes import PATIENCE_S
+from tests.tactile_toolkit.exchange.upload_client import logged_in
 from tests.tactile_toolkit.hub.client import settings, start_python
 from tests.tactile_toolkit.hub.sets import (
     BIG,
@@ -66,6 +71,37 @@ def test_again_does_nothing_and_another_split_makes_the_whole(server, tmp_path):
     whole = folder_bytes(out)
     del whole[RECORD]
     assert whole == folder_bytes(server.root / NAME)
+
+
+@pytest.fixture
+def client_here(server, tmp_path, monkeypatch) -> Iterator[None]:
+    monkeypatch.setattr(constants, "HF_HUB_CACHE", str(tmp_path / "hub"))
+    with logged_in(server, server.account("else"), monkeypatch):
+        yield
+
+
+@pytest.mark.parametrize("at_work", ["train", "test"])
+def test_downloads_of_two_splits_at_once_make_one_set_of_both(server, tmp_path, client_here, at_work):
+    """One has planned and stands still in the middle of a file when the other, planned as early, begins."""
+    out = str(tmp_path / "both")
+    plans = {split: plan_download(NAME, [split], out=out) for split in ("train", "test")}
+    server.faults.stall(f"*/{at_work}-00000-of-*", after=10)
+    first, second = plans.pop(at_work), plans.popitem()[1]
+    said: list[str] = []
+    with ThreadPoolExecutor(2) as threads:
+        done = [threads.submit(download, first)]
+        assert server.faults.stalled.wait(PATIENCE_S)
+        done.append(threads.submit(download, second, on_wait=said.append))
+        while not said and not done[1].done():
+            wait([done[1]], 0.05)
+        server.faults.released.set()
+        assert [each.result(PATIENCE_S) for each in done] == [out, out]
+    assert "another download fills" in said[0]
+    result = verify(DataFolder(out), SCHEMA)
+    assert result.ok, result.findings
+    assert {
+        path: content for path, content in folder_bytes(Path(out)).items() if path != RECORD
+    } == folder_bytes(server.root / NAME)
 
 
 def test_only_what_was_downloaded_and_is_gone_on_the_hub_is_removed(server, tmp_path):
