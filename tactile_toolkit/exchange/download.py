@@ -9,7 +9,6 @@ from __future__ import annotations
 import contextlib
 import re
 import shutil
-import tempfile
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
@@ -35,7 +34,7 @@ from tactile_toolkit.hub.repository import HubRepository
 from tactile_toolkit.hub.retry import is_unanswered
 from tactile_toolkit.hub.transfers import Transfers
 from tactile_toolkit.run.system import locked
-from tactile_toolkit.store.folder import DataFolder, atomic_file
+from tactile_toolkit.store.folder import DataFolder, atomic_file, scratch_folder
 from tactile_toolkit.store.manifest import MANIFEST_FILE, Manifest, read_manifest, write_manifest
 from tactile_toolkit.store.names import names_inside
 from tactile_toolkit.store.origin import DownloadRecord, HubFile, read_record, write_record
@@ -492,12 +491,12 @@ def _bring(plan: DownloadPlan, folder: DataFolder, file: HubFile, transfers: Tra
 def _bring_to_store(
     repository: HubRepository, folder: DataFolder, file: HubFile, transfers: Transfers
 ) -> None:
-    cached = repository.cached(file.path)
-    with (
-        named_failures(repository.repo_id, repository.revision, f"fetching {file.path!r} of"),
-        tempfile.TemporaryDirectory(prefix="tactile-toolkit-") as stage,
-    ):
-        folder.copy_in(file.path, cached or repository.download(file.path, transfers, Path(stage)))
+    cached, stage = repository.cached(file.path), scratch_folder()
+    try:
+        with named_failures(repository.repo_id, repository.revision, f"fetching {file.path!r} of"):
+            folder.copy_in(file.path, cached or repository.download(file.path, transfers, stage))
+    finally:
+        shutil.rmtree(stage, ignore_errors=True)
     if cached is not None:
         transfers.count(file.size_bytes)
 

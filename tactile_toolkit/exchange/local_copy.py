@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 import shutil
-import tempfile
 import weakref
 from collections.abc import Iterator
-from pathlib import Path
 
 from tactile_toolkit.errors import StorageError
 from tactile_toolkit.run.threads import in_threads
-from tactile_toolkit.store.folder import DataFolder
+from tactile_toolkit.store.folder import DataFolder, scratch_folder
 from tactile_toolkit.store.names import names_inside
 
 __all__ = ["LocalCopy"]
@@ -28,7 +26,7 @@ class LocalCopy:
     def __init__(self, folder: DataFolder) -> None:
         sizes = dict(_files_below(folder, ""))
         paths = names_inside(sizes, repr(folder.address()))
-        self.root = Path(tempfile.mkdtemp(prefix="tactile-toolkit-"))
+        self.root = scratch_folder()
         # Not a TemporaryDirectory, which warns of every object that is not closed.
         self._removal = weakref.finalize(self, shutil.rmtree, self.root, ignore_errors=True)
         needed, free = sum(sizes.values()), shutil.disk_usage(self.root).free

@@ -41,6 +41,7 @@ __all__ = [
     "named_failures",
     "open_regular",
     "remove_tree",
+    "scratch_folder",
     "stale_files",
     "temporary_name",
     "unreadable",
@@ -48,6 +49,8 @@ __all__ = [
 
 TEMPORARY_PREFIX = ".writing-"
 """How the name of every unfinished file begins."""
+
+_SCRATCH_PREFIX = "tactile-toolkit-"
 
 FORSAKEN_S = 86_400.0
 """For so long nothing was written to a temporary file before it is taken for stale where nobody here can tell
@@ -221,6 +224,18 @@ def _create_file(path: Path, content: bytes) -> bool:
         temporary.unlink(missing_ok=True)
     sync_folder(path.parent)
     return True
+
+
+def scratch_folder() -> Path:
+    """Make a folder in ``$TMPDIR`` for the caller to remove; what killed processes left there is removed."""
+    place = Path(tempfile.gettempdir())
+    for path in place.glob(f"{_SCRATCH_PREFIX}*"):
+        if is_stale(path.name, _SCRATCH_PREFIX):
+            shutil.rmtree(path, ignore_errors=True)  # of other users it stays
+    folder = place / temporary_name("scratch", _SCRATCH_PREFIX)
+    with named_failures(str(folder)):
+        folder.mkdir(mode=0o700)
+    return folder
 
 
 @contextlib.contextmanager
@@ -441,11 +456,14 @@ class DataFolder:
             with named_failures(self.address(path)), atomic_file(Path(self.address(path))) as stream:
                 yield stream
             return
-        with tempfile.TemporaryDirectory() as scratch:
-            file = Path(scratch) / "file"
+        scratch = scratch_folder()
+        try:
+            file = scratch / "file"
             with named_failures(str(file)), file.open("wb") as stream:
                 yield stream
             self.copy_in(path, file)
+        finally:
+            shutil.rmtree(scratch, ignore_errors=True)
 
     def copy_in(self, path: str, source: Path) -> None:
         """Write a whole file of another place of this machine, as :meth:`write_bytes` does, in pieces."""

@@ -6,6 +6,7 @@ import os
 import shutil
 import subprocess
 import sys
+import tempfile
 from pathlib import Path
 
 import pytest
@@ -148,3 +149,35 @@ def test_what_is_being_written_is_no_damage(tmp_path):
     assert verify(folder, SCHEMA).ok
     (tmp_path / "set" / "data" / "notes.txt").write_bytes(b"x")
     assert [finding.file for finding in verify(folder, SCHEMA).findings] == ["data/notes.txt"]
+
+
+_COPIED = """
+from tactile_toolkit.exchange.local_copy import LocalCopy
+there.write_bytes("data/a", b"content")
+copy = LocalCopy(there)
+"""
+_WRITTEN = """
+writing = there.writing("reports/a")
+writing.__enter__().write(b"half")
+"""
+_TO_STORE = """
+import os, signal
+from tactile_toolkit.store.folder import DataFolder
+there = DataFolder("memory://store/set")
+{what}
+os.kill(os.getpid(), signal.SIGKILL)
+"""
+
+
+@pytest.mark.parametrize("what", [_WRITTEN, _COPIED])
+def test_what_a_killed_writer_to_a_store_left_on_this_machine_goes_with_the_next(tmp_path, monkeypatch, what):
+    environment = {**os.environ, "TMPDIR": str(tmp_path)}
+    (tmp_path / "tactile-toolkit-notes").write_text("mine")
+    code = _TO_STORE.format(what=what)
+    assert subprocess.run([sys.executable, "-c", code], env=environment, check=False).returncode == -9
+    assert len(names(tmp_path)) == 2
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
+    with DataFolder("memory://store/set").writing("reports/a") as stream:
+        assert len(names(tmp_path)) == 2, "what this process is writing, and the user's file"
+        stream.write(b"content")
+    assert names(tmp_path) == ["tactile-toolkit-notes"]
