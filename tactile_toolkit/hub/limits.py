@@ -110,6 +110,8 @@ def _note_request(request: Any) -> None:
 
 def _check_answer(response: Any) -> None:
     """Limit the body of an answer, and refuse it for its head."""
+    if _BEGAN_S not in response.request.extensions:  # asked by another thread before there were limits
+        return
     response.iter_raw = _limited(response, response.iter_raw)
     response.iter_bytes = _limited(response, response.iter_bytes)
     _refuse_unsafe_names(response)
@@ -145,6 +147,7 @@ def _limited(response: Any, pieces: Callable[..., Iterator[bytes]]) -> Callable[
             if is_late:
                 raise TimeoutError
             yield piece
+            since_s += time.monotonic() - now_s  # the time of the reader does not count
 
     return limited
 
