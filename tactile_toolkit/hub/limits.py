@@ -13,6 +13,7 @@ from collections.abc import Callable, Iterator
 from concurrent.futures import Future, wait
 from contextvars import ContextVar
 from dataclasses import dataclass, field
+from importlib import import_module
 from typing import Any, TypeVar
 
 from tactile_toolkit.errors import HubError
@@ -78,10 +79,9 @@ def within_limits(action: Callable[[], T], *, is_question: bool) -> T:
 
 def asked_wait_s(headers: Any) -> float | None:
     """Return for how long the head of an answer asks to wait, seconds; None where it does not."""
-    from huggingface_hub.utils import parse_ratelimit_headers
-
+    client: Any = import_module("huggingface_hub.utils")  # its names are not exported to type checkers
     try:
-        limit = parse_ratelimit_headers(headers)
+        limit = client.parse_ratelimit_headers(headers)
     except ValueError:  # a number of thousands of digits
         return float("inf")
     if limit is not None and limit.remaining == 0:
@@ -163,8 +163,6 @@ def _refuse_unsafe_names(response: Any) -> None:
 
 def _refuse_long_wait(response: Any) -> None:
     """Raise the client's error where it would wait too long, as the Hub asks for."""
-    from huggingface_hub.utils import hf_raise_for_status
-
     asked_s = asked_wait_s(response.headers) if response.status_code in _BUSY else None
     if asked_s is None:
         return
@@ -173,6 +171,7 @@ def _refuse_long_wait(response: Any) -> None:
     response.headers["Retry-After"] = f"{min(asked_s, 1e9):.0f}"
     asking = _ASKING.get()
     if asked_s > (WAIT_S if asking is None else asking.wait_left_s):
-        hf_raise_for_status(response)
+        client: Any = import_module("huggingface_hub.utils")
+        client.hf_raise_for_status(response)
     elif asking is not None:
         asking.wait_left_s -= asked_s
