@@ -21,6 +21,7 @@ from tactile_toolkit.store.address import is_remote
 from tactile_toolkit.store.folder import DataFolder, file_at
 from tactile_toolkit.store.names import problem_of_name
 from tactile_toolkit.touch.jpeg import MAX_IMAGE_BYTES
+from tactile_toolkit.touch.tars import files_of_tar
 from tactile_toolkit.wording import did_you_mean
 
 __all__ = [
@@ -285,15 +286,9 @@ def _tars(home: DataFolder) -> list[tuple[DataFolder, str]]:
 def _members(folder: DataFolder, name: str) -> Iterator[tuple[str, str, int, int, bytes]]:
     """Yield key, ending, place and size of each file of a tar, and the content where it is small text."""
     try:
-        size = folder.size_bytes(name)
-        with folder.open(name) as stream, tarfile.open(fileobj=stream, mode="r:") as tar:
-            for member in tar:
-                if not member.isfile():
-                    continue
+        with folder.open(name) as stream:
+            for member in files_of_tar(stream, folder.size_bytes(name)):
                 start = member.offset_data
-                if start + member.size > size:
-                    problem = f"it ends in {member.name!r}"
-                    raise EOFError(problem)
                 directory, _, base = _HERE.sub("", member.name).rpartition("/")
                 stem, _, ending = base.partition(".")
                 key = f"{directory}/{stem}" if directory else stem
@@ -302,13 +297,10 @@ def _members(folder: DataFolder, name: str) -> Iterator[tuple[str, str, int, int
                     stream.seek(start)
                     content = stream.read(member.size)
                 yield key, ending.lower(), start, member.size, content
-            stream.seek(max(0, size - tarfile.BLOCKSIZE))
-            if stream.read().strip(b"\0"):
-                problem = "the mark of its end is missing"
-                raise EOFError(problem)
-    except (tarfile.TarError, EOFError, OSError) as error:
+    except (tarfile.TarError, OSError) as error:
         message = (
-            f"{folder.address(name)!r} is no whole tar ({error}); nothing was written; next: fetch it again"
+            f"{folder.address(name)!r} is not an intact tar ({error}); nothing was written; next: fetch it "
+            "again"
         )
         raise IntegrityError(message) from error
 

@@ -27,6 +27,7 @@ from tactile_toolkit.store.parquet import has_page_checksums, sha256_hex
 from tactile_toolkit.store.shards import Finding
 from tactile_toolkit.store.verify import verify as verify_files
 from tactile_toolkit.touch.jpeg import decode_image, image_size
+from tactile_toolkit.touch.tars import files_of_tar
 
 __all__ = ["TouchVerification", "check_folder", "check_round", "verify"]
 
@@ -212,20 +213,23 @@ def _verify_exported(
 
 def _undecodable_images(folder: DataFolder, path: str) -> Iterator[Damage]:
     """Decode the images in a tar, or in the only column of images of a Parquet file; yield what cannot be."""
-    for number, (name, image) in enumerate(_stored_images(folder, path)):
-        try:
-            decode_image(image)
-        except ValueError as error:
-            yield Damage(path, number, None, name, str(error))
+    try:
+        for number, (name, image) in enumerate(_stored_images(folder, path)):
+            try:
+                decode_image(image)
+            except ValueError as error:
+                yield Damage(path, number, None, name, str(error))
+    except tarfile.TarError as error:
+        yield Damage(path, None, None, "", f"not an intact tar: {error}")
 
 
 def _stored_images(folder: DataFolder, path: str) -> Iterator[tuple[str, bytes]]:
     if path.endswith(".tar"):
-        with folder.open(path) as stream, tarfile.open(fileobj=stream, mode="r:") as tar:
-            for member in tar:
-                content = None if member.name.endswith(".json") else tar.extractfile(member)
-                if content is not None:
-                    yield member.name, content.read()
+        with folder.open(path) as stream:
+            for member in files_of_tar(stream, folder.size_bytes(path)):
+                if not member.name.endswith(".json"):
+                    stream.seek(member.offset_data)
+                    yield member.name, stream.read(member.size)
         return
     shard = Shard(folder.address(path))
     column = next(name.removesuffix(".bytes") for name in shard.types if name.endswith(".bytes"))

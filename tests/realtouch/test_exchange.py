@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import gc
+import hashlib
 import json
 import os
 import subprocess
@@ -13,6 +14,7 @@ from typing import Any
 import datasets
 import numpy as np
 import pandas as pd
+import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
@@ -360,3 +362,28 @@ def test_lerobot_needs_lengths_that_are_true(seq_rows: list[dict], tmp_path: Pat
         with pytest.raises(error, match=words):
             realtouch.export(tmp_path / "source", tmp_path / "robots", "lerobot")
         assert not (tmp_path / "robots").exists()
+
+
+def test_verify_reads_a_tar_of_others_to_its_end(single_folder: Path, tmp_path: Path) -> None:
+    """Whoever made the tar has made the checksums, too."""
+    out = tmp_path / "tars"
+    realtouch.export(single_folder, out, "webdataset", split="train")
+    (tar,) = (out / "webdataset").iterdir()
+    kept = tar.read_bytes().rstrip(b"\0")
+    kept += bytes(-len(kept) % tarfile.BLOCKSIZE)
+    odd = tarfile.TarInfo("odd.jpg")
+    odd.size = -1024
+    tar.write_bytes(kept + odd.tobuf(tarfile.GNU_FORMAT) + bytes(tarfile.RECORDSIZE))
+    (index,) = (out / "data").iterdir()
+    table = pq.read_table(index)
+    digest = pa.array([hashlib.sha256(tar.read_bytes()).hexdigest()] * len(table))
+    table = table.set_column(table.column_names.index("sha256"), "sha256", digest)
+    pq.write_table(table, index, write_page_checksum=True)
+    manifest = json.loads((out / "manifest.json").read_text())
+    manifest["files"][f"webdataset/{tar.name}"] = digest[0].as_py()
+    sha256 = hashlib.sha256(index.read_bytes()).hexdigest()
+    manifest["shards"][0] |= {"sha256": sha256, "bytes": index.stat().st_size}
+    manifest["splits"]["train"]["bytes"] = index.stat().st_size
+    (out / "manifest.json").write_text(json.dumps(manifest))
+    findings = realtouch.verify(out).findings
+    assert any("'odd.jpg' has a size of -1,024 bytes" in each.problem for each in findings)

@@ -21,6 +21,7 @@ from tactile_toolkit.cards.checks import check_card
 from tactile_toolkit.errors import InputError, IntegrityError
 from tactile_toolkit.store.folder import DataFolder
 from tactile_toolkit.touch.jpeg import MAX_IMAGE_BYTES
+from tests.command_line import call
 from tests.realtouch import factories
 from tests.tactile_toolkit.toy import folder_bytes
 
@@ -324,9 +325,70 @@ def test_tars_of_others(tmp_path: Path) -> None:
     whole = (home / "x-000.tar").read_bytes()
     for kept in (len(whole) // 3, 10240 - 9000, 700):
         (home / "x-000.tar").write_bytes(whole[:kept])
-        with pytest.raises(IntegrityError, match="no whole tar"):
+        with pytest.raises(IntegrityError, match="not an intact tar"):
             realtouch.import_images(home, tmp_path / "cut", "webdataset", columns)
         assert not (tmp_path / "cut").exists()
+
+
+def pax(**fields: str) -> tuple[tarfile.TarInfo, bytes]:
+    content = b""
+    for name, value in fields.items():
+        record = f" {name.replace('_', '.')}={value}\n"
+        length = next(n for n in range(len(record), len(record) + 9) if len(f"{n}{record}") == n)
+        content += f"{length}{record}".encode()
+    entry = tarfile.TarInfo("././@PaxHeader")
+    entry.type, entry.size = tarfile.XHDTYPE, len(content)
+    return entry, content
+
+
+@pytest.mark.parametrize(
+    ("before", "size", "words"),
+    [
+        ([], -1024, "'b.jpg' has a size of -1,024 bytes"),
+        ([pax(size="-1536")], 0, "'b.jpg' is sparse, or its size is not a number"),
+        ([pax(size="many")], 0, "'b.jpg' is sparse, or its size is not a number"),
+        ([pax(GNU_sparse_size="many")], 0, "'b.jpg' cannot be read"),
+        ([pax(GNU_sparse_map="0,many")], 0, "'b.jpg' cannot be read"),
+        ([pax(GNU_sparse_major="1", GNU_sparse_minor="0")], 0, "'b.jpg' cannot be read"),
+        ([pax(GNU_sparse_size="9", GNU_sparse_offset="0")], 0, "'b.jpg' is sparse"),
+        ([pax(path="c.jpg")] * 2000, 0, "cannot be read: maximum recursion"),
+        ([pax(comment="x" * 70_000)], 0, "'././@PaxHeader' has a size of 70,0"),
+        ([pax(path="c" * 300, size="5" * 5000)], 0, f"'{'c' * 300}' is sparse, or its size is not a number"),
+    ],
+)
+def test_a_tar_with_a_header_that_cannot_be_true(
+    before: list[tuple[tarfile.TarInfo, bytes]],
+    size: int,
+    words: str,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    write_tar(tmp_path / "a.tar", [("a.jpg", picture(1)), ("a.cls", b"1")])
+    last = tarfile.TarInfo("b.jpg")
+    last.size = size
+    odd = b"".join(
+        entry.tobuf(tarfile.GNU_FORMAT) + content + bytes(-len(content) % 512)
+        for entry, content in [*before, (last, b"")]
+    )
+    good = (tmp_path / "a.tar").read_bytes().rstrip(b"\0")
+    good += bytes(-len(good) % 512)
+    (tmp_path / "a.tar").write_bytes(good + odd + bytes(10_240))
+    arguments = ("import", tmp_path / "a.tar", "--layout", "webdataset", "--label-column", "cls")
+    assert call("realtouch", *arguments, "--workers", 1, "--out", tmp_path / "out") == 3
+    said = capsys.readouterr().err
+    assert words in said
+    assert len(said.splitlines()) == 1
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_damaged_header_is_not_the_end_of_a_tar(tmp_path: Path) -> None:
+    members = [(f"{number}.{ending}", b"1") for number in range(4) for ending in ("cls", "jpg")]
+    write_tar(tmp_path / "a.tar", members)
+    content = bytearray((tmp_path / "a.tar").read_bytes())
+    content[4 * 1024 + 3] ^= 1  # in the name of the fifth
+    (tmp_path / "a.tar").write_bytes(content)
+    with pytest.raises(IntegrityError, match=r"the header after '1\.jpg' cannot be read: bad checksum"):
+        realtouch.import_images(tmp_path / "a.tar", tmp_path / "out", "webdataset")
 
 
 def test_the_command_names_what_it_leaves_out(home: Path, tmp_path: Path) -> None:
