@@ -89,10 +89,12 @@ def _column(words: str) -> Any:
 
 @dataclass(frozen=True, slots=True)
 class Columns:
-    """Options that name columns."""
+    """Options that name columns; those of our own exports are found without."""
 
     image_column: Annotated[str, _column("Column of the images' paths; of tars, their ending.")] = "file"
-    label_column: Annotated[str, _column("Column of the classes: numbers or names.")] = "label"
+    label_column: Annotated[
+        str | None, _column("Column of the classes, numbers or names: label_name or label by default.")
+    ] = None
     round_column: Annotated[str | None, _column("Column of what touches belong together by.")] = None
     object_column: Annotated[str | None, _column("Column of the number of the object.")] = None
     position_columns: Annotated[
@@ -276,17 +278,25 @@ def import_touches(
     classes: Annotated[
         str | None, typer.Option(metavar="A,B", help="Names of the classes in order; those found by default.")
     ] = None,
-    split: Annotated[str, typer.Option(metavar="NAME", help="Split, where no column says it.")] = "train",
+    split: Annotated[
+        str | None,
+        typer.Option(
+            metavar="NAME",
+            help="Split, where no column states it; else the one of tars called SPLIT-000000.tar, or train.",
+        ),
+    ] = None,
     work: Work,
     sink: Sink,
 ) -> None:
     """Make a data set of touches of images and a table of labels and poses; images stay as they are.
 
-    What cannot be used is left out, and named with the reason.
+    What cannot be used is left out, and named with the reason. Columns that this program writes are found by
+    their names.
 
     Example: realtouch import pictures --layout folder --image-column file --label-column digit --out touches
     """
-    from realtouch.exchange.reading import import_images
+    from realtouch.exchange.reading import NOT_IMPORTED, import_images
+    from tactile_toolkit.store.shards import add_up
 
     make = partial(
         import_images,
@@ -304,6 +314,10 @@ def import_touches(
     skipped = [item for record in made.manifest.shards for item in record.skipped]
     for item in skipped[:_SKIPPED_SHOWN]:
         sink.talk(f"left out: {item.message} ({item.reason})")
+    fields = add_up(list(made.manifest.statistics().values())).get(NOT_IMPORTED, {})
+    if fields:
+        listed = ", ".join(f"{name} ({count:,})" for name, count in fields.items())
+        sink.talk(f"fields that were not imported, and of how many touches: {listed}")
     print_converted(sink, made.manifest, out, "touches")
 
 

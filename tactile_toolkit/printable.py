@@ -32,8 +32,8 @@ def printable_json(values: Any, indent: int = 2) -> str:
     """Return JSON of some values; what cannot be seen stands there in JSON's own escapes."""
     text = json.dumps(values, indent=indent, ensure_ascii=False)
     # Outside of strings JSON has no other characters than those that can be seen, and ends of lines.
-    escaped = (each if each.isprintable() or each == "\n" else json.dumps(each)[1:-1] for each in text)
-    return text if text.replace("\n", "").isprintable() else "".join(escaped)
+    odd = {each for each in set(text) if not each.isprintable()} - {"\n"}
+    return text.translate({ord(each): json.dumps(each)[1:-1] for each in odd}) if odd else text
 
 
 def markdown_text(text: str) -> str:

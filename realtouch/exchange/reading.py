@@ -6,6 +6,7 @@ import io
 import json
 import re
 import struct
+from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import asdict, dataclass, field, replace
@@ -30,6 +31,7 @@ from realtouch.exchange.sources import (
 )
 from realtouch.poses import bad_pose
 from tactile_toolkit.errors import InputError, ItemError
+from tactile_toolkit.printable import printable
 from tactile_toolkit.run.processes import Runner, runner_for
 from tactile_toolkit.store.build import Progress, build
 from tactile_toolkit.store.folder import DataFolder
@@ -39,10 +41,14 @@ from tactile_toolkit.store.plan import BuildPlan, ShardContent
 from tactile_toolkit.store.shards import ShardName, ShardRecord, Skipped
 from tactile_toolkit.touch.schema import CLASS_NAMES, MEDIA_TYPE, with_features
 
-__all__ = ["import_images"]
+__all__ = ["NOT_IMPORTED", "import_images"]
+
+NOT_IMPORTED = "not_imported"
+"""What the statistics call the fields of the source that were not imported: touches that had one, by name."""
 
 _SPLIT = re.compile(r"\w+")
-_WITH_POINT = re.compile(r"^(\d+)\.0+$", re.ASCII)
+_OUR_TAR = re.compile(r"(\w+)-[0-9]{6}\.tar")
+_NUMBER = re.compile(r"(0|[1-9][0-9]*)(?:\.0+)?")
 _UNNAMED = re.compile(r"[^A-Za-z0-9_-]")
 _LONGEST_ID = 64  # of the end of a path: exports write ids of 80 letters at most
 _TOUCHES_PER_SHARD = 4096
@@ -51,8 +57,10 @@ _SHARD_BYTES = 256 << 20
 _GROUP_BYTES = 32 << 20
 _POSE = "gel_pose_cell_frame"
 _OF_ROUND = ("label", "object_id")
-_EXIF_BYTES = 1 << 12  # it stands at the beginning
+_NUMBERED = "label"
 _ORIENTATION = 0x0112
+_TURNED = range(2, 9)
+_MOST_FIELDS = 100
 
 
 def import_images(
@@ -63,7 +71,7 @@ def import_images(
     *,
     table: str | None = None,
     classes: Sequence[str] = (),
-    split: str = "train",
+    split: str | None = None,
     workers: int | Runner = 1,
     overwrite: bool = False,
     on_progress: Callable[[Progress], None] = lambda _: None,
@@ -81,13 +89,15 @@ def import_images(
         In tars, the fields are those of the JSON file of each sample, and the text of other files by their
         endings, such as ``cls``.
     columns : ImportColumns, optional
-        Which columns hold what.
+        Which columns hold what; those of our own exports are found without.
     table : str, optional
         The table, below the folder; the only CSV file there by default.
     classes : sequence of str, optional
-        Names of the classes in order. By default those in the data, the ten digits where all are digits.
-    split : str
-        Split of touches where no column says it.
+        Names of the classes in order. By default those in the data, as they are written there; the numbers
+        from 0 to at least 9 where all are numbers below 10,000 without leading zeros.
+    split : str, optional
+        Split of touches where no column states it. By default the one in the name of a tar such as
+        ``test-000000.tar``, which :func:`realtouch.export` writes, else ``train``.
     workers, overwrite, on_progress
         As for :func:`realtouch.to_single`.
 
@@ -95,6 +105,7 @@ def import_images(
     -------
     Manifest
         What the folder holds now; what could not be used is left out and listed in it with the reason.
+        Fields that were not imported are counted in its statistics, as ``not_imported``.
 
     Raises
     ------
@@ -114,20 +125,16 @@ def import_images(
     if layout not in readers:
         message = f"there is no layout {layout!r} to import; expected folder or webdataset"
         raise InputError(message)
-    if not _SPLIT.fullmatch(split):
+    if split is not None and not _SPLIT.fullmatch(split):
         message = f"the split is {split!r}; expected letters, digits and underscores"
         raise InputError(message)
     folder = DataFolder(fspath(out))
     _refuse_inside(folder, home)
-    wanted = chosen.names()
-    items = [
-        replace(item, values={name: item.values[name] for name in wanted if name in item.values})
-        for item in readers[layout](home, chosen, table)
-    ]
+    items, columns = _listed(readers[layout](home, chosen, table), chosen)
     if not items:
         message = f"{home.address()!r} holds nothing to import; expected images"
         raise InputError(message)
-    plan = _plan(items, chosen, tuple(classes), split, layout)
+    plan = _plan(items, columns, tuple(classes), split, layout)
     return build(
         folder,
         plan,
@@ -136,6 +143,32 @@ def import_images(
         on_progress=on_progress,
         write_card=lambda folder, manifest: write_card(folder, manifest, "single"),
     )
+
+
+def _listed(found: Iterable[Item], chosen: ImportColumns) -> tuple[list[Item], ImportColumns]:
+    """Return all items, each with the fields that are used, and the columns that hold those."""
+    items: list[Item] = []
+    known: dict[str, None] = {}
+    alike: dict[tuple[str, ...], tuple[str, ...]] = {}  # most items have the same fields
+    for item in found:
+        fields = tuple(name for name, value in item.values.items() if name and value not in (None, ""))
+        known |= dict.fromkeys(item.values)
+        wanted = chosen.found_in(item.values).names() + [_NUMBERED] * (chosen.label is None)
+        values = {name: item.values[name] for name in wanted if name in item.values}
+        odd = [name for name, value in values.items() if isinstance(value, str) and not _is_unicode(value)]
+        problem = (Reason.json, f"its field {odd[0]!r} holds text that is not Unicode") if odd else None
+        values = {name: value for name, value in values.items() if name not in odd}
+        fields = alike.setdefault(fields, fields)
+        items.append(replace(item, values=values, problem=item.problem or problem, fields=fields))
+    return items, chosen.found_in(known)
+
+
+def _is_unicode(text: str) -> bool:
+    """Return whether a text can be stored: JSON may hold one half of a surrogate pair without the other."""
+    with suppress(UnicodeEncodeError):
+        text.encode()
+        return True
+    return False
 
 
 def _refuse_inside(folder: DataFolder, home: DataFolder) -> None:
@@ -160,12 +193,12 @@ def _plan(
     items: Sequence[Item],
     columns: ImportColumns,
     classes: tuple[str, ...],
-    split: str,
+    split: str | None,
     layout: str,
 ) -> BuildPlan:
     """Divide the touches into splits, rounds and shards. InputError where nothing can be imported."""
-    names = tuple(map(_whole, classes)) or _class_names(_whole(_text(i.values, columns.label)) for i in items)
-    if len(set(names)) < len(names):
+    names = classes or _class_names(items, columns.label)
+    if len(set(map(_whole, classes))) < len(classes):
         message = f"the classes are {', '.join(names)}; expected each once"
         raise InputError(message)
     rounds = _rounds(items, columns, split)
@@ -239,25 +272,34 @@ class _SourceIsTheSame:
         return is_listed and sha256_hex(encode_parquet(content.table, self.style)) == record.sha256
 
 
-def _class_names(labels: Iterable[str]) -> tuple[str, ...]:
-    """Return the classes of some labels: numbers count from 0, ten at least; names are ordered as text."""
-    found = sorted({label for label in labels if label})
-    if all(label.isdecimal() and label.isascii() and len(label) < 5 for label in found):
-        return tuple(str(number) for number in range(max([len(CLASS_NAMES), *(int(n) + 1 for n in found)])))
-    return tuple(found)
+def _class_names(items: Sequence[Item], column: str | None) -> tuple[str, ...]:
+    """Return the classes in the data: numbers count from 0, ten at least; names stay as they are."""
+    numbered: dict[str, str] = {}  # our exports have name and number, which keeps the order
+    for item in items:
+        number = "" if column == _NUMBERED else _text(item.values, _NUMBERED)
+        numbered.setdefault(_text(item.values, column), number if number.isdecimal() else "")
+    numbered.pop("", None)
+    matches = [_NUMBER.fullmatch(name) for name in numbered]
+    numbers = [int(match[1]) for match in matches if match is not None and len(match[1]) < 5]
+    if len(numbers) == len(numbered):
+        return tuple(map(str, range(max([len(CLASS_NAMES), *(number + 1 for number in numbers)]))))
+    return tuple(sorted(numbered, key=lambda name: (len(numbered[name]), numbered[name], name)))
 
 
-def _rounds(items: Sequence[Item], columns: ImportColumns, split: str) -> dict[str, dict[str, list[Item]]]:
+def _rounds(
+    items: Sequence[Item], columns: ImportColumns, split: str | None
+) -> dict[str, dict[str, list[Item]]]:
     """Return the touches of each round of each split, in order; a touch without a round is one."""
     found: dict[str, dict[str, list[Item]]] = {}
     home: dict[str, str] = {}
-    named = set() if columns.round is None else {_text(item.values, columns.round) for item in items}
+    named = {_text(item.values, columns.round) for item in items}
     for item in items:
-        part = split if columns.split is None else _text(item.values, columns.split) or split
+        tar = _OUR_TAR.fullmatch(item.path.rpartition("/")[2])
+        part = _text(item.values, columns.split) or split or (tar[1] if tar is not None else "train")
         if not _SPLIT.fullmatch(part):
             message = f"{item.name!r}: the split {part[:LONGEST_SHOWN]!r}; expected letters and digits"
             raise InputError(message)
-        name = "" if columns.round is None else _text(item.values, columns.round)
+        name = _text(item.values, columns.round)
         if not name:
             name = _UNNAMED.sub("_", item.name.rpartition(".")[0] or item.name)[-_LONGEST_ID:]
             while name in home or name in named:
@@ -316,19 +358,26 @@ class _ImportShard:
     def make(self) -> ShardContent:
         """Read the touches; those that cannot be used are left out and listed."""
         rows, skipped = [], []
+        used = {*self.columns.names(), self.columns.image}
+        used |= {_NUMBERED} if self.columns.label == f"{_NUMBERED}_name" else set()
+        others = Counter[str]()
         contents = contents_of(item for _, items in self.rounds for item in items)
         for name, items in self.rounds:
             touches: list[dict[str, Any]] = []
             for item in items:
                 try:
                     touches.append(self._touch(item, contents, touches))
+                    others.update(name for name in item.fields if name not in used)
                 except ItemError as error:
                     skipped.append(Skipped(item.number, str(error.reason), f"{item.name!r}: {error.message}"))
             if touches:
                 of_round = {each: touches[0][each] for each in _OF_ROUND}
                 of_touch = {each: [touch[each] for touch in touches] for each in touches[0]}
                 rows.append({"id": name, **of_touch, **of_round})
-        return ShardContent(pa.Table.from_pylist(rows, self.schema), tuple(skipped))
+        counted = {printable(name): count for name, count in others.most_common(_MOST_FIELDS)}
+        statistics = {NOT_IMPORTED: dict(sorted(counted.items()))} if counted else None
+        table = pa.Table.from_pylist(rows, self.schema)
+        return ShardContent(table, tuple(skipped), statistics=statistics)
 
     def _touch(
         self, item: Item, contents: Iterator[bytes | Exception], before: Sequence[dict[str, Any]]
@@ -344,18 +393,21 @@ class _ImportShard:
         except ValueError as error:
             raise ItemError(Reason.image, str(error)) from error
         if _is_turned(image):
-            problem = "its EXIF data ask to turn it, which some readers do; expected pixels that lie as seen"
+            problem = (
+                "its Exif or XMP data ask to turn it, which some readers do; expected pixels that lie as seen"
+            )
             raise ItemError(Reason.image, problem)
         if self.image_size is not None and size != self.image_size:
             (height, width), (first_height, first_width) = size, self.image_size
             problem = f"{width} x {height} pixels; expected {first_width} x {first_height} as in the first"
             raise ItemError(Reason.size, problem)
         values, columns = item.values, self.columns
-        label = _whole(_text(values, columns.label))
+        label = _text(values, columns.label)
+        label = label if label in self.names else _whole(label)
         if label not in self.names:
             raise ItemError(Reason.label, f"the label {label[:LONGEST_SHOWN]!r}; expected a class")
         object_id = 0
-        if columns.object_id is not None:
+        if columns.object_id:
             text = _whole(_text(values, columns.object_id))
             if not (text.isdecimal() and text.isascii() and len(text) < 19):
                 raise ItemError(
@@ -379,28 +431,27 @@ class _ImportShard:
 
 
 def _is_turned(image: bytes) -> bool:
-    """Tell whether an image says of itself that it is to be turned before it is shown."""
-    if b"Exif" not in image[:_EXIF_BYTES]:
-        return False
+    """Return whether readers that obey what an image states of itself turn it; Pillow knows all places."""
     from PIL import Image
 
     try:
-        with Image.open(io.BytesIO(image)) as opened:
-            return bool(opened.getexif().get(_ORIENTATION, 1) != 1)
-    except (OSError, SyntaxError, ValueError, struct.error):
+        with Image.open(io.BytesIO(image), formats=["JPEG", "PNG", "WEBP"]) as opened:
+            return opened.getexif().get(_ORIENTATION) in _TURNED
+    except (OSError, SyntaxError, ValueError, TypeError, struct.error):
         return False  # such data turn nothing
 
 
-def _text(values: Mapping[str, Any], name: str) -> str:
+def _text(values: Mapping[str, Any], name: str | None) -> str:
     """Return a value as text; nothing for what is none: JSON has NaN, lists and objects too."""
-    value = values.get(name)
+    value = values.get(name) if name else None
     is_none = value is None or value != value or isinstance(value, (list, dict))
     return "" if is_none else str(value).strip()
 
 
 def _whole(text: str) -> str:
-    """Return ``"3"`` for ``"3.0"``: so tables have whole numbers whose column lacks a value somewhere."""
-    return _WITH_POINT.sub(r"\1", text)
+    """Return ``"3"`` for ``"3.0"``: so tables have integers whose column lacks a value somewhere."""
+    match = _NUMBER.fullmatch(text)
+    return text if match is None else match[1]
 
 
 def _numbers(values: Mapping[str, Any], names: Sequence[str], count: int, what: Reason) -> tuple[float, ...]:

@@ -7,7 +7,7 @@ import io
 import json
 import re
 import tarfile
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from functools import cache
@@ -15,6 +15,7 @@ from itertools import groupby
 from pathlib import Path
 from typing import Any
 
+from realtouch.exchange.flat import POSE_COLUMNS, POSITION_COLUMNS
 from tactile_toolkit.errors import InputError, IntegrityError
 from tactile_toolkit.run.threads import in_threads
 from tactile_toolkit.store.address import is_remote
@@ -64,14 +65,18 @@ class Reason(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class ImportColumns:
-    """Which columns of a table, or fields of JSON files, hold what; None: nothing does.
+    """Which columns of a table, or fields of JSON files, hold what.
+
+    What is not named is read from the columns that :func:`realtouch.export` and :func:`realtouch.frames`
+    write, where the source has them: ``label_name`` or ``label``, ``round_id``, ``object_id``, ``split``,
+    ``pos_in_cell_x_m`` and ``_y_m``, ``gel_x_m`` to ``gel_qw``. An empty text stands for no column.
 
     Attributes
     ----------
     image : str or None
         Path of the image below the folder; of WebDataset, its ending, the first image of a sample if None.
-    label : str
-        Class: a whole number, or a name.
+    label : str or None
+        Class: a number, or a name.
     round : str or None
         Which touches belong together; without it each is a round of its own.
     object_id : str or None
@@ -85,7 +90,7 @@ class ImportColumns:
     """
 
     image: str | None = "file"
-    label: str = "label"
+    label: str | None = None
     round: str | None = None
     object_id: str | None = None
     position: tuple[str, ...] = ()
@@ -101,15 +106,34 @@ class ImportColumns:
                 )
                 raise InputError(message)
 
+    def found_in(self, known: Collection[str]) -> ImportColumns:
+        """Return these columns and, where none was named, those of our own exports among the known ones."""
+
+        def ours(chosen: str | None, name: str) -> str | None:
+            return name if chosen is None and name in known else chosen
+
+        return replace(
+            self,
+            label=ours(self.label, "label_name") or "label",
+            round=ours(self.round, "round_id"),
+            object_id=ours(self.object_id, "object_id"),
+            position=self.position or (POSITION_COLUMNS if {*POSITION_COLUMNS} <= {*known} else ()),
+            pose=self.pose or (POSE_COLUMNS if {*POSE_COLUMNS} <= {*known} else ()),
+            split=ours(self.split, "split"),
+        )
+
     def names(self) -> list[str]:
         """Return the columns that must be there."""
         plain = (self.label, self.round, self.object_id, self.split, *self.position, *self.pose)
-        return list(dict.fromkeys(name for name in plain if name is not None))
+        return list(dict.fromkeys(filter(None, plain)))
 
 
 @dataclass(frozen=True, slots=True)
 class Item:
-    """A touch to import: where its image lies, what is said of it, and why it cannot be used, if so."""
+    """A touch to import: where its image lies, what is said of it, and why it cannot be used, if so.
+
+    ``fields`` names all fields of the source that have a value.
+    """
 
     number: int
     name: str
@@ -118,6 +142,7 @@ class Item:
     size: int
     values: Mapping[str, Any] = field(repr=False)
     problem: tuple[Reason, str] | None = None
+    fields: tuple[str, ...] = field(default=(), repr=False)
 
     def __post_init__(self) -> None:
         if self.problem is None and self.size > MAX_IMAGE_BYTES:
@@ -166,7 +191,8 @@ def items_of_table(home: DataFolder, columns: ImportColumns, table: str | None) 
     seen: dict[str, int] = {}
     sizes = cache(home.sizes)  # of a store, one look at each folder
     try:
-        _require_columns(list(lines.fieldnames or ()), [columns.image, *columns.names()], path)
+        names = list(lines.fieldnames or ())
+        _require_columns(names, [columns.image, *columns.found_in(names).names()], path)
         for number, values in enumerate(lines):
             name = _HERE.sub("", str(values[columns.image] or ""))
             yield _file_item(home, sizes, number, name, values, seen)
@@ -268,7 +294,7 @@ def items_of_tars(home: DataFolder, columns: ImportColumns, table: str | None) -
             number += 1
             yield item
     if number:
-        _require_columns(list(known), columns.names(), home.address())
+        _require_columns(list(known), columns.found_in(known).names(), home.address())
 
 
 def _tars(home: DataFolder) -> list[tuple[DataFolder, str]]:

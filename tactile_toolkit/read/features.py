@@ -45,6 +45,7 @@ def stored_features(schema: Any, where: str) -> dict[str, Any]:
         names = label.get("names")
         if names is not None and not (isinstance(names, list) and set(map(type, names)) <= {str}):
             raise TypeError
+        "".join(names or ()).encode()  # half a surrogate pair is not text
     except (ValueError, AttributeError, TypeError, RecursionError) as error:
         beginning = text[:80].decode(errors="replace")
         message = (

@@ -22,7 +22,10 @@ _DIGITS = re.compile("[0-9a-f]*")
 def json_fields(text: str | bytes, where: str) -> Fields:
     """Parse a JSON object; IntegrityError, naming ``where`` it is from, for anything else."""
     try:
+        text = text if isinstance(text, str) else text.decode()
         values = json.loads(text)
+        if "\\u" in text:  # escapes can make half a surrogate pair, which is not text
+            json.dumps(values, ensure_ascii=False).encode()
     except (ValueError, RecursionError) as error:  # bytes that are no text, too, and numbers of 5,000 digits
         message = f"{where!r} is damaged, a JSON object was expected ({type(error).__name__}: {error})"
         raise IntegrityError(message) from error

@@ -16,6 +16,7 @@ from pathlib import PurePosixPath
 from typing import Any
 
 from tactile_toolkit.errors import IntegrityError
+from tactile_toolkit.printable import printable_json
 from tactile_toolkit.store.fields import json_fields
 from tactile_toolkit.store.folder import DataFolder
 from tactile_toolkit.store.names import names_inside
@@ -124,7 +125,7 @@ class Manifest:
             **({"trees": list(self.extra_dirs)} if self.extra_dirs else {}),
             "shards": [record.to_dict() for record in self.shards],
         }
-        return json.dumps(values, indent=1, ensure_ascii=False) + "\n"
+        return printable_json(values, indent=1) + "\n"
 
     @classmethod
     def from_json(cls, text: str, where: str) -> Manifest:

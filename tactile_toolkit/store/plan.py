@@ -112,6 +112,24 @@ class BuildPlan:
     def __post_init__(self) -> None:
         # What is compared with a manifest has gone through JSON there: tuples became lists.
         object.__setattr__(self, "spec", json.loads(json.dumps(self.spec)))
+        try:
+            json.dumps(self.spec, ensure_ascii=False).encode()
+        except UnicodeEncodeError as error:
+            found = error.object[max(0, error.start - 20) : error.end + 20]
+            message = (
+                f"the specification holds {found!r}, which is not Unicode text; nothing was changed; next: "
+                "give another name"
+            )
+            raise InputError(message) from error
+        splits: dict[str, str] = {}
+        for split in dict.fromkeys(task.shard.split for task in self.tasks):
+            first = splits.setdefault(split.casefold(), split)
+            if first != split:
+                message = (
+                    f"the splits {first!r} and {split!r} differ in case alone, and their files would be the "
+                    "same on many file systems; expected other names; nothing was changed; next: rename one"
+                )
+                raise InputError(message)
         for shard in (task.shard for task in self.tasks):
             if not shard.can_be_read_back:
                 message = (

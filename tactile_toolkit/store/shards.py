@@ -11,6 +11,7 @@ from pathlib import PurePosixPath
 from typing import Any, NamedTuple
 
 from tactile_toolkit.errors import InputError, IntegrityError
+from tactile_toolkit.printable import printable
 from tactile_toolkit.store.fields import LARGEST, Fields, all_digests
 from tactile_toolkit.wording import did_you_mean
 
@@ -125,11 +126,14 @@ def shard_ranges(
 
 @dataclass(frozen=True, slots=True)
 class Skipped:
-    """An item of a source that gave no row: a stable word for counting, and the whole story."""
+    """An item of a source that gave no row: a stable word for counting, and what was wrong, printable."""
 
     id: int
     reason: str
     message: str
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "message", printable(self.message))
 
 
 class ShardRecord(NamedTuple):  # 50,000 of a frozen dataclass would take 0.1 s longer to make

@@ -7,12 +7,14 @@ import io
 import json
 import shutil
 import tarfile
+import zlib
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pyarrow.parquet as pq
 import pytest
-from PIL import Image
+from PIL import Image, ImageOps
 from typer.testing import CliRunner
 
 import realtouch
@@ -64,6 +66,40 @@ def test_there_and_back(layout: Any, single_folder: Path, tmp_path: Path) -> Non
     assert again.split_table()["train"]["rows"] == 15
 
 
+@pytest.mark.parametrize("layout", ["folder", "webdataset"])
+def test_our_own_field_names_are_found(
+    layout: str, single_folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """By the shortest command nothing is lost: poses, positions, labels, objects, rounds, splits."""
+    there, back = tmp_path / "there", tmp_path / "back"
+    if layout == "folder":
+        realtouch.frames(single_folder, there, "jpeg")
+        place = there
+    else:
+        realtouch.export(single_folder, there, "webdataset")
+        place = there / "webdataset"
+    assert call("realtouch", "import", place, "--layout", layout, "--out", back, "--workers", 1) == 0
+    for split in ("train", "test"):
+        for before, after in zip(
+            realtouch.load(single_folder, split), realtouch.load(back, split), strict=True
+        ):
+            assert isinstance(after, realtouch.TouchSingleRound)
+            assert (after.id, after.label, after.object_id) == (before.id, before.label, before.object_id)
+            np.testing.assert_array_equal(after.pos_in_cell_m, before.pos_in_cell_m)
+            pose, other = after.gel_pose_cell_frame, before.gel_pose_cell_frame
+            np.testing.assert_array_equal(pose.position_m, other.position_m)
+            np.testing.assert_array_equal(pose.quaternion, other.quaternion)
+    said = capsys.readouterr().err
+    counted = (
+        "frame (20), id (20), sha256 (20), touch (20)"
+        if layout == "folder"
+        else "frame (20), id (20), touch (20)"
+    )
+    assert f"fields that were not imported, and of how many touches: {counted}\n" in said
+    manifest = json.loads((back / "manifest.json").read_text())
+    assert manifest["statistics"]["train"]["not_imported"]["touch"] == 15
+
+
 def picture(level: int, size: tuple[int, int] = (24, 32)) -> bytes:
     return factories.encode_jpeg(np.full((*size, 3), level, np.uint8))
 
@@ -86,6 +122,16 @@ def home(tmp_path: Path) -> Path:
 
 def line(name: str, label: str = "cat", pose: str = "0 0 0.1 0 0 0 1") -> dict[str, str]:
     return {"file": name, "label": label, "pose": pose}
+
+
+def test_names_of_classes_of_our_own_exports_stay(home: Path, tmp_path: Path) -> None:
+    names = ["zebra", "ant", "cat"]
+    write_table(home, [line(f"pictures/{number}.jpg", names[number % 3]) for number in range(4)])
+    realtouch.import_images(home, tmp_path / "named", "folder", classes=names)
+    realtouch.export(tmp_path / "named", tmp_path / "tars", "webdataset")
+    realtouch.import_images(tmp_path / "tars" / "webdataset", tmp_path / "back", "webdataset")
+    back = realtouch.load(tmp_path / "back", "train")
+    assert (list(back.label_names), back.labels.tolist()) == (names, [0, 1, 2, 0])
 
 
 @pytest.mark.parametrize("kind", ["imported", "smaller", "chosen", "flat", "webdataset", "frames"])
@@ -231,6 +277,36 @@ def test_tables_and_options_that_cannot_be_used(home: Path, tmp_path: Path) -> N
     refused(r"0\.jpg': the split '\.\./a'; expected letters and digits", columns, table="index.csv")
 
 
+@pytest.mark.parametrize(
+    ("labels", "names"),
+    [
+        (["007", "7", "01", "1"], ["007", "01", "1", "7"]),
+        (["1.0", "1.5", "2.0", "1.0"], ["1.0", "1.5", "2.0"]),
+        (["zebra", "ant", "3", "3.0"], ["3", "3.0", "ant", "zebra"]),
+        (["3.0", "3", "0", "12"], [str(number) for number in range(13)]),
+        (["10000", "9", "9", "9"], ["10000", "9"]),
+    ],
+)
+def test_classes_stay_the_text_that_they_are(
+    labels: list[str], names: list[str], home: Path, tmp_path: Path
+) -> None:
+    write_table(home, [line(f"pictures/{number}.jpg", label) for number, label in enumerate(labels)])
+    manifest = realtouch.import_images(home, tmp_path / "out", "folder")
+    found = realtouch.load(tmp_path / "out", "train")
+    assert list(found.label_names) == names
+    stored = [found.label_names[label] for label in found.labels]
+    assert stored == [label if label in names else label.removesuffix(".0") for label in labels]
+    assert not manifest.skipped_reasons()
+
+
+def test_given_classes_stay_the_text_that_they_are(home: Path, tmp_path: Path) -> None:
+    labels = ("01", "1", "1.0", "007")
+    write_table(home, [line(f"pictures/{number}.jpg", label) for number, label in enumerate(labels)])
+    manifest = realtouch.import_images(home, tmp_path / "out", "folder", classes=("1", "01", "7"))
+    assert realtouch.load(tmp_path / "out", "train").labels.tolist() == [1, 0, 0]
+    assert [item.id for item in manifest.shards[0].skipped] == [3]
+
+
 def test_names_that_meet_and_numbers_with_a_point(home: Path, tmp_path: Path) -> None:
     for name in ("a_b_2", "a_b", "pictures/x"):
         (home / f"{name}.jpg").write_bytes(picture(9))
@@ -277,6 +353,143 @@ def test_images_that_readers_would_see_differently(tmp_path: Path) -> None:
         assert words in item.message
     seen = realtouch.load(tmp_path.parent / "seen", "train")
     assert [int(each.sensor_image[0].mean().round()) for each in seen] == [9, 7]
+
+
+def _png(*chunks: tuple[bytes, bytes], late: bool = False) -> bytes:
+    """Return a PNG with further chunks before its pixels, or after them."""
+    stream = io.BytesIO()
+    Image.new("RGB", (32, 24), (9, 9, 9)).save(stream, "PNG")
+    content = stream.getvalue()
+    more = b"".join(
+        len(data).to_bytes(4, "big") + kind + data + zlib.crc32(kind + data).to_bytes(4, "big")
+        for kind, data in chunks
+    )
+    place = content.index(b"IEND" if late else b"IDAT") - 4
+    return content[:place] + more + content[place:]
+
+
+def _turned_images() -> dict[str, bytes]:
+    """Return images that ask to be turned, in all places in which they can."""
+    exif = Image.Exif()
+    exif[0x0112] = 6
+    tiff = exif.tobytes()[6:]
+    xmp = b'<x:xmpmeta xmlns:x="adobe:ns:meta/"><rdf:Description tiff:Orientation="6"/></x:xmpmeta>'
+    far, upright = Image.Exif(), Image.new("RGB", (32, 24), (9, 9, 9))
+    far[0x0112], far[0x010E] = 6, "x" * 9000
+    comment = b"\xff\xfe" + (9000).to_bytes(2, "big") + bytes(8998)
+
+    def saved(kind: str, **options: Any) -> bytes:
+        stream = io.BytesIO()
+        upright.save(stream, kind, **options)
+        return stream.getvalue()
+
+    jpeg = saved("JPEG", exif=exif)
+    raw = f"\nexif\n{len(tiff) + 6:8}\n{(b'Exif' + bytes(2) + tiff).hex()}\n".encode()
+    return {
+        "near.jpg": jpeg,
+        "far.jpg": jpeg[:2] + comment + jpeg[2:],
+        "large.jpg": saved("JPEG", exif=far),
+        "xmp.jpg": saved("JPEG", xmp=xmp),
+        "exif.png": _png((b"eXIf", tiff)),
+        "late.png": _png((b"eXIf", tiff), late=True),
+        "raw.png": _png((b"zTXt", b"Raw profile type exif\0\0" + zlib.compress(raw))),
+        "xmp.png": _png((b"iTXt", b"XML:com.adobe.xmp\0\0\0\0\0" + xmp)),
+        "exif.webp": saved("WEBP", exif=exif, lossless=True),
+        "xmp.webp": saved("WEBP", xmp=xmp, lossless=True),
+    }
+
+
+def test_every_way_to_ask_to_be_turned_is_seen(tmp_path: Path) -> None:
+    home = tmp_path / "home"
+    home.mkdir()
+    images = _turned_images()
+    for content in images.values():  # else the test would test nothing
+        with Image.open(io.BytesIO(content)) as image:
+            assert ImageOps.exif_transpose(image).size == (24, 32)
+    stream = io.BytesIO()
+    odd = Image.Exif()
+    odd[0x0112] = 9  # which turns nothing
+    Image.new("RGB", (32, 24)).save(stream, "JPEG", exif=odd)
+    images |= {"odd.jpg": stream.getvalue(), "text.jpg": picture(3) + b"Exif", "plain.png": _png()}
+    for name, content in images.items():
+        (home / name).write_bytes(content)
+    write_table(home, [{"file": name, "label": 1} for name in images])
+    manifest = realtouch.import_images(home, tmp_path / "out", "folder")
+    skipped = manifest.shards[0].skipped
+    assert [item.id for item in skipped if "to turn it" in item.message] == list(range(10))
+    assert [item.id for item in skipped][10:] == [11]  # without the mark of its end
+
+
+def test_splits_that_differ_in_case_alone(
+    home: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    lines = [{"file": f"pictures/{n}.jpg", "label": 1, "part": ("Train", "train")[n % 2]} for n in range(4)]
+    write_table(home, lines)
+    arguments = ("import", home, "--layout", "folder", "--split-column", "part", "--workers", 1)
+    assert call("realtouch", *arguments, "--out", tmp_path / "out") == 2
+    said = capsys.readouterr().err
+    assert "the splits 'Train' and 'train' differ in case alone" in said
+    assert len(said.splitlines()) == 1
+    assert not (tmp_path / "out").exists()
+
+
+def test_text_that_cannot_be_stored_or_seen(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Half surrogates are left out; what turns or hides text reaches no terminal, manifest or card."""
+    fields = [
+        {"label": "a\u202eb\x07\u0085x", "round": "r\u202e\x1b[31m", "cap\ud800": 1},
+        {"label": "\ud800x", "round": "b"},
+        {"label": "ok", "round": "c\udfff"},
+        {"label": "ok", "round": "d"},
+        {"label": "ok", "round": "e"},
+    ]
+    names = ("a", "b", "c", "d", "e\u2067")
+    members = [
+        (f"{name}.{ending}", content)
+        for name, values in zip(names, fields, strict=True)
+        for ending, content in (("jpg", picture(9)), ("json", json.dumps(values).encode()))
+    ]
+    write_tar(tmp_path / "a.tar", members)
+    out = tmp_path / "out"
+    arguments = ("import", tmp_path / "a.tar", "--layout", "webdataset", "--workers", 1)
+    assert call("realtouch", *arguments, "--round-column", "round", "--out", out) == 0
+    for command in ("verify", "info", "card"):
+        assert call("realtouch", command, out) == 0
+    found = realtouch.load(out, "train")
+    assert (found.label_names, found.ids.tolist()) == (
+        ("a\u202eb\x07\u0085x", "ok"),
+        ["r\u202e\x1b[31m", "d"],
+    )
+    said = capsys.readouterr()
+    shown = {"out": said.out, "err": said.err}
+    shown |= {path.name: path.read_text() for path in out.iterdir() if path.is_file()}
+    for name, text in shown.items():
+        assert text.replace("\n", "").isprintable(), name
+    assert "left out: 'b': its field 'label' holds text that is not Unicode (json)" in said.err
+    reasons = json.loads(shown["manifest.json"])["skipped"]
+    assert reasons == {"json": 2, "name": 1}
+    assert call("realtouch", *arguments, "--classes", "ok,\udcff", "--out", tmp_path / "no") == 2
+    assert "which is not Unicode text; nothing was changed" in capsys.readouterr().err
+    assert not (tmp_path / "no").exists()
+
+
+def test_stored_text_that_is_not_unicode(
+    single_folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    realtouch.select(single_folder, tmp_path / "out", split="test")
+    (shard,) = (tmp_path / "out" / "data").iterdir()
+    manifest, good = tmp_path / "out" / "manifest.json", (tmp_path / "out" / "manifest.json").read_text()
+    for escape in ("\\ud800", "\\uDFFF"):
+        manifest.write_text(good.replace('"select"', f'"select{escape}"'))
+        for command in ("verify", "info", "card"):
+            assert call("realtouch", command, tmp_path / "out") == 3, command
+            assert "surrogates not allowed" in capsys.readouterr().err
+    manifest.unlink()
+    table = pq.read_table(shard)
+    metadata = table.schema.metadata[b"huggingface"].replace(b'"0"', b'"\\ud800"')
+    pq.write_table(table.replace_schema_metadata({b"huggingface": metadata}), shard)
+    for command in ("verify", "info", "card"):
+        assert call("realtouch", command, tmp_path / "out") == 3, command
+        assert "class names among them" in capsys.readouterr().err
 
 
 def write_tar(path: Path, members: list[tuple[str, bytes]]) -> None:
