@@ -372,13 +372,13 @@ class _WriteMeta:
         """Return the checksum of each file of the LeRobotDataset by its path."""
         files = vouched_files(folder, manifest)
         placed = [list(files_of(folder, record)) for record in manifest.shards if record.rows]
-        episodes = [Shard(folder.address(meta)) for _, meta in placed]
-        frames = Shard(folder.address(placed[0][0])).schema
-        total_frames = sum(len(Shard(folder.address(data))) for data, _ in placed)
-        info = self._info(frames, sum(map(len, episodes)), total_frames)
+        frames, episodes = (
+            [Shard(folder.address(path)) for path in paths] for paths in zip(*placed, strict=True)
+        )
+        info = self._info(frames[0].schema, sum(map(len, episodes)), sum(map(len, frames)))
         meta = {
             "info.json": _json_bytes(info),
-            "stats.json": _json_bytes(_statistics_of_all(episodes, frames.names)),
+            "stats.json": _json_bytes(_statistics_of_all(episodes, frames)),
             "tasks.parquet": encode_parquet(_task_table(self.tasks), _META_STYLE),
         }
         for name, content in meta.items():
@@ -430,37 +430,62 @@ def _task_table(tasks: Sequence[str]) -> pa.Table:
     return table.replace_schema_metadata({"pandas": json.dumps({**of_pandas, "pandas_version": "2.0.0"})})
 
 
-def _statistics_of_all(episodes: Sequence[Shard], features: Sequence[str]) -> dict[str, Any]:
-    """Put the statistics of all episodes together, weighed by their counts, as LeRobot does."""
+def _statistics_of_all(episodes: Sequence[Shard], frames: Sequence[Shard]) -> dict[str, Any]:
+    """Put the statistics of all episodes together, weighed by their counts, as LeRobot does.
+
+    Quantiles of parts do not give those of all: of numbers, they are taken from all frames.
+    """
     found: dict[str, Any] = {}
-    for name in features:
+    for each in frames[0].schema:
+        name = each.name
         columns = [f"stats/{name}/{statistic}" for statistic in _STATISTICS]
         table = pa.concat_tables([shard.read(columns=columns) for shard in episodes])
-        each = {
+        of_episodes = {
             statistic: _flat_rows(table[column])
             for statistic, column in zip(_STATISTICS, columns, strict=True)
         }
-        weights = each["count"][:, 0]
+        weights = of_episodes["count"][:, 0]
         total = int(weights.sum())
-        means = _weighed(each["mean"], weights, total)
-        square = each["std"] ** 2 + (each["mean"] - means) ** 2
+        means = _weighed(of_episodes["mean"], weights, total)
+        square = of_episodes["std"] ** 2 + (of_episodes["mean"] - means) ** 2
+        if each.type == MEDIA_TYPE:
+            quantiles = [_weighed(of_episodes[key], weights, total) for key in _STATISTICS[5:]]
+        else:
+            quantiles = _quantiles(frames, name)
         values = {
-            "min": each["min"].min(axis=0).tolist(),
-            "max": each["max"].max(axis=0).tolist(),
+            "min": of_episodes["min"].min(axis=0).tolist(),
+            "max": of_episodes["max"].max(axis=0).tolist(),
             "mean": means,
             "std": [math.sqrt(value) for value in _weighed(square, weights, total)],
-            **{key: _weighed(each[key], weights, total) for key in _STATISTICS[5:]},
+            **dict(zip(_STATISTICS[5:], quantiles, strict=True)),
         }
         shaped = {key: [[[v]] for v in value] if name == _IMAGE else value for key, value in values.items()}
         found[name] = {**shaped, "count": [total]}
     return found
 
 
+def _quantiles(frames: Sequence[Shard], name: str) -> list[list[float]]:
+    """Return the quantiles of each number of a feature over all frames, interpolated as NumPy does.
+
+    One number of each frame is in memory at a time: 8 bytes a frame.
+    """
+    width = getattr(frames[0].types[name], "list_size", 1)
+    found = []
+    for number in range(width):
+        parts = [
+            np.asarray(_flat_rows(shard.read(columns=[name]).column(0))[:, number], np.float64)
+            for shard in frames
+        ]
+        found.append(np.quantile(np.concatenate(parts), _QUANTILES, overwrite_input=True))
+    quantiles: list[list[float]] = np.transpose(found).tolist()
+    return quantiles
+
+
 def _flat_rows(column: pa.ChunkedArray) -> NDArray[Any]:
     """Return lists of equal length, of whatever depth, as an array of a row for each."""
     values = column.combine_chunks()
     count = len(values)
-    while pa.types.is_list(values.type):
+    while pa.types.is_list(values.type) or pa.types.is_fixed_size_list(values.type):
         values = values.flatten()
     flat: NDArray[Any] = values.to_numpy().reshape(count, -1)
     return flat

@@ -198,6 +198,24 @@ def test_lerobot_numbers_frames_over_all_files(source: Path, truth: list[RoundTr
             np.testing.assert_allclose(np.ravel(found[f"stats/observation.images.tactile/{name}"]), value)
 
 
+@pytest.mark.usefixtures("small_shards")
+def test_quantiles_of_numbers_are_those_of_all_frames(source: Path, tmp_path: Path) -> None:
+    realtouch.export(source, tmp_path / "robots", "lerobot", split="train")
+    home = tmp_path / "robots" / "lerobot"
+    frames = pq.read_table(home / "data")
+    stats = json.loads((home / "meta" / "stats.json").read_text())
+    assert len(list((home / "data").rglob("*.parquet"))) == 3
+    for name in set(frames.column_names) - {"observation.images.tactile"}:
+        values = np.array(frames[name].to_pylist(), np.float64).reshape(len(frames), -1)
+        for key, share in (("q01", 0.01), ("q10", 0.1), ("q50", 0.5), ("q90", 0.9), ("q99", 0.99)):
+            found, wanted = stats[name][key], np.quantile(values, share, axis=0)
+            np.testing.assert_allclose(found, wanted, rtol=1e-12, err_msg=f"{name} {key}")
+    assert stats["label"]["q01"] < stats["label"]["q99"]
+    colours = stats["observation.images.tactile"]
+    assert np.shape(colours["q50"]) == (3, 1, 1)
+    assert np.all(np.less_equal(colours["q01"], colours["q99"]))
+
+
 _READ = """
 import json, sys
 from lerobot.datasets.lerobot_dataset import LeRobotDataset
