@@ -37,6 +37,7 @@ from tactile_toolkit.store.build import Progress, build
 from tactile_toolkit.store.folder import DataFolder
 from tactile_toolkit.store.manifest import Manifest
 from tactile_toolkit.touch.jpeg import MAX_IMAGE_PIXELS
+from tactile_toolkit.touch.schema import class_names
 
 __all__ = ["convert", "first_rows", "frames", "resize", "select", "to_single"]
 
@@ -317,7 +318,9 @@ def frames(
             **origin,
             **changed,
         },
-        WritePictures(folder, kind, method, difference, repeated_ids(opened, choices)),
+        WritePictures(
+            folder, kind, method, difference, repeated_ids(opened, choices), class_names(opened.schema)
+        ),
         choices,
         rows_per_shard=_INDEX_ROWS,
         rows_per_group=1 << 16,

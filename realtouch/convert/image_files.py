@@ -27,7 +27,7 @@ from tactile_toolkit.store.names import problem_of_name
 from tactile_toolkit.store.parquet import is_whole_file, sha256_hex
 from tactile_toolkit.store.shards import ShardRecord
 from tactile_toolkit.touch.jpeg import IMAGE_SUFFIX, ImageFormat, Pixels, encode_image
-from tactile_toolkit.touch.schema import POSE_COLUMN
+from tactile_toolkit.touch.schema import CLASS_NAMES, POSE_COLUMN
 
 __all__ = [
     "IMAGE_FOLDER",
@@ -74,7 +74,8 @@ class WritePictures:
     """Step of ``frames``: writes the pictures of a row below a folder, and gives their lines of the index.
 
     Stored JPEGs pass through as they are. With ``difference``, pictures are what differs from the background:
-    the median of the clip, or of the images of the round. ``repeated``: see :func:`repeated_ids`.
+    the median of the clip, or of the images of the round. ``repeated``: see :func:`repeated_ids`. ``names``
+    are those of the classes.
     """
 
     folder: DataFolder
@@ -82,10 +83,12 @@ class WritePictures:
     method: ContactMethod
     difference: Literal["grey", "absolute"] | None = None
     repeated: Mapping[str, frozenset[int]] = field(default_factory=dict, repr=False)
+    names: tuple[str, ...] = CLASS_NAMES
 
     def schema(self, source: Any) -> pa.Schema:
-        """Return the columns of the index."""
-        return _INDEX_SCHEMA
+        """Return the columns of the index; classes have names in it where those are not the digits."""
+        named = pa.field("label_name", pa.string())
+        return _INDEX_SCHEMA if self.names == CLASS_NAMES else _INDEX_SCHEMA.append(named)
 
     def apply(self, row: Row, choice: RowChoice, split: str) -> Any:
         """Write the pictures of a row and return its lines of the index.
@@ -105,7 +108,7 @@ class WritePictures:
         made = [self._picture(record, touch, folder, base) for touch in range(record.touch_count)]
         for line, encoded in made:
             self.folder.write_bytes(line["file"], encoded)
-        return pa.Table.from_pylist([line for line, _ in made], schema=_INDEX_SCHEMA)
+        return pa.Table.from_pylist([line for line, _ in made], schema=self.schema(None))
 
     def _picture(
         self, record: TouchSingleRound | TouchSeqRound, touch: int, folder: str, base: Pixels | None
@@ -127,6 +130,7 @@ class WritePictures:
             "frame": frame,
             "label": record.label,
             "object_id": record.object_id,
+            "label_name": dict(enumerate(self.names)).get(record.label),
             **numbers,
         }
         return line, encoded

@@ -152,8 +152,8 @@ def _listed(found: Iterable[Item], chosen: ImportColumns) -> tuple[list[Item], I
     alike: dict[tuple[str, ...], tuple[str, ...]] = {}  # most items have the same fields
     for item in found:
         fields = tuple(name for name, value in item.values.items() if name and value not in (None, ""))
-        known |= dict.fromkeys(item.values)
-        wanted = chosen.found_in(item.values).names() + [_NUMBERED] * (chosen.label is None)
+        known |= dict.fromkeys(fields)
+        wanted = chosen.found_in(fields).names() + [_NUMBERED] * (chosen.label is None)
         values = {name: item.values[name] for name in wanted if name in item.values}
         odd = [name for name, value in values.items() if isinstance(value, str) and not _is_unicode(value)]
         problem = (Reason.json, f"its field {odd[0]!r} holds text that is not Unicode") if odd else None

@@ -124,12 +124,21 @@ def line(name: str, label: str = "cat", pose: str = "0 0 0.1 0 0 0 1") -> dict[s
     return {"file": name, "label": label, "pose": pose}
 
 
-def test_names_of_classes_of_our_own_exports_stay(home: Path, tmp_path: Path) -> None:
+@pytest.mark.parametrize("layout", ["folder", "webdataset"])
+def test_names_of_classes_of_our_own_exports_stay(layout: Any, home: Path, tmp_path: Path) -> None:
+    """Of a set without poses and positions, too."""
     names = ["zebra", "ant", "cat"]
-    write_table(home, [line(f"pictures/{number}.jpg", names[number % 3]) for number in range(4)])
+    write_table(
+        home,
+        [line(f"pictures/{number}.jpg", names[number % 3]) | {"object_id": "7"} for number in range(4)],
+    )
     realtouch.import_images(home, tmp_path / "named", "folder", classes=names)
-    realtouch.export(tmp_path / "named", tmp_path / "tars", "webdataset")
-    realtouch.import_images(tmp_path / "tars" / "webdataset", tmp_path / "back", "webdataset")
+    there = tmp_path / "there" / ("webdataset" if layout == "webdataset" else "")
+    if layout == "webdataset":
+        realtouch.export(tmp_path / "named", tmp_path / "there", layout)
+    else:
+        realtouch.frames(tmp_path / "named", there)
+    assert not realtouch.import_images(there, tmp_path / "back", layout).skipped_reasons()
     back = realtouch.load(tmp_path / "back", "train")
     assert (list(back.label_names), back.labels.tolist()) == (names, [0, 1, 2, 0])
 
