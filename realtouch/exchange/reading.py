@@ -58,6 +58,7 @@ _GROUP_BYTES = 32 << 20
 _POSE = "gel_pose_cell_frame"
 _OF_ROUND = ("label", "object_id")
 _NUMBERED = "label"
+_JPEG_START, _APP1 = b"\xff\xd8", b"\xff\xe1"
 _ORIENTATION = 0x0112
 _TURNED = range(2, 9)
 _MOST_FIELDS = 100
@@ -149,16 +150,18 @@ def _listed(found: Iterable[Item], chosen: ImportColumns) -> tuple[list[Item], I
     """Return all items, each with the fields that are used, and the columns that hold those."""
     items: list[Item] = []
     known: dict[str, None] = {}
-    alike: dict[tuple[str, ...], tuple[str, ...]] = {}  # most items have the same fields
+    alike: dict[tuple[str, ...], tuple[tuple[str, ...], list[str]]] = {}  # most have the same fields
     for item in found:
         fields = tuple(name for name, value in item.values.items() if name and value not in (None, ""))
-        known |= dict.fromkeys(fields)
-        wanted = chosen.found_in(fields).names() + [_NUMBERED] * (chosen.label is None)
+        if fields not in alike:
+            known |= dict.fromkeys(fields)
+            used = chosen.found_in(fields).names()
+            alike[fields] = fields, used + [_NUMBERED] * (chosen.label is None and _NUMBERED not in used)
+        fields, wanted = alike[fields]
         values = {name: item.values[name] for name in wanted if name in item.values}
         odd = [name for name, value in values.items() if isinstance(value, str) and not _is_unicode(value)]
         problem = (Reason.json, f"its field {odd[0]!r} holds text that is not Unicode") if odd else None
         values = {name: value for name, value in values.items() if name not in odd}
-        fields = alike.setdefault(fields, fields)
         items.append(replace(item, values=values, problem=item.problem or problem, fields=fields))
     return items, chosen.found_in(known)
 
@@ -432,6 +435,8 @@ class _ImportShard:
 
 def _is_turned(image: bytes) -> bool:
     """Return whether readers that obey what an image states of itself turn it; Pillow knows all places."""
+    if image[:2] == _JPEG_START and _APP1 not in image:
+        return False  # both stand in such a segment, and to open an image takes a while
     from PIL import Image
 
     try:
