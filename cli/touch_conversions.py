@@ -115,8 +115,8 @@ class Columns:
             self.label_column,
             self.round_column,
             self.object_column,
-            tuple(_listed(self.position_columns)),
-            tuple(_listed(self.pose_columns)),
+            None if self.position_columns is None else tuple(_listed(self.position_columns)),
+            None if self.pose_columns is None else tuple(_listed(self.pose_columns)),
             self.split_column,
         )
 

@@ -459,7 +459,9 @@ def _whole(text: str) -> str:
     return text if match is None else match[1]
 
 
-def _numbers(values: Mapping[str, Any], names: Sequence[str], count: int, what: Reason) -> tuple[float, ...]:
+def _numbers(
+    values: Mapping[str, Any], names: Sequence[str] | None, count: int, what: Reason
+) -> tuple[float, ...]:
     """Return the numbers of some columns, or of one that holds all of them; none for no columns."""
     if not names:
         return ()

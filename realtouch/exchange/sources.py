@@ -69,7 +69,7 @@ class ImportColumns:
 
     What is not named is read from the columns that :func:`realtouch.export` and :func:`realtouch.frames`
     write, where the source has them: ``label_name`` or ``label``, ``round_id``, ``object_id``, ``split``,
-    ``pos_in_cell_x_m`` and ``_y_m``, ``gel_x_m`` to ``gel_qw``. An empty text stands for no column.
+    ``pos_in_cell_x_m`` and ``_y_m``, ``gel_x_m`` to ``gel_qw``. An empty text or tuple stands for no column.
 
     Attributes
     ----------
@@ -81,9 +81,9 @@ class ImportColumns:
         Which touches belong together; without it each is a round of its own.
     object_id : str or None
         Whole number of the touched object.
-    position : tuple of str
+    position : tuple of str or None
         x and y of the intended position, metres, cell frame; or one field that holds both.
-    pose : tuple of str
+    pose : tuple of str or None
         Position and quaternion (x, y, z, w) of the gel, metres, cell frame: seven, or one field with all.
     split : str or None
         Split of each touch.
@@ -93,12 +93,13 @@ class ImportColumns:
     label: str | None = None
     round: str | None = None
     object_id: str | None = None
-    position: tuple[str, ...] = ()
-    pose: tuple[str, ...] = ()
+    position: tuple[str, ...] | None = None
+    pose: tuple[str, ...] | None = None
     split: str | None = None
 
     def __post_init__(self) -> None:
-        for what, names, count in (("position", self.position, 2), ("pose", self.pose, 7)):
+        for what, chosen, count in (("position", self.position, 2), ("pose", self.pose, 7)):
+            names = chosen or ()
             if len(names) not in (0, 1, count):
                 message = (
                     f"{len(names)} {what} columns ({', '.join(names)}); expected {count}, or one that holds "
@@ -109,23 +110,25 @@ class ImportColumns:
     def found_in(self, known: Collection[str]) -> ImportColumns:
         """Return these columns and, where none was named, those of our own exports among the known ones."""
 
-        def ours(chosen: str | None, name: str) -> str | None:
-            return name if chosen is None and name in known else chosen
+        def ours(chosen: Any, *names: str) -> Any:
+            found = (names if names[1:] else names[0]) if {*names} <= {*known} else None
+            return found if chosen is None else chosen
 
         return replace(
             self,
             label=ours(self.label, "label_name") or "label",
             round=ours(self.round, "round_id"),
             object_id=ours(self.object_id, "object_id"),
-            position=self.position or (POSITION_COLUMNS if {*POSITION_COLUMNS} <= {*known} else ()),
-            pose=self.pose or (POSE_COLUMNS if {*POSE_COLUMNS} <= {*known} else ()),
+            position=ours(self.position, *POSITION_COLUMNS),
+            pose=ours(self.pose, *POSE_COLUMNS),
             split=ours(self.split, "split"),
         )
 
     def names(self) -> list[str]:
         """Return the columns that must be there."""
-        plain = (self.label, self.round, self.object_id, self.split, *self.position, *self.pose)
-        return list(dict.fromkeys(filter(None, plain)))
+        plain = (self.label, self.round, self.object_id, self.split)
+        names = (*plain, *(self.position or ()), *(self.pose or ()))
+        return list(dict.fromkeys(filter(None, names)))
 
 
 @dataclass(frozen=True, slots=True)

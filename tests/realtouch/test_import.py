@@ -143,6 +143,21 @@ def test_names_of_classes_of_our_own_exports_stay(layout: Any, home: Path, tmp_p
     assert (list(back.label_names), back.labels.tolist()) == (names, [0, 1, 2, 0])
 
 
+def test_an_empty_name_stands_for_no_column(
+    single_folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    realtouch.frames(single_folder, tmp_path / "there", "jpeg", split="train")
+    names = ("round", "object", "split")
+    options = [word for name in names for word in (f"--{name}-column", "")]
+    options += ["--pose-columns", "", "--position-columns", "", "--split", "mine", "--workers", "1"]
+    arguments = ("import", tmp_path / "there", "--layout", "folder", *options)
+    assert call("realtouch", *arguments, "--out", tmp_path / "out") == 0
+    found = realtouch.load(tmp_path / "out", "mine")
+    (shard,) = (tmp_path / "out" / "data").iterdir()
+    assert (len(found), pq.read_schema(shard).names) == (15, ["id", "label", "sensor_image"])
+    assert "gel_qw (15)" in capsys.readouterr().err
+
+
 @pytest.mark.parametrize("kind", ["imported", "smaller", "chosen", "flat", "webdataset", "frames"])
 def test_no_card_claims_that_images_of_others_are_ours_to_license(
     kind: str, single_folder: Path, tmp_path: Path
