@@ -396,9 +396,7 @@ class _ImportShard:
         except ValueError as error:
             raise ItemError(Reason.image, str(error)) from error
         if _is_turned(image):
-            problem = (
-                "its Exif or XMP data ask to turn it, which some readers do; expected pixels that lie as seen"
-            )
+            problem = "its Exif or XMP data ask to turn it, which some readers do; expected an upright image"
             raise ItemError(Reason.image, problem)
         if self.image_size is not None and size != self.image_size:
             (height, width), (first_height, first_width) = size, self.image_size

@@ -133,7 +133,7 @@ class ImportColumns:
 
 @dataclass(frozen=True, slots=True)
 class Item:
-    """A touch to import: where its image lies, what is said of it, and why it cannot be used, if so.
+    """A touch to import: where its image is, its fields, and why it cannot be used, if so.
 
     ``fields`` names all fields of the source that have a value.
     """
