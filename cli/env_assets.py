@@ -12,7 +12,7 @@ import typer
 from cli.application import command, new_app, run
 from cli.export_commands import add_export
 from cli.folders import add_verify
-from cli.options import DryRun, Json, LocalOut, Overwrite
+from cli.options import DryRun, Json, LocalOut, Overwrite, local_place
 from cli.output import Sink, counted
 from env_assets.wrench.kind import KIND
 
@@ -71,7 +71,11 @@ def wrench(
     out: LocalOut = Path("wrench-data"),
     stl: Annotated[
         Path | None,
-        typer.Option(metavar="FILE", help="Write the mesh for a printer, too: .stl, .3mf, .ply, .obj, .glb."),
+        typer.Option(
+            metavar="FILE",
+            help="Write the mesh for a printer, too: .stl, .3mf, .ply, .obj, .glb.",
+            parser=local_place,
+        ),
     ] = None,
     overwrite: Overwrite = False,
     dry_run: DryRun = False,

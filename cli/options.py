@@ -44,7 +44,7 @@ _LONGEST_COUNT = 18
 
 
 def local_place(text: str | Path) -> Path:
-    """Read a path to write to: ``~`` is the home folder, addresses such as ``s3://...`` are refused.
+    """Read a path of this machine: ``~`` is the home folder, addresses such as ``s3://...`` are refused.
 
     Paths of the type ``Path`` would come with ``//`` folded, so that such an address became a folder here.
     """
@@ -52,7 +52,7 @@ def local_place(text: str | Path) -> Path:
         from tactile_toolkit.store.address import shown
 
         place = shown(str(text))
-        message = f"{place!r} is a remote address; expected a local path; next: write there, then copy it"
+        message = f"{place!r} is a remote address; expected a local path; next: give a path of this machine"
         raise typer.BadParameter(message)
     from tactile_toolkit.errors import InputError
     from tactile_toolkit.store.folder import expanded

@@ -51,6 +51,7 @@ class PlanOptions:
             metavar="FILE",
             help="Table of touches, CSV, Parquet or npz: x_m, y_m; object_id, round; object_x_m, object_y_m, "
             "object_turn_rad.",
+            parser=local_place,
         ),
     ] = None
     turn: Annotated[
@@ -99,7 +100,11 @@ class PictureOptions:
     quality: Annotated[int, typer.Option(min=1, max=100, help="Quality of JPEGs.")] = 95
     weights: Annotated[
         Path | None,
-        typer.Option(metavar="FILE", help="Weights for cyclegan; those of tactile-mnist by default."),
+        typer.Option(
+            metavar="FILE",
+            help="Weights for cyclegan; those of tactile-mnist by default.",
+            parser=local_place,
+        ),
     ] = None
 
     surface: Annotated[

@@ -14,7 +14,7 @@ import typer
 from cli.application import command
 from cli.folders import print_made
 from cli.making import make_with_progress
-from cli.options import LocalOut, Making, Out, Seed, parse_size
+from cli.options import LocalOut, Making, Out, Seed, local_place, parse_size
 from cli.output import Sink, bytes_text, counted
 from tactile_sim.kind import KIND
 
@@ -205,7 +205,8 @@ def train(
 def evaluate(
     *,
     weights: Annotated[
-        Path, typer.Argument(metavar="WEIGHTS", help="Folder that `tactile-sim train` wrote.")
+        Path,
+        typer.Argument(metavar="WEIGHTS", help="Folder that `tactile-sim train` wrote.", parser=local_place),
     ],
     pairs: Annotated[
         str, typer.Option("--pairs", metavar="PAIRS", help="A training set that it did not see.")

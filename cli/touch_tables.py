@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from cli.output import Sink, bytes_text, counted
@@ -32,10 +31,11 @@ def announce_fetching(sink: Sink, name: str, split: str | None) -> None:
     """Say what of a data set on the Hub is about to be fetched: a published one may have many gigabytes."""
     from tactile_toolkit.catalog.published import place_of
     from tactile_toolkit.hub.repository import hub_name
+    from tactile_toolkit.store.folder import expanded
 
     place = place_of(name)
     # A folder called USER/NAME that is here comes before the repository of that name, as in `load`.
-    if hub_name(place) is None or Path(place).expanduser().exists():
+    if hub_name(place) is None or expanded(place).exists():
         return
     part = f"the files of split {split!r}" if split else "the files of all splits (--split takes one)"
     sink.talk(f"{place}: fetching from the Hub what is not here yet of {part}")

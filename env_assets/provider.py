@@ -313,9 +313,9 @@ def _held_places(places: Mapping[str, str | PathLike[str]]) -> dict[str, str]:
 def _held(place: str) -> str:
     """Return a local place in full, so that it follows the current folder as little as the root does."""
     try:
-        local = Path(place).expanduser()
+        local = expanded(place)
         return str(local.absolute()) if local.exists() else place
-    except (OSError, RuntimeError, ValueError):  # too long a name, an unknown user's home, a null byte
+    except (InputError, OSError, ValueError):  # too long a name, an unknown user's home, a null byte
         return place
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -19,7 +18,7 @@ from tactile_toolkit.gallery.packing import THUMBNAIL_PX, packed_mesh, require_m
 from tactile_toolkit.mesh.mesh import MM_PER_M, Mesh
 from tactile_toolkit.mesh.printability import WARNINGS, inspect
 from tactile_toolkit.pictures.relief import relief
-from tactile_toolkit.store.folder import DataFolder
+from tactile_toolkit.store.folder import DataFolder, expanded
 from tactile_toolkit.store.reports import report_columns, report_pieces
 from tactile_toolkit.wording import class_name
 
@@ -51,7 +50,7 @@ _MEASURES = (
 def plan_gallery(choice: Choice) -> Gallery:
     """Say what a gallery of digits shows; see :func:`~tactile_toolkit.gallery.items.gallery_of_rows`."""
     # What the data set's own report says of each digit that is shown; nothing where it has none.
-    is_folder = Path(choice.name).expanduser().is_dir()
+    is_folder = expanded(choice.name).is_dir()
     has_report = is_folder and DataFolder(choice.name).exists(REPORT_FILE)
 
     def known(rows: MeshDataset, split: str) -> list[Mapping[str, Any] | None]:

@@ -33,7 +33,7 @@ from tactile_toolkit.pictures.render import TOP, Body, Picture3d, Renderer, fitt
 from tactile_toolkit.pictures.sheets import Tile, with_scale_bar
 from tactile_toolkit.pictures.writing import Drawing, PicturePlan, PlannedPicture, chosen_kinds, file_stem
 from tactile_toolkit.store.address import is_remote
-from tactile_toolkit.store.folder import DataFolder
+from tactile_toolkit.store.folder import DataFolder, expanded
 from tactile_toolkit.store.reports import read_report
 from tactile_toolkit.wording import class_name, counted
 
@@ -67,7 +67,7 @@ def plan_previews(name: str, spec: PreviewSpec) -> PicturePlan:
     """
     if is_remote(name):
         return _plan_set(name, spec)
-    path = Path(name).expanduser()
+    path = expanded(name)
     if not path.exists():
         message = f"{name!r} does not exist; expected a data set folder, a Parquet file or a mesh file"
         raise InputError(message)

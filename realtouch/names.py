@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from os import PathLike, fsdecode
-from pathlib import Path
 from typing import Any
 
 from realtouch.kind import KIND
@@ -12,6 +11,7 @@ from tactile_toolkit.catalog.locate import find_files, find_shards
 from tactile_toolkit.catalog.published import place_of as place_of_name
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.read.parquet import Shard
+from tactile_toolkit.store.folder import expanded
 
 __all__ = ["Name", "Place", "SHORT_NAMES", "open_shards", "place_of"]
 
@@ -35,8 +35,8 @@ def place_of(name: Name | Sequence[Name]) -> Place:
         return tuple(_file_names(name))
     place = place_of_name(fsdecode(name))
     try:
-        return str(Path(place).expanduser()) if place.startswith("~") else place
-    except RuntimeError:  # the home of somebody unknown; refused where it is opened
+        return str(expanded(place)) if place.startswith("~") else place
+    except InputError:  # an unknown user's home; refused where it is opened
         return place
 
 

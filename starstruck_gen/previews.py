@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Sequence
 from functools import partial
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -44,6 +43,7 @@ from tactile_toolkit.pictures.render import TOP, Body, Picture3d, Renderer, fitt
 from tactile_toolkit.pictures.sheets import Tile, with_scale_bar
 from tactile_toolkit.pictures.writing import Drawing, PicturePlan, PlannedPicture
 from tactile_toolkit.store.address import is_remote
+from tactile_toolkit.store.folder import expanded
 from tactile_toolkit.wording import counted
 
 if TYPE_CHECKING:
@@ -70,7 +70,7 @@ def plan_previews(name: str, spec: PreviewSpec) -> PicturePlan:
     Kinds are sheet, scene and histogram. InputError as :class:`MeshPreviews`; MissingExtraError where a plot
     is asked for by name without matplotlib; IntegrityError where the data set is damaged or unfinished.
     """
-    path = Path(name).expanduser()
+    path = expanded(name)
     is_here = path.is_dir() or (path.is_file() and path.suffix.lower() == ".parquet")
     if not is_here and not is_remote(name):
         found = "is not a Parquet file" if path.exists() else "does not exist"

@@ -35,7 +35,7 @@ from tactile_toolkit.mesh.records import SolidDataset
 from tactile_toolkit.read.parquet import Shard, ShardedTable
 from tactile_toolkit.run.processes import Runner, runner_for
 from tactile_toolkit.store.build import Progress, build
-from tactile_toolkit.store.folder import DataFolder, file_at
+from tactile_toolkit.store.folder import DataFolder, expanded, file_at
 from tactile_toolkit.store.forecast import Forecast, Sample, forecast_build
 from tactile_toolkit.store.manifest import Manifest
 from tactile_toolkit.store.parquet import encode_parquet, file_sha256
@@ -132,7 +132,7 @@ class GenerateSpec:
         if self.optics == "cyclegan":
             from tactile_sim.learned.weights import published_weights, read_weights
 
-            file = Path(self.weights).expanduser() if self.weights else published_weights("touch")
+            file = expanded(self.weights) if self.weights else published_weights("touch")
             network = {
                 "weights_size_px": list(read_weights(file).size_px),
                 "weights_sha256": hashlib.sha256(file.read_bytes()).hexdigest(),
@@ -196,7 +196,7 @@ class TouchShard:
 
 def optics_of(spec: GenerateSpec) -> Optics:
     """Return the optics of a specification, made once in a process and again when the weights change."""
-    file = Path(spec.weights).expanduser() if spec.weights else None
+    file = expanded(spec.weights) if spec.weights else None
     # A notebook trains into the same file again and again; the manifest has the checksum of the new one.
     facts = file.stat() if file is not None and file.is_file() else None
     return _optics(spec.optics, spec.weights, facts and (facts.st_ino, facts.st_size, facts.st_mtime_ns))

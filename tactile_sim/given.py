@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from tactile_sim.sensor import CELL_M
 from tactile_toolkit.bounds import require_unpackable
 from tactile_toolkit.errors import InputError
+from tactile_toolkit.store.folder import expanded
 
 __all__ = ["GivenTouches"]
 
@@ -90,7 +91,7 @@ class GivenTouches:
         InputError
             The file is not there, is no such table, or holds values as above.
         """
-        file = Path(path).expanduser()
+        file = expanded(path)
         readers = {".csv": _read_csv, ".parquet": _read_parquet, ".npz": _read_npz}
         if file.suffix.lower() not in readers:
             message = f"given touches in {str(path)!r}: expected a file {', '.join(readers)}"

@@ -10,6 +10,7 @@ from typing import Any
 from env_assets.published.ids import PublishedEnvironment
 from env_assets.published.packages import published_package
 from tactile_toolkit.errors import InputError
+from tactile_toolkit.store.folder import expanded
 
 __all__ = ["learned_sensor"]
 
@@ -36,7 +37,7 @@ def learned_sensor(
     read = read_weights(weights)
     # Named by its content: environments of two files of one name must not share a sensor, which the package
     # looks up by its name alone.
-    content = Path(weights).expanduser().read_bytes()
+    content = expanded(weights).read_bytes()
     name = f"cycle_gan-{hashlib.sha256(content).hexdigest()[:16]}"
     factory: Any = published_package("tactile_mnist.tactile_renderer.factory")
     if name not in factory.TACTILE_RENDERER_FACTORIES:

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 from tactile_toolkit.bounds import require_unpackable
 from tactile_toolkit.errors import InputError, IntegrityError, MissingExtraError
-from tactile_toolkit.store.folder import DataFolder, open_regular
+from tactile_toolkit.store.folder import DataFolder, expanded, open_regular
 
 __all__ = [
     "FIRST_BLOCK",
@@ -130,7 +130,7 @@ def read_weights(file: str | Path) -> GeneratorWeights:
     IntegrityError
         The file is damaged.
     """
-    path = Path(file).expanduser()
+    path = expanded(file)
     if not path.is_file():
         message = f"no file of weights {str(path)!r}; expected an .npz such as `tactile-sim train` writes"
         raise InputError(message)

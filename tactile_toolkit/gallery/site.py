@@ -26,7 +26,7 @@ from tactile_toolkit.gallery.page import (
 )
 from tactile_toolkit.gallery.staging import is_unfinished, staged_folder
 from tactile_toolkit.run.processes import Runner, runner_for
-from tactile_toolkit.store.folder import named_failures
+from tactile_toolkit.store.folder import expanded, named_failures
 from tactile_toolkit.versions import toolkit_version
 
 __all__ = ["MARKER_FILE", "MOST_BYTES", "MOST_ITEMS", "Site", "SiteForecast", "build_site", "forecast_site"]
@@ -115,7 +115,7 @@ def _require_free(gallery: Gallery, out: str, *, overwrite: bool) -> Path:
         message = f"--out is {out!r}; a gallery is made in a local folder; next: make it there, then copy it"
         raise InputError(message)
     # Where a symbolic link leads: the link itself is not ours to replace.
-    path = Path(os.path.realpath(Path(out).expanduser()))
+    path = Path(os.path.realpath(expanded(out)))
     if path.is_dir():
         _refuse_unknown(path, path)
         # Whether it is this gallery is known for certain when this one is made, and mostly before.

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.pictures.render import Renderer
-from tactile_toolkit.store.folder import DataFolder
+from tactile_toolkit.store.folder import DataFolder, expanded
 
 __all__ = [
     "TILE_STYLE",
@@ -190,7 +190,7 @@ def parse_ids(option: str, text: str | None) -> tuple[int, ...]:
 
 def file_stem(name: str) -> str:
     """Return what tells the pictures of data sets apart: the last part of a path, in plain letters."""
-    path = Path(name).expanduser()
+    path = expanded(name)
     last = path.resolve().name if path.is_dir() else path.stem if path.is_file() else path.name
     plain = "".join(letter if letter.isalnum() or letter in "-_." else "-" for letter in last)
     # With a dot in front it would be hidden, and with a dash an option.

@@ -9,7 +9,7 @@ from typing import Any
 
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.read.parquet import Shard
-from tactile_toolkit.store.folder import DataFolder, file_at
+from tactile_toolkit.store.folder import DataFolder, expanded, file_at
 from tactile_toolkit.store.manifest import Manifest, read_manifest
 
 __all__ = ["file_fingerprint", "manifest_beside", "refuse_source"]
@@ -47,7 +47,7 @@ def refuse_source(folder: DataFolder, name: str, shards: Iterable[Shard]) -> Non
         _refuse_store_of_source(folder, name, shards)
         return
     out = Path(folder.address()).resolve()
-    home = Path(name).expanduser().resolve()
+    home = expanded(name).resolve()
     files = [Path(shard.path).absolute() for shard in shards]
     # By both paths: files of the Hub's cache are links into another folder.
     real = [file.resolve() for file in files]

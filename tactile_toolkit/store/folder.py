@@ -183,9 +183,18 @@ def is_there(path: Path) -> bool:
 
 
 def expanded(place: str | Path, what: str = "path") -> Path:
-    """Return a local path with ``~`` as the home folder; InputError for that of a user whom nobody knows."""
+    """Return a local path with ``~`` at its start as the home folder; InputError where none is known.
+
+    Where the text as given has it later, as in ``./~``, the path is returned in full: pathlib drops the
+    ``./``, and what expands the path again would then take the folder for the home folder.
+    """
+    path = Path(place)
+    if not str(path).startswith("~"):
+        return path
+    if not str(place).startswith("~"):
+        return path.absolute()
     try:
-        return Path(place).expanduser()
+        return path.expanduser()
     except RuntimeError as error:
         message = f"{what} {str(place)!r}: no home folder is known ({error}); next: write the path in full"
         raise InputError(message) from error

@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import os
 from dataclasses import asdict
 from pathlib import Path
 
@@ -8,7 +9,7 @@ import typer
 
 from cli.digit_options import DivisionOptions, SolidOptions
 from cli.env_assets import WrenchOptions
-from cli.options import local_place
+from cli.options import local_place, place_of_data
 from cli.scene_options import SceneOptions
 from cli.tactile_sim import PictureOptions, PlanOptions
 from cli.tactile_sim_learning import TrainOptions
@@ -17,6 +18,8 @@ from mnist3d.solid import SolidSpec
 from mnist3d.splits import SplitSpec
 from starstruck_gen.spec import SceneSpec
 from tactile_sim import GenerateSpec, TouchPlan
+from tactile_toolkit.store.folder import DataFolder
+from tests.command_line import call
 
 
 def test_places_to_write_are_local_and_the_home_folder_is_known(tmp_path, monkeypatch):
@@ -27,6 +30,31 @@ def test_places_to_write_are_local_and_the_home_folder_is_known(tmp_path, monkey
     for address in ("s3://bucket/site", "memory://site", "file:///tmp/site"):
         with pytest.raises(typer.BadParameter, match="is a remote address; expected a local path"):
             local_place(address)
+
+
+@pytest.mark.parametrize("text", ["./~", "./~nobody-of-that-name/x", ".//~/x"])
+def test_a_folder_whose_name_begins_with_a_tilde_is_not_the_home_folder(tmp_path, monkeypatch, text):
+    """As in a shell, ``~`` means the home folder at the start of the text alone."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("HOME", str(tmp_path / "home"))
+    meant = tmp_path / os.path.normpath(text)
+    assert local_place(text) == Path(place_of_data(text)) == Path(DataFolder(text).address()) == meant
+    assert Path(DataFolder(place_of_data(text)).address()) == meant  # read twice, as commands do
+
+
+def test_commands_leave_the_home_folder_alone(tmp_path, monkeypatch):
+    home = tmp_path / "home"
+    home.mkdir()
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("HOME", str(home))
+    small = ("--scenes", "train=3", "--workers", 1, "--quiet")
+    assert call("starstruck", "generate", "--out", "./~", *small) == 0
+    assert call("starstruck", "verify", "./~", "--quiet") == 0
+    assert call("starstruck", "preview", "./~", "--kind", "sheet", "--out", "./~p", "--quiet") == 0
+    assert call("starstruck", "gallery", "./~", "--out", "./~g", "--quiet") == 0
+    assert call("env-assets", "wrench", "--out", "./~w", "--stl", "./~.stl", "--quiet") == 0
+    assert not any(home.iterdir())
+    assert {each.name for each in tmp_path.iterdir()} == {"home", "~", "~p", "~g", "~w", "~.stl"}
 
 
 def test_the_home_of_nobody_is_refused():
