@@ -29,6 +29,8 @@ _EXIT_CLOSED_PIPE = 141
 """128 and the number of SIGPIPE: what a shell tells of `cat`, `grep` and others whose reader left."""
 
 _DEBUG_VARIABLE = "TACTILE_TOOLKIT_DEBUG"
+_SETTINGS = {"max_content_width": 100}
+"""Help of wide terminals has lines of this length."""
 
 F = TypeVar("F", bound=Callable[..., None])
 
@@ -58,7 +60,16 @@ class _Everywhere:
 
 def new_app(name: str, purpose: str) -> typer.Typer:
     """Return an application without commands."""
-    app = typer.Typer(name=name, help=purpose, no_args_is_help=True, pretty_exceptions_enable=False)
+    # Plain text: rich, with the markdown and pygments that its help imports, takes two thirds of the time of
+    # `--help`, and breaks long choices and messages to fit its boxes.
+    app = typer.Typer(
+        name=name,
+        help=purpose,
+        no_args_is_help=True,
+        pretty_exceptions_enable=False,
+        rich_markup_mode=None,
+        context_settings=_SETTINGS,
+    )
 
     def before_the_command(debug: Debug = False, version: Version = False) -> None:
         if debug:  # given before the command, which has options of its own and does not see this one
@@ -89,7 +100,11 @@ def command(app: typer.Typer, name: str | None = None) -> Callable[[F], F]:
     """
 
     def add(function: F) -> F:
-        app.command(name, cls=_Command)(_with_groups(function))
+        # The first paragraph: the library would cut it where a line of the list of commands ends.
+        summary = (function.__doc__ or "").partition("\n\n")[0]
+        app.command(name, cls=_Command, short_help=summary, context_settings=_SETTINGS)(
+            _with_groups(function)
+        )
         return function
 
     return add

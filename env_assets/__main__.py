@@ -2,6 +2,6 @@
 
 from __future__ import annotations
 
-from cli.env_assets import main
+from cli.start import env_assets
 
-main()
+env_assets()

@@ -2,6 +2,6 @@
 
 from __future__ import annotations
 
-from cli.mnist3d import main
+from cli.start import mnist3d
 
-main()
+mnist3d()

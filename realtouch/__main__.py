@@ -2,6 +2,6 @@
 
 from __future__ import annotations
 
-from cli.realtouch import main
+from cli.start import realtouch
 
-main()
+realtouch()

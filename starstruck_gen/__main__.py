@@ -2,6 +2,6 @@
 
 from __future__ import annotations
 
-from cli.starstruck import main
+from cli.start import starstruck
 
-main()
+starstruck()

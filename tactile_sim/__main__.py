@@ -2,6 +2,6 @@
 
 from __future__ import annotations
 
-from cli.tactile_sim import main
+from cli.start import tactile_sim
 
-main()
+tactile_sim()

@@ -109,7 +109,8 @@ def test_two_options_of_one_name_are_a_mistake_of_ours():
 
 HEAVY = (
     *("PIL", "av", "datasets", "httpx", "huggingface_hub", "manifold3d", "numpy", "pandas", "pyarrow"),
-    *("pydantic", "scipy", "skimage", "tactile_mnist", "torch", "trimesh", "yaml"),
+    *("markdown_it", "pydantic", "pygments", "rich", "scipy", "skimage", "tactile_mnist", "torch", "trimesh"),
+    "yaml",
 )
 HELPS = """
 import sys

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import subprocess
 import sys
+import tomllib
 from pathlib import Path
 
 import pytest
@@ -13,6 +14,8 @@ from mnist3d.generation import GenerateSpec, generate
 from mnist3d.solid import SolidSpec
 from mnist3d.sources.synthetic import SyntheticSource
 from tests.realtouch.factories import make_round, single_rows, write_set
+
+ROOT = Path(__file__).resolve().parents[2]
 
 # As if the user pressed Ctrl-C while pandas is imported: pyarrow, which imports it, would go on without it.
 PRESSED = """
@@ -26,6 +29,20 @@ sys.meta_path.insert(0, Pressed())
 command = sys.argv.pop(1)
 sys.argv[0] = command
 getattr(__import__(f"cli.{command}"), command).main()
+"""
+
+
+# As the script of an installed command; Ctrl-C comes when the module that the last word names is imported.
+STARTED = """
+import os, signal, sys
+from importlib import import_module
+class Pressed:
+    def find_spec(self, name, *_):
+        if name == sys.argv[-1]:
+            os.kill(os.getpid(), signal.SIGINT)
+sys.meta_path.insert(0, Pressed())
+module, function = sys.argv.pop(1).split(":")
+sys.exit(getattr(import_module(module), function)())
 """
 
 
@@ -45,10 +62,29 @@ def test_no_command_imports_what_swallows_it(sets, tmp_path: Path, room, command
     options = ["--out", str(tmp_path / "out")] if command in ("preview", "gallery") else []
     done = subprocess.run(
         [sys.executable, "-c", PRESSED, room, command, sets[room], *options],
-        cwd=Path(__file__).resolve().parents[2],
+        cwd=ROOT,
         capture_output=True,
         text=True,
         check=False,
     )
     assert "pandas was imported" not in done.stderr
     assert done.returncode == 0, done.stderr
+
+
+def commands() -> dict[str, str]:
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
+    return project["project"]["scripts"]
+
+
+@pytest.mark.parametrize("module", ["typer", "cli.output", "pyarrow"])
+@pytest.mark.parametrize("command", commands())
+def test_ctrl_c_while_a_command_starts_ends_it_without_a_traceback(command, module):
+    done = subprocess.run(
+        [sys.executable, "-c", STARTED, commands()[command], "info", module],
+        cwd=ROOT,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert (done.returncode, done.stdout) == (130, "")
+    assert "Traceback" not in done.stderr
