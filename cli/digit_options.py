@@ -124,8 +124,12 @@ class DivisionOptions:
 
     seed: Seed = 0
     split_by: Annotated[
-        Literal["digit", "writer"], typer.Option(help="Divide single digits or whole writers.")
-    ] = "digit"
+        Literal["digit", "writer", "none"] | None,
+        typer.Option(
+            help="Divide single digits, whole writers, or nothing: then all are in train.",
+            show_default="digit",
+        ),
+    ] = None
     split_sizes: Annotated[
         str | None,
         typer.Option(

@@ -33,7 +33,12 @@ app = new_app("mnist3d", "Printable 3D digits: from images of handwriting to val
 @command(app)
 def generate(
     *,
-    split: Annotated[DigitSplit, typer.Option(help="Split to make.")] = "all",
+    split: Annotated[
+        DigitSplit | None,
+        typer.Option(
+            help="Split to make. Without it, pictures of a folder are all in train.", show_default="all"
+        ),
+    ] = None,
     out: Out = "mnist3d-data",
     source: SourceOptions,
     division: DivisionOptions,
@@ -59,7 +64,7 @@ def generate(
         per_class=division.per_class,
         limit=division.limit,
     )
-    splits = SPLITS if split == "all" else (split,)
+    splits = None if split is None else SPLITS if split == "all" else (split,)
     if making.dry_run:
         view = forecast(spec, out, splits, making.processes, overwrite=making.overwrite)
         print_forecast(sink, KIND, view, out, making)
@@ -70,7 +75,7 @@ def generate(
     )
     if made is not None:
         _print_made(sink, made.manifest, out, made.elapsed_s)
-        print_conclusion(sink, KIND, made, out, splits)
+        print_conclusion(sink, KIND, made, out, splits or SPLITS)
 
 
 @command(app)

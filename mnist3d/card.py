@@ -9,6 +9,7 @@ from typing import Any
 
 from mnist3d.kind import KIND
 from mnist3d.rows import CLASS_NAMES, REPORT_FILE, mesh_schema
+from mnist3d.sources.folder import FolderSource
 from mnist3d.summary import SplitSummary, summarise
 from tactile_toolkit.cards.card import (
     HWD_PLUS,
@@ -28,11 +29,13 @@ from tactile_toolkit.cards.card import (
 )
 from tactile_toolkit.cards.facts import FolderFacts, recorded_facts
 from tactile_toolkit.cards.table_card import Terms, write_table_card
+from tactile_toolkit.catalog.choose import short_name
 from tactile_toolkit.kind import is_export
 from tactile_toolkit.mesh.columns import FACES, VERTICES
 from tactile_toolkit.pictures.relief import relief
 from tactile_toolkit.pictures.sheets import Sheet, Tile, sheet
 from tactile_toolkit.pictures.writing import png_bytes
+from tactile_toolkit.printable import markdown_text, printable
 from tactile_toolkit.read.dataset import Row
 from tactile_toolkit.store.folder import DataFolder
 from tactile_toolkit.store.manifest import Manifest
@@ -61,7 +64,9 @@ def write_card(folder: DataFolder, manifest: Manifest) -> None:
     Raises IntegrityError when a shard or the printability report is missing or damaged.
     """
     if is_export(manifest):
-        write_table_card(folder, manifest, KIND, "MNIST 3D", COLUMNS, _terms_of_tables(manifest))
+        made = manifest.spec["source_spec"]
+        title = "3D digits" if made is not None and _is_own(made) else "MNIST 3D"
+        write_table_card(folder, manifest, KIND, title, COLUMNS, _terms_of_tables(manifest))
         return
     facts = recorded_facts(folder, manifest, mesh_schema())
     summaries = summarise(folder, manifest)
@@ -70,7 +75,9 @@ def write_card(folder: DataFolder, manifest: Manifest) -> None:
     # From the manifest, never from defaults: the card may be written anew by a later version.
     profile, solid = spec["print_profile"], spec["solid"]
     joined = ", separate pieces bridged" if solid["join_bodies"] else ""
+    title = printable(short_name(folder.address())) if _is_own(spec) else "MNIST 3D"
     values = {
+        "title": markdown_text(title),
         "source_text": words.describe(spec["source"]),
         "split_rule": _split_rule(spec),
         "solid_text": (
@@ -100,10 +107,15 @@ def write_card(folder: DataFolder, manifest: Manifest) -> None:
         values,
         ("digits.png", _sheet(facts), "The first digit of each class that is there, seen from above"),
         license=words.licence,
-        pretty_name="MNIST 3D",
+        pretty_name=title,
         **MESH_TASKS,
         tags=["tactile", "active-perception", "3d", "mesh", "mnist", "digits", "3d-printing"],
     )
+
+
+def _is_own(spec: Mapping[str, Any]) -> bool:
+    """Return whether digits were made from a folder of pictures, which are not those of MNIST 3D."""
+    return bool(spec["source"]["name"] == FolderSource.name)
 
 
 def _terms_of_tables(manifest: Manifest) -> Terms:
@@ -131,13 +143,13 @@ def _sheet(facts: FolderFacts) -> bytes | None:
 
 def _split_rule(spec: Mapping[str, Any]) -> str:
     split = spec["split"]
-    whole = {"digit": "digit by digit", "writer": "whole writers"}[split["by"]]
+    whole = {"digit": "digit by digit", "writer": "whole writers", "none": "not divided"}[split["by"]]
     cuts = [
         f"the first {spec[name]:,} {unit} only"
         for name, unit in (("per_class", "of each class of a split"), ("limit", "rows of a split"))
         if spec[name] is not None
     ]
-    sizes = "published sizes"
+    sizes = "all digits in `train`" if split["by"] == "none" else "published sizes"
     if split["sizes"] is not None:
         listed = ", ".join(f"{split} {size:,}" for split, size in dict(split["sizes"]).items())
         sizes = f"digits per class: {listed}"

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -16,6 +16,7 @@ from mnist3d.kind import KIND
 from mnist3d.rows import PARQUET_STYLE, REPORT_FILE, MeshRow, mesh_table, report_table
 from mnist3d.solid import SolidSpec, solidify
 from mnist3d.sources import DigitSource
+from mnist3d.sources.folder import FolderSource
 from mnist3d.splits import SPLITS, SplitSpec, plan_splits
 from tactile_toolkit.checked_fields import check_fields, whole_number
 from tactile_toolkit.errors import InputError, ItemError
@@ -154,11 +155,16 @@ def make_row(digit_id: int, spec: GenerateSpec) -> tuple[MeshRow, PrintReport]:
     return MeshRow(digit.id, digit.label, mesh, digit.writer, report.volume_mm3 * 1e-9), report
 
 
-def plan_build(spec: GenerateSpec, splits: Sequence[str]) -> BuildPlan:
+def plan_build(spec: GenerateSpec, splits: Sequence[str] | None) -> BuildPlan:
     """Decide which shards hold which digits; pure, reads only the source's catalog.
 
-    Raises InputError for an unknown split, nothing to make, or a source that cannot be read.
+    Without ``splits`` all are made, and pictures of one's own are not divided unless the specification asks
+    for it. Raises InputError for an unknown split, nothing to make, or a source that cannot be read.
     """
+    if splits is None:
+        splits = SPLITS
+        if isinstance(spec.source, FolderSource) and spec.split.by is None and spec.split.sizes is None:
+            spec = replace(spec, split=replace(spec.split, by="none"))
     require_known_splits(splits, SPLITS)
     plan = plan_splits(spec.source.catalog(), spec.split)
     tasks = []
@@ -191,7 +197,7 @@ def plan_build(spec: GenerateSpec, splits: Sequence[str]) -> BuildPlan:
 def generate(
     spec: GenerateSpec,
     out: str | os.PathLike[str],
-    splits: Sequence[str] = SPLITS,
+    splits: Sequence[str] | None = None,
     *,
     workers: int | Runner = 1,
     overwrite: bool = False,
@@ -209,8 +215,9 @@ def generate(
         What to make.
     out : str or path-like
         Folder to write.
-    splits : sequence of str
-        Splits to make; others that the folder holds already stay.
+    splits : sequence of str, optional
+        Splits to make; others that the folder holds already stay. By default all; of a folder of pictures
+        one, ``train``, with every picture, unless ``spec.split`` says how to divide them.
     workers : int or Runner
         Number of local processes, or a runner of another kind.
     overwrite : bool
@@ -245,7 +252,7 @@ def generate(
 def forecast(
     spec: GenerateSpec,
     out: str | os.PathLike[str],
-    splits: Sequence[str],
+    splits: Sequence[str] | None,
     workers: int,
     *,
     overwrite: bool = False,

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from mnist3d.spec import SolidSpec
     from tactile_toolkit.mesh.mesh import Mesh
 
-__all__ = ["distance_px", "lattice_solid", "signed_distance_px"]
+__all__ = ["LatticeSteps", "distance_px", "lattice_solid", "lattice_steps", "signed_distance_px"]
 
 F = TypeVar("F", np.float32, np.float64)
 
@@ -87,8 +87,37 @@ class PlaneLattice:
     pitch_px: float
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class LatticeSteps:
+    """A solid and what it was made from, step by step.
+
+    Attributes
+    ----------
+    lattice : PlaneLattice
+        Its nodes in the mid-plane, in pixels from ``corner_px``, the first (row, column) that it covers.
+    layers : ndarray of bool, shape (R, C, L)
+        Which nodes are inside, from the mid-plane up, ``lattice.pitch_px`` apart: eroded, and stacked.
+    vertices_px, faces : ndarray, shape (V, 3) and (F, 3)
+        The upper half as marching cubes give it, coordinates as in :mod:`mnist3d.steps`.
+    mesh : Mesh
+        The same smoothed, mirrored and scaled, and decimated where it has too many vertices.
+    """
+
+    lattice: PlaneLattice
+    corner_px: tuple[int, int]
+    layers: NDArray[np.bool_]
+    vertices_px: NDArray[np.float32]
+    faces: NDArray[np.int32]
+    mesh: Mesh
+
+
 def lattice_solid(mask: NDArray[np.bool_], spec: SolidSpec) -> Mesh:
-    """Build the solid of clean ink (:func:`mnist3d.ink.clean`).
+    """Build the solid of clean ink; raises as :func:`lattice_steps`."""
+    return lattice_steps(mask, spec).mesh
+
+
+def lattice_steps(mask: NDArray[np.bool_], spec: SolidSpec) -> LatticeSteps:
+    """Build the solid of clean ink (:func:`mnist3d.ink.clean`), and keep what each step gave.
 
     Raises ItemError ``topology`` where no lattice down to one pixel keeps the bodies and holes of the ink,
     ``vertex-budget`` where they need more than 1.5 times the vertices asked for.
@@ -111,7 +140,8 @@ def lattice_solid(mask: NDArray[np.bool_], spec: SolidSpec) -> Mesh:
         shown = _between_nodes(lattice, distance.shape)
         missed: NDArray[np.bool_] = narrow & (np.abs(shown - distance) > NARROW_ERROR_PX)
         if not missed.any():
-            vertices, faces = _mirror_surface(*_upper_surface(lattice, spec))
+            layers, raw, smoothed, upper = _upper_surface(lattice, spec)
+            vertices, faces = _mirror_surface(smoothed, upper)
             found = bodies_and_holes(vertices, faces)
             if found == counts:
                 break
@@ -132,7 +162,8 @@ def lattice_solid(mask: NDArray[np.bool_], spec: SolidSpec) -> Mesh:
     mesh = scale(vertices + corner, faces, (mask.shape[0], mask.shape[1]), spec)
     # Who asks for a pitch has asked for its vertices, too.
     bounded = spec.lattice_pitch_mm is None and len(vertices) > BUDGET_SLACK * spec.target_vertices
-    return decimate(mesh, spec.target_vertices) if bounded else mesh
+    mesh = decimate(mesh, spec.target_vertices) if bounded else mesh
+    return LatticeSteps(lattice, (top, left), layers, raw + corner, upper, mesh)
 
 
 def signed_distance_px(mask: NDArray[np.bool_], inside_px: float, outside_px: float) -> NDArray[np.float32]:
@@ -319,7 +350,10 @@ def _sparse(weights: NDArray[np.float64], places: NDArray[np.intp], count: int) 
     return csr_array((weights[kept], places[kept], starts), shape=(len(weights), count))
 
 
-def _upper_surface(lattice: PlaneLattice, spec: SolidSpec) -> tuple[NDArray[np.float32], NDArray[np.int32]]:
+def _upper_surface(
+    lattice: PlaneLattice, spec: SolidSpec
+) -> tuple[NDArray[np.bool_], NDArray[np.float32], NDArray[np.float32], NDArray[np.int32]]:
+    """Return which nodes are inside, the vertices before and after they are smoothed, and the faces."""
     pitch = lattice.pitch_px
     heights = np.arange(0, spec.half_thickness_px + 2 * pitch, pitch).astype(np.float32)
     depth = depth_px(lattice.s_px[:, :, None], heights, spec)
@@ -330,7 +364,8 @@ def _upper_surface(lattice: PlaneLattice, spec: SolidSpec) -> tuple[NDArray[np.f
     # The lower half would be the same again; mirrored, it is so to the last bit.
     vertices, faces = marching_cubes(depth, 0.0)
     faces = _in_storage_order(faces)
-    beside_thin = _beside_thin_parts(vertices, depth > 0)
+    inside = depth > 0
+    beside_thin = _beside_thin_parts(vertices, inside)
     for axis, nodes in enumerate((lattice.rows_px, lattice.columns_px)):
         vertices[:, axis] = np.interp(vertices[:, axis], np.arange(len(nodes)), nodes)
     vertices[:, 2] *= np.float32(pitch)
@@ -339,7 +374,7 @@ def _upper_surface(lattice: PlaneLattice, spec: SolidSpec) -> tuple[NDArray[np.f
     # Volume and topology come before smoothness there: a wall that folds is no solid.
     moved = np.where(beside_thin[:, None], vertices, moved)
     moved[:, 2] = np.where(rim, 0, np.maximum(moved[:, 2], least))
-    return np.asarray(moved, dtype=np.float32), faces
+    return inside, vertices, np.asarray(moved, dtype=np.float32), faces
 
 
 def _in_storage_order(faces: NDArray[np.int32]) -> NDArray[np.int32]:

@@ -1,4 +1,4 @@
-"""The steps of the algorithm side by side: image, eroded layers, stack, raw and smooth surface."""
+"""The steps from an image to the stored mesh, side by side: ink, eroded layers, stack, surface, solid."""
 
 from __future__ import annotations
 
@@ -9,8 +9,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from mnist3d.lattice import LatticeSteps, lattice_steps
 from mnist3d.solid import ink_mask
-from mnist3d.steps import erode, erosion_radii_px, marching_cubes, mirror, scale, smooth, stack
+from mnist3d.steps import scale
 from tactile_toolkit.arithmetic import inverse_affine
 from tactile_toolkit.errors import InputError, ItemError
 from tactile_toolkit.mesh.mesh import MM_PER_M
@@ -22,18 +23,17 @@ if TYPE_CHECKING:
     from mnist3d.sources import DigitSource
     from mnist3d.spec import SolidSpec
 
-__all__ = ["CLAY", "draw_steps", "layer_map", "shown_layers", "source_option"]
+__all__ = ["CLAY", "draw_steps", "layer_map", "source_option"]
 
 CLAY = (224, 166, 72)
 """Colour of objects in oblique views."""
 
 _PANEL_PX = 380
-_LAYERS_SHOWN = 6
 _MARGIN_PX = 12
 _LIGHTEST, _DARKEST = (214, 230, 241), (8, 64, 112)
 _SAMPLING = 2
-_SPREAD = 2.5
-"""How many times their thickness the layers of the stack are drawn apart."""
+_SPREAD = 4.0
+"""How many times their distance the layers of the stack are drawn apart."""
 
 # Who wrote a digit shows in no picture, and the column of writers is not asked for here: that part of the
 # fingerprint may differ.
@@ -41,56 +41,61 @@ _WRITERS = "writers_sha256"
 
 
 def draw_steps(renderer: Renderer, pixels: NDArray[Any], spec: SolidSpec, title: str) -> Drawing:
-    """Draw the published steps from an image, (H, W), 0 ink and 255 paper, to a surface.
+    """Draw how an image, (H, W), 0 ink and 255 paper, becomes the solid that a data set stores.
 
     ItemError, which names the picture by its title, where the image is not a usable digit.
     """
     try:
         ink = ink_mask(pixels, spec, ink="dark")
+        steps = lattice_steps(ink, spec)
     except ItemError as error:
         raise ItemError(error.reason, f"{title}: {error}") from error
     window = _window(ink)
-    mask = ink[window]
-    radii = erosion_radii_px(spec)
-    layers = [erode(mask, radius) for radius in radii]
-    # The literal way: it has the steps of the paper, the fast way has not.
-    vertices, faces = marching_cubes(np.pad(mirror(stack(layers)), 1), 0.5)
-    even = smooth(vertices, faces, spec.literal_smoothing_iterations, spec.smoothing_factor)
-    shape = (mask.shape[0], mask.shape[1])
-    raw, smoothed = (scale(each - np.float32(1), faces, shape, spec) for each in (vertices, even))
-    px_per_mm = _PANEL_PX / (max(mask.shape) * spec.pixel_pitch_mm)
-    size_px = (_PANEL_PX, _PANEL_PX)
+    layers = _layers_px(steps, window)
+    upper = scale(steps.vertices_px, steps.faces, (ink.shape[0], ink.shape[1]), spec)
+    px_per_mm = _PANEL_PX / (max(layers[0].shape) * spec.pixel_pitch_mm)
     views = [
-        renderer.draw(Picture3d((Body(mesh, CLAY),), size_px, px_per_mm * MM_PER_M))
-        for mesh in (raw, smoothed)
+        renderer.draw(Picture3d((Body(mesh, CLAY),), (_PANEL_PX, _PANEL_PX), px_per_mm * MM_PER_M))
+        for mesh in (upper, steps.mesh)
     ]
-    shown = shown_layers(radii)
+    pitch_px, triangles = steps.lattice.pitch_px, len(steps.mesh.faces)
+    decimated = ", decimated" if triangles != 2 * len(upper.faces) else ""
     tiles = (
         Tile(_square(np.asarray(pixels)[window].astype(np.uint8)), "1  image"),
-        Tile(_square(layer_map(layers, shown)), f"2  eroded layers, {len(shown)} of {len(layers)}"),
-        Tile(_stack_view(layers, spec, px_per_mm), f"3  stack of {2 * len(layers)} layers, drawn apart"),
-        Tile(views[0][0], f"4  marching cubes: {len(raw.faces):,} triangles"),
-        Tile(with_scale_bar(views[1][0], px_per_mm), "5  smoothed"),
+        Tile(_square(np.where(ink[window], 0, 255).astype(np.uint8)), "2  ink, binarised and cleaned"),
+        Tile(_square(layer_map(layers)), f"3  eroded: {len(layers)} layers of a lattice"),
+        Tile(_stack_view(layers, pitch_px, spec, px_per_mm), "4  stack of the upper half, drawn apart"),
+        Tile(views[0][0], f"5  marching cubes, upper half: {len(upper.faces):,} triangles"),
+        Tile(
+            with_scale_bar(views[1][0], px_per_mm),
+            f"6  smoothed, mirrored, scaled{decimated}: {triangles:,} triangles",
+        ),
     )
-    sizes = ", ".join(f"{radii[number]:.1f}" for number in shown)
     words = (
-        f"erosion radii of the layers shown, from the mid-plane up: {sizes} px of {spec.pixel_pitch_mm:g} mm",
+        f"the nodes of the lattice are {pitch_px:.2f} px of {spec.pixel_pitch_mm:g} mm apart, closer where "
+        "something is narrow; the surface passes between them",
     )
-    return Drawing(sheet(tiles, Sheet(5, title, words)), views[0][1])
+    return Drawing(sheet(tiles, Sheet(3, title, words)), views[0][1])
 
 
-def shown_layers(radii_px: NDArray[np.float64]) -> tuple[int, ...]:
-    """Choose the layers that are shown: first, last, and some between at equal steps of the radius."""
-    wanted = np.linspace(radii_px[0], radii_px[-1], _LAYERS_SHOWN)
-    nearest = np.abs(radii_px[:, None] - wanted).argmin(axis=0)
-    return tuple(np.unique(nearest).tolist())
+def _layers_px(steps: LatticeSteps, window: tuple[slice, slice]) -> list[NDArray[np.bool_]]:
+    """Return the layers that are not empty, each pixel of a window as the node that is nearest to it."""
+    lattice = steps.lattice
+    rows, columns = (
+        np.abs(np.arange(span.start, span.stop)[:, None] - corner - nodes).argmin(axis=1)
+        for span, corner, nodes in zip(
+            window, steps.corner_px, (lattice.rows_px, lattice.columns_px), strict=True
+        )
+    )
+    layers = np.moveaxis(steps.layers[np.ix_(rows, columns)], 2, 0)
+    return [layer for layer in layers if layer.any()]
 
 
-def layer_map(layers: Sequence[NDArray[np.bool_]], shown: Sequence[int]) -> NDArray[np.uint8]:
+def layer_map(layers: Sequence[NDArray[np.bool_]]) -> NDArray[np.uint8]:
     """Draw layers one on top of the other, the higher the darker: shape (H, W, 3)."""
     picture = np.full((*layers[0].shape, 3), 255, np.uint8)
-    for order, number in enumerate(shown):
-        picture[layers[number]] = _tint(order / max(1, len(shown) - 1))
+    for number, layer in enumerate(layers):
+        picture[layer] = _tint(number / max(1, len(layers) - 1))
     return picture
 
 
@@ -132,7 +137,12 @@ def _rebuilt_source(described: dict[str, Any], images: Path | None, writer_info:
     if name == "mnist":
         from mnist3d.sources.mnist import MnistSource
 
-        return MnistSource(str(images))
+        source, parts = MnistSource(str(images)), list(described.get("parts") or [])
+        # The folder may hold both parts where the set was made from one; then the training digits come first.
+        found = list(source.fingerprint()["parts"])
+        if len(found) > len(parts) == 1 and parts[0] in found:
+            return MnistSource(str(images), ("train", "test")[found.index(parts[0])])
+        return source
     if name == "folder":
         from mnist3d.sources.folder import FolderSource
 
@@ -154,20 +164,17 @@ def _window(mask: NDArray[np.bool_]) -> tuple[slice, slice]:
     return spans[0], spans[1]
 
 
-def _stack_view(layers: Sequence[NDArray[np.bool_]], spec: SolidSpec, px_per_mm: float) -> NDArray[np.uint8]:
-    """Draw the mirrored stack obliquely, its layers apart."""
+def _stack_view(
+    layers: Sequence[NDArray[np.bool_]], pitch_px: float, spec: SolidSpec, px_per_mm: float
+) -> NDArray[np.uint8]:
+    """Draw the stack obliquely, its layers apart."""
     from PIL import Image
 
     side = _PANEL_PX * _SAMPLING
     picture = Image.new("RGB", (side, side), (255, 255, 255))
     px = px_per_mm * spec.pixel_pitch_mm * _SAMPLING
-    heights = np.arange(len(layers)) + 0.5
-    order = [
-        *((-z, layer) for z, layer in zip(heights[::-1], layers[::-1], strict=True)),
-        *zip(heights, layers, strict=True),
-    ]
-    for z, layer in order:
-        share = abs(z) / len(layers)
+    for number, layer in enumerate(layers):
+        z, share = (number - (len(layers) - 1) / 2) * pitch_px, number / max(1, len(layers) - 1)
         mask = Image.fromarray(layer.astype(np.uint8) * 255)
         for drop_px, colour in ((_SAMPLING, (70, 80, 92)), (0, _tint(share))):
             data = _back_to_layer(layer.shape, side, px, _SPREAD * z, drop_px)

@@ -51,22 +51,27 @@ class SplitSpec:
     ----------
     seed : int
         Seed of the division.
-    by : {"digit", "writer"}
+    by : {"digit", "writer", "none"}, or None
         ``"digit"`` draws single digits, with exact sizes per class. ``"writer"`` gives whole writers to
-        splits, so that no hand is in two of them; sizes are then as near as whole writers allow.
+        splits, so that no hand is in two of them; sizes are then as near as whole writers allow. ``"none"``
+        divides nothing: all digits are in ``train``. None means ``"none"`` for a folder of pictures of which
+        neither splits nor their sizes are asked for, and else ``"digit"``.
     sizes : tuple of (str, int), or None
         Digits per class of each split; a mapping is taken too. None means the published sizes, or their
         proportions where a class has fewer than 1,358 digits.
     """
 
     seed: int = whole_number(0)
-    by: Literal["digit", "writer"] = choice("digit", ("digit", "writer"))
+    by: Literal["digit", "writer", "none"] | None = choice(None, ("digit", "writer", "none"), optional=True)
     sizes: tuple[tuple[str, int], ...] | None = None
 
     def __post_init__(self) -> None:
         check_fields(self, "the division into splits")
         if self.sizes is None:
             return
+        if self.by == "none":
+            message = "split sizes are given for digits that are not divided; expected by='digit' or 'writer'"
+            raise InputError(message)
         object.__setattr__(self, "sizes", plain_pairs(self.sizes))
         if not all(isinstance(pair, tuple) and len(pair) == 2 for pair in self.sizes):
             message = f"the split sizes are {self.sizes!r}; expected pairs such as {{'train': 8, 'test': 2}}"
@@ -84,7 +89,11 @@ class SplitSpec:
 
     def to_dict(self) -> dict[str, Any]:
         """Return JSON values."""
-        return {"seed": self.seed, "by": self.by, "sizes": dict(self.sizes) if self.sizes else None}
+        return {
+            "seed": self.seed,
+            "by": self.by or "digit",
+            "sizes": dict(self.sizes) if self.sizes else None,
+        }
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -133,7 +142,8 @@ def plan_splits(catalog: DigitCatalog, spec: SplitSpec) -> SplitPlan:
     InputError
         When a class has fewer digits than ``spec.sizes`` asks for, or writers are asked for and unknown.
     """
-    split_of = _by_writer(catalog, spec) if spec.by == "writer" else _by_digit(catalog, spec)
+    divide = {"writer": _by_writer, "none": _undivided}.get(spec.by or "", _by_digit)
+    split_of = divide(catalog, spec)
     plan = SplitPlan({}, {})
     for number, split in enumerate(SPLITS):
         plan.ids[split], plan.labels[split] = _in_row_order(catalog, split_of == number, spec.seed)
@@ -188,6 +198,10 @@ def _id_type(catalog: DigitCatalog) -> type[np.integer[Any]]:
     last = catalog.part(len(catalog) - 1, len(catalog)).ids if len(catalog) else np.zeros(1)
     is_small = len(catalog) <= _SMALL_SOURCE or last[0] > np.iinfo(np.uint32).max
     return np.int64 if is_small else np.uint32
+
+
+def _undivided(catalog: DigitCatalog, spec: SplitSpec) -> NDArray[np.uint8]:
+    return np.full(len(catalog), SPLITS.index("train"), np.uint8)
 
 
 def _by_digit(catalog: DigitCatalog, spec: SplitSpec) -> NDArray[np.uint8]:

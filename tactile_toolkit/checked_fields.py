@@ -72,13 +72,14 @@ def real_number(
     return _field(default, _Rule(float, fits, f"{'None or ' if optional else ''}{what}{span}"))
 
 
-def choice(default: str, known: Sequence[str]) -> Any:
-    """Declare one of several words."""
-    return _field(
-        default,
-        # As int, plain() leaves what is not a number as it was given.
-        _Rule(int, lambda value: isinstance(value, str) and value in known, f"one of {', '.join(known)}"),
-    )
+def choice(default: str | None, known: Sequence[str], *, optional: bool = False) -> Any:
+    """Declare one of several words, or None where it is ``optional``."""
+
+    def fits(value: Any) -> bool:
+        return value in known if isinstance(value, str) else optional and value is None
+
+    # As int, plain() leaves what is not a number as it was given.
+    return _field(default, _Rule(int, fits, f"{'None or ' if optional else ''}one of {', '.join(known)}"))
 
 
 def switch(default: bool) -> Any:

@@ -22,6 +22,7 @@ from tactile_toolkit.mesh.flat import MESH, SIZES
 from tactile_toolkit.pictures.relief import relief
 from tactile_toolkit.pictures.sheets import Sheet, Tile, sheet
 from tactile_toolkit.pictures.writing import png_bytes
+from tactile_toolkit.printable import markdown_text
 from tactile_toolkit.store.folder import DataFolder
 from tactile_toolkit.store.manifest import Manifest
 
@@ -73,7 +74,7 @@ def write_table_card(
         for s in facts.splits
     ]
     values = {
-        "title": f"{title} as tables",
+        "title": markdown_text(f"{title} as tables"),
         "nouns": kind.nouns,
         "noun": kind.noun,
         "made": markdown_table(("", ""), made) + "\n\nOptions:\n\n" + json_block(spec["options"]),

@@ -9,6 +9,8 @@ import pytest
 from PIL import Image
 
 import mnist3d
+from mnist3d.sources.folder import FolderSource
+from tactile_toolkit.errors import InputError
 from tests import command_line
 from tests.tactile_toolkit.toy import folder_bytes
 
@@ -285,3 +287,69 @@ def test_generate_in_which_nothing_can_be_made_is_refused(tmp_path, capsys):
     assert not (tmp_path / "set").exists()
     assert call("generate", *source, *sizes, "--dry-run") == 2
     assert "none of 2 digits that were tried gives a solid" in capsys.readouterr().err
+
+
+@pytest.fixture(scope="module")
+def own_pictures(tmp_path_factory) -> Path:
+    """Six strokes of one class, five of another."""
+    root = tmp_path_factory.mktemp("pictures") / "mine"
+    for label, count in {1: 6, 7: 5}.items():
+        (root / str(label)).mkdir(parents=True)
+        for number in range(count):
+            picture = np.full((120, 120), 255, np.uint8)
+            picture[20:100, 40 + 2 * number : 60 + 2 * number] = 0
+            Image.fromarray(picture).save(root / str(label) / f"{number}.png")
+    return root
+
+
+@pytest.mark.parametrize(
+    ("asked", "rows"),
+    [
+        ((), {"train": 11}),
+        (("--per-class", 2), {"train": 4}),
+        (("--limit", 3), {"train": 3}),
+        (("--split-by", "none", "--split", "train"), {"train": 11}),
+        (("--split-sizes", "train=2,test=1"), {"train": 4, "test": 2}),
+        (("--split", "all", "--limit", 1), dict.fromkeys(mnist3d.SPLITS, 1)),
+        (("--split", "test"), {"test": 2}),
+    ],
+    ids=str,
+)
+def test_pictures_of_ones_own_are_divided_where_that_is_asked_for(own_pictures, tmp_path, asked, rows):
+    source = ("--source", "folder", "--images", own_pictures)
+    out = tmp_path / "set"
+    assert call("generate", *source, "--vertices", 400, "--workers", 1, "--quiet", "--out", out, *asked) == 0
+    splits = json.loads((out / "manifest.json").read_text())["splits"]
+    assert {split: table["rows"] for split, table in splits.items()} == rows
+    assert call("verify", out, "--quiet") == 0
+
+
+def test_python_divides_pictures_of_ones_own_as_the_command_does(own_pictures, tmp_path):
+    solid = mnist3d.SolidSpec(target_vertices=400)
+    spec = mnist3d.GenerateSpec(FolderSource(str(own_pictures)), solid, limit=1)
+    assert list(mnist3d.generate(spec, tmp_path / "one").split_table()) == ["train"]
+    assert list(mnist3d.generate(spec, tmp_path / "two", ("train", "test")).split_table()) == [
+        "train",
+        "test",
+    ]
+    divided = mnist3d.GenerateSpec(spec.source, solid, mnist3d.SplitSpec(by="digit"), limit=1)
+    assert list(mnist3d.generate(divided, tmp_path / "all").split_table()) == list(mnist3d.SPLITS)
+    with pytest.raises(InputError, match="split sizes are given for digits that are not divided"):
+        mnist3d.SplitSpec(by="none", sizes={"train": 1})
+
+
+def test_a_card_of_ones_own_pictures_is_named_as_its_folder(own_pictures, tmp_path, capsys):
+    out = tmp_path / "my_*digits*\u202e"
+    source = ("--source", "folder", "--images", own_pictures, "--limit", 1)
+    assert call("generate", *source, "--vertices", 400, "--workers", 1, "--quiet", "--out", out) == 0
+    card = (out / "README.md").read_text()
+    assert "\n# my\\_\\*digits\\*\\\\u202e\n" in card
+    assert "pretty_name: my_*digits*\\u202e\n" in card
+    assert json.loads((out / "croissant.json").read_text())["name"] == "my_*digits*\\u202e"
+    assert "# MNIST 3D" not in card
+    assert "all digits in `train`" in card
+    (out / "README.md").unlink()
+    assert call("card", out) == 0
+    assert (out / "README.md").read_text() == card
+    assert call("export", out, "--layout", "flat", "--out", tmp_path / "tables", "--quiet") == 0
+    assert "\n# 3D digits as tables\n" in (tmp_path / "tables" / "README.md").read_text()

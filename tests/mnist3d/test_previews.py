@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from importlib.util import find_spec
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -11,14 +12,15 @@ from PIL import Image
 
 import mnist3d
 from mnist3d.generation import GenerateSpec, generate
-from mnist3d.preview_steps import draw_steps, layer_map, shown_layers
+from mnist3d.lattice import lattice_steps
+from mnist3d.preview_steps import draw_steps, layer_map
 from mnist3d.previews import DigitPreviewSpec as PreviewSpec
 from mnist3d.previews import object_facts, plan_previews, report_rows
 from mnist3d.solid import SolidSpec, ink_mask
 from mnist3d.sources.folder import FolderSource
+from mnist3d.sources.mnist import MnistSource
 from mnist3d.sources.synthetic import SyntheticSource
 from mnist3d.splits import SplitSpec
-from mnist3d.steps import erode, erosion_radii_px
 from tactile_toolkit.errors import InputError, IntegrityError, MissingExtraError
 from tactile_toolkit.mesh.files import write_mesh
 from tactile_toolkit.mesh.mesh import Mesh
@@ -28,9 +30,9 @@ from tactile_toolkit.pictures.relief import relief, relief_of
 from tactile_toolkit.pictures.render import Renderer
 from tactile_toolkit.pictures.sheets import ScaleBar
 from tactile_toolkit.store.folder import DataFolder
+from tests.mnist3d import mnist_files
 
 THIN = SolidSpec(target_vertices=500, half_thickness_mm=1.2)
-"""Few layers: the steps at full resolution stay quick."""
 
 RELIEF_ONLY = Renderer(smooth=False)
 NO_PLOTS = find_spec("matplotlib") is None
@@ -168,19 +170,14 @@ def test_ids_draw_single_objects_from_whatever_split_they_are_in(folder):
 
 
 def test_layers_lie_within_one_another_the_higher_the_darker():
-    spec = SolidSpec()
-    mask = ink_mask(SyntheticSource().image(0).pixels, spec)
-    radii = erosion_radii_px(spec)
-    layers = [erode(mask, radius) for radius in radii]
-    shown = shown_layers(radii)
-    assert (shown[0], shown[-1], len(shown)) == (0, len(layers) - 1, 6)
-    assert (np.diff(radii[list(shown)]) > 0).all()
-    drawn_map = layer_map(layers, shown)
+    steps = lattice_steps(ink_mask(SyntheticSource().image(0).pixels, SolidSpec()), SolidSpec())
+    layers = [layer for layer in np.moveaxis(steps.layers, 2, 0) if layer.any()]
+    assert all((upper <= lower).all() for lower, upper in pairwise(layers))
+    drawn_map = layer_map(layers)
     assert (drawn_map[~layers[0]] == 255).all()
-    levels = [drawn_map[layers[number]][:, 0].max() for number in shown]
+    levels = [drawn_map[layer][:, 0].max() for layer in layers]
     assert levels == sorted(levels, reverse=True)
-    assert len(np.unique(drawn_map[mask][:, 0])) == len(shown)
-    assert shown_layers(np.zeros(20)) == (0,)
+    assert len(np.unique(drawn_map[layers[0]][:, 0])) == len(layers) > 3
 
 
 def test_steps_begin_with_the_image_and_end_with_the_surface(tmp_path):
@@ -191,24 +188,55 @@ def test_steps_begin_with_the_image_and_end_with_the_surface(tmp_path):
     small = np.asarray(Image.fromarray(pixels).resize((250, 250)))
     coarse = SolidSpec(pixel_pitch_mm=0.4)
     picture = draw_steps(RELIEF_ONLY, small, coarse, "digit.png").pixels
-    panels = [picture[70:-40, 16 + n * 388 : 16 + n * 388 + 380] for n in range(5)]
-    assert set(np.unique(panels[0].reshape(-1, 3) // 86)) <= {0, 1, 2}
+    panels = [
+        picture[70 + row * 408 : 440 + row * 408, 16 + column * 388 : 396 + column * 388]
+        for row in range(2)
+        for column in range(3)
+    ]
+    for panel in panels[:2]:
+        assert set(np.unique(panel.reshape(-1, 3) // 86)) <= {0, 1, 2}
     grey = [bool((panel[:, :, 0] == panel[:, :, 2]).all()) for panel in panels]
-    assert grey == [True, False, False, False, False]
+    assert grey == [True, True, False, False, False, False]
     blue = [(panel[:, :, 2].astype(int) > panel[:, :, 0].astype(int) + 20).sum() for panel in panels]
-    assert blue[1] > 1000
     assert blue[2] > 1000
-    assert max(blue[3:]) == 0
-    raw, smoothed = (_roughness(panel) for panel in panels[3:])
-    assert smoothed < 0.9 * raw
+    assert blue[3] > 1000
+    assert max(blue[4:]) == 0
 
 
-def _roughness(panel: np.ndarray) -> float:
-    levels = panel[:, :, 0].astype(float)
-    inside = (panel != 255).any(axis=2)
-    inner = inside[2:-2, 2:-2] & inside[:-4, 2:-2] & inside[4:, 2:-2]
-    bend = levels[1:-3, 2:-2] - 2 * levels[2:-2, 2:-2] + levels[3:-1, 2:-2]
-    return float(np.abs(bend[inner]).mean())
+class Looked(Renderer):
+    """Keeps the bodies that it is given to draw."""
+
+    def draw(self, picture):
+        self.seen = [*getattr(self, "seen", ()), *(body.mesh for body in picture.bodies)]
+        return super().draw(picture)
+
+
+@pytest.mark.parametrize("vertices", [1500, 400])
+def test_steps_of_a_data_set_end_with_the_mesh_that_it_stores(tmp_path, vertices):
+    source = SyntheticSource(count=280)
+    spec = GenerateSpec(source, SolidSpec(target_vertices=vertices, join_bodies=True), limit=1)
+    generate(spec, str(tmp_path / "set"), ("test",))
+    (record,) = mnist3d.load(str(tmp_path / "set"), "test")
+    (planned,) = plan_previews(str(tmp_path / "set"), PreviewSpec(("steps",), ids=(record.id,))).pictures
+    renderer = Looked(smooth=False)
+    planned.draw(renderer)
+    np.testing.assert_array_equal(renderer.seen[-1].vertices_m, record.vertices_m)
+    np.testing.assert_array_equal(renderer.seen[-1].faces, record.faces)
+
+
+@pytest.mark.parametrize("part", ["train", "test", "auto"])
+def test_steps_know_which_part_of_mnist_a_data_set_was_made_from(tmp_path, part):
+    for each in ("train", "test"):
+        mnist_files.write(tmp_path / "mnist", each)
+    source = MnistSource(str(tmp_path / "mnist"), part)
+    spec = GenerateSpec(source, SolidSpec(target_vertices=400), limit=1)
+    generate(spec, str(tmp_path / "set"), ("train",))
+    (record,) = mnist3d.load(str(tmp_path / "set"), "train")
+    chosen = PreviewSpec(("steps",), ids=(record.id,), images=tmp_path / "mnist")
+    (planned,) = plan_previews(str(tmp_path / "set"), chosen).pictures
+    renderer = Looked(smooth=False)
+    planned.draw(renderer)
+    np.testing.assert_array_equal(renderer.seen[-1].vertices_m, record.vertices_m)
 
 
 def test_steps_of_a_data_set_take_the_image_that_the_digit_was_made_from(folder):
