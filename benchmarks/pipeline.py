@@ -6,7 +6,9 @@
     python benchmarks/pipeline.py --memory     # peak memory of 2,000 and of all 13,580 digits
     python benchmarks/pipeline.py --digits 100 # fewer digits
 
-Loading is compared with `tactile_mnist.SimpleMeshDataset` where the extra `env` is installed.
+Digits are compared with the plain implementation of `plain_digit.py`, which needs the extra `pictures` and is
+fastest with fast-simplification. Loading is compared with `tactile_mnist.SimpleMeshDataset` where the extra
+`env` is installed.
 """
 
 from __future__ import annotations
@@ -32,12 +34,11 @@ limit_threads()
 
 import numpy as np
 from figures import tell
+from plain_digit import NAME, plain_row
 
 from mnist3d.generation import GenerateSpec, generate, make_row
-from mnist3d.rows import PARQUET_STYLE, MeshRow, mesh_table
-from mnist3d.solid import SolidSpec, solidify
+from mnist3d.rows import PARQUET_STYLE, mesh_table
 from mnist3d.sources.synthetic import SyntheticSource
-from tactile_toolkit.mesh.printability import inspect
 from tactile_toolkit.store.parquet import encode_parquet
 
 SOURCE = SyntheticSource()
@@ -45,9 +46,7 @@ SOURCE = SyntheticSource()
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument(
-        "--digits", type=int, default=60, help="digits of the comparison with the literal way"
-    )
+    parser.add_argument("--digits", type=int, default=60, help="digits of the comparison with the plain way")
     parser.add_argument(
         "--memory", action="store_true", help="measure peak memory of 2,000 and 13,580 digits"
     )
@@ -76,39 +75,33 @@ def median_s(work: Callable[[], object], times: int = 5) -> float:
 
 
 def report_written(count: int) -> None:
-    """Validated mesh, written, against the literal algorithm, one core, per mesh."""
+    """A proved mesh, written, against the plain implementation: processor time, turn by turn."""
     ids = list(range(0, 13_580, 13_580 // count))[:count]
     spec = GenerateSpec(SOURCE)
-    make_row(ids[0], spec)
-    literal_row(ids[0])
-    fast_s, literal_s, bare_s = [], [], []
-    for digit_id in ids:
-        start_s = time.perf_counter()
-        row, _ = make_row(digit_id, spec)
-        encode_parquet(mesh_table([row], "synthetic"), PARQUET_STYLE)
-        fast_s.append(time.perf_counter() - start_s)
-        if len(literal_s) < max(5, count // 6):
-            start_s = time.perf_counter()
-            bare_s.append(literal_row(digit_id))
-            literal_s.append(time.perf_counter() - start_s)
-    fast, literal, bare = (statistics.median(values) for values in (fast_s, literal_s, bare_s))
+    ways = (partial(written_row, spec), lambda digit_id: plain_row(SOURCE.image(digit_id).pixels))
+    for way in ways:
+        way(ids[0])
+    ours_s, plain_s = zip(*([processor_s(way, each) for way in ways] for each in ids), strict=True)
+    what = "a digit drawn, made, proved a solid and written, processor time{}; a plain implementation"
     tell(
-        "digit", "a digit drawn, made, proved a solid and written, one core; the algorithm as printed",
-        fast, "s", other=literal, target="at least 20",
-        note=f"its mesh alone, not proved or written: {bare / fast:.1f} times",
+        "plain", what.format(""), statistics.median(ours_s), "s", other=statistics.median(plain_s),
+        note=f"medians of {count:,} digits; {NAME}",
+    )  # fmt: skip
+    tell(
+        "plain_mean", what.format(" in the mean"), statistics.mean(ours_s), "s",
+        other=statistics.mean(plain_s), target="at least 25",
     )  # fmt: skip
 
 
-def literal_row(digit_id: int) -> float:
-    """Make, validate and write one digit the literal way; return the seconds of the mesh alone."""
-    digit = SOURCE.image(digit_id)
-    start_s = time.perf_counter()
-    mesh = solidify(digit.pixels, SolidSpec(), method="literal")
-    seconds = time.perf_counter() - start_s
-    report = inspect(mesh)
-    row = MeshRow(digit.id, digit.label, mesh, digit.writer, report.volume_mm3 * 1e-9)
+def written_row(spec: GenerateSpec, digit_id: int) -> None:
+    row, _ = make_row(digit_id, spec)
     encode_parquet(mesh_table([row], "synthetic"), PARQUET_STYLE)
-    return seconds
+
+
+def processor_s(way: Callable[[int], object], digit_id: int) -> float:
+    start_s = time.process_time()
+    way(digit_id)
+    return time.process_time() - start_s
 
 
 def report_workers(folder: Path) -> None:

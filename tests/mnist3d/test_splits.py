@@ -127,7 +127,10 @@ def test_sizes_of_ones_own():
 @pytest.mark.parametrize(
     ("wrong", "message"),
     [
-        ({"by": "Writer"}, "by of the division into splits is 'Writer'; expected one of digit, writer"),
+        (
+            {"by": "Writer"},
+            "by of the division into splits is 'Writer'; expected None or one of digit, writer, none",
+        ),
         ({"seed": -1}, "seed of the division into splits is -1; expected a whole number"),
         ({"seed": 1.5}, "seed of the division into splits is 1.5"),
         ({"sizes": "train"}, "split sizes are 'train'; expected pairs"),

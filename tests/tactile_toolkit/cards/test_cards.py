@@ -294,7 +294,7 @@ def test_little_sizes_do_not_read_as_nothing():
 
 def test_a_template_without_a_value_is_an_error():
     with pytest.raises(KeyError, match="rows"):
-        render_card("mnist3d.md", {})
+        render_card("mnist3d.md", {"title": "MNIST 3D"})
 
 
 def test_a_folder_without_rows_has_no_facts(tmp_path):
