@@ -2,7 +2,7 @@
 
 Crop, one distance transform, the layers stacked at full resolution, one marching cubes, Taubin smoothing and
 a decimation to as many triangles, all in compiled code: SciPy, VTK (by PyVista), and fast-simplification.
-Where that is not installed, manifold3d decimates, to some 13,000 triangles; VTK would take four times as long.
+Where that is not installed, manifold3d decimates, to some 13,000 triangles; VTK takes four times as long.
 """
 
 from __future__ import annotations

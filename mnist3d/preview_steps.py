@@ -139,7 +139,7 @@ def _rebuilt_source(described: dict[str, Any], images: Path | None, writer_info:
 
         source, parts = MnistSource(str(images)), list(described.get("parts") or [])
         # The folder may hold both parts where the set was made from one; then the training digits come first.
-        found = list(source.fingerprint()["parts"])
+        found: Any = source.fingerprint()["parts"]
         if len(found) > len(parts) == 1 and parts[0] in found:
             return MnistSource(str(images), ("train", "test")[found.index(parts[0])])
         return source
