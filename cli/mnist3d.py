@@ -65,11 +65,12 @@ def generate(
         limit=division.limit,
     )
     splits = None if split is None else SPLITS if split == "all" else (split,)
+    # Before the first digit, of a forecast too: it measures what a worker takes.
+    prepare_batch_process()
     if making.dry_run:
         view = forecast(spec, out, splits, making.processes, overwrite=making.overwrite)
         print_forecast(sink, KIND, view, out, making)
         return
-    prepare_batch_process()
     made = make_with_progress(
         sink, "making digits", KIND.nouns, partial(make, spec, out, splits), making, out
     )
@@ -101,7 +102,9 @@ def validate(
     Exit code 1 when a mesh is not a valid solid.
     """
     from mnist3d.validate import validate_paths
+    from tactile_toolkit.run.limits import prepare_batch_process
 
+    prepare_batch_process()
     chosen = None if split == "all" else split
     with sink.progress("checking", "meshes") as update:
         results = validate_paths(paths, chosen, limit, process_count(workers), on_progress=update)

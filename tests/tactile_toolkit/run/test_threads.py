@@ -5,10 +5,15 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
+from pathlib import Path
 
 import pytest
+import trimesh
 
-from tactile_toolkit.run.processes import InlineRunner
+from tactile_toolkit.mesh.files import write_mesh
+from tactile_toolkit.mesh.mesh import Mesh
+from tactile_toolkit.mesh.printability import inspect
+from tactile_toolkit.run.processes import InlineRunner, ProcessRunner
 from tactile_toolkit.store.build import build
 from tactile_toolkit.store.folder import DataFolder
 from tests.tactile_toolkit.toy import toy_plan
@@ -74,3 +79,53 @@ def test_a_process_that_is_limited_starts_no_threads_for_sums():
         [sys.executable, "-c", LIMITED], env=settings, capture_output=True, text=True, check=True
     )
     assert done.stdout.strip() == "1"
+
+
+# OpenBLAS is loaded with pyarrow, before a command begins; what is left are the threads of manifold3d.
+CHECKS = """
+import os, pathlib, sys
+from tests.command_line import call
+if sys.argv[1] == "one":
+    os.sched_setaffinity(0, {min(os.sched_getaffinity(0))})
+assert call("mnist3d", *sys.argv[2:], "--quiet") == 0
+print(len(list(pathlib.Path("/proc/self/task").iterdir())))
+"""
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="threads are counted in /proc")
+@pytest.mark.parametrize("words", ["generate --dry-run --limit 1 --out new", "validate ball.stl"])
+def test_commands_limit_threads_before_their_first_digit(tmp_path, monkeypatch, words):
+    """As many threads as where the process may use one processor only."""
+    write_mesh(tmp_path / "ball.stl", ball())
+    monkeypatch.chdir(tmp_path)
+    single = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"), "1")
+    environment = os.environ | single | {"PYTHONPATH": str(Path(__file__).parents[3])}
+    one, all_of_them = (
+        subprocess.run(
+            [sys.executable, "-c", CHECKS, processors, *words.split()],
+            env=environment,
+            capture_output=True,
+            text=True,
+            check=True,
+        ).stdout.split()[-1]
+        for processors in ("one", "all")
+    )
+    assert all_of_them == one
+
+
+def threads_of_a_check(_: int) -> tuple[int, int]:
+    tasks = Path("/proc/self/task")
+    before = len(list(tasks.iterdir()))
+    assert inspect(ball()).is_solid
+    return before, len(list(tasks.iterdir()))
+
+
+def ball() -> Mesh:
+    found = trimesh.creation.icosphere(subdivisions=5, radius=0.02)
+    return Mesh(found.vertices.astype("float32"), found.faces.astype("int32"))
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="threads are counted in /proc")
+def test_workers_limit_threads_before_their_first_task():
+    for before, after in ProcessRunner(2).run(threads_of_a_check, [0, 1]):
+        assert after == before
