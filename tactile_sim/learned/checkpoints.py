@@ -29,6 +29,7 @@ __all__ = [
     "DEPTH_WEIGHTS",
     "TOUCH_WEIGHTS",
     "claim_folder",
+    "foreign_checkpoint",
     "read_checkpoint",
     "settings_of",
     "write_checkpoint",
@@ -107,9 +108,23 @@ def read_checkpoint(folder: DataFolder) -> dict[str, Any] | None:
             "train again in another folder"
         )
         raise IntegrityError(message)
-    # weights_only: a checkpoint is data, and unpickling it must run no code.
-    found: dict[str, Any] = torch.load(io.BytesIO(content), map_location="cpu", weights_only=True)
+    try:
+        # weights_only: a checkpoint is data, and unpickling it must run no code.
+        found: dict[str, Any] = torch.load(io.BytesIO(content), map_location="cpu", weights_only=True)
+    except Exception as error:  # whatever a foreign pickle runs into
+        raise foreign_checkpoint(folder, error) from error
     return found
+
+
+def foreign_checkpoint(folder: DataFolder, error: Exception) -> IntegrityError:
+    """Return the error for a checkpoint that is intact, and not one of this training."""
+    # The first sentence: torch goes on with advice to run the code of the file.
+    problem = str(error).partition(".")[0] or type(error).__name__
+    message = (
+        f"{folder.address(_CHECKPOINT)!r} is not a checkpoint of this training ({problem}); expected one "
+        "that `tactile-sim train` wrote with these settings; next: train again in another folder"
+    )
+    return IntegrityError(message)
 
 
 def write_log(folder: DataFolder, names: tuple[str, ...], log: Any) -> None:

@@ -19,6 +19,7 @@ from tactile_sim.learned.checkpoints import (
     DEPTH_WEIGHTS,
     TOUCH_WEIGHTS,
     claim_folder,
+    foreign_checkpoint,
     read_checkpoint,
     write_checkpoint,
     write_log,
@@ -188,18 +189,25 @@ class _Run:
         state = read_checkpoint(self.folder)
         if state is None:
             return 0, []
-        if len(state["pools"]) != self.place.count:
+        try:
+            pools, step, log = state["pools"], int(state["step"]), state["log"].tolist()
+            if len(pools) == self.place.count:
+                self.model.load_state(state)
+                self.model.load_pools(pools[self.place.rank])
+        except torch.OutOfMemoryError:
+            raise
+        except (AttributeError, LookupError, RuntimeError, TypeError, ValueError) as error:
+            raise foreign_checkpoint(self.folder, error) from error
+        if len(pools) != self.place.count:
             message = (
-                f"{self.folder.address()!r} was trained by {len(state['pools'])} processes, and now there "
+                f"{self.folder.address()!r} was trained by {len(pools)} processes, and now there "
                 f"are {self.place.count}; nothing was changed; next: as many processes as before"
             )
             raise SpecMismatchError(message)
-        self.model.load_state(state)
-        self.model.load_pools(state["pools"][self.place.rank])
         if self.place.rank == 0:
             # A kill may have come between the checkpoint and what follows from it.
-            self._publish(state["step"], state["log"])
-        return int(state["step"]), state["log"].tolist()
+            self._publish(step, state["log"])
+        return step, log
 
     def _save(self, done: int, log: list[list[float]]) -> None:
         pools = _gathered(self.model.pool_state(), self.place)

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import hashlib
+import io
 import json
 import os
 import signal
 import socket
 import subprocess
 import sys
+from fractions import Fraction
 from importlib.util import find_spec
 from pathlib import Path
 
@@ -278,6 +281,13 @@ def test_a_damaged_checkpoint_and_a_full_disk_are_named(pairs, trained, tmp_path
     (out / "checkpoint.pt").write_bytes(damaged)
     with pytest.raises(IntegrityError, match="does not match its checksum"):
         train(pairs, out, CONFIG, device="cpu")
+    for other, problem in ((Fraction(1, 2), "Weights only load failed"), ({"step": 2}, "'pools'")):
+        content = io.BytesIO()
+        torch.save(other, content)
+        digest = hashlib.sha256(content.getvalue()).digest()
+        (out / "checkpoint.pt").write_bytes(digest + content.getvalue())
+        with pytest.raises(IntegrityError, match=f"not a checkpoint of this training .*{problem}"):
+            train(pairs, out, CONFIG, device="cpu")
     full = tmp_path / "full"
 
     def no_room(*_):
