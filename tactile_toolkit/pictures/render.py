@@ -106,6 +106,7 @@ SAMPLING = 2
 """Views are drawn so many times larger and averaged: smooth edges that no driver's own way decides."""
 
 _LENGTH = struct.Struct("<q")
+_HEADERS_BYTES = 4096
 _SECONDS_TO_END = 5.0
 _SECONDS_TO_DRAW = 120.0
 
@@ -194,7 +195,9 @@ class Renderer:
             child = self._child = self._child or _start()
             with _killed_after(child, _SECONDS_TO_DRAW, late):
                 send(_end_of(child.stdin), *_packed(picture))
-                _, arrays = receive(_end_of(child.stdout))
+                # Text of a site's own start-up files, read as a length, would be petabytes.
+                most_bytes = 3 * SAMPLING**2 * math.prod(picture.size_px) + _HEADERS_BYTES
+                _, arrays = receive(_end_of(child.stdout), most_bytes)
         except (OSError, EOFError):
             self.close()
             self._reason = (
@@ -232,12 +235,16 @@ def send(stream: IO[bytes], words: dict[str, Any], arrays: dict[str, NDArray[Any
     stream.flush()
 
 
-def receive(stream: IO[bytes]) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
-    """Read a message from a pipe; EOFError where the other side is gone."""
+def receive(
+    stream: IO[bytes], most_bytes: int = sys.maxsize
+) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
+    """Read a message from a pipe; EOFError where the other side is gone, or sends something else."""
     head = stream.read(_LENGTH.size)
     if len(head) < _LENGTH.size:
         raise EOFError
     (length,) = _LENGTH.unpack(head)
+    if not 0 <= length <= most_bytes:
+        raise EOFError
     content = stream.read(length)
     if len(content) < length:
         raise EOFError
@@ -321,8 +328,9 @@ _LIGHTS = (((-0.5, 0.75, 0.9), 0.88), ((0.9, 0.1, 0.6), 0.30))
 
 def main() -> None:
     """Draw until the input ends."""
-    # The drivers may print; whatever they say must not get between the pictures.
-    output, sys.stdout = sys.stdout.buffer, sys.stderr
+    # Drivers print on descriptor 1, whatever Python calls its output: the pictures go through another one.
+    output = os.fdopen(os.dup(1), "wb")
+    os.dup2(2, 1)
     while True:
         try:
             words, arrays = receive(sys.stdin.buffer)

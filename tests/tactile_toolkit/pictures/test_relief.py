@@ -186,6 +186,41 @@ def test_a_renderer_that_dies_does_not_take_the_caller_with_it(pyvista, monkeypa
         assert renderer.draw(picture)[1] == notes
 
 
+PRINTS = """
+import os, sys
+os.write(1, b"libEGL: a word about the screen\\n")
+"""
+PRINTS_AT_IMPORT = f"""{PRINTS}
+sys.path.remove(os.path.dirname(__file__))
+del sys.modules["pyvista"]
+import pyvista
+"""
+
+
+@pytest.mark.pictures
+def test_what_a_driver_prints_on_descriptor_1_is_not_a_picture(pyvista, monkeypatch, tmp_path):
+    picture = Picture3d((Body(box(20, 10, 5), CLAY),), (120, 90), 4_000.0)
+    with Renderer() as renderer:
+        expected, _ = renderer.draw(picture)
+    (tmp_path / "pyvista.py").write_text(PRINTS_AT_IMPORT)
+    monkeypatch.setenv("PYTHONPATH", str(tmp_path))
+    with Renderer() as renderer:
+        pixels, notes = renderer.draw(picture)
+        assert notes == ()
+        assert np.array_equal(pixels, expected)
+
+
+@pytest.mark.pictures
+def test_text_in_place_of_a_picture_is_not_taken_for_its_length(pyvista, monkeypatch, tmp_path):
+    (tmp_path / "sitecustomize.py").write_text(PRINTS)
+    monkeypatch.setenv("PYTHONPATH", str(tmp_path))
+    picture = Picture3d((Body(box(20, 10, 5), CLAY),), (120, 90), 4_000.0)
+    with Renderer() as renderer:
+        pixels, notes = renderer.draw(picture)
+        assert np.array_equal(pixels, shaded(picture))
+        assert "ended without a picture" in notes[0]
+
+
 @pytest.mark.pictures
 def test_bars_are_as_high_as_their_counts(matplotlib):
     from tactile_toolkit.pictures.plots import Bars, plot_bars
