@@ -32,7 +32,13 @@ from tactile_toolkit.errors import InputError, IntegrityError, ItemError, Missin
 from tactile_toolkit.read.dataset import Row
 from tactile_toolkit.read.sequence import checked_index, positions
 from tactile_toolkit.touch.avi import Avi, AviIndex, NoIndexError
-from tactile_toolkit.touch.ffmpeg import ffmpeg_count, ffmpeg_fps, ffmpeg_frames, ffmpeg_size
+from tactile_toolkit.touch.ffmpeg import (
+    ffmpeg_count,
+    ffmpeg_fps,
+    ffmpeg_frames,
+    ffmpeg_size,
+    require_video,
+)
 from tactile_toolkit.touch.jpeg import Pixels, decode_image, image_size, room_for
 
 if TYPE_CHECKING:
@@ -342,7 +348,10 @@ class TouchClip(Sequence[Pixels]):
         ------
         MissingExtraError
             torchcodec is not installed.
+        IntegrityError
+            The clip is neither an AVI nor Matroska; names file, row and touch.
         """
+        self._named(lambda: require_video(self.data))
         try:
             from torchcodec.decoders import VideoDecoder
         except ImportError as error:

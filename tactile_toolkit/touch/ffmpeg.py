@@ -13,7 +13,24 @@ from tactile_toolkit.errors import MissingExtraError
 from tactile_toolkit.touch.avi import MAX_CLIP_FRAMES
 from tactile_toolkit.touch.jpeg import MAX_BATCH_PIXELS, MAX_IMAGE_PIXELS, Pixels, decode_image
 
-__all__ = ["ffmpeg_count", "ffmpeg_fps", "ffmpeg_frames", "ffmpeg_size"]
+__all__ = ["ffmpeg_count", "ffmpeg_fps", "ffmpeg_frames", "ffmpeg_size", "require_video"]
+
+
+def require_video(data: memoryview) -> str:
+    """Return the container of a clip as FFmpeg calls it; ValueError unless it is an AVI or Matroska.
+
+    Left to itself FFmpeg takes text for a play list, and opens the files and addresses that it names.
+    """
+    start = bytes(data[:12])
+    if start[:4] == b"RIFF" and start[8:] == b"AVI ":
+        return "avi"
+    if start[:4] == b"\x1aE\xdf\xa3":
+        return "matroska"
+    message = (
+        f"{len(data):,} bytes that begin with {start[:8].hex(' ')}; expected an AVI with MJPEG frames, or "
+        "Matroska"
+    )
+    raise ValueError(message)
 
 
 def _av() -> Any:
@@ -27,13 +44,15 @@ def _av() -> Any:
 
 def _open_video(data: memoryview) -> Any:
     """Open a clip; raises ValueError when it cannot be read or its frames exceed the limit."""
+    name = require_video(data)
     av = _av()
+    # Nothing but these bytes: no other format inside, and no protocol to open anything by.
+    options = {"format_whitelist": name, "protocol_whitelist": "none"}
     try:
-        container = av.open(io.BytesIO(data))
+        container = av.open(io.BytesIO(data), format=name, options=options)
         stream = next(iter(container.streams.video), None)
     except av.FFmpegError as error:
-        start = bytes(data[:8]).hex(" ")
-        message = f"{len(data):,} bytes that begin with {start}; expected an AVI with MJPEG frames ({error})"
+        message = f"{len(data):,} bytes that cannot be read as {name}; expected a whole clip ({error})"
         raise ValueError(message) from error
     problem = ""
     if stream is None:

@@ -3,7 +3,6 @@ from __future__ import annotations
 import io
 import struct
 import sys
-import wave
 from pathlib import Path
 
 import av
@@ -335,9 +334,12 @@ def _copy(row: dict) -> dict:
 
 def test_sound_without_a_video_is_refused() -> None:
     sound = io.BytesIO()
-    with wave.open(sound, "wb") as writer:
-        writer.setparams((1, 2, 8000, 0, "NONE", ""))
-        writer.writeframes(bytes(800))
+    with av.open(sound, "w", format="matroska") as output:
+        track = output.add_stream("pcm_s16le", rate=8000, layout="mono")
+        frame = av.AudioFrame.from_ndarray(np.zeros((1, 800), np.int16), layout="mono")
+        frame.sample_rate = 8000
+        output.mux(track.encode(frame))
+        output.mux(track.encode(None))
     with pytest.raises(ValueError, match="a file without a video; expected an AVI"):
         ffmpeg_frames(memoryview(sound.getvalue()), [0], 1)
 

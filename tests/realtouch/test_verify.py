@@ -242,3 +242,36 @@ def test_a_file_of_fewer_rows_than_the_manifest_says(single_folder: Path, tmp_pa
     assert "1 rows; expected 2 by the manifest" in [
         finding.problem for finding in realtouch.verify(tmp_path / "chosen").findings
     ]
+
+
+REFERENCES = {
+    "play list": b"ffconcat version 1.0\nfile secret.avi\n",
+    "HLS": b"#EXTM3U\n#EXT-X-TARGETDURATION:9\n#EXTINF:9,\nsecret.avi\n#EXT-X-ENDLIST\n",
+    "SDP": b"v=0\no=- 0 0 IN IP4 127.0.0.1\ns=-\nc=IN IP4 127.0.0.1\nt=0 0\nm=video 50404 RTP/AVP 26\n",
+}
+
+
+@pytest.mark.parametrize("name", REFERENCES)
+def test_a_clip_that_refers_to_something_else_is_damaged(
+    name: str,
+    truth: list[RoundTruth],
+    seq_rows: list[dict],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """FFmpeg would open the user's own files, or a socket, and hand out what is there."""
+
+    def refer(row: dict[str, Any]) -> None:
+        row["sensor_video"][2]["bytes"] = REFERENCES[name]
+
+    (tmp_path / "secret.avi").write_bytes(factories.encode_avi(truth[1].touches[2].pixels))
+    monkeypatch.chdir(tmp_path)
+    folder = damaged_set(tmp_path / "set", seq_rows[:3], "seq", refer)
+    clip = realtouch.load(folder)[1].sensor_video[2]
+    for use in (clip.frames, clip.to_torchcodec, lambda: (clip.size, clip.fps)):
+        with pytest.raises(IntegrityError, match=r"row 1, touch 2.*expected an AVI"):
+            use()
+    for quick in (True, False):
+        assert found_in(folder, quick=quick) == [(1, 2, "sensor_video")]
+    manifest = realtouch.to_single(folder, tmp_path / "single")
+    assert [each.id for shard in manifest.shards for each in shard.skipped] == [1]
