@@ -17,7 +17,9 @@ from numpy.typing import NDArray
 from mnist3d.ink import margin, otsu_threshold, paper_is_dark
 from mnist3d.sources import NO_WRITER, DigitCatalog, DigitImage
 from mnist3d.sources.canvas import as_grey, fit
+from tactile_toolkit.bounds import require_unpackable
 from tactile_toolkit.errors import InputError, ItemError
+from tactile_toolkit.touch.jpeg import require_few_scans
 
 if TYPE_CHECKING:
     from PIL.Image import Image
@@ -27,6 +29,9 @@ __all__ = ["FolderSource", "read_picture"]
 _SUFFIXES = frozenset(
     {".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".webp", ".gif", ".pgm", ".ppm", ".pbm"}
 )
+_FORMATS = ("PNG", "JPEG", "BMP", "TIFF", "WEBP", "GIF", "PPM")
+_BYTES_PER_PIXEL = {"1": 4, "L": 4, "P": 11, "RGB": 11}
+"""Memory that reading takes, by mode, as measured; 24 for transparency and for more than 8 bits."""
 _INKS = ("auto", "dark", "light")
 _DIGITS = frozenset("0123456789")
 _LABEL = re.compile(r"(?<![a-z])label[_=-]?([0-9])(?![0-9])", re.IGNORECASE)
@@ -236,7 +241,11 @@ def _decoded(path: Path) -> Image:
             warnings.simplefilter("ignore")
             # Pillow only warns of pictures up to twice its limit; one of them takes half a gigabyte.
             warnings.simplefilter("error", Image.DecompressionBombWarning)
-            with Image.open(path) as picture:
+            with Image.open(path, formats=_FORMATS) as picture:
+                memory = picture.width * picture.height * _BYTES_PER_PIXEL.get(picture.mode, 24)
+                require_unpackable(memory, f"a picture of {picture.width} x {picture.height} pixels")
+                if picture.format in ("JPEG", "MPO"):
+                    require_few_scans(path.read_bytes())
                 upright = ImageOps.exif_transpose(picture)
         if upright.mode in ("F", "I") or upright.mode.startswith("I;16"):
             return upright

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactile_toolkit.store.parquet import ParquetStyle
+from tactile_toolkit.touch.jpeg import MAX_IMAGE_PIXELS
 from tactile_toolkit.touch.schema import MEDIA_TYPE, with_features
 
 __all__ = [
@@ -61,6 +62,9 @@ def decode_depth(data: bytes) -> NDArray[np.float32]:
 
     try:
         with Image.open(io.BytesIO(data), formats=["PNG"]) as image:
+            if image.width * image.height > MAX_IMAGE_PIXELS:
+                problem = f"{image.width} x {image.height} pixels; the limit is {MAX_IMAGE_PIXELS:,} pixels"
+                raise ValueError(problem)
             mode, levels = image.mode, np.asarray(image)
     except Exception as error:  # Pillow raises OSError, SyntaxError, struct.error and more on bad files
         message = f"a depth image of {len(data):,} bytes that cannot be decoded ({error})"

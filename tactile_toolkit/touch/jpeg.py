@@ -21,11 +21,13 @@ __all__ = [
     "MAX_BATCH_PIXELS",
     "MAX_IMAGE_BYTES",
     "MAX_IMAGE_PIXELS",
+    "MAX_SCANS",
     "ImageFormat",
     "Pixels",
     "decode_image",
     "encode_image",
     "image_size",
+    "require_few_scans",
     "resized",
     "room_for",
 ]
@@ -35,6 +37,10 @@ MAX_IMAGE_PIXELS = 1 << 24
 
 MAX_IMAGE_BYTES = 1 << 26
 """Largest encoded image that is looked at."""
+
+MAX_SCANS = 100
+"""Most scans of a JPEG that is decoded: each goes over the picture again, and a few bytes make one; cameras
+write 1, progressive files about 10."""
 
 MAX_BATCH_PIXELS = 1 << 31
 """Most pixels that are decoded into one new array (6 GiB): every frame of 256 clips of 90 frames fits."""
@@ -60,6 +66,7 @@ def image_size(data: memoryview | bytes) -> tuple[int, int]:
         message = f"an image of {len(data):,} bytes; the limit is {MAX_IMAGE_BYTES:,}"
         raise ValueError(message)
     if data[:3] == _JPEG_START:
+        require_few_scans(data)
         try:
             height, width, *_ = simplejpeg.decode_jpeg_header(data)
         except ValueError as error:
@@ -76,6 +83,15 @@ def image_size(data: memoryview | bytes) -> tuple[int, int]:
     return height, width
 
 
+def require_few_scans(data: memoryview | bytes) -> None:
+    """Raise ValueError where a JPEG has more scans than :data:`MAX_SCANS`, before it is decoded."""
+    # In coded pixels this pair of bytes does not occur (ITU-T T.81, B.1.1.5).
+    scans = bytes(data).count(b"\xff\xda")
+    if scans > MAX_SCANS:
+        message = f"a JPEG of {scans:,} scans; the limit is {MAX_SCANS}"
+        raise ValueError(message)
+
+
 def decode_image(data: memoryview | bytes, out: Pixels | None = None) -> Pixels:
     """Decode a whole JPEG, PNG or WebP to RGB, shape (H, W, 3), uint8; into ``out``, contiguous, if given.
 
@@ -83,6 +99,7 @@ def decode_image(data: memoryview | bytes, out: Pixels | None = None) -> Pixels:
     than ``out``. Nothing half-decoded is ever returned.
     """
     if out is not None and data[:3] == _JPEG_START and len(data) <= MAX_IMAGE_BYTES:
+        require_few_scans(data)
         # What is wrong is named below: to look into the header of each image first takes a while.
         with suppress(ValueError):
             if simplejpeg.decode_jpeg(data, "RGB", buffer=out).shape == out.shape:

@@ -16,6 +16,7 @@ from PIL import Image
 from mnist3d.sources import NO_WRITER, DigitSource
 from mnist3d.sources.folder import FolderSource, _natural
 from tactile_toolkit.errors import InputError, ItemError
+from tests.jpegs import jpeg_of_scans
 from tests.mnist3d.sources import refusal
 from tests.real_input import SHARED, needs_shared
 
@@ -278,6 +279,15 @@ class TestRefusals:
         save(tmp_path / "0" / "a.png")
         message = refusal(FolderSource(str(tmp_path), "blue"))
         assert "ink: found 'blue', expected one of auto, dark, light" in message
+
+
+def test_a_picture_that_takes_long_or_much_memory_is_left_out(tmp_path: Path) -> None:
+    (tmp_path / "1").mkdir()
+    (tmp_path / "1" / "slow.jpg").write_bytes(jpeg_of_scans(101))
+    assert "a JPEG of 101 scans" in item_refusal(tmp_path, "unreadable")
+    (tmp_path / "1" / "slow.jpg").unlink()
+    Image.new("LA", (6_000, 6_000)).save(tmp_path / "1" / "large.png")
+    assert "6000 x 6000 pixels unpacks to 864,000,000 bytes" in item_refusal(tmp_path, "unreadable")
 
 
 def test_it_pickles_small_and_works_afterwards(tmp_path: Path) -> None:

@@ -16,7 +16,8 @@ import realtouch
 from tactile_toolkit.errors import InputError, IntegrityError
 from tactile_toolkit.touch.avi import Avi, read_index, write_avi
 from tactile_toolkit.touch.ffmpeg import ffmpeg_count, ffmpeg_frames
-from tactile_toolkit.touch.jpeg import MAX_BATCH_PIXELS
+from tactile_toolkit.touch.jpeg import MAX_BATCH_PIXELS, decode_image
+from tests.jpegs import jpeg_of_scans
 from tests.realtouch import factories
 from tests.realtouch.factories import Layout
 
@@ -222,3 +223,31 @@ def test_an_empty_choice_has_the_size_of_the_others(single_folder: Path, seq_fol
     assert dataset.touches().images([]).shape == (0, 72, 96, 3)
     assert dataset[:0].touches().images().shape == (0, 0, 0, 3)
     assert realtouch.load(seq_folder, "train")[0].sensor_video[0][5:5].shape == (0, 72, 96, 3)
+
+
+def test_a_jpeg_of_hundreds_of_scans_is_not_decoded(single_rows: list[dict], tmp_path: Path) -> None:
+    """A few bytes make a scan, and each goes over the picture again: 88 kB took 17 s."""
+    assert decode_image(jpeg_of_scans(100)).shape == (8, 8, 3)
+
+    def edit(row: dict[str, Any], index: int) -> None:
+        if index == 1:
+            row["sensor_image"] = [dict(blob) for blob in row["sensor_image"]]
+            row["sensor_image"][2]["bytes"] = jpeg_of_scans(101)
+
+    factories.write_set(tmp_path, {"train": single_rows[:2]}, "single", Layout(edit=edit))
+    images = realtouch.load(tmp_path)[1].sensor_image
+    for use in (lambda: images[2], images.batch, lambda: images.size(2)):
+        with pytest.raises(IntegrityError, match=r"touch 2.*a JPEG of 101 scans; the limit is 100"):
+            use()
+    for quick in (True, False):
+        found = realtouch.verify(tmp_path, quick=quick).findings
+        assert [(each.row, each.touch) for each in found] == [(1, 2)]
+
+
+def test_a_frame_of_hundreds_of_scans_is_not_decoded(seq_rows: list[dict], tmp_path: Path) -> None:
+    clip = write_avi([jpeg_of_scans(101)] * 3, 8, 8, 25.0)
+    without_index = clip[: clip.rindex(b"idx1")] + b"JUNK" + clip[clip.rindex(b"idx1") + 4 :]
+    for data in (clip, without_index):
+        factories.write_set(tmp_path, {"train": seq_rows[:2]}, "seq", Layout(edit=one_clip(data, 3)))
+        with pytest.raises(IntegrityError, match=r"touch 1.*a JPEG of 101 scans"):
+            realtouch.load(tmp_path)[1].sensor_video[1].frames()

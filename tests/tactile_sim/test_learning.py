@@ -96,7 +96,11 @@ def test_depth_survives_its_picture():
     image = np.linspace(0, 1, 32 * 24, dtype=np.float32).reshape(24, 32)
     assert np.abs(decode_depth(encode_depth(depth_levels(image))) - image).max() < 1e-5
     assert (depth_levels(np.zeros((4, 4), np.float32)) == 65535).all()  # a level surface counts as no contact
-    for other, words in ((b"no picture", "cannot be decoded"), (png_bytes(image.astype(np.uint8)), "mode L")):
+    for other, words in (
+        (b"no picture", "cannot be decoded"),
+        (png_bytes(image.astype(np.uint8)), "mode L"),
+        (encode_depth(np.zeros((4097, 4097), np.uint16)), "4097 x 4097 pixels; the limit is"),
+    ):
         with pytest.raises(ValueError, match=words):
             decode_depth(other)
 
