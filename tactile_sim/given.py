@@ -24,6 +24,11 @@ _PLACES = ("x_m", "y_m")
 _NUMBERS = ("object_id", "round")
 _POSES = ("object_x_m", "object_y_m", "object_turn_rad")
 _COLUMNS = (*_PLACES, *_NUMBERS, *_POSES)
+# Memory that reading takes for each row, in whatever columns, with the numbers of rounds and objects.
+_BYTES_PER_ROW = 512
+_LONGEST_HEADER = 4096
+_LINE_ENDS = frozenset(b"\r\n")
+_PIECE_BYTES = 1 << 20
 # More is a wrong unit or column; sines are right up to a million turns.
 _MOST_TURNS_RAD = 1e4
 
@@ -98,6 +103,9 @@ class GivenTouches:
             raise InputError(message)
         try:
             columns = readers[file.suffix.lower()](file)
+        except InputError as error:  # more than the limit
+            message = f"given touches in {str(path)!r}: {error}"
+            raise InputError(message) from error
         except Exception as error:  # pyarrow, zipfile and numpy raise many kinds
             message = (
                 f"given touches in {str(path)!r} cannot be read ({error}); expected a "
@@ -195,13 +203,38 @@ def _column(name: str, value: Any) -> NDArray[Any]:
 def _read_csv(file: Path) -> Mapping[str, Any]:
     from pyarrow import csv
 
+    with file.open("rb") as stream:
+        head = stream.read(_LONGEST_HEADER)
+        if len(head) == _LONGEST_HEADER and not _LINE_ENDS.intersection(head):
+            message = f"its first line has more than {_LONGEST_HEADER:,} bytes"
+            raise ValueError(message)
+        stream.seek(0)
+        pieces = iter(lambda: stream.read(_PIECE_BYTES), b"")
+        lines = sum(max(map(piece.count, (b"\n", b"\r"))) for piece in pieces)
+    _require_rows(lines, file)
     return _numbers(csv.read_csv(file))
 
 
 def _read_parquet(file: Path) -> Mapping[str, Any]:
     from pyarrow import parquet
 
-    return _numbers(parquet.read_table(file))
+    with parquet.ParquetFile(file) as source:
+        metadata = source.metadata
+        groups = [metadata.row_group(number) for number in range(metadata.num_row_groups)]
+        columns = [metadata.schema.column(number) for number in range(metadata.num_columns)]
+        for column in columns:
+            if column.path not in _COLUMNS:
+                return {each.path: None for each in columns}  # which is refused, unread
+            if "BYTE_ARRAY" in column.physical_type:
+                message = f"column {column.path} holds {column.physical_type}; expected numbers"
+                raise ValueError(message)
+        counts = [group.column(number).num_values for group in groups for number in range(group.num_columns)]
+        _require_rows(max(metadata.num_rows, sum(counts) // max(len(columns), 1)), file)
+        return _numbers(source.read())
+
+
+def _require_rows(rows: int, file: Path) -> None:
+    require_unpackable(_BYTES_PER_ROW * rows, f"a table of {rows:,} rows", file.stat().st_size)
 
 
 def _numbers(table: Any) -> Mapping[str, Any]:
@@ -217,6 +250,8 @@ def _numbers(table: Any) -> Mapping[str, Any]:
 
 def _read_npz(file: Path) -> Mapping[str, Any]:
     with zipfile.ZipFile(file) as archive:
-        require_unpackable(sum(entry.file_size for entry in archive.infolist()), repr(str(file)))
+        size_bytes = sum(entry.file_size for entry in archive.infolist())
+        # Integers of a byte become numbers of eight, and are copied.
+        require_unpackable(8 * size_bytes, f"a table of {size_bytes:,} bytes", file.stat().st_size)
     with np.load(file, allow_pickle=False) as stored:
         return dict(stored)

@@ -26,6 +26,10 @@ _USUAL_MIB = {
 }
 
 
+_USUAL_EXPANSION = 32
+"""Meshes and tables take 5 to 30 times the bytes of their files in memory while they are read."""
+
+
 def unpacked_limit_bytes() -> int:
     """Return the limit of one file or row; InputError where the variable does not hold a whole number."""
     return _limit_bytes(UNPACKED_VARIABLE)
@@ -46,9 +50,12 @@ def _limit_bytes(variable: str) -> int:
     return int(named) << 20
 
 
-def require_unpackable(size_bytes: int, what: str) -> None:
-    """Refuse to unpack more than the limit, before it is done; ``what`` it is of begins the InputError."""
-    limit = unpacked_limit_bytes()
+def require_unpackable(size_bytes: int, what: str, file_bytes: int = 0) -> None:
+    """Refuse to unpack more than the limit, before it is done; ``what`` it is of begins the InputError.
+
+    ``file_bytes``, where given, is the size of the file: a large one may unpack to so many times its size.
+    """
+    limit = max(unpacked_limit_bytes(), _USUAL_EXPANSION * file_bytes)
     if size_bytes > limit:
         needed_mib = -(-size_bytes // (1 << 20))
         message = (

@@ -15,6 +15,7 @@ import numpy as np
 
 from tactile_toolkit.errors import InputError, StorageError
 from tactile_toolkit.mesh.mesh import MM_PER_M, Mesh, as_mesh
+from tactile_toolkit.mesh.stated import require_bounded
 from tactile_toolkit.mesh.threemf import BuildItem, joined, read_build, write_build
 from tactile_toolkit.store.folder import atomic_file
 
@@ -70,6 +71,9 @@ def read_mesh(path: str | Path) -> Mesh:
             surface = joined([(item.vertices_mm, item.faces) for item in read_build(data)])
         else:
             surface = merge_equal_vertices(*_read_with_trimesh(data, ending))
+    except InputError as error:  # more than the limit
+        message = f"{path}: {error}"
+        raise InputError(message) from error
     except BROKEN_FILE as error:
         story = str(error) or type(error).__name__
         message = f"{path}: not a readable {ending[1:].upper()} file ({story}); next: export the mesh again"
@@ -162,8 +166,11 @@ def _read_with_trimesh(data: bytes, ending: str) -> tuple[NDArray[np.float64], N
 
     if ending == ".stl":
         _require_whole_stl(data)
+    require_bounded(data, ending)
     try:
-        mesh = trimesh.load_scene(io.BytesIO(data), file_type=ending[1:], process=False).to_mesh()
+        # Materials would be pictures and further files; only the surface is wanted.
+        scene = trimesh.load_scene(io.BytesIO(data), file_type=ending[1:], process=False, skip_materials=True)
+        mesh = scene.to_mesh()
     except Exception as error:
         # The loaders of trimesh meet damaged files with whatever their parsing runs into.
         raise ValueError(str(error) or type(error).__name__) from error

@@ -36,13 +36,20 @@ _MM_PER_UNIT = {
 _CORE = "http://schemas.microsoft.com/3dmanufacturing/core/2015/02"
 _NS = {"m": _CORE}
 _MESH, _VERTEX, _TRIANGLE = (f"{{{_CORE}}}{name}" for name in ("mesh", "vertex", "triangle"))
-_LISTS = {f"{{{_CORE}}}{name}" for name in ("vertices", "triangles")}
+_KEPT = {
+    f"{{{_CORE}}}{name}"
+    for name in ("model", "resources", "object", "mesh", "components", "component", "build", "item")
+}
+_KNOWN = {*_KEPT, _VERTEX, _TRIANGLE, *(f"{{{_CORE}}}{name}" for name in ("vertices", "triangles"))}
 _PATH = "{http://schemas.microsoft.com/3dmanufacturing/production/2015/06}path"
 _MODEL_PATH = "3D/3dmodel.model"
 
 # A file of a few bytes can name itself as its own part, or unpack to any size.
 _DEEPEST = 32
-_MOST_PARTS = 100_000
+_MOST_PARTS = 20_000
+# Memory that reading takes, at most: for each byte of XML and of what is built, and for each element.
+_PER_BYTE, _PER_ELEMENT = 4, 160
+_PIECE_BYTES = 1 << 24
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -77,8 +84,9 @@ class _Package:
     # Slicers keep the objects of a plate in models of their own, named by paths inside the archive (3MF
     # production extension); nothing else is ever opened.
 
-    def __init__(self, archive: zipfile.ZipFile) -> None:
+    def __init__(self, archive: zipfile.ZipFile, file_bytes: int) -> None:
         self._archive = archive
+        self._file_bytes = file_bytes
         self._names = {name.lower().lstrip("/"): name for name in archive.namelist()}
         self._models: dict[str, _Model] = {}
         self._parts = 0
@@ -104,9 +112,9 @@ class _Package:
             raise ValueError(message)
         if name not in self._models:
             size = sum(self._archive.getinfo(each).file_size for each in {*self._models, name})
-            require_unpackable(size, "3MF file: its XML")
+            require_unpackable(_PER_BYTE * size, f"3MF file: XML of {size:,} bytes", self._file_bytes)
             with self._archive.open(name) as stream:
-                element, surfaces = _parsed(stream)
+                element, surfaces = _parsed(stream, self._file_bytes)
             objects = {str(each.get("id")): each for each in element.iterfind("m:resources/m:object", _NS)}
             unit = _MM_PER_UNIT[element.get("unit", "millimeter")]
             self._models[name] = _Model(element, objects, surfaces, unit)
@@ -123,18 +131,11 @@ class _Package:
 
     def _parts_of(self, model: _Model, identity: str, depth: int) -> list[Surface]:
         """Return the surfaces of an object, in the unit of its model."""
-        self._parts += 1
-        if depth > _DEEPEST or self._parts > _MOST_PARTS:
-            message = f"object {identity!r} holds itself, or more than {_MOST_PARTS:,} parts"
-            raise ValueError(message)
+        self._count_part(identity, depth)
         element = model.objects[identity]
         mesh = element.find("m:mesh", _NS)
         if mesh is not None:
-            surface = model.surfaces[mesh]
-            # A few bytes can name the same object again and again.
-            self._built_bytes += sum(part.nbytes for part in surface)
-            require_unpackable(self._built_bytes, "3MF file: what it builds")
-            return [surface]
+            return [model.surfaces[mesh]]
         parts = []
         for component in element.iterfind("m:components/m:component", _NS):
             other, name = self._named(component, model)
@@ -152,42 +153,88 @@ class _Package:
         # Each model of a package has a unit of its own.
         ratio = model.mm_per_unit / here.mm_per_unit
         mirrored = np.linalg.det(matrix[:3]) < 0
-        return [
-            (moved(vertices * ratio, matrix[:3]) + matrix[3], faces[:, ::-1] if mirrored else faces)
-            for vertices, faces in self._parts_of(model, identity, depth)
-        ]
+        parts = []
+        for vertices, faces in self._parts_of(model, identity, depth):
+            # A few bytes can name the same object again and again, and have it moved at every level.
+            self._count_part(identity, depth, vertices.nbytes + faces.nbytes)
+            placed = moved(vertices * ratio, matrix[:3]) + matrix[3]
+            parts.append((placed, faces[:, ::-1] if mirrored else faces))
+        return parts
+
+    def _count_part(self, identity: str, depth: int, size_bytes: int = 0) -> None:
+        self._parts += 1
+        self._built_bytes += size_bytes
+        if depth > _DEEPEST or self._parts > _MOST_PARTS:
+            message = f"object {identity!r} holds itself, or more than {_MOST_PARTS:,} parts"
+            raise ValueError(message)
+        require_unpackable(_PER_BYTE * self._built_bytes, "3MF file: what it builds", self._file_bytes)
 
 
-def _parsed(stream: IO[bytes]) -> tuple[ElementTree.Element, dict[ElementTree.Element, Surface]]:
-    """Parse a model; its meshes come as arrays, for a million vertices as elements would take a gigabyte."""
-    surfaces: dict[ElementTree.Element, Surface] = {}
-    points, corners = array("d"), array("q")
-    root = None
-    for event, element in ElementTree.iterparse(stream, events=("start", "end")):
-        root = element if root is None else root
-        tag = element.tag
-        if event == "start":
-            if tag == _MESH:
-                points, corners = array("d"), array("q")
+class _Parsed:
+    """What a parser of a model calls; meshes become arrays, and elements without a meaning here nothing.
+
+    Text is not asked for: as elements and text, a million vertices would take a gigabyte.
+    """
+
+    def __init__(self, file_bytes: int) -> None:
+        self._tree = ElementTree.TreeBuilder()
+        self._file_bytes = file_bytes
+        self._elements = self._parts = self._ignored = 0
+        self._points, self._corners = array("d"), array("q")
+        self.surfaces: dict[ElementTree.Element, Surface] = {}
+
+    def start(self, tag: str, attributes: dict[str, str]) -> None:
+        self._elements += 1
+        if self._elements % 1024 == 0:
+            what = f"3MF file: XML of more than {self._elements:,} elements"
+            require_unpackable(_PER_ELEMENT * self._elements, what, self._file_bytes)
+        if self._ignored or tag not in _KNOWN:
+            self._ignored += 1
         elif tag == _VERTEX:
-            points.extend([float(element.attrib[axis]) for axis in "xyz"])
-            element.clear()
+            self._points.extend([float(attributes[axis]) for axis in "xyz"])
         elif tag == _TRIANGLE:
-            corners.extend([int(element.attrib[corner]) for corner in ("v1", "v2", "v3")])
-            element.clear()
-        elif tag in _LISTS:
-            element.clear()
-        elif tag == _MESH:
-            faces = np.array(corners, np.int64)
+            self._corners.extend([int(attributes[corner]) for corner in ("v1", "v2", "v3")])
+        elif tag in _KEPT:
+            self._parts += 1
+            if self._parts > _MOST_PARTS:
+                message = f"more than {_MOST_PARTS:,} objects and components"
+                raise ValueError(message)
+            self._tree.start(tag, attributes)
+            if tag == _MESH:
+                self._points, self._corners = array("d"), array("q")
+
+    def end(self, tag: str) -> None:
+        if self._ignored:
+            self._ignored -= 1
+            return
+        if tag not in _KEPT:
+            return
+        element = self._tree.end(tag)
+        if tag == _MESH:
+            faces = np.array(self._corners, np.int64)
             if len(faces) and not (faces.min() >= -(2**31) and faces.max() < 2**31):
                 message = "a triangle names a vertex by a number of more than 32 bits"
                 raise ValueError(message)
-            vertices = np.array(points, np.float64).reshape(-1, 3)
-            surfaces[element] = (vertices, faces.astype(np.int32).reshape(-1, 3))
-    if root is None:  # a parser without an element raises
+            vertices = np.array(self._points, np.float64).reshape(-1, 3)
+            self.surfaces[element] = (vertices, faces.astype(np.int32).reshape(-1, 3))
+
+    def close(self) -> ElementTree.Element:
+        return self._tree.close()
+
+
+def _parsed(
+    stream: IO[bytes], file_bytes: int
+) -> tuple[ElementTree.Element, dict[ElementTree.Element, Surface]]:
+    target = _Parsed(file_bytes)
+    parser = ElementTree.XMLParser(target=target)
+    # In large pieces: an attribute that reaches over many is looked through again with each of them.
+    while piece := stream.read(_PIECE_BYTES):
+        parser.feed(piece)
+    root = parser.close()
+    if root is None:
         message = "the model holds nothing"
         raise ValueError(message)
-    return root, surfaces
+    return root, target.surfaces
 
 
 def joined(surfaces: Sequence[Surface]) -> Surface:
@@ -207,7 +254,7 @@ def read_build(data: bytes) -> list[BuildItem]:
     model or a number in it is damaged; InputError where it unpacks to more than the limit.
     """
     with zipfile.ZipFile(io.BytesIO(data)) as archive:
-        return list(_Package(archive).built())
+        return list(_Package(archive, len(data)).built())
 
 
 _CONTENT_TYPES = (

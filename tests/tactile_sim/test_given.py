@@ -127,7 +127,7 @@ def test_files_that_cannot_be_are_refused(tmp_path, monkeypatch):
             read(file)
     np.savez_compressed(tmp_path / "bomb.npz", x_m=np.zeros(100_000), y_m=np.zeros(100_000))
     monkeypatch.setenv("TACTILE_TOOLKIT_UNPACKED_MIB", "1")
-    with pytest.raises(InputError, match=r"unpacks to 1,600,\d+ bytes; expected at most 1,048,576"):
+    with pytest.raises(InputError, match=r"of 1,600,\d+ bytes unpacks to 12,8\d+,\d+ bytes; expected at"):
         read(tmp_path / "bomb.npz")
     objects = tmp_path / "objects.npz"
     np.savez(objects, x_m=np.array([{"a": 1}], dtype=object), y_m=np.zeros(1))
@@ -140,3 +140,28 @@ def test_a_plan_has_given_touches_or_none():
     for values in ({"place": "given"}, {"given": given}, {"place": "given", "given": [(0.0, 0.0)]}):
         with pytest.raises(InputError, match="expected place 'given' and a GivenTouches"):
             tactile_sim.TouchPlan(**values)
+
+
+def test_a_small_table_of_millions_of_rows_is_refused_unread(tmp_path):
+    column = pa.DictionaryArray.from_arrays(pa.array(np.zeros(1000, np.int32)), pa.array(["0" * 100_000]))
+    zeros = np.zeros(3_000_000)
+    tables = {
+        "rows.parquet": pa.table({"x_m": zeros, "y_m": zeros}),
+        "text.parquet": pa.table({"x_m": column, "y_m": column}),
+    }
+    for name, table in tables.items():
+        parquet.write_table(table, tmp_path / name, store_schema=False)
+    np.savez_compressed(tmp_path / "rows.npz", x_m=zeros.repeat(2), y_m=zeros.repeat(2))
+    (tmp_path / "rows.csv").write_bytes(b"x_m,y_m\n" + b"0,0\n" * 2_000_000)
+    (tmp_path / "columns.csv").write_bytes(b"x_m,y_m" + b",a" * 100_000 + b"\n")
+    words = {
+        "rows.parquet": "a table of 3,000,000 rows unpacks to",
+        "text.parquet": "column x_m holds BYTE_ARRAY; expected numbers",
+        "rows.npz": r"a table of 96,000,\d+ bytes unpacks to",
+        "rows.csv": "a table of 2,000,001 rows unpacks to",
+        "columns.csv": "its first line has more than 4,096 bytes",
+    }
+    for name, expected in words.items():
+        assert (tmp_path / name).stat().st_size < 10_000_000
+        with pytest.raises(InputError, match=f"{name}.*{expected}"):
+            tactile_sim.GivenTouches.read(tmp_path / name)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import gzip
 import io
+import json
 import struct
 import zipfile
 from pathlib import Path
@@ -100,13 +101,114 @@ def test_a_3mf_beyond_the_limit_is_refused(tmp_path: Path, monkeypatch: pytest.M
     file = tmp_path / "bomb.3mf"
     file.write_bytes(zipped(model_of(100_000)))
     monkeypatch.setenv(UNPACKED_VARIABLE, "2")
-    with pytest.raises(InputError, match="its XML unpacks to 2,70"):
+    with pytest.raises(InputError, match=r"XML of 2,70\d,\d+ bytes unpacks to 10,8"):
         read_mesh(file)
-    components = b'<object id="9" type="model"><components>' + b'<component objectid="1"/>' * 20_000
-    text = model_of(0).replace(b"</resources>", components + b"</components></object></resources>")
+    components = b'<object id="9" type="model"><components>' + b'<component objectid="1"/>' * 1_000
+    text = model_of(200).replace(b"</resources>", components + b"</components></object></resources>")
     file.write_bytes(zipped(text.replace(b'<item objectid="1"/>', b'<item objectid="9"/>')))
-    with pytest.raises(InputError, match="what it builds unpacks to 2,09"):
+    with pytest.raises(InputError, match="what it builds unpacks to 2,116,032"):
         read_mesh(file)
+
+
+def glb(positions: int, corners: int, *, placed: int = 1, stored: bool = True) -> bytes:
+    """A binary glTF of one surface of zeros, placed so many times."""
+    buffer = bytes(12 * positions + 4 * corners)
+    view = {"bufferView": 0} if stored else {}
+    scene = {
+        "asset": {"version": "2.0"},
+        "scenes": [{"nodes": list(range(placed))}],
+        "nodes": [{"mesh": 0}] * placed,
+        "meshes": [{"primitives": [{"attributes": {"POSITION": 0}, "indices": 1}]}],
+        "accessors": [
+            {"componentType": 5126, "count": positions, "type": "VEC3", **view},
+            {"componentType": 5125, "count": corners, "type": "SCALAR", **view},
+        ],
+        "bufferViews": [{"buffer": 0, "byteLength": len(buffer)}],
+        "buffers": [{"byteLength": len(buffer)}],
+    }
+    buffer = buffer if stored else b""
+    text = json.dumps(scene).encode()
+    text += b" " * (-len(text) % 4)
+    chunks = struct.pack("<I4s", len(text), b"JSON") + text
+    chunks += struct.pack("<I4s", len(buffer), b"BIN\0") + buffer
+    return struct.pack("<4sII", b"glTF", 2, 12 + len(chunks)) + chunks
+
+
+def ply(kind: str, vertices: int, faces: int, body: bytes) -> bytes:
+    return (
+        f"ply\nformat {kind} 1.0\nelement vertex {vertices}\nproperty uchar x\nproperty uchar y\n"
+        f"property uchar z\nelement face {faces}\nproperty list uchar uchar vertex_indices\nend_header\n"
+    ).encode() + body
+
+
+def nested(levels: int, each: int, items: int = 1) -> bytes:
+    """A model whose objects name each other so many times at so many levels."""
+    objects = b"".join(
+        b'<object id="%d"><components>' % (level + 2)
+        + b'<component objectid="%d"/>' % (level + 1) * each
+        + b"</components></object>"
+        for level in range(levels)
+    )
+    text = model_of(0).replace(b"</resources>", objects + b"</resources>")
+    return text.replace(b'<item objectid="1"/>', b'<item objectid="%d"/>' % (levels + 1) * items)
+
+
+TRIANGLE = b"v 0 0 0\nv 1 0 0\nv 0 1 0\n"
+FACET = b"facet normal 0 0 0\nouter loop\n" + b"vertex 0 0 0\n" * 3 + b"endloop\nendfacet\n"
+UNKNOWN = model_of(0).replace(b"</resources>", b"<a/>" * 4_000_000 + b"</resources>")
+# What a file of some bytes states, and what is found instead; all would take gigabytes or minutes.
+BOMBS = {
+    "zeros.glb": (
+        lambda: glb(150_000_000, 150_000_000, stored=False),
+        "of 2,400,000,000 bytes; the file has",
+    ),
+    "placed.glb": (lambda: glb(9_000, 9_000, placed=1_000), "12,012,000 vertices and triangles unpacks to"),
+    "parts.glb": (lambda: glb(3, 3, placed=20_000), "parts; expected one surface"),
+    "stated.ply": (lambda: ply("ascii", 10**9, 1, b"0 0 0\n3 0 0 0\n"), "its header states 1,000,000,001"),
+    "lines.ply": (lambda: ply("ascii", 1_500_000, 1, b"0 0 0\n" * 1_500_000), "1,500,001 lines and corners"),
+    "bytes.ply": (
+        lambda: ply("binary_little_endian", 3_000_000, 0, bytes(9_000_000)),
+        "3,000,000 vertices and triangles unpacks to",
+    ),
+    "polygon.obj": (lambda: TRIANGLE + b"f" + b" 1" * 2_000_000, "2,000,001 lines and corners"),
+    "materials.obj": (lambda: TRIANGLE + b"usemtl a\nf 1 2 3\n" * 5_000, "5,000 parts; expected"),
+    "solids.stl": (lambda: (b"solid a\n" + FACET + b"endsolid a\n") * 5_000, "5,000 parts; expected"),
+    "elements.3mf": (lambda: zipped(UNKNOWN), "elements unpacks to"),
+    "objects.3mf": (
+        lambda: zipped(model_of(0).replace(b"<build>", b"<build>" + b"<item/>" * 50_000)),
+        "more than",
+    ),
+    "nested.3mf": (lambda: zipped(nested(2, 300)), "holds itself, or more than 20,000 parts"),
+    "deep.3mf": (lambda: zipped(nested(31, 1, 3_000)), "holds itself, or more than 20,000 parts"),
+}
+
+
+def test_meshes_that_state_more_than_they_hold_are_refused_before_it_is_made(tmp_path: Path) -> None:
+    for name, (content, _) in BOMBS.items():
+        (tmp_path / name).write_bytes(content())
+        assert (tmp_path / name).stat().st_size < 10_000_000
+    code = """
+    resource.setrlimit(resource.RLIMIT_AS, (4 << 30, 4 << 30))
+    for file in sys.argv[1:]:
+        try:
+            print(file, "was read:", len(read_mesh(file).faces))
+        except ToolkitError as error:
+            print(error)
+    """
+    peak, said = peak_mb(code.strip(), *(str(tmp_path / name) for name in BOMBS))
+    for line, (name, (_, words)) in zip(said.splitlines(), BOMBS.items(), strict=True):
+        assert name in line
+        assert words in line
+    assert peak < 350
+
+
+def test_large_surfaces_are_read_as_ever(tmp_path: Path) -> None:
+    (tmp_path / "ok.glb").write_bytes(glb(9_000, 9_000, placed=100))
+    (tmp_path / "ok.obj").write_bytes(TRIANGLE + b"f 1 2 3\n" * 500_000)
+    (tmp_path / "ok.3mf").write_bytes(zipped(nested(3, 10)))
+    (tmp_path / "ok.stl").write_bytes(b"solid a\n" + FACET * 50_000 + b"endsolid a\n")
+    found = {file.name: len(read_mesh(file).faces) for file in tmp_path.iterdir()}
+    assert found == {"ok.glb": 300_000, "ok.obj": 500_000, "ok.3mf": 4_000, "ok.stl": 50_000}
 
 
 def test_a_row_of_millions_of_vertices_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
