@@ -40,6 +40,9 @@ LONGEST_SHOWN = 80
 
 _IMAGES = ("jpg", "jpeg", "png", "webp")
 _MOST_JSON_BYTES = 1 << 20
+_MOST_COLUMNS = 1_000
+_MOST_UNUSABLE = 100_000
+"""Lines of a table that name no image: of a few bytes each, they would take gigabytes to list."""
 _FAR_READERS = 16
 """Images of a store that are asked for at a time: each answer takes long, and they are small."""
 
@@ -195,10 +198,22 @@ def items_of_table(home: DataFolder, columns: ImportColumns, table: str | None) 
     sizes = cache(home.sizes)  # of a store, one look at each folder
     try:
         names = list(lines.fieldnames or ())
+        if len(names) > _MOST_COLUMNS:
+            message = f"{path!r} has {len(names):,} columns; expected at most {_MOST_COLUMNS:,}"
+            raise InputError(message)
         _require_columns(names, [columns.image, *columns.found_in(names).names()], path)
+        unusable = 0
         for number, values in enumerate(lines):
             name = _HERE.sub("", str(values[columns.image] or ""))
-            yield _file_item(home, sizes, number, name, values, seen)
+            item = _file_item(home, sizes, number, name, values, seen)
+            unusable += item.problem is not None
+            if item.problem is not None and unusable > max(_MOST_UNUSABLE, number // 2):
+                message = (
+                    f"{path!r}: {unusable:,} of the first {number + 1:,} lines cannot be used, the last as "
+                    f"{item.problem[1]}; expected a line for each image; next: check --image-column"
+                )
+                raise InputError(message)
+            yield item
     except csv.Error as error:
         # Of a line that was not read it counts none; a quote that never ends reaches over all that follow.
         message = f"{path!r}, line {lines.line_num + 1}: {error}; expected a table with commas"

@@ -181,6 +181,7 @@ class _Parsed:
         self._file_bytes = file_bytes
         self._elements = self._parts = self._ignored = 0
         self._points, self._corners = array("d"), array("q")
+        self.root: ElementTree.Element | None = None
         self.surfaces: dict[ElementTree.Element, Surface] = {}
 
     def start(self, tag: str, attributes: dict[str, str]) -> None:
@@ -209,7 +210,7 @@ class _Parsed:
             return
         if tag not in _KEPT:
             return
-        element = self._tree.end(tag)
+        element = self.root = self._tree.end(tag)  # the outermost ends last
         if tag == _MESH:
             faces = np.array(self._corners, np.int64)
             if len(faces) and not (faces.min() >= -(2**31) and faces.max() < 2**31):
@@ -217,9 +218,6 @@ class _Parsed:
                 raise ValueError(message)
             vertices = np.array(self._points, np.float64).reshape(-1, 3)
             self.surfaces[element] = (vertices, faces.astype(np.int32).reshape(-1, 3))
-
-    def close(self) -> ElementTree.Element:
-        return self._tree.close()
 
 
 def _parsed(
@@ -230,11 +228,11 @@ def _parsed(
     # In large pieces: an attribute that reaches over many is looked through again with each of them.
     while piece := stream.read(_PIECE_BYTES):
         parser.feed(piece)
-    root = parser.close()
-    if root is None:
+    parser.close()
+    if target.root is None:
         message = "the model holds nothing"
         raise ValueError(message)
-    return root, target.surfaces
+    return target.root, target.surfaces
 
 
 def joined(surfaces: Sequence[Surface]) -> Surface:
