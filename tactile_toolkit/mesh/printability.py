@@ -197,7 +197,7 @@ def inspect(mesh: MeshLike, profile: PrintProfile | None = None) -> PrintReport:
     overhang_mm2 = _overhang_mm2(vertices_mm, mesh.faces, profile)
     contact_mm2 = float(check.manifold.slice(low[2] + profile.layer_height_mm).area())
     wall_mm = max(min(thinnest_width_mm(outlines), size_mm[2]), min(WALL_REACH_MM, *size_mm))
-    wall_mm = min(wall_mm, thinnest_wall_mm(vertices_mm, mesh.faces, WALL_REACH_MM))
+    wall_mm = min(wall_mm, thinnest_wall_mm(vertices_mm, mesh.faces.astype(np.int64), WALL_REACH_MM))
     overhang_share = overhang_mm2 / max(section_area_mm2(outlines), 1e-9)
     # Turned on the plate, the longer side of the print goes along the longer one of the plate.
     sides = zip(sorted(size_mm[:2]), sorted(profile.plate_mm), strict=True)
