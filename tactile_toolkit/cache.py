@@ -20,7 +20,7 @@ from typing import IO, Any, Generic, TypeVar
 from weakref import WeakSet
 
 from tactile_toolkit.run.system import locked
-from tactile_toolkit.store.folder import atomic_file, expanded, stale_files
+from tactile_toolkit.store.folder import TEMPORARY_PREFIX, atomic_file, expanded, of_the_process, stale_files
 
 __all__ = ["CACHE_VARIABLE", "DiskCache", "MemoryCache", "cache_folder"]
 
@@ -86,9 +86,10 @@ class DiskCache:
             path.unlink(missing_ok=True)
 
     def write(self, name: str, size_bytes: int, fill: Callable[[IO[bytes]], object]) -> bool:
-        """Write a file of about that size, making room first; tell whether it is there now.
+        """Write a file of about that size, making room first; return whether it is there now.
 
         A folder that could not be written once is not tried again by this process, for filling may be slow.
+        What the process itself lacks for a moment, such as file handles, is no reason to give it up.
         """
         path = self.path(name)
         if path.parent in _unwritable:
@@ -105,6 +106,8 @@ class DiskCache:
                 with contextlib.suppress(OSError):
                     self._book(path.parent, written - size_bytes)
         except OSError as error:
+            if of_the_process(error) is not None:
+                return False
             _unwritable.add(path.parent)
             if self.warning:
                 problem = f"{str(path.parent)!r} cannot be written: {error.strerror or error}"
@@ -134,20 +137,22 @@ class DiskCache:
     def _make_room(self, folder: Path, needed_bytes: int) -> int:
         """Remove what was used longest ago where the limit is passed, and return what the folder holds then.
 
-        Open maps stay valid.
+        Open maps stay valid, and what is being written stays.
         """
         for stale in stale_files(folder):
             self.drop(stale)
-        files = []
+        files, held = [], 0
         with os.scandir(folder) as entries:
             for entry in entries:
                 with contextlib.suppress(OSError):  # other processes may remove some meanwhile
                     facts = entry.stat(follow_symlinks=False)
                     if entry.name != _LEDGER:
-                        # File systems are mounted without access times: mark_used sets them, and a file never
-                        # used again has that of its writing.
-                        files.append((max(facts.st_atime_ns, facts.st_mtime_ns), facts.st_size, entry.path))
-        held = sum(size for _, size, _ in files)
+                        held += facts.st_size
+                        if not entry.name.startswith(TEMPORARY_PREFIX):
+                            # File systems are mounted without access times: mark_used sets them, and a file
+                            # never used again has that of its writing.
+                            used_ns = max(facts.st_atime_ns, facts.st_mtime_ns)
+                            files.append((used_ns, facts.st_size, entry.path))
         if held + needed_bytes > self.limit_bytes:
             wanted = self.limit_bytes - max(needed_bytes, self.limit_bytes // _ROOM_MADE)
             for _, size, path in sorted(files):

@@ -12,7 +12,7 @@ from tactile_toolkit.hub.repository import HubName, HubRepository, hub_name
 from tactile_toolkit.kind import kinds
 from tactile_toolkit.read.parquet import Shard
 from tactile_toolkit.store.address import is_remote, place_of_data, scheme_of
-from tactile_toolkit.store.folder import DataFolder, expanded, is_there, unreadable
+from tactile_toolkit.store.folder import DataFolder, expanded, is_there, readable
 from tactile_toolkit.store.manifest import (
     MANIFEST_FILE,
     manifest_so_far,
@@ -168,14 +168,12 @@ def _local_place(name: str) -> Path | None:
     """Return the file or folder of that name; None where there is none, or can be none."""
     if is_remote(name):
         return None
-    text = place_of_data(name)
     try:
-        place = expanded(text)
-        return place if is_there(place) else None
-    except PermissionError as error:
-        raise unreadable(name) from error
+        place = expanded(place_of_data(name))
     except InputError:  # an unknown user's home
         return None
+    with readable(name):
+        return place if is_there(place) else None
 
 
 def _shown(name: str) -> str:

@@ -33,7 +33,7 @@ from tactile_toolkit.read.columns import RowGroup, column_types, plain_schema, p
 from tactile_toolkit.read.features import stored_class_names
 from tactile_toolkit.run.system import locked
 from tactile_toolkit.run.threads import in_threads
-from tactile_toolkit.store.folder import file_at, unreadable
+from tactile_toolkit.store.folder import file_at, of_the_process, readable
 from tactile_toolkit.store.parquet import open_checked
 from tactile_toolkit.store.shards import DATA_FOLDER, ShardName
 from tactile_toolkit.store.small_columns import MADE_OF
@@ -389,12 +389,10 @@ class Shard:
         import pyarrow as pa
 
         try:
-            with self.failures():
+            with readable(self.path), self.failures():
                 yield
         except GeneratorExit:  # a pass left in its middle, maybe at exit, when Arrow's names are gone
             raise
-        except PermissionError as error:
-            raise unreadable(self.path) from error
         except FileNotFoundError as error:
             message = f"{self.path!r} is missing; next: generate or download the data set again"
             raise IntegrityError(message) from error
@@ -442,13 +440,14 @@ def _real_folder(folder: str) -> str:
 
 
 def _mapped(path: Path, number: int) -> MappedBlock | None:
-    """Map one block of an unpacked row group; None when it is not there, or was damaged (it goes)."""
+    """Map one block of an unpacked row group; None when it is not there, or is damaged (then it is removed)."""
     try:
         mapped = map_block(path, number)
     except FileNotFoundError:
         return None
-    except (ValueError, OSError):
-        _UNPACKED.drop(path)
+    except (ValueError, OSError) as error:
+        if of_the_process(error) is None:
+            _UNPACKED.drop(path)
         return None
     _UNPACKED.mark_used(path)
     return mapped

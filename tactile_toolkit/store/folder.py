@@ -39,12 +39,13 @@ __all__ = [
     "is_stale",
     "is_there",
     "named_failures",
+    "of_the_process",
     "open_regular",
+    "readable",
     "remove_tree",
     "scratch_folder",
     "stale_files",
     "temporary_name",
-    "unreadable",
 ]
 
 TEMPORARY_PREFIX = ".writing-"
@@ -151,21 +152,38 @@ def named_failures(address: str) -> Iterator[None]:
         raise StorageError(message) from error
 
 
-def unreadable(address: str) -> InputError:
-    """Return the error for a file or folder that is there, and may be whole, but not for this user."""
-    message = (
-        f"{address!r} cannot be read by this user (permission denied); next: change its permissions, or ask "
-        "its owner to"
-    )
-    return InputError(message)
+_OF_THE_PROCESS = {
+    errno.EMFILE: "this process has too many open files; next: close some, or raise the limit (ulimit -n)",
+    errno.ENFILE: "this machine has too many open files; next: end programs that are not needed",
+    errno.ENOMEM: "the memory is used up; next: end programs that are not needed, or use fewer --workers",
+    errno.EINTR: "the call was interrupted; next: run the same command again",
+}
+
+
+def of_the_process(error: Exception) -> str | None:
+    """Return, in words, which lack of this process or machine an error is about; None for any other error."""
+    if isinstance(error, MemoryError):
+        return _OF_THE_PROCESS[errno.ENOMEM]
+    return _OF_THE_PROCESS.get(error.errno or 0) if isinstance(error, OSError) else None
 
 
 @contextlib.contextmanager
-def _readable(address: str) -> Iterator[None]:
+def readable(address: str) -> Iterator[None]:
+    """Turn errors that say nothing of the content of a file or folder, which may be intact, into InputError."""
     try:
         yield
     except PermissionError as error:
-        raise unreadable(address) from error
+        message = (
+            f"{address!r} cannot be read by this user (permission denied); next: change its permissions, or "
+            "ask its owner to"
+        )
+        raise InputError(message) from error
+    except (OSError, MemoryError) as error:
+        lack = of_the_process(error)
+        if lack is None:
+            raise
+        message = f"{address!r} cannot be read now: {lack}"
+        raise InputError(message) from error
 
 
 def is_there(path: Path) -> bool:
@@ -342,7 +360,7 @@ class DataFolder:
         """Tell whether a file (or, without an argument, the folder) is there."""
         if self.is_local:
             # Who asks for the folder itself is about to write there, and says so.
-            with _readable(self.address(path)) if path else contextlib.nullcontext():
+            with readable(self.address(path)) if path else contextlib.nullcontext():
                 return is_there(Path(self.address(path)))
         return self._remote.info(self._inside(path)) is not None
 
@@ -361,7 +379,7 @@ class DataFolder:
         """List the file names directly in a sub-folder, sorted; an absent sub-folder is empty."""
         if self.is_local:
             path = Path(self.address(folder))
-            with _readable(str(path)), contextlib.suppress(FileNotFoundError, NotADirectoryError):
+            with readable(str(path)), contextlib.suppress(FileNotFoundError, NotADirectoryError):
                 return sorted(entry.name for entry in path.iterdir())
             return []
         return list(self._remote.entries(self._inside(folder)))
@@ -372,7 +390,7 @@ class DataFolder:
             path = self.address(folder)
             sizes: dict[str, int] = {}
             with (
-                _readable(path),
+                readable(path),
                 contextlib.suppress(FileNotFoundError, NotADirectoryError),
                 os.scandir(path) as found,
             ):
@@ -392,14 +410,14 @@ class DataFolder:
     def size_bytes(self, path: str) -> int:
         """Return the size of a file."""
         if self.is_local:
-            with _readable(self.address(path)):
+            with readable(self.address(path)):
                 return Path(self.address(path)).stat().st_size
         return int(self.facts(path)["size"])
 
     def open(self, path: str) -> IO[bytes]:
         """Open a file for reading; IntegrityError for what is not a file, such as a pipe or a device."""
         if self.is_local:
-            with _readable(self.address(path)):
+            with readable(self.address(path)):
                 return open_regular(Path(self.address(path)))
         return self._remote.open(self._inside(path))
 

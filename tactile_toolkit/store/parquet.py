@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import IO, Any
 
 from tactile_toolkit.errors import IntegrityError
-from tactile_toolkit.store.folder import DataFolder, unreadable
+from tactile_toolkit.store.folder import DataFolder, readable
 
 __all__ = [
     "REPORT_STYLE",
@@ -41,6 +41,7 @@ _FOOTER_MARK = b"TTFC"
 """Stands before the CRC-32 of the footer that follows. Parquet has checksums of pages, none of the footer;
 what lies between them is passed over by readers that do not know of it."""
 _TAIL_BYTES = 1 << 16
+_BUFFER_BYTES = 1 << 20
 
 
 @dataclass(frozen=True, slots=True)
@@ -165,14 +166,13 @@ class _Sink(io.RawIOBase):
 def named_damage(address: str) -> Iterator[None]:
     """Turn Arrow's errors about a Parquet file into an IntegrityError that names it.
 
-    Raises InputError for a file that this user may not read.
+    Raises InputError where the file cannot be read for another reason than its content.
     """
     import pyarrow as pa
 
     try:
-        yield
-    except PermissionError as error:
-        raise unreadable(address) from error
+        with readable(address):
+            yield
     except (pa.ArrowException, OSError, UnicodeDecodeError) as error:
         message = f"{address!r} is not a whole Parquet file: {error}"
         raise IntegrityError(message) from error
@@ -195,11 +195,12 @@ def open_checked(source: str | IO[bytes], metadata: Any = None) -> Any:
 
     if metadata is None:
         _require_checked_footer(source)
-    # Buffering ahead starts a thread of Arrow's, which aborts about 1 % of interpreters at their end.
+    # Not mapped: a file that is cut while it is read would end the process. Buffering ahead starts a thread of
+    # Arrow's, which aborts about 1 % of interpreters at their end.
     return pq.ParquetFile(
         source,
         metadata=metadata,
-        memory_map=isinstance(source, str),
+        buffer_size=_BUFFER_BYTES if isinstance(source, str) else 0,  # streams buffer themselves
         pre_buffer=False,
         page_checksum_verification=True,
     )

@@ -84,6 +84,44 @@ def test_stale_temporary_files_go(tmp_path):
     assert names(tmp_path) == [".writing-elsewhere-999999999-abc-x", "y"]
 
 
+def test_making_room_leaves_what_another_thread_is_writing(tmp_path):
+    cache, begun, full, written = DiskCache(tmp_path, 1000), threading.Event(), threading.Event(), []
+
+    def fill(stream):
+        stream.write(bytes(600))
+        stream.flush()
+        begun.set()
+        full.wait()
+
+    thread = threading.Thread(target=lambda: written.append(cache.write("slow", 600, fill)))
+    thread.start()
+    begun.wait()
+    for number in range(30):
+        assert put(cache, str(number), 300)
+    full.set()
+    thread.join()
+    assert written == [True]
+    assert cache.path("slow").stat().st_size == 600
+
+
+def test_making_room_leaves_what_another_process_is_writing(tmp_path):
+    code = (
+        "import sys, pathlib; from tactile_toolkit.cache import DiskCache\n"
+        "def fill(stream):\n"
+        "    stream.write(bytes(600)); stream.flush(); print('begun', flush=True); sys.stdin.readline()\n"
+        "print(DiskCache(pathlib.Path(sys.argv[1]), 1000).write('slow', 600, fill))"
+    )
+    with subprocess.Popen(
+        [sys.executable, "-c", code, str(tmp_path)], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
+    ) as writer:
+        assert writer.stdout is not None
+        assert writer.stdout.readline() == "begun\n"
+        for number in range(30):
+            assert put(DiskCache(tmp_path, 1000), str(number), 300)
+        assert writer.communicate("\n")[0] == "True\n"
+    assert (tmp_path / "slow").stat().st_size == 600
+
+
 def test_a_folder_that_cannot_be_written_is_told_once(tmp_path):
     (tmp_path / "taken").write_text("")
     silent = DiskCache(tmp_path / "taken" / "a", 1000)
