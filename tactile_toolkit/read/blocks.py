@@ -86,28 +86,39 @@ def _list_checksum(file_name: str, entries: bytes) -> int:
 def map_block(path: Path, number: int) -> MappedBlock:
     """Map a block into memory as a table, without a copy; its checksum is compared once in each process.
 
-    Raises OSError; ValueError when the file is not whole, was changed, is of another program or another name,
-    or has fewer blocks.
+    Nothing is mapped of a file that was cut: what lies behind its end would end the process. No file of
+    blocks is ever written again or cut by the toolkit, only made under another name and removed, which leaves
+    maps valid. A file that another program cuts while it is mapped is not noticed.
+
+    Raises OSError; ValueError when the file is not intact, is of another program or another name, or has
+    fewer blocks.
     """
     import pyarrow as pa
     import xxhash
 
-    # Asked first: what takes the place of the file from here on is not what was checked.
-    identity = identity_of(path.stat())
-    # From the map's own buffer, still without a copy: from the map, Arrow would read in its own threads. The
-    # map is as long as the file is now: of one that was cut off the end is missing, and no more is touched.
-    mapped = pa.memory_map(str(path)).read_buffer()
-    content = memoryview(mapped)
-    end = len(content) - _END.size
-    count, checksum, mark = _END.unpack_from(content, end) if end >= 0 else (0, 0, b"")
-    entries_start = end - count * _BLOCK.size
-    if mark != _MARK or entries_start < 0:
-        message = f"{len(content):,} bytes that are not a file of blocks"
-        raise ValueError(message)
-    if _list_checksum(path.name, bytes(content[entries_start:end])) != checksum or number >= count:
+    with path.open("rb", buffering=0) as stream:
+        # Asked first: what takes the place of the file from here on is not what was checked.
+        identity = identity_of(facts := os.fstat(stream.fileno()))
+        end = facts.st_size - _END.size
+        stream.seek(max(end, 0))
+        tail = stream.read()
+        count, checksum, mark = _END.unpack(tail) if len(tail) == _END.size else (0, 0, b"")
+        entries_start = end - count * _BLOCK.size
+        if mark != _MARK or entries_start < 0:
+            message = f"{facts.st_size:,} bytes that are not a file of blocks"
+            raise ValueError(message)
+        stream.seek(entries_start)
+        entries = stream.read(end - entries_start)
+    if _list_checksum(path.name, entries) != checksum or number >= count:
         message = f"the list of {count} blocks is damaged or of another file, or lacks block {number}"
         raise ValueError(message)
-    start, size, checksum = _BLOCK.unpack_from(content, entries_start + number * _BLOCK.size)
+    start, size, checksum = _BLOCK.unpack_from(entries, number * _BLOCK.size)
+    # From the map's own buffer, still without a copy: from the map, Arrow would read in its own threads.
+    mapped = pa.memory_map(str(path)).read_buffer()
+    content = memoryview(mapped)
+    if len(content) != facts.st_size:
+        message = f"{len(content):,} bytes where {facts.st_size:,} were a moment ago"
+        raise ValueError(message)
     checked = (str(path), number)
     if _checked.get(checked) != identity:
         if xxhash.xxh3_64_intdigest(content[start : start + size]) != checksum:

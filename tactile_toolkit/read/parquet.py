@@ -440,7 +440,7 @@ def _real_folder(folder: str) -> str:
 
 
 def _mapped(path: Path, number: int) -> MappedBlock | None:
-    """Map one block of an unpacked row group; None when it is not there, or is damaged (then it is removed)."""
+    """Map one block of an unpacked row group; None when it is not there, or damaged (then it is removed)."""
     try:
         mapped = map_block(path, number)
     except FileNotFoundError:

@@ -169,7 +169,7 @@ def of_the_process(error: Exception) -> str | None:
 
 @contextlib.contextmanager
 def readable(address: str) -> Iterator[None]:
-    """Turn errors that say nothing of the content of a file or folder, which may be intact, into InputError."""
+    """Turn errors that are not about the content of a file or folder into InputError."""
     try:
         yield
     except PermissionError as error:

@@ -195,8 +195,8 @@ def open_checked(source: str | IO[bytes], metadata: Any = None) -> Any:
 
     if metadata is None:
         _require_checked_footer(source)
-    # Not mapped: a file that is cut while it is read would end the process. Buffering ahead starts a thread of
-    # Arrow's, which aborts about 1 % of interpreters at their end.
+    # Not mapped: a file that is cut while it is read would end the process. Buffering ahead starts a thread
+    # of Arrow's, which aborts about 1 % of interpreters at their end.
     return pq.ParquetFile(
         source,
         metadata=metadata,

@@ -154,6 +154,43 @@ def test_damaged_blocks_are_made_anew(shard_file: Path, tmp_path: Path) -> None:
     assert values_of(shard_file) == expected
 
 
+def test_nothing_is_mapped_of_a_file_that_was_cut(
+    shard_file: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """What lies behind the end of a map's file ends the process that touches it."""
+    values_of(shard_file)
+    file = next((tmp_path / "cache" / "blocks").glob("*.arrow"))
+    content = file.read_bytes()
+    assert map_block(file, 0).size_bytes
+    monkeypatch.setattr(pa, "memory_map", lambda path: pytest.fail("it was mapped"))
+    for size in (*range(0, len(content), 4096), len(content) - 1):
+        for grown in (False, True):  # as a system leaves a file whose end never reached the disk
+            file.write_bytes(content[:size] + bytes(len(content) - size if grown else 0))
+            with pytest.raises(ValueError, match="not a file of blocks"):
+                map_block(file, 0)
+
+
+def test_a_shard_that_is_cut_while_it_is_read_is_named(tmp_path: Path) -> None:
+    clips = [np.random.default_rng(row).bytes(1 << 16) for row in range(2400)]
+    table = pa.table({"id": range(2400), "clip": clips})
+    pq.write_table(table, tmp_path / NAME, use_dictionary=False, write_batch_size=64)
+    code = """
+        import os, sys
+        from tactile_toolkit.errors import IntegrityError
+        from tactile_toolkit.read.parquet import Shard
+        blocks = Shard(sys.argv[1]).blocks(0)
+        assert len(next(blocks).table) < 1200
+        os.truncate(sys.argv[1], 100_000)
+        try:
+            list(blocks)
+        except IntegrityError as error:
+            assert sys.argv[1] in str(error), error
+        else:
+            raise AssertionError
+    """
+    printed_by(code, tmp_path / NAME)
+
+
 def test_categories_are_found_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Their values lie before the rows of a block."""
     monkeypatch.setenv(CACHE_VARIABLE, str(tmp_path / "cache"))
