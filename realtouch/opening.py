@@ -107,7 +107,7 @@ def load(
         return TouchStream(shards, files.kind) if streaming else dataset_of(shards, files.kind)
     left_out = files.add_undamaged(found, at_least_one=True)
     # Over all files: one of them may have lost touches of every round.
-    expected = usual_touch_count(files.shards, place)
+    expected = usual_touch_count(files.shards)
     if streaming:
         return TouchStream(
             tuple(files.shards), files.kind, skip_damage=True, expected_touches=expected, left_out=left_out

@@ -129,8 +129,8 @@ class WritePictures:
             "touch": touch,
             "frame": frame,
             "label": record.label,
-            "object_id": record.object_id,
             "label_name": dict(enumerate(self.names)).get(record.label),
+            "object_id": record.object_id if row.has("object_id") else None,
             **numbers,
         }
         return line, encoded

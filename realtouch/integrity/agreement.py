@@ -13,8 +13,8 @@ from realtouch.damage import Damage, unreadable_file
 from tactile_toolkit.catalog.locate import folder_named
 from tactile_toolkit.errors import InputError, IntegrityError
 from tactile_toolkit.read.parquet import Shard
+from tactile_toolkit.read.source import manifest_beside
 from tactile_toolkit.store.folder import DataFolder
-from tactile_toolkit.store.manifest import read_manifest
 from tactile_toolkit.touch.schema import MEDIA_COLUMN, Kind, kind_of, require_types
 
 __all__ = ["TouchFiles", "folder_meant", "stated_class_names", "stored_touch_counts", "usual_touch_count"]
@@ -93,19 +93,14 @@ def stated_class_names(shards: Iterable[Shard]) -> tuple[str, ...] | None:
     return None
 
 
-def usual_touch_count(shards: Iterable[Shard], place: str | Sequence[str]) -> int | None:
+def usual_touch_count(shards: Sequence[Shard]) -> int | None:
     """Return the T that every round of a data set must have: that of more than half of its readable rounds.
 
-    None where rounds are meant to differ: no T is that of more than half, or the folder, named ``place`` by
-    the user, was made by choosing touches, or by import.
+    None where rounds may differ: no T is that of more than half, or the set has a manifest. Then rounds are
+    as they were made, whose checksums are known: of imported or chosen touches, or of a set of such.
     """
-    folder = folder_meant(place)
-    if folder is not None:
-        manifest = read_manifest(folder)
-        spec = {} if manifest is None else manifest.spec
-        # Such rounds differ in length by intention.
-        if spec.get("options", {}).get("contact") or spec.get("operation") == "import":
-            return None
+    if shards and manifest_beside(shards[0]) is not None:
+        return None
     counts: Counter[int] = Counter()
     for shard in shards:
         for index in range(shard.metadata.num_row_groups):

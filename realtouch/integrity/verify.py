@@ -120,7 +120,7 @@ def verify(
     rounds = touches = 0
     seen: dict[str, str] = {}
     for files in splits:
-        expected = usual_touch_count(files.shards, place)
+        expected = usual_touch_count(files.shards)
         check = partial(
             check_round, expected_touches=expected, decode=not quick, class_names=files.stated_names
         )

@@ -125,18 +125,19 @@ def _item(
         cover = max(touches, key=lambda touch: heights[touch.touch_index])
     info = record.info if has_info(record._row) else {}
     gel = info.get("gel_id")
+    touched = f"{record.object_id}" if record._row.has("object_id") else ""
     notes = [("Touches shown", f"{len(touches)} of {record.touch_count}")]
     if info.get("notes"):
         notes.append(("Notes", str(info["notes"])))
     return Item(
         id=record.id,
-        title=f"class {label}, object {record.object_id}",
+        title=f"class {label}, object {touched}" if touched else f"class {label}",
         facets={
             "label": (label,),
             "split": (split,),
             "contact": (_share(met),),
             "gel": ("unknown" if gel is None else str(gel),),
-            "object": (str(record.object_id),),
+            "object": (touched or "unknown",),
         },
         measures={
             "touches": record.touch_count,

@@ -206,7 +206,7 @@ def draw_grid(record: TouchRound, most: int) -> Drawing:
             caption = f"{touch}: {heights_m[touch] * 1e3:.1f} mm"
             frame = CONTACT if heights_m[touch] >= MIN_CONTACT_HEIGHT_M else PAPER
         tiles.append(Tile(fitted(Touch(record, touch).image, _TILE_PX), caption, frame))
-    words = [f"{len(tiles)} of {counted(record.touch_count, 'touches')} of object {record.object_id}"]
+    words = [f"{len(tiles)} of {_touches_in_words(record)}"]
     if heights_m is not None:
         mm = MIN_CONTACT_HEIGHT_M * 1e3
         words += [f"framed: the gel stopped {mm:g} mm or more above the plate; its height beside the number"]
@@ -220,7 +220,7 @@ def draw_overlay(record: TouchRound) -> Drawing:
     pixels = with_scale_bar(overlay(touches, cell), _PX_PER_MM)
     x_mm, y_mm = (side / _PX_PER_MM for side in cell.size_px)
     words = (
-        f"{counted(len(touches), 'touches')} of object {record.object_id} at their positions",
+        f"{_touches_in_words(record)} at their positions",
         f"{x_mm:.0f} x {y_mm:.0f} mm around the middle of the cell, x right, y up",
     )
     return Drawing(sheet([Tile(pixels, frame=(205, 210, 215))], Sheet(1, _title(record), words)))
@@ -260,6 +260,11 @@ def draw_drift(dataset: TouchDataset[Any], title: str) -> Drawing:
     spread = f"{rounds}; from {z_mm.min():.2f} to {z_mm.max():.2f} mm, median {np.median(z_mm):.2f} mm"
     points = Points(title, "round", "deepest touch, z in mm", np.arange(len(z_mm)), z_mm, gels)
     return Drawing(plot_points(points, spread))
+
+
+def _touches_in_words(record: TouchRound) -> str:
+    of_object = f" of object {record.object_id}" if record._row.has("object_id") else ""
+    return f"{counted(record.touch_count, 'touches')}{of_object}"
 
 
 def _title(record: TouchRound) -> str:

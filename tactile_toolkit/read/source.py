@@ -11,6 +11,7 @@ from tactile_toolkit.errors import InputError
 from tactile_toolkit.read.parquet import Shard
 from tactile_toolkit.store.folder import DataFolder, expanded, file_at
 from tactile_toolkit.store.manifest import Manifest, read_manifest
+from tactile_toolkit.store.shards import DATA_FOLDER
 
 __all__ = ["file_fingerprint", "manifest_beside", "refuse_source"]
 
@@ -35,7 +36,8 @@ def file_fingerprint(shard: Shard) -> dict[str, Any]:
 def manifest_beside(shard: Shard) -> Manifest | None:
     """Return the manifest of the folder that a shard lies in, where there is one."""
     data, _ = file_at(shard.path)
-    return read_manifest(file_at(data.address())[0])
+    folder, name = file_at(data.address())
+    return read_manifest(folder) if name == DATA_FOLDER else None
 
 
 def refuse_source(folder: DataFolder, name: str, shards: Iterable[Shard]) -> None:

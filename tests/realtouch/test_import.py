@@ -649,3 +649,69 @@ def test_a_small_table_of_endless_lines_or_columns_is_refused(tmp_path: Path) ->
     (tmp_path / "table.csv").write_bytes(b"file,label" + b"".join(b",a%d" % i for i in range(2_000)) + b"\n")
     with pytest.raises(InputError, match="has 2,002 columns; expected at most 1,000"):
         realtouch.import_images(tmp_path, tmp_path.parent / "out", "folder")
+
+
+@pytest.fixture
+def uneven(tmp_path: Path) -> Path:
+    """An import of two folders, in rounds of different lengths, of objects without numbers."""
+    lines = []
+    for folder, counts in (("monday", (5, 5, 5)), ("tuesday", (2, 3))):
+        (tmp_path / "source" / folder).mkdir(parents=True)
+        for number, count in enumerate(counts):
+            for touch in range(count):
+                name = f"{folder}/{number}-{touch}.jpg"
+                (tmp_path / "source" / name).write_bytes(picture(40 * touch))
+                pose = f"0.0{touch} 0 {0.1 + 0.008 * (touch % 2)} 0 0 0 1"
+                lines.append(
+                    line(name, ("cat", "dog", "cat")[number], pose) | {"round": f"{folder}-{number}"}
+                )
+    write_table(tmp_path / "source", lines)
+    columns = realtouch.ImportColumns(round="round", pose=("pose",))
+    realtouch.import_images(tmp_path / "source", tmp_path / "uneven", "folder", columns)
+    return tmp_path / "uneven"
+
+
+def test_rounds_of_different_lengths_are_intact_in_all_that_is_made_of_them(
+    uneven: Path, tmp_path: Path
+) -> None:
+    made = {"imported": uneven}
+
+    def make(name: str, change: Any, source: str, **options: Any) -> None:
+        made[name] = tmp_path / name
+        change(made[source], made[name], **options)
+
+    make("pressed", realtouch.select, "imported", contact=True)
+    make("cats", realtouch.select, "imported", labels=["cat"])
+    make("small", realtouch.resize, "imported", width=16, height=12)
+    make("pressed-cats", realtouch.select, "pressed", labels=["cat"])
+    make("small-pressed-cats", realtouch.resize, "pressed-cats", width=16, height=12)
+    counts = {}
+    for name, folder in made.items():
+        assert call("realtouch", "verify", folder) == 0, name
+        loaded = realtouch.load(folder, on_error="skip")
+        assert not isinstance(loaded, realtouch.TouchStream)
+        assert loaded.skipped == ()
+        counts[name] = loaded.touch_counts.tolist()
+    assert counts == {
+        "imported": [5, 5, 5, 2, 3],
+        "pressed": [2, 2, 2, 1, 1],
+        "cats": [5, 5, 2],
+        "small": [5, 5, 5, 2, 3],
+        "pressed-cats": [2, 2, 1],
+        "small-pressed-cats": [2, 2, 1],
+    }
+
+
+def test_objects_without_numbers_are_shown_and_written(uneven: Path, tmp_path: Path) -> None:
+    for kind in ("grid", "overlay"):
+        assert call("realtouch", "preview", uneven, "--kind", kind, "--out", tmp_path / kind) == 0
+        assert len(list((tmp_path / kind).glob("*.png"))) == 1
+    assert call("realtouch", "gallery", uneven, "--out", tmp_path / "gallery") == 0
+    shown = "".join(file.read_text() for file in (tmp_path / "gallery").rglob("*.js*"))
+    assert "class cat" in shown
+    assert "object None" not in shown
+    for kind in ("png", "jpeg"):
+        realtouch.frames(uneven, tmp_path / kind, kind)  # type: ignore[arg-type]
+        with (tmp_path / kind / "index.csv").open(newline="") as stream:
+            assert [each["object_id"] for each in csv.DictReader(stream)] == [""] * 20
+        assert realtouch.verify(tmp_path / kind).ok
