@@ -21,7 +21,12 @@ from tactile_toolkit.touch.jpeg import Pixels
 if TYPE_CHECKING:
     from realtouch.pose import Pose
 
-__all__ = ["Touch"]
+__all__ = ["Touch", "touch_id"]
+
+
+def touch_id(round_id: str, touch_index: int) -> str:
+    """Return the id of a touch."""
+    return f"{round_id}_{touch_index:03d}"
 
 
 class Touch:
@@ -53,6 +58,11 @@ class Touch:
     def __setattr__(self, name: str, value: object) -> None:
         message = f"Touch is frozen; {name!r} cannot be set"
         raise AttributeError(message)
+
+    @property
+    def id(self) -> str:
+        """Id of the round and number of the touch, as exports name it: ``2023-09-28_15-50-43_7-0_012``."""
+        return touch_id(self.round_id, self.touch_index)
 
     @property
     def round_id(self) -> str:

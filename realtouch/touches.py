@@ -17,12 +17,12 @@ from realtouch.contact import MIN_CONTACT_HEIGHT_M, contact_heights_m
 from realtouch.damage import missing_column
 from realtouch.media.images import SensorImages
 from realtouch.rounds import TouchRound, TouchSingleRound
-from realtouch.touch import Touch
+from realtouch.touch import Touch, touch_id
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.read.dataset import Row
 from tactile_toolkit.read.order import StoredParts
 from tactile_toolkit.read.parquet import Shard
-from tactile_toolkit.read.sequence import LazySequence, positions
+from tactile_toolkit.read.sequence import LazySequence, nearest, positions
 from tactile_toolkit.touch.jpeg import Pixels, room_for
 from tactile_toolkit.touch.rows import flat_row
 from tactile_toolkit.touch.schema import Kind, is_per_touch
@@ -263,6 +263,17 @@ class Touches(LazySequence[Touch], Generic[R]):
         )
         starts = np.cumsum([0, *map(len, parts)])
         return whole.select(starts[np.searchsorted(rounds, places)] + self.touch_indices)
+
+    def _places_of_id(self, id: Any) -> NDArray[np.int64]:
+        name, _, touch = str(id).rpartition("_")
+        wanted = int(touch) if touch.isdecimal() else -1
+        return np.flatnonzero((self.column("id") == name) & (self.touch_indices == wanted))
+
+    def _near_ids(self, id: Any) -> list[str]:
+        ids, name = self.column("id").tolist(), str(id).rpartition("_")[0]
+        rounds = {name} & set(ids) or nearest(ids, name)
+        numbered = zip(ids, self.touch_indices.tolist(), strict=True)
+        return nearest((touch_id(each, touch) for each, touch in numbered if each in rounds), str(id))
 
     @property
     def object_ids(self) -> NDArray[np.int64]:

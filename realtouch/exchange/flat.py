@@ -18,6 +18,7 @@ from realtouch.convert.steps import contact_frame_of
 from realtouch.damage import damaged
 from realtouch.media.clips import TouchClip
 from realtouch.media.images import SensorImages
+from realtouch.touch import touch_id
 from tactile_toolkit.read.dataset import Row
 from tactile_toolkit.touch.jpeg import decode_image, encode_image, image_size
 from tactile_toolkit.touch.schema import MEDIA_TYPE, column_type
@@ -117,7 +118,7 @@ class FlatTouches:
         taken = self._single(row, count) if row.has("sensor_image") else self._seq(row, count)
         images, frames, pose = taken
         label = known_label(row, self.names)
-        paths = [f"{name}_{touch:03d}.{image_suffix(image)}" for touch, image in enumerate(images)]
+        paths = [f"{touch_id(name, touch)}.{image_suffix(image)}" for touch, image in enumerate(images)]
         columns: dict[str, Any] = {
             "id": [path.partition(".")[0] for path in paths],
             IMAGE: pa.StructArray.from_arrays(

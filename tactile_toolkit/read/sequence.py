@@ -5,6 +5,7 @@ from __future__ import annotations
 import html
 import operator
 from abc import abstractmethod
+from bisect import bisect_left
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import asdict, dataclass
@@ -21,7 +22,7 @@ from tactile_toolkit.wording import counted, is_whole, plain_number
 if TYPE_CHECKING:
     from tactile_toolkit.read.parquet import Shard
 
-__all__ = ["ColumnStatistics", "LazySequence", "Statistics", "checked_index", "positions"]
+__all__ = ["ColumnStatistics", "LazySequence", "Statistics", "checked_index", "nearest", "positions"]
 
 T = TypeVar("T")
 
@@ -80,6 +81,19 @@ def checked_index(index: int, length: int, of: str, things: str) -> int:
         message = f"{of} {index} is out of range for {length} {things}"
         raise IndexError(message)
     return index + length if index < 0 else index
+
+
+def nearest(known: Iterable[Any], wanted: Any) -> list[Any]:
+    """Return the neighbours of a value among others in their order: at most two before and two after it.
+
+    Of values that cannot be compared with it, the first.
+    """
+    ordered = sorted({each for each in known if each is not None and each == each})  # neither null nor NaN
+    try:
+        place = bisect_left(ordered, wanted)
+    except TypeError:
+        place = 0
+    return ordered[max(place - 2, 0) : place + 2]
 
 
 def positions(index: Any, length: int) -> NDArray[np.int64]:
@@ -191,6 +205,27 @@ class LazySequence(Sequence[T], Generic[T]):
         if isinstance(index, (list, tuple, np.ndarray)) and np.ndim(index) > 0:
             return self._some(positions(index, len(self)))
         return self._item(operator.index(index))
+
+    def by_id(self, id: int | str) -> T:
+        """Return the item that has an id, the first one where several have it; reads the ids only.
+
+        Parameters
+        ----------
+        id : int or str
+            The ``id`` of the item: a number for digits, scenes and other meshes, text for rounds and touches.
+
+        Raises
+        ------
+        InputError
+            No item has it; names the nearest ids. Or the items have no ids.
+        """
+        number = plain_number(id)
+        places = self._places_of_id(number)
+        if not len(places):
+            near = ", ".join(map(repr, self._near_ids(number))) or "(none, it is empty)"
+            message = f"{', '.join(self._words())}: there is no id {id!r}; next: give one such as {near}"
+            raise InputError(message)
+        return self._item(int(places[0]))
 
     def select(self, indices: Iterable[int]) -> Self:
         """Return the items at some places, in the order given; same as indexing with a list.
@@ -443,6 +478,12 @@ class LazySequence(Sequence[T], Generic[T]):
                 pictures.append(item._tile_html())
         tiles = f'<div style="display:flex;flex-wrap:wrap;gap:4px">{"".join(pictures)}</div>'
         return f"<div>{html.escape(repr(self))}{tiles if any(pictures) else ''}</div>"
+
+    def _places_of_id(self, id: Any) -> NDArray[np.int64]:
+        return np.flatnonzero(self.column("id") == id)
+
+    def _near_ids(self, id: Any) -> list[Any]:
+        return nearest(self.column("id").tolist(), id)
 
     def _each(self) -> Iterator[tuple[int, T]]:
         """Yield place and item of all, in whatever order is quickest, for looking at small fields."""

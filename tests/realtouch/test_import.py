@@ -663,7 +663,7 @@ def uneven(tmp_path: Path) -> Path:
                 (tmp_path / "source" / name).write_bytes(picture(40 * touch))
                 pose = f"0.0{touch} 0 {0.1 + 0.008 * (touch % 2)} 0 0 0 1"
                 lines.append(
-                    line(name, ("cat", "dog", "cat")[number], pose) | {"round": f"{folder}-{number}"}
+                    line(name, ["cat", "dog", "cat"][number], pose) | {"round": f"{folder}-{number}"}
                 )
     write_table(tmp_path / "source", lines)
     columns = realtouch.ImportColumns(round="round", pose=("pose",))

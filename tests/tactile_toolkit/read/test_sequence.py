@@ -14,6 +14,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+import env_assets
+import env_assets.wrenches as wrench_files
 import mnist3d
 import realtouch
 import starstruck_gen
@@ -133,6 +135,32 @@ def test_items_and_sets_are_what_they_stand_for(every_set: dict[str, Any], kind:
         assert items.count(stranger) == 0
         assert items[0] != stranger if not isinstance(stranger, np.ndarray) else True
     assert items != list(items)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_items_are_found_by_their_ids(every_set: dict[str, Any], kind: str) -> None:
+    data = every_set[kind]
+    for item in (data[0], data[len(data) - 1]):
+        assert data.by_id(item.id) == item
+        assert data[::-1].by_id(item.id) == item
+    item = data[1]
+    without = data[[place for place in range(len(data)) if place != 1]]
+    with pytest.raises(InputError, match=rf"there is no id {item.id!r}; next: give one such as ") as caught:
+        without.by_id(item.id)
+    assert repr(data[0].id) in str(caught.value)
+    for wrong in ("nothing", 10**9, None):
+        with pytest.raises(InputError, match=f"there is no id {wrong!r}; next: give one such as "):
+            data.by_id(wrong)
+    with pytest.raises(InputError, match="it is empty"):
+        data[:0].by_id(item.id)
+
+
+def test_a_wrench_is_found_by_its_id(tmp_path: Path) -> None:
+    env_assets.write_wrench(env_assets.WrenchSpec(13.0), str(tmp_path))
+    wrenches = wrench_files.load(str(tmp_path))
+    assert wrenches.by_id(wrenches[0].id) == wrenches[0]
+    with pytest.raises(InputError, match="there is no id 45; next: give one such as "):
+        wrenches.by_id(45)
 
 
 def test_equal_values_from_elsewhere_are_equal(every_set: dict[str, Any], tmp_path: Path) -> None:
