@@ -104,12 +104,12 @@ class WrenchRecord(SolidRecord):
     @property
     def opening_mm(self) -> float:
         """Width across flats of the first jaw, millimetres."""
-        return float(self._row.value("opening_mm"))
+        return float(self._row.required("opening_mm"))
 
     @property
     def second_opening_mm(self) -> float:
         """Width across flats of the second jaw, millimetres; 0 where the handle ends plainly."""
-        return float(self._row.value("second_opening_mm"))
+        return float(self._row.required("second_opening_mm"))
 
     def __repr__(self) -> str:
         return f"WrenchRecord(id={self.id}, {self.opening_mm:g} mm, {len(self.faces):,} faces)"

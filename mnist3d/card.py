@@ -133,7 +133,7 @@ def _sheet(facts: FolderFacts) -> bytes | None:
     """Draw the first digit of each class in the first rows, as PNG at 0.4 mm per pixel; None without rows."""
     first: dict[int, Row] = {}
     for row in islice(first_rows(facts, ["label", VERTICES, FACES]), _ROWS_SEEN):
-        first.setdefault(int(row.value("label")), row)
+        first.setdefault(int(row.required("label")), row)
         if len(first) == len(CLASS_NAMES):
             break
     rows = [first[label] for label in sorted(first)]

@@ -30,12 +30,12 @@ class MeshRecord(SolidRecord):
     @property
     def writer(self) -> int:
         """Number of the writer in the source, -1 where it is unknown."""
-        return int(self._row.value("writer")) if self._row.has("writer") else NO_WRITER
+        return int(self._row.required("writer")) if self._row.has("writer") else NO_WRITER
 
     @property
     def source(self) -> str:
         """Name of the source of the digit; empty in data sets that do not say."""
-        return str(self._row.value("source")) if self._row.has("source") else ""
+        return str(self._row.required("source")) if self._row.has("source") else ""
 
     def __repr__(self) -> str:
         return (

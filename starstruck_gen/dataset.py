@@ -34,7 +34,7 @@ class SceneRecord(SolidRecord):
     @property
     def star_count(self) -> int:
         """Number of stars; in data sets that do not store it, that of the published class."""
-        return int(self._row.value("star_count")) if self._row.has("star_count") else self.label + 1
+        return int(self._row.required("star_count")) if self._row.has("star_count") else self.label + 1
 
     @property
     def distractor_count(self) -> int:
@@ -68,7 +68,7 @@ class SceneRecord(SolidRecord):
         if not self._row.has(name):
             message = f"this data set stores no {name!r}; next: use one written by `starstruck generate`"
             raise InputError(message)
-        return self._row.value(name)
+        return self._row.required(name)
 
     def __repr__(self) -> str:
         return f"SceneRecord(id={self.id}, label={self.label}, star_count={self.star_count})"

@@ -31,12 +31,12 @@ class SolidRecord(Record):
     @property
     def id(self) -> int:
         """Number of the row, unique in its data set."""
-        return int(self._row.value("id"))
+        return int(self._row.required("id"))
 
     @property
     def label(self) -> int:
         """Number of the class."""
-        return int(self._row.value("label"))
+        return int(self._row.required("label"))
 
     @property
     def vertices_m(self) -> NDArray[np.float32]:
@@ -64,7 +64,7 @@ class SolidRecord(Record):
     @property
     def volume_m3(self) -> float:
         """Volume in cubic metres: the stored one, or that of the mesh where none is stored."""
-        return float(self._row.value("volume_m3") if self._row.has("volume_m3") else self.mesh.volume)
+        return float(self._row.required("volume_m3") if self._row.has("volume_m3") else self.mesh.volume)
 
     def __repr__(self) -> str:
         return f"{type(self).__name__}(id={self.id}, label={self.label}, {len(self.faces):,} faces)"

@@ -10,6 +10,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from tactile_toolkit.errors import IntegrityError
+
 __all__ = [
     "BytesColumn",
     "NestedColumn",
@@ -384,10 +386,24 @@ class RowGroup:
         return self._views.setdefault(key, build()) if view is None else view
 
     def ragged(self, name: str) -> RaggedColumn:
-        """Return a column of arrays of shape (n_i, width), by dotted name."""
+        """Return a column of arrays of shape (n_i, width), by dotted name; IntegrityError where one is null."""
         # setdefault, here and below: of two threads that build a view at once, both get that of the first.
         column = self._ragged.get(name)
-        return self._ragged.setdefault(name, ragged_column(self.arrow(name))) if column is None else column
+        if column is not None:
+            return column
+        try:
+            return self._ragged.setdefault(name, ragged_column(self.arrow(name)))
+        except ValueError as error:
+            row = min(null_fields(self.table, [name]), default=None)
+            raise self.damaged(name, row, f"{error}" if row is None else "no value is stored") from error
+
+    def damaged(self, name: str, row: int | None, problem: str) -> IntegrityError:
+        """Return the error for a field of a row of these, or of any of them, that cannot be used."""
+        where = "" if row is None else f", row {self.first_row + row}"
+        return IntegrityError(
+            f"{self.path!r}{where}, field {name!r}: {problem}; expected a value in every row; next: run "
+            "`verify` on the data set, then generate or download it again"
+        )
 
     def nested(self, name: str) -> NestedColumn:
         """Return a column of nested lists, by dotted name."""

@@ -76,11 +76,24 @@ class Row:
 
     def array(self, name: str) -> NDArray[Any]:
         """Return a field of shape (n, width) as a read-only view of the stored values."""
-        return self.group.ragged(name)[self.index]
+        try:
+            return self.group.ragged(name)[self.index]
+        except IntegrityError:  # of another row, maybe: this one alone
+            alone = self.group.table.slice(self.index, 1)
+            return RowGroup(alone, self.path, self.number).ragged(name)[0]
 
     def value(self, name: str) -> Any:
         """Return a plain field as numpy's scalar or Python's object."""
         return self.group.flat(name)[self.index]
+
+    def required(self, name: str) -> Any:
+        """Return a plain field as :meth:`value` does; IntegrityError where it is null."""
+        value = self.value(name)
+        # Of a column with nulls, numpy makes NaN of those of numbers.
+        missing = value is None or (isinstance(value, (float, np.floating)) and value != value)
+        if missing and not self.group.arrow(name)[self.index].is_valid:
+            raise self.group.damaged(name, self.index, "no value is stored")
+        return value
 
     def has(self, name: str) -> bool:
         """Tell whether the data set has a column."""

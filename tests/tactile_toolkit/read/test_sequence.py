@@ -156,7 +156,7 @@ def test_items_are_found_by_their_ids(every_set: dict[str, Any], kind: str) -> N
 
 
 def test_a_wrench_is_found_by_its_id(tmp_path: Path) -> None:
-    env_assets.write_wrench(env_assets.WrenchSpec(13.0), str(tmp_path))
+    env_assets.write_wrench(env_assets.WrenchSpec.for_size(), str(tmp_path))
     wrenches = wrench_files.load(str(tmp_path))
     assert wrenches.by_id(wrenches[0].id) == wrenches[0]
     with pytest.raises(InputError, match="there is no id 45; next: give one such as "):
