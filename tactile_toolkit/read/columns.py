@@ -386,7 +386,7 @@ class RowGroup:
         return self._views.setdefault(key, build()) if view is None else view
 
     def ragged(self, name: str) -> RaggedColumn:
-        """Return a column of arrays of shape (n_i, width), by dotted name; IntegrityError where one is null."""
+        """Return a column of arrays of shape (n_i, width), by dotted name; IntegrityError for a null."""
         # setdefault, here and below: of two threads that build a view at once, both get that of the first.
         column = self._ragged.get(name)
         if column is not None:

@@ -7,7 +7,6 @@ import operator
 from abc import abstractmethod
 from bisect import bisect_left
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from contextlib import suppress
 from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING, Any, Generic, Self, TypeVar, overload
 
@@ -470,14 +469,16 @@ class LazySequence(Sequence[T], Generic[T]):
         return printable(f"{type(self).__name__}({', '.join([*self._words(), self._classes_in_words()])})")
 
     def _repr_html_(self) -> str:
-        """Show what it is, and small pictures of some items, in a notebook."""
-        pictures = []
+        """Show what it is, and small pictures of some items or what is wrong with them, in a notebook."""
+        pictures, problems = [], {}
         for position in np.linspace(0, len(self) - 1, min(len(self), _SHOWN_PICTURES)).round().tolist():
-            item: Any = self._item(int(position))
-            with suppress(ToolkitError, ValueError, OSError):  # what is damaged is told when it is asked for
+            try:
+                item: Any = self._item(int(position))
                 pictures.append(item._tile_html())
+            except (ToolkitError, ValueError, OSError) as error:
+                problems[f"<div>{html.escape(printable(str(error)))}</div>"] = None  # each once
         tiles = f'<div style="display:flex;flex-wrap:wrap;gap:4px">{"".join(pictures)}</div>'
-        return f"<div>{html.escape(repr(self))}{tiles if any(pictures) else ''}</div>"
+        return f"<div>{html.escape(repr(self))}{tiles if any(pictures) else ''}{''.join(problems)}</div>"
 
     def _places_of_id(self, id: Any) -> NDArray[np.int64]:
         return np.flatnonzero(self.column("id") == id)

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import builtins
+import html
 import pickle
+import shutil
 from pathlib import Path
 from typing import Any
 
@@ -376,6 +378,27 @@ def test_notebooks_show_small_pictures(every_set: dict[str, Any], kind: str) -> 
     assert len(page) < 400_000
     assert "<img" in items[0]._repr_html_()
     assert "<img" not in items[:0]._repr_html_()
+
+
+@pytest.mark.parametrize("damage", ["cut", "flipped", "gone"])
+@pytest.mark.parametrize("kind", ["digits", "images"])
+def test_notebooks_show_what_is_damaged(
+    every_set: dict[str, Any], kind: str, damage: str, tmp_path: Path
+) -> None:
+    shutil.copytree(Path(every_set[kind]._tables[0].shards[0].path).parents[1], tmp_path / "copy")
+    data = (mnist3d if kind == "digits" else realtouch).load(str(tmp_path / "copy"))
+    shard = next((tmp_path / "copy").rglob("*.parquet"))
+    content = shard.read_bytes()
+    if damage == "gone":
+        shard.unlink()
+    elif damage == "cut":
+        shard.write_bytes(content[:200])
+    else:
+        shard.write_bytes(content[:200] + bytes(len(content) // 2 - 200) + content[len(content) // 2 :])
+    shown = data._repr_html_()
+    assert html.escape(repr(str(shard))) in shown
+    assert html.escape(repr(data)) in shown
+    assert shown.count("next: ") == 1
 
 
 def test_notebooks_show_clips(every_set: dict[str, Any]) -> None:
