@@ -136,6 +136,8 @@ class SolidTensors(torch.utils.data.Dataset):  # type: ignore[misc]
         if not (is_whole(*counts) and counts[0] >= 1 and counts[1] >= 0):
             message = f"points is {points!r} and seed is {seed!r}; expected whole numbers from 1 and from 0"
             raise InputError(message)
+        from tactile_toolkit.read.torch import shared_zeros  # here: without torch its message is another
+
         self.dataset = dataset
         self.form = form
         self.points, self.seed = counts
@@ -143,7 +145,7 @@ class SolidTensors(torch.utils.data.Dataset):  # type: ignore[misc]
         self.transform = transform
         self.target = target
         # Workers that live on from epoch to epoch (persistent_workers) see what is set here.
-        self._epoch = torch.zeros((), dtype=torch.int64).share_memory_()
+        self._epoch = shared_zeros()
 
     @property
     def epoch(self) -> int:

@@ -25,7 +25,7 @@ else:
         feature = "training on a data set"
         raise MissingExtraError(feature, "torch", "torch") from error
 
-__all__ = ["TrainingBatches"]
+__all__ = ["TrainingBatches", "shared_zeros"]
 
 _FORMAT = "tactile_toolkit_training"
 _VERSION = 1
@@ -33,6 +33,15 @@ _VERSION = 1
 _SINCE = "_steps_since_snapshot"
 # The table that workers share is made before anybody knows how many there will be.
 _MOST_WORKERS = 255
+
+
+def shared_zeros(*shape: int) -> torch.Tensor:
+    """Return zeros, int64, which the workers of a loader share."""
+    zeros = torch.zeros(shape, dtype=torch.int64)
+    try:
+        return zeros.share_memory_()
+    except RuntimeError:  # no shared memory here: loaders with workers fail, others need none
+        return zeros
 
 
 @dataclass
@@ -139,7 +148,7 @@ class TrainingBatches(torch.utils.data.IterableDataset):  # type: ignore[misc]
         # What the next pass is, for this process and for each worker: epoch, start, batches given already,
         # and of how many workers it was one when it last began a pass (plus 1; 0 when it has not). Shared, so
         # that workers that live on see what is set here, and new ones what those before them began.
-        self._next = torch.zeros((1 + _MOST_WORKERS, 4), dtype=torch.int64).share_memory_()
+        self._next = shared_zeros(1 + _MOST_WORKERS, 4)
 
     @property
     def epoch(self) -> int:

@@ -19,7 +19,7 @@ from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass
 from typing import Protocol, TypeVar
 
-from tactile_toolkit.errors import ToolkitError
+from tactile_toolkit.errors import InputError, ToolkitError
 from tactile_toolkit.run.limits import prepare_batch_process
 from tactile_toolkit.run.system import ignore_interrupts
 
@@ -85,9 +85,16 @@ class ProcessRunner:
         """Work in one pool until nothing waits or a worker died; then the lost tasks wait again."""
         # spawn: workers start clean whatever threads and file handles the caller's notebook holds.
         context = multiprocessing.get_context("spawn")
-        pool = ProcessPoolExecutor(
-            min(self.workers, len(waiting)), mp_context=context, initializer=_prepare_worker
-        )
+        try:
+            pool = ProcessPoolExecutor(
+                min(self.workers, len(waiting)), mp_context=context, initializer=_prepare_worker
+            )
+        except OSError as error:
+            message = (
+                f"worker processes need shared memory (on Linux in /dev/shm), which is refused: {error}; "
+                "next: make it writable, or run the same command with --workers 1"
+            )
+            raise InputError(message) from error
         needs_main = b"__main__" in pickle.dumps((function, waiting[0][0]))
         start_context = contextlib.nullcontext if needs_main else _main_hidden
         running: dict[Future[R], tuple[T, int]] = {}

@@ -267,6 +267,20 @@ def test_impossible_numbers_are_refused(rows: Rows, options: dict[str, Any], fou
         TrainingBatches([1, 2], 2)
 
 
+def test_a_loader_without_workers_needs_no_shared_memory(rows: Rows, monkeypatch: pytest.MonkeyPatch) -> None:
+    expected = [each for batch in batches_of(rows) for each in batch]
+
+    def refuse(_: object) -> None:
+        message = "unable to open shared memory object in read-write mode: Read-only file system (30)"
+        raise RuntimeError(message)
+
+    monkeypatch.setattr(torch.Tensor, "share_memory_", refuse)
+    batches = batches_of(rows)
+    loader = torch.utils.data.DataLoader(batches, batch_size=None)
+    assert [each for batch in loader for each in batch] == expected
+    assert batches.epoch == 1
+
+
 def test_ranks_are_those_of_the_launcher(rows: Rows, monkeypatch: pytest.MonkeyPatch) -> None:
     assert (batches_of(rows).rank, batches_of(rows).world_size) == (0, 1)
     monkeypatch.setenv("RANK", "3")

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import errno
+import multiprocessing.synchronize  # noqa: F401 (it looks at what the test replaces)
 import pickle
 import subprocess
 import sys
@@ -11,6 +13,7 @@ import pytest
 
 from tactile_toolkit.errors import HubError, InputError, IntegrityError, ItemError, MissingExtraError
 from tactile_toolkit.run.processes import ProcessRunner
+from tests.command_line import call
 from tests.processes import printed_by
 
 REPOSITORY = Path(__file__).resolve().parents[3]
@@ -45,6 +48,22 @@ def test_an_exception_of_a_task_is_raised_as_it_is_and_not_retried(tmp_path: Pat
     with pytest.raises(ZeroDivisionError, match="of the task"):
         list(ProcessRunner(2).run(fails, [str(tries)]))
     assert tries.read_text() == "tried\n"
+
+
+def test_a_system_without_shared_memory_is_named(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def refuse(*_: object) -> None:
+        raise OSError(errno.EROFS, "Read-only file system")
+
+    monkeypatch.setattr("_multiprocessing.SemLock", refuse)
+    command = ("generate", "--split", "train", "--scenes", "2", "--out", tmp_path / "out", "--workers")
+    assert call("starstruck", *command, 2) == 2
+    shown = " ".join(capsys.readouterr().err.split())
+    assert "error: worker processes need shared memory" in shown
+    assert "Read-only file system; next: make it writable, or run the same command with --workers 1" in shown
+    assert not (tmp_path / "out" / "manifest.json").exists()
+    assert call("starstruck", *command, 1) == 0
 
 
 def test_workers_and_command_lines_do_without_pandas() -> None:
