@@ -470,7 +470,8 @@ class LazySequence(Sequence[T], Generic[T]):
 
     def _repr_html_(self) -> str:
         """Show what it is, and small pictures of some items or what is wrong with them, in a notebook."""
-        pictures, problems = [], {}
+        pictures: list[str] = []
+        problems: dict[str, None] = {}
         for position in np.linspace(0, len(self) - 1, min(len(self), _SHOWN_PICTURES)).round().tolist():
             try:
                 item: Any = self._item(int(position))

@@ -5,6 +5,7 @@ The order itself is :mod:`tactile_toolkit.read.order`; here it meets torch (extr
 
 from __future__ import annotations
 
+import contextlib
 import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -38,10 +39,11 @@ _MOST_WORKERS = 255
 def shared_zeros(*shape: int) -> torch.Tensor:
     """Return zeros, int64, which the workers of a loader share."""
     zeros = torch.zeros(shape, dtype=torch.int64)
-    try:
-        return zeros.share_memory_()
-    except RuntimeError:  # no shared memory here: loaders with workers fail, others need none
-        return zeros
+    with contextlib.suppress(
+        RuntimeError
+    ):  # without shared memory loaders with workers fail, others need none
+        zeros.share_memory_()
+    return zeros
 
 
 @dataclass
