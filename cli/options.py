@@ -19,6 +19,7 @@ __all__ = [
     "Limit",
     "LocalOut",
     "Making",
+    "MinHeight",
     "Out",
     "Overwrite",
     "Quiet",
@@ -158,6 +159,14 @@ Finishing = Annotated[
 ]
 Limit = Annotated[
     int | None, typer.Option("--limit", min=1, metavar="N", help="Only the first N rows of each split.")
+]
+MinHeight = Annotated[
+    float | None,
+    typer.Option(
+        metavar="MM",
+        help="Height above the plate from which a touch counts as contact; 6 by default, and any height for "
+        "touches of `tactile-sim generate`.",
+    ),
 ]
 Checking = Annotated[
     bool,

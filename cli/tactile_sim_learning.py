@@ -14,7 +14,7 @@ import typer
 from cli.application import command
 from cli.folders import print_made
 from cli.making import make_with_progress
-from cli.options import LocalOut, Making, Out, Seed, local_place, parse_size
+from cli.options import LocalOut, Making, MinHeight, Out, Seed, local_place, parse_size
 from cli.output import Sink, bytes_text, counted
 from tactile_sim.kind import KIND
 
@@ -34,9 +34,7 @@ class PairsOptions:
     without_contact: Annotated[
         float, typer.Option(min=0, max=1, metavar="SHARE", help="Share of touches that meet no object.")
     ] = 0.05
-    min_height_mm: Annotated[
-        float, typer.Option(metavar="MM", help="Height above the plate from which a touch counts as contact.")
-    ] = 6.0
+    min_height_mm: MinHeight = None
     like: Annotated[
         Literal["published", "environment"],
         typer.Option(
@@ -124,7 +122,7 @@ def pairs(
         parse_size(options.size),
         options.count,
         options.without_contact,
-        options.min_height_mm / 1e3,
+        None if options.min_height_mm is None else options.min_height_mm / 1e3,
         options.like,
         options.image_format,
         seed=options.seed,

@@ -13,6 +13,7 @@ from cli.application import command
 from cli.making import make_with_progress
 from cli.options import (
     Limit,
+    MinHeight,
     Out,
     Split,
     TouchSet,
@@ -32,7 +33,6 @@ if TYPE_CHECKING:
 __all__ = ["add_conversions"]
 
 _SKIPPED_SHOWN = 20
-_HEIGHT_MM = 6.0
 
 
 DifferenceName = Literal["grey", "absolute"]
@@ -202,12 +202,13 @@ def select(
     source: TouchSet,
     out: Target,
     contact: Annotated[bool, typer.Option("--contact", help="Only touches that met an object.")] = False,
-    min_height_mm: Annotated[
-        float, typer.Option(metavar="MM", help="Height above the plate from which a touch counts.")
-    ] = _HEIGHT_MM,
+    min_height_mm: MinHeight = None,
     recalibrate: Annotated[
         bool,
-        typer.Option("--recalibrate/--as-recorded", help="Take each round's deepest touch as the plate."),
+        typer.Option(
+            "--recalibrate/--as-recorded",
+            help="Take each round's deepest touch as the plate, where its height is not known.",
+        ),
     ] = True,
     labels: Annotated[str | None, typer.Option(metavar="3,5", help="Only these classes.")] = None,
     objects: Annotated[str | None, typer.Option(metavar="ID,ID", help="Only these objects.")] = None,
@@ -221,7 +222,7 @@ def select(
     from realtouch.convert.api import select as convert
     from tactile_toolkit.errors import InputError
 
-    if not contact and (min_height_mm != _HEIGHT_MM or not recalibrate):
+    if not contact and (min_height_mm is not None or not recalibrate):
         message = "--min-height-mm and --as-recorded are about --contact; next: add --contact"
         raise InputError(message)
     converting.run(
@@ -230,7 +231,7 @@ def select(
         source,
         out,
         contact=contact,
-        min_height_m=min_height_mm / 1000,
+        min_height_m=None if min_height_mm is None else min_height_mm / 1000,
         recalibrate_z=recalibrate,
         labels=_listed(labels),
         objects=[_object_id(text) for text in _listed(objects)],

@@ -71,7 +71,12 @@ def print_summary(sink: Sink, split: str, summary: Summary) -> None:
         ("rounds", summary.rounds),
         ("touches", f"{summary.touches:,} ({each} per round)"),
         ("objects", summary.objects),
-        ("with contact", "unknown" if summary.contact_share is None else f"{summary.contact_share:.1%}"),
+        (
+            "with contact",
+            "unknown"
+            if summary.contact_share is None
+            else f"{summary.contact_share:.1%} ({summary.contact_rule})",
+        ),
         ("labels", ", ".join(f"{name}: {count}" for name, count in summary.labels.items())),
         ("picture", f"{width} x {height} pixels"),
         (

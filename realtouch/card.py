@@ -10,7 +10,6 @@ from typing import Any, Literal, TypeVar
 
 import numpy as np
 
-from realtouch.contact import MIN_CONTACT_HEIGHT_M
 from realtouch.dataset import dataset_of
 from realtouch.exported_card import EXPORTS, ExportText
 from realtouch.kind import KIND
@@ -35,11 +34,12 @@ from tactile_toolkit.cards.facts import FolderFacts, SplitFacts, recorded_facts
 from tactile_toolkit.errors import ToolkitError
 from tactile_toolkit.pictures.writing import png_bytes
 from tactile_toolkit.printable import markdown_text
-from tactile_toolkit.read.columns import list_depth
+from tactile_toolkit.read.columns import column_types, list_depth
 from tactile_toolkit.read.dataset import Row
 from tactile_toolkit.read.parquet import Shard
 from tactile_toolkit.store.folder import DataFolder
 from tactile_toolkit.store.manifest import Manifest
+from tactile_toolkit.touch.contact import ContactHeight, missed_text
 from tactile_toolkit.touch.jpeg import Pixels, decode_image
 from tactile_toolkit.touch.schema import Kind, column_type, kind_of
 
@@ -73,7 +73,7 @@ def _split_figures(split: SplitFacts, kind: Kind) -> _SplitFigures:
         None if counts is None else int(counts.sum()),
         None if counts is None else (int(counts.min()), int(counts.max())),
         _or_none(lambda: len(np.unique(dataset.column("object_id")))),
-        _or_none(lambda: len(dataset.touches().with_contact()) / max(len(dataset.touches()), 1)),
+        _or_none(lambda: float(dataset.touches().in_contact().mean())),
     )
 
 
@@ -162,6 +162,9 @@ COLUMNS: dict[str, Column] = {
 SYNTHETIC_COLUMNS: dict[str, Column] = {
     **COLUMNS,
     "object_id": ("", "`id` of the mesh of the touched object, in the data set that it comes from"),
+    "sensor_image": ("T images", "what the sensor sees"),
+    "info.touched_object_pose.position": (_CELL, "position of the object while it is touched"),
+    "info.touched_object_pose.quaternion": ("x, y, z, w", "its orientation then"),
 }
 
 _OBJECT_OF_OTHERS: Column = ("", "number of the touched object, as the source gave it")
@@ -209,8 +212,14 @@ _FRAMES = """\
 ```
 
 Cell frame: origin at the centre of the 120 x 120 mm cell; metres; right-handed. Poses are those of the gel
-in this frame; quaternions are x, y, z, w. The zero of z drifts by up to 3 mm between rounds: take the
-deepest touch of a round as the plate, or `plate_z_m` where that column is there."""
+in this frame; quaternions are x, y, z, w."""
+
+_DRIFT = " The zero of z drifts by up to 3 mm between rounds."
+_PLATES = {
+    "known": " The plate is z = 0, and the gel that stops on it is at z = 2.125 mm.",
+    "stored": " `plate_z_m` is the height of the gel on the plate in each round.",
+    "estimated": " Take the deepest touch of a round as the plate.",
+}
 
 _FRAMES_OF_OTHERS = """\
 Positions and poses, where there are columns of them, are those of the source: metres, in a frame that its
@@ -220,7 +229,6 @@ _COMMON = (
     "The pose of the gel is that of the arm; an object may have moved a little while it was touched.",
     "Force is estimated from the arm's joints: 5 N are not the same at every place of the cell.",
     "The gel pad was replaced halfway through the recordings; `info.gel_id`, where it is there, tells which.",
-    "Many touches meet no object but the mat; filter them with `realtouch select --contact`.",
 )
 
 _LIMITS: dict[str, tuple[str, ...]] = {
@@ -233,9 +241,9 @@ _LIMITS: dict[str, tuple[str, ...]] = {
         "Labels and poses are those of the source; nobody compared them with the images.",
     ),
     "synthetic": (
-        "Rendered images lack the texture of prints, the wear of gels and the shift of objects.",
+        "Rendered images lack the texture of prints, the wear of gels and the noise of a camera, unless "
+        "their source was made with them.",
         "Touch i was rendered against the object pose of touch i - 1 in the published sets.",
-        "Many touches meet no object; filter them with `realtouch select --contact`.",
     ),
 }
 
@@ -284,7 +292,7 @@ _LICENCES = {
     ),
     "synthetic": (
         "other",
-        "The terms of the published set that the touches come from; see its page on the Hub.",
+        "The terms of the set that the touches come from; of a published one, see its page on the Hub.",
     ),
 }
 
@@ -323,11 +331,14 @@ def write_card(
     size = None if plain else _picture_size(facts, stored)
     columns = _PLAIN[card] if plain else SYNTHETIC_COLUMNS if rendered else COLUMNS
     if origin == "imported":
-        columns = {**columns, "object_id": _OBJECT_OF_OTHERS}
+        columns = {**columns, "object_id": _OBJECT_OF_OTHERS, "sensor_image": ("T images", "as imported")}
     text = EXPORTS.get(str(options.get("layout")), EXPORTS["flat"]) if card == "export" else None
     title = _title(card, origin, text)
     counts = [figure.touches for figure in figures if figure.touches is not None]
     known = len(counts) == len(figures)
+    rule = ContactHeight.of(column_types(facts.schema))
+    height = ("" if rendered else _DRIFT) + ("" if plain else _PLATES[rule.plate])
+    limits = [*_LIMITS[card if origin == "real" else origin], *_missed(figures, plain=plain)]
     values = {
         **({} if text is None else text.words(facts.splits[0].split)),
         "title": title,
@@ -336,10 +347,10 @@ def write_card(
         "size_text": f", {size[0]} x {size[1]} pixels" if size else "",
         "made": _made(manifest),
         "split_table": _split_table(facts, figures, manifest),
-        "contact_mm": f"{1e3 * MIN_CONTACT_HEIGHT_M:g}",
+        "contact_rule": str(rule),
         "field_table": field_table(facts, columns, _FAMILIES),
-        "frames": _FRAMES_OF_OTHERS if origin == "imported" else _FRAMES,
-        "limits": "\n".join(f"- {line}" for line in _LIMITS[card if origin == "real" else origin]),
+        "frames": _FRAMES_OF_OTHERS if origin == "imported" else _FRAMES + height,
+        "limits": "\n".join(f"- {line}" for line in limits),
         "printability": _PRINTABILITY[origin],
         "licence_text": licence_text,
         "citation_text": _CITATIONS[origin],
@@ -367,6 +378,17 @@ def write_card(
             *(["synthetic"] if rendered else real_tags),
         ],
     )
+
+
+def _missed(figures: list[_SplitFigures], *, plain: bool) -> list[str]:
+    """Write how many touches met no object, where the data have it; nothing is known of plain pictures."""
+    if plain:
+        return missed_text(None, 0)
+    found = [(each.touches, each.contact_share) for each in figures if each.touches]
+    if any(share is None for _, share in found):
+        return []
+    touches = sum(count or 0 for count, _ in found)
+    return missed_text(touches - round(sum((count or 0) * (share or 0.0) for count, share in found)), touches)
 
 
 def _title(card: _CardKind, origin: str, text: ExportText | None) -> str:

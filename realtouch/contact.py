@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactile_toolkit.errors import InputError
+from tactile_toolkit.touch.contact import MIN_CONTACT_HEIGHT_M
 
 __all__ = [
     "CLOCK_TOLERANCE_S",
@@ -33,9 +34,6 @@ __all__ = [
 ContactMethod = Literal["contact_start", "contact_end", "peak", "median", "best"]
 CONTACT_METHODS: tuple[ContactMethod, ...] = get_args(ContactMethod)
 """Names of the ways to choose one frame: see :meth:`realtouch.media.clips.TouchClip.contact_index`."""
-
-MIN_CONTACT_HEIGHT_M = 0.006
-"""A gel that stops so far above the plate touched an object: the publisher's own threshold, metres."""
 
 DEFAULT_MIN_CHANGE = 12.0
 """Grey levels by which a pixel must differ from the clip's median to count as changed."""

@@ -20,6 +20,7 @@ from tactile_toolkit.errors import InputError, IntegrityError
 from tactile_toolkit.read.columns import RowGroup
 from tactile_toolkit.read.dataset import RecordDataset, Row, with_origins
 from tactile_toolkit.read.parquet import Shard, ShardedTable
+from tactile_toolkit.touch.contact import PRESS_DEPTH_M, ContactHeight
 from tactile_toolkit.touch.schema import CLASS_NAMES, MEDIA_COLUMN, PLATE_COLUMN, POSE_COLUMN, Kind
 from tactile_toolkit.wording import counted
 
@@ -164,18 +165,25 @@ class TouchDataset(RecordDataset[R]):
         return of_view
 
     def plates_z_m(self) -> NDArray[np.float64]:
-        """Read the stored height of the plate of every stored row, shape (stored rows,), metres, cell frame.
+        """Return the height of the plate of every stored row, shape (stored rows,), metres, cell frame.
 
-        NaN where none is stored, as in the published sets: the deepest touch shows it there.
+        NaN where it is neither known nor stored, as in the published sets: the deepest touch shows it there.
         """
         plates: list[NDArray[np.float64]] = []
         for shard in (shard for table in self._tables for shard in table.shards):
-            if PLATE_COLUMN in shard.types:
+            rule = ContactHeight.of(shard.types)
+            if rule.plate == "stored":
                 stored = ShardedTable((shard,)).column(PLATE_COLUMN)
                 plates.append(np.asarray(stored, np.float64))
             else:
-                plates.append(np.full(len(shard), np.nan))
+                plates.append(np.full(len(shard), PRESS_DEPTH_M if rule.plate == "known" else np.nan))
         return np.concatenate(plates or [np.zeros(0)])
+
+    def contact_rules(self) -> list[ContactHeight]:
+        """Return the rule by which touches of each round count as contact; joined sets may have several."""
+        shards = (shard for table in self._tables for shard in table.shards)
+        of_rows = [rule for shard in shards for rule in [ContactHeight.of(shard.types)] * len(shard)]
+        return [of_rows[row] for row in self.row_numbers.tolist()]
 
     def rounds_without_media(self) -> Iterator[tuple[int, R]]:
         """Yield stored row number and round, row by row, without opening images or clips until asked for."""

@@ -31,6 +31,8 @@ class Summary:
         Least and most.
     contact_share : float or None
         Share of touches in which the gel stopped on an object; None without poses.
+    contact_rule : str or None
+        Height above the plate from which a touch counted, and where the height of the plate is from.
     labels : dict of str to int
         Rounds of each class.
     image_size : tuple of int
@@ -49,6 +51,7 @@ class Summary:
     objects: int
     touches_per_round: tuple[int, int]
     contact_share: float | None
+    contact_rule: str | None
     labels: dict[str, int]
     image_size: tuple[int, int]
     clip_frames: tuple[int, int, int] | None
@@ -97,7 +100,8 @@ def summarise(dataset: TouchDataset[Any]) -> Summary:
         touches=int(counts.sum()),
         objects=len(np.unique(dataset.int_column("object_id"))) if dataset.has_column("object_id") else 0,
         touches_per_round=(int(counts.min()), int(counts.max())),
-        contact_share=len(touches.with_contact()) / len(touches) if has_poses else None,
+        contact_share=float(touches.in_contact().mean()) if has_poses else None,
+        contact_rule="; or ".join(map(str, dict.fromkeys(dataset.contact_rules()))) if has_poses else None,
         labels={name: len(rows) for name, rows in by_label.items()},
         image_size=first.round._picture_size(first.touch_index),
         clip_frames=_clip_frames(touches),

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from realtouch.columns.per_touch import entries_of, touch_total
 from realtouch.columns.poses import touch_contact_z_m
-from realtouch.contact import MIN_CONTACT_HEIGHT_M, contact_heights_m
+from realtouch.contact import contact_heights_m
 from realtouch.damage import missing_column
 from realtouch.media.images import SensorImages
 from realtouch.rounds import TouchRound, TouchSingleRound
@@ -23,6 +23,7 @@ from tactile_toolkit.read.dataset import Row
 from tactile_toolkit.read.order import StoredParts
 from tactile_toolkit.read.parquet import Shard
 from tactile_toolkit.read.sequence import LazySequence, nearest, positions
+from tactile_toolkit.touch.contact import ContactHeight
 from tactile_toolkit.touch.jpeg import Pixels, room_for
 from tactile_toolkit.touch.rows import flat_row
 from tactile_toolkit.touch.schema import Kind, is_per_touch
@@ -85,6 +86,9 @@ class Rounds(Protocol[R_co]):
 
     def plates_z_m(self) -> NDArray[np.float64]:
         """Height of the plate of every stored row, NaN where unknown."""
+
+    def contact_rules(self) -> list[ContactHeight]:
+        """Rule by which touches of each round count as contact."""
 
     def known_positions_m(self) -> NDArray[np.float64]:
         """Intended position of every touch of these rounds, shape (touches, 2), NaN where unknown."""
@@ -285,7 +289,8 @@ class Touches(LazySequence[Touch], Generic[R]):
 
         Reads the poses only. See :func:`realtouch.contact.contact_heights_m`; all touches of a round take
         part in finding its plate, whatever was selected here; where `realtouch select` took touches out of
-        the files, the plate that it stored is taken.
+        the files, the plate that it stored is taken. Of touches that `tactile-sim generate` made, the height
+        of the plate is known and always taken.
 
         Raises
         ------
@@ -294,12 +299,14 @@ class Touches(LazySequence[Touch], Generic[R]):
         """
         z_m, starts = self.dataset.known_contact_z_m()
         plates_m = self.dataset.plates_z_m()
+        rules = self.dataset.contact_rules()
         heights = np.full(int(self._starts[-1]), np.nan)
         for position, row in enumerate(self.dataset.row_numbers):
             touched_m = z_m[starts[row] : starts[row + 1]]
             of_round = heights[self._starts[position] : self._starts[position + 1]]
             known = ~np.isnan(touched_m)
-            of_round[known] = contact_heights_m(touched_m[known], recalibrate_z, plates_m[row])
+            above_plate = recalibrate_z or rules[position].plate == "known"
+            of_round[known] = contact_heights_m(touched_m[known], above_plate, plates_m[row])
         chosen = heights[self._flat]
         unknown = np.isnan(chosen)
         if unknown.any():
@@ -307,19 +314,32 @@ class Touches(LazySequence[Touch], Generic[R]):
             touch_contact_z_m(self.dataset[position]._row, self.dataset.kind, touch)  # says what is wrong
         return chosen
 
-    def with_contact(
-        self, min_height_m: float = MIN_CONTACT_HEIGHT_M, recalibrate_z: bool = True
-    ) -> Touches[R]:
-        """Return the touches in which the gel stopped on an object.
+    def with_contact(self, min_height_m: float | None = None, recalibrate_z: bool = True) -> Touches[R]:
+        """Return the touches in which the gel stopped on an object; see :meth:`in_contact`."""
+        return self[self.in_contact(min_height_m, recalibrate_z)]
+
+    def in_contact(self, min_height_m: float | None = None, recalibrate_z: bool = True) -> NDArray[np.bool_]:
+        """Return of each touch whether the gel stopped on an object, shape (len,).
 
         Parameters
         ----------
-        min_height_m : float
-            Height above the plate from which a touch counts, metres.
+        min_height_m : float, optional
+            Height above the plate from which a touch counts, metres. By default that of the publisher's own
+            viewer, 6 mm; of touches that `tactile-sim generate` made, any height above the plate.
         recalibrate_z : bool
-            Take the deepest touch of each round as the plate; the zero of z drifts by up to 3 mm.
+            Take the deepest touch of each round as the plate, where its height is not known: the zero of z
+            drifts by up to 3 mm.
+
+        Raises
+        ------
+        IntegrityError
+            As :meth:`heights_m`.
         """
-        return self[self.heights_m(recalibrate_z) >= min_height_m]
+        heights_m = self.heights_m(recalibrate_z)
+        if min_height_m is not None:
+            return heights_m >= min_height_m
+        least_m = np.array([rule.min_height_m for rule in self.dataset.contact_rules()])
+        return np.asarray(heights_m >= least_m[self.round_positions])
 
     def objects(self, *wanted: int | Iterable[int]) -> Touches[R]:
         """Return the touches of some objects, by ``object_id``, given as numbers or as sequences of them.
@@ -364,7 +384,7 @@ class Touches(LazySequence[Touch], Generic[R]):
         """
         if empties is None:
             return super().sample(len(self) if n is None else n, seed)
-        mask = self.heights_m() >= MIN_CONTACT_HEIGHT_M if contact is None else contact
+        mask = self.in_contact() if contact is None else contact
         chosen = self._some(with_empties(self, mask, empties, seed))
         return chosen if n is None else super(Touches, chosen).sample(n, seed)
 

@@ -27,6 +27,7 @@ from tactile_toolkit.kind import lazy
 from tactile_toolkit.pictures.writing import png_bytes
 from tactile_toolkit.store.folder import DataFolder
 from tactile_toolkit.store.manifest import Manifest
+from tactile_toolkit.touch.contact import missed_text
 from tactile_toolkit.touch.jpeg import decode_image
 
 __all__ = ["COLUMNS", "write_card"]
@@ -41,7 +42,7 @@ COLUMNS: dict[str, Column] = {
     "object_id": ("", "`id` of its mesh in the data set of the objects"),
     "info.object_pose.position": (
         f"T x 3, {_CELL}",
-        "position of the object after the touch and the shift that follows it, as the published sets have it",
+        "position of the object after the touch and a shift that follows it, as the published sets have it",
     ),
     "info.object_pose.quaternion": ("T x 4: x, y, z, w", "its orientation then"),
     "info.touched_object_pose.position": (f"T x 3, {_CELL}", "position of the object while it is touched"),
@@ -81,7 +82,10 @@ def write_card(folder: DataFolder, manifest: Manifest) -> None:
         ("window", f"{window} mm of gel, as in the {_like(spec['like'])}"),
         ("surface", f"printed, in layers of {1e3 * layer_m:g} mm" if layer_m else "as modelled"),
         ("noise", "of a real sensor, the last step on the finished picture" if spec.get("noise") else "none"),
-        ("rounds of an object, touches of a round", f"{plan['rounds']}, {plan['touches']}"),
+        (
+            "rounds of an object, touches of a round",
+            f"{plan['rounds']}, {'at most ' if plan.get('given') else ''}{plan['touches']}",
+        ),
         ("objects left out", skipped_text(manifest)),
     ]
     values = {
@@ -89,6 +93,9 @@ def write_card(folder: DataFolder, manifest: Manifest) -> None:
         "window_mm": window,
         "touches": f"{sum(_counts(manifest, split)['touches'] for split in manifest.splits):,}",
         "made": markdown_table(("", ""), made) + "\n\n" + json_block(manifest.spec),
+        "follows": "the seed, the split, the object and the number of the round"
+        + (", and the given touches," if plan.get("given") else ""),
+        "limits": "\n".join(f"- {line}" for line in _limits(manifest)),
         "split_table": _split_table(facts, manifest),
         "field_table": field_table(facts, COLUMNS),
         "bibtex": bibtex(TACTILE_MNIST),
@@ -106,6 +113,25 @@ def write_card(folder: DataFolder, manifest: Manifest) -> None:
         task_ids=["multi-class-image-classification"],
         tags=["tactile", "active-perception", "gelsight", "touch", "synthetic"],
     )
+
+
+def _limits(manifest: Manifest) -> list[str]:
+    spec = manifest.spec["options"]
+    lacking = [
+        "the wear of gels",
+        *([] if spec.get("layer_m") else ["the texture of prints"]),
+        *([] if spec.get("noise") else ["the noise of a camera"]),
+    ]
+    shown = f"Rendered images lack {' and '.join(lacking)}."
+    if spec["optics"] == "cyclegan":
+        shown = "What images show of prints, gels and noise is what the generator learned."
+    counts = [_counts(manifest, split) for split in manifest.splits]
+    touches, met = (sum(each[name] for each in counts) for name in ("touches", "on_object"))
+    return [
+        "No force, dynamics or tilt: the gel stops by geometry alone, and nothing moves while it is touched.",
+        shown,
+        *missed_text(touches - met, touches),
+    ]
 
 
 def _like(like: str) -> str:

@@ -41,6 +41,7 @@ from tactile_toolkit.store.manifest import Manifest
 from tactile_toolkit.store.parquet import encode_parquet, file_sha256
 from tactile_toolkit.store.plan import BuildPlan, ShardContent, require_known_splits
 from tactile_toolkit.store.shards import ShardName, Skipped, rows_per_shard
+from tactile_toolkit.touch.contact import PRESS_DEPTH_M, RENDERED_CONTACT_M
 from tactile_toolkit.touch.jpeg import IMAGE_SUFFIX, encode_image
 from tactile_toolkit.touch.schema import class_names
 
@@ -188,9 +189,8 @@ class TouchShard:
             ]
         table = touch_table(rows, self.names, IMAGE_SUFFIX[self.spec.image_format])
         touches = sum(len(row.images) for row in rows)
-        # A sensor that met nothing but the plate stops at this height; a micrometre is for rounding.
-        plate_m = as_sensor(*self.spec.size_px).press_m + 1e-6
-        contacts = sum(int((row.sensor_z_m > plate_m).sum()) for row in rows)
+        met_m = PRESS_DEPTH_M + RENDERED_CONTACT_M
+        contacts = sum(int((row.sensor_z_m >= met_m).sum()) for row in rows)
         return ShardContent(table, tuple(skipped), statistics={"touches": touches, "on_object": contacts})
 
 

@@ -7,6 +7,7 @@ from typing import Any
 
 from tactile_toolkit.checked_fields import check_fields, real_number
 from tactile_toolkit.errors import InputError
+from tactile_toolkit.touch.contact import PRESS_DEPTH_M
 from tactile_toolkit.touch.jpeg import MAX_IMAGE_PIXELS
 from tactile_toolkit.wording import is_whole, plain
 
@@ -17,7 +18,6 @@ CELL_M = (0.12, 0.12)
 
 _SURFACE_M = (0.01888, 0.01416)  # tactile-mnist 0.13.0, GELSIGHT_MINI_SENSOR_SURFACE_SIZE
 _GEL_M = 0.00425  # tactile-mnist 0.13.0, GELSIGHT_MINI_GEL_THICKNESS_MM
-_PRESS_M = _GEL_M / 2  # tactile-mnist 0.13.0, GEL_PENETRATION_DEPTH_MM
 
 MESA_SAMPLE_PX = (-0.125, -0.375)
 """Where a pixel of the published environments looks, with Mesa 22.3.6 (llvmpipe, 4 samples): the first of its
@@ -50,7 +50,7 @@ class Sensor:
     size_px: tuple[int, int]
     window_m: tuple[float, float] = real_number(_SURFACE_M, above=0, most=1, many=2)
     gel_m: float = real_number(_GEL_M, above=0, most=0.1)
-    press_m: float = real_number(_PRESS_M, above=0)
+    press_m: float = real_number(PRESS_DEPTH_M, above=0)
     sample_px: tuple[float, float] = real_number((0.0, 0.0), -0.5, 0.5, many=2)
 
     def __post_init__(self) -> None:

@@ -18,6 +18,7 @@ from realtouch.damage import damaged
 from realtouch.poses import Poses, PoseSequences, bad_pose, rigid_transform
 from tactile_toolkit.errors import IntegrityError
 from tactile_toolkit.read.dataset import Row
+from tactile_toolkit.touch.contact import PRESS_DEPTH_M, ContactHeight
 from tactile_toolkit.touch.schema import PLATE_COLUMN, POSE_COLUMN, Kind
 
 if TYPE_CHECKING:
@@ -143,6 +144,8 @@ def known_contact_z_m(row: Row, kind: Kind) -> NDArray[np.float64]:
 
 
 def plate_z_m(row: Row) -> float:
-    """Return the stored height of the plate in a round, metres, cell frame; NaN without one."""
+    """Return the known or stored height of the plate in a round, metres, cell frame; NaN without one."""
+    if ContactHeight.of(row.group.names).plate == "known":
+        return PRESS_DEPTH_M
     stored = row.value(PLATE_COLUMN) if row.has(PLATE_COLUMN) else None
     return math.nan if stored is None else float(stored)

@@ -31,11 +31,13 @@ from realtouch.convert.plan import Conversion, RowChoices, Source, plan_conversi
 from realtouch.convert.steps import KeepTouches, ResizeMedia, TakeContactFrames
 from realtouch.dataset import dataset_of
 from tactile_toolkit.errors import InputError
+from tactile_toolkit.read.columns import column_types
 from tactile_toolkit.read.source import refuse_source
 from tactile_toolkit.run.processes import Runner, runner_for
 from tactile_toolkit.store.build import Progress, build
 from tactile_toolkit.store.folder import DataFolder
 from tactile_toolkit.store.manifest import Manifest
+from tactile_toolkit.touch.contact import ContactHeight, height_text
 from tactile_toolkit.touch.jpeg import MAX_IMAGE_PIXELS
 from tactile_toolkit.touch.schema import class_names
 
@@ -171,7 +173,7 @@ def select(
     out: str | PathLike[str],
     *,
     contact: bool = False,
-    min_height_m: float = MIN_CONTACT_HEIGHT_M,
+    min_height_m: float | None = None,
     recalibrate_z: bool = True,
     labels: Iterable[int | str] = (),
     objects: Iterable[int] = (),
@@ -190,10 +192,11 @@ def select(
     contact : bool
         Only touches in which the gel stopped on an object; rounds then differ in their number of touches, and
         a column ``plate_z_m`` keeps the height of the plate, which the touches that went have shown.
-    min_height_m : float
-        Height above the plate from which a touch counts as contact, metres.
+    min_height_m : float, optional
+        Height above the plate from which a touch counts as contact, metres; see
+        :meth:`~realtouch.touches.Touches.in_contact`.
     recalibrate_z : bool
-        Take the deepest touch of each round as the plate.
+        Take the deepest touch of each round as the plate, where its height is not known.
     labels : iterable of int or str
         Only these classes.
     objects : iterable of int
@@ -210,9 +213,13 @@ def select(
     InputError, SpecMismatchError, StorageError
         As :func:`to_single`.
     """
-    if not math.isfinite(min_height_m):  # nothing is as high as NaN, and no JSON can keep it
+    if min_height_m is not None and not math.isfinite(min_height_m):  # nothing is as high as NaN
         message = f"min_height_m is {min_height_m}; expected metres, such as {MIN_CONTACT_HEIGHT_M}"
         raise InputError(message)
+    opened = Source.open(source, split=split)
+    if min_height_m is None:
+        rule = ContactHeight.of(column_types(opened.schema))
+        min_height_m = rule.min_height_m if contact else MIN_CONTACT_HEIGHT_M
     options: dict[str, Any] = {
         "contact": contact,
         "min_height_m": float(min_height_m),
@@ -221,8 +228,18 @@ def select(
         "objects": [_object_id(each) for each in objects],
         "limit": _require_limit(limit),
     }
-    opened = Source.open(source, split=split)
     choices = {each: _chosen_rows(opened, each, **options) for each in opened.shards}
+    if contact and not any(map(len, choices.values())):
+        highest_m = max(
+            float(dataset_of(shards, opened.kind).touches().heights_m().max(initial=-math.inf))
+            for shards in opened.shards.values()
+        )
+        message = (
+            f"no touch that was chosen of {opened.name!r} counts as contact (it does where "
+            f"{height_text(min_height_m)}); the highest of all touches is {1e3 * highest_m:.1f} mm above it; "
+            "next: a smaller --min-height-mm, or fewer filters"
+        )
+        raise InputError(message)
     conversion = Conversion(opened, "select", options, KeepTouches(contact), choices)
     return convert(conversion, out, opened.kind, workers, overwrite, on_progress)
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Any
 
@@ -10,7 +11,7 @@ import pyarrow as pa
 from numpy.typing import NDArray
 
 from realtouch.columns.per_touch import touch_total, vectors
-from realtouch.columns.poses import contact_z_m
+from realtouch.columns.poses import contact_z_m, plate_z_m
 from realtouch.contact import ContactMethod
 from realtouch.convert.plan import RowChoice
 from realtouch.media.clips import TouchClip
@@ -178,5 +179,7 @@ class KeepTouches:
         if row.has(PLATE_COLUMN):
             return kept
         kind: Kind = "single" if row.has(MEDIA_COLUMN["single"]) else "seq"
-        plate_m = contact_z_m(row, kind).min(initial=np.inf)
+        plate_m = plate_z_m(row)
+        if math.isnan(plate_m):
+            plate_m = contact_z_m(row, kind).min(initial=np.inf)
         return kept.append_column(PLATE_COLUMN, pa.array([plate_m], pa.float64()))

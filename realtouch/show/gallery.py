@@ -11,7 +11,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from realtouch.columns.info import has_info
-from realtouch.contact import MIN_CONTACT_HEIGHT_M
 from realtouch.dataset import TouchDataset
 from realtouch.kind import KIND
 from realtouch.media.clips import TouchClip
@@ -40,6 +39,9 @@ _QUALITY = 80
 
 DEFAULT_TOUCHES = 64
 """Touches shown of a round: of 256 every fourth, about 4 MB of clips."""
+
+_Known = tuple[int, NDArray[np.float64] | None, float]
+"""Of a round: how many touches to show at most, the height of each, and that from which a touch counts."""
 
 _SHARES = ("all touches", "more than half", "half or fewer", "none", "unknown")
 _FACETS = (
@@ -76,15 +78,16 @@ def plan_gallery(choice: RoundChoice) -> Gallery:
     unfinished. HubError: the repository cannot be reached or does not exist.
     """
 
-    def known(rows: TouchDataset[Any], _split: str) -> list[tuple[int, NDArray[np.float64] | None]]:
+    def known(rows: TouchDataset[Any], _split: str) -> list[_Known]:
         if not len(rows):
             return []
         try:
             heights_m = rows.touches().heights_m()
         except InputError:  # without poses
-            return [(choice.touches, None)] * len(rows)
+            return [(choice.touches, None, math.nan)] * len(rows)
         by_round = np.split(heights_m, np.cumsum(rows.touch_counts)[:-1])
-        return [(choice.touches, heights_m) for heights_m in by_round]
+        least_m = [rule.min_height_m for rule in rows.contact_rules()]
+        return [(choice.touches, *of_round) for of_round in zip(by_round, least_m, strict=True)]
 
     splits = splits_to_show(place_of(choice.name), choice.split, choice.revision)
     opened = ((split, load(choice.name, split, revision=choice.revision)) for split in splits)
@@ -95,10 +98,10 @@ def _item(
     record: TouchRound,
     split: str,
     names: tuple[str, ...],
-    known: tuple[int, NDArray[np.float64] | None],
+    known: _Known,
 ) -> Item:
-    """Show a round; known of it are how many touches to show at most, and the height of each touch."""
-    most, heights_m = known
+    """Show a round."""
+    most, heights_m, least_m = known
     touches = [Touch(record, number) for number in evenly_spaced(record.touch_count, most)]
     stills, columns, tile_px = sheet_of([touch.image for touch in touches])
     media = {"stills.jpg": stills}
@@ -108,7 +111,7 @@ def _item(
         height_mm = _millimetres(height_m)
         entry: dict[str, Any] = {
             "number": touch.touch_index,
-            "contact": None if height_mm is None else height_m >= MIN_CONTACT_HEIGHT_M,
+            "contact": None if height_mm is None else height_m >= least_m,
             "height_mm": None if height_mm is None else round(height_mm, 2),
             "film": None,
         }
@@ -117,7 +120,7 @@ def _item(
             media[name], entry["film"] = film_of(touch.clip, name)
         listed.append(entry)
     label = class_name(names, record.label)
-    met = None if heights_m is None else heights_m >= MIN_CONTACT_HEIGHT_M
+    met = None if heights_m is None else heights_m >= least_m
     # The highest touch shows the object best.
     cover = touches[0]
     if heights_m is not None:

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from realtouch.columns.poses import contact_z_m, plate_z_m
-from realtouch.contact import MIN_CONTACT_HEIGHT_M, contact_heights_m
+from realtouch.contact import contact_heights_m
 from realtouch.dataset import TouchDataset
 from realtouch.media.clips import TouchClip
 from realtouch.media.sheets import evenly_spaced, fitted
@@ -28,6 +28,7 @@ from tactile_toolkit.pictures.writing import (
     file_stem,
     plan_kinds,
 )
+from tactile_toolkit.touch.contact import ContactHeight, height_text
 from tactile_toolkit.touch.schema import POSE_COLUMN, Kind
 from tactile_toolkit.wording import counted
 
@@ -198,18 +199,18 @@ def draw_grid(record: TouchRound, most: int) -> Drawing:
     kind: Kind = "seq" if isinstance(record, TouchSeqRound) else "single"
     heights_m = None
     if record._row.has(f"{POSE_COLUMN[kind]}.position"):
+        rule = ContactHeight.of(record._row.group.names)
         heights_m = contact_heights_m(contact_z_m(record._row, kind), plate_z_m=plate_z_m(record._row))
     tiles = []
     for touch in evenly_spaced(record.touch_count, most):
         caption, frame = f"{touch}", None
         if heights_m is not None:
             caption = f"{touch}: {heights_m[touch] * 1e3:.1f} mm"
-            frame = CONTACT if heights_m[touch] >= MIN_CONTACT_HEIGHT_M else PAPER
+            frame = CONTACT if heights_m[touch] >= rule.min_height_m else PAPER
         tiles.append(Tile(fitted(Touch(record, touch).image, _TILE_PX), caption, frame))
     words = [f"{len(tiles)} of {_touches_in_words(record)}"]
     if heights_m is not None:
-        mm = MIN_CONTACT_HEIGHT_M * 1e3
-        words += [f"framed: the gel stopped {mm:g} mm or more above the plate; its height beside the number"]
+        words += [f"framed: {height_text(rule.min_height_m)}; its height beside the number"]
     return Drawing(sheet(tiles, Sheet(_COLUMNS, _title(record), ("; ".join(words),))))
 
 

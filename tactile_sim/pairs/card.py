@@ -25,6 +25,7 @@ from tactile_toolkit.cards.facts import FolderFacts, recorded_facts
 from tactile_toolkit.pictures.writing import png_bytes
 from tactile_toolkit.store.folder import DataFolder
 from tactile_toolkit.store.manifest import Manifest
+from tactile_toolkit.touch.contact import height_text
 from tactile_toolkit.touch.jpeg import decode_image
 
 __all__ = ["COLUMNS", "write_card"]
@@ -53,7 +54,7 @@ def write_card(folder: DataFolder, manifest: Manifest) -> None:
     made = [
         made_by(manifest),
         ("without contact", f"{100 * spec['without_contact']:.4g} % of each split"),
-        ("contact", f"the gel stopped at least {1e3 * spec['min_height_m']:.4g} mm above the plate"),
+        ("contact", height_text(spec["min_height_m"])),
         ("objects left out", skipped_text(manifest)),
     ]
     values = {
@@ -71,7 +72,7 @@ def write_card(folder: DataFolder, manifest: Manifest) -> None:
         manifest,
         "touch_pairs.md",
         values,
-        ("pairs.png", _sheet(facts), "Depth images above, real touches below; they do not belong together"),
+        ("pairs.png", _sheet(facts), "Depth images above, touches below; they do not belong together"),
         license="other",
         pretty_name="Depth and touch, not paired",
         task_categories=["image-to-image", "robotics"],

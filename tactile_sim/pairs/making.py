@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from typing import Any, Literal
 
 import numpy as np
@@ -61,9 +61,9 @@ class PairsSpec:
         Depth images, and as many real touches.
     without_contact : float
         Share of touches that meet no object, 0 to 1. The paper reduces it and does not say to how much.
-    min_height_m : float
-        A gel that stops so far above the plate touched an object, metres; the rule of `realtouch` and of
-        the publisher's own viewer.
+    min_height_m : float or None
+        A gel that stops so far above the plate touched an object, metres; None: the rule of the real touches,
+        see :meth:`realtouch.touches.Touches.in_contact`, for both.
     like : str
         ``"published"``: depth of the whole sensor, squashed into the size as the real touches are;
         ``"environment"``: the window that the environments show.
@@ -78,7 +78,7 @@ class PairsSpec:
     size_px: tuple[int, int] = (256, 256)
     count: int = whole_number(20_000, 1, 10_000_000)
     without_contact: float = real_number(0.05, 0, 1)
-    min_height_m: float = real_number(0.006, above=0, below=0.1)
+    min_height_m: float | None = real_number(None, above=0, below=0.1, optional=True)
     like: Literal["published", "environment"] = choice("published", ("published", "environment"))
     image_format: Literal["png", "jpeg"] = choice("png", ("png", "jpeg"))
     turn_rad: float = real_number(np.pi / 8, 0, np.pi)
@@ -152,7 +152,8 @@ class _DepthShard:
 
 def _touched(spec: PairsSpec, solid: Pressable, object_id: int, number: int) -> NDArray[np.float32]:
     """Return the depth image of one touch: the first of some places in the cell that meets the object."""
-    sensor = spec.sensor
+    sensor, least_m = spec.sensor, spec.min_height_m
+    assert least_m is not None, "a plan has the rule of the real touches"
     width, height = sensor.size_px
     if spec.is_empty(number):
         # Nothing is rendered for it: a bare plate is the same wherever it is touched.
@@ -164,10 +165,10 @@ def _touched(spec: PairsSpec, solid: Pressable, object_id: int, number: int) -> 
             target = np.eye(4)
             target[:2, 3] = position
             pressed = press(solid, drawn.object_poses[0], target, sensor)
-            if float(pressed.sensor_z_m) - sensor.press_m >= spec.min_height_m:
+            if float(pressed.sensor_z_m) - sensor.press_m >= least_m:
                 return np.asarray(pressed.image)
     message = (
-        f"object {object_id} is nowhere {1e3 * spec.min_height_m:.1f} mm high, so that no touch of it counts "
+        f"object {object_id} is nowhere {1e3 * least_m:.1f} mm high, so that no touch of it counts "
         "as contact; next: lower --min-height-mm"
     )
     raise InputError(message)
@@ -220,6 +221,8 @@ def plan_pairs(objects: str, real: str, split: str, spec: PairsSpec) -> BuildPla
         message = f"split {split!r} of {objects!r} holds no mesh; next: choose another split"
         raise InputError(message)
     dataset = KIND.load(real, split)
+    if spec.min_height_m is None:
+        spec = replace(spec, min_height_m=max(rule.min_height_m for rule in dataset.contact_rules()))
     touches = dataset.touches()
     chosen = _draw(touches, spec, real)
     tasks: list[Any] = []
@@ -245,7 +248,8 @@ def plan_pairs(objects: str, real: str, split: str, spec: PairsSpec) -> BuildPla
 
 def _draw(touches: Any, spec: PairsSpec, real: str) -> list[tuple[int, bool]]:
     """Draw touches with and without contact, each once, and spread those without as in the other split."""
-    contact = touches.heights_m() >= spec.min_height_m
+    heights_m = touches.heights_m()
+    contact = heights_m >= spec.min_height_m
     # A seed here, where `plan.generator` has a key: other numbers, which sets that were made so hold.
     rng = np.random.Generator(np.random.Philox(key_of(spec.seed, "real")))
     flags = [not spec.is_empty(number) for number in range(spec.count)]
@@ -253,9 +257,10 @@ def _draw(touches: Any, spec: PairsSpec, real: str) -> list[tuple[int, bool]]:
     found = {flag: np.flatnonzero(contact == flag) for flag in wanted}
     if any(len(found[flag]) < count for flag, count in wanted.items()):
         message = (
-            f"{real!r} holds {len(found[True]):,} touches with contact and {len(found[False]):,} "
-            f"without; expected at least {wanted[True]:,} and {wanted[False]:,}; nothing was "
-            "written; next: a smaller --count, or another --without-contact"
+            f"{real!r} holds {len(found[True]):,} touches with contact and {len(found[False]):,} without, "
+            f"the highest {1e3 * heights_m.max(initial=0.0):.1f} mm above the plate; expected at least "
+            f"{wanted[True]:,} and {wanted[False]:,}; nothing was written; next: a smaller --count, or "
+            "another --without-contact or --min-height-mm"
         )
         raise InputError(message)
     pools = {

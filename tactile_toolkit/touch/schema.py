@@ -11,6 +11,7 @@ from tactile_toolkit.errors import InputError, IntegrityError
 from tactile_toolkit.read.columns import column_names, column_types, list_depth
 from tactile_toolkit.read.features import dtype_name, feature_metadata, label_feature, stored_class_names
 from tactile_toolkit.read.parquet import Shard
+from tactile_toolkit.touch.contact import PLATE_COLUMN
 
 __all__ = [
     "CLASS_NAMES",
@@ -39,9 +40,6 @@ POSE_COLUMN: dict[Kind, str] = {"seq": "gel_pose_cell_frame_seq", "single": "gel
 
 MEDIA_TYPE = pa.struct([("bytes", pa.binary()), ("path", pa.string())])
 """Arrow type of an image or clip: its bytes, and the name it once had."""
-
-PLATE_COLUMN = "plate_z_m"
-"""Height of the plate in a round from which `select` took touches, metres, cell frame."""
 
 CLASS_NAMES = tuple(str(digit) for digit in range(10))
 

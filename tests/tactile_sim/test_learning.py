@@ -53,7 +53,7 @@ from tactile_sim.sheets import sheet_png  # noqa: E402
 from tactile_toolkit.store.folder import DataFolder  # noqa: E402
 from tactile_toolkit.touch.jpeg import decode_image  # noqa: E402
 
-SPEC = PairsSpec((32, 32), 60, without_contact=0.2, like="environment")
+SPEC = PairsSpec((32, 32), 60, without_contact=0.2, min_height_m=0.006, like="environment")
 CONFIG = TrainConfig(
     2, 1, 4, steps=6, crop=1.0, pool=3, checkpoint_every=2, log_every=1, sensor_noise=NOISE, noise=0.05,
     judge_noise=0.1, start_steps=3,

@@ -1,0 +1,148 @@
+"""Contact of synthetic touches is what the sensor met, whatever is high, low or everywhere."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import realtouch
+import starstruck_gen
+import tactile_sim
+from realtouch.show.gallery import RoundChoice, plan_gallery
+from realtouch.show.previews import CONTACT, draw_grid
+from tactile_sim.pairs.making import PairsSpec, make_pairs
+from tactile_toolkit.errors import InputError
+from tactile_toolkit.store.folder import DataFolder
+from tactile_toolkit.store.manifest import read_manifest
+from tests.command_line import call
+
+pytestmark = pytest.mark.sim
+PRESS_M = 0.002125
+
+
+@pytest.fixture(scope="module")
+def scenes(tmp_path_factory):
+    """Three scenes of objects 5 mm high."""
+    folder = tmp_path_factory.mktemp("scenes")
+    starstruck_gen.generate(starstruck_gen.GenerateSpec(scenes=(("train", 3), ("test", 3))), str(folder))
+    return str(folder)
+
+
+def _made(scenes: str, folder: Path, place: str) -> Path:
+    plan = tactile_sim.TouchPlan(1, 12, place, seed=3)
+    spec = tactile_sim.GenerateSpec((32, 24), "depth", plan=plan, image_format="png")
+    tactile_sim.generate(scenes, spec, folder, ["train"])
+    return folder
+
+
+@pytest.fixture(scope="module")
+def on_objects(scenes, tmp_path_factory):
+    """All touches are on an object."""
+    return _made(scenes, tmp_path_factory.mktemp("touches") / "on-objects", "object")
+
+
+@pytest.fixture(scope="module")
+def in_cell(scenes, tmp_path_factory):
+    """Some of the touches are on an object."""
+    return _made(scenes, tmp_path_factory.mktemp("touches") / "in-cell", "cell")
+
+
+@pytest.fixture(params=["on_objects", "in_cell"])
+def touches(request):
+    return request.getfixturevalue(request.param)
+
+
+def _met(folder: Path) -> np.ndarray:
+    """Whether the sensor stopped above where the bare plate stops it, by the stored poses."""
+    rounds = realtouch.load(folder, "train")
+    return np.concatenate([record.gel_pose_cell_frame.position_m[:, 2] for record in rounds]) > PRESS_M + 1e-9
+
+
+def test_the_sets_are_what_the_tests_take_them_for(on_objects, in_cell):
+    assert _met(on_objects).all()
+    assert 0.2 < _met(in_cell).mean() < 0.8
+
+
+def test_contact_is_what_the_sensor_met(touches):
+    view = realtouch.load(touches, "train").touches()
+    met = _met(touches)
+    for recalibrate_z in (True, False):
+        with_contact = view.with_contact(recalibrate_z=recalibrate_z)
+        assert list(with_contact) == list(view[met])
+    np.testing.assert_allclose(view.heights_m(), np.where(met, 0.005, 0.0), atol=1e-6)
+    assert len(view.with_contact(min_height_m=0.0051)) == 0
+    assert len(view.sample(empties=0.0)) == met.sum()
+
+
+def test_info_and_cards_count_the_same_and_state_the_rule(touches, tmp_path, capsys):
+    assert call("realtouch", "info", touches, "--json") == 0
+    split = json.loads(capsys.readouterr().out)["splits"]["train"]
+    assert split["contact_share"] == _met(touches).mean()
+    assert "the height of the plate is known" in split["contact_rule"]
+    assert call("realtouch", "info", touches) == 0
+    said = capsys.readouterr().out
+    assert f"{_met(touches).mean():.1%}" in said
+    assert "is known" in said
+    realtouch.resize(touches, tmp_path / "small", 16, 12)
+    card = " ".join((tmp_path / "small" / "README.md").read_text().split())
+    assert f"| {100 * _met(touches).mean():.1f} % |" in card
+    assert "the height of the plate is known" in card
+    assert " 6 mm" not in card
+    assert "deepest touch" not in card
+
+
+def test_cards_speak_of_touches_that_meet_nothing_where_there_are_some(on_objects, in_cell, tmp_path):
+    for folder in (on_objects, in_cell):
+        realtouch.resize(folder, tmp_path / folder.name, 16, 12)
+        for card in (folder / "README.md", tmp_path / folder.name / "README.md"):
+            lines = [line for line in card.read_text().splitlines() if "select --contact" in line]
+            assert len(lines) == (0 if folder == on_objects else 1)
+            assert folder == on_objects or f"{(~_met(folder)).sum()} of 36 touches met no object" in lines[0]
+
+
+def test_selected_touches_are_those_in_contact(touches, tmp_path):
+    met = _met(touches)
+    assert call("realtouch", "select", touches, tmp_path / "some", "--contact") == 0
+    some = realtouch.load(tmp_path / "some", "train")
+    assert len(some.touches()) == met.sum()
+    assert realtouch.summarise(some).contact_share == 1.0
+    np.testing.assert_allclose(some.touches().heights_m(), 0.005, atol=1e-6)
+    np.testing.assert_allclose(some.column("plate_z_m"), PRESS_M)
+    assert realtouch.verify(tmp_path / "some").ok
+
+
+def test_pictures_and_galleries_frame_them(touches):
+    met = _met(touches).reshape(3, 12)
+    for record, of_round in zip(realtouch.load(touches, "train"), met, strict=True):
+        framed = (draw_grid(record, 12).pixels == CONTACT).all(axis=2).any()
+        assert framed == of_round.any()
+    items = [item for task in plan_gallery(RoundChoice(str(touches))).tasks for item in task.make()]
+    assert [item.measures["in_contact"] for item in items] == met.sum(axis=1).tolist()
+    for item, of_round in zip(items, met, strict=True):
+        listed = item.content["touches"]["list"]
+        assert [entry["contact"] for entry in listed] == of_round.tolist()
+        assert [entry["height_mm"] for entry in listed] == pytest.approx(5.0 * of_round, abs=0.01)
+
+
+def test_pairs_are_drawn_by_the_same_rule(scenes, in_cell, tmp_path):
+    make_pairs(scenes, str(in_cell), "train", PairsSpec((32, 24), 10, 0.2), tmp_path / "pairs")
+    manifest = read_manifest(DataFolder(str(tmp_path / "pairs")))
+    assert manifest is not None
+    assert [record.statistics["on_object"] for record in manifest.shards] == [8, 8]
+    assert " 6 mm" not in (tmp_path / "pairs" / "README.md").read_text()
+
+
+def test_too_few_touches_in_contact_name_the_option(scenes, on_objects, tmp_path, capsys):
+    with pytest.raises(InputError, match=r"holds 0 touches with contact.*5\.0 mm.*--min-height-mm"):
+        make_pairs(
+            scenes, str(on_objects), "train", PairsSpec((32, 24), 4, min_height_m=0.006), tmp_path / "o"
+        )
+    code = call("realtouch", "select", on_objects, tmp_path / "o", "--contact", "--min-height-mm", "6")
+    assert code == 2
+    said = capsys.readouterr().err
+    assert "5.0 mm" in said
+    assert "--min-height-mm" in said
+    assert not (tmp_path / "o").exists()
