@@ -33,12 +33,13 @@ from tactile_toolkit.mesh.columns import require_mesh_columns
 from tactile_toolkit.mesh.files import FORMATS
 from tactile_toolkit.mesh.records import SolidDataset
 from tactile_toolkit.read.parquet import Shard, ShardedTable
+from tactile_toolkit.read.source import content_fingerprint
 from tactile_toolkit.run.processes import Runner, runner_for
 from tactile_toolkit.store.build import Progress, build
-from tactile_toolkit.store.folder import DataFolder, expanded, file_at
+from tactile_toolkit.store.folder import DataFolder, expanded
 from tactile_toolkit.store.forecast import Forecast, Sample, forecast_build
 from tactile_toolkit.store.manifest import Manifest
-from tactile_toolkit.store.parquet import encode_parquet, file_sha256
+from tactile_toolkit.store.parquet import encode_parquet
 from tactile_toolkit.store.plan import BuildPlan, ShardContent, require_known_splits
 from tactile_toolkit.store.shards import ShardName, Skipped, rows_per_shard
 from tactile_toolkit.touch.contact import PRESS_DEPTH_M, RENDERED_CONTACT_M
@@ -181,7 +182,9 @@ class TouchShard:
             try:
                 solid = Pressable.of(record, layer_m=self.spec.layer_m)
             except InputError as error:
-                skipped.append(Skipped(record.id, "no-solid", f"object {record.id}: {error}"))
+                # Once, whatever shards its rounds lie in: in that of the first round that it would have.
+                if not any(self.spec.plan.touches_of(record.id, number) for number in range(numbers[0])):
+                    skipped.append(Skipped(record.id, "no-solid", f"object {record.id}: {error}"))
                 continue
             rows += [
                 _make_row(self.spec, solid, self.shard.split, record.id, record.label, number)
@@ -284,7 +287,7 @@ def plan_build(
     identity = {
         "operation": "generate",
         "options": spec.to_dict(),
-        "source": {split: _fingerprint(place, split) for split in known},
+        "source": {split: list(map(content_fingerprint, find_shards(place, split))) for split in known},
     }
     return BuildPlan(
         KIND.name,
@@ -316,14 +319,6 @@ def _rounds_for(spec: GenerateSpec, size_bytes: int, most: float = 1024) -> int:
     # 600 bytes: the tables at the start of each JPEG.
     round_bytes = spec.plan.touches * (width * height * _JPEG_BYTES_PER_PX + 600)
     return int(min(most, max(1, size_bytes // round_bytes)))
-
-
-def _fingerprint(place: str, split: str) -> list[dict[str, Any]]:
-    found = []
-    for shard in find_shards(place, split):
-        folder, name = file_at(shard.path)
-        found.append({"file": name, "rows": len(shard), "sha256": file_sha256(folder, name)})
-    return found
 
 
 def generate(

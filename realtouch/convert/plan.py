@@ -259,12 +259,18 @@ class _ConvertShard:
                 # Cast: Arrow names the items of lists in several ways, and a file has one schema.
                 tables.append(self.step.apply(row, choice, self.shard.split).cast(self.schema))
             except IntegrityError as error:
-                skipped.append(Skipped(choice.row, DAMAGED, str(error)))
+                skipped.append(Skipped(choice.row, DAMAGED, self._without_folders(str(error))))
             except ItemError as error:
-                skipped.append(Skipped(choice.row, error.reason, error.message))
+                skipped.append(Skipped(choice.row, error.reason, self._without_folders(error.message)))
         made = pa.concat_tables(tables)
         kept = made if self.pack is None else self.pack.apply(self.shard, made, skipped)
         return ShardContent(kept.combine_chunks(), tuple(skipped))
+
+    def _without_folders(self, message: str) -> str:
+        """Name files of the source as the manifest does, without their folder, which may be private."""
+        for path in self.paths:
+            message = message.replace(path, path.rpartition("/")[2])
+        return message
 
     def _rows(self) -> Iterator[tuple[RowChoice, Row]]:
         """Read the blocks that hold chosen rows, one at a time, in order."""

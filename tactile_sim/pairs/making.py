@@ -28,6 +28,7 @@ from tactile_toolkit.kind import lazy
 from tactile_toolkit.mesh.columns import require_mesh_columns
 from tactile_toolkit.mesh.records import SolidDataset
 from tactile_toolkit.read.parquet import Shard, ShardedTable
+from tactile_toolkit.read.source import content_fingerprint, file_fingerprint
 from tactile_toolkit.run.processes import Runner, runner_for
 from tactile_toolkit.store.build import Progress, build
 from tactile_toolkit.store.folder import DataFolder
@@ -134,7 +135,9 @@ class _DepthShard:
                 try:
                     solid = Pressable.of(record)
                 except InputError as error:
-                    skipped.append(Skipped(record.id, "no-solid", f"object {record.id}: {error}"))
+                    # Once, in the shard of its first image.
+                    if not number or (number - 1) * self.objects // spec.count != place:
+                        skipped.append(Skipped(record.id, "no-solid", f"object {record.id}: {error}"))
             if solid is None:
                 continue
             image = _touched(spec, solid, record.id, number)
@@ -240,7 +243,10 @@ def plan_pairs(objects: str, real: str, split: str, spec: PairsSpec) -> BuildPla
         "operation": "pairs",
         "options": spec.to_dict(),
         "split": split,
-        "source": {"depth": table.identity, "real": str(dataset.identity)},
+        "source": {
+            "depth": list(map(content_fingerprint, shards)),
+            "real": list(map(file_fingerprint, find_shards(place_of(real), split))),
+        },
     }
     libraries = ("numpy", "pillow", "pyarrow")
     return BuildPlan(KIND.name, identity, SPLITS, tuple(tasks), pairs_style(), libraries=libraries)

@@ -11,9 +11,10 @@ from tactile_toolkit.errors import InputError
 from tactile_toolkit.read.parquet import Shard
 from tactile_toolkit.store.folder import DataFolder, expanded, file_at
 from tactile_toolkit.store.manifest import Manifest, read_manifest
+from tactile_toolkit.store.parquet import file_sha256
 from tactile_toolkit.store.shards import DATA_FOLDER
 
-__all__ = ["file_fingerprint", "manifest_beside", "refuse_source"]
+__all__ = ["content_fingerprint", "file_fingerprint", "manifest_beside", "refuse_source"]
 
 
 def file_fingerprint(shard: Shard) -> dict[str, Any]:
@@ -31,6 +32,12 @@ def file_fingerprint(shard: Shard) -> dict[str, Any]:
         "bytes": size,
         "footer_sha256": hashlib.sha256(footer).hexdigest(),
     }
+
+
+def content_fingerprint(shard: Shard) -> dict[str, Any]:
+    """Return JSON values that identify a file by all of its bytes, for sources of moderate size."""
+    folder, name = file_at(shard.path)
+    return {"file": name, "rows": len(shard), "sha256": file_sha256(folder, name)}
 
 
 def manifest_beside(shard: Shard) -> Manifest | None:
