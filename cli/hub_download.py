@@ -11,7 +11,7 @@ import typer
 from cli.application import command
 from cli.options import Json, place_of_data
 from cli.output import BYTES, Sink, bytes_text, counted
-from tactile_toolkit.kind import DatasetKind
+from tactile_toolkit.kind import DatasetKind, kinds
 
 if TYPE_CHECKING:
     from tactile_toolkit.exchange.download import DownloadPlan
@@ -221,6 +221,14 @@ def _print_sets(sink: Sink, kind: DatasetKind) -> None:
         )
         for state in found
     ]
+    if not rows:
+        related = [each for each in kinds() if each.published and each.package == kind.package]
+        commands = " or ".join(f"`{each.command} list`" for each in related)
+        sink.line(
+            f"no data set of {kind.command} is published"
+            + (f"; next: {commands} lists what else {kind.package} opens" if commands else "")
+        )
+        return
     sink.table(("name", "holds", "licence", "on the Hub", "here"), rows)
     if any(state.hub_bytes is None for state in found):
         sink.talk("?: the Hub gave no answer for this one (no network, or no access)")

@@ -23,6 +23,7 @@ __all__ = [
     "DifferenceForm",
     "as_pictures",
     "best_of",
+    "contact_rule",
     "contact_score",
     "difference",
     "median_at_once",
@@ -221,6 +222,15 @@ class ContactScore:
         return np.rint(self.area_px * self.intensity)
 
 
+def contact_rule(rule: ContactRule | None) -> ContactRule:
+    """Return a rule, that of the defaults for None; InputError for anything else."""
+    found: object = ContactRule() if rule is None else rule
+    if not isinstance(found, ContactRule):
+        message = f"rule is {rule!r}; expected a ContactRule, or None for its defaults"
+        raise InputError(message)
+    return found
+
+
 def contact_score(pictures: Pixels, background: Pixels, rule: ContactRule | None = None) -> ContactScore:
     """Score how clearly pictures show contact.
 
@@ -242,7 +252,7 @@ def contact_score(pictures: Pixels, background: Pixels, rule: ContactRule | None
     InputError
         As :func:`difference`.
     """
-    rule = rule or ContactRule()
+    rule = contact_rule(rule)
     found, base = as_pictures(pictures, (3, 4)), as_pictures(background, (3,))
     if found.shape[-3:] != base.shape:
         difference(found, base)  # says what is wrong
@@ -269,7 +279,7 @@ def best_of(
 
     Without a background ``base`` it is the median of the clip. Raises InputError where there is no frame.
     """
-    rule = rule or ContactRule()
+    rule = contact_rule(rule)
     if not len(frames):
         message = "the clip holds no frame; expected at least one"
         raise InputError(message)

@@ -15,6 +15,7 @@ from realtouch.changes import (
     ContactScore,
     as_pictures,
     best_of,
+    contact_rule,
     contact_score,
     difference,
     median_at_once,
@@ -225,7 +226,7 @@ def find_contacts(touches: Touches[Any], rule: ContactRule | None = None, *, thr
             "`realtouch.load(...).touches()`"
         )
         raise InputError(message)
-    rule, count = rule or ContactRule(), len(touches)
+    rule, count = contact_rule(rule), len(touches)
     frame, area = np.zeros(count, np.int64), np.zeros(count, np.int64)
     intensity = np.zeros(count)
     places = touches.round_positions

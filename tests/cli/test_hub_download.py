@@ -24,6 +24,7 @@ from realtouch.names import SHORT_NAMES
 from starstruck_gen.generation import GenerateSpec as StarstruckSpec
 from tactile_toolkit.catalog.published import place_of, published_set
 from tactile_toolkit.kind import kinds
+from tests import command_line
 from tests.hub_server import HubServer, hub
 from tests.realtouch.factories import make_round, single_rows, write_set
 from tests.tactile_toolkit.hub.client import run_here, run_python, settings
@@ -392,6 +393,15 @@ def test_list(server, tmp_path):
     alone = call("http://127.0.0.1:9", tmp_path, "realtouch", "list", "--json", HF_HUB_OFFLINE="1")
     entry = next(entry for entry in json.loads(alone.out) if entry["name"] == "real-single-64x64")
     assert (entry["hub_bytes"], entry["local_bytes"]) == (None, here["local_bytes"])
+
+
+def test_list_of_a_kind_that_published_nothing_names_the_others(capsys):
+    assert command_line.call("tactile-sim", "list") == 0
+    assert capsys.readouterr().out == (
+        "no data set of tactile-sim is published; next: `realtouch list` lists what else realtouch opens\n"
+    )
+    assert command_line.call("tactile-sim", "list", "--json") == 0
+    assert json.loads(capsys.readouterr().out) == []
 
 
 def test_short_names():
