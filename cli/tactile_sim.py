@@ -220,12 +220,14 @@ def _print_made(sink: Sink, manifest: Manifest, out: str, elapsed_s: float | Non
     print_made(sink, KIND, manifest, out, manifest.split_table(), elapsed_s, (header, rows))
 
 
-def _place(text: str) -> tuple[float, float]:
+def _place(text: str) -> tuple[float, float] | None:
+    if text == "object":
+        return None
     parts = text.split(",")
     try:
         x, y = map(float, parts)
     except ValueError as error:
-        message = f"{text!r} is not a position; expected x,y in metres, such as 0.01,0.02"
+        message = f"{text!r} is not a position; expected x,y in metres, such as 0.01,0.02, or object"
         raise typer.BadParameter(message) from error
     return x, y
 
@@ -237,7 +239,11 @@ def render(
         Path, typer.Argument(metavar="FILE", help="A mesh: STL/3MF/PLY/OBJ in millimetres, GLB in metres.")
     ],
     at: Annotated[
-        str, typer.Option(metavar="X,Y", help="Where the gel goes, metres from the origin.")
+        str,
+        typer.Option(
+            metavar="X,Y|object",
+            help="Where the gel goes: metres from the origin of the mesh, or onto the mesh wherever it is.",
+        ),
     ] = "0,0",
     turn: Annotated[float, typer.Option(metavar="RAD", help="Turn of the object about z, radians.")] = 0.0,
     picture: PictureOptions,
@@ -249,6 +255,8 @@ def render(
     """Press the gel onto a mesh once and write the picture.
 
     Example: tactile-sim render part.stl --at 0.01,0.02 --turn 0.3 --size 320x240 --out touch.png
+
+    Example: tactile-sim render part.stl --at object --out touch.png
     """
     from tactile_sim.looking import look
     from tactile_toolkit.errors import InputError
@@ -261,15 +269,20 @@ def render(
         message = f"--out is {out.name!r}; expected a picture that ends with {', '.join(kinds)}"
         raise InputError(message)
     spec = picture.spec()
-    x_m, y_m = _place(at)
-    seen = look(read_mesh(mesh), spec, x_m, y_m, turn_rad=turn)
+    seen = look(read_mesh(mesh), spec, _place(at), turn)
     encoded = encode_image(seen.picture, kinds[out.suffix.lower()], picture.quality)
     DataFolder(str(out.parent.absolute())).write_bytes(out.name, encoded)
     sink.document({"file": str(out), "sensor_z_m": seen.sensor_z_m, "contact": seen.contact})
     sink.line(
         f"{out}: the sensor stops {1e3 * seen.sensor_z_m:.3f} mm above the plate; "
-        f"{100 * seen.contact:.1f} % of the picture is in contact"
+        f"{100 * seen.contact:.1f} % of the picture is in contact with the object"
     )
+    if not seen.contact:
+        (low_x, low_y), (high_x, high_y) = (1e3 * seen.bounds_m).tolist()
+        sink.talk(
+            f"the gel met the plate only; the mesh is at x {low_x:.1f} to {high_x:.1f} mm, y {low_y:.1f} to "
+            f"{high_y:.1f} mm; next: --at object, or a larger --size where it is thinner than a pixel"
+        )
 
 
 add_learning(app)

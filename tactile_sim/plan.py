@@ -18,7 +18,17 @@ from tactile_toolkit.arithmetic import cosine_sine
 from tactile_toolkit.checked_fields import check_fields, choice, real_number, switch, whole_number
 from tactile_toolkit.errors import InputError
 
-__all__ = ["PLACES", "REACH_M", "TURNS", "RoundPlan", "TouchPlan", "generator", "key_of", "plan_round"]
+__all__ = [
+    "PLACES",
+    "REACH_M",
+    "TURNS",
+    "RoundPlan",
+    "TouchPlan",
+    "generator",
+    "key_of",
+    "on_object",
+    "plan_round",
+]
 
 PLACES = ("cell", "grid", "object", "given")
 
@@ -198,13 +208,16 @@ def _positions(
             [(number % columns + 0.5) / columns, (number // columns + 0.5) / rows], axis=1
         )
         return (2.0 * shares - 1.0) * reach
-    return np.clip(_on_object(plan.touches, solid, poses, rng), -reach, reach)
+    return np.clip(on_object(plan.touches, solid, poses, rng), -reach, reach)
 
 
-def _on_object(
+def on_object(
     touches: int, solid: Pressable, poses: NDArray[np.float64], rng: np.random.Generator
 ) -> NDArray[np.float64]:
-    """Choose points of the faces that look up, evenly over their area as seen from above."""
+    """Choose points of the faces that look up, evenly over their area as seen from above.
+
+    One for each of the first poses of the solid; x and y, metres, cell frame, shape (touches, 2).
+    """
     a, b, c = (solid.vertices_m[solid.faces[:, corner], :2] for corner in range(3))
     area = (b[:, 0] - a[:, 0]) * (c[:, 1] - a[:, 1]) - (b[:, 1] - a[:, 1]) * (c[:, 0] - a[:, 0])
     ends = np.cumsum(np.maximum(area, 0.0))  # cumsum adds one after another, in a stated order

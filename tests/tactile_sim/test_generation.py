@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pyarrow.parquet as pq
 import pytest
+import trimesh
 from typer.testing import CliRunner
 
 import realtouch
@@ -17,6 +18,7 @@ from tactile_sim.generation import plan_build
 from tactile_sim.optics import make_optics
 from tactile_sim.plan import REACH_M
 from tactile_toolkit.errors import InputError, SpecMismatchError
+from tests.command_line import call
 from tests.tactile_sim.oracle import GEL_M, PRESS_M, Oracle, require_package
 from tests.tactile_sim.solids import block
 
@@ -300,6 +302,43 @@ def test_one_look_at_a_mesh_file(tmp_path):
         assert CliRunner().invoke(app, [*command, wrong, "--out", str(out)]).exit_code == 2
     refused = CliRunner().invoke(app, [*command, "80x60", "--out", str(out), "--layer-mm", "0.3"])
     assert (refused.exit_code, "next: add --surface printed" in refused.stderr) == (2, True)
+
+
+def _rendered(capsys, *arguments) -> tuple[dict, str]:
+    assert call("tactile-sim", "render", *arguments, "--optics", "depth", "--json") == 0
+    said = capsys.readouterr()
+    return json.loads(said.out), said.err
+
+
+def test_contact_of_a_look_counts_the_object(tmp_path, capsys):
+    """A block of 4 x 3 mm, 1 mm high: the gel meets it, and the plate around it."""
+    block((0.004, 0.003, 0.001)).apply_scale(1000).export(tmp_path / "low.stl")
+    found, note = _rendered(capsys, tmp_path / "low.stl", "--size", "80x60", "--out", tmp_path / "low.png")
+    assert found["contact"] == pytest.approx(4 * 3 / (18.88 * 14.16), rel=0.1)
+    assert note == ""
+
+
+def test_a_look_that_misses_the_mesh_says_where_it_is(tmp_path, capsys):
+    away = block()
+    away.apply_translation([0.1, -0.03, 0.2])
+    away.apply_scale(1000).export(tmp_path / "away.stl")
+    arguments = (tmp_path / "away.stl", "--out", tmp_path / "touch.png")
+    found, note = _rendered(capsys, *arguments)
+    assert (found["contact"], found["sensor_z_m"]) == (0.0, 0.002125)
+    assert "x 90.0 to 110.0 mm, y -33.0 to -27.0 mm" in note
+    assert "--at object" in note
+    found, note = _rendered(capsys, *arguments, "--at", "object")
+    assert found["contact"] > 0.2
+    assert found["sensor_z_m"] == pytest.approx(0.004 + 0.002125)
+    assert note == ""
+
+
+def test_a_look_at_the_object_meets_what_is_hollow_in_the_middle_or_larger_than_the_cell(tmp_path, capsys):
+    ring = trimesh.creation.annulus(0.09, 0.1, 0.005)
+    ring.apply_scale(1000).export(tmp_path / "ring.stl")
+    found, note = _rendered(capsys, tmp_path / "ring.stl", "--at", "object", "--out", tmp_path / "ring.png")
+    assert found["contact"] > 0.5
+    assert note == ""
 
 
 @pytest.mark.parametrize(
