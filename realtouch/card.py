@@ -139,7 +139,7 @@ COLUMNS: dict[str, Column] = {
     "label": ("", "class of the touched object"),
     "object_id": ("", "`id` of its mesh in MNIST 3D"),
     "pos_in_cell": (f"T x 2, {_CELL}", "intended positions"),
-    "plate_z_m": (_CELL, "height of the plate, from all touches of the round as it was recorded"),
+    "plate_z_m": (_CELL, "height of the gel on the plate, from all touches of the round as it was recorded"),
     "gel_pose_cell_frame.position": (f"T x 3, {_CELL}", "position of the gel at contact"),
     "gel_pose_cell_frame.quaternion": ("T x 4: x, y, z, w", "its orientation"),
     "gel_pose_cell_frame_seq.position": (
@@ -162,6 +162,7 @@ COLUMNS: dict[str, Column] = {
 SYNTHETIC_COLUMNS: dict[str, Column] = {
     **COLUMNS,
     "object_id": ("", "`id` of the mesh of the touched object, in the data set that it comes from"),
+    "plate_z_m": (_CELL, "height of the gel on the plate"),
     "sensor_image": ("T images", "what the sensor sees"),
     "info.touched_object_pose.position": (_CELL, "position of the object while it is touched"),
     "info.touched_object_pose.quaternion": ("x, y, z, w", "its orientation then"),
@@ -203,7 +204,7 @@ _FRAMES = """\
 
           y, away from the robot                0 ---------> column, along +x of the gel
           ^                                     |
-   +------|------+                              |   18.88 x 14.16 mm of gel
+   +------|------+                              |   $window
    |      |      |                              |
    |      o------|--> x, right of the robot     v
    |             |                              row, along -y of the gel
@@ -337,6 +338,9 @@ def write_card(
     counts = [figure.touches for figure in figures if figure.touches is not None]
     known = len(counts) == len(figures)
     rule = ContactHeight.of(column_types(facts.schema))
+    # Rendered touches may show less of the gel; their source knows how much.
+    is_known = not (rendered and (plain or rule.plate == "known"))
+    window = "18.88 x 14.16 mm of gel" if is_known else "the window of its source"
     height = ("" if rendered else _DRIFT) + ("" if plain else _PLATES[rule.plate])
     limits = [*_LIMITS[card if origin == "real" else origin], *_missed(figures, plain=plain)]
     values = {
@@ -349,7 +353,7 @@ def write_card(
         "split_table": _split_table(facts, figures, manifest),
         "contact_rule": str(rule),
         "field_table": field_table(facts, columns, _FAMILIES),
-        "frames": _FRAMES_OF_OTHERS if origin == "imported" else _FRAMES + height,
+        "frames": _FRAMES_OF_OTHERS if origin == "imported" else _FRAMES.replace("$window", window) + height,
         "limits": "\n".join(f"- {line}" for line in limits),
         "printability": _PRINTABILITY[origin],
         "licence_text": licence_text,

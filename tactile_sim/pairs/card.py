@@ -53,7 +53,7 @@ def write_card(folder: DataFolder, manifest: Manifest) -> None:
         rows.append((split.split, f"{split.rows:,}", f"{met:,}", *sizes))
     made = [
         made_by(manifest),
-        ("without contact", f"{100 * spec['without_contact']:.4g} % of each split"),
+        ("without contact, asked for", f"{100 * spec['without_contact']:.4g} % of each split"),
         ("contact", height_text(spec["min_height_m"])),
         ("objects left out", skipped_text(manifest)),
     ]

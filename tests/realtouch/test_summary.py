@@ -24,6 +24,10 @@ def test_figures_of_clips_and_images(seq_folder: Path, single_folder: Path) -> N
     images = realtouch.summarise(realtouch.load(single_folder, "train"))
     assert (images.kind, images.clip_frames, images.fps, images.contact_share) == ("single", None, None, 0.8)
     assert images.to_dict()["touches"] == 15
+    rule = (
+        "the gel stopped 6 mm or more above the plate; the deepest touch of each round is taken as the plate"
+    )
+    assert (clips.contact_rule, images.contact_rule) == (rule, rule)
     with pytest.raises(InputError, match="empty data set"):
         realtouch.summarise(realtouch.load(single_folder, "train")[:0])
 

@@ -92,6 +92,7 @@ def test_info_and_cards_count_the_same_and_state_the_rule(touches, tmp_path, cap
     assert "the height of the plate is known" in card
     assert " 6 mm" not in card
     assert "deepest touch" not in card
+    assert "18.88" not in card, "the window of a set is that of its own specification"
 
 
 def test_cards_speak_of_touches_that_meet_nothing_where_there_are_some(on_objects, in_cell, tmp_path):
