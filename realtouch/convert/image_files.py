@@ -22,6 +22,7 @@ from realtouch.rounds import TouchSeqRound, TouchSingleRound
 from tactile_toolkit.read.dataset import Row
 from tactile_toolkit.read.parquet import Shard
 from tactile_toolkit.store.folder import DataFolder
+from tactile_toolkit.store.job import putting
 from tactile_toolkit.store.manifest import Manifest
 from tactile_toolkit.store.names import problem_of_name
 from tactile_toolkit.store.parquet import is_whole_file, sha256_hex
@@ -106,8 +107,9 @@ class WritePictures:
             # Of the whole round, once; a clip has a background of its own.
             base = background(record)
         made = [self._picture(record, touch, folder, base) for touch in range(record.touch_count)]
-        for line, encoded in made:
-            self.folder.write_bytes(line["file"], encoded)
+        with putting(self.folder):
+            for line, encoded in made:
+                self.folder.write_bytes(line["file"], encoded)
         return pa.Table.from_pylist([line for line, _ in made], schema=self.schema(None))
 
     def _picture(

@@ -9,6 +9,7 @@ import pyarrow as pa
 
 from tactile_toolkit.read.parquet import Shard
 from tactile_toolkit.store.folder import DataFolder
+from tactile_toolkit.store.job import putting
 from tactile_toolkit.store.manifest import Manifest
 from tactile_toolkit.store.parquet import is_whole_file, sha256_hex
 from tactile_toolkit.store.shards import ShardRecord
@@ -28,7 +29,8 @@ def file_fields(count: int) -> list[tuple[str, pa.DataType]]:
 def with_files(folder: DataFolder, index: pa.Table, files: dict[str, bytes]) -> pa.Table:
     """Write the files of a shard, and name them in each row of its index."""
     for prefix, (path, content) in zip(_PREFIXES, files.items(), strict=False):
-        folder.write_bytes(path, content)
+        with putting(folder):
+            folder.write_bytes(path, content)
         for name, value in ((_PATHS, path), (_CHECKSUMS, sha256_hex(content))):
             index = index.append_column(f"{prefix}{name}", pa.array([value] * len(index), pa.string()))
     return index

@@ -33,7 +33,7 @@ from tactile_toolkit.read.columns import RowGroup, column_types, plain_schema, p
 from tactile_toolkit.read.features import stored_class_names
 from tactile_toolkit.run.system import locked
 from tactile_toolkit.run.threads import in_threads
-from tactile_toolkit.store.folder import file_at, of_the_process, readable
+from tactile_toolkit.store.folder import VERSION_KEYS, file_at, of_the_process, readable
 from tactile_toolkit.store.parquet import open_checked
 from tactile_toolkit.store.shards import DATA_FOLDER, ShardName
 from tactile_toolkit.store.small_columns import MADE_OF
@@ -46,8 +46,6 @@ _VALUE_BYTES = {"BOOLEAN": 1, "INT64": 8, "DOUBLE": 8, "INT96": 12}
 # Rows take at most so many times the bytes that are stored of them, or might be one row; padding of clips
 # takes about 20 times.
 _MOST_EXPANSION = 500
-# What stores say of a file, under which name each, that changes with its content.
-_VERSION_KEYS = ("size", "ETag", "etag", "blob_id", "mtime", "created")
 
 
 class MemoryBlocks(MemoryCache[tuple[str, int], RowGroup]):
@@ -364,7 +362,7 @@ class Shard:
         facts = getattr(stream, "details", None) or store.facts(name)
         return open_checked(stream, metadata), (
             self.path,
-            *((key, str(facts[key])) for key in _VERSION_KEYS if key in facts),
+            *((key, str(facts[key])) for key in VERSION_KEYS if key in facts),
         )
 
     @property

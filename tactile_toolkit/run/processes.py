@@ -103,9 +103,10 @@ class ProcessRunner:
             while waiting or running:
                 # Only what the workers hold is submitted, so that a dead worker costs few attempts.
                 while waiting and len(running) < self.workers:
-                    task, attempt = waiting.popleft()
+                    # Waits until it is submitted: a pool that broke in the meantime takes no task.
                     with start_context():
-                        running[pool.submit(function, task)] = (task, attempt)
+                        running[pool.submit(function, waiting[0][0])] = waiting[0]
+                    waiting.popleft()
                 done, _ = wait(running, return_when=FIRST_COMPLETED)
                 for future in done:
                     result = future.result()

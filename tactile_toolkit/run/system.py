@@ -6,6 +6,7 @@ Nothing else in the project imports a module that only some systems have.
 from __future__ import annotations
 
 import contextlib
+import errno
 import hashlib
 import os
 import signal
@@ -22,12 +23,13 @@ _ENDED_STATES = ("Z", "X")  # a zombie has ended; its parent has not asked for i
 
 
 @contextlib.contextmanager
-def locked(path: Path, *, wait: bool = True) -> Iterator[None]:
+def locked(path: Path, *, wait: bool = True, shared: bool = False) -> Iterator[None]:
     """Wait for the lock of a file, which is made, or of a folder that is there, and hold it.
 
-    Held by the open file: threads wait for one another too, and a killed process lets go. Where the system or
-    the file system cannot lock it, nobody waits. Raises OSError where the file cannot be opened, and
-    BlockingIOError, without ``wait``, where another holds it.
+    Held by the open file: threads wait for one another too, and a killed process lets go. Any number hold it
+    ``shared`` at once, where the system knows that. Where the system or the file system cannot lock it,
+    nobody waits. Raises OSError where the file cannot be opened, BlockingIOError, without ``wait``, where
+    another holds it, and FileNotFoundError for a folder that was removed meanwhile.
     """
     is_folder = path.is_dir()
     if is_folder and _module("fcntl") is None:  # Windows opens no folders
@@ -36,11 +38,13 @@ def locked(path: Path, *, wait: bool = True) -> Iterator[None]:
     handle = os.open(path, os.O_RDONLY if is_folder else os.O_RDWR | os.O_CREAT, 0o666)
     try:
         try:
-            _lock(handle, wait=wait)
+            _lock(handle, wait=wait, shared=shared)
         except BlockingIOError:
             raise
         except OSError:
             pass  # it cannot be locked here
+        if is_folder and not os.path.samestat(os.fstat(handle), path.stat()):
+            raise FileNotFoundError(errno.ENOENT, os.strerror(errno.ENOENT), str(path))
         yield
     finally:
         # Said, not left to closing: a child forked meanwhile has the file open too.
@@ -49,9 +53,10 @@ def locked(path: Path, *, wait: bool = True) -> Iterator[None]:
         os.close(handle)
 
 
-def _lock(handle: int, *, wait: bool) -> None:
+def _lock(handle: int, *, wait: bool, shared: bool) -> None:
     if fcntl := _module("fcntl"):
-        fcntl.flock(handle, fcntl.LOCK_EX | (0 if wait else fcntl.LOCK_NB))
+        how = fcntl.LOCK_SH if shared else fcntl.LOCK_EX
+        fcntl.flock(handle, how | (0 if wait else fcntl.LOCK_NB))
     elif msvcrt := _module("msvcrt"):
         while True:
             try:

@@ -6,16 +6,19 @@ behaviour: interrupted work goes on, finished work is never made twice, another 
 
 from __future__ import annotations
 
+import contextlib
 import math
 import time
+from collections import Counter
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import chain
 
-from tactile_toolkit.errors import InputError, IntegrityError, StorageError
+from tactile_toolkit.errors import InputError, IntegrityError, StorageError, ToolkitError
 from tactile_toolkit.run.parts import Check, Finish, Part
 from tactile_toolkit.run.processes import Runner, runner_for
 from tactile_toolkit.store.folder import FORSAKEN_S, DataFolder, folders_below, named_failures
+from tactile_toolkit.store.job import Job, putting
 from tactile_toolkit.store.manifest import (
     MANIFEST_FILE,
     Manifest,
@@ -49,15 +52,17 @@ from tactile_toolkit.store.plan import (
     refuse_other_division,
     refuse_other_parts,
 )
-from tactile_toolkit.store.replace import FolderBefore, FormerSet, recover, refuse_unrecovered
+from tactile_toolkit.store.replace import FolderBefore, FormerSet, recover, refuse_links, refuse_unrecovered
 from tactile_toolkit.store.reports import merge_reports
 from tactile_toolkit.store.shards import DAMAGED, DATA_FOLDER, PENDING_FOLDER, ShardRecord, Skipped
 from tactile_toolkit.store.small_columns import write_small_columns
 from tactile_toolkit.wording import counted
 
-__all__ = ["Progress", "build"]
+__all__ = ["Progress", "build", "inspect_parts"]
 
 _CAUSES_SHOWN = 3
+_PATIENCE_S = 60.0
+"""How long a run waits to begin where others write; one that was stopped (Ctrl-Z) holds its lock for good."""
 _APPEARS_S = 30.0
 """How long a file may take to show on another machine; network file systems keep listings that long."""
 
@@ -80,7 +85,8 @@ class _WriteShard:
 
     folder: DataFolder
     style: ParquetStyle = field(repr=False)
-    libraries: tuple[str, ...] = ()
+    libraries: tuple[str, ...]
+    job: Job
     agreed: PartsPlan | None = None
 
     def confirm(self, record: ShardRecord, machine: str) -> None:
@@ -99,33 +105,34 @@ class _WriteShard:
 
     def __call__(self, task: ShardTask) -> ShardRecord:
         """Write rows, then report rows, then the record that vouches for both."""
-        content = task.make()
-        table = content.table
-        data, footer = write_parquet(table, self.style)
-        # As late as can be: hours may have passed, and what stands there now may be of another data set.
-        if self.agreed is not None and read_parts_plan(self.folder) != self.agreed:
-            message = (
-                f"the data set in {self.folder.address()!r} was finished, or started again, while this part "
-                f"made {task.shard}; nothing of that was written; next: look there with the command `info`"
+        with self.job.at_work():
+            content = task.make()
+            table = content.table
+            data, footer = write_parquet(table, self.style)
+            report = None if content.report is None else encode_parquet(content.report, REPORT_STYLE)
+            record = ShardRecord(
+                task.shard,
+                table.num_rows,
+                len(data),
+                sha256_hex(data),
+                None if report is None else sha256_hex(report),
+                content.skipped,
+                content.statistics,
+                unpacked_bytes(footer, table.schema, lambda _: table),
             )
-            raise PartsEndedError(message)
-        self.folder.write_bytes(task.shard.data_path, data)
-        report_sha256 = None
-        if content.report is not None:
-            report = encode_parquet(content.report, REPORT_STYLE)
-            self.folder.write_bytes(task.shard.report_path, report)
-            report_sha256 = sha256_hex(report)
-        record = ShardRecord(
-            task.shard,
-            table.num_rows,
-            len(data),
-            sha256_hex(data),
-            report_sha256,
-            content.skipped,
-            content.statistics,
-            unpacked_bytes(footer, table.schema, lambda _: table),
-        )
-        write_shard_record(self.folder, record)
+            # As late as can be: hours may have passed, and what is there now may be of another data set.
+            with putting(self.folder):
+                if self.agreed is not None and read_parts_plan(self.folder) != self.agreed:
+                    message = (
+                        f"the data set in {self.folder.address()!r} was finished, or started again, while "
+                        f"this part made {task.shard}; nothing of that was written; next: look there with "
+                        "the command `info`"
+                    )
+                    raise PartsEndedError(message)
+                self.folder.write_bytes(task.shard.data_path, data)
+                if report is not None:
+                    self.folder.write_bytes(task.shard.report_path, report)
+                write_shard_record(self.folder, record)
         return record
 
 
@@ -156,6 +163,11 @@ def build(
         The folder holds files that are not a data set of this toolkit.
     InputError, IntegrityError
         Every item was left out, IntegrityError where all are damaged; the folder is as it was.
+    InputError
+        Another run is at work in the folder and lets nothing be begun, or has replaced the data set
+        meanwhile; nothing of what is there now was changed. Or what would be written is a symbolic link.
+    IntegrityError
+        The runner has not made all shards; those that it made stay.
     MissingPartsError
         The set cannot be finished yet (an IntegrityError).
     StorageError
@@ -178,34 +190,56 @@ def build(
     with named_failures(folder.address()):
         existed = folder.exists()
     folder.require_folder()
-    recover(folder)
-    former = FormerSet.set_aside(folder, plan.extra_dirs) if overwrite else None
-    state = inspect_folder(folder, plan, check=check)
-    if not folder.is_local and not check and _is_finished(folder, state):
-        return state.manifest
-    before = FolderBefore.of(folder, existed, former)
+    before = FolderBefore(existed, FormerSet(folder, plan.extra_dirs) if overwrite else None)
     try:
-        _remove_stale_files(folder, plan)
-        for path in state.unproven:
-            folder.remove(path)
-        if state.todo:
-            # Named before the first shard, so that an interrupted folder knows what it was to become.
-            redone = {task.shard for task in state.todo}
-            kept = tuple(record for record in state.manifest.shards if record.shard not in redone)
-            begun = replace(state.manifest, shards=kept, complete=False)
-            if read_manifest(folder) != begun:  # another run of the same may have come further meanwhile
-                write_manifest(folder, begun)
-        work = _WriteShard(folder, plan.style, plan.libraries)
-        records = [*state.kept, *_run(work, runner, state, on_progress, former)]
+        with folder.locked(patience_s=_PATIENCE_S):
+            try:
+                state, job = _begin(folder, plan, before, check)
+            finally:
+                before.mine = folder.version(MANIFEST_FILE)
+        if not folder.is_local and not check and _is_finished(folder, state):
+            return state.manifest
+        work = _WriteShard(folder, plan.style, plan.libraries, job)
+        records = [*state.kept, *_run(work, runner, state, on_progress, before.former)]
+        _require_tasks(folder, plan.tasks, records)
         _require_rows(records)
     except BaseException:
-        _remove_stale_files(folder, plan)  # of workers that were stopped in the middle of a file
-        if state.agreed is None:  # parts that are at work have their own
-            before.restore_unless_finished(folder, plan, state)
+        # What ended the run is what is reported, even where the disk does not let us tidy up.
+        with contextlib.suppress(ToolkitError, OSError):
+            _remove_stale_files(folder, plan)  # of workers that were stopped in the middle of a file
+        with contextlib.suppress(ToolkitError, OSError), folder.locked():
+            before.restore_unless_finished(folder, plan)
         raise
-    if former is not None:
-        former.give_up()
-    return _conclude(folder, plan, state.manifest, records, write_card)
+    if before.former is not None:
+        before.former.give_up()
+    with folder.locked():
+        job.require()
+        return _conclude(folder, plan, state.manifest, records, write_card)
+
+
+def _begin(folder: DataFolder, plan: BuildPlan, before: FolderBefore, check: bool) -> tuple[BuildState, Job]:
+    """Look what a folder lacks, and write down what it is to become, noting in ``before`` what there was."""
+    refuse_links(folder, plan.extra_dirs)
+    recover(folder)
+    if before.former is not None:
+        before.former.set_aside()
+    state = inspect_folder(folder, plan, check=check)
+    before.manifest = folder.read_bytes(MANIFEST_FILE) if folder.exists(MANIFEST_FILE) else None
+    before.state = state
+    _remove_stale_files(folder, plan)
+    for path in state.unproven:
+        folder.remove(path)
+    if state.todo:
+        # Named before the first shard, so that an interrupted folder knows what it was to become. Written
+        # though it may be the same: that the file is another one shows runs before that this one has begun.
+        redone = {task.shard for task in state.todo}
+        kept = tuple(record for record in state.manifest.shards if record.shard not in redone)
+        begun = replace(state.manifest, shards=kept, complete=False)
+        if before.manifest is not None:
+            write_manifest(folder, begun)
+        elif not folder.create_bytes(MANIFEST_FILE, begun.to_json().encode()):
+            return _begin(folder, plan, before, check)  # another run began at this moment, without a lock
+    return state, Job.in_folder(folder)
 
 
 def _make_part(
@@ -223,7 +257,9 @@ def _make_part(
         raise InputError(message)
     first, wanted = part.first_of(count), plan.for_parts(count)
     folder.require_folder()
+    refuse_links(folder, plan.extra_dirs)
     refuse_unrecovered(folder)
+    seen = folder.version(MANIFEST_FILE)
     state = inspect_folder(folder, plan, plan.tasks[first::count], in_parts=True, check=check)
     if state.agreed is not None:
         refuse_other_division(folder, state.agreed, wanted)
@@ -233,29 +269,39 @@ def _make_part(
             "nothing was made; next: remove that folder"
         )
         raise InputError(message)
-    if state.todo and _agree(folder, plan, wanted):
-        # All parts may have been finished since this one looked: then none are at work.
-        state = inspect_folder(folder, plan, plan.tasks[first::count], in_parts=True, check=check)
-        if not state.todo:
-            folder.remove(PARTS_FILE)
-            folder.remove_empty(PENDING_FOLDER)
+    with folder.locked(patience_s=_PATIENCE_S):
+        is_first = bool(state.todo) and _agree(folder, plan, wanted)
+        if is_first or folder.version(MANIFEST_FILE) != seen:
+            # Another run may have begun since this part looked, or all parts have been finished.
+            try:
+                refuse_unrecovered(folder)
+                state = inspect_folder(folder, plan, plan.tasks[first::count], in_parts=True, check=check)
+            except ToolkitError:
+                if is_first:
+                    _withdraw(folder)
+                raise
+            if is_first and not state.todo:
+                _withdraw(folder)
+        job = Job.in_folder(folder)
     if not state.todo:
         on_progress(Progress(0, 0))
         return state.manifest.with_shards(state.kept)
     made: list[ShardRecord] = []
     try:
         for record in _run(
-            _WriteShard(folder, plan.style, plan.libraries, wanted), part, state, on_progress, None
+            _WriteShard(folder, plan.style, plan.libraries, job, wanted), part, state, on_progress, None
         ):
             made.append(record)
             if read_parts_plan(folder) != wanted:
                 break
     except BaseException as error:
-        _remove_stale_files(folder, plan, forsaken_s=math.inf)  # of workers that were stopped, of nobody else
+        with contextlib.suppress(ToolkitError, OSError):  # of workers that were stopped, and no others
+            _remove_stale_files(folder, plan, forsaken_s=math.inf)
         # Who has finished the set meanwhile has also removed what was being written.
         if not isinstance(error, (PartsEndedError, StorageError)) or read_parts_plan(folder) == wanted:
             raise
     if read_parts_plan(folder) == wanted:
+        _require_tasks(folder, state.todo, made)
         return state.manifest.with_shards([*state.kept, *made])
     return _ended_by_others(folder, state, made)
 
@@ -278,17 +324,24 @@ def _agree(folder: DataFolder, plan: BuildPlan, wanted: PartsPlan) -> bool:
     return is_first
 
 
-def _ended_by_others(folder: DataFolder, state: BuildState, made: Sequence[ShardRecord]) -> Manifest:
-    """Leave nothing behind in a folder that others have finished, or started again, meanwhile."""
-    for record in made:
-        folder.remove(record.shard.record_path)
-        folder.remove(record.shard.report_path)
+def _withdraw(folder: DataFolder) -> None:
+    """Take back what a first part has written down of which nothing is to be made."""
+    folder.remove(PARTS_FILE)
     folder.remove_empty(PENDING_FOLDER)
-    manifest = read_manifest(folder)
-    if manifest is not None and manifest.spec == state.manifest.spec:
-        held = {record.shard for record in manifest.shards}
-        if held.issuperset(task.shard for task in state.todo):
-            return manifest
+
+
+def _ended_by_others(folder: DataFolder, state: BuildState, made: Sequence[ShardRecord]) -> Manifest:
+    """Return the manifest of a set that others have finished meanwhile; what is of another set stays."""
+    with folder.locked():
+        manifest = read_manifest(folder)
+        if manifest is not None and manifest.spec == state.manifest.spec:
+            held = {record.shard for record in manifest.shards}
+            if held.issuperset(task.shard for task in state.todo):
+                for record in made:
+                    folder.remove(record.shard.record_path)
+                    folder.remove(record.shard.report_path)
+                folder.remove_empty(PENDING_FOLDER)
+                return manifest
     message = (
         f"the data set in {folder.address()!r} was started again while this part was at work; next: look "
         "there with the command `info`, and give the parts again"
@@ -308,11 +361,20 @@ def _finish(
         message = f"{folder.lacks('data set')}; nothing can be finished; next: make its parts with --part"
         raise InputError(message)
     folder.require_folder()
-    refuse_unrecovered(folder)
-    folder.refresh(DATA_FOLDER)
-    folder.refresh(PENDING_FOLDER)
-    state = inspect_folder(folder, plan, in_parts=True, check=check)
     on_progress(Progress(0, 0))
+    with folder.locked(patience_s=_PATIENCE_S):
+        folder.refresh(DATA_FOLDER)
+        folder.refresh(PENDING_FOLDER)
+        state = inspect_parts(folder, plan, check)
+        _require_rows(state.kept)
+        return _conclude(folder, plan, state.manifest, state.kept, write_card, forsaken_s=-math.inf)
+
+
+def inspect_parts(folder: DataFolder, plan: BuildPlan, check: bool) -> BuildState:
+    """Look whether all parts are there, changing nothing. Raises MissingPartsError where they are not."""
+    refuse_links(folder, plan.extra_dirs)
+    refuse_unrecovered(folder)
+    state = inspect_folder(folder, plan, in_parts=True, check=check)
     parts = None
     if state.agreed is not None:
         parts = state.agreed.parts
@@ -321,8 +383,7 @@ def _finish(
         missing = {task.shard for task in state.todo}
         numbers = [index % (parts or 1) for index, task in enumerate(plan.tasks) if task.shard in missing]
         raise MissingPartsError(folder.address(), len(missing), len(plan.tasks), array_text(numbers), parts)
-    _require_rows(state.kept)
-    return _conclude(folder, plan, state.manifest, state.kept, write_card, forsaken_s=-math.inf)
+    return state
 
 
 def _conclude(
@@ -402,6 +463,20 @@ def _run(
         done += sizes[record.shard]
         on_progress(Progress(done, total, record))
         yield record
+
+
+def _require_tasks(folder: DataFolder, tasks: Sequence[ShardTask], records: Iterable[ShardRecord]) -> None:
+    """Refuse to go on where a runner has not made exactly what it was given."""
+    planned, made = {task.shard for task in tasks}, Counter(record.shard for record in records)
+    wrong = sorted({*(planned - made.keys()), *(made - Counter(planned)).keys()})
+    if wrong:
+        names = ", ".join(map(str, wrong[:_CAUSES_SHOWN])) + (", ..." if len(wrong) > _CAUSES_SHOWN else "")
+        message = (
+            f"{len(wrong):,} of {len(planned):,} shards of {folder.address()!r} are missing, or were made "
+            f"twice: {names}; expected one result of the runner for each; finished shards stay, and the data "
+            "set is not complete; next: run the same command again, which makes only what is missing"
+        )
+        raise IntegrityError(message)
 
 
 def _require_rows(records: Sequence[ShardRecord]) -> None:

@@ -9,11 +9,13 @@ from __future__ import annotations
 
 import contextlib
 import errno
+import math
 import os
 import re
 import shutil
 import stat
 import tempfile
+import time
 import uuid
 from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -23,13 +25,14 @@ from pathlib import Path, PurePosixPath
 from typing import IO, Any
 
 from tactile_toolkit.errors import InputError, IntegrityError, StorageError
-from tactile_toolkit.run.system import is_running, machine_name, process_start, sync_folder
+from tactile_toolkit.run.system import is_running, locked, machine_name, process_start, sync_folder
 from tactile_toolkit.store.address import is_remote, place_of_data
 from tactile_toolkit.store.remote import RemoteFolder
 
 __all__ = [
     "FORSAKEN_S",
     "TEMPORARY_PREFIX",
+    "VERSION_KEYS",
     "DataFolder",
     "atomic_file",
     "being_written",
@@ -123,7 +126,11 @@ def being_written(folder: Path) -> list[Path]:
     return sorted(path for path in folder.glob(f"{TEMPORARY_PREFIX}*") if path not in stale)
 
 
+VERSION_KEYS = ("size", "ETag", "etag", "blob_id", "mtime", "created")
+"""What stores say of a file, under which name each, that changes with its content."""
+
 _TRIES = 10
+_LOOK_AGAIN_S = 0.02
 _NO_LINKS = (errno.EPERM, errno.ENOTSUP, errno.EOPNOTSUPP, errno.ENOSYS, errno.EMLINK)
 _READ_AT_ONCE = 16
 """Small files that are asked for at a time: a network file system or store answers many as fast as one."""
@@ -351,6 +358,25 @@ class DataFolder:
             raise StorageError(message)
         return f"{self._root}/{path}"
 
+    def place(self, path: str) -> Path:
+        """Return where a file of a local folder is written, moved or removed.
+
+        Raises InputError where the file, or a folder on the way to it, is a symbolic link: what that leads to
+        does not belong to this folder, which may be reached through a link itself.
+        """
+        place, root = Path(self.address(path)), Path(self._root)
+        for step in (place, *place.parents):
+            if step == root:
+                break
+            if step.is_symlink():
+                message = (
+                    f"{str(step)!r} is a symbolic link; expected a file or folder of its own: nothing is "
+                    "written, moved or removed through a link; next: put what it leads to in its place, or "
+                    "choose another folder (--out or OUT)"
+                )
+                raise InputError(message)
+        return place
+
     def _inside(self, path: str) -> str:
         """Return a path that was looked at by :meth:`address`, for the remote half."""
         self.address(path)
@@ -428,6 +454,21 @@ class DataFolder:
             raise FileNotFoundError(errno.ENOENT, os.strerror(errno.ENOENT), self.address(path))
         return found
 
+    def version(self, path: str) -> tuple[object, ...] | None:
+        """Return what changes whenever a file is replaced; None where there is none."""
+        if not self.is_local:
+            found = self._remote.info(self._inside(path))
+            return (
+                None
+                if found is None
+                else tuple(str(found.get(key)) for key in (*VERSION_KEYS, "LastModified"))
+            )
+        try:
+            facts = Path(self.address(path)).stat()
+        except OSError:
+            return None
+        return facts.st_ino, facts.st_size, facts.st_mtime_ns
+
     def read_bytes(self, path: str) -> bytes:
         """Read a whole (small) file; IntegrityError when it is not there or cannot be read."""
         try:
@@ -459,7 +500,7 @@ class DataFolder:
         if not self.is_local:
             return self._remote.create(self._inside(path), content)
         with named_failures(self.address(path)):
-            return _create_file(Path(self.address(path)), content)
+            return _create_file(self.place(path), content)
 
     def write_bytes(self, path: str, content: bytes) -> None:
         """Write a whole file so that readers see all of it or nothing.
@@ -470,7 +511,7 @@ class DataFolder:
         if not self.is_local:
             self._remote.write(self._inside(path), content)
             return
-        with named_failures(self.address(path)), atomic_file(Path(self.address(path))) as stream:
+        with named_failures(self.address(path)), atomic_file(self.place(path)) as stream:
             stream.write(content)
 
     @contextlib.contextmanager
@@ -480,7 +521,7 @@ class DataFolder:
         What goes to a store is put together in ``$TMPDIR`` first. Raises as :meth:`write_bytes`.
         """
         if self.is_local:
-            with named_failures(self.address(path)), atomic_file(Path(self.address(path))) as stream:
+            with named_failures(self.address(path)), atomic_file(self.place(path)) as stream:
                 yield stream
             return
         scratch = scratch_folder()
@@ -497,7 +538,7 @@ class DataFolder:
         if not self.is_local:
             self._remote.upload(self._inside(path), str(source))
             return
-        target = Path(self.address(path))
+        target = self.place(path)
         with named_failures(str(target)), source.open("rb") as content, atomic_file(target) as stream:
             shutil.copyfileobj(content, stream, 1 << 20)
 
@@ -515,14 +556,18 @@ class DataFolder:
             self._remote.remove(self._inside(path))
             return
         with named_failures(self.address(path)):
-            Path(self.address(path)).unlink(missing_ok=True)
+            self.place(path).unlink(missing_ok=True)
+
+    def rename(self, path: str, target: str) -> None:
+        """Move a file or sub-folder of a local folder inside it, in one step."""
+        with named_failures(self.address(target)):
+            self.place(path).rename(self.place(target))
 
     def remove_empty(self, folder: str) -> None:
         """Remove a sub-folder when nothing is left in it; in object stores it has gone with its last file."""
-        path = self.address(folder)
         if self.is_local and not self.names(folder):
             with contextlib.suppress(OSError):
-                Path(path).rmdir()
+                Path(self.address(folder)).rmdir()
 
     def require_folder(self) -> None:
         """Create the folder, and prove that it can be written to; a bucket must be there.
@@ -545,10 +590,37 @@ class DataFolder:
             probe.touch()
             probe.unlink()
 
+    @contextlib.contextmanager
+    def locked(self, *, shared: bool = False, patience_s: float = math.inf) -> Iterator[None]:
+        """Hold a local folder against other runs; stores have no locks.
+
+        What a run changes there it changes under the lock, its shards under a ``shared`` one. Raises
+        InputError when other runs have held it for so long.
+        """
+        with contextlib.ExitStack() as held:
+            deadline_s = time.monotonic() + patience_s
+            while self.is_local:
+                try:
+                    held.enter_context(locked(Path(self._root), wait=False, shared=shared))
+                    break
+                except FileNotFoundError:  # a run that failed has removed it, empty as it was
+                    with named_failures(self._root):
+                        Path(self._root).mkdir(parents=True, exist_ok=True)
+                except BlockingIOError as error:
+                    if time.monotonic() >= deadline_s:
+                        message = (
+                            f"another run writes to {self._root!r}, and has done so for {patience_s:.0f} s; "
+                            "nothing was changed; next: wait until it has ended, or end it, and run the same "
+                            "command again"
+                        )
+                        raise InputError(message) from error
+                    time.sleep(_LOOK_AGAIN_S)
+            yield
+
     def remove_stale_files(self, folder: str, *, forsaken_s: float = FORSAKEN_S) -> None:
         """Remove the stale temporary files in a sub-folder, see :func:`stale_files`."""
         if self.is_local:  # object stores put whole objects
-            for path in stale_files(Path(self.address(folder)), forsaken_s=forsaken_s):
+            for path in stale_files(self.place(folder), forsaken_s=forsaken_s):
                 self.remove(f"{folder}/{path.name}" if folder else path.name)
 
 
@@ -571,10 +643,7 @@ def folders_below(folder: DataFolder, path: str) -> Iterator[str]:
 
 
 def remove_tree(folder: DataFolder, path: str) -> None:
-    """Remove a sub-folder, if it is there, with all that it holds; of links, nothing that they lead to."""
-    if folder.is_local and Path(folder.address(path)).is_symlink():
-        folder.remove(path)
-        return
+    """Remove a sub-folder, if it is there, with all that it holds; raises as ``remove`` for a link."""
     for name in folder.names(path):
         remove_tree(folder, f"{path}/{name}")
     folder.remove_empty(path)

@@ -10,28 +10,34 @@ former set.
 
 from __future__ import annotations
 
-import contextlib
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from fnmatch import fnmatch
 from pathlib import Path
 
-from tactile_toolkit.errors import InputError, IntegrityError, RemoteError, StorageError
+from tactile_toolkit.errors import InputError, IntegrityError
 from tactile_toolkit.kind import kinds
 from tactile_toolkit.store.folder import (
     TEMPORARY_PREFIX,
     DataFolder,
     being_written,
-    named_failures,
     remove_tree,
     temporary_name,
 )
 from tactile_toolkit.store.manifest import MANIFEST_FILE, pending_records, read_manifest
 from tactile_toolkit.store.origin import RECORD_FILE
+from tactile_toolkit.store.parts import PARTS_FILE
 from tactile_toolkit.store.plan import BuildPlan, BuildState, refuse_unknown_files
 from tactile_toolkit.store.shards import DATA_FOLDER, PENDING_FOLDER, ShardName, ShardRecord
 
-__all__ = ["FolderBefore", "FormerSet", "recover", "refuse_unrecovered", "require_replaceable"]
+__all__ = [
+    "FolderBefore",
+    "FormerSet",
+    "recover",
+    "refuse_links",
+    "refuse_unrecovered",
+    "require_replaceable",
+]
 
 _ASIDE = ".replaced"
 # Where a set that is given up goes in one step; what a killed run leaves of it there is nobody's any more.
@@ -46,49 +52,54 @@ _OWN_NAMES: dict[str, Callable[[str], bool]] = {
 }
 
 
-@dataclass(frozen=True)
+@dataclass
 class FormerSet:
     """The data set that a run starts to replace; ``extra_dirs`` are those of it and of the new set."""
 
     folder: DataFolder
     extra_dirs: tuple[str, ...]
+    _owner: str = field(default_factory=lambda: f"{_ASIDE}/{temporary_name('owner')}")
 
-    @classmethod
-    def set_aside(cls, folder: DataFolder, extra_dirs: tuple[str, ...]) -> FormerSet:
-        """Empty a folder, which holds a data set of ours or nothing, for a new run with these extra folders.
+    def set_aside(self) -> None:
+        """Empty the folder, which holds a data set of ours or nothing, for a new run.
 
         Raises InputError when it holds something else, and nothing was touched; StorageError when something
-        cannot be moved, and what was moved is back.
+        cannot be moved. After any exception :meth:`put_back` brings back what was moved.
         """
-        there = folder.exists(MANIFEST_FILE)
-        former = cls(folder, require_replaceable(folder, extra_dirs))
+        there = self.folder.exists(MANIFEST_FILE)
+        self.extra_dirs = require_replaceable(self.folder, self.extra_dirs)
         if not there:
-            _remove_all(folder, former.extra_dirs)
-            return former
+            _remove_all(self.folder, self.extra_dirs)
+            return
         # The record of a download goes too: the new set is not one. The manifest goes last.
-        paths = (*_FOLDERS, *former.extra_dirs, *_CARDS, RECORD_FILE, MANIFEST_FILE)
-        held = [path for path in paths if folder.exists(path)]
-        with named_failures(folder.address()):
-            aside = Path(folder.address(_ASIDE))
-            aside.mkdir()
-            (aside / temporary_name("owner")).touch()  # says that this process is at work, see recover
-        try:
-            _rename(folder, ((path, f"{_ASIDE}/{path}") for path in held))
-        except BaseException:
-            with contextlib.suppress(StorageError):
-                _put_back(folder, former.extra_dirs)
-            raise
-        return former
+        paths = (*_FOLDERS, *self.extra_dirs, *_CARDS, RECORD_FILE, MANIFEST_FILE)
+        held = [path for path in paths if self.folder.exists(path)]
+        self.folder.write_bytes(self._owner, b"")  # this process is at work, see recover
+        for path in held:
+            self.folder.rename(path, f"{_ASIDE}/{path}")
 
     def give_up(self) -> None:
         """Remove the former set: the new one stands on its own."""
-        if self.folder.is_local and self.folder.exists(_ASIDE):
+        if self._is_aside():
             _give_up(self.folder)
 
     def put_back(self) -> None:
         """Put the former set back, in place of what the new run made; none is not an error."""
-        if self.folder.is_local and self.folder.exists(_ASIDE):
+        if self._is_aside():
+            # First: from here on any run may go on with it.
+            self.folder.remove(self._owner)
             _put_back(self.folder, self.extra_dirs)
+
+    def _is_aside(self) -> bool:
+        """Return whether the set that this run has put aside is still there."""
+        return self.folder.is_local and self.folder.exists(self._owner)
+
+
+def refuse_links(folder: DataFolder, extra_dirs: Iterable[str] = ()) -> None:
+    """Refuse a folder in which what a run writes, moves or removes is a symbolic link (InputError)."""
+    if folder.is_local:
+        for path in (*_FOLDERS, _ASIDE, _GONE, *extra_dirs, *_CARDS, RECORD_FILE, MANIFEST_FILE):
+            folder.place(path)
 
 
 def require_replaceable(folder: DataFolder, extra_dirs: tuple[str, ...]) -> tuple[str, ...]:
@@ -107,6 +118,7 @@ def require_replaceable(folder: DataFolder, extra_dirs: tuple[str, ...]) -> tupl
         raise InputError(message)
     before = _extra_dirs_of(folder)
     both = tuple(dict.fromkeys((*before, *extra_dirs)))
+    refuse_links(folder, both)
     if not folder.exists(MANIFEST_FILE):
         refuse_unknown_files(folder)
         return both
@@ -115,7 +127,7 @@ def require_replaceable(folder: DataFolder, extra_dirs: tuple[str, ...]) -> tupl
     found = [
         f"{path}/{name}"
         for path, is_ours in _OWN_NAMES.items()
-        for name in folder.names(path)
+        for name in _own_files(folder, path)
         if not name.startswith(".") and not is_ours(name)
     ]
     found += [file for path in before for file in _files_below(folder, path) if not _is_extra(file)]
@@ -181,14 +193,15 @@ def _put_back(folder: DataFolder, extra_dirs: tuple[str, ...]) -> None:
         _remove_all(folder, extra_dirs)
     names = [name for name in folder.names(_ASIDE) if not name.startswith(TEMPORARY_PREFIX)]
     names.sort(key=lambda name: name != MANIFEST_FILE)
-    _rename(folder, ((f"{_ASIDE}/{name}", name) for name in names))
+    for name in names:
+        folder.rename(f"{_ASIDE}/{name}", name)
     remove_tree(folder, _ASIDE)
 
 
 def _give_up(folder: DataFolder) -> None:
     if folder.exists(_GONE):
         remove_tree(folder, _GONE)
-    _rename(folder, ((_ASIDE, _GONE),))
+    folder.rename(_ASIDE, _GONE)
     remove_tree(folder, _GONE)
 
 
@@ -201,12 +214,6 @@ def _remove_all(folder: DataFolder, extra_dirs: Iterable[str]) -> None:
         folder.remove_empty(path)
     for name in (*_CARDS, RECORD_FILE, MANIFEST_FILE):
         folder.remove(name)
-
-
-def _rename(folder: DataFolder, moves: Iterable[tuple[str, str]]) -> None:
-    for source, target in moves:
-        with named_failures(folder.address(target)):
-            Path(folder.address(source)).rename(folder.address(target))
 
 
 def _extra_dirs_of(folder: DataFolder) -> tuple[str, ...]:
@@ -234,45 +241,57 @@ def _is_extra(path: str) -> bool:
     return any(len(each) == len(parts) and all(map(fnmatch, parts, each)) for each in patterns)
 
 
-def _files_below(folder: DataFolder, path: str) -> list[str]:
-    """List the files in a sub-folder, or the file of that name; not what lies behind links, which stays."""
-    if not folder.exists(path) or (folder.is_local and Path(folder.address(path)).is_symlink()):
-        return []
+def _own_files(folder: DataFolder, path: str) -> list[str]:
+    """List the names in a sub-folder; InputError where one is a symbolic link."""
     names = folder.names(path)
+    for name in names if folder.is_local else ():
+        folder.place(f"{path}/{name}")
+    return names
+
+
+def _files_below(folder: DataFolder, path: str) -> list[str]:
+    """List the files in a sub-folder, or the file of that name; InputError where one is a symbolic link."""
+    if not folder.exists(path):
+        return []
+    names = _own_files(folder, path)
     if not names or names == [path.rpartition("/")[2]]:  # object stores list a file as if it held itself
         return [] if folder.is_local and Path(folder.address(path)).is_dir() else [path]
     return [file for name in names for file in _files_below(folder, f"{path}/{name}")]
 
 
-@dataclass(frozen=True)
+@dataclass
 class FolderBefore:
-    """What a run found: whether the folder existed, the text of its manifest, and the set it replaces."""
+    """What a run found: whether the folder existed, the set it replaces, its manifest and what it lacked.
+
+    ``mine`` is the version of the manifest that this run has left there.
+    """
 
     existed: bool
-    manifest: bytes | None
     former: FormerSet | None = None
+    manifest: bytes | None = None
+    state: BuildState | None = None
+    mine: tuple[object, ...] | None = None
 
-    @classmethod
-    def of(cls, folder: DataFolder, existed: bool, former: FormerSet | None = None) -> FolderBefore:
-        """Remember a folder."""
-        manifest = folder.read_bytes(MANIFEST_FILE) if folder.exists(MANIFEST_FILE) else None
-        return cls(existed, manifest, former)
-
-    def restore_unless_finished(self, folder: DataFolder, plan: BuildPlan, state: BuildState) -> None:
+    def restore_unless_finished(self, folder: DataFolder, plan: BuildPlan) -> None:
         """Undo a run that failed, unless it finished a shard: then the folder keeps it for the next run.
 
         A run that cannot be finished (scenes that do not fit, an unreadable source) would otherwise leave a
-        folder that holds nothing and refuses every other specification.
+        folder that holds nothing and refuses every other specification. Where another run has begun there
+        since, or parts have, all is theirs and stays.
         """
-        wanted = {task.shard for task in state.todo}
-        # The failure that ended the run is the one to report, even where the disk does not let us tidy up.
-        with contextlib.suppress(StorageError, RemoteError):
-            if not any(record.shard in wanted for record in _with_rows(folder)):
-                self._restore(folder, plan, state)
+        if folder.version(MANIFEST_FILE) != self.mine or folder.exists(PARTS_FILE):
+            return
+        if self.state is not None:
+            wanted = {task.shard for task in self.state.todo}
+            if any(record.shard in wanted for record in _with_rows(folder)):
                 if self.former is not None:
-                    self.former.put_back()
-            elif self.former is not None:
-                self.former.give_up()
+                    self.former.give_up()
+                return
+            self._restore(folder, plan, self.state)
+        if self.former is not None:
+            self.former.put_back()
+        if not self.existed:
+            folder.remove_empty("")
 
     def _restore(self, folder: DataFolder, plan: BuildPlan, state: BuildState) -> None:
         vouched = {record.shard for record in (*state.manifest.shards, *_with_rows(folder))}
@@ -289,8 +308,6 @@ class FolderBefore:
             folder.write_bytes(MANIFEST_FILE, self.manifest)
         for path in (DATA_FOLDER, PENDING_FOLDER):
             folder.remove_empty(path)
-        if not self.existed:
-            folder.remove_empty("")
 
 
 def _with_rows(folder: DataFolder) -> list[ShardRecord]:
