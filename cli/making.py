@@ -128,8 +128,10 @@ def print_forecast(sink: Sink, kind: DatasetKind, view: Forecast, out: str, maki
         parts = ", ".join(f"{split} {rows:,}" for split, rows in view.replaced.items())
         held = f"{counted(sum(view.replaced.values()), 'rows')} ({parts})" if parts else "no rows"
         sink.line(f"would replace the data set in {out}: {held}")
+    part = "" if making.part is None else f" (part {making.part})"
     sink.line(
-        f"would make {counted(view.rows_to_make, kind.nouns)} in {out}: about {bytes_text(view.bytes)} of "
-        f"Parquet, about {duration_text(view.seconds)} with {counted(making.processes, 'workers')} (measured "
-        f"on {counted(view.sampled, kind.nouns)}); nothing was written"
+        f"would make {counted(view.rows_to_make, kind.nouns)}{part} in {out}: about "
+        f"{bytes_text(view.bytes)} of Parquet, about {duration_text(view.seconds)} with "
+        f"{counted(making.processes, 'workers')} (measured on {counted(view.sampled, kind.nouns)}); nothing "
+        "was written"
     )

@@ -68,7 +68,7 @@ def generate(
     # Before the first digit, of a forecast too: it measures what a worker takes.
     prepare_batch_process()
     if making.dry_run:
-        view = forecast(spec, out, splits, making.processes, overwrite=making.overwrite)
+        view = forecast(spec, out, splits, making.chosen_runner(), overwrite=making.overwrite)
         print_forecast(sink, KIND, view, out, making)
         return
     made = make_with_progress(

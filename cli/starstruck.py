@@ -73,7 +73,7 @@ def generate(
     on_failure = trial_reporter(sink)
     if making.dry_run:
         view = forecast(
-            spec, out, splits, making.processes, overwrite=making.overwrite, on_failure=on_failure
+            spec, out, splits, making.chosen_runner(), overwrite=making.overwrite, on_failure=on_failure
         )
         print_forecast(sink, KIND, view, out, making)
         return

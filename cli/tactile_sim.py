@@ -178,7 +178,7 @@ def generate(
     spec = picture.spec(plan.plan(), limit)
     splits = None if split == "all" else (split,)
     if making.dry_run:
-        view = forecast(objects, spec, out, splits, making.processes, overwrite=making.overwrite)
+        view = forecast(objects, spec, out, splits, making.chosen_runner(), overwrite=making.overwrite)
         print_forecast(sink, KIND, view, out, making)
         return
     prepare_batch_process()

@@ -117,6 +117,8 @@ def pairs(
     """
     from tactile_sim.pairs.making import PairsSpec, make_pairs, plan_pairs
     from tactile_toolkit.run.limits import prepare_batch_process
+    from tactile_toolkit.store.folder import DataFolder
+    from tactile_toolkit.store.forecast import inspect_for
 
     spec = PairsSpec(
         parse_size(options.size),
@@ -128,10 +130,15 @@ def pairs(
         seed=options.seed,
     )
     if making.dry_run:
-        plan = plan_pairs(objects, real, split, spec)
-        # Two rows of a pair that is none: a depth image and a touch that do not belong together.
-        sink.document({"rows": 2 * spec.count, "shards": len(plan.tasks)})
-        sink.line(f"would make {counted(2 * spec.count, 'rows')} in {out}; nothing was written")
+        tasks, state = inspect_for(
+            DataFolder(out),
+            plan_pairs(objects, real, split, spec),
+            making.chosen_runner(),
+            overwrite=making.overwrite,
+        )
+        rows = sum(task.size for task in state.todo)
+        sink.document({"rows": rows, "shards": len(tasks)})
+        sink.line(f"would make {counted(rows, 'rows')} in {out}; nothing was written")
         return
     prepare_batch_process()
     make = partial(make_pairs, objects, real, split, spec, out)

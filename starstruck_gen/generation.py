@@ -229,7 +229,7 @@ def forecast(
     spec: GenerateSpec,
     out: str | os.PathLike[str],
     splits: Sequence[str],
-    workers: int,
+    workers: int | Runner,
     *,
     overwrite: bool = False,
     on_failure: LayoutFailed = lambda _failed, _allowed: None,

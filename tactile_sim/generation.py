@@ -386,7 +386,7 @@ def forecast(
     spec: GenerateSpec,
     out: str | os.PathLike[str],
     splits: Sequence[str] | None,
-    workers: int,
+    workers: int | Runner,
     *,
     overwrite: bool = False,
 ) -> Forecast:

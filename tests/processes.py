@@ -27,8 +27,8 @@ def held(sink, what, nouns, make, *others):
             finished.extend([progress] * (progress.record is not None))
             if len(finished) == shards:
                 marker.touch()
-                while True:
-                    time.sleep(60)
+                while not marker.with_name(f"{marker.name}.go").exists():
+                    time.sleep(0.05)
         return make(on_progress=hold, **options)
     return make_with_progress(sink, what, nouns, stand_still, *others)
 
@@ -59,7 +59,8 @@ def printed_by(code: str, *words: object, **environment: str) -> str:
 def start_held(command_line: str, shards: int, marker: Path, *words: object) -> subprocess.Popen[bytes]:
     """Start a command that makes data and stands still when it has made so many shards; wait for that.
 
-    With none it stands still before the first.
+    With none it stands still before the first. It goes on when there is a file of the marker's name with
+    ``.go`` behind it.
     """
     program = [sys.executable, "-c", _HELD, command_line, str(shards), str(marker), *map(str, words)]
     process = subprocess.Popen(program, cwd=Path(__file__).parents[1], stderr=subprocess.PIPE)

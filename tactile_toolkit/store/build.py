@@ -58,7 +58,7 @@ from tactile_toolkit.store.shards import DAMAGED, DATA_FOLDER, PENDING_FOLDER, S
 from tactile_toolkit.store.small_columns import write_small_columns
 from tactile_toolkit.wording import counted
 
-__all__ = ["Progress", "build", "inspect_parts"]
+__all__ = ["Progress", "build", "division_of", "inspect_part", "inspect_parts", "refuse_overwriting"]
 
 _CAUSES_SHOWN = 3
 _PATIENCE_S = 60.0
@@ -176,16 +176,11 @@ def build(
     check = isinstance(runner, Check)
     if isinstance(runner, Check):
         runner = runner_for(runner.workers)
-    if isinstance(runner, (Part, Finish)):
-        if overwrite:
-            message = (
-                "--overwrite was given with --part or --finish: each part would remove what the others made; "
-                f"nothing was changed; next: remove {folder.address()!r} first, or choose another folder "
-                "(--out or OUT)"
-            )
-            raise InputError(message)
-        if isinstance(runner, Part):
-            return _make_part(folder, plan, runner, on_progress, check)
+    if overwrite:
+        refuse_overwriting(folder, runner)
+    if isinstance(runner, Part):
+        return _make_part(folder, plan, runner, on_progress, check)
+    if isinstance(runner, Finish):
         return _finish(folder, plan, on_progress, write_card, check)
     with named_failures(folder.address()):
         existed = folder.exists()
@@ -193,6 +188,7 @@ def build(
     before = FolderBefore(existed, FormerSet(folder, plan.extra_dirs) if overwrite else None)
     try:
         with folder.locked(patience_s=_PATIENCE_S):
+            before.begun = True
             try:
                 state, job = _begin(folder, plan, before, check)
             finally:
@@ -207,8 +203,9 @@ def build(
         # What ended the run is what is reported, even where the disk does not let us tidy up.
         with contextlib.suppress(ToolkitError, OSError):
             _remove_stale_files(folder, plan)  # of workers that were stopped in the middle of a file
-        with contextlib.suppress(ToolkitError, OSError), folder.locked():
-            before.restore_unless_finished(folder, plan)
+        if before.begun:
+            with contextlib.suppress(ToolkitError, OSError), folder.locked():
+                before.restore_unless_finished(folder, plan)
         raise
     if before.former is not None:
         before.former.give_up()
@@ -242,10 +239,19 @@ def _begin(folder: DataFolder, plan: BuildPlan, before: FolderBefore, check: boo
     return state, Job.in_folder(folder)
 
 
-def _make_part(
-    folder: DataFolder, plan: BuildPlan, part: Part, on_progress: Callable[[Progress], None], check: bool
-) -> Manifest:
-    """Make the tasks of a part that have no record; return what the manifest would hold of them."""
+def refuse_overwriting(folder: DataFolder, runner: Runner | int) -> None:
+    """Raise InputError for what makes or ends parts: one must not remove what the others made."""
+    if isinstance(runner, (Part, Finish)):
+        message = (
+            "--overwrite was given with --part or --finish: each part would remove what the others made; "
+            f"nothing was changed; next: remove {folder.address()!r} first, or choose another folder "
+            "(--out or OUT)"
+        )
+        raise InputError(message)
+
+
+def division_of(folder: DataFolder, plan: BuildPlan, part: Part) -> tuple[Sequence[ShardTask], PartsPlan]:
+    """Return the tasks of a part, and what all parts have to agree on. InputError where there is no such."""
     there = read_parts_plan(folder)
     count = part.count or (part.assumed if there is None else there.parts)
     if count is None:
@@ -255,12 +261,16 @@ def _make_part(
             "next: say --part auto/N"
         )
         raise InputError(message)
-    first, wanted = part.first_of(count), plan.for_parts(count)
-    folder.require_folder()
+    return plan.tasks[part.first_of(count) :: count], plan.for_parts(count)
+
+
+def inspect_part(
+    folder: DataFolder, plan: BuildPlan, tasks: Sequence[ShardTask], wanted: PartsPlan, check: bool
+) -> BuildState:
+    """Look what is made of a part, changing nothing; raises where the part would be refused."""
     refuse_links(folder, plan.extra_dirs)
     refuse_unrecovered(folder)
-    seen = folder.version(MANIFEST_FILE)
-    state = inspect_folder(folder, plan, plan.tasks[first::count], in_parts=True, check=check)
+    state = inspect_folder(folder, plan, tasks, in_parts=True, check=check)
     if state.agreed is not None:
         refuse_other_division(folder, state.agreed, wanted)
     if state.unproven:
@@ -269,13 +279,23 @@ def _make_part(
             "nothing was made; next: remove that folder"
         )
         raise InputError(message)
+    return state
+
+
+def _make_part(
+    folder: DataFolder, plan: BuildPlan, part: Part, on_progress: Callable[[Progress], None], check: bool
+) -> Manifest:
+    """Make the tasks of a part that have no record; return what the manifest would hold of them."""
+    tasks, wanted = division_of(folder, plan, part)
+    folder.require_folder()
+    seen = folder.version(MANIFEST_FILE)
+    state = inspect_part(folder, plan, tasks, wanted, check)
     with folder.locked(patience_s=_PATIENCE_S):
         is_first = bool(state.todo) and _agree(folder, plan, wanted)
         if is_first or folder.version(MANIFEST_FILE) != seen:
             # Another run may have begun since this part looked, or all parts have been finished.
             try:
-                refuse_unrecovered(folder)
-                state = inspect_folder(folder, plan, plan.tasks[first::count], in_parts=True, check=check)
+                state = inspect_part(folder, plan, tasks, wanted, check)
             except ToolkitError:
                 if is_first:
                     _withdraw(folder)

@@ -3,17 +3,20 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
 
 from tactile_toolkit.errors import IntegrityError
+from tactile_toolkit.run.parts import Check, Finish, Part
+from tactile_toolkit.run.processes import Runner
+from tactile_toolkit.store.build import division_of, inspect_part, inspect_parts, refuse_overwriting
 from tactile_toolkit.store.folder import DataFolder
 from tactile_toolkit.store.manifest import manifest_so_far
-from tactile_toolkit.store.plan import BuildPlan, BuildState, inspect_folder
-from tactile_toolkit.store.replace import require_replaceable
+from tactile_toolkit.store.plan import BuildPlan, BuildState, ShardTask, inspect_folder
+from tactile_toolkit.store.replace import refuse_links, require_replaceable
 
-__all__ = ["Forecast", "Sample", "SplitForecast", "forecast_build"]
+__all__ = ["Forecast", "Sample", "SplitForecast", "forecast_build", "inspect_for"]
 
 _START_S = 1.5
 """What workers need to start and import their libraries."""
@@ -61,34 +64,56 @@ class Forecast:
 def forecast_build(
     out: str | os.PathLike[str],
     plan: BuildPlan,
-    workers: int,
+    workers: int | Runner,
     measure: Callable[[], Sample],
     *,
     overwrite: bool = False,
 ) -> Forecast:
     """Estimate a run from what a folder holds of its plan and from a few rows, which ``measure`` makes.
 
-    Writes nothing. Raises InputError when the run would be refused in that folder.
+    Of a :class:`~tactile_toolkit.run.parts.Part`, the shards of that part count. Writes nothing. Raises
+    InputError when the run would be refused in that folder, and MissingPartsError where a
+    :class:`~tactile_toolkit.run.parts.Finish` would.
     """
     folder = DataFolder(os.fspath(out))
-    replaced = None
-    if overwrite:
-        require_replaceable(folder, plan.extra_dirs)
-        state = BuildState(plan.new_manifest(), (), plan.tasks)
-        replaced = _rows_there(folder)
-    else:
-        state = inspect_folder(folder, plan)
+    chosen, state = inspect_for(folder, plan, workers, overwrite=overwrite)
+    replaced = _rows_there(folder) if overwrite else None
     todo = {task.shard for task in state.todo}
     entries = []
-    for split in dict.fromkeys(task.shard.split for task in plan.tasks):
-        tasks = [task for task in plan.tasks if task.shard.split == split]
+    for split in dict.fromkeys(task.shard.split for task in chosen):
+        tasks = [task for task in chosen if task.shard.split == split]
         finished = sum(task.size for task in tasks if task.shard not in todo)
         entries.append(SplitForecast(split, sum(task.size for task in tasks), len(tasks), finished))
     left = sum(entry.rows - entry.finished for entry in entries)
     sample = measure()
-    seconds = left * sample.row_s / workers + (_START_S if left else 0)
+    seconds = left * sample.row_s / _processes(workers) + (_START_S if left else 0)
     size = round(left * sample.row_bytes)
     return Forecast(tuple(entries), left, size, round(seconds, 1), sample.rows, replaced)
+
+
+def inspect_for(
+    folder: DataFolder, plan: BuildPlan, workers: int | Runner, *, overwrite: bool = False
+) -> tuple[Sequence[ShardTask], BuildState]:
+    """Return the tasks of a run and what a folder holds of them; raises where the run would be refused."""
+    check, runner = (True, workers.workers) if isinstance(workers, Check) else (False, workers)
+    if overwrite:
+        refuse_overwriting(folder, runner)
+        require_replaceable(folder, plan.extra_dirs)
+        return plan.tasks, BuildState(plan.new_manifest(), (), plan.tasks)
+    if isinstance(runner, Part):
+        tasks, wanted = division_of(folder, plan, runner)
+        return tasks, inspect_part(folder, plan, tasks, wanted, check)
+    if isinstance(runner, Finish):
+        return plan.tasks, inspect_parts(folder, plan, check)
+    refuse_links(folder, plan.extra_dirs)
+    return plan.tasks, inspect_folder(folder, plan, check=check)
+
+
+def _processes(runner: int | Runner) -> int:
+    """Return how many processes make the rows; all cores where a runner leaves that open."""
+    while not isinstance(runner, int):
+        runner = getattr(runner, "workers", 1)
+    return runner or os.cpu_count() or 1
 
 
 def _rows_there(folder: DataFolder) -> dict[str, int] | None:

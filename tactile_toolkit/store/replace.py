@@ -263,13 +263,14 @@ def _files_below(folder: DataFolder, path: str) -> list[str]:
 class FolderBefore:
     """What a run found: whether the folder existed, the set it replaces, its manifest and what it lacked.
 
-    ``mine`` is the version of the manifest that this run has left there.
+    ``mine`` is the version of the manifest that this run, once it had ``begun``, has left there.
     """
 
     existed: bool
     former: FormerSet | None = None
     manifest: bytes | None = None
     state: BuildState | None = None
+    begun: bool = False
     mine: tuple[object, ...] | None = None
 
     def restore_unless_finished(self, folder: DataFolder, plan: BuildPlan) -> None:

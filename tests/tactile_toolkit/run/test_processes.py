@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import errno
-import multiprocessing.synchronize  # noqa: F401 (it looks at what the test replaces)
+import multiprocessing.synchronize
+import operator
 import pickle
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import pytest
@@ -93,3 +95,17 @@ import pandas  # whoever wants it has it
 def test_errors_cross_the_border_of_a_process(error: Exception) -> None:
     copy = pickle.loads(pickle.dumps(error))
     assert (type(copy), str(copy), vars(copy)) == (type(error), str(error), vars(error))
+
+
+@pytest.mark.parametrize("finished", [1, 2, 5])
+def test_no_task_is_lost_when_a_worker_dies_while_its_parent_is_busy(finished: int) -> None:
+    results = []
+    for result in ProcessRunner(2).run(operator.neg, range(8)):
+        results.append(result)
+        if len(results) == finished:
+            workers = multiprocessing.active_children()
+            workers[0].kill()
+            # With one of them all go; the parent learns of it when it goes on.
+            while any(worker.is_alive() for worker in workers):
+                time.sleep(0.01)
+    assert sorted(results) == [-number for number in reversed(range(8))]

@@ -19,6 +19,7 @@ import pyarrow.parquet as pq
 import pytest
 
 from tactile_toolkit.errors import InputError, IntegrityError, SpecMismatchError, StorageError, ToolkitError
+from tactile_toolkit.run.parts import Part
 from tactile_toolkit.run.processes import InlineRunner, ProcessRunner
 from tactile_toolkit.run.system import machine_name
 from tactile_toolkit.store.build import build
@@ -172,6 +173,63 @@ def test_dead_worker_is_replaced(tmp_path):
     tasks = (replace(plan.tasks[0], die_once=str(flag)), *plan.tasks[1:])
     make(tmp_path / "set", replace(plan, tasks=tasks), ProcessRunner(2))
     assert flag.exists()
+    assert folder_bytes(tmp_path / "whole") == folder_bytes(tmp_path / "set")
+
+
+class Forgetful:
+    """A runner that makes some tasks only."""
+
+    def __init__(self, *left_out):
+        self.left_out = left_out
+
+    def run(self, function, tasks):
+        yield from (function(task) for number, task in enumerate(tasks) if number not in self.left_out)
+
+
+def test_a_set_is_complete_only_with_the_shards_of_all_tasks(tmp_path):
+    make(tmp_path / "whole")
+    for _ in range(2):
+        with pytest.raises(
+            IntegrityError, match=r"1 of 6 shards .*train-00002-of-00004.*next: run the same command again"
+        ):
+            make(tmp_path / "set", runner=Forgetful(2))
+        assert not read_manifest(DataFolder(str(tmp_path / "set"))).complete
+        (tmp_path / "set" / "data" / "train-00000-of-00004.parquet").unlink(missing_ok=True)
+        with pytest.raises(IntegrityError, match=r"train-00000-of-00004, train-00002-of-00004"):
+            make(tmp_path / "set", runner=Forgetful(0, 1, 2))
+    make(tmp_path / "set")
+    assert folder_bytes(tmp_path / "whole") == folder_bytes(tmp_path / "set")
+    with pytest.raises(IntegrityError, match=r"6 of 6 shards"):
+        make(tmp_path / "none", runner=Forgetful(*range(6)))
+    assert not (tmp_path / "none").exists()
+    with pytest.raises(IntegrityError, match=r"1 of 3 shards .*train-00002-of-00004"):
+        make(tmp_path / "part", runner=Part(0, 2, Forgetful(1)))
+
+
+@pytest.mark.parametrize("shards", [1, 2, 4])
+def test_a_worker_that_dies_while_its_parent_is_held_loses_no_shard(tmp_path, shards):
+    make(tmp_path / "whole")
+    script = """
+        import sys
+        from tactile_toolkit.store.build import build
+        from tactile_toolkit.run.processes import ProcessRunner
+        from tactile_toolkit.store.folder import DataFolder
+        from tests.tactile_toolkit.toy import toy_plan
+        build(DataFolder(sys.argv[1]), toy_plan(pause_s=0.1), ProcessRunner(2))
+    """
+    process = subprocess.Popen(
+        [sys.executable, "-c", textwrap.dedent(script), str(tmp_path / "set")],
+        cwd=Path(__file__).resolve().parents[3],
+    )
+    while len(list((tmp_path / "set" / ".pending").glob("t*.json"))) < shards:
+        assert process.poll() is None
+        time.sleep(0.002)
+    process.send_signal(signal.SIGSTOP)
+    victim = children(process.pid)[-1]
+    os.kill(victim, signal.SIGKILL)
+    wait_until_gone([victim])
+    process.send_signal(signal.SIGCONT)
+    assert process.wait() == 0
     assert folder_bytes(tmp_path / "whole") == folder_bytes(tmp_path / "set")
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from dataclasses import replace
 from pathlib import Path
 
@@ -12,8 +13,9 @@ from tactile_toolkit.run.parts import Finish, Part
 from tactile_toolkit.run.processes import InlineRunner, ProcessRunner
 from tactile_toolkit.store.build import build
 from tactile_toolkit.store.folder import DataFolder, temporary_name
+from tactile_toolkit.store.verify import verify
 from tests.processes import printed_by
-from tests.tactile_toolkit.toy import folder_bytes, toy_plan
+from tests.tactile_toolkit.toy import SCHEMA, folder_bytes, toy_plan
 
 REPOSITORY = Path(__file__).resolve().parents[3]
 FAILURE = InputError("no place for the third object")
@@ -54,6 +56,40 @@ def test_ctrl_c_before_the_first_shard_gives_the_former_set_back(finished):
     with pytest.raises(KeyboardInterrupt):
         make(finished, other_plan(), on_progress=stop, overwrite=True)
     assert folder_bytes(finished) == before
+
+
+def test_ctrl_c_at_any_point_before_the_first_shard_gives_the_former_set_back(finished):
+    """At the n-th line of the code that puts the former set aside and begins the new one."""
+    before, moment, stopped = folder_bytes(finished), 0, True
+    while stopped:
+        moment += 1
+        seen, stopped = 0, False
+
+        def trace(frame, event, _argument):
+            nonlocal seen, stopped
+            if not frame.f_code.co_filename.endswith(("store/replace.py", "store/build.py", "store/job.py")):
+                return None
+            if event == "line" and not stopped:
+                seen += 1
+                if seen == moment:  # noqa: B023
+                    stopped = True
+                    raise KeyboardInterrupt
+            return trace
+
+        def begun(progress):
+            sys.settrace(None)
+            raise FAILURE
+
+        sys.settrace(trace)
+        try:
+            with pytest.raises((KeyboardInterrupt, InputError)):
+                make(finished, other_plan(), on_progress=begun, overwrite=True)
+        finally:
+            sys.settrace(None)
+        if folder_bytes(finished) != before:
+            make(finished, toy_plan(error=RuntimeError("all is there")))
+        assert folder_bytes(finished) == before, moment
+    assert moment > 50
 
 
 def test_a_run_that_finished_a_shard_keeps_it_and_goes_on(finished, tmp_path):
@@ -122,6 +158,47 @@ def test_nothing_outside_the_folder_goes_with_the_former_set(tmp_path):
     with pytest.raises(InputError, match=r"images' is a symbolic link"):
         make(tmp_path / "set", other_plan(), overwrite=True)
     assert folder_bytes(tmp_path) == before
+
+
+@pytest.mark.parametrize("runner", [InlineRunner(), Part(0, 1), Finish()], ids=["run", "part", "finish"])
+@pytest.mark.parametrize("name", [".pending", ".replaced", ".replaced-gone", "data", "previews", "reports"])
+def test_a_link_inside_the_folder_is_followed_by_nothing(finished, tmp_path, name, runner):
+    """What it leads to is not of the data set."""
+    outside = tmp_path / "outside"
+    outside.mkdir()
+    (outside / "thesis.tex").write_text("years of work")
+    (outside / "train-00000-of-00004.json").write_text("{}")
+    before = folder_bytes(outside)
+    if (finished / name).exists():
+        (finished / name).rename(tmp_path / "moved")
+    (finished / name).symlink_to(outside)
+    plans = [toy_plan()] if isinstance(runner, Finish | Part) else [toy_plan(), other_plan()]
+    for plan in plans:
+        with pytest.raises(InputError, match=rf"{name}' is a symbolic link; .*next: "):
+            make(finished, plan, runner, overwrite=plan.spec["seed"] == 2)
+        assert folder_bytes(outside) == before
+        assert (finished / name).is_symlink()
+
+
+@pytest.mark.parametrize("name", ["manifest.json", "README.md", "data/train-00000-of-00004.parquet"])
+def test_a_file_that_is_a_link_is_not_replaced(finished, tmp_path, name):
+    (finished / name).rename(tmp_path / "blob")
+    (finished / name).symlink_to(tmp_path / "blob")
+    before = folder_bytes(tmp_path)
+    with pytest.raises(InputError, match=rf"{name}' is a symbolic link"):
+        make(finished, other_plan(), overwrite=True)
+    assert folder_bytes(tmp_path) == before
+    assert verify(DataFolder(str(finished)), SCHEMA).ok, "what is linked is read"
+
+
+def test_the_folder_itself_may_be_a_link(tmp_path):
+    (tmp_path / "real").mkdir()
+    (tmp_path / "set").symlink_to("real")
+    make(tmp_path / "set", toy_plan())
+    make(tmp_path / "set", other_plan(), overwrite=True)
+    make(tmp_path / "fresh", other_plan())
+    assert folder_bytes(tmp_path / "real") == folder_bytes(tmp_path / "fresh")
+    assert (tmp_path / "set").is_symlink()
 
 
 def test_a_damaged_manifest_does_not_stop_a_new_start(finished, tmp_path):
@@ -209,7 +286,8 @@ from tactile_toolkit.errors import SpecMismatchError
 from tactile_toolkit.run.processes import InlineRunner
 from tactile_toolkit.store.folder import DataFolder
 from tactile_toolkit.store.replace import recover
-from tests.tactile_toolkit.toy import folder_bytes, toy_plan
+from tactile_toolkit.store.verify import verify
+from tests.tactile_toolkit.toy import SCHEMA, folder_bytes, toy_plan
 from pathlib import Path
 
 base = Path(sys.argv[1])

@@ -1,11 +1,15 @@
 from __future__ import annotations
 
+import errno
+import os
 from dataclasses import replace
+from pathlib import Path
 
 import pytest
 
 from tactile_toolkit.errors import InputError, SpecMismatchError
 from tactile_toolkit.run.processes import InlineRunner, ProcessRunner
+from tactile_toolkit.run.system import machine_name
 from tactile_toolkit.store.build import build
 from tactile_toolkit.store.folder import DataFolder
 from tests.tactile_toolkit.toy import folder_bytes, toy_plan
@@ -55,6 +59,28 @@ def test_ctrl_c_before_the_first_shard_leaves_nothing(tmp_path):
     with pytest.raises(KeyboardInterrupt):
         make(tmp_path / "set", toy_plan(), on_progress=stop)
     assert not (tmp_path / "set").exists()
+
+
+def test_what_ended_a_run_is_what_is_reported(tmp_path, monkeypatch):
+    """Not that the disk lets nothing be tidied up then."""
+    left = tmp_path / "set" / "data" / f".writing-{machine_name()}-999999999-abc-train-00001-of-00004.parquet"
+
+    def stop(progress):
+        left.parent.mkdir(exist_ok=True)
+        left.touch()
+
+        def refuse(*_, **__):
+            raise OSError(errno.EIO, os.strerror(errno.EIO))
+
+        for name in ("unlink", "rename", "replace", "iterdir", "glob"):
+            monkeypatch.setattr(Path, name, refuse)
+        raise IMPOSSIBLE
+
+    for overwrite in (False, True):
+        with monkeypatch.context(), pytest.raises(InputError, match="third object"):
+            make(tmp_path / "set", toy_plan(), on_progress=stop, overwrite=overwrite)
+        monkeypatch.undo()
+        make(tmp_path / "set", toy_plan())
 
 
 def test_finished_shards_are_kept_and_guarded(tmp_path):

@@ -1,0 +1,260 @@
+"""Several runs in one folder: none writes or removes anything of a data set that is not its own."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from tactile_toolkit.errors import InputError
+from tactile_toolkit.run.processes import InlineRunner, ProcessRunner
+from tactile_toolkit.store.build import build
+from tactile_toolkit.store.folder import DataFolder
+from tactile_toolkit.store.verify import verify
+from tests.command_line import call
+from tests.processes import printed_by, start_held
+from tests.tactile_toolkit.toy import SCHEMA, folder_bytes, toy_plan
+
+
+def make(path, plan, runner=None, **options):
+    return build(DataFolder(str(path)), plan, runner or InlineRunner(), **options)
+
+
+def seeded(seed, **options):
+    """A plan whose rows depend on the seed, and whose shards have the same names for all seeds."""
+    plan = toy_plan(spec={"seed": seed}, **options)
+    ids = [
+        tuple(range(100 * seed + 10 * index, 100 * seed + 11 * index + 3)) for index in range(len(plan.tasks))
+    ]
+    tasks = tuple(replace(task, ids=some) for task, some in zip(plan.tasks, ids, strict=True))
+    return replace(plan, tasks=tasks)
+
+
+@pytest.fixture(scope="module")
+def fresh(tmp_path_factory):
+    base = tmp_path_factory.mktemp("fresh")
+    for seed in (10, 20):
+        make(base / str(seed), seeded(seed))
+    return {seed: folder_bytes(base / str(seed)) for seed in (10, 20)}
+
+
+@pytest.mark.parametrize("runner", [InlineRunner(), ProcessRunner(2)], ids=["inline", "processes"])
+@pytest.mark.parametrize("shards", [0, 1, 4, 6])
+def test_a_slower_run_leaves_the_set_that_replaced_its_own(tmp_path, fresh, runner, shards):
+    """It is held after so many shards while another run starts again there and finishes."""
+    made = []
+
+    def hold(progress):
+        made.extend([progress] * (progress.record is not None))
+        if len(made) == shards and not finished:
+            finished.append(make(tmp_path / "set", seeded(20), overwrite=True))
+
+    finished = []
+    with pytest.raises(InputError, match="was replaced or removed while this run was at work"):
+        make(tmp_path / "set", seeded(10), runner, on_progress=hold)
+    assert finished
+    assert folder_bytes(tmp_path / "set") == fresh[20]
+    assert verify(DataFolder(str(tmp_path / "set")), SCHEMA).ok
+
+
+def test_undoing_leaves_what_a_run_of_the_same_set_has_made(tmp_path, fresh):
+    """Its manifest is the same to the byte."""
+
+    def hold(progress):
+        make(tmp_path / "set", seeded(10))
+        raise InputError("no place for the third object")
+
+    with pytest.raises(InputError, match="third object"):
+        make(tmp_path / "set", seeded(10), on_progress=hold)
+    assert folder_bytes(tmp_path / "set") == fresh[10]
+
+
+# Two runs: when the first touches the folder for the n-th time, the second begins, and ends before the first
+# goes on; it does not wait for a lock. Who says that it has finished must have finished.
+EVERY_MOMENT = """
+import os, shutil, sys
+from dataclasses import replace
+from pathlib import Path
+from tactile_toolkit.errors import InputError
+from tactile_toolkit.run.processes import InlineRunner
+from tactile_toolkit.store import build as module
+from tactile_toolkit.store.build import build
+from tactile_toolkit.store.folder import DataFolder
+from tests.tactile_toolkit.store.test_ownership import seeded
+from tests.tactile_toolkit.toy import folder_bytes
+
+module._PATIENCE_S = 0.0
+base, scenario = Path(sys.argv[1]), sys.argv[2]
+
+def few(seed):
+    plan = seeded(seed)
+    return replace(plan, tasks=plan.tasks[-2:])
+
+plans = {seed: few(seed) for seed in (10, 20, 30)}
+whole = {}
+for seed, plan in plans.items():
+    build(DataFolder(str(base / str(seed))), plan, InlineRunner())
+    whole[seed] = folder_bytes(base / str(seed))
+broken = replace(plans[10], tasks=tuple(replace(task, error=InputError("stop")) for task in plans[10].tasks))
+
+first, second, before = {
+    "replaced": ((plans[10], False), (20, True), None),
+    "both in an empty folder": ((plans[10], False), (20, False), None),
+    "both replace": ((plans[10], True), (20, True), 30),
+    "undone": ((broken, False), (20, True), None),
+    "undone and put back": ((broken, True), (20, True), 30),
+    "undone beside the same": ((broken, False), (10, False), None),
+}[scenario]
+
+def run(place, plan, overwrite):
+    try:
+        build(DataFolder(str(place)), plan, InlineRunner(), overwrite=overwrite)
+    except InputError:
+        return False
+    return True
+
+def child(action):
+    process = os.fork()
+    if process == 0:
+        try:
+            os._exit(0 if action() else 2)
+        finally:
+            os._exit(1)
+    _, status = os.waitpid(process, 0)
+    assert os.WIFEXITED(status) and os.WEXITSTATUS(status) in (0, 2), (scenario, moment, status)
+    return os.WEXITSTATUS(status) == 0
+
+def beside(place, moment):
+    seen, said = 0, base / f"second-{moment}"
+    def watch(event, arguments):
+        nonlocal seen
+        if event not in ("open", "os.link", "os.rename", "os.remove", "os.rmdir", "os.mkdir"):
+            return
+        if not str(arguments[0]).startswith(str(place)):
+            return
+        if event == "open" and not (arguments[2] or 0) & os.O_CREAT:
+            return
+        seen += 1
+        if seen == moment:
+            done = child(lambda: run(place, plans[second[0]], second[1]))
+            said.write_text("yes" if done else "no")
+    sys.addaudithook(watch)
+    return run(place, *first)
+
+counts = {"first": 0, "second": 0, "both": 0}
+moment = 0
+while True:
+    moment += 1
+    place, said = base / f"at-{moment}", base / f"second-{moment}"
+    if before is not None:
+        shutil.copytree(base / str(before), place)
+    a = child(lambda: beside(place, moment))
+    if not said.exists():
+        break
+    b = said.read_text() == "yes"
+    found = folder_bytes(place) if place.exists() else {}
+    if a and b:  # one after the other
+        assert found in (whole[second[0]], whole[10]), (scenario, moment)
+    elif b:
+        assert found == whole[second[0]], (scenario, moment)
+    elif a:
+        assert found == whole[10], (scenario, moment)
+    else:
+        assert scenario.startswith("undone"), (scenario, moment)
+        assert found == (whole[before] if before else {}), (scenario, moment)
+    counts["first"] += a and not b
+    counts["second"] += b and not a
+    counts["both"] += a and b
+    shutil.rmtree(place, ignore_errors=True)
+print(*counts.values())
+"""
+
+
+@pytest.mark.parametrize(
+    "scenario",
+    [
+        "replaced",
+        "both in an empty folder",
+        "both replace",
+        "undone",
+        "undone and put back",
+        "undone beside the same",
+    ],
+)
+def test_at_every_moment_another_run_leaves_one_finished_set(tmp_path, scenario):
+    first, second, both = map(int, printed_by(EVERY_MOMENT, tmp_path, scenario).split())
+    assert second + both > 0
+    assert first > 0 or scenario.startswith("undone")
+
+
+# Started at the same moment, without any order between them.
+AT_ONCE = """
+import os, shutil, sys
+from pathlib import Path
+from tactile_toolkit.errors import InputError
+from tactile_toolkit.run.processes import InlineRunner
+from tactile_toolkit.store.build import build
+from tactile_toolkit.store.folder import DataFolder
+from tests.tactile_toolkit.store.test_ownership import seeded
+from tests.tactile_toolkit.toy import folder_bytes
+
+base, overwrite = Path(sys.argv[1]), sys.argv[2] == "overwrite"
+seeds = (10, 20, 30)
+whole = {}
+for seed in seeds:
+    build(DataFolder(str(base / str(seed))), seeded(seed), InlineRunner())
+    whole[seed] = folder_bytes(base / str(seed))
+for attempt in range(20):
+    place = base / "set"
+    if overwrite:
+        shutil.copytree(base / "10", place)
+    ready, start = os.pipe()
+    runs = {}
+    for seed in seeds:
+        runs[os.fork()] = seed
+        if 0 in runs:
+            os.close(start)
+            os.read(ready, 1)
+            try:
+                build(DataFolder(str(place)), seeded(seed), InlineRunner(), overwrite=overwrite)
+                os._exit(0)
+            except InputError:
+                os._exit(2)
+            finally:
+                os._exit(1)
+    os.close(ready)
+    os.close(start)
+    ended = {}
+    for process, seed in runs.items():
+        ended[seed] = os.waitstatus_to_exitcode(os.waitpid(process, 0)[1])
+    assert set(ended.values()) <= {0, 2}, ended
+    done = [seed for seed in seeds if ended[seed] == 0]
+    assert len(done) == 1 or (overwrite and done), ended
+    assert folder_bytes(place) in [whole[seed] for seed in done], ended
+    shutil.rmtree(place)
+print("fine")
+"""
+
+
+@pytest.mark.parametrize("how", ["create", "overwrite"])
+def test_of_runs_that_start_at_once_those_that_succeed_leave_their_set(tmp_path, how):
+    assert printed_by(AT_ONCE, tmp_path, how) == "fine\n"
+
+
+def test_a_command_whose_set_was_replaced_says_so_in_one_sentence(tmp_path, capfd):
+    place, marker = tmp_path / "set", tmp_path / "held"
+    words = ("generate", "--scenes", "3000", "--split", "train", "--out", place)
+    slow = start_held("starstruck", 1, marker, *words, "--seed", 1, "--workers", 1)
+    assert call("starstruck", *words, "--seed", 2, "--overwrite", "--workers", 1) == 0
+    before = folder_bytes(place)
+    Path(f"{marker}.go").touch()
+    _, said = slow.communicate()
+    assert slow.returncode == 2
+    assert said.decode().strip().splitlines()[-1].startswith("error: the data set in")
+    assert "Traceback" not in said.decode()
+    assert folder_bytes(place) == before
+    assert json.loads(before["manifest.json"])["spec"]["seed"] == 2
+    capfd.readouterr()
+    assert call("starstruck", "verify", place) == 0
