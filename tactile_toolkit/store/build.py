@@ -200,6 +200,8 @@ def build(
         _require_tasks(folder, plan.tasks, records)
         _require_rows(records)
     except BaseException:
+        if before.former is not None:
+            before.former.end()
         # What ended the run is what is reported, even where the disk does not let us tidy up.
         with contextlib.suppress(ToolkitError, OSError):
             _remove_stale_files(folder, plan)  # of workers that were stopped in the middle of a file

@@ -42,6 +42,8 @@ __all__ = [
 _ASIDE = ".replaced"
 # Where a set that is given up goes in one step; what a killed run leaves of it there is nobody's any more.
 _GONE = ".replaced-gone"
+_ended: set[str] = set()
+"""Owners of former sets whose runs in this process have ended, whatever they could tidy up."""
 _FOLDERS = (DATA_FOLDER, PENDING_FOLDER, "reports", "previews")
 _CARDS = ("README.md", "croissant.json")
 # What a data set of ours holds in its folders, by name.
@@ -78,6 +80,10 @@ class FormerSet:
         for path in held:
             self.folder.rename(path, f"{_ASIDE}/{path}")
 
+    def end(self) -> None:
+        """Let any run put right what this one leaves, in this process too."""
+        _ended.add(self._owner)
+
     def give_up(self) -> None:
         """Remove the former set: the new one stands on its own."""
         if self._is_aside():
@@ -86,8 +92,6 @@ class FormerSet:
     def put_back(self) -> None:
         """Put the former set back, in place of what the new run made; none is not an error."""
         if self._is_aside():
-            # First: from here on any run may go on with it.
-            self.folder.remove(self._owner)
             _put_back(self.folder, self.extra_dirs)
 
     def _is_aside(self) -> bool:
@@ -163,7 +167,7 @@ def recover(folder: DataFolder) -> None:
     if not folder.exists(_ASIDE):
         return
     owners = being_written(Path(folder.address(_ASIDE)))
-    if owners:
+    if any(f"{_ASIDE}/{owner.name}" not in _ended for owner in owners):
         message = (
             f"another run is replacing the data set in {folder.address()!r} at this moment; nothing was "
             f"changed; next: wait until it has ended (where it was killed on another machine, remove "
