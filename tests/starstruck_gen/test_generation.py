@@ -23,6 +23,7 @@ from tactile_toolkit.store.folder import DataFolder
 from tactile_toolkit.store.manifest import manifest_so_far, read_manifest
 from tactile_toolkit.store.plan import inspect_folder
 from tactile_toolkit.store.verify import verify
+from tests.command_line import call
 from tests.processes import start_held
 
 SMALL = GenerateSpec(scenes=(("train", 2_100), ("test", 30)))
@@ -351,3 +352,20 @@ def test_validate_refuses_what_holds_no_scenes(tmp_path):
         validate_folder(str(tmp_path / "nowhere"))
     with pytest.raises(InputError, match="holds no data set"):
         validate_folder(str(tmp_path))
+
+
+def test_a_dry_run_of_a_part_tells_what_that_part_would_make(tmp_path, capsys):
+    words = ("generate", "--scenes", "5000", "--split", "train", "--out", tmp_path / "set", "--dry-run")
+    for options, rows, shards in (((), 5000, 5), (("--part", "1/3"), 2000, 2), (("--part", "3/3"), 2000, 2)):
+        assert call("starstruck", *words, "--json", *options) == 0
+        view = json.loads(capsys.readouterr().out)
+        assert (view["rows_to_make"], view["splits"][0]["shards"]) == (rows, shards)
+    for options, told in (
+        (("--part", "4/3"), "there is no part 4 of 3"),
+        (("--part", "1/3", "--overwrite"), "--overwrite was given with --part"),
+    ):
+        assert call("starstruck", *words, *options) == 2
+        assert told in capsys.readouterr().err
+    assert call("starstruck", *words, "--finish") == 3
+    assert "5 of 5 shards" in capsys.readouterr().err
+    assert not (tmp_path / "set").exists()

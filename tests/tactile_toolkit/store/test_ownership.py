@@ -90,7 +90,7 @@ base, scenario = Path(sys.argv[1]), sys.argv[2]
 
 def few(seed):
     plan = seeded(seed)
-    return replace(plan, tasks=plan.tasks[-2:])
+    return replace(plan, tasks=plan.tasks[-1:])
 
 plans = {seed: few(seed) for seed in (10, 20, 30)}
 whole = {}
