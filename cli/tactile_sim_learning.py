@@ -136,9 +136,9 @@ def pairs(
             making.chosen_runner(),
             overwrite=making.overwrite,
         )
-        rows = sum(task.size for task in state.todo)
-        sink.document({"rows": rows, "shards": len(tasks)})
-        sink.line(f"would make {counted(rows, 'rows')} in {out}; nothing was written")
+        to_make = sum(task.size for task in state.todo)
+        sink.document({"rows": to_make, "shards": len(tasks)})
+        sink.line(f"would make {counted(to_make, 'rows')} in {out}; nothing was written")
         return
     prepare_batch_process()
     make = partial(make_pairs, objects, real, split, spec, out)
