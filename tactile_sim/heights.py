@@ -7,18 +7,15 @@ use sums, products, quotients and comparisons of IEEE doubles only, which every 
 
 from __future__ import annotations
 
-import warnings
-from functools import cache
 from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from tactile_sim.layers import layer_rises, profiles
-from tactile_toolkit.errors import InputError, MissingExtraError, install_line
 from tactile_toolkit.mesh.raster import scan_lines
 
-__all__ = ["Backend", "chosen_backend", "face_blocks", "finish", "raise_heights"]
+__all__ = ["Backend", "face_blocks", "finish", "raise_heights"]
 
 # Runs of 16 to 64 are alike: a touch of a digit takes 0.10 ms, and 0.24 where all its faces are looked at (64
 # x 64, one core).
@@ -26,41 +23,7 @@ _FACES_PER_BLOCK = 32
 # A seventh of the window; of a digit about as many faces as a run lie in each.
 _CELL_OF_FACES_M = 0.002
 
-Backend = Literal["auto", "numba", "numpy"]
-
-
-@cache
-def _has_numba() -> bool:
-    try:
-        import numba  # noqa: F401
-    except ImportError:
-        return False
-    return True
-
-
-def chosen_backend(backend: Backend) -> Literal["numba", "numpy"]:
-    """Return what computes: numba where it is installed, else numpy, which is said once."""
-    if backend not in ("auto", "numba", "numpy"):
-        message = f"backend is {backend!r}; expected auto, numba or numpy"
-        raise InputError(message)
-    if backend == "numpy":
-        return "numpy"
-    if _has_numba():
-        return "numba"
-    if backend == "numba":
-        feature = "the fast renderer"
-        raise MissingExtraError(feature, "numba", "sim")
-    _say_slow()
-    return "numpy"
-
-
-@cache
-def _say_slow() -> None:
-    warnings.warn(
-        "touches are rendered by numpy, with the same result but many times slower; "
-        f"next: {install_line('sim')}",
-        stacklevel=4,
-    )
+Backend = Literal["numba", "numpy"]
 
 
 def raise_heights(
@@ -70,7 +33,7 @@ def raise_heights(
     blocks: NDArray[np.float64],
     affine: NDArray[np.float64],
     layers: NDArray[np.float64] | None,
-    backend: Literal["numba", "numpy"],
+    backend: Backend,
 ) -> None:
     """Raise each pixel of ``out`` to the highest triangle over it that faces upwards.
 
@@ -105,7 +68,7 @@ def finish(
     image: NDArray[np.float32],
     press_m: float,
     gel_m: float,
-    backend: Literal["numba", "numpy"],
+    backend: Backend,
 ) -> float:
     """Turn heights (H, W) into depth in place and fill the depth image; return the greatest height."""
     if backend == "numba":

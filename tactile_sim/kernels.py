@@ -1,40 +1,23 @@
-"""Inner loops in numba. No fastmath: every operation is an IEEE one, in the order in which it stands.
+"""Inner loops in numba.
 
-All kernels lie in this one file, because numba's cache on disk looks at the file of a kernel only.
+All kernels of touches lie in this one file, because numba's cache on disk looks at the file of a kernel only.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
-from typing import Any, TypeVar
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
 
+from tactile_toolkit.mesh.nearness import compiled
+
 __all__ = ["blur_numba", "finish_numba", "raise_heights_numba", "taxim_numba"]
-
-F = TypeVar("F", bound=Callable[..., Any])
-
-
-def _compiled(function: F) -> F:
-    """Compile on first use; kept beside this file or in the user's cache folder, where one can be written."""
-    jit: Any = numba.njit
-    compiled: F
-    try:
-        # nogil: threads may render side by side. numpy's error model: a division by 0 is an infinity, not an
-        # exception that every loop has to look for.
-        compiled = jit(cache=True, nogil=True, error_model="numpy")(function)
-    except RuntimeError:  # numba finds no folder for its cache
-        compiled = jit(nogil=True, error_model="numpy")(function)
-    return compiled
-
 
 _EDGE_PX = 1e-9  # as in tactile_toolkit.mesh.raster, whose steps these are
 
 
-@_compiled
+@compiled
 def raise_heights_numba(
     out: NDArray[np.float64],
     vertices: NDArray[np.float64],
@@ -87,7 +70,7 @@ def raise_heights_numba(
             _raise_rows(out, first_row, last_row, ax, ay, az, bx, by, bz, cx, cy, cz, run, sideways, layers)
 
 
-@_compiled
+@compiled
 def _raise_rows(
     out: NDArray[np.float64],
     first_row: int,
@@ -142,7 +125,7 @@ def _raise_rows(
                     line[first + step] = height
 
 
-@_compiled
+@compiled
 def _profile(
     vertices: NDArray[np.float64], a: int, b: int, c: int, layers: NDArray[np.float64]
 ) -> tuple[float, float]:
@@ -162,7 +145,7 @@ def _profile(
     return z / level, (layers[3] * x + layers[4] * y) / level
 
 
-@_compiled
+@compiled
 def _layer_rise(
     column: int, row: int, height: float, run: float, sideways: float, layers: NDArray[np.float64]
 ) -> float:
@@ -191,7 +174,7 @@ def _layer_rise(
     return float(min(best, 2.0 * layer))
 
 
-@_compiled
+@compiled
 def _side(start_x: float, start_y: float, end_x: float, end_y: float) -> tuple[float, float, float, float]:
     along_x, along_y = end_x - start_x, end_y - start_y
     if along_y < -_EDGE_PX:
@@ -205,7 +188,7 @@ def _side(start_x: float, start_y: float, end_x: float, end_y: float) -> tuple[f
     return -np.inf, 0.0, np.inf, 0.0
 
 
-@_compiled
+@compiled
 def finish_numba(
     heights_m: NDArray[np.float64], image: NDArray[np.float32], press_m: float, gel_m: float
 ) -> float:
@@ -232,14 +215,14 @@ def finish_numba(
     return float(highest)
 
 
-@_compiled
+@compiled
 def _mirrored(place: int, count: int) -> int:
     if place < 0:
         return -place
     return place if place < count else 2 * count - 2 - place
 
 
-@_compiled
+@compiled
 def blur_numba(
     image: NDArray[np.float64],
     out: NDArray[np.float64],
@@ -279,7 +262,7 @@ def blur_numba(
                 line[column] += weight * (above[column] + below[column])
 
 
-@_compiled
+@compiled
 def _angle(y: float, x: float) -> float:
     """Return the angle of a direction, -pi to pi, to 3e-9, by products, sums and quotients."""
     far, near = max(abs(x), abs(y)), min(abs(x), abs(y))
@@ -300,7 +283,7 @@ def _angle(y: float, x: float) -> float:
     return -angle if y < 0.0 else angle
 
 
-@_compiled
+@compiled
 def _dilated(mask: NDArray[np.bool_], wide: int, high: int) -> NDArray[np.bool_]:
     """Return where a window, which leans to the upper left where it is even, meets the mask."""
     rows, columns = mask.shape
@@ -319,7 +302,7 @@ def _dilated(mask: NDArray[np.bool_], wide: int, high: int) -> NDArray[np.bool_]
 Pair = tuple[NDArray[np.float64], NDArray[np.float64]]
 
 
-@_compiled
+@compiled
 def _pressed_gel(
     height_mm: NDArray[np.float64],
     gel_mm: NDArray[np.float64],
@@ -349,7 +332,7 @@ def _pressed_gel(
     return soft, contact
 
 
-@_compiled
+@compiled
 def _slopes(
     soft: NDArray[np.float64], per_row: float, per_column: float, flat_slope: float
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
@@ -375,7 +358,7 @@ def _slopes(
     return slope, direction
 
 
-@_compiled
+@compiled
 def _shades(
     slope: NDArray[np.float64],
     direction: NDArray[np.float64],
@@ -410,7 +393,7 @@ def _shades(
     return shade
 
 
-@_compiled
+@compiled
 def _cast_shadows(
     shade: NDArray[np.float64],
     soft: NDArray[np.float64],
@@ -454,7 +437,7 @@ def _cast_shadows(
                                 shade[colour, other_row, other_column] = dark[step, colour]
 
 
-@_compiled
+@compiled
 def taxim_numba(
     out: NDArray[np.float32],
     height_mm: NDArray[np.float64],

@@ -5,12 +5,12 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_sim.heights import Backend, chosen_backend, face_blocks, finish, raise_heights
+from tactile_sim.heights import Backend, face_blocks, finish, raise_heights
 from tactile_sim.layers import checked_layer_m, seen_layers
 from tactile_sim.poses import as_matrices, inverse_times
 from tactile_sim.sensor import CELL_M, Sensor, as_sensor
@@ -139,7 +139,7 @@ def press(
     sensor: Sensor | None = None,
     *,
     cell_m: tuple[float, float] = CELL_M,
-    backend: Backend = "auto",
+    backend: Literal["auto", "numba", "numpy"] = "auto",
 ) -> Pressed:
     """Press the gel onto a solid that lies on the plate.
 
@@ -161,7 +161,7 @@ def press(
     cell_m : tuple of float
         Width and depth of the plate, metres, whose middle is the origin.
     backend : "auto", "numba" or "numpy"
-        What computes, with the same bytes.
+        What computes, with the same bytes; ``"auto"`` is numba, and numpy is the reference of the tests.
 
     Returns
     -------
@@ -171,10 +171,12 @@ def press(
     Raises
     ------
     InputError
-        A mesh that is not closed, poses that are not rigid, a sensor off the cell or pointing away from it.
-    MissingExtraError
-        numba was asked for and is not installed.
+        A mesh that is not closed, poses that are not rigid, a sensor off the cell or pointing away from it,
+        or an unknown backend.
     """
+    if backend not in ("auto", "numba", "numpy"):
+        message = f"backend is {backend!r}; expected auto, numba or numpy"
+        raise InputError(message)
     sensor = as_sensor() if sensor is None else sensor
     objects, targets = as_matrices(object_pose, "object_pose"), as_matrices(sensor_pose, "sensor_pose")
     solids: list[Any] = list(solid) if isinstance(solid, (list, tuple)) else [solid]
@@ -187,7 +189,7 @@ def press(
             raise InputError(message)
     prepared = [Pressable.of(each) for each in solids]
     _require_above_cell(targets, cell_m)
-    chosen = chosen_backend(backend)
+    chosen: Backend = "numpy" if backend == "numpy" else "numba"
     width, height = sensor.size_px
     depth_m, image = np.empty((count, height, width)), np.empty((count, height, width), np.float32)
     affines = _to_pixels(inverse_times(targets, objects), sensor)

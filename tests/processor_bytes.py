@@ -21,7 +21,7 @@ def main(folder: Path, touches: Path) -> None:
     starstruck_gen.generate(scenes, folder / "scenes")
     realtouch.to_single(touches / "clips", folder / "to-single", frame="peak")
     realtouch.resize(touches / "images", folder / "resized", width=48, height=36)
-    if find_spec("numba") and find_spec("taxim"):
+    if find_spec("taxim"):
         touch_sets(folder / "scenes", folder)
     literal = mnist3d.solidify(source.image(1234).pixels, method="literal")
     (folder / "literal").write_bytes(literal.vertices_m.tobytes() + literal.faces.tobytes())

@@ -18,7 +18,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_sim.heights import chosen_backend
 from tactile_sim.optics import scaled
 from tactile_sim.sensor import Sensor
 from tactile_toolkit.arithmetic import cosine_sine, decay
@@ -42,9 +41,6 @@ class TaximOptics:
     """Pictures of a GelSight Mini by Taxim, shadows included."""
 
     def __init__(self) -> None:
-        if chosen_backend("auto") != "numba":
-            feature = "the optics 'taxim'"
-            raise MissingExtraError(feature, "numba", "sim")
         self._tables = _tables()
 
     def depth_size(self, width: int, height: int) -> tuple[int, int]:

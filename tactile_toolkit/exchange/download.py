@@ -441,6 +441,9 @@ def _require_space(plan: DownloadPlan) -> None:
 def _fill(plan: DownloadPlan, folder: DataFolder, transfers: Transfers) -> None:
     """Bring a folder to the commit of the plan; a reader never takes a mixture for a finished data set."""
     repository, manifest = plan.repository, plan.repository.manifest
+    if folder.is_local:  # refused before anything changes: a link leads to what is not of this folder
+        for path in (_STAGE_FOLDER, MANIFEST_FILE, *plan.leftover, *(file.path for file in plan.files)):
+            folder.place(path)
     for sub in ("", DATA_FOLDER):
         folder.remove_stale_files(sub)
     record = DownloadRecord(

@@ -13,7 +13,6 @@ from tests.tactile_sim.solids import ball, block
 
 pytestmark = [pytest.mark.torch, pytest.mark.sim, pytest.mark.env]
 torch = pytest.importorskip("torch", reason="needs torch, of the extra torch")
-pytest.importorskip("numba", reason="needs numba, of the extra sim")
 pytest.importorskip("tactile_mnist", reason="needs tactile-mnist, of the extra env")
 
 from tactile_sim.generation import optics_of  # noqa: E402

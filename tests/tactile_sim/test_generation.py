@@ -23,7 +23,6 @@ from tests.tactile_sim.oracle import GEL_M, PRESS_M, Oracle, require_package
 from tests.tactile_sim.solids import block
 
 pytestmark = pytest.mark.sim
-pytest.importorskip("numba", reason="needs numba, of the extra sim")
 
 TABLE_COLUMNS = ("x_m", "y_m", "object_id", "object_x_m", "object_y_m", "object_turn_rad")
 PLAN = tactile_sim.TouchPlan(rounds=2, touches=5, seed=3)

@@ -68,7 +68,6 @@ def test_a_round_is_made_of_what_is_given():
 
 @pytest.mark.sim
 def test_a_set_holds_the_rounds_that_are_given(tmp_path):
-    pytest.importorskip("numba", reason="needs numba, of the extra sim")
     import realtouch
     import starstruck_gen
 

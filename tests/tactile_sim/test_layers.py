@@ -66,7 +66,6 @@ def test_layers_are_where_a_walk_along_the_line_of_sight_meets_them(slope, lean)
     st.sampled_from([ball(subdivisions=3), block(), trimesh.creation.torus(0.01, 0.003)]),
 )
 def test_numba_and_numpy_give_the_same_layers(size, turn, lean, x_m, solid):
-    pytest.importorskip("numba", reason="needs numba, of the extra sim")
     prepared = tactile_sim.Pressable.of(solid, layer_m=LAYER_M)
     lying = tilted(lean, turn)
     lying[2, 3] = 0.02

@@ -25,6 +25,7 @@ import realtouch
 import tactile_sim
 from mnist3d.sources.synthetic import SyntheticSource
 from tactile_sim.noise import add_noise
+from tactile_sim.optics import taxim as taxim_optics
 from tactile_sim.pairs.making import PairsSpec, make_pairs
 from tactile_sim.pairs.reading import Domain, Pairs
 from tactile_sim.pairs.rows import decode_depth, depth_levels, encode_depth
@@ -36,7 +37,6 @@ from tests.tactile_sim.sets import NOISE
 
 pytestmark = [pytest.mark.torch, pytest.mark.sim]
 torch = pytest.importorskip("torch", reason="needs torch, of the extra torch")
-pytest.importorskip("numba", reason="needs numba, of the extra sim")
 
 from tactile_sim.learned.batches import Batch, by_taxim  # noqa: E402
 from tactile_sim.learned.channels import noisy_channels, picture_channels, shades_of  # noqa: E402
@@ -265,8 +265,9 @@ def test_a_finished_training_stays_and_others_are_refused(pairs, trained, source
     with pytest.raises(InputError, match="expected a SensorNoise"):
         TrainConfig(sensor_noise="calibrated")
     with monkeypatch.context() as without:
-        without.setattr("tactile_sim.optics.taxim.chosen_backend", lambda _: "numpy")
-        with pytest.raises(InputError, match=r"'numba'.*not installed.*or leave out.*--start-steps 0"):
+        without.setattr("tactile_sim.optics.taxim.find_spec", lambda _: None)
+        taxim_optics._tables.cache_clear()
+        with pytest.raises(InputError, match=r"'taxim'.*not installed.*or leave out.*--start-steps 0"):
             train(pairs, tmp_path / "new", CONFIG)
     if not torch.cuda.is_available():
         with pytest.raises(InputError, match="finds no GPU"):

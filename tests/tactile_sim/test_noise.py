@@ -100,7 +100,6 @@ def test_rounds_differ_in_gain_and_offset_as_asked_for():
 
 @pytest.mark.sim
 def test_sets_have_noise_of_their_own_for_each_touch(tmp_path):
-    pytest.importorskip("numba", reason="needs numba, of the extra sim")
     pytest.importorskip("taxim", reason="needs taxim, of the extra sim")
     import realtouch
     import starstruck_gen

@@ -13,7 +13,6 @@ from tactile_toolkit.errors import InputError, MissingExtraError
 from tests.tactile_sim.solids import ball, block
 
 pytestmark = pytest.mark.sim
-pytest.importorskip("numba", reason="needs numba, of the extra sim")
 
 
 def _depths(sensor):
@@ -79,11 +78,6 @@ def test_optics_that_cannot_be_are_refused(monkeypatch):
         make_optics("depth", "weights.npz")
     with pytest.raises(InputError, match="too small for Taxim"):
         make_optics("taxim").depth_size(8, 64)
-    with monkeypatch.context() as patch:
-        patch.setattr("tactile_sim.heights._has_numba", lambda: False)
-        patch.setattr("tactile_sim.heights._say_slow", lambda: None)
-        with pytest.raises(MissingExtraError, match=r"'taxim'.*numba.*the extra `sim`"):
-            make_optics("taxim")
     monkeypatch.setattr("tactile_sim.optics.taxim.find_spec", lambda _: None)
     from tactile_sim.optics import taxim
 

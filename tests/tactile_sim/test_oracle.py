@@ -53,7 +53,6 @@ def _solids(kind):
 @pytest.mark.parametrize("kind", ["digits", "scenes", "wrench"])
 def test_depth_is_that_of_the_environments(kind, size, record_property):
     require_package()
-    pytest.importorskip("numba", reason="needs numba, of the extra sim")
     oracle, sensor = Oracle(*size), None
     rng = np.random.default_rng(len(kind))
     apart_m, heights_m = [], []

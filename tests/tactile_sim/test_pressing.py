@@ -12,8 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import tactile_sim
-from tactile_sim.heights import chosen_backend
-from tactile_toolkit.errors import InputError, MissingExtraError
+from tactile_toolkit.errors import InputError
 from tests.tactile_sim.solids import ball, block, tilted
 
 NUMPY = "numpy"
@@ -33,7 +32,6 @@ def _press(solid, object_pose, target, sensor, backend=NUMPY):
     st.sampled_from([ball(), block(), trimesh.creation.torus(0.01, 0.003)]),
 )
 def test_numba_and_numpy_give_the_same_bytes(size, turn, lean, x_m, y_m, solid):
-    pytest.importorskip("numba", reason="needs numba, of the extra sim")
     sensor = tactile_sim.as_environment(*size)
     prepared = tactile_sim.Pressable.of(solid)
     for target in (
@@ -189,10 +187,6 @@ def test_sensors_that_cannot_be_are_refused(values):
         dataclasses.replace(tactile_sim.as_sensor(), **values)
 
 
-def test_without_numba_numpy_does_it_and_says_so_once(monkeypatch):
-    monkeypatch.setattr("tactile_sim.heights._has_numba", lambda: False)
-    monkeypatch.setattr("tactile_sim.heights._say_slow", tactile_sim.heights._say_slow.__wrapped__)
-    with pytest.warns(UserWarning, match=re.escape("the extra `sim`")):
-        assert chosen_backend("auto") == "numpy"
-    with pytest.raises(MissingExtraError, match=re.escape("the extra `sim`")):
-        chosen_backend("numba")
+def test_a_backend_that_is_unknown_is_refused():
+    with pytest.raises(InputError, match="backend is 'jax'; expected auto, numba or numpy"):
+        tactile_sim.press(ball(), tactile_sim.pose(), tactile_sim.pose(), backend="jax")

@@ -25,7 +25,6 @@ pytestmark = [
     pytest.mark.sim,
     pytest.mark.filterwarnings("ignore:Use 'content=<...>':DeprecationWarning"),  # of the client's own making
 ]
-pytest.importorskip("numba", reason="needs numba, of the extra sim")
 
 NAME = "someone/synthetic"
 

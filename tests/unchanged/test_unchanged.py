@@ -61,8 +61,7 @@ def test_bytes_of_data_sets_and_their_pictures_are_unchanged(tmp_path):
 
 @pytest.mark.sim
 def test_bytes_of_synthetic_touches_are_unchanged(tmp_path):
-    for package in ("numba", "taxim"):
-        pytest.importorskip(package, reason=f"needs {package}, of the extra sim")
+    pytest.importorskip("taxim", reason="needs taxim, of the extra sim")
     if library_versions() != RECORD["libraries"]:
         pytest.skip(f"bytes follow from the versions of libraries; recorded with {RECORD['libraries']}")
     assert synthetic_touches(tmp_path) == RECORD["touches"]

@@ -29,7 +29,6 @@ CASES = [*SOURCES]
 
 @pytest.fixture(scope="module")
 def provider(assets: Path, packages: Any) -> Any:
-    pytest.importorskip("numba", reason="needs numba, of the extra sim")
     return env_assets.AssetProvider(assets)
 
 

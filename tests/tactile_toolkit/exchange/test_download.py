@@ -14,7 +14,7 @@ import pytest
 from huggingface_hub import constants
 
 from tactile_toolkit.catalog.locate import find_shards
-from tactile_toolkit.errors import IntegrityError
+from tactile_toolkit.errors import InputError, IntegrityError
 from tactile_toolkit.exchange.download import download, plan_download
 from tactile_toolkit.run.processes import InlineRunner
 from tactile_toolkit.store.build import build
@@ -102,6 +102,26 @@ def test_downloads_of_two_splits_at_once_make_one_set_of_both(server, tmp_path, 
     assert {
         path: content for path, content in folder_bytes(Path(out)).items() if path != RECORD
     } == folder_bytes(server.root / NAME)
+
+
+@pytest.mark.parametrize(
+    "link", ["data", "reports", ".downloading", "manifest.json", "data/test-00000-of-00002.parquet"]
+)
+def test_nothing_is_written_through_links_in_the_folder(server, tmp_path, client_here, link):
+    out, elsewhere = tmp_path / "out", tmp_path / "elsewhere"
+    download(plan_download(NAME, ["train"], out=str(out)))
+    elsewhere.mkdir()
+    target = elsewhere / "target"
+    if (out / link).exists():
+        (out / link).rename(target)
+    else:
+        target.write_text("mine")
+    (out / link).symlink_to(target)
+    before = folder_bytes(elsewhere)
+    with pytest.raises(InputError, match="is a symbolic link|a file of your own"):
+        download(plan_download(NAME, ["test"], out=str(out)))
+    assert folder_bytes(elsewhere) == before
+    assert (out / link).is_symlink()
 
 
 def test_only_what_was_downloaded_and_is_gone_on_the_hub_is_removed(server, tmp_path):
