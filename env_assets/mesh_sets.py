@@ -130,7 +130,7 @@ class WrenchRecord(SolidRecord):
 class WrenchDataset(RecordDataset[WrenchRecord]):
     """A lazy sequence of :class:`WrenchRecord`."""
 
-    record = WrenchRecord
+    record_class = WrenchRecord
     things = "wrenches"
 
     @property

@@ -64,7 +64,7 @@ class MeshRecord(SolidRecord):
 class MeshDataset(RecordDataset[MeshRecord]):
     """A lazy sequence of :class:`MeshRecord`; see :class:`tactile_toolkit.read.dataset.RecordDataset`."""
 
-    record = MeshRecord
+    record_class = MeshRecord
     things = "digits"
 
     @property

@@ -241,14 +241,14 @@ class TouchDataset(RecordDataset[R]):
 class TouchSingleDataset(TouchDataset[TouchSingleRound]):
     """Rounds with one image per touch."""
 
-    record: ClassVar[type[Any]] = TouchSingleRound
+    record_class: ClassVar[type[Any]] = TouchSingleRound
     kind = "single"
 
 
 class TouchSeqDataset(TouchDataset[TouchSeqRound]):
     """Rounds with one clip per touch."""
 
-    record: ClassVar[type[Any]] = TouchSeqRound
+    record_class: ClassVar[type[Any]] = TouchSeqRound
     kind = "seq"
 
 

@@ -102,7 +102,7 @@ class SceneRecord(SolidRecord):
 class SceneMeshDataset(RecordDataset[SceneRecord]):
     """A lazy sequence of :class:`SceneRecord`; see :class:`tactile_toolkit.read.dataset.RecordDataset`."""
 
-    record = SceneRecord
+    record_class = SceneRecord
     things = "scenes"
 
     @property

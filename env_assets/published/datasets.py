@@ -103,7 +103,7 @@ def as_touch_dataset(rounds: Sequence[Any], *, cache_size: CacheSize = 0) -> Sto
 
 
 def _of_kind(records: Sequence[Any], field: str, expected: str, loader: str) -> RecordDataset[Any]:
-    if isinstance(records, RecordDataset) and hasattr(records.record, field):
+    if isinstance(records, RecordDataset) and hasattr(records.record_class, field):
         return records
     found = type(records).__name__
     message = f"a data set of {expected} was expected, found {found}; next: open one by `{loader}`"
@@ -375,7 +375,7 @@ def fingerprint_of(records: Records) -> str:
         digest.update(repr(records.column(name).tolist()).encode())
     # What is made while it is read has no shards; how it is made names it, see below.
     made = any(not table.shards for table in getattr(records, "_tables", ()))
-    if isinstance(records, PlainMeshes) or (hasattr(records.record, "vertices_m") and not made):
+    if isinstance(records, PlainMeshes) or (hasattr(records.record_class, "vertices_m") and not made):
         solids = measurable(records)
         for values in (volumes_m3(solids), bounds_m(solids)):
             digest.update(np.ascontiguousarray(values, "<f8").tobytes())

@@ -93,7 +93,7 @@ def refuse_unfit_rounds(rounds: Any, step_limit: int, where: str) -> None:
 
 def refuse_unfit_noise(rounds: Any, files: Sequence[str], where: str) -> None:
     """Refuse touches from which the package cannot take the noise of a ``-DR`` environment."""
-    if not len(rounds) or not hasattr(rounds.record, "sensor_image"):
+    if not len(rounds) or not hasattr(rounds.record_class, "sensor_image"):
         found = "no round" if not len(rounds) else "clips"
         message = f"{where} holds {found}; the noise of a -DR environment needs touches with one image each"
         raise InputError(message)

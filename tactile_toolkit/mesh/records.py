@@ -73,7 +73,7 @@ class SolidRecord(Record):
 class SolidDataset(RecordDataset[SolidRecord]):
     """A lazy sequence of meshes of no kind of its own: any data set in the published mesh layout."""
 
-    record = SolidRecord
+    record_class = SolidRecord
     things = "solids"
 
 
@@ -122,5 +122,5 @@ def open_solids(
     table = ShardedTable(shards)
     require_mesh_columns(table.schema, name, kind.made_by)
     if streaming:
-        return RecordStream(shards, dataset.record, kind.class_names)
+        return RecordStream(shards, dataset.record_class, kind.class_names)
     return dataset([table], label_names=class_names(table.schema, kind.class_names, name))

@@ -203,7 +203,7 @@ class RecordDataset(LazySequence[T]):
         Name of each class.
     """
 
-    record: ClassVar[Any] = Record
+    record_class: ClassVar[Any] = Record
     things: ClassVar[str] = "rows"
     """What the rows are called."""
 
@@ -368,7 +368,7 @@ class RecordDataset(LazySequence[T]):
         return self._make(Row(*self._tables[part].locate(row - int(self._starts[part]))))
 
     def _make(self, row: Row) -> T:
-        record: T = type(self).record(row)
+        record: T = type(self).record_class(row)
         return record
 
     def _view(self, tables: Sequence[ShardedTable], rows: range | NDArray[np.int64]) -> Self:
@@ -385,7 +385,7 @@ class RecordDataset(LazySequence[T]):
         return self._view((*self._tables, *other._tables), rows)
 
     def _like(self, item: Any) -> Iterable[int]:
-        if type(item) is not type(self).record:
+        if type(item) is not type(self).record_class:
             return ()
         if "id" not in self._plain_columns or not item._row.has("id"):
             return range(len(self))

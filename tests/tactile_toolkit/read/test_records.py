@@ -42,7 +42,7 @@ class ToyRecord(Record):
 
 
 class ToyDataset(RecordDataset[ToyRecord]):
-    record = ToyRecord
+    record_class = ToyRecord
 
 
 @pytest.fixture(scope="module")
