@@ -299,6 +299,11 @@ def _held_places(places: Mapping[str, str | PathLike[str]]) -> dict[str, str]:
     from realtouch.names import SHORT_NAMES
 
     known = (*KINDS, *FOREIGN, *SHORT_NAMES)
+    if not isinstance(places, Mapping):
+        message = (
+            f"places of the AssetProvider are {places!r}; expected a mapping, such as {{'mnist3d': 'digits'}}"
+        )
+        raise InputError(message)
     for name in places:
         if name not in known:
             near = did_you_mean(str(name), known)

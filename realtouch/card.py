@@ -275,6 +275,7 @@ _TITLES: dict[_CardKind, str] = {
     "frames": "Touches as plain pictures",
     "export": "Touches",
 }
+_CAPTIONS: dict[_CardKind, str] = {"seq": "Some touches, each at the end of contact"}
 _ORIGINS = {"synthetic": "Synthetic", "imported": "Imported"}
 _LICENCE = (
     "cc-by-2.0",
@@ -342,7 +343,7 @@ def write_card(
     is_known = not (rendered and (plain or rule.plate == "known"))
     window = "18.88 x 14.16 mm of gel" if is_known else "the window of its source"
     height = ("" if rendered else _DRIFT) + ("" if plain else _PLATES[rule.plate])
-    limits = [*_LIMITS[card if origin == "real" else origin], *_missed(figures, plain=plain)]
+    limits = [*_LIMITS[card if origin == "real" else origin], *_missed(figures, rule, plain=plain)]
     values = {
         **({} if text is None else text.words(facts.splits[0].split)),
         "title": title,
@@ -367,7 +368,7 @@ def write_card(
         manifest,
         KIND.card_template.format("imported" if origin == "imported" and card == stored else card),
         values,
-        ("touches.png", _sheet(facts, folder, card, stored), "Some touches, each at contact"),
+        ("touches.png", _sheet(facts, folder, card, stored), _CAPTIONS.get(card, "Some touches")),
         license=licence,
         pretty_name=title,
         task_categories=["robotics", "image-classification"],
@@ -384,7 +385,7 @@ def write_card(
     )
 
 
-def _missed(figures: list[_SplitFigures], *, plain: bool) -> list[str]:
+def _missed(figures: list[_SplitFigures], rule: ContactHeight, *, plain: bool) -> list[str]:
     """Write how many touches met no object, where the data have it; nothing is known of plain pictures."""
     if plain:
         return missed_text(None, 0)
@@ -392,7 +393,8 @@ def _missed(figures: list[_SplitFigures], *, plain: bool) -> list[str]:
     if any(share is None for _, share in found):
         return []
     touches = sum(count or 0 for count, _ in found)
-    return missed_text(touches - round(sum((count or 0) * (share or 0.0) for count, share in found)), touches)
+    in_contact = round(sum((count or 0) * (share or 0.0) for count, share in found))
+    return missed_text(touches - in_contact, touches, is_estimated=rule.plate == "estimated")
 
 
 def _title(card: _CardKind, origin: str, text: ExportText | None) -> str:
@@ -464,13 +466,15 @@ def _split_table(facts: FolderFacts, figures: list[_SplitFigures], manifest: Man
             (markdown_text(s.split), f"{s.rows:,}", *size)
             for s, size in zip(facts.splits, sizes, strict=True)
         ]
-        return markdown_table(("split", "pictures", "shards", "Parquet", "unpacked"), rows)
+        options = {} if manifest is None else manifest.spec.get("options", {})
+        counted = "rounds" if options.get("layout") == "lerobot" else "pictures"
+        return markdown_table(("split", counted, "shards", "Parquet", "unpacked"), rows)
     header = ("split", "rounds", "touches", "per round", "objects", "contact", "left out")
 
     def number(count: int | None) -> str:
         return "-" if count is None else f"{count:,}"
 
-    counted = [
+    cells = [
         (
             markdown_text(s.split),
             f"{s.rows:,}",
@@ -483,4 +487,4 @@ def _split_table(facts: FolderFacts, figures: list[_SplitFigures], manifest: Man
         )
         for s, figure, size in zip(facts.splits, figures, sizes, strict=True)
     ]
-    return markdown_table((*header, "shards", "Parquet", "unpacked"), counted)
+    return markdown_table((*header, "shards", "Parquet", "unpacked"), cells)

@@ -262,6 +262,12 @@ def _chosen_rows(
         wanted = [name if name in known or not name.isdecimal() else int(name) for name in labels]
         dataset = dataset.filter_labels(wanted)
     if objects:
+        if not dataset.has_column("object_id"):
+            message = (
+                f"objects is {objects}, but {source.name!r} has no column 'object_id'; next: "
+                "choose by --labels, or import it again with --object-column"
+            )
+            raise InputError(message)
         dataset = dataset[np.isin(dataset.column("object_id"), objects)]
     rows = dataset.row_numbers
     if not contact:

@@ -254,12 +254,14 @@ def _require_poses(dataset: TouchDataset[Any]) -> None:
 
 
 def draw_drift(dataset: TouchDataset[Any], title: str) -> Drawing:
-    """Draw the height of the deepest touch of every round, in the colours of the gels."""
+    """Draw the height of the gel on the plate in every round, in the colours of the gels."""
     z_m, gels = gel_drift(dataset)
     z_mm = z_m * 1e3
     rounds = counted(len(z_mm), "rounds")
     spread = f"{rounds}; from {z_mm.min():.2f} to {z_mm.max():.2f} mm, median {np.median(z_mm):.2f} mm"
-    points = Points(title, "round", "deepest touch, z in mm", np.arange(len(z_mm)), z_mm, gels)
+    estimated = np.isnan(dataset.plates_z_m()[dataset.row_numbers]).any()
+    height = "deepest touch" if estimated else "gel on the plate"
+    points = Points(title, "round", f"{height}, z in mm", np.arange(len(z_mm)), z_mm, gels)
     return Drawing(plot_points(points, spread))
 
 

@@ -84,7 +84,7 @@ def write_card_files(
     common = {
         "rows": f"{facts.rows:,}",
         "first_split": facts.splits[0].split,
-        "picture": "There are no rows to draw.",
+        "picture": "There is nothing to draw.",
         "bibtex": bibtex(TACTILE_MNIST),
     }
     if manifest is not None:

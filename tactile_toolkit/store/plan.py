@@ -416,7 +416,11 @@ def _hold_the_same_names(there: Any, wanted: Any) -> bool:
 
 def _are_files(values: Any) -> bool:
     """Tell whether a value is a list of files with their fingerprints, which nobody wants to read."""
-    return isinstance(values, list) and all(isinstance(each, Mapping) and "file" in each for each in values)
+    return (
+        bool(values)
+        and isinstance(values, list)
+        and all(isinstance(v, Mapping) and "file" in v for v in values)
+    )
 
 
 def _files_text(values: Any) -> str:

@@ -72,12 +72,20 @@ def height_text(min_height_m: float) -> str:
     return f"the gel stopped {height}above the plate"
 
 
-def missed_text(missed: int | None, touches: int) -> list[str]:
-    """Write for a card how many touches met no object; nothing where all met one."""
+def missed_text(missed: int | None, touches: int, *, is_estimated: bool = False) -> list[str]:
+    """Write for a card how many touches met no object; nothing where all met one.
+
+    Where the height of the plate is an estimate, so is their number.
+    """
     if missed is None:
         return [
             "Some touches may have met no object; `realtouch select --contact` takes them out of the source."
         ]
     if not missed:
         return []
+    if is_estimated:
+        return [
+            f"Touches that do not count as contact: {missed:,} of {touches:,} (`realtouch select --contact` "
+            "leaves them out). In rounds that never met the bare plate, touches of objects are among them."
+        ]
     return [f"{missed:,} of {touches:,} touches met no object; `realtouch select --contact` leaves them out."]

@@ -237,6 +237,12 @@ def test_places_do_not_follow_the_current_folder(assets, tmp_path, monkeypatch):
     assert len(provider.meshes("wrench")) == expected
 
 
+@pytest.mark.parametrize("places", ["digits", ["digits"]])
+def test_places_that_are_not_a_mapping_are_refused(places):
+    with pytest.raises(InputError, match=r"places .*'digits'.*expected a mapping"):
+        env_assets.AssetProvider("assets", places)
+
+
 @pytest.mark.parametrize(
     ("name", "near"), [("minst3d", "did you mean 'mnist3d'"), ("digits", "wrench"), (3, "3")]
 )

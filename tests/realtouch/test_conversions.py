@@ -218,6 +218,14 @@ def test_a_card_that_lies_is_found(single_folder: Path, tmp_path: Path) -> None:
     assert {finding.file for finding in realtouch.verify(str(out)).findings} == {"README.md"}
 
 
+def test_an_empty_list_of_another_specification_is_not_called_files(
+    single_folder: Path, tmp_path: Path
+) -> None:
+    realtouch.select(single_folder, tmp_path / "out", limit=1)
+    with pytest.raises(SpecMismatchError, match=r"labels is \[\] there, \['1'\] was asked for"):
+        realtouch.select(single_folder, tmp_path / "out", labels=["1"], limit=1)
+
+
 def test_pictures_are_resumed_and_started_again(single_folder: Path, tmp_path: Path) -> None:
     out = tmp_path / "pictures"
     realtouch.frames(str(single_folder), str(out))

@@ -154,6 +154,7 @@ def test_parts_kills_and_damage_end_in_the_same_bytes(
 @pytest.mark.usefixtures("small_shards")
 def test_lerobot_numbers_frames_over_all_files(source: Path, truth: list[RoundTruth], tmp_path: Path) -> None:
     realtouch.export(source, tmp_path / "robots", "lerobot", split="train")
+    assert "| split | rounds | shards" in (tmp_path / "robots" / "README.md").read_text()
     home = tmp_path / "robots" / "lerobot"
     frames = pq.read_table(home / "data")
     episodes = pq.read_table(home / "meta" / "episodes").to_pylist()

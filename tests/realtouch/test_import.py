@@ -158,6 +158,24 @@ def test_an_empty_name_stands_for_no_column(
     assert "gel_qw (15)" in capsys.readouterr().err
 
 
+def test_cards_of_touches_on_objects_alone_claim_nothing_of_a_plate(
+    single_folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The deepest touch of such a round is not one of the plate; an import knows no better."""
+    realtouch.select(single_folder, tmp_path / "some", contact=True)
+    realtouch.export(tmp_path / "some", tmp_path / "tars", "webdataset")
+    back = tmp_path / "back"
+    arguments = ("--layout", "webdataset", "--object-column=", "--out", back)
+    assert call("realtouch", "import", tmp_path / "tars" / "webdataset", *arguments) == 0
+    card = (back / "README.md").read_text()
+    assert "do not count as contact: 16 of 16 (" in card
+    assert "never met the bare plate" in card
+    assert "met no object" not in card
+    assert "![Some touches](" in card
+    assert call("realtouch", "select", back, tmp_path / "none", "--objects", "3") == 2
+    assert "no column 'object_id'; next: choose by --labels" in capsys.readouterr().err
+
+
 @pytest.mark.parametrize("kind", ["imported", "smaller", "chosen", "flat", "webdataset", "frames"])
 def test_no_card_claims_that_images_of_others_are_ours_to_license(
     kind: str, single_folder: Path, tmp_path: Path

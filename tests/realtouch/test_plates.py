@@ -42,7 +42,7 @@ def test_a_selection_of_contacts_has_contact(source: Path, truth: list[RoundTrut
     assert "100.0 %" in (tmp_path / "some" / "README.md").read_text()
     card = (tmp_path / "some" / "README.md").read_text()
     assert "`plate_z_m`" in card
-    assert "met no object" not in card
+    assert "do not count" not in card
     items = [item for task in plan_gallery(RoundChoice(str(tmp_path / "some"))).tasks for item in task.make()]
     assert [(item.measures["in_contact"], item.facets["contact"]) for item in items] == [
         (4, ("all touches",))
@@ -70,7 +70,7 @@ def test_it_stays_through_further_conversions(source: Path, tmp_path: Path) -> N
 
 def test_whole_rounds_keep_the_published_columns(source: Path, tmp_path: Path) -> None:
     realtouch.select(source, tmp_path / "some", labels=[1])
-    assert "1 of 5 touches met no object" in (tmp_path / "some" / "README.md").read_text()
+    assert "do not count as contact: 1 of 5 (" in (tmp_path / "some" / "README.md").read_text()
     (file,) = (tmp_path / "some" / "data").glob("train-*")
     assert pq.read_schema(file).names == pq.read_schema(next((source / "data").glob("train-*"))).names
 

@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 import realtouch
+from realtouch.show import previews
 from realtouch.show.overlay import CELL_M, SENSING_AREA_M, CellMap, Placed, cell_map, overlay, placed_touches
 from realtouch.show.previews import (
     CONTACT,
@@ -244,6 +245,21 @@ def test_drift_is_that_of_the_recordings(seq_folder: Path, truth: list[RoundTrut
     assert gels == tuple(f"gel {each.gel_id}" for each in truth)
     backwards, _ = gel_drift(dataset[::-1])
     assert backwards == pytest.approx(z_m[::-1])
+
+
+@pytest.mark.parametrize(("chosen", "height"), [(False, "deepest touch"), (True, "gel on the plate")])
+def test_the_axis_of_the_drift_names_what_is_drawn(
+    chosen: bool, height: str, single_folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    drawn: list[previews.Points] = []
+    plot = previews.plot_points
+    monkeypatch.setattr(
+        previews, "plot_points", lambda points, *rest: drawn.append(points) or plot(points, *rest)
+    )
+    if chosen:
+        realtouch.select(single_folder, tmp_path / "some", contact=True)
+    previews.draw_drift(realtouch.load(tmp_path / "some" if chosen else single_folder, "train"), "drift")
+    assert [points.y_label for points in drawn] == [f"{height}, z in mm"]
 
 
 def test_a_gel_without_a_number_is_unknown(tmp_path: Path, single_rows: list[dict]) -> None:
