@@ -33,7 +33,7 @@ from tactile_toolkit.mesh.columns import require_mesh_columns
 from tactile_toolkit.mesh.files import FORMATS
 from tactile_toolkit.mesh.records import SolidDataset
 from tactile_toolkit.read.parquet import Shard, ShardedTable
-from tactile_toolkit.read.source import content_fingerprint
+from tactile_toolkit.read.source import content_fingerprint, refuse_source
 from tactile_toolkit.run.processes import Runner, runner_for
 from tactile_toolkit.store.build import Progress, build
 from tactile_toolkit.store.folder import DataFolder, expanded
@@ -377,6 +377,10 @@ def generate(
     """
     folder = DataFolder(os.fspath(out))
     plan = plan_build(source, spec, splits)
+    place = place_of(os.fspath(source))
+    refuse_source(
+        folder, os.fspath(source), (s for each in splits_of(place) for s in find_shards(place, each))
+    )
     runner = runner_for(workers)
     return build(folder, plan, runner, overwrite=overwrite, on_progress=on_progress, write_card=write_card)
 

@@ -28,7 +28,7 @@ from tactile_toolkit.kind import lazy
 from tactile_toolkit.mesh.columns import require_mesh_columns
 from tactile_toolkit.mesh.records import SolidDataset
 from tactile_toolkit.read.parquet import Shard, ShardedTable
-from tactile_toolkit.read.source import content_fingerprint, file_fingerprint
+from tactile_toolkit.read.source import content_fingerprint, file_fingerprint, refuse_source
 from tactile_toolkit.run.processes import Runner, runner_for
 from tactile_toolkit.store.build import Progress, build
 from tactile_toolkit.store.folder import DataFolder
@@ -328,6 +328,8 @@ def make_pairs(
     plan = plan_pairs(objects, real, split, spec)
     write_card = lazy("tactile_sim.card:write_card")
     folder = DataFolder(os.fspath(out))
+    for source in (objects, real):
+        refuse_source(folder, source, find_shards(place_of(source), split))
     return build(
         folder, plan, runner_for(workers), overwrite=overwrite, on_progress=on_progress, write_card=write_card
     )

@@ -136,6 +136,13 @@ def test_pairs_are_drawn_by_the_same_rule(scenes, in_cell, tmp_path):
     assert " 6 mm" not in (tmp_path / "pairs" / "README.md").read_text()
 
 
+def test_pairs_are_not_written_over_their_sources(scenes, in_cell):
+    for source in (scenes, str(in_cell)):
+        with pytest.raises(InputError, match="holds the source"):
+            make_pairs(scenes, str(in_cell), "train", PairsSpec((32, 24), 10), source, overwrite=True)
+    assert realtouch.verify(in_cell).ok
+
+
 def test_too_few_touches_in_contact_name_the_option(scenes, on_objects, tmp_path, capsys):
     with pytest.raises(InputError, match=r"holds 0 touches with contact.*5\.0 mm.*--min-height-mm"):
         make_pairs(

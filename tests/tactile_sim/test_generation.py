@@ -72,6 +72,14 @@ def test_shards_of_very_many_rounds_are_larger(scenes, monkeypatch):
     assert [task.size for task in plan_build(scenes, SPEC, ("train",)).tasks] == [1] * 14
 
 
+@pytest.mark.parametrize("overwrite", [False, True])
+def test_the_source_is_not_written_over(overwrite, scenes):
+    before = _bytes(Path(scenes))
+    with pytest.raises(InputError, match=r"holds the source.*choose a folder outside it"):
+        tactile_sim.generate(scenes, SPEC, scenes, overwrite=overwrite)
+    assert _bytes(Path(scenes)) == before
+
+
 def test_a_set_is_what_its_poses_say(scenes, touches):
     """Rendering the stored poses again gives the stored pictures and heights."""
     rounds, solids = realtouch.load(touches, "train"), starstruck_gen.load(scenes, "train")
