@@ -475,7 +475,7 @@ def _bring(plan: DownloadPlan, folder: DataFolder, file: HubFile, transfers: Tra
     if not folder.is_local:
         _bring_to_store(plan.repository, folder, file, transfers)
         return
-    repository, target = plan.repository, Path(folder.address(file.path))
+    repository, target = plan.repository, folder.place(file.path)
     cached = repository.cached(file.path)
     with named_failures(repository.repo_id, repository.revision, f"fetching {file.path!r} of"):
         if cached is not None:
@@ -484,7 +484,7 @@ def _bring(plan: DownloadPlan, folder: DataFolder, file: HubFile, transfers: Tra
             transfers.count(file.size_bytes)
         else:
             # Beside its place until it is checked: what has the name of a file of the data set is whole.
-            staged = repository.download(file.path, transfers, Path(folder.address(_STAGE_FOLDER)))
+            staged = repository.download(file.path, transfers, folder.place(_STAGE_FOLDER))
             target.parent.mkdir(parents=True, exist_ok=True)
             staged.replace(target)
     if file.digest is not None:

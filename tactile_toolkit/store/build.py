@@ -292,7 +292,8 @@ def _make_part(
     folder.require_folder()
     seen = folder.version(MANIFEST_FILE)
     state = inspect_part(folder, plan, tasks, wanted, check)
-    with folder.locked(patience_s=_PATIENCE_S):
+    # Shared, as for shards: of many parts that write at once, one would never find the folder free.
+    with folder.locked(shared=True, patience_s=_PATIENCE_S):
         is_first = bool(state.todo) and _agree(folder, plan, wanted)
         if is_first or folder.version(MANIFEST_FILE) != seen:
             # Another run may have begun since this part looked, or all parts have been finished.

@@ -431,7 +431,7 @@ class DataFolder:
     def refresh(self, folder: str) -> None:
         """Have a network file system forget what it knows of a sub-folder: a file comes and goes in it."""
         if self.is_local and Path(self.address(folder)).is_dir():
-            _now_s(Path(self.address(folder)))
+            _now_s(self.place(folder))
 
     def size_bytes(self, path: str) -> int:
         """Return the size of a file."""

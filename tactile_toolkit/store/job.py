@@ -8,10 +8,12 @@ from __future__ import annotations
 
 import contextlib
 import json
+import socket
 from collections.abc import Iterator
 from contextvars import ContextVar
 from dataclasses import dataclass
 
+from tactile_toolkit.errors import InputError
 from tactile_toolkit.store.folder import DataFolder
 from tactile_toolkit.store.manifest import MANIFEST_FILE, Manifest, read_manifest
 from tactile_toolkit.store.parquet import sha256_hex
@@ -38,15 +40,27 @@ class Job:
         return cls(folder, _digest(read_manifest(folder)))
 
     def require(self) -> None:
-        """Raise PartsEndedError where the manifest in the folder is that of another job by now."""
+        """Raise PartsEndedError where the manifest is that of another job by now, InputError for none."""
         version = self.folder.version(MANIFEST_FILE)
         if version is not None and _seen.get(self) == version:
             return
-        if _digest(read_manifest(self.folder)) != self.of:
+        manifest = read_manifest(self.folder)
+        if _digest(manifest) != self.of:
+            self.folder.refresh("")  # a network file system may have shown what was there a while ago
+            manifest = read_manifest(self.folder)
+        if manifest is None:
             message = (
-                f"the data set in {self.folder.address()!r} was replaced or removed while this run was at "
-                "work; this run has stopped and changed nothing of what is there now; next: look there with "
-                "the command `info`, or choose another folder (--out or OUT)"
+                f"node {socket.gethostname()} writes to a folder that this machine does not see, or the data "
+                f"set was removed while this run was at work: no {MANIFEST_FILE} is in "
+                f"{self.folder.address()!r} there; nothing was written; next: give a folder that all nodes "
+                "share, or s3://BUCKET/PATH, and run the same command again"
+            )
+            raise InputError(message)
+        if _digest(manifest) != self.of:
+            message = (
+                f"the data set in {self.folder.address()!r} was replaced while this run was at work; this "
+                "run has stopped and changed nothing of what is there now; next: look there with the command "
+                "`info`, or choose another folder (--out or OUT)"
             )
             raise PartsEndedError(message)
         _seen.clear()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 from dataclasses import replace
 from pathlib import Path
 
@@ -52,11 +53,40 @@ def test_a_slower_run_leaves_the_set_that_replaced_its_own(tmp_path, fresh, runn
             finished.append(make(tmp_path / "set", seeded(20), overwrite=True))
 
     finished = []
-    with pytest.raises(InputError, match="was replaced or removed while this run was at work"):
+    with pytest.raises(InputError, match="was replaced while this run was at work"):
         make(tmp_path / "set", seeded(10), runner, on_progress=hold)
     assert finished
     assert folder_bytes(tmp_path / "set") == fresh[20]
     assert verify(DataFolder(str(tmp_path / "set")), SCHEMA).ok
+
+
+def test_where_the_manifest_has_gone_the_reasons_are_named(tmp_path):
+    """The folder was removed, or is another one on the machine that makes the shard."""
+
+    def remove(progress):
+        if progress.record is not None and (tmp_path / "set" / "data").exists():
+            shutil.rmtree(tmp_path / "set")
+
+    with pytest.raises(InputError, match=r"^node .* was removed while this run was at work"):
+        make(tmp_path / "set", seeded(10), on_progress=remove)
+    assert folder_bytes(tmp_path / "set") == {}
+
+
+def test_an_outdated_view_of_a_network_file_system_ends_no_run(tmp_path, fresh, monkeypatch):
+    """Such a system shows for a while that a file is not there; a file that comes and goes ends that."""
+    manifest, hidden = tmp_path / "set" / "manifest.json", tmp_path / "hidden"
+
+    def hide(progress):
+        if progress.record is not None and progress.done < progress.total / 2:
+            manifest.rename(hidden)
+
+    def look_again(folder, path):
+        if path == "" and hidden.exists():
+            hidden.rename(manifest)
+
+    monkeypatch.setattr(DataFolder, "refresh", look_again)
+    make(tmp_path / "set", seeded(10), on_progress=hide)
+    assert folder_bytes(tmp_path / "set") == fresh[10]
 
 
 def test_undoing_leaves_what_a_run_of_the_same_set_has_made(tmp_path, fresh):

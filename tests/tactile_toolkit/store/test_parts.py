@@ -272,6 +272,18 @@ def test_a_part_writes_nothing_into_a_set_that_was_started_again(tmp_path, momen
     assert folder_bytes(tmp_path / "set") == folder_bytes(tmp_path / "other")
 
 
+def test_a_part_begins_while_others_write_their_shards(tmp_path, whole, monkeypatch):
+    """Of many parts some one always writes."""
+    monkeypatch.setattr("tactile_toolkit.store.build._PATIENCE_S", 0.0)
+    folder = DataFolder(str(tmp_path / "set"))
+    folder.require_folder()
+    with folder.locked(shared=True):
+        for number in range(2):
+            make(folder.url, Part(number, 2))
+    make(folder.url, Finish())
+    assert folder_bytes(tmp_path / "set") == whole
+
+
 def test_parts_in_a_store_of_objects(whole):
     folder = DataFolder("memory://bucket/parts")
     for index in (0, 2):
