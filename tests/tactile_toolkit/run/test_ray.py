@@ -135,10 +135,16 @@ class Cluster:
 @pytest.fixture(scope="module")
 def cluster() -> Iterator[Cluster]:
     folder = tempfile.mkdtemp(prefix="ray")  # names of sockets must be short
-    quiet = {"RAY_USAGE_STATS_ENABLED": "0", "RAY_ACCEL_ENV_VAR_OVERRIDE_ON_ZERO": "0"}
+    # The address of the cluster goes into a folder of that name, which may be missing or another cluster's.
+    os.mkdir(f"{folder}/ray")
+    settings = {
+        "RAY_TMPDIR": folder,
+        "RAY_USAGE_STATS_ENABLED": "0",
+        "RAY_ACCEL_ENV_VAR_OVERRIDE_ON_ZERO": "0",
+    }
     process = subprocess.Popen(
         [sys.executable, "-c", CLUSTER, folder],
-        env={**os.environ, **quiet},
+        env={**os.environ, **settings},
         stdin=subprocess.PIPE,
         stdout=subprocess.PIPE,
         stderr=subprocess.DEVNULL,
@@ -146,6 +152,7 @@ def cluster() -> Iterator[Cluster]:
     )
     assert process.stdout is not None
     made = Cluster(process, process.stdout.readline().strip(), [])
+    assert made.address
     made.raylets += [pid for pid in children(process.pid) if "raylet/raylet" in named(pid)]
     yield made
     process.communicate()
