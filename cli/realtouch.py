@@ -62,14 +62,15 @@ def info(name: TouchSet, split: Split = None, revision: Revision = None, as_json
     from realtouch.dataset import dataset_of
     from realtouch.integrity.agreement import folder_meant
     from realtouch.summary import summarise
-    from tactile_toolkit.store.manifest import manifest_so_far
+    from tactile_toolkit.store.fields import Fields
+    from tactile_toolkit.store.manifest import MANIFEST_FILE, manifest_so_far
 
     sink = Sink(as_json)
     folder = folder_meant(name)
     manifest = None if folder is None else manifest_so_far(folder)
     if manifest is not None and not manifest.complete:
         sink.document({"name": name, "complete": False, "splits": manifest.split_table()})
-        print_unfinished(sink, manifest, name, "rounds", f"realtouch {manifest.spec['operation']}")
+        print_unfinished(sink, manifest, name, "rounds", f"realtouch {manifest.spec.get('operation')}")
         return
     if manifest is not None and manifest.spec.get("operation") in ("frames", "export"):
         print_converted(sink, manifest, name)
@@ -87,10 +88,10 @@ def info(name: TouchSet, split: Split = None, revision: Revision = None, as_json
     for each, summary in summaries.items():
         print_summary(sink, each, summary)
     if manifest is not None:
-        options = ", ".join(f"{key} {value}" for key, value in manifest.spec.get("options", {}).items())
-        sink.line(
-            f"made by tactile-toolkit {manifest.toolkit_version}: {manifest.spec['operation']}, {options}"
-        )
+        spec = Fields(manifest.spec, f"{name}/{MANIFEST_FILE}", "spec")
+        values = spec.mapping("options") if spec.has("options") else {}
+        options = ", ".join(f"{key} {value}" for key, value in values.items())
+        sink.line(f"made by tactile-toolkit {manifest.toolkit_version}: {spec.text('operation')}, {options}")
 
 
 @command(app)

@@ -101,8 +101,8 @@ def verify(
             for finding in verify_files(folder, check_card=check_card, workers=workers).findings:
                 findings.append(Damage(finding.file, None, None, "", finding.problem))
         plain = {"frames": _verify_pictures, "export": _verify_exported}
-        if manifest is not None and manifest.spec.get("operation") in plain:
-            check_plain = plain[manifest.spec["operation"]]
+        check_plain = None if manifest is None else plain.get(str(manifest.spec.get("operation")))
+        if manifest is not None and check_plain is not None:
             return check_plain(folder, manifest, findings, on_progress, decode=not quick)
     if not isinstance(place, str):
         parts: tuple[str, ...] = ("train",)  # files come without a split

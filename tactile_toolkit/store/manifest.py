@@ -163,13 +163,19 @@ class Manifest:
         if len(shards) < len(manifest.shards) or {shard.split for shard in shards} - {*manifest.split_order}:
             raise fields.wrong(name="shards", problem="one is listed twice, or of no split in 'split_order'")
         try:
-            manifest.statistics()
+            statistics = manifest.statistics()
         except (TypeError, AttributeError) as error:
             problem = f"statistics are not numbers, lists of numbers or objects of them ({error})"
             raise fields.wrong(name="shards", problem=problem) from error
         # What follows from the shards stands there too, so that a number that was changed shows.
-        if fields.values.get("splits") != manifest.split_table():
-            raise fields.wrong(name="splits", problem="its numbers are not those of the shards")
+        sums = {
+            "splits": manifest.split_table(),
+            "skipped": manifest.skipped_reasons(),
+            "statistics": statistics,
+        }
+        for name, expected in sums.items():
+            if fields.values.get(name, {}) != expected:
+                raise fields.wrong(name, "its numbers are not those of the shards")
         return manifest
 
 

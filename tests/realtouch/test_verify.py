@@ -14,6 +14,7 @@ import pytest
 import realtouch
 from tactile_toolkit.errors import InputError, IntegrityError
 from tactile_toolkit.touch.avi import write_avi
+from tests.command_line import call
 from tests.realtouch import factories
 from tests.realtouch.factories import Layout, RoundTruth
 from tests.realtouch.test_damage import damaged_set
@@ -275,3 +276,15 @@ def test_a_clip_that_refers_to_something_else_is_damaged(
         assert found_in(folder, quick=quick) == [(1, 2, "sensor_video")]
     manifest = realtouch.to_single(folder, tmp_path / "single")
     assert [each.id for shard in manifest.shards for each in shard.skipped] == [1]
+
+
+@pytest.mark.parametrize(("text", "damaged"), [('"operation"', '"operatioN"'), ('"select"', "[null]")])
+def test_a_manifest_without_operation_is_damage(
+    single_folder: Path, tmp_path: Path, text: str, damaged: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    realtouch.select(single_folder, tmp_path / "out", split="test")
+    manifest = tmp_path / "out" / "manifest.json"
+    manifest.write_text(manifest.read_text().replace(text, damaged))
+    assert call("realtouch", "info", tmp_path / "out") == 3
+    assert "spec.operation: found " in capsys.readouterr().err
+    assert call("realtouch", "verify", tmp_path / "out") == 3

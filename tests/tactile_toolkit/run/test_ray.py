@@ -136,7 +136,7 @@ class Cluster:
 def cluster() -> Iterator[Cluster]:
     folder = tempfile.mkdtemp(prefix="ray")  # names of sockets must be short
     # The address of the cluster goes into a folder of that name, which may be missing or another cluster's.
-    os.mkdir(f"{folder}/ray")
+    Path(folder, "ray").mkdir()
     settings = {
         "RAY_TMPDIR": folder,
         "RAY_USAGE_STATS_ENABLED": "0",
