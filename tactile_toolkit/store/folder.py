@@ -565,9 +565,10 @@ class DataFolder:
 
     def remove_empty(self, folder: str) -> None:
         """Remove a sub-folder when nothing is left in it; in object stores it has gone with its last file."""
+        path = self.address(folder)
         if self.is_local and not self.names(folder):
             with contextlib.suppress(OSError):
-                Path(self.address(folder)).rmdir()
+                Path(path).rmdir()
 
     def require_folder(self) -> None:
         """Create the folder, and prove that it can be written to; a bucket must be there.

@@ -116,7 +116,7 @@ def test_a_job_with_other_versions_is_refused(tmp_path):
 
 
 class BlindNode:
-    """Runs tasks in a process before whose eyes another file system lies over the folder."""
+    """Runs tasks in a process that sees a copy of the folder, as it was when the run began."""
 
     def __init__(self, place: Path, *, confirms: bool) -> None:
         self.place, self.confirms = place, confirms
@@ -128,7 +128,8 @@ class BlindNode:
             "import pickle, sys; work, tasks = pickle.load(sys.stdin.buffer); "
             "sys.stdout.buffer.write(pickle.dumps([work(task) for task in tasks]))"
         )
-        hidden = 'mount -t tmpfs none "$0" && exec "$@"'
+        hidden = 'began=$(cat "$0/manifest.json") && mount -t tmpfs none "$0" && '
+        hidden += 'printf %s "$began" > "$0/manifest.json" && exec "$@"'
         words = ["unshare", "-Urm", "sh", "-c", hidden, str(self.place), sys.executable, "-c", code]
         todo = pickle.dumps((function, list(tasks)))
         done = subprocess.run(words, input=todo, stdout=subprocess.PIPE, check=True, cwd=REPOSITORY)
