@@ -179,9 +179,10 @@ def _errors_reported(debug: bool, options: Mapping[str, str]) -> Iterator[None]:
         elif error.filename is not None:
             # A path that the system refuses and nobody asked for more about, such as too long a name. As a
             # traceback it would end with 1, which says that a validation failed.
-            message = (
-                f"{str(error.filename)!r}: {error.strerror}; next: give another path (--debug says where)"
-            )
+            from tactile_toolkit.store.folder import of_the_process
+
+            lack = of_the_process(error) or f"{error.strerror}; next: give another path (--debug says where)"
+            message = f"{str(error.filename)!r}: {lack}"
             code = InputError.exit_code
         else:
             raise

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactile_sim.sensor import CELL_M
-from tactile_toolkit.bounds import require_unpackable
+from tactile_toolkit.bounds import require_plain_archive, require_unpackable
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.store.folder import expanded
 
@@ -222,6 +222,9 @@ def _read_parquet(file: Path) -> Mapping[str, Any]:
         metadata = source.metadata
         groups = [metadata.row_group(number) for number in range(metadata.num_row_groups)]
         columns = [metadata.schema.column(number) for number in range(metadata.num_columns)]
+        if len({column.path for column in columns}) < len(columns):
+            message = f"{len(columns):,} columns, some of one name; expected each once"
+            raise ValueError(message)
         for column in columns:
             if column.path not in _COLUMNS:
                 return {each.path: None for each in columns}  # which is refused, unread
@@ -250,6 +253,7 @@ def _numbers(table: Any) -> Mapping[str, Any]:
 
 def _read_npz(file: Path) -> Mapping[str, Any]:
     with zipfile.ZipFile(file) as archive:
+        require_plain_archive(archive)
         size_bytes = sum(entry.file_size for entry in archive.infolist())
         # Integers of a byte become numbers of eight, and are copied.
         require_unpackable(8 * size_bytes, f"a table of {size_bytes:,} bytes", file.stat().st_size)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import zipfile
 
 from tactile_toolkit.errors import InputError
 
@@ -10,6 +11,7 @@ __all__ = [
     "CACHE_LIMIT_VARIABLE",
     "UNPACKED_VARIABLE",
     "cache_limit_bytes",
+    "require_plain_archive",
     "require_unpackable",
     "unpacked_limit_bytes",
 ]
@@ -63,3 +65,11 @@ def require_unpackable(size_bytes: int, what: str, file_bytes: int = 0) -> None:
             f"next: where it is meant to be that large, set {UNPACKED_VARIABLE}={needed_mib}"
         )
         raise InputError(message)
+
+
+def require_plain_archive(archive: zipfile.ZipFile) -> None:
+    """Raise ValueError unless all files are stored or deflated: others unpack to any amount at once."""
+    for entry in archive.infolist():
+        if entry.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
+            message = f"{entry.filename[:80]!r} is packed by method {entry.compress_type}; expected Deflate"
+            raise ValueError(message)

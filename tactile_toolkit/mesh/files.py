@@ -166,11 +166,13 @@ def _read_with_trimesh(data: bytes, ending: str) -> tuple[NDArray[np.float64], N
 
     if ending == ".stl":
         _require_whole_stl(data)
-    require_bounded(data, ending)
     try:
+        require_bounded(data, ending)
         # Materials would be pictures and further files; only the surface is wanted.
         scene = trimesh.load_scene(io.BytesIO(data), file_type=ending[1:], process=False, skip_materials=True)
         mesh = scene.to_mesh()
+    except InputError:  # more than the limit
+        raise
     except Exception as error:
         # The loaders of trimesh meet damaged files with whatever their parsing runs into.
         raise ValueError(str(error) or type(error).__name__) from error

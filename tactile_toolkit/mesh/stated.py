@@ -5,7 +5,7 @@ from __future__ import annotations
 import io
 import json
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 from tactile_toolkit.bounds import require_unpackable
@@ -16,6 +16,7 @@ __all__ = ["require_bounded"]
 _PER_ELEMENT, _PER_LINE = 240, 640
 _MOST_PARTS = 2_000
 """Surfaces of one file: trimesh takes milliseconds for each."""
+_DEEPEST = 64
 _MOST_PLY_HEADER_BYTES = 1 << 14
 # What ends a line for Python, and so for trimesh.
 _LINE_END = re.compile(rb"\r\n|[\n\r\x0b\x0c\x1c-\x1e\x85]|\xe2\x80[\xa8\xa9]")
@@ -72,7 +73,10 @@ def _bound_ply(data: bytes) -> None:
 
 
 def _bound_glb(data: bytes) -> None:
-    tree = json.loads(data[20 : 20 + int.from_bytes(data[12:16], "little")])
+    text = data[20 : 20 + int.from_bytes(data[12:16], "little")]
+    entries = text.count(b"{") + text.count(b"[")
+    require_unpackable(_PER_ELEMENT * entries, f"JSON of {entries:,} objects and lists", len(data))
+    tree = json.loads(text)
     accessors, meshes, nodes = (tree.get(name, []) for name in ("accessors", "meshes", "nodes"))
     views = sum(abs(view["byteLength"]) for view in tree.get("bufferViews", []))
     held = sum(
@@ -85,11 +89,12 @@ def _bound_glb(data: bytes) -> None:
             message = f"{what} of {size_bytes:,} bytes; the file has {len(data):,}"
             raise ValueError(message)
     sizes = [[_primitive_size(each, accessors) for each in mesh["primitives"]] for mesh in meshes]
+    _require_shallow(nodes)
     edges = [root for scene in tree.get("scenes", []) for root in scene.get("nodes", [])]
     edges += [child for node in nodes for child in node.get("children", [])]
     # Each surface once, and once more wherever it is placed.
     placed = sizes + [sizes[nodes[at]["mesh"]] for at in edges if "mesh" in nodes[at]]
-    _require_few(max(len(edges), sum(map(len, placed))))
+    _require_few(max(len(edges), len(nodes), sum(map(len, placed))))
     elements = sum(map(sum, placed))
     require_unpackable(_PER_ELEMENT * elements, f"{elements:,} vertices and triangles", len(data))
 
@@ -98,5 +103,19 @@ def _primitive_size(primitive: Mapping[str, Any], accessors: Any) -> int:
     """Return how many vertices and triangles one surface has."""
     vertices = abs(accessors[primitive["attributes"]["POSITION"]]["count"])
     corners = abs(accessors[primitive["indices"]]["count"]) if "indices" in primitive else vertices
+    # Colours and other values of vertices are read too, and take less.
+    values = sum(abs(accessors[each]["count"]) for each in primitive["attributes"].values())
     # Of a strip each corner makes a triangle.
-    return int(vertices + (corners // 3 if primitive.get("mode", 4) == 4 else corners))
+    return int(
+        vertices + (values - vertices) // 8 + (corners // 3 if primitive.get("mode", 4) == 4 else corners)
+    )
+
+
+def _require_shallow(nodes: Sequence[Mapping[str, Any]]) -> None:
+    """Refuse nodes that lie deep in others, or in a circle: trimesh takes minutes for a thousand levels."""
+    level = set(range(len(nodes)))
+    for _ in range(_DEEPEST):
+        level = {child for at in level for child in nodes[at].get("children", [])}
+    if level:
+        message = f"nodes more than {_DEEPEST} deep, or in a circle"
+        raise ValueError(message)

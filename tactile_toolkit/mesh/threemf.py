@@ -18,7 +18,7 @@ from xml.sax.saxutils import quoteattr
 import numpy as np
 
 from tactile_toolkit.arithmetic import moved
-from tactile_toolkit.bounds import require_unpackable
+from tactile_toolkit.bounds import require_plain_archive, require_unpackable
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -49,7 +49,8 @@ _DEEPEST = 32
 _MOST_PARTS = 20_000
 # Memory that reading takes, at most: for each byte of XML and of what is built, and for each element.
 _PER_BYTE, _PER_ELEMENT = 4, 160
-_PIECE_BYTES = 1 << 24
+_PIECE_BYTES = 1 << 22
+_LONGEST_TRANSFORM = 1000
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -148,7 +149,8 @@ class _Package:
         """Return the surfaces of an object where ``element`` puts them, in the unit of the model ``here``."""
         matrix = np.eye(4, 3)
         if element.get("transform") is not None:
-            numbers = [float(number) for number in element.attrib["transform"].split()]
+            words = element.attrib["transform"][:_LONGEST_TRANSFORM].split()
+            numbers = [float(number) for number in words]
             matrix = np.array(numbers).reshape(4, 3)
         # Each model of a package has a unit of its own.
         ratio = model.mm_per_unit / here.mm_per_unit
@@ -179,18 +181,19 @@ class _Parsed:
     def __init__(self, file_bytes: int) -> None:
         self._tree = ElementTree.TreeBuilder()
         self._file_bytes = file_bytes
-        self._elements = self._parts = self._ignored = 0
+        self.elements = self._parts = self._ignored = 0
         self._points, self._corners = array("d"), array("q")
         self.root: ElementTree.Element | None = None
         self.surfaces: dict[ElementTree.Element, Surface] = {}
 
     def start(self, tag: str, attributes: dict[str, str]) -> None:
-        self._elements += 1
-        if self._elements % 1024 == 0:
-            what = f"3MF file: XML of more than {self._elements:,} elements"
-            require_unpackable(_PER_ELEMENT * self._elements, what, self._file_bytes)
+        self.elements += 1
+        if self.elements % 1024 == 0:
+            what = f"3MF file: XML of more than {self.elements:,} elements"
+            require_unpackable(_PER_ELEMENT * self.elements, what, self._file_bytes)
         if self._ignored or tag not in _KNOWN:
             self._ignored += 1
+            self.elements += 2  # the parser keeps all names that it has met
         elif tag == _VERTEX:
             self._points.extend([float(attributes[axis]) for axis in "xyz"])
         elif tag == _TRIANGLE:
@@ -203,6 +206,11 @@ class _Parsed:
             self._tree.start(tag, attributes)
             if tag == _MESH:
                 self._points, self._corners = array("d"), array("q")
+
+    def doctype(self, *_: str | None) -> None:
+        """Refuse what 3MF does not have: names for text, which a few bytes repeat to any size."""
+        message = "the model has a document type; expected plain XML"
+        raise ValueError(message)
 
     def end(self, tag: str) -> None:
         if self._ignored:
@@ -225,9 +233,13 @@ def _parsed(
 ) -> tuple[ElementTree.Element, dict[ElementTree.Element, Surface]]:
     target = _Parsed(file_bytes)
     parser = ElementTree.XMLParser(target=target)
-    # In large pieces: an attribute that reaches over many is looked through again with each of them.
     while piece := stream.read(_PIECE_BYTES):
+        before = target.elements
         parser.feed(piece)
+        if len(piece) == _PIECE_BYTES and target.elements == before:
+            # Attributes take 30 times as much memory, and are looked through again with each piece.
+            message = f"XML of {_PIECE_BYTES:,} bytes in which no element begins"
+            raise ValueError(message)
     parser.close()
     if target.root is None:
         message = "the model holds nothing"
@@ -252,6 +264,7 @@ def read_build(data: bytes) -> list[BuildItem]:
     model or a number in it is damaged; InputError where it unpacks to more than the limit.
     """
     with zipfile.ZipFile(io.BytesIO(data)) as archive:
+        require_plain_archive(archive)
         return list(_Package(archive, len(data)).built())
 
 

@@ -99,6 +99,18 @@ def test_a_path_that_the_system_refuses_is_input(words, tmp_path, monkeypatch, c
     assert list(tmp_path.iterdir()) == []
 
 
+def test_a_lack_of_file_handles_is_not_called_a_wrong_path():
+    app = new_app("toy", "A toy.")
+
+    @command(app, "open")
+    def opened(sink: Sink) -> None:
+        raise OSError(errno.EMFILE, "Too many open files", "good.csv")
+
+    result = CliRunner().invoke(app, ["open"])
+    assert result.exit_code == 2
+    assert "'good.csv': this process has too many open files; next: close some" in result.stderr
+
+
 def test_two_options_of_one_name_are_a_mistake_of_ours():
     with pytest.raises(ValueError, match="duplicate parameter name: 'quiet'"):
 

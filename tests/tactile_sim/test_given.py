@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import zipfile
+
 import numpy as np
 import pyarrow as pa
 import pytest
@@ -164,3 +166,14 @@ def test_a_small_table_of_millions_of_rows_is_refused_unread(tmp_path):
         assert (tmp_path / name).stat().st_size < 10_000_000
         with pytest.raises(InputError, match=f"{name}.*{expected}"):
             tactile_sim.GivenTouches.read(tmp_path / name)
+
+
+def test_columns_of_one_name_and_archives_of_other_methods_are_refused(tmp_path):
+    zeros = pa.array(np.zeros(10))
+    parquet.write_table(pa.Table.from_arrays([zeros] * 4, ["x_m", "y_m"] * 2), tmp_path / "twice.parquet")
+    with pytest.raises(InputError, match="4 columns, some of one name; expected each once"):
+        tactile_sim.GivenTouches.read(tmp_path / "twice.parquet")
+    with zipfile.ZipFile(tmp_path / "packed.npz", "w", zipfile.ZIP_BZIP2) as archive:
+        archive.writestr("x_m.npy", bytes(1000))
+    with pytest.raises(InputError, match=r"'x_m\.npy' is packed by method 12; expected Deflate"):
+        tactile_sim.GivenTouches.read(tmp_path / "packed.npz")

@@ -155,6 +155,48 @@ def nested(levels: int, each: int, items: int = 1) -> bytes:
 TRIANGLE = b"v 0 0 0\nv 1 0 0\nv 0 1 0\n"
 FACET = b"facet normal 0 0 0\nouter loop\n" + b"vertex 0 0 0\n" * 3 + b"endloop\nendfacet\n"
 UNKNOWN = model_of(0).replace(b"</resources>", b"<a/>" * 4_000_000 + b"</resources>")
+NAMED = model_of(0).replace(
+    b"</resources>", b"".join(b"<a%x/>" % n for n in range(1_500_000)) + b"</resources>"
+)
+ENTITY = b'<!DOCTYPE m [<!ENTITY a "' + b"a" * 1_000_000 + b'">]><model b="' + b"&a;" * 90 + b'" '
+
+
+def glb_of(text: bytes) -> bytes:
+    """A binary glTF of this JSON alone."""
+    text += b" " * (-len(text) % 4)
+    return struct.pack("<4sIII4s", b"glTF", 2, 20 + len(text), len(text), b"JSON") + text
+
+
+def nodes_glb(nodes: bytes) -> bytes:
+    """The glTF of a triangle, with these nodes."""
+    return glb_of(glb(3, 3)[20:].partition(b"BIN")[0][:-4].rstrip().replace(b'"nodes": [{"mesh"', nodes, 1))
+
+
+def chain(levels: int) -> bytes:
+    text = b",".join(b'{"children":[%d]}' % (level + 1) for level in range(levels))
+    return nodes_glb(b'"nodes": [' + text + b',{"mesh"')
+
+
+def coloured(times: int) -> bytes:
+    """A triangle with a colour for each of a million vertices, so many times."""
+    text = glb(3, 3)[20:].partition(b"BIN")[0][:-4].rstrip()
+    surface = b'{"attributes": {"POSITION": 0}, "indices": 1}'
+    colours = surface.replace(b"0}", b'0, "COLOR_0": 2}')
+    text = text.replace(surface, b",".join([colours] * times))
+    text = text.replace(b'"accessors": [', b'"accessors": [', 1)
+    more = b', {"componentType": 5121, "count": 1000000, "type": "VEC4"}], "bufferViews"'
+    return glb_of(text.replace(b'], "bufferViews"', more)) + bytes(4_000_000)
+
+
+def packed_as(method: int) -> bytes:
+    """A model of which the archive states fewer bytes than it unpacks to."""
+    text = model_of(0) + b" " * 300_000_000
+    packed = io.BytesIO()
+    with zipfile.ZipFile(packed, "w", method) as archive:
+        archive.writestr("3D/3dmodel.model", text)
+    return packed.getvalue().replace(struct.pack("<I", len(text)), struct.pack("<I", 1000))
+
+
 # What a file of some bytes states, and what is found instead; all would take gigabytes or minutes.
 BOMBS = {
     "zeros.glb": (
@@ -178,6 +220,17 @@ BOMBS = {
         "more than",
     ),
     "nested.3mf": (lambda: zipped(nested(2, 300)), "holds itself, or more than 20,000 parts"),
+    "names.3mf": (lambda: zipped(NAMED), "elements unpacks to"),
+    "packed.3mf": (lambda: packed_as(zipfile.ZIP_BZIP2), "is packed by method 12; expected Deflate"),
+    "entity.3mf": (lambda: zipped(model_of(0).replace(b"<model ", ENTITY)), "the model has a document type"),
+    "attribute.3mf": (
+        lambda: zipped(model_of(0).replace(b"<model ", b'<model a="' + b"x" * 100_000_000 + b'" ')),
+        "XML of 4,194,304 bytes in which no element begins",
+    ),
+    "entries.glb": (lambda: nodes_glb(b'"nodes": [' + b"{}," * 3_000_000 + b'{"mesh"'), "objects and lists"),
+    "chain.glb": (lambda: chain(1_500), "nodes more than 64 deep, or in a circle"),
+    "colours.glb": (lambda: coloured(900), "vertices and triangles unpacks to"),
+    "list.glb": (lambda: glb_of(b"[]"), "not a readable GLB file"),
     "deep.3mf": (lambda: zipped(nested(31, 1, 3_000)), "holds itself, or more than 20,000 parts"),
 }
 
