@@ -11,6 +11,7 @@ from typing import Any
 import av
 import numpy as np
 import pytest
+from PIL import Image
 
 import realtouch
 from tactile_toolkit.errors import InputError, IntegrityError
@@ -251,3 +252,18 @@ def test_a_frame_of_hundreds_of_scans_is_not_decoded(seq_rows: list[dict], tmp_p
         factories.write_set(tmp_path, {"train": seq_rows[:2]}, "seq", Layout(edit=one_clip(data, 3)))
         with pytest.raises(IntegrityError, match=r"touch 1.*a JPEG of 101 scans"):
             realtouch.load(tmp_path)[1].sensor_video[1].frames()
+
+
+def test_frames_larger_than_a_clip_states_are_refused_before_they_are_decoded() -> None:
+    stream, picture = io.BytesIO(), io.BytesIO()
+    Image.new("RGB", (5_000, 5_000)).save(picture, "PNG")
+    with av.open(stream, "w", format="avi") as container:
+        video = container.add_stream("png", rate=30)
+        video.width, video.height, video.pix_fmt = 320, 240, "rgb24"
+        small = av.VideoFrame.from_ndarray(np.zeros((240, 320, 3), np.uint8), format="rgb24")
+        container.mux(video.encode(small))
+        packet = av.Packet(picture.getvalue())
+        packet.stream, packet.pts, packet.dts, packet.time_base = video, 1, 1, video.time_base
+        container.mux(packet)
+    with pytest.raises(ValueError, match="frame 1 cannot be decoded"):
+        ffmpeg_frames(memoryview(stream.getvalue()), [1], 2)
