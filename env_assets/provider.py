@@ -295,7 +295,7 @@ class AssetProvider:
         return InputError(message)
 
 
-def _held_places(places: Mapping[str, str | PathLike[str]]) -> dict[str, str]:
+def _held_places(places: object) -> dict[str, str]:
     from realtouch.names import SHORT_NAMES
 
     known = (*KINDS, *FOREIGN, *SHORT_NAMES)
