@@ -19,7 +19,7 @@ from mnist3d.sources import NO_WRITER, DigitCatalog, DigitImage
 from mnist3d.sources.canvas import as_grey, fit
 from tactile_toolkit.bounds import require_unpackable
 from tactile_toolkit.errors import InputError, ItemError
-from tactile_toolkit.touch.jpeg import require_few_scans
+from tactile_toolkit.touch.jpeg import require_bounded_jpeg
 
 if TYPE_CHECKING:
     from PIL.Image import Image
@@ -245,7 +245,7 @@ def _decoded(path: Path) -> Image:
                 memory = picture.width * picture.height * _BYTES_PER_PIXEL.get(picture.mode, 24)
                 require_unpackable(memory, f"a picture of {picture.width} x {picture.height} pixels")
                 if picture.format in ("JPEG", "MPO"):
-                    require_few_scans(path.read_bytes())
+                    require_bounded_jpeg(path.read_bytes())
                 upright = ImageOps.exif_transpose(picture)
         if upright.mode in ("F", "I") or upright.mode.startswith("I;16"):
             return upright

@@ -13,7 +13,7 @@ from tactile_toolkit.bounds import require_unpackable
 __all__ = ["require_bounded"]
 
 # Memory that reading takes for each vertex or triangle, and for each line of text or corner of a polygon.
-_PER_ELEMENT, _PER_LINE = 240, 640
+_PER_ELEMENT, _PER_LINE = 240, 720
 _MOST_PARTS = 2_000
 """Surfaces of one file: trimesh takes milliseconds for each."""
 _DEEPEST = 64

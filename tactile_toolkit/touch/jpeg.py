@@ -19,6 +19,7 @@ from tactile_toolkit.errors import InputError
 __all__ = [
     "IMAGE_SUFFIX",
     "MAX_BATCH_PIXELS",
+    "MAX_HEADER_BYTES",
     "MAX_IMAGE_BYTES",
     "MAX_IMAGE_PIXELS",
     "MAX_SCANS",
@@ -27,7 +28,7 @@ __all__ = [
     "decode_image",
     "encode_image",
     "image_size",
-    "require_few_scans",
+    "require_bounded_jpeg",
     "resized",
     "room_for",
 ]
@@ -41,6 +42,9 @@ MAX_IMAGE_BYTES = 1 << 26
 MAX_SCANS = 100
 """Most scans of a JPEG that is decoded: each goes over the picture again, and a few bytes make one; cameras
 write 1, progressive files about 10."""
+
+MAX_HEADER_BYTES = 1 << 22
+"""Most bytes of a JPEG before its first scan: four make a segment, and Pillow keeps an object for each."""
 
 MAX_BATCH_PIXELS = 1 << 31
 """Most pixels that are decoded into one new array (6 GiB): every frame of 256 clips of 90 frames fits."""
@@ -66,7 +70,7 @@ def image_size(data: memoryview | bytes) -> tuple[int, int]:
         message = f"an image of {len(data):,} bytes; the limit is {MAX_IMAGE_BYTES:,}"
         raise ValueError(message)
     if data[:3] == _JPEG_START:
-        require_few_scans(data)
+        require_bounded_jpeg(data)
         try:
             height, width, *_ = simplejpeg.decode_jpeg_header(data)
         except ValueError as error:
@@ -83,12 +87,16 @@ def image_size(data: memoryview | bytes) -> tuple[int, int]:
     return height, width
 
 
-def require_few_scans(data: memoryview | bytes) -> None:
-    """Raise ValueError where a JPEG has more scans than :data:`MAX_SCANS`, before it is decoded."""
+def require_bounded_jpeg(data: memoryview | bytes) -> None:
+    """Raise ValueError where a JPEG has too many scans or too long a header, before it is decoded."""
     # In coded pixels this pair of bytes does not occur (ITU-T T.81, B.1.1.5).
-    scans = bytes(data).count(b"\xff\xda")
+    stored = bytes(data)
+    scans, header = stored.count(b"\xff\xda"), stored.find(b"\xff\xda")
     if scans > MAX_SCANS:
         message = f"a JPEG of {scans:,} scans; the limit is {MAX_SCANS}"
+        raise ValueError(message)
+    if header > MAX_HEADER_BYTES:
+        message = f"a JPEG whose header takes {header:,} bytes; the limit is {MAX_HEADER_BYTES:,}"
         raise ValueError(message)
 
 
@@ -99,7 +107,7 @@ def decode_image(data: memoryview | bytes, out: Pixels | None = None) -> Pixels:
     than ``out``. Nothing half-decoded is ever returned.
     """
     if out is not None and data[:3] == _JPEG_START and len(data) <= MAX_IMAGE_BYTES:
-        require_few_scans(data)
+        require_bounded_jpeg(data)
         # What is wrong is named below: to look into the header of each image first takes a while.
         with suppress(ValueError):
             if simplejpeg.decode_jpeg(data, "RGB", buffer=out).shape == out.shape:

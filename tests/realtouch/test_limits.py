@@ -245,6 +245,21 @@ def test_a_jpeg_of_hundreds_of_scans_is_not_decoded(single_rows: list[dict], tmp
         assert [(each.row, each.touch) for each in found] == [(1, 2)]
 
 
+def test_a_jpeg_of_millions_of_segments_is_not_opened(tmp_path: Path) -> None:
+    """An import asks Pillow whether an image is to be turned, and Pillow keeps an object for each segment."""
+    plain = jpeg_of_scans(1)
+    segments = plain[:2] + b"\xff\xe1\x00\x02" * (1 << 20) + plain[2:]
+    with pytest.raises(
+        ValueError, match=r"a JPEG whose header takes 4,19\d,\d\d\d bytes; the limit is 4,194,304"
+    ):
+        decode_image(segments)
+    (tmp_path / "bomb.jpg").write_bytes(segments)
+    (tmp_path / "plain.jpg").write_bytes(plain)
+    (tmp_path / "table.csv").write_text("file,label\nbomb.jpg,1\nplain.jpg,1\n")
+    made = realtouch.import_images(tmp_path, tmp_path.parent / f"{tmp_path.name}-set", "folder")
+    assert made.skipped_reasons() == {"image": 1}
+
+
 def test_a_frame_of_hundreds_of_scans_is_not_decoded(seq_rows: list[dict], tmp_path: Path) -> None:
     clip = write_avi([jpeg_of_scans(101)] * 3, 8, 8, 25.0)
     without_index = clip[: clip.rindex(b"idx1")] + b"JUNK" + clip[clip.rindex(b"idx1") + 4 :]
