@@ -13,6 +13,7 @@ from typing import Any
 import typer.main
 
 import mnist3d
+from tactile_toolkit.errors import MissingExtraError
 from tests.pages import expression
 from tests.unchanged.record import COMMAND_LINES, PACKAGES
 
@@ -72,6 +73,8 @@ def _faults_of_names(tree: ast.AST | None) -> Iterator[str]:
         except AttributeError as error:
             yield str(error)
             continue
+        except MissingExtraError:
+            continue  # where the extra is installed, it is looked at
         if not isinstance(node, ast.Call) or found is None:
             continue
         given = [None for each in node.args if not _is_ellipsis(each)]

@@ -181,9 +181,8 @@ def test_finished_split_is_told_beside_what_an_unfinished_one_keeps(tmp_path):
     (out / ".pending" / "train-00000-of-00002.json").write_text(json.dumps(first))
     (out / "data" / "train-00001-of-00002.parquet").unlink()
     (out / "data" / "test-00000-of-00001.parquet").unlink()
-    (out / "manifest.json").write_text(
-        json.dumps({**manifest, "splits": {}, "shards": [], "complete": False})
-    )
+    sums = {"splits": {}, "skipped": {}, "statistics": {}}
+    (out / "manifest.json").write_text(json.dumps({**manifest, **sums, "shards": [], "complete": False}))
     made = run(*words, "--split", "test")
     assert made.exit_code == 0
     for line in ("1 of 2", "1 of 1"):

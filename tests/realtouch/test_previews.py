@@ -247,10 +247,12 @@ def test_drift_is_that_of_the_recordings(seq_folder: Path, truth: list[RoundTrut
     assert backwards == pytest.approx(z_m[::-1])
 
 
+@pytest.mark.pictures
 @pytest.mark.parametrize(("chosen", "height"), [(False, "deepest touch"), (True, "gel on the plate")])
 def test_the_axis_of_the_drift_names_what_is_drawn(
     chosen: bool, height: str, single_folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    pytest.importorskip("matplotlib", reason="needs matplotlib, of the extra pictures")
     drawn: list[previews.Points] = []
     plot = previews.plot_points
     monkeypatch.setattr(

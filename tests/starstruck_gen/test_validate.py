@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import replace
 
 import pyarrow as pa
@@ -18,6 +17,8 @@ from starstruck_gen.validate import check_scene, validate_folder
 from tactile_toolkit.errors import IntegrityError
 from tactile_toolkit.mesh.mesh import Mesh
 from tactile_toolkit.mesh.solid_check import check_manifold
+from tactile_toolkit.store.folder import DataFolder
+from tactile_toolkit.store.manifest import read_manifest, write_manifest, write_shard_record
 
 PUBLISHED = ["id", "label", "mesh.vertices", "mesh.faces"]
 
@@ -102,13 +103,13 @@ def interrupted(tmp_path):
     """A folder with a finished test split whose train split was stopped after one shard of two."""
     out = tmp_path / "set"
     generate(GenerateSpec(scenes={"train": 1_001, "test": 4}), out)
-    manifest = json.loads((out / "manifest.json").read_text())
-    (out / ".pending").mkdir()
-    first, _, test = manifest["shards"]
-    (out / ".pending" / "train-00000-of-00002.json").write_text(json.dumps(first))
+    folder = DataFolder(str(out))
+    manifest = read_manifest(folder)
+    assert manifest is not None
+    first, _, test = manifest.shards
+    write_shard_record(folder, first)
     (out / "data" / "train-00001-of-00002.parquet").unlink()
-    so_far = {"splits": {"test": manifest["splits"]["test"]}, "shards": [test], "complete": False}
-    (out / "manifest.json").write_text(json.dumps(manifest | so_far))
+    write_manifest(folder, replace(manifest, shards=(test,), complete=False))
     return out
 
 

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import importlib.util
-
 import numpy as np
 import pytest
 
@@ -13,6 +11,7 @@ from tactile_toolkit.errors import InputError, MissingExtraError
 from tests.tactile_sim.solids import ball, block
 
 pytestmark = pytest.mark.sim
+pytest.importorskip("taxim", reason="needs taxim, of the extra sim")
 
 
 def _depths(sensor):
@@ -26,8 +25,6 @@ def _depths(sensor):
 
 @pytest.mark.parametrize("size", [(64, 64), (320, 240), (50, 40)], ids=str)
 def test_taxim_is_the_package_on_slopes_and_no_further_off_where_it_is_flat(size):
-    if importlib.util.find_spec("taxim") is None:
-        pytest.skip("needs taxim, of the extra sim")
     jax = pytest.importorskip("taxim.taxim_jax", reason="needs taxim with JAX, of the extra sim")
     from taxim import CALIB_GELSIGHT_MINI
 

@@ -52,7 +52,9 @@ def changed(values: Any, place: tuple[Any, ...], other: Any) -> str:
 def test_every_value_is_of_its_kind_or_named(toy_set: Path) -> None:
     """What is read goes back to the same text; whatever else stands in its place raises one kind of error."""
     values = json.loads((toy_set / MANIFEST_FILE).read_text())
-    values["shards"][0]["statistics"] = {"classes": [1, 2], "sizes": {"all": 3}}
+    counts = {"classes": [1, 2], "sizes": {"all": 3}}
+    values["shards"][0]["statistics"] = counts
+    values["statistics"] = {values["shards"][0]["split"]: counts}
     whole, _ = outcome(json.dumps(values))
     assert whole is not None
     named = 0
