@@ -14,13 +14,25 @@ from hypothesis import HealthCheck, settings
 
 from tests.real_input import NO_REAL_INPUT, SHARED
 
-# A slow or busy machine must not fail a property. A server draws the same examples every time, and new ones
-# in a run that prints its seed (`FRESH_EXAMPLES`, .ci/run); every other machine always draws new ones.
-settings.register_profile("anywhere", deadline=None, suppress_health_check=[HealthCheck.too_slow])
-settings.register_profile("server", parent=settings.get_profile("anywhere"), derandomize=True)
-settings.load_profile(
-    "server" if os.environ.get("CI") and not os.environ.get("FRESH_EXAMPLES") else "anywhere"
-)
+# A slow or busy machine must not fail a property. README's command draws few examples, for a quick answer;
+# `pytest -m ""` draws many. A server draws the same ones every time, and new ones in a run that
+# prints its seed (`FRESH_EXAMPLES`, .ci/run); every other machine always draws new ones.
+_EXAMPLES_AT_A_DESK = 25
+_EXAMPLES_IN_ALL = 200
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    """Choose how many examples properties draw, before the tests that adjust the number are imported."""
+    is_desk = config.getoption("markexpr") == "not thorough"
+    settings.register_profile(
+        "toolkit",
+        max_examples=_EXAMPLES_AT_A_DESK if is_desk else _EXAMPLES_IN_ALL,
+        derandomize=bool(os.environ.get("CI") and not os.environ.get("FRESH_EXAMPLES")),
+        deadline=None,
+        suppress_health_check=[HealthCheck.too_slow],
+    )
+    settings.load_profile("toolkit")
+
 
 # A shell that starts a job in the background has it ignore Ctrl-C, and so would all that tests interrupt.
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
@@ -95,6 +107,8 @@ def pytest_pyfunc_call(pyfuncitem: pytest.Function) -> bool | None:
         "no:cacheprovider",
         "-p",
         "no:xdist",
+        "-m",
+        pyfuncitem.config.getoption("markexpr"),
         pyfuncitem.nodeid,
     ]
     done = subprocess.run(
