@@ -10,10 +10,12 @@ from __future__ import annotations
 
 import ast
 import io
+import multiprocessing
+import os
 import re
 import shlex
-import subprocess
 import sys
+import tempfile
 from collections.abc import Iterator
 from contextlib import redirect_stdout
 from itertools import chain
@@ -22,7 +24,7 @@ from typing import Any, NamedTuple
 
 from tests import command_line
 
-__all__ = ["ROOT", "Block", "blocks", "commands", "expression", "inline_code", "main", "program"]
+__all__ = ["ROOT", "Block", "blocks", "commands", "expression", "inline_code", "main"]
 
 ROOT = Path(__file__).resolve().parents[1]
 
@@ -30,6 +32,15 @@ _BLOCK = re.compile(r"^```(\w*)\n(.*?)^```\n?(?:\n*^```text\n(.*?)^```)?", flags
 _INLINE = re.compile(r"(?<!`)`([^`]+)`(?!`)")
 _REPLACED = re.compile(r"\.\.\.|\b[A-Z]{2,}\b")
 _EXTRA = re.compile(r"# with the extra `(\w+)`\n")
+_STREAMS = ("stdout", "stderr")
+_READY = multiprocessing.get_context("forkserver")
+_READY.set_forkserver_preload(
+    [
+        *(f"cli.{name}" for name in ("mnist3d", "starstruck", "realtouch", "tactile_sim", "env_assets")),
+        *("mnist3d.generation", "starstruck_gen.generation", "realtouch.opening", "tactile_sim.generation"),
+        *("datasets", "numba", "pyarrow.parquet", "scipy.ndimage", "skimage.measure", "trimesh"),
+    ]
+)
 
 
 class Block(NamedTuple):
@@ -68,12 +79,12 @@ def commands(text: str) -> list[str]:
     return [line for line in lines if line.strip() and not line.startswith("#")]
 
 
-def program(command: str) -> list[str]:
-    """Translate ``mnist3d ...`` into this interpreter running that command line."""
+def _program(command: str) -> list[str]:
+    """Return the words of ``.venv/bin/mnist3d ...``, with patterns of files as the shell replaces them."""
     bare = command.rpartition("&&")[2].strip().removeprefix(".venv/bin/")
     name, *arguments = shlex.split(bare, comments=True)
     files = [sorted(map(str, Path().glob(each))) if "*" in each else [each] for each in arguments]
-    return command_line.program(name, *chain.from_iterable(files))
+    return [name, *chain.from_iterable(files)]
 
 
 def main() -> None:
@@ -100,10 +111,22 @@ def main() -> None:
 def _shell(page: str, text: str) -> Iterator[str]:
     for command in commands(text):
         if "pytest" not in command:
-            done = subprocess.run(program(command), capture_output=True, text=True, check=False)
-            if done.returncode:
-                sys.exit(f"{page}: {command}\n{done.stdout}{done.stderr}")
-            yield done.stdout
+            with tempfile.TemporaryDirectory() as folder:
+                # Forked from a process that has imported all that commands need, which takes each 1 s.
+                process = _READY.Process(target=_command, args=(_program(command), folder))
+                process.start()
+                process.join()
+                printed, complaints = (Path(folder, name).read_text("utf-8") for name in _STREAMS)
+            if process.exitcode:
+                sys.exit(f"{page}: {command}\n{printed}{complaints}")
+            yield printed
+
+
+def _command(words: list[str], folder: str) -> None:
+    """Run a command line in this process, which ends with it."""
+    for descriptor, name in enumerate(_STREAMS, 1):
+        os.dup2(os.open(Path(folder, name), os.O_WRONLY | os.O_CREAT), descriptor)
+    sys.exit(command_line.call(*words))
 
 
 def _python(page: str, text: str, names: dict[str, Any]) -> str:

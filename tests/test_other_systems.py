@@ -75,6 +75,7 @@ print(json.dumps(imported))
     assert set(PACKAGES) <= set(imported)
 
 
+@pytest.mark.thorough
 def test_a_set_is_made_loaded_and_verified(tmp_path: Path) -> None:
     code = """
 import sys

@@ -65,6 +65,7 @@ def made_here(tmp_path_factory: pytest.TempPathFactory, touches: Path) -> dict[s
     return made_on({}, tmp_path_factory.mktemp("here") / "made", touches)
 
 
+@pytest.mark.thorough
 @pytest.mark.skipif(platform.machine() not in ("x86_64", "AMD64"), reason="the switches are those of x86-64")
 @pytest.mark.parametrize("processor", PROCESSORS)
 def test_another_processor_writes_the_same(

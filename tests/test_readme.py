@@ -87,11 +87,13 @@ def test_blocks_are_of_known_kinds():
     assert named == set(NEEDED)
 
 
+@pytest.mark.thorough
 def test_readme_runs(surroundings):
     """As a reader would type it; CI runs the installing halves of the first two lines."""
     read("README.md", surroundings, "readme")
 
 
+@pytest.mark.thorough
 @pytest.mark.env
 def test_the_block_with_environments_runs(surroundings):
     pytest.importorskip("tactile_mnist", reason="needs tactile-mnist, of the extra env")
@@ -99,6 +101,7 @@ def test_the_block_with_environments_runs(surroundings):
     run([sys.executable, "-c", block.text], surroundings, "environments")
 
 
+@pytest.mark.thorough
 def test_pages_of_the_site_run(surroundings):
     """One reader goes through all of them in one folder; blocks whose extra is not there are left out."""
     extras = [extra for extra, package in NEEDED.items() if find_spec(package)]
