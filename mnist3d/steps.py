@@ -46,6 +46,10 @@ FIRST_TOLERANCE_MM = 0.01
 # Small steps: see the note on many careful passes in `decimate`.
 TOLERANCE_GROWTH = 1.25
 
+FEW_TOO_MANY = 2.0
+E_FOLD_MM = 0.1
+"""Up to so many times the vertices allowed, one pass will do: each so much tolerance leaves 1 / e of them."""
+
 BUDGET_SLACK = 1.5
 """No mesh has more vertices than this many times its budget."""
 
@@ -182,13 +186,21 @@ def scale(
 def decimate(mesh: Mesh, target_vertices: int) -> Mesh:
     """Drop the vertices that matter least until the budget is met; a mesh within it comes back itself.
 
-    Raises ItemError ``vertex-budget`` where even 1.5 times as many vertices are too few for its bodies and
-    holes.
+    A mesh with more than 1.5 times as many vertices, but at most 3 times, keeps up to 1.5 times as many.
+    Raises ItemError ``vertex-budget`` where even these are too few for its bodies and holes.
     """
     if len(mesh.vertices_m) <= target_vertices:
         return mesh
     counts = bodies_and_holes(mesh.vertices_m, mesh.faces)
+    most = BUDGET_SLACK * target_vertices
     passes, tolerance_mm = [mesh.to_manifold()], FIRST_TOLERANCE_MM
+    over = len(mesh.vertices_m) / most
+    if 1 < over <= FEW_TOO_MANY:
+        solid = passes[0].simplify(tolerance_mm + E_FOLD_MM * math.log(over))
+        simpler = _mesh_of(solid)
+        fits = len(simpler.vertices_m) <= most
+        if fits and _is_held(solid, counts) and not _crosses_itself(simpler, counts[0]):
+            return simpler
     # Many careful passes: one pass with a wide tolerance leaves more vertices, and worse placed ones.
     while passes[-1].num_vert() > target_vertices:
         simpler = passes[-1].simplify(tolerance_mm)
@@ -202,7 +214,7 @@ def decimate(mesh: Mesh, target_vertices: int) -> Mesh:
         passes.pop()
     solid = passes[-1]
     found = solid.num_vert()
-    if found > BUDGET_SLACK * target_vertices:
+    if found > most:
         message = (
             f"the digit needs {found:,} vertices to keep its {counts[0]} bodies and {counts[1]} holes; "
             f"{target_vertices:,} were asked for, and at most {BUDGET_SLACK:g} times as many are given; "
@@ -234,15 +246,19 @@ def _is_held(solid: Any, counts: tuple[int, int]) -> bool:
     return len(solid.slice((low + high) / 2).to_polygons()) == sum(counts)
 
 
-def bodies_and_holes(vertices: NDArray[Any], faces: NDArray[Any]) -> tuple[int, int]:
-    """Count the bodies of a closed surface and the holes through them."""
+def bodies_and_holes(vertices: NDArray[Any], faces: NDArray[Any], rim: int | None = None) -> tuple[int, int]:
+    """Count the bodies of a closed surface and the holes through them.
+
+    With a ``rim``, the number of vertices in the mid-plane, the surface is the upper half of one.
+    """
     from scipy import sparse
     from scipy.sparse import csgraph
 
-    weights = np.ones(2 * len(faces), dtype=np.int8)
-    ends, others = faces[:, [0, 1]].ravel(), faces[:, [1, 2]].ravel()
-    links = sparse.coo_matrix((weights, (ends, others)), shape=(len(vertices), len(vertices)))
+    # Nodes for the triangles and then for the vertices; only the former lead anywhere, and to three each.
+    starts = np.minimum(3 * np.arange(len(faces) + len(vertices) + 1), 3 * len(faces))
+    weights, nodes = np.ones(3 * len(faces)), faces.ravel() + len(faces)
+    links = sparse.csr_matrix((weights, nodes, starts), shape=(len(starts) - 1, len(starts) - 1))
     bodies = int(csgraph.connected_components(links, directed=False)[0])
     # Every edge of a closed surface borders two triangles, so V - E + F is V - F / 2.
-    euler = len(vertices) - len(faces) // 2
+    euler = len(vertices) - len(faces) // 2 if rim is None else 2 * len(vertices) - rim - len(faces)
     return bodies, bodies - euler // 2

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 from scipy import ndimage
 
-from mnist3d.lattice import distance_px
+from mnist3d.lattice import signed_distance_px
 from mnist3d.solid import (
     SolidSpec,
     decimate,
@@ -23,18 +23,29 @@ from mnist3d.solid import (
     mirror,
     scale,
     smooth,
+    solidify,
     stack,
 )
 from tactile_toolkit.mesh.mesh import Mesh
 from tactile_toolkit.mesh.printability import inspect
 from tests.mnist3d.drawings import six
+from tests.mnist3d.surface_distances import symmetric_distances_mm
 
 
-@given(hnp.arrays(bool, st.tuples(st.integers(1, 25), st.integers(1, 25))), st.floats(1, 12))
-def test_distance_is_exact_up_to_its_reach(mask: np.ndarray, reach: float) -> None:
-    padded = np.pad(mask, 1)
-    expected = np.minimum(ndimage.distance_transform_edt(padded), reach)
-    assert np.allclose(distance_px(padded, reach), expected, atol=1e-5)
+@given(
+    hnp.arrays(bool, st.tuples(st.integers(1, 40), st.integers(1, 40))), st.floats(1, 24), st.floats(1, 24)
+)
+def test_distance_is_exact_up_to_its_reaches(mask: np.ndarray, inside: float, outside: float) -> None:
+    # Beyond the image lies nothing: neither ink nor paper is near.
+    reach = math.ceil(max(inside, outside)) + 1
+    none = [np.full(np.add(mask.shape, 2 * reach), fill) for fill in (True, False)]
+    for there in none:
+        there[reach:-reach, reach:-reach] = mask
+    ink, paper = none[0], ~none[1]
+    window = (slice(reach, -reach),) * 2
+    to_paper, to_ink = (ndimage.distance_transform_edt(where)[window] for where in (ink, paper))
+    expected = np.where(mask, np.minimum(to_paper - 0.5, inside), -np.minimum(to_ink - 0.5, outside))
+    assert np.allclose(signed_distance_px(mask, inside, outside), expected, atol=1e-5)
 
 
 @given(hnp.arrays(bool, st.tuples(st.integers(3, 25), st.integers(3, 25))), st.floats(0, 8))
@@ -115,3 +126,17 @@ def test_decimation_keeps_to_the_budget_and_to_the_solid() -> None:
     assert (report.is_solid, report.bodies, report.genus) == (True, 1, 1)
     assert coarse.volume_m3 == pytest.approx(fine.volume_m3, rel=0.03)
     assert decimate(coarse, 5000) is coarse
+
+
+def test_little_too_much_is_decimated_to_what_a_mesh_may_have() -> None:
+    spec = SolidSpec(lattice_pitch_mm=0.85)
+    fine = solidify(six(), spec)
+    most = int(len(fine.vertices_m) / 1.2)
+    coarse = decimate(fine, math.ceil(most / 1.5))
+    report = inspect(coarse)
+    assert 0.75 * most < len(coarse.vertices_m) <= most
+    assert (report.problem, report.bodies, report.genus) == (None, 1, 1)
+    distances = symmetric_distances_mm(coarse, fine)
+    assert distances.mean() <= 0.005
+    assert np.percentile(distances, 99.9) <= 0.1
+    assert coarse.volume_m3 == pytest.approx(fine.volume_m3, rel=0.001)
