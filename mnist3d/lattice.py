@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 
-from mnist3d.ink import count_bodies_and_holes
+from mnist3d.ink import count_bodies_and_holes, grown
 from mnist3d.spec import depth_px, half_height_px
 from mnist3d.steps import BUDGET_SLACK, bodies_and_holes, decimate, marching_cubes, scale, smooth
 from tactile_toolkit.errors import ItemError
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from mnist3d.spec import SolidSpec
     from tactile_toolkit.mesh.mesh import Mesh
 
-__all__ = ["LatticeSteps", "distance_px", "lattice_solid", "lattice_steps", "signed_distance_px"]
+__all__ = ["LatticeSteps", "lattice_solid", "lattice_steps", "signed_distance_px"]
 
 F = TypeVar("F", np.float32, np.float64)
 
@@ -132,21 +132,24 @@ def lattice_steps(mask: NDArray[np.bool_], spec: SolidSpec) -> LatticeSteps:
     # Deeper than the half thickness the surface is flat; 4 px more keep the cut-off out of the blur there.
     distance = signed_distance_px(crop, math.ceil(spec.half_thickness_px) + 4, 2 * LARGEST_PITCH_PX)
     distance = _on_grid(distance, _FACTOR_GRAIN_PX)
-    narrow = _narrow_parts(distance)
+    narrow = np.stack(np.nonzero(_narrow_parts(distance)))
     pitch_px = _first_pitch_px(distance, spec)
     rows, columns = (np.arange(0.0, side - 1, pitch_px) for side in distance.shape)
     while True:
         lattice = _sample(distance, rows, columns, pitch_px)
-        shown = _between_nodes(lattice, distance.shape)
-        missed: NDArray[np.bool_] = narrow & (np.abs(shown - distance) > NARROW_ERROR_PX)
-        if not missed.any():
+        error_px = np.abs(_between_nodes(lattice, *narrow) - distance[tuple(narrow)])
+        missed = narrow[:, error_px > NARROW_ERROR_PX]
+        if not missed.size:
             layers, raw, smoothed, upper = _upper_surface(lattice, spec)
-            vertices, faces = _mirror_surface(smoothed, upper)
-            found = bodies_and_holes(vertices, faces)
+            found = bodies_and_holes(smoothed, upper, int(np.count_nonzero(smoothed[:, 2] == 0)))
             if found == counts:
                 break
-            # Bodies or holes are lost where the lattice shows ink for paper, or paper for ink.
-            missed = (shown > 0) != crop
+            # Bodies or holes are lost where nodes touch at a corner alone, or else where the lattice shows
+            # ink for paper, or paper for ink.
+            missed = _corner_contacts(layers[:, :, 0], lattice)
+            if not missed.size:
+                shown = _between_nodes(lattice, *np.ogrid[: crop.shape[0], : crop.shape[1]])
+                missed = np.stack(np.nonzero((shown > 0) != crop))
         if len(rows) == crop.shape[0] and len(columns) == crop.shape[1]:
             message = (
                 f"no lattice keeps the {counts[0]} bodies and {counts[1]} holes of the ink; the finest has "
@@ -154,10 +157,11 @@ def lattice_steps(mask: NDArray[np.bool_], spec: SolidSpec) -> LatticeSteps:
             )
             raise ItemError(reason="topology", message=message)
         before = len(rows), len(columns)
-        rows, columns = _refined(rows, missed), _refined(columns, missed.T)
+        rows, columns = (_refined(*each) for each in zip((rows, columns), missed, crop.shape, strict=True))
         # Where nothing more can be added line by line, every pixel becomes a node; then the loop ends.
         if (len(rows), len(columns)) == before:
             rows, columns = (np.arange(side, dtype=np.float64) for side in crop.shape)
+    vertices, faces = _mirror_surface(smoothed, upper)
     corner = np.array([top, left, 0], dtype=np.float32)
     mesh = scale(vertices + corner, faces, (mask.shape[0], mask.shape[1]), spec)
     # Who asks for a pitch has asked for its vertices, too.
@@ -170,35 +174,38 @@ def signed_distance_px(mask: NDArray[np.bool_], inside_px: float, outside_px: fl
     """Measure how far each pixel centre lies from the outline of the ink, positive inside, up to two reaches.
 
     The outline runs between pixels, half a pixel from the centres on either side of it. What lies beyond the
-    image is paper only if the image says so at its edge.
+    image is paper only if the image says so at its edge. Exact up to the reaches, which are below 127. First
+    along the rows, then over the offsets of the columns (Felzenszwalb and Huttenlocher 2012 write the
+    transform that way); with a short reach plain passes over small integers beat their lower envelope.
     """
-    inside = distance_px(mask, inside_px + 0.5)
-    outside = distance_px(~mask, outside_px + 0.5)
+    width, far = mask.shape[1], math.ceil(max(inside_px, outside_px)) + 1
+    columns = np.arange(width, dtype=np.int16)
+    # Where the run of ink or paper along the row begins and ends, for every pixel of it.
+    changes = mask[:, 1:] != mask[:, :-1]
+    first, last = (np.full(mask.shape, end, np.int16) for end in (-far, width + far))
+    np.copyto(first[:, 1:], columns[1:], where=changes)
+    np.copyto(last[:, :-1], columns[:-1], where=changes)
+    np.maximum.accumulate(first, axis=1, out=first)
+    np.minimum.accumulate(last[:, ::-1], axis=1, out=last[:, ::-1])
+    along_rows = np.minimum(columns - first, last - columns) + np.int16(1)
+    inside = _distance_px(along_rows * mask, inside_px + 0.5)
+    outside = _distance_px(along_rows * ~mask, outside_px + 0.5)
     return np.where(mask, inside - np.float32(0.5), np.float32(0.5) - outside)
 
 
-def distance_px(mask: NDArray[np.bool_], reach_px: float) -> NDArray[np.float32]:
-    """Measure how far each marked pixel centre lies from the nearest unmarked one.
-
-    Exact up to ``reach_px`` (below 128) and that value beyond. First along the columns, then over the offsets
-    of the rows (Felzenszwalb and Huttenlocher 2012 write the transform that way); with a short reach plain
-    passes over small integers beat their lower envelope.
-    """
-    reach = math.ceil(reach_px)
-    height, width = mask.shape
-    rows = np.arange(height, dtype=np.int16)[:, None]
-    above = np.maximum.accumulate(np.where(mask, np.int16(-reach), rows), axis=0)
-    below = np.minimum.accumulate(np.where(mask, np.int16(height + reach), rows)[::-1], axis=0)[::-1]
-    along_columns = np.minimum(np.minimum(rows - above, below - rows), np.int16(reach))
-    # Sums of two squares below 128^2 fit 16 bits, which halves the memory that is walked through: 1.2 ms
-    # where scipy's transform of the window takes 1.9.
-    squared = along_columns * along_columns
-    padded = np.full((height, width + 2 * reach), reach * reach, dtype=np.int16)
-    padded[:, reach : reach + width] = squared
+def _distance_px(along_rows: NDArray[np.int16], reach_px: float) -> NDArray[np.float32]:
+    """Return the distance to the nearest 0, up to a reach below 128, from that within each row."""
+    reach, height = math.ceil(reach_px), len(along_rows)
+    along_rows = np.minimum(along_rows, np.int16(reach))
+    # Sums of two squares below 128^2 fit 16 bits, which halves the memory that is walked through.
+    squared = along_rows * along_rows
+    padded = np.pad(squared, ((reach, reach), (0, 0)), constant_values=reach * reach)
     beside = np.empty_like(squared)
     for offset in range(1, reach):
-        left, right = reach - offset, reach + offset
-        np.minimum(padded[:, left : left + width], padded[:, right : right + width], out=beside)
+        if offset * offset >= squared.max():
+            break
+        above, below = reach - offset, reach + offset
+        np.minimum(padded[above : above + height], padded[below : below + height], out=beside)
         beside += np.int16(offset * offset)
         np.minimum(squared, beside, out=squared)
     return np.asarray(np.minimum(np.sqrt(squared, dtype=np.float32), np.float32(reach_px)))
@@ -231,24 +238,30 @@ def _crossed_edges(s_px: NDArray[np.float32], pitch_px: float, spec: SolidSpec) 
 
 def _narrow_parts(distance: NDArray[np.float32]) -> NDArray[np.bool_]:
     """Mark the pixels of ink and paper that nothing wide is near: necks, gaps, whiskers and notches."""
-    wide_ink, wide_paper = _grown(distance >= NARROW_PX), _grown(distance <= -NARROW_PX)
+    wide_ink, wide_paper = distance >= NARROW_PX, distance <= -NARROW_PX
+    for _ in range(NARROW_REACH_PX):
+        wide_ink, wide_paper = grown(wide_ink), grown(wide_paper)
     return np.where(distance > 0, ~wide_ink, ~wide_paper)
 
 
-def _grown(mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Widen what is marked by a square."""
-    for _ in range(2):
-        grown = mask.copy()
-        for offset in range(1, NARROW_REACH_PX + 1):
-            grown[offset:] |= mask[:-offset]
-            grown[:-offset] |= mask[offset:]
-        mask = grown.T
-    return mask
+def _corner_contacts(inside: NDArray[np.bool_], lattice: PlaneLattice) -> NDArray[np.intp]:
+    """Return the pixels, shape (2, N), between nodes of which two touch at a corner alone.
+
+    The surface may join them, or what lies across.
+    """
+    one, other = inside[:-1, :-1], inside[:-1, 1:]
+    contacts = (one == inside[1:, 1:]) & (other == inside[1:, :-1]) & (one != other)
+    cells = (
+        np.searchsorted(nodes[1:-1], np.arange(nodes[-1] + 1), side="right")
+        for nodes in (lattice.rows_px, lattice.columns_px)
+    )
+    return np.stack(np.nonzero(contacts[np.ix_(*cells)]))
 
 
-def _refined(nodes: NDArray[np.float64], missed_pixels: NDArray[np.bool_]) -> NDArray[np.float64]:
+def _refined(nodes: NDArray[np.float64], lines: NDArray[np.intp], count: int) -> NDArray[np.float64]:
     """Put nodes on every pixel of the lines in which something is missed, and on those beside them."""
-    missed = np.asarray(missed_pixels.any(axis=1))
+    missed = np.zeros(count, dtype=bool)
+    missed[lines] = True
     wanted = np.flatnonzero(missed | np.append(missed[1:], False) | np.append(False, missed[:-1])) * 1.0
     if not len(wanted):
         return nodes
@@ -324,20 +337,25 @@ def _bells(squared: NDArray[np.float64], sigma: NDArray[np.float64]) -> NDArray[
     return np.asarray(bell / bell.sum(axis=1, keepdims=True))
 
 
-def _between_nodes(lattice: PlaneLattice, shape: tuple[int, ...]) -> NDArray[np.float64]:
-    """Return what the lattice says at every pixel, linear between its nodes."""
-    down, across = (
-        _linear(nodes, count)
-        for nodes, count in zip((lattice.rows_px, lattice.columns_px), shape, strict=True)
+def _between_nodes(
+    lattice: PlaneLattice, rows: NDArray[np.intp], columns: NDArray[np.intp]
+) -> NDArray[np.float64]:
+    """Return what the lattice says at pixels, linear between its nodes; exact as in :func:`_both_ways`."""
+    s = _on_grid(lattice.s_px, _FACTOR_GRAIN_PX).astype(np.float64)
+    row, above, below = _linear(lattice.rows_px, rows)
+    column, left, right = _linear(lattice.columns_px, columns)
+    before, after = (
+        _on_grid(above * s[row, side] + below * s[row + 1, side], _FACTOR_GRAIN_PX)
+        for side in (column, column + 1)
     )
-    return _both_ways(down, across, _on_grid(lattice.s_px, _FACTOR_GRAIN_PX))
+    return np.asarray(left * before + right * after)
 
 
-def _linear(nodes: NDArray[np.float64], count: int) -> Any:
-    pixels = np.arange(count)
-    before = np.clip(np.searchsorted(nodes, pixels, side="right") - 1, 0, len(nodes) - 2)
+def _linear(nodes: NDArray[np.float64], pixels: NDArray[np.intp]) -> tuple[NDArray[Any], ...]:
+    """Return the nodes before pixels and the weights of these and the next ones."""
+    before = np.searchsorted(nodes[1:-1], pixels, side="right")
     share = np.clip((pixels - nodes[before]) / (nodes[before + 1] - nodes[before]), 0, 1)
-    return _sparse(np.stack([1 - share, share], axis=1), before[:, None] + np.arange(2), len(nodes))
+    return before, _on_grid(1 - share, _WEIGHT_GRAIN), _on_grid(share, _WEIGHT_GRAIN)
 
 
 def _sparse(weights: NDArray[np.float64], places: NDArray[np.intp], count: int) -> Any:
@@ -384,11 +402,15 @@ def _in_storage_order(faces: NDArray[np.int32]) -> NDArray[np.int32]:
     """
     if not len(faces):
         return faces
-    turns = (faces.argmin(axis=1)[:, None] + np.arange(3)) % 3
-    begun = np.take_along_axis(faces, turns, axis=1)
-    # On a surface no two triangles leave the same vertex by the same edge, so two numbers settle the order.
-    edge = begun[:, 0].astype(np.int64) * (int(faces.max()) + 1) + begun[:, 1]
-    return np.asarray(begun[np.argsort(edge, kind="stable")])
+    # On a surface no two triangles leave the same vertex by the same edge, so two numbers settle the order;
+    # of the three edges of a triangle the one from its lowest vertex has the least.
+    count = int(faces.max()) + 1
+    a, b, c = faces.T.astype(np.int64)
+    edge = np.minimum(np.minimum(a * count + b, b * count + c), c * count + a)
+    order = np.argsort(edge, kind="stable")
+    first, second = np.divmod(edge[order], count)
+    third = (a + b + c)[order] - first - second
+    return np.stack([first, second, third], axis=1).astype(np.int32)
 
 
 def _beside_thin_parts(vertices: NDArray[np.float32], inside: NDArray[np.bool_]) -> NDArray[np.bool_]:

@@ -25,7 +25,7 @@ PROFILES = ("round", "linear", "flat")
 EROSIONS = ("outline", "disc")
 
 LARGEST_HALF_THICKNESS_PX = 100
-"""Squares of distances in pixels have to fit 16 bits (:func:`mnist3d.lattice.distance_px`)."""
+"""Squares of distances in pixels have to fit 16 bits (:func:`mnist3d.lattice.signed_distance_px`)."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -16,6 +16,7 @@ from hypothesis import strategies as st
 from scipy import ndimage
 
 from mnist3d.ink import count_bodies_and_holes
+from mnist3d.lattice import lattice_steps
 from mnist3d.solid import (
     EROSIONS,
     SolidSpec,
@@ -271,6 +272,20 @@ def test_narrow_gaps_do_not_make_the_whole_lattice_finer(gap_px: float, turns: f
         None,
         *count_bodies_and_holes(ink_mask(pixels, spec)),
     )
+
+
+@needs_shared
+def test_nodes_that_touch_at_a_corner_get_others_between_them() -> None:
+    from PIL import Image
+
+    # Ink on two nodes across a slanting gap, paper on the other two: the surface joins the ink.
+    with Image.open(DIGITS / "0040_label0_writer6.png") as image:
+        steps = lattice_steps(ink_mask(np.asarray(image), SolidSpec()), SolidSpec())
+    report = inspect(steps.mesh)
+    assert (report.problem, report.bodies, report.genus) == (None, 1, 1)
+    assert len(steps.lattice.rows_px) < 80
+    # Not decimated: the upper half and its mirror image.
+    assert len(steps.mesh.faces) == 2 * len(steps.faces)
 
 
 @pytest.mark.parametrize("method", ["fast", "literal"])
