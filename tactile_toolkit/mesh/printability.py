@@ -259,9 +259,13 @@ def _report(check: ManifoldCheck, vertices: int, faces: int, **measured: Any) ->
 def _overhang_mm2(vertices_mm: NDArray[np.float64], faces: NDArray[np.int32], profile: PrintProfile) -> float:
     heights = vertices_mm[:, 2]
     # What lies within the first layer rests on the bed, whatever way it faces.
-    aloft = (heights > heights.min() + profile.layer_height_mm)[faces].any(axis=1)
-    corners = np.ascontiguousarray(faces[aloft].T, dtype=np.intp)
-    x, y, z = (axis[corners] for axis in np.ascontiguousarray(vertices_mm.T))
+    aloft = heights > heights.min() + profile.layer_height_mm
+    corners = np.ascontiguousarray(faces.T, dtype=np.intp)
+    corners = corners[:, np.logical_or.reduce(aloft[corners])]
+    x, y, z = np.ascontiguousarray(vertices_mm.T)
+    # What looks up or sideways leans out nowhere.
+    corners = corners[:, _minor(x[corners], y[corners]) < 0]
+    x, y, z = x[corners], y[corners], z[corners]
     normal_x, normal_y, normal_z = (_minor(*pair) for pair in ((y, z), (z, x), (x, y)))
     twice_area = np.sqrt(normal_x**2 + normal_y**2 + normal_z**2)
     steep = normal_z < -math.sin(math.radians(profile.overhang_deg)) * twice_area
