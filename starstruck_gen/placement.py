@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import accumulate
 from types import MappingProxyType
 from typing import Any, NamedTuple
 
@@ -11,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from starstruck_gen.shapes import STAR
-from starstruck_gen.solid import Prism, prism, prism_solid
+from starstruck_gen.solid import Prisms, prism_solid, prisms
 from tactile_toolkit.arithmetic import cosine_sine
 from tactile_toolkit.mesh.mesh import MM_PER_M, Mesh
 from tactile_toolkit.read.columns import RaggedColumn
@@ -154,33 +155,26 @@ def stamp(layouts: Sequence[Sequence[Placement]]) -> SceneMeshes:
     -------
     SceneMeshes
     """
-    placements = [placement for layout in layouts for placement in layout]
-    prisms = [prism(placement.shape) for placement in placements]
-    corner_ends = np.cumsum([0, *(len(made.corners) for made in prisms)])
-    face_ends = np.cumsum([0, *(len(made.faces) for made in prisms)])
-    # The first object of each scene; one more entry closes the last scene.
-    firsts = np.cumsum([0, *map(len, layouts)])
-    vertices = _vertices(placements, prisms, np.diff(corner_ends))
-    # Faces are numbered within their scene, not within the batch.
-    shifts = 2 * (corner_ends[:-1] - np.repeat(corner_ends[firsts[:-1]], np.diff(firsts)))
-    faces = _joined([made.faces for made in prisms], 3, np.int32)
-    faces = faces + np.repeat(shifts.astype(np.int32), np.diff(face_ends))[:, None]
+    outlines = [prisms(tuple([placement.shape for placement in layout])) for layout in layouts]
+    vertices = _vertices(layouts, outlines)
+    faces = _joined([made.faces for made in outlines], 3, np.int32)
     return SceneMeshes(
-        RaggedColumn(vertices, 2 * corner_ends[firsts]), RaggedColumn(faces, face_ends[firsts])
+        RaggedColumn(vertices, _offsets([2 * len(made.corners) for made in outlines])),
+        RaggedColumn(faces, _offsets([len(made.faces) for made in outlines])),
     )
 
 
-def _vertices(
-    placements: Sequence[Placement], prisms: Sequence[Prism], counts: NDArray[np.int64]
-) -> NDArray[np.float32]:
+def _vertices(layouts: Sequence[Sequence[Placement]], outlines: Sequence[Prisms]) -> NDArray[np.float32]:
     """Turn, scale and move the corners of all objects, each standing twice: on the plate and above it."""
     poses = [
         (x, y, cosine * radius, sine * radius, height)
-        for _, x, y, angle, radius, height in placements
+        for layout in layouts
+        for _, x, y, angle, radius, height in layout
         for cosine, sine in (cosine_sine(angle),)
     ]
-    x, y, c, s, height = np.repeat(np.array(poses, dtype=np.float64).reshape(-1, 5).T, counts, axis=1)
-    corners = _joined([made.corners for made in prisms], 2, np.float64)
+    counts = _joined([made.corner_counts for made in outlines], None, np.int64)
+    x, y, c, s, height = np.array(poses, dtype=np.float64).reshape(-1, 5).T.repeat(counts, axis=1)
+    corners = _joined([made.corners for made in outlines], 2, np.float64)
     # In double precision up to here and rounded once, so that a scene's bytes do not depend on its batch.
     vertices = np.zeros((len(corners), 2, 3), dtype=np.float32)
     vertices[:, :, 0] = (c * corners[:, 0] - s * corners[:, 1] + x)[:, None]
@@ -189,5 +183,9 @@ def _vertices(
     return vertices.reshape(-1, 3)
 
 
-def _joined(parts: list[NDArray[Any]], width: int, dtype: type[np.generic]) -> NDArray[Any]:
-    return np.concatenate(parts) if parts else np.zeros((0, width), dtype)
+def _joined(parts: list[NDArray[Any]], width: int | None, dtype: type[np.generic]) -> NDArray[Any]:
+    return np.concatenate(parts) if parts else np.zeros((0, width) if width else 0, dtype)
+
+
+def _offsets(counts: list[int]) -> NDArray[np.int64]:
+    return np.array([0, *accumulate(counts)], dtype=np.int64)

@@ -10,7 +10,7 @@ import re
 from collections.abc import Sequence
 from dataclasses import dataclass, fields, is_dataclass
 from functools import lru_cache
-from itertools import pairwise
+from itertools import accumulate, pairwise
 from typing import Any, TypeVar
 
 import numpy as np
@@ -21,7 +21,7 @@ from tactile_toolkit.errors import InputError
 from tactile_toolkit.mesh.mesh import Mesh
 from tactile_toolkit.mesh.solid_check import check_manifold
 
-__all__ = ["Prism", "own_kinds", "prism", "prism_solid", "register_shape", "require_fine_steps"]
+__all__ = ["Prism", "Prisms", "own_kinds", "prism", "prism_solid", "prisms", "register_shape", "require_fine_steps"]
 
 K = TypeVar("K", bound=type[Proportions])
 
@@ -93,6 +93,35 @@ def prism(key: str) -> Prism:
             "counter-clockwise, then holes clockwise, none touching another"
         )
         raise InputError(message)
+    return made
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Prisms:
+    """The solids of several shapes one after another: a scene before anything is placed; all read-only."""
+
+    corners: NDArray[np.float64]  # (n, 2), as of the prisms
+    corner_counts: NDArray[np.int64]  # of each prism
+    faces: NDArray[np.int32]  # (F, 3), numbered through all prisms
+
+
+@lru_cache(_MOST_KEPT)
+def prisms(keys: tuple[str, ...]) -> Prisms:
+    """Return the solids of the shapes that some keys name, in their order.
+
+    Kept, as scenes hold the same few shapes in the same few orders: of the published ones there are 189.
+    """
+    each = [prism(key) for key in keys]
+    starts = accumulate((made.vertex_count for made in each), initial=0)
+    made = Prisms(
+        np.concatenate([np.zeros((0, 2)), *(one.corners for one in each)]),
+        np.array([len(one.corners) for one in each], dtype=np.int64),
+        np.concatenate(
+            [np.zeros((0, 3), np.int32), *(one.faces + np.int32(start) for one, start in zip(each, starts))]
+        ),
+    )
+    for array in (made.corners, made.corner_counts, made.faces):
+        array.setflags(write=False)
     return made
 
 
@@ -220,7 +249,7 @@ def own_kinds() -> tuple[type[Proportions], ...]:
 
 def _forget_solids() -> None:
     """Empty what is kept by key: it may belong to a former kind of the same name."""
-    for kept in (outline, prism, prism_solid):
+    for kept in (outline, prism, prisms, prism_solid):
         kept.cache_clear()
 
 
