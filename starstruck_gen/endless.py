@@ -129,8 +129,9 @@ class _MadeRow(RowGroup):
 
     def ragged(self, name: str) -> RaggedColumn:
         """Return the vertices or the faces."""
-        columns = {VERTICES: self._meshes.vertices_m, FACES: self._meshes.faces}
-        return columns[name] if name in columns else super().ragged(name)
+        if name == VERTICES:
+            return self._meshes.vertices_m
+        return self._meshes.faces if name == FACES else super().ragged(name)
 
     def flat(self, name: str) -> NDArray[Any]:
         """Return a plain column of one value."""

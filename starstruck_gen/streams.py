@@ -74,7 +74,11 @@ class SceneStreams:
 
     def __init__(self) -> None:
         self._bits = np.random.Philox(key=0)
-        self._start: Any = self._bits.state
+        # Lists, of whose numbers the generator reads each faster than of an array.
+        state: Any = self._bits.state
+        self._key = [0, 0]
+        self._start = {**state, "state": {"counter": state["state"]["counter"].tolist(), "key": self._key}}
+        self._start["buffer"] = state["buffer"].tolist()
         self._random = np.random.Generator(self._bits).random
 
     def uniform(self, seed: int) -> Callable[[], float]:
@@ -82,9 +86,8 @@ class SceneStreams:
 
         It ends with the next call of this method: there is one generator behind all scenes.
         """
-        key = np.array([seed, 0], dtype=np.uint64)
-        start: Any = {**self._start, "state": {**self._start["state"], "key": key}}
-        self._bits.state = start
+        self._key[0] = seed
+        self._bits.state = self._start
         return chain.from_iterable(self._blocks()).__next__
 
     def _blocks(self) -> Iterator[list[float]]:
