@@ -10,7 +10,7 @@ import re
 from collections.abc import Sequence
 from dataclasses import dataclass, fields, is_dataclass
 from functools import lru_cache
-from itertools import accumulate, pairwise
+from itertools import pairwise
 from typing import Any, TypeVar
 
 import numpy as np
@@ -21,7 +21,16 @@ from tactile_toolkit.errors import InputError
 from tactile_toolkit.mesh.mesh import Mesh
 from tactile_toolkit.mesh.solid_check import check_manifold
 
-__all__ = ["Prism", "Prisms", "own_kinds", "prism", "prism_solid", "prisms", "register_shape", "require_fine_steps"]
+__all__ = [
+    "Prism",
+    "Prisms",
+    "own_kinds",
+    "prism",
+    "prism_solid",
+    "prisms",
+    "register_shape",
+    "require_fine_steps",
+]
 
 K = TypeVar("K", bound=type[Proportions])
 
@@ -112,14 +121,14 @@ def prisms(keys: tuple[str, ...]) -> Prisms:
     Kept, as scenes hold the same few shapes in the same few orders: of the published ones there are 189.
     """
     each = [prism(key) for key in keys]
-    starts = accumulate((made.vertex_count for made in each), initial=0)
-    made = Prisms(
-        np.concatenate([np.zeros((0, 2)), *(one.corners for one in each)]),
-        np.array([len(one.corners) for one in each], dtype=np.int64),
-        np.concatenate(
-            [np.zeros((0, 3), np.int32), *(one.faces + np.int32(start) for one, start in zip(each, starts))]
-        ),
-    )
+    # Empty arrays first, since a layout may be empty.
+    corners, faces, vertices = [np.zeros((0, 2))], [np.zeros((0, 3), np.int32)], 0
+    for one in each:
+        corners.append(one.corners)
+        faces.append(one.faces + np.int32(vertices))
+        vertices += one.vertex_count
+    counts = np.array([len(one.corners) for one in each], dtype=np.int64)
+    made = Prisms(np.concatenate(corners), counts, np.concatenate(faces))
     for array in (made.corners, made.corner_counts, made.faces):
         array.setflags(write=False)
     return made

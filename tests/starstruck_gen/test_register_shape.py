@@ -12,6 +12,7 @@ import pytest
 
 from starstruck_gen.dataset import load
 from starstruck_gen.generation import GenerateSpec, generate
+from starstruck_gen.placement import Placement, stamp
 from starstruck_gen.shapes import (
     KINDS,
     OUTLINES,
@@ -21,7 +22,7 @@ from starstruck_gen.shapes import (
     Shape,
     outline,
 )
-from starstruck_gen.solid import prism, register_shape
+from starstruck_gen.solid import prism, prisms, register_shape
 from starstruck_gen.spec import SceneSpec
 from starstruck_gen.validate import validate_folder
 from tactile_toolkit.errors import InputError
@@ -36,6 +37,7 @@ def _only_the_toolkits_own():
     REGISTRY.update(kinds)
     outline.cache_clear()
     prism.cache_clear()
+    prisms.cache_clear()
 
 
 def _kite_spec() -> SceneSpec:
@@ -83,10 +85,12 @@ def test_process_that_never_registered_the_kind_learns_it_from_a_pickle():
 def test_class_defined_again_takes_the_place_of_its_former():
     """As when a cell of a notebook is run again."""
     register_shape(Kite)
-    before = prism("kite").area
+    placed = [Placement("kite", 0.0, 0.0, 0.0, 0.01, 0.005)] * 2
+    before, stood = prism("kite").area, stamp([placed])[0]
     again = type("Kite", (Kite,), {"rings": lambda self: (Kite(0.3).rings()[0],), "__slots__": ()})
     register_shape(again)
     assert prism("kite").area == pytest.approx(before / 2)
+    assert stamp([placed])[0].volume_m3 == pytest.approx(stood.volume_m3 / 2)
 
 
 @dataclass(frozen=True, slots=True)
