@@ -71,6 +71,18 @@ def median_s(work: Callable[[], Any], repeats: int) -> float:
     return statistics.median(times)
 
 
+def in_turn(works: list[Callable[[], Any]], repeats: int) -> list[float]:
+    """Return the median time of one call of each; they take turns, so that other work weighs on all alike."""
+    times: list[list[float]] = [[] for _ in works]
+    for turn in range(repeats + 1):
+        for work, taken in zip(works, times, strict=True):
+            start = time.perf_counter()
+            work()
+            if turn:  # the first is not counted
+                taken.append(time.perf_counter() - start)
+    return [statistics.median(taken) for taken in times]
+
+
 def line(what: str, ours_s: float, published_s: float, plain_s: float | None, wanted: float = 0) -> None:
     """Tell a figure beside the published package's and that of `datasets` alone."""
     note = f"`datasets` alone {in_words(plain_s, 's')}" if plain_s else ""
@@ -201,27 +213,32 @@ def bench_clips(folder: Path) -> None:
 def bench_contact(ours: Any, published: Any) -> None:
     """Contact frames of one round: one of each touch, and all of each touch."""
 
-    def our_contact_frames(threads: int | None, out: Any = None) -> Callable[[], Any]:
-        return lambda: ours[0].contact_frames("contact_end", threads=threads, out=out)
-
-    def their_contact_frames() -> Any:
+    def their_frames() -> Any:
         return [decoder[window[-1]] for decoder, window in _windows(published[0])]
 
     def their_windows() -> Any:
         return [decoder[window[0] : window[-1] + 1] for decoder, window in _windows(published[0])]
 
-    theirs = median_s(their_contact_frames, 9)
-    batch = our_contact_frames(1)()
-    for what, threads, out in (
-        ("contact frames of a round (default threads)", None, None),
-        ("the same, one thread", 1, None),
-        ("the same, one thread, into one batch", 1, batch),
-    ):
-        line(what, median_s(our_contact_frames(threads, out), 25), theirs, None, 5)
-    theirs = median_s(their_windows, 5)
-    for what, threads in (("all 7 frames of each contact (default)", None), ("the same, one thread", 1)):
-        record = ours[0]
-        line(what, median_s(partial(record.contact_windows, threads=threads), 9), theirs, None)
+    def our_frames(threads: int | None, out: Any = None) -> Callable[[], Any]:
+        return lambda: ours[0].contact_frames("contact_end", threads=threads, out=out)
+
+    def our_windows(threads: int | None) -> Callable[[], Any]:
+        return lambda: ours[0].contact_windows(threads=threads)
+
+    batch = our_frames(1)()
+    frames = {
+        "contact frames of a round (default threads)": our_frames(None),
+        "the same, one thread": our_frames(1),
+        "the same, one thread, into one batch": our_frames(1, batch),
+    }
+    windows = {
+        "all 7 frames of each contact (default)": our_windows(None),
+        "the same, one thread": our_windows(1),
+    }
+    for theirs, works, repeats, wanted in ((their_frames, frames, 15, 5), (their_windows, windows, 5, 0)):
+        theirs_s, *ours_s = in_turn([theirs, *works.values()], repeats)
+        for what, taken_s in zip(works, ours_s, strict=True):
+            line(what, taken_s, theirs_s, None, wanted)
 
 
 def bench_poses(ours: Any, published: Any) -> None:
