@@ -14,19 +14,23 @@ import sys
 import threading
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
-from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
-from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass
-from typing import Protocol, TypeVar
+from itertools import islice
+from multiprocessing.connection import wait
+from multiprocessing.process import BaseProcess
+from queue import SimpleQueue
+from typing import Any, Protocol, TypeVar
 
-from tactile_toolkit.errors import InputError, ToolkitError
-from tactile_toolkit.run.limits import prepare_batch_process
+from tactile_toolkit.errors import InputError
 from tactile_toolkit.run.system import ignore_interrupts
+from tactile_toolkit.run.work import carry_out, given_up, outcome
 
 __all__ = ["InlineRunner", "ProcessRunner", "Runner", "runner_for"]
 
 T = TypeVar("T")
 R = TypeVar("R")
+
+_NO_MORE = b""
 
 
 class Runner(Protocol):
@@ -60,76 +64,67 @@ class InlineRunner:
             yield result
 
 
-# Tried instead (2 cores, Linux): the executor alone runs a caller's script again in each worker and fails
-# where it has no `if __name__ == "__main__"`; loky 3.7 does not, but takes 1.7 s to start two workers, where
-# these take 0.65 s. With both, workers outlive a parent that was killed and go on writing into its folder,
-# and a task whose worker died is lost.
+# Tried instead (2 cores, Linux): concurrent.futures needs shared memory, loses all workers with the one that
+# died, and has no public way to stop them; loky 3.7 takes 1.7 s to start two workers.
 @dataclass(frozen=True)
 class ProcessRunner:
     """Runs tasks in local worker processes.
 
     A task is tried ``attempts`` times when its worker dies (killed by the system for want of memory, say)
     before the run gives up. An exception raised by the task itself is never retried.
+
+    Raises
+    ------
+    InputError
+        There are no workers.
     """
 
     workers: int
     attempts: int = 3
 
+    def __post_init__(self) -> None:
+        if self.workers < 1:
+            message = f"the number of workers is {self.workers}; expected at least 1"
+            raise InputError(message)
+
     def run(self, function: Callable[[T], R], tasks: Iterable[T]) -> Iterator[R]:
         """Yield results as they finish; ToolkitError when one task's worker died ``attempts`` times."""
         waiting = deque((task, 1) for task in tasks)
-        while waiting:
-            yield from self._run_pool(function, waiting)
-
-    def _run_pool(self, function: Callable[[T], R], waiting: deque[tuple[T, int]]) -> Iterator[R]:
-        """Work in one pool until nothing waits or a worker died; then the lost tasks wait again."""
-        # spawn: workers start clean whatever threads and file handles the caller's notebook holds.
-        context = multiprocessing.get_context("spawn")
+        called = pickle.dumps(function)
+        hide_main = b"__main__" not in called + pickle.dumps(list(islice(waiting, 1)))
+        workers: dict[Any, BaseProcess] = {}  # by our ends of their pipes
+        held: dict[Any, tuple[T, int]] = {}  # what each of them works on
+        answers: list[bytes] = []
         try:
-            pool = ProcessPoolExecutor(
-                min(self.workers, len(waiting)), mp_context=context, initializer=_prepare_worker
-            )
-        except OSError as error:
-            message = (
-                f"worker processes need shared memory (on Linux in /dev/shm), which is refused: {error}; "
-                "next: make it writable, or run the same command with --workers 1"
-            )
-            raise InputError(message) from error
-        needs_main = b"__main__" in pickle.dumps((function, waiting[0][0]))
-        start_context = contextlib.nullcontext if needs_main else _main_hidden
-        running: dict[Future[R], tuple[T, int]] = {}
-        finished = False
-        try:
-            while waiting or running:
-                # Only what the workers hold is submitted, so that a dead worker costs few attempts.
-                while waiting and len(running) < self.workers:
-                    # Waits until it is submitted: a pool that broke in the meantime takes no task.
-                    with start_context():
-                        running[pool.submit(function, waiting[0][0])] = waiting[0]
-                    waiting.popleft()
-                done, _ = wait(running, return_when=FIRST_COMPLETED)
-                for future in done:
-                    result = future.result()
-                    del running[future]
-                    yield result
-            finished = True
-        except BrokenProcessPool:
-            # All workers of a pool go with the one that died: nobody knows whose task it was.
-            for task, attempt in running.values():
-                if attempt >= self.attempts:
-                    message = (
-                        f"the worker process died {attempt} times while it made {task}; out of memory is the "
-                        "usual cause; next: run the same command with fewer --workers (finished shards are "
-                        "kept)"
-                    )
-                    raise ToolkitError(message) from None
-                waiting.appendleft((task, attempt + 1))
+            while True:
+                while len(workers) < min(self.workers, len(waiting) + len(held)):
+                    pipe, process = _start_worker(called, hide_main)
+                    workers[pipe] = process
+                for pipe in list(islice(workers.keys() - held.keys(), len(waiting))):
+                    held[pipe] = waiting.popleft()
+                    with contextlib.suppress(OSError):  # it has died, as the end of its pipe tells
+                        pipe.send_bytes(pickle.dumps(held[pipe][0]))
+                yield from map(outcome, answers)  # only now, so that no worker waits for the caller
+                if not held:
+                    return
+                answers = []
+                ready: list[Any] = wait(held)
+                for pipe in ready:
+                    task, attempt = held.pop(pipe)
+                    try:
+                        answers.append(pipe.recv_bytes())
+                    except (EOFError, OSError):
+                        workers.pop(pipe).join()
+                        if attempt >= self.attempts:
+                            raise given_up(task, attempt, "worker process", "with fewer --workers") from None
+                        waiting.appendleft((task, attempt + 1))
         finally:
-            processes = [] if finished else list((pool._processes or {}).values())
-            pool.shutdown(wait=finished, cancel_futures=True)
-            for process in processes:
-                process.kill()
-            for process in processes:
+            for pipe, process in workers.items():
+                if pipe in held:
+                    process.kill()
+                with contextlib.suppress(OSError):
+                    pipe.send_bytes(_NO_MORE)
+            for process in workers.values():
                 process.join()
 
 
@@ -138,6 +133,18 @@ def runner_for(workers: int | Runner) -> Runner:
     if not isinstance(workers, int):
         return workers
     return InlineRunner() if workers == 1 else ProcessRunner(workers)
+
+
+def _start_worker(function: bytes, hide_main: bool) -> tuple[Any, BaseProcess]:
+    """Start a process, and return our end of the pipe that carries its tasks, its answers and its life."""
+    # spawn: workers start clean whatever threads and file handles the caller's notebook holds.
+    context = multiprocessing.get_context("spawn")
+    ours, theirs = context.Pipe()
+    process = context.Process(target=_work, args=(theirs, function), daemon=True)
+    with _main_hidden() if hide_main else contextlib.nullcontext():
+        process.start()
+    theirs.close()  # it ends with the worker only where nobody else has it open
+    return ours, process
 
 
 @contextlib.contextmanager
@@ -158,16 +165,19 @@ def _main_hidden() -> Iterator[None]:
             setattr(main, name, value)
 
 
-def _prepare_worker() -> None:
+def _work(pipe: Any, function: bytes) -> None:
+    """Carry out tasks until there are no more."""
     # Ctrl-C goes to the whole process group: the parent alone decides what happens to the work.
     ignore_interrupts()
-    prepare_batch_process()
-    parent = multiprocessing.parent_process()
-    if parent is not None:
-        threading.Thread(target=_exit_with, args=(parent,), daemon=True).start()
+    inbox: SimpleQueue[bytes] = SimpleQueue()
+    threading.Thread(target=_listen, args=(pipe, inbox), daemon=True).start()
+    while (task := inbox.get()) != _NO_MORE:
+        pipe.send_bytes(carry_out(function, task))
 
 
-def _exit_with(parent: multiprocessing.process.BaseProcess) -> None:
-    # A parent killed with SIGKILL cannot tell its workers; they must not go on writing into its folder.
-    parent.join()
+def _listen(pipe: Any, inbox: SimpleQueue[bytes]) -> None:
+    # Also in the middle of a task: nobody may go on writing into the folder of a parent that was killed.
+    with contextlib.suppress(EOFError, OSError):
+        while True:
+            inbox.put(pipe.recv_bytes())
     os._exit(1)

@@ -3,20 +3,32 @@
 from __future__ import annotations
 
 import errno
-import multiprocessing.synchronize
+import multiprocessing
 import operator
+import os
 import pickle
+import signal
 import subprocess
 import sys
+import threading
 import time
+from collections.abc import Generator
+from functools import partial
+from importlib import import_module
 from pathlib import Path
 
 import pytest
 
-from tactile_toolkit.errors import HubError, InputError, IntegrityError, ItemError, MissingExtraError
+from tactile_toolkit.errors import (
+    HubError,
+    InputError,
+    IntegrityError,
+    ItemError,
+    MissingExtraError,
+    ToolkitError,
+)
 from tactile_toolkit.run.processes import ProcessRunner
-from tests.command_line import call
-from tests.processes import printed_by
+from tests.processes import PATIENCE_S, alive, printed_by
 
 REPOSITORY = Path(__file__).resolve().parents[3]
 
@@ -52,20 +64,105 @@ def test_an_exception_of_a_task_is_raised_as_it_is_and_not_retried(tmp_path: Pat
     assert tries.read_text() == "tried\n"
 
 
-def test_a_system_without_shared_memory_is_named(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    def refuse(*_: object) -> None:
+def test_workers_need_no_shared_memory(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Some containers have no /dev/shm, where semaphores and shared memory live."""
+
+    def refuse(*_: object, **__: object) -> None:
         raise OSError(errno.EROFS, "Read-only file system")
 
     monkeypatch.setattr("_multiprocessing.SemLock", refuse)
-    command = ("generate", "--split", "train", "--scenes", "2", "--out", tmp_path / "out", "--workers")
-    assert call("starstruck", *command, 2) == 2
-    shown = " ".join(capsys.readouterr().err.split())
-    assert "error: worker processes need shared memory" in shown
-    assert "Read-only file system; next: make it writable, or run the same command with --workers 1" in shown
-    assert not (tmp_path / "out" / "manifest.json").exists()
-    assert call("starstruck", *command, 1) == 0
+    monkeypatch.setattr("_posixshmem.shm_open", refuse)
+    assert sorted(ProcessRunner(2).run(operator.neg, range(5))) == [-4, -3, -2, -1, 0]
+
+
+def unpicklable(_: int) -> object:
+    return lambda: None
+
+
+class OddError(Exception):
+    """Can be pickled, but not be read again."""
+
+    def __init__(self, one: str, two: str) -> None:
+        super().__init__(f"{one} and {two}")
+
+
+def odd(_: int) -> None:
+    raise OddError("one", "two")
+
+
+def process_of(_: int) -> int:
+    return os.getpid()
+
+
+class Missing:
+    """Cannot be read by a worker, as what belongs to a module that is not there."""
+
+    def __init__(self, number: int) -> None:
+        self.number = number
+
+    def __reduce__(self) -> tuple[object, ...]:
+        return import_module, ("nowhere_to_be_found",)
+
+
+@pytest.mark.parametrize(
+    ("function", "task", "error", "words"),
+    [
+        (unpicklable, 1, (AttributeError, pickle.PicklingError), "pickle.*lambda"),
+        (odd, 1, ToolkitError, "^OddError: one and two\n"),
+        (process_of, Missing(1), ModuleNotFoundError, "nowhere_to_be_found"),
+        (lambda _: None, 1, (AttributeError, pickle.PicklingError), "pickle.*lambda"),
+        (process_of, threading.Lock(), TypeError, "cannot pickle.*lock"),
+    ],
+)
+def test_what_cannot_travel_is_named_once(
+    function: object, task: object, error: type[Exception], words: str, capfd: pytest.CaptureFixture[str]
+) -> None:
+    with pytest.raises(error, match=words):
+        list(ProcessRunner(1).run(function, [task]))  # type: ignore[arg-type]
+    assert capfd.readouterr() == ("", "")
+
+
+def test_an_exception_tells_where_in_the_worker_it_was_raised() -> None:
+    with pytest.raises(ZeroDivisionError) as raised:
+        list(ProcessRunner(1).run(fails, ["/dev/null"]))
+    assert "in fails\n    raise ZeroDivisionError" in raised.value.__notes__[0]
+
+
+def large(size: int) -> bytes:
+    return bytes(size)
+
+
+def size_of(content: bytes) -> int:
+    return len(content)
+
+
+def test_tasks_and_answers_may_be_larger_than_a_pipe_holds() -> None:
+    assert [len(answer) for answer in ProcessRunner(2).run(large, [10_000_000] * 4)] == [10_000_000] * 4
+    assert list(ProcessRunner(2).run(size_of, [bytes(10_000_000)] * 4)) == [10_000_000] * 4
+
+
+def waits(path: str) -> None:
+    """Show where this process waits, unless there is nowhere to."""
+    if path:
+        Path(path, str(os.getpid())).touch()
+        time.sleep(PATIENCE_S)
+
+
+def test_an_iterator_that_is_closed_stops_the_work(tmp_path: Path) -> None:
+    results = ProcessRunner(2).run(waits, ["", *[str(tmp_path)] * 3])
+    assert next(results) is None
+    while len(list(tmp_path.iterdir())) < 2:
+        time.sleep(0.01)
+    assert isinstance(results, Generator)
+    results.close()
+    assert not any(alive(int(file.name)) for file in tmp_path.iterdir())
+    assert len(list(tmp_path.iterdir())) == 2
+
+
+def test_a_run_without_tasks_or_workers() -> None:
+    assert list(ProcessRunner(3).run(operator.neg, [])) == []
+    with pytest.raises(InputError, match="the number of workers is 0; expected at least 1"):
+        ProcessRunner(0)
 
 
 def test_workers_and_command_lines_do_without_pandas() -> None:
@@ -98,14 +195,34 @@ def test_errors_cross_the_border_of_a_process(error: Exception) -> None:
 
 
 @pytest.mark.parametrize("finished", [1, 2, 5])
-def test_no_task_is_lost_when_a_worker_dies_while_its_parent_is_busy(finished: int) -> None:
+@pytest.mark.parametrize("doomed", [1, 2])
+def test_no_task_is_lost_when_workers_die_while_their_parent_is_busy(finished: int, doomed: int) -> None:
     results = []
     for result in ProcessRunner(2).run(operator.neg, range(8)):
         results.append(result)
         if len(results) == finished:
-            workers = multiprocessing.active_children()
-            workers[0].kill()
-            # With one of them all go; the parent learns of it when it goes on.
+            workers = multiprocessing.active_children()[:doomed]
+            for worker in workers:
+                worker.kill()
+            # The parent learns of it when it goes on.
             while any(worker.is_alive() for worker in workers):
                 time.sleep(0.01)
     assert sorted(results) == [-number for number in reversed(range(8))]
+
+
+def begins(folder: Path, dies_first: bool) -> None:
+    """Die at the first attempt, or wait until the other task has been begun twice."""
+    begun = folder / str(dies_first)
+    with begun.open("a") as stream:
+        stream.write("begun\n")
+    other = folder / "True"
+    if dies_first and len(begun.read_text().split()) == 1:
+        os.kill(os.getpid(), signal.SIGKILL)
+    while not (other.exists() and len(other.read_text().split()) == 2):
+        time.sleep(0.01)
+
+
+def test_a_worker_that_dies_takes_no_other_with_it(tmp_path: Path) -> None:
+    assert list(ProcessRunner(2).run(partial(begins, tmp_path), [False, True])) == [None, None]
+    assert (tmp_path / "False").read_text().split() == ["begun"]
+    assert (tmp_path / "True").read_text().split() == ["begun"] * 2
