@@ -13,7 +13,6 @@ import tempfile
 import textwrap
 import time
 from collections.abc import Callable, Iterator
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from importlib.util import find_spec
 from pathlib import Path
@@ -27,7 +26,7 @@ from tactile_toolkit.run import InlineRunner, RayRunner
 from tactile_toolkit.store.build import build
 from tactile_toolkit.store.folder import DataFolder
 from tactile_toolkit.store.plan import BuildPlan
-from tests.processes import alive, children, wait_until_gone
+from tests.processes import alive, children, printed_by, wait_until_gone
 from tests.tactile_toolkit.toy import folder_bytes, toy_plan
 
 F = TypeVar("F", bound=Callable[..., None])
@@ -237,7 +236,7 @@ def test_a_stopped_driver_leaves_nothing_at_work_and_a_killed_node_nothing_undon
 
 
 ERRORS = """
-import json, sys
+import json, sys, time
 from dataclasses import replace
 from pathlib import Path
 from tactile_toolkit.errors import ItemError, MissingExtraError
@@ -270,15 +269,25 @@ found = {}
 def odd(task):
     raise Odd("one", "two")
 
-import tactile_toolkit.run.ray as runner
-finished, most = runner._finished, 0
-def counted(ray, running):
-    global most
-    most = max(most, len(running))
-    return finished(ray, running)
-runner._finished = counted
-assert sorted(RayRunner(address).run(abs, range(20))) == list(range(20))
-found["at once"] = most / (2 * ray.cluster_resources()["CPU"])
+def meet(name):
+    # Two tasks have to be at work at once.
+    place = Path(folder + "-meeting")
+    place.mkdir(exist_ok=True)
+    place.joinpath(name).touch()
+    while len(list(place.iterdir())) < 2:
+        time.sleep(0.01)
+
+def alone(number):
+    # It fails where another task is at work.
+    place = Path(folder + "-alone")
+    place.mkdir()
+    time.sleep(0.1)
+    place.rmdir()
+    return number
+
+list(RayRunner(address).run(meet, ["one", "other"]))
+found["alone"] = sorted(RayRunner(address, workers=1).run(alone, range(4)))
+found["all"] = sorted(RayRunner(address).run(abs, range(20))) == list(range(20))
 
 try:
     list(RayRunner(address).run(odd, [1]))
@@ -298,9 +307,11 @@ Path(folder + "-found").write_text(json.dumps(found))
 
 @all_of(needs_ray)
 def test_errors_are_raised_as_they_are_and_only_deaths_tried_again(cluster: Cluster, tmp_path: Path) -> None:
+    cluster.require_two()
     finish(cluster.start(ERRORS, tmp_path / "set"))
     found = json.loads((tmp_path / "set-found").read_text())
-    assert found["at once"] == 1  # two for each core, however many there are
+    assert found["all"]
+    assert found["alone"] == [0, 1, 2, 3]
     assert found["own"] == "ItemError: nothing is drawn"
     assert found["extra"].startswith("MissingExtraError: this needs the package 'that'")
     assert found["foreign"] == "ZeroDivisionError: of the task"
@@ -339,18 +350,41 @@ def test_other_versions_are_refused_by_name(cluster: Cluster, tmp_path: Path) ->
         cluster.kill(different)
 
 
+REFUSED = """
+import sys
+from tactile_toolkit.errors import InputError
+from tactile_toolkit.run import RayRunner
+from tactile_toolkit.store.build import build
+from tactile_toolkit.store.folder import DataFolder
+from tests.tactile_toolkit.toy import toy_plan
+try:
+    build(DataFolder(sys.argv[1]), toy_plan(), RayRunner(*sys.argv[2:]))
+except InputError as error:
+    print(error)
+"""
+
+
 @all_of(needs_ray)
-@pytest.mark.parametrize("answer", [None, b"HTTP/1.0 400 Bad Request\r\n\r\n"])
-def test_where_no_cluster_answers_nothing_is_written(tmp_path: Path, answer: bytes | None) -> None:
-    with socket.create_server(("127.0.0.1", 0)) as server, ThreadPoolExecutor(1) as pool:
-        port = server.getsockname()[1]
-        server.settimeout(10)
-        if answer is None:
+@pytest.mark.parametrize("listens", [False, True])
+def test_where_no_cluster_answers_nothing_is_written(tmp_path: Path, listens: bool) -> None:
+    """Nobody listens at the address, or something that is not Ray does, and says nothing."""
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        address = f"127.0.0.1:{server.getsockname()[1]}"
+        if not listens:
             server.close()
-        else:
-            pool.submit(lambda: server.accept()[0].sendall(answer))  # Ray may give up before it asks
-        with pytest.raises(InputError, match=rf"no Ray cluster answers at '127.0.0.1:{port}'.*next: "):
-            build(DataFolder(str(tmp_path / "set")), toy_plan(), RayRunner(f"127.0.0.1:{port}"))
+        # Ray's own patience, which is to end in its ConnectionError.
+        refusal = printed_by(REFUSED, tmp_path / "set", address, RAY_py_gcs_connect_timeout_s="1")
+    assert f"no Ray cluster can be joined at {address}: " in refusal
+    assert ("Failed to connect to Ray cluster" if listens else "Connection refused") in refusal
+    assert "nothing was written; next: start one" in refusal
+    assert not (tmp_path / "set").exists()
+
+
+@all_of(needs_ray)
+def test_a_machine_without_a_cluster_is_told_so(tmp_path: Path) -> None:
+    nowhere = {"RAY_TMPDIR": str(tmp_path), "RAY_ADDRESS": ""}
+    refusal = printed_by(REFUSED, tmp_path / "set", **nowhere)
+    assert "no Ray cluster can be joined at $RAY_ADDRESS or on this machine: Could not find any" in refusal
     assert not (tmp_path / "set").exists()
 
 
