@@ -122,7 +122,7 @@ class RayRunner:
                             waiting.appendleft((task, attempt + 1))
                             continue
                         _require_same(node, versions, wanted)
-                        result = outcome(answer)
+                        result = outcome(answer, f"raised on node {node}")
                         if confirm is not None and node not in confirmed:
                             confirm(result, node)
                             confirmed.add(node)
@@ -203,13 +203,15 @@ def _connected(address: str | None) -> Iterator[Any]:
     if ray.is_initialized():
         yield ray
         return
+    address = address or os.environ.get("RAY_ADDRESS") or "auto"
+    place = None if address == "auto" else _host_and_port(address)
     try:
-        if address is not None:  # Ray itself waits for minutes where nobody listens
-            socket.create_connection(_host_and_port(address), _ANSWER_S).close()
-        ray.init(address or "auto", log_to_driver=False, logging_level=logging.CRITICAL)
+        if place is not None:  # Ray itself waits for long where nobody listens
+            socket.create_connection(place, _ANSWER_S).close()
+        ray.init(address, log_to_driver=False, logging_level=logging.CRITICAL)
     except Exception as error:  # of many types, RuntimeError for other versions of Ray or Python among them
         message = (
-            f"no Ray cluster can be joined at {address or '$RAY_ADDRESS or on this machine'}: {error}; "
+            f"no Ray cluster can be joined {f'at {address}' if place else 'here'}: {error}; "
             "nothing was written; next: start one (ray start --head), run the command on a machine of it "
             "with the HOST:PORT that this printed (--runner ray=HOST:PORT), or use --runner processes"
         )

@@ -30,10 +30,12 @@ def carry_out(function: bytes, task: bytes, dumps: Callable[[Any], bytes] = pick
         raise
 
 
-def outcome(packed: bytes) -> Any:
-    """Return what the function returned, or raise what it raised."""
+def outcome(packed: bytes, *notes: str) -> Any:
+    """Return what the function returned, or raise what it raised, with notes."""
     value, error = pickle.loads(packed)
     if error is not None:
+        for note in notes:
+            error.add_note(note)
         raise error
     return value
 

@@ -300,6 +300,8 @@ for name, (place, options) in cases.items():
         found[name] = "made"
     except Exception as error:
         found[name] = f"{type(error).__name__}: {error}"
+        if name == "foreign":
+            found["where"] = error.__notes__[-1]
 # Not printed: on a connection that is not the toolkit's, Ray says on stdout what it likes.
 Path(folder + "-found").write_text(json.dumps(found))
 """
@@ -315,6 +317,7 @@ def test_errors_are_raised_as_they_are_and_only_deaths_tried_again(cluster: Clus
     assert found["own"] == "ItemError: nothing is drawn"
     assert found["extra"].startswith("MissingExtraError: this needs the package 'that'")
     assert found["foreign"] == "ZeroDivisionError: of the task"
+    assert found["where"].startswith(f"raised on node {socket.gethostname()} (")
     assert found["odd"] == "ToolkitError: Odd: one and two"
     assert found["deadly"].startswith("ToolkitError: the Ray worker died 3 times while it made ToyTask(")
     assert "next: " in found["deadly"]
@@ -372,7 +375,7 @@ def test_where_no_cluster_answers_nothing_is_written(tmp_path: Path, listens: bo
         address = f"127.0.0.1:{server.getsockname()[1]}"
         if not listens:
             server.close()
-        # Ray's own patience, which is to end in its ConnectionError.
+        # Ray's own patience is to end in its ConnectionError; here sooner.
         refusal = printed_by(REFUSED, tmp_path / "set", address, RAY_py_gcs_connect_timeout_s="1")
     assert f"no Ray cluster can be joined at {address}: " in refusal
     assert ("Failed to connect to Ray cluster" if listens else "Connection refused") in refusal
@@ -381,10 +384,12 @@ def test_where_no_cluster_answers_nothing_is_written(tmp_path: Path, listens: bo
 
 
 @all_of(needs_ray)
-def test_a_machine_without_a_cluster_is_told_so(tmp_path: Path) -> None:
-    nowhere = {"RAY_TMPDIR": str(tmp_path), "RAY_ADDRESS": ""}
-    refusal = printed_by(REFUSED, tmp_path / "set", **nowhere)
-    assert "no Ray cluster can be joined at $RAY_ADDRESS or on this machine: Could not find any" in refusal
+def test_the_environment_says_which_cluster_is_meant(tmp_path: Path) -> None:
+    for address, words in (
+        ("127.0.0.1:1", "no Ray cluster can be joined at 127.0.0.1:1: "),
+        ("ray://head:10001", "'ray://head:10001' is not the address of a Ray cluster"),
+    ):
+        assert words in printed_by(REFUSED, tmp_path / "set", RAY_ADDRESS=address)
     assert not (tmp_path / "set").exists()
 
 
