@@ -157,7 +157,8 @@ def _travelling(names: Sequence[str]) -> tuple[dict[str, str], Callable[..., Any
         import ray
 
         known.update(known or versions())
-        machine = f"{socket.gethostname()} ({ray.util.get_node_ip_address()})"
+        node = ray.get_runtime_context().get_node_id()[:8]  # containers may have all else in common
+        machine = f"{socket.gethostname()} ({ray.util.get_node_ip_address()}, {node})"
         if known != wanted or not function:
             return machine, known, b""
         from tactile_toolkit.run.work import carry_out
