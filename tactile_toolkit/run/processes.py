@@ -171,8 +171,9 @@ def _work(pipe: Any, function: bytes) -> None:
     ignore_interrupts()
     inbox: SimpleQueue[bytes] = SimpleQueue()
     threading.Thread(target=_listen, args=(pipe, inbox), daemon=True).start()
-    while (task := inbox.get()) != _NO_MORE:
-        pipe.send_bytes(carry_out(function, task))
+    with contextlib.suppress(OSError):  # a parent that has died takes no answer
+        while (task := inbox.get()) != _NO_MORE:
+            pipe.send_bytes(carry_out(function, task))
 
 
 def _listen(pipe: Any, inbox: SimpleQueue[bytes]) -> None:
