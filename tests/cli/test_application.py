@@ -176,45 +176,35 @@ def test_debug_lets_the_traceback_through(place, monkeypatch):
 
 
 @pytest.mark.parametrize("package", PACKAGES)
-def test_packages_have_a_version_and_run_as_modules(package):
+def test_packages_have_a_version_and_run_as_modules(package, capsys):
     assert import_module(package).__version__ == version("tactile-toolkit")
-    for words in (["--version"], ["info", "--version"]):
-        done = _ran(package, *words)
-        assert (done.returncode, done.stdout, done.stderr) == (
-            0,
-            f"tactile-toolkit {version('tactile-toolkit')}\n",
-            "",
-        )
-    done = _ran(package, "inf")
-    assert done.returncode == 2
-    assert f"Usage: {PACKAGES[package]} " in done.stderr
-    assert "Did you mean 'info'?" in done.stderr
+    line = f"tactile-toolkit {version('tactile-toolkit')}\n"
+    module = [sys.executable, "-m", package, "--version"]
+    done = subprocess.run(module, capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stdout, done.stderr) == (0, line, "")
+    assert call(PACKAGES[package], "info", "--version") == 0
+    assert capsys.readouterr() == (line, "")
+    assert call(PACKAGES[package], "inf") == 2
+    said = capsys.readouterr().err
+    assert f"Usage: {PACKAGES[package]} " in said
+    assert "Did you mean 'info'?" in said
 
 
 @pytest.mark.parametrize("package", PACKAGES)
-def test_shells_complete_commands_options_and_choices(package):
+def test_shells_complete_commands_options_and_choices(package, monkeypatch, capsys):
     name = PACKAGES[package]
-    assert "info" in _completed(package, f"{name} inf")
-    assert "--json" in _completed(package, f"{name} info --j")
-    script = _ran(package, "--show-completion", "bash", _TYPER_COMPLETE_TEST_DISABLE_SHELL_DETECTION="1")
-    assert (script.returncode, script.stderr) == (0, "")
-    assert f"complete -o default -F _{name.replace('-', '_')}_completion {name}" in script.stdout
-
-
-def _completed(package: str, line: str) -> list[str]:
-    variable = f"_{PACKAGES[package].replace('-', '_').upper()}_COMPLETE"
-    settings = {variable: "complete_bash", "COMP_WORDS": line, "COMP_CWORD": str(line.count(" "))}
-    return _ran(package, **settings).stdout.split()
-
-
-def _ran(package: str, *words: str, **settings: str) -> subprocess.CompletedProcess[str]:
-    return subprocess.run(
-        [sys.executable, "-m", package, *words],
-        env={**os.environ, **settings},
-        capture_output=True,
-        text=True,
-        check=False,
-    )
+    with monkeypatch.context() as shell:
+        shell.setenv("_TYPER_COMPLETE_TEST_DISABLE_SHELL_DETECTION", "1")
+        assert call(name, "--show-completion", "bash") == 0
+    script = capsys.readouterr()
+    assert script.err == ""
+    assert f"complete -o default -F _{name.replace('-', '_')}_completion {name}" in script.out
+    monkeypatch.setenv(f"_{name.replace('-', '_').upper()}_COMPLETE", "complete_bash")
+    for line, word in ((f"{name} inf", "info"), (f"{name} info --j", "--json")):
+        monkeypatch.setenv("COMP_WORDS", line)
+        monkeypatch.setenv("COMP_CWORD", str(line.count(" ")))
+        assert call(name) == 0
+        assert word in capsys.readouterr().out.split()
 
 
 @pytest.mark.parametrize(
@@ -344,9 +334,8 @@ def test_a_library_that_does_not_fit_into_memory_is_named(tmp_path):
     assert len(said) == 2
 
 
-def test_values_that_are_refused_are_told_in_plain_words():
-    words = [sys.executable, "-m", "mnist3d", "generate", "--split-by", "foo", "--out", "never"]
-    done = subprocess.run(words, capture_output=True, text=True, check=False)
-    assert done.returncode == 2
-    assert "'--split-by': 'foo' is not one of 'digit'" in done.stderr
-    assert "Value error" not in done.stderr
+def test_values_that_are_refused_are_told_in_plain_words(capsys):
+    assert call("mnist3d", "generate", "--split-by", "foo", "--out", "never") == 2
+    said = capsys.readouterr().err
+    assert "'--split-by': 'foo' is not one of 'digit'" in said
+    assert "Value error" not in said

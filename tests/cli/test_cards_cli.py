@@ -36,7 +36,7 @@ def _per_touch_poses(row: dict, index: int) -> None:
 def folders(tmp_path_factory) -> dict[str, Path]:
     """A small data set of each kind."""
     root = tmp_path_factory.mktemp("kinds")
-    small = ("--split", "test", "--per-class", "1", "--vertices", "300")
+    small = ("--split", "test", "--per-class", "1", "--vertices", "2000")
     assert call("mnist3d", "generate", *small, "--workers", 1, "--quiet", "--out", root / "mnist3d") == 0
     scenes = ("generate", "--scenes", "train=30,test=9", "--workers", 1, "--quiet")
     assert call("starstruck", *scenes, "--out", root / "starstruck") == 0
@@ -169,7 +169,7 @@ def test_scenes_are_counted_in_words(tmp_path):
 
 
 def test_own_sizes_of_splits_are_listed(tmp_path):
-    small = ("generate", "--split", "test", "--split-sizes", "train=2,test=1", "--vertices", "300")
+    small = ("generate", "--split", "test", "--split-sizes", "train=2,test=1", "--limit", "1")
     assert call("mnist3d", *small, "--workers", "1", "--quiet", "--out", tmp_path / "own") == 0
     assert "digits per class: train 2, test 1 |" in card_of(tmp_path / "own")
 

@@ -24,7 +24,7 @@ call = partial(command_line.call, "mnist3d")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("export") / "digits"
     for split in ("printed_test", "printed_train"):
-        options = ("--split", split, "--per-class", "1", "--vertices", "500", "--workers", "1", "--quiet")
+        options = ("--split", split, "--per-class", "1", "--vertices", "2000", "--workers", "1", "--quiet")
         assert call("generate", *options, "--out", path) == 0
     return path
 

@@ -15,7 +15,7 @@ from tests.command_line import call
 from tests.realtouch import factories
 from tests.tactile_toolkit.toy import folder_bytes
 
-DIGITS = ("--split", "test", "--per-class", "1", "--vertices", "600", "--workers", "1", "--quiet")
+DIGITS = ("--split", "test", "--per-class", "1", "--vertices", "2000", "--workers", "1", "--quiet")
 
 
 @pytest.fixture(scope="module")

@@ -38,7 +38,7 @@ TOUCHES = "TimSchneider42/tactile-mnist-touch-real-single-t256-64x64"
 @pytest.fixture(scope="module")
 def root(tmp_path_factory) -> Path:
     place = tmp_path_factory.mktemp("hub")
-    spec = GenerateSpec(SyntheticSource(), SolidSpec(target_vertices=500), per_class=1)
+    spec = GenerateSpec(SyntheticSource(), SolidSpec(target_vertices=2_000), per_class=1)
     generate(spec, str(place / DIGITS), ("test", "holdout"))
     starstruck.generate(StarstruckSpec(scenes=(("train", 6),)), str(place / "scenes"))
     for name, ours in ((BARE, place / DIGITS), (SCENES, place / "scenes")):
@@ -263,7 +263,7 @@ def test_an_interrupted_download_is_called_one(server, tmp_path):
         assert said.code == code
         assert again in said.err
         assert "generate" not in said.err
-    small = ("--split", "test", "--per-class", "1", "--vertices", "300", "--workers", "1", "--quiet")
+    small = ("--split", "test", "--per-class", "1", "--vertices", "2000", "--workers", "1", "--quiet")
     assert call(server, tmp_path, "mnist3d", "generate", *small, "--out", out, "--overwrite").code == 0
     said = call(server, tmp_path, "mnist3d", "download", DIGITS, "--out", out)
     assert said.code == 2, "generated data were replaced by a download"
@@ -320,7 +320,9 @@ def test_large_downloads_are_not_begun_unasked(server, tmp_path):
     assert call(server, tmp_path, "mnist3d", "download", DIGITS, "--yes", large=1000).code == 0
 
 
-@pytest.mark.parametrize(("reply", "code"), [(b"y\n", 0), (b"n\n", 2)])
+@pytest.mark.parametrize(
+    ("reply", "code"), [pytest.param(b"y\n", 0, marks=pytest.mark.thorough), (b"n\n", 2)]
+)
 def test_someone_at_a_terminal_is_asked(server, tmp_path, reply, code):
     script = RUN.format(command="mnist3d", arguments=["download", DIGITS], large=1000)
     ours, theirs = pty.openpty()

@@ -14,7 +14,7 @@ from tactile_toolkit.errors import InputError
 from tests import command_line
 from tests.tactile_toolkit.toy import folder_bytes
 
-SMALL = ("--split", "test", "--per-class", "1", "--vertices", "600", "--workers", "1")
+SMALL = ("--split", "test", "--per-class", "1", "--vertices", "2000", "--workers", "1")
 
 
 call = partial(command_line.call, "mnist3d")
@@ -46,11 +46,11 @@ def test_generate_json_is_one_document(tmp_path, capsys):
     (split,) = document["splits"]
     assert (split["split"], split["rows"], split["per_class"]) == ("test", 10, [1] * 10)
     assert document["complete"] is True
-    assert document["spec"]["solid"]["target_vertices"] == 600
+    assert document["spec"]["solid"]["target_vertices"] == 2000
 
 
 def test_quiet_says_nothing(tmp_path, capsys):
-    assert call("generate", *SMALL, "--out", tmp_path / "digits", "--quiet") == 0
+    assert call("generate", *SMALL, "--limit", 1, "--out", tmp_path / "digits", "--quiet") == 0
     assert capsys.readouterr() == ("", "")
 
 
@@ -72,7 +72,7 @@ def test_dry_run_writes_nothing(tmp_path, capsys, folder):
 def test_info(folder, capsys):
     assert call("info", folder) == 0
     printed = capsys.readouterr().out
-    assert "solid.target_vertices = 600" in printed
+    assert "solid.target_vertices = 2000" in printed
     assert call("info", folder, "--json") == 0
     assert json.loads(capsys.readouterr().out)["splits"][0]["rows"] == 10
 
@@ -251,8 +251,8 @@ def test_an_unreadable_file_hides_no_verdict(tmp_path, capsys):
 
 
 def test_the_next_step_names_a_split_that_has_rows(tmp_path, capsys):
-    options = ("--split-sizes", "train=0,test=1", "--vertices", "500", "--workers", "1")
-    assert call("generate", *options, "--out", tmp_path / "set") == 0
+    options = ("--split-sizes", "train=0,test=1", "--vertices", "2000", "--workers", "1")
+    assert call("generate", *options, "--limit", 1, "--out", tmp_path / "set") == 0
     assert "split='test'" in capsys.readouterr().out
 
 
@@ -267,7 +267,7 @@ def pictures(folder: Path, *greys: int) -> Path:
 
 
 def test_generate_counts_what_was_made(tmp_path, capsys):
-    source = ("--source", "folder", "--images", pictures(tmp_path / "some", 0, 255, 0), "--vertices", 600)
+    source = ("--source", "folder", "--images", pictures(tmp_path / "some", 0, 255, 0), "--vertices", 2000)
     sizes = ("--split", "test", "--split-sizes", "test=3", "--workers", 1)
     assert call("generate", *source, *sizes, "--out", tmp_path / "set") == 0
     assert "made 2 digits, 1 left out, in" in capsys.readouterr().out
@@ -318,14 +318,14 @@ def own_pictures(tmp_path_factory) -> Path:
 def test_pictures_of_ones_own_are_divided_where_that_is_asked_for(own_pictures, tmp_path, asked, rows):
     source = ("--source", "folder", "--images", own_pictures)
     out = tmp_path / "set"
-    assert call("generate", *source, "--vertices", 400, "--workers", 1, "--quiet", "--out", out, *asked) == 0
+    assert call("generate", *source, "--vertices", 2000, "--workers", 1, "--quiet", "--out", out, *asked) == 0
     splits = json.loads((out / "manifest.json").read_text())["splits"]
     assert {split: table["rows"] for split, table in splits.items()} == rows
     assert call("verify", out, "--quiet") == 0
 
 
 def test_python_divides_pictures_of_ones_own_as_the_command_does(own_pictures, tmp_path):
-    solid = mnist3d.SolidSpec(target_vertices=400)
+    solid = mnist3d.SolidSpec(target_vertices=2_000)
     spec = mnist3d.GenerateSpec(FolderSource(str(own_pictures)), solid, limit=1)
     assert list(mnist3d.generate(spec, tmp_path / "one").split_table()) == ["train"]
     assert list(mnist3d.generate(spec, tmp_path / "two", ("train", "test")).split_table()) == [
@@ -341,7 +341,7 @@ def test_python_divides_pictures_of_ones_own_as_the_command_does(own_pictures, t
 def test_a_card_of_ones_own_pictures_is_named_as_its_folder(own_pictures, tmp_path, capsys):
     out = tmp_path / "my_*digits*\u202e"
     source = ("--source", "folder", "--images", own_pictures, "--limit", 1)
-    assert call("generate", *source, "--vertices", 400, "--workers", 1, "--quiet", "--out", out) == 0
+    assert call("generate", *source, "--vertices", 2000, "--workers", 1, "--quiet", "--out", out) == 0
     card = (out / "README.md").read_text()
     assert "\n# my\\_\\*digits\\*\\\\u202e\n" in card
     assert "pretty_name: my_*digits*\\u202e\n" in card

@@ -1,4 +1,4 @@
-"""``preview`` of the three command lines, as processes of their own."""
+"""``preview`` of the three command lines."""
 
 from __future__ import annotations
 
@@ -26,7 +26,6 @@ from starstruck_gen.generation import generate as generate_scenes
 from starstruck_gen.spec import SceneSpec
 from tactile_toolkit.mesh.files import write_mesh
 from tactile_toolkit.mesh.mesh import Mesh
-from tests.command_line import program
 from tests.realtouch import factories
 
 NO_PLOTS = find_spec("matplotlib") is None
@@ -35,7 +34,7 @@ NO_PLOTS = find_spec("matplotlib") is None
 @pytest.fixture(scope="module")
 def digits(tmp_path_factory: pytest.TempPathFactory) -> Path:
     out = tmp_path_factory.mktemp("cli") / "digits"
-    solid, split = SolidSpec(target_vertices=400), SplitSpec(sizes=(("test", 1),))
+    solid, split = SolidSpec(target_vertices=2_000), SplitSpec(sizes=(("test", 1),))
     generate_digits(DigitSpec(SyntheticSource(count=140), solid, split), str(out), ("test",))
     return out
 
@@ -53,15 +52,29 @@ def clips(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return factories.write_set(tmp_path_factory.mktemp("clips"), {"train": rows}, "seq")
 
 
-def process(room: str, *arguments: object, cwd: Path, **environment: str) -> subprocess.CompletedProcess[str]:
-    """Run a command line as a user does, without a screen."""
+ALL = """
+import sys
+from importlib import import_module
+for line in sys.stdin.read().splitlines():
+    sys.argv = line.split("\\t")
+    try:
+        import_module(f"cli.{sys.argv[0]}").main()
+    except SystemExit as leave:
+        assert not leave.code, sys.argv
+"""
+
+
+def process(*commands: tuple[object, ...], cwd: Path) -> subprocess.CompletedProcess[str]:
+    """Run command lines in one process of their own, without a screen and with another seed of hashes."""
     outer = {name: value for name, value in os.environ.items() if name != "DISPLAY"}
     return subprocess.run(
-        program(room, "preview", *arguments),
+        [sys.executable, "-c", ALL],
+        input="\n".join("\t".join(map(str, (room, "preview", *words))) for room, *words in commands),
         cwd=cwd,
-        env={**outer, **environment},
+        env={**outer, "PYTHONHASHSEED": "2"},
         capture_output=True,
         text=True,
+        check=False,
     )
 
 
@@ -92,18 +105,18 @@ def contents(folder: Path) -> dict[str, bytes]:
 
 
 def test_every_process_writes_the_same_bytes(digits, scenes, clips, tmp_path, run):
-    printed = ""
     (tmp_path / "apart").mkdir()
-    for room, arguments in (
-        ("mnist3d", (digits, "--kind", "sheet")),
-        ("starstruck", (scenes, "--kind", "sheet", "--kind", "scene")),
-        ("realtouch", (clips, "--kind", "grid", "--kind", "overlay", "--kind", "strip")),
-    ):
-        here = run(room, *arguments)
-        apart = process(room, *arguments, cwd=tmp_path / "apart", PYTHONHASHSEED="2")
-        assert (here.returncode, apart.returncode) == (0, 0), apart.stderr
-        assert here.stdout == apart.stdout
-        printed += apart.stdout
+    commands = (
+        ("mnist3d", digits, "--kind", "sheet"),
+        ("starstruck", scenes, "--kind", "sheet", "--kind", "scene"),
+        ("realtouch", clips, "--kind", "grid", "--kind", "overlay", "--kind", "strip"),
+    )
+    here = [run(*command) for command in commands]
+    assert [each.returncode for each in here] == [0, 0, 0]
+    apart = process(*commands, cwd=tmp_path / "apart")
+    assert apart.returncode == 0, apart.stderr
+    printed = "".join(each.stdout for each in here)
+    assert printed == apart.stdout
     written = contents(tmp_path / "previews")
     assert len(written) == 6
     assert written == contents(tmp_path / "apart" / "previews")
@@ -118,7 +131,7 @@ def test_with_the_extra_too(digits, tmp_path, run):
     arguments = (digits, "--kind", "all", "--per-class", 1)
     for place, done in (
         ("one", run("mnist3d", *arguments, "--out", "one")),
-        ("other", process("mnist3d", *arguments, "--out", "other", cwd=tmp_path)),
+        ("other", process(("mnist3d", *arguments, "--out", "other"), cwd=tmp_path)),
     ):
         assert done.returncode == 0, done.stderr
         assert "note:" not in done.stderr, place

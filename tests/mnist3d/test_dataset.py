@@ -15,13 +15,13 @@ from tactile_toolkit.errors import InputError
 from tactile_toolkit.mesh.records import RecordStream
 from tests.processes import printed_by
 
-ROWS = 40
+ROWS = 10
 
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory) -> str:
     path = str(tmp_path_factory.mktemp("digits") / "set")
-    spec = GenerateSpec(SyntheticSource(), SolidSpec(target_vertices=800), per_class=4)
+    spec = GenerateSpec(SyntheticSource(), SolidSpec(target_vertices=2_000), per_class=1)
     generate(spec, path, ("test", "holdout"))
     return path
 
@@ -33,7 +33,7 @@ def digits(folder):
 
 def test_records(digits):
     assert len(digits) == ROWS
-    assert np.bincount(digits.labels).tolist() == [4] * 10
+    assert np.bincount(digits.labels).tolist() == [1] * 10
     source = SyntheticSource()
     for digit in digits[::7]:
         image = source.image(digit.id)

@@ -21,7 +21,7 @@ from tactile_toolkit.printing.singles import export_files
 @pytest.fixture(scope="module")
 def digits(tmp_path_factory: pytest.TempPathFactory) -> mnist3d.MeshDataset:
     folder = str(tmp_path_factory.mktemp("export") / "digits")
-    spec = mnist3d.GenerateSpec(SyntheticSource(), mnist3d.SolidSpec(target_vertices=600), per_class=2)
+    spec = mnist3d.GenerateSpec(SyntheticSource(), mnist3d.SolidSpec(target_vertices=2_000), per_class=2)
     mnist3d.generate(spec, folder, ("printed_test",))
     return mnist3d.load(folder, "printed_test")
 
@@ -67,7 +67,7 @@ def test_what_is_not_there_is_named(digits: mnist3d.MeshDataset) -> None:
 
 
 def test_digits_stand_as_they_were_stored(digits: mnist3d.MeshDataset, tmp_path: Path) -> None:
-    made = export_files(chosen(digits), str(tmp_path), "stl", workers=2)
+    made = export_files(chosen(digits), str(tmp_path), "stl")
     assert (len(made.files), made.failures) == (20, ())
     for record, file in zip(digits, made.files, strict=True):
         back = read_mesh(tmp_path / file.file)

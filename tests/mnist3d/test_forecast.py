@@ -19,7 +19,7 @@ from tactile_toolkit.errors import InputError, IntegrityError, SpecMismatchError
 
 def _spec(**values) -> GenerateSpec:
     split = SplitSpec(sizes={"train": np.int64(2), "test": 1})
-    solid = SolidSpec(target_vertices=np.int64(600))
+    solid = SolidSpec(target_vertices=np.int64(2_000))
     return GenerateSpec(SyntheticSource(40), solid, split, **values)
 
 
@@ -52,7 +52,7 @@ def test_command_passes_overwrite_on(folder, capsys, monkeypatch):
     from cli.mnist3d import main
 
     words = ["generate", "--out", str(folder), "--digits", "40", "--seed", "5", "--per-class", "1"]
-    monkeypatch.setattr(sys, "argv", ["mnist3d", *words, "--vertices", "600", "--dry-run", "--overwrite"])
+    monkeypatch.setattr(sys, "argv", ["mnist3d", *words, "--vertices", "2000", "--dry-run", "--overwrite"])
     with pytest.raises(SystemExit) as left:
         main()
     assert not left.value.code

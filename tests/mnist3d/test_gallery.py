@@ -27,7 +27,7 @@ def folder(tmp_path_factory) -> Path:
     out = tmp_path_factory.mktemp("gallery") / "digits"
     spec = mnist3d.GenerateSpec(
         source=SyntheticSource(count=200, seed=3),
-        solid=SolidSpec(target_vertices=600),
+        solid=SolidSpec(target_vertices=2_000),
         split=SplitSpec(0, "digit", (("train", 2), ("test", 1))),
     )
     mnist3d.generate(spec, str(out), ("train", "test"), workers=1)

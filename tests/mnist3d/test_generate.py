@@ -4,9 +4,7 @@ import hashlib
 import json
 import pickle
 import signal
-import subprocess
-import sys
-from pathlib import Path
+from dataclasses import replace
 
 import numpy as np
 import pyarrow.parquet as pq
@@ -19,15 +17,16 @@ from mnist3d.solid import SolidSpec
 from mnist3d.sources.synthetic import SyntheticSource
 from mnist3d.splits import SPLITS, SplitSpec
 from tactile_toolkit.errors import InputError, SpecMismatchError
+from tactile_toolkit.run.processes import ProcessRunner
 from tactile_toolkit.store.folder import DataFolder
 from tactile_toolkit.store.parquet import REPORT_STYLE, encode_parquet
 from tactile_toolkit.store.verify import verify
+from tests.command_line import call
 from tests.mnist3d.sources import BLANK, FULL, UNREADABLE, FlawedSource
 from tests.processes import PATIENCE_S, start_held
 from tests.tactile_toolkit.toy import folder_bytes
 
-ROOT = Path(__file__).resolve().parents[2]
-COARSE = SolidSpec(target_vertices=700)
+COARSE = SolidSpec(target_vertices=2_000)  # what a lattice gives: fewer are decimated, which takes longer
 
 
 @pytest.fixture(scope="module")
@@ -91,9 +90,10 @@ def test_rows_are_those_of_solidify(flawed):
         assert digit.vertices_m[:, 2].min() == 0
 
 
-def test_two_workers_write_the_same_bytes(flawed, tmp_path):
+@pytest.mark.parametrize("workers", [1, pytest.param(2, marks=pytest.mark.thorough)])
+def test_worker_processes_write_the_same_bytes(flawed, tmp_path, workers):
     folder, _ = flawed
-    generate(GenerateSpec(FlawedSource(), COARSE), str(tmp_path / "set"), workers=2)
+    generate(GenerateSpec(FlawedSource(), COARSE), str(tmp_path / "set"), workers=ProcessRunner(workers))
     assert folder_bytes(tmp_path / "set") == folder_bytes(folder)
 
 
@@ -106,7 +106,7 @@ def test_split_by_split_gives_the_same_folder(flawed, tmp_path):
 
 def test_other_spec_is_refused_with_its_difference(flawed):
     folder, _ = flawed
-    with pytest.raises(SpecMismatchError, match=r"solid\.target_vertices is 700 there, 5000 was asked for"):
+    with pytest.raises(SpecMismatchError, match=r"solid\.target_vertices is 2000 there, 5000 was asked for"):
         generate(GenerateSpec(FlawedSource()), str(folder))
 
 
@@ -145,32 +145,28 @@ COMMAND = (
     "--split-sizes",
     "train=1,test=1,holdout=1",
     "--limit",
-    "6",
+    "2",
     "--vertices",
-    "600",
+    "2000",
     "--quiet",
 )
-
-
-def run_command(folder: Path, workers: int) -> subprocess.Popen[bytes]:
-    arguments = [sys.executable, "-m", "mnist3d", *COMMAND, "--workers", str(workers), "--out", str(folder)]
-    return subprocess.Popen(arguments, cwd=ROOT, stderr=subprocess.PIPE)
-
-
-def finish(process: subprocess.Popen[bytes]) -> None:
-    _, words = process.communicate(timeout=PATIENCE_S)
-    assert process.returncode == 0, words.decode()
 
 
 @pytest.fixture(scope="module")
 def unbroken(tmp_path_factory):
     folder = tmp_path_factory.mktemp("unbroken") / "set"
-    finish(run_command(folder, 1))
+    assert call("mnist3d", *COMMAND, "--workers", 1, "--out", folder) == 0
     return folder_bytes(folder)
 
 
-@pytest.mark.parametrize("workers", [1, 2, 4])
-@pytest.mark.parametrize("blow", [signal.SIGKILL, signal.SIGINT])
+@pytest.mark.parametrize(
+    ("blow", "workers"),
+    [
+        (signal.SIGINT, 1),
+        *(pytest.param(signal.SIGINT, workers, marks=pytest.mark.thorough) for workers in (2, 4)),
+        *(pytest.param(signal.SIGKILL, workers, marks=pytest.mark.thorough) for workers in (1, 2, 4)),
+    ],
+)
 def test_stopped_run_goes_on_to_the_same_bytes(unbroken, tmp_path, workers, blow):
     folder = tmp_path / "set"
     words = (*COMMAND, "--workers", workers, "--out", folder)
@@ -186,7 +182,7 @@ def test_stopped_run_goes_on_to_the_same_bytes(unbroken, tmp_path, workers, blow
     assert not json.loads((folder / "manifest.json").read_text())["complete"]
     kept = {f: f.stat().st_mtime_ns for f in (folder / "data").glob("*.parquet")}
     assert kept
-    finish(run_command(folder, workers))
+    assert call("mnist3d", *COMMAND, "--workers", workers, "--out", folder) == 0
     assert folder_bytes(folder) == unbroken
     finished = [f for f, when in kept.items() if f.stat().st_mtime_ns == when]
     assert finished, "a finished shard was made again"
@@ -203,36 +199,41 @@ GOLDEN = "54d92eab70b4442d1c87ff48e98a7dee8419e6879c8471803f99ad4881540344"
 
 
 def test_writer_splits_share_no_writer(tmp_path):
-    spec = GenerateSpec(SyntheticSource(count=700), COARSE, SplitSpec(by="writer"), limit=6)
+    spec = GenerateSpec(SyntheticSource(count=700), COARSE, SplitSpec(by="writer"), limit=2)
     generate(spec, str(tmp_path / "set"))
     homes = [set(mnist3d.load(str(tmp_path / "set"), split).writers.tolist()) for split in SPLITS]
     assert sum(map(len, homes)) == len(set().union(*homes)) > 0
 
 
-def test_real_digits_in_the_layout_of_hwd(shared, tmp_path):
+@pytest.mark.parametrize(
+    ("per_class", "splits", "rows"),
+    [(1, ("train", "test"), 20), pytest.param(None, SPLITS, 100, marks=pytest.mark.thorough)],
+)
+def test_real_digits_in_the_layout_of_hwd(shared, tmp_path, per_class, splits, rows):
     from mnist3d.sources.hwdplus import HwdPlusSource
 
     layout = shared / "digits" / "hwd_layout"
     source = HwdPlusSource(str(layout / "Images(500x500).npy"), str(layout / "WriterInfo.npy"), 1)
-    manifest = generate(GenerateSpec(source), str(tmp_path / "set"), workers=2)
-    assert sum(entry["rows"] for entry in manifest.split_table().values()) == 100
+    manifest = generate(GenerateSpec(source, per_class=per_class), str(tmp_path / "set"), splits)
+    assert sum(entry["rows"] for entry in manifest.split_table().values()) == rows
     assert manifest.skipped_reasons() == {}
     report = pq.read_table(tmp_path / "set" / "reports" / "printability.parquet").to_pandas()
     assert report.is_solid.all()
     assert report.size_z_mm.between(6.0, 8.2).all()
     assert report.vertices.between(4_000, 6_500).mean() > 0.9
     size = sum(entry["bytes"] for entry in manifest.split_table().values())
-    assert size / 100 <= 60_000
+    assert size / rows <= 60_000
 
 
 def test_a_shard_made_in_pieces_has_the_bytes_of_one_made_at_once(monkeypatch):
-    spec = GenerateSpec(SyntheticSource(count=60), COARSE)
+    style = replace(PARQUET_STYLE, rows_per_group=4)
+    spec = GenerateSpec(SyntheticSource(count=60), COARSE, limit=10)
     task = plan_build(spec, ("train",)).tasks[0]
     whole = task.make()
-    monkeypatch.setattr("mnist3d.generation._LARGEST_SHARD", PARQUET_STYLE.rows_per_group)
+    monkeypatch.setattr("mnist3d.generation._LARGEST_SHARD", style.rows_per_group)
     pieces = task.make()
-    assert pieces.table.column(0).num_chunks > 1 == whole.table.column(0).num_chunks
-    assert encode_parquet(pieces.table, PARQUET_STYLE) == encode_parquet(whole.table, PARQUET_STYLE)
+    assert (pieces.table.column(0).num_chunks, whole.table.column(0).num_chunks) == (3, 1)
+    assert encode_parquet(pieces.table, style) == encode_parquet(whole.table, style)
     assert encode_parquet(pieces.report, REPORT_STYLE) == encode_parquet(whole.report, REPORT_STYLE)
     assert pieces.skipped == whole.skipped
 

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
@@ -94,7 +94,6 @@ def test_the_grey_scale_of_floats_is_the_files_not_the_images(tmp_path: Path) ->
         source(tmp_path, images).image(2)
 
 
-@settings(max_examples=20)
 @given(st.lists(st.integers(0, 255), min_size=16, max_size=16))
 def test_float_round_trip_is_exact(tmp_path_factory: pytest.TempPathFactory, levels: list[int]) -> None:
     image = np.array([*levels, 255, 0] + [128] * 7, np.uint8).reshape(1, 5, 5)
@@ -330,7 +329,9 @@ _READ_WITHIN_LIMITS = """
 """
 
 
-@pytest.mark.parametrize(("order", "count"), [("C", 3000), ("F", 100)])
+@pytest.mark.parametrize(
+    ("order", "count"), [("C", 3000), pytest.param("F", 100, marks=pytest.mark.thorough)]
+)
 def test_memory_does_not_grow_with_the_file(tmp_path: Path, order: str, count: int) -> None:
     """6 GB of (sparse) float64 within 2 GB of address space, and within some MB of what one image takes.
 

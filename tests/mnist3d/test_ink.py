@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 from scipy import ndimage
@@ -235,7 +235,6 @@ def test_connectivity_does_not_matter_on_a_clean_mask(mask: np.ndarray) -> None:
     assert np.array_equal(cleaned(result, 3, 3), result)
 
 
-@settings(max_examples=40)
 @given(MASKS, st.floats(1, 8))
 def test_joined_masks_are_in_one_piece_and_keep_their_ink(mask: np.ndarray, width_px: float) -> None:
     if not mask.any():

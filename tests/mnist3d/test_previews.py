@@ -32,7 +32,7 @@ from tactile_toolkit.pictures.sheets import ScaleBar
 from tactile_toolkit.store.folder import DataFolder
 from tests.mnist3d import mnist_files
 
-THIN = SolidSpec(target_vertices=500, half_thickness_mm=1.2)
+THIN = SolidSpec(target_vertices=2_000, half_thickness_mm=1.2)
 
 RELIEF_ONLY = Renderer(smooth=False)
 NO_PLOTS = find_spec("matplotlib") is None
@@ -75,7 +75,7 @@ def relief_tiles(records: list) -> list[np.ndarray]:
 
 
 def test_relief_has_the_size_of_the_mesh_and_keeps_paper_white():
-    record = SolidSpec(target_vertices=500)
+    record = SolidSpec(target_vertices=2_000)
     mesh = mnist3d.solidify(SyntheticSource().image(0).pixels, record)
     pixels = relief(mesh.vertices_m, mesh.faces, 1e-4)
     size_px = np.ptp(mesh.vertices_m, axis=0)[:2] / 1e-4
@@ -229,7 +229,7 @@ def test_steps_know_which_part_of_mnist_a_data_set_was_made_from(tmp_path, part)
     for each in ("train", "test"):
         mnist_files.write(tmp_path / "mnist", each)
     source = MnistSource(str(tmp_path / "mnist"), part)
-    spec = GenerateSpec(source, SolidSpec(target_vertices=400), limit=1)
+    spec = GenerateSpec(source, SolidSpec(target_vertices=2_000), limit=1)
     generate(spec, str(tmp_path / "set"), ("train",))
     (record,) = mnist3d.load(str(tmp_path / "set"), "train")
     chosen = PreviewSpec(("steps",), ids=(record.id,), images=tmp_path / "mnist")
@@ -256,7 +256,9 @@ def test_steps_refuse_other_images_than_those_of_the_data_set(tmp_path):
                 tmp_path / name / str(label) / "1.png"
             )
     spec = GenerateSpec(
-        FolderSource(str(tmp_path / "one")), SolidSpec(target_vertices=400), SplitSpec(sizes=(("train", 1),))
+        FolderSource(str(tmp_path / "one")),
+        SolidSpec(target_vertices=2_000),
+        SplitSpec(sizes=(("train", 1),)),
     )
     spec = GenerateSpec(spec.source, spec.solid, spec.split, limit=2)
     with pytest.raises(InputError):

@@ -51,19 +51,23 @@ def digits(recognition: ModuleType) -> object:
     return recognition.load_digits(SHARED / "digits")
 
 
-def test_mnist_reads_synthetic_digits(recognition: ModuleType, mnist: object, synthetic: object) -> None:
-    part = recognition.Images(synthetic.pixels[::2], synthetic.labels[::2])  # type: ignore[attr-defined]
-    reading = recognition.read("a", mnist, part)
+@pytest.mark.parametrize("count", [200, pytest.param(TRAIN_COUNT // 2, marks=pytest.mark.thorough)])
+def test_mnist_reads_synthetic_digits(recognition: ModuleType, mnist: object, count: int) -> None:
+    source = SyntheticSource()
+    images = recognition.synthetic_images(source, recognition.evenly(source.count, count, 0.5))
+    reading = recognition.read("a", mnist, images)
     assert reading.accuracy > 0.92
     assert min(reading.per_class) > 0.83
 
 
+@pytest.mark.thorough
 def test_synthetic_digits_teach_to_read_real_ones(
     recognition: ModuleType, synthetic: object, digits: object
 ) -> None:
     assert recognition.read("b", synthetic, digits).accuracy > 0.85
 
 
+@pytest.mark.thorough
 def test_synthetic_digits_teach_to_read_mnist(
     recognition: ModuleType, synthetic: object, mnist: object
 ) -> None:

@@ -125,11 +125,12 @@ def _followed(gcode: str) -> Sliced:
 @pytest.fixture(scope="module")
 def digits(tmp_path_factory: pytest.TempPathFactory) -> mnist3d.MeshDataset:
     folder = str(tmp_path_factory.mktemp("slicer") / "digits")
-    spec = mnist3d.GenerateSpec(SyntheticSource(), mnist3d.SolidSpec(target_vertices=1_000), per_class=1)
+    spec = mnist3d.GenerateSpec(SyntheticSource(), mnist3d.SolidSpec(target_vertices=2_000), per_class=1)
     mnist3d.generate(spec, folder, ("printed_test",))
     return mnist3d.load(folder, "printed_test")
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("kind", ["stl", "3mf"])
 def test_one_digit_of_each_class_loads_whole_and_in_size(
     kind: str, digits: mnist3d.MeshDataset, tmp_path: Path
@@ -144,7 +145,7 @@ def test_one_digit_of_each_class_loads_whole_and_in_size(
         assert seen.volume_mm3 == pytest.approx(file.volume_mm3, rel=1e-4)
 
 
-@pytest.mark.parametrize("kind", ["stl", "3mf"])
+@pytest.mark.parametrize("kind", [pytest.param("stl", marks=pytest.mark.thorough), "3mf"])
 def test_a_digit_slices_up_to_its_height_without_a_repair(
     kind: str, digits: mnist3d.MeshDataset, tmp_path: Path
 ) -> None:
@@ -180,6 +181,7 @@ def test_a_plate_loads_with_every_name_in_its_place(digits: mnist3d.MeshDataset,
     assert {count for counts in repairs.values() for count in counts} == {0}
 
 
+@pytest.mark.thorough
 def test_a_plate_slices_where_it_lies(digits: mnist3d.MeshDataset, tmp_path: Path) -> None:
     plate, path = write_plate(digits, "17", tmp_path)
     sliced = slice_file(path, tmp_path, "--dont-arrange")
@@ -190,6 +192,7 @@ def test_a_plate_slices_where_it_lies(digits: mnist3d.MeshDataset, tmp_path: Pat
     assert max(sliced.high_mm) <= PLATE_MM
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     ("spec", "fits"), [(PlateSpec(PLATE_MM, PLATE_MM), True), (PlateSpec(PLATE_MM, PLATE_MM, 3, 0), False)]
 )
@@ -212,6 +215,7 @@ def test_the_check_sees_a_broken_file(digits: mnist3d.MeshDataset, tmp_path: Pat
     assert any(complaint.startswith("open_edges") for complaint in seen.complaints)
 
 
+@pytest.mark.thorough
 def test_real_handwriting_loads_whole(shared: Path, tmp_path: Path) -> None:
     folder = str(tmp_path / "digits")
     spec = mnist3d.GenerateSpec(FolderSource(str(shared / "digits" / "png")), per_class=1)

@@ -19,6 +19,7 @@ from mnist3d.ink import count_bodies_and_holes
 from mnist3d.lattice import lattice_steps
 from mnist3d.solid import (
     EROSIONS,
+    PROFILES,
     SolidSpec,
     ink_mask,
     literal_solid,
@@ -45,11 +46,19 @@ from tests.mnist3d.drawings import (
 from tests.mnist3d.surface_distances import symmetric_distances_mm
 from tests.real_input import needs_shared
 
+BOTH_WAYS = pytest.mark.parametrize("method", ["fast", pytest.param("literal", marks=pytest.mark.thorough)])
+
 # --- the whole way --------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("method", ["fast", "literal"])
-@pytest.mark.parametrize("profile", ["round", "linear", "flat"])
+@pytest.mark.parametrize(
+    ("method", "profile"),
+    [
+        *(("fast", profile) for profile in PROFILES),
+        ("literal", "round"),
+        *(pytest.param("literal", profile, marks=pytest.mark.thorough) for profile in PROFILES[1:]),
+    ],
+)
 def test_every_way_gives_a_solid_on_the_plate(method: Any, profile: str) -> None:
     mesh = solidify(six(), SolidSpec(profile=profile), method=method)
     report = inspect(mesh)
@@ -90,7 +99,9 @@ def test_a_lattice_pitch_can_be_asked_for() -> None:
     assert fine == pytest.approx(4 * coarse, rel=0.1)
 
 
-@pytest.mark.parametrize("width_px", [16, 20, 26, 32, 38, 45])
+@pytest.mark.parametrize(
+    "width_px", [16, *(pytest.param(width, marks=pytest.mark.thorough) for width in (20, 26, 32, 38)), 45]
+)
 def test_heights_for_all_widths_of_ink(width_px: int) -> None:
     spec = SolidSpec()
     pixels = drawn(stroke([(200, 200), (260, 250)], width_px))
@@ -107,8 +118,15 @@ def test_an_upright_seven_stays_upright_and_unmirrored() -> None:
     assert bottom[:, 0].mean() == pytest.approx((220 - 249.5) * 0.0002, abs=0.002)
 
 
-@pytest.mark.parametrize("erosion", EROSIONS)
-@pytest.mark.parametrize("pixels", [six(), seven(18)], ids=["6", "thin 7"])
+@pytest.mark.parametrize(
+    ("pixels", "erosion"),
+    [
+        (six(), "outline"),
+        pytest.param(six(), "disc", marks=pytest.mark.thorough),
+        *(pytest.param(seven(18), erosion, marks=pytest.mark.thorough) for erosion in EROSIONS),
+    ],
+    ids=lambda value: value if isinstance(value, str) else "pixels",
+)
 def test_the_fast_solid_is_the_literal_one(pixels: np.ndarray, erosion: str) -> None:
     spec = SolidSpec(erosion=erosion)
     fast = solidify(pixels, spec)
@@ -121,6 +139,7 @@ def test_the_fast_solid_is_the_literal_one(pixels: np.ndarray, erosion: str) -> 
 
 
 @needs_shared
+@pytest.mark.thorough
 @pytest.mark.parametrize("place", [100, 240])
 def test_the_fast_solid_is_the_literal_one_on_real_digits(place: int) -> None:
     from PIL import Image
@@ -261,7 +280,9 @@ def test_a_whisker_is_as_long_as_it_was_drawn() -> None:
     assert mesh.bounds_m[1, 0] * 1000 == pytest.approx((309.5 - 249.5) * 0.2, abs=0.1)
 
 
-@pytest.mark.parametrize(("gap_px", "turns"), [(2, 3), (6, 3), (12, 3), (3, 4)])
+@pytest.mark.parametrize(
+    ("gap_px", "turns"), [(2, 3), pytest.param(6, 3, marks=pytest.mark.thorough), (12, 3), (3, 4)]
+)
 def test_narrow_gaps_do_not_make_the_whole_lattice_finer(gap_px: float, turns: float) -> None:
     spec = SolidSpec()
     pixels = spiral(30, gap_px, turns)
@@ -288,7 +309,7 @@ def test_nodes_that_touch_at_a_corner_get_others_between_them() -> None:
     assert len(steps.mesh.faces) == 2 * len(steps.faces)
 
 
-@pytest.mark.parametrize("method", ["fast", "literal"])
+@BOTH_WAYS
 def test_a_digit_that_needs_more_vertices_is_refused_with_their_number(method: Any) -> None:
     mask = np.pad(np.ones((170, 170), bool), 15)
     for row, column in np.ndindex(5, 5):
@@ -304,7 +325,7 @@ def test_a_digit_that_needs_more_vertices_is_refused_with_their_number(method: A
     assert len(mesh.vertices_m) <= 1.5 * enough
 
 
-@pytest.mark.parametrize("method", ["fast", "literal"])
+@BOTH_WAYS
 def test_both_ways_keep_the_holes_of_a_sieve_or_refuse(method: Any) -> None:
     mask = np.zeros((200, 260), bool)
     mask[10:190, 10:250] = True
@@ -320,7 +341,16 @@ def test_both_ways_keep_the_holes_of_a_sieve_or_refuse(method: Any) -> None:
 
 
 @needs_shared
-@pytest.mark.parametrize("name", ["0404_label8_writer2", "0130_label2_writer5", "0152_label3_writer1"])
+@pytest.mark.parametrize(
+    "name",
+    [
+        "0152_label3_writer1",
+        *(
+            pytest.param(name, marks=pytest.mark.thorough)
+            for name in ("0404_label8_writer2", "0130_label2_writer5")
+        ),
+    ],
+)
 def test_the_vertex_budget_bounds_real_digits_with_narrow_places(name: str) -> None:
     from PIL import Image
 

@@ -18,7 +18,6 @@ from mnist3d.solid import (
     erode,
     erosion_radii_px,
     ink_mask,
-    literal_solid,
     marching_cubes,
     mirror,
     scale,
@@ -119,7 +118,7 @@ def test_scale_puts_the_image_centre_at_the_origin_and_the_lowest_point_on_the_p
 
 def test_decimation_keeps_to_the_budget_and_to_the_solid() -> None:
     spec = SolidSpec()
-    fine = literal_solid(ink_mask(six(), spec), spec, decimated=False)
+    fine = solidify(six(), spec)
     coarse = decimate(fine, 3000)
     report = inspect(coarse)
     assert 1500 < len(coarse.vertices_m) <= 3000

@@ -10,7 +10,7 @@ from multiprocessing import get_context
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from scipy import ndimage
 
@@ -75,7 +75,6 @@ def test_same_bytes_in_another_order_and_process() -> None:
     assert len(set(here)) == len(ids)
 
 
-@settings(max_examples=60)
 @given(seed=st.integers(0, 2**70), digit_id=st.integers(0, MANY - 1))
 def test_every_digit_is_well_placed_ink(seed: int, digit_id: int) -> None:
     digit = SyntheticSource(seed, MANY).image(digit_id)
@@ -88,7 +87,6 @@ def test_every_digit_is_well_placed_ink(seed: int, digit_id: int) -> None:
     assert np.ptp(np.flatnonzero(ink_of(digit).any(axis=1))) >= 80
 
 
-@settings(max_examples=10)
 @given(digit_id=st.integers(0, 13_579))
 def test_a_larger_count_keeps_the_first_digits(digit_id: int) -> None:
     assert sha256(SyntheticSource().image(digit_id)) == sha256(SyntheticSource(0, MANY).image(digit_id))
@@ -145,7 +143,9 @@ def test_sources_are_small_and_immutable() -> None:
         SyntheticSource().seed = 1  # type: ignore[misc]
 
 
-@pytest.mark.parametrize("label", range(10))
+@pytest.mark.parametrize(
+    "label", [2, *(pytest.param(label, marks=pytest.mark.thorough) for label in range(10) if label != 2)]
+)
 def test_writers_vary_as_people_do(label: int) -> None:
     """The 473 real pen digits of five writers have ratios of 0.68 to 0.79 between own and others' digits."""
     source, writers, repetitions = SyntheticSource(), range(0, 96, 6), range(4)

@@ -19,7 +19,9 @@ SHARD = Path("data") / "test-00000-of-00001.parquet"
 @pytest.fixture(scope="module")
 def rows(tmp_path_factory) -> pa.Table:
     folder = tmp_path_factory.mktemp("digits")
-    generate(GenerateSpec(SyntheticSource(), SolidSpec(target_vertices=500), limit=4), str(folder), ("test",))
+    generate(
+        GenerateSpec(SyntheticSource(), SolidSpec(target_vertices=2_000), limit=4), str(folder), ("test",)
+    )
     return pq.ParquetFile(folder / SHARD).read().select(["id", "label", "mesh.vertices", "mesh.faces"])
 
 

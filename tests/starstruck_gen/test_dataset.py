@@ -7,7 +7,7 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from starstruck_gen.dataset import SceneMeshDataset, SceneRecord, load
@@ -87,7 +87,6 @@ def test_written_rows_and_rows_on_the_fly_are_identical(folder):
             assert a.distractor_count == b.distractor_count
 
 
-@settings(max_examples=30)
 @given(st.integers(0, 10**6 - 1), st.integers(0, 2**32), st.sampled_from(["train", "test"]))
 def test_scene_does_not_depend_on_the_size_of_its_data_set(index, seed, split):
     small = SceneDataset(split=split, size=index + 1, seed=seed)[index]

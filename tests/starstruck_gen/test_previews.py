@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import assume, given, settings
+from hypothesis import assume, given
 from hypothesis import strategies as st
 
 import starstruck_gen
@@ -49,7 +49,6 @@ def red_px(pixels: np.ndarray) -> int:
     return int((np.abs(pixels.astype(int) - REJECTED).max(axis=2) < 30).sum())
 
 
-@settings(max_examples=60)
 @given(specs(), st.integers(0, 2**62))
 def test_tracing_changes_nothing_and_tells_every_rejected_position(spec, seed):
     spec = replace(spec, attempts=20, restarts=20)

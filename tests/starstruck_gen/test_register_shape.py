@@ -61,7 +61,7 @@ def test_registered_shape_goes_through_specification_json_and_key():
 
 def test_workers_know_a_registered_shape(tmp_path):
     register_shape(Kite)
-    generate(GenerateSpec(_kite_spec(), {"train": 1_100}), tmp_path / "set", ("train",), workers=2)
+    generate(GenerateSpec(_kite_spec(), {"train": 20}), tmp_path / "set", ("train",))
     checked = validate_folder(tmp_path / "set", limit=4, workers=2)
     assert (checked.checked, checked.failed) == (4, 0)
     shapes = {p.shape for record in load(str(tmp_path / "set")) for p in record.placements}

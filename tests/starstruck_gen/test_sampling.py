@@ -8,7 +8,7 @@ from itertools import combinations
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from scipy import stats
 
@@ -27,10 +27,7 @@ from starstruck_gen.streams import SPLITS, SceneStreams, scene_id, scene_rng, sc
 from tactile_toolkit.errors import InputError
 from tests.starstruck_gen.strategies import specs
 
-FEW = settings(max_examples=80)
 
-
-@FEW
 @given(specs(), st.integers(0, 2**40), st.sampled_from(SPLITS), st.integers(0, 10**6))
 def test_scene_keeps_what_its_specification_promises(spec, seed, split, start):
     for index, scene in enumerate(sample_scenes(spec, split, seed, start, 3), start):
@@ -54,7 +51,6 @@ def test_scene_keeps_what_its_specification_promises(spec, seed, split, start):
                 assert gap_m > spec.clearance_m
 
 
-@FEW
 @given(
     specs(),
     st.integers(0, 2**40),

@@ -5,7 +5,7 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from starstruck_gen.endless import SceneDataset
@@ -18,10 +18,7 @@ from tactile_toolkit.errors import InputError
 from tactile_toolkit.mesh.solid_check import check_manifold
 from tests.starstruck_gen.strategies import placements, specs
 
-FEW = settings(max_examples=80)
 
-
-@FEW
 @given(specs(), st.integers(0, 1_000))
 def test_mesh_is_one_solid_per_object_and_none_overlap(spec, index):
     scene = sample_scenes(spec, "train", 3, index, 1)[0]
@@ -37,7 +34,6 @@ def test_mesh_is_one_solid_per_object_and_none_overlap(spec, index):
     assert mesh.bounds_m[1, 2] == pytest.approx(max(p.height_m for p in scene.placements))
 
 
-@FEW
 @given(placements())
 def test_single_object_is_a_solid_wherever_it_stands(placement):
     """Up to a metre from the origin, where float32 has steps of 60 nm."""
@@ -46,7 +42,6 @@ def test_single_object_is_a_solid_wherever_it_stands(placement):
     assert verdict.bodies == 1
 
 
-@FEW
 @given(st.lists(st.lists(placements(), max_size=4), max_size=4))
 def test_mesh_does_not_depend_on_its_batch(layouts):
     batch = stamp(layouts)
@@ -69,7 +64,6 @@ def test_vertices_are_the_turned_scaled_moved_outline(placement):
     assert (vertices[1::2, 2] == np.float32(placement.height_m)).all()
 
 
-@FEW
 @given(specs(("circles",)), st.integers(0, 1_000))
 def test_json_and_back_is_exact(spec, index):
     scene = sample_scenes(spec, "test", 0, index, 1)[0]
