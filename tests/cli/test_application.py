@@ -243,10 +243,10 @@ def test_the_exit_code_needs_no_stream(tmp_path, redirected):
 
 def test_a_file_does_not_take_the_number_of_a_closed_stream(tmp_path):
     """What a library prints there would end in the file."""
-    words = ["wrench", "--out", "wrench", "--quiet"]
-    done = _redirected(tmp_path, words, "<&- >&- 2>&-")
+    words = ["generate", "--scenes", "train=3", "--workers", "1", "--out", "scenes", "--quiet"]
+    done = _shell(tmp_path, [sys.executable, "-m", "starstruck_gen", *words], "<&- >&- 2>&-")
     assert done.returncode == 0
-    assert call("env-assets", "verify", tmp_path / "wrench") == 0
+    assert call("starstruck", "verify", tmp_path / "scenes") == 0
     code = (
         "import os, sys\n"
         "from cli.application import new_app, run, command\n"

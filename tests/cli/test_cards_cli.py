@@ -169,7 +169,7 @@ def test_scenes_are_counted_in_words(tmp_path):
 
 
 def test_own_sizes_of_splits_are_listed(tmp_path):
-    small = ("generate", "--split", "test", "--split-sizes", "train=2,test=1", "--limit", "1")
+    small = ("generate", "--split", "test", "--split-sizes", "train=2,test=1", "--vertices", "2000")
     assert call("mnist3d", *small, "--workers", "1", "--quiet", "--out", tmp_path / "own") == 0
     assert "digits per class: train 2, test 1 |" in card_of(tmp_path / "own")
 

@@ -27,7 +27,7 @@ from tactile_toolkit.kind import kinds
 from tests import command_line
 from tests.hub_server import HubServer, hub
 from tests.realtouch.factories import make_round, single_rows, write_set
-from tests.tactile_toolkit.hub.client import run_here, run_python, settings
+from tests.tactile_toolkit.hub.client import run_here, settings
 
 DIGITS = "someone/digits"
 BARE = "someone/published"
@@ -110,7 +110,7 @@ def test_a_part_is_a_data_set_that_verifies_and_that_datasets_loads(server, tmp_
         f"digits = mnist3d.load({str(out)!r}, 'test')\n"
         "print([row['id'] for row in rows] == [digit.id for digit in digits], len(rows))"
     )
-    loaded = run_python(script, settings("http://127.0.0.1:9", tmp_path, HF_HUB_OFFLINE="1"), tmp_path)
+    loaded = run_here(script, settings("http://127.0.0.1:9", tmp_path, HF_HUB_OFFLINE="1"), tmp_path)
     assert loaded.stdout.strip() == "True 10", loaded.stderr
 
 

@@ -79,6 +79,7 @@ def test_a_killed_part_is_named_given_again_and_nothing_differs(tmp_path, whole,
     assert folder_bytes(place) == whole
 
 
+@pytest.mark.thorough
 def test_two_generators_at_once_in_one_folder(tmp_path, whole):
     """Without parts, too: each makes what the other has not, and the last one leaves what both would."""
     place = tmp_path / "scenes"

@@ -85,7 +85,7 @@ def test_an_unknown_class_cannot_be_traced():
         trace_scene(SceneSpec(), scene_rng(0), 9)
 
 
-@pytest.mark.parametrize("px_per_mm", [4.0, 6.5])
+@pytest.mark.parametrize("px_per_mm", [4.0, pytest.param(6.5, marks=pytest.mark.thorough)])
 def test_crosses_mark_the_rejected_positions_and_nothing_else_changes(px_per_mm):
     trace = rejected_scene()
     drawn = np.asarray(draw_trace(trace.scene.placements, trace.rejected, CROWDED, px_per_mm)).astype(int)
