@@ -95,18 +95,18 @@ def test_proportions_reach_the_specification_and_info(tmp_path):
 
 def test_info_of_a_stopped_run_counts_what_is_finished(tmp_path):
     out = tmp_path / "set"
-    words = ("generate", "-q", "-w", "1", "--scenes", "train=9000,test=3", "--out", out)
-    process = start_held("starstruck", 2, tmp_path / "held", *words)
+    words = ("generate", "-q", "-w", "1", "--scenes", "train=3000,test=3", "--out", out)
+    process = start_held("starstruck", 1, tmp_path / "held", *words)
     process.kill()
     process.communicate()
     document = json.loads(run("info", out, "--json").stdout)
     (train,) = document["splits"]
     finished = len(list((out / ".pending").glob("train-*.json")))
-    assert (document["complete"], document["shards_planned"]) == (False, {"train": 9})
+    assert (document["complete"], document["shards_planned"]) == (False, {"train": 3})
     assert (train["shards"], train["rows"]) == (finished, 1_000 * finished)
     shown = run("info", out).stdout
     assert "unfinished" in shown
-    assert f"{finished} of 9" in shown
+    assert f"{finished} of 3" in shown
     assert "positions drawn by object" in shown
 
 
