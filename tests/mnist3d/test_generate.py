@@ -180,7 +180,7 @@ def test_stopped_run_goes_on_to_the_same_bytes(unbroken, tmp_path, workers, blow
     else:
         assert process.returncode == -signal.SIGKILL
     assert not json.loads((folder / "manifest.json").read_text())["complete"]
-    kept = {f: f.stat().st_mtime_ns for f in (folder / "data").glob("*.parquet")}
+    kept = {f: f.stat().st_mtime_ns for f in (folder / "data").glob("[!.]*.parquet")}
     assert kept
     assert call("mnist3d", *COMMAND, "--workers", workers, "--out", folder) == 0
     assert folder_bytes(folder) == unbroken
