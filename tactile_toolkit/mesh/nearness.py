@@ -4,7 +4,8 @@ The thinnest wall is the smallest ball between stretches of surface that face ea
 other where the way from one to the other starts into the solid nearly at right angles to the surface, on both
 sides; or at an edge that points into the solid, as that of a notch, where every way along the surface leads
 further apart. The two sides of an outer edge sharper than twice the angle of :data:`FACING` face each other,
-those of blunter edges do not. Triangles with a common corner never do.
+those of blunter edges do not. Triangles with a common corner never do, nor do those of which one lies
+wholly behind the plane of the other, or in it.
 
 numba compiles the loops, and takes half a second to import: this module is imported by the functions that
 call it. All kernels lie in one file, because numba's cache on disk looks at the file of a kernel only.
@@ -32,16 +33,22 @@ F = TypeVar("F", bound=Callable[..., Any])
 FACING = 0.95
 """Least cosine between the way across a wall and the direction into the solid: 18 degrees."""
 
-# Directions further from opposite do not face each other: 36 degrees by FACING, and 5 for directions between
-# those of two triangles, which the boxes hold the ends and the middle of.
-_OPPOSED = -0.75
-
-# How much further along an axis a way across a wall leads than the directions at its ends: 0.32 by FACING; at
-# a notch 0.31 lengthwise, and 0.08 where it turns from one triangle to the other between ends and middle.
-_ASLANT = 0.4
-
-# Cosine up to which a way along the surface counts as leading no nearer.
+# Cosine up to which a way along the surface counts as leading no nearer: 3 degrees.
 _ALONG = 0.05
+
+# What lies no further before a triangle is in its plane: less than the data can tell, more than rounding.
+_LEVEL = 1e-9
+
+# Every way across a wall starts this near to a direction in the boxes: by FACING, or at a notch between two
+# directions, where it may besides turn by _ALONG past either. That is 18.4 degrees.
+_STRAIGHT = math.sqrt(FACING**2 - _ALONG**2)
+
+# So directions of which none are this near to opposite do not face each other; the last is for rounding.
+_OPPOSED = 1 - 2 * _STRAIGHT**2 + 1e-9
+
+# And along an axis the way leads at most so much further than the directions do: the ends of two of them lie
+# so far apart.
+_ASLANT = math.sqrt(2 - 2 * _STRAIGHT) + 1e-9
 
 # Pairs that are handed over together: bounds the memory of who looks at them.
 _AT_ONCE = 1 << 17
@@ -288,14 +295,16 @@ def _boxes(
         own = _row(inward, face)
         for k in range(3):
             corner, beyond = faces[face, k], _row(inward, twin[3 * face + k] // 3)
-            between = _unit((own[0] + beyond[0], own[1] + beyond[1], own[2] + beyond[2]))
+            # The two and this one hold the arc between them, where the tangents at its ends meet; but for
+            # the ends of arcs beyond 90 degrees, which no way at a notch turns to, as it sinks into both.
+            turn = max(1 + _dot(own, beyond), 1e-12)
+            outside = max(turn, math.sqrt(turn))
             for axis in range(3):
                 place, most = points[corner, axis], at_corner[corner, axis]
+                between = (own[axis] + beyond[axis]) / outside
                 low[face, axis], high[face, axis] = min(low[face, axis], place), max(high[face, axis], place)
-                least = min(own[axis], beyond[axis], between[axis], most)
-                most = max(own[axis], beyond[axis], between[axis], most)
-                low[face, 3 + axis] = min(low[face, 3 + axis], least)
-                high[face, 3 + axis] = max(high[face, 3 + axis], most)
+                low[face, 3 + axis] = min(low[face, 3 + axis], own[axis], beyond[axis], between, most)
+                high[face, 3 + axis] = max(high[face, 3 + axis], own[axis], beyond[axis], between, most)
     return low, high
 
 
@@ -322,7 +331,7 @@ def _between(
         for k in range(3):
             depth = _dot(_sub(_row(points, faces[there, k]), base), into)
             least, most = min(least, depth), max(most, depth)
-        if most <= 0 or least >= best:
+        if most <= _LEVEL or least >= best:
             return best
     for here, there in ((one, other), (other, one)):
         best = _from_corners(points, faces, inward, at_corner, here, there, best)
@@ -397,5 +406,5 @@ def _cosine_in(
         # Away from the edge along the surface.
         nearest = max(nearest, turned * _dot(_cross(along, into), way))
     lengthwise = _dot(along, way)
-    is_notch = nearest <= _ALONG and least > 0 and lengthwise * lengthwise <= 1 - FACING * FACING
+    is_notch = nearest <= _ALONG and least > _LEVEL and lengthwise * lengthwise <= 1 - FACING * FACING
     return 1.0 if is_notch else most
