@@ -91,6 +91,10 @@ def report_written(count: int) -> None:
         "plain_mean", what.format(" in the mean"), statistics.mean(ours_s), "s",
         other=statistics.mean(plain_s), target="at least 25",
     )  # fmt: skip
+    tell(
+        "plain_worst", "the slowest of these digits, in medians",
+        max(ours_s) / statistics.median(ours_s), "times", target="at most 5",
+    )  # fmt: skip
 
 
 def written_row(spec: GenerateSpec, digit_id: int) -> None:
