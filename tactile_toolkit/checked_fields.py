@@ -55,8 +55,12 @@ def real_number(
     below: float = math.inf,
     many: int = 0,
     optional: bool = False,
+    option: str | None = None,
 ) -> Any:
-    """Declare a finite number, a tuple of so ``many``, or None where it is ``optional``."""
+    """Declare a finite number, a tuple of so ``many``, or None where it is ``optional``.
+
+    ``option`` names it in place of the field.
+    """
 
     def fits_one(value: Any) -> bool:
         return isinstance(value, float) and least <= value <= most and above < value < below
@@ -69,7 +73,7 @@ def real_number(
     ends = ((" from {:g}", least), (" above {:g}", above), (" to {:g}", most), (" and below {:g}", below))
     span = "".join(words.format(end) for words, end in ends if math.isfinite(end)) or ", finite"
     what = f"{many} numbers" if many else "a number"
-    return _field(default, _Rule(float, fits, f"{'None or ' if optional else ''}{what}{span}"))
+    return _field(default, _Rule(float, fits, f"{'None or ' if optional else ''}{what}{span}", option))
 
 
 def choice(default: str | None, known: Sequence[str], *, optional: bool = False) -> Any:

@@ -1,49 +1,42 @@
-"""Files that are there only if they hold what was meant: written, read back, checked, then named."""
+"""Files of an export: each is there only if it holds what was meant.
+
+An object or a build plate is a :class:`Product`, which makes its files. Those of all products are written,
+read back, checked, then named; files that are there with the very same bytes are kept, others are refused.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
 import numpy as np
 
 from tactile_toolkit.errors import InputError, ItemError
 from tactile_toolkit.mesh.mesh import MM_PER_M
 from tactile_toolkit.mesh.solid_check import ManifoldCheck, require_solid
+from tactile_toolkit.run.processes import runner_for
 from tactile_toolkit.store.folder import DataFolder, atomic_file, named_failures
 
 if TYPE_CHECKING:
     from tactile_toolkit.mesh.mesh import Mesh
 
 __all__ = [
-    "CHANGED",
-    "Failure",
-    "KEPT",
-    "OFF_PLATE",
-    "UNREADABLE",
-    "WRITTEN",
-    "existing",
-    "holds",
-    "in_the_way",
-    "prepare",
-    "refuse_others",
-    "remove",
-    "require_same_solid",
-    "settle",
-    "write_checked",
+    *("CHANGED", "OFF_PLATE", "UNREADABLE", "Failure", "Made", "Product", "Progress", "content_of", "export"),
+    *("local_folder", "require_free", "require_same_solid", "write_checked"),
 ]
 
 UNREADABLE, CHANGED, OFF_PLATE = "unreadable", "changed", "off-plate"
 """What is wrong with a file beyond :data:`tactile_toolkit.mesh.solid_check.PROBLEMS`."""
 
-WRITTEN, KEPT = "written", "kept"
-"""What :func:`settle` did."""
-
 _BOUNDS_TOLERANCE_MM = 1e-3
 # Share of the volume. STL and GLB hold single precision, 1e-5 mm on an object of 20 cm.
 _VOLUME_TOLERANCE = 1e-3
+
+
+R = TypeVar("R")
+Progress = Callable[[int, int], None]
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,6 +50,32 @@ class Failure:
     def to_dict(self) -> dict[str, Any]:
         """Return JSON values."""
         return asdict(self)
+
+
+@dataclass(frozen=True, slots=True)
+class Made(Generic[R]):
+    """What a product is to have: its files by path below the folder, what refers to the others last.
+
+    ``check`` reads that last one back; see :func:`write_checked`. ``record`` returns what an export lists, by
+    its state: ``"written"``, or ``"kept"`` where the very same files were there already.
+    """
+
+    files: dict[str, bytes]
+    record: Callable[[str], R]
+    check: Callable[[Path], None] = lambda _path: None
+
+
+@dataclass(frozen=True, slots=True)
+class Product(Generic[R]):
+    """An object or a build plate; picklable for worker processes.
+
+    ``name`` is what failures are listed by, unique in an export. ``patterns`` are the name of its own file,
+    and those of all others that it may have. ``make`` raises ItemError where it is not a solid.
+    """
+
+    name: str
+    patterns: tuple[str, ...]
+    make: Callable[[], Made[R]]
 
 
 def require_same_solid(found: Mesh, meant: Mesh, verdict: ManifoldCheck) -> None:
@@ -79,7 +98,7 @@ def require_same_solid(found: Mesh, meant: Mesh, verdict: ManifoldCheck) -> None
         raise ItemError(CHANGED, message)
 
 
-def write_checked(path: Path, content: bytes, check: Callable[[Path], None]) -> None:
+def write_checked(path: Path, content: bytes, check: Callable[[Path], None] = lambda _path: None) -> None:
     """Write a file, read it back, and give it its name only when the check agrees.
 
     ``check`` reads the file under its temporary name, which has the same ending, and raises InputError with
@@ -96,75 +115,123 @@ def write_checked(path: Path, content: bytes, check: Callable[[Path], None]) -> 
             raise ItemError(reason, message) from error
 
 
-def settle(path: Path, content: bytes, check: Callable[[Path], None] = lambda _path: None) -> str:
-    """Write a file as :func:`write_checked` unless it is there with this content; say which of both."""
-    if holds(path, content):
-        return KEPT
-    write_checked(path, content, check)
-    return WRITTEN
-
-
-def holds(path: Path, content: bytes) -> bool:
-    """Tell whether a file is there with exactly this content."""
+def content_of(path: Path) -> bytes | None:
+    """Return the content of a file; None where it is not there, InputError where it cannot be read."""
     try:
-        # The size first: most files that differ need not be read.
-        return path.stat().st_size == len(content) and path.read_bytes() == content
+        return path.read_bytes()
     except (FileNotFoundError, NotADirectoryError):
-        return False
+        return None
     except OSError as error:
-        raise in_the_way(path, error) from error
+        message = (
+            f"cannot read {str(path)!r}: {error.strerror or error}; expected a file of an earlier export, or "
+            "none; next: move it away, or another --out"
+        )
+        raise InputError(message) from error
 
 
-def in_the_way(path: Path, error: OSError) -> InputError:
-    """Return the error for what stands where a file is to be and cannot be read, such as a folder."""
-    return InputError(
-        f"cannot read {str(path)!r}: {error.strerror or error}; expected a file of an earlier export, or "
-        "none; next: move it away, or another --out"
-    )
+def local_folder(out: str) -> Path:
+    """Return the path of a folder, which need not be there; InputError where it is a file or not local."""
+    folder = DataFolder(out)
+    if not folder.is_local:
+        message = f"{out!r} is not a local folder; files to print are written to a disk; next: a local --out"
+        raise InputError(message)
+    path = Path(folder.address())
+    if path.is_file():
+        message = f"{out!r} is a file, a folder was expected; next: another --out"
+        raise InputError(message)
+    return path
 
 
-def remove(paths: Iterable[Path]) -> None:
-    """Remove files, those that are there."""
+@dataclass(frozen=True, slots=True)
+class _Export:
+    """Picklable: write the files of a product, or only look what stands in their place.
+
+    Whoever looks gets None where nothing stands in the way and not all files are there, and a failure where
+    something else stands there.
+    """
+
+    folder: Path
+    only_look: bool
+
+    def __call__(self, product: Product[R]) -> tuple[str, R | Failure | None]:
+        before = self.before(product)
+        try:
+            made = product.make()
+            files = {self.folder / name: content for name, content in made.files.items()}
+            same = {path for path, content in files.items() if content_of(path) == content}
+            if same == files.keys() | before:
+                return product.name, made.record("kept")
+            if self.only_look:
+                others = Failure(product.name, CHANGED, "its files have other content")
+                return product.name, others if before - same else None
+            *parts, (own, content) = files.items()
+            for part in parts:
+                write_checked(*part)
+            # What this product has not, such as parts of a body that had more of them.
+            _remove(before - files.keys())
+            write_checked(own, content, made.check)
+        except ItemError as error:
+            detail = str(error)
+            # What an earlier export left under these names would pass for this product.
+            if before and not self.only_look:
+                _remove(before)
+                detail += f"; {', '.join(path.name for path in before)} of an earlier export was removed"
+            return product.name, Failure(product.name, error.reason, detail)
+        return product.name, made.record("written")
+
+    def before(self, product: Product[R]) -> set[Path]:
+        """Return the files of a product that are there."""
+        return {path for pattern in product.patterns for path in self.folder.glob(pattern)}
+
+
+def _remove(paths: Iterable[Path]) -> None:
     for path in paths:
         with named_failures(str(path)):
             path.unlink(missing_ok=True)
 
 
-def prepare(out: str) -> Path:
-    """Make a local folder, and remove what killed exports left half-written in it.
+def require_free(products: Sequence[Product[R]], out: str, workers: int = 1) -> dict[str, R]:
+    """Return the records, by name, of products that are there already; nothing is changed.
 
-    Raises InputError or StorageError where it is a file or cannot be written.
+    Raises InputError where something else stands in the place of a product.
     """
-    path = _local(out)
-    folder = DataFolder(out)
-    folder.require_folder()
-    folder.remove_stale_files("")
-    return path
-
-
-def existing(out: str) -> Path | None:
-    """Return a local folder where it is there, changing nothing; raises InputError where it is a file."""
-    path = _local(out)
-    if path.exists() and not path.is_dir():
-        message = f"{out!r} is a file, a folder was expected; next: another --out"
-        raise InputError(message)
-    return path if path.exists() else None
-
-
-def _local(out: str) -> Path:
-    folder = DataFolder(out)
-    if not folder.is_local:
-        message = f"{out!r} is not a local folder; files to print are written to a disk; next: a local --out"
-        raise InputError(message)
-    return Path(folder.address())
-
-
-def refuse_others(out: str, names: Iterable[str]) -> None:
-    """Raise InputError when files with other content, by these names, stand in the way."""
-    others = list(names)
+    look = _Export(local_folder(out), only_look=True)
+    there = [product for product in products if look.before(product)]
+    looked = dict(runner_for(workers).run(look, there)) if there else {}
+    others = sorted(each.patterns[0] for each in there if isinstance(looked[each.name], Failure))
     if others:
         message = (
             f"{out!r} holds {others[0]!r} with other content ({len(others)} such files); nothing was "
             "written; next: --overwrite to replace them, or another --out"
         )
         raise InputError(message)
+    return {name: record for name, record in looked.items() if record is not None}
+
+
+def export(
+    products: Sequence[Product[R]],
+    out: str,
+    *,
+    overwrite: bool = False,
+    workers: int = 1,
+    on_progress: Progress = lambda _done, _total: None,
+) -> tuple[list[R], list[Failure]]:
+    """Write the files of products into a folder, which is made where it is not there.
+
+    Returns their records, and why there is none, in the order of the products. Raises InputError where other
+    files stand in the way, before anything is written, and StorageError where the folder cannot be written;
+    finished files stay.
+    """
+    write = _Export(local_folder(out), only_look=False)
+    folder = DataFolder(out)
+    folder.require_folder()
+    folder.remove_stale_files("")  # of killed exports
+    # What was looked at is not made a second time: the convex parts of a body take longer than its file.
+    found: dict[str, Any] = {} if overwrite else {**require_free(products, out, workers)}
+    left = [product for product in products if product.name not in found]
+    for name, result in runner_for(workers).run(write, left) if left else ():
+        found[name] = result
+        on_progress(len(found), len(products))
+    results = [found[product.name] for product in products]
+    failures = [result for result in results if isinstance(result, Failure)]
+    return [result for result in results if not isinstance(result, Failure)], failures

@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from tactile_toolkit.errors import InputError, ItemError
 from tactile_toolkit.mesh.solid_check import require_solid
-from tactile_toolkit.printing.checked import Failure
+from tactile_toolkit.printing.checked import Failure, Progress
 from tactile_toolkit.printing.objects import require_scale, standing
 from tactile_toolkit.printing.packing import Outline, PlateSpec, outline_of, pack
 
@@ -21,21 +21,16 @@ if TYPE_CHECKING:
     from tactile_toolkit.printing.objects import PrintObject
     from tactile_toolkit.printing.simulator import Physics
 
-__all__ = ["Layout", "Measured", "Piece", "Placed", "arrange", "measure"]
-
-Progress = Callable[[int, int], None]
-
-
-def _silent(_done: int, _total: int) -> None:
-    pass
+__all__ = ["Layout", "Measured", "Placed", "arrange", "measure"]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Piece:
-    """An object made ready for packing: its outline, and the cells and the area that it needs of a plate.
+class Placed:
+    """An object made ready for packing, and where it lies on its plate.
 
-    Cells are of shape (rows, columns); an object of several parts needs what lies among them too. The area is
-    that of the outline grown by half the gap.
+    It needs ``cells`` of a plate, shape (rows, columns), those among its parts too, and an area: that of the
+    outline grown by half the gap. ``x_mm`` and ``y_mm`` are the lower left corner of its bounding box, from
+    the front left corner of the plate; 0 until it is packed.
     """
 
     item: PrintObject
@@ -44,22 +39,8 @@ class Piece:
     volume_mm3: float
     cells: NDArray[np.bool_]
     area_mm2: float
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Placed:
-    """An object on a plate.
-
-    ``x_mm`` and ``y_mm`` are the lower left corner of its bounding box, from the front left corner of the
-    plate.
-    """
-
-    item: PrintObject
-    outline: Outline
-    x_mm: float
-    y_mm: float
-    height_mm: float
-    volume_mm3: float
+    x_mm: float = 0.0
+    y_mm: float = 0.0
 
     @property
     def offset_mm(self) -> tuple[float, float, float]:
@@ -73,7 +54,7 @@ class Measured:
 
     spec: PlateSpec
     scale: float
-    pieces: tuple[Piece, ...]
+    pieces: tuple[Placed, ...]
     failures: tuple[Failure, ...]
 
 
@@ -81,21 +62,27 @@ class Measured:
 class Layout:
     """A packing: what lies on each plate, from front to back, and objects left out as they are not solids.
 
-    No packing needs fewer than ``least_plates``: the area that all need, over that of a plate. ``shares``
-    are those of each plate that are needed, so counted.
+    No packing needs fewer than ``least_plates``: the area that all need, over that of a plate.
     """
 
     spec: PlateSpec
     scale: float
     plates: tuple[tuple[Placed, ...], ...]
     least_plates: int
-    shares: tuple[float, ...]
     failures: tuple[Failure, ...]
     physics: Physics | None = None
 
+    @property
+    def shares(self) -> tuple[float, ...]:
+        """Shares of each plate that are needed, counted as ``least_plates`` is."""
+        return tuple(sum(each.area_mm2 for each in plate) / self.spec.area_mm2 for plate in self.plates)
+
 
 def measure(
-    objects: Sequence[PrintObject], spec: PlateSpec, scale: float = 1.0, on_progress: Progress = _silent
+    objects: Sequence[PrintObject],
+    spec: PlateSpec,
+    scale: float = 1.0,
+    on_progress: Progress = lambda _done, _total: None,
 ) -> Measured:
     """Take the outline of every object; ``scale`` is a factor on all lengths.
 
@@ -112,7 +99,7 @@ def measure(
     return Measured(spec, scale, tuple(pieces), tuple(failures))
 
 
-def _piece(item: PrintObject, spec: PlateSpec, scale: float) -> Piece:
+def _piece(item: PrintObject, spec: PlateSpec, scale: float) -> Placed:
     verdict = require_solid(standing(item.load(), scale))
     outline = outline_of(verdict.manifold)
     width_mm, depth_mm = outline.size_mm
@@ -129,10 +116,10 @@ def _piece(item: PrintObject, spec: PlateSpec, scale: float) -> Piece:
     claimed = outline.claimed()
     area_mm2 = float(claimed.grown(spec.gap_mm / 2).area())
     height_mm = float(box[5] - box[2])
-    return Piece(item, outline, height_mm, verdict.volume_mm3, spec.cells_of(claimed), area_mm2)
+    return Placed(item, outline, height_mm, verdict.volume_mm3, spec.cells_of(claimed), area_mm2)
 
 
-def arrange(measured: Measured, on_progress: Progress = _silent) -> Layout:
+def arrange(measured: Measured, on_progress: Progress = lambda _done, _total: None) -> Layout:
     """Find a place for every object on few plates; objects are moved, never turned.
 
     What lies on a plate is in its middle. The same input gives the same layout; progress counts objects
@@ -143,18 +130,16 @@ def arrange(measured: Measured, on_progress: Progress = _silent) -> Layout:
     least = math.ceil(sum(piece.area_mm2 for piece in pieces) / spec.area_mm2 - 1e-9)
     packed = pack([piece.cells for piece in pieces], spec.cells, least, on_progress)
     cell_width_mm, cell_depth_mm = spec.cell_mm
-    plates, shares = [], []
+    plates = []
     for spots in packed:
         corners_mm = np.array([(spot.column * cell_width_mm, spot.row * cell_depth_mm) for spot in spots])
         sizes_mm = np.array([pieces[spot.shape].outline.size_mm for spot in spots])
         # What lies there is moved to the middle: the bed is flattest and most evenly warm there.
         reach_mm = corners_mm.min(axis=0) + (corners_mm + sizes_mm).max(axis=0)
         corners_mm += (np.array(spec.sides_mm) - reach_mm) / 2
-        placed = []
-        for spot, (x_mm, y_mm) in zip(spots, corners_mm.tolist(), strict=True):
-            piece = pieces[spot.shape]
-            figures = (piece.height_mm, piece.volume_mm3)
-            placed.append(Placed(piece.item, piece.outline, x_mm, y_mm, *figures))
+        placed = [
+            replace(pieces[spot.shape], x_mm=x_mm, y_mm=y_mm)
+            for spot, (x_mm, y_mm) in zip(spots, corners_mm.tolist(), strict=True)
+        ]
         plates.append(tuple(sorted(placed, key=lambda each: (each.y_mm, each.x_mm))))
-        shares.append(sum(pieces[spot.shape].area_mm2 for spot in spots) / spec.area_mm2)
-    return Layout(spec, measured.scale, tuple(plates), least, tuple(shares), measured.failures)
+    return Layout(spec, measured.scale, tuple(plates), least, measured.failures)

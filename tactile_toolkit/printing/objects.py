@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-import bisect
 import math
+import operator
 import re
 import unicodedata
 from collections import Counter
@@ -85,8 +85,9 @@ def choose_rows(
     for split, rows in datasets:
         wanted = np.ones(len(rows), bool)
         if ranges is not None:
-            wanted, is_there = _within(rows.ids, ranges)
-            seen |= is_there
+            inside = [(rows.ids >= low) & (rows.ids <= high) for low, high in ranges]
+            wanted = np.any(inside, axis=0)
+            seen |= np.any(inside, axis=1)
         if labels is not None:
             classes = list(rows.label_names)
             unknown = [label for label in labels if label not in classes]
@@ -131,7 +132,7 @@ def choose(
         for row, number, label in zip(*columns, strict=True):
             word = class_name(classes, label)
             name = "-".join(part for part in (_safe(split), _safe(word), f"{number:0{_ID_DIGITS}d}") if part)
-            objects.append(PrintObject(name, split, word, number, partial(_row, rows, row)))
+            objects.append(PrintObject(name, split, word, number, partial(operator.getitem, rows, row)))
     names = Counter(item.name for item in objects)
     twice = next((name for name, count in names.items() if count > 1), None)
     if twice is not None:
@@ -140,10 +141,6 @@ def choose(
         )
         raise InputError(message)
     return objects
-
-
-def _row(rows: RecordDataset[SolidRecord], position: int) -> SolidRecord:
-    return rows[position]
 
 
 def require_scale(scale: float) -> None:
@@ -157,21 +154,6 @@ def _safe(word: str) -> str:
     # Splits and class names of other people's data sets may hold anything, a slash included. Letters of all
     # scripts stay, each in one form, as file systems differ in what they make of accents written apart.
     return _UNSAFE.sub("_", unicodedata.normalize("NFC", word))
-
-
-def _within(
-    known: NDArray[np.int64], ranges: Sequence[tuple[int, int]]
-) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
-    """Tell which ids are in any range, and which ranges hold any id."""
-    order = np.argsort(known, kind="stable")
-    in_order = known[order]
-    # bisect and not numpy's searchsorted: the ends of ranges may be larger than any int64.
-    firsts = [bisect.bisect_left(in_order, low) for low, _ in ranges]
-    ends = [bisect.bisect_right(in_order, high) for _, high in ranges]
-    wanted = np.zeros(len(known), bool)
-    for first, end in zip(firsts, ends, strict=True):
-        wanted[order[first:end]] = True
-    return wanted, np.array(ends, np.int64) > np.array(firsts, np.int64)
 
 
 def parse_ids(text: str) -> list[int | tuple[int, int]]:

@@ -10,13 +10,15 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Callable, Sequence
+from collections import deque
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from scipy import fft, ndimage
 
+from tactile_toolkit.checked_fields import check_fields, real_number
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.mesh.raster import highest_values, positions_in_runs
 from tactile_toolkit.mesh.walls import signed_area_mm2
@@ -67,9 +69,7 @@ class Outline:
         """
         if self.parts <= 1:
             return self
-        import manifold3d
-
-        hull = manifold3d.CrossSection([*self.rings], manifold3d.FillRule.Positive).hull()
+        hull = self._section().hull()
         rings = tuple(np.asarray(ring, np.float64) for ring in hull.to_polygons())
         return Outline(rings, self.size_mm, self.low_mm)
 
@@ -77,10 +77,15 @@ class Outline:
         """Return everything within a distance of the outline, a manifold3d.CrossSection."""
         import manifold3d
 
-        section = manifold3d.CrossSection([*self.rings], manifold3d.FillRule.Positive)
         # Arcs become chords, which lie inside them: the polygon is drawn around the arc instead.
         around_mm = by_mm / math.cos(math.pi / _ARC_SEGMENTS)
-        return section.offset(around_mm, manifold3d.JoinType.Round, circular_segments=_ARC_SEGMENTS)
+        round_joins = manifold3d.JoinType.Round
+        return self._section().offset(around_mm, round_joins, circular_segments=_ARC_SEGMENTS)
+
+    def _section(self) -> Any:
+        import manifold3d
+
+        return manifold3d.CrossSection([*self.rings], manifold3d.FillRule.Positive)
 
 
 def outline_of(manifold: Any) -> Outline:
@@ -124,20 +129,15 @@ class PlateSpec:
     therefore at least a gap apart.
     """
 
-    width_mm: float = 256.0
-    depth_mm: float = 256.0
-    gap_mm: float = 3.0
-    margin_mm: float = MARGIN_MM
+    width_mm: float = real_number(256.0, 1, 10_000, option="the width of --plate in mm")
+    depth_mm: float = real_number(256.0, 1, 10_000, option="the depth of --plate in mm")
+    gap_mm: float = real_number(3.0, 0, 1_000, option="--gap")
+    margin_mm: float = real_number(MARGIN_MM, 0, option="--margin")
 
     def __post_init__(self) -> None:
         """Refuse plates that no printer has."""
-        if not (1 <= self.width_mm <= 10_000 and 1 <= self.depth_mm <= 10_000):
-            message = f"--plate is {self.width_mm:g} x {self.depth_mm:g} mm; expected 1 to 10,000 mm a side"
-            raise InputError(message)
-        if not (math.isfinite(self.gap_mm) and 0 <= self.gap_mm <= 1_000):
-            message = f"--gap is {self.gap_mm:g} mm; expected 0 to 1,000"
-            raise InputError(message)
-        if not (math.isfinite(self.margin_mm) and self.margin_mm >= 0 and min(self.inner_mm) >= 1):
+        check_fields(self, "the plate")
+        if min(self.inner_mm) < 1:
             message = (
                 f"--margin is {self.margin_mm:g} mm; expected 0 or more, and 1 mm left of the plate of "
                 f"{self.width_mm:g} x {self.depth_mm:g} mm"
@@ -278,31 +278,29 @@ def pack(
     progress counts shapes placed over all attempts. Returns one list per plate, the same for the same input.
     """
     attempts = _TRIED_WEIGHTS if len(shapes) <= _MOST_SHAPES_FOR_ALL_WEIGHTS else _TRIED_WEIGHTS[:1]
-    total = len(attempts) * len(shapes)
+    total, done = len(attempts) * len(shapes), 0
     areas = [int(shape.sum()) for shape in shapes]
     largest_first = sorted(range(len(shapes)), key=lambda number: (-areas[number], number))
-    best: list[list[Spot]] = []
-    for attempt, weights in enumerate(attempts):
+    found: list[list[list[Spot]]] = []
+    for weights in attempts:
         left, plates = largest_first, []
         while left:
-            before = attempt * len(shapes) + len(shapes) - len(left)
-
-            def placed(count: int, before: int = before) -> None:
-                on_progress(before + count, total)
-
-            plates.append(_Filling(plate, weights, areas[largest_first[0]]).fill(left, shapes, placed))
-            done = {spot.shape for spot in plates[-1]}
-            left = [number for number in left if number not in done]
-        # Fewest plates, then fewest cells on the last one.
-        best = min(
-            best or plates,
-            plates,
-            key=lambda found: (len(found), sum(areas[spot.shape] for spots in found[-1:] for spot in spots)),
-        )
-        if len(best) <= least_plates:
+            plates.append([])
+            for spot in _Filling(plate, weights, areas[largest_first[0]]).fill(left, shapes):
+                plates[-1].append(spot)
+                done += 1
+                on_progress(done, total)
+            placed = {spot.shape for spot in plates[-1]}
+            left = [number for number in left if number not in placed]
+        found.append(plates)
+        if len(plates) <= least_plates:
             break
     on_progress(total, total)
-    return best
+    # Fewest plates, then fewest cells on the last one.
+    return min(
+        found,
+        key=lambda plates: (len(plates), sum(areas[spot.shape] for last in plates[-1:] for spot in last)),
+    )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -330,39 +328,27 @@ class _Filling:
         self._size = (fft.next_fast_len(rows, real=True), fft.next_fast_len(columns, real=True))
         self._spectrum = fft.rfft2(self._taken, self._size)
 
-    def fill(
-        self, numbers: Sequence[int], shapes: Sequence[NDArray[np.bool_]], placed: Callable[[int], None]
-    ) -> list[Spot]:
-        """Put down as many shapes as have a position; ``placed`` is called with how many there are."""
-        waiting = list(numbers)
+    def fill(self, numbers: Sequence[int], shapes: Sequence[NDArray[np.bool_]]) -> Iterator[Spot]:
+        """Put down as many shapes as have a position, and yield where."""
+        waiting = deque(numbers)
         tried: list[_Shape] = []
-        spots: list[Spot] = []
         while waiting or tried:
             while waiting and len(tried) < _TRIED_AT_ONCE:
-                tried.append(self._prepared(waiting[0], shapes[waiting.pop(0)]))
-            best: tuple[float, Spot] | None = None
-            fitting = []
-            for shape in tried:
-                found = self._best_spot(shape)
-                if found is None:
-                    continue
-                fitting.append(shape)
-                if best is None or found[0] > best[0]:
-                    best = found
+                tried.append(self._prepared(waiting[0], shapes[waiting.popleft()]))
+            scores = [(self._best_spot(shape), shape) for shape in tried]
             # What has no position now will not find one later: the plate only gets fuller.
-            tried = fitting
-            if best is not None:
-                spot = best[1]
-                cells, rim = shapes[spot.shape], self._weights.rim_cells
-                rows, columns = cells.shape
+            fitting = [(found, shape) for found, shape in scores if found is not None]
+            tried = [shape for _, shape in fitting]
+            if fitting:
+                (_, spot), best = max(fitting, key=lambda each: each[0][0])
+                tried.remove(best)
+                rows, columns = best.cells.shape
+                rim = self._weights.rim_cells
                 view = self._taken[rim + spot.row :, rim + spot.column :][:rows, :columns]
-                view += cells
-                self._free -= int(cells.sum())
+                view += best.cells
+                self._free -= best.area
                 self._spectrum = fft.rfft2(self._taken, self._size)
-                tried = [shape for shape in tried if shape.number != spot.shape]
-                spots.append(spot)
-                placed(len(spots))
-        return spots
+                yield spot
 
     def _prepared(self, number: int, cells: NDArray[np.bool_]) -> _Shape:
         """Transform a shape and its rim."""

@@ -6,7 +6,7 @@ import csv
 import io
 import re
 from collections import Counter
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass
 from functools import partial
 from pathlib import Path
@@ -24,14 +24,14 @@ from tactile_toolkit.printing.checked import (
     OFF_PLATE,
     UNREADABLE,
     Failure,
-    existing,
-    holds,
-    in_the_way,
-    prepare,
-    refuse_others,
-    remove,
+    Made,
+    Product,
+    Progress,
+    content_of,
+    export,
+    local_folder,
+    require_free,
     require_same_solid,
-    settle,
 )
 from tactile_toolkit.printing.layout import Layout, Placed
 from tactile_toolkit.printing.objects import standing
@@ -40,16 +40,9 @@ from tactile_toolkit.printing.plate_map import draw_map
 from tactile_toolkit.printing.simulator import body_of, pack_mjcf, read_mjcf
 from tactile_toolkit.wording import counted
 
-__all__ = [
-    "PlateExport",
-    "PlateFile",
-    "TABLE_FILE",
-    "forecast_plates",
-    "write_plates",
-]
+__all__ = ["PlateExport", "PlateFile", "TABLE_FILE", "forecast_plates", "write_plates"]
 
 TABLE_FILE = "plates.csv"
-_PLATE_FILE = re.compile(r"plate-\d{2,}\.(3mf|xml)", re.ASCII)
 # Objects that a forecast packs to tell the size of all.
 _SAMPLED = 4
 
@@ -106,7 +99,7 @@ def write_plates(
     out: str,
     *,
     overwrite: bool = False,
-    on_progress: Callable[[int, int], None] = lambda _done, _total: None,
+    on_progress: Progress = lambda _done, _total: None,
 ) -> PlateExport:
     """Write the plates of a layout into a folder, which is made where it is not there.
 
@@ -118,30 +111,15 @@ def write_plates(
     Raises InputError where plates of another export stand in the folder, before anything is written, and
     StorageError where the folder cannot be written; finished files stay.
     """
-    folder = prepare(out)
-    unknown = _unknown_files(layout, folder)
+    unknown = _unknown_files(layout, local_folder(out))
     if not overwrite:
-        refuse_others(out, [*unknown, *_differing(layout, folder)])
-    remove(folder / name for name in unknown)
-    plates, failures = [], list(layout.failures)
-    for number, (plate, share) in enumerate(zip(layout.plates, layout.shares, strict=True), 1):
-        solid, picture = _solid_file(number, layout), _map_file(number)
-        items = [_item(placed, layout) for placed in plate]
-        try:
-            content = _packed(items, layout)
-            state = settle(folder / solid, content, partial(_check_plate, items=items, spec=layout.spec))
-            settle(folder / picture, _map_of(layout, number))
-            plates.append(PlateFile(solid, picture, len(plate), share, len(content), state))
-        except ItemError as error:
-            # What an earlier export left under these names would pass for this plate.
-            remove((folder / solid, folder / picture))
-            failures.append(Failure(solid, error.reason, str(error)))
-        on_progress(number, len(layout.plates))
+        require_free([_table_product(tuple(_rows(layout)), unknown)], out)
+    plates, failures = export(_products(layout), out, overwrite=overwrite, on_progress=on_progress)
     written = {plate.file for plate in plates}
-    rows = [row for row in _rows(layout) if row["file"] in written]
+    rows = tuple(row for row in _rows(layout) if row["file"] in written)
     # Last: what it lists is there and was checked.
-    settle(folder / TABLE_FILE, _table_csv(rows))
-    return PlateExport(tuple(plates), tuple(rows), layout.least_plates, tuple(failures), tuple(unknown))
+    export([_table_product(rows, unknown)], out, overwrite=True)
+    return PlateExport(tuple(plates), rows, layout.least_plates, (*layout.failures, *failures), unknown)
 
 
 def forecast_plates(layout: Layout, out: str | None = None, *, overwrite: bool = False) -> PlateExport:
@@ -149,32 +127,48 @@ def forecast_plates(layout: Layout, out: str | None = None, *, overwrite: bool =
 
     Raises InputError where plates of another export stand in the folder.
     """
-    folder = None if out is None else existing(out)
-    unknown = [] if folder is None else _unknown_files(layout, folder)
-    if out is not None and folder is not None and not overwrite:
-        refuse_others(out, [*unknown, *_differing(layout, folder)])
+    unknown, rows = (), tuple(_rows(layout))
+    if out is not None:
+        unknown = _unknown_files(layout, local_folder(out))
+        if not overwrite:
+            require_free([*_products(layout), _table_product(rows, unknown)], out)
     sample = [placed for plate in layout.plates for placed in plate][:_SAMPLED]
     each = sum(len(_packed([_item(placed, layout)], layout)) for placed in sample) / max(len(sample), 1)
     plates = tuple(
-        PlateFile(
-            _solid_file(number, layout),
-            _map_file(number),
-            len(plate),
-            share,
-            round(each * len(plate)),
-            "planned",
-        )
-        for number, (plate, share) in enumerate(zip(layout.plates, layout.shares, strict=True), 1)
+        _plate_file(layout, number, round(each * len(plate)), "planned")
+        for number, plate in enumerate(layout.plates, 1)
     )
-    return PlateExport(plates, tuple(_rows(layout)), layout.least_plates, layout.failures, tuple(unknown))
+    return PlateExport(plates, rows, layout.least_plates, layout.failures, unknown)
 
 
-def _solid_file(number: int, layout: Layout) -> str:
-    return f"plate-{number:02d}.{'3mf' if layout.physics is None else 'xml'}"
+def _products(layout: Layout) -> list[Product[PlateFile]]:
+    return [
+        Product(solid, (solid, picture), partial(_made, layout, number))
+        for number, (solid, picture) in enumerate(_names(layout), 1)
+    ]
 
 
-def _map_file(number: int) -> str:
-    return f"plate-{number:02d}.png"
+def _names(layout: Layout) -> list[tuple[str, str]]:
+    """Return the files of each plate: its solids and its map."""
+    ending = "3mf" if layout.physics is None else "xml"
+    plates = [f"plate-{number:02d}" for number in range(1, len(layout.plates) + 1)]
+    return [(f"{plate}.{ending}", f"{plate}.png") for plate in plates]
+
+
+def _made(layout: Layout, number: int) -> Made[PlateFile]:
+    solid, picture = _names(layout)[number - 1]
+    items = [_item(placed, layout) for placed in layout.plates[number - 1]]
+    content = _packed(items, layout)
+    return Made(
+        {picture: _map_of(layout, number), solid: content},
+        partial(_plate_file, layout, number, len(content)),
+        partial(_check_plate, items=items, spec=layout.spec),
+    )
+
+
+def _plate_file(layout: Layout, number: int, size_bytes: int, state: str) -> PlateFile:
+    names, share = _names(layout)[number - 1], layout.shares[number - 1]
+    return PlateFile(*names, len(layout.plates[number - 1]), share, size_bytes, state)
 
 
 def _item(placed: Placed, layout: Layout) -> BuildItem:
@@ -202,19 +196,15 @@ def _unpacked(content: bytes) -> list[BuildItem]:
     if content.startswith(b"PK"):
         return read_build(content)
     found = read_mjcf(content).items()
-    return [
-        BuildItem(name, np.asarray(mesh.vertices_m, np.float64) * MM_PER_M, mesh.faces)
-        for name, (mesh, _) in found
-    ]
+    return [BuildItem(name, mesh.vertices_m * MM_PER_M, mesh.faces) for name, mesh in found]
 
 
 def _map_of(layout: Layout, number: int) -> bytes:
     plate = layout.plates[number - 1]
-    objects = counted(len(plate), "objects")
-    title = f"plate {number} of {len(layout.plates)}: {objects}, {layout.spec.text}"
+    title = f"plate {number} of {len(layout.plates)}: {counted(len(plate), 'objects')}, {layout.spec.text}"
     labels = sorted({placed.item.label for other in layout.plates for placed in other})
     counts = Counter(placed.item.id for other in layout.plates for placed in other)
-    shared = {number for number, count in counts.items() if count > 1}
+    shared = {identity for identity, count in counts.items() if count > 1}
     return draw_map(plate, layout.spec, title, labels, shared)
 
 
@@ -251,49 +241,31 @@ _COLUMNS = (
 
 def _rows(layout: Layout) -> Iterator[dict[str, Any]]:
     """Yield the rows of the table; x and y are the lower left corner of the bounding box on the plate."""
-    for number, plate in enumerate(layout.plates, 1):
+    for number, (plate, (solid, _)) in enumerate(zip(layout.plates, _names(layout), strict=True), 1):
         for placed in plate:
             item = placed.item
-            named = (number, _solid_file(number, layout), item.name, item.split, item.label, item.id)
+            named = (number, solid, item.name, item.split, item.label, item.id)
             sizes_mm = (*placed.outline.size_mm, placed.height_mm)
             measured = (placed.x_mm, placed.y_mm, *sizes_mm, placed.volume_mm3)
             values = (*named, *(round(value, 3) for value in measured))
             yield dict(zip(_COLUMNS, values, strict=True))
 
 
-def _table_csv(rows: Sequence[dict[str, Any]]) -> bytes:
+def _table_product(rows: Sequence[dict[str, Any]], unknown: Sequence[str]) -> Product[str]:
+    """Return the table as a product, which plates that it does not list are not to stand beside."""
     text = io.StringIO()
     writer = csv.DictWriter(text, _COLUMNS, lineterminator="\n")
     writer.writeheader()
     writer.writerows(rows)
-    return text.getvalue().encode()
+    made = Made({TABLE_FILE: text.getvalue().encode()}, str)
+    return Product(TABLE_FILE, (TABLE_FILE, *unknown), lambda: made)
 
 
-def _differing(layout: Layout, folder: Path) -> Iterator[str]:
-    """Name the files that stand where this layout writes other bytes."""
-    for number, plate in enumerate(layout.plates, 1):
-        solid, picture = folder / _solid_file(number, layout), folder / _map_file(number)
-        if solid.exists() and not holds(solid, _packed([_item(placed, layout) for placed in plate], layout)):
-            yield solid.name
-        if picture.exists() and not holds(picture, _map_of(layout, number)):
-            yield picture.name
-    table = folder / TABLE_FILE
-    if table.exists() and not holds(table, _table_csv(list(_rows(layout)))):
-        yield table.name
-
-
-def _unknown_files(layout: Layout, folder: Path) -> list[str]:
+def _unknown_files(layout: Layout, folder: Path) -> tuple[str, ...]:
     """Name plates and maps of the export whose table is in the folder that this layout has not."""
     # Files that only have such a name may be anybody's.
-    try:
-        with (folder / TABLE_FILE).open(newline="", encoding="utf-8") as stream:
-            listed = {str(row.get("file")) for row in csv.DictReader(stream)}
-    except (FileNotFoundError, UnicodeDecodeError, csv.Error):
-        return []
-    except OSError as error:
-        raise in_the_way(folder / TABLE_FILE, error) from error
-    solids = [name for name in listed if _PLATE_FILE.fullmatch(name)]
-    before = {name for solid in solids for name in (solid, Path(solid).with_suffix(".png").name)}
-    numbers = range(1, len(layout.plates) + 1)
-    ours = {name for number in numbers for name in (_solid_file(number, layout), _map_file(number))}
-    return sorted(name for name in before - ours if (folder / name).exists())
+    table = (content_of(folder / TABLE_FILE) or b"").decode(errors="replace")
+    listed = re.findall(r"^\d+,(plate-\d{2,})\.(3mf|xml),", table, re.ASCII | re.MULTILINE)
+    before = {f"{plate}.{each}" for plate, ending in listed for each in (ending, "png")}
+    ours = {name for names in _names(layout) for name in names}
+    return tuple(sorted(name for name in before - ours if (folder / name).exists()))

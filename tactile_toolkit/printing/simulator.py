@@ -89,7 +89,7 @@ def read_model(path: Path) -> Mesh:
     """Read the mesh that a model shows, metres; raises InputError where there is none."""
     try:
         if path.suffix == ".xml":
-            ((mesh, _),) = read_mjcf(path.read_bytes()).values()
+            (mesh,) = read_mjcf(path.read_bytes()).values()
             return mesh
         if path.suffix == ".usda":
             return _read_usd(path.read_text())
@@ -107,83 +107,74 @@ def pack_mjcf(bodies: Sequence[tuple[Body, tuple[float, float]]], model: str, fl
 
     ``floor`` adds a plane to lie on, and light. The same bodies give the same bytes.
     """
-    root = ElementTree.Element("mujoco", model=model)
-    assets = ElementTree.SubElement(root, "asset")
-    world = ElementTree.SubElement(root, "worldbody")
-    if floor:
-        ElementTree.SubElement(world, "light", pos="0 0 1", dir="0 0 -1", directional="true")
-        # Without end, and 5 cm between the lines that are drawn on it.
-        ElementTree.SubElement(world, "geom", name="floor", type="plane", size="0 0 0.05")
+    # The plane without end, and 5 cm between the lines that are drawn on it.
+    light = _tag("light", pos="0 0 1", dir="0 0 -1", directional="true")
+    ground = [light, _tag("geom", name="floor", type="plane", size="0 0 0.05")] if floor else []
+    assets, elements = [], []
     for body, (x_m, y_m) in bodies:
-        _add_asset(assets, body.name, body.mesh, with_faces=True)
-        element = ElementTree.SubElement(world, "body", name=body.name, pos=_text((x_m, y_m, 0.0)))
-        ElementTree.SubElement(element, "freejoint", name=f"{body.name}-free")
+        parts = {f"{body.name}-{number:02d}": part for number, part in enumerate(body.parts)}
+        faces = " ".join(map(str, body.mesh.faces.ravel().tolist()))
+        assets.append(_tag("mesh", name=body.name, vertex=_text(body.mesh.vertices_m.ravel()), face=faces))
+        assets += [
+            _tag("mesh", name=name, vertex=_text(part.vertices_m.ravel())) for name, part in parts.items()
+        ]
         i = body.inertia_kg_m2
-        ElementTree.SubElement(
-            element,
-            "inertial",
-            pos=_text(body.center_m),
-            mass=_text((body.mass_kg,)),
-            fullinertia=_text((i[0, 0], i[1, 1], i[2, 2], i[0, 1], i[0, 2], i[1, 2])),
-        )
+        moments = _text((i[0, 0], i[1, 1], i[2, 2], i[0, 1], i[0, 2], i[1, 2]))
         # Group 2 is drawn and group 3 is not, as in the models that MuJoCo's own viewer comes with.
-        visual = {"type": "mesh", "contype": "0", "conaffinity": "0", "group": "2", "mass": "0"}
-        ElementTree.SubElement(element, "geom", {"name": body.name, "mesh": body.name, **visual})
-        for number, part in enumerate(body.parts):
-            name = f"{body.name}-{number:02d}"
-            _add_asset(assets, name, part, with_faces=False)
-            collision = {
-                "type": "mesh",
-                "group": "3",
-                "mass": "0",
-                # Against turning and rolling, MuJoCo's own defaults.
-                "friction": _text((body.friction, 0.005, 1e-4)),
-            }
-            ElementTree.SubElement(element, "geom", {"name": name, "mesh": name, **collision})
-    return _written(root)
+        drawn = {"type": "mesh", "contype": "0", "conaffinity": "0", "group": "2", "mass": "0"}
+        # Against turning and rolling, MuJoCo's own defaults.
+        felt = {"type": "mesh", "group": "3", "mass": "0", "friction": _text((body.friction, 0.005, 1e-4))}
+        elements.append(
+            _tag(
+                "body",
+                _tag("freejoint", name=f"{body.name}-free"),
+                _tag("inertial", pos=_text(body.center_m), mass=_text((body.mass_kg,)), fullinertia=moments),
+                _tag("geom", name=body.name, mesh=body.name, **drawn),
+                *(_tag("geom", name=name, mesh=name, **felt) for name in parts),
+                name=body.name,
+                pos=_text((x_m, y_m, 0.0)),
+            )
+        )
+    world = _tag("worldbody", *ground, *elements)
+    return _written(_tag("mujoco", _tag("asset", *assets), world, model=model))
 
 
-def _add_asset(assets: ElementTree.Element, name: str, mesh: Mesh, *, with_faces: bool) -> None:
-    faces = {"face": " ".join(map(str, mesh.faces.ravel().tolist()))} if with_faces else {}
-    ElementTree.SubElement(assets, "mesh", {"name": name, "vertex": _text(mesh.vertices_m.ravel()), **faces})
-
-
-def read_mjcf(content: bytes) -> dict[str, tuple[Mesh, float]]:
-    """Read back the mesh and the mass, kg, of each body of :func:`pack_mjcf`; raises ValueError, KeyError."""
+def read_mjcf(content: bytes) -> dict[str, Mesh]:
+    """Read back the mesh of each body of :func:`pack_mjcf`; raises ValueError and KeyError."""
     root = ElementTree.fromstring(content)
-    meshes = {each.attrib["name"]: each for each in root.iter("mesh")}
+    meshes = {each.attrib["name"]: each.attrib for each in root.iter("mesh")}
     found = {}
     for body in root.iter("body"):
-        asset, inertial = meshes[body.attrib["name"]], body.find("inertial")
-        if inertial is None:
-            message = f"body {body.attrib['name']!r} has no mass"
-            raise ValueError(message)
-        vertices = np.array(asset.attrib["vertex"].split(), np.float64).reshape(-1, 3)
-        faces = np.array(asset.attrib["face"].split(), np.int32).reshape(-1, 3)
+        asset = meshes[body.attrib["name"]]
         place = np.array(body.attrib["pos"].split(), np.float64)
-        found[body.attrib["name"]] = (Mesh(vertices + place, faces), float(inertial.attrib["mass"]))
+        found[body.attrib["name"]] = _mesh(asset["vertex"], asset["face"], place)
     return found
+
+
+def _mesh(vertices: str, faces: str, place: NDArray[np.float64] | float = 0.0) -> Mesh:
+    points = np.array(vertices.split(), np.float64).reshape(-1, 3)
+    return Mesh(points + place, np.array(faces.split(), np.int32).reshape(-1, 3))
 
 
 def _pack_urdf(body: Body, folder: str) -> dict[str, bytes]:
     """Write a body as a URDF file and its meshes, OBJ in metres, by path; the URDF file is the last one."""
     files = {f"{folder}/visual.obj": _obj(body.mesh)}
     files |= {f"{folder}/part-{number:02d}.obj": _obj(part) for number, part in enumerate(body.parts)}
-    root = ElementTree.Element("robot", name=body.name)
-    link = ElementTree.SubElement(root, "link", name=body.name)
-    inertial = ElementTree.SubElement(link, "inertial")
-    ElementTree.SubElement(inertial, "origin", xyz=_text(body.center_m), rpy="0 0 0")
-    ElementTree.SubElement(inertial, "mass", value=_text((body.mass_kg,)))
     i = body.inertia_kg_m2
     moments = {"ixx": (0, 0), "iyy": (1, 1), "izz": (2, 2), "ixy": (0, 1), "ixz": (0, 2), "iyz": (1, 2)}
-    inertia = {name: _text((i[place],)) for name, place in moments.items()}
-    ElementTree.SubElement(inertial, "inertia", attrib=inertia)
-    for path in files:
-        shape = ElementTree.SubElement(link, "visual" if path.endswith("visual.obj") else "collision")
-        ElementTree.SubElement(ElementTree.SubElement(shape, "geometry"), "mesh", filename=path)
-    contact = ElementTree.SubElement(link, "contact")
-    ElementTree.SubElement(contact, "lateral_friction", value=_text((body.friction,)))
-    return {**files, f"{folder}.urdf": _written(root)}
+    inertial = _tag(
+        "inertial",
+        _tag("origin", xyz=_text(body.center_m), rpy="0 0 0"),
+        _tag("mass", value=_text((body.mass_kg,))),
+        _tag("inertia", **{name: _text((i[place],)) for name, place in moments.items()}),
+    )
+    shapes = [
+        _tag("collision" if number else "visual", _tag("geometry", _tag("mesh", filename=path)))
+        for number, path in enumerate(files)
+    ]
+    contact = _tag("contact", _tag("lateral_friction", value=_text((body.friction,))))
+    link = _tag("link", inertial, *shapes, contact, name=body.name)
+    return {**files, f"{folder}.urdf": _written(_tag("robot", link, name=body.name))}
 
 
 _USD = """#usda 1.0
@@ -239,22 +230,19 @@ def _pack_usd(body: Body) -> bytes:
     axes = axes * np.sign(np.take_along_axis(axes, np.abs(axes).argmax(axis=0)[None], axis=0))
     axes[:, 2] = np.cross(axes[:, 0], axes[:, 1])
     x, y, z, w = Rotation.from_matrix(axes).as_quat(canonical=True)
-    meshes = []
-    for name, mesh in {
-        "visual": body.mesh,
-        **{f"part_{n:02d}": part for n, part in enumerate(body.parts)},
-    }.items():
-        collides = name != "visual"
-        meshes.append(
-            _USD_MESH.format(
-                name=name,
-                schemas=_USD_SCHEMAS if collides else "",
-                counts=", ".join(["3"] * len(mesh.faces)),
-                faces=", ".join(map(str, mesh.faces.ravel().tolist())),
-                points=", ".join(f"({_text(row, ', ')})" for row in mesh.vertices_m),
-                collision=_USD_COLLISION.format(path=f"/{prim}") if collides else "",
-            )
+    felt = (_USD_SCHEMAS, _USD_COLLISION.format(path=f"/{prim}"))
+    parts = [(f"part_{number:02d}", part, *felt) for number, part in enumerate(body.parts)]
+    meshes = [
+        _USD_MESH.format(
+            name=name,
+            schemas=schemas,
+            counts=", ".join(["3"] * len(mesh.faces)),
+            faces=", ".join(map(str, mesh.faces.ravel().tolist())),
+            points=", ".join(f"({_text(row, ', ')})" for row in mesh.vertices_m),
+            collision=collision,
         )
+        for name, mesh, schemas, collision in [("visual", body.mesh, "", ""), *parts]
+    ]
     return _USD.format(
         prim=prim,
         mass=_text((body.mass_kg,)),
@@ -271,8 +259,8 @@ def _read_usd(text: str) -> Mesh:
     if found is None:
         message = "no mesh 'visual'"
         raise ValueError(message)
-    faces, points = (re.sub(r"[(),]", " ", words).split() for words in found.groups())
-    return Mesh(np.array(points, np.float64).reshape(-1, 3), np.array(faces, np.int32).reshape(-1, 3))
+    faces, points = (re.sub(r"[(),]", " ", words) for words in found.groups())
+    return _mesh(points, faces)
 
 
 def _obj(mesh: Mesh) -> bytes:
@@ -286,6 +274,12 @@ def _obj(mesh: Mesh) -> bytes:
 
 def _text(values: Iterable[Any], between: str = " ", digits: int = 9) -> str:
     return between.join(f"{float(value):.{digits}g}" for value in values)
+
+
+def _tag(tag: str, /, *children: ElementTree.Element, **attributes: str) -> ElementTree.Element:
+    element = ElementTree.Element(tag, attributes)
+    element.extend(children)
+    return element
 
 
 def _written(root: ElementTree.Element) -> bytes:
