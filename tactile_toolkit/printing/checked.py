@@ -205,7 +205,7 @@ def require_free(products: Sequence[Product[R]], out: str, workers: int = 1) -> 
             "written; next: --overwrite to replace them, or another --out"
         )
         raise InputError(message)
-    return {name: record for name, record in looked.items() if record is not None}
+    return {name: each for name, each in looked.items() if not (each is None or isinstance(each, Failure))}
 
 
 def export(

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import operator
 import re
 import unicodedata
 from collections import Counter
@@ -132,7 +131,7 @@ def choose(
         for row, number, label in zip(*columns, strict=True):
             word = class_name(classes, label)
             name = "-".join(part for part in (_safe(split), _safe(word), f"{number:0{_ID_DIGITS}d}") if part)
-            objects.append(PrintObject(name, split, word, number, partial(operator.getitem, rows, row)))
+            objects.append(PrintObject(name, split, word, number, partial(rows.__getitem__, row)))
     names = Counter(item.name for item in objects)
     twice = next((name for name, count in names.items() if count > 1), None)
     if twice is not None:

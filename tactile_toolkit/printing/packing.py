@@ -283,7 +283,7 @@ def pack(
     largest_first = sorted(range(len(shapes)), key=lambda number: (-areas[number], number))
     found: list[list[list[Spot]]] = []
     for weights in attempts:
-        left, plates = largest_first, []
+        left, plates = largest_first, list[list[Spot]]()
         while left:
             plates.append([])
             for spot in _Filling(plate, weights, areas[largest_first[0]]).fill(left, shapes):

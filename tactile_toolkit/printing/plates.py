@@ -127,11 +127,13 @@ def forecast_plates(layout: Layout, out: str | None = None, *, overwrite: bool =
 
     Raises InputError where plates of another export stand in the folder.
     """
-    unknown, rows = (), tuple(_rows(layout))
+    rows = tuple(_rows(layout))
+    unknown: tuple[str, ...] = ()
     if out is not None:
         unknown = _unknown_files(layout, local_folder(out))
         if not overwrite:
-            require_free([*_products(layout), _table_product(rows, unknown)], out)
+            require_free(_products(layout), out)
+            require_free([_table_product(rows, unknown)], out)
     sample = [placed for plate in layout.plates for placed in plate][:_SAMPLED]
     each = sum(len(_packed([_item(placed, layout)], layout)) for placed in sample) / max(len(sample), 1)
     plates = tuple(
@@ -196,7 +198,10 @@ def _unpacked(content: bytes) -> list[BuildItem]:
     if content.startswith(b"PK"):
         return read_build(content)
     found = read_mjcf(content).items()
-    return [BuildItem(name, mesh.vertices_m * MM_PER_M, mesh.faces) for name, mesh in found]
+    return [
+        BuildItem(name, np.asarray(mesh.vertices_m, np.float64) * MM_PER_M, mesh.faces)
+        for name, mesh in found
+    ]
 
 
 def _map_of(layout: Layout, number: int) -> bytes:

@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
 from functools import partial
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from tactile_toolkit.errors import InputError, ItemError
 from tactile_toolkit.mesh.files import FORMATS, pack_mesh, read_mesh
-from tactile_toolkit.mesh.mesh import MM_PER_M
+from tactile_toolkit.mesh.mesh import MM_PER_M, Mesh
 from tactile_toolkit.mesh.solid_check import require_solid
 from tactile_toolkit.printing.checked import (
     Failure,
@@ -96,13 +97,15 @@ class FileForecast:
 def _made(item: PrintObject, ending: str, scale: float, physics: Physics) -> Made[WrittenFile]:
     mesh = standing(item.load(), scale)
     verdict = require_solid(mesh)
+    read: Callable[[Path], Mesh]
     if ending in FORMATS:
         files, read = {f"{item.name}{ending}": pack_mesh(mesh, ending, item.name)}, read_mesh
     else:
         files, read = model_files(item.name, mesh, ending, physics), read_model
     named = (item.name, list(files)[-1], item.split, item.label, item.id)
-    sizes = (*(np.ptp(mesh.bounds_m, axis=0) * MM_PER_M).tolist(), verdict.volume_mm3)
-    record = partial(WrittenFile, *named, *sizes, sum(map(len, files.values())))
+    width_mm, depth_mm, height_mm = (np.ptp(mesh.bounds_m, axis=0) * MM_PER_M).tolist()
+    sizes = (width_mm, depth_mm, height_mm, verdict.volume_mm3, sum(map(len, files.values())))
+    record = partial(WrittenFile, *named, *sizes)
     return Made(files, record, lambda path: require_same_solid(read(path), mesh, verdict))
 
 
@@ -132,8 +135,8 @@ def export_files(
     anything is written, and StorageError where the folder cannot be written; finished files stay.
     """
     products = _products(objects, kind, scale, physics)
-    done = export(products, out, overwrite=overwrite, workers=workers, on_progress=on_progress)
-    return FileExport(*map(tuple, done))
+    files, failures = export(products, out, overwrite=overwrite, workers=workers, on_progress=on_progress)
+    return FileExport(tuple(files), tuple(failures))
 
 
 def forecast_files(

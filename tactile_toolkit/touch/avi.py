@@ -107,14 +107,19 @@ class Avi:
         if not self._in_order or not 0 <= entry < self.entry_count:
             return None
         name, offset, size = _ENTRY.unpack_from(self.data, self._entries_start + _ENTRY.size * entry)
-        if name not in self._names or not size:
+        start = self._start(name, offset) if name in self._names and size else None
+        if start is None or start + size > self._frames_end:
             return None
+        found = _CHUNK.unpack_from(self.data, start - _CHUNK.size) == (name, size)
+        return self.data[start : start + size] if found else None
+
+    def _start(self, name: bytes, offset: int) -> int | None:
+        """Return where the bytes of a frame of the index begin; None where no frame of that name does."""
         # Writers differ in where offsets count from: the list of frames, or the file.
         for base in (self._frames_start - 4, 0):
             start = base + offset + _CHUNK.size
-            inside = self._frames_start <= start and start + size <= self._frames_end
-            if inside and _CHUNK.unpack_from(self.data, start - _CHUNK.size) == (name, size):
-                return self.data[start : start + size]
+            if start >= self._frames_start and self.data[base + offset :][:4] == name:
+                return start
         return None
 
     def index(self) -> AviIndex:
@@ -138,44 +143,33 @@ class Avi:
         if len(entries) == 0:
             message = "an AVI whose index lists no frame"
             raise NoIndexError(message)
-        starts, sizes = entries[:, 2] + (self._base(entries[0]) + _CHUNK.size), entries[:, 3]
-        outside = np.flatnonzero((starts < self._frames_start) | (starts + sizes > self._frames_end))
-        if len(outside):
-            message = f"an AVI whose frame {outside[0]} of {len(starts)} lies outside of it"
-            raise ValueError(message)
-        backwards = np.flatnonzero(starts[1:] < starts[:-1])
-        if len(backwards):
-            first, second = backwards[0], backwards[0] + 1
-            message = (
-                f"an AVI whose index has frame {second} of {len(starts)} before frame {first}; expected the "
-                "order of the stream"
-            )
-            raise ValueError(message)
-        overlaps = np.flatnonzero(starts[1:] < (starts + sizes)[:-1])
-        if len(overlaps):
-            # A small file would decode to any amount of pixels.
-            first, second = overlaps[0], overlaps[0] + 1
-            message = f"an AVI whose index has frames {first} and {second} of {len(starts)} overlap"
-            raise ValueError(message)
+        first = int(entries[0, 2])
+        start = self._start(int(entries[0, 0]).to_bytes(4, "little"), first)
+        if start is None:
+            message = "an AVI whose index does not point at frames"
+            raise NoIndexError(message)
+        starts, sizes = entries[:, 2] + (start - first), entries[:, 3]
+        ends = starts + sizes
+
+        def refuse(wrong: NDArray[np.bool_], problem: str) -> None:
+            if wrong.any():
+                number = int(wrong.argmax())
+                counts = {"count": len(starts), "size": sizes[number]}
+                raise ValueError("an AVI whose " + problem.format(number, number + 1, **counts))
+
+        refuse(
+            (starts < self._frames_start) | (ends > self._frames_end),
+            "frame {0} of {count} lies outside of it",
+        )
+        order = "index has frame {1} of {count} before frame {0}; expected the order of the stream"
+        refuse(starts[1:] < starts[:-1], order)
+        # A small file would decode to any amount of pixels.
+        refuse(starts[1:] < ends[:-1], "index has frames {0} and {1} of {count} overlap")
         bytes_of_heads = (starts - _CHUNK.size)[:, None] + np.arange(_CHUNK.size)
         heads = np.frombuffer(self.data, np.uint8)[bytes_of_heads].view("<u4")
-        others = np.flatnonzero((heads != entries[:, [0, 3]]).any(axis=1))
-        if len(others):
-            message = (
-                f"an AVI whose index names frame {others[0]} of {len(starts)} where the stream has no frame "
-                f"of {sizes[others[0]]:,} bytes"
-            )
-            raise ValueError(message)
+        nowhere = "index names frame {0} of {count} where the stream has no frame of {size:,} bytes"
+        refuse((heads != entries[:, [0, 3]]).any(axis=1), nowhere)
         return AviIndex(self.fps, starts, sizes, slots)
-
-    def _base(self, first: NDArray[np.int64]) -> int:
-        """Return where the offsets of the index count from, by its first frame; see :meth:`frame`."""
-        for base in (self._frames_start - 4, 0):
-            start = int(first[2]) + base
-            if int.from_bytes(self.data[start : start + 4], "little") == first[0]:
-                return base
-        message = "an AVI whose index does not point at frames"
-        raise NoIndexError(message)
 
 
 def read_index(data: memoryview) -> AviIndex:

@@ -11,7 +11,7 @@ import numpy as np
 
 from tactile_toolkit.errors import MissingExtraError
 from tactile_toolkit.touch.avi import MAX_CLIP_FRAMES
-from tactile_toolkit.touch.jpeg import MAX_BATCH_PIXELS, MAX_IMAGE_PIXELS, Pixels, decode_image
+from tactile_toolkit.touch.jpeg import MAX_IMAGE_PIXELS, Pixels, decode_image, room_for
 
 __all__ = ["ffmpeg_count", "ffmpeg_fps", "ffmpeg_frames", "ffmpeg_size", "require_video"]
 
@@ -74,28 +74,23 @@ def ffmpeg_frames(data: memoryview, wanted: Sequence[int], count: int) -> Pixels
     ``count`` is how many frames it should have, for messages. Raises ValueError when a frame is missing or
     damaged, or the clip cannot be read or exceeds the limits.
     """
-    if not len(wanted):
-        return np.empty((0, *ffmpeg_size(data), 3), np.uint8)
-    found: dict[int, Pixels] = {}
-    chosen, pixels_left = set(wanted), MAX_BATCH_PIXELS
+    chosen = sorted(set(wanted))
+    missing = deque(chosen)
     with _open_video(data) as container:
-        for number, frame in _frames(container, chosen):
-            height, width = frame.shape[:2]
-            pixels_left -= height * width
-            if pixels_left < 0:
-                message = (
-                    f"{len(chosen):,} frames of {width} x {height} pixels at once; the limit is "
-                    f"{MAX_BATCH_PIXELS:,} pixels"
-                )
+        stream = container.streams.video[0]
+        pixels = room_for(len(chosen), (stream.height, stream.width))
+        for number, frame in _frames(container, set(chosen)) if chosen else ():
+            if frame.shape != pixels.shape[1:]:
+                message = f"frame {number} of another size than the clip states"
                 raise ValueError(message)
-            found[number] = frame
-            if len(found) == len(chosen):
+            pixels[len(chosen) - len(missing)] = frame
+            missing.popleft()
+            if not missing:
                 break
-    missing = [number for number in wanted if number not in found]
     if missing:
         message = f"a clip that ends before frame {missing[0]}; expected {count} frames"
         raise ValueError(message)
-    return np.stack([found[number] for number in wanted])
+    return pixels[np.searchsorted(chosen, wanted)]
 
 
 def _frames(container: Any, chosen: set[int]) -> Iterator[tuple[int, Pixels]]:
@@ -104,25 +99,21 @@ def _frames(container: Any, chosen: set[int]) -> Iterator[tuple[int, Pixels]]:
     stream.codec_context.options = {"err_detect": "explode", "max_pixels": str(MAX_IMAGE_PIXELS)}
     # FFmpeg conceals damage inside a JPEG; libjpeg tells of it. Each stands alone: others need no decoding.
     is_jpeg = stream.codec_context.name == "mjpeg"
-    coded, waiting = -1, deque[int]()
+    coded, shown = -1, 0
     try:
         for packet in container.demux(stream):
             coded += packet.size > 0
-            if is_jpeg:
-                if packet.size and coded in chosen:
-                    yield coded, decode_image(bytes(packet))
-                continue
-            if packet.size:
-                waiting.append(coded)
-            # Frames come out later than they go in, and once more at the end of the file.
-            for frame in packet.decode():
+            if is_jpeg and packet.size and coded in chosen:
+                yield coded, decode_image(bytes(packet))
+            # Frames come out later than they go in, and once more at the end of the file; they are counted in
+            # the order in which they are shown, which is that in which they come out.
+            for frame in () if is_jpeg else packet.decode():
                 if frame.is_corrupt:
-                    message = f"frame {coded} is damaged"
+                    message = f"frame {shown} is damaged"
                     raise ValueError(message)
-                # Out they come in the order in which they are shown, by which they are counted.
-                number = waiting.popleft() if waiting else coded
-                if number in chosen:
-                    yield number, frame.to_ndarray(format="rgb24")
+                if shown in chosen:
+                    yield shown, frame.to_ndarray(format="rgb24")
+                shown += 1
     except _av().FFmpegError as error:
         message = f"frame {max(coded, 0)} cannot be decoded ({error})"
         raise ValueError(message) from error

@@ -123,20 +123,19 @@ def decode_image(data: memoryview | bytes, out: Pixels | None = None) -> Pixels:
             f"an image of {width} x {height} pixels; expected {out.shape[1]} x {out.shape[0]} as before it"
         )
         raise ValueError(message)
-    if data[:3] == _JPEG_START:
-        try:
+    is_jpeg = data[:3] == _JPEG_START
+    try:
+        if is_jpeg:
             pixels: Pixels = simplejpeg.decode_jpeg(data, "RGB", buffer=out)
-        except ValueError as error:
-            raise _undecodable(data, error) from error
-        return pixels if out is None else out
-    with _open_other(data) as image:
-        try:
-            pixels = np.asarray(image.convert("RGB"))
-        except Exception as error:  # Pillow raises OSError, SyntaxError, struct.error and more on bad files
-            raise _undecodable(data, error) from error
+        else:
+            with _open_other(data) as image:
+                pixels = np.asarray(image.convert("RGB"))
+    except Exception as error:  # Pillow raises OSError, SyntaxError, struct.error and more on bad files
+        raise _undecodable(data, error) from error
     if out is None:
         return pixels
-    out[...] = pixels
+    if not is_jpeg:
+        out[...] = pixels
     return out
 
 

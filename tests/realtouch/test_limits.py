@@ -87,9 +87,9 @@ def test_images_that_unpack_to_gigabytes_are_refused(single_rows: list[dict], tm
 def test_frames_of_ffmpeg_are_counted_as_they_come(monkeypatch: pytest.MonkeyPatch) -> None:
     frames = np.zeros((12, 64, 64, 3), np.uint8)
     data = memoryview(factories.encode_avi(frames, "mpeg4", "matroska"))
-    monkeypatch.setattr("tactile_toolkit.touch.ffmpeg.MAX_BATCH_PIXELS", 4 * 64 * 64)
+    monkeypatch.setattr("tactile_toolkit.touch.jpeg.MAX_BATCH_PIXELS", 4 * 64 * 64)
     assert ffmpeg_frames(data, [1, 11, 3, 1], 12).shape == (4, 64, 64, 3)
-    with pytest.raises(ValueError, match="5 frames of 64 x 64 pixels at once; the limit is 16,384 pixels"):
+    with pytest.raises(ValueError, match="5 images of 64 x 64 pixels at once; the limit is 16,384 pixels"):
         ffmpeg_frames(data, range(5), 12)
 
 
