@@ -1,13 +1,14 @@
 """What can be made again and is kept to save time: files on disk, objects in memory, both bounded.
 
-Whatever was used longest ago leaves first. A cache that cannot be written costs speed, never data.
+Whatever was used longest ago leaves first. A folder may pass its limit for a while, by a tenth or so. A cache
+that cannot be written costs speed, never data.
 """
 
 from __future__ import annotations
 
 import contextlib
 import os
-import struct
+import random
 import time
 import warnings
 from collections import OrderedDict
@@ -19,7 +20,6 @@ from threading import RLock
 from typing import IO, Any, Generic, TypeVar
 from weakref import WeakSet
 
-from tactile_toolkit.run.system import locked
 from tactile_toolkit.store.folder import TEMPORARY_PREFIX, atomic_file, expanded, of_the_process, stale_files
 
 __all__ = ["CACHE_VARIABLE", "DiskCache", "MemoryCache", "cache_folder"]
@@ -41,16 +41,13 @@ def _cache_folder(named: str | None, user_cache: str | None, _home: str | None) 
     return expanded(user_cache or "~/.cache", "XDG_CACHE_HOME") / "tactile-toolkit"
 
 
-_LEDGER = ".total"
-# The ledger of a folder: bytes that it holds by what was written since it was counted, and by that count. All
-# processes keep it together, so that none has to look at every file for each that it writes.
-_TOTALS = struct.Struct("<qq")
+# A folder is looked through by chance, once in the mean for so small a part of its limit that is written,
+# whichever process writes: none has to know of the others, nor to look at every file for each that it writes.
+_LOOKED_THROUGH_AFTER = 32
+# Another generator would draw alike in forked processes, or take numbers from whoever has seeded it.
+_CHANCE = random.SystemRandom()
 
-# A folder is counted anew after writing one part in so many of its limit: a killed writer, or somebody who
-# removes files by hand, leaves a ledger that is wrong.
-_COUNTED_ANEW_AFTER = 8
-
-# What leaves makes room for one part in so many of the limit: a count for each new file would be slow.
+# What leaves makes room for one part in so many of the limit: files would leave at each look.
 _ROOM_MADE = 16
 
 _unwritable: set[Path] = set()  # folders that this process has given up on
@@ -96,15 +93,10 @@ class DiskCache:
             return False
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
-            self._book(path.parent, size_bytes)
-            written = 0
-            try:
-                with atomic_file(path, durable=self.durable) as stream:
-                    fill(stream)
-                    written = stream.tell()
-            finally:
-                with contextlib.suppress(OSError):
-                    self._book(path.parent, written - size_bytes)
+            if _CHANCE.random() * self.limit_bytes < size_bytes * _LOOKED_THROUGH_AFTER:
+                self._make_room(path.parent, size_bytes)
+            with atomic_file(path, durable=self.durable) as stream:
+                fill(stream)
         except OSError as error:
             if of_the_process(error) is not None:
                 return False
@@ -117,25 +109,8 @@ class DiskCache:
             return False
         return True
 
-    def _book(self, folder: Path, further_bytes: int) -> None:
-        """Add to what a folder holds, removing what was used longest ago where that is too much."""
-        ledger = folder / _LEDGER
-        # Never cut short and filled again: file systems bring what was to the disk at once, in milliseconds.
-        with locked(ledger), ledger.open("r+b") as stream:
-            content = stream.read(_TOTALS.size + 1)
-            held, counted = _TOTALS.unpack(content) if len(content) == _TOTALS.size else (-1, 0)
-            if min(held, counted) < 0:  # new and empty, or damaged
-                stream.truncate(0)
-                # As if it were full: the folder is counted before anything is written.
-                held, counted = self.limit_bytes, 0
-            most = min(self.limit_bytes, counted + self.limit_bytes // _COUNTED_ANEW_AFTER)
-            if further_bytes > 0 and held + further_bytes > most:
-                held = counted = self._make_room(folder, further_bytes)
-            stream.seek(0)
-            stream.write(_TOTALS.pack(held + further_bytes, counted))
-
-    def _make_room(self, folder: Path, needed_bytes: int) -> int:
-        """Remove what was used longest ago where the limit is passed, and return what the folder holds then.
+    def _make_room(self, folder: Path, needed_bytes: int) -> None:
+        """Remove what was used longest ago where the limit is passed.
 
         Open maps stay valid, and what is being written stays.
         """
@@ -146,13 +121,12 @@ class DiskCache:
             for entry in entries:
                 with contextlib.suppress(OSError):  # other processes may remove some meanwhile
                     facts = entry.stat(follow_symlinks=False)
-                    if entry.name != _LEDGER:
-                        held += facts.st_size
-                        if not entry.name.startswith(TEMPORARY_PREFIX):
-                            # File systems are mounted without access times: mark_used sets them, and a file
-                            # never used again has that of its writing.
-                            used_ns = max(facts.st_atime_ns, facts.st_mtime_ns)
-                            files.append((used_ns, facts.st_size, entry.path))
+                    held += facts.st_size
+                    if not entry.name.startswith(TEMPORARY_PREFIX):
+                        # File systems are mounted without access times: mark_used sets them, and a file
+                        # never used again has that of its writing.
+                        used_ns = max(facts.st_atime_ns, facts.st_mtime_ns)
+                        files.append((used_ns, facts.st_size, entry.path))
         if held + needed_bytes > self.limit_bytes:
             wanted = self.limit_bytes - max(needed_bytes, self.limit_bytes // _ROOM_MADE)
             for _, size, path in sorted(files):
@@ -160,7 +134,6 @@ class DiskCache:
                     break
                 self.drop(Path(path))
                 held -= size
-        return held
 
 
 K = TypeVar("K", bound=Hashable)

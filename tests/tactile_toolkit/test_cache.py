@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 import os
 import pickle
-import struct
 import subprocess
 import sys
 import threading
@@ -21,8 +20,7 @@ from tactile_toolkit.store.folder import FORSAKEN_S, DataFolder
 
 
 def names(folder: Path) -> list[str]:
-    """Names in a folder but that of its ledger."""
-    return sorted(entry.name for entry in folder.iterdir() if entry.name != ".total")
+    return sorted(entry.name for entry in folder.iterdir())
 
 
 def put(cache: DiskCache, name: str, size: int) -> bool:
@@ -53,11 +51,12 @@ def test_the_least_recently_used_leaves_first(tmp_path, durable):
     assert names(tmp_path / "things") == ["c", "d"]
 
 
-def test_small_files_keep_the_limit_between_looks(tmp_path):
+def test_small_files_keep_about_the_limit_between_looks(tmp_path):
+    """A look comes by chance: once in the mean for a 32nd of the limit, so hardly ever after half of it."""
     cache = DiskCache(tmp_path, 10_000)
     for number in range(300):
         assert put(cache, f"{number:03d}", 70)
-        assert sum(file.stat().st_size for file in tmp_path.iterdir()) <= 10_000
+        assert sum(file.stat().st_size for file in tmp_path.iterdir()) <= 15_000
     assert len(names(tmp_path)) > 100
 
 
@@ -221,14 +220,10 @@ def test_processes_keep_the_limit_together(tmp_path):
         most = max(most, sum(sizes))
     assert [writer.returncode for writer in writers] == [0] * 4
     assert 100_000 < most <= 250_000, "what was renamed while it was listed is seen twice"
-    held = sum(file.stat().st_size for file in tmp_path.iterdir() if file.name != ".total")
-    booked = struct.unpack("<qq", (tmp_path / ".total").read_bytes())[0]
-    # Whoever counts may see a file that another process is writing, and has booked before or books after.
-    assert abs(booked - held) <= 4 * (1_000 + 37 * 149)
 
 
 def test_a_folder_is_not_looked_through_for_each_file(tmp_path, monkeypatch):
-    """Files in a row of far fewer counts: as many again cost as many counts again, not four times as many."""
+    """As many files again cost as many looks again, not four times as many."""
     counts = []
     make_room = DiskCache._make_room
 
@@ -240,18 +235,5 @@ def test_a_folder_is_not_looked_through_for_each_file(tmp_path, monkeypatch):
     cache = DiskCache(tmp_path, 100_000)
     for number in range(1_000):
         assert put(cache, str(number), 1_000)
-    assert sum(counts) < 30 * 1_000
-    assert len(counts) < 200
-
-
-def test_a_ledger_that_is_wrong_is_made_anew(tmp_path):
-    cache = DiskCache(tmp_path, 10_000)
-    for content in (b"", b"damaged", struct.pack("<qq", 0, 0), struct.pack("<qq", 1 << 60, 1 << 60)):
-        (tmp_path / ".total").write_bytes(content)
-        for number in range(60):
-            assert put(cache, str(number), 300)
-            assert sum(file.stat().st_size for file in tmp_path.iterdir()) <= 2 * 10_000
-    (tmp_path / "0").unlink(missing_ok=True)
-    for number in range(60):
-        assert put(cache, f"again {number}", 300)
-    assert sum(file.stat().st_size for file in tmp_path.iterdir()) <= 10_000
+    assert sum(counts) < 50 * 1_000
+    assert len(counts) < 450
