@@ -39,9 +39,11 @@ class ToolkitError(Exception):
     """Root of all errors that the toolkit raises on purpose; what they quote of data is shown, not obeyed."""
 
     exit_code = 1
+    message = ""
+    """What is said, where the arguments are not that: an error crosses process borders by its arguments."""
 
     def __str__(self) -> str:
-        return printable(super().__str__())
+        return printable(self.message or super().__str__())
 
 
 class InputError(ToolkitError):
@@ -68,13 +70,9 @@ class MissingExtraError(InputError):
     """
 
     def __init__(self, feature: str, package: str, extra: str) -> None:
-        super().__init__(
-            f"{feature} needs the package {package!r}, which is not installed; next: {install_line(extra)}"
-        )
-
-    def __reduce__(self) -> tuple[object, ...]:
-        """Rebuild from the message, so that the error crosses process borders."""
-        return (_rebuild_missing_extra, self.args)
+        super().__init__(feature, package, extra)
+        missing = f"{feature} needs the package {package!r}, which is not installed"
+        self.message = f"{missing}; next: {install_line(extra)}"
 
 
 def install_line(extra: str) -> str:
@@ -113,9 +111,6 @@ class ItemError(InputError):
         self.reason = reason
         self.message = message
 
-    def __str__(self) -> str:
-        return printable(self.message)
-
 
 class IntegrityError(ToolkitError):
     """Stored data does not match its checksum, schema or row count."""
@@ -131,9 +126,3 @@ class RemoteError(ToolkitError):
 
 class HubError(RemoteError):
     """The Hugging Face Hub, or the network on the way there, refused or failed."""
-
-
-def _rebuild_missing_extra(message: str) -> MissingExtraError:
-    error = MissingExtraError.__new__(MissingExtraError)
-    Exception.__init__(error, message)
-    return error

@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from tactile_toolkit.errors import InputError
 from tactile_toolkit.mesh.walls import signed_area_mm2
 from tactile_toolkit.pictures.lettering import draw_text, text_size
 from tactile_toolkit.printing.packing import cells_touched
@@ -71,8 +70,6 @@ def draw_map(
         rings = sorted(placed.outline.rings, key=lambda ring: -abs(signed_area_mm2(ring)))
         drawn = [(sheet.points(ring, placed.x_mm, placed.y_mm), signed_area_mm2(ring) > 0) for ring in rings]
         sheet.area(drawn, _FILLS[labels.index(placed.item.label) % len(_FILLS)])
-        for corners, _ in drawn:
-            sheet.draw.line([*corners, corners[0]], fill=_INK, width=_LINE_PX)
     _name_objects(sheet, plate, spec, shared)
     return sheet.png()
 
@@ -81,14 +78,8 @@ class _Sheet:
     """A drawing in millimetres, y upwards, below its title; words are in pixels of the finished picture."""
 
     def __init__(self, sides_mm: tuple[float, float], title: str) -> None:
-        from PIL import Image, ImageDraw, features
+        from PIL import Image, ImageDraw
 
-        if not features.check("freetype2"):
-            message = (
-                "this build of pillow cannot write text (no FreeType); next: pip install --force-reinstall "
-                "pillow"
-            )
-            raise InputError(message)
         longer_mm = max(sides_mm)
         # More pixels for a larger plate, so that words keep their room.
         longer_px = min(max(_LONGER_SIDE_PX, _LEAST_PX_PER_MM * longer_mm), _LONGEST_SIDE_PX)
@@ -117,9 +108,9 @@ class _Sheet:
         self.draw.line([self.point(*start), self.point(*end)], fill=colour, width=_LINE_PX)
 
     def area(self, rings: Sequence[tuple[Points, bool]], fill: str) -> None:
-        """Fill rings, each with whether its inside is filled or left out.
+        """Fill rings, each with whether its inside is filled or left out, and draw their lines.
 
-        Drawn through a mask: what lies in a hole stays visible.
+        Filled through a mask: what lies in a hole stays visible.
         """
         from PIL import Image, ImageDraw
 
@@ -131,6 +122,8 @@ class _Sheet:
         for points, filled in rings:
             pen.polygon([(x - low[0], y - low[1]) for x, y in points], fill=int(filled))
         self.picture.paste(fill, (int(low[0]), int(low[1])), mask)
+        for points, _ in rings:
+            self.draw.line([*points, points[0]], fill=_INK, width=_LINE_PX)
 
     def text(
         self,
@@ -208,9 +201,7 @@ def _draw_field(sheet: _Sheet, placed: Placed, spec: PlateSpec) -> None:
     hull = placed.outline.claimed().grown(min(spec.gap_mm / 2, _FIELD_MM))
     plate = manifold3d.CrossSection.square(spec.sides_mm)
     for ring in (hull.translate((placed.x_mm, placed.y_mm)) ^ plate).to_polygons():
-        corners = sheet.points(np.asarray(ring), 0.0, 0.0)
-        sheet.area([(corners, True)], _FIELD)
-        sheet.draw.line([*corners, corners[0]], fill=_INK, width=_LINE_PX)
+        sheet.area([(sheet.points(np.asarray(ring), 0.0, 0.0), True)], _FIELD)
 
 
 def _name_objects(sheet: _Sheet, plate: Sequence[Placed], spec: PlateSpec, shared: Collection[int]) -> None:

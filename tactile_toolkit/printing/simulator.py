@@ -66,15 +66,9 @@ def body_of(name: str, mesh: Mesh, physics: Physics) -> Body:
     measured = mesh.to_trimesh()
     measured.density = physics.density_kg_m3
     properties = measured.mass_properties
-    return Body(
-        name,
-        mesh,
-        parts,
-        float(properties.mass),
-        np.asarray(properties.center_mass, np.float64),
-        np.asarray(properties.inertia, np.float64),
-        physics.friction,
-    )
+    center_m = np.asarray(properties.center_mass, np.float64)
+    inertia_kg_m2 = np.asarray(properties.inertia, np.float64)
+    return Body(name, mesh, parts, float(properties.mass), center_m, inertia_kg_m2, physics.friction)
 
 
 def model_files(name: str, mesh: Mesh, ending: str, physics: Physics) -> dict[str, bytes]:
