@@ -39,11 +39,11 @@ class ToolkitError(Exception):
     """Root of all errors that the toolkit raises on purpose; what they quote of data is shown, not obeyed."""
 
     exit_code = 1
-    message = ""
+    message: str | None = None
     """What is said, where the arguments are not that: an error crosses process borders by its arguments."""
 
     def __str__(self) -> str:
-        return printable(self.message or super().__str__())
+        return printable(super().__str__() if self.message is None else self.message)
 
 
 class InputError(ToolkitError):
@@ -105,6 +105,8 @@ class ItemError(InputError):
     message : str
         The whole story: what, where, found, expected.
     """
+
+    message: str
 
     def __init__(self, reason: str, message: str) -> None:
         super().__init__(reason, message)

@@ -128,34 +128,17 @@ class _Sheet:
     def text(
         self,
         point_mm: tuple[float, float],
-        words: str,
+        line: str,
         size_px: float,
         anchor: str = "mm",
         shift_px: tuple[float, float] = (0, 0),
         halo: bool = False,
     ) -> None:
-        """Write lines about a point."""
+        """Write a line at a point."""
         x, y = self.point(*point_mm)
-        lines = words.split("\n")
-        for number, line in enumerate(lines):
-            down_px = (number - (len(lines) - 1) / 2) * _LINE_HEIGHT * size_px + shift_px[1]
-            draw_text(
-                self.draw,
-                (x + shift_px[0] * _SUPERSAMPLING, y + down_px * _SUPERSAMPLING),
-                line,
-                round(size_px * _SUPERSAMPLING),
-                anchor=anchor,
-                halo_px=2 * _SUPERSAMPLING if halo else 0,
-            )
-
-    def text_box(self, point_mm: tuple[float, float], words: str, size_px: float) -> Box:
-        """Return left, top, right and bottom of lines about a point, pixels of the finished picture."""
-        x, y = (side / _SUPERSAMPLING for side in self.point(*point_mm))
-        lines = words.split("\n")
-        size = round(size_px * _SUPERSAMPLING)
-        width = max(text_size(line, size)[0] for line in lines) / _SUPERSAMPLING
-        depth = len(lines) * _LINE_HEIGHT * size_px
-        return x - width / 2, y - depth / 2, x + width / 2, y + depth / 2
+        at = (x + shift_px[0] * _SUPERSAMPLING, y + shift_px[1] * _SUPERSAMPLING)
+        halo_px = 2 * _SUPERSAMPLING if halo else 0
+        draw_text(self.draw, at, line, round(size_px * _SUPERSAMPLING), anchor=anchor, halo_px=halo_px)
 
     def png(self) -> bytes:
         """Return the finished picture."""
@@ -213,17 +196,24 @@ def _name_objects(sheet: _Sheet, plate: Sequence[Placed], spec: PlateSpec, share
         middle_mm = (placed.x_mm + x_mm, placed.y_mm + y_mm)
         item = placed.item
         split = [item.split] if item.split and item.id in shared else []
-        words = "\n".join([item.label, str(item.id), *split]) if item.label else item.name
+        lines = [item.label, str(item.id), *split] if item.label else [item.name]
         # The largest size at which words are hardly wider than their object and on no others.
         room = [max(side * sheet.px_per_mm, _SLACK_PX) for side in placed.outline.size_mm]
+        x, y = (side / _SUPERSAMPLING for side in sheet.point(*middle_mm))
         for size_px in _WORDS_PX:
-            box = left, top, right, bottom = sheet.text_box(middle_mm, words, size_px)
+            size = round(size_px * _SUPERSAMPLING)
+            width = max(text_size(line, size)[0] for line in lines) / _SUPERSAMPLING
+            step_px = _LINE_HEIGHT * size_px
+            depth = len(lines) * step_px
+            box = left, top, right, bottom = x - width / 2, y - depth / 2, x + width / 2, y + depth / 2
             free = all(
                 right < other[0] or left > other[2] or bottom < other[1] or top > other[3] for other in taken
             )
             if free and right - left <= room[0] and bottom - top <= room[1]:
                 taken.append(box)
-                sheet.text(middle_mm, words, size_px, halo=True)
+                for number, line in enumerate(lines):
+                    shift_px = (0, (number - (len(lines) - 1) / 2) * step_px)
+                    sheet.text(middle_mm, line, size_px, shift_px=shift_px, halo=True)
                 break
         else:
             left_out += 1
