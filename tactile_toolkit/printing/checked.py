@@ -172,10 +172,11 @@ class _Export:
             write_checked(own, content, made.check)
         except ItemError as error:
             detail = str(error)
-            # What an earlier export left under these names would pass for this product.
-            if before and not self.only_look:
-                _remove(before)
-                detail += f"; {', '.join(path.name for path in before)} of an earlier export was removed"
+            # What is left under these names, of an earlier export too, would pass for this product.
+            if not self.only_look:
+                _remove(self.before(product))
+                names = ", ".join(sorted(path.name for path in before))
+                detail += f"; {names} of an earlier export was removed" if before else ""
             return product.name, Failure(product.name, error.reason, detail)
         return product.name, made.record("written")
 

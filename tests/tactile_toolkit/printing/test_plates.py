@@ -235,6 +235,7 @@ def test_a_file_that_leaves_the_plate_by_either_side_is_removed(
     layout = lay_out([PrintObject("odd", "", "", 1, lambda: next(shapes))], SMALL)
     (failure,) = write_plates(layout, str(tmp_path)).failures
     assert failure.problem == "off-plate"
+    assert [path.name for path in tmp_path.iterdir()] == ["plates.csv"], "its map was written before it"
 
 
 def test_beds_have_names() -> None:
