@@ -45,7 +45,7 @@ def cache_limit_bytes() -> int:
 def _limit_bytes(variable: str) -> int:
     usual_mib = _USUAL_MIB[variable]
     named = os.environ.get(variable) or str(usual_mib)
-    # Eleven digits of MiB are less than 2^63 bytes: the ledger of the cache counts in 64 bits.
+    # Eleven digits of MiB are less than 2^63 bytes, which Arrow and file systems count in.
     if not (named.isascii() and named.isdigit() and len(named) < 12):
         message = f"{variable} is {named[:40]!r}; expected a whole number of MiB, such as {usual_mib}"
         raise InputError(message)

@@ -30,9 +30,6 @@ class PartialShard(Shard):
 
     lost: frozenset[int] = frozenset()
 
-    def __getstate__(self) -> dict[str, Any]:
-        return {**super().__getstate__(), "lost": self.lost}
-
     def read(self, columns: Sequence[str] | None = None, groups: Sequence[int] | None = None) -> Any:
         """Decode row groups, all columns or those named; nulls stand for those that cannot be read."""
         import pyarrow as pa

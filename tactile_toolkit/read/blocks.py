@@ -6,9 +6,10 @@ change what it holds, and a file of another program may bear the name of one of 
 
 from __future__ import annotations
 
+import io
 import os
 import struct
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import IO, Any, NamedTuple
 
@@ -28,28 +29,23 @@ _checked: MemoryCache[tuple[str, int], tuple[int, ...]] = MemoryCache(1 << 16)
 _schemas: MemoryCache[bytes, Any] = MemoryCache(64)
 
 
-class _Checksummed:
-    """A stream that is written to, with size and checksum of what was."""
+class _Checksummed(io.RawIOBase):
+    """A stream that is written to, with the checksum of what was."""
 
-    def __init__(self, stream: IO[bytes]) -> None:
+    def __init__(self, write: Callable[[Any], int]) -> None:
         import xxhash
 
-        self._stream = stream
+        super().__init__()
+        self._write = write
         # Against accidents, not against forgers: 10.9 GB/s here, where CRC-32 makes 3.1 and SHA-256 1.4.
-        self._digest = xxhash.xxh3_64()
-        self.size = 0
-        self.closed = False
+        self.digest = xxhash.xxh3_64()
+
+    def writable(self) -> bool:
+        return True
 
     def write(self, data: Any) -> int:
-        self._digest.update(data)
-        self.size += memoryview(data).nbytes
-        return self._stream.write(data)
-
-    def flush(self) -> None:
-        """Do nothing; Arrow calls it."""
-
-    def checksum(self) -> int:
-        return self._digest.intdigest()
+        self.digest.update(data)
+        return self._write(data)
 
 
 class MappedBlock(NamedTuple):
@@ -63,16 +59,14 @@ def write_blocks(stream: IO[bytes], file_name: str, schema: Any, tables: Iterabl
     """Write tables of one schema, each of one chunk per column, as the blocks of a file of that name."""
     import pyarrow as pa
 
-    position = 0
     entries = b""
     for table in tables:
-        block = _Checksummed(stream)
-        with pa.ipc.new_stream(pa.PythonFile(block, mode="w"), schema) as writer:
+        start, block = stream.tell(), _Checksummed(stream.write)
+        with pa.ipc.new_stream(block, schema) as writer:
             writer.write_table(table)
-        entries += _BLOCK.pack(position, block.size, block.checksum())
-        padding = -block.size % _ALIGNMENT
-        stream.write(bytes(padding))
-        position += block.size + padding
+        size = stream.tell() - start
+        entries += _BLOCK.pack(start, size, block.digest.intdigest())
+        stream.write(bytes(-size % _ALIGNMENT))
     stream.write(entries)
     stream.write(_END.pack(len(entries) // _BLOCK.size, _list_checksum(file_name, entries), _MARK))
 

@@ -195,18 +195,6 @@ class Shard:
         counts = (metadata.row_group(index).num_rows for index in range(metadata.num_row_groups))
         return array("q", [0, *accumulate(counts)])
 
-    def __getstate__(self) -> dict[str, Any]:
-        """Pickle without footers; they are read again where needed, and must be of the same file."""
-        names = ("path", "rows", "failures", "small")
-        state: dict[str, Any] = {name: getattr(self, name) for name in names}
-        if "identity" in self.__dict__:
-            state["identity"] = self.identity
-        return state
-
-    def __setstate__(self, state: dict[str, Any]) -> None:
-        for name, value in state.items():
-            object.__setattr__(self, name, value)
-
     def __len__(self) -> int:
         return int(self.metadata.num_rows) if self.rows is None else self.rows
 
@@ -249,7 +237,7 @@ class Shard:
             return kept
         path = _UNPACKED.path(name)
         mapped = _mapped(path, block)
-        if mapped is None and self._unpack(path, index):
+        if mapped is None and self.unpack(index):
             mapped = _mapped(path, block)
         if mapped is None:
             return MEMORY.block(name, block, lambda: self.blocks(index))
@@ -261,9 +249,19 @@ class Shard:
 
         One process of the machine unpacks it, others wait for that one.
         """
+
+        def fill(stream: IO[bytes]) -> None:
+            write_blocks(stream, path.name, self.schema, (group.table for group in self.blocks(index)))
+
         path = _UNPACKED.path(self._unpacked_name(index))
         _UNPACKED.mark_used(path)
-        return path.exists() or self._unpack(path, index)
+        if path.exists():
+            return True
+        # Asked anew: a notebook may set the variable at any time.
+        _UNPACKED.limit_bytes = cache_limit_bytes()
+        with _lock_of(path.name):
+            # Whoever held the lock may have unpacked it meanwhile.
+            return path.exists() or _UNPACKED.write(path.name, self.unpacked_bytes(index), fill)
 
     def unpacked_bytes(self, index: int) -> int:
         """About how much a row group takes when it is unpacked, by the footer."""
@@ -275,16 +273,6 @@ class Shard:
     @cached_property
     def _digest(self) -> str:
         return hashlib.sha256(repr(self.identity).encode()).hexdigest()[:32]
-
-    def _unpack(self, path: Path, index: int) -> bool:
-        def fill(stream: IO[bytes]) -> None:
-            write_blocks(stream, path.name, self.schema, (group.table for group in self.blocks(index)))
-
-        # Asked anew: a notebook may set the variable at any time.
-        _UNPACKED.limit_bytes = cache_limit_bytes()
-        with _lock_of(path.name):
-            # Whoever held the lock may have unpacked it meanwhile.
-            return path.exists() or _UNPACKED.write(path.name, self.unpacked_bytes(index), fill)
 
     def blocks(self, index: int, columns: Sequence[str] | None = None) -> Iterator[RowGroup]:
         """Decode the blocks of a row group one after another, keeping none; all columns or those named."""
