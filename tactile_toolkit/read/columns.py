@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import operator
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -297,46 +298,25 @@ def plain_schema(schema: Any) -> Any:
     """Return a schema whose extension types, at any depth, are those that they are stored as."""
     import pyarrow as pa
 
-    if not _is_extended(schema.types):
-        return schema
-    fields = [pa.field(each.name, _plain_type(each.type), each.nullable) for each in schema]
-    return pa.schema(fields, schema.metadata)
+    fields = list(schema)
+    plain = _plain_fields(fields)
+    return schema if plain is fields else pa.schema(plain, schema.metadata)
 
 
 def plain_table(table: Any) -> Any:
     """Return a table whose columns have the types of :func:`plain_schema`; no value is copied."""
-    import pyarrow as pa
-
-    if not _is_extended(table.schema.types):
-        return table
-    schema = plain_schema(table.schema)
-    columns = [
-        pa.chunked_array([_plain_array(chunk) for chunk in column.chunks], each.type)
-        for column, each in zip(table.columns, schema, strict=True)
-    ]
-    return pa.Table.from_arrays(columns, schema=schema)
+    stored = table.schema
+    schema = plain_schema(stored)
+    return table if schema is stored else table.cast(schema)
 
 
-def _is_extended(data_types: Sequence[Any]) -> bool:
-    """Tell whether one of some types, or a type inside them, is an extension type."""
-    import pyarrow as pa
-
-    waiting = list(data_types)
-    while waiting:
-        data_type = waiting.pop()
-        if isinstance(data_type, pa.BaseExtensionType):
-            return True
-        for index in range(data_type.num_fields):
-            waiting.append(data_type.field(index).type)
-    return False
-
-
-def _plain_array(array: Any) -> Any:
-    import pyarrow as pa
-
-    if isinstance(array, pa.ExtensionArray):
-        return _plain_array(array.storage)
-    return array.cast(_plain_type(array.type)) if _is_extended([array.type]) else array
+def _plain_fields(fields: list[Any]) -> list[Any]:
+    """Return fields with plain types; the list itself where all are plain already, as nearly always."""
+    types = [each.type for each in fields]
+    plain = [_plain_type(each) for each in types]
+    if all(map(operator.is_, types, plain)):
+        return fields
+    return [each.with_type(data_type) for each, data_type in zip(fields, plain, strict=True)]
 
 
 def _plain_type(data_type: Any) -> Any:
@@ -344,10 +324,12 @@ def _plain_type(data_type: Any) -> Any:
 
     if isinstance(data_type, pa.BaseExtensionType):
         return _plain_type(data_type.storage_type)
-    if not _is_extended([data_type]):
+    if not data_type.num_fields:
         return data_type
     inner = [data_type.field(index) for index in range(data_type.num_fields)]
-    plain = [pa.field(each.name, _plain_type(each.type), each.nullable) for each in inner]
+    plain = _plain_fields(inner)
+    if plain is inner:
+        return data_type
     if pa.types.is_struct(data_type):
         return pa.struct(plain)
     if pa.types.is_fixed_size_list(data_type):

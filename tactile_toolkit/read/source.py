@@ -52,33 +52,22 @@ def refuse_source(folder: DataFolder, name: str, shards: Iterable[Shard]) -> Non
 
     ``name`` is the data set as the user gave it.
     """
+    out, files = folder.address(), [shard.path for shard in shards]
     if not folder.is_local:
-        _refuse_store_of_source(folder, name, shards)
-        return
-    out = Path(folder.address()).resolve()
-    home = expanded(name).resolve()
-    files = [Path(shard.path).absolute() for shard in shards]
-    # By both paths: files of the Hub's cache are links into another folder.
-    real = [file.resolve() for file in files]
-    if any(file.is_relative_to(out) for file in real):
-        found = "holds the source"
-    elif home.is_dir() and out.is_relative_to(home) and any(f.is_relative_to(home) for f in [*real, *files]):
-        found = "lies in the source"
+        inside = f"{out}/"
+        holds = any(file.startswith(inside) for file in files)
+        lies_in = inside.startswith(f"{name.rstrip('/')}/")
     else:
-        return
-    message = (
-        f"{folder.address()!r}, the folder to write, {found} {name!r}; nothing was changed; next: "
-        "choose a folder outside it"
-    )
-    raise InputError(message)
-
-
-def _refuse_store_of_source(folder: DataFolder, name: str, shards: Iterable[Shard]) -> None:
-    files = [shard.path for shard in shards]
-    inside = f"{folder.address()}/"
-    if any(file.startswith(inside) for file in files) or inside.startswith(f"{name.rstrip('/')}/"):
+        place, home = Path(out).resolve(), expanded(name).resolve()
+        # By both paths: files of the Hub's cache are links into another folder.
+        named = [Path(file).absolute() for file in files]
+        real = [file.resolve() for file in named]
+        holds = any(file.is_relative_to(place) for file in real)
+        ours = home.is_dir() and place.is_relative_to(home)
+        lies_in = ours and any(file.is_relative_to(home) for file in [*real, *named])
+    if holds or lies_in:
         message = (
-            f"{folder.address()!r}, the folder to write, holds or lies in the source {name!r}; "
-            "nothing was changed; next: choose another folder"
+            f"{out!r}, the folder to write, {'holds' if holds else 'lies in'} the source {name!r}; "
+            "nothing was changed; next: choose a folder outside it"
         )
         raise InputError(message)
