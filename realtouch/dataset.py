@@ -15,7 +15,7 @@ from realtouch.damage import Damage, unreadable_rows
 from realtouch.integrity.agreement import stated_class_names, stored_touch_counts
 from realtouch.integrity.check_round import check_round
 from realtouch.rounds import GroupWithoutMedia, RowWithoutMedia, TouchRound, TouchSeqRound, TouchSingleRound
-from realtouch.touches import Touches
+from realtouch.touches import Rounds, Touches
 from tactile_toolkit.errors import InputError, IntegrityError
 from tactile_toolkit.read.columns import RowGroup
 from tactile_toolkit.read.dataset import RecordDataset, Row, with_origins
@@ -29,7 +29,7 @@ __all__ = ["TouchDataset", "TouchSeqDataset", "TouchSingleDataset", "TouchStream
 R = TypeVar("R", bound=TouchRound)
 
 
-class TouchDataset(RecordDataset[R]):
+class TouchDataset(Rounds[R]):
     """A lazy sequence of rounds; see :class:`tactile_toolkit.read.dataset.RecordDataset`.
 
     Parameters
@@ -41,7 +41,6 @@ class TouchDataset(RecordDataset[R]):
         the data set itself, single touches by :meth:`touches`. None stands for a file left out as a whole.
     """
 
-    kind: Kind
     things = "rounds"
 
     def __init__(

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import hashlib
+from abc import abstractmethod
 from collections.abc import Collection, Iterable, Iterator
 from itertools import groupby
 from operator import itemgetter
-from typing import Any, Generic, Protocol, Self, TypeVar
+from typing import Any, Generic, Self, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,7 +20,7 @@ from realtouch.media.images import SensorImages
 from realtouch.rounds import TouchRound, TouchSingleRound
 from realtouch.touch import Touch, touch_id
 from tactile_toolkit.errors import InputError
-from tactile_toolkit.read.dataset import Row
+from tactile_toolkit.read.dataset import RecordDataset, Row
 from tactile_toolkit.read.order import StoredParts
 from tactile_toolkit.read.parquet import Shard
 from tactile_toolkit.read.sequence import LazySequence, nearest, positions
@@ -36,89 +37,46 @@ _INDEX = "touch_index"
 _POSITION = ("x_m", "y_m")
 
 R = TypeVar("R", bound=TouchRound)
-R_co = TypeVar("R_co", bound=TouchRound, covariant=True)
 
 
-class Rounds(Protocol[R_co]):
-    """What a view of touches must know of its rounds; :class:`realtouch.TouchDataset` is one."""
+class Rounds(RecordDataset[R]):
+    """Rounds, with what a view of their touches asks of them; see :class:`realtouch.TouchDataset`."""
 
     kind: Kind
 
     @property
+    @abstractmethod
     def touch_counts(self) -> NDArray[np.int64]:
         """T of each round."""
 
     @property
+    @abstractmethod
     def row_numbers(self) -> NDArray[np.int64]:
         """Number of each round in the stored tables."""
 
-    @property
-    def labels(self) -> NDArray[np.int64]:
-        """Label of each round."""
-
-    @property
-    def label_names(self) -> tuple[str, ...]:
-        """Name of each class."""
-
-    @property
-    def column_names(self) -> tuple[str, ...]:
-        """Stored columns."""
-
-    @property
-    def _plain_columns(self) -> tuple[str, ...]:
-        """Columns of one value for each round."""
-
-    def column(self, name: str) -> NDArray[Any]:
-        """Read one of these."""
-
-    def __len__(self) -> int: ...
-
-    def __getitem__(self, index: int, /) -> R_co: ...
-
+    @abstractmethod
     def has_column(self, name: str) -> bool:
         """Tell whether there is a column."""
 
-    def int_column(self, name: str) -> NDArray[np.int64]:
-        """Read one column of integers."""
-
+    @abstractmethod
     def known_contact_z_m(self) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
         """Heights of all stored touches, NaN where unknown, and where those of each stored row begin."""
 
+    @abstractmethod
     def plates_z_m(self) -> NDArray[np.float64]:
         """Height of the plate of every stored row, NaN where unknown."""
 
+    @abstractmethod
     def contact_rules(self) -> list[ContactHeight]:
         """Rule by which touches of each round count as contact."""
 
+    @abstractmethod
     def known_positions_m(self) -> NDArray[np.float64]:
         """Intended position of every touch of these rounds, shape (touches, 2), NaN where unknown."""
 
-    def rounds_without_media(self) -> Iterator[tuple[int, R_co]]:
+    @abstractmethod
+    def rounds_without_media(self) -> Iterator[tuple[int, R]]:
         """Yield stored row number and round, without opening images or clips until asked for."""
-
-    def _each(self) -> Iterator[tuple[int, R_co]]:
-        """Yield place and round, without opening images or clips until asked for."""
-
-    def _like(self, item: Any) -> Iterable[int]:
-        """Places of all rounds that may equal one."""
-
-    def _same_rows(self, other: Any) -> bool:
-        """Tell whether others are the same rounds."""
-
-    def _stored_parts(self) -> StoredParts:
-        """Tell which rounds lie in the same shard."""
-
-    def _row_groups(self, chosen: NDArray[np.int64]) -> list[tuple[Shard, int]]:
-        """Row groups in which some rounds lie."""
-
-    def _words(self) -> list[str]:
-        """Say what these are."""
-
-    @property
-    def identity(self) -> str:
-        """What tells their files from all others."""
-
-    def __add__(self, other: Any) -> Any: ...
 
 
 class Touches(LazySequence[Touch], Generic[R]):
