@@ -6,8 +6,8 @@
     python benchmarks/pipeline.py --memory     # peak memory of 2,000 and of all 13,580 digits
     python benchmarks/pipeline.py --digits 100 # fewer digits
 
-Digits are compared with the plain implementation of `plain_digit.py`, which needs the extra `pictures` and is
-fastest with fast-simplification. Loading is compared with `tactile_mnist.SimpleMeshDataset` where the extra
+Digits are compared with the plain implementation of `plain_digit.py`, which needs PyVista and is fastest with
+fast-simplification. Loading is compared with `tactile_mnist.SimpleMeshDataset` where the extra
 `env` is installed.
 """
 

@@ -84,7 +84,7 @@ def preview_digits(
 
     Examples: mnist3d preview digits;  mnist3d preview digits --ids 17,408;  mnist3d preview part.stl
 
-    Plots and smooth oblique views need the extra `pictures`.
+    Plots need the extra `pictures`.
     """
     from mnist3d.previews import DigitPreviewSpec, plan_previews
     from tactile_toolkit.pictures.writing import parse_ids
@@ -125,8 +125,8 @@ def preview_scenes(
 
     Examples: starstruck preview scenes;  starstruck preview scenes --ids 17 --out scene.png
 
-    A single scene shows the positions that were rejected while it was made, and an oblique view. Plots and
-    smooth oblique views need the extra `pictures`.
+    A single scene shows the positions that were rejected while it was made, and an oblique view. Plots
+    need the extra `pictures`.
     """
     from starstruck_gen.previews import plan_previews
     from tactile_toolkit.pictures.previews import PreviewSpec
@@ -208,8 +208,6 @@ def _write(sink: Sink, plan: PicturePlan, out: Path, dry_run: bool) -> None:
         return
     with sink.progress("drawing", "pictures") as update:
         written = write_pictures(DataFolder(str(folder.absolute())), pictures, update)
-    for note in dict.fromkeys(note for made in written for note in made.notes):
-        sink.talk(f"note: {note}")
     entries = [made.to_dict() for made in written]
     sink.document({"folder": str(folder), "pictures": entries, "left_out": list(plan.left_out)})
     for made in written:

@@ -1,4 +1,4 @@
-"""Draws the picture of README: digits, a scene and a touch, in one light (extras pictures, sim).
+"""Draws the picture of README: digits, a scene and a touch, in one light (extra sim).
 
 ::
 
@@ -10,7 +10,6 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
-import pyvista
 from PIL import Image, ImageColor
 
 import starstruck_gen
@@ -18,10 +17,11 @@ import tactile_sim
 from mnist3d.solid import solidify
 from mnist3d.sources.synthetic import SyntheticSource
 from tactile_toolkit.mesh.mesh import Mesh
+from tactile_toolkit.pictures.render import Body, Picture3d, View, draw_bodies
 
 HEIGHT_PX, MARGIN_PX = 480, 60
 DIGITS, SCENE = (1000, HEIGHT_PX), (360, HEIGHT_PX)
-FINER = 2  # drawn larger and scaled down: smooth edges
+FROM = View(0.0, 55.0)
 PAPER = "#f4f1ea"
 CLAY = "#d9733f"
 SLATE = "#4a7d94"
@@ -32,9 +32,9 @@ def main() -> None:
     source = SyntheticSource()
     meshes = [solidify(source.image(980 + digit * 14).pixels) for digit in range(10)]
     placed = [(mesh, (0.08 * (place % 5), -0.105 * (place // 5))) for place, mesh in enumerate(meshes)]
-    digits = _drawn(placed, CLAY, DIGITS, 0.1)
+    digits = _drawn(placed, CLAY, DIGITS, 0.2)
     scene = starstruck_gen.SceneDataset(size=30, seed=4)[2].mesh
-    stars = _drawn([(Mesh(scene.vertices, scene.faces), (0.0, 0.0))], SLATE, SCENE, 0.08)
+    stars = _drawn([(Mesh(scene.vertices, scene.faces), (0.0, 0.0))], SLATE, SCENE, 0.16)
     touch = _touch(meshes[4])
     right = np.full((HEIGHT_PX, touch.shape[1] + MARGIN_PX, 3), ImageColor.getrgb(PAPER), np.uint8)
     top = (HEIGHT_PX - touch.shape[0]) // 2
@@ -47,34 +47,15 @@ def _drawn(
     bodies: list[tuple[Mesh, tuple[float, float]]],
     colour: str,
     size_px: tuple[int, int],
-    scale_m: float,
+    height_m: float,
 ) -> np.ndarray:
-    plotter = pyvista.Plotter(
-        off_screen=True, window_size=[FINER * side for side in size_px], lighting="none"
-    )
-    plotter.set_background(PAPER)
-    everything = []
+    placed = []
     for mesh, (x_m, y_m) in bodies:
         points = mesh.vertices_m.astype(np.float64)
         points[:, :2] += np.array([x_m, y_m]) - (points[:, :2].min(0) + points[:, :2].max(0)) / 2
-        everything.append(points)
-        faces = np.column_stack([np.full(len(mesh.faces), 3), mesh.faces])
-        solid = pyvista.PolyData(points, faces.ravel()).compute_normals(feature_angle=50, split_vertices=True)
-        plotter.add_mesh(
-            solid, color=colour, smooth_shading=True, specular=0.35, specular_power=18, ambient=0.12
-        )
-    points = np.concatenate(everything)
-    middle = (points.min(0) + points.max(0)) / 2
-    plotter.add_light(
-        pyvista.Light(position=middle + np.array([-0.6, 0.5, 0.8]), focal_point=middle, intensity=0.85)
-    )
-    plotter.add_light(pyvista.Light(light_type="headlight", intensity=0.35))
-    plotter.enable_parallel_projection()
-    plotter.camera_position = [middle + np.array([0.0, -0.7, 1.0]), middle, (0, 1, 0)]
-    plotter.camera.parallel_scale = scale_m
-    picture = Image.fromarray(plotter.screenshot(return_img=True))
-    plotter.close()
-    return np.asarray(picture.resize(size_px, Image.Resampling.LANCZOS))
+        placed.append(Body(Mesh(points, mesh.faces), ImageColor.getrgb(colour)))
+    paper = ImageColor.getrgb(PAPER)
+    return draw_bodies(Picture3d(tuple(placed), size_px, size_px[1] / height_m, FROM, paper))
 
 
 def _touch(mesh: Mesh) -> np.ndarray:

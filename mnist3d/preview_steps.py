@@ -15,9 +15,9 @@ from mnist3d.steps import scale
 from tactile_toolkit.arithmetic import inverse_affine
 from tactile_toolkit.errors import InputError, ItemError
 from tactile_toolkit.mesh.mesh import MM_PER_M
-from tactile_toolkit.pictures.render import OBLIQUE, Body, Picture3d, Renderer, averaged
+from tactile_toolkit.pictures.render import OBLIQUE, Body, Picture3d, averaged, draw_bodies
 from tactile_toolkit.pictures.sheets import Sheet, Tile, sheet, with_scale_bar
-from tactile_toolkit.pictures.writing import Drawing
+from tactile_toolkit.pictures.writing import Pixels
 
 if TYPE_CHECKING:
     from mnist3d.sources import DigitSource
@@ -40,7 +40,7 @@ _SPREAD = 4.0
 _WRITERS = "writers_sha256"
 
 
-def draw_steps(renderer: Renderer, pixels: NDArray[Any], spec: SolidSpec, title: str) -> Drawing:
+def draw_steps(pixels: NDArray[Any], spec: SolidSpec, title: str) -> Pixels:
     """Draw how an image, (H, W), 0 ink and 255 paper, becomes the solid that a data set stores.
 
     ItemError, which names the picture by its title, where the image is not a usable digit.
@@ -55,7 +55,7 @@ def draw_steps(renderer: Renderer, pixels: NDArray[Any], spec: SolidSpec, title:
     upper = scale(steps.vertices_px, steps.faces, (ink.shape[0], ink.shape[1]), spec)
     px_per_mm = _PANEL_PX / (max(layers[0].shape) * spec.pixel_pitch_mm)
     views = [
-        renderer.draw(Picture3d((Body(mesh, CLAY),), (_PANEL_PX, _PANEL_PX), px_per_mm * MM_PER_M))
+        draw_bodies(Picture3d((Body(mesh, CLAY),), (_PANEL_PX, _PANEL_PX), px_per_mm * MM_PER_M))
         for mesh in (upper, steps.mesh)
     ]
     pitch_px, triangles = steps.lattice.pitch_px, len(steps.mesh.faces)
@@ -65,9 +65,9 @@ def draw_steps(renderer: Renderer, pixels: NDArray[Any], spec: SolidSpec, title:
         Tile(_square(np.where(ink[window], 0, 255).astype(np.uint8)), "2  ink, binarised and cleaned"),
         Tile(_square(layer_map(layers)), f"3  eroded: {len(layers)} layers of a lattice"),
         Tile(_stack_view(layers, pitch_px, spec, px_per_mm), "4  stack of the upper half, drawn apart"),
-        Tile(views[0][0], f"5  marching cubes, upper half: {len(upper.faces):,} triangles"),
+        Tile(views[0], f"5  marching cubes, upper half: {len(upper.faces):,} triangles"),
         Tile(
-            with_scale_bar(views[1][0], px_per_mm),
+            with_scale_bar(views[1], px_per_mm),
             f"6  smoothed, mirrored, scaled{decimated}: {triangles:,} triangles",
         ),
     )
@@ -75,7 +75,7 @@ def draw_steps(renderer: Renderer, pixels: NDArray[Any], spec: SolidSpec, title:
         f"the nodes of the lattice are {pitch_px:.2f} px of {spec.pixel_pitch_mm:g} mm apart, closer where "
         "something is narrow; the surface passes between them",
     )
-    return Drawing(sheet(tiles, Sheet(3, title, words)), views[0][1])
+    return sheet(tiles, Sheet(3, title, words))
 
 
 def _layers_px(steps: LatticeSteps, window: tuple[slice, slice]) -> list[NDArray[np.bool_]]:

@@ -29,9 +29,9 @@ from tactile_toolkit.pictures.previews import (
     draw_two_views,
 )
 from tactile_toolkit.pictures.relief import relief_of
-from tactile_toolkit.pictures.render import TOP, Body, Picture3d, Renderer, fitting_scale
+from tactile_toolkit.pictures.render import TOP, Body, Picture3d, fitting_scale
 from tactile_toolkit.pictures.sheets import Tile, with_scale_bar
-from tactile_toolkit.pictures.writing import Drawing, PicturePlan, PlannedPicture, chosen_kinds, file_stem
+from tactile_toolkit.pictures.writing import PicturePlan, Pixels, PlannedPicture, chosen_kinds, file_stem
 from tactile_toolkit.store.address import is_remote
 from tactile_toolkit.store.folder import DataFolder, expanded
 from tactile_toolkit.store.reports import read_report
@@ -91,7 +91,7 @@ def plan_previews(name: str, spec: PreviewSpec) -> PicturePlan:
     raise InputError(message)
 
 
-def _plan_file(kind: str, name: str, spec: PreviewSpec, draw: Callable[[Renderer], Drawing]) -> PicturePlan:
+def _plan_file(kind: str, name: str, spec: PreviewSpec, draw: Callable[[], Pixels]) -> PicturePlan:
     """Plan the one picture that a single file allows; InputError where others were asked for by name."""
     others = [each for each in chosen_kinds(spec.kinds, _KINDS, (kind,)) if each != kind]
     if others and "all" not in spec.kinds:
@@ -170,7 +170,7 @@ def _plan_distributions(opened: MeshPreviews[MeshDataset]) -> PlannedPicture:
     return PlannedPicture(
         f"{opened.stem}-distributions.png",
         "height, volume, vertices and thinnest wall",
-        lambda _: draw_distributions(
+        lambda: draw_distributions(
             report_rows(folder, tuple(opened.datasets)),
             least_wall_mm,
             f"{opened.stem}: measures of the digits",
@@ -183,7 +183,7 @@ def _heading(opened: MeshPreviews[MeshDataset], split: str, record: MeshRecord) 
     return f"Digit {label}, id {record.id} ({opened.stem}, {split})"
 
 
-def draw_sheet(records: Sequence[MeshRecord], per_row: int, title: str, names: Sequence[str]) -> Drawing:
+def draw_sheet(records: Sequence[MeshRecord], per_row: int, title: str, names: Sequence[str]) -> Pixels:
     """Draw digits from above at one scale; ``names`` are those of the classes."""
     meshes = [Mesh(record.vertices_m, record.faces) for record in records]
     px_per_mm = _TILE_PX / (MM_PER_M * max(float(np.ptp(mesh.vertices_m[:, :2], 0).max()) for mesh in meshes))
@@ -195,7 +195,7 @@ def draw_sheet(records: Sequence[MeshRecord], per_row: int, title: str, names: S
     return draw_by_class(tiles, per_row, title, words, px_per_mm)
 
 
-def draw_object(renderer: Renderer, mesh: Mesh, title: str) -> Drawing:
+def draw_object(mesh: Mesh, title: str) -> Pixels:
     """Draw a mesh from above and obliquely at one scale, with scale bars and its measures."""
     bodies = (Body(mesh, CLAY),)
     inner_px = (round(_PANEL_PX[0] * _FILLED), round(_PANEL_PX[1] * _FILLED))
@@ -207,7 +207,7 @@ def draw_object(renderer: Renderer, mesh: Mesh, title: str) -> Drawing:
     canvas[top : top + relief.shape[0], left : left + relief.shape[1]] = relief
     above = Tile(with_scale_bar(canvas, px_per_mm), "shaded relief, from above")
     oblique = Picture3d(bodies, _PANEL_PX, px_per_m)
-    return draw_two_views(renderer, above, oblique, title, object_facts(mesh))
+    return draw_two_views(above, oblique, title, object_facts(mesh))
 
 
 def object_facts(mesh: Mesh) -> tuple[str, ...]:
@@ -231,7 +231,7 @@ def report_rows(folder: DataFolder, splits: Sequence[str]) -> dict[str, Any]:
     return {split: report.filter(pc.equal(report["split"], split)) for split in splits}
 
 
-def draw_distributions(tables: dict[str, Any], least_wall_mm: float | None, title: str) -> Drawing:
+def draw_distributions(tables: dict[str, Any], least_wall_mm: float | None, title: str) -> Pixels:
     """Draw how height, volume, number of vertices and thinnest wall spread over each split.
 
     A line marks the wall below which the print profile warns.
@@ -250,4 +250,4 @@ def draw_distributions(tables: dict[str, Any], least_wall_mm: float | None, titl
         spread("Vertices", "", "vertices"),
         spread("Thinnest wall", "mm", "thinnest_wall_mm", limit=limit),
     )
-    return Drawing(plot_spreads(panels, title))
+    return plot_spreads(panels, title)

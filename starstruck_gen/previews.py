@@ -39,9 +39,9 @@ from tactile_toolkit.pictures.previews import (
     draw_by_class,
     draw_two_views,
 )
-from tactile_toolkit.pictures.render import TOP, Body, Picture3d, Renderer, fitting_scale, shaded
+from tactile_toolkit.pictures.render import TOP, Body, Picture3d, draw_bodies, fitting_scale
 from tactile_toolkit.pictures.sheets import Tile, with_scale_bar
-from tactile_toolkit.pictures.writing import Drawing, PicturePlan, PlannedPicture
+from tactile_toolkit.pictures.writing import PicturePlan, Pixels, PlannedPicture
 from tactile_toolkit.store.address import is_remote
 from tactile_toolkit.store.folder import expanded
 from tactile_toolkit.wording import counted
@@ -112,7 +112,7 @@ def plan_previews(name: str, spec: PreviewSpec) -> PicturePlan:
     return opened.plan(plans, ("sheet", "histogram"), "scene")
 
 
-def draw_sheet(records: Sequence[SceneRecord], spec: SceneSpec, per_row: int, title: str) -> Drawing:
+def draw_sheet(records: Sequence[SceneRecord], spec: SceneSpec, per_row: int, title: str) -> Pixels:
     """Draw scenes from above at one scale; ``spec`` tells the size of the cell."""
     px_per_mm = _TILE_PX / (max(spec.cell_m) * MM_PER_M)
     tiles = [
@@ -125,7 +125,7 @@ def draw_sheet(records: Sequence[SceneRecord], spec: SceneSpec, per_row: int, ti
     return draw_by_class(tiles, per_row, title, words, px_per_mm)
 
 
-def draw_one(renderer: Renderer, record: SceneRecord, spec: SceneSpec | None, title: str) -> Drawing:
+def draw_one(record: SceneRecord, spec: SceneSpec | None, title: str) -> Pixels:
     """Draw a scene from above and obliquely; where ``spec`` says how it was made, with rejected positions."""
     known = spec or SceneSpec()
     px_per_mm = _PANEL_PX / (max(known.cell_m) * MM_PER_M)
@@ -148,7 +148,7 @@ def draw_one(renderer: Renderer, record: SceneRecord, spec: SceneSpec | None, ti
     bodies = _bodies(record, known)
     scale = fitting_scale(bodies, (round(0.96 * _PANEL_PX), round(0.96 * _PANEL_PX)))
     oblique = Picture3d(bodies, (_PANEL_PX, _PANEL_PX), scale)
-    return draw_two_views(renderer, Tile(with_scale_bar(above, px_per_mm), caption), oblique, title, (facts,))
+    return draw_two_views(Tile(with_scale_bar(above, px_per_mm), caption), oblique, title, (facts,))
 
 
 def traced(record: SceneRecord, spec: SceneSpec | None) -> SceneTrace | None:
@@ -208,7 +208,7 @@ def _from_above(record: SceneRecord, spec: SceneSpec, px_per_mm: float) -> NDArr
     if record.has_placements:
         return np.asarray(draw_scene(record.placements, spec.cell_m, px_per_mm))
     width, height = (round(side * MM_PER_M * px_per_mm) for side in spec.cell_m)
-    return shaded(Picture3d(_bodies(record, spec), (width, height), px_per_mm * MM_PER_M, TOP))
+    return draw_bodies(Picture3d(_bodies(record, spec), (width, height), px_per_mm * MM_PER_M, TOP))
 
 
 def _bodies(record: SceneRecord, spec: SceneSpec) -> tuple[Body, ...]:

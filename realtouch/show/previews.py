@@ -22,8 +22,8 @@ from tactile_toolkit.pictures.lettering import ACCENTS, INK, MUTED, PAPER, draw_
 from tactile_toolkit.pictures.plots import Points, plot_points, require_plots
 from tactile_toolkit.pictures.sheets import Sheet, Tile, sheet, with_scale_bar
 from tactile_toolkit.pictures.writing import (
-    Drawing,
     PicturePlan,
+    Pixels,
     PlannedPicture,
     file_stem,
     plan_kinds,
@@ -96,14 +96,14 @@ def plan_previews(name: str, spec: TouchPreviewSpec) -> PicturePlan:
     plans = {
         "grid": lambda: [
             PlannedPicture(
-                f"{of_round}-grid.png", f"touches of {record!r}", lambda _: draw_grid(record, spec.touches)
+                f"{of_round}-grid.png", f"touches of {record!r}", lambda: draw_grid(record, spec.touches)
             )
         ],
         "overlay": lambda: [
             PlannedPicture(
                 f"{of_round}-overlay.png",
                 f"all touches of {record!r} at their positions",
-                lambda _: draw_overlay(record),
+                lambda: draw_overlay(record),
             )
         ],
         "strip": lambda: [_plan_strip(record, of_round, spec)],
@@ -124,7 +124,7 @@ def _plan_strip(record: TouchRound, of_round: str, spec: TouchPreviewSpec) -> Pl
     return PlannedPicture(
         f"{of_round}-touch-{touch}-strip.png",
         f"the clip of touch {touch} of {record!r}",
-        lambda _: draw_strip(record.sensor_video[touch], title),
+        lambda: draw_strip(record.sensor_video[touch], title),
     )
 
 
@@ -132,9 +132,7 @@ def _plan_drift(dataset: TouchDataset[Any], stem: str) -> PlannedPicture:
     _require_poses(dataset)
     require_plots("the picture of the gel's drift")
     what = f"drift of the gel over {counted(len(dataset), 'rounds')}"
-    return PlannedPicture(
-        f"{stem}-drift.png", what, lambda _: draw_drift(dataset, f"{stem}: drift of the gel")
-    )
+    return PlannedPicture(f"{stem}-drift.png", what, lambda: draw_drift(dataset, f"{stem}: drift of the gel"))
 
 
 def frames_shown(count: int, contact: slice, most: int = _MOST_FRAMES) -> tuple[int, ...]:
@@ -150,7 +148,7 @@ def frames_shown(count: int, contact: slice, most: int = _MOST_FRAMES) -> tuple[
     return tuple(sorted({*near, *(left[index] for index in evenly_spaced(len(left), room))}))
 
 
-def draw_strip(clip: TouchClip, title: str) -> Drawing:
+def draw_strip(clip: TouchClip, title: str) -> Pixels:
     """Draw a clip as a film strip with a bar of time below it."""
     contact, times_s = clip.contact_window, clip.timestamps_s
     shown = frames_shown(len(clip), contact)
@@ -168,7 +166,7 @@ def draw_strip(clip: TouchClip, title: str) -> Drawing:
     )
     strip = sheet(tiles, Sheet(_COLUMNS, title, words))
     bar = timeline(len(clip), contact, shown, strip.shape[1])
-    return Drawing(np.concatenate([strip, bar]))
+    return np.concatenate([strip, bar])
 
 
 def timeline(count: int, contact: slice, shown: tuple[int, ...], width_px: int) -> NDArray[np.uint8]:
@@ -194,7 +192,7 @@ def timeline(count: int, contact: slice, shown: tuple[int, ...], width_px: int) 
     return np.asarray(picture)
 
 
-def draw_grid(record: TouchRound, most: int) -> Drawing:
+def draw_grid(record: TouchRound, most: int) -> Pixels:
     """Draw touches of a round, evenly spaced, with their numbers; those that met an object are framed."""
     kind: Kind = "seq" if isinstance(record, TouchSeqRound) else "single"
     heights_m = None
@@ -211,10 +209,10 @@ def draw_grid(record: TouchRound, most: int) -> Drawing:
     words = [f"{len(tiles)} of {_touches_in_words(record)}"]
     if heights_m is not None:
         words += [f"framed: {height_text(rule.min_height_m)}; its height beside the number"]
-    return Drawing(sheet(tiles, Sheet(_COLUMNS, _title(record), ("; ".join(words),))))
+    return sheet(tiles, Sheet(_COLUMNS, _title(record), ("; ".join(words),)))
 
 
-def draw_overlay(record: TouchRound) -> Drawing:
+def draw_overlay(record: TouchRound) -> Pixels:
     """Draw all touches of a round at their positions on a map of the cell."""
     touches = placed_touches(record, range(record.touch_count))
     cell = cell_map(touches, _PX_PER_MM)
@@ -224,7 +222,7 @@ def draw_overlay(record: TouchRound) -> Drawing:
         f"{_touches_in_words(record)} at their positions",
         f"{x_mm:.0f} x {y_mm:.0f} mm around the middle of the cell, x right, y up",
     )
-    return Drawing(sheet([Tile(pixels, frame=(205, 210, 215))], Sheet(1, _title(record), words)))
+    return sheet([Tile(pixels, frame=(205, 210, 215))], Sheet(1, _title(record), words))
 
 
 def gel_drift(dataset: TouchDataset[Any]) -> tuple[NDArray[np.float64], tuple[str, ...]]:
@@ -253,7 +251,7 @@ def _require_poses(dataset: TouchDataset[Any]) -> None:
         raise InputError(message)
 
 
-def draw_drift(dataset: TouchDataset[Any], title: str) -> Drawing:
+def draw_drift(dataset: TouchDataset[Any], title: str) -> Pixels:
     """Draw the height of the gel on the plate in every round, in the colours of the gels."""
     z_m, gels = gel_drift(dataset)
     z_mm = z_m * 1e3
@@ -262,7 +260,7 @@ def draw_drift(dataset: TouchDataset[Any], title: str) -> Drawing:
     estimated = np.isnan(dataset.plates_z_m()[dataset.row_numbers]).any()
     height = "deepest touch" if estimated else "gel on the plate"
     points = Points(title, "round", f"{height}, z in mm", np.arange(len(z_mm)), z_mm, gels)
-    return Drawing(plot_points(points, spread))
+    return plot_points(points, spread)
 
 
 def _touches_in_words(record: TouchRound) -> str:

@@ -16,9 +16,9 @@ from tactile_toolkit.checked_fields import check_fields, whole_number
 from tactile_toolkit.kind import DatasetKind
 from tactile_toolkit.mesh.mesh import MM_PER_M
 from tactile_toolkit.pictures.plots import Bars, plot_bars, require_plots
-from tactile_toolkit.pictures.render import Picture3d, Renderer
+from tactile_toolkit.pictures.render import Picture3d, draw_bodies
 from tactile_toolkit.pictures.sheets import ScaleBar, Sheet, Tile, in_rows, sheet, with_scale_bar
-from tactile_toolkit.pictures.writing import Drawing, PicturePlan, PlannedPicture, file_stem, plan_kinds
+from tactile_toolkit.pictures.writing import PicturePlan, Pixels, PlannedPicture, file_stem, plan_kinds
 from tactile_toolkit.read.dataset import RecordDataset
 from tactile_toolkit.store.manifest import read_manifest
 from tactile_toolkit.wording import counted
@@ -70,13 +70,13 @@ class MeshPreviews(Generic[D]):
         """Plan the kinds asked for; by default the usual ones, or that of a row alone where ids are given."""
         return plan_kinds(self.spec.kinds, plans, (alone,) if self.spec.ids else usual)
 
-    def plan_sheets(self, draw: Callable[[D, str], Drawing]) -> list[PlannedPicture]:
+    def plan_sheets(self, draw: Callable[[D, str], Pixels]) -> list[PlannedPicture]:
         """Plan a sheet of each split; ``draw`` takes the rows, class after class, and the heading."""
 
         def planned(split: str, rows: D) -> PlannedPicture:
             what = f"{counted(len(rows), self.things)} of {split} from above"
             title = f"{self.stem}: {split}"
-            return PlannedPicture(f"{self.stem}-{split}-sheet.png", what, lambda _: draw(rows, title))
+            return PlannedPicture(f"{self.stem}-{split}-sheet.png", what, lambda: draw(rows, title))
 
         chosen = {
             split: dataset[class_by_class(dataset, self.spec.ids, self.spec.per_class)]
@@ -89,7 +89,7 @@ class MeshPreviews(Generic[D]):
         require_plots("the class histogram")
         what = f"{self.things} of each class"
         name, title = f"{self.stem}-histogram.png", f"{self.stem}: {what}"
-        return [PlannedPicture(name, what + further, lambda _: Drawing(plot_bars(panels(), title)))]
+        return [PlannedPicture(name, what + further, lambda: plot_bars(panels(), title))]
 
 
 def class_bars(split: str, dataset: RecordDataset[Any], things: str, label: str) -> Bars:
@@ -101,7 +101,7 @@ def class_bars(split: str, dataset: RecordDataset[Any], things: str, label: str)
 
 def draw_by_class(
     tiles: Iterable[tuple[str, Tile]], per_row: int, title: str, words: str, px_per_mm: float
-) -> Drawing:
+) -> Pixels:
     """Draw pictures at one scale in a row (or some) for each class, whose name comes with each picture."""
     groups: dict[str, list[Tile]] = {}
     for name, tile in tiles:
@@ -110,14 +110,11 @@ def draw_by_class(
     # The empty line at the foot is the room of the scale bar.
     drawn = sheet(cells, Sheet(columns, title, (words,), ("",), row_labels, gap_px=12))
     widest = max(tile.pixels.shape[1] for _, group in groups.items() for tile in group)
-    return Drawing(with_scale_bar(drawn, px_per_mm, ScaleBar.fitting(4 * widest, px_per_mm)))
+    return with_scale_bar(drawn, px_per_mm, ScaleBar.fitting(4 * widest, px_per_mm))
 
 
-def draw_two_views(
-    renderer: Renderer, above: Tile, oblique: Picture3d, title: str, facts: tuple[str, ...]
-) -> Drawing:
+def draw_two_views(above: Tile, oblique: Picture3d, title: str, facts: tuple[str, ...]) -> Pixels:
     """Draw a picture from above beside an oblique view."""
-    view, notes = renderer.draw(oblique)
-    words = "oblique view; the bar holds along the picture plane"
-    tiles = (above, Tile(with_scale_bar(view, oblique.px_per_m / MM_PER_M), words))
-    return Drawing(sheet(tiles, Sheet(2, title, facts)), notes)
+    view = with_scale_bar(draw_bodies(oblique), oblique.px_per_m / MM_PER_M)
+    tiles = (above, Tile(view, "oblique view; the bar holds along the picture plane"))
+    return sheet(tiles, Sheet(2, title, facts))

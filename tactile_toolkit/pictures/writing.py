@@ -14,12 +14,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactile_toolkit.errors import InputError
-from tactile_toolkit.pictures.render import Renderer
 from tactile_toolkit.store.folder import DataFolder, expanded
 
 __all__ = [
     "TILE_STYLE",
-    "Drawing",
     "PicturePlan",
     "Pixels",
     "PlannedPicture",
@@ -44,21 +42,13 @@ TILE_STYLE = "margin:0;text-align:center;font-size:smaller"
 """Style of a small picture among others in a notebook."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Drawing:
-    """A picture in memory, and what whoever looks at it should know, such as that no renderer was there."""
-
-    pixels: Pixels
-    notes: tuple[str, ...] = ()
-
-
 @dataclass(frozen=True, slots=True)
 class PlannedPicture:
     """A picture that is not drawn yet: its file name (``.png``) and what it shows, in a few words."""
 
     name: str
     what: str
-    draw: Callable[[Renderer], Drawing]
+    draw: Callable[[], Pixels]
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,19 +61,18 @@ class PicturePlan:
 
 @dataclass(frozen=True, slots=True)
 class WrittenPicture:
-    """A picture on disk: name and words as planned, size in pixels and bytes, notes as drawn."""
+    """A picture on disk: name and words as planned, size in pixels and bytes."""
 
     name: str
     what: str
     width: int
     height: int
     bytes: int
-    notes: tuple[str, ...]
 
     def to_dict(self) -> dict[str, Any]:
         """Return JSON values."""
         size = {"width": self.width, "height": self.height, "bytes": self.bytes}
-        return {"file": self.name, "what": self.what, **size, "notes": list(self.notes)}
+        return {"file": self.name, "what": self.what, **size}
 
 
 def chosen_kinds(asked: Sequence[str], known: Sequence[str], usual: Sequence[str]) -> tuple[str, ...]:
@@ -133,16 +122,13 @@ def write_pictures(
     When one cannot be drawn or written, those before it stay.
     """
     written = []
-    with Renderer() as renderer:
-        for done, planned in enumerate(pictures, start=1):
-            drawing = planned.draw(renderer)
-            content = png_bytes(drawing.pixels)
-            folder.write_bytes(planned.name, content)
-            height, width = drawing.pixels.shape[:2]
-            written.append(
-                WrittenPicture(planned.name, planned.what, width, height, len(content), drawing.notes)
-            )
-            on_progress(done, len(pictures))
+    for done, planned in enumerate(pictures, start=1):
+        pixels = planned.draw()
+        content = png_bytes(pixels)
+        folder.write_bytes(planned.name, content)
+        height, width = pixels.shape[:2]
+        written.append(WrittenPicture(planned.name, planned.what, width, height, len(content)))
+        on_progress(done, len(pictures))
     return written
 
 

@@ -27,14 +27,13 @@ from tactile_toolkit.mesh.mesh import Mesh
 from tactile_toolkit.pictures.lettering import INK
 from tactile_toolkit.pictures.previews import class_bars
 from tactile_toolkit.pictures.relief import relief, relief_of
-from tactile_toolkit.pictures.render import Renderer
+from tactile_toolkit.pictures.render import Picture3d, draw_bodies
 from tactile_toolkit.pictures.sheets import ScaleBar
 from tactile_toolkit.store.folder import DataFolder
 from tests.mnist3d import mnist_files
 
 THIN = SolidSpec(target_vertices=2_000, half_thickness_mm=1.2)
 
-RELIEF_ONLY = Renderer(smooth=False)
 NO_PLOTS = find_spec("matplotlib") is None
 
 
@@ -53,7 +52,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def drawn(name: object, **options: object) -> dict[str, np.ndarray]:
     plan = plan_previews(str(name), PreviewSpec(**options))
-    return {picture.name: picture.draw(RELIEF_ONLY).pixels for picture in plan.pictures}
+    return {picture.name: picture.draw() for picture in plan.pictures}
 
 
 def find(pixels: np.ndarray, part: np.ndarray) -> list[tuple[int, int]]:
@@ -116,7 +115,7 @@ def test_a_sheet_holds_the_ids_asked_for_and_no_others(folder):
     plan = plan_previews(str(folder), PreviewSpec(("sheet",), ids=ids))
     (picture,) = plan.pictures
     assert picture.what == "3 digits of train from above"
-    pixels = picture.draw(RELIEF_ONLY).pixels
+    pixels = picture.draw()
     asked = [dataset[0], dataset[5], dataset[9]]
     *tiles, other = relief_tiles([*asked, dataset[1]])
     if other.shape[0] > max(tile.shape[0] for tile in tiles):
@@ -187,7 +186,7 @@ def test_steps_begin_with_the_image_and_end_with_the_surface(tmp_path):
     assert (planned.name, planned.what) == ("digit-steps.png", "digit.png")
     small = np.asarray(Image.fromarray(pixels).resize((250, 250)))
     coarse = SolidSpec(pixel_pitch_mm=0.4)
-    picture = draw_steps(RELIEF_ONLY, small, coarse, "digit.png").pixels
+    picture = draw_steps(small, coarse, "digit.png")
     panels = [
         picture[70 + row * 408 : 440 + row * 408, 16 + column * 388 : 396 + column * 388]
         for row in range(2)
@@ -203,29 +202,33 @@ def test_steps_begin_with_the_image_and_end_with_the_surface(tmp_path):
     assert max(blue[4:]) == 0
 
 
-class Looked(Renderer):
-    """Keeps the bodies that it is given to draw."""
+@pytest.fixture
+def seen(monkeypatch: pytest.MonkeyPatch) -> list[Mesh]:
+    """The bodies that steps draw."""
+    meshes: list[Mesh] = []
 
-    def draw(self, picture):
-        self.seen = [*getattr(self, "seen", ()), *(body.mesh for body in picture.bodies)]
-        return super().draw(picture)
+    def look(picture: Picture3d) -> np.ndarray:
+        meshes.extend(body.mesh for body in picture.bodies)
+        return draw_bodies(picture)
+
+    monkeypatch.setattr("mnist3d.preview_steps.draw_bodies", look)
+    return meshes
 
 
 @pytest.mark.parametrize("vertices", [1500, 400])
-def test_steps_of_a_data_set_end_with_the_mesh_that_it_stores(tmp_path, vertices):
+def test_steps_of_a_data_set_end_with_the_mesh_that_it_stores(tmp_path, vertices, seen):
     source = SyntheticSource(count=280)
     spec = GenerateSpec(source, SolidSpec(target_vertices=vertices, join_bodies=True), limit=1)
     generate(spec, str(tmp_path / "set"), ("test",))
     (record,) = mnist3d.load(str(tmp_path / "set"), "test")
     (planned,) = plan_previews(str(tmp_path / "set"), PreviewSpec(("steps",), ids=(record.id,))).pictures
-    renderer = Looked(smooth=False)
-    planned.draw(renderer)
-    np.testing.assert_array_equal(renderer.seen[-1].vertices_m, record.vertices_m)
-    np.testing.assert_array_equal(renderer.seen[-1].faces, record.faces)
+    planned.draw()
+    np.testing.assert_array_equal(seen[-1].vertices_m, record.vertices_m)
+    np.testing.assert_array_equal(seen[-1].faces, record.faces)
 
 
 @pytest.mark.parametrize("part", ["train", "test", "auto"])
-def test_steps_know_which_part_of_mnist_a_data_set_was_made_from(tmp_path, part):
+def test_steps_know_which_part_of_mnist_a_data_set_was_made_from(tmp_path, part, seen):
     for each in ("train", "test"):
         mnist_files.write(tmp_path / "mnist", each)
     source = MnistSource(str(tmp_path / "mnist"), part)
@@ -234,9 +237,8 @@ def test_steps_know_which_part_of_mnist_a_data_set_was_made_from(tmp_path, part)
     (record,) = mnist3d.load(str(tmp_path / "set"), "train")
     chosen = PreviewSpec(("steps",), ids=(record.id,), images=tmp_path / "mnist")
     (planned,) = plan_previews(str(tmp_path / "set"), chosen).pictures
-    renderer = Looked(smooth=False)
-    planned.draw(renderer)
-    np.testing.assert_array_equal(renderer.seen[-1].vertices_m, record.vertices_m)
+    planned.draw()
+    np.testing.assert_array_equal(seen[-1].vertices_m, record.vertices_m)
 
 
 def test_steps_of_a_data_set_take_the_image_that_the_digit_was_made_from(folder):
@@ -245,7 +247,7 @@ def test_steps_of_a_data_set_take_the_image_that_the_digit_was_made_from(folder)
     assert name == f"digits-train-{record.id}-steps.png"
     image = SyntheticSource(count=280).image(record.id).pixels
     title = f"Digit {record.label}, id {record.id} (digits, train)"
-    assert np.array_equal(pixels, draw_steps(RELIEF_ONLY, image, THIN, title).pixels)
+    assert np.array_equal(pixels, draw_steps(image, THIN, title))
 
 
 def test_steps_refuse_other_images_than_those_of_the_data_set(tmp_path):
@@ -293,7 +295,7 @@ def test_without_the_extra_plots_are_refused_by_name_and_left_out_otherwise(fold
     assert [picture.name for picture in plan.pictures] == ["digits-train-sheet.png", "digits-test-sheet.png"]
     assert len(plan.left_out) == 2
     for kind in ("histogram", "distributions"):
-        with pytest.raises(MissingExtraError, match=r"pip install 'matplotlib.* 'pyvista"):
+        with pytest.raises(MissingExtraError, match=r"pip install 'matplotlib"):
             plan_previews(str(folder), PreviewSpec((kind,)))
 
 
@@ -305,10 +307,10 @@ def test_the_usual_pictures_of_a_data_set(folder):
     names = [picture.name for picture in plan.pictures]
     assert names[2:] == ["digits-histogram.png", "digits-distributions.png"]
     for picture in plan.pictures:
-        pixels = picture.draw(RELIEF_ONLY).pixels
+        pixels = picture.draw()
         assert pixels.dtype == np.uint8
         assert pixels.std() > 5
-        assert np.array_equal(pixels, picture.draw(RELIEF_ONLY).pixels)
+        assert np.array_equal(pixels, picture.draw())
     everything = plan_previews(str(folder), PreviewSpec(("all",)))
     assert len(everything.pictures) == 6
 
@@ -360,7 +362,7 @@ def test_an_image_without_ink_is_named(tmp_path):
     Image.new("L", (40, 40), 255).save(tmp_path / "blank.png")
     (planned,) = plan_previews(str(tmp_path / "blank.png"), PreviewSpec()).pictures
     with pytest.raises(InputError, match=r"blank\.png: the image has one grey level only"):
-        planned.draw(RELIEF_ONLY)
+        planned.draw()
 
 
 def test_options_of_a_data_set_are_refused_for_a_single_file(tmp_path):

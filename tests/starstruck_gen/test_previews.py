@@ -21,10 +21,8 @@ from starstruck_gen.sampling import SceneTrace, trace_scene
 from tactile_toolkit.catalog.choose import Choice
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.pictures.previews import PreviewSpec
-from tactile_toolkit.pictures.render import Renderer
 from tests.starstruck_gen.strategies import specs
 
-RELIEF_ONLY = Renderer(smooth=False)
 NO_PLOTS = find_spec("matplotlib") is None
 CROWDED = SceneSpec(stars=(3,), distractors=(5, 5), attempts=12)
 
@@ -140,17 +138,17 @@ def test_a_stored_scene_tells_what_was_rejected_while_it_was_made(folder, monkey
 
 def test_without_a_specification_the_scene_is_drawn_all_the_same(folder):
     record = starstruck_gen.load(str(folder), "train")[0]
-    with_spec = draw_one(RELIEF_ONLY, record, CROWDED, "t").pixels
-    without = draw_one(RELIEF_ONLY, record, None, "t").pixels
+    with_spec = draw_one(record, CROWDED, "t")
+    without = draw_one(record, None, "t")
     assert red_px(with_spec) > red_px(without) + 50
     shard = next((folder / "data").glob("train-*.parquet"))
     (planned,) = plan_previews(str(shard), PreviewSpec(("scene",))).pictures
-    assert planned.draw(RELIEF_ONLY).pixels.shape == with_spec.shape
+    assert planned.draw().shape == with_spec.shape
 
 
 def test_the_oblique_view_shows_every_object_in_its_colour(folder):
     record = starstruck_gen.load(str(folder), "train")[0]
-    right = draw_one(RELIEF_ONLY, record, CROWDED, "t").pixels[:, 630:].astype(int)
+    right = draw_one(record, CROWDED, "t")[:, 630:].astype(int)
     tops = {}
     for name, colour in (("star", (214, 140, 20)), ("other", (92, 110, 132))):
         share = right / np.array(colour)
@@ -172,7 +170,7 @@ def test_a_published_set_without_placements_is_drawn_from_its_meshes(folder, tmp
     plan = plan_previews(str(tmp_path / "train.parquet"), PreviewSpec(("sheet", "scene")))
     assert plan.pictures[1].what.endswith("from above, and obliquely")
     for planned in plan.pictures:
-        pixels = planned.draw(RELIEF_ONLY).pixels.astype(int)
+        pixels = planned.draw().astype(int)
         assert pixels.std() > 10
         assert (pixels[..., 0] - pixels[..., 2]).max() < 60  # nothing is as yellow as a star
 
@@ -210,7 +208,7 @@ def test_sheets_show_each_scene_in_the_row_of_its_class(tmp_path):
     generate(GenerateSpec(SceneSpec(), (("train", 12),), seed=1), str(out), ("train",))
     (planned,) = plan_previews(str(out), PreviewSpec(("sheet",), per_class=3)).pictures
     assert (planned.name, planned.what) == ("mixed-train-sheet.png", "9 scenes of train from above")
-    pixels = planned.draw(RELIEF_ONLY).pixels
+    pixels = planned.draw()
     places = []
     for record in list(starstruck_gen.load(str(out)))[:9]:
         tile = np.asarray(draw_scene(record.placements, (0.12, 0.12), 1.25))
@@ -236,8 +234,8 @@ def test_histogram_of_all_splits(folder):
         "scenes-test-sheet.png",
         "scenes-histogram.png",
     ]
-    pixels = plan.pictures[-1].draw(RELIEF_ONLY).pixels
-    assert np.array_equal(pixels, plan.pictures[-1].draw(RELIEF_ONLY).pixels)
+    pixels = plan.pictures[-1].draw()
+    assert np.array_equal(pixels, plan.pictures[-1].draw())
     assert len(plan_previews(str(folder), PreviewSpec(("all",))).pictures) == 4
 
 

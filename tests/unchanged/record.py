@@ -30,7 +30,6 @@ import starstruck_gen.previews
 from mnist3d.sources.synthetic import SyntheticSource
 from realtouch.show.previews import TouchPreviewSpec
 from tactile_toolkit.pictures.previews import PreviewSpec
-from tactile_toolkit.pictures.render import Renderer
 from tactile_toolkit.printing.layout import arrange, measure
 from tactile_toolkit.printing.packing import PlateSpec
 from tactile_toolkit.printing.plate_map import draw_map
@@ -121,7 +120,7 @@ def data_sets(folder: Path) -> dict[str, Any]:
 
 
 def pictures(sets: Path) -> dict[str, str]:
-    """Draw the sets of :func:`data_sets` and a plate, in shaded relief, and return digests of the pixels."""
+    """Draw the sets of :func:`data_sets` and a plate, and return digests of the pixels."""
     plans = (
         mnist3d.previews.plan_previews(
             str(sets / "coarse"), PreviewSpec(("sheet", "object", "steps"), per_class=2)
@@ -133,8 +132,7 @@ def pictures(sets: Path) -> dict[str, str]:
             str(sets / "clips"), TouchPreviewSpec(("grid", "overlay", "strip"))
         ),
     )
-    renderer = Renderer(smooth=False)
-    drawn = {planned.name: planned.draw(renderer).pixels for plan in plans for planned in plan.pictures}
+    drawn = {planned.name: planned.draw() for plan in plans for planned in plan.pictures}
     objects = named([ell(40, 9), ring(20, 14), box(20, 12), box(8, 50)])
     layout = arrange(measure(objects, PlateSpec(100, 80, 3.0, 2.0), 1.0))
     plate = draw_map(layout.plates[0], layout.spec, "Plate 1 of 1", [str(label) for label in range(10)])

@@ -14,10 +14,8 @@ from PIL import Image
 from tactile_toolkit.errors import InputError, MissingExtraError
 from tactile_toolkit.mesh.mesh import Mesh
 from tactile_toolkit.pictures.lettering import INK, text_size
-from tactile_toolkit.pictures.render import Renderer
 from tactile_toolkit.pictures.sheets import ScaleBar, Sheet, Tile, in_rows, sheet, with_scale_bar
 from tactile_toolkit.pictures.writing import (
-    Drawing,
     PlannedPicture,
     chosen_kinds,
     file_stem,
@@ -92,11 +90,11 @@ def test_a_png_holds_its_pixels_and_nothing_else(shape, tmp_path):
 
 
 def test_pictures_before_a_failing_one_stay_and_nothing_half_written_is_left(tmp_path):
-    def fails(_: Renderer) -> Drawing:
+    def fails() -> np.ndarray:
         message = "no"
         raise InputError(message)
 
-    good = PlannedPicture("good.png", "good", lambda _: Drawing(np.zeros((2, 3), np.uint8), ("a note",)))
+    good = PlannedPicture("good.png", "good", lambda: np.zeros((2, 3), np.uint8))
     told: list[tuple[int, int]] = []
     with pytest.raises(InputError):
         write_pictures(
@@ -105,7 +103,7 @@ def test_pictures_before_a_failing_one_stay_and_nothing_half_written_is_left(tmp
     assert [path.name for path in tmp_path.iterdir()] == ["good.png"]
     assert told == [(1, 2)]
     (written,) = write_pictures(DataFolder(str(tmp_path)), [good])
-    assert (written.width, written.height, written.notes) == (3, 2, ("a note",))
+    assert (written.width, written.height) == (3, 2)
     assert written.bytes == (tmp_path / "good.png").stat().st_size
 
 
@@ -119,7 +117,7 @@ def test_kinds_are_settled_once():
 
 
 def test_what_was_not_named_may_be_left_out_what_was_named_may_not():
-    picture = PlannedPicture("a.png", "", lambda _: Drawing(np.zeros((1, 1), np.uint8)))
+    picture = PlannedPicture("a.png", "", lambda: np.zeros((1, 1), np.uint8))
 
     def plot() -> list[PlannedPicture]:
         raise MissingExtraError("a plot", "matplotlib", "pictures")
@@ -128,7 +126,7 @@ def test_what_was_not_named_may_be_left_out_what_was_named_may_not():
     for asked in ((), ("all",)):
         found = plan_kinds(asked, plans, ("sheet", "plot"))
         assert found.pictures == (picture,)
-        assert "pip install 'matplotlib>=3.10' 'pyvista>=0.45' (the extra `pictures`)" in found.left_out[0]
+        assert "pip install 'matplotlib>=3.10' (the extra `pictures`)" in found.left_out[0]
     with pytest.raises(MissingExtraError):
         plan_kinds(("sheet", "plot"), plans, ("sheet",))
     with pytest.raises(MissingExtraError):
@@ -136,7 +134,7 @@ def test_what_was_not_named_may_be_left_out_what_was_named_may_not():
 
 
 def test_one_picture_may_go_into_a_file_of_any_name():
-    one = PlannedPicture("a.png", "", lambda _: Drawing(np.zeros((1, 1), np.uint8)))
+    one = PlannedPicture("a.png", "", lambda: np.zeros((1, 1), np.uint8))
     assert renamed([one, one], Path("out/folder"))[0] == Path("out/folder")
     folder, (named,) = renamed([one], Path("out/mine.PNG"))
     assert (folder, named.name) == (Path("out"), "mine.PNG")

@@ -1,4 +1,4 @@
-"""Views of solids: shaded relief, the renderer beside it, and plots."""
+"""Views of solids: reliefs, oblique views, and plots."""
 
 from __future__ import annotations
 
@@ -18,13 +18,12 @@ from tactile_toolkit.pictures.render import (
     TOP,
     Body,
     Picture3d,
-    Renderer,
     View,
     averaged,
+    draw_bodies,
     fitting_scale,
-    shaded,
 )
-from tests.processes import PATIENCE_S, printed_by
+from tests.processes import printed_by
 
 CLAY = (200, 120, 40)
 angles = st.floats(-180, 180), st.floats(5, 90)
@@ -55,7 +54,7 @@ def test_a_view_has_three_directions_at_right_angles(azimuth, elevation):
 
 def test_a_box_from_above_covers_its_area_to_the_pixel():
     picture = Picture3d((Body(box(20, 10, 5), CLAY),), (260, 160), 10_000.0, TOP)
-    covered = (shaded(picture) < 250).any(axis=2)
+    covered = (draw_bodies(picture) < 250).any(axis=2)
     rows, columns = np.nonzero(covered)
     assert (np.ptp(columns) + 1, np.ptp(rows) + 1) == (200, 100)
     assert covered.sum() == 200 * 100
@@ -66,7 +65,7 @@ def test_what_is_closer_hides_what_is_behind():
     high, low = box(4, 4, 4), box(10, 10, 1)
     red, green = Body(lifted(high, 0.01), (250, 0, 0)), Body(low, (0, 250, 0))
     for bodies in ((red, green), (green, red)):
-        drawn = shaded(Picture3d(bodies, (100, 100), 8_000.0, TOP))
+        drawn = draw_bodies(Picture3d(bodies, (100, 100), 8_000.0, TOP))
         assert drawn[50, 50, 0] > 100
         assert drawn[50, 50, 1] == 0
         assert drawn[14, 50, 1] > 100
@@ -82,7 +81,7 @@ def test_a_mesh_in_millimetres_is_drawn_coarser():
 
 def test_a_fitting_scale_fills_one_side():
     bodies = (Body(box(20, 10, 5), CLAY),)
-    drawn = shaded(Picture3d(bodies, (200, 150), fitting_scale(bodies, (200, 150), OBLIQUE), OBLIQUE))
+    drawn = draw_bodies(Picture3d(bodies, (200, 150), fitting_scale(bodies, (200, 150), OBLIQUE), OBLIQUE))
     rows, columns = np.nonzero((drawn < 250).any(axis=2))
     assert max((np.ptp(columns) + 1) / 200, (np.ptp(rows) + 1) / 150) == pytest.approx(1.0, abs=0.02)
 
@@ -94,30 +93,55 @@ def test_averaging_keeps_levels(factor, height, width, level):
     assert averaged(np.zeros((factor + 1, 1), np.uint8), factor).shape == (2, 1)
 
 
-def test_without_a_renderer_the_view_is_shaded_relief_and_says_so():
-    picture = Picture3d((Body(box(20, 10, 5), CLAY),), (120, 90), 4_000.0)
-    with Renderer(smooth=False) as renderer:
-        pixels, notes = renderer.draw(picture)
-    assert np.array_equal(pixels, shaded(picture))
-    assert notes == ()
-    if find_spec("pyvista") is not None:
-        return
-    with Renderer() as renderer:
-        pixels, notes = renderer.draw(picture)
-    assert np.array_equal(pixels, shaded(picture))
-    assert "pip install 'matplotlib>=3.10' 'pyvista>=0.45' (the extra `pictures`)" in notes[0]
+def colours_of(pixels: np.ndarray) -> np.ndarray:
+    """Return the colours of a picture that are no smoothed edges, each once."""
+    found, counts = np.unique(pixels.reshape(-1, 3), axis=0, return_counts=True)
+    return found[counts > 300]
+
+
+def test_sides_of_a_box_are_flat_and_its_edges_sharp():
+    bodies = (Body(box(20, 10, 8), CLAY),)
+    drawn = draw_bodies(Picture3d(bodies, (240, 180), fitting_scale(bodies, (220, 160))))
+    assert len(colours_of(drawn)) == 3 + 1  # three sides are seen, and the paper
+
+
+def test_a_round_surface_is_lit_as_the_surface_that_its_triangles_stand_for():
+    """Smooth across triangles, and the same however they are laid."""
+    import trimesh
+
+    views = []
+    for made in (trimesh.creation.icosphere(3, 0.01), trimesh.creation.uv_sphere(0.01, [36, 36])):
+        body = Body(Mesh(np.asarray(made.vertices), np.asarray(made.faces, np.int32)), CLAY)
+        views.append(draw_bodies(Picture3d((body,), (120, 120), 5_000.0)).astype(int))
+    inside = np.hypot(*(np.indices((120, 120)) - 59.5)) < 45
+    assert np.abs(views[0] - views[1])[inside].max() <= 6
+    steps = np.abs(np.diff(views[0], axis=1))[inside[:, 1:] & inside[:, :-1]]
+    assert steps.max() <= 8
+
+
+def test_what_is_not_lit_keeps_its_colour_on_paper_of_any_colour():
+    body, paper = Body(box(20, 10, 5), CLAY, lit=False), (10, 20, 30)
+    drawn = draw_bodies(Picture3d((body,), (120, 90), 3_000.0, paper=paper))
+    assert {tuple(colour) for colour in colours_of(drawn).tolist()} == {CLAY, paper}
+
+
+def test_a_mesh_that_is_inside_out_is_lit_all_the_same():
+    right = box(20, 10, 5)
+    wrong = Mesh(right.vertices_m, right.faces[:, ::-1])
+    views = [draw_bodies(Picture3d((Body(mesh, CLAY),), (120, 90), 3_000.0)) for mesh in (right, wrong)]
+    assert np.array_equal(*views)
 
 
 DRAW = """
 import hashlib, numpy as np
 from tactile_toolkit.pictures.lettering import ACCENTS
-from tactile_toolkit.pictures.render import Body, Picture3d, shaded
+from tactile_toolkit.pictures.render import Body, Picture3d, draw_bodies
 from tactile_toolkit.pictures.writing import png_bytes
 from tactile_toolkit.mesh.mesh import Mesh
 from tactile_toolkit.pictures.sheets import Sheet, Tile, sheet, with_scale_bar
 corners = np.array([(0, 0, 0), (.02, 0, 0), (0, .01, 0), (0, 0, .01)])
 mesh = Mesh(corners, np.array([(0, 2, 1), (0, 1, 3), (1, 2, 3), (0, 3, 2)], np.int32))
-view = with_scale_bar(shaded(Picture3d((Body(mesh, (200, 120, 40)),), (120, 90), 4000.0)), 4.0)
+view = with_scale_bar(draw_bodies(Picture3d((Body(mesh, (200, 120, 40)),), (120, 90), 4000.0)), 4.0)
 drawn = sheet([Tile(view, "20 mm²", ACCENTS[0])] * 3, Sheet(2, "Title", ("line",), ("foot",), ("a", "b")))
 print(hashlib.sha256(png_bytes(drawn)).hexdigest())
 """
@@ -132,93 +156,9 @@ def test_every_process_draws_the_same_bytes():
 
 
 @pytest.fixture
-def pyvista(monkeypatch) -> None:
-    if find_spec("pyvista") is None:
-        pytest.skip("needs the extra `pictures` (pyvista)")
-    # On a busy machine its first picture takes minutes.
-    monkeypatch.setattr("tactile_toolkit.pictures.render._SECONDS_TO_DRAW", PATIENCE_S)
-
-
-@pytest.fixture
 def matplotlib() -> None:
     if find_spec("matplotlib") is None:
         pytest.skip("needs the extra `pictures` (matplotlib)")
-
-
-@pytest.mark.pictures
-def test_the_renderer_takes_the_same_view_as_the_relief_and_repeats_itself(pyvista, monkeypatch):
-    monkeypatch.delenv("DISPLAY", raising=False)
-    bodies = (Body(box(20, 10, 5), CLAY), Body(lifted(box(4, 4, 4), 0.009), (0, 0, 200)))
-    picture = Picture3d(bodies, (240, 180), fitting_scale(bodies, (220, 160)))
-    views = []
-    for _ in range(2):
-        with Renderer() as renderer:
-            pixels, notes = renderer.draw(picture)
-            assert notes == ()
-            assert np.array_equal(renderer.draw(picture)[0], pixels)
-            views.append(pixels)
-    assert np.array_equal(*views)
-    one, other = (views[0] < 250).any(axis=2), (shaded(picture) < 250).any(axis=2)
-    assert (one & other).sum() / (one | other).sum() > 0.99
-
-
-@pytest.mark.pictures
-def test_a_renderer_that_is_only_slow_is_called_slow(pyvista, monkeypatch):
-    monkeypatch.setattr("tactile_toolkit.pictures.render._SECONDS_TO_DRAW", 0.001)
-    picture = Picture3d((Body(box(20, 10, 5), CLAY),), (120, 90), 4_000.0)
-    with Renderer() as renderer:
-        pixels, notes = renderer.draw(picture)
-    assert np.array_equal(pixels, shaded(picture))
-    assert "no picture after 0.001 s" in notes[0]
-    assert "driver" not in notes[0]
-
-
-@pytest.mark.pictures
-def test_a_renderer_that_dies_does_not_take_the_caller_with_it(pyvista, monkeypatch):
-    # Without a graphics driver VTK ends the process that calls it.
-    monkeypatch.setenv("VTK_DEFAULT_OPENGL_WINDOW", "vtkOSOpenGLRenderWindow")
-    monkeypatch.setenv("__EGL_VENDOR_LIBRARY_DIRS", "/nonexistent")
-    picture = Picture3d((Body(box(20, 10, 5), CLAY),), (120, 90), 4_000.0)
-    with Renderer() as renderer:
-        pixels, notes = renderer.draw(picture)
-        assert np.array_equal(pixels, shaded(picture))
-        assert "graphics driver" in notes[0]
-        assert renderer.draw(picture)[1] == notes
-
-
-PRINTS = """
-import os, sys
-os.write(1, b"libEGL: a word about the screen\\n")
-"""
-PRINTS_AT_IMPORT = f"""{PRINTS}
-sys.path.remove(os.path.dirname(__file__))
-del sys.modules["pyvista"]
-import pyvista
-"""
-
-
-@pytest.mark.pictures
-def test_what_a_driver_prints_on_descriptor_1_is_not_a_picture(pyvista, monkeypatch, tmp_path):
-    picture = Picture3d((Body(box(20, 10, 5), CLAY),), (120, 90), 4_000.0)
-    with Renderer() as renderer:
-        expected, _ = renderer.draw(picture)
-    (tmp_path / "pyvista.py").write_text(PRINTS_AT_IMPORT)
-    monkeypatch.setenv("PYTHONPATH", str(tmp_path))
-    with Renderer() as renderer:
-        pixels, notes = renderer.draw(picture)
-        assert notes == ()
-        assert np.array_equal(pixels, expected)
-
-
-@pytest.mark.pictures
-def test_text_in_place_of_a_picture_is_not_taken_for_its_length(pyvista, monkeypatch, tmp_path):
-    (tmp_path / "sitecustomize.py").write_text(PRINTS)
-    monkeypatch.setenv("PYTHONPATH", str(tmp_path))
-    picture = Picture3d((Body(box(20, 10, 5), CLAY),), (120, 90), 4_000.0)
-    with Renderer() as renderer:
-        pixels, notes = renderer.draw(picture)
-        assert np.array_equal(pixels, shaded(picture))
-        assert "ended without a picture" in notes[0]
 
 
 @pytest.mark.pictures
