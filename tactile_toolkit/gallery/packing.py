@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from tactile_toolkit.errors import IntegrityError
 from tactile_toolkit.mesh.mesh import MM_PER_M
+from tactile_toolkit.mesh.raster import highest_faces
 
 if TYPE_CHECKING:
     from tactile_toolkit.mesh.records import SolidRecord
@@ -129,16 +130,9 @@ def top_view(
 
     The origin is in the middle of the picture, whose width and height are ``size_m``; y is up.
     """
-    from PIL import Image, ImageDraw
-
     scale = px_per_mm * MM_PER_M
-    width, height = (max(1, round(side * scale)) for side in size_m)
-    picture = Image.new("L", (width, height), 255)
-    draw = ImageDraw.Draw(picture)
-    corners = np.asarray(vertices_m, np.float64)[np.asarray(faces)][:, :, :2]
-    sides = corners[:, 1:] - corners[:, :1]
-    upward = sides[:, 0, 0] * sides[:, 1, 1] - sides[:, 0, 1] * sides[:, 1, 0] > 0
-    points = corners[upward] * (scale, -scale) + (width / 2, height / 2)
-    for triangle in points.tolist():
-        draw.polygon([tuple(point) for point in triangle], fill=110)
-    return np.asarray(picture)
+    shape = [max(1, round(side * scale)) for side in reversed(size_m)]
+    # Rows grow with y here, so that triangles keep their orientation; the picture is turned over at the end.
+    flat = np.asarray(vertices_m, np.float64)[:, :2] * scale + (shape[1] / 2 - 0.5, shape[0] / 2 - 0.5)
+    seen = highest_faces(np.stack([*flat.T, np.zeros(len(flat))]), faces, (shape[0], shape[1]))
+    return np.where(seen[::-1] < 0, 255, 110).astype(np.uint8)

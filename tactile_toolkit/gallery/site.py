@@ -1,31 +1,37 @@
-"""Making the folder of a gallery: staged beside its path, renamed when it is whole."""
+"""Making the folder of a gallery: beside its place, or within it, and put in place when it is whole.
+
+A page cannot be made in place: whoever looks at it would see half of it for hours. Its marker lists its
+files, so that a run replaces those and no other.
+"""
 
 from __future__ import annotations
 
 import filecmp
 import json
 import os
-import re
+import shutil
 import time
+import uuid
 from collections.abc import Callable, Generator, Iterable, Iterator
-from contextlib import closing
-from dataclasses import asdict, dataclass, field
-from pathlib import Path
+from contextlib import closing, contextmanager, suppress
+from dataclasses import asdict, dataclass, replace
+from itertools import accumulate
+from pathlib import Path, PurePosixPath
 from typing import Any, cast
 
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.gallery.items import Gallery, Item, ItemTask
 from tactile_toolkit.gallery.page import (
     ASSETS,
-    IndexBuilder,
     asset,
     content_script,
+    index_of,
     index_script,
     page,
     viewer_library,
 )
-from tactile_toolkit.gallery.staging import is_unfinished, staged_folder
 from tactile_toolkit.run.processes import Runner, runner_for
+from tactile_toolkit.run.system import locked
 from tactile_toolkit.store.folder import expanded, named_failures
 from tactile_toolkit.versions import toolkit_version
 
@@ -44,11 +50,8 @@ MOST_BYTES = 2_000_000_000
 _JUDGED_AFTER = 24
 _SAMPLED_TASKS = 3
 _MARK = "tactile-toolkit gallery"
-# The files of older galleries, whose marker does not list them.
-_UNLISTED = re.compile(
-    r"LICENSES\.txt|index\.html|items\.js|items/\d{6}\.js|thumbs/\d{6}\.png|media/\d{6}-[\w.-]+|"
-    r"assets/(page\.css|(dialog|film|filters|grid|page|state|theme|three|viewer)\.js)"
-)
+# Folders of runs that are not finished; each is locked as long as its run lives.
+_PREFIX = ".gallery-"
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,40 +76,166 @@ def build_site(
     """Make the site of a gallery in a folder that appears whole or not at all; equal galleries, equal bytes.
 
     ``overwrite`` replaces another gallery that is there; the same one may be there, so that a run can be
-    repeated; anything else is never touched. InputError: the folder holds something, there is nothing to
-    show, or the site would be too large. StorageError: it cannot be written, or the disk is full.
+    repeated; anything else is never touched. A folder that is there stays, and whoever is in it stays in it.
+    InputError: the folder holds something, there is nothing to show, or the site would be too large.
+    StorageError: it cannot be written, or the disk is full.
     """
     path = _require_free(gallery, out, overwrite=overwrite)
     _require_size(gallery)
-
-    def refuse(folder: Path, staging: Path) -> None:
-        _refuse_unknown(path, folder)
-        if not overwrite and not _is_part_of(folder, staging):
-            raise _taken(path)
-
-    with named_failures(str(path)), staged_folder(path, refuse, MARKER_FILE) as staging:
-        index = IndexBuilder(gallery)
-        writer = _Writer(staging)
-        for name, content in _fixed_files(gallery).items():
-            writer.write(name, content)
+    with named_failures(str(path)), _staging(path) as staging:
+        site = _Files(gallery, staging)
         on_progress(0, gallery.size)
-        for items in _in_order(runner_for(runner), gallery.tasks):
-            for item in items:
-                for name, content in _item_files(index.add(item), item).items():
-                    writer.write(name, content)
-            forecast = writer.size * gallery.size // max(len(index), 1)
-            # A site that grows too large stops as soon as that can be told, not when the disk is full.
-            if writer.size > MOST_BYTES or (len(index) >= _JUDGED_AFTER and forecast > MOST_BYTES):
-                message = (
-                    f"the gallery would take about {forecast / 1e9:.1f} GB; the most is "
-                    f"{MOST_BYTES / 1e9:.0f} GB; what was written is removed; next: choose fewer with "
-                    "--limit, --split or --per-class"
-                )
-                raise InputError(message)
-            on_progress(len(index), gallery.size)
-        writer.write("items.js", index_script(index.to_dict()).encode())
-        writer.write(MARKER_FILE, _marker(gallery, writer.names))
-    return Site(str(path), len(index), len(writer.names), writer.size, dict(gallery.splits))
+        tasks = list(zip(_first_numbers(gallery.tasks), gallery.tasks, strict=True))
+        made = cast("Generator[tuple[int, list[Item]]]", runner_for(runner).run(_make, tasks))
+        # Closed, so that the workers end when an item is refused.
+        with closing(made) as results:
+            for first, items in results:
+                site.add(first, items)
+                forecast = site.size * gallery.size // max(len(site.shown), 1)
+                # A site that grows too large stops as soon as that can be told, not when the disk is full.
+                is_judged = len(site.shown) >= _JUDGED_AFTER and forecast > MOST_BYTES
+                if is_judged or site.size > MOST_BYTES:
+                    message = (
+                        f"the gallery would take about {forecast / 1e9:.1f} GB; the most is "
+                        f"{MOST_BYTES / 1e9:.0f} GB; what was written is removed; next: choose fewer with "
+                        "--limit, --split or --per-class"
+                    )
+                    raise InputError(message)
+                on_progress(len(site.shown), gallery.size)
+        site.finish()
+        _put_in_place(staging, path, site, overwrite=overwrite)
+    return Site(str(path), len(site.shown), len(site.names), site.size, dict(gallery.splits))
+
+
+def _first_numbers(tasks: Iterable[ItemTask]) -> list[int]:
+    """Return the number on the page of the first item of each task."""
+    return list(accumulate((task.size for task in tasks), initial=0))[:-1]
+
+
+def _make(numbered: tuple[int, ItemTask]) -> tuple[int, list[Item]]:
+    first, task = numbered
+    return first, task.make()
+
+
+class _Files:
+    """The files of a site as they are made, in whatever order; without a folder they are only counted."""
+
+    def __init__(self, gallery: Gallery, folder: Path | None = None) -> None:
+        self.gallery, self.folder = gallery, folder
+        self.names: list[str] = []
+        self.size = 0
+        self.shown: dict[int, Item] = {}  # what the page filters and sorts by, by number
+        code, licence = viewer_library()
+        self._write("index.html", page(gallery.title))
+        self._write("LICENSES.txt", licence)
+        self._write("assets/three.js", code)
+        for name in ASSETS:
+            self._write(f"assets/{name}", asset(name))
+        self.fixed_files, self.fixed_bytes = len(self.names), self.size
+
+    def add(self, first: int, items: Iterable[Item]) -> None:
+        """Write the files of some items, by the number of the first."""
+        for number, item in enumerate(items, start=first):
+            self.shown[number] = replace(item, thumbnail=b"", content={}, media={})
+            self._write(f"thumbs/{number:06d}.png", item.thumbnail)
+            self._write(f"items/{number:06d}.js", content_script(number, item.content))
+            for ending, content in item.media.items():
+                self._write(f"media/{number:06d}-{ending}", content)
+
+    def finish(self) -> None:
+        """Write the index of the items, and the marker, which lists all files but itself."""
+        shown = [self.shown[number] for number in sorted(self.shown)]
+        self._write("items.js", index_script(index_of(self.gallery, shown)))
+        self._write(MARKER_FILE, self.marker())
+
+    def marker(self, further: Iterable[str] = ()) -> bytes:
+        """Return the marker, with further files of which it says that they are those of a gallery."""
+        return _marker(self.gallery, {*self.names, *further} - {MARKER_FILE})
+
+    def _write(self, name: str, content: str | bytes) -> None:
+        encoded = content.encode() if isinstance(content, str) else content
+        if self.folder is not None:
+            path = self.folder / name
+            path.parent.mkdir(exist_ok=True)
+            path.write_bytes(encoded)
+        self.names.append(name)
+        self.size += len(encoded)
+
+
+def _marker(gallery: Gallery, files: Iterable[str]) -> bytes:
+    content = {
+        "what": _MARK,
+        "kind": gallery.kind,
+        "items": gallery.size,
+        "version": toolkit_version(),
+        "files": sorted(files),
+    }
+    return (json.dumps(content, indent=1) + "\n").encode()
+
+
+@contextmanager
+def _staging(path: Path) -> Iterator[Path]:
+    """Give a new folder on the disk of ``path``, which is removed in the end.
+
+    What a killed process left beside or within ``path`` is removed first: nobody holds its lock.
+    """
+    path.parent.mkdir(parents=True, exist_ok=True)
+    for left in (*path.parent.glob(f"{_PREFIX}*"), *path.glob(f"{_PREFIX}*")):
+        with suppress(BlockingIOError, FileNotFoundError), locked(left, wait=False):
+            shutil.rmtree(left, ignore_errors=True)
+    # Within a folder that is there, which may be all that may be written, or a file system of its own.
+    staging = (path if path.is_dir() else path.parent) / f"{_PREFIX}{uuid.uuid4().hex}"
+    staging.mkdir()
+    try:
+        with locked(staging):
+            yield staging
+    finally:
+        shutil.rmtree(staging, ignore_errors=True)
+
+
+def _put_in_place(staging: Path, path: Path, site: _Files, *, overwrite: bool) -> None:
+    """Make the content of a new folder that of ``path``, which is not a symbolic link.
+
+    Asked again is what may be replaced: hours may have passed.
+    """
+    if not path.exists():
+        try:
+            # One step for whoever looks: no moment without a whole folder.
+            staging.rename(path)
+        except OSError:
+            # Another run may have been faster: its folder holds something.
+            if not path.is_dir():
+                raise
+        else:
+            return
+    with locked(path):
+        former = _require_replaceable(path, overwrite or _is_part_of(path, staging))
+        try:
+            _replace(staging, path, site, former)
+        except KeyboardInterrupt:
+            # In the last second of a run: all others of its moments leave no half a page behind either.
+            _replace(staging, path, site, former)
+
+
+def _replace(staging: Path, path: Path, site: _Files, former: set[str]) -> None:
+    """Replace the files of a gallery one by one; when it is ended at any point, it can be done once more."""
+
+    def mark(content: bytes) -> None:
+        (staging / MARKER_FILE).write_bytes(content)
+        (staging / MARKER_FILE).replace(path / MARKER_FILE)
+
+    # As long as files of both are there, the marker lists both: none is ever one that no gallery wrote.
+    mark(site.marker(former))
+    # The former ones first: where one is a link to a folder, nothing is written through it.
+    for name in former.difference(site.names):
+        (path / name).unlink(missing_ok=True)
+        with suppress(OSError):
+            (path / name).parent.rmdir()
+    for name in site.names:
+        (path / name).parent.mkdir(exist_ok=True)
+        if name != MARKER_FILE and (staging / name).exists():
+            (staging / name).replace(path / name)
+    mark(site.marker())
 
 
 def _require_free(gallery: Gallery, out: str, *, overwrite: bool) -> Path:
@@ -117,35 +246,38 @@ def _require_free(gallery: Gallery, out: str, *, overwrite: bool) -> Path:
     # Where a symbolic link leads: the link itself is not ours to replace.
     path = Path(os.path.realpath(expanded(out)))
     if path.is_dir():
-        _refuse_unknown(path, path)
         # Whether it is this gallery is known for certain when this one is made, and mostly before.
-        if not overwrite and not _may_be(gallery, path):
-            raise _taken(path)
+        _require_replaceable(path, overwrite or _may_be(gallery, path))
     elif path.exists():
         message = f"{str(path)!r} is a file; a gallery is a folder; nothing was changed; next: another --out"
         raise InputError(message)
     return path
 
 
-def _refuse_unknown(path: Path, folder: Path) -> None:
-    """Refuse a folder, or what was moved out of ``path`` into it, that holds what no gallery wrote."""
-    marker = _marker_in(folder)
-    ours = {MARKER_FILE, *map(str, marker.get("files", ()))} if marker else set()
-    is_listed = marker is None or "files" in marker
-    for name in _entries(folder):
-        if name not in ours and (is_listed or not _UNLISTED.fullmatch(name)):
+def _require_replaceable(path: Path, may_replace: bool) -> set[str]:
+    """Return the files of the gallery that a folder holds; InputError where it holds anything else.
+
+    So too where it holds a gallery that may not be replaced.
+    """
+    marker, found = _marker_in(path), list(_entries(path))
+    listed = set(map(str, marker["files"])) if marker else set()
+    # A run that was killed may leave a folder of its files empty.
+    folders = {str(PurePosixPath(name).parent) for name in listed}
+    known = {MARKER_FILE, *listed, *folders} if marker else set()
+    for name in found:
+        if name not in known:
             message = (
                 f"{str(path)!r} holds {name!r}, which is not part of a gallery; nothing was changed; next: "
                 "choose an empty or new folder with --out"
             )
             raise InputError(message)
-
-
-def _taken(path: Path) -> InputError:
-    return InputError(
-        f"{str(path)!r} holds a gallery already; nothing was changed; next: replace it with "
-        "--overwrite, or choose another folder with --out"
-    )
+    if not may_replace:
+        message = (
+            f"{str(path)!r} holds a gallery already; nothing was changed; next: replace it with "
+            "--overwrite, or choose another folder with --out"
+        )
+        raise InputError(message)
+    return listed.intersection(found)
 
 
 def _marker_in(folder: Path) -> dict[str, Any] | None:
@@ -154,9 +286,8 @@ def _marker_in(folder: Path) -> dict[str, Any] | None:
         marker = json.loads((folder / MARKER_FILE).read_bytes())
     except (OSError, ValueError):
         return None
-    if not isinstance(marker, dict) or marker.get("what") != _MARK:
-        return None
-    return marker if isinstance(marker.get("files", []), list) else None
+    is_ours = isinstance(marker, dict) and marker.get("what") == _MARK
+    return marker if is_ours and isinstance(marker.get("files"), list) else None
 
 
 def _entries(folder: Path) -> Iterator[str]:
@@ -168,8 +299,8 @@ def _entries(folder: Path) -> Iterator[str]:
     for root, folders, files in os.walk(folder, onerror=refuse):
         inside = Path(root).relative_to(folder)
         if root == str(folder):
-            folders[:] = [name for name in folders if not is_unfinished(name)]
-            files = [name for name in files if not is_unfinished(name)]
+            folders[:] = [name for name in folders if not name.startswith(_PREFIX)]
+            files = [name for name in files if not name.startswith(_PREFIX)]
         elif not (folders or files):
             yield inside.as_posix()
         links = [name for name in folders if (Path(root) / name).is_symlink()]
@@ -208,76 +339,6 @@ def _require_size(gallery: Gallery) -> None:
         raise InputError(message)
 
 
-def _fixed_files(gallery: Gallery) -> dict[str, bytes]:
-    """Return the files that do not depend on the items, by path."""
-    library = viewer_library()
-    ours = {f"assets/{name}": asset(name).encode() for name in ASSETS}
-    return {
-        "index.html": page(gallery.title).encode(),
-        "LICENSES.txt": library.license_text.encode(),
-        "assets/three.js": library.code.encode(),
-        **ours,
-    }
-
-
-def _item_files(number: int, item: Item) -> dict[str, bytes]:
-    """Return the files of one item, by path."""
-    name = f"{number:06d}"
-    media = {f"media/{name}-{ending}": content for ending, content in item.media.items()}
-    return {
-        f"thumbs/{name}.png": item.thumbnail,
-        f"items/{name}.js": content_script(number, item.content).encode(),
-        **media,
-    }
-
-
-def _marker(gallery: Gallery, files: Iterable[str]) -> bytes:
-    """Return the file that lists what a gallery is and holds, itself left out."""
-    content = {
-        "what": _MARK,
-        "kind": gallery.kind,
-        "items": gallery.size,
-        "version": toolkit_version(),
-        "files": sorted(files),
-    }
-    return (json.dumps(content, indent=1) + "\n").encode()
-
-
-@dataclass
-class _Writer:
-    """Writes files below a folder and counts them."""
-
-    folder: Path
-    names: list[str] = field(default_factory=list)
-    size: int = 0
-
-    def write(self, name: str, content: bytes) -> None:
-        path = self.folder / name
-        path.parent.mkdir(exist_ok=True)
-        path.write_bytes(content)
-        self.names.append(name)
-        self.size += len(content)
-
-
-def _make(numbered: tuple[int, ItemTask]) -> tuple[int, list[Item]]:
-    number, task = numbered
-    return number, task.make()
-
-
-def _in_order(runner: Runner, tasks: tuple[ItemTask, ...]) -> Iterator[list[Item]]:
-    """Yield the items of each task in the order of the tasks, whichever is finished first."""
-    waiting: dict[int, list[Item]] = {}
-    following = 0
-    finished = cast("Generator[tuple[int, list[Item]]]", runner.run(_make, list(enumerate(tasks))))
-    # Ends the workers when an item is refused.
-    with closing(finished) as results:
-        for number, items in results:
-            waiting[number] = items
-            while following in waiting:
-                yield waiting.pop(following)
-                following += 1
-
-
 @dataclass(frozen=True, slots=True)
 class SiteForecast:
     """What a run would make, told from a sample; exact where the sample is everything."""
@@ -299,31 +360,24 @@ def forecast_site(gallery: Gallery, out: str, workers: int, *, overwrite: bool =
     """Make a few items, write nothing, and tell what all would take; InputError as :func:`build_site`."""
     _require_free(gallery, out, overwrite=overwrite)
     _require_size(gallery)
-    fixed = _fixed_files(gallery)
-    index = IndexBuilder(gallery)
-    names: list[str] = []
-    size = 0
-    tasks = gallery.tasks
+    site, tasks = _Files(gallery), gallery.tasks
     if len(tasks) > _SAMPLED_TASKS:  # some, evenly from first to last
         steps = _SAMPLED_TASKS - 1
         tasks = tuple(tasks[step * (len(tasks) - 1) // steps] for step in range(_SAMPLED_TASKS))
     start_s = time.monotonic()
-    for task in tasks:
-        for item in task.make():
-            made = _item_files(index.add(item), item)
-            names += made
-            size += sum(map(len, made.values()))
+    for first, task in zip(_first_numbers(tasks), tasks, strict=True):
+        site.add(first, task.make())
     elapsed_s = time.monotonic() - start_s
-    share = gallery.size / len(index)
-    size += len(index_script(index.to_dict()))
-    listed = _marker(gallery, [*fixed, *names, "items.js"])
-    total = round((size + len(listed)) * share) + sum(map(len, fixed.values()))
+    share = gallery.size / len(site.shown)
+    made = len(site.names) - site.fixed_files
+    site.finish()
+    total = round((site.size - site.fixed_bytes) * share) + site.fixed_bytes
     return SiteForecast(
         items=gallery.size,
-        files=round(len(names) * share) + len(fixed) + 2,  # the index of items and the marker
+        files=round(made * share) + site.fixed_files + 2,  # the index of items and the marker
         bytes=total,
         seconds=elapsed_s * share / max(1, min(workers, len(gallery.tasks))),
-        sampled=len(index),
+        sampled=len(site.shown),
         fits=total <= MOST_BYTES,
         splits=dict(gallery.splits),
     )

@@ -23,7 +23,7 @@ from tactile_toolkit.gallery.packing import (
     thumbnail,
     top_view,
 )
-from tactile_toolkit.gallery.page import IndexBuilder, natural_order, script_json
+from tactile_toolkit.gallery.page import index_of, natural_order, script_json
 from tests.gallery_toy import CORNERS_M, FACES
 
 
@@ -145,10 +145,11 @@ def test_a_site_does_not_tell_where_the_data_set_lay(tmp_path):
 def test_splits_stand_in_the_order_of_the_data():
     facets = (Facet("split", "Split"), Facet("label", "Class"))
     splits = {"train": 1, "test": 1, "holdout": 1}
-    index = IndexBuilder(Gallery("toy", "Toys", ("toy", "toys"), facets, (), (), splits))
-    for split in ("test", "holdout", "train"):
-        index.add(Item(split, split, {"split": (split,), "label": (split,)}, {}, b"", {}))
-    columns = index.to_dict()["facets"]
+    items = [
+        Item(split, split, {"split": (split,), "label": (split,)}, {}, b"", {})
+        for split in ("test", "holdout", "train")
+    ]
+    columns = index_of(Gallery("toy", "Toys", ("toy", "toys"), facets, (), (), splits), items)["facets"]
     assert columns[0]["values"] == ["train", "test", "holdout"]
     assert columns[1]["values"] == ["holdout", "test", "train"]
     assert columns[0]["rows"] == [[1], [2], [0]]
