@@ -12,11 +12,8 @@ from mnist3d.rows import CLASS_NAMES, REPORT_FILE, mesh_schema
 from mnist3d.sources.folder import FolderSource
 from mnist3d.summary import SplitSummary, summarise
 from tactile_toolkit.cards.card import (
-    HWD_PLUS,
     MESH_COLUMNS,
     MESH_TASKS,
-    MNIST,
-    TACTILE_MNIST,
     between,
     bibtex,
     field_table,
@@ -27,7 +24,7 @@ from tactile_toolkit.cards.card import (
     skipped_text,
     write_card_files,
 )
-from tactile_toolkit.cards.facts import FolderFacts, recorded_facts
+from tactile_toolkit.cards.facts import FolderFacts, folder_facts
 from tactile_toolkit.cards.table_card import Terms, write_table_card
 from tactile_toolkit.catalog.choose import short_name
 from tactile_toolkit.kind import is_export
@@ -68,7 +65,7 @@ def write_card(folder: DataFolder, manifest: Manifest) -> None:
         title = "3D digits" if made is not None and _is_own(made) else "MNIST 3D"
         write_table_card(folder, manifest, KIND, title, COLUMNS, _terms_of_tables(manifest))
         return
-    facts = recorded_facts(folder, manifest, mesh_schema())
+    facts = folder_facts(folder, manifest, mesh_schema())
     summaries = summarise(folder, manifest)
     spec = manifest.spec
     words = words_of(str(spec["source"]["name"]))
@@ -97,7 +94,7 @@ def write_card(folder: DataFolder, manifest: Manifest) -> None:
         "limits": _limits(manifest, summaries, words),
         "licence_text": words.licence_text,
         "citation_text": words.citation_text,
-        "bibtex": bibtex(TACTILE_MNIST, *((MNIST,) if words.name == "mnist" else ()), HWD_PLUS),
+        "bibtex": bibtex("tactile_mnist", *(("mnist",) if words.name == "mnist" else ()), "hwd_plus"),
     }
     write_card_files(
         folder,
@@ -123,9 +120,9 @@ def _terms_of_tables(manifest: Manifest) -> Terms:
     made = manifest.spec["source_spec"]
     if made is None:
         text = "The terms of the data set that these rows come from: see its page."
-        return Terms("other", text, f"{_PUBLISHED}.", bibtex(TACTILE_MNIST, HWD_PLUS))
+        return Terms("other", text, f"{_PUBLISHED}.", bibtex("tactile_mnist", "hwd_plus"))
     words = words_of(str(made["source"]["name"]))
-    cited = (TACTILE_MNIST, *((MNIST,) if words.name == "mnist" else ()), HWD_PLUS)
+    cited = ("tactile_mnist", *(("mnist",) if words.name == "mnist" else ()), "hwd_plus")
     return Terms(words.licence, words.licence_text, words.citation_text, bibtex(*cited))
 
 

@@ -17,8 +17,6 @@ from realtouch.media.sheets import contact_sheet, evenly_spaced
 from realtouch.rounds import TouchSeqRound, TouchSingleRound
 from realtouch.touch import Touch
 from tactile_toolkit.cards.card import (
-    HWD_PLUS,
-    TACTILE_MNIST,
     Column,
     between,
     bibtex,
@@ -30,7 +28,7 @@ from tactile_toolkit.cards.card import (
     skipped_text,
     write_card_files,
 )
-from tactile_toolkit.cards.facts import FolderFacts, SplitFacts, recorded_facts
+from tactile_toolkit.cards.facts import FolderFacts, SplitFacts, folder_facts
 from tactile_toolkit.errors import ToolkitError
 from tactile_toolkit.pictures.writing import png_bytes
 from tactile_toolkit.printable import markdown_text
@@ -298,7 +296,7 @@ _LICENCES = {
     ),
 }
 
-_CITED = {"real": (TACTILE_MNIST, HWD_PLUS), "synthetic": (TACTILE_MNIST,)}
+_CITED = {"real": ("tactile_mnist", "hwd_plus"), "synthetic": ("tactile_mnist",)}
 _CITATIONS = {
     "real": (
         "The touches and the digits: Schneider et al. 2025. The digits were made from the handwriting of "
@@ -320,7 +318,7 @@ def write_card(
     from manifest and columns where None. InputError: it holds no touches. IntegrityError: a file is missing
     or damaged.
     """
-    facts = recorded_facts(folder, manifest)
+    facts = folder_facts(folder, manifest)
     card = _card_kind(facts, manifest, folder.address(), kind)
     stored: Literal["seq", "single"] = "seq" if card == "seq" else "single"
     options = {} if manifest is None else manifest.spec.get("options", {})

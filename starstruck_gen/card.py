@@ -17,7 +17,6 @@ from starstruck_gen.summary import SplitSummary, summarise
 from tactile_toolkit.cards.card import (
     MESH_COLUMNS,
     MESH_TASKS,
-    TACTILE_MNIST,
     between,
     bibtex,
     field_table,
@@ -27,7 +26,7 @@ from tactile_toolkit.cards.card import (
     megabytes,
     write_card_files,
 )
-from tactile_toolkit.cards.facts import FolderFacts, recorded_facts
+from tactile_toolkit.cards.facts import FolderFacts, folder_facts
 from tactile_toolkit.cards.table_card import Terms, write_table_card
 from tactile_toolkit.kind import is_export
 from tactile_toolkit.pictures.sheets import Sheet, Tile, sheet
@@ -72,11 +71,11 @@ def write_card(folder: DataFolder, manifest: Manifest) -> None:
         is_ours = manifest.spec["source_spec"] is not None
         text = "MIT, as the toolkit." if is_ours else "The terms of the data set that these rows come from."
         licence = "mit" if is_ours else "other"
-        terms = Terms(licence, text, "The task: Schneider et al. 2025.", bibtex(TACTILE_MNIST))
+        terms = Terms(licence, text, "The task: Schneider et al. 2025.", bibtex("tactile_mnist"))
         write_table_card(folder, manifest, KIND, "Starstruck", COLUMNS, terms)
         return
     spec = SceneSpec.from_dict(manifest.spec["scene"])
-    facts = recorded_facts(folder, manifest, scene_schema(spec.class_names))
+    facts = folder_facts(folder, manifest, scene_schema(spec.class_names))
     summaries = summarise(manifest)
     least, most = spec.distractors
     turned = math.degrees(spec.rotation_rad)

@@ -10,7 +10,6 @@ import numpy as np
 from tactile_sim.kind import KIND
 from tactile_sim.sheets import tile
 from tactile_toolkit.cards.card import (
-    TACTILE_MNIST,
     Column,
     bibtex,
     field_table,
@@ -22,7 +21,7 @@ from tactile_toolkit.cards.card import (
     skipped_text,
     write_card_files,
 )
-from tactile_toolkit.cards.facts import FolderFacts, recorded_facts
+from tactile_toolkit.cards.facts import FolderFacts, folder_facts
 from tactile_toolkit.kind import lazy
 from tactile_toolkit.pictures.writing import png_bytes
 from tactile_toolkit.store.folder import DataFolder
@@ -68,7 +67,7 @@ def write_card(folder: DataFolder, manifest: Manifest) -> None:
     if manifest.spec.get("operation") == "pairs":
         lazy("tactile_sim.pairs.card:write_card")(folder, manifest)
         return
-    facts = recorded_facts(folder, manifest)
+    facts = folder_facts(folder, manifest)
     spec = manifest.spec["options"]
     width, height = spec["size_px"]
     plan = spec["plan"]
@@ -98,7 +97,7 @@ def write_card(folder: DataFolder, manifest: Manifest) -> None:
         "limits": "\n".join(f"- {line}" for line in _limits(manifest)),
         "split_table": _split_table(facts, manifest),
         "field_table": field_table(facts, COLUMNS),
-        "bibtex": bibtex(TACTILE_MNIST),
+        "bibtex": bibtex("tactile_mnist"),
     }
     write_card_files(
         folder,

@@ -67,7 +67,6 @@ def write_card(folder: DataFolder, manifest: Manifest) -> None:
     from tactile_toolkit.cards.card import (
         MESH_COLUMNS,
         MESH_TASKS,
-        TACTILE_MNIST,
         bibtex,
         field_table,
         json_block,
@@ -75,7 +74,7 @@ def write_card(folder: DataFolder, manifest: Manifest) -> None:
         megabytes,
         write_card_files,
     )
-    from tactile_toolkit.cards.facts import recorded_facts
+    from tactile_toolkit.cards.facts import folder_facts
     from tactile_toolkit.cards.table_card import Terms, write_table_card
     from tactile_toolkit.kind import is_export
     from tactile_toolkit.pictures.relief import relief
@@ -83,10 +82,10 @@ def write_card(folder: DataFolder, manifest: Manifest) -> None:
 
     if is_export(manifest):
         text = "The task: Schneider et al. 2025."
-        terms = Terms("mit", "MIT, as the toolkit.", text, bibtex(TACTILE_MNIST))
+        terms = Terms("mit", "MIT, as the toolkit.", text, bibtex("tactile_mnist"))
         write_table_card(folder, manifest, KIND, "Open-end wrench", COLUMNS, terms)
         return
-    wrench, facts = wrench_facts(WrenchSpec(**manifest.spec)), recorded_facts(folder, manifest)
+    wrench, facts = wrench_facts(WrenchSpec(**manifest.spec)), folder_facts(folder, manifest)
     spec, report = wrench.spec, wrench.report
     second = f" and {spec.second_opening_mm:g} mm" if spec.second_opening_mm else ", one end plain"
     sizes = [

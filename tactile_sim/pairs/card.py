@@ -10,7 +10,6 @@ from tactile_sim.pairs.making import SPLITS
 from tactile_sim.pairs.rows import decode_depth
 from tactile_sim.sheets import tile
 from tactile_toolkit.cards.card import (
-    TACTILE_MNIST,
     Column,
     bibtex,
     field_table,
@@ -21,7 +20,7 @@ from tactile_toolkit.cards.card import (
     skipped_text,
     write_card_files,
 )
-from tactile_toolkit.cards.facts import FolderFacts, recorded_facts
+from tactile_toolkit.cards.facts import FolderFacts, folder_facts
 from tactile_toolkit.pictures.writing import png_bytes
 from tactile_toolkit.store.folder import DataFolder
 from tactile_toolkit.store.manifest import Manifest
@@ -42,7 +41,7 @@ COLUMNS: dict[str, Column] = {
 
 def write_card(folder: DataFolder, manifest: Manifest) -> None:
     """Write ``README.md`` of a training set and the picture that it shows."""
-    facts = recorded_facts(folder, manifest)
+    facts = folder_facts(folder, manifest)
     spec = manifest.spec["options"]
     width, height = spec["size_px"]
     counts = {split: [record.statistics or {} for record in manifest.shards_of(split)] for split in SPLITS}
@@ -64,7 +63,7 @@ def write_card(folder: DataFolder, manifest: Manifest) -> None:
             ("split", "rows", "with contact", "shards", "Parquet", "unpacked"), rows
         ),
         "field_table": field_table(facts, COLUMNS),
-        "bibtex": bibtex(TACTILE_MNIST),
+        "bibtex": bibtex("tactile_mnist"),
     }
     write_card_files(
         folder,

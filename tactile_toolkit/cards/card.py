@@ -21,12 +21,9 @@ from tactile_toolkit.store.manifest import Manifest
 __all__ = [
     "CARD_FILE",
     "Column",
-    "HWD_PLUS",
     "MESH_COLUMNS",
     "MESH_TASKS",
-    "MNIST",
     "PREVIEW_FOLDER",
-    "TACTILE_MNIST",
     "addressed",
     "between",
     "bibtex",
@@ -85,7 +82,7 @@ def write_card_files(
         "rows": f"{facts.rows:,}",
         "first_split": facts.splits[0].split,
         "picture": "There is nothing to draw.",
-        "bibtex": bibtex(TACTILE_MNIST),
+        "bibtex": bibtex("tactile_mnist"),
     }
     if manifest is not None:
         common["version"] = manifest.toolkit_version
@@ -135,42 +132,10 @@ def first_rows(facts: FolderFacts, columns: Sequence[str]) -> Iterator[Row]:
                 yield from (Row(block, index) for index in range(len(block.table)))
 
 
-TACTILE_MNIST = """\
-@article{schneider2025tactilemnist,
-  title  = {Tactile {MNIST}: Benchmarking Active Tactile Perception},
-  author = {Schneider, Tim and Duret, Guillaume and de Farias, Cristiana and Calandra, Roberto and
-            Chen, Liming and Peters, Jan},
-  year   = {2025}
-}"""
-"""The paper: algorithm, splits, scenes and touches."""
-
-HWD_PLUS = """\
-@article{beaulac2022hwdplus,
-  title   = {Introducing a New High-Resolution Handwritten Digits Data Set with Writer Characteristics},
-  author  = {Beaulac, C{\\'e}dric and Rosenthal, Jeffrey S.},
-  journal = {SN Computer Science},
-  year    = {2022},
-  doi     = {10.1007/s42979-022-01494-2}
-}"""
-"""The handwriting of the published digits."""
-
-MNIST = """\
-@article{lecun1998gradient,
-  title   = {Gradient-Based Learning Applied to Document Recognition},
-  author  = {LeCun, Yann and Bottou, L{\\'e}on and Bengio, Yoshua and Haffner, Patrick},
-  journal = {Proceedings of the IEEE},
-  volume  = {86},
-  number  = {11},
-  pages   = {2278--2324},
-  year    = {1998},
-  doi     = {10.1109/5.726791}
-}"""
-"""The handwriting of MNIST."""
-
-
-def bibtex(*entries: str) -> str:
-    """Lay out entries as one block of BibTeX in Markdown."""
-    return "```bibtex\n" + "\n\n".join(entries) + "\n```"
+def bibtex(*names: str) -> str:
+    """Lay out entries of ``data_cards``, such as ``"tactile_mnist"``, as one block of BibTeX in Markdown."""
+    entries = (files("data_cards").joinpath(f"{name}.bib").read_text(encoding="utf-8") for name in names)
+    return "```bibtex\n" + "\n".join(entries) + "```"
 
 
 def markdown_table(header: Sequence[str], rows: Sequence[Sequence[object]]) -> str:

@@ -2,23 +2,23 @@
 
 from __future__ import annotations
 
+import fnmatch
 import io
 import re
 import reprlib
 from collections.abc import Collection, Iterator, Mapping, Sequence
-from fnmatch import fnmatch
 from posixpath import normpath
 from typing import Any
 
 from tactile_toolkit.cards.card import CARD_FILE, placeholders
 from tactile_toolkit.cards.croissant import check_croissant
-from tactile_toolkit.cards.facts import FolderFacts, recorded_facts
-from tactile_toolkit.cards.head import dataset_info, size_category
+from tactile_toolkit.cards.facts import FolderFacts, folder_facts
+from tactile_toolkit.cards.head import card_head
 from tactile_toolkit.errors import ToolkitError
 from tactile_toolkit.store.folder import DataFolder
 from tactile_toolkit.store.manifest import Manifest, read_manifest
 from tactile_toolkit.store.names import problem_of_name
-from tactile_toolkit.store.shards import VIEWER_FOLDER, Finding
+from tactile_toolkit.store.shards import Finding
 
 __all__ = ["check_card"]
 
@@ -51,12 +51,17 @@ def check_card(
     try:
         head = _head(text)
         manifest = manifest or read_manifest(folder)
-        facts = recorded_facts(folder, manifest)
+        facts = folder_facts(folder, manifest)
         missing = [f"its head has no {name!r}" for name in _REQUIRED if not head.get(name)]
-        problems = [*missing, *_wrong_files(head, facts), *_wrong_info(head, facts), *_gaps(text)]
+        problems = [*missing, *_lies(head, facts), *_gaps(text)]
     except ToolkitError as error:
         return [_finding(f"cannot be compared with the data: {error}")]
-    except (ValueError, TypeError) as error:  # YAML gives values of any type in any place
+    except (
+        ValueError,
+        TypeError,
+        KeyError,
+        AttributeError,
+    ) as error:  # YAML gives values of any type in any place
         return [_finding(f"its YAML head cannot be read: {_first_line(error)}")]
     return [
         *map(_finding, problems),
@@ -85,94 +90,45 @@ def _first_line(error: Exception) -> str:
     return (str(error).splitlines() or [type(error).__name__])[0]
 
 
-def _wrong_files(head: Mapping[str, Any], facts: FolderFacts) -> Iterator[str]:
-    """Yield splits that a configuration lacks or invents, and splits whose files it does not find."""
-    found = head.get("configs")
-    held = {"default": {split.split: split.paths for split in facts.splits}}
-    if facts.viewer:
-        held[VIEWER_FOLDER] = dict(facts.viewer)
-    try:
-        stated = {
-            config["config_name"]: {entry["split"]: entry["path"] for entry in config["data_files"]}
-            for config in found or ()
-        }
-    except (TypeError, KeyError, ValueError):
-        stated = {}
-    if set(stated) != set(held):
-        named = " and ".join(map(repr, held))
-        yield f"its 'configs' are {_shown(found)}; expected {named}, with data_files of each split"
-        return
-    everything = [path for splits in held.values() for paths in splits.values() for path in paths]
-    for name, there in held.items():
-        yield from _wrong_splits_of(stated[name], there, everything)
-
-
-def _wrong_splits_of(
-    stated: Mapping[str, Any], there: Mapping[str, Sequence[str]], everything: Sequence[str]
-) -> Iterator[str]:
-    if set(stated) != set(there):
-        yield f"its 'configs' name the splits {sorted(stated)}; the folder has {sorted(there)}"
-    for split in sorted(set(stated) & set(there)):
-        patterns = [stated[split]] if isinstance(stated[split], str) else list(stated[split] or ())
-        matched = sorted(
-            path for path in everything if any(fnmatch(path, str(pattern)) for pattern in patterns)
-        )
-        if matched != sorted(there[split]):
-            yield (
-                f"{_shown(stated[split])} of split {split!r} finds {len(matched)} files; "
-                f"its {len(there[split])} are {there[split][0]} and so on"
-            )
-
-
-def _wrong_info(head: Mapping[str, Any], facts: FolderFacts) -> Iterator[str]:
-    """Yield every number or column in ``dataset_info`` that the Parquet files contradict."""
-    stated = head.get("dataset_info")
-    if not isinstance(stated, dict):
+def _lies(head: Mapping[str, Any], facts: FolderFacts) -> Iterator[str]:
+    """Yield every file, number or column in the head that the folder contradicts."""
+    if not isinstance(head.get("dataset_info"), dict):
         yield "its head has no 'dataset_info'; next: write the card anew with the command `card`"
         return
-    expected = dataset_info(facts)
-    yield from _wrong_splits(stated.get("splits"), expected["splits"])
-    for name in ("download_size", "dataset_size"):
-        if stated.get(name) != expected[name]:
-            yield f"its {name!r} is {_shown(stated.get(name))}, expected {expected[name]}"
-    yield from _wrong_columns(stated.get("features"), facts)
-    category = [size_category(facts.rows)]
-    if head.get("size_categories") not in (category, category[0]):
-        yield f"its 'size_categories' are {_shown(head.get('size_categories'))}, expected {category}"
-
-
-def _wrong_splits(stated: Any, expected: list[dict[str, Any]]) -> Iterator[str]:
-    listed = [entry for entry in stated or () if isinstance(entry, dict)]
-    by_name = {entry.get("name"): entry for entry in listed}
-    for entry in expected:
-        found = by_name.pop(entry["name"], None)
-        if found is None:
-            yield f"its 'dataset_info' lacks split {entry['name']!r}"
-            continue
-        for key in ("num_examples", "num_bytes"):
-            if found.get(key) != entry[key]:
-                yield f"{key} of split {entry['name']!r} is {_shown(found.get(key))}, expected {entry[key]}"
-    for name in by_name:
-        yield f"its 'dataset_info' names split {name!r}, which the folder does not have"
-
-
-def _wrong_columns(stated: Any, facts: FolderFacts) -> Iterator[str]:
-    expected = {entry["name"]: entry for entry in facts.features}
-    listed = {entry.get("name"): entry for entry in stated or () if isinstance(entry, dict)}
-    for name in [*expected, *(name for name in listed if name not in expected)]:
-        if listed.get(name) != expected.get(name):
-            in_card, stored = _described(listed.get(name)), _described(expected.get(name))
-            yield f"column {name!r} is {in_card} in it, {stored} in the data"
+    held = [path for split in facts.splits for path in split.paths]
+    held += [path for paths in facts.viewer.values() for path in paths]
+    stated, expected = _claims(head, held), _claims(card_head(facts), held)
+    for claim in {**expected, **stated}:
+        if stated.get(claim) != expected.get(claim):
+            found = _shown(stated[claim]) if claim in stated else "missing"
+            wanted = _shown(expected[claim]) if claim in expected else "none"
+            yield f"{' '.join(claim)} is {found}, expected {wanted}"
     for split in () if facts.recorded else facts.splits:
         for shard, path in zip(split.shards, split.paths, strict=True):
             if not shard.schema.equals(facts.schema):
                 yield f"columns of {path} differ from those of {facts.splits[0].paths[0]}"
 
 
-def _described(entry: Mapping[str, Any] | None) -> str:
-    if entry is None:
-        return "missing"
-    return _shown({key: value for key, value in entry.items() if key != "name"})
+def _claims(head: Mapping[str, Any], held: Sequence[str]) -> dict[tuple[str, ...], Any]:
+    """Return what a head says, by what it says it of; of files those ``held`` that its patterns find."""
+    info, categories = head["dataset_info"], head.get("size_categories")
+    claims: dict[tuple[str, ...], Any] = {
+        ("its", repr(name)): info.get(name) for name in ("download_size", "dataset_size")
+    }
+    claims["its", "'size_categories'"] = [categories] if isinstance(categories, str) else categories
+    for config in head.get("configs") or ():
+        for entry in config["data_files"]:
+            patterns = [entry["path"]] if isinstance(entry["path"], str) else list(entry["path"])
+            files = sorted({path for pattern in patterns for path in fnmatch.filter(held, str(pattern))})
+            named = f"{_shown(entry['split'])} in configuration {_shown(config['config_name'])}"
+            claims["files of split", named] = {"count": len(files), "files": files}
+    for split in info.get("splits") or ():
+        for number in ("num_examples", "num_bytes"):
+            claims[f"{number} of split", _shown(split["name"])] = split.get(number)
+    for column in info.get("features") or ():
+        described = {key: value for key, value in column.items() if key != "name"}
+        claims["column", _shown(column["name"])] = described
+    return claims
 
 
 def _shown(value: Any) -> str:

@@ -9,10 +9,11 @@ from __future__ import annotations
 import json
 import re
 from collections.abc import Iterator, Mapping, Sequence
+from importlib.resources import files
 from mimetypes import guess_type
 from typing import Any
 
-from tactile_toolkit.cards.facts import FolderFacts, recorded_facts
+from tactile_toolkit.cards.facts import FolderFacts, folder_facts
 from tactile_toolkit.cards.head import configs
 from tactile_toolkit.errors import ToolkitError
 from tactile_toolkit.printable import printable_json
@@ -52,31 +53,6 @@ _REPOSITORY = "repository"
 # What stands, by agreement of those who keep the format, for the digest of a repository.
 _GIT_HAS_NO_DIGEST = "https://github.com/mlcommons/croissant/issues/80"
 
-# As Croissant 1.1 prints it: readers warn of any other.
-_CONTEXT: dict[str, Any] = {
-    "@language": "en",
-    "@vocab": "https://schema.org/",
-    **{
-        name: f"cr:{name}"
-        for name in (
-            *("arrayShape", "citeAs", "column", "containedIn", "equivalentProperty", "extract", "field"),
-            *("fileObject", "fileProperty", "fileSet", "format", "includes", "isArray", "isLiveDataset"),
-            *("jsonPath", "key", "md5", "parentField", "path", "recordSet", "references", "regex"),
-            *("repeated", "replace", "samplingRate", "separator", "source", "subField", "transform"),
-        )
-    },
-    "conformsTo": "dct:conformsTo",
-    "cr": "http://mlcommons.org/croissant/",
-    "data": {"@id": "cr:data", "@type": "@json"},
-    "dataType": {"@id": "cr:dataType", "@type": "@vocab"},
-    "dct": "http://purl.org/dc/terms/",
-    "description": {"@container": "@language"},
-    "examples": {"@id": "cr:examples", "@type": "@json"},
-    "name": {"@container": "@language"},
-    "rai": "http://mlcommons.org/croissant/RAI/",
-    "sc": "https://schema.org/",
-}
-
 
 def croissant_text(
     folder: DataFolder, facts: FolderFacts, manifest: Manifest | None, head: Mapping[str, Any], body: str
@@ -84,8 +60,10 @@ def croissant_text(
     """Return the text for a folder; ``head`` and ``body`` are those of its card, and say it to people."""
     citation = _BIBTEX.search(body)
     licence = str(head["license"])
+    # As Croissant 1.1 prints it: readers warn of any other.
+    context = files("data_cards").joinpath("croissant_context.json").read_text(encoding="utf-8")
     values = {
-        "@context": _CONTEXT,
+        "@context": json.loads(context),
         "@type": "sc:Dataset",
         "conformsTo": ["http://mlcommons.org/croissant/1.1", "http://mlcommons.org/croissant/RAI/1.0"],
         "name": head["pretty_name"],
@@ -284,7 +262,7 @@ def croissant_of_folder(text: str, folder: DataFolder) -> str:
         raise ValueError(message)
     # That is the page of the repository, of which the folder may be a part only.
     values.pop("url", None)
-    return printable_json({**values, **_structure(folder, recorded_facts(folder, manifest), manifest)}) + "\n"
+    return printable_json({**values, **_structure(folder, folder_facts(folder, manifest), manifest)}) + "\n"
 
 
 def croissant_for_hub(text: str, page: str, card: str, manifest: bytes) -> str:
@@ -304,13 +282,13 @@ def croissant_for_hub(text: str, page: str, card: str, manifest: bytes) -> str:
         "encodingFormat": "git+https",
         "sha256": _GIT_HAS_NO_DIGEST,
     }
-    files = [{**each, "containedIn": {"@id": _REPOSITORY}} for each in values["distribution"]]
-    for each in files:
+    held = [{**each, "containedIn": {"@id": _REPOSITORY}} for each in values["distribution"]]
+    for each in held:
         if each["@id"] == MANIFEST_FILE:
             each["sha256"] = sha256_hex(manifest)
         if each["@type"] == "cr:FileSet":
             each["includes"] = includes[each["@id"].removeprefix("files-")]
-    return printable_json({**values, "url": page, "distribution": [repository, *files]}) + "\n"
+    return printable_json({**values, "url": page, "distribution": [repository, *held]}) + "\n"
 
 
 def check_croissant(folder: DataFolder, facts: FolderFacts, manifest: Manifest | None) -> list[Finding]:

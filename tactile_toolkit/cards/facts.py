@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property, partial
 from pathlib import PurePosixPath
@@ -24,7 +24,6 @@ __all__ = [
     "FolderFacts",
     "SplitFacts",
     "folder_facts",
-    "recorded_facts",
     "viewer_files",
     "yaml_features",
 ]
@@ -73,29 +72,45 @@ class FolderFacts:
         return yaml_features(self.schema, first)
 
 
-def recorded_facts(folder: DataFolder, manifest: Manifest | None, schema: Any = None) -> FolderFacts:
-    """Return the facts of a folder as its manifest records them, without opening a file where it does.
+def folder_facts(folder: DataFolder, manifest: Manifest | None = None, schema: Any = None) -> FolderFacts:
+    """Return the facts of a folder: of each file what the manifest states, or else what its footer says.
 
-    ``schema`` is that of rows that this version of the toolkit makes. Folders made by others, and by version
-    0.1.0, lack the records: their files are read. So is the first footer where the schema is not known.
+    ``manifest`` is one that is to be written there, ``schema`` that of rows that this version of the toolkit
+    makes. The manifests of others, and of version 0.1.0, do not state sizes. Raises InputError when the
+    folder holds no Parquet files, and IntegrityError when one is missing or damaged.
     """
-    if manifest is None or not manifest.shards:
-        return folder_facts(folder, manifest)
-    splits = []
-    for split in manifest.splits:
-        records = manifest.shards_of(split)
-        sizes = [record.unpacked_bytes for record in records if isinstance(record.unpacked_bytes, int)]
-        if len(sizes) < len(records):
-            return folder_facts(folder, manifest)
+    manifest = manifest or read_manifest(folder)
+    start = len(f"{folder.address()}/")
+    splits, recorded = [], manifest is not None
+    for split in available_splits(folder) if manifest is None else manifest.splits:
+        records = [] if manifest is None else manifest.shards_of(split)
         paths = tuple(record.shard.data_path for record in records)
-        rows = [record.rows for record in records]
-        shards = tuple(Shard(folder.address(path), count) for path, count in zip(paths, rows, strict=True))
-        file_bytes = sum(record.bytes for record in records)
-        splits.append(SplitFacts(split, shards, paths, sum(rows), file_bytes, sum(sizes)))
+        if manifest is None:
+            paths = tuple(shard.path[start:] for shard in find_shards(folder.address(), split))
+        unpacked = [record.unpacked_bytes for record in records if isinstance(record.unpacked_bytes, int)]
+        if records and len(unpacked) == len(records):
+            rows = [record.rows for record in records]
+            shards = [Shard(folder.address(path), count) for path, count in zip(paths, rows, strict=True)]
+            sizes: Iterable[Iterable[int]] = (rows, [record.bytes for record in records], unpacked)
+        else:
+            recorded = False
+            shards = [Shard(folder.address(path)) for path in paths]
+            files = zip(shards, paths, strict=True)
+            sizes = zip(*in_threads(partial(_sizes, folder), files, os.cpu_count() or 1), strict=True)
+        splits.append(SplitFacts(split, tuple(shards), paths, *map(sum, sizes)))
+    if not splits:
+        message = f"{folder.lacks('Parquet files')}; next: give the folder of a data set"
+        raise InputError(message)
     # Another version of the toolkit may have written other columns.
-    if schema is None or manifest.toolkit_version != toolkit_version():
+    if not recorded or schema is None or manifest is None or manifest.toolkit_version != toolkit_version():
         schema = splits[0].shards[0].schema
-    return FolderFacts(tuple(splits), schema, recorded=True, viewer=viewer_files(manifest))
+    return FolderFacts(tuple(splits), schema, recorded, viewer_files(manifest))
+
+
+def _sizes(folder: DataFolder, file: tuple[Shard, str]) -> tuple[int, int, int]:
+    """Return rows, bytes and unpacked bytes of a file."""
+    shard, path = file
+    return len(shard), folder.size_bytes(path), unpacked_bytes(shard.metadata, shard.schema, shard.read)
 
 
 def viewer_files(manifest: Manifest | None) -> dict[str, tuple[str, ...]]:
@@ -104,44 +119,11 @@ def viewer_files(manifest: Manifest | None) -> dict[str, tuple[str, ...]]:
         return {}
     listed = [path for path in manifest.files or () if path.startswith(f"{VIEWER_FOLDER}/")]
     names = sorted(filter(None, (ShardName.parse(PurePosixPath(path).name) for path in listed)))
-    found = {
-        split: tuple(f"{VIEWER_FOLDER}/{name}.parquet" for name in names if name.split == split)
-        for split in manifest.splits
-    }
-    return {split: paths for split, paths in found.items() if paths}
-
-
-def folder_facts(folder: DataFolder, manifest: Manifest | None = None) -> FolderFacts:
-    """Read the facts of a folder from the footers of its Parquet files, and their names from its manifest.
-
-    ``manifest`` is one that is to be written there. Raises InputError when the folder holds no Parquet files,
-    and IntegrityError when one is missing or damaged.
-    """
-    manifest = manifest or read_manifest(folder)
-    splits = []
-    for split in available_splits(folder) if manifest is None else manifest.splits:
-        if manifest is not None:
-            paths = tuple(record.shard.data_path for record in manifest.shards_of(split))
-        else:
-            root = f"{folder.address()}/"
-            paths = tuple(shard.path.removeprefix(root) for shard in find_shards(folder.address(), split))
-        shards = tuple(Shard(folder.address(path)) for path in paths)
-        sizes = list(
-            in_threads(partial(_sizes, folder), zip(shards, paths, strict=True), os.cpu_count() or 1)
-        )
-        rows, file_bytes, unpacked = (sum(each) for each in zip(*sizes, strict=True))
-        splits.append(SplitFacts(split, shards, paths, rows, file_bytes, unpacked))
-    if not splits:
-        message = f"{folder.lacks('Parquet files')}; next: give the folder of a data set"
-        raise InputError(message)
-    return FolderFacts(tuple(splits), splits[0].shards[0].schema, viewer=viewer_files(manifest))
-
-
-def _sizes(folder: DataFolder, file: tuple[Shard, str]) -> tuple[int, int, int]:
-    """Return rows, bytes and unpacked bytes of a file."""
-    shard, path = file
-    unpacked = unpacked_bytes(shard.metadata, shard.schema, shard.read)
-    return len(shard), folder.size_bytes(path), unpacked
+    found: dict[str, tuple[str, ...]] = {}
+    for split in manifest.splits:
+        if paths := tuple(f"{VIEWER_FOLDER}/{name}.parquet" for name in names if name.split == split):
+            found[split] = paths
+    return found
 
 
 def yaml_features(schema: Any, where: str = "") -> list[dict[str, Any]]:
@@ -153,11 +135,7 @@ def yaml_features(schema: Any, where: str = "") -> list[dict[str, Any]]:
     """
     # Not by `datasets` itself: importing it takes longer than making a small data set.
     features = stored_features(schema, where)
-    return [_named(field.name, _entry(field.type, features.get(field.name))) for field in schema]
-
-
-def _named(name: str, entry: dict[str, Any]) -> dict[str, Any]:
-    return {"name": name, **entry}
+    return [{"name": each.name, **_entry(each.type, features.get(each.name))} for each in schema]
 
 
 def _entry(data_type: Any, feature: Any) -> dict[str, Any]:
@@ -178,5 +156,5 @@ def _entry(data_type: Any, feature: Any) -> dict[str, Any]:
         is_short = set(inner) in ({"dtype"}, {"struct"})
         return {"list": next(iter(inner.values())) if is_short else inner, **fixed}
     if types.is_struct(data_type):
-        return {"struct": [_named(f.name, _entry(f.type, known.get(f.name))) for f in data_type]}
+        return {"struct": [{"name": f.name, **_entry(f.type, known.get(f.name))} for f in data_type]}
     return {"dtype": dtype_name(data_type)}

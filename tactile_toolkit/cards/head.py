@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from pathlib import PurePosixPath
 from typing import Any
 
 from tactile_toolkit.cards.facts import FolderFacts
@@ -53,8 +52,7 @@ def dataset_info(facts: FolderFacts) -> dict[str, Any]:
 
 def size_category(rows: int) -> str:
     """Return the Hub's word for a number of rows, such as ``"1K<n<10K"``."""
-    numbers = [10 ** (3 + power) for power in range(len(_LIMITS))]
-    above = sum(rows >= number for number in numbers)
+    above = min(max(0, len(str(rows)) - 3), len(_LIMITS))
     if above == len(_LIMITS):
         return f"n>{_LIMITS[-1]}"
     return f"n<{_LIMITS[0]}" if above == 0 else f"{_LIMITS[above - 1]}<n<{_LIMITS[above]}"
@@ -76,20 +74,14 @@ def head_text(head: dict[str, Any]) -> str:
 
 def _path_of(split: str, folder: str, paths: Mapping[str, Sequence[str]]) -> str | list[str]:
     """Return patterns where they find the files of this split and no other, and else their names."""
-    from fnmatch import fnmatch
+    import fnmatch
 
-    everything = [path for each in paths.values() for path in each]
-    patterns = _patterns(split, folder, paths[split])
-    if [path for pattern in patterns for path in everything if fnmatch(path, pattern)] == list(paths[split]):
-        return patterns[0] if len(patterns) == 1 else list(patterns)
-    return list(paths[split])
-
-
-def _patterns(split: str, folder: str, paths: Sequence[str]) -> tuple[str, ...]:
-    """Return patterns of the files of a split, as ``datasets`` writes them."""
-    # It sorts what a pattern finds as text: numbers of each length have one of their own.
-    names = (ShardName.parse(PurePosixPath(path).name) for path in paths)
+    # `datasets` sorts what a pattern finds as text: numbers of each length have one of their own.
+    names = (ShardName.parse(path.rpartition("/")[2]) for path in paths[split])
     lengths = sorted({len(f"{name.index:05d}") for name in names if name is not None})
-    if len(lengths) < 2:
-        return (f"{folder}/{split}-*",)
-    return tuple(f"{folder}/{split}-{'?' * length}-of-*" for length in lengths)
+    several = [f"{folder}/{split}-{'?' * length}-of-*" for length in lengths]
+    patterns = several if len(lengths) > 1 else [f"{folder}/{split}-*"]
+    everything = [path for each in paths.values() for path in each]
+    if [path for pattern in patterns for path in fnmatch.filter(everything, pattern)] == list(paths[split]):
+        return patterns[0] if len(patterns) == 1 else patterns
+    return list(paths[split])

@@ -5,18 +5,21 @@ from __future__ import annotations
 import io
 from collections.abc import Mapping
 from dataclasses import dataclass
+from itertools import islice
 
 from tactile_toolkit.cards.card import (
     MESH_TASKS,
     Column,
     field_table,
+    first_rows,
     json_block,
+    made_by,
     markdown_table,
     megabytes,
     skipped_text,
     write_card_files,
 )
-from tactile_toolkit.cards.facts import FolderFacts, recorded_facts
+from tactile_toolkit.cards.facts import FolderFacts, folder_facts
 from tactile_toolkit.kind import DatasetKind
 from tactile_toolkit.mesh.flat import MESH, SIZES
 from tactile_toolkit.pictures.relief import relief
@@ -59,12 +62,12 @@ def write_table_card(
 
     ``columns`` are those of the data set that they were made of, ``title`` is its name.
     """
-    facts, spec = recorded_facts(folder, manifest), manifest.spec
+    facts, spec = folder_facts(folder, manifest), manifest.spec
     rows = ", ".join(
         f"{split}: {sum(file['rows'] for file in files):,}" for split, files in spec["source"].items()
     )
     made = [
-        ("made by", f"tactile-toolkit {manifest.toolkit_version} (schema {manifest.schema_version})"),
+        made_by(manifest),
         ("command", f"`{kind.command} export --layout flat`"),
         ("source", f"{kind.nouns} {rows}; `manifest.json` names and fingerprints each file"),
         (f"{kind.nouns} left out", skipped_text(manifest)),
@@ -102,13 +105,9 @@ def _sheet(facts: FolderFacts) -> bytes | None:
     """Draw the first objects as PNG; None without rows."""
     import trimesh
 
-    shard = next((shard for split in facts.splits for shard in split.shards if len(shard)), None)
-    if shard is None:
-        return None
-    group = next(iter(shard.blocks(0, [f"{MESH}.bytes"])))
     tiles = []
-    for content in group.arrow(f"{MESH}.bytes")[:_SHOWN].to_pylist():
-        mesh = trimesh.load_mesh(io.BytesIO(content), file_type="glb")
+    for row in islice(first_rows(facts, [f"{MESH}.bytes"]), _SHOWN):
+        mesh = trimesh.load_mesh(io.BytesIO(row.value(f"{MESH}.bytes")), file_type="glb")
         pitch_m = max(float(mesh.extents[:2].max()) / _TILE_PX, 1e-6)
         tiles.append(Tile(relief(mesh.vertices, mesh.faces, pitch_m)))
-    return png_bytes(sheet(tiles, Sheet(5, margin_px=8)))
+    return png_bytes(sheet(tiles, Sheet(5, margin_px=8))) if tiles else None

@@ -48,7 +48,7 @@ def sheet(tiles: Sequence[Tile | None], layout: Sheet) -> NDArray[np.uint8]:
 
     Returns colours of shape (H, W, 3).
     """
-    from PIL import Image, ImageDraw
+    from PIL import Image, ImageDraw, ImageOps
 
     gap, margin = layout.gap_px, layout.margin_px
     columns = min(layout.columns, max(len(tiles), 1))
@@ -89,17 +89,11 @@ def sheet(tiles: Sequence[Tile | None], layout: Sheet) -> NDArray[np.uint8]:
             continue
         row, column = divmod(index, columns)
         cell_x, cell_y = left_px + column * (cell_width + gap), top_px + row * row_step
-        tile_height, tile_width = tile.pixels.shape[:2]
-        x, y = cell_x + (cell_width - tile_width) // 2, cell_y + (cell_height - tile_height) // 2
+        image = Image.fromarray(tile.pixels).convert("RGB")
         if tile.frame is not None:
-            box = (
-                x - _FRAME_PX,
-                y - _FRAME_PX,
-                x + tile_width + _FRAME_PX - 1,
-                y + tile_height + _FRAME_PX - 1,
-            )
-            pen.rectangle(box, outline=tile.frame, width=_FRAME_PX)
-        picture.paste(Image.fromarray(tile.pixels).convert("RGB"), (x, y))
+            image = ImageOps.expand(image, _FRAME_PX, tile.frame)
+        x, y = cell_x + (cell_width - image.width) // 2, cell_y + (cell_height - image.height) // 2
+        picture.paste(image, (x, y))
         below = (cell_x + cell_width / 2, cell_y + cell_height + _LINE_GAP_PX)
         draw_text(pen, below, tile.caption, CAPTION_PX, MUTED, anchor="ma")
     return np.asarray(picture)

@@ -20,7 +20,7 @@ import starstruck_gen
 from mnist3d.rows import mesh_schema
 from tactile_toolkit.cards.checks import check_card
 from tactile_toolkit.cards.croissant import croissant_for_hub, croissant_of_folder, croissant_text
-from tactile_toolkit.cards.facts import recorded_facts
+from tactile_toolkit.cards.facts import folder_facts
 from tactile_toolkit.store.folder import DataFolder
 from tactile_toolkit.store.manifest import read_manifest
 from tactile_toolkit.store.shards import ShardName
@@ -125,7 +125,7 @@ def test_many_shards_are_one_set_of_files(folder):
     (record,) = manifest.shards_of("test")
     many = [record._replace(shard=ShardName("test", index, 50_000)) for index in range(50_000)]
     manifest = replace(manifest, shards=(*many, *manifest.shards_of("holdout")))
-    facts = recorded_facts(place, manifest, mesh_schema())
+    facts = folder_facts(place, manifest, mesh_schema())
     _, head, body = (folder / "README.md").read_text().split("---\n", 2)
     text = croissant_text(place, facts, manifest, yaml.safe_load(head), body)
     assert [each["@id"] for each in json.loads(text)["distribution"]] == [
