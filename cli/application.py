@@ -179,7 +179,7 @@ def _errors_reported(debug: bool, options: Mapping[str, str]) -> Iterator[None]:
         elif error.filename is not None:
             # A path that the system refuses and nobody asked for more about, such as too long a name. As a
             # traceback it would end with 1, which says that a validation failed.
-            from tactile_toolkit.store.folder import of_the_process
+            from tactile_toolkit.store.files import of_the_process
 
             lack = of_the_process(error) or f"{error.strerror}; next: give another path (--debug says where)"
             message = f"{str(error.filename)!r}: {lack}"

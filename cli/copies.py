@@ -18,7 +18,7 @@ __all__ = ["manifest_or_copy"]
 def manifest_or_copy(sink: Sink, kind: DatasetKind, folder: str) -> Manifest | None:
     """Return the manifest of a folder, also of an unfinished one; None for a copy, which is then printed."""
     from tactile_toolkit.store.folder import DataFolder
-    from tactile_toolkit.store.manifest import manifest_so_far
+    from tactile_toolkit.store.job import manifest_so_far
 
     manifest = manifest_so_far(DataFolder(folder))
     if manifest is None:

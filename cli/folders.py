@@ -67,17 +67,14 @@ def print_unfinished(sink: Sink, manifest: Manifest, out: str, unit: str, comman
     """Say that a folder is unfinished, what it holds so far, and which command goes on."""
     from tactile_toolkit.store.folder import DataFolder
     from tactile_toolkit.store.origin import read_record
-    from tactile_toolkit.store.parts import read_parts_plan
 
-    folder, table = DataFolder(out), manifest.split_table()
-    record, agreed = read_record(folder), read_parts_plan(folder)
+    table = manifest.split_table()
+    record = read_record(DataFolder(out))
     found = "the run is under way or was interrupted" if table else "no shard is finished yet"
-    next_step = f"the same `{command}` goes on where it stopped"
+    next_step = f"the same `{command}` goes on where it stopped, --finish says what is missing"
     if record is not None:
         found = "the download is under way or was interrupted"
         next_step = f"download {record.repo_id} there again, it goes on where it stopped"
-    elif agreed is not None:
-        next_step = f"it is made in {agreed.parts} parts, --finish says which are missing"
     sink.line(f"{out}: unfinished, {found}; {next_step}")
     if not table:
         return
@@ -127,11 +124,11 @@ def add_verify(app: typer.Typer, kind: DatasetKind, what: str) -> None:
         if all("; next: " in finding.problem for finding in result.findings):
             cure = "do what each of them says"
         elif record is None:
-            # Runs trust the sizes of what lies far away, and tables have no option to read it.
-            first = "" if place.is_local else "remove those files, then "
+            # Runs trust sizes, and exports of tables have no option to read what is there.
             is_export = manifest is not None and manifest.spec.get("operation") == "export"
-            maker = f"{kind.command} export" if is_export else kind.made_by
-            cure = f"{first}run the same `{maker}` again, it makes the damaged shards anew"
+            cure = f"run the same `{kind.made_by}` again with --check, it makes the damaged shards again"
+            if is_export:
+                cure = f"remove those files, then run the same `{kind.command} export` again"
         else:
             cure = f"download {record.repo_id} there again, only what is damaged is fetched"
         message = f"{counted(len(findings), 'problems')} in {folder!r}; next: {cure}"

@@ -53,9 +53,9 @@ def make_with_progress(
     It takes ``workers``, ``overwrite`` and ``on_progress``. Ctrl-C before the first shard is raised with what
     is to be said then. None where this was one part of many: what it made has been said.
     """
+    from tactile_toolkit.store.build import MissingPartsError
     from tactile_toolkit.store.folder import DataFolder
-    from tactile_toolkit.store.manifest import manifest_so_far
-    from tactile_toolkit.store.parts import MissingPartsError
+    from tactile_toolkit.store.job import manifest_so_far
 
     start_s = time.monotonic()
     rows = skipped = 0
@@ -73,8 +73,7 @@ def make_with_progress(
         except MissingPartsError as error:
             sink.document({"complete": False, "array": error.array, "parts": error.parts})
             # On stdout, for a script to hand to `sbatch`; the sentence about it goes to stderr.
-            if error.parts is not None:
-                sink.line(f"--array={error.array}")
+            sink.line(f"--array={error.array}")
             raise
         except KeyboardInterrupt as error:
             if rows or skipped:

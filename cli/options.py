@@ -56,7 +56,7 @@ def local_place(text: str | Path) -> Path:
         message = f"{place!r} is a remote address; expected a local path; next: give a path of this machine"
         raise typer.BadParameter(message)
     from tactile_toolkit.errors import InputError
-    from tactile_toolkit.store.folder import expanded
+    from tactile_toolkit.store.files import expanded
 
     try:
         return expanded(text)
@@ -93,7 +93,7 @@ def place_of_data(text: str | Path) -> str:
     from tactile_toolkit.errors import InputError
     from tactile_toolkit.store.address import is_remote
     from tactile_toolkit.store.address import place_of_data as read
-    from tactile_toolkit.store.folder import expanded
+    from tactile_toolkit.store.files import expanded
 
     try:
         place = read(str(text))

@@ -62,8 +62,9 @@ def info(name: TouchSet, split: Split = None, revision: Revision = None, as_json
     from realtouch.dataset import dataset_of
     from realtouch.integrity.agreement import folder_meant
     from realtouch.summary import summarise
-    from tactile_toolkit.store.fields import Fields
-    from tactile_toolkit.store.manifest import MANIFEST_FILE, manifest_so_far
+    from tactile_toolkit.store.job import manifest_so_far
+    from tactile_toolkit.store.manifest import MANIFEST_FILE
+    from tactile_toolkit.store.typed_json import typed
 
     sink = Sink(as_json)
     folder = folder_meant(name)
@@ -88,10 +89,11 @@ def info(name: TouchSet, split: Split = None, revision: Revision = None, as_json
     for each, summary in summaries.items():
         print_summary(sink, each, summary)
     if manifest is not None:
-        spec = Fields(manifest.spec, f"{name}/{MANIFEST_FILE}", "spec")
-        values = spec.mapping("options") if spec.has("options") else {}
+        where = f"{name}/{MANIFEST_FILE}"
+        operation = typed(manifest.spec.get("operation"), str, where, "spec.operation")
+        values = typed(manifest.spec.get("options") or {}, dict, where, "spec.options")
         options = ", ".join(f"{key} {value}" for key, value in values.items())
-        sink.line(f"made by tactile-toolkit {manifest.toolkit_version}: {spec.text('operation')}, {options}")
+        sink.line(f"made by tactile-toolkit {manifest.toolkit_version}: {operation}, {options}")
 
 
 @command(app)

@@ -198,7 +198,7 @@ def info(folder: Folder, as_json: Json = False) -> None:
     """Show what a data set folder holds and how it was made."""
     from tactile_toolkit.catalog.kinds import require_manifest
     from tactile_toolkit.store.folder import DataFolder
-    from tactile_toolkit.store.manifest import manifest_so_far
+    from tactile_toolkit.store.job import manifest_so_far
 
     sink, place = Sink(as_json), DataFolder(folder)
     # Rows alone would not tell synthetic touches from recorded ones, so these folders have a manifest.

@@ -117,8 +117,8 @@ def pairs(
     """
     from tactile_sim.pairs.making import PairsSpec, make_pairs, plan_pairs
     from tactile_toolkit.run.limits import prepare_batch_process
+    from tactile_toolkit.store.build import look_for
     from tactile_toolkit.store.folder import DataFolder
-    from tactile_toolkit.store.forecast import inspect_for
 
     spec = PairsSpec(
         parse_size(options.size),
@@ -130,7 +130,7 @@ def pairs(
         seed=options.seed,
     )
     if making.dry_run:
-        tasks, state = inspect_for(
+        tasks, state = look_for(
             DataFolder(out),
             plan_pairs(objects, real, split, spec),
             making.chosen_runner(),

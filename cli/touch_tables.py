@@ -31,7 +31,7 @@ def announce_fetching(sink: Sink, name: str, split: str | None) -> None:
     """Say what of a data set on the Hub is about to be fetched: a published one may have many gigabytes."""
     from tactile_toolkit.catalog.published import place_of
     from tactile_toolkit.hub.repository import hub_name
-    from tactile_toolkit.store.folder import expanded
+    from tactile_toolkit.store.files import expanded
 
     place = place_of(name)
     # A folder called USER/NAME that is here comes before the repository of that name, as in `load`.

@@ -16,7 +16,7 @@ from tactile_toolkit.errors import InputError
 from tactile_toolkit.gallery.page import natural_order
 from tactile_toolkit.mesh.files import FORMATS, read_mesh
 from tactile_toolkit.mesh.mesh import Mesh
-from tactile_toolkit.store.folder import expanded, is_there
+from tactile_toolkit.store.files import expanded, is_there
 
 __all__ = ["MeshFile", "mesh_files"]
 

@@ -18,7 +18,8 @@ from starstruck_gen.kind import KIND as SCENES
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.kind import DatasetKind, Recipe
 from tactile_toolkit.run.system import locked
-from tactile_toolkit.store.folder import DataFolder, named_failures
+from tactile_toolkit.store.files import named_failures
+from tactile_toolkit.store.folder import DataFolder
 from tactile_toolkit.store.manifest import read_manifest
 
 __all__ = ["FOREIGN", "KINDS", "AssetMaker", "require_whole"]

@@ -21,7 +21,7 @@ from tactile_toolkit.errors import InputError, IntegrityError
 from tactile_toolkit.mesh.height_map import HeightCache, HeightMap
 from tactile_toolkit.mesh.mesh import as_mesh
 from tactile_toolkit.read.parquet import Shard
-from tactile_toolkit.store.folder import expanded, is_there
+from tactile_toolkit.store.files import expanded, is_there
 from tactile_toolkit.wording import did_you_mean
 
 if TYPE_CHECKING:

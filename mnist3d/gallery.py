@@ -18,7 +18,8 @@ from tactile_toolkit.gallery.packing import THUMBNAIL_PX, packed_mesh, require_m
 from tactile_toolkit.mesh.mesh import MM_PER_M, Mesh
 from tactile_toolkit.mesh.printability import WARNINGS, inspect
 from tactile_toolkit.pictures.relief import relief
-from tactile_toolkit.store.folder import DataFolder, expanded
+from tactile_toolkit.store.files import expanded
+from tactile_toolkit.store.folder import DataFolder
 from tactile_toolkit.store.reports import report_columns, report_pieces
 from tactile_toolkit.wording import class_name
 

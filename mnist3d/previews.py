@@ -33,7 +33,8 @@ from tactile_toolkit.pictures.render import TOP, Body, Picture3d, fitting_scale
 from tactile_toolkit.pictures.sheets import Tile, with_scale_bar
 from tactile_toolkit.pictures.writing import PicturePlan, Pixels, PlannedPicture, chosen_kinds, file_stem
 from tactile_toolkit.store.address import is_remote
-from tactile_toolkit.store.folder import DataFolder, expanded
+from tactile_toolkit.store.files import expanded
+from tactile_toolkit.store.folder import DataFolder
 from tactile_toolkit.store.reports import read_report
 from tactile_toolkit.wording import class_name, counted
 

@@ -11,7 +11,7 @@ from tactile_toolkit.catalog.locate import find_files, find_shards
 from tactile_toolkit.catalog.published import place_of as place_of_name
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.read.parquet import Shard
-from tactile_toolkit.store.folder import expanded
+from tactile_toolkit.store.files import expanded
 
 __all__ = ["Name", "Place", "SHORT_NAMES", "open_shards", "place_of"]
 

@@ -21,7 +21,8 @@ from tactile_toolkit.run.processes import Runner, runner_for
 from tactile_toolkit.store.build import Progress, build
 from tactile_toolkit.store.folder import DataFolder
 from tactile_toolkit.store.forecast import Forecast, Sample, forecast_build
-from tactile_toolkit.store.manifest import Manifest, manifest_so_far
+from tactile_toolkit.store.job import manifest_so_far
+from tactile_toolkit.store.manifest import Manifest
 from tactile_toolkit.store.parquet import encode_parquet
 from tactile_toolkit.store.plan import BuildPlan, ShardContent, require_known_splits
 from tactile_toolkit.store.shards import ShardName, shard_ranges

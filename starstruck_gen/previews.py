@@ -43,7 +43,7 @@ from tactile_toolkit.pictures.render import TOP, Body, Picture3d, draw_bodies, f
 from tactile_toolkit.pictures.sheets import Tile, with_scale_bar
 from tactile_toolkit.pictures.writing import PicturePlan, Pixels, PlannedPicture
 from tactile_toolkit.store.address import is_remote
-from tactile_toolkit.store.folder import expanded
+from tactile_toolkit.store.files import expanded
 from tactile_toolkit.wording import counted
 
 if TYPE_CHECKING:

@@ -36,7 +36,8 @@ from tactile_toolkit.read.parquet import Shard, ShardedTable
 from tactile_toolkit.read.source import content_fingerprint, refuse_source
 from tactile_toolkit.run.processes import Runner, runner_for
 from tactile_toolkit.store.build import Progress, build
-from tactile_toolkit.store.folder import DataFolder, expanded
+from tactile_toolkit.store.files import expanded
+from tactile_toolkit.store.folder import DataFolder
 from tactile_toolkit.store.forecast import Forecast, Sample, forecast_build
 from tactile_toolkit.store.manifest import Manifest
 from tactile_toolkit.store.parquet import encode_parquet

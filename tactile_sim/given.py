@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from tactile_sim.sensor import CELL_M
 from tactile_toolkit.bounds import require_plain_archive, require_unpackable
 from tactile_toolkit.errors import InputError
-from tactile_toolkit.store.folder import expanded
+from tactile_toolkit.store.files import expanded
 
 __all__ = ["GivenTouches"]
 

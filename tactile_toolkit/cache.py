@@ -20,7 +20,13 @@ from threading import RLock
 from typing import IO, Any, Generic, TypeVar
 from weakref import WeakSet
 
-from tactile_toolkit.store.folder import TEMPORARY_PREFIX, atomic_file, expanded, of_the_process, stale_files
+from tactile_toolkit.store.files import (
+    TEMPORARY_PREFIX,
+    atomic_file,
+    expanded,
+    of_the_process,
+    remove_abandoned,
+)
 
 __all__ = ["CACHE_VARIABLE", "DiskCache", "MemoryCache", "cache_folder"]
 
@@ -114,8 +120,7 @@ class DiskCache:
 
         Open maps stay valid, and what is being written stays.
         """
-        for stale in stale_files(folder):
-            self.drop(stale)
+        remove_abandoned(folder)
         files, held = [], 0
         with os.scandir(folder) as entries:
             for entry in entries:

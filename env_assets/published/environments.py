@@ -41,7 +41,7 @@ from env_assets.published.packages import (
 from tactile_toolkit.cache import cache_folder
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.read.dataset import RecordDataset
-from tactile_toolkit.store.folder import expanded, is_there, named_failures
+from tactile_toolkit.store.files import expanded, is_there, named_failures
 from tactile_toolkit.store.shards import ShardName
 
 if TYPE_CHECKING:

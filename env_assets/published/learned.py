@@ -10,7 +10,7 @@ from typing import Any
 from env_assets.published.ids import PublishedEnvironment
 from env_assets.published.packages import published_package
 from tactile_toolkit.errors import InputError
-from tactile_toolkit.store.folder import expanded
+from tactile_toolkit.store.files import expanded
 
 __all__ = ["learned_sensor"]
 

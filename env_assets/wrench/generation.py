@@ -19,7 +19,8 @@ from tactile_toolkit.mesh.mesh import Mesh
 from tactile_toolkit.read.columns import list_array
 from tactile_toolkit.run.processes import InlineRunner
 from tactile_toolkit.store.build import build
-from tactile_toolkit.store.folder import DataFolder, expanded, named_failures
+from tactile_toolkit.store.files import expanded, named_failures
+from tactile_toolkit.store.folder import DataFolder
 from tactile_toolkit.store.manifest import Manifest
 from tactile_toolkit.store.parquet import ParquetStyle
 from tactile_toolkit.store.plan import BuildPlan, ShardContent

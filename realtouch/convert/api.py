@@ -10,7 +10,6 @@ import math
 import operator
 from collections.abc import Callable, Iterable
 from dataclasses import replace
-from functools import partial
 from itertools import chain
 from os import PathLike, fspath
 from typing import Any, Literal, SupportsIndex
@@ -326,7 +325,6 @@ def frames(
         raise InputError(message)
     method = require_method(frame)
     opened = Source.open(source, split=split)
-    folder = DataFolder(fspath(out))
     choices = first_rows(opened, limit)
     # The terms of the pictures depend on whether the touches were rendered.
     origin = {"touches": SYNTHETIC} if opened.kind == "single" and is_synthetic(opened.schema) else {}
@@ -341,14 +339,12 @@ def frames(
             **origin,
             **changed,
         },
-        WritePictures(
-            folder, kind, method, difference, repeated_ids(opened, choices), class_names(opened.schema)
-        ),
+        WritePictures(kind, method, difference, repeated_ids(opened, choices), class_names(opened.schema)),
         choices,
         rows_per_shard=_INDEX_ROWS,
         rows_per_group=1 << 16,
         extra_dirs=(IMAGE_FOLDER, INDEX_FILE),
-        extras_intact=partial(pictures_are_whole, folder),
+        is_current=pictures_are_whole,
         write_files=write_index,
     )
     return convert(conversion, out, "frames", workers, overwrite, on_progress)

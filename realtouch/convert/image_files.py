@@ -13,7 +13,7 @@ import pyarrow as pa
 
 from realtouch.columns.per_touch import vectors
 from realtouch.contact import ContactMethod
-from realtouch.convert.plan import RowChoice, RowChoices, Source
+from realtouch.convert.plan import RowChoice, RowChoices, Source, WithFiles
 from realtouch.convert.steps import contact_frame_of
 from realtouch.damage import damaged
 from realtouch.dataset import dataset_of
@@ -22,10 +22,9 @@ from realtouch.rounds import TouchSeqRound, TouchSingleRound
 from tactile_toolkit.read.dataset import Row
 from tactile_toolkit.read.parquet import Shard
 from tactile_toolkit.store.folder import DataFolder
-from tactile_toolkit.store.job import putting
 from tactile_toolkit.store.manifest import Manifest
 from tactile_toolkit.store.names import problem_of_name
-from tactile_toolkit.store.parquet import is_whole_file, sha256_hex
+from tactile_toolkit.store.parquet import is_unchanged, sha256_hex
 from tactile_toolkit.store.shards import ShardRecord
 from tactile_toolkit.touch.jpeg import IMAGE_SUFFIX, ImageFormat, Pixels, encode_image
 from tactile_toolkit.touch.schema import CLASS_NAMES, POSE_COLUMN
@@ -72,14 +71,13 @@ _JPEG_START = b"\xff\xd8"
 
 @dataclass(frozen=True)
 class WritePictures:
-    """Step of ``frames``: writes the pictures of a row below a folder, and gives their lines of the index.
+    """Step of ``frames``: gives the pictures of a row, and their lines of the index.
 
     Stored JPEGs pass through as they are. With ``difference``, pictures are what differs from the background:
     the median of the clip, or of the images of the round. ``repeated``: see :func:`repeated_ids`. ``names``
     are those of the classes.
     """
 
-    folder: DataFolder
     kind: ImageFormat
     method: ContactMethod
     difference: Literal["grey", "absolute"] | None = None
@@ -91,11 +89,11 @@ class WritePictures:
         named = pa.field("label_name", pa.string())
         return _INDEX_SCHEMA if self.names == CLASS_NAMES else _INDEX_SCHEMA.append(named)
 
-    def apply(self, row: Row, choice: RowChoice, split: str) -> Any:
-        """Write the pictures of a row and return its lines of the index.
+    def apply(self, row: Row, choice: RowChoice, split: str) -> WithFiles:
+        """Return the lines of the index of a row, and its pictures.
 
-        A row with a damaged touch, or whose id cannot name a folder of its own, is left out as a whole: none
-        of its pictures is written.
+        A row with a damaged touch, or whose id cannot name a folder of its own, is left out with all of its
+        pictures.
         """
         if choice.row in self.repeated.get(split, ()):
             problem = f"{row.value('id')!r} stands in an earlier round of split {split!r} too"
@@ -107,10 +105,8 @@ class WritePictures:
             # Of the whole round, once; a clip has a background of its own.
             base = background(record)
         made = [self._picture(record, touch, folder, base) for touch in range(record.touch_count)]
-        with putting(self.folder):
-            for line, encoded in made:
-                self.folder.write_bytes(line["file"], encoded)
-        return pa.Table.from_pylist([line for line, _ in made], schema=self.schema(None))
+        rows = pa.Table.from_pylist([line for line, _ in made], schema=self.schema(None))
+        return WithFiles(rows, {line["file"]: encoded for line, encoded in made})
 
     def _picture(
         self, record: TouchSingleRound | TouchSeqRound, touch: int, folder: str, base: Pixels | None
@@ -179,7 +175,7 @@ def pictures_are_whole(folder: DataFolder, record: ShardRecord, reads: bool) -> 
     """Tell whether every picture that a finished shard lists is there, unchanged."""
     # By checksum, not by size: pictures are files that people open and save.
     table = Shard(folder.address(record.shard.data_path)).read(columns=["file", "sha256"])
-    return all(is_whole_file(folder, line["file"], line["sha256"], reads) for line in table.to_pylist())
+    return all(is_unchanged(folder, line["file"], line["sha256"], reads) for line in table.to_pylist())
 
 
 def _folder_name(row: Row, name: str) -> str:

@@ -176,6 +176,14 @@ class RowChoices(Sequence[RowChoice]):
         return RowChoices(self.rows[first:stop], self.touches[starts[0] : starts[-1]], starts - starts[0])
 
 
+@dataclass(frozen=True, slots=True)
+class WithFiles:
+    """New rows, and the files that lie beside them, by path."""
+
+    rows: pa.Table
+    files: Mapping[str, bytes]
+
+
 class Step(Protocol):
     """What a conversion does to one row; small and picklable."""
 
@@ -183,8 +191,8 @@ class Step(Protocol):
         """Return the flat schema that it writes, for the flat schema that it reads."""
         ...
 
-    def apply(self, row: Row, choice: RowChoice, split: str) -> pa.Table:
-        """Return the new rows as a table of that schema.
+    def apply(self, row: Row, choice: RowChoice, split: str) -> pa.Table | WithFiles:
+        """Return the new rows as a table of that schema, with files where it makes some.
 
         A row that raises IntegrityError or ItemError is left out and listed.
         """
@@ -198,8 +206,8 @@ class Pack(Protocol):
         """Return the schema of what the shard keeps, for that of the new rows."""
         ...
 
-    def apply(self, shard: ShardName, rows: pa.Table, skipped: Sequence[Skipped]) -> pa.Table:
-        """Write files of the foreign format; return what the shard keeps: an index that vouches for them."""
+    def apply(self, shard: ShardName, rows: pa.Table, skipped: Sequence[Skipped]) -> WithFiles:
+        """Return files of the foreign format with what the shard keeps: an index with their checksums."""
         ...
 
 
@@ -208,10 +216,10 @@ class Conversion:
     """A conversion, decided down to its rows.
 
     ``options`` are JSON values, ``choices`` the rows of each split in order; the layout follows from the size
-    of the source's rows where it is None. ``extra_dirs`` names what the step writes beside the rows,
-    ``extras_intact`` tells whether what it wrote there for a finished shard is still whole; ``write_files``
-    writes what follows from all rows, see :class:`tactile_toolkit.store.plan.BuildPlan`. ``pack`` gets the
-    new rows of a whole shard, where they are not what the shard keeps.
+    of the source's rows where it is None. ``extra_dirs`` names where the step's files lie, ``is_current``
+    says whether those of a finished shard are unchanged; ``write_files`` writes what follows from all rows,
+    see :class:`tactile_toolkit.store.plan.BuildPlan`. ``pack`` gets the new rows of a whole shard, where they
+    are not what the shard keeps.
     """
 
     source: Source
@@ -222,7 +230,7 @@ class Conversion:
     rows_per_shard: int | None = None
     rows_per_group: int | None = None
     extra_dirs: tuple[str, ...] = ()
-    extras_intact: Callable[[ShardRecord, bool], bool] = field(default=lambda *_: True, repr=False)
+    is_current: Callable[[DataFolder, ShardRecord, bool], bool] | None = field(default=None, repr=False)
     write_files: Callable[[DataFolder, Manifest], Mapping[str, str]] = field(
         default=lambda _folder, _manifest: {}, repr=False
     )
@@ -252,19 +260,22 @@ class _ConvertShard:
     def make(self) -> ShardContent:
         """Convert the rows; damaged ones are left out and listed."""
         tables, skipped = [self.schema.empty_table()], []
+        files: dict[str, bytes] = {}
         for choice, row in self._rows():
             try:
                 # Here for all steps: one that copies a column would pass on what it never looked at.
                 require_touches(row)
                 # Cast: Arrow names the items of lists in several ways, and a file has one schema.
-                tables.append(self.step.apply(row, choice, self.shard.split).cast(self.schema))
+                made = _rows_of(self.step.apply(row, choice, self.shard.split), files)
+                tables.append(made.cast(self.schema))
             except IntegrityError as error:
                 skipped.append(Skipped(choice.row, DAMAGED, self._without_folders(str(error))))
             except ItemError as error:
                 skipped.append(Skipped(choice.row, error.reason, self._without_folders(error.message)))
-        made = pa.concat_tables(tables)
-        kept = made if self.pack is None else self.pack.apply(self.shard, made, skipped)
-        return ShardContent(kept.combine_chunks(), tuple(skipped))
+        kept = pa.concat_tables(tables)
+        if self.pack is not None:
+            kept = _rows_of(self.pack.apply(self.shard, kept, skipped), files)
+        return ShardContent(kept.combine_chunks(), tuple(skipped), files=files)
 
     def _without_folders(self, message: str) -> str:
         """Name files of the source as the manifest does, without their folder, which may be private."""
@@ -288,6 +299,14 @@ class _ConvertShard:
                         if number in wanted:
                             yield wanted[number], Row(group, position)
             start += len(shard)
+
+
+def _rows_of(made: pa.Table | WithFiles, files: dict[str, bytes]) -> pa.Table:
+    """Return new rows alone, and add the files with them to others."""
+    if not isinstance(made, WithFiles):
+        return made
+    files |= made.files
+    return made.rows
 
 
 def plan_conversion(conversion: Conversion) -> BuildPlan:
@@ -335,7 +354,7 @@ def plan_conversion(conversion: Conversion) -> BuildPlan:
         tuple(tasks),
         ParquetStyle(per_group, compression_level=3, encodings=encodings),
         extra_dirs=conversion.extra_dirs,
-        extras_intact=conversion.extras_intact,
+        is_current=conversion.is_current,
         libraries=("numpy", "pillow", "pyarrow", "simplejpeg"),
         write_files=conversion.write_files,
     )

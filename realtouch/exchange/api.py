@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from os import PathLike, fspath
+from os import PathLike
 from typing import Any, Literal
 
 from realtouch.card import SYNTHETIC, is_synthetic
@@ -14,11 +14,10 @@ from realtouch.convert.plan import Conversion, Source
 from realtouch.exchange.flat import FlatTouches
 from realtouch.exchange.lerobot import lerobot_conversion
 from realtouch.exchange.tars import PackTars
-from realtouch.exchange.vouched import FilesAreWhole, vouched_files
+from realtouch.exchange.vouched import files_are_current, vouched_files
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.run.processes import Runner
 from tactile_toolkit.store.build import Progress
-from tactile_toolkit.store.folder import DataFolder
 from tactile_toolkit.store.manifest import Manifest
 from tactile_toolkit.touch.schema import class_names
 
@@ -83,7 +82,6 @@ def export(
         raise InputError(message)
     method = require_method(frame)
     opened = Source.open(source, split=split)
-    folder = DataFolder(fspath(out))
     choices = first_rows(opened, limit)
     options: dict[str, Any] = {"layout": layout, "limit": limit}
     if opened.kind == "seq" and layout != "lerobot":
@@ -91,7 +89,7 @@ def export(
     if opened.kind == "single" and is_synthetic(opened.schema):
         options["touches"] = SYNTHETIC  # the terms depend on whether they were rendered
     if layout == "lerobot":
-        conversion = lerobot_conversion(folder, opened, options, choices)
+        conversion = lerobot_conversion(opened, options, choices)
     else:
         image_bytes = opened.media_bytes() // (_FRAMES_PER_CLIP if opened.kind == "seq" else 1) or 1
         rows_per_group = max(1, min(_MOST_ROWS_PER_GROUP, _GROUP_BYTES // image_bytes))
@@ -105,8 +103,8 @@ def export(
             choices,
             rows_per_group=rows_per_group,
             extra_dirs=() if is_flat else ("webdataset",),
-            extras_intact=FilesAreWhole(folder),
+            is_current=files_are_current,
             write_files=vouched_files,
-            pack=None if is_flat else PackTars(folder),
+            pack=None if is_flat else PackTars(),
         )
     return convert(conversion, out, "export", workers, overwrite, on_progress)

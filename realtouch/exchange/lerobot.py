@@ -21,11 +21,11 @@ from numpy.typing import NDArray
 from realtouch.columns.per_frame import clip_times
 from realtouch.columns.per_touch import entries_of, int_value, intended_positions, plain_value, touch_total
 from realtouch.columns.poses import clip_poses, poses
-from realtouch.convert.plan import Conversion, RowChoice, RowChoices, Source
+from realtouch.convert.plan import Conversion, RowChoice, RowChoices, Source, WithFiles
 from realtouch.damage import damaged
 from realtouch.dataset import dataset_of
 from realtouch.exchange.flat import image_suffix, known_label, require_whole
-from realtouch.exchange.vouched import FilesAreWhole, file_fields, files_of, vouched_files, with_files
+from realtouch.exchange.vouched import file_fields, files_are_current, files_of, vouched_files, with_files
 from realtouch.media.clips import TouchClip
 from realtouch.media.images import SensorImages
 from tactile_toolkit.errors import InputError, IntegrityError
@@ -172,12 +172,11 @@ def _vectors(values: NDArray[Any]) -> pa.Array:
 
 @dataclass(frozen=True)
 class _PackEpisodes:
-    """Writes the frames of a shard and what is to be known of its episodes; keeps an index of those.
+    """Packs the frames of a shard and what is to be known of its episodes; keeps an index of those.
 
     ``starts`` is the number of the first episode and of the first frame of each shard, and of one more.
     """
 
-    folder: DataFolder
     starts: Sequence[tuple[int, int]] = field(repr=False)
     tasks: tuple[str, ...] = ()
     rows_per_group: int = 1
@@ -188,8 +187,8 @@ class _PackEpisodes:
         kept = [rows.field(name) for name in _OF_EPISODE if rows.get_field_index(name) >= 0]
         return pa.schema([*numbers, *kept, *file_fields(2)])
 
-    def apply(self, shard: ShardName, rows: pa.Table, skipped: Sequence[Skipped]) -> pa.Table:
-        """Write the frames and episodes of a shard, numbered over the whole data set."""
+    def apply(self, shard: ShardName, rows: pa.Table, skipped: Sequence[Skipped]) -> WithFiles:
+        """Return the frames and episodes of a shard, numbered over the whole data set."""
         if skipped:
             message = (
                 f"{skipped[0].message}; LeRobot numbers episodes without gaps, so that none can be left out; "
@@ -231,7 +230,7 @@ class _PackEpisodes:
             (("id", episodes), ("first_frame", index[starts]), ("frames", lengths))
         ):
             firsts = firsts.add_column(position, name, pa.array(values, pa.int64()))
-        return with_files(self.folder, firsts, files)
+        return with_files(firsts, files)
 
 
 def _meta_of_episodes(
@@ -496,7 +495,7 @@ def _weighed(values: NDArray[Any], weights: NDArray[Any], total: int) -> list[fl
 
 
 def lerobot_conversion(
-    folder: DataFolder, source: Source, options: Mapping[str, Any], choices: Mapping[str, RowChoices]
+    source: Source, options: Mapping[str, Any], choices: Mapping[str, RowChoices]
 ) -> Conversion:
     """Plan a LeRobotDataset; reads footers, lengths and one header. InputError for several splits."""
     if len(choices) > 1:
@@ -526,10 +525,9 @@ def lerobot_conversion(
         rows_per_shard=rows_per_shard,
         rows_per_group=1 << 12,
         extra_dirs=(LEROBOT_FOLDER,),
-        extras_intact=FilesAreWhole(folder),
+        is_current=files_are_current,
         write_files=_WriteMeta(split, fps, size, tasks),
         pack=_PackEpisodes(
-            folder,
             [(int(ends[bound, 0]), int(ends[bound, 1])) for bound in bounds],
             tasks,
             max(1, _GROUP_BYTES // image_bytes),

@@ -241,7 +241,7 @@ def _plan(
         tuple(rounds),
         tuple(tasks),
         style,
-        extras_intact=_SourceIsTheSame({str(task.shard): task for task in tasks}, style),
+        is_current=_SourceIsTheSame({str(task.shard): task for task in tasks}, style),
         libraries=("numpy", "pyarrow"),
     )
 
@@ -268,7 +268,7 @@ class _SourceIsTheSame:
     tasks: Mapping[str, _ImportShard] = field(repr=False)
     style: ParquetStyle
 
-    def __call__(self, record: ShardRecord, _reads: bool) -> bool:
+    def __call__(self, _folder: DataFolder, record: ShardRecord, _reads: bool) -> bool:
         """Read the images again."""
         content = self.tasks[str(record.shard)].make()
         is_listed = content.skipped == record.skipped

@@ -10,9 +10,9 @@ from dataclasses import dataclass
 import numpy as np
 import pyarrow as pa
 
+from realtouch.convert.plan import WithFiles
 from realtouch.exchange.flat import IMAGE
 from realtouch.exchange.vouched import file_fields, with_files
-from tactile_toolkit.store.folder import DataFolder
 from tactile_toolkit.store.shards import ShardName, Skipped
 
 __all__ = ["TAR_FOLDER", "PackTars"]
@@ -24,17 +24,15 @@ TAR_FOLDER = "webdataset"
 class PackTars:
     """What ``--layout webdataset`` does to the flat touches of a shard: one tar, named in the index."""
 
-    folder: DataFolder
-
     def schema(self, rows: pa.Schema) -> pa.Schema:
         """Return the columns of the index: all but the images, and where those are."""
         return pa.schema([*(field for field in rows if field.name != IMAGE), *file_fields(1)])
 
-    def apply(self, shard: ShardName, rows: pa.Table, skipped: Sequence[Skipped]) -> pa.Table:
-        """Write the tar; the same touches give the same bytes."""
+    def apply(self, shard: ShardName, rows: pa.Table, skipped: Sequence[Skipped]) -> WithFiles:
+        """Return the tar; the same touches give the same bytes."""
         path = f"{TAR_FOLDER}/{shard.split}-{shard.index:06d}.tar"
         index = rows.drop_columns([IMAGE])
-        return with_files(self.folder, index, {path: _tar_bytes(rows, index)} if len(rows) else {})
+        return with_files(index, {path: _tar_bytes(rows, index)} if len(rows) else {})
 
 
 def _tar_bytes(rows: pa.Table, index: pa.Table) -> bytes:

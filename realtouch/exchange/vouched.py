@@ -2,19 +2,18 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Any
 
 import pyarrow as pa
 
+from realtouch.convert.plan import WithFiles
 from tactile_toolkit.read.parquet import Shard
 from tactile_toolkit.store.folder import DataFolder
-from tactile_toolkit.store.job import putting
 from tactile_toolkit.store.manifest import Manifest
-from tactile_toolkit.store.parquet import is_whole_file, sha256_hex
+from tactile_toolkit.store.parquet import is_unchanged, sha256_hex
 from tactile_toolkit.store.shards import ShardRecord
 
-__all__ = ["FilesAreWhole", "file_fields", "files_of", "vouched_files", "with_files"]
+__all__ = ["file_fields", "files_are_current", "files_of", "vouched_files", "with_files"]
 
 _PATHS, _CHECKSUMS = "file", "sha256"
 _PREFIXES = ("", "meta_")
@@ -26,14 +25,12 @@ def file_fields(count: int) -> list[tuple[str, pa.DataType]]:
     return [(name, pa.string()) for name in names]
 
 
-def with_files(folder: DataFolder, index: pa.Table, files: dict[str, bytes]) -> pa.Table:
-    """Write the files of a shard, and name them in each row of its index."""
+def with_files(index: pa.Table, files: dict[str, bytes]) -> WithFiles:
+    """Return the files of a shard with its index, in each row of which they are named."""
     for prefix, (path, content) in zip(_PREFIXES, files.items(), strict=False):
-        with putting(folder):
-            folder.write_bytes(path, content)
         for name, value in ((_PATHS, path), (_CHECKSUMS, sha256_hex(content))):
             index = index.append_column(f"{prefix}{name}", pa.array([value] * len(index), pa.string()))
-    return index
+    return WithFiles(index, files)
 
 
 def files_of(folder: DataFolder, record: ShardRecord) -> dict[str, str]:
@@ -48,18 +45,10 @@ def files_of(folder: DataFolder, record: ShardRecord) -> dict[str, str]:
     return found
 
 
-@dataclass(frozen=True)
-class FilesAreWhole:
-    """Tells whether every file that a finished shard names is there, unchanged."""
-
-    folder: DataFolder
-
-    def __call__(self, record: ShardRecord, reads: bool) -> bool:
-        """Compare the checksums of the files of a shard with its index."""
-        return all(
-            is_whole_file(self.folder, path, checksum, reads)
-            for path, checksum in files_of(self.folder, record).items()
-        )
+def files_are_current(folder: DataFolder, record: ShardRecord, reads: bool) -> bool:
+    """Return whether every file that a finished shard names is there and, if read, unchanged."""
+    files = files_of(folder, record).items()
+    return all(is_unchanged(folder, path, checksum, reads) for path, checksum in files)
 
 
 def vouched_files(folder: DataFolder, manifest: Manifest) -> dict[str, Any]:

@@ -18,12 +18,13 @@ import json
 from collections.abc import Mapping
 from typing import Any
 
+import msgspec
 import torch
 
 from tactile_toolkit.errors import InputError, IntegrityError, SpecMismatchError
-from tactile_toolkit.store.fields import json_fields
 from tactile_toolkit.store.folder import DataFolder
 from tactile_toolkit.store.parquet import ParquetStyle, encode_parquet
+from tactile_toolkit.store.typed_json import decode
 
 __all__ = [
     "DEPTH_WEIGHTS",
@@ -44,12 +45,17 @@ _LOG = "losses.parquet"
 _DIGEST_BYTES = 32
 
 
+class _Settings(msgspec.Struct):
+    config: dict[str, Any]
+    pairs: str
+
+
 def settings_of(folder: DataFolder) -> Mapping[str, Any] | None:
     """Return what a folder was trained with; None where there is no training in it."""
     if not folder.exists(_SETTINGS):
         return None
-    fields = json_fields(folder.read_bytes(_SETTINGS), folder.address(_SETTINGS))
-    return {"config": fields.mapping("config"), "pairs": fields.text("pairs")}
+    found = decode(folder.read_bytes(_SETTINGS), _Settings, folder.address(_SETTINGS))
+    return {"config": found.config, "pairs": found.pairs}
 
 
 def claim_folder(folder: DataFolder, settings: Mapping[str, Any], *, resume: bool) -> bool:
@@ -72,7 +78,7 @@ def claim_folder(folder: DataFolder, settings: Mapping[str, Any], *, resume: boo
                 f"{asked!r:.60} was asked for; nothing was changed; next: choose another folder (--out)"
             )
             raise SpecMismatchError(message)
-        folder.remove_stale_files("")
+        folder.remove_temporaries()
         return True
     if resume:
         message = f"{folder.address()!r} holds no training to go on with; next: leave --resume away"

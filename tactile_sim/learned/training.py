@@ -276,7 +276,7 @@ def _alone(folder: DataFolder, place: _Place) -> Iterator[None]:
     folder.require_folder()
     with ExitStack() as stack:
         try:
-            stack.enter_context(locked(Path(folder.address()), wait=False))
+            stack.enter_context(locked(Path(folder.address()), patience_s=0))
         except BlockingIOError as error:
             message = (
                 f"another training is at work in {folder.address()!r}; nothing was changed; next: wait for "

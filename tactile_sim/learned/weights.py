@@ -22,7 +22,8 @@ from numpy.typing import NDArray
 
 from tactile_toolkit.bounds import require_unpackable
 from tactile_toolkit.errors import InputError, IntegrityError, MissingExtraError
-from tactile_toolkit.store.folder import DataFolder, expanded, open_regular
+from tactile_toolkit.store.files import expanded, open_regular
+from tactile_toolkit.store.folder import DataFolder
 
 __all__ = [
     "FIRST_BLOCK",

@@ -89,8 +89,6 @@ def write_card_files(
         common["schema_version"] = str(manifest.schema_version)
     if content is not None:
         common["picture"] = f"![{caption}]({path})\n\n*{caption}*"
-        # A run that was killed leaves half a picture there.
-        folder.remove_stale_files(PREVIEW_FOLDER)
         _write_changed(folder, path, content)
     body = printable(render_card(template, {**common, **values}), keep="\n")
     text = head_text(card_head(facts, **head)) + "\n" + body

@@ -13,7 +13,7 @@ from tactile_toolkit.catalog.locate import splits_of
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.read.dataset import RecordDataset
 from tactile_toolkit.store.address import is_remote, place_of_data
-from tactile_toolkit.store.folder import expanded
+from tactile_toolkit.store.files import expanded
 
 __all__ = [
     "Choice",

@@ -12,13 +12,11 @@ from tactile_toolkit.hub.repository import HubName, HubRepository, hub_name
 from tactile_toolkit.kind import kinds
 from tactile_toolkit.read.parquet import Shard
 from tactile_toolkit.store.address import is_remote, place_of_data, scheme_of
-from tactile_toolkit.store.folder import DataFolder, expanded, is_there, readable
-from tactile_toolkit.store.manifest import (
-    MANIFEST_FILE,
-    manifest_so_far,
-    read_manifest,
-    without_collecting,
-)
+from tactile_toolkit.store.files import expanded, is_there, readable
+from tactile_toolkit.store.folder import DataFolder
+from tactile_toolkit.store.job import manifest_so_far
+from tactile_toolkit.store.manifest import MANIFEST_FILE, read_manifest, without_collecting
+from tactile_toolkit.store.overwrite import settle
 from tactile_toolkit.store.shards import (
     DATA_FOLDER,
     ShardFile,
@@ -252,6 +250,7 @@ def available_splits(folder: DataFolder) -> tuple[str, ...]:
 
 
 def _folder_shards(folder: DataFolder, split: str | None) -> tuple[Shard, ...]:
+    settle(folder)  # files of two sets lie in one that is being replaced
     manifest = read_manifest(folder)
     if manifest is None:
         found = _folder_files(folder)
@@ -284,21 +283,19 @@ def _refuse_unfinished(folder: DataFolder, split: str, shards: list[ShardName], 
     """Refuse a split of which a running or interrupted command has made only some shards."""
     if shards and len(shards) == shards[0].count:
         return
-    if complete:
-        if shards:
-            message = (
-                f"{len(shards)} of {shards[0].count} shards of split {split!r} are listed in "
-                f"{folder.address(MANIFEST_FILE)!r}, all were expected; next: download or generate the data "
-                "set again"
-            )
-            raise IntegrityError(message)
-        return
+    if complete and shards:
+        message = (
+            f"{len(shards)} of {shards[0].count} shards of split {split!r} are listed in "
+            f"{folder.address(MANIFEST_FILE)!r}, all were expected; next: download or generate the data "
+            "set again"
+        )
+        raise IntegrityError(message)
     there = [file.path for file in _folder_files(folder) if file.split == split]
-    if there or not shards:
+    if there or not complete:
         message = (
             f"the run that makes {folder.address()!r} is not finished ({len(there)} shards of split "
-            f"{split!r} are there, {MANIFEST_FILE} is not complete); next: run the same command again, it "
-            "goes on"
+            f"{split!r} are there, {MANIFEST_FILE} does not list them all); next: run the same command "
+            "again, it goes on"
         )
         raise IntegrityError(message)
 
@@ -335,11 +332,10 @@ def splits_to_check(path: str) -> tuple[str, ...]:
     would pass for one of all.
     """
     folder = DataFolder(path)
-    manifest = read_manifest(folder)
-    if manifest is not None and not manifest.complete:
-        so_far = manifest_so_far(folder)
+    manifest, so_far = read_manifest(folder), manifest_so_far(folder)
+    if manifest is not None and so_far is not None and not so_far.complete:
         # A split that was begun is named before one that was not.
-        for split in (*(so_far.splits if so_far is not None else ()), *manifest.split_order):
+        for split in (*so_far.splits, *manifest.split_order):
             records = manifest.shards_of(split)
             if not records or len(records) < records[0].shard.count:
                 find_shards(path, split)  # says what is unfinished about it

@@ -34,11 +34,12 @@ from tactile_toolkit.hub.repository import HubRepository
 from tactile_toolkit.hub.retry import is_unanswered
 from tactile_toolkit.hub.transfers import Transfers
 from tactile_toolkit.run.system import locked
-from tactile_toolkit.store.folder import DataFolder, atomic_file, scratch_folder
+from tactile_toolkit.store.files import scratch_folder
+from tactile_toolkit.store.folder import DataFolder
+from tactile_toolkit.store.job import refuse_unknown_files
 from tactile_toolkit.store.manifest import MANIFEST_FILE, Manifest, read_manifest, write_manifest
 from tactile_toolkit.store.names import names_inside
 from tactile_toolkit.store.origin import DownloadRecord, HubFile, read_record, write_record
-from tactile_toolkit.store.plan import refuse_unknown_files
 from tactile_toolkit.store.shards import DATA_FOLDER, files_of_split, shard_files
 
 __all__ = ["DownloadPlan", "download", "plan_download"]
@@ -414,7 +415,7 @@ def _alone(folder: DataFolder, on_wait: Callable[[str], None]) -> Iterator[None]
         if folder.is_local:
             place = Path(folder.address())
             try:
-                stack.enter_context(locked(place, wait=False))
+                stack.enter_context(locked(place, patience_s=0))
             except BlockingIOError:
                 on_wait(f"another download fills {str(place)!r}; this one begins when that one has ended")
                 stack.enter_context(locked(place))
@@ -444,8 +445,7 @@ def _fill(plan: DownloadPlan, folder: DataFolder, transfers: Transfers) -> None:
     if folder.is_local:  # refused before anything changes: a link leads to what is not of this folder
         for path in (_STAGE_FOLDER, MANIFEST_FILE, *plan.leftover, *(file.path for file in plan.files)):
             folder.place(path)
-    for sub in ("", DATA_FOLDER):
-        folder.remove_stale_files(sub)
+    folder.remove_temporaries()
     record = DownloadRecord(
         repository.repo_id,
         plan.commit,
@@ -479,8 +479,7 @@ def _bring(plan: DownloadPlan, folder: DataFolder, file: HubFile, transfers: Tra
     cached = repository.cached(file.path)
     with named_failures(repository.repo_id, repository.revision, f"fetching {file.path!r} of"):
         if cached is not None:
-            with cached.open("rb") as source, atomic_file(target) as stream:
-                shutil.copyfileobj(source, stream, 1 << 20)
+            folder.copy_in(file.path, cached)
             transfers.count(file.size_bytes)
         else:
             # Beside its place until it is checked: what has the name of a file of the data set is whole.
@@ -494,12 +493,10 @@ def _bring(plan: DownloadPlan, folder: DataFolder, file: HubFile, transfers: Tra
 def _bring_to_store(
     repository: HubRepository, folder: DataFolder, file: HubFile, transfers: Transfers
 ) -> None:
-    cached, stage = repository.cached(file.path), scratch_folder()
-    try:
-        with named_failures(repository.repo_id, repository.revision, f"fetching {file.path!r} of"):
-            folder.copy_in(file.path, cached or repository.download(file.path, transfers, stage))
-    finally:
-        shutil.rmtree(stage, ignore_errors=True)
+    cached = repository.cached(file.path)
+    named = named_failures(repository.repo_id, repository.revision, f"fetching {file.path!r} of")
+    with scratch_folder() as stage, named:
+        folder.copy_in(file.path, cached or repository.download(file.path, transfers, stage))
     if cached is not None:
         transfers.count(file.size_bytes)
 

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import contextlib
 import shutil
 import weakref
 from collections.abc import Iterator
 
 from tactile_toolkit.errors import StorageError
 from tactile_toolkit.run.threads import in_threads
-from tactile_toolkit.store.folder import DataFolder, scratch_folder
+from tactile_toolkit.store.files import scratch_folder
+from tactile_toolkit.store.folder import DataFolder
 from tactile_toolkit.store.names import names_inside
 
 __all__ = ["LocalCopy"]
@@ -26,9 +28,10 @@ class LocalCopy:
     def __init__(self, folder: DataFolder) -> None:
         sizes = dict(_files_below(folder, ""))
         paths = names_inside(sizes, repr(folder.address()))
-        self.root = scratch_folder()
+        stack = contextlib.ExitStack()
+        self.root = stack.enter_context(scratch_folder())
         # Not a TemporaryDirectory, which warns of every object that is not closed.
-        self._removal = weakref.finalize(self, shutil.rmtree, self.root, ignore_errors=True)
+        self._removal = weakref.finalize(self, stack.close)
         needed, free = sum(sizes.values()), shutil.disk_usage(self.root).free
         if needed > free:
             message = (

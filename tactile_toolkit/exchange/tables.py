@@ -12,9 +12,10 @@ from tactile_toolkit.read.source import file_fingerprint, manifest_beside, refus
 from tactile_toolkit.run.processes import runner_for
 from tactile_toolkit.store.build import Progress, build
 from tactile_toolkit.store.folder import DataFolder
+from tactile_toolkit.store.job import look
 from tactile_toolkit.store.manifest import Manifest
 from tactile_toolkit.store.parquet import ParquetStyle, encode_parquet
-from tactile_toolkit.store.plan import BuildPlan, ShardContent, inspect_folder
+from tactile_toolkit.store.plan import BuildPlan, ShardContent
 from tactile_toolkit.store.shards import ShardName
 
 if TYPE_CHECKING:
@@ -88,7 +89,7 @@ def forecast_tables(
     """Return rows and bytes that :func:`export_tables` would write, guessed from a few; raises as it does."""
     plan = _plan(kind, name, choices, options, out)
     if not overwrite:
-        inspect_folder(DataFolder(out), plan)
+        look(DataFolder(out), plan)
     tasks = [task for task in plan.tasks if isinstance(task, _WriteTable)]
     sample, rows = tasks[0].rows[:_SAMPLED], sum(task.size for task in tasks)
     return rows, round(rows * len(encode_parquet(flat_table(sample), _STYLE)) / len(sample))

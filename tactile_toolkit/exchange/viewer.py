@@ -6,8 +6,8 @@ the shards, and a download leaves it where it is.
 
 from __future__ import annotations
 
+import contextlib
 import os
-import shutil
 import weakref
 from functools import partial
 from pathlib import Path
@@ -19,7 +19,8 @@ from tactile_toolkit.mesh.records import SolidDataset
 from tactile_toolkit.read.columns import column_names
 from tactile_toolkit.read.parquet import Shard, ShardedTable
 from tactile_toolkit.run.threads import in_threads
-from tactile_toolkit.store.folder import DataFolder, scratch_folder
+from tactile_toolkit.store.files import scratch_folder
+from tactile_toolkit.store.folder import DataFolder
 from tactile_toolkit.store.manifest import Manifest
 from tactile_toolkit.store.parquet import ParquetStyle, encode_parquet, sha256_hex
 from tactile_toolkit.store.shards import VIEWER_FOLDER, ShardRecord
@@ -43,8 +44,9 @@ class ViewerFiles:
     """
 
     def __init__(self, folder: DataFolder, manifest: Manifest) -> None:
-        root = scratch_folder()
-        self._removal = weakref.finalize(self, shutil.rmtree, root, ignore_errors=True)
+        stack = contextlib.ExitStack()
+        root = stack.enter_context(scratch_folder())
+        self._removal = weakref.finalize(self, stack.close)
         workers = min(os.cpu_count() or 1, _MOST_AT_ONCE)
         made = in_threads(partial(_make, folder, root), manifest.shards, workers)
         self.digests: dict[str, str] = dict(made)

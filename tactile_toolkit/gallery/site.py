@@ -32,7 +32,7 @@ from tactile_toolkit.gallery.page import (
 )
 from tactile_toolkit.run.processes import Runner, runner_for
 from tactile_toolkit.run.system import locked
-from tactile_toolkit.store.folder import expanded, named_failures
+from tactile_toolkit.store.files import expanded, named_failures
 from tactile_toolkit.versions import toolkit_version
 
 __all__ = ["MARKER_FILE", "MOST_BYTES", "MOST_ITEMS", "Site", "SiteForecast", "build_site", "forecast_site"]

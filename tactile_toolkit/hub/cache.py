@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from tactile_toolkit.cache import cache_folder
-from tactile_toolkit.store.folder import atomic_file
+from tactile_toolkit.store.files import atomic_file
 from tactile_toolkit.store.names import problem_of_name
 from tactile_toolkit.store.origin import Digest
 

@@ -17,7 +17,7 @@ from tactile_toolkit.errors import InputError, StorageError
 from tactile_toolkit.mesh.mesh import MM_PER_M, Mesh, as_mesh
 from tactile_toolkit.mesh.stated import require_bounded
 from tactile_toolkit.mesh.threemf import BuildItem, joined, read_build, write_build
-from tactile_toolkit.store.folder import atomic_file
+from tactile_toolkit.store.files import atomic_file
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

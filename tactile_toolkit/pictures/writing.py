@@ -14,7 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactile_toolkit.errors import InputError
-from tactile_toolkit.store.folder import DataFolder, expanded
+from tactile_toolkit.store.files import expanded
+from tactile_toolkit.store.folder import DataFolder
 
 __all__ = [
     "TILE_STYLE",

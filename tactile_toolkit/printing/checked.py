@@ -17,7 +17,8 @@ from tactile_toolkit.errors import InputError, ItemError
 from tactile_toolkit.mesh.mesh import MM_PER_M
 from tactile_toolkit.mesh.solid_check import ManifoldCheck, require_solid
 from tactile_toolkit.run.processes import runner_for
-from tactile_toolkit.store.folder import DataFolder, atomic_file, named_failures
+from tactile_toolkit.store.files import atomic_file, named_failures
+from tactile_toolkit.store.folder import DataFolder
 
 if TYPE_CHECKING:
     from tactile_toolkit.mesh.mesh import Mesh
@@ -226,7 +227,7 @@ def export(
     write = _Export(local_folder(out), only_look=False)
     folder = DataFolder(out)
     folder.require_folder()
-    folder.remove_stale_files("")  # of killed exports
+    remove_abandoned(Path(folder.address()))  # of killed exports
     # What was looked at is not made a second time: the convex parts of a body take longer than its file.
     found: dict[str, Any] = {} if overwrite else {**require_free(products, out, workers)}
     left = [product for product in products if product.name not in found]

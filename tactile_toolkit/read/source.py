@@ -9,7 +9,8 @@ from typing import Any
 
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.read.parquet import Shard
-from tactile_toolkit.store.folder import DataFolder, expanded, file_at
+from tactile_toolkit.store.files import expanded
+from tactile_toolkit.store.folder import DataFolder, file_at
 from tactile_toolkit.store.manifest import Manifest, read_manifest
 from tactile_toolkit.store.parquet import file_sha256
 from tactile_toolkit.store.shards import DATA_FOLDER

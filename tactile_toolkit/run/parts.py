@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import os
 import re
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TypeVar
 
@@ -25,7 +25,7 @@ _PART = re.compile(r"(?:(?P<index>\d{1,9})|auto)(?:/(?P<count>\d{1,9}))?")
 
 @dataclass(frozen=True)
 class Part:
-    """Makes every ``count``-th shard from number ``index`` on, and writes no manifest.
+    """Makes every ``count``-th shard from number ``index`` on, and finishes nothing.
 
     Any number of parts may work at once, on any machines that see the folder; two equal ones make the same.
     When all have ended, :class:`Finish` puts the set together.
@@ -34,12 +34,10 @@ class Part:
     ----------
     index : int
         Which part, from 0; ``count`` means 0 again, so that numbers from 1 do as well.
-    count : int or None
-        How many parts there are; None means as many as the first part of this folder said.
+    count : int
+        How many parts there are; parts of other numbers may work at the same set.
     workers : int or Runner
         What makes the shards of this part.
-    assumed : int or None
-        How many parts there are where neither ``count`` nor the folder says.
 
     Raises
     ------
@@ -48,29 +46,27 @@ class Part:
     """
 
     index: int
-    count: int | None = None
+    count: int
     workers: int | Runner = 1
-    assumed: int | None = None
 
     def __post_init__(self) -> None:
-        if self.count is not None:
-            self.first_of(self.count)
+        if not self.count:
+            message = (
+                f"--part {self.index}/{self.count}: a set cannot be made in no parts; expected a number of "
+                "parts of at least 1; nothing was made; next: say --part K/N"
+            )
+            raise InputError(message)
+        if not 0 <= self.index <= self.count:
+            message = (
+                f"--part {self.index}/{self.count}: there is no part {self.index} of {self.count}; expected "
+                f"0 to {self.count - 1} (or 1 to {self.count}); nothing was made; next: number the jobs of "
+                "the array so"
+            )
+            raise InputError(message)
 
-    def first_of(self, count: int) -> int:
-        """Return the first shard of this part of so many. Raises InputError where there is no such part."""
-        if not count:
-            message = (
-                f"--part {self.index}/{count}: a set cannot be made in no parts; expected a number of parts "
-                "of at least 1; nothing was made; next: say --part K/N"
-            )
-            raise InputError(message)
-        if not 0 <= self.index <= count:
-            message = (
-                f"--part {self.index}/{count}: there is no part {self.index} of {count}; expected 0 to "
-                f"{count - 1} (or 1 to {count}); nothing was made; next: number the jobs of the array so"
-            )
-            raise InputError(message)
-        return self.index % count
+    def of(self, tasks: Sequence[T]) -> Sequence[T]:
+        """Return those of all tasks that are of this part."""
+        return tasks[self.index % self.count :: self.count]
 
     def run(self, function: Callable[[T], R], tasks: Iterable[T]) -> Iterator[R]:
         """Yield the results of tasks that were chosen for this part, as its workers finish them."""
@@ -88,9 +84,9 @@ class Finish:
 
 @dataclass(frozen=True)
 class Check:
-    """Reads all that is finished again before it goes on, and makes anew what is damaged.
+    """Reads all that is finished again before it goes on, and makes again what is damaged.
 
-    Without it parts, and all runs in an object store, believe sizes and records.
+    Without it runs believe sizes and records.
 
     Parameters
     ----------
@@ -109,8 +105,8 @@ class Check:
 def part_of(text: str, workers: int | Runner = 1, environment: Mapping[str, str] = os.environ) -> Part:
     """Return the part that ``--part`` means: ``K/N``, or what Slurm or Kubernetes call this process.
 
-    ``auto`` takes N from the folder, once a first part has written there: an array that is given again for
-    some of its numbers has another length. InputError for anything else.
+    ``auto`` takes N from an array that is given whole; for some numbers of one it is to be said, ``auto/N``.
+    InputError for anything else.
     """
     match = _PART.fullmatch(text.strip())
     if match is None or (match["index"] and not match["count"]):
@@ -119,22 +115,27 @@ def part_of(text: str, workers: int | Runner = 1, environment: Mapping[str, str]
             "number the parts from 0"
         )
         raise InputError(message)
-    count = int(match["count"]) if match["count"] else None
-    if match["index"]:
-        return Part(int(match["index"]), count, workers)
-    slurm, kubernetes = (
-        _number(environment, name) for name in ("SLURM_ARRAY_TASK_ID", "JOB_COMPLETION_INDEX")
-    )
-    if slurm is not None:
-        return Part(slurm, count, workers, _slurm_length(environment))
-    if kubernetes is not None:
-        return Part(kubernetes, count, workers, _number(environment, "JOB_COMPLETION_COUNT"))
-    message = (
-        "--part auto: neither SLURM_ARRAY_TASK_ID nor JOB_COMPLETION_INDEX is a number in the environment; "
-        "nothing was made; next: run it in an array job of Slurm or an indexed job of Kubernetes, or say "
-        "--part K/N"
-    )
-    raise InputError(message)
+    index, count = (None if match[name] is None else int(match[name]) for name in ("index", "count"))
+    if index is None:
+        slurm = _number(environment, "SLURM_ARRAY_TASK_ID")
+        index = _number(environment, "JOB_COMPLETION_INDEX") if slurm is None else slurm
+        if count is None:
+            kubernetes = _number(environment, "JOB_COMPLETION_COUNT")
+            count = kubernetes if slurm is None else _slurm_length(environment)
+    if index is None:
+        message = (
+            "--part auto: neither SLURM_ARRAY_TASK_ID nor JOB_COMPLETION_INDEX is a number in the "
+            "environment; nothing was made; next: run it in an array job of Slurm or an indexed job of "
+            "Kubernetes, or say --part K/N"
+        )
+        raise InputError(message)
+    if count is None:
+        message = (
+            "--part auto: nothing says how many parts there are: neither a whole Slurm array from 0 or 1 on "
+            "nor JOB_COMPLETION_COUNT does; nothing was made; next: say --part auto/N"
+        )
+        raise InputError(message)
+    return Part(index, count, workers)
 
 
 def _number(environment: Mapping[str, str], name: str) -> int | None:

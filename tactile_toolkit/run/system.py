@@ -1,4 +1,4 @@
-"""What operating systems do in ways of their own: locks, signals, other processes, folders on the disk.
+"""What operating systems do in ways of their own: locks, signals, folders on the disk.
 
 Nothing else in the project imports a module that only some systems have.
 """
@@ -7,53 +7,107 @@ from __future__ import annotations
 
 import contextlib
 import errno
-import hashlib
+import math
 import os
 import signal
-import socket
+import time
 from collections.abc import Iterator
-from functools import cache
 from importlib import import_module
 from pathlib import Path
 from typing import Any
 
-__all__ = ["ignore_interrupts", "is_running", "locked", "machine_name", "process_start", "sync_folder"]
+__all__ = ["LOCK_FILE", "held", "ignore_interrupts", "locked", "sync_folder"]
 
-_ENDED_STATES = ("Z", "X")  # a zombie has ended; its parent has not asked for its exit status yet
+LOCK_FILE = ".lock"
+"""Is in a folder while a process holds it where the system or the file system knows no locks of folders."""
+_LOOK_AGAIN_S = 0.02
 
 
 @contextlib.contextmanager
-def locked(path: Path, *, wait: bool = True, shared: bool = False) -> Iterator[None]:
+def locked(path: Path, *, shared: bool = False, patience_s: float = math.inf) -> Iterator[None]:
     """Wait for the lock of a file, which is made, or of a folder that is there, and hold it.
 
     Held by the open file: threads wait for one another too, and a killed process lets go. Any number hold it
-    ``shared`` at once, where the system knows that. Where the system or the file system cannot lock it,
-    nobody waits. Raises OSError where the file cannot be opened, BlockingIOError, without ``wait``, where
-    another holds it, and FileNotFoundError for a folder that was removed meanwhile.
+    ``shared`` at once, where the system knows that. A folder that cannot be locked is held by a file in it,
+    which a killed process leaves; for a file that cannot be locked nobody waits. Raises OSError where the
+    file cannot be opened, BlockingIOError where another has held it for so long, and FileNotFoundError for a
+    folder that was removed meanwhile.
     """
+    deadline_s = time.monotonic() + patience_s
+    with contextlib.ExitStack() as stack:
+        while True:
+            try:
+                stack.enter_context(_locked_now(path, shared, wait=patience_s == math.inf))
+                break
+            except BlockingIOError:
+                if time.monotonic() >= deadline_s:
+                    raise
+                time.sleep(_LOOK_AGAIN_S)
+        yield
+
+
+@contextlib.contextmanager
+def _locked_now(path: Path, shared: bool, *, wait: bool) -> Iterator[None]:
     is_folder = path.is_dir()
     if is_folder and _module("fcntl") is None:  # Windows opens no folders
-        yield
+        with _lock_file(path / LOCK_FILE):
+            yield
         return
     handle = os.open(path, os.O_RDONLY if is_folder else os.O_RDWR | os.O_CREAT, 0o666)
-    try:
+    with contextlib.ExitStack() as stack:
+        stack.callback(os.close, handle)
         try:
-            _lock(handle, wait=wait, shared=shared)
+            _lock(handle, shared=shared, wait=wait)
+            # Said, not left to closing: a child forked meanwhile has the file open too.
+            stack.callback(_unlock, handle)
         except BlockingIOError:
             raise
         except OSError:
-            pass  # it cannot be locked here
+            if is_folder:
+                stack.enter_context(_lock_file(path / LOCK_FILE))
         if is_folder and not os.path.samestat(os.fstat(handle), path.stat()):
             raise FileNotFoundError(errno.ENOENT, os.strerror(errno.ENOENT), str(path))
         yield
+
+
+@contextlib.contextmanager
+def _lock_file(path: Path) -> Iterator[None]:
+    try:
+        path.open("xb").close()
+    except (FileExistsError, PermissionError) as error:  # Windows refuses what is being removed
+        if isinstance(error, PermissionError) and os.name != "nt":
+            raise
+        raise BlockingIOError(errno.EAGAIN, os.strerror(errno.EAGAIN), str(path)) from error
+    try:
+        yield
     finally:
-        # Said, not left to closing: a child forked meanwhile has the file open too.
-        with contextlib.suppress(OSError):
-            _unlock(handle)
+        path.unlink(missing_ok=True)
+
+
+@contextlib.contextmanager
+def held(path: Path, *, wait: bool = True) -> Iterator[bool]:
+    """Hold a file or folder that only one process uses, so that others see it; yield whether this one does.
+
+    Without ``wait``, one that somebody holds is left to them, as is one of which nobody can tell: where it
+    cannot be locked, and folders on Windows, where nobody can remove a file that is open. Raises OSError.
+    """
+    fcntl = _module("fcntl")
+    if fcntl is None:
+        yield wait or not path.is_dir()
+        return
+    handle = os.open(path, os.O_RDONLY)
+    try:
+        try:
+            fcntl.flock(handle, fcntl.LOCK_EX | (0 if wait else fcntl.LOCK_NB))
+        except OSError:
+            yield wait
+        else:
+            yield True
+    finally:
         os.close(handle)
 
 
-def _lock(handle: int, *, wait: bool, shared: bool) -> None:
+def _lock(handle: int, *, shared: bool, wait: bool) -> None:
     if fcntl := _module("fcntl"):
         how = fcntl.LOCK_SH if shared else fcntl.LOCK_EX
         fcntl.flock(handle, how | (0 if wait else fcntl.LOCK_NB))
@@ -69,10 +123,11 @@ def _lock(handle: int, *, wait: bool, shared: bool) -> None:
 
 
 def _unlock(handle: int) -> None:
-    if fcntl := _module("fcntl"):
-        fcntl.flock(handle, fcntl.LOCK_UN)
-    elif msvcrt := _module("msvcrt"):
-        msvcrt.locking(handle, msvcrt.LK_UNLCK, 1)
+    with contextlib.suppress(OSError):
+        if fcntl := _module("fcntl"):
+            fcntl.flock(handle, fcntl.LOCK_UN)
+        elif msvcrt := _module("msvcrt"):
+            msvcrt.locking(handle, msvcrt.LK_UNLCK, 1)
 
 
 def _module(name: str) -> Any:
@@ -97,76 +152,3 @@ def sync_folder(folder: Path) -> None:
 def ignore_interrupts() -> None:
     """Leave Ctrl-C to the process that started this one."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-
-
-_LONGEST_HOST = 32
-
-
-@cache
-def machine_name() -> str:
-    """Name where a process number means one process: this host since it was started, and this container.
-
-    Containers may have the name of their host in common and number their processes each for itself.
-    """
-    host = socket.gethostname()
-    known = [host]
-    with contextlib.suppress(OSError):  # other systems than Linux: the host has to do
-        known.append(Path("/proc/sys/kernel/random/boot_id").read_text().strip())
-        known.append(str(Path("/proc/self/ns/pid").readlink()))
-    return f"{host[:_LONGEST_HOST]}-{hashlib.sha256(chr(0).join(known).encode()).hexdigest()[:12]}"
-
-
-def is_running(process: int) -> bool:
-    """Tell whether a process of :func:`machine_name` is at work; a zombie is not."""
-    if _has_proc():
-        fields = _proc_stat(process)
-        return fields is not None and fields[0] not in _ENDED_STATES
-    if os.name == "nt":
-        return _is_running_on_windows(process)
-    try:
-        os.kill(process, 0)  # sends nothing, only asks
-    except ProcessLookupError:
-        return False
-    except OSError:
-        return True  # somebody else's
-    return True
-
-
-def _is_running_on_windows(process: int) -> bool:
-    # os.kill would end it. The system knows the process as long as a handle on it is given out.
-    import ctypes
-
-    kernel: Any = getattr(ctypes, "windll").kernel32  # noqa: B009 (mypy knows the name on Windows only)
-    handle = kernel.OpenProcess(0x1000, False, process)  # PROCESS_QUERY_LIMITED_INFORMATION
-    if not handle:
-        return bool(kernel.GetLastError() == 5)  # ERROR_ACCESS_DENIED: somebody else's
-    code = ctypes.c_ulong()
-    kernel.GetExitCodeProcess(handle, ctypes.byref(code))
-    kernel.CloseHandle(handle)
-    return code.value == 259  # STILL_ACTIVE
-
-
-def process_start(process: int) -> str | None:
-    """Return when a process began, in clock ticks since the machine started; None where that is not known."""
-    fields = _proc_stat(process)
-    return None if fields is None else fields[19]
-
-
-def _has_proc() -> bool:
-    """Tell whether ``/proc`` is there and numbers processes as this one does; it may be that of the host."""
-    try:
-        return str(Path("/proc/self").readlink()) == str(os.getpid())
-    except OSError:
-        return False
-
-
-def _proc_stat(process: int) -> list[str] | None:
-    """Return the fields of Linux's ``/proc/PID/stat`` (proc(5)) from the third, the state, onwards."""
-    if not _has_proc():
-        return None
-    try:
-        line = Path(f"/proc/{process}/stat").read_text()
-    except OSError:
-        return None
-    # The second field, the program's name in brackets, may hold blanks and brackets itself.
-    return line.rpartition(")")[2].split()

@@ -3,20 +3,18 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from typing import Any
 
 from tactile_toolkit.errors import IntegrityError
-from tactile_toolkit.run.parts import Check, Finish, Part
 from tactile_toolkit.run.processes import Runner
-from tactile_toolkit.store.build import division_of, inspect_part, inspect_parts, refuse_overwriting
+from tactile_toolkit.store.build import look_for
 from tactile_toolkit.store.folder import DataFolder
-from tactile_toolkit.store.manifest import manifest_so_far
-from tactile_toolkit.store.plan import BuildPlan, BuildState, ShardTask, inspect_folder
-from tactile_toolkit.store.replace import refuse_links, require_replaceable
+from tactile_toolkit.store.job import manifest_so_far
+from tactile_toolkit.store.plan import BuildPlan
 
-__all__ = ["Forecast", "Sample", "SplitForecast", "forecast_build", "inspect_for"]
+__all__ = ["Forecast", "Sample", "SplitForecast", "forecast_build"]
 
 _START_S = 1.5
 """What workers need to start and import their libraries."""
@@ -76,7 +74,7 @@ def forecast_build(
     :class:`~tactile_toolkit.run.parts.Finish` would.
     """
     folder = DataFolder(os.fspath(out))
-    chosen, state = inspect_for(folder, plan, workers, overwrite=overwrite)
+    chosen, state = look_for(folder, plan, workers, overwrite=overwrite)
     replaced = _rows_there(folder) if overwrite else None
     todo = {task.shard for task in state.todo}
     entries = []
@@ -89,24 +87,6 @@ def forecast_build(
     seconds = left * sample.row_s / _processes(workers) + (_START_S if left else 0)
     size = round(left * sample.row_bytes)
     return Forecast(tuple(entries), left, size, round(seconds, 1), sample.rows, replaced)
-
-
-def inspect_for(
-    folder: DataFolder, plan: BuildPlan, workers: int | Runner, *, overwrite: bool = False
-) -> tuple[Sequence[ShardTask], BuildState]:
-    """Return the tasks of a run and what a folder holds of them; raises where the run would be refused."""
-    check, runner = (True, workers.workers) if isinstance(workers, Check) else (False, workers)
-    if overwrite:
-        refuse_overwriting(folder, runner)
-        require_replaceable(folder, plan.extra_dirs)
-        return plan.tasks, BuildState(plan.new_manifest(), (), plan.tasks)
-    if isinstance(runner, Part):
-        tasks, wanted = division_of(folder, plan, runner)
-        return tasks, inspect_part(folder, plan, tasks, wanted, check)
-    if isinstance(runner, Finish):
-        return plan.tasks, inspect_parts(folder, plan, check)
-    refuse_links(folder, plan.extra_dirs)
-    return plan.tasks, inspect_folder(folder, plan, check=check)
 
 
 def _processes(runner: int | Runner) -> int:

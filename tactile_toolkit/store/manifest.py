@@ -1,40 +1,34 @@
 """``manifest.json``: what made a data set folder, and what lies in it.
 
 While a run is under way, what it has finished is in pending records instead, one file for each shard, so that
-two writers never share a file.
+two writers never share a file (:mod:`tactile_toolkit.store.job`).
 """
 
 from __future__ import annotations
 
 import contextlib
 import gc
-import json
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
-from pathlib import PurePosixPath
-from typing import Any
+from typing import Annotated, Any
+
+import msgspec
 
 from tactile_toolkit.errors import IntegrityError
 from tactile_toolkit.printable import printable_json
-from tactile_toolkit.store.fields import json_fields
 from tactile_toolkit.store.folder import DataFolder
 from tactile_toolkit.store.names import names_inside
-from tactile_toolkit.store.parts import PARTS_FILE
-from tactile_toolkit.store.shards import DATA_FOLDER, PENDING_FOLDER, ShardName, ShardRecord, add_up
+from tactile_toolkit.store.shards import ShardEntry, ShardName, ShardRecord, add_up
+from tactile_toolkit.store.typed_json import Sha256, damaged, decode
 
 __all__ = [
     "MANIFEST_FILE",
     "SCHEMA_VERSION",
     "Manifest",
-    "manifest_so_far",
-    "pending_beside",
-    "pending_records",
     "read_manifest",
-    "remove_pending",
     "without_collecting",
     "write_manifest",
-    "write_shard_record",
 ]
 
 MANIFEST_FILE = "manifest.json"
@@ -128,64 +122,79 @@ class Manifest:
         return printable_json(values, indent=1) + "\n"
 
     @classmethod
-    def from_json(cls, text: str, where: str) -> Manifest:
-        """Parse the text of a manifest; IntegrityError when it is not one, or one of a later layout."""
-        fields = json_fields(text, where)
-        version = fields.number("schema_version", least=1)
-        if version > SCHEMA_VERSION:
+    def from_json(cls, content: str | bytes, where: str) -> Manifest:
+        """Parse ``manifest.json``; IntegrityError when it is not one, or one of a later layout."""
+        document = decode(content, _Document, where)
+        if document.schema_version > SCHEMA_VERSION:
             message = (
-                f"{where!r} has schema version {version}, this toolkit reads up to {SCHEMA_VERSION}; "
-                "next: install a newer tactile-toolkit"
+                f"{where!r} has schema version {document.schema_version}, this toolkit reads up to "
+                f"{SCHEMA_VERSION}; next: install a newer tactile-toolkit"
             )
             raise IntegrityError(message)
-        files = fields.inside("files")
-        libraries = {}
-        if fields.has("libraries"):
-            named = fields.inside("libraries")
-            libraries = {name: named.text(name) for name in named.values}
+        try:
+            records = tuple([entry.record() for entry in document.shards])
+        except ValueError as error:
+            raise damaged(where, "shards.file", str(error)) from error
         manifest = cls(
-            kind=fields.text("kind"),
-            toolkit_version=fields.text("toolkit_version"),
-            spec=fields.mapping("spec"),
-            split_order=fields.texts("split_order"),
-            shards=ShardRecord.all_from(fields, "shards"),
-            files={path: files.digest(path) for path in files.values},
-            schema_version=version,
-            complete=fields.flag("complete"),
-            extra_dirs=fields.texts("trees") if fields.has("trees") else (),
-            libraries=libraries,
+            kind=document.kind,
+            toolkit_version=document.toolkit_version,
+            spec=document.spec,
+            split_order=document.split_order,
+            shards=records,
+            files=document.files,
+            schema_version=document.schema_version,
+            complete=document.complete,
+            extra_dirs=document.trees,
+            libraries=document.libraries,
         )
-        shards = {record.shard for record in manifest.shards}
+        shards = {record.shard for record in records}
         # Names of shards differ in split and numbers only: the last of each kind stands for all.
         kinds = dict.fromkeys((shard.split, shard.count) for shard in shards)
         paths = (ShardName(split, count - 1, count).data_path for split, count in sorted(kinds))
-        names_inside((*paths, *files.values, *manifest.extra_dirs), repr(where))
-        if len(shards) < len(manifest.shards) or {shard.split for shard in shards} - {*manifest.split_order}:
-            raise fields.wrong(name="shards", problem="one is listed twice, or of no split in 'split_order'")
+        names_inside((*paths, *document.files, *document.trees), repr(where))
+        if len(shards) < len(records) or {split for split, _ in kinds} - {*manifest.split_order}:
+            raise damaged(where, "shards", "one is listed twice, or of no split in 'split_order'")
         try:
             statistics = manifest.statistics()
         except (TypeError, AttributeError) as error:
             problem = f"statistics are not numbers, lists of numbers or objects of them ({error})"
-            raise fields.wrong(name="shards", problem=problem) from error
+            raise damaged(where, "shards", problem) from error
         # What follows from the shards stands there too, so that a number that was changed shows.
-        sums = {
-            "splits": manifest.split_table(),
-            "skipped": manifest.skipped_reasons(),
-            "statistics": statistics,
-        }
-        for name, expected in sums.items():
-            if fields.values.get(name, {}) != expected:
-                raise fields.wrong(name, "its numbers are not those of the shards")
+        for name, found, expected in (
+            ("splits", document.splits, manifest.split_table()),
+            ("skipped", document.skipped, manifest.skipped_reasons()),
+            ("statistics", document.statistics, statistics),
+        ):
+            if found != expected:
+                raise damaged(where, name, "its numbers are not those of the shards")
         return manifest
+
+
+class _Document(msgspec.Struct):
+    """The form of :meth:`Manifest.to_json` that is believed."""
+
+    schema_version: Annotated[int, msgspec.Meta(ge=1)]
+    toolkit_version: str
+    kind: str
+    complete: bool
+    spec: dict[str, Any]
+    split_order: tuple[str, ...]
+    files: dict[str, Sha256]
+    shards: list[ShardEntry]
+    libraries: dict[str, str] = {}
+    trees: tuple[str, ...] = ()
+    splits: dict[str, dict[str, int]] = {}
+    skipped: dict[str, int] = {}
+    statistics: dict[str, dict[str, Any]] = {}
 
 
 def read_manifest(folder: DataFolder) -> Manifest | None:
     """Read the manifest of a folder; None when there is no manifest, IntegrityError when it is damaged."""
     if not folder.exists(MANIFEST_FILE):
         return None
-    text = folder.read_bytes(MANIFEST_FILE).decode("utf-8", errors="replace")
+    content = folder.read_bytes(MANIFEST_FILE)
     with without_collecting():
-        return Manifest.from_json(text, folder.address(MANIFEST_FILE))
+        return Manifest.from_json(content, folder.address(MANIFEST_FILE))
 
 
 @contextlib.contextmanager
@@ -203,68 +212,3 @@ def without_collecting() -> Iterator[None]:
 def write_manifest(folder: DataFolder, manifest: Manifest) -> None:
     """Write the manifest of a folder in one step."""
     folder.write_bytes(MANIFEST_FILE, manifest.to_json().encode())
-
-
-def manifest_so_far(folder: DataFolder) -> Manifest | None:
-    """Read the manifest of a folder together with what an unfinished run has finished; None without manifest.
-
-    Raises IntegrityError when the manifest is damaged.
-    """
-    manifest = read_manifest(folder)
-    if manifest is None or (manifest.complete and not folder.exists(PARTS_FILE)):
-        return manifest
-    return replace(manifest.with_shards(_pending_of(folder, manifest)), complete=False)
-
-
-def pending_beside(folder: DataFolder, manifest: Manifest) -> tuple[ShardRecord, ...]:
-    """Return pending records that a manifest does not hold: those of other splits under way."""
-    held = {record.shard for record in manifest.shards}
-    return tuple(record for record in _pending_of(folder, manifest) if record.shard not in held)
-
-
-def _pending_of(folder: DataFolder, manifest: Manifest) -> list[ShardRecord]:
-    """Return pending records whose file is there in full size; checksums are not computed."""
-    sizes = folder.sizes(DATA_FOLDER)
-    return [
-        record
-        for record in pending_records(folder)
-        if record.shard.split in manifest.split_order and record.is_size_of(sizes)
-    ]
-
-
-def pending_records(folder: DataFolder, shards: Iterable[ShardName] | None = None) -> list[ShardRecord]:
-    """Read the records of shards, or of these, that are finished and not yet in the manifest."""
-    there = folder.names(PENDING_FOLDER)
-    if shards is not None:
-        asked_for = {PurePosixPath(shard.record_path).name for shard in shards}
-        there = [name for name in there if name in asked_for]
-    # Names with a dot in front are records that a writer has not finished, or never will.
-    paths = [
-        f"{PENDING_FOLDER}/{name}" for name in there if name.endswith(".json") and not name.startswith(".")
-    ]
-    records = []
-    for path, content in zip(paths, folder.read_many(paths), strict=True):
-        # One that cannot be read vouches for nothing: its shard is made again. It may also have gone since it
-        # was listed, because the run has just ended.
-        with contextlib.suppress(IntegrityError):
-            if content is not None and path != PARTS_FILE:
-                records.append(ShardRecord.from_fields(json_fields(content, path)))
-    return records
-
-
-def write_shard_record(folder: DataFolder, record: ShardRecord) -> None:
-    """Write the pending record of a finished shard."""
-    folder.write_bytes(record.shard.record_path, json.dumps(record.to_dict(), indent=1).encode())
-
-
-def remove_pending(folder: DataFolder, keep: Iterable[ShardRecord] = (), *, keep_plan: bool = False) -> None:
-    """Remove records and report rows of a run, once the manifest holds them; some may be needed still."""
-    kept = {path for record in keep for path in (record.shard.record_path, record.shard.report_path)}
-    if keep_plan:
-        kept.add(PARTS_FILE)
-    else:
-        folder.remove(PARTS_FILE)  # first: a part that is at work still sees that it need not go on
-    for path in (f"{PENDING_FOLDER}/{name}" for name in folder.names(PENDING_FOLDER)):
-        if path not in kept:
-            folder.remove(path)
-    folder.remove_empty(PENDING_FOLDER)

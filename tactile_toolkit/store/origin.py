@@ -14,9 +14,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import IO
 
-from tactile_toolkit.store.fields import json_fields
-from tactile_toolkit.store.folder import DataFolder, open_regular
+import msgspec
+
+from tactile_toolkit.store.files import open_regular
+from tactile_toolkit.store.folder import DataFolder
 from tactile_toolkit.store.names import names_inside
+from tactile_toolkit.store.typed_json import Count, damaged, decode
 
 __all__ = ["RECORD_FILE", "Digest", "DownloadRecord", "HubFile", "read_record", "write_record"]
 
@@ -87,30 +90,46 @@ class DownloadRecord:
     finished: bool = True
 
 
+class _File(msgspec.Struct):
+    bytes: Count
+    kind: str | None = None
+    digest: str | None = None
+
+
+class _Document(msgspec.Struct):
+    """The form of the file that is believed."""
+
+    repository: str
+    commit: str
+    files: dict[str, _File]
+    splits: tuple[str, ...]
+    labels: tuple[str, ...]
+    revision: str | None = None
+    finished: bool = True
+
+
 def read_record(folder: DataFolder) -> DownloadRecord | None:
     """Read the record of a folder; None when it was not downloaded, IntegrityError when it is damaged."""
     if not folder.exists(RECORD_FILE):
         return None
-    fields = json_fields(folder.read_bytes(RECORD_FILE), folder.address(RECORD_FILE))
-    entries = fields.inside("files")
+    where = folder.address(RECORD_FILE)
+    document = decode(folder.read_bytes(RECORD_FILE), _Document, where)
     files = {}
-    for path in entries.values:
-        entry = entries.inside(path)
+    for path, entry in document.files.items():
         try:
-            digest = Digest(entry.text("kind"), entry.text("digest")) if entry.has("kind") else None
+            digest = Digest(entry.kind, str(entry.digest)) if entry.kind is not None else None
         except ValueError as error:
-            raise entry.wrong(name="digest", problem=str(error)) from error
-        files[path] = HubFile(path, entry.number("bytes"), digest)
-    labels = fields.texts("labels")
-    names_inside((*files, *labels), repr(folder.address(RECORD_FILE)))
+            raise damaged(where, f"files.{path}.digest", str(error)) from error
+        files[path] = HubFile(path, entry.bytes, digest)
+    names_inside((*files, *document.labels), repr(where))
     return DownloadRecord(
-        fields.text("repository"),
-        fields.text("commit"),
-        fields.text("revision") if fields.has("revision") else None,
+        document.repository,
+        document.commit,
+        document.revision,
         files,
-        fields.texts("splits"),
-        labels,
-        fields.flag("finished") if fields.has("finished") else True,
+        document.splits,
+        document.labels,
+        document.finished,
     )
 
 

@@ -15,7 +15,8 @@ from pathlib import Path
 from typing import IO, Any
 
 from tactile_toolkit.errors import IntegrityError
-from tactile_toolkit.store.folder import DataFolder, readable
+from tactile_toolkit.store.files import readable
+from tactile_toolkit.store.folder import DataFolder
 
 __all__ = [
     "REPORT_STYLE",
@@ -23,7 +24,7 @@ __all__ = [
     "encode_parquet",
     "file_sha256",
     "has_page_checksums",
-    "is_whole_file",
+    "is_unchanged",
     "named_damage",
     "open_checked",
     "open_parquet",
@@ -266,8 +267,8 @@ def file_sha256(folder: DataFolder, path: str) -> str:
     return digest.hexdigest()
 
 
-def is_whole_file(folder: DataFolder, path: str, sha256: str, reads: bool) -> bool:
-    """Tell whether a file is there, and where it is to be read (in stores files appear whole), unchanged."""
+def is_unchanged(folder: DataFolder, path: str, sha256: str, reads: bool) -> bool:
+    """Return whether a file is there and, where it is to be read, unchanged."""
     return folder.exists(path) and (not reads or file_sha256(folder, path) == sha256)
 
 

@@ -6,20 +6,24 @@ another process may write there at any moment. Objects appear whole. No bucket i
 
 from __future__ import annotations
 
+import contextlib
 import io
 import logging
-import os
-import re
 import time
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
+from pathlib import Path
 from typing import IO, Any, TypeVar, cast
 
-from tactile_toolkit.errors import InputError, IntegrityError, MissingExtraError, RemoteError, ToolkitError
-from tactile_toolkit.store.address import scheme_of, shown
+from tactile_toolkit.errors import InputError
+from tactile_toolkit.store.address import scheme_of
+from tactile_toolkit.store.store_failures import failure_of, is_passing, not_installed, shown_cause
 
-__all__ = ["RemoteFolder", "failure_of"]
+__all__ = ["VERSION_KEYS", "StoreFiles"]
+
+VERSION_KEYS = ("size", "ETag", "etag", "blob_id", "mtime", "created")
+"""What stores say of a file, under which name each, that changes with its content."""
 
 _READ_AHEAD_BYTES = 1 << 20
 _PATIENCE_S = 30.0
@@ -28,12 +32,14 @@ _FIRST_PATIENCE_S = 10.0
 """The same before it has: an address that was mistyped never answers."""
 _LIMITS = {"connect_timeout": 5, "read_timeout": 20, "retries": {"total_max_attempts": 1}}
 """Of the client of S3, which would try five times what is tried again here, within one time limit."""
+_PACKAGES = {"s3": "s3fs", "gs": "gcsfs", "abfs": "adlfs", "az": "adlfs"}
+"""Of stores with buckets, the client of each."""
 
 T = TypeVar("T")
 
 
 @dataclass(frozen=True)
-class RemoteFolder:
+class StoreFiles:
     """A folder at an address such as ``s3://BUCKET/FOLDER``, in the form of ``address.place_of_data``.
 
     Paths are relative to it. Every method raises RemoteError when the store cannot be reached or refuses, and
@@ -52,7 +58,7 @@ class RemoteFolder:
         try:
             system = fsspec.filesystem(scheme, **_options(scheme))
         except ImportError as error:
-            raise _not_installed(self.address, scheme, error) from error
+            raise not_installed(self.address, scheme, _PACKAGES.get(scheme), error) from error
         except ValueError as error:
             message = (
                 f"{self.address!r}: no store is known by {scheme + '://'!r}; next: give a folder, "
@@ -83,6 +89,17 @@ class RemoteFolder:
             return self._asked(ask, "reading", path)
         except FileNotFoundError:
             return None
+
+    def exists(self, path: str = "") -> bool:
+        """Return whether there is such a file or folder."""
+        return self.info(path) is not None
+
+    def version(self, path: str) -> tuple[object, ...] | None:
+        """Return what changes whenever a file is replaced; None where there is none."""
+        found = self.info(path)
+        return (
+            None if found is None else tuple(str(found.get(key)) for key in (*VERSION_KEYS, "LastModified"))
+        )
 
     def entries(self, folder: str = "") -> dict[str, int | None]:
         """List names directly in a sub-folder, sorted, with sizes in bytes, None for folders."""
@@ -119,12 +136,21 @@ class RemoteFolder:
         """Read a whole file at once; raises FileNotFoundError."""
         return bytes(self._asked(lambda: self._system.cat_file(self._key(path)), "reading", path))
 
-    def write(self, path: str, content: bytes) -> None:
-        """Write a whole file in place of any other."""
-        self._put(path, content, lambda options: self._system.pipe_file(self._key(path), content, **options))
+    def put(self, path: str, content: bytes | Path) -> None:
+        """Write a whole file in place of any other, or copy a local one in pieces, two held at a time."""
+        key = self._key(path)
+        if isinstance(content, bytes):
+            self._put(path, content, lambda options: self._system.pipe_file(key, content, **options))
+            return
+        options = {"max_concurrency": 2} if scheme_of(self.address) == "s3" else {}
+        self._require_writable(path)
+        try:
+            self._asked(lambda: self._system.put_file(str(content), key, **options), "writing", path)
+        except FileNotFoundError as error:
+            raise self._no_bucket() from error
 
     def create(self, path: str, content: bytes) -> bool:
-        """Write a whole file unless there is one; tell whether this call did.
+        """Write a whole file unless there is one; return whether this call did.
 
         Of several writers at once one wins, where the store knows conditional writes (S3 and gs do).
         """
@@ -142,28 +168,32 @@ class RemoteFolder:
             return tries > 1 and self.read(path) == content
         return True
 
-    def upload(self, path: str, source: str) -> None:
-        """Copy a local file to the store, in pieces where it is large, two of which are held at a time."""
-        key, options = self._key(path), {"max_concurrency": 2} if scheme_of(self.address) == "s3" else {}
-        self._require_writable(path)
-        try:
-            self._asked(lambda: self._system.put_file(source, key, **options), "writing", path)
-        except FileNotFoundError as error:
-            raise self._no_bucket() from error
+    def move(self, path: str, target: str) -> None:
+        """Refuse, for nothing is moved in a store."""
+        raise NotImplementedError(path, target)
 
-    def download(self, path: str, target: str) -> None:
+    def download(self, path: str, target: Path) -> None:
         """Copy a file of the store to a local one, whose folder must be there; raises FileNotFoundError."""
-        self._asked(lambda: self._system.get_file(self._key(path), target), "reading", path)
+        self._asked(lambda: self._system.get_file(self._key(path), str(target)), "reading", path)
 
     def remove(self, path: str) -> None:
         """Remove a file, if it is there."""
         self._require_writable(path)
-        try:
+        with contextlib.suppress(FileNotFoundError):
             self._asked(lambda: self._system.rm_file(self._key(path)), "removing", path)
-        except FileNotFoundError:
-            return
 
-    def require_writable(self) -> None:
+    def remove_empty(self, folder: str) -> None:
+        """Do nothing: a sub-folder has gone with its last file."""
+
+    @contextlib.contextmanager
+    def lock(self, *, shared: bool, patience_s: float) -> Iterator[None]:
+        """Do nothing: stores have no locks."""
+        yield
+
+    def refresh(self, folder: str) -> None:
+        """Do nothing: what a store says is never remembered."""
+
+    def make(self) -> None:
         """Make sure that there is a bucket and no file in the folder's place; raises InputError."""
         self._require_writable("")
         found = self.info()
@@ -232,8 +262,8 @@ class RemoteFolder:
                     raise
                 waited_s = time.monotonic() - began_s + wait_s
                 patience_s = _PATIENCE_S if self._met else _FIRST_PATIENCE_S
-                if not _is_passing(error) or waited_s > patience_s:
-                    raise failure from _shown_cause(error)
+                if not is_passing(error) or waited_s > patience_s:
+                    raise failure from shown_cause(error)
                 time.sleep(wait_s)
                 wait_s *= 2
             else:
@@ -245,7 +275,7 @@ class RemoteFolder:
 class _Stream(io.BufferedIOBase):
     """A file of a store, read piece by piece."""
 
-    def __init__(self, folder: RemoteFolder, path: str, stream: Any) -> None:
+    def __init__(self, folder: StoreFiles, path: str, stream: Any) -> None:
         super().__init__()
         self._folder, self._path, self._stream = folder, path, stream
         self.details: Mapping[str, Any] | None = getattr(stream, "details", None)
@@ -295,179 +325,3 @@ def _options(scheme: str) -> dict[str, Any]:
     # What the user sets in fsspec's own configuration holds; given here, it would be passed over.
     own = conf.get("s3", {}).get("config_kwargs", {})
     return {"use_listings_cache": False, "config_kwargs": {**_LIMITS, **own}}
-
-
-_PACKAGES = {"s3": "s3fs", "gs": "gcsfs", "abfs": "adlfs", "az": "adlfs"}
-
-
-def _not_installed(address: str, scheme: str, error: ImportError) -> InputError:
-    package = _PACKAGES.get(scheme)
-    if scheme == "s3":
-        return MissingExtraError(f"{address!r}", "s3fs", "s3")
-    what = f"the package {package!r}" if package else "a package"
-    told = "" if package else f" ({error})"
-    name = package or "the one that it names"
-    return InputError(f"{address!r} needs {what}, which is not installed{told}; next: pip install {name}")
-
-
-_CLIENTS = {"botocore", "aiobotocore", "aiohttp", "gcsfs", "google", "huggingface_hub", "httpx", "httpcore"}
-_CLIENTS |= {"requests", "urllib3", "s3fs", "azure", "adlfs", "fsspec", "httpx2", "httpcore2"}
-_NO_CREDENTIALS = {
-    "NoCredentialsError",
-    "PartialCredentialsError",
-    "CredentialRetrievalError",
-    "ProfileNotFound",
-    "TokenRetrievalError",
-    "SSOTokenLoadError",
-    "UnauthorizedSSOTokenError",
-    "DefaultCredentialsError",
-    "RefreshError",
-}
-_WRONG_CREDENTIALS = {"InvalidAccessKeyId", "SignatureDoesNotMatch", "InvalidToken", "AuthFailure", "401"}
-_EXPIRED = {"ExpiredToken", "TokenRefreshRequired", "RequestExpired"}
-_ELSEWHERE = {"PermanentRedirect", "AuthorizationHeaderMalformed", "301", "307", "IllegalLocationConstraint"}
-_BAD_NAMES = {"InvalidBucketName", "ParamValidationError", "NoSuchBucketName"}
-_PASSING = {"SlowDown", "InternalError", "ServiceUnavailable", "RequestTimeout", "OperationAborted"}
-_PASSING |= {"Throttling", "ThrottlingException", "ConditionalRequestConflict", "RequestLimitExceeded"}
-_PASSING |= {"408", "429", "500", "502", "503", "504"}
-_BROKEN = {"ConnectionClosedError", "IncompleteRead", "IncompleteReadError", "ClientPayloadError"}
-_BROKEN |= {"ResponseStreamingError", "ServerDisconnectedError", "HTTPClientError", "ClientOSError"}
-_CREDENTIALS_STEP = (
-    "next: give credentials as the store's own tools take them (for S3: AWS_PROFILE, AWS_ACCESS_KEY_ID and "
-    "AWS_SECRET_ACCESS_KEY, or `aws configure`)"
-)
-
-
-def failure_of(error: Exception, doing: str, address: str) -> ToolkitError | None:
-    """Name a failure of a store; None for one that has nothing to do with it.
-
-    ``doing`` says what was done there, such as ``"reading"``.
-    """
-    chain = list(_chain(error))
-    if any(isinstance(link, ToolkitError) for link in chain):
-        return None
-    names, code = {type(link).__name__ for link in chain}, _code_of(chain)
-    where = repr(address)
-    if "FileExpired" in names:
-        return IntegrityError(f"{where} was replaced while it was read; next: run the same command again")
-    if names & _NO_CREDENTIALS:
-        return RemoteError(
-            f"{where} needs credentials, and none can be used here ({_said(chain)}); {_CREDENTIALS_STEP}"
-        )
-    if code in _EXPIRED:
-        return RemoteError(
-            f"the credentials for {where} have expired ({code}); next: renew them, and run it again"
-        )
-    if code == "RequestTimeTooSkewed":
-        return RemoteError(f"{where}: the clock of this machine is wrong, says the store; next: set it right")
-    if code in _WRONG_CREDENTIALS:
-        return RemoteError(f"{where}: the store does not take the credentials ({code}); {_CREDENTIALS_STEP}")
-    if code == "400" and "ClientError" in names:  # the answer of S3 to a question for the head of a file
-        message = (
-            f"{where}: the store answers '400 Bad Request' and gives no reason, as S3 does for a wrong "
-            "region or expired credentials; next: set AWS_DEFAULT_REGION to the region of the bucket, check "
-            "AWS_ENDPOINT_URL if you set it, and renew the credentials"
-        )
-        return RemoteError(message)
-    if "RecursionError" in names:
-        return RemoteError(
-            f"{where}: the store sends its client in a circle, as for a bucket of another region; next: set "
-            "AWS_DEFAULT_REGION to that of the bucket"
-        )
-    if code in _ELSEWHERE:
-        message = (
-            f"{where} lies in another region ({code}); next: set AWS_DEFAULT_REGION to that of the bucket"
-        )
-        return RemoteError(message)
-    if names & _BAD_NAMES or code in _BAD_NAMES:
-        return InputError(f"{where} holds no name that a bucket or file can have; next: check it")
-    if code == "403" or isinstance(error, PermissionError) or "AccessDenied" in str(code):
-        return RemoteError(
-            f"{doing} {where} is refused ({code or 'permission denied'}): the store does not know these "
-            f"credentials, or they may not do that; {_CREDENTIALS_STEP}, or ask the owner of the bucket"
-        )
-    if _is_silence(error):
-        return RemoteError(
-            f"the store of {where} gives no answer ({_said(chain)}); finished files stay; next: check the "
-            "network and the address of the store (for S3: AWS_ENDPOINT_URL), and run the same command again"
-        )
-    if code is not None or any(map(_is_of_client, chain)) or isinstance(error, OSError):
-        told = f"{code}: {_said(chain)}" if code else _said(chain)
-        return RemoteError(
-            f"{doing} {where} failed: {told}; finished files stay; next: run the same command again"
-        )
-    return None
-
-
-def _is_passing(error: Exception) -> bool:
-    """Tell whether the same request may succeed a little later."""
-    return _code_of(list(_chain(error))) in _PASSING or _is_silence(error)
-
-
-def _is_silence(error: BaseException) -> bool:
-    """Tell whether a store gave no answer, or broke off in the middle of one."""
-    chain = list(_chain(error))
-    if _code_of(chain) is not None:
-        return False
-    return any(
-        isinstance(link, (ConnectionError, TimeoutError))
-        or (_is_of_client(link) and re.search("Connect|Timeout", type(link).__name__))
-        or type(link).__name__ in _BROKEN
-        for link in chain
-    )
-
-
-def _is_of_client(error: BaseException) -> bool:
-    # The parser of aiohttp numbers what it cannot read (an answer that ends too early) like a status of HTTP.
-    if type(error).__module__ == "aiohttp.http_exceptions":
-        return False
-    return any(kind.__module__.partition(".")[0] in _CLIENTS for kind in type(error).__mro__)
-
-
-def _chain(error: BaseException) -> Iterator[BaseException]:
-    link: BaseException | None = error
-    seen: list[BaseException] = []
-    while link is not None and link not in seen:
-        yield link
-        seen.append(link)
-        link = link.__cause__ or link.__context__
-
-
-def _code_of(chain: list[BaseException]) -> str | None:
-    """Return the word or number that a store gives for what went wrong."""
-    for link in chain:
-        response = getattr(link, "response", None)
-        if isinstance(response, Mapping):
-            return str(response.get("Error", {}).get("Code", ""))
-        status = getattr(response, "status_code", None)
-        if status is None and _is_of_client(link):
-            status = getattr(link, "code", None) or getattr(link, "status", None)
-        if isinstance(status, int):
-            return str(status)
-    return None
-
-
-_SECRET_VARIABLES = ("AWS_SECRET_ACCESS_KEY", "AWS_SESSION_TOKEN", "AWS_ACCESS_KEY_ID", "HF_TOKEN")
-_ACCESS_KEY = re.compile(r"\b(?:AKIA|ASIA)[A-Z0-9]{12,}\b|\bhf_[A-Za-z0-9]{6,}")
-_ADDRESS = re.compile(r"\w+://[^\s'\"<>]+")
-
-
-def _hidden(text: str) -> str:
-    """Return a text without keys, tokens and signatures."""
-    for name in _SECRET_VARIABLES:
-        if os.environ.get(name):
-            text = text.replace(os.environ[name], "***")
-    return _ADDRESS.sub(lambda match: shown(match[0]), _ACCESS_KEY.sub("***", text))
-
-
-def _said(chain: list[BaseException]) -> str:
-    """Return the first line of what the innermost error of a client says, or else its kind."""
-    link = next((each for each in reversed(chain) if _is_of_client(each)), chain[0])
-    first = (_hidden(str(link)).strip().splitlines() or [""])[0][:300]
-    return first or type(link).__name__
-
-
-def _shown_cause(error: Exception) -> Exception | None:
-    """Return an error as the cause to show; None when its text holds a secret."""
-    texts = [str(link) for link in _chain(error)]
-    return error if all(_hidden(text) == text for text in texts) else None

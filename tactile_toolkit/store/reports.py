@@ -11,15 +11,17 @@ from typing import Any
 
 from tactile_toolkit.errors import IntegrityError
 from tactile_toolkit.store.folder import DataFolder
+from tactile_toolkit.store.local import PENDING_FOLDER
 from tactile_toolkit.store.manifest import Manifest
 from tactile_toolkit.store.parquet import (
     REPORT_STYLE,
     file_sha256,
     named_damage,
     open_checked,
+    sha256_hex,
     stream_parquet,
 )
-from tactile_toolkit.store.shards import PENDING_FOLDER, ShardName, ShardRecord
+from tactile_toolkit.store.shards import ShardName, ShardRecord
 
 __all__ = ["merge_reports", "read_report", "report_columns", "report_pieces", "report_shards"]
 
@@ -59,10 +61,13 @@ def read_report(folder: DataFolder, path: str, columns: Sequence[str] | None = N
     return pa.concat_tables(report_pieces(folder, path, columns))
 
 
-def report_shards(folder: DataFolder, path: str) -> dict[str, int]:
-    """Count the rows of each shard in a report; raises as :func:`report_pieces`."""
+def report_shards(folder: DataFolder, path: str, *, reads_all: bool = True) -> dict[str, int]:
+    """Count the rows of each shard in a report; raises as :func:`report_pieces`.
+
+    With ``reads_all``, rows count where all of their columns can be read.
+    """
     rows: Counter[str] = Counter()
-    for piece in report_pieces(folder, path):  # all columns: rows count where the whole of them can be read
+    for piece in report_pieces(folder, path, None if reads_all else ["shard"]):
         rows.update({entry["values"]: entry["counts"] for entry in piece["shard"].value_counts().to_pylist()})
     return dict(rows)
 
@@ -83,9 +88,13 @@ def merge_reports(folder: DataFolder, path: str, manifest: Manifest) -> str | No
     if known and not pending and folder.exists(path) and file_sha256(folder, path) == known:
         return known
     # What is read is let go before the new file takes its place.
-    with folder.writing(path) as stream, contextlib.ExitStack() as stack:
-        merged = _MergedRows(folder, path, stack)
-        return stream_parquet(stream, _tables(folder, records, pending, merged), REPORT_STYLE)
+    try:
+        with folder.writing(path) as stream, contextlib.ExitStack() as stack:
+            merged = _MergedRows(folder, path, stack)
+            return stream_parquet(stream, _tables(folder, records, pending, merged), REPORT_STYLE)
+    except IntegrityError as error:
+        message = f"{error}; nothing was changed; next: run the same command again with --check"
+        raise IntegrityError(message) from error
 
 
 def _tables(
@@ -98,16 +107,16 @@ def _tables(
         contents = dict(zip(paths, folder.read_many(paths), strict=True))
         for record in some:
             # It goes where another run of the same ends at this moment; then that one has merged it.
-            table = _table(contents.get(record.shard.report_path))
+            table = _table(contents.get(record.shard.report_path), record)
             if table is not None:
                 yield table
             elif record.rows:
                 yield merged.of(record)
 
 
-def _table(content: bytes | None) -> Any:
+def _table(content: bytes | None, record: ShardRecord) -> Any:
     """Return the rows of a pending report; None without one, and for one that is damaged."""
-    if content is not None:
+    if content is not None and sha256_hex(content) == record.report_sha256:
         with contextlib.suppress(IntegrityError), named_damage(PENDING_FOLDER):
             return open_checked(io.BytesIO(content)).read(use_threads=False)
     return None
@@ -139,7 +148,7 @@ class _MergedRows:
         if sum(map(len, rows)) != record.rows:
             message = (
                 f"{self._folder.address(self._path)!r} holds {sum(map(len, rows)):,} rows of shard {name}, "
-                f"expected {record.rows:,}; nothing was changed; next: run the same command again"
+                f"expected {record.rows:,}"
             )
             raise IntegrityError(message)
         return pa.concat_tables(rows)

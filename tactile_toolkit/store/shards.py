@@ -4,23 +4,25 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import asdict, dataclass
-from itertools import chain, repeat, zip_longest
-from operator import itemgetter
+from dataclasses import dataclass
+from itertools import zip_longest
 from pathlib import PurePosixPath
-from typing import Any, NamedTuple
+from typing import Annotated, Any, NamedTuple
+
+import msgspec
 
 from tactile_toolkit.errors import InputError, IntegrityError
 from tactile_toolkit.printable import printable
-from tactile_toolkit.store.fields import LARGEST, Fields, all_digests
+from tactile_toolkit.store.local import PENDING_FOLDER
+from tactile_toolkit.store.typed_json import LARGEST, Count, Sha256
 from tactile_toolkit.wording import did_you_mean
 
 __all__ = [
     "DAMAGED",
     "DATA_FOLDER",
-    "PENDING_FOLDER",
     "VIEWER_FOLDER",
     "Finding",
+    "ShardEntry",
     "ShardFile",
     "ShardName",
     "ShardRecord",
@@ -43,19 +45,13 @@ MOST_ROWS = 1 << 40
 """Most rows that a shard is believed to have; more than any disk holds."""
 
 _MANY_SHARDS = 8192
-_READ_TOGETHER = 1024
-_USUAL = itemgetter("file", "split", "skipped", "rows", "bytes", "sha256", "report_sha256", "unpacked_bytes")
-
-PENDING_FOLDER = ".pending"
-"""Holds the records and report rows of finished shards until the manifest has them."""
 
 # Numbers have five digits, and more where five are too few.
 _SHARD_PATTERN = re.compile(r"(?P<split>\w+)-(?P<index>[0-9]{5,12})-of-(?P<count>[0-9]{5,12})\.parquet")
 _NUMBERS = re.compile("([0-9]+)")
 
 
-@dataclass(frozen=True, slots=True, order=True)
-class ShardName:
+class ShardName(msgspec.Struct, frozen=True, order=True):
     """Which shard, from 0, of how many of which split: ``train-00000-of-00024``."""
 
     split: str
@@ -124,19 +120,18 @@ def shard_ranges(
     ]
 
 
-@dataclass(frozen=True, slots=True)
-class Skipped:
+class Skipped(msgspec.Struct, frozen=True):
     """An item of a source that gave no row: a stable word for counting, and what was wrong, printable."""
 
-    id: int
+    id: Annotated[int, msgspec.Meta(ge=-LARGEST - 1, le=LARGEST)]
     reason: str
     message: str
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "message", printable(self.message))
+        msgspec.structs.force_setattr(self, "message", printable(self.message))
 
 
-class ShardRecord(NamedTuple):  # 50,000 of a frozen dataclass would take 0.1 s longer to make
+class ShardRecord(NamedTuple):
     """What was written for one shard; merged into the manifest at the end of a run.
 
     ``report_sha256`` is the checksum of its report rows, where there are any. ``statistics`` are counts over
@@ -154,7 +149,7 @@ class ShardRecord(NamedTuple):  # 50,000 of a frozen dataclass would take 0.1 s 
     unpacked_bytes: int | None = None
 
     def is_size_of(self, sizes: Mapping[str, int]) -> bool:
-        """Tell whether the shard's file is among the sizes of those in ``data``, with the size it had."""
+        """Return whether the shard's file is among the sizes of those in ``data``, with the size it had."""
         return sizes.get(f"{self.shard}.parquet") == self.bytes
 
     def to_dict(self) -> dict[str, Any]:
@@ -167,74 +162,40 @@ class ShardRecord(NamedTuple):  # 50,000 of a frozen dataclass would take 0.1 s 
             "bytes": self.bytes,
             "sha256": self.sha256,
             "report_sha256": self.report_sha256,
-            "skipped": [asdict(item) for item in self.skipped],
+            "skipped": [msgspec.structs.asdict(item) for item in self.skipped],
             **{name: value for name, value in optional.items() if value is not None},
         }
 
-    @classmethod
-    def all_from(cls, fields: Fields, name: str) -> tuple[ShardRecord, ...]:
-        """Rebuild a list of records, as :meth:`from_fields` does one.
 
-        Sets of 10^8 rows list 50,000, which all are read before the first row is: where some in a row are as
-        most are, nothing is done with each by itself.
-        """
-        records: list[ShardRecord] = []
-        for start in range(0, fields.length(name), _READ_TOGETHER):
-            some = slice(start, start + _READ_TOGETHER)
-            usual = cls._usual(fields.values[name][some])
-            records += map(cls.from_fields, fields.objects(name, some)) if usual is None else usual
-        return tuple(records)
+class ShardEntry(msgspec.Struct, frozen=True):
+    """The form of :meth:`ShardRecord.to_dict` that is believed."""
 
-    @classmethod
-    def _usual(cls, values: Sequence[Any]) -> Iterable[ShardRecord] | None:
-        """Rebuild records of shards that follow each other, from values without surprises; else None."""
-        try:
-            columns = tuple(zip(*map(_USUAL, values), strict=True))
-        except (KeyError, TypeError):
-            return None
-        files, splits, skipped, rows, sizes, digests, reports, unpacked = columns
-        folder, _, name = str(files[0]).rpartition("/")
-        first = ShardName.parse(name)
-        if first is None or folder != DATA_FOLDER or first.index + len(values) > first.count:
-            return None
-        numbers = range(first.index, first.index + len(values))
-        shards = [ShardName(first.split, index, first.count) for index in numbers]
-        if files != tuple([shard.data_path for shard in shards]) or any(
-            "statistics" in each for each in values
-        ):
-            return None
-        if splits != (first.split,) * len(values) or skipped != ([],) * len(values):
-            return None
-        if set(map(type, chain(rows, sizes, unpacked))) != {int} or max(rows) > MOST_ROWS:
-            return None
-        if min(*rows, *sizes, *unpacked) < 0 or max(*sizes, *unpacked) > LARGEST:
-            return None
-        if not all_digests([*digests, *(each for each in reports if each is not None)]):
-            return None
-        return map(cls, shards, rows, sizes, digests, reports, repeat(()), repeat(None), unpacked)
+    file: str
+    split: str
+    rows: Annotated[int, msgspec.Meta(ge=0, le=MOST_ROWS)]
+    bytes: Count
+    sha256: Sha256
+    skipped: tuple[Skipped, ...]
+    report_sha256: Sha256 | None = None
+    statistics: dict[str, Any] | None = None
+    unpacked_bytes: Count | None = None
 
-    @classmethod
-    def from_fields(cls, fields: Fields) -> ShardRecord:
-        """Rebuild a record from :meth:`to_dict`; IntegrityError where a value is missing or wrong."""
-        path = fields.text("file")
-        folder, _, name = path.rpartition("/")
+    def record(self) -> ShardRecord:
+        """Return the record; ValueError where the file is not named as that shard is."""
+        folder, _, name = self.file.rpartition("/")
         shard = ShardName.parse(name)
-        is_ours = shard is not None and folder == DATA_FOLDER and shard.index < shard.count
-        if shard is None or not is_ours or shard.split != fields.text("split"):
-            problem = f"found {path[:80]!r}, expected a shard's name and split"
-            raise fields.wrong(name="file", problem=problem)
-        return cls(
+        if shard is None or folder != DATA_FOLDER or shard.index >= shard.count or shard.split != self.split:
+            message = f"found {self.file[:80]!r}, expected a shard's name and split"
+            raise ValueError(message)
+        return ShardRecord(
             shard,
-            fields.number("rows", most=MOST_ROWS),
-            fields.number("bytes"),
-            fields.digest("sha256"),
-            fields.digest("report_sha256") if fields.has("report_sha256") else None,
-            tuple(
-                Skipped(each.number("id", -(1 << 63)), each.text("reason"), each.text("message"))
-                for each in fields.objects("skipped")
-            ),
-            fields.mapping("statistics") if fields.has("statistics") else None,
-            fields.number("unpacked_bytes") if fields.has("unpacked_bytes") else None,
+            self.rows,
+            self.bytes,
+            self.sha256,
+            self.report_sha256,
+            self.skipped,
+            self.statistics,
+            self.unpacked_bytes,
         )
 
 

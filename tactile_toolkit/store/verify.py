@@ -18,7 +18,7 @@ from tactile_toolkit.store.folder import DataFolder
 from tactile_toolkit.store.manifest import MANIFEST_FILE, Manifest, read_manifest
 from tactile_toolkit.store.origin import RECORD_FILE, DownloadRecord, HubFile, read_record
 from tactile_toolkit.store.parquet import named_damage, open_checked
-from tactile_toolkit.store.shards import DATA_FOLDER, VIEWER_FOLDER, Finding, ShardRecord
+from tactile_toolkit.store.shards import DATA_FOLDER, VIEWER_FOLDER, Finding, ShardName, ShardRecord
 
 __all__ = ["Finding", "Verification", "problem_of_place", "verify"]
 
@@ -183,10 +183,13 @@ def _incomplete(folder: DataFolder, manifest: Manifest) -> list[Finding]:
         if missing:
             findings.append(Finding(MANIFEST_FILE, f"split {split!r} lacks shards {sorted(missing)}"))
     known = {record.shard.data_path for record in manifest.shards}
-    # A hidden name is of a file that somebody is writing, or never finished: no reader takes it for a shard.
-    there = [f"{DATA_FOLDER}/{name}" for name in folder.names(DATA_FOLDER) if not name.startswith(".")]
-    stray = f"is not listed in {MANIFEST_FILE}; next: remove it"
-    findings += [Finding(path, stray) for path in there if path not in known]
+    # Hidden names are of temporary files, and a run may be at work on a split of which nothing is listed.
+    others = set(manifest.split_order) - set(manifest.splits)
+    for name in folder.names(DATA_FOLDER):
+        path, shard = f"{DATA_FOLDER}/{name}", ShardName.parse(name)
+        is_begun = shard is not None and shard.split in others
+        if not (path in known or is_begun or name.startswith(".")):
+            findings.append(Finding(path, f"is not listed in {MANIFEST_FILE}; next: remove it"))
     return findings
 
 

@@ -1,0 +1,186 @@
+"""Starting a folder again: the new data set is made in ``OUT/.next``, then takes the place of the former one.
+
+Until it is finished nothing of the former set is touched. From the moment that the list of its files is
+there, any command carries on with putting it in place.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from fnmatch import fnmatchcase
+
+import msgspec
+
+from tactile_toolkit.errors import InputError, IntegrityError
+from tactile_toolkit.kind import kinds
+from tactile_toolkit.store.files import TEMPORARY_PREFIX
+from tactile_toolkit.store.folder import DataFolder
+from tactile_toolkit.store.identity import identity_digest
+from tactile_toolkit.store.job import CARDS, refuse_links, refuse_unknown_files
+from tactile_toolkit.store.local import NEXT_FOLDER, PENDING_FOLDER
+from tactile_toolkit.store.manifest import MANIFEST_FILE, read_manifest, write_manifest
+from tactile_toolkit.store.names import names_inside
+from tactile_toolkit.store.origin import RECORD_FILE
+from tactile_toolkit.store.plan import BuildPlan
+from tactile_toolkit.store.shards import DATA_FOLDER, ShardName
+from tactile_toolkit.store.typed_json import decode
+
+__all__ = ["make_room", "promote", "require_replaceable", "settle"]
+
+_PROMOTION = f"{NEXT_FOLDER}/promotion.json"
+_PATIENCE_S = 60.0
+
+
+class _Promotion(msgspec.Struct):
+    """What takes the place of what: paths in the folder."""
+
+    arrive: list[str]
+    leave: list[str]
+
+
+def require_replaceable(folder: DataFolder, extra_dirs: tuple[str, ...]) -> list[str]:
+    """Return the files of the data set that a run may replace, none where there is none; changes nothing.
+
+    All that a data set of ours can hold is known by its name; what is hidden and not of ours stays. Raises
+    InputError when anything else is there, a symbolic link above all, and for a set in an object store, which
+    moves no file.
+    """
+    if not folder.exists(MANIFEST_FILE):
+        refuse_links(folder, extra_dirs)
+        refuse_unknown_files(folder)
+        return []
+    if not folder.is_local:
+        message = (
+            f"{folder.address()!r} holds a data set, and --overwrite replaces none in an object store, where "
+            "it could not be put back if the new run fails; nothing was changed; next: choose another folder "
+            "(--out or OUT), or remove that one with the store's own tools"
+        )
+        raise InputError(message)
+    further = _files_beside(folder)
+    refuse_links(folder, (*extra_dirs, *(pattern.partition("/")[0] for pattern in further)))
+    found = []
+    for name in folder.names():
+        if name.startswith(".") and name not in (PENDING_FOLDER, RECORD_FILE):
+            continue
+        for path in folder.walk(name) if folder.place(name).is_dir() else [name]:
+            folder.place(path)  # refuses a link
+            if not _is_ours(path, further):
+                message = (
+                    f"{folder.address()!r} holds more than a data set (found {path!r}); nothing was changed; "
+                    "next: move that file away, or choose an empty or new folder (--out or OUT)"
+                )
+                raise InputError(message)
+            found.append(path)
+    # A damaged manifest of ours has shards beside it; other programs have files of that name, too.
+    if not any(path.startswith((f"{DATA_FOLDER}/", f"{PENDING_FOLDER}/")) for path in found):
+        try:
+            read_manifest(folder)
+        except IntegrityError as error:
+            message = (
+                f"{folder.address(MANIFEST_FILE)!r} may be anybody's: it is not a manifest of this toolkit, "
+                "and no data lies beside it; nothing was changed; next: choose an empty or new folder (--out "
+                "or OUT)"
+            )
+            raise InputError(message) from error
+    return found
+
+
+def _is_ours(path: str, further: list[str]) -> bool:
+    """Return whether a file of a data set of ours can have such a path."""
+    folder, _, name = path.rpartition("/")
+    if path.startswith(f"{PENDING_FOLDER}/") or (folder and name.startswith(TEMPORARY_PREFIX)):
+        return True
+    if folder == DATA_FOLDER:
+        return ShardName.parse(name) is not None
+    patterns = ("reports/*.parquet", "previews/*.png", *CARDS, RECORD_FILE, MANIFEST_FILE, *further)
+    parts = path.split("/")
+    return any(
+        len(parts) == len(wanted) and all(map(fnmatchcase, parts, wanted))
+        for wanted in (pattern.split("/") for pattern in patterns)
+    )
+
+
+def _files_beside(folder: DataFolder) -> list[str]:
+    """Return the patterns of files that lie beside the rows of the data set in a folder."""
+    try:
+        manifest = read_manifest(folder)
+    except IntegrityError:
+        manifest = None
+    # A manifest may be anybody's, of a data set from the Hub: what it names counts where kinds know it.
+    named = () if manifest is None else manifest.extra_dirs
+    known = [pattern for kind in kinds() for pattern in kind.extra_files] if named else []
+    return [pattern for pattern in known if pattern.partition("/")[0] in named]
+
+
+def make_room(folder: DataFolder, plan: BuildPlan) -> DataFolder:
+    """Return the folder in which the next data set is made; what is there of another one goes.
+
+    The run that was making the other one, if it is still at work, is told to begin again.
+    """
+    after = DataFolder(folder.address(NEXT_FOLDER))
+    try:
+        begun = read_manifest(after)
+    except IntegrityError:
+        begun = None
+    if begun is None or identity_digest(begun) != identity_digest(plan.new_manifest()):
+        folder.remove(f"{NEXT_FOLDER}/{MANIFEST_FILE}")  # first: without it nothing there counts
+        folder.remove_tree(NEXT_FOLDER)
+    after.require_folder()
+    return after
+
+
+def settle(folder: DataFolder, patience_s: float = _PATIENCE_S) -> None:
+    """Carry on with a replacement that was begun; raises InputError while another run is at it."""
+    if folder.is_local and folder.exists(_PROMOTION):
+        with folder.locked(patience_s=patience_s):
+            if folder.exists(_PROMOTION):
+                _carry_on(folder)
+
+
+def promote(folder: DataFolder) -> None:
+    """Put the finished data set in ``.next`` in place of that around it; the caller holds the lock.
+
+    Raises InputError where the folder holds more than a data set by now, and nothing was touched.
+    """
+    leave = require_replaceable(folder, ())
+    arrive = [path for path in DataFolder(folder.address(NEXT_FOLDER)).walk() if not path.startswith(".")]
+    promotion = _Promotion(arrive, sorted({*leave} - {*arrive}))
+    folder.write_bytes(_PROMOTION, msgspec.json.encode(promotion))  # from here on there is no way back
+    _carry_on(folder)
+
+
+def _carry_on(folder: DataFolder) -> None:
+    promotion = decode(folder.read_bytes(_PROMOTION), _Promotion, folder.address(_PROMOTION))
+    after = DataFolder(folder.address(NEXT_FOLDER))
+    manifest = read_manifest(after)
+    if manifest is not None:  # it is the last file to move
+        write_manifest(folder, replace(manifest, complete=False))
+        # The list may be anybody's, of a folder that was given to us.
+        every = [pattern for kind in kinds() for pattern in kind.extra_files]
+        for path in promotion.leave:
+            if _is_ours(path, every):
+                folder.remove(path)
+        for path in names_inside(promotion.arrive, repr(folder.address(_PROMOTION))):
+            if path != MANIFEST_FILE and after.exists(path):
+                folder.move(f"{NEXT_FOLDER}/{path}", path)
+        sizes = folder.sizes(DATA_FOLDER)
+        missing = [record.shard.data_path for record in manifest.shards if not record.is_size_of(sizes)]
+        if missing:
+            _clear(folder)  # the same run makes them again where they are to be
+            message = (
+                f"{folder.address(missing[0])!r} is missing or of another size, though it was made to take "
+                "the place of a former file; next: run the same command again without --overwrite"
+            )
+            raise IntegrityError(message)
+        folder.move(f"{NEXT_FOLDER}/{MANIFEST_FILE}", MANIFEST_FILE)
+    for path in promotion.leave:
+        while path := path.rpartition("/")[0]:
+            folder.remove_empty(path)
+    _clear(folder)
+
+
+def _clear(folder: DataFolder) -> None:
+    for path in [*folder.walk(NEXT_FOLDER)]:
+        if path != _PROMOTION:
+            folder.remove(path)
+    folder.remove_tree(NEXT_FOLDER)
