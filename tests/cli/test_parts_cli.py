@@ -73,7 +73,7 @@ def test_a_killed_part_is_named_given_again_and_nothing_differs(tmp_path, whole,
     said, talked = capfd.readouterr()
     assert said == "--array=1\n"
     assert "1 of 4 shards" in talked
-    assert "part 1 of 4; next: give these again (Slurm: --array=1), then --finish" in talked
+    assert "part 1 of 4; next: give these (--part auto/4; Slurm: --array=1), then --finish" in talked
     assert job(1, COUNT="1", MIN="1", MAX="1") == 0
     assert given(*SCENES, place, "--finish", "-q") == 0
     assert folder_bytes(place) == whole
@@ -150,7 +150,7 @@ def test_a_node_that_does_not_see_the_folder(tmp_path, monkeypatch, confirms):
     expected, told = (
         (InputError, r"node node-7 writes to a folder that this machine does not see.*s3://")
         if confirms
-        else (IntegrityError, r"2 shards that were finished are not in '.*set'.*does not see.*s3://")
+        else (IntegrityError, r"2 of 2 shards that were to be made are not in '.*set'.*does not see.*s3://")
     )
     with pytest.raises(expected, match=told):
         build(DataFolder(str(place)), toy_plan(("test",)), BlindNode(place, confirms=confirms))

@@ -14,6 +14,7 @@ import pytest
 
 import realtouch
 from tactile_toolkit.errors import InputError, IntegrityError, SpecMismatchError
+from tactile_toolkit.run.parts import Check
 from tactile_toolkit.store.parquet import sha256_hex
 from tests.realtouch import factories
 from tests.realtouch.factories import Layout, RoundTruth
@@ -248,7 +249,10 @@ def test_running_again_mends_pictures(damage: str, single_folder: Path, tmp_path
         victim.write_bytes(b"other")
     assert not realtouch.verify(out).ok
     made: list[int] = []
-    realtouch.frames(single_folder, out, on_progress=lambda progress: made.append(progress.total))
+    workers = Check() if damage == "change" else 1
+    realtouch.frames(
+        single_folder, out, workers=workers, on_progress=lambda progress: made.append(progress.total)
+    )
     assert made[0] == 3  # the rounds of the train shard; that of the test split is whole
     assert folder_bytes(out) == whole
     assert realtouch.verify(out).ok

@@ -22,7 +22,7 @@ import realtouch
 from realtouch.convert import plan
 from realtouch.exchange import lerobot
 from tactile_toolkit.errors import InputError, IntegrityError
-from tactile_toolkit.run.parts import Finish, Part
+from tactile_toolkit.run.parts import Check, Finish, Part
 from tactile_toolkit.run.processes import InlineRunner
 from tactile_toolkit.touch.jpeg import decode_image
 from tests.realtouch import factories
@@ -145,7 +145,7 @@ def test_parts_kills_and_damage_end_in_the_same_bytes(
     content[len(content) // 2] ^= 1
     victim.write_bytes(content)
     assert [finding.file for finding in realtouch.verify(parts).findings] == [str(victim.relative_to(parts))]
-    realtouch.export(single_folder, parts, layout, split="train")
+    realtouch.export(single_folder, parts, layout, split="train", workers=Check())
     assert folder_bytes(parts) == folder_bytes(whole)
     realtouch.export(single_folder, parts, "flat", split="train", overwrite=True)
     assert not (parts / layout).exists()

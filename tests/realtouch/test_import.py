@@ -524,7 +524,7 @@ def test_stored_text_that_is_not_unicode(
         manifest.write_text(good.replace('"select"', f'"select{escape}"'))
         for command in ("verify", "info", "card"):
             assert call("realtouch", command, tmp_path / "out") == 3, command
-            assert "surrogates not allowed" in capsys.readouterr().err
+            assert "surrogate" in capsys.readouterr().err
     manifest.unlink()
     table = pq.read_table(shard)
     metadata = table.schema.metadata[b"huggingface"].replace(b'"0"', b'"\\ud800"')

@@ -20,8 +20,8 @@ from starstruck_gen.validate import validate_folder
 from tactile_toolkit.errors import InputError, IntegrityError, SpecMismatchError
 from tactile_toolkit.run.processes import ProcessRunner
 from tactile_toolkit.store.folder import DataFolder
-from tactile_toolkit.store.manifest import manifest_so_far, read_manifest
-from tactile_toolkit.store.plan import inspect_folder
+from tactile_toolkit.store.job import look, manifest_so_far
+from tactile_toolkit.store.manifest import read_manifest
 from tactile_toolkit.store.verify import verify
 from tests.command_line import call
 from tests.processes import start_held
@@ -124,7 +124,7 @@ def test_another_seed_or_specification_is_refused_and_named(whole):
 
 
 def test_second_run_makes_nothing(whole):
-    state = inspect_folder(DataFolder(str(whole)), plan_build(SMALL, ("train", "test")))
+    state = look(DataFolder(str(whole)), plan_build(SMALL, ("train", "test")))
     assert state.todo == ()
     calls = []
     generate(SMALL, str(whole), on_progress=calls.append)
@@ -146,7 +146,7 @@ def test_killed_run_resumes_to_the_same_bytes(tmp_path):
     process = start_held("starstruck", 1, tmp_path / "held", *words)
     process.kill()
     process.communicate()
-    state = inspect_folder(DataFolder(str(tmp_path / "killed")), plan_build(spec, ("train", "test")))
+    state = look(DataFolder(str(tmp_path / "killed")), plan_build(spec, ("train", "test")))
     assert 1 <= len(state.kept) < len(state.kept) + len(state.todo) == 3
     generate(spec, str(tmp_path / "killed"))
     generate(spec, str(tmp_path / "whole"), workers=1)
@@ -228,7 +228,7 @@ def test_ordinary_values_of_other_types_are_the_same_specification(tmp_path):
     generate(given, tmp_path / "path", ("train",))
     generate(plain, str(tmp_path / "text"), ("train",))
     assert folder_hashes(tmp_path / "path") == folder_hashes(tmp_path / "text")
-    assert inspect_folder(DataFolder(str(tmp_path / "path")), plan_build(given, ("train",))).todo == ()
+    assert look(DataFolder(str(tmp_path / "path")), plan_build(given, ("train",))).todo == ()
 
 
 @pytest.mark.parametrize("splits", [("holdout",), ("test",)])

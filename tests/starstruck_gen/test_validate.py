@@ -18,7 +18,9 @@ from tactile_toolkit.errors import IntegrityError
 from tactile_toolkit.mesh.mesh import Mesh
 from tactile_toolkit.mesh.solid_check import check_manifold
 from tactile_toolkit.store.folder import DataFolder
-from tactile_toolkit.store.manifest import read_manifest, write_manifest, write_shard_record
+from tactile_toolkit.store.identity import identity_digest
+from tactile_toolkit.store.job import write_record
+from tactile_toolkit.store.manifest import read_manifest, write_manifest
 
 PUBLISHED = ["id", "label", "mesh.vertices", "mesh.faces"]
 
@@ -107,7 +109,7 @@ def interrupted(tmp_path):
     manifest = read_manifest(folder)
     assert manifest is not None
     first, _, test = manifest.shards
-    write_shard_record(folder, first)
+    write_record(folder, first, identity_digest(manifest))
     (out / "data" / "train-00001-of-00002.parquet").unlink()
     write_manifest(folder, replace(manifest, shards=(test,), complete=False))
     return out

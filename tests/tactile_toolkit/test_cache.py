@@ -15,8 +15,8 @@ import pytest
 
 from tactile_toolkit.cache import CACHE_VARIABLE, DiskCache, MemoryCache, cache_folder
 from tactile_toolkit.errors import InputError
-from tactile_toolkit.run.system import machine_name
-from tactile_toolkit.store.folder import FORSAKEN_S, DataFolder
+from tactile_toolkit.store.files import atomic_file
+from tactile_toolkit.store.folder import DataFolder
 
 
 def names(folder: Path) -> list[str]:
@@ -74,13 +74,11 @@ def test_a_file_appears_whole_or_not_at_all(tmp_path):
 
 
 def test_stale_temporary_files_go(tmp_path):
-    (tmp_path / f".writing-{machine_name()}-999999999-abc-x").write_bytes(bytes(10))
-    (tmp_path / ".writing-elsewhere-999999999-abc-x").write_bytes(bytes(10))
-    forsaken = tmp_path / ".writing-elsewhere-999999999-abc-y"
-    forsaken.write_bytes(bytes(10))
-    os.utime(forsaken, (0, forsaken.stat().st_mtime - FORSAKEN_S))
-    assert put(DiskCache(tmp_path, 1000), "y", 100)
-    assert names(tmp_path) == [".writing-elsewhere-999999999-abc-x", "y"]
+    (tmp_path / ".writing-0123456789abcdef0123456789abcdef-x").write_bytes(bytes(10))
+    with atomic_file(tmp_path / "z"):
+        assert put(DiskCache(tmp_path, 1000), "y", 100)
+        assert names(tmp_path)[0].endswith("-z")
+        assert names(tmp_path)[1:] == ["y"]
 
 
 def test_making_room_leaves_what_another_thread_is_writing(tmp_path):

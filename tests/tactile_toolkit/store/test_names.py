@@ -158,7 +158,7 @@ def test_digests_of_a_manifest_are_digests(finished, field, digest):
     shards = json.loads((finished / "manifest.json").read_text())["shards"]
     shards[0]["sha256"] = digest
     edited(finished, **({"shards": shards} if field == "shards" else {"files": {"reports/x": digest}}))
-    with pytest.raises(IntegrityError, match=r"manifest\.json.*expected 64 hexadecimal digits"):
+    with pytest.raises(IntegrityError, match=r"manifest\.json.*expected (64 hexadecimal digits|str)"):
         verify(DataFolder(str(finished)))
 
 
@@ -180,7 +180,7 @@ def test_a_new_set_does_not_take_over_a_folder_of_somebody(finished):
     photo.parent.mkdir(parents=True)
     photo.write_bytes(b"sand")
     before, plan = folder_bytes(finished), replace(toy_plan(spec={"seed": 2}), extra_dirs=("images",))
-    with pytest.raises(InputError, match=r"found 'images'\); nothing was changed"):
+    with pytest.raises(InputError, match=r"found 'images/2019/beach/001\.png'\); nothing was changed"):
         build(DataFolder(str(finished)), plan, InlineRunner(), overwrite=True)
     assert folder_bytes(finished) == before
 

@@ -67,7 +67,7 @@ def test_where_the_manifest_has_gone_the_reasons_are_named(tmp_path):
         if progress.record is not None and (tmp_path / "set" / "data").exists():
             shutil.rmtree(tmp_path / "set")
 
-    with pytest.raises(InputError, match=r"^node .* was removed while this run was at work"):
+    with pytest.raises(InputError, match=r"^node .* was removed or replaced while this run was at work"):
         make(tmp_path / "set", seeded(10), on_progress=remove)
     assert folder_bytes(tmp_path / "set") == {}
 

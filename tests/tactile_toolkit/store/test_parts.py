@@ -2,21 +2,20 @@
 
 from __future__ import annotations
 
-import json
 import random
-import time
 from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
-from tactile_toolkit.errors import InputError, IntegrityError, SpecMismatchError, StorageError
+from tactile_toolkit.errors import InputError, SpecMismatchError, StorageError
 from tactile_toolkit.run.parts import Check, Finish, Part, part_of
 from tactile_toolkit.run.processes import InlineRunner, ProcessRunner
-from tactile_toolkit.store.build import build
-from tactile_toolkit.store.folder import DataFolder, temporary_name
-from tactile_toolkit.store.manifest import manifest_so_far, read_manifest
-from tactile_toolkit.store.parts import PARTS_FILE, MissingPartsError, PartsEndedError, array_text
+from tactile_toolkit.store.build import MissingPartsError, array_text, build
+from tactile_toolkit.store.folder import DataFolder
+from tactile_toolkit.store.job import manifest_so_far
+from tactile_toolkit.store.local import TEMPORARY
+from tactile_toolkit.store.manifest import read_manifest
 from tactile_toolkit.store.plan import BuildPlan
 from tactile_toolkit.store.verify import verify
 from tests.processes import printed_by
@@ -64,7 +63,7 @@ def test_damage_of_the_same_size_counts_as_missing_where_all_is_read(tmp_path, w
     assert folder.read_bytes(path) == content  # parts believe sizes
     with pytest.raises(MissingPartsError) as caught:
         make(folder.url, Check(Finish()))
-    assert caught.value.array == "1"
+    assert (caught.value.array, caught.value.parts) == ("1", SHARDS)
     make(folder.url, Check(Part(1, 2)))
     assert make(folder.url, Check(Finish())).complete
     assert folder_bytes(tmp_path / "set") == whole
@@ -77,7 +76,7 @@ def test_what_is_missing_is_told_as_numbers_of_an_array(tmp_path, whole, runner)
     for _ in range(2):
         with pytest.raises(
             MissingPartsError,
-            match=r"4 of 6 shards of '.*set' are not finished; they are those of parts 1-4 of 6.*--array=1-4",
+            match=r"4 of 6 shards of '.*set' are not finished; .* parts 1-4 of 6.*auto/6.*--array=1-4",
         ) as error:
             make(tmp_path / "set", Finish())
         assert (error.value.array, error.value.exit_code) == ("1-4", 3)
@@ -106,7 +105,7 @@ def test_a_record_counts_only_with_its_whole_file(tmp_path, whole, damage):
         file.write_bytes(file.read_bytes()[:-40])
     else:
         file.unlink()
-    with pytest.raises(MissingPartsError, match=r"1 of 6 shards .* those of part 1 of 2"):
+    with pytest.raises(MissingPartsError, match=r"1 of 6 shards .* those of part 3 of 6"):
         make(tmp_path / "set", Finish())
     made = []
     make(tmp_path / "set", Part(1, 2), on_progress=lambda told: made.append(told.record))
@@ -115,17 +114,29 @@ def test_a_record_counts_only_with_its_whole_file(tmp_path, whole, damage):
     assert folder_bytes(tmp_path / "set") == whole
 
 
-def test_what_the_parts_are_of_is_agreed_once_and_held_to(tmp_path):
+def test_parts_make_the_same_set_whatever_their_number(tmp_path, whole):
+    """An array that was given again in another length goes on with what is there."""
+    make(tmp_path / "set", Part(0, 4))
+    made = []
+    for part in (Part(1, 5), Part(2, 3), Part(1, 1)):
+        make(tmp_path / "set", part, on_progress=lambda told: made.append(told.record))
+    shards = [record.shard for record in made if record is not None]
+    assert sorted([*shards, *shards_of_part(0, 4)]) == sorted(shards_of_part(0, 1))
+    make(tmp_path / "set", Finish())
+    assert folder_bytes(tmp_path / "set") == whole
+
+
+def shards_of_part(index, count):
+    return [task.shard for task in toy_plan().tasks[index::count]]
+
+
+def test_parts_of_other_sets_are_refused(tmp_path):
     plan = toy_plan()
     make(tmp_path / "set", Part(0, 4))
     before = folder_bytes(tmp_path / "set")
-    assert json.loads(before[PARTS_FILE])["parts"] == 4
     for part, other, told in (
-        (Part(1, 5), plan, r"parts is 4 there, 5 was asked for.*--part K/4"),
-        (Part(1, 4), toy_plan(("train",)), r"shards_planned\.test is 2 there, None was asked for"),
         (Part(1, 4), toy_plan(spec={"seed": 2, "size": [1, 2]}), r"seed is 1 there, 2 was asked for"),
-        (Part(1, 4), replace(plan, libraries=("numpy",)), r"libraries\.numpy is None there"),
-        (Finish(), toy_plan(("train",)), r"shards_planned\.test is 2 there"),
+        (Finish(), toy_plan(spec={"seed": 2, "size": [1, 2]}), r"seed is 1 there, 2 was asked for"),
         (InlineRunner(), toy_plan(spec={"seed": 2, "size": [1, 2]}), r"seed is 1 there, 2 was asked for"),
     ):
         with pytest.raises(SpecMismatchError, match=told):
@@ -134,29 +145,26 @@ def test_what_the_parts_are_of_is_agreed_once_and_held_to(tmp_path):
         with pytest.raises(InputError, match=r"--overwrite was given with --part.*remove '.*set' first"):
             make(tmp_path / "set", part, overwrite=True)
     assert folder_bytes(tmp_path / "set") == before
+    make(tmp_path / "libraries", Part(0, 4), replace(plan, libraries=("numpy",)))
+    with pytest.raises(SpecMismatchError, match=r"libraries\.numpy is '[\d.]+' there, None was asked for"):
+        make(tmp_path / "libraries", Part(1, 4), plan)
 
 
-@pytest.mark.parametrize(
-    ("first", "told"),
-    [
-        (toy_plan(spec={"seed": 2, "size": [1, 2]}).for_parts(4), "seed is 2 there, 1 was asked for"),
-        (toy_plan().for_parts(5), "parts is 5 there, 4 was asked for"),
-    ],
-)
-def test_of_two_first_parts_at_the_same_moment_the_later_is_held_to_the_other(
-    tmp_path, monkeypatch, first, told
-):
-    create = DataFolder.create_bytes
+@pytest.mark.parametrize("seed", [1, 2])
+def test_of_two_first_parts_at_the_same_moment_the_later_is_held_to_the_other(tmp_path, monkeypatch, seed):
+    create, first = DataFolder.create_bytes, toy_plan(spec={"seed": seed, "size": [1, 2]}).new_manifest()
 
     def just_behind(folder, path, content):
-        if path == PARTS_FILE:
-            create(folder, path, first.to_json())
+        create(folder, path, first.to_json().encode())
         return create(folder, path, content)
 
     monkeypatch.setattr(DataFolder, "create_bytes", just_behind)
-    with pytest.raises(SpecMismatchError, match=told):
+    if seed == 1:
         make(tmp_path / "set", Part(1, 4))
-    assert folder_bytes(tmp_path / "set") == {PARTS_FILE: first.to_json()}
+        return
+    with pytest.raises(SpecMismatchError, match="seed is 2 there, 1 was asked for"):
+        make(tmp_path / "set", Part(1, 4))
+    assert folder_bytes(tmp_path / "set") == {"manifest.json": first.to_json().encode()}
 
 
 def test_parts_of_another_specification_are_told_what_parts_can_do(tmp_path, whole):
@@ -188,9 +196,7 @@ def test_a_folder_that_was_not_made_in_parts_is_finished_too(tmp_path, whole):
                 plan, tasks=(*plan.tasks[:-1], replace(plan.tasks[-1], error=StorageError("disk full")))
             ),
         )
-    with pytest.raises(
-        MissingPartsError, match=r"1 of 6 shards.*next: run the same command without --finish"
-    ):
+    with pytest.raises(MissingPartsError, match=r"1 of 6 shards.*or run the same command without --finish"):
         make(tmp_path / "set", Finish())
     make(tmp_path / "set")
     make(tmp_path / "set", Finish())
@@ -224,20 +230,33 @@ def test_a_part_that_fails_takes_nothing_of_the_others_along(tmp_path, whole):
     assert folder_bytes(tmp_path / "set") == whole
 
 
-def test_finishing_clears_up_after_writers_elsewhere(tmp_path, whole):
+def test_finishing_clears_up_after_all_writers(tmp_path, whole):
     for index in range(2):
         make(tmp_path / "set", Part(index, 2))
-    elsewhere = tmp_path / "set" / "data" / ".writing-otherhost-17.3-0123abcd-train-00001-of-00004.parquet"
-    elsewhere.write_bytes(b"half")
+    left = tmp_path / "set" / ".pending" / f"{TEMPORARY}0123abcd"
+    left.write_bytes(b"half")
     make(tmp_path / "set", Part(1, 2))
-    assert elsewhere.exists()
-    mine = tmp_path / "set" / "data" / temporary_name("train-00001-of-00004.parquet")
-    mine.write_bytes(b"half")
+    assert left.exists()
     make(tmp_path / "set", Finish())
-    assert mine.exists()  # its writer lives
-    mine.unlink()
     assert folder_bytes(tmp_path / "set") == whole
     assert verify(DataFolder(str(tmp_path / "set")), SCHEMA).ok
+
+
+def test_a_writer_whose_temporary_file_was_removed_writes_again(tmp_path, monkeypatch):
+    """By somebody who finished a set there, for instance."""
+    folder, replaced = DataFolder(str(tmp_path)), Path.replace
+    gone = []
+
+    def remove_first(self, target):
+        if len(gone) < 3:
+            gone.append(self)
+            self.unlink()
+        return replaced(self, target)
+
+    monkeypatch.setattr(Path, "replace", remove_first)
+    folder.write_bytes("data/a", b"content")
+    assert folder_bytes(tmp_path) == {"data/a": b"content"}
+    assert len(gone) == 3
 
 
 def test_who_makes_the_rest_without_parts_ends_them(tmp_path, whole):
@@ -266,7 +285,7 @@ def test_a_part_writes_nothing_into_a_set_that_was_started_again(tmp_path, momen
         if (progress.record is not None) == (moment == "between two shards") and not started:
             started.append(make(tmp_path / "set", plan=other, overwrite=True))
 
-    with pytest.raises(PartsEndedError, match="started again"):
+    with pytest.raises(InputError, match="was replaced while this run was at work"):
         make(tmp_path / "set", Part(0, 2), on_progress=others)
     assert started
     assert folder_bytes(tmp_path / "set") == folder_bytes(tmp_path / "other")
@@ -288,7 +307,7 @@ def test_parts_in_a_store_of_objects(whole):
     folder = DataFolder("memory://bucket/parts")
     for index in (0, 2):
         build(folder, toy_plan(), Part(index, 3))
-    with pytest.raises(MissingPartsError, match="--array=1"):
+    with pytest.raises(MissingPartsError, match="--array=1,4"):
         build(folder, toy_plan(), Finish())
     build(folder, toy_plan(), Part(1, 3))
     build(folder, toy_plan(), Finish())
@@ -296,34 +315,17 @@ def test_parts_in_a_store_of_objects(whole):
     assert folder.names(".pending") == []
 
 
-def test_left_records_of_nobody_knows_what_run_prove_nothing(tmp_path, whole):
-    """Somebody removed the manifest of an interrupted run."""
-    make(tmp_path / "set", Part(0, 2))
-    for name in ("manifest.json", PARTS_FILE):
-        (tmp_path / "set" / name).unlink()
+def test_records_of_another_job_prove_nothing(tmp_path, whole):
+    """Somebody removed the manifest of an interrupted run, and began another set there."""
+    other = toy_plan(spec={"seed": 2, "size": [1, 2]})
+    make(tmp_path / "set", Part(0, 2), other)
+    (tmp_path / "set" / "manifest.json").unlink()
     (tmp_path / "set" / "data").rename(tmp_path / "data")
-    with pytest.raises(InputError, match=r"nobody knows which data set.*next: remove that folder"):
-        make(tmp_path / "set", Part(0, 2))
+    with pytest.raises(StorageError, match="full"):
+        make(tmp_path / "set", plan=toy_plan(error=StorageError("disk full")))
+    make(tmp_path / "set", Part(0, 2))
+    assert len(list((tmp_path / "set" / "data").iterdir())) == 3
     make(tmp_path / "set")
-    assert folder_bytes(tmp_path / "set") == whole
-
-
-def test_a_damaged_agreement_is_named(tmp_path, monkeypatch):
-    monkeypatch.setattr("tactile_toolkit.store.parts._SETTLES_S", 0.1)
-    make(tmp_path / "set", Part(0, 2))
-    (tmp_path / "set" / PARTS_FILE).write_text('{"parts": 2')
-    with pytest.raises(IntegrityError, match=r"plan\.json', what the parts agreed on, is damaged"):
-        make(tmp_path / "set", Part(1, 2))
-
-
-def test_an_agreement_that_another_machine_still_writes_is_waited_for(tmp_path, whole, monkeypatch):
-    make(tmp_path / "set", Part(0, 2))
-    agreed = tmp_path / "set" / PARTS_FILE
-    content = agreed.read_bytes()
-    agreed.write_bytes(content[:20])
-    monkeypatch.setattr(time, "sleep", lambda _: agreed.write_bytes(content))
-    make(tmp_path / "set", Part(1, 2))
-    make(tmp_path / "set", Finish())
     assert folder_bytes(tmp_path / "set") == whole
 
 
@@ -339,13 +341,11 @@ def slurm(**values: str) -> dict[str, str]:
     [
         ("17/500", {}, Part(17, 500)),
         ("500/500", {}, Part(500, 500)),
-        ("auto", slurm(), Part(17, None, assumed=500)),
-        ("auto", slurm(MIN="1", MAX="500"), Part(17, None, assumed=500)),
-        ("auto", slurm(COUNT="7", MIN="3", MAX="44"), Part(17)),  # --array=3,17,40-44
-        ("auto", slurm(COUNT="250", MAX="498"), Part(17)),  # with steps
+        ("auto", slurm(), Part(17, 500)),
+        ("auto", slurm(MIN="1", MAX="500"), Part(17, 500)),
         ("auto/500", slurm(COUNT="7", MIN="3", MAX="44"), Part(17, 500)),
         ("auto/9", {"JOB_COMPLETION_INDEX": "0"}, Part(0, 9)),
-        ("auto", {"JOB_COMPLETION_INDEX": "0", "JOB_COMPLETION_COUNT": "9"}, Part(0, assumed=9)),
+        ("auto", {"JOB_COMPLETION_INDEX": "0", "JOB_COMPLETION_COUNT": "9"}, Part(0, 9)),
     ],
 )
 def test_a_part_is_named_or_taken_from_the_scheduler(text, environment, expected):
@@ -368,19 +368,14 @@ def test_what_names_no_part_is_refused(text, told):
         part_of(text, 1, {"SLURM_ARRAY_TASK_ID": ""})
 
 
-def test_some_of_an_array_given_again_are_the_same_parts(tmp_path, whole):
-    again = Part(5, assumed=None)
+@pytest.mark.parametrize(
+    "array",
+    [{"COUNT": "7", "MIN": "3", "MAX": "44"}, {"COUNT": "250", "MAX": "498"}],
+    ids=["--array=3,17,40-44", "with steps"],
+)
+def test_of_a_part_of_an_array_the_number_of_parts_is_to_be_said(array):
     with pytest.raises(InputError, match=r"nothing says how many parts.*--part auto/N"):
-        make(tmp_path / "set", again)
-    with pytest.raises(InputError, match="no part 7 of 6"):
-        make(tmp_path / "set", Part(7, assumed=SHARDS))
-    assert not (tmp_path / "set").exists()  # nothing was made
-    make(tmp_path / "set", Part(0, assumed=SHARDS))
-    make(tmp_path / "set", Part(5, assumed=2))
-    with pytest.raises(MissingPartsError, match="--array=1-4"):
-        make(tmp_path / "set", Finish())
-    with pytest.raises(InputError, match="no part 7 of 6"):
-        make(tmp_path / "set", Part(7, assumed=500))
+        part_of("auto", 1, slurm(**array))
 
 
 def test_numbers_are_written_as_slurm_takes_them():
@@ -397,7 +392,7 @@ from tactile_toolkit.run.parts import Check, Finish, Part
 from tactile_toolkit.run.processes import InlineRunner
 from tactile_toolkit.store.build import build
 from tactile_toolkit.store.folder import DataFolder
-from tactile_toolkit.store.parts import MissingPartsError
+from tactile_toolkit.store.build import MissingPartsError
 from tests.tactile_toolkit.store.test_parts import few_shards
 from tests.tactile_toolkit.toy import folder_bytes
 
@@ -450,7 +445,7 @@ def go_on(place, was_killed):
         build(DataFolder(place), plan, Finish())
         complete = True
     except MissingPartsError as error:
-        assert (error.array, error.parts) == ("0", 2)
+        assert (error.array, error.parts) == ("0", 2), moment
         complete = False
     assert complete or was_killed
     build(DataFolder(place), plan, Part(0, 2))

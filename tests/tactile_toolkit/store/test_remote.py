@@ -17,11 +17,10 @@ from tactile_toolkit.errors import InputError, IntegrityError, RemoteError, Spec
 from tactile_toolkit.run.parts import Check, Finish, Part
 from tactile_toolkit.run.processes import InlineRunner, ProcessRunner
 from tactile_toolkit.store import remote, reports
-from tactile_toolkit.store.build import build
+from tactile_toolkit.store.build import MissingPartsError, build
 from tactile_toolkit.store.folder import DataFolder
 from tactile_toolkit.store.manifest import read_manifest
 from tactile_toolkit.store.parquet import ParquetStyle
-from tactile_toolkit.store.parts import MissingPartsError
 from tactile_toolkit.store.verify import verify
 from tests.tactile_toolkit.toy import SCHEMA, folder_bytes, toy_plan
 
@@ -101,7 +100,7 @@ def test_of_many_writers_at_once_one_creates_a_file(folder):
     threads = [
         threading.Thread(
             target=lambda number=number: won.append(
-                (folder._remote.create("plan.json", b"%d" % number), number)
+                (folder._files.create("plan.json", b"%d" % number), number)
             )
         )
         for number in range(8)
@@ -128,8 +127,8 @@ def test_a_creation_whose_answer_was_lost_is_known_as_ones_own(folder, s3):  # n
         return None
 
     s3.refuse = lose
-    assert folder._remote.create("plan.json", b"mine")
-    assert not folder._remote.create("plan.json", b"mine")
+    assert folder._files.create("plan.json", b"mine")
+    assert not folder._files.create("plan.json", b"mine")
 
 
 def boto_put(s3, key, body, folder):  # noqa: F811
@@ -342,7 +341,7 @@ def test_parts_at_once_in_a_store_give_the_bytes_of_one_process(folder, s3, buck
     broken = (*plan.tasks[:4], replace(plan.tasks[4], error=RuntimeError("stopped")), *plan.tasks[5:])
     with pytest.raises(RuntimeError, match="stopped"):
         build(folder, replace(plan, tasks=broken), Part(1, 3))
-    with pytest.raises(MissingPartsError, match="--array=0-2"):
+    with pytest.raises(MissingPartsError, match="--array=0,2-5"):
         build(folder, plan, Finish())
     with ThreadPoolExecutor(3) as threads:
         made = list(threads.map(lambda index: build(folder, toy_plan(), Part(index, 3)), range(3)))

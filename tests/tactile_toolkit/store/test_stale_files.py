@@ -12,19 +12,17 @@ from pathlib import Path
 import pytest
 
 from tactile_toolkit.cache import DiskCache
-from tactile_toolkit.run import system
 from tactile_toolkit.run.processes import InlineRunner
-from tactile_toolkit.run.system import machine_name
 from tactile_toolkit.store.build import build
-from tactile_toolkit.store.folder import FORSAKEN_S, DataFolder, atomic_file, is_stale, temporary_name
+from tactile_toolkit.store.files import atomic_file, remove_abandoned
+from tactile_toolkit.store.folder import DataFolder
 from tactile_toolkit.store.verify import verify
 from tests.processes import alive, wait_for_death
 from tests.tactile_toolkit.toy import SCHEMA, toy_plan
 
 REPOSITORY = Path(__file__).resolve().parents[3]
-
-HERE = machine_name()
 NAME = "train-00001-of-00004.parquet"
+UNIQUE = "0123456789abcdef0123456789abcdef"
 
 
 def names(folder: Path) -> list[str]:
@@ -36,7 +34,7 @@ def zombie_that_wrote(folder) -> subprocess.Popen[bytes]:
     code = """
 import os, signal, sys
 from pathlib import Path
-from tactile_toolkit.store.folder import atomic_file
+from tactile_toolkit.store.files import atomic_file
 with atomic_file(Path(sys.argv[1])) as stream:
     stream.write(b"half")
     stream.flush()
@@ -55,61 +53,54 @@ def test_of_a_writer_whose_parent_has_not_noticed_its_death(tmp_path):
     try:
         (left,) = names(tmp_path)
         assert left.endswith(NAME)
-        DataFolder(str(tmp_path)).remove_stale_files("")
+        remove_abandoned(tmp_path)
         assert names(tmp_path) == []
     finally:
         process.wait()
 
 
-def test_of_a_writer_whose_number_another_process_has_now(tmp_path):
-    mine = temporary_name(NAME)
-    assert not is_stale(mine)
-    writer = mine.removeprefix(f".writing-{HERE}-").split("-")[0]
-    began = writer.split(".")[1]
-    former = mine.replace(writer, f"{os.getpid()}.{int(began) - 1}")
-    assert is_stale(former)
-
-
-@pytest.mark.parametrize("has_proc", [True, False])
-def test_of_the_dead_and_of_the_living(tmp_path, monkeypatch, has_proc):
-    if not has_proc:  # macOS
-        monkeypatch.setattr(system, "_has_proc", lambda: False)
-        monkeypatch.setattr(system, "_proc_stat", lambda _process: None)
-    dead = f".writing-{HERE}-999999999-abc-{NAME}"
-    dead_too = f".writing-{HERE}-999999999.17-abc-{NAME}"
-    init = f".writing-{HERE}-1-abc-{NAME}"
-    mine = temporary_name(NAME)
-    elsewhere = f".writing-otherhost-999999999-abc-{NAME}"
-    strange = [".writing-", f".writing-{HERE}-notes.txt", ".gallery-x", NAME]
-    for name in (dead, dead_too, init, mine, elsewhere, *strange):
+def test_of_the_dead_and_of_the_living(tmp_path):
+    """Also in the process that writes, and in another thread of it."""
+    (tmp_path / f".writing-{UNIQUE}-{NAME}").touch()
+    (tmp_path / f".writing-{UNIQUE}-folder").mkdir()
+    strange = [".gallery-x", NAME, ".writing-", ".writing-notes.txt", f".writing-{UNIQUE}"]
+    for name in strange:
         (tmp_path / name).touch()
-    DataFolder(str(tmp_path)).remove_stale_files("")
-    assert names(tmp_path) == sorted([init, mine, elsewhere, *strange])
+    with atomic_file(tmp_path / "mine") as stream:
+        stream.write(b"half")
+        remove_abandoned(tmp_path)
+        assert len(names(tmp_path)) == 6
+    assert names(tmp_path) == sorted(["mine", *strange])
 
 
-def test_of_writers_elsewhere_after_an_age(tmp_path):
-    """By the clock of the file system: a file of an hour from now is young, whatever clock is wrong."""
-    young, old, ahead = (f".writing-{host}-999999999.17-abc-{NAME}" for host in ("a-7", "b", "c"))
-    rebooted = f".writing-{HERE.rpartition('-')[0]}-0123456789ab-1-abc-{NAME}"
-    for name, age_s in ((young, FORSAKEN_S - 60), (old, FORSAKEN_S), (rebooted, FORSAKEN_S), (ahead, -3600)):
-        (tmp_path / name).touch()
-        written_s = (tmp_path / name).stat().st_mtime - age_s
-        os.utime(tmp_path / name, (written_s, written_s))
-    DataFolder(str(tmp_path)).remove_stale_files("")
-    assert names(tmp_path) == sorted([young, ahead])
-    DataFolder(str(tmp_path)).remove_stale_files("", forsaken_s=-7200)
-    assert names(tmp_path) == []
+def test_a_file_that_is_removed_before_it_is_held_is_made_again(tmp_path, monkeypatch):
+    from tactile_toolkit.store import files
+
+    held, seen = files.held, []
+
+    def removed_first(path):
+        seen.append(path)
+        if len(seen) == 1:
+            path.unlink()
+        return held(path)
+
+    monkeypatch.setattr(files, "held", removed_first)
+    with atomic_file(tmp_path / "mine") as stream:
+        stream.write(b"all of it")
+    assert len(seen) == 2
+    assert (tmp_path / "mine").read_bytes() == b"all of it"
+    assert names(tmp_path) == ["mine"]
 
 
 WRITE_AND_CLEAN = """
 import sys
 from pathlib import Path
 from tactile_toolkit.cache import DiskCache
-from tactile_toolkit.store.folder import DataFolder, atomic_file
+from tactile_toolkit.store.files import atomic_file, remove_abandoned
 folder = Path(sys.argv[1])
 with atomic_file(folder / "theirs") as stream:
     stream.write(b"half")
-    DataFolder(str(folder)).remove_stale_files("")
+    remove_abandoned(folder)
     DiskCache(folder, 1 << 20).write("kept", 1, lambda cached: cached.write(b"1"))
     print(len(list(folder.glob(".writing-*"))), flush=True)
     sys.stdin.readline()
@@ -132,7 +123,7 @@ def test_of_containers_that_share_a_host_name(tmp_path, proc):
     with atomic_file(tmp_path / "mine") as stream:
         stream.write(b"half")
         assert inside.stdout.readline() == "2\n"
-        DataFolder(str(tmp_path)).remove_stale_files("")
+        remove_abandoned(tmp_path)
         assert DiskCache(tmp_path, 1 << 20).write("here", 1, lambda cached: cached.write(b"1"))
         assert len(list(tmp_path.glob(".writing-*"))) == 2
     inside.communicate("\n")
@@ -144,8 +135,9 @@ def test_what_is_being_written_is_no_damage(tmp_path):
     """A file that somebody writes, or never finished on another machine, is not one of the set."""
     folder = DataFolder(str(tmp_path / "set"))
     build(folder, toy_plan(), InlineRunner())
-    for name in (temporary_name(NAME), f".writing-otherhost-17.3-0123abcd-{NAME}"):
-        (tmp_path / "set" / "data" / name).write_bytes(b"half")
+    (tmp_path / "set" / ".pending").mkdir()
+    (tmp_path / "set" / ".pending" / "tmp-0123abcd").write_bytes(b"half")
+    (tmp_path / "set" / "data" / f".writing-otherhost-17.3-0123abcd-{NAME}").write_bytes(b"half")
     assert verify(folder, SCHEMA).ok
     (tmp_path / "set" / "data" / "notes.txt").write_bytes(b"x")
     assert [finding.file for finding in verify(folder, SCHEMA).findings] == ["data/notes.txt"]

@@ -9,9 +9,9 @@ import pytest
 
 from tactile_toolkit.errors import InputError, SpecMismatchError
 from tactile_toolkit.run.processes import InlineRunner, ProcessRunner
-from tactile_toolkit.run.system import machine_name
 from tactile_toolkit.store.build import build
 from tactile_toolkit.store.folder import DataFolder
+from tactile_toolkit.store.local import TEMPORARY
 from tests.tactile_toolkit.toy import folder_bytes, toy_plan
 
 IMPOSSIBLE = InputError("no place for the third object")
@@ -63,7 +63,7 @@ def test_ctrl_c_before_the_first_shard_leaves_nothing(tmp_path):
 
 def test_what_ended_a_run_is_what_is_reported(tmp_path, monkeypatch):
     """Not that the disk lets nothing be tidied up then."""
-    left = tmp_path / "set" / "data" / f".writing-{machine_name()}-999999999-abc-train-00001-of-00004.parquet"
+    left = tmp_path / "set" / ".pending" / f"{TEMPORARY}0123abcd"
 
     def stop(progress):
         left.parent.mkdir(exist_ok=True)

@@ -1,0 +1,253 @@
+"""A fault before, in or after every call that a run makes of its folder: nothing is lost or shows.
+
+A call of the folder protocol that changes something is a point. At each of them: the file system refuses,
+Ctrl-C, the end of the process (no call does anything any more), or another complete run. Then the same
+command again leads to the bytes of an undisturbed run; in between, what is called complete is right.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import errno
+import os
+import random
+import shutil
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from tactile_toolkit.errors import InputError, StorageError, ToolkitError
+from tactile_toolkit.run.parts import Finish, Part
+from tactile_toolkit.run.processes import InlineRunner
+from tactile_toolkit.store import build as module
+from tactile_toolkit.store.build import build
+from tactile_toolkit.store.folder import DataFolder
+from tactile_toolkit.store.local import LocalFiles
+from tactile_toolkit.store.manifest import read_manifest
+from tactile_toolkit.store.shards import ShardName
+from tactile_toolkit.store.verify import verify
+from tests.tactile_toolkit.toy import SCHEMA, ToyTask, folder_bytes, toy_plan
+
+SAMPLED = 150
+"""Points of each command that the run at a desk draws; all of them are `thorough`."""
+
+
+class Ended(BaseException):
+    """The process has ended: whatever is called from here on does nothing."""
+
+
+def plan(splits=("test",), seed=1, error=None):
+    """Two shards a split, of two rows each, whose rows depend on the seed and whose names do not."""
+    first = {"train": 0, "test": 100}
+    tasks = tuple(
+        ToyTask(
+            ShardName(split, index, 2),
+            (first[split] + 20 * index + seed, first[split] + 20 * index + seed + 1),
+            error=error,
+        )
+        for split in splits
+        for index in range(2)
+    )
+    return replace(toy_plan(), spec={"seed": seed}, tasks=tasks)
+
+
+def card(folder, manifest):
+    folder.write_bytes("README.md", str(manifest.split_table()).encode())
+
+
+def run(place, runner=None, a_plan=None, **options):
+    return build(
+        DataFolder(str(place)), a_plan or plan(), runner or InlineRunner(), write_card=card, **options
+    )
+
+
+@dataclass(frozen=True)
+class Command:
+    """What is disturbed: it begins with what ``before`` has made, and ``again`` must lead to ``after``."""
+
+    before: Callable[[Path], object]
+    run: Callable[[Path], object]
+    again: Callable[[Path], object]
+    after: Callable[[Path], object]
+    others: tuple[Callable[[Path], object], ...] = ()
+
+
+def nothing(place):
+    place.mkdir()
+
+
+def parts(*numbers):
+    def make(place):
+        place.mkdir(exist_ok=True)
+        for number in numbers:
+            run(place, Part(number, 2))
+
+    return make
+
+
+def finish_all(place):
+    parts(0, 1)(place)
+    run(place, Finish())
+
+
+def second_split(place):
+    run(place, a_plan=plan(("train",)))
+
+
+def both_splits(place):
+    run(place, a_plan=plan(("train", "test")))
+
+
+def replaced(place):
+    run(place, a_plan=plan(seed=2), overwrite=True)
+
+
+def failing(place):
+    with contextlib.suppress(InputError):
+        run(place, a_plan=plan(error=InputError("no place")))
+
+
+COMMANDS = {
+    "generate": Command(nothing, run, run, run, (run, finish_all)),
+    "part": Command(nothing, parts(0), finish_all, run, (run, parts(1), parts(0))),
+    "finish": Command(parts(0, 1), lambda place: run(place, Finish()), finish_all, run, (run, finish_all)),
+    "overwrite": Command(
+        run, replaced, replaced, lambda place: run(place, a_plan=plan(seed=2)), (run, replaced)
+    ),
+    "second split": Command(run, second_split, second_split, both_splits, (second_split, run)),
+    "failure": Command(nothing, failing, run, run, (run,)),
+}
+CHANGES = ("put", "create", "move", "remove", "remove_empty", "make", "lock", "writing")
+FAULTS = ("refused", "Ctrl-C", "ended", "another run")
+MOMENTS = ("before", "in", "after")
+
+
+class Disturbed:
+    """Counts the calls of a run, and does something at one of them."""
+
+    def __init__(self, monkeypatch, point, moment, fault, other):
+        self.point, self.moment, self.fault, self.other = point, moment, fault, other
+        self.calls, self.done, self.ended = 0, False, False
+        for name in CHANGES:
+            monkeypatch.setattr(LocalFiles, name, self._watched(name, getattr(LocalFiles, name)))
+
+    def _watched(self, name, call):
+        if name in ("lock", "writing"):
+            return lambda files, *args, **kw: self._context(name, call, files, *args, **kw)
+
+        def watched(files, *args):
+            with self._around(files, name, args):
+                return call(files, *args)
+
+        return watched
+
+    @contextlib.contextmanager
+    def _context(self, name, call, files, *args, **options):
+        if self.ended:
+            raise Ended
+        with call(files, *args, **options) as held:
+            with self._around(files, name, args):
+                pass
+            yield held
+            if self.ended:
+                raise Ended
+
+    @contextlib.contextmanager
+    def _around(self, files, name, args):
+        if self.ended:
+            raise Ended
+        self.calls += 1
+        is_here = self.calls == self.point and not self.done
+        if is_here and self.moment != "after":
+            if self.moment == "in" and name == "put":
+                left = Path(files.root, ".pending", f"tmp-{self.point}")
+                left.parent.mkdir(exist_ok=True, parents=True)
+                left.write_bytes(args[1][: len(args[1]) // 2] if isinstance(args[1], bytes) else b"half")
+            self._strike(files)
+        yield
+        if is_here and self.moment == "after":
+            self._strike(files)
+
+    def _strike(self, files):
+        self.done = True
+        if self.fault == "refused":
+            raise StorageError("no space is left") from OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+        if self.fault == "Ctrl-C":
+            raise KeyboardInterrupt
+        if self.fault == "ended":
+            self.ended = True
+            raise Ended
+        calls, self.calls = self.calls, -(1 << 30)
+        with contextlib.suppress(ToolkitError):
+            self.other()
+        self.calls = calls
+
+
+def points_of(command: Command, tmp_path: Path) -> int:
+    """Count the calls of an undisturbed run."""
+    with pytest.MonkeyPatch.context() as patch:
+        command.before(tmp_path / "counted")
+        counted = Disturbed(patch, 0, "before", "refused", None)
+        command.run(tmp_path / "counted")
+    return counted.calls
+
+
+def cases(command: Command, points: int) -> Iterator[tuple[int, str, str, Any]]:
+    for point in range(1, points + 1):
+        for moment in MOMENTS:
+            for fault in FAULTS[:3]:
+                yield point, moment, fault, None
+        for other in command.others:
+            yield point, "before", FAULTS[3], other
+
+
+def disturb(
+    command: Command, place: Path, case: tuple[int, str, str, Any], expected: dict[str, bytes]
+) -> None:
+    point, moment, fault, other = case
+    command.before(place)
+    with pytest.MonkeyPatch.context() as patch:
+        disturbed = Disturbed(patch, point, moment, fault, lambda: other(place))
+        with contextlib.suppress(ToolkitError, KeyboardInterrupt, Ended):
+            command.run(place)
+        assert disturbed.done, case
+    folder = DataFolder(str(place))
+    manifest = read_manifest(folder) if place.exists() else None
+    if manifest is not None and manifest.complete:
+        assert verify(folder, SCHEMA).ok, case
+    command.again(place)
+    assert folder_bytes(place) == expected, case
+    hidden = [path for path in place.iterdir() if path.name.startswith(".")]
+    assert hidden == [], case
+    shutil.rmtree(place)
+
+
+@pytest.fixture(autouse=True)
+def nobody_waits(monkeypatch):
+    monkeypatch.setattr(module, "_PATIENCE_S", 0.0)
+    monkeypatch.setattr(os, "fsync", lambda _: None)  # of thousands of runs; the order of effects is the same
+
+
+def check(name: str, tmp_path: Path, drawn: int | None) -> None:
+    command = COMMANDS[name]
+    (tmp_path / "expected").mkdir()
+    command.after(tmp_path / "expected")
+    expected = folder_bytes(tmp_path / "expected")
+    every = list(cases(command, points_of(command, tmp_path)))
+    assert len(every) > 60
+    for case in every if drawn is None else random.Random(name).sample(every, min(drawn, len(every))):
+        disturb(command, tmp_path / "set", case, expected)
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+def test_a_fault_at_some_points(name: str, tmp_path: Path) -> None:
+    check(name, tmp_path, SAMPLED)
+
+
+@pytest.mark.thorough
+@pytest.mark.parametrize("name", COMMANDS)
+def test_a_fault_at_every_point(name: str, tmp_path: Path) -> None:
+    check(name, tmp_path, None)
