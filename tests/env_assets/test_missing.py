@@ -172,11 +172,11 @@ def test_processes_that_start_at_once_do_not_harm_each_other(tmp_path):
 DIE = """
 import os, signal, sys
 import tactile_toolkit.store.build, env_assets
-write_shard_record = tactile_toolkit.store.build.write_shard_record
+write_record = tactile_toolkit.store.build.write_record
 def write_and_die(*arguments):
-    write_shard_record(*arguments)
+    write_record(*arguments)
     os.kill(os.getpid(), signal.SIGKILL)
-tactile_toolkit.store.build.write_shard_record = write_and_die
+tactile_toolkit.store.build.write_record = write_and_die
 env_assets.AssetProvider(sys.argv[1], generate=True).meshes("starstruck", "train")
 """
 
