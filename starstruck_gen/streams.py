@@ -77,8 +77,8 @@ class SceneStreams:
         # Lists, of whose numbers the generator reads each faster than of an array.
         state: Any = self._bits.state
         self._key = [0, 0]
-        self._start = {**state, "state": {"counter": state["state"]["counter"].tolist(), "key": self._key}}
-        self._start["buffer"] = state["buffer"].tolist()
+        start = {"counter": state["state"]["counter"].tolist(), "key": self._key}
+        self._start: Any = {**state, "state": start, "buffer": state["buffer"].tolist()}
         self._random = np.random.Generator(self._bits).random
 
     def uniform(self, seed: int) -> Callable[[], float]:

@@ -181,7 +181,7 @@ def _staging(path: Path) -> Iterator[Path]:
     """
     path.parent.mkdir(parents=True, exist_ok=True)
     for left in (*path.parent.glob(f"{_PREFIX}*"), *path.glob(f"{_PREFIX}*")):
-        with suppress(BlockingIOError, FileNotFoundError), locked(left, wait=False):
+        with suppress(BlockingIOError, FileNotFoundError), locked(left, patience_s=0):
             shutil.rmtree(left, ignore_errors=True)
     # Within a folder that is there, which may be all that may be written, or a file system of its own.
     staging = (path if path.is_dir() else path.parent) / f"{_PREFIX}{uuid.uuid4().hex}"

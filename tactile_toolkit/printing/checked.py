@@ -17,7 +17,7 @@ from tactile_toolkit.errors import InputError, ItemError
 from tactile_toolkit.mesh.mesh import MM_PER_M
 from tactile_toolkit.mesh.solid_check import ManifoldCheck, require_solid
 from tactile_toolkit.run.processes import runner_for
-from tactile_toolkit.store.files import atomic_file, named_failures
+from tactile_toolkit.store.files import atomic_file, named_failures, remove_abandoned
 from tactile_toolkit.store.folder import DataFolder
 
 if TYPE_CHECKING:
