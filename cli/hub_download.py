@@ -108,10 +108,8 @@ def _introduce(sink: Sink, name: str, plan: DownloadPlan) -> None:
     """Say what is fetched, how large it is, and under which terms it stands."""
     from tactile_toolkit.catalog.published import published_set
 
-    # Asking for a snapshot goes to the Hub, which a finished download does without.
-    snapshot_licence = None if plan.is_done else plan.repository.snapshot.licence
     known = published_set(name)
-    licence = (known.licence if known else None) or snapshot_licence
+    licence = (known.licence if known else None) or plan.repository.snapshot.licence
     splits = ", ".join(plan.splits)
     sink.talk(
         f"{plan.repository.repo_id} at {plan.commit[:12]}: {splits}; {counted(len(plan.files), 'files')}, "
@@ -119,7 +117,7 @@ def _introduce(sink: Sink, name: str, plan: DownloadPlan) -> None:
     )
     if plan.leftover:
         sink.talk(f"to remove, the Hub has them no more: {listed(plan.leftover)}")
-    if not plan.repository.has_answered:
+    if plan.repository.snapshot.is_cache:
         sink.talk("the Hub gives no answer: what is known here of the data set is taken for all of it")
     if known is not None and plan.missing:
         sink.talk(f"licence: {licence or 'see its card on the Hub'}; please cite: {known.citation}")

@@ -215,7 +215,7 @@ def _hub_shards(repository: HubRepository, paths: Sequence[str], streaming: bool
     if not streaming:
         return tuple(map(Shard, repository.fetch(paths)))
     for path in paths:
-        repository.expected(path)  # a file that is not there is told now, not when it is read
+        repository.file(path)  # a file that is not there is told now, not when it is read
     failures = functools.partial(named_failures, repository.repo_id, repository.revision, "streaming")
     return tuple(Shard(repository.address(path), failures=failures) for path in paths)
 

@@ -28,9 +28,9 @@ from tactile_toolkit.errors import (
     StorageError,
     ToolkitError,
 )
-from tactile_toolkit.hub.cache import RepositoryCache, is_whole, remember_whole
-from tactile_toolkit.hub.errors import named_failures, not_cached, storage_failure_as_hub_error
-from tactile_toolkit.hub.repository import HubRepository
+from tactile_toolkit.hub.cache import RepositoryCache, is_whole
+from tactile_toolkit.hub.errors import not_cached, storage_failure_as_hub_error
+from tactile_toolkit.hub.repository import HubRepository, cached_snapshot
 from tactile_toolkit.hub.retry import is_unanswered
 from tactile_toolkit.hub.transfers import Transfers
 from tactile_toolkit.run.system import locked
@@ -40,7 +40,7 @@ from tactile_toolkit.store.job import refuse_unknown_files
 from tactile_toolkit.store.manifest import MANIFEST_FILE, Manifest, read_manifest, write_manifest
 from tactile_toolkit.store.names import names_inside
 from tactile_toolkit.store.origin import DownloadRecord, HubFile, read_record, write_record
-from tactile_toolkit.store.shards import DATA_FOLDER, files_of_split, shard_files
+from tactile_toolkit.store.shards import DATA_FOLDER, ShardFile, files_of_split, shard_files
 
 __all__ = ["DownloadPlan", "download", "plan_download"]
 
@@ -65,8 +65,6 @@ class DownloadPlan:
         Where from.
     folder : DataFolder or None
         Where to; None for the Hub's own cache.
-    commit : str
-        Commit that all files are of.
     splits : tuple of str
         Splits that will be there.
     all_splits : tuple of str
@@ -76,8 +74,10 @@ class DownloadPlan:
     missing : tuple of HubFile
         Those of them that are to be fetched.
     leftover : tuple of str
-        Files of an earlier download that the repository has no more; they are removed. Empty where the cache
-        answers for the Hub: what it does not list may well be there.
+        Files of an earlier download that the repository has no more; they are removed. Empty where the Hub
+        gives no answer: what is not known here may well be there.
+    labels : tuple of str
+        Which of cards and manifest the repository has.
     is_done : bool
         Whether there is nothing to do at all.
     record : DownloadRecord or None
@@ -86,14 +86,19 @@ class DownloadPlan:
 
     repository: HubRepository
     folder: DataFolder | None
-    commit: str
     splits: tuple[str, ...]
     all_splits: tuple[str, ...]
     files: tuple[HubFile, ...]
     missing: tuple[HubFile, ...]
-    leftover: tuple[str, ...] = ()
-    is_done: bool = False
-    record: DownloadRecord | None = None
+    leftover: tuple[str, ...]
+    labels: tuple[str, ...]
+    is_done: bool
+    record: DownloadRecord | None
+
+    @property
+    def commit(self) -> str:
+        """Commit that all files are of."""
+        return self.repository.snapshot.commit
 
     @property
     def bytes(self) -> int:
@@ -123,120 +128,92 @@ def plan_download(
     """Find out what a download has to do; changes nothing in the target.
 
     ``name`` is a short name of a published set, or ``USER/NAME``; ``out`` a folder to fill instead of the
-    Hub's cache. No split named means all; splits that are in the folder already stay in step with them.
+    Hub's cache. No split named means all; splits that are in the folder already stay in step with them. A
+    Hub in trouble is waited for; one that stays silent is answered for by the cache and the folder's record.
     Raises InputError (not a repository, no such split, somebody's own files in the folder),
     SpecMismatchError (the folder holds another data set) or HubError; then nothing in the folder was touched.
     """
     known = published_set(name)
-    repository = replace(repository_named(known.repo_id if known else name, revision), on_wait=on_wait)
-    try:
-        return _plan(repository, splits, out)
-    except ToolkitError:
-        if not repository.is_cached_for_now:
-            raise
-    # What the cache cannot give is worth waiting for a Hub in trouble.
-    return _plan(replace(repository, must_be_online=True), splits, out)
+    repository = repository_named(known.repo_id if known else name, revision)
+    folder = DataFolder(out) if out is not None else None
+    return _plan(replace(repository, patient=True, on_wait=on_wait), splits, folder)
 
 
-def _plan(repository: HubRepository, splits: Sequence[str], out: str | None) -> DownloadPlan:
-    if out is None:
-        return _plan_for_cache(repository, splits)
-    folder = DataFolder(out)
-    record = _own_record(folder, repository)
-    try:
-        is_offline = repository.snapshot.is_cache
-    except HubError as error:
-        done = _plan_by_record(repository, folder, record, splits)
-        # A refusal counts, whatever is here.
-        if done is None or not is_unanswered(error):
-            raise
-        return done
-    done = _plan_by_record(repository, folder, record, splits) if is_offline else None
-    if done is not None:
-        return done
-    if record is not None and is_offline:
-        return _plan_by_cache(repository, folder, record, splits)
-    return _plan_for_folder(repository, folder, record, splits)
-
-
-def _plan_for_cache(repository: HubRepository, splits: Sequence[str]) -> DownloadPlan:
-    _require_known_splits(repository, splits)
-    chosen, all_splits, shards = _chosen_splits(repository, splits)
-    files = _wanted(repository, [*_extras(repository, chosen, fitted=True), *shards])
-    # Anew, although each was found whole once: a bit that the disk has flipped changes no time.
-    missing = _missing(files, lambda file: repository.cached(file.path, anew=True) is not None)
-    _require_cached_if_offline(repository, [file.path for file in missing])
-    commit = repository.snapshot.commit
-    return DownloadPlan(repository, None, commit, chosen, all_splits, files, missing, is_done=not missing)
-
-
-def _plan_for_folder(
-    repository: HubRepository, folder: DataFolder, record: DownloadRecord | None, splits: Sequence[str]
-) -> DownloadPlan:
-    _require_known_splits(repository, splits)
-    now = {file.split for file in repository_shards(repository)}
-    before = [file.split for file in shard_files(record.files)] if record else []
-    wanted = [*splits, *(split for split in before if split in now)] if splits else []
-    chosen, all_splits, shards = _chosen_splits(repository, wanted)
-    files = _wanted(repository, [*_extras(repository, chosen, fitted=False), *shards])
-    missing = _missing(files, partial(_is_here, folder, record))
-    recorded = record.files if record else {}
-    _refuse_own_files(folder, [file.path for file in missing])
-    kept = {file.path for file in files}
-    leftover = tuple(path for path in recorded if path not in kept)
-    labels, commit = _labels_of(repository), repository.snapshot.commit
-    _require_cached_if_offline(repository, [*(file.path for file in missing), *labels])
-    same = record is not None and record.finished and record.commit == commit
-    done = same and not leftover and not missing and _is_labelled(folder, labels)
-    return DownloadPlan(
-        repository, folder, commit, chosen, all_splits, files, missing, leftover, done, record
-    )
-
-
-def _plan_by_cache(
-    repository: HubRepository, folder: DataFolder, record: DownloadRecord, splits: Sequence[str]
-) -> DownloadPlan:
-    """Plan for a folder while the cache answers for the Hub: it can mend and add, never tell what is gone."""
-    if repository.snapshot.commit != record.commit:
-        what = f"commit {record.commit[:12]}, which {folder.address()!r} holds,"
-        raise not_cached(repository.repo_id, what)
-    here = {file.split for file in shard_files(record.files)}
-    further = [split for split in splits if split not in here]
-    files = dict(record.files)
-    if further:
-        shards = _chosen_splits(repository, further)[2]
-        added = _wanted(repository, [*_extras(repository, further, fitted=False), *shards])
-        files |= {file.path: file for file in added}
-    missing = _missing(files.values(), partial(_is_here, folder, record))
-    _require_cached_if_offline(repository, [*(file.path for file in missing), *record.labels])
-    chosen = tuple(split for split in record.splits if split in {*here, *further})
+def _plan(repository: HubRepository, splits: Sequence[str], folder: DataFolder | None) -> DownloadPlan:
+    record = _own_record(folder, repository) if folder is not None else None
+    repository = _answered(repository, folder, record)
+    snapshot, recorded = repository.snapshot, record.files if record else {}
+    # In place of a silent Hub: all that the record lists stays wanted.
+    known = record if snapshot.is_cache else None
+    shards = repository_shards(repository)
+    all_splits = known.splits if known else _splits_of(repository, shards)
+    before = {shard.split for shard in shard_files(recorded)}
+    wanted = {*splits, *before} if splits or known else set(all_splits)
+    there = {shard.split for shard in shards}
+    chosen = tuple(split for split in all_splits if split in wanted & there)
+    paths = [*_extras(repository, chosen, fitted=folder is None), *(known.files if known else ())]
+    # Of a repository without shards, the usual split is the one that is said to be missing.
+    for split in dict.fromkeys([*chosen, *splits] or ["train"]):
+        with repository.missing_as_not_cached(f"split {split!r}"):
+            paths += [file.path for file in files_of_split(shards, split, repository.repo_id)]
+    names = names_inside(dict.fromkeys(paths), f"Hub data set {repository.repo_id!r}")
+    files = {path: repository.file(path) for path in names}
+    here = Transfers().each(partial(_is_here, repository, folder, record), tuple(files.values()))
+    missing = [file for file, is_here in zip(files.values(), here, strict=True) if not is_here]
+    leftover = [path for path in recorded if path not in files]
+    labels = known.labels if known else tuple(path for path in _LABELS if path in snapshot.files)
+    is_done = not missing
+    if folder is not None:
+        _refuse_own_files(folder, [file.path for file in missing])
+        same = record is not None and record.finished and record.commit == snapshot.commit
+        is_done = same and not missing and not leftover and _is_labelled(folder, labels)
+    if snapshot.is_cache and not is_done:  # found out before anything is touched
+        for path in (*(file.path for file in missing), *labels):
+            if path not in snapshot.files or repository.cached(path) is None:
+                raise not_cached(repository.repo_id, repr(path))
     return DownloadPlan(
         repository,
         folder,
-        record.commit,
         chosen,
-        record.splits,
+        all_splits,
         tuple(files.values()),
-        missing,
-        record=record,
+        tuple(missing),
+        tuple(leftover),
+        labels,
+        is_done,
+        record,
     )
 
 
-def _plan_by_record(
-    repository: HubRepository, folder: DataFolder, record: DownloadRecord | None, splits: Sequence[str]
-) -> DownloadPlan | None:
-    """Return a plan with nothing to do if all that is wanted is there; for a Hub that cannot be asked."""
+def _splits_of(repository: HubRepository, shards: Sequence[ShardFile]) -> tuple[str, ...]:
+    order = repository.manifest.split_order if repository.manifest is not None else ()
+    names = {shard.split for shard in shards}
+    return tuple(split for split in order if split in names) or tuple(sorted(names))
+
+
+def _answered(
+    repository: HubRepository, folder: DataFolder | None, record: DownloadRecord | None
+) -> HubRepository:
+    """Return the repository with what it holds: as the Hub says, or else as cache and record do.
+
+    The record of a folder can be mended and added to by the cache; neither tells what the Hub has no more.
+    """
+    try:
+        snapshot = repository.snapshot
+        if record is None or not snapshot.is_cache:
+            return repository
+        commit = snapshot.commit
+    except HubError as error:
+        # A refusal counts, whatever is here.
+        if record is None or not is_unanswered(error):
+            raise
+        commit = ""
     # Only the Hub knows whether two names mean one commit.
-    if record is None or not record.finished or record.revision != repository.revision:
-        return None
-    here = {file.split for file in shard_files(record.files)}
-    files = tuple(record.files.values())
-    if not set(splits or record.splits) <= here or not _is_labelled(folder, record.labels):
-        return None
-    if _missing(files, partial(_is_here, folder, record)):
-        return None
-    chosen = tuple(split for split in record.splits if split in here)
-    return DownloadPlan(repository, folder, record.commit, chosen, record.splits, files, (), is_done=True)
+    if folder is not None and repository.revision != record.revision and commit != record.commit:
+        what = f"commit {record.commit[:12]}, which {folder.address()!r} holds,"
+        raise not_cached(repository.repo_id, what)
+    cached = cached_snapshot(repository.repo_id, record.commit)
+    return replace(repository, known=replace(cached, files={**cached.files, **record.files}))
 
 
 def _own_record(folder: DataFolder, repository: HubRepository) -> DownloadRecord | None:
@@ -272,40 +249,6 @@ def _refuse_own_files(folder: DataFolder, paths: Iterable[str]) -> None:
         raise InputError(message)
 
 
-def _require_known_splits(repository: HubRepository, splits: Sequence[str]) -> None:
-    """Refuse to take what the cache lists for all that there is, while the Hub may still answer."""
-    if splits or repository.must_be_online or repository.manifest is not None:
-        return
-    if repository.is_cached_for_now:
-        message = f"the Hub does not say now which splits {repository.repo_id!r} has; next: try again later"
-        raise HubError(message)
-
-
-def _require_cached_if_offline(repository: HubRepository, paths: Iterable[str]) -> None:
-    """Make sure, before anything is touched, that the cache has what is wanted if it answers for the Hub."""
-    if repository.snapshot.is_cache:
-        for path in paths:
-            if repository.cached(path) is None:
-                raise not_cached(repository.repo_id, repr(path))
-
-
-def _chosen_splits(
-    repository: HubRepository, splits: Sequence[str]
-) -> tuple[tuple[str, ...], tuple[str, ...], list[str]]:
-    """Return the splits wanted (all, where none is named), all splits, and the paths of the shards wanted."""
-    found = repository_shards(repository)
-    order = repository.manifest.split_order if repository.manifest is not None else ()
-    names = {file.split for file in found}
-    known = tuple(split for split in order if split in names) or tuple(sorted(names))
-    chosen = tuple(split for split in known if split in splits) if splits else known
-    shards = []
-    # Of a repository without shards, the usual split is the one that is said to be missing.
-    for split in dict.fromkeys([*chosen, *splits] or ["train"]):
-        with repository.missing_as_not_cached(f"split {split!r}"):
-            shards += [file.path for file in files_of_split(found, split, repository.repo_id)]
-    return chosen, known, shards
-
-
 def _extras(repository: HubRepository, splits: Sequence[str], *, fitted: bool) -> list[str]:
     """Return what goes with the shards of some splits: small files, and pictures where the set has any.
 
@@ -318,8 +261,7 @@ def _extras(repository: HubRepository, splits: Sequence[str], *, fitted: bool) -
     def is_extra(path: str) -> bool:
         if path in _LABELS:
             return fitted
-        # What repeats the shards for the Hub's page stays there.
-        if path in shown:  # repeats the shards for the Hub's page
+        if path in shown:  # repeats the shards for the Hub's page, and stays there
             return False
         return path in listed or path in _EXTRA_FILES or PurePosixPath(path).parts[0] in _EXTRA_FOLDERS
 
@@ -331,21 +273,15 @@ def _extras(repository: HubRepository, splits: Sequence[str], *, fitted: bool) -
     return [*found, *(path for path in repository.files() if path.startswith(folders))]
 
 
-def _wanted(repository: HubRepository, paths: Iterable[str]) -> tuple[HubFile, ...]:
-    """Return wanted files with what proves them: the manifest's checksums, or else the Hub's."""
-    names = names_inside(paths, f"Hub data set {repository.repo_id!r}")
-    return tuple(HubFile(path, repository.size_bytes(path), repository.expected(path)) for path in names)
+def _is_here(
+    repository: HubRepository, folder: DataFolder | None, record: DownloadRecord | None, file: HubFile
+) -> bool:
+    """Tell whether a file lies whole where it is to be, as far as that can be known.
 
-
-def _missing(files: Iterable[HubFile], is_here: Callable[[HubFile], bool]) -> tuple[HubFile, ...]:
-    """Return the files that are not here, comparing those that are by checksum, several at once."""
-    wanted = list(files)
-    here = Transfers().each(is_here, wanted)
-    return tuple(file for file, there in zip(wanted, here, strict=True) if not there)
-
-
-def _is_here(folder: DataFolder, record: DownloadRecord | None, file: HubFile) -> bool:
-    """Tell whether a folder holds a file whole, as far as that can be known."""
+    It is read anew, although it was found whole once: a bit that the disk has flipped changes no time.
+    """
+    if folder is None:
+        return repository.cached(file.path, anew=True) is not None
     if file.digest is None or not folder.exists(file.path) or folder.size_bytes(file.path) != file.size_bytes:
         return False
     if folder.is_local:
@@ -355,11 +291,6 @@ def _is_here(folder: DataFolder, record: DownloadRecord | None, file: HubFile) -
         return True
     with folder.open(file.path) as stream:
         return file.digest.of_stream(stream, file.size_bytes) == file.digest
-
-
-def _labels_of(repository: HubRepository) -> tuple[str, ...]:
-    """Return which of cards and manifest a repository has."""
-    return tuple(name for name in _LABELS if name in repository.snapshot.files)
 
 
 def _is_labelled(folder: DataFolder, labels: Iterable[str]) -> bool:
@@ -401,7 +332,7 @@ def download(
     if not plan.is_done:
         with _alone(folder, on_wait):
             if read_record(folder) != plan.record:  # another download was here, maybe of other splits
-                plan = _plan(plan.repository, plan.splits, folder.address())
+                plan = _plan(plan.repository, plan.splits, folder)
             if not plan.is_done:
                 _fill(plan, folder, transfers)
     return folder.address()
@@ -452,62 +383,48 @@ def _fill(plan: DownloadPlan, folder: DataFolder, transfers: Transfers) -> None:
         repository.revision,
         {file.path: file for file in plan.files},
         plan.all_splits,
-        _labels_of(repository),
+        plan.labels,
     )
     # What the folder is to become is written down first, so that a killed download is known for what it is.
-    earlier = read_record(folder)
-    files = {**(earlier.files if earlier else {}), **record.files}
-    write_record(folder, replace(record, files=files, finished=False))
+    earlier = plan.record.files if plan.record else {}
+    write_record(folder, replace(record, files={**earlier, **record.files}, finished=False))
     if manifest is not None and (plan.missing or plan.leftover):
         write_manifest(folder, replace(manifest, shards=(), complete=False))
     # Before the first new file comes: old and new ones side by side would pass for one set.
     for path in (*plan.leftover, *(file.path for file in plan.missing)):
         folder.remove(path)
-    transfers.each(lambda file: _bring(plan, folder, file, transfers), plan.missing)
+    with contextlib.ExitStack() as stack:
+        # Beside its place until it is checked: what has the name of a file of the data set is whole.
+        stage = folder.place(_STAGE_FOLDER) if folder.is_local else stack.enter_context(scratch_folder())
+        transfers.each(lambda file: _bring(repository, folder, file, stage, transfers), plan.missing)
     _label(plan, folder, manifest)
     write_record(folder, record)
     if folder.is_local:
-        shutil.rmtree(folder.address(_STAGE_FOLDER), ignore_errors=True)
+        folder.remove_tree(_STAGE_FOLDER)
 
 
-def _bring(plan: DownloadPlan, folder: DataFolder, file: HubFile, transfers: Transfers) -> None:
-    """Bring one file into the folder: copied where the Hub's cache has it whole, fetched where not."""
-    if not folder.is_local:
-        _bring_to_store(plan.repository, folder, file, transfers)
-        return
-    repository, target = plan.repository, folder.place(file.path)
-    cached = repository.cached(file.path)
-    with named_failures(repository.repo_id, repository.revision, f"fetching {file.path!r} of"):
-        if cached is not None:
-            folder.copy_in(file.path, cached)
-            transfers.count(file.size_bytes)
-        else:
-            # Beside its place until it is checked: what has the name of a file of the data set is whole.
-            staged = repository.download(file.path, transfers, folder.place(_STAGE_FOLDER))
-            target.parent.mkdir(parents=True, exist_ok=True)
-            staged.replace(target)
-    if file.digest is not None:
-        remember_whole(target, file.digest)
-
-
-def _bring_to_store(
-    repository: HubRepository, folder: DataFolder, file: HubFile, transfers: Transfers
+def _bring(
+    repository: HubRepository, folder: DataFolder, file: HubFile, stage: Path, transfers: Transfers
 ) -> None:
+    """Bring one file into the folder: copied where the Hub's cache has it whole, fetched where not."""
     cached = repository.cached(file.path)
-    named = named_failures(repository.repo_id, repository.revision, f"fetching {file.path!r} of")
-    with scratch_folder() as stage, named:
-        folder.copy_in(file.path, cached or repository.download(file.path, transfers, stage))
     if cached is not None:
+        folder.copy_in(file.path, cached)
         transfers.count(file.size_bytes)
+        return
+    fetched = repository.download(file.path, transfers, stage)
+    if folder.is_local:
+        folder.move(f"{_STAGE_FOLDER}/{file.path}", file.path)
+    else:
+        folder.copy_in(file.path, fetched)
+        fetched.unlink()
 
 
 def _label(plan: DownloadPlan, folder: DataFolder, manifest: Manifest | None) -> None:
     """Write manifest and cards, fitted to the splits that are there."""
     is_part = set(plan.splits) < set(plan.all_splits)
-    names = [name for name in _LABELS if name in plan.repository.files()]
-    contents = {
-        name: Path(path).read_bytes() for name, path in zip(names, plan.repository.fetch(names), strict=True)
-    }
+    fetched = plan.repository.fetch(plan.labels)
+    contents = {name: Path(path).read_bytes() for name, path in zip(plan.labels, fetched, strict=True)}
     shown = {path for paths in viewer_files(manifest).values() for path in paths}
     is_fitted = is_part or bool(shown)
     if manifest is not None and is_fitted:

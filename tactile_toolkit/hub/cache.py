@@ -14,7 +14,7 @@ from tactile_toolkit.store.files import atomic_file
 from tactile_toolkit.store.names import problem_of_name
 from tactile_toolkit.store.origin import Digest
 
-__all__ = ["RepositoryCache", "is_whole", "remember_whole", "remove_with_content"]
+__all__ = ["RepositoryCache", "is_whole", "remove_with_content"]
 
 _COMMIT = re.compile(r"[0-9a-f]{40}")
 
@@ -32,24 +32,14 @@ def is_whole(file: Path, digest: Digest, *, anew: bool = False) -> bool:
         is_same = digest.of(file) == digest
     except FileNotFoundError:  # another process has found it damaged, and removed it
         return False
-    if is_same:
-        _note(mark)
-    else:
-        with contextlib.suppress(OSError):
+    with contextlib.suppress(OSError):  # where notes cannot be kept, it is read again next time
+        if is_same:
+            mark.parent.mkdir(parents=True, exist_ok=True)
+            # The name of an empty file says it all: nothing to lock, nothing to tear.
+            mark.touch()
+        else:
             mark.unlink(missing_ok=True)
     return is_same
-
-
-def remember_whole(file: Path, digest: Digest) -> None:
-    """Note that a file has a digest; where notes cannot be kept, it is read again next time."""
-    _note(_mark(file, digest))
-
-
-def _note(mark: Path) -> None:
-    with contextlib.suppress(OSError):
-        mark.parent.mkdir(parents=True, exist_ok=True)
-        # The name of an empty file says it all: nothing to lock, nothing to tear.
-        mark.touch()
 
 
 def _mark(file: Path, digest: Digest) -> Path:
@@ -101,11 +91,6 @@ class RepositoryCache:
         root = self.snapshot_folder(commit)
         found = sorted(file for file in root.rglob("*") if file.is_file())
         return {file.relative_to(root).as_posix(): file for file in found}
-
-    def file(self, commit: str, path: str) -> Path | None:
-        """Return a cached file; None when it is not there."""
-        file = self.snapshot_folder(commit) / path
-        return file if file.is_file() else None
 
     def size_bytes(self) -> int:
         """Return the size of all whole contents."""

@@ -8,10 +8,10 @@ import json
 import os
 import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import Any, NoReturn
 
 from tactile_toolkit.errors import HubError, InputError, IntegrityError
 from tactile_toolkit.hub.cache import RepositoryCache, is_whole, remove_with_content
@@ -22,7 +22,7 @@ from tactile_toolkit.store.manifest import MANIFEST_FILE, Manifest
 from tactile_toolkit.store.names import names_inside
 from tactile_toolkit.store.origin import Digest, HubFile
 
-__all__ = ["HubName", "HubRepository", "HubSnapshot", "hub_name", "look_at"]
+__all__ = ["HubName", "HubRepository", "HubSnapshot", "cached_snapshot", "hub_name", "look_at"]
 
 _PREFIX = "hf://datasets/"
 # Names of branches that hold a slash are written %2F, but for the two kinds that the Hub makes itself.
@@ -77,8 +77,6 @@ class HubSnapshot:
         By path. Of a snapshot that was read from the cache, only those in the cache.
     is_cache : bool
         Whether the cache answered because the Hub could not be asked.
-    may_pass : bool
-        Whether that is a trouble of the kind that passes: the Hub is overloaded, a connection broke.
     licence : str or None
         What its card says, if it says so.
     """
@@ -88,26 +86,24 @@ class HubSnapshot:
     files: Mapping[str, HubFile]
     is_cache: bool = False
     licence: str | None = None
-    may_pass: bool = False
 
 
 def look_at(
     repo_id: str,
     revision: str | None = None,
     *,
-    patient: bool = True,
-    must_be_online: bool = False,
+    patient: bool | None = None,
     on_wait: Callable[[str], None] = lambda _: None,
 ) -> HubSnapshot:
-    """Ask the Hub, once and quickly, what a revision holds (``main`` by default); if it is silent, the cache.
+    """Ask the Hub what a revision holds (``main`` by default); if it is silent, the cache.
 
-    Waits for a Hub in trouble if nothing of the revision is in the cache (unless not ``patient``), or if
-    something is wanted that the cache does not have (``must_be_online``). Raises HubError when the Hub
-    refused, or cannot be reached and the revision is not in the cache.
+    A ``patient`` question waits for a Hub in trouble; by default where nothing of the revision is in the
+    cache. Raises HubError when the Hub refused, or cannot be reached and the revision is not in the cache.
     """
     from huggingface_hub import HfApi, constants
 
-    def look(timeout_s: float) -> HubSnapshot:
+    def look() -> HubSnapshot:
+        timeout_s = constants.HF_HUB_ETAG_TIMEOUT if waits else _PROBE_TIMEOUT_S
         answer: Any = HfApi().dataset_info(repo_id, revision=revision, files_metadata=True, timeout=timeout_s)
         files = {}
         for entry in answer.siblings or ():
@@ -121,28 +117,23 @@ def look_at(
 
     cache = RepositoryCache(repo_id)
     known = cache.commit_of(revision or _MAIN)
-    has_files = known is not None and bool(cache.files(known))
-    probes = not patient or (has_files and not must_be_online)
-    timeout_s = _PROBE_TIMEOUT_S if probes else constants.HF_HUB_ETAG_TIMEOUT
+    cached = cached_snapshot(repo_id, known) if known is not None else None
+    has_files = cached is not None and bool(cached.files)
+    waits = patient or (patient is None and not has_files)
     try:
-        found = ask(
-            functools.partial(look, timeout_s),
-            repo_id,
-            revision,
-            waits_s=() if probes else None,
-            on_wait=on_wait,
-        )
+        found = ask(look, repo_id, revision, waits_s=None if waits else (), on_wait=on_wait)
     except HubError as error:
-        if known is not None and has_files and is_unanswered(error):
-            return _cached_snapshot(cache, known, may_pass=is_passing(error))
+        if cached is not None and has_files and is_unanswered(error):
+            return cached
         raise
     cache.remember_commit(revision or _MAIN, found.commit)
     return found
 
 
-def _cached_snapshot(cache: RepositoryCache, commit: str, *, may_pass: bool) -> HubSnapshot:
+def cached_snapshot(repo_id: str, commit: str) -> HubSnapshot:
+    """Return what the cache has of a commit."""
     files = {}
-    for path, file in cache.files(commit).items():
+    for path, file in RepositoryCache(repo_id).files(commit).items():
         # The name of a blob tells what it holds; a cache without links has none.
         name = Path(os.path.realpath(file)).name
         digest = None
@@ -150,7 +141,7 @@ def _cached_snapshot(cache: RepositoryCache, commit: str, *, may_pass: bool) -> 
             with contextlib.suppress(ValueError):
                 digest = Digest("sha256" if len(name) == _SHA256_DIGITS else "git-sha1", name)
         files[path] = HubFile(path, file.stat().st_size, digest)
-    return HubSnapshot(cache.repo_id, commit, files, is_cache=True, may_pass=may_pass)
+    return HubSnapshot(repo_id, commit, files, is_cache=True)
 
 
 @dataclass(frozen=True)
@@ -164,8 +155,10 @@ class HubRepository:
     revision : str or None
         Branch, tag or commit. What it names is looked up on first use and stays so for this object, so that
         all files are of one commit.
-    must_be_online : bool
-        Wait for a Hub in trouble even where the cache could answer in its place.
+    patient : bool or None
+        Whether to wait for a Hub in trouble; by default where the cache could not answer in its place.
+    known : HubSnapshot or None
+        What it holds, where that was looked up already.
     on_wait : callable
         Told, in a sentence, why there is a wait.
 
@@ -177,13 +170,14 @@ class HubRepository:
 
     repo_id: str
     revision: str | None = None
-    must_be_online: bool = False
+    patient: bool | None = None
+    known: HubSnapshot | None = field(default=None, repr=False, compare=False)
     on_wait: Callable[[str], None] = field(default=lambda _: None, repr=False, compare=False)
 
     @cached_property
     def snapshot(self) -> HubSnapshot:
         """What the repository holds; from the cache when the Hub cannot be reached, see :func:`look_at`."""
-        return look_at(self.repo_id, self.revision, must_be_online=self.must_be_online, on_wait=self.on_wait)
+        return self.known or look_at(self.repo_id, self.revision, patient=self.patient, on_wait=self.on_wait)
 
     @cached_property
     def manifest(self) -> Manifest | None:
@@ -200,30 +194,15 @@ class HubRepository:
         return Manifest.from_json(text, f"{self.repo_id}/{MANIFEST_FILE}") if is_ours else None
 
     @cached_property
-    def _listed_shards(self) -> dict[str, HubFile]:
+    def _shards(self) -> dict[str, HubFile]:
         """The shards that the manifest lists, by path."""
-        found = {}
-        for record in self.manifest.shards if self.manifest is not None else ():
-            path = record.shard.data_path
-            found[path] = HubFile(path, record.bytes, Digest("sha256", record.sha256))
-        return found
-
-    @property
-    def has_answered(self) -> bool:
-        """Whether the Hub itself has said what it holds; asks nobody."""
-        seen: HubSnapshot | None = self.__dict__.get("snapshot")
-        return seen is not None and not seen.is_cache
-
-    @property
-    def is_cached_for_now(self) -> bool:
-        """Whether the cache answered for a Hub whose trouble may pass; asks nobody."""
-        seen: HubSnapshot | None = self.__dict__.get("snapshot")
-        return seen is not None and seen.may_pass
+        records = self.manifest.shards if self.manifest is not None else ()
+        files = [HubFile(r.shard.data_path, r.bytes, Digest("sha256", r.sha256)) for r in records]
+        return {file.path: file for file in files}
 
     def files(self) -> list[str]:
         """List the paths of all files; without the Hub, those in the cache and in a cached manifest."""
-        listed = self._listed_shards if self.snapshot.is_cache else {}
-        return sorted({*self.snapshot.files, *listed})
+        return sorted({*self.snapshot.files, *(self._shards if self.snapshot.is_cache else ())})
 
     @contextlib.contextmanager
     def missing_as_not_cached(self, what: str) -> Iterator[None]:
@@ -235,34 +214,34 @@ class HubRepository:
                 raise
             raise not_cached(self.repo_id, what) from error
 
-    def expected(self, path: str) -> Digest | None:
-        """Return what a file must be: what the manifest says, or else the Hub; None where neither is known.
+    def file(self, path: str) -> HubFile:
+        """Return what a file must be: what the manifest says, or else the Hub, as far as either is known.
 
         Raises IntegrityError where the two disagree (fetching it would not help) and for a name that is not
         that of a file in a folder, HubError for no such file.
         """
         names_inside((path,), f"Hub data set {self.repo_id!r}")
+        on_hub = self.snapshot.files.get(path)
         if path == MANIFEST_FILE or self.manifest is None:
-            return self._entry(path).digest
+            return on_hub or self._lacks(path)
+        there = on_hub or self._shards.get(path) or self._lacks(path)
         sha256 = (self.manifest.files or {}).get(path)
-        of_file = Digest("sha256", sha256) if sha256 else None
-        listed = self._listed_shards[path].digest if path in self._listed_shards else of_file
-        if listed is not None and path not in self.snapshot.files:
-            return listed
-        on_hub = self._entry(path).digest
-        if listed is None or on_hub is None or on_hub.kind != listed.kind:
-            return listed or on_hub
-        if listed != on_hub:
+        listed = replace(there, digest=Digest("sha256", sha256)) if sha256 else self._shards.get(path, there)
+        kinds = {each.digest and each.digest.kind for each in (there, listed)}
+        if len(kinds) == 1 and there.digest != listed.digest:
             message = (
                 f"{path!r} of Hub data set {self.repo_id!r} is not the file that its {MANIFEST_FILE} lists: "
-                f"{on_hub}, expected {listed}; nothing was fetched; next: ask its owner to upload it again"
+                f"{there.digest}, expected {listed.digest}; nothing was fetched; next: ask its owner to "
+                "upload it again"
             )
             raise IntegrityError(message)
         return listed
 
-    def size_bytes(self, path: str) -> int:
-        """Return the size of a file as a manifest, or else the Hub, tells it."""
-        return (self._listed_shards.get(path) or self._entry(path)).size_bytes
+    def _lacks(self, path: str) -> NoReturn:
+        if self.snapshot.is_cache:
+            raise not_cached(self.repo_id, repr(path))
+        message = f"Hub data set {self.repo_id!r} has no file {path!r}; next: see what it has on its page"
+        raise HubError(message)
 
     def address(self, path: str) -> str:
         """Return the fsspec address of a file at the commit, for reading it without downloading it whole."""
@@ -274,11 +253,13 @@ class HubRepository:
 
         One that was found whole is read again only where it has changed since, or if ``anew``.
         """
-        digest = self.expected(path)
-        file = RepositoryCache(self.repo_id).file(self.snapshot.commit, path)
-        if file is None:
-            return None
-        return file if digest is None or is_whole(file, digest, anew=anew) else None
+        digest = self.file(path).digest
+        file = self._place(path)
+        is_here = file.is_file() and (digest is None or is_whole(file, digest, anew=anew))
+        return file if is_here else None
+
+    def _place(self, path: str) -> Path:
+        return RepositoryCache(self.repo_id).snapshot_folder(self.snapshot.commit) / path
 
     def fetch(self, paths: Sequence[str], transfers: Transfers | None = None) -> list[str]:
         """Bring files into the Hub's cache, or find them there, and return their local paths.
@@ -289,25 +270,24 @@ class HubRepository:
         """
         names_inside(paths, f"Hub data set {self.repo_id!r}")
         for path in paths:
-            self.expected(path)  # what cannot be had is told before anything is fetched
+            self.file(path)  # what cannot be had is told before anything is fetched
         together = transfers or Transfers(on_wait=self.on_wait)
         return together.each(lambda path: self._fetch(path, together), paths)
 
     def _fetch(self, path: str, transfers: Transfers | None = None) -> str:
         whole = self.cached(path)
-        if whole is not None:
-            return str(whole)
-        damaged = RepositoryCache(self.repo_id).file(self.snapshot.commit, path)
-        if damaged is not None:
-            remove_with_content(damaged)
-        return str(self.download(path, transfers or Transfers(on_wait=self.on_wait)))
+        if whole is None:
+            remove_with_content(self._place(path))
+            whole = self.download(path, transfers or Transfers(on_wait=self.on_wait))
+        return str(whole)
 
     def download(self, path: str, transfers: Transfers, folder: Path | None = None) -> Path:
         """Fetch a file into the Hub's cache, or into a folder, and check it; one damaged is fetched again."""
         from huggingface_hub import hf_hub_download
 
-        digest = None if self.snapshot.is_cache else self.expected(path)
-        if digest is None:
+        wanted = self.file(path)
+        digest = wanted.digest
+        if self.snapshot.is_cache or digest is None:
             raise not_cached(self.repo_id, repr(path))
 
         def fetched(bar: Any, *, anew: bool) -> Path:
@@ -329,7 +309,7 @@ class HubRepository:
             return Path(file)
 
         for anew in (False, True):
-            bar = ProgressBar(transfers, path, self._entry(path).size_bytes)
+            bar = ProgressBar(transfers, path, wanted.size_bytes)
             file = ask(
                 functools.partial(fetched, bar, anew=anew),
                 self.repo_id,
@@ -351,15 +331,6 @@ class HubRepository:
             "nothing of it was kept; next: try again later or through another network"
         )
         raise IntegrityError(message)
-
-    def _entry(self, path: str) -> HubFile:
-        entry = self.snapshot.files.get(path)
-        if entry is not None:
-            return entry
-        if self.snapshot.is_cache:
-            raise not_cached(self.repo_id, repr(path))
-        message = f"Hub data set {self.repo_id!r} has no file {path!r}; next: see what it has on its page"
-        raise HubError(message)
 
 
 def _may_repeat_download(error: Exception) -> bool:

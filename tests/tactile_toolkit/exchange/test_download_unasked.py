@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -98,13 +99,31 @@ def test_another_name_of_the_same_commit_is_no_other_data_set(server, out, tmp_p
     assert {**folder_bytes(out), ".download.json": b""} == {**before, ".download.json": b""}
 
 
-def test_a_commit_that_the_cache_does_not_know_is_left_alone(server, out, tmp_path):
+def test_the_commit_of_the_folder_is_mended_by_what_the_cache_has_of_it(server, out, tmp_path):
+    """Not by what it has of the commit that the branch names now."""
     repository = server.repository(BARE)
-    repository.commit({TEST: repository.blob(TEST, big_parquet(3)[:9_000])}, "newer")
+    before, old = folder_bytes(out), repository.head.sha
+    files = {"README.md": b"# Newer", TEST: big_parquet(3)[:9_000]}
+    repository.commit({path: repository.blob(path, content) for path, content in files.items()}, "newer")
     fetch(server, tmp_path, script(BARE, "test"))
     (out / "README.md").unlink()
-    before = folder_bytes(out)
+    assert fetch(NOWHERE, tmp_path, script(BARE, out=out))[1:3] == [[], []]
+    assert folder_bytes(out) == before
+    (out / "README.md").unlink()
+    (cached,) = (tmp_path / "hf").glob(f"hub/*/snapshots/{old}")
+    shutil.rmtree(cached)
     code, _, words = fetch(NOWHERE, tmp_path, script(BARE, out=out))
+    assert code == 4
+    assert f"'README.md' of Hub data set {BARE!r} is not in the cache" in words
+    assert folder_bytes(out) == {path: before[path] for path in before if path != "README.md"}
+
+
+def test_a_revision_that_may_be_another_commit_is_left_alone(server, out, tmp_path):
+    repository = server.repository(BARE)
+    repository.commit({TEST: repository.blob(TEST, big_parquet(3)[:9_000])}, "newer")
+    fetch(server, tmp_path, script(BARE, "test", revision="main"))
+    before = folder_bytes(out)
+    code, _, words = fetch(NOWHERE, tmp_path, script(BARE, out=out, revision="main"))
     assert code == 4
     assert "holds, of Hub data set" in words
     assert folder_bytes(out) == before
