@@ -7,8 +7,9 @@ the Hub already. Then what is missing is sent (:func:`run_upload`), and what arr
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -22,7 +23,6 @@ from tactile_toolkit.exchange.local_copy import LocalCopy
 from tactile_toolkit.exchange.upload_plan import (
     MAIN,
     Payload,
-    RemoteFile,
     UploadOptions,
     UploadPlan,
     card_for_hub,
@@ -31,10 +31,12 @@ from tactile_toolkit.exchange.upload_plan import (
 )
 from tactile_toolkit.exchange.viewer import ViewerFiles
 from tactile_toolkit.hub.errors import require_repository_name
+from tactile_toolkit.hub.repository import HubSnapshot, listing
 from tactile_toolkit.hub.retry import ask
 from tactile_toolkit.kind import DatasetKind
 from tactile_toolkit.store.folder import DataFolder
 from tactile_toolkit.store.manifest import MANIFEST_FILE, Manifest, read_manifest
+from tactile_toolkit.store.origin import HubFile
 from tactile_toolkit.store.shards import DATA_FOLDER, Finding
 from tactile_toolkit.store.verify import verify
 
@@ -59,14 +61,9 @@ class RemoteState:
 
     Attributes
     ----------
-    exists : bool
-        Whether there is such a repository.
-    private : bool
-        Whether only its owner sees it.
-    head : str or None
-        Commit that the branch points to, or that it will start at: the head of ``main``.
-    files : dict of str to RemoteFile
-        What that commit holds.
+    held : HubSnapshot or None
+        What the commit holds that the branch points to, or that it will start at: the head of ``main``. None
+        where there is no such repository.
     tags : dict of str to str
         Commit of each tag.
     branches : frozenset of str
@@ -75,21 +72,30 @@ class RemoteState:
         Whether the branch is there; False where it is still to be made.
     """
 
-    exists: bool
-    private: bool = False
-    head: str | None = None
-    files: dict[str, RemoteFile] = field(default_factory=dict)
-    tags: dict[str, str] = field(default_factory=dict)
+    held: HubSnapshot | None = None
+    tags: Mapping[str, str] = field(default_factory=dict)
     branches: frozenset[str] = frozenset()
     has_branch: bool = False
 
+    @property
+    def exists(self) -> bool:
+        """Whether there is such a repository."""
+        return self.held is not None
 
-@dataclass(frozen=True, slots=True)
-class Sent:
-    """Where a commit went: its id, and the pull request it opened, such as ``"refs/pr/3"``."""
+    @property
+    def private(self) -> bool:
+        """Whether only its owner sees it."""
+        return self.held is not None and self.held.is_private
 
-    commit: str
-    pull: str | None = None
+    @property
+    def head(self) -> str | None:
+        """The commit that is there."""
+        return self.held.commit if self.held is not None else None
+
+    @property
+    def files(self) -> Mapping[str, HubFile]:
+        """What that holds."""
+        return self.held.files if self.held is not None else {}
 
 
 @dataclass(frozen=True)
@@ -115,87 +121,50 @@ class UploadTarget:
         """Look what the branch holds; a repository or branch that does not exist is not an error."""
         return self._ask(self._state)
 
-    def files_at(self, revision: str) -> dict[str, RemoteFile]:
+    def at(self, revision: str) -> HubSnapshot:
         """List the files of a commit, tag, branch or pull request."""
-        return self._ask(lambda: self._tree(revision))
+        return self._ask(lambda: listing(self.repo_id, revision))
 
     def open_pulls(self, author: str) -> list[str]:
         """List the newest open pull requests of an account, such as ``refs/pr/3``; newest first."""
 
         def pulls() -> list[int]:
-            found = self._api().get_repo_discussions(
-                self.repo_id,
-                repo_type=_REPO_TYPE,
-                author=author,
-                discussion_type="pull_request",
-                discussion_status="open",
-            )
+            wanted = {"author": author, "discussion_type": "pull_request", "discussion_status": "open"}
+            found = self._api().get_repo_discussions(self.repo_id, repo_type=_REPO_TYPE, **wanted)
             return sorted((entry.num for entry in found), reverse=True)
 
         return [f"refs/pr/{number}" for number in self._ask(pulls)[:_PULLS_SEEN]]
 
-    def commit_of(self, revision: str) -> str:
-        """Return the commit that a branch or pull request points to."""
-        return self._ask(
-            lambda: str(self._api().repo_info(self.repo_id, repo_type=_REPO_TYPE, revision=revision).sha)
-        )
+    def do(self, what: str, **options: Any) -> Any:
+        """Call a method of the Hub's client for this repository, one that may be called once more."""
+        return self._ask(lambda: getattr(self._api(), what)(self.repo_id, repo_type=_REPO_TYPE, **options))
 
-    def create(self, *, private: bool) -> None:
-        """Create the repository; one that is there already stays as it is."""
-        api = self._api()
-        self._ask(lambda: api.create_repo(self.repo_id, repo_type=_REPO_TYPE, private=private, exist_ok=True))
-
-    def create_branch(self, start: str | None) -> None:
-        """Create the branch at a commit, or at the head of ``main``; one that is there stays as it is."""
-        api = self._api()
-        self._ask(
-            lambda: api.create_branch(
-                self.repo_id, branch=self.branch, revision=start, repo_type=_REPO_TYPE, exist_ok=True
-            )
-        )
-
-    def send(
-        self,
-        files: Mapping[str, bytes | Path],
-        message: str,
-        *,
-        delete: Iterable[str],
-        parent: str | None,
-        pull: bool,
-    ) -> Sent:
-        """Send files as one commit, once: a lost answer is looked into, not repeated, by the caller.
-
-        ``parent`` is the commit that the branch must still point to.
-        """
+    def send(self, prepared: PreparedUpload) -> tuple[str, str | None]:
+        """Send what is missing as one commit, once; return that, and the pull request that it opened."""
         from huggingface_hub import CommitOperationAdd, CommitOperationDelete
 
-        added = [CommitOperationAdd(path, content) for path, content in files.items()]
+        plan, pull = prepared.plan, prepared.options.create_pr
+        added = [CommitOperationAdd(file.path, prepared.payload.content(file)) for file in plan.to_send]
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # the client library's own, which no user can heed
             made = self._api().create_commit(
                 repo_id=self.repo_id,
-                operations=[*(CommitOperationDelete(path) for path in delete), *added],
+                operations=[*(CommitOperationDelete(file.path) for file in plan.removed), *added],
                 repo_type=_REPO_TYPE,
-                commit_message=message,
+                commit_message=prepared.message,
                 # The Hub opens pull requests against main itself, from wherever that is; only a branch may
                 # have moved on.
                 revision=None if pull else self.branch,
                 create_pr=pull,
-                parent_commit=None if pull else parent,
+                parent_commit=None if pull else prepared.state.head,
             )
-        return Sent(made.oid, made.pr_revision)
+        return str(made.oid), made.pr_revision
 
     def set_tag(self, name: str, commit: str, there: str | None) -> None:
         """Make a tag name a commit; one that names another is moved."""
-        api = self._api()
         if there is not None:
-            # The client moves no tag.
-            self._ask(lambda: api.delete_tag(self.repo_id, tag=name, repo_type=_REPO_TYPE))
-        self._ask(
-            lambda: api.create_tag(
-                self.repo_id, tag=name, revision=commit, repo_type=_REPO_TYPE, exist_ok=True
-            )
-        )
+            self.do("delete_tag", tag=name)  # the client moves no tag
+        self.do("create_tag", tag=name, revision=commit, exist_ok=True)
 
     def _ask(self, action: Callable[[], T]) -> T:
         return ask(action, self.repo_id, self.branch, "uploading to", on_wait=self.on_wait)
@@ -208,45 +177,28 @@ class UploadTarget:
     def _state(self) -> RemoteState:
         from huggingface_hub import errors
 
-        api = self._api()
         try:
-            private = bool(api.repo_info(self.repo_id, repo_type=_REPO_TYPE).private)
+            refs = self._api().list_repo_refs(self.repo_id, repo_type=_REPO_TYPE)
         # To the client it is a kind of RepositoryNotFoundError, but such a repository is there.
         except errors.GatedRepoError:
             raise
         except errors.RepositoryNotFoundError:
-            return RemoteState(exists=False)
-        refs = api.list_repo_refs(self.repo_id, repo_type=_REPO_TYPE)
+            return RemoteState()
         tags = {ref.name: str(ref.target_commit) for ref in refs.tags}
         heads = {ref.name: str(ref.target_commit) for ref in refs.branches}
-        there = heads.get(self.branch)
-        if there is None and self.branch.startswith("refs/"):  # a pull request that is written to
-            there = str(api.repo_info(self.repo_id, repo_type=_REPO_TYPE, revision=self.branch).sha)
-        head = there or heads.get(MAIN)
-        files = self._tree(head) if head is not None else {}
-        return RemoteState(True, private, head, files, tags, frozenset(heads), there is not None)
-
-    def _tree(self, revision: str) -> dict[str, RemoteFile]:
-        from huggingface_hub.hf_api import RepoFile
-
-        entries = self._api().list_repo_tree(
-            self.repo_id, recursive=True, revision=revision, repo_type=_REPO_TYPE
-        )
-        return {
-            entry.path: RemoteFile(
-                entry.path, entry.size, entry.blob_id, entry.lfs.sha256 if entry.lfs is not None else None
-            )
-            for entry in entries
-            if isinstance(entry, RepoFile)
-        }
+        # A pull request that is written to is not listed.
+        is_there = self.branch in heads or self.branch.startswith("refs/")
+        held = listing(self.repo_id, self.branch if is_there else MAIN)
+        return RemoteState(held, tags, frozenset(heads), is_there)
 
 
 @dataclass(frozen=True)
 class PreparedUpload:
     """An upload that is decided and not begun; ``pull`` is an open pull request that holds everything.
 
-    ``copy`` and ``viewer`` are kept as long as this is: the copy on this machine of a folder in an object
-    store, and the files that were made for the Hub's page.
+    ``author`` is the account that sends, empty where that was not asked. ``copy`` and ``viewer`` are kept as
+    long as this is: the copy on this machine of a folder in an object store, and the files that were made for
+    the Hub's page.
     """
 
     target: UploadTarget
@@ -254,26 +206,59 @@ class PreparedUpload:
     manifest: Manifest
     payload: Payload
     state: RemoteState
-    plan: UploadPlan
+    author: str = ""
     pull: str | None = None
     copy: LocalCopy | None = None
     viewer: ViewerFiles | None = None
 
+    @cached_property
+    def plan(self) -> UploadPlan:
+        """What the Hub lacks of the folder, and has beside it."""
+        return self._compared(self.state.files)
+
+    def _compared(self, files: Mapping[str, HubFile]) -> UploadPlan:
+        return compare(self.payload.files, files, delete=self.options.delete)
+
+    def at(self, state: RemoteState) -> PreparedUpload:
+        """Return the upload that is left where the Hub holds that; or a pull request of ours holds all."""
+        left = replace(self, state=state, pull=None)
+        if self.options.create_pr and state.exists and self.author and not left.is_done:
+            for pull in self.target.open_pulls(self.author):
+                held = self.target.at(pull)
+                if self._compared(held.files).is_done:
+                    return replace(left, state=replace(state, held=held), pull=pull)
+        return left
+
+    def require_arrival(self, commit: str) -> None:
+        """Compare every file of a commit with the folder, by checksum; IntegrityError names what differs."""
+        arrived = self._compared(self.target.at(commit).files)
+        wrong = [
+            *(f"{file.path} is missing" for file in arrived.new),
+            *(f"{file.path} differs" for file in arrived.changed),
+            *(f"{file.path} is still there" for file in arrived.removed),
+        ]
+        if wrong:
+            message = (
+                f"{self.target.repo_id!r} does not hold what was sent (commit {commit[:12]}): "
+                f"{'; '.join(wrong[:3])} ({len(wrong)} such files); next: run the same upload again, it "
+                "sends what is missing"
+            )
+            raise IntegrityError(message)
+
     @property
     def is_done(self) -> bool:
         """Whether nothing is to be sent or removed."""
-        return self.pull is not None or self.plan.is_done(delete=self.options.delete)
+        return self.pull is not None or self.plan.is_done
 
     @property
     def removed(self) -> tuple[str, ...]:
         """Files of the repository that are to be removed."""
-        return tuple(file.path for file in self.plan.to_remove(delete=self.options.delete))
+        return tuple(file.path for file in self.plan.removed)
 
     @property
     def kept(self) -> tuple[str, ...]:
         """Files of the repository that the folder lacks and that stay."""
-        removed = set(self.removed)
-        return tuple(file.path for file in self.plan.remote_only if file.path not in removed)
+        return tuple(file.path for file in self.plan.kept)
 
     @property
     def mixed(self) -> tuple[str, ...]:
@@ -352,12 +337,9 @@ def prepare_upload(
         manifest = replace(manifest, files={**(manifest.files or {}), **viewer.digests})
     shown = {} if viewer is None else viewer.places
     payload = _payload(root, folder, manifest, target, chosen, state, shown)
-    plan = compare(payload.files, state.files)
-    prepared = PreparedUpload(target, chosen, manifest, payload, state, plan, copy=copy, viewer=viewer)
+    prepared = PreparedUpload(target, chosen, manifest, payload, state, name, copy=copy, viewer=viewer)
     _refuse_other_tag(prepared)
-    if chosen.create_pr and state.exists and name and not prepared.is_done:
-        return replace(prepared, pull=_holding_pull(prepared, name))
-    return prepared
+    return prepared.at(state)
 
 
 def _finished(folder: str) -> tuple[DataFolder, Manifest]:
@@ -435,14 +417,11 @@ def _payload(
     ``shown`` are the files for the Hub's page, by path.
     """
     payload = collect(root, manifest, shown)
-    there = compare(payload.files, state.files)
-    replaced = {file.path for file in there.to_remove(delete=options.delete)}
-    staying = [file for file in there.remote_only if file.path not in replaced]
+    others = [file.path for file in compare(payload.files, state.files, delete=options.delete).kept]
     stored = (root / CARD_FILE).read_text(encoding="utf-8")
     shards = {split: [r.shard.data_path for r in manifest.shards_of(split)] for split in manifest.splits}
-    others = [file.path for file in staying]
     text = card_for_hub(stored, target.repo_id, shards, others, viewer_files(manifest))
-    held = {*(file.path for file in payload.files), *(file.path for file in staying)}
+    held = {*(file.path for file in payload.files), *others}
     _require_sound(folder, check_card(DataFolder(str(root)), text, held=held, manifest=manifest))
     described = (root / MANIFEST_FILE).read_bytes()
     if shown:
@@ -457,97 +436,33 @@ def _payload(
 def run_upload(prepared: PreparedUpload) -> UploadResult:
     """Send what is missing, compare what arrived, and name it.
 
-    A commit whose answer was lost is looked for before it is tried again, so that none is made twice. Raises
-    HubError (what was sent stays there, and the same call goes on from it) or IntegrityError (what the Hub
-    holds afterwards is not what the folder has).
+    What fails in passing is done once more, with what is then missing: nothing, where only the answer was
+    lost. Raises HubError (what was sent stays there, and the same call goes on from it) or IntegrityError
+    (what the Hub holds afterwards is not what the folder has).
     """
-    sent, did_send = _ensure_sent(prepared)
-    _require_arrival(prepared, sent)
-    return UploadResult(
-        sent.commit,
-        sent.pull,
-        tuple(file.path for file in prepared.plan.to_send) if did_send else (),
-        prepared.removed if did_send else (),
-        tuple(_tagged(prepared, sent)),
-    )
+    target, now, tries = prepared.target, prepared, 0
 
+    def send() -> tuple[str, str | None]:
+        nonlocal now, tries
+        tries += 1
+        if tries > 1:
+            now = now.at(target.state())
+        if now.is_done and now.state.head is not None:
+            return now.state.head, now.pull
+        return target.send(now)
 
-def _ensure_sent(prepared: PreparedUpload) -> tuple[Sent, bool]:
-    """Make the Hub hold the folder; tell where, and whether anything had to be sent for it."""
-    target, options = prepared.target, prepared.options
-    if prepared.pull is not None:
-        return Sent(target.commit_of(prepared.pull), prepared.pull), False
-    # exist_ok, here and below: another upload may have made it since it was looked for.
+    # exist_ok: another upload may have made it since it was looked for.
     if not prepared.state.exists:
-        target.create(private=options.private)
+        target.do("create_repo", private=prepared.options.private, exist_ok=True)
     if not prepared.state.has_branch and target.branch != MAIN:
-        target.create_branch(prepared.state.head)
-    if prepared.is_done and prepared.state.head is not None:
-        return Sent(prepared.state.head), False
-    plan, head = prepared.plan, prepared.state.head
-
-    def send() -> Sent:
-        return target.send(
-            {file.path: prepared.payload.content(file) for file in plan.to_send},
-            prepared.message,
-            delete=[file.path for file in plan.to_remove(delete=options.delete)],
-            parent=head,
-            pull=options.create_pr,
-        )
-
-    def find_commit() -> Sent | None:
-        """Look whether it was made though its answer was lost; if not, what is still to send, and on what."""
-        nonlocal plan, head
-        if options.create_pr:
-            pull = _holding_pull(prepared, target.who())
-            return None if pull is None else Sent(target.commit_of(pull), pull)
-        state = target.state()
-        plan, head = compare(prepared.payload.files, state.files), state.head
-        return Sent(head) if head is not None and plan.is_done(delete=options.delete) else None
-
-    sent = ask(
-        send,
-        target.repo_id,
-        target.branch,
-        "uploading to",
-        is_question=False,
-        find_result=find_commit,
-        on_wait=target.on_wait,
+        target.do("create_branch", branch=target.branch, revision=prepared.state.head, exist_ok=True)
+    commit, pull = ask(
+        send, target.repo_id, target.branch, "uploading to", is_question=False, on_wait=target.on_wait
     )
-    return sent, True
-
-
-def _holding_pull(prepared: PreparedUpload, author: str) -> str | None:
-    """Return an open pull request of ours that holds everything already."""
-    for pull in prepared.target.open_pulls(author):
-        plan = compare(prepared.payload.files, prepared.target.files_at(pull))
-        if plan.is_done(delete=prepared.options.delete):
-            return pull
-    return None
-
-
-def _require_arrival(prepared: PreparedUpload, sent: Sent) -> None:
-    """Compare every file of the commit with the folder, by checksum; IntegrityError names what differs."""
-    arrived = compare(prepared.payload.files, prepared.target.files_at(sent.commit))
-    wrong = [
-        *(f"{file.path} is missing" for file in arrived.new),
-        *(f"{f.path} differs" for f in arrived.changed),
-    ]
-    still_there = arrived.to_remove(delete=prepared.options.delete)
-    wrong += [f"{file.path} is still there" for file in still_there]
-    if wrong:
-        message = (
-            f"{prepared.target.repo_id!r} does not hold what was sent (commit {sent.commit[:12]}): "
-            f"{'; '.join(wrong[:3])} ({len(wrong)} such files); next: run the same upload again, it sends "
-            "what is missing"
-        )
-        raise IntegrityError(message)
-
-
-def _tagged(prepared: PreparedUpload, sent: Sent) -> Iterator[str]:
-    """Set the names that do not name the commit yet, and yield them."""
-    for tag in prepared.tags:
-        there = prepared.state.tags.get(tag)
-        if there != sent.commit:
-            prepared.target.set_tag(tag, sent.commit, there)
-            yield tag
+    prepared.require_arrival(commit)
+    tags = [tag for tag in prepared.tags if prepared.state.tags.get(tag) != commit]
+    for tag in tags:
+        target.set_tag(tag, commit, prepared.state.tags.get(tag))
+    sent = () if prepared.is_done else tuple(file.path for file in prepared.plan.to_send)
+    removed = () if prepared.is_done else prepared.removed
+    return UploadResult(commit, pull, sent, removed, tuple(tags))

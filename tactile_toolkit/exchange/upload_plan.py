@@ -17,6 +17,7 @@ from tactile_toolkit.errors import InputError
 from tactile_toolkit.store.folder import DataFolder
 from tactile_toolkit.store.manifest import MANIFEST_FILE, Manifest
 from tactile_toolkit.store.names import problem_of_name
+from tactile_toolkit.store.origin import HubFile
 from tactile_toolkit.store.shards import VIEWER_FOLDER, ShardName
 from tactile_toolkit.store.verify import problem_of_place
 
@@ -24,7 +25,6 @@ __all__ = [
     "MAIN",
     "LocalFile",
     "Payload",
-    "RemoteFile",
     "UploadOptions",
     "UploadPlan",
     "card_for_hub",
@@ -109,38 +109,25 @@ class LocalFile:
     sha256: str
     git_oid: str | None
 
-
-@dataclass(frozen=True, slots=True)
-class RemoteFile:
-    """A file of a repository.
-
-    ``git_oid`` names its blob in git: the content, or the pointer to a large file, whose checksum is
-    ``sha256``; that is None for a file kept in git.
-    """
-
-    path: str
-    size: int
-    git_oid: str
-    sha256: str | None = None
-
-    def holds(self, file: LocalFile) -> bool:
-        """Tell whether its content is that of a local file."""
-        if self.size != file.size:
-            return False
-        return self.sha256 == file.sha256 if self.sha256 is not None else self.git_oid == file.git_oid
+    def is_held(self, there: HubFile) -> bool:
+        """Tell whether a file of a repository has its content."""
+        digests = {"sha256": self.sha256, "git-sha1": self.git_oid}
+        found = there.digest
+        return self.size == there.size_bytes and found is not None and digests[found.kind] == found.value
 
 
 @dataclass(frozen=True, slots=True)
 class UploadPlan:
     """The difference between a folder and a repository: files that it lacks, has otherwise, has already.
 
-    ``remote_only`` are those that the folder lacks, but for what the Hub writes itself.
+    Of those that the folder lacks, but for what the Hub writes itself, some are ``kept``, others ``removed``.
     """
 
     new: tuple[LocalFile, ...]
     changed: tuple[LocalFile, ...]
     same: tuple[LocalFile, ...]
-    remote_only: tuple[RemoteFile, ...]
+    kept: tuple[HubFile, ...]
+    removed: tuple[HubFile, ...]
 
     @property
     def to_send(self) -> tuple[LocalFile, ...]:
@@ -152,33 +139,34 @@ class UploadPlan:
         """Size of what is to be sent."""
         return sum(file.size for file in self.to_send)
 
-    def to_remove(self, *, delete: bool) -> tuple[RemoteFile, ...]:
-        """Return what is to go: what former uploads made for the Hub's page, and all else with ``delete``."""
-        return tuple(file for file in self.remote_only if delete or _is_for_page(file.path))
+    @property
+    def is_done(self) -> bool:
+        """Whether the repository holds the folder already, and nothing that is to go."""
+        return not (self.new or self.changed or self.removed)
 
-    def is_done(self, *, delete: bool) -> bool:
-        """Tell whether the repository holds the folder already, and nothing that is to go."""
-        return not self.to_send and not self.to_remove(delete=delete)
+
+def compare(local: Iterable[LocalFile], remote: Mapping[str, HubFile], *, delete: bool = False) -> UploadPlan:
+    """Compare all that is to be in a repository with its files by path, by checksums.
+
+    Of what it has beside them goes what former uploads made for the Hub's page, and all else with ``delete``.
+    """
+    files = sorted(local, key=lambda file: file.path)
+    known = {file.path for file in files}
+    there = [(file, file.is_held(remote[file.path])) for file in files if file.path in remote]
+    others = [remote[path] for path in sorted(remote) if path not in known and path not in _WRITTEN_BY_HUB]
+    goes = [delete or _is_for_page(file.path) for file in others]
+    return UploadPlan(
+        new=tuple(file for file in files if file.path not in remote),
+        changed=tuple(file for file, is_same in there if not is_same),
+        same=tuple(file for file, is_same in there if is_same),
+        kept=tuple(file for file, is_gone in zip(others, goes, strict=True) if not is_gone),
+        removed=tuple(file for file, is_gone in zip(others, goes, strict=True) if is_gone),
+    )
 
 
 def _is_for_page(path: str) -> bool:
     folder, _, name = path.rpartition("/")
     return folder == VIEWER_FOLDER and ShardName.parse(name) is not None
-
-
-def compare(local: Iterable[LocalFile], remote: Mapping[str, RemoteFile]) -> UploadPlan:
-    """Compare all that is to be in a repository with its files by path, by checksums."""
-    files = sorted(local, key=lambda file: file.path)
-    known = {file.path for file in files}
-    there = [(file, remote[file.path].holds(file)) for file in files if file.path in remote]
-    return UploadPlan(
-        new=tuple(file for file in files if file.path not in remote),
-        changed=tuple(file for file, is_same in there if not is_same),
-        same=tuple(file for file, is_same in there if is_same),
-        remote_only=tuple(
-            remote[path] for path in sorted(remote) if path not in known and path not in _WRITTEN_BY_HUB
-        ),
-    )
 
 
 @dataclass(frozen=True)

@@ -22,7 +22,7 @@ from tactile_toolkit.store.manifest import MANIFEST_FILE, Manifest
 from tactile_toolkit.store.names import names_inside
 from tactile_toolkit.store.origin import Digest, HubFile
 
-__all__ = ["HubName", "HubRepository", "HubSnapshot", "cached_snapshot", "hub_name", "look_at"]
+__all__ = ["HubName", "HubRepository", "HubSnapshot", "cached_snapshot", "hub_name", "listing", "look_at"]
 
 _PREFIX = "hf://datasets/"
 # Names of branches that hold a slash are written %2F, but for the two kinds that the Hub makes itself.
@@ -79,6 +79,8 @@ class HubSnapshot:
         Whether the cache answered because the Hub could not be asked.
     licence : str or None
         What its card says, if it says so.
+    is_private : bool
+        Whether the Hub says that only its owner sees the repository.
     """
 
     repo_id: str
@@ -86,6 +88,7 @@ class HubSnapshot:
     files: Mapping[str, HubFile]
     is_cache: bool = False
     licence: str | None = None
+    is_private: bool = False
 
 
 def look_at(
@@ -100,34 +103,45 @@ def look_at(
     A ``patient`` question waits for a Hub in trouble; by default where nothing of the revision is in the
     cache. Raises HubError when the Hub refused, or cannot be reached and the revision is not in the cache.
     """
-    from huggingface_hub import HfApi, constants
-
-    def look() -> HubSnapshot:
-        timeout_s = constants.HF_HUB_ETAG_TIMEOUT if waits else _PROBE_TIMEOUT_S
-        answer: Any = HfApi().dataset_info(repo_id, revision=revision, files_metadata=True, timeout=timeout_s)
-        files = {}
-        for entry in answer.siblings or ():
-            large = entry.lfs
-            # Files that git keeps itself are named by git's own digest.
-            digest = Digest("sha256", large.sha256) if large else Digest("git-sha1", entry.blob_id)
-            files[entry.rfilename] = HubFile(entry.rfilename, int(entry.size), digest)
-        commit = Digest("git-sha1", answer.sha).value
-        licence = getattr(answer.card_data, "license", None)
-        return HubSnapshot(repo_id, commit, files, licence=licence if isinstance(licence, str) else None)
+    from huggingface_hub import constants
 
     cache = RepositoryCache(repo_id)
     known = cache.commit_of(revision or _MAIN)
     cached = cached_snapshot(repo_id, known) if known is not None else None
     has_files = cached is not None and bool(cached.files)
     waits = patient or (patient is None and not has_files)
+    timeout_s = constants.HF_HUB_ETAG_TIMEOUT if waits else _PROBE_TIMEOUT_S
     try:
-        found = ask(look, repo_id, revision, waits_s=None if waits else (), on_wait=on_wait)
+        found = ask(
+            functools.partial(listing, repo_id, revision, timeout_s),
+            repo_id,
+            revision,
+            waits_s=None if waits else (),
+            on_wait=on_wait,
+        )
     except HubError as error:
         if cached is not None and has_files and is_unanswered(error):
             return cached
         raise
     cache.remember_commit(revision or _MAIN, found.commit)
     return found
+
+
+def listing(repo_id: str, revision: str | None = None, timeout_s: float | None = None) -> HubSnapshot:
+    """Ask the Hub for all files of a revision; failures are the client's."""
+    from huggingface_hub import HfApi
+
+    answer: Any = HfApi().dataset_info(repo_id, revision=revision, files_metadata=True, timeout=timeout_s)
+    files = {}
+    for entry in answer.siblings or ():
+        large = entry.lfs
+        # Files that git keeps itself are named by git's own digest.
+        digest = Digest("sha256", large.sha256) if large else Digest("git-sha1", entry.blob_id)
+        files[entry.rfilename] = HubFile(entry.rfilename, int(entry.size), digest)
+    commit = Digest("git-sha1", answer.sha).value
+    licence = getattr(answer.card_data, "license", None)
+    licence = licence if isinstance(licence, str) else None
+    return HubSnapshot(repo_id, commit, files, licence=licence, is_private=bool(answer.private))
 
 
 def cached_snapshot(repo_id: str, commit: str) -> HubSnapshot:

@@ -174,6 +174,16 @@ def test_a_lost_answer_makes_no_second_commit(server, folder):
     ]
 
 
+def test_a_lost_answer_to_a_removal_removes_nothing_twice(server, folder):
+    server.create(NAME, {"notes.txt": b"mine"})
+    server.faults.lose_reply("*/commit/*")
+    assert upload(folder, delete=True).removed == ("notes.txt",)
+    assert_holds(server, folder)
+    assert "notes.txt" not in server.repository(NAME).head.files
+    assert len(server.repository(NAME).history) == 3
+    assert sum("/commit/" in request.path for request in server.requests) == 1
+
+
 def test_a_lost_answer_opens_no_second_pull_request(server, folder):
     server.create(NAME)
     server.faults.lose_reply("*/commit/*")

@@ -12,13 +12,13 @@ from hypothesis import strategies as st
 from starstruck_gen.generation import GenerateSpec, generate
 from tactile_toolkit.exchange.upload_plan import (
     LocalFile,
-    RemoteFile,
     card_for_hub,
     collect,
     compare,
 )
 from tactile_toolkit.store.folder import DataFolder
 from tactile_toolkit.store.manifest import read_manifest
+from tactile_toolkit.store.origin import Digest, HubFile
 
 NAME = "someone/stars"
 
@@ -40,9 +40,10 @@ def local(path: str, content: bytes) -> LocalFile:
     return LocalFile(path, len(content), hashlib.sha256(content).hexdigest(), blob)
 
 
-def remote(path: str, content: bytes, large: bool) -> RemoteFile:
+def remote(path: str, content: bytes, large: bool) -> HubFile:
     file = local(path, content)
-    return RemoteFile(path, len(content), "f" * 40 if large else file.git_oid, file.sha256 if large else None)
+    digest = Digest("sha256", file.sha256) if large else Digest("git-sha1", str(file.git_oid))
+    return HubFile(path, len(content), digest)
 
 
 @given(st.dictionaries(names, contents), st.dictionaries(names, st.tuples(contents, st.booleans())))
@@ -54,7 +55,7 @@ def test_a_plan_brings_exactly_the_folder(here, there):
     after = {path: content for path, (content, _) in there.items()}
     after |= {file.path: here[file.path] for file in plan.to_send}
     assert {path: after[path] for path in here} == here
-    for file in plan.remote_only:
+    for file in (*plan.kept, *plan.removed):
         del after[file.path]
     assert set(after) - set(here) <= {".gitattributes"}
     assert plan.send_bytes == sum(len(here[file.path]) for file in plan.to_send)
@@ -66,7 +67,7 @@ def test_a_plan_brings_exactly_the_folder(here, there):
 
 def test_a_file_too_large_for_git_is_never_taken_for_a_small_one():
     big = LocalFile("data/a.parquet", 3, "0" * 64, None)
-    plan = compare([big], {"data/a.parquet": RemoteFile("data/a.parquet", 3, "1" * 40)})
+    plan = compare([big], {"data/a.parquet": HubFile("data/a.parquet", 3, Digest("git-sha1", "1" * 40))})
     assert [file.path for file in plan.changed] == ["data/a.parquet"]
 
 
