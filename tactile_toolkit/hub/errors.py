@@ -10,7 +10,7 @@ import contextlib
 import errno
 import os
 import re
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
 from importlib import import_module
 from typing import Any
@@ -21,7 +21,6 @@ __all__ = [
     "cause_chain",
     "failure_of",
     "is_connection_failure",
-    "is_scrubbed",
     "named_failures",
     "not_cached",
     "require_repository_name",
@@ -53,14 +52,9 @@ def scrub(text: str) -> str:
     return _HEADER.sub(rf"\1 {_HIDDEN}", _TOKEN.sub(_HIDDEN, _QUERY.sub(r"\1", text)))
 
 
-def is_scrubbed(errors: Iterable[BaseException]) -> bool:
-    """Tell whether errors can be shown as they are, without a token in any of them."""
-    return all(scrub(str(error)) == str(error) for error in errors)
-
-
 def shown_cause(error: Exception) -> Exception | None:
     """Return an error as the cause to show; None when it quotes a token, as the HTTP library can."""
-    return error if is_scrubbed(cause_chain(error)) else None
+    return error if all(scrub(str(link)) == str(link) for link in cause_chain(error)) else None
 
 
 def cause_chain(error: BaseException) -> list[BaseException]:

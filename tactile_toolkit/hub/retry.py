@@ -6,7 +6,6 @@ import contextlib
 import logging
 import os
 import re
-import threading
 import time
 from collections.abc import Callable, Iterator
 from importlib import import_module
@@ -24,7 +23,7 @@ from tactile_toolkit.hub.errors import (
 )
 from tactile_toolkit.hub.limits import asked_wait_s, within_limits
 
-__all__ = ["WAITS_VARIABLE", "ask", "default_waits_s", "is_passing", "is_unanswered", "log_captured"]
+__all__ = ["WAITS_VARIABLE", "ask", "default_waits_s", "is_passing", "is_unanswered"]
 
 WAITS_VARIABLE = "TACTILE_TOOLKIT_HUB_WAITS"
 """Environment variable with the waits between tries, seconds, such as ``1,2,4``; empty means one try."""
@@ -41,55 +40,48 @@ T = TypeVar("T")
 
 
 class _ClientLog(logging.Handler):
-    """Takes the place of the library's own log handlers while anybody listens."""
+    """Takes the place of the library's own log handlers, and leaves it to them while nobody listens."""
 
     def __init__(self) -> None:
         super().__init__(logging.WARNING)
-        self._lock = threading.Lock()
+        self._own: list[logging.Handler] = []
         self._listeners: list[Callable[[str], None]] = []
         self._said: set[str] = set()
-        self._before: tuple[list[logging.Handler], bool] = ([], True)
 
     def emit(self, record: logging.LogRecord) -> None:
         """Tell the newest listener what it has not been told."""
+        listeners = self._listeners[-1:]
+        if not listeners:
+            for handler in self._own:
+                handler.handle(record)
+            return
         first_line = (record.getMessage().splitlines() or [""])[0]
         text = _ADDRESS.sub(r"\1", scrub(first_line))
-        listeners = self._listeners[-1:]
-        if text in self._said or text.startswith(_SAID_BY_US):
-            return
-        self._said.add(text)
-        for on_message in listeners:
-            on_message(f"the Hub's client says: {text}")
+        if text not in self._said and not text.startswith(_SAID_BY_US):
+            self._said.add(text)
+            listeners[0](f"the Hub's client says: {text}")
 
     @contextlib.contextmanager
     def captured(self, on_message: Callable[[str], None]) -> Iterator[None]:
-        """Listen; whoever stops last puts the library's handlers back, for threads listen side by side."""
+        """Keep the library from writing to the terminal; each thing it says goes to the callback, once.
+
+        In a sentence, without tokens and with no more of an address than its host. Threads listen side by
+        side.
+        """
         import_module(f"{_LIBRARY}.utils.logging")  # adds its handler when it is imported
-        logger = logging.getLogger(_LIBRARY)
-        with self._lock:
-            if not self._listeners:
-                self._before = (logger.handlers[:], logger.propagate)
-                logger.handlers[:], logger.propagate = [self], False
-            self._listeners.append(on_message)
+        handlers = logging.getLogger(_LIBRARY).handlers
+        if self not in handlers:
+            self._own, handlers[:] = handlers[:], [self]
+        self._listeners.append(on_message)
         try:
             yield
         finally:
-            with self._lock:
-                self._listeners.remove(on_message)
-                if not self._listeners:
-                    logger.handlers[:], logger.propagate = self._before
-                    self._said.clear()
+            self._listeners.remove(on_message)
+            if not self._listeners:
+                self._said.clear()
 
 
 _CLIENT_LOG = _ClientLog()
-
-
-def log_captured(on_message: Callable[[str], None]) -> contextlib.AbstractContextManager[None]:
-    """Keep the client library from writing to the terminal; each thing it says goes to the callback, once.
-
-    In a sentence, without tokens and with no more of an address than its host.
-    """
-    return _CLIENT_LOG.captured(on_message)
 
 
 def default_waits_s() -> tuple[float, ...]:
@@ -137,26 +129,24 @@ def ask(
     *,
     waits_s: tuple[float, ...] | None = None,
     is_question: bool = True,
-    find_result: Callable[[], T | None] = lambda: None,
     may_repeat: Callable[[Exception], bool] = is_passing,
     on_wait: Callable[[str], None] = lambda _: None,
 ) -> T:
     """Do something with the Hub; what fails in passing is tried again after growing waits.
 
-    Before every further try, ``find_result`` is asked whether the action has had its effect though it failed
-    (a commit whose answer was lost). ``on_wait`` is told, in a sentence, that and why there is a wait; all
-    waits that the Hub asks for are limited together. What ``is_question`` (all but sending and fetching
-    files) has limits of its own, see :mod:`tactile_toolkit.hub.limits`. Raises what
-    :func:`tactile_toolkit.hub.errors.named_failures` does, with the number of tries.
+    The action may have had its effect though it failed, where the answer was lost. ``on_wait`` is told, in a
+    sentence, that and why there is a wait; all waits that the Hub asks for are limited together. What
+    ``is_question`` (all but sending and fetching files) has limits of its own, see
+    :mod:`tactile_toolkit.hub.limits`. Raises what :func:`tactile_toolkit.hub.errors.named_failures` does,
+    with the number of tries.
     """
     waits = default_waits_s() if waits_s is None else waits_s
     tries, waited_s = 0, 0.0
-    with log_captured(on_wait):
+    with _CLIENT_LOG.captured(on_wait):
         while True:
             tries += 1
             try:
-                found = find_result() if tries > 1 else None
-                return within_limits(action, is_question=is_question) if found is None else found
+                return within_limits(action, is_question=is_question)
             except Exception as error:
                 failure = failure_of(error, repo_id, revision, doing, tries, is_answer=True)
                 if failure is None:

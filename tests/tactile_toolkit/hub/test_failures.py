@@ -203,16 +203,6 @@ def test_a_broken_connection_is_tried_again_and_a_refusal_is_not(server, tmp_pat
     assert sum("/api/datasets/" in request.path for request in server.requests[before:]) == 1
 
 
-def test_a_lost_commit_is_looked_for_before_it_is_made_again(server, tmp_path):
-    server.faults.lose_reply("*/commit/main")
-    there = "api.file_exists('someone/set', 'a', repo_type='dataset')"
-    look = f"lambda: api.dataset_info('someone/set').sha if {there} else None"
-    action = f"ask(lambda: commit().oid, 'someone/set', find_result={look})"
-    assert said(server, tmp_path, action, token=server.account("someone")) == "done"
-    assert sum("/commit/" in request.path for request in server.requests) == 1
-    assert len(server.repository("someone/set").history) == 3
-
-
 def test_waits_are_settings(monkeypatch):
     monkeypatch.setenv(WAITS_VARIABLE, "")
     assert default_waits_s() == ()
