@@ -123,7 +123,7 @@ class UploadTarget:
 
     def at(self, revision: str) -> HubSnapshot:
         """List the files of a commit, tag, branch or pull request."""
-        return self._ask(lambda: listing(self.repo_id, revision))
+        return self._ask(lambda: listing(self.repo_id, revision, in_pages=True))
 
     def open_pulls(self, author: str) -> list[str]:
         """List the newest open pull requests of an account, such as ``refs/pr/3``; newest first."""
@@ -188,7 +188,7 @@ class UploadTarget:
         heads = {ref.name: str(ref.target_commit) for ref in refs.branches}
         # A pull request that is written to is not listed.
         is_there = self.branch in heads or self.branch.startswith("refs/")
-        held = listing(self.repo_id, self.branch if is_there else MAIN)
+        held = listing(self.repo_id, self.branch if is_there else MAIN, in_pages=True)
         return RemoteState(held, tags, frozenset(heads), is_there)
 
 
