@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+import multiprocessing
+import threading
 from typing import Any
 
 import numpy as np
 
-__all__ = ["answer", "fingerprint"]
+from tests.processes import PATIENCE_S
+
+__all__ = ["fingerprint", "seen_by_a_child"]
 
 
 def fingerprint(provider: Any) -> list[Any]:
@@ -22,6 +26,31 @@ def fingerprint(provider: Any) -> list[Any]:
     ]
 
 
-def answer(provider: Any, queue: Any) -> None:
-    """Send it back."""
+def _answer(provider: Any, queue: Any) -> None:
     queue.put(fingerprint(provider))
+
+
+def seen_by_a_child(provider: Any, method: str) -> list[Any]:
+    """Start a process while a thread holds the lock of the provider's memory, and return what it sees."""
+    context = multiprocessing.get_context(method)
+    queue = context.Queue()
+    held, leave = threading.Event(), threading.Event()
+
+    def hold() -> None:
+        with provider._memory._lock:
+            held.set()
+            leave.wait(PATIENCE_S)
+
+    holder = threading.Thread(target=hold)
+    holder.start()
+    held.wait(PATIENCE_S)
+    process = context.Process(target=_answer, args=(provider, queue))
+    process.start()
+    leave.set()
+    holder.join()
+    found: list[Any] = queue.get(timeout=PATIENCE_S)
+    process.join(PATIENCE_S)
+    assert process.exitcode == 0
+    queue.close()
+    queue.join_thread()
+    return found

@@ -1,8 +1,6 @@
 from __future__ import annotations
 
 import os
-import subprocess
-import sys
 import zlib
 
 import numpy as np
@@ -11,7 +9,7 @@ import pytest
 from tactile_toolkit.mesh.height_map import HeightCache, content_key, top_surface
 from tactile_toolkit.mesh.mesh import Mesh
 from tests.env_assets.shapes import box, cylinder
-from tests.processes import PATIENCE_S
+from tests.forked import start_forked
 
 PITCH = 0.5
 
@@ -117,10 +115,6 @@ print(digest)
 
 def test_processes_share_a_full_folder(tmp_path):
     """Several at once, in a folder too small for all: each gets every map right, and no error."""
-    command = [sys.executable, "-c", SHARE, str(tmp_path / "heights")]
-    running = [
-        subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) for _ in range(3)
-    ]
-    said = [process.communicate(timeout=PATIENCE_S) for process in running]
-    assert [process.returncode for process in running] == [0, 0, 0], said
-    assert len({out for out, _ in said}) == 1
+    running = [start_forked(SHARE, tmp_path / "heights") for _ in range(3)]
+    assert [process.end() for process in running] == [0, 0, 0], [process.err for process in running]
+    assert len({process.out for process in running}) == 1

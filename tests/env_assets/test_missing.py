@@ -3,8 +3,6 @@ from __future__ import annotations
 import re
 import shlex
 import signal
-import subprocess
-import sys
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
@@ -15,15 +13,15 @@ import starstruck_gen
 from tactile_toolkit.errors import InputError, IntegrityError, SpecMismatchError
 from tactile_toolkit.store.folder import DataFolder
 from tactile_toolkit.store.manifest import read_manifest
-from tests.command_line import program
-from tests.processes import PATIENCE_S
+from tests.command_line import call
+from tests.forked import start_forked
 
 
-def named_command(message: str) -> list[str]:
-    """The command in a message, as the interpreter runs it."""
+def run_named_command(message: str) -> None:
+    """Give the command line in a message."""
     command = re.search(r"next: run `([^`]+)`", message)
     assert command, message
-    return program(*shlex.split(command[1]), "--quiet")
+    assert call(*shlex.split(command[1]), "--quiet") == 0
 
 
 def parquet(folder: Path) -> dict[str, bytes]:
@@ -40,7 +38,7 @@ def test_the_command_that_is_named_makes_what_is_missing(tmp_path, kind, split, 
     with pytest.raises(InputError, match=f"no split '{split}' of '{kind}' in .*: it is not there") as caught:
         env_assets.AssetProvider(root, **options).meshes(kind, split)
     assert not root.exists()
-    subprocess.run(named_command(str(caught.value)), check=True, capture_output=True)
+    run_named_command(str(caught.value))
     assert len(env_assets.AssetProvider(root, **options).meshes(kind, split)) == rows
     made = env_assets.AssetProvider(tmp_path / "made", generate=True, **options)
     assert len(made.meshes(kind, split)) == rows
@@ -79,7 +77,7 @@ def test_the_command_goes_on_with_what_is_there(tmp_path, kind, split, other):
     made.meshes(kind, split)
     with pytest.raises(InputError, match="goes on with the settings of that folder") as caught:
         env_assets.AssetProvider(tmp_path).meshes(kind, other)
-    subprocess.run(named_command(str(caught.value)), check=True, capture_output=True)
+    run_named_command(str(caught.value))
     assert len(made.meshes(kind, other))
 
 
@@ -130,40 +128,19 @@ def test_numbers_that_make_nothing_are_refused_at_once(tmp_path, options):
         env_assets.AssetProvider(tmp_path, **options)
 
 
-MAKE = """
-import sys
-import env_assets, starstruck_gen
-starstruck_gen.generate  # imported before the start, so that all begin at once
-provider = env_assets.AssetProvider(sys.argv[1], generate=True, per_class=300)
-print("ready", flush=True)
-sys.stdin.readline()
-print(provider.meshes("starstruck", sys.argv[2]).ids.tolist())
-"""
+def _make(folder: str, split: str) -> list[int]:
+    provider = env_assets.AssetProvider(folder, generate=True, per_class=30)
+    return provider.meshes("starstruck", split).ids.tolist()
 
 
 def test_processes_that_start_at_once_do_not_harm_each_other(tmp_path):
     """Two want the same split and one another; without taking turns the last to end would lose a split."""
     splits = ("test", "train", "train")
-    running = [
-        subprocess.Popen(
-            [sys.executable, "-c", MAKE, str(tmp_path), split],
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-            stderr=subprocess.PIPE,
-            text=True,
-        )
-        for split in splits
-    ]
-    for process in running:
-        assert process.stdout.readline() == "ready\n"
-    for process in running:
-        process.stdin.write("go\n")
-        process.stdin.flush()
-    said = [process.communicate(timeout=PATIENCE_S) for process in running]
-    assert [process.returncode for process in running] == [0] * 3, said
+    running = [start_forked(_make, str(tmp_path), split) for split in splits]
+    assert [process.end() for process in running] == [0] * 3, [process.err for process in running]
     again = env_assets.AssetProvider(tmp_path)
-    for split, (out, _) in zip(splits, said, strict=True):
-        assert str(again.meshes("starstruck", split).ids.tolist()) in out
+    for split, process in zip(splits, running, strict=True):
+        assert str(again.meshes("starstruck", split).ids.tolist()) in process.out
     manifest = read_manifest(DataFolder(str(tmp_path / "starstruck")))
     assert (manifest.splits, manifest.complete) == (("train", "test"), True)
     assert not list((tmp_path / "starstruck").rglob(".writing-*"))
@@ -171,26 +148,29 @@ def test_processes_that_start_at_once_do_not_harm_each_other(tmp_path):
 
 DIE = """
 import os, signal, sys
-import tactile_toolkit.store.build, env_assets
+import starstruck_gen.generation, tactile_toolkit.store.build, env_assets
+starstruck_gen.generation._SMALLEST_SHARD = 2
 write_record = tactile_toolkit.store.build.write_record
 def write_and_die(*arguments):
     write_record(*arguments)
     os.kill(os.getpid(), signal.SIGKILL)
 tactile_toolkit.store.build.write_record = write_and_die
-env_assets.AssetProvider(sys.argv[1], generate=True).meshes("starstruck", "train")
+env_assets.AssetProvider(sys.argv[1], generate=True, per_class=2).meshes("starstruck", "train")
 """
 
 
-def test_a_killed_process_lets_the_next_one_go_on(tmp_path):
+def test_a_killed_process_lets_the_next_one_go_on(tmp_path, monkeypatch):
     """Of three shards one is finished; the next process waits for nobody and keeps it."""
-    died = subprocess.run([sys.executable, "-c", DIE, str(tmp_path)], capture_output=True, check=False)
-    assert died.returncode == -signal.SIGKILL, died.stderr
+    monkeypatch.setattr("starstruck_gen.generation._SMALLEST_SHARD", 2)
+    died = start_forked(DIE, tmp_path)
+    assert died.end() == -signal.SIGKILL, died.err
     (shard,) = (tmp_path / "starstruck" / "data").glob("train-*")
     before = shard.stat()
     with pytest.raises(IntegrityError, match="is not finished"):
-        env_assets.AssetProvider(tmp_path).meshes("starstruck")
-    scenes = env_assets.AssetProvider(tmp_path, generate=True).meshes("starstruck")
-    assert len(scenes) == 3_000
+        env_assets.AssetProvider(tmp_path, per_class=2).meshes("starstruck")
+    scenes = env_assets.AssetProvider(tmp_path, generate=True, per_class=2).meshes("starstruck")
+    assert len(scenes) == 6
+    assert len(list((tmp_path / "starstruck" / "data").glob("train-*"))) == 3
     assert (shard.stat().st_ino, shard.stat().st_mtime_ns) == (before.st_ino, before.st_mtime_ns)
 
 

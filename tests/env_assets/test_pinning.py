@@ -2,19 +2,16 @@
 
 from __future__ import annotations
 
-import json
-import os
+import pickle
 import shutil
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
 
 import starstruck_gen
-from env_assets.provider import repository_id
+from env_assets.provider import AssetProvider, repository_id
 from tests.hub_server import hub
-from tests.processes import PATIENCE_S
+from tests.tactile_toolkit.hub.client import as_client, settings
 
 
 def write(folder: Path, seed: int, scenes: int) -> None:
@@ -23,68 +20,38 @@ def write(folder: Path, seed: int, scenes: int) -> None:
     starstruck_gen.generate(spec, str(folder))
 
 
-LOOK = """
-import json, pickle, sys
-import env_assets
-
-def seeds(provider, split):
+def seeds(provider: AssetProvider, split: str) -> list[int]:
     return [int(scene.seed) for scene in provider.meshes("someone/scenes", split)]
-
-provider = env_assets.AssetProvider()
-by_name = env_assets.AssetProvider(places={"starstruck": "hf://datasets/someone/scenes"})
-first = seeds(provider, "train")
-assert len(by_name.meshes("starstruck")) == len(first)
-print("opened", flush=True)
-sys.stdin.readline()
-copy = pickle.loads(pickle.dumps(provider))
-print(json.dumps({
-    "first": first,
-    "again": seeds(provider, "train"),
-    "other split": seeds(provider, "test"),
-    "copy": seeds(copy, "test"),
-    "by name": len(by_name.meshes("starstruck", "test")),
-    "new": seeds(env_assets.AssetProvider(), "test"),
-}))
-"""
 
 
 @pytest.fixture(scope="module")
 def found(tmp_path_factory) -> dict[str, list[int]]:
-    """What a process sees that opens one split before a commit and the other one after it."""
+    """What a client sees that opens one split before a commit and the other one after it."""
     root, home = tmp_path_factory.mktemp("hub"), tmp_path_factory.mktemp("home")
     write(root / "someone" / "scenes", seed=1, scenes=6)
-    with hub(root) as server:
-        environment = {
-            **os.environ,
-            "HF_ENDPOINT": server.endpoint,
-            "HF_HOME": str(home),
-            "HF_HUB_DISABLE_XET": "1",
-            "TACTILE_TOOLKIT_CACHE": str(home / "toolkit"),
+    with hub(root) as server, as_client(settings(server, home)):
+        provider = AssetProvider()
+        by_name = AssetProvider(places={"starstruck": "hf://datasets/someone/scenes"})
+        found = {"first": seeds(provider, "train")}
+        assert len(by_name.meshes("starstruck")) == len(found["first"])
+        write(root / "someone" / "scenes", seed=2, scenes=9)
+        copy = pickle.loads(pickle.dumps(provider))
+        return found | {
+            "again": seeds(provider, "train"),
+            "other split": seeds(provider, "test"),
+            "copy": seeds(copy, "test"),
+            "by name": [int(scene.seed) for scene in by_name.meshes("starstruck", "test")],
+            "new": seeds(AssetProvider(), "test"),
         }
-        process = subprocess.Popen(
-            [sys.executable, "-c", LOOK],
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-            stderr=subprocess.PIPE,
-            text=True,
-            env=environment,
-        )
-        opened = process.stdout.readline()
-        if opened:
-            write(root / "someone" / "scenes", seed=2, scenes=9)
-        out, err = process.communicate("go\n", timeout=PATIENCE_S)
-    assert opened == "opened\n", err
-    assert process.returncode == 0, err
-    return json.loads(out)
 
 
 def test_all_splits_are_of_the_commit_that_was_seen_first(found):
     assert (len(found["first"]), len(found["other split"])) == (6, 6)
     assert found["again"] == found["first"]
-    assert found["by name"] == 6
+    assert found["by name"] == found["other split"]
 
 
-def test_a_copy_in_another_process_stays_at_that_commit(found):
+def test_a_copy_for_another_process_stays_at_that_commit(found):
     assert found["copy"] == found["other split"]
 
 

@@ -1,9 +1,7 @@
 from __future__ import annotations
 
-import multiprocessing
 import pickle
 import shutil
-import threading
 from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
@@ -16,9 +14,9 @@ import starstruck_gen
 from tactile_toolkit.errors import InputError, IntegrityError
 from tactile_toolkit.mesh.mesh import Mesh
 from tests.env_assets.factories import write_meshes
-from tests.env_assets.processes import answer, fingerprint
+from tests.env_assets.processes import fingerprint, seen_by_a_child
 from tests.env_assets.shapes import box
-from tests.processes import PATIENCE_S, printed_by
+from tests.forked import run_forked
 
 
 def test_it_has_the_shape_that_environments_depend_on(provider):
@@ -168,33 +166,22 @@ def test_no_memory_keeps_nothing(assets):
     assert digits[0].mesh is not digits[0].mesh
 
 
-@pytest.mark.own_process
-@pytest.mark.parametrize("method", ["fork", "spawn"])
-@pytest.mark.filterwarnings("ignore:This process .* is multi-threaded:DeprecationWarning")
-def test_processes_see_the_same(provider, method):
-    """Made, used, and with a thread that holds its lock at the moment of the fork."""
-    expected = fingerprint(provider)
-    context = multiprocessing.get_context(method)
-    queue = context.Queue()
-    held, leave = threading.Event(), threading.Event()
+FORKS = """
+import sys, env_assets
+from tests.env_assets.processes import fingerprint, seen_by_a_child
+provider = env_assets.AssetProvider(sys.argv[1])
+assert fingerprint(provider) == seen_by_a_child(provider, "fork")
+"""
 
-    def hold() -> None:
-        with provider._memory._lock:
-            held.set()
-            leave.wait(60)
 
-    holder = threading.Thread(target=hold)
-    holder.start()
-    held.wait(60)
-    process = context.Process(target=answer, args=(provider, queue))
-    process.start()
-    leave.set()
-    holder.join()
-    assert queue.get(timeout=PATIENCE_S) == expected
-    process.join(60)
-    assert process.exitcode == 0
-    queue.close()
-    queue.join_thread()
+def test_a_forked_process_sees_the_same(assets):
+    """Of a provider that was made and used; in an interpreter without the threads of other tests."""
+    run_forked(FORKS, assets)
+
+
+@pytest.mark.thorough  # a copy that was pickled is tested below
+def test_a_spawned_process_sees_the_same(provider):
+    assert fingerprint(provider) == seen_by_a_child(provider, "spawn")
 
 
 def test_threads_see_the_same(assets):
@@ -250,22 +237,6 @@ def test_a_place_for_a_name_that_nothing_asks_for_is_refused(name, near):
     with pytest.raises(InputError, match="expected names of mnist3d, starstruck, wrench, abc") as caught:
         env_assets.AssetProvider("assets", {name: "digits"})
     assert near in str(caught.value)
-
-
-def test_opening_imports_what_reading_needs(assets):
-    """A child forked while a thread imports would wait for ever for that import."""
-    code = (
-        "import sys, env_assets\n"
-        f"provider = env_assets.AssetProvider({str(assets)!r})\n"
-        "assert not {'trimesh', 'pyarrow.parquet'} & set(sys.modules)\n"
-        "digits = provider.meshes('mnist3d')\n"
-        "before = set(sys.modules)\n"
-        "digits[0].mesh, digits[0].vertices_m, digits.ids\n"
-        "new = set(sys.modules) - before\n"
-        "heavy = ('trimesh', 'pyarrow', 'numpy', 'pandas')\n"
-        "assert not {name for name in new if name.split('.')[0] in heavy}, new\n"
-    )
-    printed_by(code)
 
 
 def test_names_and_folders_that_cannot_be_are_refused(provider):

@@ -129,9 +129,8 @@ class _Listener(ThreadingHTTPServer):
     def __init__(self, hub: HubServer) -> None:
         super().__init__(("127.0.0.1", 0), _Handler)
         self.hub = hub
-        self._thread = threading.Thread(
-            target=self.serve_forever, kwargs={"poll_interval": 0.05}, daemon=True
-        )
+        self._thread = threading.Thread(target=self._run, daemon=True)
+        self._is_stopping = False
 
     def shutdown_request(self, request: socket.socket) -> None:  # type: ignore[override]
         """Close a connection; one that is to be reset says no farewell first."""
@@ -144,10 +143,16 @@ class _Listener(ThreadingHTTPServer):
     def start(self) -> None:
         self._thread.start()
 
+    def _run(self) -> None:
+        while not self._is_stopping:
+            self.handle_request()
+
     def stop(self) -> None:
-        self.shutdown()
-        self.server_close()
+        self._is_stopping = True
+        # A last visitor wakes the thread: `serve_forever` would look for its end twenty times a second only.
+        socket.create_connection(self.server_address[:2]).close()
         self._thread.join()
+        self.server_close()
 
 
 class _LostError(Exception):

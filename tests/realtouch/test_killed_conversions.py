@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import os
 import signal
-import subprocess
 import sys
 import time
+import warnings
 from pathlib import Path
 from typing import Any
 
@@ -13,10 +14,9 @@ import pytest
 
 import realtouch
 from tactile_toolkit.errors import InputError
-from tests.processes import children, printed_by, wait_until_gone
+from tests.forked import run_forked, start_forked
+from tests.processes import children, wait_until_gone
 from tests.tactile_toolkit.toy import folder_bytes
-
-REPOSITORY = Path(__file__).resolve().parents[2]
 
 CONVERSIONS: dict[str, tuple[str, str, dict[str, Any]]] = {
     "to-single": ("to_single", "seq", {"frame": "peak"}),
@@ -25,39 +25,41 @@ CONVERSIONS: dict[str, tuple[str, str, dict[str, Any]]] = {
     "select": ("select", "single", {"contact": True}),
 }
 
-# The interpreter tells an audit hook of every file that is opened, renamed or removed, just before it
-# happens: the process ends itself there as `kill -9` would, with nothing closed, flushed or tidied up.
-DIES_AT = """
-import os, signal, sys
-import realtouch
-name, source, out = sys.argv[1:4]
-options, moment, seen = eval(sys.argv[4]), int(sys.argv[5]), 0
-def watch(event, arguments):
-    global seen
-    if event not in ("open", "os.rename", "os.remove", "os.rmdir", "os.mkdir"):
-        return
-    if not str(arguments[0]).startswith(out) or (event == "open" and not arguments[2] & os.O_CREAT):
-        return
-    seen += 1
-    if seen == moment:
-        os.kill(os.getpid(), signal.SIGKILL)
-sys.addaudithook(watch)
-getattr(realtouch, name)(source, out, **options)
-"""
-
 
 def convert(name: str, source: Path, out: Path, **more: Any) -> None:
     call, _, options = CONVERSIONS[name]
     getattr(realtouch, call)(str(source), str(out), **options, **more)
 
 
+def _die(call: str, source: str, out: str, options: dict[str, Any], moment: int) -> None:
+    """Convert, and end as by ``kill -9``, with nothing closed, flushed or tidied up.
+
+    The interpreter tells an audit hook of every file that is opened, renamed or removed, just before it
+    happens.
+    """
+    seen = 0
+
+    def watch(event: str, arguments: tuple[Any, ...]) -> None:
+        nonlocal seen
+        if event not in ("open", "os.rename", "os.remove", "os.rmdir", "os.mkdir"):
+            return
+        if not str(arguments[0]).startswith(out) or (event == "open" and not arguments[2] & os.O_CREAT):
+            return
+        seen += 1
+        if seen == moment:
+            os.kill(os.getpid(), signal.SIGKILL)
+
+    warnings.simplefilter("error")
+    sys.addaudithook(watch)
+    getattr(realtouch, call)(source, out, **options)
+
+
 def killed(name: str, source: Path, out: Path, moment: int) -> bool:
     """Run a conversion that dies when it touches the folder the ``moment``-th time; False if it ended."""
     call, _, options = CONVERSIONS[name]
-    command = [sys.executable, "-W", "error", "-c", DIES_AT]
-    command += [call, str(source), str(out), repr(options), str(moment)]
-    code = subprocess.run(command, cwd=REPOSITORY, check=False).returncode
-    assert code in (0, -signal.SIGKILL)
+    process = start_forked(_die, call, str(source), str(out), options, moment)
+    code = process.end()
+    assert code in (0, -signal.SIGKILL), process.err
     return code != 0
 
 
@@ -116,14 +118,11 @@ def test_killed_with_its_workers_at_work(
     """The parent is killed from outside; its workers leave by themselves and write nothing more."""
     out = tmp_path / "out"
     code = "import sys, realtouch; realtouch.resize(sys.argv[1], sys.argv[2], 48, 36, workers=2)"
-    process = subprocess.Popen([sys.executable, "-c", code, str(seq_folder), str(out)], cwd=REPOSITORY)
-    deadline_s = time.monotonic() + 120
-    while not list(out.glob(".pending/*.json")) and process.poll() is None:
-        assert time.monotonic() < deadline_s
+    process = start_forked(code, seq_folder, out)
+    while not list(out.glob(".pending/*.json")) and process.is_running:
         time.sleep(0.002)
     workers = children(process.pid)
-    process.kill()
-    process.wait()
+    process.end(signal.SIGKILL)
     wait_until_gone(workers)
     convert("resize", seq_folder, out)
     assert temporaries(out) == []
@@ -155,5 +154,5 @@ def test_pictures_that_cannot_be_written_leave_no_trace(single_folder: Path, tmp
         "    print(error)\n"
     )
     out = tmp_path / "out"
-    assert "cannot write" in printed_by(code, single_folder, out)
+    assert "cannot write" in run_forked(code, single_folder, out)
     assert not out.exists()

@@ -5,11 +5,11 @@ from __future__ import annotations
 import contextlib
 import os
 import pickle
-import subprocess
-import sys
 import threading
+import time
 import warnings
 from pathlib import Path
+from typing import IO
 
 import pytest
 
@@ -17,6 +17,7 @@ from tactile_toolkit.cache import CACHE_VARIABLE, DiskCache, MemoryCache, cache_
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.store.files import atomic_file
 from tactile_toolkit.store.folder import DataFolder
+from tests.forked import run_forked, start_forked
 
 
 def names(folder: Path) -> list[str]:
@@ -101,22 +102,28 @@ def test_making_room_leaves_what_another_thread_is_writing(tmp_path):
     assert cache.path("slow").stat().st_size == 600
 
 
+def _write_slowly(folder: Path, go: Path) -> bool:
+    def fill(stream: IO[bytes]) -> None:
+        stream.write(bytes(600))
+        stream.flush()
+        go.with_name("begun").touch()
+        while not go.exists():
+            time.sleep(0.01)
+
+    return DiskCache(folder, 1000).write("slow", 600, fill)
+
+
 def test_making_room_leaves_what_another_process_is_writing(tmp_path):
-    code = (
-        "import sys, pathlib; from tactile_toolkit.cache import DiskCache\n"
-        "def fill(stream):\n"
-        "    stream.write(bytes(600)); stream.flush(); print('begun', flush=True); sys.stdin.readline()\n"
-        "print(DiskCache(pathlib.Path(sys.argv[1]), 1000).write('slow', 600, fill))"
-    )
-    with subprocess.Popen(
-        [sys.executable, "-c", code, str(tmp_path)], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
-    ) as writer:
-        assert writer.stdout is not None
-        assert writer.stdout.readline() == "begun\n"
-        for number in range(30):
-            assert put(DiskCache(tmp_path, 1000), str(number), 300)
-        assert writer.communicate("\n")[0] == "True\n"
-    assert (tmp_path / "slow").stat().st_size == 600
+    cache, go = tmp_path / "cache", tmp_path / "go"
+    writer = start_forked(_write_slowly, cache, go)
+    while not (tmp_path / "begun").exists():
+        assert writer.is_running, writer.err
+        time.sleep(0.01)
+    for number in range(30):
+        assert put(DiskCache(cache, 1000), str(number), 300)
+    go.touch()
+    assert (writer.end(), writer.out) == (0, "True\n"), writer.err
+    assert (cache / "slow").stat().st_size == 600
 
 
 def test_a_folder_that_cannot_be_written_is_told_once(tmp_path):
@@ -173,18 +180,23 @@ def test_threads_get_one_value(tmp_path):
     assert len(set(map(id, found))) == 1
 
 
-@pytest.mark.own_process
-def test_a_copy_in_another_process_starts_empty():
+def _fork_with_the_lock_held() -> None:
     memory: MemoryCache[str, bytes] = MemoryCache(10, len)
     memory.put("a", b"1")
-    copy = pickle.loads(pickle.dumps(memory))
-    assert (copy.limit, len(copy), copy.get("a")) == (10, 0, None)
     with memory._lock:  # as if another thread held it at the fork
         child = os.fork()
         if child == 0:
             os._exit(0 if memory.get("a") is None and memory.size == 0 else 1)
     assert os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == 0
     assert memory.get("a") == b"1"
+
+
+def test_a_copy_in_another_process_starts_empty():
+    memory: MemoryCache[str, bytes] = MemoryCache(10, len)
+    memory.put("a", b"1")
+    copy = pickle.loads(pickle.dumps(memory))
+    assert (copy.limit, len(copy), copy.get("a")) == (10, 0, None)
+    run_forked(_fork_with_the_lock_held)
 
 
 @pytest.mark.parametrize("variable", [CACHE_VARIABLE, "XDG_CACHE_HOME"])
@@ -197,26 +209,25 @@ def test_a_cache_in_the_home_of_nobody_is_named(monkeypatch, variable):
         DataFolder("~nobody-of-that-name/x")
 
 
-@pytest.mark.own_process
+def _write(folder: Path, writer: int) -> None:
+    cache = DiskCache(folder, 200_000)
+    for number in range(150):
+        content = bytes(1_000 + 37 * number)
+        assert cache.write(f"{writer}-{number}", 2 * len(content), lambda stream, c=content: stream.write(c))
+
+
 def test_processes_keep_the_limit_together(tmp_path):
     """Four processes write far more than the limit; what lies there is looked at all the while."""
-    code = (
-        "import sys, pathlib; from tactile_toolkit.cache import DiskCache\n"
-        "cache = DiskCache(pathlib.Path(sys.argv[1]), 200_000)\n"
-        "for number in range(150):\n"
-        "    size = 1_000 + 37 * number\n"
-        "    assert cache.write(f'{sys.argv[2]}-{number}', 2 * size, lambda s: s.write(bytes(size)))"
-    )
-    writers = [subprocess.Popen([sys.executable, "-c", code, str(tmp_path), str(n)]) for n in range(4)]
+    writers = [start_forked(_write, tmp_path, number) for number in range(4)]
     most = 0
-    while any(writer.poll() is None for writer in writers):
+    while any(writer.is_running for writer in writers):
         sizes = []
         with os.scandir(tmp_path) as entries:
             for entry in entries:
                 with contextlib.suppress(FileNotFoundError):
                     sizes.append(entry.stat().st_size)
         most = max(most, sum(sizes))
-    assert [writer.returncode for writer in writers] == [0] * 4
+    assert [writer.end() for writer in writers] == [0] * 4, [writer.err for writer in writers]
     assert 100_000 < most <= 250_000, "what was renamed while it was listed is seen twice"
 
 

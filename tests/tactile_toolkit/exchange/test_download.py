@@ -23,7 +23,7 @@ from tactile_toolkit.store.verify import verify
 from tests.hub_server import HubServer
 from tests.processes import PATIENCE_S
 from tests.tactile_toolkit.exchange.upload_client import logged_in
-from tests.tactile_toolkit.hub.client import settings, start_python
+from tests.tactile_toolkit.hub.client import settings, start_here
 from tests.tactile_toolkit.hub.sets import (
     BIG,
     CONTENT,
@@ -212,10 +212,9 @@ def test_unknown_splits_are_named(server, tmp_path):
 def test_a_killed_download_leaves_nothing_that_looks_whole(server, tmp_path, to_folder):
     out = tmp_path / "out" if to_folder else None
     server.faults.stall(f"*/{SHARD}", after=1_500_000)
-    with start_python(script(BIG, out=out), settings(server, tmp_path), tmp_path) as process:
-        assert server.faults.stalled.wait(60)
-        process.send_signal(signal.SIGKILL)
-        process.communicate()
+    process = start_here(script(BIG, out=out), settings(server, tmp_path), tmp_path)
+    assert server.faults.stalled.wait(PATIENCE_S)
+    assert process.end(signal.SIGKILL) == -signal.SIGKILL
     server.faults.released.set()
     assert not list(tmp_path.rglob(Path(SHARD).name)), "a half file stands under the name of a whole one"
     place = Path(fetch(server, tmp_path, script(BIG, out=out))[0])
@@ -228,13 +227,12 @@ def test_a_killed_download_leaves_nothing_that_looks_whole(server, tmp_path, to_
 def test_a_killed_download_goes_on_with_the_files_that_are_missing(server, tmp_path):
     out, last = tmp_path / "out", "data/train-00003-of-00004.parquet"
     server.faults.stall(f"*/{last}", after=10)
-    with start_python(script(NAME, "train", out=out), settings(server, tmp_path), tmp_path) as process:
-        assert server.faults.stalled.wait(60)
-        deadline = time.monotonic() + 60
-        while len(list((out / "data").glob("train*"))) < 3 and time.monotonic() < deadline:
-            time.sleep(0.02)
-        process.send_signal(signal.SIGKILL)
-        process.communicate()
+    process = start_here(script(NAME, "train", out=out), settings(server, tmp_path), tmp_path)
+    assert server.faults.stalled.wait(PATIENCE_S)
+    while len(list((out / "data").glob("train*"))) < 3:
+        assert process.is_running, process.err
+        time.sleep(0.01)
+    assert process.end(signal.SIGKILL) == -signal.SIGKILL
     server.faults.released.set()
     before = len(server.fetched)
     assert [

@@ -5,7 +5,6 @@ from __future__ import annotations
 import hashlib
 import shutil
 import signal
-import subprocess
 import sys
 import time
 from collections.abc import Iterator
@@ -21,7 +20,7 @@ from tactile_toolkit.exchange.upload_plan import UploadOptions
 from tactile_toolkit.store.folder import DataFolder
 from tactile_toolkit.store.manifest import read_manifest
 from tests.hub_server import HubServer
-from tests.tactile_toolkit.hub.client import run_here, settings
+from tests.tactile_toolkit.hub.client import run_here, settings, start_here
 from tests.tactile_toolkit.toy import folder_bytes
 
 NAME = "someone/stars"
@@ -402,20 +401,13 @@ def test_a_killed_upload_goes_on_with_what_is_missing(server, folder, tmp_path):
     token = next(iter(server.accounts))
     scratch = tmp_path / "scratch"
     scratch.mkdir()
-    environment = settings(server, tmp_path, token, PYTHONPATH=str(Path.cwd()), TMPDIR=str(scratch))
+    environment = settings(server, tmp_path, token, TMPDIR=str(scratch))
     before = folder_bytes(folder)
-    process = subprocess.Popen(
-        [sys.executable, "-c", UPLOAD.format(folder=str(folder), name=NAME)],
-        env=environment,
-        stdout=subprocess.DEVNULL,
-        stderr=subprocess.DEVNULL,
-    )
-    deadline_s = time.monotonic() + 120
-    while process.poll() is None and not _has_all_but(server, wanted - {late}, late):
-        assert time.monotonic() < deadline_s, "the other files never arrived"
-        time.sleep(0.02)
-    process.send_signal(signal.SIGKILL)
-    assert process.wait(120) == -signal.SIGKILL
+    process = start_here(UPLOAD.format(folder=str(folder), name=NAME), environment, tmp_path)
+    while not _has_all_but(server, wanted - {late}, late):
+        assert process.is_running, process.err
+        time.sleep(0.01)
+    assert process.end(signal.SIGKILL) == -signal.SIGKILL
     assert set(server.repository(NAME).objects) == wanted - {late}
     assert server.repository(NAME).head.title == "initial commit"
     assert list(scratch.iterdir()) == []

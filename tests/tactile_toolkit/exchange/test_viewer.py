@@ -21,7 +21,7 @@ from tactile_toolkit.store.verify import verify
 from tests.command_line import call
 from tests.hub_server import HubServer
 from tests.realtouch.factories import make_round, seq_rows, write_set
-from tests.tactile_toolkit.hub.client import run_here, run_python, settings
+from tests.tactile_toolkit.hub.client import run_here, settings, start_here
 from tests.tactile_toolkit.toy import folder_bytes
 
 NAME = "someone/digits"
@@ -77,9 +77,10 @@ def test_each_row_is_shown_in_3d_and_the_fast_columns_stay_the_default(server, m
     assert both / rows < 115_000
     head = yaml.safe_load(files["README.md"].decode().split("---\n")[1])
     assert [config["config_name"] for config in head["configs"]] == ["default", "viewer"]
-    done = run_python(LOAD, settings(server, tmp_path), tmp_path)
-    assert done.returncode == 0, done.stderr
-    report = json.loads(next(line for line in done.stdout.splitlines() if line.startswith("REPORT"))[6:])
+    # `datasets` reads its settings when it is imported.
+    done = start_here(LOAD, settings(server, tmp_path), tmp_path)
+    assert done.end() == 0, done.err
+    report = json.loads(next(line for line in done.out.splitlines() if line.startswith("REPORT"))[6:])
     assert report["kind"] == "Mesh(decode=True)"
     assert report["columns"] == [
         *("id", "label", "label_name", "writer", "volume_m3", "source"),

@@ -5,9 +5,8 @@ import os
 import re
 import shutil
 import signal
-import subprocess
-import sys
 import time
+from collections.abc import Callable
 from importlib.metadata import version
 from pathlib import Path
 
@@ -19,9 +18,9 @@ from tactile_toolkit.gallery.items import Gallery
 from tactile_toolkit.gallery.page import ASSETS, asset, viewer_library
 from tactile_toolkit.gallery.site import MARKER_FILE, MOST_ITEMS, build_site, forecast_site
 from tactile_toolkit.run.processes import InlineRunner, ProcessRunner
+from tests.forked import run_forked, start_forked
 from tests.gallery_files import index_of
 from tests.gallery_toy import HOSTILE, ToyTask, toy_gallery
-from tests.processes import printed_by
 from tests.tactile_toolkit.toy import folder_bytes
 
 
@@ -172,32 +171,21 @@ def test_links_in_a_gallery_are_kept(tmp_path):
     assert (out / "assets" / "mine").is_symlink()
 
 
-CUT = """
-import os, signal, sys
-from pathlib import Path
-from tactile_toolkit.gallery.site import build_site
-from tactile_toolkit.run.processes import InlineRunner
-from tests.gallery_toy import toy_gallery
-
-def build_and_die(out, moves, overwrite):
+def _build_and_die(out: Path, moves: int, overwrite: bool) -> None:
     moved = []
-    def cut(move):
-        def moved_once(self, target):
-            move(self, target)
+
+    def cut(move: Callable[[Path, Path], Path]) -> Callable[[Path, Path], Path]:
+        def moved_once(self: Path, target: Path) -> Path:
+            there = move(self, target)
             moved.append(target)
             if len(moved) == moves:
                 os.kill(os.getpid(), signal.SIGKILL)
-        return moved_once
-    Path.rename, Path.replace = cut(Path.rename), cut(Path.replace)
-    build_site(toy_gallery(), str(out), InlineRunner(), overwrite=overwrite)
+            return there
 
-for out in map(Path, sys.argv[1:]):
-    child = os.fork()
-    if child == 0:
-        build_and_die(out, int(out.suffix[1:]), out.stem == "former")
-        os._exit(0)
-    assert os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == -signal.SIGKILL
-"""
+        return moved_once
+
+    Path.rename, Path.replace = cut(Path.rename), cut(Path.replace)  # type: ignore[method-assign]
+    build(out, overwrite=overwrite)
 
 
 def test_a_run_that_is_killed_while_its_site_appears_can_be_given_again(tmp_path):
@@ -208,7 +196,9 @@ def test_a_run_that_is_killed_while_its_site_appears_can_be_given_again(tmp_path
         place.mkdir()
     for place in former:
         build(place, toy_gallery(4))
-    printed_by(CUT, *places, *former)
+    for place in (*places, *former):
+        killed = start_forked(_build_and_die, place, int(place.suffix[1:]), place in former)
+        assert killed.end() == -signal.SIGKILL, killed.err
     build(tmp_path / "same")
     for place in (*places, *former):
         build(place, overwrite=place in former)
@@ -278,18 +268,12 @@ build_site(replace(gallery, tasks=tasks), sys.argv[1], InlineRunner())
 def test_a_killed_run_leaves_no_site_and_the_next_one_clears_up(tmp_path, how):
     out = tmp_path / "place" / "site"
     out.parent.mkdir()
-    environment = {**os.environ, "PYTHONPATH": str(Path(__file__).resolve().parents[3])}
-    with subprocess.Popen(
-        [sys.executable, "-c", KILLED, str(out)], stderr=subprocess.PIPE, env=environment
-    ) as process:
-        deadline = time.monotonic() + 120
-        while not (tmp_path / "alive").exists():
-            assert process.poll() is None, process.stderr and process.stderr.read().decode()
-            assert time.monotonic() < deadline
-            time.sleep(0.02)
-        assert not out.exists()
-        process.send_signal(how)
-        process.communicate()
+    process = start_forked(KILLED, out)
+    while not (tmp_path / "alive").exists():
+        assert process.is_running, process.err
+        time.sleep(0.01)
+    assert not out.exists()
+    assert process.end(how) != 0
     assert not out.exists()
     if how is signal.SIGINT:
         assert entries(out.parent) == []
@@ -312,7 +296,7 @@ except StorageError as error:
 
 
 def test_no_room_leaves_nothing_and_says_so(tmp_path):
-    assert "the file would be larger than allowed here" in printed_by(FULL, tmp_path / "site")
+    assert "the file would be larger than allowed here" in run_forked(FULL, tmp_path / "site")
     assert entries(tmp_path) == []
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import io
 import os
+import resource
 import subprocess
 import sys
 import time
@@ -13,10 +14,11 @@ from collections.abc import Iterator
 from pathlib import Path
 from unittest import mock
 
+from tests.forked import Forked, start_forked
 from tests.hub_server import HubServer
 from tests.processes import PATIENCE_S
 
-__all__ = ["run_here", "run_python", "settings", "start_python"]
+__all__ = ["as_client", "run_here", "run_python", "settings", "start_here", "start_python"]
 
 
 def settings(server: HubServer | str, home: Path, token: str | None = None, **more: str) -> dict[str, str]:
@@ -50,11 +52,20 @@ def run_python(script: str, environment: dict[str, str], home: Path) -> subproce
     return subprocess.CompletedProcess(script, process.returncode, out, err)
 
 
+def start_here(script: str, environment: dict[str, str], home: Path) -> Forked:
+    """Start a script in a forked process."""
+    return start_forked(_said_here, script, environment, home)
+
+
+def _said_here(script: str, environment: dict[str, str], home: Path) -> str:
+    return run_here(script, environment, home).stdout
+
+
 def run_here(script: str, environment: dict[str, str], home: Path) -> subprocess.CompletedProcess[str]:
     """Run a script to its end in this process, ten times as fast: the imports are done already."""
     out, err = io.StringIO(), io.StringIO()
     with (
-        _as_client(environment),
+        as_client(environment),
         contextlib.chdir(home),
         contextlib.redirect_stdout(out),
         contextlib.redirect_stderr(err),
@@ -76,7 +87,8 @@ _RESOLVE = "/{repo_id}/resolve/{revision}/{filename}"
 
 
 @contextlib.contextmanager
-def _as_client(environment: dict[str, str]) -> Iterator[None]:
+def as_client(environment: dict[str, str]) -> Iterator[None]:
+    """Let this process be a client of these settings, as if they had been set when it was started."""
     from huggingface_hub import close_session, constants, file_download
     from huggingface_hub.utils import _http, disable_progress_bars, enable_progress_bars
 
@@ -89,7 +101,11 @@ def _as_client(environment: dict[str, str]) -> Iterator[None]:
         "HF_HUB_DISABLE_XET": True,
         "HF_HUB_OFFLINE": environment.get("HF_HUB_OFFLINE") == "1",
         "HF_TOKEN_PATH": f"{home}/token",
+        # Scripts may set these.
+        "DOWNLOAD_CHUNK_SIZE": constants.DOWNLOAD_CHUNK_SIZE,
+        "HF_HUB_DISABLE_SYMLINKS": constants.HF_HUB_DISABLE_SYMLINKS,
     }
+    limit = resource.getrlimit(resource.RLIMIT_FSIZE)
     with (
         mock.patch.dict(os.environ, environment, clear=True),
         mock.patch.multiple(constants, **swapped),
@@ -100,6 +116,7 @@ def _as_client(environment: dict[str, str]) -> Iterator[None]:
         try:
             yield
         finally:
+            resource.setrlimit(resource.RLIMIT_FSIZE, limit)
             close_session()
             del os.environ["HF_HUB_DISABLE_PROGRESS_BARS"]
             enable_progress_bars()

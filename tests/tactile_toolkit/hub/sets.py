@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import functools
 import io
 import json
+import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -17,8 +19,8 @@ from tactile_toolkit.run.processes import InlineRunner
 from tactile_toolkit.store.build import build
 from tactile_toolkit.store.folder import DataFolder
 from tests.hub_server import HubServer, hub
-from tests.tactile_toolkit.hub.client import run_here, run_python, settings
-from tests.tactile_toolkit.toy import toy_plan
+from tests.tactile_toolkit.hub.client import run_here, settings
+from tests.tactile_toolkit.toy import folder_bytes, toy_plan
 
 __all__ = ["BIG", "CONTENT", "FULL", "NAME", "SHARD", "big_parquet", "fetch", "script", "two_sets"]
 
@@ -38,19 +40,25 @@ def big_parquet(seed: int = 0, rows: int = 400_000) -> bytes:
 CONTENT = big_parquet()
 
 
+@functools.cache
+def _toy_files() -> dict[str, bytes]:
+    with tempfile.TemporaryDirectory() as folder:
+        build(DataFolder(folder), toy_plan(), InlineRunner())
+        return folder_bytes(Path(folder))
+
+
 @contextmanager
 def two_sets(root: Path) -> Iterator[HubServer]:
     """Serve both."""
-    build(DataFolder(str(root / NAME)), toy_plan(), InlineRunner())
+    for path, content in _toy_files().items():
+        (root / NAME / path).parent.mkdir(parents=True, exist_ok=True)
+        (root / NAME / path).write_bytes(content)
     with hub(root) as running:
         running.create(BIG, {"README.md": b"# Big", SHARD: CONTENT})
         yield running
 
 
-FULL = (
-    "import resource, signal; signal.signal(signal.SIGXFSZ, signal.SIG_IGN); "
-    "resource.setrlimit(resource.RLIMIT_FSIZE, (1000000, 1000000))\n"
-)
+FULL = "import resource; resource.setrlimit(resource.RLIMIT_FSIZE, (1000000, resource.RLIM_INFINITY))\n"
 """Lets no file grow beyond 1 MB: a real limit of the file system, as of a disk that is full."""
 
 SCRIPT = """
@@ -75,9 +83,8 @@ def script(
 
 
 def fetch(server: HubServer | str, home: Path, text: str, token: str | None = None, **more: str) -> list[Any]:
-    """Run a download; where a token or a limit is in play, in a process of its own."""
-    run = run_python if token or not text.startswith("\nimport json") else run_here
-    done = run(text, settings(server, home, token, **more), home)
+    """Run a download in this process and return what it printed."""
+    done = run_here(text, settings(server, home, token, **more), home)
     assert done.returncode == 0, done.stderr
     assert not token or token not in done.stdout + done.stderr
     found: list[Any] = json.loads(done.stdout.splitlines()[-1])

@@ -13,7 +13,7 @@ from tactile_toolkit.hub.cache import is_whole
 from tactile_toolkit.store.origin import Digest
 from tests.hub_server import HubServer
 from tests.processes import PATIENCE_S
-from tests.tactile_toolkit.hub.client import run_here, settings, start_python
+from tests.tactile_toolkit.hub.client import run_here, settings, start_here
 from tests.tactile_toolkit.hub.sets import BIG, CONTENT, NAME, SHARD, big_parquet, fetch, script, two_sets
 
 
@@ -92,13 +92,11 @@ def test_a_manifest_of_other_tools_is_none_of_ours(server, tmp_path):
 def test_two_processes_fetch_a_file_once(server, tmp_path):
     server.faults.stall(f"*/{SHARD}", after=1_500_000)
     text, environment = LOAD.format(name=BIG, path=SHARD), settings(server, tmp_path)
-    with (
-        start_python(text, environment, tmp_path) as first,
-        start_python(text, environment, tmp_path) as second,
-    ):
-        assert server.faults.stalled.wait(60)
-        server.faults.released.set()
-        found = {process.communicate(timeout=PATIENCE_S)[0] for process in (first, second)}
+    first, second = (start_here(text, environment, tmp_path) for _ in range(2))
+    assert server.faults.stalled.wait(PATIENCE_S)
+    server.faults.released.set()
+    assert [process.end() for process in (first, second)] == [0, 0], first.err + second.err
+    found = {first.out, second.out}
     assert len(found) == 1
     assert Path(found.pop().strip().removeprefix("path ")).read_bytes() == CONTENT
     assert [request.sent for request in server.content_requests(SHARD)] == [len(CONTENT)]

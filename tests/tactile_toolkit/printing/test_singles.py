@@ -2,10 +2,7 @@
 
 from __future__ import annotations
 
-import os
 import signal
-import subprocess
-import sys
 import time
 from pathlib import Path
 
@@ -19,6 +16,7 @@ from tactile_toolkit.mesh.solid_check import check_manifold, require_solid
 from tactile_toolkit.printing.checked import require_same_solid, write_checked
 from tactile_toolkit.printing.objects import parse_ids, standing
 from tactile_toolkit.printing.singles import export_files, forecast_files
+from tests.forked import start_forked
 from tests.tactile_toolkit.printing.solids import box, ell, named, open_box, ring
 from tests.tactile_toolkit.toy import folder_bytes
 
@@ -200,24 +198,18 @@ def test_other_ids_are_refused(text: str) -> None:
         parse_ids(text)
 
 
-ENDLESS = """
-import sys
-from tactile_toolkit.printing.singles import export_files
-from tests.tactile_toolkit.printing.solids import named, ring
-export_files(named([ring(12 + n / 100, 6) for n in range(5000)]), sys.argv[1], "3mf")
-"""
+def _export(count: int, out: Path) -> None:
+    export_files(named([ring(12 + n / 100, 6) for n in range(count)]), str(out), "3mf")
 
 
 def test_a_killed_export_leaves_whole_files_only(tmp_path: Path) -> None:
-    root = str(Path(__file__).parents[3])
-    process = subprocess.Popen([sys.executable, "-c", ENDLESS, str(tmp_path / "out")], cwd=root)
-    deadline_s = time.monotonic() + 120
-    while len(list(tmp_path.glob("out/test-*.3mf"))) < 20 and time.monotonic() < deadline_s:
+    process = start_forked(_export, 5_000, tmp_path / "out")
+    while len(list(tmp_path.glob("out/test-*.3mf"))) < 5:
+        assert process.is_running, process.err
         time.sleep(0.01)
-    os.kill(process.pid, signal.SIGKILL)
-    process.wait()
+    assert process.end(signal.SIGKILL) == -signal.SIGKILL
     names = {path.name for path in tmp_path.glob("out/test-*")}
-    assert len(names) >= 20
+    assert len(names) >= 5
     for path in tmp_path.glob("out/test-*"):
         assert check_manifold(read_mesh(path)).problem is None
     objects = named([ring(12 + n / 100, 6) for n in range(len(names))])

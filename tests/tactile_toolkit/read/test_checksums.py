@@ -19,7 +19,7 @@ from tactile_toolkit.read.columns import list_array
 from tactile_toolkit.read.parquet import Shard, ShardedTable
 from tactile_toolkit.store.folder import DataFolder
 from tactile_toolkit.store.parquet import ParquetStyle, encode_parquet, has_page_checksums
-from tests.processes import printed_by
+from tests.forked import run_forked
 
 VERTICES = "mesh.vertices"
 NAME = "train-00000-of-00001.parquet"
@@ -188,7 +188,7 @@ def test_a_shard_that_is_cut_while_it_is_read_is_named(tmp_path: Path) -> None:
         else:
             raise AssertionError
     """
-    printed_by(code, tmp_path / NAME)
+    run_forked(code, tmp_path / NAME)
 
 
 def test_categories_are_found_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -210,7 +210,7 @@ def test_a_block_is_checked_once_in_each_process(shard_file: Path, tmp_path: Pat
         "xxhash.xxh3_64_intdigest = lambda data: sizes.append(len(data)) or whole(data)\n"
         "values_of(Path(sys.argv[1])); values_of(Path(sys.argv[1])); print(sum(s > 1000 for s in sizes))"
     )
-    assert printed_by(code, shard_file, **{CACHE_VARIABLE: str(tmp_path / "cache")}).strip() == "3"
+    assert run_forked(code, shard_file, **{CACHE_VARIABLE: str(tmp_path / "cache")}).strip() == "3"
 
 
 def replaced(file: Path) -> None:

@@ -10,7 +10,7 @@ import pyarrow.parquet as pq
 import pytest
 
 from tactile_toolkit.cache import CACHE_VARIABLE
-from tests.processes import printed_by
+from tests.forked import run_forked
 
 CODE = """
     import os, resource, sys, warnings
@@ -69,7 +69,7 @@ def test_blocks_and_cache_outlive_a_moment_without_handles(tmp_path: Path) -> No
     for number in range(8):
         paths.append(tmp_path / f"{number}.parquet")
         pq.write_table(pa.table({"id": np.arange(number, number + 50)}), paths[-1])
-    printed_by(CODE, *paths, **{CACHE_VARIABLE: str(tmp_path / "cache")})
+    run_forked(CODE, *paths, **{CACHE_VARIABLE: str(tmp_path / "cache")})
 
 
 @pytest.mark.parametrize("name", ["manifest.json", "README.md"])
@@ -97,4 +97,4 @@ def test_a_folder_is_not_called_damaged(tmp_path: Path, name: str) -> None:
         else:
             raise AssertionError
     """
-    printed_by(code, tmp_path, name)
+    run_forked(code, tmp_path, name)

@@ -3,9 +3,6 @@
 from __future__ import annotations
 
 import os
-import subprocess
-import sys
-import textwrap
 import threading
 import warnings
 from pathlib import Path
@@ -20,7 +17,7 @@ from tactile_toolkit.errors import IntegrityError
 from tactile_toolkit.read import parquet as rowgroups
 from tactile_toolkit.read.columns import RowGroup
 from tactile_toolkit.read.parquet import MemoryBlocks, Shard, ShardedTable
-from tests.processes import printed_by
+from tests.forked import run_forked, start_forked
 
 BLOCK_BYTES = 80  # ten numbers of eight bytes
 
@@ -191,17 +188,10 @@ FULL_DISK = """
 
 def test_a_full_disk(shard: Shard, tmp_path: Path) -> None:
     """A real limit on file size stands for a full disk: the kernel refuses the write half way."""
-    done = subprocess.run(
-        [sys.executable, "-c", textwrap.dedent(FULL_DISK), shard.path],
-        env={**os.environ, CACHE_VARIABLE: str(tmp_path / "cache")},
-        cwd=Path(__file__).resolve().parents[3],
-        capture_output=True,
-        text=True,
-        check=False,
-    )
-    assert done.returncode == 0, done.stderr
-    assert done.stderr.count("RuntimeWarning") == 1
-    assert "cannot be written: File too large" in done.stderr
+    done = start_forked(FULL_DISK, shard.path, **{CACHE_VARIABLE: str(tmp_path / "cache")})
+    assert done.end() == 0, done.err
+    assert done.err.count("RuntimeWarning") == 1
+    assert "cannot be written: File too large" in done.err
     assert list((tmp_path / "cache").rglob("*.arrow")) == []
 
 
@@ -220,4 +210,4 @@ def test_a_forked_process_starts_anew() -> None:
         assert os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == 0
         assert MEMORY.get(("a", 0)) is not None
     """
-    printed_by(code)
+    run_forked(code)

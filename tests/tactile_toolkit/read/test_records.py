@@ -1,7 +1,6 @@
 from __future__ import annotations
 
 import gc
-import multiprocessing
 import pickle
 import re
 import threading
@@ -23,7 +22,7 @@ from tactile_toolkit.read.parquet import Shard, ShardedTable
 from tactile_toolkit.run.processes import InlineRunner
 from tactile_toolkit.store.build import build
 from tactile_toolkit.store.folder import DataFolder
-from tests.processes import PATIENCE_S
+from tests.forked import run_forked
 from tests.tactile_toolkit.toy import points, toy_plan
 
 IDS = [number for number in range(20) if number % 10 != 9]
@@ -52,9 +51,13 @@ def folder(tmp_path_factory) -> Path:
     return path
 
 
+def opened(folder: Path) -> ToyDataset:
+    return ToyDataset([ShardedTable(find_shards(str(folder), "train"))], label_names=("a", "b", "c"))
+
+
 @pytest.fixture
 def dataset(folder) -> ToyDataset:
-    return ToyDataset([ShardedTable(find_shards(str(folder), "train"))], label_names=("a", "b", "c"))
+    return opened(folder)
 
 
 def test_rows_are_those_written(dataset):
@@ -91,7 +94,7 @@ index = st.one_of(
 @settings(max_examples=60)
 @given(first=index, data=st.data())
 def test_indexing_agrees_with_numpy(folder, first, data):
-    dataset = ToyDataset([ShardedTable(find_shards(str(folder), "train"))], label_names=("a", "b", "c"))
+    dataset = opened(folder)
     truth = np.array(IDS)
     view, expected = (
         dataset[first],
@@ -184,20 +187,30 @@ def test_records_and_views_pickle_small(dataset):
     assert pickle.loads(content).ids.tolist() == IDS[4:8]
 
 
-def _sum_in_process(dataset: ToyDataset, queue) -> None:
-    queue.put(sum(record.id for record in dataset))
+FORKS = """
+import multiprocessing, sys
+from tests.tactile_toolkit.read.test_records import IDS, opened
+dataset = opened(sys.argv[1])
+dataset[0].points  # open in the parent first
+child = multiprocessing.get_context("fork").Process(
+    target=lambda: print(sum(record.id for record in dataset), flush=True)
+)
+child.start()
+child.join()
+"""
 
 
-@pytest.mark.own_process
-@pytest.mark.parametrize("method", ["fork", "spawn"])
-def test_reads_in_other_processes(dataset, method):
+def test_reads_in_a_forked_process(folder):
+    assert run_forked(FORKS, folder) == f"{sum(IDS)}\n"
+
+
+def _sum(dataset: ToyDataset) -> int:
+    return sum(record.id for record in dataset)
+
+
+def test_reads_in_a_process_to_which_it_is_sent(dataset):
     dataset[0].points  # noqa: B018 - open in the parent first
-    context = multiprocessing.get_context(method)
-    queue = context.Queue()
-    process = context.Process(target=_sum_in_process, args=(dataset, queue))
-    process.start()
-    assert queue.get(timeout=PATIENCE_S) == sum(IDS)
-    process.join()
+    assert run_forked(_sum, dataset) == f"{sum(IDS)}\n"
 
 
 def test_reads_from_threads(dataset):
@@ -217,17 +230,19 @@ def test_reads_from_threads(dataset):
     assert not wrong
 
 
-@pytest.mark.own_process  # servers of other tests leave garbage of theirs
-def test_records_are_no_reference_cycles(dataset):
+def _count_garbage(folder: Path) -> int:
+    dataset = opened(folder)
     gc.collect()
     gc.disable()
-    try:
-        for record in dataset:
-            record.points  # noqa: B018
-        del record
-        assert gc.collect() == 0
-    finally:
-        gc.enable()
+    for record in dataset:
+        record.points  # noqa: B018
+    del record
+    return gc.collect()
+
+
+def test_records_are_no_reference_cycles(folder):
+    """Told apart from the garbage of other tests."""
+    assert run_forked(_count_garbage, folder) == "0\n"
 
 
 def test_cut_shard_is_named(folder, tmp_path):
