@@ -4,7 +4,7 @@ from fractions import Fraction
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 import tactile_toolkit.mesh.raster
@@ -34,7 +34,6 @@ def cross(a, b, c) -> Fraction:
     return (b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0])
 
 
-@settings(max_examples=80)
 @given(mesh=surfaces())
 def test_every_pixel_is_exact_on_edges_and_corners_too(mesh):
     found = top_surface(mesh, 1.0)
@@ -45,7 +44,6 @@ def test_every_pixel_is_exact_on_edges_and_corners_too(mesh):
             assert np.isnan(height) if expected is None else abs(height - float(expected)) < 1e-6
 
 
-@settings(max_examples=60)
 @given(mesh=surfaces(), columns=st.integers(-40, 40), rows=st.integers(-40, 40))
 def test_moving_by_whole_pixels_moves_the_map_and_changes_no_number(mesh, columns, rows):
     moved = Mesh(mesh.vertices_m + np.array([columns, rows, 0]), mesh.faces)
@@ -57,7 +55,6 @@ def test_moving_by_whole_pixels_moves_the_map_and_changes_no_number(mesh, column
     np.testing.assert_allclose(lifted.heights_m, here.heights_m + 0.25, rtol=0, atol=1e-6)
 
 
-@settings(max_examples=60)
 @given(one=surfaces(3), other=surfaces(3))
 def test_the_map_of_several_is_the_highest_of_their_maps(one, other):
     both = top_surface(joined(one, other), 1.0)
@@ -70,7 +67,6 @@ def test_the_map_of_several_is_the_highest_of_their_maps(one, other):
     np.testing.assert_array_equal(both.heights_m, expected)
 
 
-@settings(max_examples=60)
 @given(data=st.data(), pitch=st.sampled_from([0.0002, 0.1, 1 / 3, 1.0]))
 def test_neighbours_leave_no_hole_between_them(data, pitch):
     """A bumpy sheet of squares, each cut along its diagonal: every centre inside is covered."""

@@ -8,7 +8,7 @@ from pathlib import Path
 import av
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 import realtouch
@@ -238,7 +238,6 @@ def test_a_cut_avi_is_refused(keep: int) -> None:
 
 
 @given(st.data())
-@settings(max_examples=200)
 def test_a_damaged_avi_raises_or_keeps_to_its_bounds(data: st.DataObject) -> None:
     changed = bytearray(AVI)
     for _ in range(data.draw(st.integers(1, 6))):

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from PIL import Image
 
@@ -29,7 +29,6 @@ def pillow(data: bytes) -> np.ndarray:
 
 
 @given(st.integers(1, 70), st.integers(1, 70), st.integers(10, 100), st.sampled_from([0, 1, 2]))
-@settings(max_examples=60)
 def test_pixels_are_those_of_pillow_bit_for_bit(height: int, width: int, quality: int, sampling: int) -> None:
     stream = io.BytesIO()
     Image.fromarray(smooth(height, width)).save(stream, "JPEG", quality=quality, subsampling=sampling)
@@ -65,7 +64,6 @@ def test_same_pixels_give_the_same_bytes() -> None:
 
 
 @given(st.data())
-@settings(max_examples=150)
 def test_damaged_jpegs_raise_or_give_whole_pictures(data: st.DataObject) -> None:
     """Whatever bytes are flipped or lost, nothing half-decoded and nothing but ValueError comes out."""
     whole = bytearray(encode_jpeg(smooth(24, 32)))

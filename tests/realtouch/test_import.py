@@ -60,7 +60,9 @@ def test_there_and_back(layout: Any, single_folder: Path, tmp_path: Path) -> Non
             assert bytes(after.sensor_image.encoded(touch)) == bytes(before.sensor_image.encoded(touch))
     assert realtouch.load(back, "train").label_names == tuple(factories.LABELS)
     assert realtouch.verify(back).ok
-    realtouch.import_images(place, tmp_path / "again", layout, COLUMNS, workers=2)
+    realtouch.import_images(
+        place, tmp_path / "again", layout, COLUMNS, workers=2 if layout == "folder" else 1
+    )
     assert folder_bytes(tmp_path / "again") == folder_bytes(back)
     again = realtouch.export(back, tmp_path / "flat", "flat")
     assert again.split_table()["train"]["rows"] == 15
@@ -275,7 +277,7 @@ def test_an_image_that_changed_in_place_is_imported_anew(home: Path, tmp_path: P
     realtouch.import_images(home, tmp_path / "out", "folder")
     (image,) = realtouch.load(tmp_path / "out", "train")[0].sensor_image
     assert np.array_equal(image, np.full((24, 32, 3), 40))
-    realtouch.import_images(home, tmp_path / "whole", "folder", workers=2)
+    realtouch.import_images(home, tmp_path / "whole", "folder")
     assert folder_bytes(tmp_path / "out") == folder_bytes(tmp_path / "whole")
 
 

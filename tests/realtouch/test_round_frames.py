@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 import realtouch
@@ -38,7 +38,6 @@ def test_a_frame_is_found_where_the_index_has_it(writer: str) -> None:
     st.integers(0, 9),
     st.floats(0, 1),
 )
-@settings(max_examples=400)
 def test_a_damaged_file_gives_the_frame_of_its_index_or_none(
     writer: str, changes: list[tuple[float, int]], frame: int, kept: float
 ) -> None:

@@ -139,7 +139,6 @@ def exact_crossing(vertices: np.ndarray, faces: np.ndarray) -> bool:
 BALL = trimesh.creation.icosphere(subdivisions=1, radius=1.0)
 
 
-@settings(deadline=None, max_examples=12)
 @given(st.integers(0, 2**32 - 1), st.floats(0.1, 1.4))
 def test_pushed_balls_cross_where_whole_numbers_say_so(seed: int, push: float) -> None:
     rng = np.random.default_rng(seed)
@@ -151,7 +150,7 @@ def test_pushed_balls_cross_where_whole_numbers_say_so(seed: int, push: float) -
     assert found == exact_crossing(vertices, np.asarray(BALL.faces))
 
 
-@settings(deadline=None, max_examples=8)
+@settings(max_examples=settings.default.max_examples // 5)
 @given(st.integers(0, 1000), st.floats(1e-3, 1e3), st.floats(15.0, 30.0))
 def test_turning_and_scaling_change_nothing(seed: int, scale: float, depth_mm: float) -> None:
     assume(abs(depth_mm - 20) > 0.05)
@@ -175,7 +174,7 @@ def test_digits_cross_nowhere_by_proof_and_by_trial(spec: SolidSpec) -> None:
         assert crossings._crossing_among(vertices, faces, np.arange(len(faces))) is None
 
 
-@settings(deadline=None, max_examples=10)
+@settings(max_examples=settings.default.max_examples // 5)
 @given(st.integers(0, 10**6))
 def test_digits_that_are_tampered_with_are_found_through_the_proof(seed: int) -> None:
     """The proof leaves out only what cannot cross: it finds what a trial of all faces finds."""
@@ -191,6 +190,7 @@ def test_digits_that_are_tampered_with_are_found_through_the_proof(seed: int) ->
     assert found == (crossings._crossing_among(vertices, faces, np.arange(len(faces))) is not None)
 
 
+@pytest.mark.thorough
 def test_the_literal_solid_crosses_nowhere() -> None:
     mesh = solidify(SyntheticSource(seed=5).image(7).pixels, method="literal")
     assert self_crossing(mesh.vertices_m.astype(float) * 1000, mesh.faces) is None
@@ -220,7 +220,7 @@ def test_shapes_of_trimesh_cross_nowhere(made: Any) -> None:
         assert self_crossing(np.asarray(made.vertices) * scale, np.asarray(made.faces)) is None
 
 
-@settings(deadline=None, max_examples=10)
+@settings(max_examples=settings.default.max_examples // 5)
 @given(st.integers(0, 10**6), st.booleans())
 def test_what_manifold3d_joins_and_cuts_crosses_nowhere(seed: int, single: bool) -> None:
     rng = np.random.default_rng(seed)

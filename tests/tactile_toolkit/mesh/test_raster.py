@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from tactile_toolkit.mesh.raster import highest_faces, highest_values
 
 
-@settings(max_examples=100)
 @given(st.integers(0, 2**32 - 1))
 def test_the_highest_triangle_is_what_looking_at_each_pixel_sees(seed):
     random = np.random.default_rng(seed)

@@ -42,13 +42,12 @@ def hourglass(neck_mm: float, taper_deg: float, half_mm: float, high_mm: float) 
     return manifold3d.CrossSection([outline + [(-x, -y) for x, y in outline]]).extrude(high_mm)
 
 
-@settings(deadline=None, max_examples=80)
 @given(st.floats(0.3, 1.2), st.floats(5, 60), st.floats(5, 15), st.floats(3, 12), ANGLES)
 def test_necks(neck: float, taper: float, half: float, high: float, angle: float) -> None:
     require_wall(hourglass(neck, taper, half, high).rotate((0, 0, angle)).translate((20, -30, 0)), neck)
 
 
-@settings(deadline=None, max_examples=20)
+@settings(max_examples=settings.default.max_examples // 5)
 @given(st.floats(0.3, 2), ANGLES, st.booleans())
 def test_floors_of_cups(floor: float, angle: float, is_round: bool) -> None:
     if is_round:
@@ -58,14 +57,14 @@ def test_floors_of_cups(floor: float, angle: float, is_round: bool) -> None:
     require_wall(cup.rotate((0, 0, angle)), floor)
 
 
-@settings(deadline=None, max_examples=20)
+@settings(max_examples=settings.default.max_examples // 5)
 @given(st.floats(0.3, 2), ANGLES, st.floats(-20, 20), st.floats(3, 20))
 def test_fins_on_top(thick: float, angle: float, lean: float, long: float) -> None:
     fin = Solid.cube((long, thick, 12), True).rotate((lean, 0, angle)).translate((15, 15, 11))
     require_wall(Solid.cube((30, 30, 8)) + fin, thick)
 
 
-@settings(deadline=None, max_examples=10)
+@settings(max_examples=settings.default.max_examples // 5)
 @given(st.floats(0.3, 2), st.integers(0, 10**6))
 def test_shells_in_any_position(wall: float, seed: int) -> None:
     turn = np.random.default_rng(seed).uniform(0, 360, 3).tolist()
@@ -145,7 +144,7 @@ def shuffled(mesh: Mesh, seed: int) -> Mesh:
     )
 
 
-@settings(deadline=None, max_examples=10)
+@settings(max_examples=settings.default.max_examples // 5)
 @given(st.integers(0, 10**6), st.sampled_from([8, 40]))
 def test_walls_depend_neither_on_place_nor_on_order(seed: int, ink_px: int) -> None:
     """Neither a thin one, found in the solid, nor a thick one, that of the middle section."""

@@ -40,7 +40,6 @@ def taken(plate: list[Spot], given_shapes: list[np.ndarray]) -> np.ndarray:
     return cells
 
 
-@settings(max_examples=40)
 @given(given_shapes=shapes())
 def test_no_cell_is_used_twice_and_every_shape_is_placed_once(given_shapes: list[np.ndarray]) -> None:
     plates = pack(given_shapes, PLATE)
@@ -49,7 +48,7 @@ def test_no_cell_is_used_twice_and_every_shape_is_placed_once(given_shapes: list
     assert pack(given_shapes, PLATE) == plates
 
 
-@settings(max_examples=20)
+@settings(max_examples=settings.default.max_examples // 5)
 @given(given_shapes=shapes())
 def test_no_plate_is_opened_while_a_shape_fits_on_an_earlier_one(given_shapes: list[np.ndarray]) -> None:
     plates = pack(given_shapes, PLATE)
@@ -102,7 +101,6 @@ def exact_cells(section: manifold3d.CrossSection, shape: tuple[int, int]) -> np.
     )
 
 
-@settings(max_examples=30)
 @given(
     corners=st.integers(3, 9),
     seed=st.integers(0, 2**32),

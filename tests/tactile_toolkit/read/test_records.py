@@ -10,7 +10,7 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from tactile_toolkit.cache import cache_folder
@@ -91,7 +91,6 @@ index = st.one_of(
 )
 
 
-@settings(max_examples=60)
 @given(first=index, data=st.data())
 def test_indexing_agrees_with_numpy(folder, first, data):
     dataset = opened(folder)

@@ -17,7 +17,7 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 import realtouch
@@ -114,7 +114,6 @@ def a_rank_is_given_the_same_batches_whatever_its_workers(rows: Rows) -> None:
     st.booleans(),
     st.integers(1, 7),
 )
-@settings(max_examples=60)
 def test_a_job_goes_on_on_other_ranks_without_losing_or_doubling_an_item(
     rows_for_ever: Rows, legs: list[tuple[int, int, int]], last: tuple[int, int], drop_last: bool, window: int
 ) -> None:
