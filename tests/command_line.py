@@ -5,17 +5,19 @@ from __future__ import annotations
 import os
 import sys
 from importlib import import_module
+from unittest import mock
 
 __all__ = ["call", "program"]
 
 
 def call(program: str, *arguments: object) -> int:
-    """Run a command line in this process and return its exit code."""
+    """Run a command line in this process, alone unless workers are asked for, and return its exit code."""
     main = import_module(f"cli.{program.replace('-', '_')}").main
     before = sys.argv
     sys.argv = [program, *map(str, arguments)]
     try:
-        main()
+        with mock.patch.object(os, "cpu_count", return_value=1):
+            main()
     except SystemExit as leave:
         return int(leave.code or 0)
     finally:

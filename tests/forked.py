@@ -125,6 +125,7 @@ def _live(
     for descriptor, name in ((1, "out"), (2, "err")):
         os.dup2(os.open(folder / name, os.O_WRONLY | os.O_APPEND), descriptor)
     signal.signal(signal.SIGINT, signal.default_int_handler)
+    os.fsync = lambda _handle: None  # as in tests/conftest.py
     os.environ.clear()
     os.environ.update(environment)
     tempfile.tempdir = None  # looked for before, in another environment

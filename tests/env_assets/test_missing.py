@@ -69,7 +69,11 @@ def test_a_split_that_no_kind_has_is_refused_and_nothing_is_made(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("kind", "split", "other"), [("mnist3d", "test", "holdout"), ("starstruck", "test", "train")]
+    ("kind", "split", "other"),
+    [
+        pytest.param("mnist3d", "test", "holdout", marks=pytest.mark.thorough),
+        ("starstruck", "test", "train"),
+    ],
 )
 def test_the_command_goes_on_with_what_is_there(tmp_path, kind, split, other):
     """Whatever numbers the provider was made with that names it."""

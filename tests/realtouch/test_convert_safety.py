@@ -134,7 +134,7 @@ def test_pictures_of_damaged_rounds_are_left_out(kind: Any, single_rows: list[di
     assert realtouch.verify(tmp_path / "out").ok
 
 
-@pytest.mark.parametrize("change", [-1, 1])
+@pytest.mark.parametrize("change", [-1, pytest.param(1, marks=pytest.mark.thorough)])
 @pytest.mark.parametrize("kind", ["seq", "single"])
 def test_rounds_with_too_few_or_many_pictures_are_left_out(
     kind: str, change: int, truth: list[RoundTruth], tmp_path: Path

@@ -19,6 +19,7 @@ from typer.testing import CliRunner
 
 import realtouch
 from cli.realtouch import app
+from realtouch.exchange import sources
 from tactile_toolkit.cards.checks import check_card
 from tactile_toolkit.errors import InputError, IntegrityError
 from tactile_toolkit.store.folder import DataFolder
@@ -661,10 +662,14 @@ def test_the_command_names_what_it_leaves_out(home: Path, tmp_path: Path) -> Non
     assert not (tmp_path / "none").exists()
 
 
-def test_a_small_table_of_endless_lines_or_columns_is_refused(tmp_path: Path) -> None:
+def test_a_small_table_of_endless_lines_or_columns_is_refused(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """Each line takes a kilobyte, and a look at the folder, to be listed as one that cannot be used."""
-    (tmp_path / "table.csv").write_bytes(b"file,label\n" + b",1\n" * 150_000)
-    with pytest.raises(InputError, match="100,001 of the first 100,001 lines cannot be used"):
+    assert sources._MOST_UNUSABLE <= 100_000
+    monkeypatch.setattr(sources, "_MOST_UNUSABLE", 1_000)
+    (tmp_path / "table.csv").write_bytes(b"file,label\n" + b",1\n" * 1_500)
+    with pytest.raises(InputError, match="1,001 of the first 1,001 lines cannot be used"):
         realtouch.import_images(tmp_path, tmp_path.parent / "out", "folder")
     (tmp_path / "table.csv").write_bytes(b"file,label" + b"".join(b",a%d" % i for i in range(2_000)) + b"\n")
     with pytest.raises(InputError, match="has 2,002 columns; expected at most 1,000"):

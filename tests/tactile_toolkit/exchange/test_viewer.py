@@ -19,8 +19,9 @@ from tactile_toolkit.exchange.upload_plan import UploadOptions
 from tactile_toolkit.store.folder import DataFolder
 from tactile_toolkit.store.verify import verify
 from tests.command_line import call
-from tests.hub_server import HubServer
+from tests.hub_server import HubServer, hub
 from tests.realtouch.factories import make_round, seq_rows, write_set
+from tests.tactile_toolkit.exchange.upload_client import logged_in
 from tests.tactile_toolkit.hub.client import run_here, settings, start_here
 from tests.tactile_toolkit.toy import folder_bytes
 
@@ -46,6 +47,15 @@ def upload(folder: Path, **options: object):
 
 def held(server: HubServer) -> dict[str, bytes]:
     return {path: blob.content for path, blob in server.repository(NAME).head.files.items()}
+
+
+@pytest.fixture(scope="module")
+def sent(made) -> dict[str, bytes]:
+    """What an upload with meshes in 3D leaves on the Hub."""
+    with pytest.MonkeyPatch.context() as patch, hub() as server:
+        with logged_in(server, server.account("someone"), patch):
+            upload(made, viewer=True)
+        return held(server)
 
 
 LOAD = """
@@ -95,9 +105,8 @@ def test_each_row_is_shown_in_3d_and_the_fast_columns_stay_the_default(server, m
     assert again.sent == (), "the same rows give the same files"
 
 
-def test_a_copy_of_the_repository_is_whole_with_and_without_it(server, made, tmp_path):
-    upload(made, viewer=True)
-    for path, content in held(server).items():
+def test_a_copy_of_the_repository_is_whole_with_and_without_it(sent, made, tmp_path):
+    for path, content in sent.items():
         (tmp_path / "copy" / path).parent.mkdir(parents=True, exist_ok=True)
         (tmp_path / "copy" / path).write_bytes(content)
     copy = DataFolder(str(tmp_path / "copy"))
@@ -128,8 +137,8 @@ print(len([file for file in plan.files if file.path.startswith("viewer/")]), aga
 """
 
 
-def test_a_download_leaves_it_out(server, made, tmp_path):
-    upload(made, viewer=True)
+def test_a_download_leaves_it_out(server, sent, made, tmp_path):
+    server.create(NAME, sent)
     out = tmp_path / "whole"
     done = run_here(DOWNLOAD.format(splits=(), out=str(out)), settings(server, tmp_path), tmp_path)
     assert done.stdout.split() == ["0", "True"], done.stdout + done.stderr
@@ -146,9 +155,8 @@ def test_a_download_leaves_it_out(server, made, tmp_path):
     assert "viewer" not in (part / "README.md").read_text().split("---\n")[1]
 
 
-def test_an_upload_without_it_takes_it_back(server, made):
-    upload(made, viewer=True)
-    repository = server.repository(NAME)
+def test_an_upload_without_it_takes_it_back(server, sent, made):
+    repository = server.create(NAME, sent)
     repository.commit({"viewer/notes.md": repository.blob("viewer/notes.md", b"of somebody")}, "notes")
     without = upload(made)
     assert without.removed == tuple(f"viewer/{split}-00000-of-00001.parquet" for split in sorted(SPLITS))

@@ -29,7 +29,7 @@ def squared(record: Any) -> int:
 @pytest.fixture(scope="module")
 def digits(tmp_path_factory: pytest.TempPathFactory) -> mnist3d.MeshDataset:
     folder = tmp_path_factory.mktemp("digits") / "set"
-    spec = mnist3d.GenerateSpec(SyntheticSource(), mnist3d.SolidSpec(target_vertices=800), per_class=1)
+    spec = mnist3d.GenerateSpec(SyntheticSource(), mnist3d.SolidSpec(target_vertices=2_000), per_class=1)
     mnist3d.generate(spec, folder, splits=("test",))
     return mnist3d.load(str(folder))
 

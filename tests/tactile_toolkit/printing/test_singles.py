@@ -104,11 +104,12 @@ def test_a_failed_check_keeps_what_stood_there(tmp_path: Path) -> None:
     assert {path.name: path.read_bytes() for path in tmp_path.iterdir()} == {"a.stl": b"before"}
 
 
-def test_going_on_keeps_what_is_there_and_ends_with_the_same_bytes(tmp_path: Path) -> None:
+@pytest.mark.parametrize("workers", [1, pytest.param(2, marks=pytest.mark.thorough)])
+def test_going_on_keeps_what_is_there_and_ends_with_the_same_bytes(tmp_path: Path, workers: int) -> None:
     export_files(named(SHAPES), str(tmp_path / "whole"))
     export_files(named(SHAPES)[:2], str(tmp_path / "parts"))
     stamps = {path: path.stat().st_mtime_ns for path in (tmp_path / "parts").iterdir()}
-    made = export_files(named(SHAPES), str(tmp_path / "parts"), workers=2)
+    made = export_files(named(SHAPES), str(tmp_path / "parts"), workers=workers)
     assert [file.state for file in made.files] == ["kept", "kept", "written"]
     assert stamps == {path: path.stat().st_mtime_ns for path in stamps}
     assert folder_bytes(tmp_path / "parts") == folder_bytes(tmp_path / "whole")
