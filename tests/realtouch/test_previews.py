@@ -57,7 +57,7 @@ def felt_at_m(
     return np.array(centre_m) + pose.apply([x, y, 0.0])[:2]
 
 
-@settings(max_examples=settings.default.max_examples // 5)
+@settings(max_examples=settings.default.max_examples // 10)
 @given(
     st.floats(-180, 180),
     st.booleans(),

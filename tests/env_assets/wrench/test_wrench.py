@@ -118,7 +118,7 @@ def test_top_and_bottom_are_alike_and_edges_are_cut():
     assert sharp.volume_m3 * 1e9 == pytest.approx(outline * spec.thickness_mm, rel=1e-5)
 
 
-@settings(max_examples=settings.default.max_examples // 8)
+@settings(max_examples=settings.default.max_examples // 12)
 @given(
     size=st.floats(SMALLEST_MM, LARGEST_MM),
     second=st.one_of(st.none(), st.floats(SMALLEST_MM, LARGEST_MM)),
@@ -154,7 +154,7 @@ def jaw_is_whole(section, middle_mm: float, width_mm: float, turned: float) -> b
     return True
 
 
-@settings(max_examples=settings.default.max_examples // 8)
+@settings(max_examples=settings.default.max_examples // 12)
 @given(
     size=st.floats(SMALLEST_MM, LARGEST_MM),
     second=st.one_of(st.none(), st.floats(SMALLEST_MM, LARGEST_MM)),

@@ -139,6 +139,7 @@ def exact_crossing(vertices: np.ndarray, faces: np.ndarray) -> bool:
 BALL = trimesh.creation.icosphere(subdivisions=1, radius=1.0)
 
 
+@settings(max_examples=settings.default.max_examples // 5)
 @given(st.integers(0, 2**32 - 1), st.floats(0.1, 1.4))
 def test_pushed_balls_cross_where_whole_numbers_say_so(seed: int, push: float) -> None:
     rng = np.random.default_rng(seed)

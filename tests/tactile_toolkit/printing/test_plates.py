@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 import shapely
 import shapely.affinity
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from PIL import Image
 
@@ -70,6 +70,7 @@ def meshes(draw: st.DrawFn) -> list[Mesh]:
     return draw(st.lists(one, min_size=1, max_size=9))
 
 
+@settings(max_examples=settings.default.max_examples // 5)
 @given(shapes=meshes(), gap_mm=st.sampled_from([0.0, 0.7, 3.0, 5.5]), margin_mm=st.sampled_from([0.0, 8.3]))
 def test_objects_keep_the_gap_the_pose_and_to_the_plate(
     shapes: list[Mesh], gap_mm: float, margin_mm: float
@@ -108,6 +109,7 @@ def polygon_of(placed: Placed) -> Any:
     return whole
 
 
+@settings(max_examples=settings.default.max_examples // 5)
 @given(
     shapes=st.lists(st.sampled_from([*GROUPS, box(6, 6), ring(11, 5)]), min_size=2, max_size=8),
     gap_mm=st.sampled_from([0.0, 1.0, 3.0]),
