@@ -34,13 +34,11 @@ _REPLACED = re.compile(r"\.\.\.|\b[A-Z]{2,}\b")
 _EXTRA = re.compile(r"# with the extra `(\w+)`\n")
 _STREAMS = ("stdout", "stderr")
 _READY = multiprocessing.get_context("forkserver")
-_READY.set_forkserver_preload(
-    [
-        *(f"cli.{name}" for name in ("mnist3d", "starstruck", "realtouch", "tactile_sim", "env_assets")),
-        *("mnist3d.generation", "starstruck_gen.generation", "realtouch.opening", "tactile_sim.generation"),
-        *("datasets", "numba", "pyarrow.parquet", "scipy.ndimage", "skimage.measure", "trimesh"),
-    ]
-)
+_IMPORTED_BEFORE = [
+    *(f"cli.{name}" for name in ("mnist3d", "starstruck", "realtouch", "tactile_sim", "env_assets")),
+    *("mnist3d.generation", "starstruck_gen.generation", "realtouch.opening", "tactile_sim.generation"),
+    *("datasets", "numba", "pyarrow.parquet", "scipy.ndimage", "skimage.measure", "trimesh"),
+]
 
 
 class Block(NamedTuple):
@@ -90,6 +88,7 @@ def _program(command: str) -> list[str]:
 def main() -> None:
     """Run a page; ends with a message where a block fails or prints something else."""
     page, *extras = sys.argv[1:]
+    _READY.set_forkserver_preload(_IMPORTED_BEFORE)
     names: dict[str, Any] = {"__name__": "__main__"}
     for block in blocks(page):
         if block.language == "bash":

@@ -64,7 +64,7 @@ def killed(name: str, source: Path, out: Path, moment: int) -> bool:
 
 
 def temporaries(folder: Path) -> list[Path]:
-    return list(folder.rglob(".writing-*"))
+    return list(folder.glob(".pending/tmp-*"))
 
 
 @pytest.fixture(scope="module")
@@ -104,7 +104,7 @@ def test_half_written_pictures_are_removed(
 ) -> None:
     out = tmp_path / "out"
     moment = 10
-    while not [file for file in temporaries(out) if "images" in file.parts]:
+    while not temporaries(out):
         assert killed("frames", single_folder, out, moment)
         moment += 1
     convert("frames", single_folder, out)

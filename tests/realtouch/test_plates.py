@@ -49,7 +49,7 @@ def test_a_selection_of_contacts_has_contact(source: Path, truth: list[RoundTrut
     ] * 4
     np.testing.assert_array_equal(gel_drift(after)[0], gel_drift(before)[0])
     # Above the plate that is no more, the deepest of those that are left is in contact, too.
-    assert (draw_grid(after[0], 4).pixels == CONTACT).all(axis=2).any()
+    assert (draw_grid(after[0], 4) == CONTACT).all(axis=2).any()
     assert realtouch.verify(tmp_path / "some").ok
 
 

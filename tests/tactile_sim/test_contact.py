@@ -118,7 +118,7 @@ def test_selected_touches_are_those_in_contact(touches, tmp_path):
 def test_pictures_and_galleries_frame_them(touches):
     met = _met(touches).reshape(3, 12)
     for record, of_round in zip(realtouch.load(touches, "train"), met, strict=True):
-        framed = (draw_grid(record, 12).pixels == CONTACT).all(axis=2).any()
+        framed = (draw_grid(record, 12) == CONTACT).all(axis=2).any()
         assert framed == of_round.any()
     items = [item for task in plan_gallery(RoundChoice(str(touches))).tasks for item in task.make()]
     assert [item.measures["in_contact"] for item in items] == met.sum(axis=1).tolist()

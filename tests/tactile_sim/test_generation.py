@@ -279,7 +279,7 @@ def test_the_command_line_makes_shows_and_checks_a_set(scenes, tmp_path):
     assert "would make 3 rounds" in call(*command, "--optics", "depth", "--dry-run")
     assert "made 3 rounds" in call(*command, "--optics", "depth", "--part", "0/2")
     unfinished = call("info", out)
-    assert "it is made in 2 parts, --finish says which are missing" in unfinished
+    assert "unfinished, the run is under way or was interrupted" in unfinished
     assert "1 of 1" in unfinished
     assert "nothing was left to make; part 1/2" in call(*command, "--optics", "depth", "--part", "1/2")
     assert "nothing was left to make" in call(*command, "--optics", "depth", "--finish")

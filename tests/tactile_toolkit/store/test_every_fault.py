@@ -31,7 +31,7 @@ from tactile_toolkit.store.shards import ShardName
 from tactile_toolkit.store.verify import verify
 from tests.tactile_toolkit.toy import SCHEMA, ToyTask, folder_bytes, toy_plan
 
-SAMPLED = 150
+SAMPLED = 30
 """Points of each command that the run at a desk draws; all of them are `thorough`."""
 
 
