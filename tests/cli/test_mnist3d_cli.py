@@ -121,6 +121,7 @@ def test_validate_files_of_anyone(tmp_path, capsys, kind):
     assert "1 of 2 meshes are valid solids" in printed
     assert call("validate", bad, "--json") == 1
     (document,) = json.loads(capsys.readouterr().out)
+    assert document["meshes"][0]["name"] == bad.name
     assert document["meshes"][0]["is_solid"] is False
     assert document["meshes"][0]["thinnest_wall_mm"] is None
 

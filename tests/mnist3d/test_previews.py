@@ -13,7 +13,7 @@ from PIL import Image
 import mnist3d
 from mnist3d.generation import GenerateSpec, generate
 from mnist3d.lattice import lattice_steps
-from mnist3d.preview_steps import draw_steps, layer_map
+from mnist3d.preview_steps import _stack_view, draw_steps, layer_map
 from mnist3d.previews import DigitPreviewSpec as PreviewSpec
 from mnist3d.previews import object_facts, plan_previews, report_rows
 from mnist3d.solid import SolidSpec, ink_mask
@@ -27,7 +27,7 @@ from tactile_toolkit.mesh.mesh import Mesh
 from tactile_toolkit.pictures.lettering import INK
 from tactile_toolkit.pictures.previews import class_bars
 from tactile_toolkit.pictures.relief import relief, relief_of
-from tactile_toolkit.pictures.render import Picture3d, draw_bodies
+from tactile_toolkit.pictures.render import OBLIQUE, Picture3d, draw_bodies
 from tactile_toolkit.pictures.sheets import ScaleBar
 from tactile_toolkit.store.folder import DataFolder
 from tests.mnist3d import mnist_files
@@ -177,6 +177,21 @@ def test_layers_lie_within_one_another_the_higher_the_darker():
     levels = [drawn_map[layer][:, 0].max() for layer in layers]
     assert levels == sorted(levels, reverse=True)
     assert len(np.unique(drawn_map[layers[0]][:, 0])) == len(layers) > 3
+
+
+def test_the_stack_shows_a_layer_where_the_view_projects_it():
+    picture = _stack_view([np.ones((60, 150), bool)], 1.0, SolidSpec(pixel_pitch_mm=0.1), px_per_mm=15.0)
+    # Half a layer is 7.5 x 3 mm; y grows upwards in the world and downwards in the picture.
+    corners_px = 15.0 * np.array([(x, y, 0.0) for x in (-7.5, 7.5) for y in (-3.0, 3.0)])
+    right, up, _ = OBLIQUE.axes
+    middle_px = np.array(picture.shape[:2]) / 2
+    rows, columns = np.nonzero((picture < 250).any(axis=2))
+    assert (columns.min(), columns.max() + 1) == pytest.approx(
+        middle_px[1] + np.array([(corners_px @ right).min(), (corners_px @ right).max()]), abs=2.0
+    )
+    assert (rows.min(), rows.max() + 1) == pytest.approx(
+        middle_px[0] + np.array([(corners_px @ -up).min(), (corners_px @ -up).max()]), abs=2.0
+    )
 
 
 def test_steps_begin_with_the_image_and_end_with_the_surface(tmp_path):

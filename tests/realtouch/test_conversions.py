@@ -196,6 +196,22 @@ def test_plain_pictures(kind: Any, single_folder: Path, seq_folder: Path, tmp_pa
             assert (kind == "png") or content == bytes(stored)
 
 
+def test_plain_pictures_of_touches_without_poses(single_rows: list[dict], tmp_path: Path) -> None:
+    bare = Layout(leave_out=("gel_pose_cell_frame.position", "gel_pose_cell_frame.quaternion"))
+    source = factories.write_set(tmp_path / "bare", {"train": single_rows}, "single", bare)
+    realtouch.frames(str(source), str(tmp_path / "out"), "jpeg")
+    with (tmp_path / "out" / "index.csv").open() as stream:
+        lines = list(csv.DictReader(stream))
+    records = {record.id: record for record in realtouch.load(source, "train")}
+    assert len(lines) == 15
+    for line in lines:
+        record, touch = records[line["round_id"]], int(line["touch"])
+        assert float(line["pos_in_cell_y_m"]) == record.pos_in_cell_m[touch, 1]
+        assert {value for name, value in line.items() if name.startswith("gel_")} == {""}
+        content = (tmp_path / "out" / line["file"]).read_bytes()
+        assert content == bytes(record.sensor_image.encoded(touch))
+
+
 def test_pictures_are_verified_against_their_index(single_folder: Path, tmp_path: Path) -> None:
     out = tmp_path / "pictures"
     realtouch.frames(str(single_folder), str(out), "jpeg")

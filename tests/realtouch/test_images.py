@@ -86,6 +86,15 @@ def test_a_cut_jpeg_is_never_decoded(keep: float) -> None:
         decode_image(data[: int(keep * len(data))])
 
 
+@pytest.mark.parametrize("size", [(12, 16), (32, 24), (24, 48), (48, 64)])
+@pytest.mark.parametrize("kind", ["jpeg", "png"])
+def test_a_picture_of_another_size_than_its_place_is_refused(kind: str, size: tuple[int, int]) -> None:
+    """Smaller, turned, and larger: none is handed out as what the place was made for."""
+    out = np.zeros((24, 32, 3), np.uint8)
+    with pytest.raises(ValueError, match=f"an image of {size[1]} x {size[0]} pixels; expected 32 x 24"):
+        decode_image(encode_image(smooth(*size), kind), out)
+
+
 def test_bombs_are_refused_before_decoding() -> None:
     data = bytearray(encode_jpeg(PICTURES))
     start = data.find(b"\xff\xc0")

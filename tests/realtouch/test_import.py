@@ -69,6 +69,15 @@ def test_there_and_back(layout: Any, single_folder: Path, tmp_path: Path) -> Non
     assert again.split_table()["train"]["rows"] == 15
 
 
+def test_a_shard_holds_no_more_touches_than_a_worker_can(
+    single_folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("realtouch.exchange.reading._TOUCHES_PER_SHARD", 10)
+    realtouch.frames(single_folder, tmp_path / "there", "jpeg", split="train")
+    manifest = realtouch.import_images(tmp_path / "there", tmp_path / "back", "folder", COLUMNS)
+    assert [record.rows for record in manifest.shards_of("train")] == [2, 1], "rounds of five touches"
+
+
 @pytest.mark.parametrize("layout", ["folder", "webdataset"])
 def test_our_own_field_names_are_found(
     layout: str, single_folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]

@@ -6,6 +6,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
 import pytest
 
 import realtouch
@@ -61,6 +63,27 @@ def test_every_frame_counts_and_no_padding_does(
     np.testing.assert_allclose(touches.heights_m(), np.where(on_digit, 0.007, 0.0), atol=1e-9)
     assert len(touches.with_contact()) == sum(on_digit)
     assert realtouch.verify(str(tmp_path)).findings == ()
+
+
+def test_padding_to_a_length_that_the_schema_states_is_no_frame_either(
+    truth: list[RoundTruth], tmp_path: Path
+) -> None:
+    layout = LAYOUTS["padded"]
+    factories.write_set(tmp_path, {"train": factories.seq_rows(truth[:1], layout)}, "seq", layout)
+    (file,) = (tmp_path / "data").iterdir()
+    table = pq.read_table(file)
+    for place, field in enumerate(table.schema):
+        if "_seq" in field.name:
+            frames = len(table[place][0][0])
+            values = field.type.value_type.value_type
+            fixed = pa.list_(pa.list_(values, frames), field.type.list_size)
+            table = table.set_column(place, field.name, table[place].cast(fixed))
+    pq.write_table(table, file)
+    lengths = [touch.frames for touch in truth[0].touches]
+    assert min(lengths) < frames
+    record = realtouch.load(tmp_path)[0]
+    assert [len(stamps) for stamps in record.time_stamp_rel_seq] == lengths
+    assert [len(poses.position_m) for poses in record.gel_pose_cell_frame_seq] == lengths
 
 
 def test_the_missing_lengths_are_named_where_the_clips_are_not_there_either(

@@ -93,6 +93,22 @@ def test_clips_beside_a_damaged_one_keep_their_poses(seq_rows: list[dict], tmp_p
         np.testing.assert_array_equal(touch.gel_pose.as_matrix(), pose.as_matrix())
 
 
+def test_clips_beside_one_without_a_height_keep_theirs(seq_rows: list[dict], tmp_path: Path) -> None:
+    def no_height_of_a_frame(row: dict[str, Any]) -> None:
+        poses = [list(touch) for touch in row["gel_pose_cell_frame_seq.position"]]
+        poses[1][5] = np.array([0.0, 0.0, np.nan])
+        row["gel_pose_cell_frame_seq.position"] = poses
+
+    folder = damaged_set(tmp_path, seq_rows, "seq", no_height_of_a_frame)
+    whole = factories.write_set(tmp_path / "whole", {"train": seq_rows}, "seq")
+    touches = realtouch.load(folder, on_error="skip").touches()
+    kept = [5 * touch.label + touch.touch_index for touch in touches]
+    assert kept == [number for number in range(15) if number != 6]
+    np.testing.assert_array_equal(touches.heights_m(), realtouch.load(whole).touches().heights_m()[kept])
+    with pytest.raises(IntegrityError, match="row 1, touch 1, .* a gel height of nan; expected metres"):
+        realtouch.load(folder).touches().heights_m()
+
+
 @pytest.mark.parametrize(("edit", "left", "touches"), [(no_height, 11, 14), (lacking_poses, 8, 10)])
 def test_heights_and_figures_leave_out_what_was_left_out(
     edit: Any, left: int, touches: int, single_rows: list[dict], tmp_path: Path

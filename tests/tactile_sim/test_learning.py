@@ -482,6 +482,22 @@ def test_noise_in_training_is_that_of_generated_touches():
     assert np.abs(expected.astype(int) - pictures).mean() > 1
 
 
+def test_errors_weigh_what_the_settings_say():
+    settings = {"touch_cycle_weight": 3.0, "depth_cycle_weight": 4.0, "identity_weight": 5.0, "level_weight": 6.0}
+    networks = CycleGan(TrainConfig(2, 1, 4, steps=8, start_steps=4, **settings), "cpu")
+    for name, weight in {"cycle": (3.0, 4.0), "identity": (5.0, 5.0), "level": (6.0, 6.0)}.items():
+        assert [networks._weight(f"{side}_{name}", 2) for side in ("touch", "depth")] == [*weight]
+    assert [networks._weight("touch_start", step) for step in (0, 1, 2)] == [3.0, 2.25, 1.5]
+    assert [networks._weight("depth_start", step) for step in (0, 1, 2)] == [4.0, 3.0, 2.0]
+
+
+def test_white_noise_is_laid_over_touches_alone():
+    networks, pictures = CycleGan(CONFIG, "cpu"), torch.zeros(2, 3, 64, 64)
+    assert networks._blurred("depth", pictures, 0.2) is pictures
+    assert networks._blurred("touch", pictures, 0.0) is pictures
+    assert float(networks._blurred("touch", pictures, 0.2).std()) == pytest.approx(0.2, rel=0.03)
+
+
 def test_noise_for_discriminators_ends_where_the_rate_begins_to_fall():
     config = TrainConfig(steps=100, judge_noise=0.1)
     assert [round(config.judge_noise_at(step), 3) for step in (0, 25, 50, 99)] == [0.1, 0.05, 0, 0]

@@ -233,5 +233,7 @@ def test_the_list_tells_the_state_of_every_id(packages):
     some = CliRunner().invoke(app, ["list", "ABCVolume", "DR", "test"])
     assert some.exit_code == 0
     assert "ABCVolume-Depth-DR-test-v0" in some.stdout
+    notes = {each["note"] for each in listed if each["id"] == "ABCVolume-Depth-DR-test-v0"}
+    assert [note for note in notes if note and note in some.stdout] == [*notes]
     wrong = CliRunner().invoke(app, ["list", "ABCVolum"])
     assert isinstance(wrong.exception, InputError) or wrong.exit_code == 2

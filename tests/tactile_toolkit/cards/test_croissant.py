@@ -85,6 +85,11 @@ def test_it_says_what_the_card_and_the_manifest_say(made):
     assert metadata.license == ["https://spdx.org/licenses/MIT.html"]
     assert "schneider2025tactilemnist" in metadata.cite_as
     assert RAI in metadata.conforms_to
+    written = json.loads((made / "croissant.json").read_text())
+    (described,) = (each for each in written["recordSet"] if each["@id"] == "test")
+    shapes = {field["@id"]: field.get("arrayShape") for field in described["field"]}
+    assert shapes["test/mesh.vertices"] == shapes["test/mesh.faces"] == "-1,3"
+    assert shapes["test/volume_m3"] is None
     card = (made / "README.md").read_text()
     assert len(metadata.data_limitations) >= 4
     assert all(line in card.replace("`", "") for line in metadata.data_limitations)
