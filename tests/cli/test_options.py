@@ -9,7 +9,7 @@ import typer
 
 from cli.digit_options import DivisionOptions, SolidOptions
 from cli.env_assets import WrenchOptions
-from cli.options import local_place, place_of_data
+from cli.options import _runner_name, local_place, place_of_data
 from cli.scene_options import SceneOptions
 from cli.tactile_sim import PictureOptions, PlanOptions
 from cli.tactile_sim_learning import TrainOptions
@@ -30,6 +30,14 @@ def test_places_to_write_are_local_and_the_home_folder_is_known(tmp_path, monkey
     for address in ("s3://bucket/site", "memory://site", "file:///tmp/site"):
         with pytest.raises(typer.BadParameter, match="is a remote address; expected a local path"):
             local_place(address)
+
+
+def test_runners_have_names_and_that_of_ray_may_have_an_address():
+    for text in ("processes", "ray", "ray=127.0.0.1:6379"):
+        assert _runner_name(text) == text
+    for text in ("", "threads", "ray=", "processes=127.0.0.1:6379"):
+        with pytest.raises(typer.BadParameter, match="is not a runner; expected processes, ray, or ray=HOST"):
+            _runner_name(text)
 
 
 @pytest.mark.parametrize("text", ["./~", "./~nobody-of-that-name/x", ".//~/x"])

@@ -105,7 +105,7 @@ def test_clips_beside_one_without_a_height_keep_theirs(seq_rows: list[dict], tmp
     kept = [5 * touch.label + touch.touch_index for touch in touches]
     assert kept == [number for number in range(15) if number != 6]
     np.testing.assert_array_equal(touches.heights_m(), realtouch.load(whole).touches().heights_m()[kept])
-    with pytest.raises(IntegrityError, match="row 1, touch 1, .* a gel height of nan; expected metres"):
+    with pytest.raises(IntegrityError, match=r"row 1, touch 1, .* a gel height of nan; expected metres"):
         realtouch.load(folder).touches().heights_m()
 
 

@@ -110,6 +110,13 @@ def test_pairs_hold_what_was_asked_for_with_any_number_of_workers(sources, pairs
     for domain in (data.depth, data.real):
         assert len(domain) == 60
         assert int((~domain.contact).sum()) == 12
+    card = (Path(pairs) / "README.md").read_text()
+    for split in ("depth", "real"):
+        (file,) = Path(pairs).glob(f"data/{split}-*.parquet")
+        table = pq.read_table(file)
+        paths = [image["path"] for image in table["sensor_image"].to_pylist()]
+        assert paths == [f"{name}.png" for name in table["id"].to_pylist()]
+        assert f"| {split} | 60 | 48 | 1 |" in card
     empty = data.depth.images(np.flatnonzero(~data.depth.contact))
     assert (empty == 1).all()
     met = data.depth.images(np.flatnonzero(data.depth.contact))
@@ -483,16 +490,22 @@ def test_noise_in_training_is_that_of_generated_touches():
 
 
 def test_errors_weigh_what_the_settings_say():
-    settings = {"touch_cycle_weight": 3.0, "depth_cycle_weight": 4.0, "identity_weight": 5.0, "level_weight": 6.0}
-    networks = CycleGan(TrainConfig(2, 1, 4, steps=8, start_steps=4, **settings), "cpu")
+    config = TrainConfig(
+        2, 1, 4, steps=8, start_steps=4,
+        touch_cycle_weight=3.0, depth_cycle_weight=4.0, identity_weight=5.0, level_weight=6.0,
+    )  # fmt: skip
+    networks = CycleGan(config, "cpu")
     for name, weight in {"cycle": (3.0, 4.0), "identity": (5.0, 5.0), "level": (6.0, 6.0)}.items():
         assert [networks._weight(f"{side}_{name}", 2) for side in ("touch", "depth")] == [*weight]
     assert [networks._weight("touch_start", step) for step in (0, 1, 2)] == [3.0, 2.25, 1.5]
     assert [networks._weight("depth_start", step) for step in (0, 1, 2)] == [4.0, 3.0, 2.0]
 
 
-def test_white_noise_is_laid_over_touches_alone():
+def test_noise_is_laid_over_touches_alone():
     networks, pictures = CycleGan(CONFIG, "cpu"), torch.zeros(2, 3, 64, 64)
+    rng = np.random.default_rng(0)
+    assert networks._sensed("depth", pictures, rng) is pictures
+    assert float(networks._sensed("touch", pictures, rng).std()) > 0
     assert networks._blurred("depth", pictures, 0.2) is pictures
     assert networks._blurred("touch", pictures, 0.0) is pictures
     assert float(networks._blurred("touch", pictures, 0.2).std()) == pytest.approx(0.2, rel=0.03)
