@@ -11,11 +11,25 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from tactile_toolkit.mesh.nearness import FACING, thinnest_wall_mm
+from tactile_toolkit.mesh.nearness import FACING, near_pairs, thinnest_wall_mm
 
 REACH_MM = 2.5
 # Of the definition: a way along the surface, and one along an edge; what is in a plane.
 ALONG, LENGTHWISE, LEVEL = 0.05, math.sqrt(1 - FACING**2), 1e-9
+
+
+@given(st.integers(0, 2**32 - 1), st.integers(0, 70), st.floats(0.0, 4.0))
+def test_boxes_that_meet_are_found_once(seed: int, count: int, reach_mm: float) -> None:
+    random = np.random.default_rng(seed)
+    corners_mm = random.uniform(0, 20, (count, 1, 3)) + random.uniform(0, 4, (count, 3, 3))
+    low, high = corners_mm.min(axis=1) - reach_mm / 2, corners_mm.max(axis=1) + reach_mm / 2
+    meet = ((low[:, None] <= high) & (low <= high[:, None])).all(axis=2)
+    found = [
+        tuple(sorted(pair))
+        for part in near_pairs(corners_mm, reach_mm)
+        for pair in zip(*(side.tolist() for side in part), strict=True)
+    ]
+    assert sorted(found) == [(one, other) for one, other in np.argwhere(meet).tolist() if one < other]
 
 
 def dot(u: np.ndarray, v: np.ndarray) -> np.ndarray:
