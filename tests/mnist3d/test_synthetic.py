@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 from scipy import ndimage
 
 from mnist3d.sources import DigitImage
-from mnist3d.sources.handwriting.hand import ALLOGRAPHS, KeyedRng, choose_allograph
+from mnist3d.sources.handwriting.hand import ALLOGRAPHS, KeyedRng, choose_allograph, index_at
 from mnist3d.sources.synthetic import DRAWING_VERSION, SyntheticSource
 from tactile_toolkit.errors import InputError
 
@@ -241,3 +241,8 @@ def test_dice_stay_in_bounds(key: int, low: float, high: float) -> None:
     assert low <= rng.uniform(low, high) <= high
     assert abs(rng.approx_normal()) < 3.5
     assert rng.pick((0.0, 1.0, 0.0)) == 1
+
+
+def test_marks_fall_into_the_share_of_each_weight():
+    marks = (0.0, 0.24, 0.25, 0.74, 0.75, 0.99, 1.0)  # rounding may take a mark to the end itself
+    assert [index_at((1.0, 2.0, 1.0), mark) for mark in marks] == [0, 0, 1, 1, 2, 2, 2]
