@@ -132,6 +132,15 @@ def test_a_mesh_that_is_inside_out_is_lit_all_the_same():
     assert np.array_equal(*views)
 
 
+def test_bodies_far_from_the_origin_are_drawn_the_same():
+    views = []
+    for height_m in (0.0, 0.5):
+        body = Body(lifted(box(20, 10, 5), height_m), CLAY)
+        views.append(draw_bodies(Picture3d((body,), (240, 180), 4_000.0)) < 250)
+    near, far = (view.any(axis=2) for view in views)
+    assert (near & far).sum() / (near | far).sum() > 0.99
+
+
 DRAW = """
 import hashlib, numpy as np
 from tactile_toolkit.pictures.lettering import ACCENTS
