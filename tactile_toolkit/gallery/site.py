@@ -92,7 +92,7 @@ def build_site(
             for first, items in results:
                 site.add(first, items)
                 forecast = site.size * gallery.size // max(len(site.shown), 1)
-                # A site that grows too large stops as soon as that can be told, not when the disk is full.
+                # A site that grows too large stops as soon as that is known, not when the disk is full.
                 is_judged = len(site.shown) >= _JUDGED_AFTER and forecast > MOST_BYTES
                 if is_judged or site.size > MOST_BYTES:
                     message = (
@@ -177,7 +177,7 @@ def _marker(gallery: Gallery, files: Iterable[str]) -> bytes:
 def _staging(path: Path) -> Iterator[Path]:
     """Give a new folder on the disk of ``path``, which is removed in the end.
 
-    What a killed process left beside or within ``path`` is removed first: nobody holds its lock.
+    What a killed process left beside or within ``path`` is removed first: its lock is free.
     """
     path.parent.mkdir(parents=True, exist_ok=True)
     for left in (*path.parent.glob(f"{_PREFIX}*"), *path.glob(f"{_PREFIX}*")):

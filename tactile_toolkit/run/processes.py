@@ -102,7 +102,7 @@ class ProcessRunner:
                     workers[pipe] = process
                 for pipe in list(islice(workers.keys() - held.keys(), len(waiting))):
                     held[pipe] = waiting.popleft()
-                    with contextlib.suppress(OSError):  # it has died, as the end of its pipe tells
+                    with contextlib.suppress(OSError):  # it has died, as the end of its pipe shows
                         pipe.send_bytes(pickle.dumps(held[pipe][0]))
                 yield from map(outcome, answers)  # only now, so that no worker waits for the caller
                 if not held:
@@ -143,7 +143,7 @@ def _start_worker(function: bytes, hide_main: bool) -> tuple[Any, BaseProcess]:
     process = context.Process(target=_work, args=(theirs, function), daemon=True)
     with _main_hidden() if hide_main else contextlib.nullcontext():
         process.start()
-    theirs.close()  # it ends with the worker only where nobody else has it open
+    theirs.close()  # it ends with the worker only where no other process has it open
     return ours, process
 
 
@@ -177,7 +177,7 @@ def _work(pipe: Any, function: bytes) -> None:
 
 
 def _listen(pipe: Any, inbox: SimpleQueue[bytes]) -> None:
-    # Also in the middle of a task: nobody may go on writing into the folder of a parent that was killed.
+    # Also in the middle of a task: no worker may go on writing into the folder of a parent that was killed.
     with contextlib.suppress(EOFError, OSError):
         while True:
             inbox.put(pipe.recv_bytes())

@@ -38,7 +38,7 @@ _TASKS_PER_CORE = 2  # one at work, one that waits: a core never waits for an an
 
 _SETTINGS = {
     # No prompt, no banner, no reports to the makers of Ray, and no word of Ray's inner life on the terminal:
-    # whatever it is told of logs, it prints those of a dead node on stdout.
+    # whatever its logging settings, it prints those of a dead node on stdout.
     "RAY_USAGE_STATS_ENABLED": "0",
     "RAY_USAGE_STATS_PROMPT_ENABLED": "0",
     "RAY_ACCEL_ENV_VAR_OVERRIDE_ON_ZERO": "0",
@@ -207,7 +207,7 @@ def _connected(address: str | None) -> Iterator[Any]:
     address = address or os.environ.get("RAY_ADDRESS") or "auto"
     place = None if address == "auto" else _host_and_port(address)
     try:
-        if place is not None:  # Ray itself waits for long where nobody listens
+        if place is not None:  # Ray itself waits for long where nothing listens
             socket.create_connection(place, _ANSWER_S).close()
         ray.init(address, log_to_driver=False, logging_level=logging.CRITICAL)
     except Exception as error:  # of many types, RuntimeError for other versions of Ray or Python among them

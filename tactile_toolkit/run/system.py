@@ -29,7 +29,7 @@ def locked(path: Path, *, shared: bool = False, patience_s: float = math.inf) ->
 
     Held by the open file: threads wait for one another too, and a killed process lets go. Any number hold it
     ``shared`` at once, where the system knows that. A folder that cannot be locked is held by a file in it,
-    which a killed process leaves; for a file that cannot be locked nobody waits. Raises OSError where the
+    which a killed process leaves; for a file that cannot be locked, no one waits. Raises OSError where the
     file cannot be opened, BlockingIOError where another has held it for so long, and FileNotFoundError for a
     folder that was removed meanwhile.
     """

@@ -22,10 +22,10 @@ def carry_out(function: bytes, task: bytes, dumps: Callable[[Any], bytes] = pick
         return dumps((pickle.loads(function)(pickle.loads(task)), None))
     except Exception as error:
         where = traceback.format_exc()
-        for told in (error, ToolkitError(f"{type(error).__name__}: {error}")):
+        for kept in (error, ToolkitError(f"{type(error).__name__}: {error}")):
             with contextlib.suppress(Exception):  # one that cannot travel
-                told.add_note(where)
-                pickle.loads(packed := dumps((None, told)))
+                kept.add_note(where)
+                pickle.loads(packed := dumps((None, kept)))
                 return packed
         raise
 

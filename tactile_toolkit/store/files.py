@@ -1,6 +1,6 @@
 """Single local files: written as a whole or not at all, and what the system says in words.
 
-A temporary file or folder outside a data set is held by who writes it: what nobody holds is removed by the
+A temporary file or folder outside a data set is held by who writes it: what is not held is removed by the
 next one who comes by.
 """
 
@@ -181,7 +181,7 @@ def _remove(path: Path) -> None:
 
 
 def remove_abandoned(folder: Path, prefix: str = TEMPORARY_PREFIX) -> None:
-    """Remove the temporary files and folders directly in a local folder that nobody holds any more."""
+    """Remove the temporary files and folders directly in a local folder that are not held any more."""
     for path in folder.glob(f"{prefix}*"):
         with contextlib.suppress(OSError):  # of other users it stays
             if _UNIQUE.match(path.name, len(prefix)):

@@ -50,7 +50,7 @@ def _hold_the_same_names(there: Any, wanted: Any) -> bool:
 
 
 def _are_files(values: Any) -> bool:
-    """Return whether a value is a list of files with their fingerprints, which nobody wants to read."""
+    """Return whether a value is a list of files with their fingerprints, too long to be shown."""
     return (
         bool(values)
         and isinstance(values, list)

@@ -1,7 +1,7 @@
 """Starting a folder again: the new data set is made in ``OUT/.next``, then takes the place of the former one.
 
 Until it is finished nothing of the former set is touched. From the moment that the list of its files is
-there, any command carries on with putting it in place.
+there, whatever makes or loads the set next carries on with putting it in place.
 """
 
 from __future__ import annotations
@@ -115,7 +115,7 @@ def _files_beside(folder: DataFolder) -> list[str]:
 def make_room(folder: DataFolder, plan: BuildPlan) -> DataFolder:
     """Return the folder in which the next data set is made; what is there of another one goes.
 
-    The run that was making the other one, if it is still at work, is told to begin again.
+    The run that was making the other one, if it is still at work, is asked to begin again.
     """
     after = DataFolder(folder.address(NEXT_FOLDER))
     try:
