@@ -1,4 +1,4 @@
-"""The figures that the benchmarks tell: kept with date, machine and versions, written into the documents.
+"""The figures that the benchmarks report: kept with date, machine and versions, written into the documents.
 
 A benchmark calls :func:`tell` for each figure. ``benchmarks/run`` runs the benchmarks, keeps what they tell
 in ``results.json`` and writes the tables between ``<!-- figures: NAME -->`` and ``<!-- end -->`` in README.md
@@ -195,17 +195,27 @@ def _processor() -> str:
 
 
 def tables(results: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
-    """Yield the name and text of each table."""
+    """Yield the name and text of each table: all figures, and those that README.md shows."""
+    rows = [
+        "| benchmark | what | ours | compared with | times | target |",
+        "| --- | --- | --- | --- | --- | --- |",
+    ]
+    runs = []
     for name, result in results.items():
-        rows = ["| what | measured | compared with | target |", "| --- | --- | --- | --- |"]
-        rows += [f"| {' | '.join(_cells(figure))} |" for figure in result["figures"]]
-        python, *others = (f"{library} {number}" for library, number in result["versions"].items())
-        aged = (
-            "" if fingerprint(BENCHMARKS[name].code) == result["code"] else " **The code has changed since.**"
+        rows += [f"| `{name}` | {' | '.join(_cells(figure))} |" for figure in result["figures"]]
+        versions = ", ".join(f"{library} {number}" for library, number in result["versions"].items())
+        aged = fingerprint(BENCHMARKS[name].code) != result["code"]
+        runs.append(
+            (
+                f"{result['date']}, {result['machine']}, {versions}",
+                f"`{name}`" + " (code changed since)" * aged,
+            )
         )
-        where = f"{result['machine']}, load {result['load']}"
-        rows += ["", f"Taken on {result['date']}, {where}, {python}, {', '.join(others)}.{aged}"]
-        yield name, "\n".join(rows)
+    where = [
+        f"- {run}: {', '.join(name for other, name in runs if other == run)}."
+        for run in dict.fromkeys(run for run, _ in runs)
+    ]
+    yield "all", "\n".join([*rows, "", *where])
     by_name = {
         f"{name}.{each['name']}": each for name, result in results.items() for each in result["figures"]
     }
@@ -228,16 +238,16 @@ def _times(figure: Mapping[str, Any]) -> str:
     return in_words(figure["ratio"], "times")
 
 
-def _cells(figure: Mapping[str, Any]) -> tuple[str, str, str, str]:
-    other = f"{in_words(figure['other'], figure['unit'])}: **{_times(figure)}**" if "other" in figure else ""
+def _cells(figure: Mapping[str, Any]) -> tuple[str, str, str, str, str]:
+    other = in_words(figure["other"], figure["unit"]) if "other" in figure else ""
     beside = "; ".join(text for text in (other, figure.get("note", "")) if text)
-    ours = in_words(figure["value"], figure["unit"])
+    times = f"**{in_words(figure['ratio'], '').strip()}**" if other else ""
     target = figure.get("target", "")
     if target and not other:  # of the value itself, in its unit
         bound, _, number = target.rpartition(" ")
         target = f"{bound} {in_words(float(number), figure['unit'])}"
-    target += "" if is_met(figure) else ": **missed**"
-    return figure["what"], ours if other else f"**{ours}**", beside, target
+    target += "" if is_met(figure) else ", **missed**"
+    return figure["what"], in_words(figure["value"], figure["unit"]), beside, times, target
 
 
 def written(text: str, results: Mapping[str, Any]) -> str:
