@@ -95,10 +95,6 @@ SHOWN = (
      "the published generator: {starstruck.scene:ratio} slower"),
     ("one random real touch, 64x64", "{real_touches.random_touch_64x64}",
      "`tactile_mnist`: {real_touches.random_touch_64x64:ratio} slower"),
-    ("one random real touch, 320x240", "{real_touches.random_touch_320x240}",
-     "`tactile_mnist`: {real_touches.random_touch_320x240:ratio} slower"),
-    ("a mesh for an environment", "{env_adapter.fetch}",
-     "`tactile_mnist.SimpleMeshDataset`: {env_adapter.fetch:ratio} slower"),
     ("a synthetic touch of a digit, depth, 64x64", "{touches.depth_64}",
      "the renderer of the environments: {touches.depth_64:ratio} slower"),
 )  # fmt: skip
@@ -204,13 +200,8 @@ def tables(results: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
     for name, result in results.items():
         rows += [f"| `{name}` | {' | '.join(_cells(figure))} |" for figure in result["figures"]]
         versions = ", ".join(f"{library} {number}" for library, number in result["versions"].items())
-        aged = fingerprint(BENCHMARKS[name].code) != result["code"]
-        runs.append(
-            (
-                f"{result['date']}, {result['machine']}, {versions}",
-                f"`{name}`" + " (code changed since)" * aged,
-            )
-        )
+        aged = "" if fingerprint(BENCHMARKS[name].code) == result["code"] else " (code changed since)"
+        runs.append((f"{result['date']}, {result['machine']}, {versions}", f"`{name}`{aged}"))
     where = [
         f"- {run}: {', '.join(name for other, name in runs if other == run)}."
         for run in dict.fromkeys(run for run, _ in runs)

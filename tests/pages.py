@@ -109,7 +109,7 @@ def main() -> None:
 
 def _shell(page: str, text: str) -> Iterator[str]:
     for command in commands(text):
-        if "pytest" not in command:
+        if not any(words in command.rpartition("&&")[2] for words in ("pytest", "pip install")):
             with tempfile.TemporaryDirectory() as folder:
                 # Forked from a process that has imported all that commands need, which takes each 1 s.
                 process = _READY.Process(target=_command, args=(_program(command), folder))

@@ -1,4 +1,4 @@
-"""Figures in the documents are those that the benchmarks measured, and say so when their code has changed since."""
+"""Figures in the documents are those that the benchmarks measured; changed code is marked."""
 
 from __future__ import annotations
 
