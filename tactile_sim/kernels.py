@@ -12,13 +12,13 @@ from numpy.typing import NDArray
 
 from tactile_toolkit.mesh.nearness import compiled
 
-__all__ = ["blur_numba", "finish_numba", "raise_heights_numba", "taxim_numba"]
+__all__ = ["blur", "rasterise", "render_taxim", "to_depth"]
 
 _EDGE_PX = 1e-9  # as in tactile_toolkit.mesh.raster, whose steps these are
 
 
 @compiled
-def raise_heights_numba(
+def rasterise(
     out: NDArray[np.float64],
     vertices: NDArray[np.float64],
     faces: NDArray[np.int32],
@@ -26,10 +26,15 @@ def raise_heights_numba(
     affine: NDArray[np.float64],
     layers: NDArray[np.float64] | None,
 ) -> None:
-    """Do as :func:`tactile_sim.heights.raise_heights` with numpy, one triangle after another.
+    """Raise each pixel of ``out`` to the highest triangle over it that faces upwards.
 
-    ``blocks``, shape (B, 4), are balls around as many runs of faces, centre and radius: a run whose ball is
-    outside the window is left out. Without ``layers`` numba compiles a kernel that knows nothing of them.
+    ``out``, shape (H, W), has its first row at the top; ``vertices`` (V, 3) and ``faces`` (F, 3) are the
+    solid, ``blocks`` (B, 4) balls around runs of its faces, centre and radius: a run whose ball is outside
+    the window is left out. ``affine``, shape (3, 4), maps a vertex to column, row counted from the bottom,
+    both in pixels whose points have integer coordinates, and height. ``layers`` are those of a printed solid
+    (:func:`tactile_sim.layers.seen_layers`), None for one as it was modelled: numba compiles a kernel of its
+    own without them. Only sums, products, quotients and comparisons of IEEE doubles are used, which every
+    processor rounds alike.
     """
     rows, columns = out.shape
     per_block = (len(faces) + len(blocks) - 1) // len(blocks)
@@ -129,7 +134,7 @@ def _raise_rows(
 def _profile(
     vertices: NDArray[np.float64], a: int, b: int, c: int, layers: NDArray[np.float64]
 ) -> tuple[float, float]:
-    """Return run and sideways view of a triangle, as :func:`tactile_sim.layers.profiles` does of all."""
+    """Return how far a triangle runs outwards for a step down, and how sideways it is seen."""
     abx, aby, abz = (
         vertices[b, 0] - vertices[a, 0],
         vertices[b, 1] - vertices[a, 1],
@@ -149,7 +154,11 @@ def _profile(
 def _layer_rise(
     column: int, row: int, height: float, run: float, sideways: float, layers: NDArray[np.float64]
 ) -> float:
-    """Return how far above the solid its layers end, as :func:`tactile_sim.layers.layer_rises` does."""
+    """Return how far above a point of the solid its layers end, towards the sensor; -inf where none does.
+
+    In the section across the contour lines, with the point at the origin of the line of sight, ``across`` and
+    ``down`` lead from the middle of the round end of a layer to the point.
+    """
     layer, slack, count, upward = layers[0], layers[1], layers[2], layers[5]
     over = ((layers[6] * column + layers[7] * row) + layers[8] * height) + layers[9]
     radius = 0.5 * layer
@@ -189,7 +198,7 @@ def _side(start_x: float, start_y: float, end_x: float, end_y: float) -> tuple[f
 
 
 @compiled
-def finish_numba(
+def to_depth(
     heights_m: NDArray[np.float64], image: NDArray[np.float32], press_m: float, gel_m: float
 ) -> float:
     """Turn heights into depth, in place, and the depth image; return the greatest height, metres."""
@@ -223,7 +232,7 @@ def _mirrored(place: int, count: int) -> int:
 
 
 @compiled
-def blur_numba(
+def blur(
     image: NDArray[np.float64],
     out: NDArray[np.float64],
     between: NDArray[np.float64],
@@ -323,7 +332,7 @@ def _pressed_gel(
             contact[row, column] = here < 0.0 and joined[row, column] - gel < lowest * contact_scale
     blurred, between, soft = joined.copy(), np.empty((rows, columns)), np.empty((rows, columns))
     for level in range(len(pyramid)):
-        blur_numba(blurred, soft, between, pyramid[level][0], pyramid[level][1])
+        blur(blurred, soft, between, pyramid[level][0], pyramid[level][1])
         if level == len(pyramid) - 1:
             break
         for row in range(rows):
@@ -438,7 +447,7 @@ def _cast_shadows(
 
 
 @compiled
-def taxim_numba(
+def render_taxim(
     out: NDArray[np.float32],
     height_mm: NDArray[np.float64],
     gel_mm: NDArray[np.float64],
@@ -468,8 +477,8 @@ def taxim_numba(
     final_across, final_down = pyramid[len(pyramid) - 1]
     between, lit = np.empty((rows, columns)), np.empty((rows, columns))
     for colour in range(3):
-        blur_numba(shade[colour], soft, between, shadow_blur[0], shadow_blur[1])
-        blur_numba(soft, lit, between, final_across, final_down)
+        blur(shade[colour], soft, between, shadow_blur[0], shadow_blur[1])
+        blur(soft, lit, between, final_across, final_down)
         for row in range(rows):
             for column in range(columns):
                 out[row, column, colour] = np.float32(

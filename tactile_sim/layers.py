@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.wording import plain_number
 
-__all__ = ["checked_layer_m", "layer_rises", "profiles", "seen_layers"]
+__all__ = ["checked_layer_m", "seen_layers"]
 
 Numbers = NDArray[np.float64]
 
@@ -63,49 +63,3 @@ def seen_layers(affine: Numbers, layer_m: float, foot_m: float, top_m: float) ->
         [layer_m, slack_m, count, *z, *factors, -shift - foot_m, 0 if upright else _AROUND, _LEVEL],
         np.float64,
     )
-
-
-def profiles(vertices: Numbers, faces: NDArray[np.integer[Any]], layers: Numbers) -> tuple[Numbers, Numbers]:
-    """Return of each face how far it runs outwards for a step down, and how sideways it is seen."""
-    a, b, c = (vertices[corner].T for corner in faces.T)
-    (abx, aby, abz), (acx, acy, acz) = b - a, c - a
-    x, y, z = aby * acz - abz * acy, abz * acx - abx * acz, abx * acy - aby * acx
-    level = np.maximum(np.sqrt(x * x + y * y), layers[11] * np.abs(z))
-    return z / level, (layers[3] * x + layers[4] * y) / level
-
-
-def layer_rises(
-    column: NDArray[np.int64],
-    row: NDArray[np.int64],
-    height: Numbers,
-    run: Numbers,
-    sideways: Numbers,
-    layers: Numbers,
-) -> Numbers:
-    """Return how far above points of the solid its layers end, towards the sensor; -inf where there is none.
-
-    ``column``, ``row`` and ``height`` are the points as the sensor sees them, ``run`` and ``sideways`` the
-    :func:`profiles` of their faces. In the section across the contour lines, with the point at the origin of
-    the line of sight, ``across`` and ``down`` lead from the middle of the round end of a layer to the point.
-    """
-    layer, slack, count, upward = layers[0], layers[1], layers[2], layers[5]
-    over = ((layers[6] * column + layers[7] * row) + layers[8] * height) + layers[9]
-    radius = 0.5 * layer
-    square = sideways * sideways + upward * upward
-    middle = np.floor((over + slack) / layer - 0.5)
-    best = np.full(len(over), -np.inf)
-    for around in range(-int(layers[10]), int(layers[10]) + 1):
-        number = middle + around
-        printed = (number >= 0) & (number < count)
-        down = over - (number + 0.5) * layer
-        across = radius - run * (down + slack)
-        with np.errstate(all="ignore"):  # what is divided by nothing is never chosen
-            flat = ((radius if upward > 0 else -radius) - down) / upward
-            ends_flat = across + flat * sideways <= 0
-            half = across * sideways + down * upward
-            root = half * half - square * ((across * across + down * down) - radius * radius)
-            round_end = (np.sqrt(root) - half) / square
-            ends_round = ~ends_flat & (root >= 0) & (across + round_end * sideways >= 0)
-        best = np.where(printed & ends_flat, np.maximum(best, flat), best)
-        best = np.where(printed & ends_round, np.maximum(best, round_end), best)
-    return np.asarray(np.minimum(best, 2.0 * layer))

@@ -59,14 +59,14 @@ class TaximOptics:
 
     def shades(self, depth_m: Numbers, sensor: Sensor) -> NDArray[np.float32]:
         """Return the same as shades of red, green and blue from 0 to 1, float32, shape (n, H, W, 3)."""
-        from tactile_sim.kernels import taxim_numba
+        from tactile_sim.kernels import render_taxim
 
         count, height, width = depth_m.shape
         shape = _shape_tables(height, width)
         out = np.empty((count, height, width, 3), np.float32)
         tables = self._tables
         for number in range(count):
-            taxim_numba(
+            render_taxim(
                 out[number],
                 # Taxim counts from the surface of the gel, in millimetres, negative where it is pressed.
                 depth_m[number] * 1000.0 - sensor.gel_m * 1000.0,
@@ -211,10 +211,10 @@ def _half_kernel(sigma_px: float) -> Numbers:
 
 
 def _blurred(image: Numbers, kernels: tuple[Numbers, Numbers]) -> Numbers:
-    from tactile_sim.kernels import blur_numba
+    from tactile_sim.kernels import blur
 
     out = np.empty_like(image)
-    blur_numba(np.ascontiguousarray(image), out, np.empty_like(out), kernels[0], kernels[1])
+    blur(np.ascontiguousarray(image), out, np.empty_like(out), kernels[0], kernels[1])
     return out
 
 

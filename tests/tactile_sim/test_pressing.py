@@ -13,13 +13,12 @@ from hypothesis import strategies as st
 
 import tactile_sim
 from tactile_toolkit.errors import InputError
+from tests.tactile_sim import reference
 from tests.tactile_sim.solids import ball, block, tilted
 
-NUMPY = "numpy"
 
-
-def _press(solid, object_pose, target, sensor, backend=NUMPY):
-    return tactile_sim.press(solid, object_pose, target, sensor, backend=backend)
+def _press(solid, object_pose, target, sensor):
+    return tactile_sim.press(solid, object_pose, target, sensor)
 
 
 @pytest.mark.sim
@@ -40,8 +39,8 @@ def test_numba_and_numpy_give_the_same_bytes(size, turn, lean, x_m, y_m, solid):
         tilted(lean, turn, x_m, y_m),
     ):
         found = [
-            _press(prepared, tactile_sim.pose(turn_rad=turn), target, sensor, backend)
-            for backend in ("numba", "numpy")
+            press(prepared, tactile_sim.pose(turn_rad=turn), target, sensor)
+            for press in (tactile_sim.press, reference.press)
         ]
         assert found[0].depth_m.tobytes() == found[1].depth_m.tobytes()
         assert found[0].image.tobytes() == found[1].image.tobytes()
@@ -158,7 +157,6 @@ def _moved(row, column, value):
             {"object_pose": np.stack([np.eye(4)] * 2), "target": np.stack([np.eye(4)] * 3)},
             "2 object poses for 3",
         ),
-        ({"backend": "cuda"}, "backend is 'cuda'"),
     ],
 )
 def test_bad_input_is_named(change, words):
@@ -185,8 +183,3 @@ def test_bad_input_is_named(change, words):
 def test_sensors_that_cannot_be_are_refused(values):
     with pytest.raises(InputError, match="expected"):
         dataclasses.replace(tactile_sim.as_sensor(), **values)
-
-
-def test_a_backend_that_is_unknown_is_refused():
-    with pytest.raises(InputError, match="backend is 'jax'; expected auto, numba or numpy"):
-        tactile_sim.press(ball(), tactile_sim.pose(), tactile_sim.pose(), backend="jax")
