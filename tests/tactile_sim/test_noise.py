@@ -9,7 +9,7 @@ import pytest
 
 import tactile_sim
 from tactile_sim.noise import add_noise
-from tactile_toolkit.errors import InputError, MissingExtraError
+from tactile_toolkit.errors import InputError
 from tests.tactile_sim.oracle import require_package
 
 VALUES = {
@@ -137,7 +137,7 @@ def test_sets_have_noise_of_their_own_for_each_touch(tmp_path):
     assert within > 0.6 > abs(between)
 
 
-def test_noise_that_cannot_be_is_refused(tmp_path, monkeypatch):
+def test_noise_that_cannot_be_is_refused(tmp_path):
     for name, value in (
         ("frame_noise_std", -1.0),
         ("episode_gain_std", float("nan")),
@@ -164,14 +164,3 @@ def test_noise_that_cannot_be_is_refused(tmp_path, monkeypatch):
             tactile_sim.SensorNoise.read(file)
     with pytest.raises(InputError, match="cannot be read"):
         tactile_sim.SensorNoise.read(tmp_path / "nothing.json")
-    monkeypatch.setattr("tactile_sim.noise.find_spec", lambda _: None)
-    with pytest.raises(MissingExtraError, match="the extra `env`"):
-        tactile_sim.SensorNoise.calibrated()
-
-
-def test_another_version_of_the_package_is_named(tmp_path, monkeypatch):
-    (tmp_path / "sensor_noise.py").write_text("class SensorNoiseConfig:\n    frame_noise_std: float = 0.1\n")
-    found = type("Found", (), {"submodule_search_locations": [str(tmp_path)]})()
-    monkeypatch.setattr("tactile_sim.noise.find_spec", lambda _: found)
-    with pytest.raises(InputError, match="states no calibrated noise"):
-        tactile_sim.SensorNoise.calibrated()
