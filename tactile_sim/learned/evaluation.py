@@ -18,9 +18,8 @@ from numpy.typing import NDArray
 from tactile_sim.learned.batches import by_taxim
 from tactile_sim.learned.channels import depth_channels, picture_channels, shades_of
 from tactile_sim.learned.checkpoints import DEPTH_WEIGHTS, TOUCH_WEIGHTS
-from tactile_sim.learned.measures import colour_distance, kernel_distance, spectrum_distance
+from tactile_sim.learned.classifier import INPUT_PX, SmallCNN, balanced_accuracy
 from tactile_sim.learned.networks import Generator, generator_of, initialise
-from tactile_sim.learned.readers import READER_PX, Reader, balanced_accuracy, ranked_right
 from tactile_sim.learned.weights import read_weights
 from tactile_sim.noise import SensorNoise, add_noise
 from tactile_sim.pairs.reading import Domain, Pairs
@@ -29,7 +28,7 @@ from tactile_sim.sheets import sheet_png
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.store.folder import DataFolder
 
-__all__ = ["BASELINES", "Evaluation", "Measured", "evaluate", "told_apart", "under_noise"]
+__all__ = ["BASELINES", "Evaluation", "Measured", "add_noise_per_object", "evaluate", "two_sample_test"]
 
 BASELINES = ("taxim", "untrained")
 """What trained weights may be compared with."""
@@ -38,12 +37,10 @@ BASELINES = ("taxim", "untrained")
 _LEAST = 40
 _LABELS_FROM = 2000
 _LABEL_STEPS = 1500
-_STEADY = 0.04  # five levels
-_COARSE = 4
 # What the gel can be pressed by: depth images run from 0 to 1 over it.
 _GEL_UM = 2125.0
 _SHOWN = 6
-_READER_STEPS = 600  # after 120, contact was read at chance from what 400 read at 96 %
+_STEPS = 600  # after 120, contact was read at chance from what 400 read at 96 %
 
 
 @dataclass(frozen=True)
@@ -58,47 +55,28 @@ class Measured:
     depth_um : float
         Mean absolute error of the depth that the trained inverse recovers from its pictures, micrometres,
         over touches with contact.
-    told_apart : float
-        Share of held-back pictures that a classifier rightly calls real or made; 0.5 is best.
-    told_apart_error : float
+    two_sample : float
+        Balanced accuracy of a classifier that separates real from made pictures of held-back objects (the
+        classifier two-sample test of Lopez-Paz and Oquab, 2017); 0.5 is best.
+    two_sample_error : float
         Its standard error.
-    ranked_right : float
-        How often that classifier finds a real picture more real than a made one: the area under its ROC. It
-        still tells better from worse where nearly all are told apart; 0.5 is best.
-    told_coarse : float
-        The same share where pictures are seen in a quarter of their size, so that fine grain says nothing.
-    contact_reader : float
-        Balanced accuracy, on held-back real touches, of a reader of contact that learned from its pictures.
-    steady_reader : float
-        The same of a reader that learned under white noise of five levels, which fine grain misleads less.
-    label_reader : float
-        The same of a reader of classes; NaN with fewer than 2,000 touches.
-    kid, kid_error : float
-        Kernel distance to the real touches by features of the reader of contact, and its standard error.
-    spectrum_db : float
-        Mean difference of power spectra, decibels.
-    colour_levels : float
-        Distance of the histograms of colours, levels.
+    contact_accuracy : float
+        Balanced accuracy, on held-back real touches, of a classifier of contact trained on its pictures.
+    class_accuracy : float
+        The same of a classifier of labels; NaN with fewer than 2,000 touches.
     """
 
     name: str
     depth_um: float
-    told_apart: float
-    told_apart_error: float
-    ranked_right: float
-    told_coarse: float
-    contact_reader: float
-    steady_reader: float
-    label_reader: float
-    kid: float
-    kid_error: float
-    spectrum_db: float
-    colour_levels: float
+    two_sample: float
+    two_sample_error: float
+    contact_accuracy: float
+    class_accuracy: float
 
 
 @dataclass(frozen=True)
 class Evaluation:
-    """Measures of all ways, and a sheet of pictures as PNG; ``noise`` was laid over all that was made."""
+    """Measures of all ways, and a sheet of pictures as PNG; ``noise`` was added to all that was made."""
 
     measured: tuple[Measured, ...]
     touches: int
@@ -120,32 +98,25 @@ class Evaluation:
     def to_markdown(self) -> str:
         """Return the table in Markdown."""
         lines = [
-            "| pictures | depth error | told from real | AUC | told at a quarter | contact read "
-            "| under noise | class read | KID x 1000 | spectrum | colours |",
-            "| --- | --- | --- | --- | --- | --- | --- | --- | --- | --- | --- |",
+            "| pictures | depth error | two-sample test | contact accuracy | class accuracy |",
+            "| --- | --- | --- | --- | --- |",
         ]
         for each in self.measured:
             cells = (
                 each.name,
                 _text(each.depth_um, "{:.0f} um"),
-                _text(100 * each.told_apart, "{:.1f}") + f" ± {100 * each.told_apart_error:.1f} %",
-                _text(each.ranked_right, "{:.3f}"),
-                _text(100 * each.told_coarse, "{:.1f} %"),
-                _text(100 * each.contact_reader, "{:.1f} %"),
-                _text(100 * each.steady_reader, "{:.1f} %"),
-                _text(100 * each.label_reader, "{:.1f} %"),
-                _text(1e3 * each.kid, "{:.0f}") + _text(1e3 * each.kid_error, " ± {:.0f}"),
-                _text(each.spectrum_db, "{:.1f} dB"),
-                _text(each.colour_levels, "{:.1f} levels"),
+                _text(100 * each.two_sample, "{:.1f}") + f" ± {100 * each.two_sample_error:.1f} %",
+                _text(100 * each.contact_accuracy, "{:.1f} %"),
+                _text(100 * each.class_accuracy, "{:.1f} %"),
             )
             lines.append(f"| {' | '.join(cells)} |")
-        laid = (
-            "without noise: a sensor's noise alone tells real touches from them"
+        made = (
+            "without noise: a sensor's noise alone separates real touches from them"
             if self.noise is None
             else "under a sensor's noise, as `generate --noise` adds it: "
             + ", ".join(f"{name} {value:g}" for name, value in self.noise.to_dict().items())
         )
-        lines += ["", f"Of {self.touches:,} real touches. Made pictures are {laid}."]
+        lines += ["", f"Of {self.touches:,} real touches. Made pictures are {made}."]
         return "\n".join(lines) + "\n"
 
     def write(self, out: str | os.PathLike[str]) -> None:
@@ -172,7 +143,7 @@ def evaluate(
 ) -> Evaluation:
     """Measure the weights of a training on a set of pairs that it did not see.
 
-    Pictures of one half of the objects train readers and classifiers, those of the other half are measured.
+    Pictures of one half of the objects train classifiers, those of the other half are measured.
 
     Parameters
     ----------
@@ -185,10 +156,10 @@ def evaluate(
     count : int
         At most so many pictures of each kind.
     noise : SensorNoise, optional
-        What the sensor of the real touches adds: it is laid over all that is made, one round for each object,
+        What the sensor of the real touches adds: it is added to all that is made, one round for each object,
         before it is looked at. The depth error is of pictures without it.
     seed : int
-        Seed of noise, readers and subsets.
+        Seed of noise and classifiers.
 
     Returns
     -------
@@ -259,89 +230,49 @@ class _Bench:
     def __post_init__(self) -> None:
         real = self.data.real
         self.pictures = real.images(self.rows)
-        self.seen = _seen(self.pictures)
         self.objects = real.object_ids[self.rows]
         self.held = _second_half(self.objects)
         self.contact = real.contact[self.rows].astype(np.int64)
         self.labels = real.labels[self.rows]
-        self.reader = Reader(2, self.seed, _READER_STEPS).learn(
-            self.seen[~self.held], self.contact[~self.held]
-        )
 
     def real(self) -> Measured:
         """Measure one half of the real touches against the other: nothing can be better."""
-        held, other = self.pictures[self.held], self.pictures[~self.held]
         # Halves of all touches at random, as made and real pictures are of the same objects too.
         drawn = np.random.default_rng(self.seed).permutation(len(self.rows))
-        one, same = ((self.pictures[drawn[k::2]], self.objects[drawn[k::2]]) for k in (0, 1))
-        apart = told_apart(one, same, self.seed)
-        contact = self._contact_readers(self.seen[~self.held], self.contact[~self.held], self.reader)
-        labels = self._label_reader(self.seen[~self.held], self.labels[~self.held])
-        kid = self._kid(self.seen[~self.held])
+        one, other = ((self.pictures[drawn[k::2]], self.objects[drawn[k::2]]) for k in (0, 1))
+        apart = two_sample_test(one, other, self.seed)
         return Measured(
-            "real",
-            math.nan,
-            *apart,
-            *contact,
-            labels,
-            *kid,
-            spectrum_distance(held, other),
-            colour_distance(held, other),
+            "real", math.nan, *apart, *self._accuracies(self.pictures, ~self.held, self.contact, self.labels)
         )
 
     def measure(self, name: str, pictures: NDArray[np.uint8], inverse: Generator) -> Measured:
         """Measure pictures that were made of the depth images."""
-        domain = self.data.depth
-        contact = domain.contact[self.depth_rows]
-        again = _depth_again(inverse, pictures)
-        off_um = _GEL_UM * np.abs(again - self.depth)[contact].mean()
-        objects = domain.object_ids[self.depth_rows]
+        domain, rows = self.data.depth, self.depth_rows
+        contact, objects = domain.contact[rows], domain.object_ids[rows]
+        depth_um = _GEL_UM * np.abs(_depth_again(inverse, pictures) - self.depth)[contact].mean()
         if self.noise is not None:
-            pictures = under_noise(pictures, objects, self.noise, self.seed)
-        apart = told_apart((self.pictures, self.objects), (pictures, objects), self.seed)
-        seen, other = _seen(pictures), _second_half(objects)
-        read = self._contact_readers(seen[~other], contact[~other].astype(np.int64))
-        labels = self._label_reader(seen[~other], domain.labels[self.depth_rows][~other])
-        held = self.pictures[self.held]
-        return Measured(
-            name,
-            float(off_um),
-            *apart,
-            *read,
-            labels,
-            *self._kid(seen),
-            spectrum_distance(held, pictures),
-            colour_distance(held, pictures),
+            pictures = add_noise_per_object(pictures, objects, self.noise, self.seed)
+        apart = two_sample_test((self.pictures, self.objects), (pictures, objects), self.seed)
+        accuracies = self._accuracies(
+            pictures, ~_second_half(objects), contact.astype(np.int64), domain.labels[rows]
         )
+        return Measured(name, float(depth_um), *apart, *accuracies)
 
-    def _contact_readers(
-        self, seen: Any, contact: NDArray[np.int64], plain: Reader | None = None
+    def _accuracies(
+        self, pictures: NDArray[np.uint8], train: NDArray[np.bool_], contact: Any, labels: Any
     ) -> tuple[float, float]:
-        """Let readers learn contact, without and with white noise, and ask them about real touches."""
-        if plain is None:
-            plain = Reader(2, self.seed, _READER_STEPS).learn(seen, contact)
-        steady = Reader(2, self.seed, _READER_STEPS, _STEADY).learn(seen, contact)
-        alone, under_white = (
-            balanced_accuracy(each.answers(self.seen[self.held]), self.contact[self.held])
-            for each in (plain, steady)
-        )
-        return alone, under_white
-
-    def _label_reader(self, seen: Any, labels: NDArray[np.int64]) -> float:
+        """Train classifiers of contact and label on some pictures; measure them on held-back real touches."""
+        inputs, held = _inputs(pictures[train]), _inputs(self.pictures[self.held])
+        classifier = SmallCNN(2, self.seed, _STEPS).learn(inputs, contact[train])
+        of_contact = balanced_accuracy(classifier.predict(held), self.contact[self.held])
         if len(self.rows) < _LABELS_FROM:
-            return math.nan
-        reader = Reader(int(max(labels.max(), self.labels.max())) + 1, self.seed, _LABEL_STEPS).learn(
-            seen, labels
-        )
-        return balanced_accuracy(reader.answers(self.seen[self.held]), self.labels[self.held])
-
-    def _kid(self, seen: Any) -> tuple[float, float]:
-        return kernel_distance(
-            self.reader.features(self.seen[self.held]), self.reader.features(seen), self.seed
-        )
+            return of_contact, math.nan
+        classes = int(max(labels.max(), self.labels.max())) + 1
+        classifier = SmallCNN(classes, self.seed, _LABEL_STEPS).learn(inputs, labels[train])
+        return of_contact, balanced_accuracy(classifier.predict(held), self.labels[self.held])
 
 
-def under_noise(
+def add_noise_per_object(
     pictures: NDArray[np.uint8], objects: NDArray[np.int64], noise: SensorNoise, seed: int
 ) -> NDArray[np.uint8]:
     """Return pictures under the noise of a sensor: a round for each object, as real touches have it."""
@@ -353,41 +284,36 @@ def under_noise(
     return noisy
 
 
-def told_apart(
+def two_sample_test(
     real: tuple[NDArray[np.uint8], NDArray[np.int64]],
     made: tuple[NDArray[np.uint8], NDArray[np.int64]],
     seed: int,
-) -> tuple[float, float, float, float]:
-    """Let a classifier learn both kinds by one half of their objects, and tell those of the other half.
+) -> tuple[float, float]:
+    """Train a classifier of real and made on one half of the objects, and measure it on the other half.
 
-    Each kind is pictures and their objects: touches of a round share its noise, which could be learned by
-    heart. Returns the balanced accuracy, its standard error, the area under the ROC, and the balanced
-    accuracy where pictures are seen in a quarter of their size.
+    Each kind is pictures (n, H, W, 3), uint8, and their objects (n,): touches of a round share its noise,
+    which could be learned by heart. Returns the balanced accuracy and its standard error.
     """
-    pictures = _seen(np.concatenate([real[0], made[0]]))
+    inputs = _inputs(np.concatenate([real[0], made[0]]))
     held = _second_half(np.concatenate([real[1], made[1]]))
-    answers = np.repeat([1, 0], [len(real[0]), len(made[0])]).astype(np.int64)
-    truth, found = answers[held], []
-    for seen in (pictures, torch.nn.functional.avg_pool2d(pictures, _COARSE)):
-        judge = Reader(2, seed + 1, _READER_STEPS).learn(seen[~held], answers[~held])
-        found.append(judge.votes(seen[held]))
-    votes = found[0]
-    share, coarse = (balanced_accuracy(each.argmax(axis=1), truth) for each in found)
-    error = float(np.sqrt(max(share * (1 - share), 0.25 / len(truth)) / len(truth)))
-    return share, error, ranked_right(votes[:, 1] - votes[:, 0], truth), coarse
+    truth = np.repeat([1, 0], [len(real[0]), len(made[0])]).astype(np.int64)
+    classifier = SmallCNN(2, seed + 1, _STEPS).learn(inputs[~held], truth[~held])
+    share = balanced_accuracy(classifier.predict(inputs[held]), truth[held])
+    count = int(held.sum())
+    return share, float(np.sqrt(max(share * (1 - share), 0.25 / count) / count))
 
 
 def _second_half(objects: NDArray[np.int64]) -> NDArray[np.bool_]:
-    """Tell which pictures are of every other object."""
+    """Return whether pictures are of every other object."""
     return np.asarray(np.searchsorted(np.unique(objects), objects) % 2 == 1)
 
 
-def _seen(pictures: NDArray[np.uint8]) -> Any:
-    """Return pictures as readers look at them."""
+def _inputs(pictures: NDArray[np.uint8]) -> Any:
+    """Return pictures as classifiers take them."""
     channels = picture_channels(pictures)
     height, width = channels.shape[-2:]
-    if max(height, width) > READER_PX:
-        channels = torch.nn.functional.interpolate(channels, size=(READER_PX, READER_PX), mode="area")
+    if max(height, width) > INPUT_PX:
+        channels = torch.nn.functional.interpolate(channels, size=(INPUT_PX, INPUT_PX), mode="area")
     return channels
 
 
