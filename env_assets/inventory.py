@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from env_assets.measures import bounds_m, volumes_m3
 from env_assets.mesh_sets import open_meshes
+from env_assets.mesh_view import MeshView
 from tactile_toolkit.cache import MemoryCache
 from tactile_toolkit.catalog.kinds import kind_of_meshes
 from tactile_toolkit.catalog.locate import find_shards, splits_of
@@ -80,7 +80,8 @@ def _summary(place: Path, split: str) -> AssetSummary:
         name = "meshes" if kind is None else kind.name
         if not len(meshes):
             return AssetSummary(place.name, split, name, 0, meshes.label_names)
-        corners_mm, volumes_mm3 = bounds_m(meshes) * MM_PER_M, volumes_m3(meshes) * MM_PER_M**3
+        view = MeshView(meshes, meshes.label_names)
+        corners_mm, volumes_mm3 = view.bounds_m * MM_PER_M, view.volumes_m3 * MM_PER_M**3
     except ToolkitError as error:
         return AssetSummary(place.name, split, problem=str(error))
     largest_mm = tuple(np.max(corners_mm[:, 1] - corners_mm[:, 0], axis=0).round(3).tolist())

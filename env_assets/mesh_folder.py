@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from env_assets.mesh_sets import PlainMeshes
+from env_assets.mesh_view import MeshView
 from tactile_toolkit.cache import MemoryCache
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.gallery.page import natural_order
@@ -69,7 +69,7 @@ class MeshFile:
         return self.memory.get_or_make(self.path, read)
 
 
-def mesh_files(place: str | PathLike[str], split: str) -> PlainMeshes | None:
+def mesh_files(place: str | PathLike[str], split: str) -> MeshView | None:
     """Take a mesh file, or a folder of them, for the meshes of a split; None where it holds none.
 
     Sub-folders called ``train`` and ``test`` are splits; a folder without them is the same for both. Other
@@ -117,7 +117,7 @@ def _meshes_in(folder: Path) -> list[Path]:
     return [folder / name for name in natural_order(file.name for file in found if file.name[0] != ".")]
 
 
-def _as_meshes(files: list[Path], classes: list[str], *, distinct: bool = True) -> PlainMeshes:
+def _as_meshes(files: list[Path], classes: list[str], *, distinct: bool = True) -> MeshView:
     names = list(dict.fromkeys(classes))
     if distinct and len(names) < len(files):
         twice = next(name for name in names if classes.count(name) > 1)
@@ -133,4 +133,4 @@ def _as_meshes(files: list[Path], classes: list[str], *, distinct: bool = True) 
         MeshFile(index, numbers[name], file, memory)
         for index, (file, name) in enumerate(zip(files, classes, strict=True))
     ]
-    return PlainMeshes(records, tuple(names))
+    return MeshView(records, tuple(names))

@@ -22,7 +22,7 @@ from tactile_toolkit.store.files import named_failures
 from tactile_toolkit.store.folder import DataFolder
 from tactile_toolkit.store.manifest import read_manifest
 
-__all__ = ["FOREIGN", "KINDS", "AssetMaker", "require_whole"]
+__all__ = ["FOREIGN", "KINDS", "AssetMaker", "require_integer"]
 
 KINDS: dict[str, DatasetKind] = {kind.name: kind for kind in (DIGITS, SCENES, WRENCH)}
 """Assets that the toolkit can make without any input, by name."""
@@ -53,10 +53,10 @@ class AssetMaker:
 
     def __post_init__(self) -> None:
         """Refuse numbers that nothing can be made of, before anything is asked for."""
-        require_whole("seed", self.seed, 0)
-        require_whole("workers", self.workers, 1)
+        require_integer("seed", self.seed, 0)
+        require_integer("workers", self.workers, 1)
         if self.per_class is not None:
-            require_whole("per_class", self.per_class, 1)
+            require_integer("per_class", self.per_class, 1)
 
     def place(self, kind: str) -> Path:
         """Return the folder of a kind."""
@@ -70,20 +70,18 @@ class AssetMaker:
             raise InputError(message)
 
     def next_step(self, kind: str, split: str) -> str:
-        """Say how a split that is not there can be made beside those that are.
+        """Return the next step of a message about a split that is not there: how to make it.
 
         Raises IntegrityError when the manifest of the folder is damaged.
         """
         # What the message says must work when it is typed: a folder with other settings would refuse ours.
         recipe, folder = self._recipe(kind), self.place(kind)
         manifest = read_manifest(DataFolder(str(folder))) if folder.is_dir() else None
-        if manifest is None or manifest.spec == _stored(recipe):
-            command = self._command(kind, recipe, split)
+        # Through JSON, which makes lists of tuples: only so are equal specifications equal.
+        if manifest is None or manifest.spec == json.loads(json.dumps(recipe.spec().to_dict())):
+            out = f"--out {shlex.quote(str(folder))}"
+            command = " ".join(filter(None, (KINDS[kind].made_by, recipe.arguments(split), out)))
             return f"run `{command}`, or make the AssetProvider with generate=True"
-        begun = recipe.begun(manifest.spec)
-        if begun is not None and manifest.spec == _stored(begun):
-            command = self._command(kind, begun, split)
-            return f"run `{command}`, which goes on with the settings of that folder"
         return (
             "that folder was made with settings of its own: run the command that made it again, with "
             f"`--split {split}`, or give the AssetProvider another root"
@@ -92,41 +90,30 @@ class AssetMaker:
     def _recipe(self, kind: str) -> Recipe:
         return KINDS[kind].recipe(self.seed, self.per_class)
 
-    def _command(self, kind: str, recipe: Recipe, split: str) -> str:
-        """Return the command that makes the same assets."""
-        out = f"--out {shlex.quote(str(self.place(kind)))}"
-        return " ".join(filter(None, (KINDS[kind].made_by, recipe.arguments(split), out)))
-
     @contextlib.contextmanager
-    def alone(self, kind: str) -> Iterator[None]:
-        """Wait until nobody else on this machine makes assets of a kind here, and keep others waiting."""
+    def lock(self, kind: str) -> Iterator[None]:
+        """Wait for other processes of this machine that make assets of a kind here, and exclude them."""
         # Stays for good: were it removed, two processes could each hold a file of that name.
-        lock = self.root / f".{kind}.lock"
-        with named_failures(str(lock)):
+        file = self.root / f".{kind}.lock"
+        with named_failures(str(file)):
             self.root.mkdir(parents=True, exist_ok=True)
-            lock.touch()
-        with locked(lock):
+            file.touch()
+        with locked(file):
             yield
 
     def make(self, kind: str, split: str) -> None:
-        """Make one split of a kind, going on where an interrupted run stopped."""
+        """Make one split of a kind, from where an interrupted run stopped."""
         _LOG.info("making split %r of %s in %s", split, kind, self.place(kind))
         self.require_split(kind, split)
         self._recipe(kind).make(str(self.place(kind)), split, self.workers)
 
 
-def _stored(recipe: Recipe) -> Any:
-    """Return the specification of a recipe as a manifest gives it back."""
-    # Through JSON, which makes lists of tuples: only so are equal ones equal.
-    return json.loads(json.dumps(recipe.spec().to_dict()))
-
-
-def require_whole(name: str, value: Any, least: int) -> None:
-    """Refuse what is not a whole number, or too small a one."""
+def require_integer(name: str, value: Any, least: int) -> None:
+    """Refuse what is not an integer, or too small."""
     try:
         fits = operator.index(value) >= least
     except TypeError:
         fits = False
     if not fits:
-        message = f"{name} of the AssetProvider is {value!r}; expected a whole number from {least} on"
+        message = f"{name} of the AssetProvider is {value!r}; expected an integer of at least {least}"
         raise InputError(message)

@@ -12,9 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from env_assets.checks import require_kind, require_scene
-from env_assets.measures import mesh_bounds_m, volumes_m3
 from env_assets.mesh_sets import DigitMeshes, MeshSet, SceneMeshes, WrenchMeshes, open_meshes
-from env_assets.missing import FOREIGN, KINDS, AssetMaker, require_whole
+from env_assets.mesh_view import MeshView, mesh_bounds_m
+from env_assets.missing import FOREIGN, KINDS, AssetMaker, require_integer
 from tactile_toolkit.cache import MemoryCache
 from tactile_toolkit.catalog.locate import find_shards
 from tactile_toolkit.errors import InputError, IntegrityError
@@ -97,7 +97,7 @@ class AssetProvider:
         self._revision = revision
         self._commits: dict[str, str] = {}
         self._generate = generate
-        require_whole("cache_meshes", cache_meshes, 0)
+        require_integer("cache_meshes", cache_meshes, 0)
         self._memory = MemoryCache[Any, Any](cache_meshes)
         self._heights = HeightCache()
         self._opened: dict[tuple[str, str, str], Any] = {}
@@ -193,7 +193,9 @@ class AssetProvider:
         InputError, IntegrityError, HubError
             As :meth:`meshes`.
         """
-        return volumes_m3(self.meshes(name, split))
+        view = MeshView(self.meshes(name, split), ())
+        kept: MeshView = self._opened.setdefault(("measured", name, split), view)
+        return kept.volumes_m3
 
     def height_map(self, record: Any, pitch_m: float = 0.0002) -> HeightMap:
         """Return the top surface of a mesh as a grid, kept on disk for the next time.
@@ -268,16 +270,19 @@ class AssetProvider:
         made_here = name in KINDS and name not in self._places
         try:
             return find_shards(place, split, revision=self._commit_of(place))
-        except (InputError, IntegrityError) as error:  # the latter of runs too that were killed: they go on
+        except (
+            InputError,
+            IntegrityError,
+        ) as error:  # the latter of killed runs too, which continue
             if not made_here:
                 raise
             if isinstance(error, InputError):
                 self._maker.require_split(name, split)
             if not self._generate:
                 raise self._named(error, name, split) from error
-        with self._maker.alone(name):
+        with self._maker.lock(name):
             try:
-                # Somebody else may have made it while this waited.
+                # Another process may have made it while this one waited.
                 return find_shards(place, split)
             except (InputError, IntegrityError):
                 self._maker.make(name, split)
@@ -312,10 +317,10 @@ def _held_places(places: object) -> dict[str, str]:
                 f"its folder{near}; next: data sets of other names are opened as `meshes(FOLDER)`"
             )
             raise InputError(message)
-    return {name: _held(fspath(place)) for name, place in places.items()}
+    return {name: _absolute(fspath(place)) for name, place in places.items()}
 
 
-def _held(place: str) -> str:
+def _absolute(place: str) -> str:
     """Return a local place in full, so that it follows the current folder as little as the root does."""
     try:
         local = expanded(place)

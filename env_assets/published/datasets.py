@@ -23,9 +23,7 @@ from typing import TYPE_CHECKING, Any, Literal, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from env_assets.measures import bounds_m, volumes_m3
-from env_assets.mesh_sets import PlainMeshes, RecordView, as_records, measurable
-from env_assets.published.flat import FlatMeshes
+from env_assets.mesh_view import MeshView
 from env_assets.published.packages import published_package
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.read.dataset import RecordDataset
@@ -73,9 +71,10 @@ def as_mesh_dataset(meshes: Sequence[Any], *, cache_size: CacheSize = 0) -> Stor
     InputError
         No data set of meshes.
     """
-    plain = None if isinstance(meshes, RecordDataset) else as_records(meshes)
-    stored = plain or _of_kind(meshes, "vertices_m", "meshes", "mnist3d.load")
-    return StoredMeshDataset(stored, cache_size)
+    view = MeshView.of(meshes)
+    if view is None:
+        raise _unexpected(meshes, "meshes", "mnist3d.load")
+    return StoredMeshDataset(view, cache_size)
 
 
 def as_touch_dataset(rounds: Sequence[Any], *, cache_size: CacheSize = 0) -> StoredTouchDataset:
@@ -98,16 +97,15 @@ def as_touch_dataset(rounds: Sequence[Any], *, cache_size: CacheSize = 0) -> Sto
     InputError
         No data set of touches with images, or rounds of unlike length.
     """
-    kind = "touches with one image each"
-    return StoredTouchDataset(_of_kind(rounds, "sensor_image", kind, "realtouch.load"), cache_size)
+    if not (isinstance(rounds, RecordDataset) and hasattr(rounds.record_class, "sensor_image")):
+        raise _unexpected(rounds, "touches with one image each", "realtouch.load")
+    return StoredTouchDataset(rounds, cache_size)
 
 
-def _of_kind(records: Sequence[Any], field: str, expected: str, loader: str) -> RecordDataset[Any]:
-    if isinstance(records, RecordDataset) and hasattr(records.record_class, field):
-        return records
-    found = type(records).__name__
-    message = f"a data set of {expected} was expected, found {found}; next: open one by `{loader}`"
-    raise InputError(message)
+def _unexpected(found: Any, expected: str, loader: str) -> InputError:
+    return InputError(
+        f"a data set of {expected} was expected, found {type(found).__name__}; next: open one by `{loader}`"
+    )
 
 
 CELL_SIZE_M: tuple[float, float] = tuple(tactile_mnist.CELL_SIZE.tolist())
@@ -123,8 +121,20 @@ CacheSize = int | Literal["full"]
 
 
 @dataclass(frozen=True, eq=False)
-class MeshPoint(RecordView):
+class MeshPoint:
     """One mesh, as the environments want it: ``id``, ``label`` and ``mesh``."""
+
+    record: Any
+
+    @property
+    def id(self) -> int:
+        """Number of the row, unique in its data set."""
+        return int(self.record.id)
+
+    @property
+    def label(self) -> int:
+        """Number of the class."""
+        return int(self.record.label)
 
     @cached_property
     def mesh(self) -> Any:
@@ -139,14 +149,14 @@ class MeshPoint(RecordView):
 class StoredMeshDataset(tactile_mnist.HuggingfaceMeshDataset):  # type: ignore[misc]
     """A ``tactile_mnist.MeshDataset`` that reads meshes by our loader; see :func:`as_mesh_dataset`."""
 
-    def __init__(self, meshes: Records, cache_size: CacheSize = 0) -> None:
+    def __init__(self, meshes: MeshView, cache_size: CacheSize = 0) -> None:
         plain = {name: attrgetter(name) for name in _PLAIN}
         rows = StoredRows(meshes, {**plain, "mesh": mesh_keywords}, label_feature(meshes))
         super().__init__(rows, cache_size=cache_size)
         self._meshes = meshes
 
     @property
-    def meshes(self) -> Records:
+    def meshes(self) -> MeshView:
         """The records behind the points."""
         return self._meshes
 
@@ -295,7 +305,7 @@ def _package_pose(value: Any) -> Any:
 
 
 Reader = Callable[[Any], Any]
-Records = RecordDataset[Any] | PlainMeshes
+Records = RecordDataset[Any] | MeshView
 _PLAIN = ("id", "label")
 
 
@@ -368,22 +378,22 @@ def fingerprint_of(records: Records) -> str:
     without those, data sets of other meshes could pass for one. An environment has had both computed before,
     to check them.
     """
-    if isinstance(records, FlatMeshes):
-        return f"flat-{fingerprint_of(records.records)}"
-    digest = hashlib.sha256(repr((type(records).__name__, records.label_names)).encode())
+    view = records if isinstance(records, MeshView) else None
+    rows: Any = records if view is None else view.records
+    digest = hashlib.sha256(repr((type(rows).__name__, records.label_names)).encode())
     for name in _PLAIN:
         digest.update(repr(records.column(name).tolist()).encode())
+    tables = getattr(rows, "_tables", ())
     # What is made while it is read has no shards; how it is made names it, see below.
-    made = any(not table.shards for table in getattr(records, "_tables", ()))
-    if isinstance(records, PlainMeshes) or (hasattr(records.record_class, "vertices_m") and not made):
-        solids = measurable(records)
-        for values in (volumes_m3(solids), bounds_m(solids)):
+    if view is not None and all(table.shards for table in tables):
+        for values in (view.volumes_m3, view.bounds_m):
             digest.update(np.ascontiguousarray(values, "<f8").tobytes())
-    for table in getattr(records, "_tables", ()):
+    for table in tables:
         # Sizes instead of checksums, which would read gigabytes; the values above tell meshes apart anyway.
         facts = [Path(s.path).stat().st_size for s in table.shards if "://" not in s.path]
         digest.update(repr((facts, table.__getstate__() if not table.shards else "")).encode())
-    return digest.hexdigest()[:32]
+    turned = "flat-" if view is not None and view.flat else ""
+    return turned + digest.hexdigest()[:32]
 
 
 def label_feature(records: Records) -> dict[str, Any]:

@@ -18,18 +18,18 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from env_assets.checks import (
+    require_fitting_meshes,
+    require_fitting_noise,
+    require_fitting_rounds,
+    require_known_objects,
+    require_known_settings,
+    require_several_answers,
+)
 from env_assets.mesh_folder import mesh_files
-from env_assets.mesh_sets import PlainMeshes, PointRecord, as_records
+from env_assets.mesh_view import MeshView, PointRecord
 from env_assets.missing import KINDS
 from env_assets.published.fast import refuse_unfit_renderer, render_fast
-from env_assets.published.fit import (
-    refuse_one_answer,
-    refuse_unfit_meshes,
-    refuse_unfit_noise,
-    refuse_unfit_rounds,
-    refuse_unknown_objects,
-    refuse_unknown_settings,
-)
 from env_assets.published.ids import FOREIGN, Assets, PublishedEnvironment, published_environment
 from env_assets.published.learned import learned_sensor
 from env_assets.published.packages import (
@@ -40,7 +40,6 @@ from env_assets.published.packages import (
 )
 from tactile_toolkit.cache import cache_folder
 from tactile_toolkit.errors import InputError
-from tactile_toolkit.read.dataset import RecordDataset
 from tactile_toolkit.store.files import expanded, is_there, named_failures
 from tactile_toolkit.store.shards import ShardName
 
@@ -161,7 +160,7 @@ def _require_fitting_place(
     """Refuse settings, sensors and a machine on which the environment could not start."""
     require_drawing(renderer)
     kind = getattr(published_package("tactile_mnist"), environment.family.config)
-    refuse_unknown_settings(own, tuple(field.name for field in dataclasses.fields(kind)))
+    require_known_settings(own, tuple(field.name for field in dataclasses.fields(kind)))
     sensor = settings.get("sensor_type", kind.sensor_type)
     # Recorded touches need no sensor; there is nothing else to be had directly.
     if not (environment.family.recorded and sensor == "direct"):
@@ -213,8 +212,7 @@ def assets_for(
             meshes = _meshes(environment, provider, environment.split, settings)
         else:
             meshes = _own_meshes(environment, own, settings)
-        # Where the registration wants objects turned, they arrive so (published/flat.py).
-        found = {"dataset": _points(environment, meshes, settings), "smallest_dimension_up": False}
+        found = {"dataset": _points(environment, meshes), "smallest_dimension_up": False}
         if takes_recorded_noise(settings):
             found["sensor_noise"] = _noise_from(_required(provider, environment), settings["sensor_noise"])
         return found
@@ -227,11 +225,13 @@ def assets_for(
     source = _required(provider, environment)
     rounds = source.touches(TOUCHES, environment.split)
     found = {"dataset": as_touch_dataset(rounds)}
-    refuse_unfit_rounds(rounds, settings.get("step_limit", 16), f"{TOUCHES!r}, split {environment.split!r},")
+    require_fitting_rounds(
+        rounds, settings.get("step_limit", 16), f"{TOUCHES!r}, split {environment.split!r},"
+    )
     if "mesh_dataset" not in settings:
         printed = _meshes(environment, source, f"printed_{environment.split}", settings)
-        refuse_unknown_objects(rounds, printed, f"{TOUCHES!r}")
-        found["mesh_dataset"] = _points(environment, printed, settings)
+        require_known_objects(rounds, printed, f"{TOUCHES!r}")
+        found["mesh_dataset"] = _points(environment, printed)
     return found
 
 
@@ -266,64 +266,51 @@ def _own_meshes(environment: PublishedEnvironment, own: Any, settings: Mapping[s
         own = mesh_files(place, split) or AssetProvider().meshes(
             place.absolute() if is_there(place) else own, split
         )
-    # Its points are read by its own code: what it does to a mesh, nobody else knows.
+    # Its points are read by its own code: what it does to a mesh is known to it alone.
     if isinstance(own, published_package("tactile_mnist").MeshDataset):
-        own = PlainMeshes([PointRecord(own, index) for index in range(len(own))], tuple(own.label_names))
-    meshes = own if isinstance(own, (PlainMeshes, RecordDataset)) else as_records(own)
-    if meshes is None:
-        message = (
-            f"`assets` is {where}; expected a folder of meshes, the name of a data set, an opened one, or a "
-            "sequence of records with id, label, vertices_m, faces and mesh"
-        )
-        raise InputError(message)
-    refuse_unfit_meshes(meshes, None, where, _cell_m(settings), lays_flat=_lays_flat(settings))
-    refuse_one_answer(meshes, environment.family.task, where)
-    return meshes
-
-
-def _points(environment: PublishedEnvironment, meshes: Any, settings: Mapping[str, Any]) -> Any:
-    """Hand meshes that fit to the package."""
-    from env_assets.published.datasets import StoredMeshDataset
-    from env_assets.published.flat import FlatMeshes
-
-    # The registration keeps the one mesh of a tool; all others are read anew each episode.
-    cache_size: Any = "full" if environment.family.assets == "wrench" else 0
-    return StoredMeshDataset(FlatMeshes.of(meshes) if _lays_flat(settings) else meshes, cache_size)
-
-
-def _cell_m(settings: Mapping[str, Any]) -> tuple[float, float]:
-    from env_assets.published.datasets import CELL_SIZE_M
-
-    width, depth = settings.get("cell_size", CELL_SIZE_M)
-    return width, depth
-
-
-def _lays_flat(settings: Mapping[str, Any]) -> bool:
-    """Tell whether an environment turns its objects onto their broadest sides."""
-    return bool(settings.get("smallest_dimension_up", False))
+        points = [PointRecord(own, index) for index in range(len(own))]
+        own = MeshView(points, tuple(own.label_names))
+    return _fitting(environment, own, None, where, settings)
 
 
 def _meshes(
     environment: PublishedEnvironment, provider: AssetSource | None, split: str, settings: Mapping[str, Any]
-) -> Any:
+) -> MeshView:
     name = environment.family.assets
-    where = f"{name!r}, split {split!r},"
     given = _given_by(_required(provider, environment), name, split)
-    # A source other than ours may give a plain sequence of records.
-    classes = KINDS[name].class_names if name in KINDS else ()
-    meshes: Any = given if isinstance(given, RecordDataset) else as_records(given, classes)
-    if meshes is None:
+    # Meshes that are not made here may be of any number of classes, in any order.
+    kind = None if name in FOREIGN else name
+    return _fitting(environment, given, kind, f"{name!r}, split {split!r},", settings)
+
+
+def _fitting(
+    environment: PublishedEnvironment, meshes: Any, kind: str | None, where: str, settings: Mapping[str, Any]
+) -> MeshView:
+    """Return a view of meshes that fit an environment; those of a ``kind`` must be what its name says."""
+    from env_assets.published.datasets import CELL_SIZE_M
+
+    # A source other than ours may give a plain sequence of records, without names of classes.
+    view = MeshView.of(meshes, KINDS[kind].class_names if kind else ())
+    if view is None:
         message = (
-            f"the provider's meshes of {where} are a {type(given).__name__}; expected a sequence of records "
-            "with id, label, vertices_m, faces and mesh; next: see `env_assets.AssetSource`"
+            f"{where} is a {type(meshes).__name__}; expected a folder of meshes, the name of a data set, an "
+            "opened one, or a sequence of records with id, label, vertices_m, faces and mesh"
         )
         raise InputError(message)
-    # Meshes that nobody makes here may be of any number of classes, in any order.
-    kind = None if name in FOREIGN else name
-    refuse_unfit_meshes(meshes, kind, where, _cell_m(settings), lays_flat=_lays_flat(settings))
+    # The registration wants some objects turned: they arrive so, as its own turn fails.
+    view = dataclasses.replace(view, flat=bool(settings.get("smallest_dimension_up", False)))
+    require_fitting_meshes(view, kind, where, settings.get("cell_size", CELL_SIZE_M))
     if kind is None:
-        refuse_one_answer(meshes, environment.family.task, where)
-    return meshes
+        require_several_answers(view, environment.family.task, where)
+    return view
+
+
+def _points(environment: PublishedEnvironment, meshes: MeshView) -> Any:
+    """Hand meshes that fit to the package."""
+    from env_assets.published.datasets import StoredMeshDataset
+
+    # The registration keeps the one mesh of a tool; all others are read again for each episode.
+    return StoredMeshDataset(meshes, "full" if environment.family.assets == "wrench" else 0)
 
 
 def _given_by(provider: AssetSource, name: Assets, split: str) -> Any:
@@ -348,7 +335,7 @@ def _noise_from(provider: AssetSource, noise: Any) -> Any:
     """
     rounds: Any = provider.touches(TOUCHES, "train")
     files = [shard.path for table in rounds._tables for shard in table.shards]
-    refuse_unfit_noise(rounds, files, f"{TOUCHES!r}, split 'train',")
+    require_fitting_noise(rounds, files, f"{TOUCHES!r}, split 'train',")
     return dataclasses.replace(noise, real_base_depth_dataset=str(folder_of_links(files)))
 
 

@@ -4,15 +4,10 @@ import numpy as np
 import pytest
 
 import env_assets
-from env_assets.checks import (
-    require_classes,
-    require_fitting,
-    require_inside,
-    require_labels,
-    require_outward,
-)
+from env_assets.checks import require_fitting_meshes
 from env_assets.inventory import inventory
-from env_assets.measures import bounds_m, volumes_m3
+from env_assets.mesh_view import MeshView
+from starstruck_gen.kind import KIND as SCENES
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.mesh.mesh import Mesh
 from tests.env_assets.factories import write_meshes
@@ -28,42 +23,44 @@ FLAT = Mesh(SMALL.vertices_m[:4], SMALL.faces[:2])
 
 def opened(folder, *solids):
     write_meshes(folder / "solids", [solid.to_trimesh() for solid in solids], ("a", "b", "c"))
-    return env_assets.AssetProvider(folder).meshes("solids")
+    return MeshView.of(env_assets.AssetProvider(folder).meshes("solids"))
 
 
 def test_measures_are_those_of_the_meshes_in_the_order_of_the_rows(tmp_path):
     meshes = opened(tmp_path, SMALL, WIDE, INSIDE_OUT)
-    np.testing.assert_allclose(volumes_m3(meshes), [1e-6, 2e-5, -1e-6], rtol=1e-5)
-    np.testing.assert_allclose(volumes_m3(meshes[[2, 0]]), [-1e-6, 1e-6], rtol=1e-5)
+    np.testing.assert_allclose(meshes.volumes_m3, [1e-6, 2e-5, -1e-6], rtol=1e-5)
+    np.testing.assert_allclose(meshes[[2, 0]].volumes_m3, [-1e-6, 1e-6], rtol=1e-5)
     expected = [[solid.vertices_m.min(axis=0), solid.vertices_m.max(axis=0)] for solid in (SMALL, WIDE)]
-    np.testing.assert_allclose(bounds_m(meshes[:2]), expected, rtol=1e-6)
+    np.testing.assert_allclose(meshes[:2].bounds_m, expected, rtol=1e-6)
 
 
 def test_what_fits_passes_and_what_does_not_is_named(tmp_path):
     meshes = opened(tmp_path, SMALL, WIDE, WIDE)
-    require_fitting(meshes, (0.2001, 0.12), "solids")
-    require_fitting(meshes[:1], (0.0101, 0.0201), "solids")
-    words = r"mesh 1 of solids is 200.0 x 20.0 mm, larger than the cell of 120 x 120 mm \(2 of 3 are\)"
+    require_fitting_meshes(meshes, None, "solids", (0.2001, 0.12))
+    require_fitting_meshes(meshes[:1], None, "solids", (0.0101, 0.0201))
+    words = r"mesh 1 of solids is 200.0 x 20.0 mm, larger than the cell of 120 x 120 mm \(2 of 3 do not fit\)"
     with pytest.raises(InputError, match=words):
-        require_fitting(meshes, (0.12, 0.12), "solids")
+        require_fitting_meshes(meshes, None, "solids", (0.12, 0.12))
     with pytest.raises(InputError, match=r"mesh 0 of solids is 10.0 x 20.0 mm"):
-        require_fitting(meshes, (1.0, 0.0199), "solids")
+        require_fitting_meshes(meshes, None, "solids", (1.0, 0.0199))
 
 
 @pytest.mark.parametrize("wrong", [INSIDE_OUT, FLAT])
 def test_what_encloses_nothing_is_named(tmp_path, wrong):
     meshes = opened(tmp_path, SMALL, WIDE, wrong)
-    require_outward(meshes[:2], "solids")
-    with pytest.raises(InputError, match=r"mesh 2 of solids has a volume of .*\(1 of 3 have not\)"):
-        require_outward(meshes, "solids")
+    require_fitting_meshes(meshes[:2], None, "solids", (1.0, 1.0))
+    with pytest.raises(InputError, match=r"mesh 2 of solids has a volume of .*\(1 of 3 do not fit\)"):
+        require_fitting_meshes(meshes, None, "solids", (1.0, 1.0))
 
 
 def test_classes_have_names_and_an_order(tmp_path):
     meshes = opened(tmp_path, SMALL)
-    require_classes(meshes, ("a", "b", "c"), "solids")
-    for names in (("a", "b"), ("b", "a", "c"), ()):
-        with pytest.raises(InputError, match="solids has classes a, b, c; expected"):
-            require_classes(meshes, names, "solids")
+    with pytest.raises(InputError, match="solids has classes a, b, c; expected 0, 1, 2"):
+        require_fitting_meshes(meshes, "mnist3d", "solids", (1.0, 1.0))
+    swapped = tuple("1023456789")
+    with pytest.raises(InputError, match=r"solids has classes 1, 0, 2, .*; expected 0, 1, 2"):
+        require_fitting_meshes(MeshView(meshes.records, swapped), "mnist3d", "solids", (1.0, 1.0))
+    require_fitting_meshes(MeshView(meshes.records, tuple("0123456789")), "mnist3d", "solids", (1.0, 1.0))
 
 
 def test_a_published_wrench_has_none_of_our_columns(tmp_path):
@@ -91,24 +88,24 @@ class Solid:
 def test_unsound_meshes_are_named(tmp_path, wrong, words):
     write_meshes(tmp_path / "solids", [Solid(SMALL), Solid(wrong)], ("a", "b"))
     meshes = env_assets.AssetProvider(tmp_path).meshes("solids")
-    with pytest.raises(InputError, match=rf"mesh 1 \(row 1 of .*train-00000.* {words}"):
-        (bounds_m if wrong is HOLLOW else volumes_m3)(meshes)
+    with pytest.raises(InputError, match=f"mesh 1 .*{words}"):
+        require_fitting_meshes(MeshView.of(meshes), None, "solids", (1.0, 1.0))
     (summary,) = inventory(tmp_path)
-    assert "mesh 1 (row 1 of" in summary.problem
+    assert "mesh 1 " in summary.problem
     with pytest.raises(InputError, match=r"nowhere' does not exist; next: give the folder of an AssetProv"):
         inventory(tmp_path / "nowhere")
 
 
 def test_labels_are_classes(tmp_path):
     meshes = opened(tmp_path, SMALL, SMALL, SMALL, SMALL)  # the fourth has label 3, there are three classes
-    require_labels(meshes[:3], "solids")
-    with pytest.raises(InputError, match=r"mesh 3 of solids has label 3, expected 0 to 2 \(1 of 4 have"):
-        require_labels(meshes, "solids")
+    require_fitting_meshes(meshes[:3], None, "solids", (1.0, 1.0))
+    with pytest.raises(InputError, match=r"mesh 3 of solids has label 3, expected 0 to 2 \(1 of 4 do"):
+        require_fitting_meshes(meshes, None, "solids", (1.0, 1.0))
 
 
 def test_scenes_lie_in_their_cell(tmp_path):
     moved = Mesh(SMALL.vertices_m + np.array([1.0, 0, 0]), SMALL.faces)
-    meshes = opened(tmp_path, SMALL, moved)
-    require_inside(meshes[:1], (0.12, 0.12), "scenes")
-    with pytest.raises(InputError, match=r"scene 1 of scenes lies at x = 1000.0 to 1010.0 mm"):
-        require_inside(meshes, (0.12, 0.12), "scenes")
+    meshes = MeshView(opened(tmp_path, SMALL, moved).records, SCENES.class_names)
+    require_fitting_meshes(meshes[:1], "starstruck", "scenes", (0.12, 0.12))
+    with pytest.raises(InputError, match=r"mesh 1 of scenes lies at x = 1000.0 to 1010.0 mm"):
+        require_fitting_meshes(meshes, "starstruck", "scenes", (0.12, 0.12))

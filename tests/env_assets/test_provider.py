@@ -104,7 +104,7 @@ def test_stored_volumes_are_read_without_the_meshes(assets, tmp_path):
 
 def test_computed_volumes_are_computed_once(provider, monkeypatch):
     first = provider.volumes_m3("starstruck")
-    monkeypatch.setattr("env_assets.measures._volumes_m3", lambda group: pytest.fail("computed again"))
+    monkeypatch.setattr("env_assets.mesh_view._volume_m3", lambda *_: pytest.fail("computed again"))
     np.testing.assert_array_equal(provider.volumes_m3("starstruck"), first)
 
 

@@ -13,7 +13,7 @@ import trimesh
 
 import env_assets
 import realtouch
-from env_assets.published.fit import refuse_unfit_noise
+from env_assets.checks import require_fitting_noise
 from env_assets.published.overview import overview
 from env_assets.published.packages import BACKENDS, require_sensor
 from tactile_toolkit.errors import InputError, MissingExtraError
@@ -138,7 +138,7 @@ def test_a_source_may_give_a_plain_list(provider):
         def meshes(self, name: str, split: str = "train") -> Any:
             return [1, 2]
 
-    refused(ENV, Wrong(), "expected a sequence of records with id, label")
+    refused(ENV, Wrong(), "a sequence of records with id, label")
 
 
 @pytest.mark.parametrize(
@@ -154,14 +154,14 @@ def test_a_split_without_a_row(assets, tmp_path, env_id, name, what):
 
 def test_touches_without_noise_to_take(assets, seq_folder):
     rounds, clips = realtouch.load(str(assets / "real-single")), realtouch.load(str(seq_folder), "train")
-    refuse_unfit_noise(rounds, ("/data/train.parquet",), "these")
+    require_fitting_noise(rounds, ("/data/train.parquet",), "these")
     for given, file, words in (
         (rounds[:0], "/data/train.parquet", "these holds no round; the noise of a -DR environment needs"),
         (clips, "/data/train.parquet", "these holds clips; the noise of a -DR environment needs"),
         (rounds, "s3://lake/train.parquet", "these is read from 's3://lake/train.parquet'; .*next: download"),
     ):
         with pytest.raises(InputError, match=words):
-            refuse_unfit_noise(given, (file,), "these")
+            require_fitting_noise(given, (file,), "these")
 
 
 @pytest.mark.parametrize(
