@@ -125,24 +125,24 @@ class CycleGan:
                 group["lr"] = self.config.rate(number)
         self._noise.manual_seed(int(rng.integers(2**62)))
         judged = self.config.judge_noise_at(number)
-        real = {"touch": self._laid(batch.touch), "depth": self._laid(batch.depth)}
-        places = {"touch": self._laid(batch.where), "depth": real["depth"][:, :2]}
+        real = {"touch": self._to_device(batch.touch), "depth": self._to_device(batch.depth)}
+        places = {"touch": self._to_device(batch.where), "depth": real["depth"][:, :2]}
         with torch.autocast("cuda", torch.bfloat16, enabled=self.device.startswith("cuda")):
             # bfloat16 keeps the range of float32, so that no loss has to be scaled.
             made, losses = self._generator_losses(real, places, judged, rng)
             if self.config.level_weight and batch.level is not None:
-                losses |= self.level_losses(made, real["depth"][:, 2:], batch)
+                losses |= self.background_losses(made, real["depth"][:, 2:], batch)
             if batch.simulated is not None:
                 losses |= self._start_losses(made["touch"], batch.simulated, real["depth"], rng)
             total = sum(self._weight(name, number) * loss for name, loss in losses.items())
         self._descend("generators", total)
         with torch.autocast("cuda", torch.bfloat16, enabled=self.device.startswith("cuda")):
             for name in ("touch", "depth"):
-                shown = self._sensed(name, self.pools[name].exchange(made[name], rng), rng)
+                shown = self._add_sensor_noise(name, self.pools[name].exchange(made[name], rng), rng)
                 # Each picture is normalised alone, so that both kinds can be shown at once.
-                both = self._blurred(name, torch.cat([real[name], shown]), judged)
-                said = self._run[f"{name}_judge"](both)
-                mistaken = _distance(said[: len(shown)], 1) + _distance(said[len(shown) :], 0)
+                both = self._add_white_noise(name, torch.cat([real[name], shown]), judged)
+                verdicts = self._run[f"{name}_judge"](both)
+                mistaken = _distance(verdicts[: len(shown)], 1) + _distance(verdicts[len(shown) :], 0)
                 losses[f"{name}_judge"] = 0.5 * mistaken
             judging = losses["touch_judge"] + losses["depth_judge"]
         self._descend("judges", judging)
@@ -152,28 +152,28 @@ class CycleGan:
         fading = 1 - number / self.config.start_steps if name.endswith("start") else 1.0
         return fading * self._weights.get(name, 1.0)
 
-    def _laid(self, pictures: Any) -> Any:
+    def _to_device(self, pictures: Any) -> Any:
         return pictures.to(self.device, memory_format=torch.channels_last)
 
     def _make(self, name: str, pictures: Any, where: Any) -> Any:
         made = self._run[name](pictures)
         return made if name == "touch" else torch.cat([where.to(made.dtype), made[:, 2:]], dim=1)
 
-    def _sensed(self, name: str, made: Any, rng: np.random.Generator) -> Any:
+    def _add_sensor_noise(self, name: str, made: Any, rng: np.random.Generator) -> Any:
         """Return made pictures as a sensor would have shown them: touches under its noise."""
         noise = None if name == "depth" else self.config.sensor_noise
         return made if noise is None else noisy_channels(made, noise, rng)
 
-    def _blurred(self, name: str, pictures: Any, deviation: float) -> Any:
+    def _add_white_noise(self, name: str, pictures: Any, deviation: float) -> Any:
         """Return touches under white noise, which hides what is faint."""
         if name == "depth" or not deviation:
             return pictures
         noise = torch.randn(pictures.shape, generator=self._noise, device=pictures.device)
         return pictures + deviation * noise.to(pictures.dtype)
 
-    def _smeared(self, name: str, pictures: Any, rng: np.random.Generator) -> Any:
+    def _add_cycle_noise(self, name: str, pictures: Any, rng: np.random.Generator) -> Any:
         """Return touches as the way back is shown them; real and made alike, so that it cannot tell them."""
-        return self._blurred(name, pictures, self.config.noise * rng.random())
+        return self._add_white_noise(name, pictures, self.config.noise * rng.random())
 
     def _generator_losses(
         self, real: dict[str, Any], places: dict[str, Any], judged: float, rng: np.random.Generator
@@ -183,11 +183,11 @@ class CycleGan:
         # Without gradients for the judges: they learn from the same pictures below, in a step of their own.
         made, losses = {}, {}
         for name, other in (("touch", "depth"), ("depth", "touch")):
-            made[name] = self._make(name, self._smeared(other, real[other], rng), places[other])
-            seen = self._sensed(name, made[name], rng)
-            said = self._run[f"{name}_judge"](self._blurred(name, seen, judged))
-            losses[f"{name}_adversarial"] = _distance(said, 1)
-            again = self._make(other, self._smeared(name, seen, rng), places[other])
+            made[name] = self._make(name, self._add_cycle_noise(other, real[other], rng), places[other])
+            seen = self._add_sensor_noise(name, made[name], rng)
+            verdicts = self._run[f"{name}_judge"](self._add_white_noise(name, seen, judged))
+            losses[f"{name}_adversarial"] = _distance(verdicts, 1)
+            again = self._make(other, self._add_cycle_noise(name, seen, rng), places[other])
             losses[f"{other}_cycle"] = _mean_error(other, again, real[other])
             if self.config.identity_weight:
                 same = self._make(name, real[name], places[name])
@@ -200,15 +200,15 @@ class CycleGan:
         self, made: Any, simulated: Any, depth: Any, rng: np.random.Generator
     ) -> dict[str, Any]:
         """Compare what both directions make with pairs that simulation knows."""
-        shown = self._laid(simulated)
-        sensed = self._smeared("touch", self._sensed("touch", shown, rng), rng)
+        shown = self._to_device(simulated)
+        sensed = self._add_cycle_noise("touch", self._add_sensor_noise("touch", shown, rng), rng)
         again = self._make("depth", sensed, depth[:, :2])
         return {
             "touch_start": _mean_error("touch", made, shown),
             "depth_start": _mean_error("depth", again, depth),
         }
 
-    def level_losses(self, made: dict[str, Any], depth: Any, batch: Batch) -> dict[str, Any]:
+    def background_losses(self, made: dict[str, Any], depth: Any, batch: Batch) -> dict[str, Any]:
         """Compare what is made with what is known without pairs: how nothing looks, and how deep it is.
 
         Where the gel is not pressed, a little away from where it is, it looks as it does without any touch.
@@ -216,7 +216,7 @@ class CycleGan:
         """
         reach = max(1, round(min(depth.shape[-2:]) / _SHADOW))
         pressed = torch.nn.functional.max_pool2d((depth < 1).float(), 2 * reach + 1, 1, reach)
-        level = self._laid(batch.level)
+        level = self._to_device(batch.level)
         nothing = 1.0 - batch.contact.to(self.device, torch.float32)
         return {
             "touch_level": ((made["touch"] - level).abs() * (1 - pressed)).mean(),

@@ -253,7 +253,7 @@ class _Run:
         wrong = [name for name, loss in losses.items() if not math.isfinite(loss)]
         if wrong:
             message = (
-                f"the loss {wrong[0]} is {losses[wrong[0]]} at step {done:,}: the training ran away; the "
+                f"the loss {wrong[0]} is {losses[wrong[0]]} at step {done:,}: the loss diverged; the "
                 "last checkpoint stays; next: a smaller learning rate in another folder"
             )
             raise ToolkitError(message)

@@ -193,9 +193,9 @@ def test_damaged_pairs_are_named(pairs, tmp_path):
         with pytest.raises(IntegrityError, match=text):
             depth.image(row)
     assert (depth.image(2) == Pairs.open(pairs).depth.image(2)).all()
-    said = json.loads(Path(pairs, "manifest.json").read_text())
-    del said["spec"]["options"]["size_px"]
-    (tmp_path / "manifest.json").write_text(json.dumps(said))
+    verdicts = json.loads(Path(pairs, "manifest.json").read_text())
+    del verdicts["spec"]["options"]["size_px"]
+    (tmp_path / "manifest.json").write_text(json.dumps(verdicts))
     with pytest.raises(IntegrityError, match="does not say size and window of the pictures"):
         Pairs.open(str(tmp_path))
 
@@ -321,9 +321,7 @@ def test_a_training_that_runs_away_keeps_its_last_checkpoint(pairs, trained, tmp
     out = tmp_path / "weights"
     with monkeypatch.context() as patch:
         patch.setattr(CycleGan, "step", broken)
-        with pytest.raises(
-            ToolkitError, match=r"is nan at step 4: the training ran away; the last checkpoint"
-        ):
+        with pytest.raises(ToolkitError, match=r"is nan at step 4: the loss diverged; the last checkpoint"):
             train(pairs, out, CONFIG, device="cpu", deterministic=True)
     assert train(pairs, out, CONFIG, device="cpu", deterministic=True, resume=True).taken == 4
     assert _weights(out) == _weights(trained)
@@ -418,10 +416,10 @@ def test_two_processes_of_torchrun_train_together(pairs, tmp_path, monkeypatch):
         for name, value in {**shared, "RANK": "0", "LOCAL_RANK": "0"}.items():
             monkeypatch.setenv(name, value)
         assert train(pairs, out, config, device="cpu").taken == 2
-        said = other.communicate()
+        verdicts = other.communicate()
     monkeypatch.undo()
-    assert other.returncode == 0, said
-    assert not said[0]  # the first process speaks for all
+    assert other.returncode == 0, verdicts
+    assert not verdicts[0]  # the first process speaks for all
     with pytest.raises(SpecMismatchError, match="trained by 2 processes"):
         train(pairs, out, config, device="cpu")
 
@@ -471,7 +469,7 @@ def test_relief_is_free_only_near_the_contact():
     def error(*place):
         made = {"touch": level.clone(), "depth": torch.zeros(1, 3, 64, 64)}
         made["touch"][(..., *place)] = 1
-        return {name: float(loss) for name, loss in model.level_losses(made, depth, batch).items()}
+        return {name: float(loss) for name, loss in model.background_losses(made, depth, batch).items()}
 
     assert error(30, 32) == error(28, 28) == {"touch_level": 0, "depth_level": 0}  # that touch met something
     assert error(30, 33)["touch_level"] == error(0, 0)["touch_level"] > 0
@@ -502,11 +500,11 @@ def test_errors_weigh_what_the_settings_say():
 def test_noise_is_laid_over_touches_alone():
     networks, pictures = CycleGan(CONFIG, "cpu"), torch.zeros(2, 3, 64, 64)
     rng = np.random.default_rng(0)
-    assert networks._sensed("depth", pictures, rng) is pictures
-    assert float(networks._sensed("touch", pictures, rng).std()) > 0
-    assert networks._blurred("depth", pictures, 0.2) is pictures
-    assert networks._blurred("touch", pictures, 0.0) is pictures
-    assert float(networks._blurred("touch", pictures, 0.2).std()) == pytest.approx(0.2, rel=0.03)
+    assert networks._add_sensor_noise("depth", pictures, rng) is pictures
+    assert float(networks._add_sensor_noise("touch", pictures, rng).std()) > 0
+    assert networks._add_white_noise("depth", pictures, 0.2) is pictures
+    assert networks._add_white_noise("touch", pictures, 0.0) is pictures
+    assert float(networks._add_white_noise("touch", pictures, 0.2).std()) == pytest.approx(0.2, rel=0.03)
 
 
 def test_noise_for_discriminators_ends_where_the_rate_begins_to_fall():
