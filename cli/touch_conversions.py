@@ -27,7 +27,7 @@ from cli.touch_tables import announce_fetching, print_converted
 from realtouch.kind import KIND
 
 if TYPE_CHECKING:
-    from realtouch.exchange.sources import ImportColumns
+    from realtouch.exchange.items import ImportColumns
     from tactile_toolkit.store.manifest import Manifest
 
 __all__ = ["add_conversions"]
@@ -108,7 +108,7 @@ class Columns:
 
     def chosen(self) -> ImportColumns:
         """Return what functions take."""
-        from realtouch.exchange.sources import ImportColumns
+        from realtouch.exchange.items import ImportColumns
 
         return ImportColumns(
             self.image_column,
@@ -296,7 +296,7 @@ def import_touches(
 
     Example: realtouch import pictures --layout folder --image-column file --label-column digit --out touches
     """
-    from realtouch.exchange.reading import NOT_IMPORTED, import_images
+    from realtouch.exchange.importing import NOT_IMPORTED, import_images
     from tactile_toolkit.store.shards import add_up
 
     make = partial(

@@ -15,8 +15,8 @@ if TYPE_CHECKING:
     from realtouch.convert.api import frames, resize, select, to_single
     from realtouch.dataset import TouchDataset, TouchSeqDataset, TouchSingleDataset, TouchStream
     from realtouch.exchange.api import export
-    from realtouch.exchange.reading import import_images
-    from realtouch.exchange.sources import ImportColumns
+    from realtouch.exchange.importing import import_images
+    from realtouch.exchange.items import ImportColumns
     from realtouch.integrity.verify import verify
     from realtouch.media.clips import TouchClip
     from realtouch.names import SHORT_NAMES
@@ -79,8 +79,8 @@ __getattr__, __dir__ = on_first_use(
     {
         "realtouch.convert.api": ("frames", "resize", "select", "to_single"),
         "realtouch.exchange.api": ("export",),
-        "realtouch.exchange.reading": ("import_images",),
-        "realtouch.exchange.sources": ("ImportColumns",),
+        "realtouch.exchange.importing": ("import_images",),
+        "realtouch.exchange.items": ("ImportColumns",),
         "realtouch.dataset": ("TouchDataset", "TouchSeqDataset", "TouchSingleDataset", "TouchStream"),
         "realtouch.integrity.verify": ("verify",),
         "realtouch.opening": ("load",),

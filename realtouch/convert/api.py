@@ -16,19 +16,13 @@ from typing import Any, Literal, SupportsIndex
 
 import numpy as np
 
-from realtouch.card import IMPORTED, SYNTHETIC, is_imported, is_synthetic, write_card
+from realtouch.card import origin_of, write_card
 from realtouch.contact import MIN_CONTACT_HEIGHT_M, require_method
-from realtouch.convert.image_files import (
-    IMAGE_FOLDER,
-    INDEX_FILE,
-    WritePictures,
-    pictures_are_whole,
-    repeated_ids,
-    write_index,
-)
-from realtouch.convert.plan import Conversion, RowChoices, Source, plan_conversion
+from realtouch.convert.pictures import IMAGE_FOLDER, INDEX_FILE, WritePictures, repeated_ids, write_index
+from realtouch.convert.plan import Conversion, RowChoice, Source, plan_conversion
 from realtouch.convert.steps import KeepTouches, ResizeMedia, TakeContactFrames
 from realtouch.dataset import dataset_of
+from realtouch.integrity.files import files_are_current
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.read.columns import column_types
 from tactile_toolkit.read.source import refuse_source
@@ -114,7 +108,7 @@ def to_single(
         rows_per_shard=_CONTACT_FRAME_ROWS,
         rows_per_group=_CONTACT_FRAME_ROWS // 2,
     )
-    return convert(conversion, out, "single", workers, overwrite, on_progress)
+    return convert(conversion, out, workers, overwrite, on_progress)
 
 
 def resize(
@@ -164,7 +158,7 @@ def resize(
         ResizeMedia(width, height, quality),
         first_rows(opened, limit),
     )
-    return convert(conversion, out, opened.kind, workers, overwrite, on_progress)
+    return convert(conversion, out, workers, overwrite, on_progress)
 
 
 def select(
@@ -240,7 +234,7 @@ def select(
         )
         raise InputError(message)
     conversion = Conversion(opened, "select", options, KeepTouches(contact), choices)
-    return convert(conversion, out, opened.kind, workers, overwrite, on_progress)
+    return convert(conversion, out, workers, overwrite, on_progress)
 
 
 def _chosen_rows(
@@ -253,7 +247,7 @@ def _chosen_rows(
     labels: list[str],
     objects: list[int],
     limit: int | None,
-) -> RowChoices:
+) -> list[RowChoice]:
     """Decide which rows and touches of a split :func:`select` keeps; reads small columns only."""
     dataset = dataset_of(source.shards[split], source.kind)
     if labels:
@@ -268,14 +262,14 @@ def _chosen_rows(
             )
             raise InputError(message)
         dataset = dataset[np.isin(dataset.column("object_id"), objects)]
-    rows = dataset.row_numbers
+    rows = dataset.row_numbers.tolist()
     if not contact:
-        return RowChoices(rows[:limit])
+        return list(map(RowChoice, rows))[:limit]
     touches = dataset.touches().with_contact(min_height_m, recalibrate_z)
-    order = np.argsort(touches.round_positions, kind="stable")
-    counts = np.bincount(touches.round_positions, minlength=len(rows))
-    starts = np.concatenate([[0], np.cumsum(counts[counts > 0])])
-    return RowChoices(rows[counts > 0], touches.touch_indices[order], starts)[:limit]
+    kept: dict[int, list[int]] = {}
+    for position, touch in zip(touches.round_positions.tolist(), touches.touch_indices.tolist(), strict=True):
+        kept.setdefault(position, []).append(touch)
+    return [RowChoice(rows[position], tuple(kept[position])) for position in sorted(kept)][:limit]
 
 
 def frames(
@@ -326,34 +320,31 @@ def frames(
     method = require_method(frame)
     opened = Source.open(source, split=split)
     choices = first_rows(opened, limit)
-    # The terms of the pictures depend on whether the touches were rendered.
-    origin = {"touches": SYNTHETIC} if opened.kind == "single" and is_synthetic(opened.schema) else {}
-    changed = {} if difference is None else {"difference": difference}
+    options: dict[str, Any] = {
+        "kind": kind,
+        "frame": method if opened.kind == "seq" else None,
+        "limit": limit,
+    }
+    if difference is not None:
+        options["difference"] = difference
     conversion = Conversion(
         opened,
         "frames",
-        {
-            "kind": kind,
-            "frame": method if opened.kind == "seq" else None,
-            "limit": limit,
-            **origin,
-            **changed,
-        },
+        options,
         WritePictures(kind, method, difference, repeated_ids(opened, choices), class_names(opened.schema)),
         choices,
         rows_per_shard=_INDEX_ROWS,
         rows_per_group=1 << 16,
         extra_dirs=(IMAGE_FOLDER, INDEX_FILE),
-        is_current=pictures_are_whole,
+        is_current=files_are_current,
         write_files=write_index,
     )
-    return convert(conversion, out, "frames", workers, overwrite, on_progress)
+    return convert(conversion, out, workers, overwrite, on_progress)
 
 
 def convert(
     conversion: Conversion,
     out: str | PathLike[str],
-    card: Literal["seq", "single", "frames", "export"],
     workers: int | Runner,
     overwrite: bool,
     on_progress: Callable[[Progress], None],
@@ -362,23 +353,25 @@ def convert(
     folder = DataFolder(fspath(out))
     source = conversion.source
     refuse_source(folder, source.name, chain.from_iterable(source.shards.values()))
-    if is_imported(source.manifest()):
-        options = {**conversion.options, "touches": IMPORTED}  # the terms are those of the images
-        conversion = replace(conversion, options=options)
+    origin = origin_of(source.schema, source.manifest())
+    # The terms are those of the source; columns of rounds say by themselves that they were rendered.
+    if origin == "imported" or (origin == "synthetic" and conversion.operation in ("frames", "export")):
+        conversion = replace(conversion, options={**conversion.options, "touches": origin})
     return build(
         folder,
         plan_conversion(conversion),
         runner_for(workers),
         overwrite=overwrite,
         on_progress=on_progress,
-        write_card=lambda folder, manifest: write_card(folder, manifest, card),
+        write_card=write_card,
     )
 
 
-def first_rows(source: Source, limit: int | None) -> dict[str, RowChoices]:
+def first_rows(source: Source, limit: int | None) -> dict[str, list[RowChoice]]:
     """Choose the first so many rows of each split; all for None. InputError for a limit below 1."""
     most = _require_limit(limit)
-    return {split: RowChoices(range(sum(map(len, shards)))[:most]) for split, shards in source.shards.items()}
+    counts = {split: sum(map(len, shards)) for split, shards in source.shards.items()}
+    return {split: list(map(RowChoice, range(count)[:most])) for split, count in counts.items()}
 
 
 def _require_limit(limit: int | None) -> int | None:

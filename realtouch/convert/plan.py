@@ -13,11 +13,9 @@ from dataclasses import dataclass, field
 from functools import partial
 from itertools import accumulate, chain
 from os import PathLike, fspath
-from typing import Any, Protocol, overload
+from typing import Any, NamedTuple, Protocol
 
-import numpy as np
 import pyarrow as pa
-from numpy.typing import NDArray
 
 from realtouch.columns.per_touch import require_touches
 from realtouch.names import open_shards
@@ -47,9 +45,9 @@ from tactile_toolkit.touch.schema import (
 __all__ = [
     "KIND",
     "Conversion",
+    "Made",
     "Pack",
     "RowChoice",
-    "RowChoices",
     "Source",
     "Step",
     "plan_conversion",
@@ -97,15 +95,16 @@ class Source:
 
     def row_bytes(self) -> int:
         """Return the size of a row unpacked, on average over the data set; at least 1."""
-        return self._average(_rows_and_bytes)
+        return self._average("")
 
     def media_bytes(self) -> int:
         """Return the size of an image or clip, on average over the data set; at least 1."""
-        return self._average(partial(_values_and_bytes, column=f"{MEDIA_COLUMN[self.kind]}."))
+        return self._average(f"{MEDIA_COLUMN[self.kind]}.")
 
-    def _average(self, count_and_bytes: Callable[[Shard], tuple[int, int]]) -> int:
-        found = chain.from_iterable(self.shards.values())
-        count, size = map(sum, zip(*in_threads(count_and_bytes, found, _READERS), strict=True))
+    def _average(self, column: str) -> int:
+        shards = chain.from_iterable(self.shards.values())
+        measured = in_threads(partial(_count_and_bytes, column=column), shards, _READERS)
+        count, size = map(sum, zip(*measured, strict=True))
         return max(size // max(count, 1), 1)
 
     def fingerprint(self) -> dict[str, list[dict[str, Any]]]:
@@ -119,69 +118,25 @@ class Source:
         }
 
 
-def _rows_and_bytes(shard: Shard) -> tuple[int, int]:
-    """Return the rows of a file, and their bytes unpacked."""
-    metadata = shard.metadata
-    groups = range(metadata.num_row_groups)
-    return metadata.num_rows, sum(metadata.row_group(index).total_byte_size for index in groups)
-
-
-def _values_and_bytes(shard: Shard, column: str) -> tuple[int, int]:
-    """Return the values of a column of bytes, and their size unpacked."""
+def _count_and_bytes(shard: Shard, column: str) -> tuple[int, int]:
+    """Return the rows of a file, or the values of a column of bytes in it, and their size unpacked."""
     metadata = shard.metadata
     groups = [metadata.row_group(index) for index in range(metadata.num_row_groups)]
     chunks = [group.column(index) for group in groups for index in range(group.num_columns)]
-    media = [chunk for chunk in chunks if chunk.path_in_schema.startswith(column)]
-    values = [chunk.num_values for chunk in media if chunk.path_in_schema.endswith(".bytes")]
-    return sum(values), sum(chunk.total_uncompressed_size for chunk in media)
+    chosen = [chunk for chunk in chunks if chunk.path_in_schema.startswith(column)]
+    values = sum(chunk.num_values for chunk in chosen if chunk.path_in_schema.endswith(".bytes"))
+    return values if column else metadata.num_rows, sum(chunk.total_uncompressed_size for chunk in chosen)
 
 
-@dataclass(frozen=True, slots=True)
-class RowChoice:
+class RowChoice(NamedTuple):
     """A row that a conversion takes: its number in the split, and which touches (None: all)."""
 
     row: int
     touches: tuple[int, ...] | None = None
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class RowChoices(Sequence[RowChoice]):
-    """Rows of a split, rising, without an object for each; a slice of them takes only its own part along.
-
-    Where ``touches`` are chosen, those of row i are ``touches[starts[i]:starts[i + 1]]``.
-    """
-
-    rows: range | NDArray[np.int64]
-    touches: NDArray[np.int64] | None = None
-    starts: NDArray[np.int64] | None = None
-
-    def __len__(self) -> int:
-        return len(self.rows)
-
-    @overload
-    def __getitem__(self, index: int) -> RowChoice: ...
-    @overload
-    def __getitem__(self, index: slice) -> RowChoices: ...
-    def __getitem__(self, index: int | slice) -> RowChoice | RowChoices:
-        """Return one choice, or those of a slice that leaves none out."""
-        if not isinstance(index, slice):
-            row, part = int(self.rows[index]), range(len(self))[index]
-            if self.touches is None or self.starts is None:
-                return RowChoice(row)
-            return RowChoice(row, tuple(self.touches[self.starts[part] : self.starts[part + 1]].tolist()))
-        first, stop, _ = index.indices(len(self))
-        if self.touches is None or self.starts is None:
-            return RowChoices(self.rows[first:stop])
-        starts = self.starts[first : max(first, stop) + 1]
-        return RowChoices(self.rows[first:stop], self.touches[starts[0] : starts[-1]], starts - starts[0])
-
-
-@dataclass(frozen=True, slots=True)
-class WithFiles:
-    """New rows, and the files that lie beside them, by path."""
-
-    rows: pa.Table
-    files: Mapping[str, bytes]
+Made = tuple[pa.Table, Mapping[str, bytes]]
+"""New rows, and the files that lie next to them, by path."""
 
 
 class Step(Protocol):
@@ -191,7 +146,7 @@ class Step(Protocol):
         """Return the flat schema that it writes, for the flat schema that it reads."""
         ...
 
-    def apply(self, row: Row, choice: RowChoice, split: str) -> pa.Table | WithFiles:
+    def apply(self, row: Row, choice: RowChoice, split: str) -> Made:
         """Return the new rows as a table of that schema, with files where it makes some.
 
         A row that raises IntegrityError or ItemError is left out and listed.
@@ -206,8 +161,8 @@ class Pack(Protocol):
         """Return the schema of what the shard keeps, for that of the new rows."""
         ...
 
-    def apply(self, shard: ShardName, rows: pa.Table, skipped: Sequence[Skipped]) -> WithFiles:
-        """Return files of the foreign format with what the shard keeps: an index with their checksums."""
+    def apply(self, shard: ShardName, rows: pa.Table, skipped: Sequence[Skipped]) -> Made:
+        """Return what the shard keeps, an index, with the files of the foreign format."""
         ...
 
 
@@ -226,7 +181,7 @@ class Conversion:
     operation: str
     options: Mapping[str, Any]
     step: Step
-    choices: Mapping[str, RowChoices]
+    choices: Mapping[str, Sequence[RowChoice]]
     rows_per_shard: int | None = None
     rows_per_group: int | None = None
     extra_dirs: tuple[str, ...] = ()
@@ -247,7 +202,7 @@ class _ConvertShard:
     shard: ShardName
     paths: tuple[str, ...] = field(repr=False)
     start: int
-    choices: RowChoices = field(repr=False)
+    choices: Sequence[RowChoice] = field(repr=False)
     step: Step = field(repr=False)
     schema: pa.Schema = field(repr=False)
     pack: Pack | None = field(default=None, repr=False)
@@ -265,16 +220,17 @@ class _ConvertShard:
             try:
                 # Here for all steps: one that copies a column would pass on what it never looked at.
                 require_touches(row)
+                made, beside = self.step.apply(row, choice, self.shard.split)
                 # Cast: Arrow names the items of lists in several ways, and a file has one schema.
-                made = _rows_of(self.step.apply(row, choice, self.shard.split), files)
                 tables.append(made.cast(self.schema))
-            except IntegrityError as error:
-                skipped.append(Skipped(choice.row, DAMAGED, self._without_folders(str(error))))
-            except ItemError as error:
-                skipped.append(Skipped(choice.row, error.reason, self._without_folders(error.message)))
+                files |= beside
+            except (IntegrityError, ItemError) as error:
+                reason, message = error.args if isinstance(error, ItemError) else (DAMAGED, str(error))
+                skipped.append(Skipped(choice.row, reason, self._without_folders(message)))
         kept = pa.concat_tables(tables)
         if self.pack is not None:
-            kept = _rows_of(self.pack.apply(self.shard, kept, skipped), files)
+            kept, packed = self.pack.apply(self.shard, kept, skipped)
+            files |= packed
         return ShardContent(kept.combine_chunks(), tuple(skipped), files=files)
 
     def _without_folders(self, message: str) -> str:
@@ -301,14 +257,6 @@ class _ConvertShard:
             start += len(shard)
 
 
-def _rows_of(made: pa.Table | WithFiles, files: dict[str, bytes]) -> pa.Table:
-    """Return new rows alone, and add the files with them to others."""
-    if not isinstance(made, WithFiles):
-        return made
-    files |= made.files
-    return made.rows
-
-
 def plan_conversion(conversion: Conversion) -> BuildPlan:
     """Decide which shards hold which rows; reads footers only. InputError when nothing is left to convert."""
     source, step = conversion.source, conversion.step
@@ -328,7 +276,7 @@ def plan_conversion(conversion: Conversion) -> BuildPlan:
             size = min(rows_per_shard(len(choices), per_shard), most)
         chunks = [choices[start : start + size] for start in range(0, len(choices), size)]
         for index, chunk in enumerate(chunks):
-            first, last = (bisect_right(starts, int(chunk.rows[end])) - 1 for end in (0, -1))
+            first, last = (bisect_right(starts, chunk[end].row) - 1 for end in (0, -1))
             paths = tuple(shard.path for shard in shards[first : last + 1])
             name = ShardName(split, index, len(chunks))
             tasks.append(_ConvertShard(name, paths, starts[first], chunk, step, schema, conversion.pack))

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from realtouch.columns.per_touch import touch_total, vectors
 from realtouch.columns.poses import contact_z_m, plate_z_m
 from realtouch.contact import ContactMethod
-from realtouch.convert.plan import RowChoice
+from realtouch.convert.plan import Made, RowChoice
 from realtouch.media.clips import TouchClip
 from realtouch.media.images import SensorImages
 from realtouch.media.round_clips import SensorClips
@@ -72,7 +72,7 @@ class TakeContactFrames:
             ]
         )
 
-    def apply(self, row: Row, choice: RowChoice, split: str) -> pa.Table:
+    def apply(self, row: Row, choice: RowChoice, split: str) -> Made:
         """Take a frame of each clip of a row; its JPEG passes through as it is stored."""
         flat = flat_row(row)
         schema = self.schema(flat.schema)
@@ -95,7 +95,7 @@ class TakeContactFrames:
         if row.has("pos_in_cell"):
             vectors(row, "pos_in_cell", 2)  # checked here, passed through below
         columns = [made[name] if name in made else flat.column(name) for name in schema.names]
-        return pa.table(columns, schema=schema)
+        return pa.table(columns, schema=schema), {}
 
 
 def _is_seq_only(name: str) -> bool:
@@ -123,7 +123,7 @@ class ResizeMedia:
         """Return the schema of the source: only the pixels change."""
         return source
 
-    def apply(self, row: Row, choice: RowChoice, split: str) -> pa.Table:
+    def apply(self, row: Row, choice: RowChoice, split: str) -> Made:
         """Resize the images or clips of a row; one of the wanted size already passes through untouched."""
         size = (self.height, self.width)
         if row.has("sensor_image"):
@@ -138,7 +138,7 @@ class ResizeMedia:
         flat = flat_row(row)
         index = flat.schema.get_field_index(name)
         field = flat.schema.field(index)
-        return flat.set_column(index, field, bytes_lists([blobs], suffix, field.type))
+        return flat.set_column(index, field, bytes_lists([blobs], suffix, field.type)), {}
 
     def _clip(self, clip: TouchClip) -> bytes:
         return write_avi([self._encode(frame) for frame in clip.frames()], self.width, self.height, clip.fps)
@@ -170,16 +170,16 @@ class KeepTouches:
             fields.append(pa.field(PLATE_COLUMN, pa.float64()))
         return pa.schema(fields)
 
-    def apply(self, row: Row, choice: RowChoice, split: str) -> pa.Table:
+    def apply(self, row: Row, choice: RowChoice, split: str) -> Made:
         """Pass a row on, with the touches chosen; no image or clip is decoded."""
         flat = flat_row(row)
         if choice.touches is None:
-            return flat
+            return flat, {}
         kept = take_touches(flat, choice.touches, touch_total(row))
         if row.has(PLATE_COLUMN):
-            return kept
+            return kept, {}
         kind: Kind = "single" if row.has(MEDIA_COLUMN["single"]) else "seq"
         plate_m = plate_z_m(row)
         if math.isnan(plate_m):
             plate_m = contact_z_m(row, kind).min(initial=np.inf)
-        return kept.append_column(PLATE_COLUMN, pa.array([plate_m], pa.float64()))
+        return kept.append_column(PLATE_COLUMN, pa.array([plate_m], pa.float64())), {}

@@ -12,6 +12,7 @@ from realtouch.columns.per_touch import plain_value, touch_total
 from realtouch.damage import Damage, unreadable_rows
 from realtouch.integrity.agreement import TouchFiles, folder_meant, usual_touch_count
 from realtouch.integrity.check_round import check_round
+from realtouch.integrity.files import files_of
 from realtouch.names import Name, Place, open_shards, place_of
 from tactile_toolkit.cards.checks import check_card
 from tactile_toolkit.catalog.locate import folder_named, splits_of
@@ -23,10 +24,10 @@ from tactile_toolkit.run.threads import in_threads
 from tactile_toolkit.store.folder import DataFolder, file_at
 from tactile_toolkit.store.manifest import Manifest, read_manifest
 from tactile_toolkit.store.origin import read_record
-from tactile_toolkit.store.parquet import has_page_checksums, sha256_hex
+from tactile_toolkit.store.parquet import has_page_checksums, is_unchanged
 from tactile_toolkit.store.shards import Finding
 from tactile_toolkit.store.verify import verify as verify_files
-from tactile_toolkit.touch.jpeg import decode_image, image_size
+from tactile_toolkit.touch.jpeg import decode_image
 from tactile_toolkit.touch.tars import files_of_tar
 
 __all__ = ["TouchVerification", "check_folder", "check_round", "verify"]
@@ -100,10 +101,8 @@ def verify(
         if vouched_for:
             for finding in verify_files(folder, check_card=check_card, workers=workers).findings:
                 findings.append(Damage(finding.file, None, None, "", finding.problem))
-        plain = {"frames": _verify_pictures, "export": _verify_exported}
-        check_plain = None if manifest is None else plain.get(str(manifest.spec.get("operation")))
-        if manifest is not None and check_plain is not None:
-            return check_plain(folder, manifest, findings, on_progress, decode=not quick)
+        if manifest is not None and manifest.spec.get("operation") in ("frames", "export"):
+            return _verify_index(folder, manifest, findings, on_progress, decode=not quick)
     if not isinstance(place, str):
         parts: tuple[str, ...] = ("train",)  # files come without a split
     else:
@@ -150,7 +149,7 @@ def check_folder(folder: DataFolder, workers: int = 1) -> list[Finding]:
     return [Finding(damage.file, f"({damage})") for damage in found] if found else list(check_card(folder))
 
 
-def _verify_pictures(
+def _verify_index(
     folder: DataFolder,
     manifest: Manifest,
     findings: list[Damage],
@@ -158,85 +157,62 @@ def _verify_pictures(
     *,
     decode: bool,
 ) -> TouchVerification:
-    """Check the files that ``realtouch frames`` wrote against its index, and that they are pictures."""
-    paths = [folder.address(record.shard.data_path) for record in manifest.shards]
-    tables = [Shard(path).read(columns=["round_id", "touch", "file", "sha256"]) for path in paths]
-    lines = [line for table in tables for line in table.to_pylist()]
-    for done, line in enumerate(lines, 1):
-        problem = ""
-        content = folder.read_bytes(line["file"]) if folder.exists(line["file"]) else None
-        if content is None:
-            problem = "is missing"
-        elif sha256_hex(content) != line["sha256"]:
-            problem = f"its sha256 differs from the index, which says {line['sha256']}"
-        else:
-            try:
-                (decode_image if decode else image_size)(content)
-            except ValueError as error:
-                problem = str(error)
-        if problem:
-            findings.append(Damage(line["file"], None, line["touch"], "", problem))
-        on_progress(done, len(lines))
-    return TouchVerification(len({line["round_id"] for line in lines}), len(lines), tuple(findings))
-
-
-def _verify_exported(
-    folder: DataFolder,
-    manifest: Manifest,
-    findings: list[Damage],
-    on_progress: Callable[[int, int], None],
-    *,
-    decode: bool,
-) -> TouchVerification:
-    """Count what ``realtouch export`` wrote, whose files were compared already, and decode its images."""
+    """Check the files that the index of ``frames`` or ``export`` names, and the images in them."""
     named = {finding.file for finding in findings}
-    whole = [record for record in manifest.shards if record.shard.data_path not in named]
-    rows = sum(record.rows for record in whole)
-    rounds: set[str] = set()
+    intact = [record for record in manifest.shards if record.shard.data_path not in named]
+    total = sum(record.rows for record in intact)
+    rounds = set[str]()
     done = touches = 0
-    for record in whole:
+    for record in intact:
         shard = Shard(folder.address(record.shard.data_path))
-        table = shard.read(columns=[name for name in ("round_id", "file", "frames") if name in shard.types])
+        table = shard.read(columns=[name for name in ("round_id", "frames") if name in shard.types])
         rounds.update(table["round_id"].to_pylist())
         # Of a LeRobotDataset of single images a row is a round, and a frame is a touch.
-        is_round = "frames" in table.column_names and "touch" not in shard.types
+        is_round = "frames" in shard.types and "touch" not in shard.types
         touches += sum(table["frames"].to_pylist()) if is_round else len(table)
-        paths = (
-            dict.fromkeys(table["file"].to_pylist()) if "file" in shard.types else [record.shard.data_path]
-        )
-        for path in paths if decode else ():
-            findings += [] if path in named else _undecodable_images(folder, path)
+        files = files_of(folder, record) or {record.shard.data_path: record.sha256}
+        for path, sha256 in files.items():
+            # Files that the manifest lists were compared with it.
+            is_compared = path in (manifest.files or ()) or path == record.shard.data_path
+            if path not in named:
+                findings += _damage_in_file(folder, path, None if is_compared else sha256, decode=decode)
         done += record.rows
-        on_progress(done, rows)
+        on_progress(done, total)
     return TouchVerification(len(rounds), touches, tuple(findings))
 
 
-def _undecodable_images(folder: DataFolder, path: str) -> Iterator[Damage]:
-    """Decode the images in a tar, or in the only column of images of a Parquet file; yield what cannot be."""
-    try:
-        for number, (name, image) in enumerate(_stored_images(folder, path)):
-            try:
-                decode_image(image)
-            except ValueError as error:
-                yield Damage(path, number, None, name, str(error))
-    except tarfile.TarError as error:
-        yield Damage(path, None, None, "", f"not an intact tar: {error}")
+def _damage_in_file(folder: DataFolder, path: str, sha256: str | None, *, decode: bool) -> Iterator[Damage]:
+    """Compare a file with its checksum, if one is given, and decode its images; yield what is wrong."""
+    if sha256 is not None and not is_unchanged(folder, path, sha256, reads=True):
+        problem = f"its sha256 differs from the index, which says {sha256}"
+        yield Damage(path, None, None, "", problem if folder.exists(path) else "is missing")
+    elif decode:
+        try:
+            for number, (name, image) in enumerate(_images_in(folder, path)):
+                try:
+                    decode_image(image)
+                except ValueError as error:
+                    yield Damage(path, number, None, name, str(error))
+        except tarfile.TarError as error:
+            yield Damage(path, None, None, "", f"not an intact tar: {error}")
 
 
-def _stored_images(folder: DataFolder, path: str) -> Iterator[tuple[str, bytes]]:
+def _images_in(folder: DataFolder, path: str) -> Iterator[tuple[str, bytes]]:
+    """Yield the images in a tar, in a column of a Parquet file that has one, or the one that a file is."""
     if path.endswith(".tar"):
         with folder.open(path) as stream:
             for member in files_of_tar(stream, folder.size_bytes(path)):
                 if not member.name.endswith(".json"):
                     stream.seek(member.offset_data)
                     yield member.name, stream.read(member.size)
-        return
-    shard = Shard(folder.address(path))
-    column = next(name.removesuffix(".bytes") for name in shard.types if name.endswith(".bytes"))
-    for index in range(shard.metadata.num_row_groups):
-        for group in shard.blocks(index, [column]):
-            for image in group.table[column].to_pylist():
-                yield column, image["bytes"]
+    elif path.endswith(".parquet"):
+        shard = Shard(folder.address(path))
+        for column in [name.removesuffix(".bytes") for name in shard.types if name.endswith(".bytes")]:
+            for index in range(shard.metadata.num_row_groups):
+                for group in shard.blocks(index, [column]):
+                    yield from ((column, image["bytes"]) for image in group.table[column].to_pylist())
+    else:
+        yield "", folder.read_bytes(path)
 
 
 def _lacking_columns(shards: Sequence[Shard]) -> list[Damage]:

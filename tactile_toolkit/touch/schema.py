@@ -26,6 +26,7 @@ __all__ = [
     "column_type",
     "flat_schema",
     "is_per_touch",
+    "is_rendered",
     "kind_of",
     "require_types",
     "with_features",
@@ -90,6 +91,13 @@ def kind_of(schema: pa.Schema | None, where: str) -> Kind:
     return kinds[0]
 
 
+def is_rendered(schema: pa.Schema) -> bool:
+    """Return whether images were rendered: the object then has a pose for each touch, not one a round."""
+    pose = column_type(schema, "info.object_pose.position")
+    has_images = column_type(schema, MEDIA_COLUMN["single"]) is not None
+    return has_images and pose is not None and list_depth(pose)[0] == 2
+
+
 def require_types(shard: Shard) -> None:
     """Check the type of every known column that is there, and that the class names can be read.
 
@@ -140,13 +148,13 @@ def _plain_type(data_type: pa.DataType) -> pa.DataType:
 
 
 def with_features(schema: pa.Schema, label_names: Sequence[str]) -> pa.Schema:
-    """Add the metadata from which `datasets` reads the features: classes, images, videos, numbers."""
+    """Add the metadata from which `datasets` reads the features: classes (if named), images, numbers."""
     features = {field.name: _feature(field.name, field.type, label_names) for field in schema}
     return schema.with_metadata(feature_metadata(features))
 
 
 def _feature(name: str, data_type: pa.DataType, label_names: Sequence[str]) -> Mapping[str, Any]:
-    if name == "label":
+    if name == "label" and label_names:
         return label_feature(label_names)
     if list_depth(data_type)[0]:
         length = data_type.list_size if pa.types.is_fixed_size_list(data_type) else -1

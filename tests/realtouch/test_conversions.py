@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import csv
 import json
-import pickle
 import re
 from dataclasses import replace
 from pathlib import Path
@@ -14,12 +13,10 @@ import numpy as np
 import pyarrow.parquet as pq
 import pytest
 from datasets import Features, Image, List, Video
-from hypothesis import given
-from hypothesis import strategies as st
 from PIL import Image as Pictures
 
 import realtouch
-from realtouch.convert.plan import Conversion, RowChoice, RowChoices, Source, plan_conversion
+from realtouch.convert.plan import Conversion, RowChoice, Source, plan_conversion
 from realtouch.convert.steps import KeepTouches
 from tactile_toolkit.errors import InputError, SpecMismatchError
 from tactile_toolkit.run.processes import ProcessRunner
@@ -350,26 +347,11 @@ def test_the_card_lets_datasets_find_the_splits(seq_folder: Path, tmp_path: Path
         assert "$" not in card
 
 
-@given(data=st.data(), with_touches=st.booleans(), count=st.integers(0, 30))
-def test_choices_in_arrays_are_a_list_of_choices(data: st.DataObject, with_touches: bool, count: int) -> None:
-    rows = sorted(data.draw(st.sets(st.integers(0, 10**9), min_size=count, max_size=count)))
-    touches = data.draw(st.lists(st.lists(st.integers(0, 99)), min_size=count, max_size=count))
-    listed = [
-        RowChoice(row, tuple(t) if with_touches else None) for row, t in zip(rows, touches, strict=True)
-    ]
-    flat = np.array([each for chosen in touches for each in chosen], np.int64)
-    starts = np.cumsum([0, *map(len, touches)])
-    choices = RowChoices(np.array(rows, np.int64), *((flat, starts) if with_touches else ()))
-    start, stop = data.draw(st.tuples(st.integers(-40, 40), st.integers(-40, 40)))
-    part = pickle.loads(pickle.dumps(choices[start:stop]))
-    assert (list(choices), list(part)) == (listed, listed[start:stop])
-
-
 def test_a_task_takes_along_the_files_of_its_own_rows_only(single_folder: Path) -> None:
     source = Source.open(str(single_folder))
     files = source.shards["train"]
     assert len(files) == 2
-    rows = RowChoices(range(sum(map(len, files))))
+    rows = list(map(RowChoice, range(sum(map(len, files)))))
     conversion = Conversion(source, "toy", {}, KeepTouches(False), {"train": rows}, rows_per_shard=1)
     tasks = plan_conversion(conversion).tasks
     assert len(tasks) == len(rows)
@@ -385,10 +367,11 @@ def test_shards_of_very_many_rounds_are_larger(single_folder: Path, monkeypatch:
     monkeypatch.setattr("realtouch.convert.plan._MOST_ROWS_PER_SHARD", 1)
     source = Source.open(str(single_folder))
     source = replace(source, shards={"train": source.shards["train"] * 10})
-    rows = sum(map(len, source.shards["train"]))
-    assert rows == 30
+    assert sum(map(len, source.shards["train"])) == 30
     for chosen, size in ((2, 1), (8, 2), (30, 4)):
-        conversion = Conversion(source, "toy", {}, KeepTouches(False), {"train": RowChoices(range(chosen))})
+        conversion = Conversion(
+            source, "toy", {}, KeepTouches(False), {"train": list(map(RowChoice, range(chosen)))}
+        )
         plan = plan_conversion(conversion)
         assert [len(task.choices) for task in plan.tasks][:-1] == [size] * (len(plan.tasks) - 1)
         assert [choice.row for task in plan.tasks for choice in task.choices] == list(range(chosen))

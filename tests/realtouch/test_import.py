@@ -19,7 +19,7 @@ from typer.testing import CliRunner
 
 import realtouch
 from cli.realtouch import app
-from realtouch.exchange import sources
+from realtouch.exchange import folder as table_reader
 from tactile_toolkit.cards.checks import check_card
 from tactile_toolkit.errors import InputError, IntegrityError
 from tactile_toolkit.store.folder import DataFolder
@@ -72,7 +72,7 @@ def test_there_and_back(layout: Any, single_folder: Path, tmp_path: Path) -> Non
 def test_a_shard_holds_no_more_touches_than_a_worker_can(
     single_folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("realtouch.exchange.reading._TOUCHES_PER_SHARD", 10)
+    monkeypatch.setattr("realtouch.exchange.importing._TOUCHES_PER_SHARD", 10)
     realtouch.frames(single_folder, tmp_path / "there", "jpeg", split="train")
     manifest = realtouch.import_images(tmp_path / "there", tmp_path / "back", "folder", COLUMNS)
     assert [record.rows for record in manifest.shards_of("train")] == [2, 1], "rounds of five touches"
@@ -675,8 +675,8 @@ def test_a_small_table_of_endless_lines_or_columns_is_refused(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Each line takes a kilobyte, and a look at the folder, to be listed as one that cannot be used."""
-    assert sources._MOST_UNUSABLE <= 100_000
-    monkeypatch.setattr(sources, "_MOST_UNUSABLE", 1_000)
+    assert table_reader._MOST_UNUSABLE <= 100_000
+    monkeypatch.setattr(table_reader, "_MOST_UNUSABLE", 1_000)
     (tmp_path / "table.csv").write_bytes(b"file,label\n" + b",1\n" * 1_500)
     with pytest.raises(InputError, match="1,001 of the first 1,001 lines cannot be used"):
         realtouch.import_images(tmp_path, tmp_path.parent / "out", "folder")

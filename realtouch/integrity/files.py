@@ -1,4 +1,4 @@
-"""Files of foreign formats beside the rows: an index in Parquet vouches for each by its checksum."""
+"""Files next to the rows: each row of the index names its own, with a checksum that vouches for it."""
 
 from __future__ import annotations
 
@@ -6,31 +6,28 @@ from typing import Any
 
 import pyarrow as pa
 
-from realtouch.convert.plan import WithFiles
 from tactile_toolkit.read.parquet import Shard
 from tactile_toolkit.store.folder import DataFolder
 from tactile_toolkit.store.manifest import Manifest
 from tactile_toolkit.store.parquet import is_unchanged, sha256_hex
 from tactile_toolkit.store.shards import ShardRecord
 
-__all__ = ["file_fields", "files_are_current", "files_of", "vouched_files", "with_files"]
+__all__ = ["checksums", "file_fields", "files_are_current", "files_of", "with_files"]
 
-_PATHS, _CHECKSUMS = "file", "sha256"
 _PREFIXES = ("", "meta_")
 
 
 def file_fields(count: int) -> list[tuple[str, pa.DataType]]:
     """Return the columns of an index that name so many files for each row."""
-    names = [f"{prefix}{name}" for prefix in _PREFIXES[:count] for name in (_PATHS, _CHECKSUMS)]
-    return [(name, pa.string()) for name in names]
+    return [(f"{prefix}{name}", pa.string()) for prefix in _PREFIXES[:count] for name in ("file", "sha256")]
 
 
-def with_files(index: pa.Table, files: dict[str, bytes]) -> WithFiles:
+def with_files(index: pa.Table, files: dict[str, bytes]) -> tuple[pa.Table, dict[str, bytes]]:
     """Return the files of a shard with its index, in each row of which they are named."""
     for prefix, (path, content) in zip(_PREFIXES, files.items(), strict=False):
-        for name, value in ((_PATHS, path), (_CHECKSUMS, sha256_hex(content))):
+        for name, value in (("file", path), ("sha256", sha256_hex(content))):
             index = index.append_column(f"{prefix}{name}", pa.array([value] * len(index), pa.string()))
-    return WithFiles(index, files)
+    return index, files
 
 
 def files_of(folder: DataFolder, record: ShardRecord) -> dict[str, str]:
@@ -38,21 +35,18 @@ def files_of(folder: DataFolder, record: ShardRecord) -> dict[str, str]:
     shard = Shard(folder.address(record.shard.data_path))
     found: dict[str, str] = {}
     for prefix in _PREFIXES:
-        names = [f"{prefix}{_PATHS}", f"{prefix}{_CHECKSUMS}"]
-        if record.rows and all(name in shard.types for name in names):
-            paths, checksums = (column.unique().to_pylist() for column in shard.read(columns=names).columns)
-            found |= dict(zip(paths, checksums, strict=True))
+        names = [f"{prefix}file", f"{prefix}sha256"]
+        if all(name in shard.types for name in names):
+            paths, digests = (column.to_pylist() for column in shard.read(columns=names).columns)
+            found |= dict(zip(paths, digests, strict=True))
     return found
 
 
 def files_are_current(folder: DataFolder, record: ShardRecord, reads: bool) -> bool:
     """Return whether every file that a finished shard names is there and, if read, unchanged."""
-    files = files_of(folder, record).items()
-    return all(is_unchanged(folder, path, checksum, reads) for path, checksum in files)
+    return all(is_unchanged(folder, *file, reads) for file in files_of(folder, record).items())
 
 
-def vouched_files(folder: DataFolder, manifest: Manifest) -> dict[str, Any]:
+def checksums(folder: DataFolder, manifest: Manifest) -> dict[str, Any]:
     """Return the checksum of each file that the shards name, for the manifest."""
-    return {
-        path: checksum for record in manifest.shards for path, checksum in files_of(folder, record).items()
-    }
+    return {path: sha256 for record in manifest.shards for path, sha256 in files_of(folder, record).items()}

@@ -1,4 +1,4 @@
-"""Images of others with a table of labels and poses, as touches in the published ``single`` schema."""
+"""Images of others with what is known of them, as touches in the published ``single`` schema."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import asdict, dataclass, field, replace
+from functools import cache
 from os import PathLike, fspath
 from pathlib import Path, PurePosixPath
 from typing import Any, Literal
@@ -19,16 +20,9 @@ import pyarrow as pa
 
 from realtouch.card import write_card
 from realtouch.convert.plan import KIND
-from realtouch.exchange.flat import require_whole
-from realtouch.exchange.sources import (
-    LONGEST_SHOWN,
-    ImportColumns,
-    Item,
-    Reason,
-    contents_of,
-    items_of_table,
-    items_of_tars,
-)
+from realtouch.exchange.formats import IMPORTS, format_of
+from realtouch.exchange.items import ImportColumns, Item, Reason, contents_of
+from realtouch.exchange.rows import require_intact
 from realtouch.poses import bad_pose
 from tactile_toolkit.errors import InputError, ItemError
 from tactile_toolkit.printable import printable
@@ -51,6 +45,7 @@ _OUR_TAR = re.compile(r"(\w+)-[0-9]{6}\.tar")
 _NUMBER = re.compile(r"(0|[1-9][0-9]*)(?:\.0+)?")
 _UNNAMED = re.compile(r"[^A-Za-z0-9_-]")
 _LONGEST_ID = 64  # of the end of a path: exports write ids of 80 letters at most
+_LONGEST_SHOWN = 80  # letters of a value that a message repeats
 _TOUCHES_PER_SHARD = 4096
 _TOUCHES_PER_GROUP = 1024
 _SHARD_BYTES = 256 << 20
@@ -122,16 +117,13 @@ def import_images(
         A store cannot be reached, or refuses.
     """
     home, chosen = DataFolder(fspath(source)), columns or ImportColumns()
-    readers = {"folder": items_of_table, "webdataset": items_of_tars}
-    if layout not in readers:
-        message = f"there is no layout {layout!r} to import; expected folder or webdataset"
-        raise InputError(message)
+    read = format_of(IMPORTS, layout)
     if split is not None and not _SPLIT.fullmatch(split):
         message = f"the split is {split!r}; expected letters, digits and underscores"
         raise InputError(message)
     folder = DataFolder(fspath(out))
     _refuse_inside(folder, home)
-    items, columns = _listed(readers[layout](home, chosen, table), chosen)
+    items, columns = _listed(read(home, chosen, table), chosen)
     if not items:
         message = f"{home.address()!r} holds nothing to import; expected images"
         raise InputError(message)
@@ -142,36 +134,36 @@ def import_images(
         runner_for(workers),
         overwrite=overwrite,
         on_progress=on_progress,
-        write_card=lambda folder, manifest: write_card(folder, manifest, "single"),
+        write_card=write_card,
     )
 
 
 def _listed(found: Iterable[Item], chosen: ImportColumns) -> tuple[list[Item], ImportColumns]:
     """Return all items, each with the fields that are used, and the columns that hold those."""
+
+    @cache  # most have the same fields
+    def used(fields: tuple[str, ...]) -> list[str]:
+        names = chosen.found_in(fields).names()
+        return names + [_NUMBERED] * (chosen.label is None and _NUMBERED not in names)
+
     items: list[Item] = []
     known: dict[str, None] = {}
-    alike: dict[tuple[str, ...], tuple[tuple[str, ...], list[str]]] = {}  # most have the same fields
     for item in found:
         fields = tuple(name for name, value in item.values.items() if name and value not in (None, ""))
-        if fields not in alike:
-            known |= dict.fromkeys(fields)
-            used = chosen.found_in(fields).names()
-            alike[fields] = fields, used + [_NUMBERED] * (chosen.label is None and _NUMBERED not in used)
-        fields, wanted = alike[fields]
-        values = {name: item.values[name] for name in wanted if name in item.values}
+        known |= dict.fromkeys(fields)
+        values = {name: item.values[name] for name in used(fields) if name in item.values}
         odd = [name for name, value in values.items() if isinstance(value, str) and not _is_unicode(value)]
-        problem = (Reason.json, f"its field {odd[0]!r} holds text that is not Unicode") if odd else None
+        problem = item.problem
+        if odd and problem is None:
+            problem = ItemError(Reason.json, f"its field {odd[0]!r} holds text that is not Unicode")
         values = {name: value for name, value in values.items() if name not in odd}
-        items.append(replace(item, values=values, problem=item.problem or problem, fields=fields))
+        items.append(replace(item, values=values, problem=problem, fields=fields))
     return items, chosen.found_in(known)
 
 
 def _is_unicode(text: str) -> bool:
     """Return whether a text can be stored: JSON may hold one half of a surrogate pair without the other."""
-    with suppress(UnicodeEncodeError):
-        text.encode()
-        return True
-    return False
+    return text.encode(errors="ignore").decode() == text
 
 
 def _refuse_inside(folder: DataFolder, home: DataFolder) -> None:
@@ -235,14 +227,17 @@ def _plan(
         compression_level=3,
         encodings=(("sensor_image.list.element.bytes", "PLAIN"),),
     )
+    by_shard = {str(task.shard): task for task in tasks}
+
+    def is_current(_folder: DataFolder, record: ShardRecord, _reads: bool) -> bool:
+        # Names and sizes would not tell whether the source still gives the same: the images are read again.
+        content = by_shard[str(record.shard)].make()
+        same = sha256_hex(encode_parquet(content.table, style)) == record.sha256
+        return same and content.skipped == record.skipped
+
+    libraries = ("numpy", "pyarrow")
     return BuildPlan(
-        KIND,
-        spec,
-        tuple(rounds),
-        tuple(tasks),
-        style,
-        is_current=_SourceIsTheSame({str(task.shard): task for task in tasks}, style),
-        libraries=("numpy", "pyarrow"),
+        KIND, spec, tuple(rounds), tuple(tasks), style, is_current=is_current, libraries=libraries
     )
 
 
@@ -259,20 +254,6 @@ def _divided(rounds: Mapping[str, Sequence[Item]]) -> list[tuple[tuple[str, tupl
         shards[-1].append((name, tuple(items)))
         touches, size_bytes = touches + more, size_bytes + more_bytes
     return [tuple(shard) for shard in shards]
-
-
-@dataclass(frozen=True)
-class _SourceIsTheSame:
-    """Tells whether a finished shard holds what the source gives now: names and sizes would not say it."""
-
-    tasks: Mapping[str, _ImportShard] = field(repr=False)
-    style: ParquetStyle
-
-    def __call__(self, _folder: DataFolder, record: ShardRecord, _reads: bool) -> bool:
-        """Read the images again."""
-        content = self.tasks[str(record.shard)].make()
-        is_listed = content.skipped == record.skipped
-        return is_listed and sha256_hex(encode_parquet(content.table, self.style)) == record.sha256
 
 
 def _class_names(items: Sequence[Item], column: str | None) -> tuple[str, ...]:
@@ -300,7 +281,7 @@ def _rounds(
         tar = _OUR_TAR.fullmatch(item.path.rpartition("/")[2])
         part = _text(item.values, columns.split) or split or (tar[1] if tar is not None else "train")
         if not _SPLIT.fullmatch(part):
-            message = f"{item.name!r}: the split {part[:LONGEST_SHOWN]!r}; expected letters and digits"
+            message = f"{item.name!r}: the split {part[:_LONGEST_SHOWN]!r}; expected letters and digits"
             raise InputError(message)
         name = _text(item.values, columns.round)
         if not name:
@@ -309,7 +290,7 @@ def _rounds(
                 name = f"{name}_{item.number}"
         if home.setdefault(name, part) != part:
             message = (
-                f"{item.name!r}: round {name[:LONGEST_SHOWN]!r} lies in the splits {home[name]!r} and "
+                f"{item.name!r}: round {name[:_LONGEST_SHOWN]!r} lies in the splits {home[name]!r} and "
                 f"{part!r}; expected each round in one"
             )
             raise InputError(message)
@@ -319,11 +300,10 @@ def _rounds(
 
 def _first_size(items: Sequence[Item]) -> tuple[int, int] | None:
     """Return height and width of the first image that is one."""
-    for item in items:
-        for content in contents_of([item]):
-            if isinstance(content, bytes):
-                with suppress(ValueError):
-                    return require_whole(content)
+    for content in contents_of(items):
+        if isinstance(content, bytes):
+            with suppress(ValueError):
+                return require_intact(content)
     return None
 
 
@@ -387,12 +367,41 @@ class _ImportShard:
     ) -> dict[str, Any]:
         """Return what the columns hold of a touch; ItemError where it cannot be used."""
         if item.problem is not None:
-            raise ItemError(*item.problem)
+            raise item.problem
         image = next(contents)
         if isinstance(image, Exception):
             raise ItemError(Reason.image, str(image)) from image
+        self._require_image(image)
+        values, columns = item.values, self.columns
+        label = _text(values, columns.label)
+        label = label if label in self.names else _whole(label)
+        if label not in self.names:
+            raise ItemError(Reason.label, f"the label {label[:_LONGEST_SHOWN]!r}; expected a class")
+        number, object_id = self.names.index(label), 0
+        if columns.object_id:
+            text = _whole(_text(values, columns.object_id))
+            if not (text.isdecimal() and text.isascii() and len(text) < 19):
+                problem = f"the object {text[:_LONGEST_SHOWN]!r}; expected a whole number"
+                raise ItemError(Reason.object, problem)
+            object_id = int(text)
+        if before and (number, object_id) != tuple(before[0][each] for each in _OF_ROUND):
+            problem = "another label or object than the first touch of its round"
+            raise ItemError(Reason.round, problem)
+        position = _numbers(values, columns.position, 2, Reason.position)
+        pose = _numbers(values, columns.pose, 7, Reason.pose)
+        wrong = bad_pose(np.array([pose[:3]]), np.array([pose[3:]])) if pose else None
+        if wrong is not None:
+            raise ItemError(Reason.pose, wrong[1])
+        return {
+            **{"label": number, "object_id": object_id, "pos_in_cell": position},
+            **{f"{_POSE}.position": pose[:3], f"{_POSE}.quaternion": pose[3:]},
+            "sensor_image": {"bytes": image, "path": Path(item.name).name},
+        }
+
+    def _require_image(self, image: bytes) -> None:
+        """Refuse what is no intact image, upright and of the size of the others (ItemError)."""
         try:
-            size = require_whole(image)
+            size = require_intact(image)
         except ValueError as error:
             raise ItemError(Reason.image, str(error)) from error
         if _is_turned(image):
@@ -402,33 +411,6 @@ class _ImportShard:
             (height, width), (first_height, first_width) = size, self.image_size
             problem = f"{width} x {height} pixels; expected {first_width} x {first_height} as in the first"
             raise ItemError(Reason.size, problem)
-        values, columns = item.values, self.columns
-        label = _text(values, columns.label)
-        label = label if label in self.names else _whole(label)
-        if label not in self.names:
-            raise ItemError(Reason.label, f"the label {label[:LONGEST_SHOWN]!r}; expected a class")
-        object_id = 0
-        if columns.object_id:
-            text = _whole(_text(values, columns.object_id))
-            if not (text.isdecimal() and text.isascii() and len(text) < 19):
-                raise ItemError(
-                    Reason.object, f"the object {text[:LONGEST_SHOWN]!r}; expected a whole number"
-                )
-            object_id = int(text)
-        number = self.names.index(label)
-        if before and (number, object_id) != tuple(before[0][each] for each in _OF_ROUND):
-            raise ItemError(Reason.round, "another label or object than the first touch of its round")
-        position = _numbers(values, columns.position, 2, Reason.position)
-        pose = _numbers(values, columns.pose, 7, Reason.pose)
-        if pose:
-            wrong = bad_pose(np.array([pose[:3]]), np.array([pose[3:]]))
-            if wrong is not None:
-                raise ItemError(Reason.pose, wrong[1])
-        return {
-            **{"label": number, "object_id": object_id, "pos_in_cell": position},
-            **{f"{_POSE}.position": pose[:3], f"{_POSE}.quaternion": pose[3:]},
-            "sensor_image": {"bytes": image, "path": Path(item.name).name},
-        }
 
 
 def _is_turned(image: bytes) -> bool:
@@ -471,7 +453,7 @@ def _numbers(
     try:
         numbers = tuple(float(value) for value in found)
     except (TypeError, ValueError, OverflowError) as error:
-        raise ItemError(what, f"{str(found)[:LONGEST_SHOWN]}; expected {count} numbers") from error
+        raise ItemError(what, f"{str(found)[:_LONGEST_SHOWN]}; expected {count} numbers") from error
     if len(numbers) != count or not np.isfinite(numbers).all():
-        raise ItemError(what, f"{str(found)[:LONGEST_SHOWN]}; expected {count} finite numbers")
+        raise ItemError(what, f"{str(found)[:_LONGEST_SHOWN]}; expected {count} finite numbers")
     return numbers

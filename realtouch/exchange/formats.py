@@ -1,0 +1,34 @@
+"""The formats of others: which module plans an export to each, and which reads what is imported from it.
+
+A format is one module, which knows no other. An export is a function of source, rows, frame of a clip and
+options, and gives a conversion; an import is one of folder, columns and table, and yields items.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import Any
+
+from tactile_toolkit.errors import InputError
+from tactile_toolkit.kind import lazy
+
+__all__ = ["EXPORTS", "IMPORTS", "format_of"]
+
+EXPORTS: dict[str, Callable[..., Any]] = {
+    "flat": lazy("realtouch.exchange.rows:rows_conversion"),
+    "webdataset": lazy("realtouch.exchange.webdataset:tar_conversion"),
+    "lerobot": lazy("realtouch.exchange.lerobot:lerobot_conversion"),
+}
+
+IMPORTS: dict[str, Callable[..., Any]] = {
+    "folder": lazy("realtouch.exchange.folder:items_of_table"),
+    "webdataset": lazy("realtouch.exchange.webdataset:items_of_tars"),
+}
+
+
+def format_of(formats: Mapping[str, Callable[..., Any]], name: str) -> Callable[..., Any]:
+    """Return the function of a format; InputError where there is none of that name."""
+    if name not in formats:
+        message = f"there is no layout {name!r}; expected {', '.join(formats)}"
+        raise InputError(message)
+    return formats[name]

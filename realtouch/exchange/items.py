@@ -1,0 +1,214 @@
+"""What formats of others give to be imported: for each touch where its image is, and what is said of it."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from enum import StrEnum
+from itertools import groupby
+from pathlib import Path
+from typing import Any
+
+from realtouch.convert.pictures import POSE_COLUMNS, POSITION_COLUMNS
+from tactile_toolkit.errors import InputError, ItemError
+from tactile_toolkit.run.threads import in_threads
+from tactile_toolkit.store.address import is_remote
+from tactile_toolkit.store.folder import DataFolder, file_at
+from tactile_toolkit.store.names import problem_of_name
+from tactile_toolkit.touch.jpeg import MAX_IMAGE_BYTES
+from tactile_toolkit.wording import did_you_mean
+
+__all__ = [
+    "HERE",
+    "IMAGE_ENDINGS",
+    "ImportColumns",
+    "Item",
+    "Reason",
+    "contents_of",
+    "require_columns",
+    "size_below",
+]
+
+IMAGE_ENDINGS = ("jpg", "jpeg", "png", "webp")
+HERE = re.compile(r"^(?:\./+)+")
+"""What a path may begin with to no effect."""
+
+_FAR_READERS = 16
+"""Images of a store that are asked for at a time: each answer takes long, and they are small."""
+
+
+class Reason(StrEnum):
+    """Why an image is left out; stable words for tables and manifests."""
+
+    missing = "missing"
+    name = "name"
+    duplicate = "duplicate"
+    columns = "columns"
+    json = "json"
+    image = "image"
+    size = "size"
+    label = "label"
+    object = "object"
+    round = "round"
+    position = "position"
+    pose = "pose"
+
+
+@dataclass(frozen=True, slots=True)
+class ImportColumns:
+    """Which columns of a table, or fields of JSON files, hold what.
+
+    What is not named is read from the columns that :func:`realtouch.export` and :func:`realtouch.frames`
+    write, where the source has them: ``label_name`` or ``label``, ``round_id``, ``object_id``, ``split``,
+    ``pos_in_cell_x_m`` and ``_y_m``, ``gel_x_m`` to ``gel_qw``. An empty text or tuple stands for no column.
+
+    Attributes
+    ----------
+    image : str or None
+        Path of the image below the folder; of WebDataset, its ending, the first image of a sample if None.
+    label : str or None
+        Class: a number, or a name.
+    round : str or None
+        Which touches belong together; without it each is a round of its own.
+    object_id : str or None
+        Whole number of the touched object.
+    position : tuple of str or None
+        x and y of the intended position, metres, cell frame; or one field that holds both.
+    pose : tuple of str or None
+        Position and quaternion (x, y, z, w) of the gel, metres, cell frame: seven, or one field with all.
+    split : str or None
+        Split of each touch.
+    """
+
+    image: str | None = "file"
+    label: str | None = None
+    round: str | None = None
+    object_id: str | None = None
+    position: tuple[str, ...] | None = None
+    pose: tuple[str, ...] | None = None
+    split: str | None = None
+
+    def __post_init__(self) -> None:
+        for what, chosen, count in (("position", self.position, 2), ("pose", self.pose, 7)):
+            names = chosen or ()
+            if len(names) not in (0, 1, count):
+                message = (
+                    f"{len(names)} {what} columns ({', '.join(names)}); expected {count}, or one that holds "
+                    f"a list of {count}"
+                )
+                raise InputError(message)
+
+    def found_in(self, known: Collection[str]) -> ImportColumns:
+        """Return these columns and, where none was named, those of our own exports among the known ones."""
+
+        def ours(chosen: Any, *names: str) -> Any:
+            found = (names if names[1:] else names[0]) if {*names} <= {*known} else None
+            return found if chosen is None else chosen
+
+        return replace(
+            self,
+            label=ours(self.label, "label_name") or "label",
+            round=ours(self.round, "round_id"),
+            object_id=ours(self.object_id, "object_id"),
+            position=ours(self.position, *POSITION_COLUMNS),
+            pose=ours(self.pose, *POSE_COLUMNS),
+            split=ours(self.split, "split"),
+        )
+
+    def names(self) -> list[str]:
+        """Return the columns that must be there."""
+        plain = (self.label, self.round, self.object_id, self.split)
+        names = (*plain, *(self.position or ()), *(self.pose or ()))
+        return list(dict.fromkeys(filter(None, names)))
+
+
+@dataclass(frozen=True, slots=True)
+class Item:
+    """A touch to import: where its image is, its fields, and why it cannot be used, if so.
+
+    ``fields`` names all fields of the source that have a value.
+    """
+
+    number: int
+    name: str
+    path: str
+    start: int
+    size: int
+    values: Mapping[str, Any] = field(repr=False)
+    problem: ItemError | None = None
+    fields: tuple[str, ...] = field(default=(), repr=False)
+
+    def __post_init__(self) -> None:
+        if self.problem is None and self.size > MAX_IMAGE_BYTES:
+            problem = ItemError(Reason.image, f"{self.size:,} bytes; the limit is {MAX_IMAGE_BYTES:,}")
+            object.__setattr__(self, "problem", problem)
+
+
+def contents_of(items: Iterable[Item]) -> Iterator[bytes | Exception]:
+    """Yield the bytes of each image without a problem, in order, or why it cannot be read.
+
+    A tar is opened once for all that follow each other in it.
+    """
+    usable = (item for item in items if item.problem is None)
+    groups = [tuple(group) for _, group in groupby(usable, key=lambda item: item.path)]
+    threads = _FAR_READERS if groups and is_remote(groups[0][0].path) else 1
+    for found in in_threads(_contents, groups, threads):
+        yield from found
+
+
+def _contents(items: Sequence[Item]) -> list[bytes | Exception]:
+    folder, name = file_at(items[0].path)
+    found: list[bytes | Exception] = []
+    try:
+        with folder.open(name) as stream:
+            for item in items:
+                stream.seek(item.start)
+                found.append(stream.read(item.size))
+    except (OSError, InputError) as error:
+        return [*found, *[error] * (len(items) - len(found))]
+    return found
+
+
+def require_columns(known: Sequence[str], wanted: Iterable[str], where: str) -> None:
+    """Refuse columns that are not there, or there several times (InputError)."""
+    for name in wanted:
+        if name not in known:
+            message = (
+                f"{where!r} has no column {name!r}{did_you_mean(name, known)}; found "
+                f"{', '.join(known) or 'none'}; next: name the columns with the options of `realtouch import`"
+            )
+            raise InputError(message)
+        if known.count(name) > 1:
+            message = (
+                f"{where!r} has {known.count(name)} columns {name!r}; expected one; next: name them apart"
+            )
+            raise InputError(message)
+
+
+def size_below(home: DataFolder, name: str, sizes: Callable[[str], Mapping[str, int]]) -> int:
+    """Return the size of a file below a folder; ItemError where there is none, or its name leads elsewhere.
+
+    ``sizes`` lists a folder of a store, such as ``functools.cache(home.sizes)``.
+    """
+    words = problem_of_name(name)
+    if words:
+        problem = f"the name {words}; expected a path below the folder"
+        raise ItemError(Reason.name, problem)
+    if not home.is_local:
+        folder, _, base = name.rpartition("/")
+        size = sizes(folder).get(base)
+    else:
+        path = Path(home.address(name))
+        try:
+            is_below = path.resolve().is_relative_to(Path(home.address()).resolve())
+        except (OSError, RuntimeError):  # links in a circle
+            is_below = False
+        if not is_below:
+            problem = "a link leads out of the folder; expected a path below it"
+            raise ItemError(Reason.name, problem)
+        size = path.stat().st_size if path.is_file() else None
+    if size is None:
+        problem = "there is no such file"
+        raise ItemError(Reason.missing, problem)
+    return size

@@ -1,0 +1,153 @@
+"""One row a touch: the stored image as it is, and plain columns that every reader of tables knows."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import pyarrow as pa
+
+from realtouch.columns.per_touch import int_value
+from realtouch.contact import ContactMethod
+from realtouch.convert.pictures import (
+    POSE_COLUMNS,
+    POSITION_COLUMNS,
+    Repeated,
+    columns_of_touches,
+    repeated_ids,
+    require_first,
+    shown_touches,
+)
+from realtouch.convert.plan import Conversion, Made, Pack, RowChoice, Source
+from realtouch.damage import damaged
+from realtouch.integrity.files import checksums, files_are_current
+from realtouch.touch import touch_id
+from tactile_toolkit.read.dataset import Row
+from tactile_toolkit.touch.jpeg import decode_image, encode_image, image_size
+from tactile_toolkit.touch.schema import MEDIA_COLUMN, MEDIA_TYPE, POSE_COLUMN, Kind, class_names, column_type
+
+__all__ = ["IMAGE", "image_column", "known_label", "require_intact", "rows_conversion"]
+
+IMAGE = "image"
+
+_JPEG = b"\xff\xd8"
+_JPEG_END = b"\xff\xd9"
+_GROUP_BYTES = 32 << 20
+_FRAMES_PER_CLIP = 64  # about; how much smaller the image of a clip is than the clip
+_MOST_ROWS_PER_GROUP = 1 << 14
+_NAME = re.compile(r"[A-Za-z0-9_-]{1,80}")
+
+
+def rows_conversion(
+    source: Source,
+    choices: Mapping[str, Sequence[RowChoice]],
+    method: ContactMethod,
+    options: Mapping[str, Any],
+    pack: Pack | None = None,
+    folder: str | None = None,
+) -> Conversion:
+    """Plan an export with a row for each touch; ``pack`` makes files of these rows, below ``folder``."""
+    is_seq = source.kind == "seq"
+    image_bytes = source.media_bytes() // (_FRAMES_PER_CLIP if is_seq else 1) or 1
+    return Conversion(
+        source,
+        "export",
+        {**options, **({"frame": method} if is_seq else {})},
+        _FlatTouches(method, class_names(source.schema), repeated_ids(source, choices)),
+        choices,
+        rows_per_group=max(1, min(_MOST_ROWS_PER_GROUP, _GROUP_BYTES // image_bytes)),
+        extra_dirs=() if folder is None else (folder,),
+        is_current=files_are_current,
+        write_files=checksums,
+        pack=pack,
+    )
+
+
+def require_intact(data: bytes | memoryview) -> tuple[int, int]:
+    """Return height and width of an image that begins and ends as an intact one does.
+
+    The pixels of a JPEG are not decoded: that alone would take longer than all other work. Raises ValueError.
+    """
+    size = image_size(data)
+    if data[:2] != _JPEG:
+        decode_image(data)
+    # Encoders of clips fill up to even lengths.
+    elif bytes(data[-2:]) != _JPEG_END and not bytes(data[-16:]).rstrip(b"\0").endswith(_JPEG_END):
+        message = f"an image of {len(data):,} bytes without the mark of its end; expected a whole JPEG"
+        raise ValueError(message)
+    return size
+
+
+def known_label(row: Row, names: tuple[str, ...]) -> int:
+    """Return the label of a row; IntegrityError where it is not one of the named classes."""
+    label = int_value(row, "label")
+    if label >= len(names):
+        raise damaged(row, "label", f"the value is {label}; expected less than {len(names)}, the classes")
+    return label
+
+
+def image_column(images: list[Any], names: list[str]) -> pa.Array:
+    """Return images as a column with file names, whose endings follow from their first bytes."""
+    endings = ("jpg" if each[:2] == _JPEG else "png" if each[:4] == b"\x89PNG" else "webp" for each in images)
+    paths = [f"{name}.{ending}" for name, ending in zip(names, endings, strict=True)]
+    parts = [pa.array(images, pa.binary()), pa.array(paths, pa.string())]
+    return pa.StructArray.from_arrays(parts, fields=list(MEDIA_TYPE))
+
+
+@dataclass(frozen=True)
+class _FlatTouches:
+    """Step of ``export``: a row becomes one row for each touch; of clips, with the frame of the contact.
+
+    JPEGs pass through as they are stored. ``names`` are those of the classes.
+    """
+
+    method: ContactMethod
+    names: tuple[str, ...]
+    repeated: Repeated = field(default_factory=dict, repr=False)
+
+    def schema(self, source: pa.Schema) -> pa.Schema:
+        """Return plain columns: of what the source says, and nothing that it does not."""
+        has_object, has_position, *poses = (
+            column_type(source, name) is not None
+            for name in ("object_id", "pos_in_cell", *(f"{name}.position" for name in POSE_COLUMN.values()))
+        )
+        return pa.schema(
+            [
+                ("id", pa.string()),
+                (IMAGE, MEDIA_TYPE),
+                ("label", pa.int64()),
+                ("label_name", pa.string()),
+                *([("object_id", pa.int64())] if has_object else []),
+                ("round_id", pa.string()),
+                ("touch", pa.int64()),
+                ("frame", pa.int64()),
+                *((each, pa.float64()) for each in POSITION_COLUMNS if has_position),
+                *((each, pa.float64()) for each in POSE_COLUMNS if any(poses)),
+            ]
+        )
+
+    def apply(self, row: Row, choice: RowChoice, split: str) -> Made:
+        """Return the touches of a row; one damaged touch leaves the round out, so that none is half there."""
+        require_first(row, choice, split, self.repeated)
+        known_label(row, self.names)
+        shown = list(shown_touches(row, self.method))
+        columns = columns_of_touches(row, shown, self.names)
+        name = str(row.value("id"))
+        if _NAME.fullmatch(name) is None:
+            problem = f"{name[:80]!r} cannot name files; expected letters, digits, '-' and '_'"
+            raise damaged(row, "id", problem)
+        kind: Kind = "single" if row.has(MEDIA_COLUMN["single"]) else "seq"
+        images: list[Any] = []
+        for each in shown:
+            images.append(encode_image(each.decode()) if each.stored is None else each.stored)
+            try:
+                require_intact(images[-1])
+            except ValueError as error:
+                problem = f"frame {each.frame}: {error}" if kind == "seq" else str(error)
+                raise damaged(row, MEDIA_COLUMN[kind], problem, each.touch) from error
+        columns["id"] = [touch_id(name, each.touch) for each in shown]
+        columns[IMAGE] = image_column(images, columns["id"])
+        schema = self.schema(row.group.table.schema)
+        return pa.table([pa.array(columns[each.name], each.type) for each in schema], schema=schema), {}
