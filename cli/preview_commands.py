@@ -143,7 +143,6 @@ class TouchPicture(StrEnum):
     grid = "grid"
     overlay = "overlay"
     film_strip = "strip"
-    drift = "drift"
     all = "all"
 
 
@@ -155,7 +154,7 @@ def preview_touches(
         typer.Option(
             "--kind",
             help="What to draw; may be repeated: a round as a grid (the default) or pasted on a map of the "
-            "cell, a clip as a strip, the drift of the gel over all rounds.",
+            "cell, a clip as a strip.",
         ),
     ] = None,
     split: OneSplit = None,
@@ -181,8 +180,6 @@ def preview_touches(
 
     Examples: realtouch preview real-single-64x64 --round 3 --out round.png;
     realtouch preview real-seq --kind all --touch 12
-
-    The drift needs the extra `pictures`.
     """
     from realtouch.show.previews import TouchPreviewSpec, plan_previews
 

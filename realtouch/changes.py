@@ -26,7 +26,7 @@ __all__ = [
     "contact_rule",
     "contact_score",
     "difference",
-    "median_at_once",
+    "median_in_memory",
     "median_of",
 ]
 
@@ -37,25 +37,17 @@ _PIXELS_AT_ONCE = 1 << 13
 DIFFERENCE_FORMS: tuple[DifferenceForm, ...] = get_args(DifferenceForm)
 
 
-def median_at_once(pictures: Pixels) -> Pixels:
+def median_in_memory(pictures: Pixels) -> Pixels:
     """Return the median picture of some in memory, shape (n, H, W, 3), n at least 1; as :func:`median_of`.
 
-    Bit by bit: the value of a rank is the greatest that no more pictures than that lie below. Eight
-    comparisons of bytes take an eighth of the time of counting every value, and a quarter of that of sorting.
+    Bit by bit and a few pixels at a time, which takes an eighth of the time of counting every value.
     """
-    count, shape = len(pictures), pictures.shape[1:]
-    values = pictures.reshape(count, -1)
-    middles = []
-    for rank in {(count - 1) // 2, count // 2}:
-        found = np.zeros(values.shape[1], np.uint8)
-        for start in range(0, len(found), _PIXELS_AT_ONCE):
-            part, at = values[:, start : start + _PIXELS_AT_ONCE], found[start : start + _PIXELS_AT_ONCE]
-            for bit in (128, 64, 32, 16, 8, 4, 2, 1):
-                above = at + np.uint8(bit)
-                below = (part < above).sum(axis=0, dtype=np.min_scalar_type(count))
-                np.copyto(at, above, where=below <= rank)
-        middles.append(found.astype(np.int64))
-    return ((middles[0] + middles[-1]) // 2).astype(np.uint8).reshape(shape)
+    values = pictures.reshape(len(pictures), -1)
+    starts = range(0, values.shape[1], _PIXELS_AT_ONCE)
+    parts = (values[:, start : start + _PIXELS_AT_ONCE] for start in starts)
+    found = [_values_in_the_middle([[part]] * 8, 1) for part in parts]
+    median: Pixels = np.concatenate(found).reshape(pictures.shape[1:])
+    return median
 
 
 def median_of(batches: Callable[[], Iterable[Pixels]]) -> Pixels | None:
@@ -63,50 +55,45 @@ def median_of(batches: Callable[[], Iterable[Pixels]]) -> Pixels | None:
 
     Exact; of an even number of pictures the mean of the two in the middle, rounded down.
     """
-    # Four bits at a time: 16 counts of each value of a 320 x 240 picture are 29 MB, 256 would be 472.
-    coarse = _counted(batches(), lambda batch: batch >> 4, np.arange(16, dtype=np.uint8))
-    if coarse is None:
-        return None
-    total = int(coarse[:, 0, 0, 0].sum())
-    middles = []
-    # A set: of an odd number both are the same rank, and one pass is enough.
-    for rank in {(total - 1) // 2, total // 2}:
-        # First the upper four bits of the value of that rank, then the lower four among those that share it.
-        upper, before = _bin_of(coarse, np.full(coarse.shape[1:], rank))
-        values = (upper.astype(np.uint8) << 4) + np.arange(16, dtype=np.uint8)[:, None, None, None]
-        fine = _counted(batches(), lambda batch: batch, values)
-        assert fine is not None
-        middles.append(upper * 16 + _bin_of(fine, rank - before)[0])
-    return ((middles[0] + middles[-1]) // 2).astype(np.uint8)
+    # Four bits at a time: 15 counts of each value of a 320 x 240 picture are 14 MB, 255 would be 235.
+    return _values_in_the_middle((batches() for _ in range(2)), 4)
 
 
-def _counted(
-    batches: Iterable[Pixels], part: Callable[[Pixels], NDArray[Any]], values: NDArray[Any]
-) -> NDArray[np.int64] | None:
-    """Count for each pixel how many pictures hold each of 16 values there, shape (16, H, W, 3)."""
-    counts: NDArray[np.int64] | None = None
-    for batch in batches:
-        if counts is not None and counts.shape[1:] != batch.shape[1:]:
-            (first_height, first_width), (height, width) = counts.shape[1:3], batch.shape[1:3]
-            message = (
-                f"pictures of {first_width} x {first_height} and of {width} x {height} pixels have no common "
-                "background; expected one size; next: take one of each set"
-            )
-            raise InputError(message)
-        seen = part(batch)
-        if counts is None:
-            counts = np.zeros((16, *batch.shape[1:]), np.int64)
-        for count, value in zip(counts, values, strict=True):
-            count += (seen == value).sum(axis=0, dtype=np.int32)
-    return counts
+def _values_in_the_middle(passes: Iterable[Iterable[Pixels]], bits: int) -> Pixels | None:
+    """Return the median of each pixel: some of its bits by each pass over all pictures, the highest first.
 
-
-def _bin_of(counts: NDArray[np.int64], rank: Any) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Return for each pixel in which of 16 bins the item of a rank lies, and how many lie in bins before."""
-    upto = counts.cumsum(axis=0)
-    found = (upto > rank).argmax(axis=0)
-    within = np.take_along_axis(counts, found[None], axis=0)[0]
-    return found, np.take_along_axis(upto, found[None], axis=0)[0] - within
+    The value of a rank is the greatest that no more pictures than that lie below.
+    """
+    found: list[NDArray[np.uint8]] = []  # of the one rank in the middle, or of both
+    for number, batches in enumerate(passes, 1):
+        steps = (np.arange(1, 1 << bits) << (8 - number * bits)).astype(np.uint8)
+        total, below = 0, np.zeros(0, np.int64)
+        for batch in batches:
+            if not found:
+                found = [np.zeros(batch.shape[1:], np.uint8)]
+            if not total:
+                below = np.zeros((len(found), len(steps), *batch.shape[1:]), np.int32)
+            elif below.shape[2:] != batch.shape[1:]:
+                (first_height, first_width), (height, width) = below.shape[2:4], batch.shape[1:3]
+                message = (
+                    f"pictures of {first_width} x {first_height} and of {width} x {height} pixels have no "
+                    "common background; expected one size; next: take one of each set"
+                )
+                raise InputError(message)
+            total += len(batch)
+            counted = np.min_scalar_type(len(batch))
+            for counts, value in zip(below, found, strict=True):
+                for count, step in zip(counts, steps, strict=True):
+                    count += (batch < value + step).sum(axis=0, dtype=counted)
+        if not found:
+            return None
+        ranks = sorted({(total - 1) // 2, total // 2})
+        # After the first pass one value became two, where there are two ranks in the middle.
+        found = [
+            found[-place] + ((below[-place] <= rank).sum(axis=0) << (8 - number * bits)).astype(np.uint8)
+            for place, rank in enumerate(ranks)
+        ]
+    return ((found[0].astype(np.int64) + found[-1]) // 2).astype(np.uint8)
 
 
 def as_pictures(pictures: Any, dimensions: tuple[int, ...] = (4,)) -> Pixels:
@@ -287,7 +274,7 @@ def best_of(
         # Only what the rule looks at is needed of it.
         rows, columns = rule.window(*frames.shape[1:3])
         seen = np.ascontiguousarray(frames[:, rows, columns])
-        scores = _score(seen, median_at_once(seen), rule.min_change)
+        scores = _score(seen, median_in_memory(seen), rule.min_change)
     else:
         scores = contact_score(frames, base, rule)
     best = int(np.argmax(scores.weight))

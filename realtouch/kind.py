@@ -8,7 +8,29 @@ from tactile_toolkit.kind import DatasetKind, lazy, tactile_mnist_set
 
 __all__ = ["KIND"]
 
-_LICENCE = "CC BY 2.0"
+_REAL = (
+    ("real-seq", "touch-real-seq-t256-320x240", "153,600 clips of touches of printed digits, 320 x 240 px"),
+    (
+        "real-single-320x240",
+        "touch-real-single-t256-320x240",
+        "153,600 images of touches of printed digits, 320 x 240 px",
+    ),
+    (
+        "real-single-64x64",
+        "touch-real-single-t256-64x64",
+        "153,600 images of touches of printed digits, 64 x 64 px",
+    ),
+)
+_ALIASES = {"real-single-320x240": ("real-single",)}
+_RENDERED = tuple(
+    (
+        f"{prefix}syn-single-{width}x{height}",
+        f"touch-{prefix}syn-single-t32-{width}x{height}",
+        f"rendered touches of {things}, 32 per round, {width} x {height} px",
+    )
+    for prefix, things in (("", "digits"), ("starstruck-", "scenes"))
+    for width, height in ((320, 240), (64, 64))
+)
 # Patterns of what `verify` and `upload` take for the data set's own beside `data`.
 _EXCHANGED = (
     "webdataset/*.tar",
@@ -38,45 +60,8 @@ KIND = DatasetKind(
     loader=_loader,
     extra_files=("images/*/*/*.png", "images/*/*/*.jpg", "index.csv", *_EXCHANGED),
     published=(
-        tactile_mnist_set(
-            "real-seq",
-            "touch-real-seq-t256-320x240",
-            "153,600 clips of touches of printed digits, 320 x 240 px",
-            licence=_LICENCE,
-        ),
-        tactile_mnist_set(
-            "real-single-320x240",
-            "touch-real-single-t256-320x240",
-            "153,600 images of touches of printed digits, 320 x 240 px",
-            licence=_LICENCE,
-            aliases=("real-single",),
-        ),
-        tactile_mnist_set(
-            "real-single-64x64",
-            "touch-real-single-t256-64x64",
-            "153,600 images of touches of printed digits, 64 x 64 px",
-            licence=_LICENCE,
-        ),
-        tactile_mnist_set(
-            "syn-single-320x240",
-            "touch-syn-single-t32-320x240",
-            "rendered touches of digits, 32 per round, 320 x 240 px",
-        ),
-        tactile_mnist_set(
-            "syn-single-64x64",
-            "touch-syn-single-t32-64x64",
-            "rendered touches of digits, 32 per round, 64 x 64 px",
-        ),
-        tactile_mnist_set(
-            "starstruck-syn-single-320x240",
-            "touch-starstruck-syn-single-t32-320x240",
-            "rendered touches of scenes, 32 per round, 320 x 240 px",
-        ),
-        tactile_mnist_set(
-            "starstruck-syn-single-64x64",
-            "touch-starstruck-syn-single-t32-64x64",
-            "rendered touches of scenes, 32 per round, 64 x 64 px",
-        ),
+        *(tactile_mnist_set(*each, licence="CC BY 2.0", aliases=_ALIASES.get(each[0], ())) for each in _REAL),
+        *(tactile_mnist_set(*each) for each in _RENDERED),
     ),
     plan_previews=lazy("realtouch.show.previews:plan_previews"),
     plan_gallery=lazy("realtouch.show.gallery:plan_gallery"),

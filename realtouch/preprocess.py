@@ -18,7 +18,7 @@ from realtouch.changes import (
     contact_rule,
     contact_score,
     difference,
-    median_at_once,
+    median_in_memory,
     median_of,
 )
 from realtouch.media.clips import TouchClip
@@ -68,7 +68,7 @@ def background(pictures: Any) -> Pixels:
     """
     first = list(islice(_batches(pictures), 2))
     if len(first) == 1:
-        return median_at_once(first[0])
+        return median_in_memory(first[0])
     found = median_of(lambda: _batches(pictures)) if first else None
     if found is None:
         message = "no pictures to take a background of; expected a clip, a round or touches that hold any"

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from realtouch.columns.per_touch import entries_of, per_touch, value_of
+from realtouch.columns.per_touch import entries_of, per_touch
 from realtouch.damage import damaged, missing_column
 from tactile_toolkit.read.columns import NestedColumn
 from tactile_toolkit.read.dataset import Row
@@ -58,34 +58,26 @@ def _as_seconds(values: NDArray[Any]) -> NDArray[np.float64]:
     return np.asarray(values, np.float64)
 
 
-def clip_lengths(row: Row) -> NDArray[np.int64] | None:
-    """Return the number of frames of each clip, shape (T,), int64; None in data sets that do not say.
+def clip_lengths(row: Row, touch: int | None = None) -> NDArray[np.int64] | None:
+    """Return the number of frames of each clip, shape (T,), or of one alone, (1,); None if none are stated.
 
     Raises IntegrityError for lengths that are missing, negative or beyond the limit.
     """
     if not row.has("video_length_frames"):
         return None
-    values = per_touch(row, "video_length_frames")
+    values = per_touch(row, "video_length_frames", touch)
     possible = (values >= 0) & (values <= MAX_CLIP_FRAMES)  # False for NaN, which stands for a missing one
     if not possible.all():
-        touch = int(np.argmin(possible))
-        raise _impossible_length(row, touch, values[touch])
+        wrong = int(np.argmin(possible))
+        problem = f"a clip of {values[wrong]:,} frames; the limit is {MAX_CLIP_FRAMES:,}"
+        raise damaged(row, "video_length_frames", problem, (touch or 0) + wrong)
     return values.astype(np.int64, copy=False)
 
 
 def clip_length(row: Row, touch: int) -> int | None:
-    """Return the number of frames of one clip, as :func:`clip_lengths`; None where it is not said."""
-    if not row.has("video_length_frames"):
-        return None
-    length = value_of(row, "video_length_frames", touch)
-    if not 0 <= length <= MAX_CLIP_FRAMES:
-        raise _impossible_length(row, touch, length)
-    return int(length)
-
-
-def _impossible_length(row: Row, touch: int, length: Any) -> Exception:
-    problem = f"a clip of {length:,} frames; the limit is {MAX_CLIP_FRAMES:,}"
-    return damaged(row, "video_length_frames", problem, touch)
+    """Return the number of frames of one clip; None where it is not stated."""
+    lengths = clip_lengths(row, touch)
+    return None if lengths is None else int(lengths[0])
 
 
 def frame_times(row: Row) -> tuple[NDArray[np.timedelta64], ...]:
@@ -145,28 +137,28 @@ def touch_durations(row: Row, name: str) -> NDArray[np.timedelta64]:
     return times
 
 
-def touch_times(row: Row, touch: int) -> tuple[float, float]:
-    """Return the times of first and last contact of one touch, seconds.
+def times_of_touches(row: Row, touch: int | None = None) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return the times of first and last contact of all touches, shape (T,), or of one alone, (1,), seconds.
 
     Raises IntegrityError when a time is missing, or the end lies before the start.
     """
-    start_s, end_s = (float(_as_seconds(value_of(row, name, touch))) for name in _TOUCH_TIMES)
-    if not start_s <= end_s:
-        for name, time_s in zip(_TOUCH_TIMES, (start_s, end_s), strict=True):
-            if math.isnan(time_s):
-                raise _no_time(row, name, touch)
-        problem = f"contact from {start_s} s to {end_s} s; expected an end not before the start"
-        raise damaged(row, "touch_end_time_rel", problem, touch)
-    return start_s, end_s
-
-
-def times_of_touches(row: Row) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return what :func:`touch_times` does of all touches, two arrays of shape (T,), float64, seconds."""
-    start_s, end_s = (_as_seconds(per_touch(row, name)) for name in _TOUCH_TIMES)
+    start_s, end_s = (_as_seconds(per_touch(row, name, touch)) for name in _TOUCH_TIMES)
     in_order = start_s <= end_s  # False for NaN, which stands for a missing time
     if not in_order.all():
-        touch_times(row, int(np.argmin(in_order)))  # says what is wrong with it
+        wrong = int(np.argmin(in_order))
+        times = dict(zip(_TOUCH_TIMES, (start_s[wrong], end_s[wrong]), strict=True))
+        for name, time_s in times.items():
+            if math.isnan(time_s):
+                raise _no_time(row, name, (touch or 0) + wrong)
+        problem = f"contact from {start_s[wrong]} s to {end_s[wrong]} s; expected an end not before the start"
+        raise damaged(row, "touch_end_time_rel", problem, (touch or 0) + wrong)
     return start_s, end_s
+
+
+def touch_times(row: Row, touch: int) -> tuple[float, float]:
+    """Return the times of first and last contact of one touch, seconds; see :func:`times_of_touches`."""
+    start_s, end_s = times_of_touches(row, touch)
+    return float(start_s[0]), float(end_s[0])
 
 
 def _no_time(row: Row, name: str, touch: int) -> Exception:

@@ -5,6 +5,7 @@ T is the number of touches of the round.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from contextlib import suppress
 from typing import Any
 
@@ -27,11 +28,10 @@ __all__ = [
     "known_positions",
     "per_touch",
     "plain_value",
+    "readable",
     "require_touches",
     "stored_value",
     "touch_total",
-    "value_of",
-    "vector_of",
     "vectors",
 ]
 
@@ -68,14 +68,20 @@ def _touch_starts(row: Row) -> NDArray[Any] | int:
     raise missing_column(row, _COUNTED[0])
 
 
-def entries_of(row: Row, name: str) -> tuple[NestedColumn, int, int]:
-    """Return a column and the range of its entries that are the round's; IntegrityError unless they are T."""
+def entries_of(row: Row, name: str, touch: int | None = None) -> tuple[NestedColumn, int, int]:
+    """Return a column and the range of its entries that are the round's, or one touch's.
+
+    Raises IntegrityError unless there are T, IndexError when there is no such touch.
+    """
     column = column_of(row, name)
     start, stop = column.inside(0, row.index, row.index + 1)
     expected = touch_total(row)
     if stop - start != expected:
         raise damaged(row, name, f"{stop - start} touches; expected {expected} as in 'pos_in_cell'")
-    return column, start, stop
+    if touch is None:
+        return column, start, stop
+    first = start + checked_index(touch, expected, "touch", "touches")
+    return column, first, first + 1
 
 
 def require_touches(row: Row) -> None:
@@ -85,76 +91,67 @@ def require_touches(row: Row) -> None:
             entries_of(row, name)
 
 
-def per_touch(row: Row, name: str) -> NDArray[Any]:
-    """Return one value per touch, shape (T,); IntegrityError where there are more or less."""
-    column, start, stop = entries_of(row, name)
+def per_touch(row: Row, name: str, touch: int | None = None) -> NDArray[Any]:
+    """Return one value per touch, shape (T,), or one alone, (1,); IntegrityError unless there are T."""
+    column, start, stop = entries_of(row, name, touch)
     values: NDArray[Any] = column.values[start:stop]
     return values
 
 
-def value_of(row: Row, name: str, touch: int) -> Any:
-    """Return one value of a column with one per touch, without looking at the others."""
-    column = column_of(row, name)
-    start, stop = column.inside(0, row.index, row.index + 1)
-    if touch >= stop - start:
-        entries_of(row, name)  # says how many are lacking
-    return column.values[start + touch]
+def vectors(row: Row, name: str, width: int, touch: int | None = None) -> NDArray[np.floating]:
+    """Return one vector per touch, shape (T, width), or that of one alone, (1, width), a view.
 
-
-def vectors(row: Row, name: str, width: int) -> NDArray[np.floating]:
-    """Return one vector per touch, shape (T, width), a view; IntegrityError for other numbers of values."""
-    column, start, stop = entries_of(row, name)
+    Raises IntegrityError for other numbers of values.
+    """
+    column, start, stop = entries_of(row, name, touch)
     values = column.flat(1, start, stop)
     touches = stop - start
     if len(values) != touches * width:
-        raise damaged(row, name, f"{len(values)} values for {touches} touches; expected {width} each")
+        problem = f"{len(values)} values for {touches} touches; expected {width} each"
+        if touch is not None:
+            problem = f"{len(values)} values; expected {width}"
+        raise damaged(row, name, problem, touch)
     return values.reshape(touches, width)
 
 
-def vector_of(row: Row, name: str, touch: int, width: int) -> NDArray[np.floating]:
-    """Return the vector of one touch, shape (width,), a view; looks at no other touch.
+def intended_positions(row: Row, touch: int | None = None) -> NDArray[np.floating]:
+    """Return where each touch was meant to be, shape (T, 2), or one alone, (1, 2), a view.
 
-    Raises IntegrityError for another number of values, IndexError when there is no such touch.
+    Metres, cell frame. Raises IntegrityError, which names the touch, for a position that is missing or not
+    finite.
     """
-    column, first, last = entries_of(row, name)
-    entry = first + checked_index(touch, last - first, "touch", "touches")
-    values = column.flat(1, entry, entry + 1)
-    if len(values) != width:
-        raise damaged(row, name, f"{len(values)} values; expected {width}", touch)
-    return values
-
-
-def intended_positions(row: Row) -> NDArray[np.floating]:
-    """Return where each touch was meant to be, shape (T, 2), metres, cell frame, a view.
-
-    Raises IntegrityError, which names the touch, for positions that are missing or not finite.
-    """
-    positions = vectors(row, "pos_in_cell", 2)
+    positions = vectors(row, "pos_in_cell", 2, touch)
     # One sum tells of any value that is not finite, and costs a tenth of looking at each.
     if not np.isfinite(positions.sum()):
-        for touch in range(len(positions)):
-            intended_position(row, touch)
+        wrong = int(np.argmin(np.isfinite(positions).all(axis=1)))
+        if not np.isfinite(positions[wrong]).all():
+            problem = f"a position {positions[wrong]}; expected metres"
+            raise damaged(row, "pos_in_cell", problem, (touch or 0) + wrong)
     return positions
 
 
 def intended_position(row: Row, touch: int) -> NDArray[np.floating]:
     """Return where one touch was meant to be, shape (2,); see :func:`intended_positions`."""
-    position = vector_of(row, "pos_in_cell", touch, 2)
-    if not np.isfinite(position.sum()):
-        raise damaged(row, "pos_in_cell", f"a position {position}; expected metres", touch)
+    position: NDArray[np.floating] = intended_positions(row, touch)[0]
     return position
+
+
+def readable(row: Row, read: Callable[[Row, int | None], NDArray[Any]], *shape: int) -> NDArray[np.float64]:
+    """Return what is read of all touches, shape (T, ...), float64; NaN for touches where it is damaged."""
+    try:
+        return read(row, None).astype(np.float64)
+    except IntegrityError:
+        # One by one only where something is damaged: all at once is many times as fast.
+        known = np.full((touch_total(row), *shape), np.nan)
+    for touch in range(len(known)):
+        with suppress(IntegrityError):
+            known[touch] = read(row, touch)[0]
+    return known
 
 
 def known_positions(row: Row) -> NDArray[np.float64]:
     """Return what :func:`intended_positions` does, float64; NaN where a position cannot be read."""
-    try:
-        return intended_positions(row).astype(np.float64)
-    except IntegrityError:
-        known = np.full((touch_total(row), 2), np.nan)
-    for touch in range(len(known)):
-        with suppress(IntegrityError):
-            known[touch] = intended_position(row, touch)
-    return known
+    return readable(row, intended_positions, 2)
 
 
 def plain_value(row: Row, name: str) -> Any:

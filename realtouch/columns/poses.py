@@ -6,17 +6,15 @@ T is the number of touches of the round, N_i the number of frames of touch i.
 from __future__ import annotations
 
 import math
-from contextlib import suppress
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from realtouch.columns.per_frame import clip_length, cut, cut_touch
-from realtouch.columns.per_touch import touch_total, vector_of, vectors
+from realtouch.columns.per_touch import readable, vectors
 from realtouch.damage import damaged
-from realtouch.poses import Poses, PoseSequences, bad_pose, rigid_transform
-from tactile_toolkit.errors import IntegrityError
+from realtouch.poses import Poses, PoseSequences, bad_pose
 from tactile_toolkit.read.dataset import Row
 from tactile_toolkit.touch.contact import PRESS_DEPTH_M, ContactHeight
 from tactile_toolkit.touch.schema import PLATE_COLUMN, POSE_COLUMN, Kind
@@ -38,28 +36,23 @@ __all__ = [
 _POSE, _POSE_SEQUENCE = POSE_COLUMN["single"], POSE_COLUMN["seq"]
 
 
-def poses(row: Row) -> Poses:
-    """Return the pose of the gel in each touch of a ``single`` round, T poses.
+def poses(row: Row, touch: int | None = None) -> Poses:
+    """Return the pose of the gel in each touch of a ``single`` round, T poses, or that of one alone.
 
     Raises IntegrityError, which names the touch, for a position or quaternion that is missing, not finite or
     of length zero.
     """
-    positions, quaternions = vectors(row, f"{_POSE}.position", 3), vectors(row, f"{_POSE}.quaternion", 4)
+    positions = vectors(row, f"{_POSE}.position", 3, touch)
+    quaternions = vectors(row, f"{_POSE}.quaternion", 4, touch)
     wrong = bad_pose(positions, quaternions)
     if wrong is not None:
-        touch, problem = wrong
-        raise damaged(row, _POSE, problem, touch)
+        raise damaged(row, _POSE, wrong[1], (touch or 0) + wrong[0])
     return Poses(positions, quaternions)
 
 
 def touch_pose(row: Row, touch: int) -> Pose:
-    """Return the pose of the gel in one touch of a ``single`` round, as :func:`poses`; looks at no other."""
-    position = vector_of(row, f"{_POSE}.position", touch, 3)
-    quaternion = vector_of(row, f"{_POSE}.quaternion", touch, 4)
-    wrong = bad_pose(position[None], quaternion[None])
-    if wrong is not None:
-        raise damaged(row, _POSE, wrong[1], touch)
-    return rigid_transform(position, quaternion)
+    """Return the pose of the gel in one touch of a ``single`` round; looks at no other."""
+    return poses(row, touch)[0]
 
 
 def pose_sequences(row: Row) -> PoseSequences:
@@ -92,55 +85,36 @@ def _require_frames(row: Row, touch: int, position: NDArray[Any], quaternion: ND
         raise damaged(row, _POSE_SEQUENCE, f"frame {frame}: {problem}", touch)
 
 
-def contact_z_m(row: Row, kind: Kind) -> NDArray[np.float64]:
-    """Return the height of the gel at the deepest press of each touch, shape (T,), metres, cell frame.
+def contact_z_m(row: Row, kind: Kind, touch: int | None = None) -> NDArray[np.float64]:
+    """Return the height of the gel at the deepest press of each touch, shape (T,), or of one alone, (1,).
 
-    Of a ``single`` round, that is the height of its one pose per touch. Raises IntegrityError, which names
-    the touch, for a height that is missing or not finite.
+    Metres, cell frame; of a ``single`` round, that is the height of its one pose per touch. Raises
+    IntegrityError, which names the touch, for a height that is missing or not finite.
     """
-    if kind == "seq":
-        name = f"{_POSE_SEQUENCE}.position"
-        # A clip without frames has no height: infinity is refused below.
-        heights = np.array([touch[:, 2].min(initial=np.inf) for touch in cut(row, name, 3)])
+    name = f"{POSE_COLUMN[kind]}.position"
+    if kind == "single":
+        heights = vectors(row, name, 3, touch)[:, 2].astype(np.float64)
     else:
-        name = f"{_POSE}.position"
-        heights = vectors(row, name, 3)[:, 2].astype(np.float64)
+        one = None if touch is None else cut_touch(row, name, touch, clip_length(row, touch), 3)
+        frames = cut(row, name, 3) if one is None else (one,)
+        # A clip without frames has no height: infinity is refused below.
+        heights = np.array([each[:, 2].min(initial=np.inf) for each in frames])
     finite = np.isfinite(heights)
     if not finite.all():
-        touch = int(np.argmin(finite))
-        raise _no_height(row, name, touch, float(heights[touch]))
+        wrong = int(np.argmin(finite))
+        problem = f"a gel height of {heights[wrong]}; expected metres"
+        raise damaged(row, name, problem, (touch or 0) + wrong)
     return heights
 
 
 def touch_contact_z_m(row: Row, kind: Kind, touch: int) -> float:
     """Return what :func:`contact_z_m` says of one touch, looking at no other."""
-    if kind == "seq":
-        name = f"{_POSE_SEQUENCE}.position"
-        frames = cut_touch(row, name, touch, clip_length(row, touch), 3)
-        height = float(frames[:, 2].min(initial=np.inf))
-    else:
-        name = f"{_POSE}.position"
-        height = float(vector_of(row, name, touch, 3)[2])
-    if not np.isfinite(height):
-        raise _no_height(row, name, touch, height)
-    return height
-
-
-def _no_height(row: Row, name: str, touch: int, height: float) -> IntegrityError:
-    return damaged(row, name, f"a gel height of {height}; expected metres", touch)
+    return float(contact_z_m(row, kind, touch)[0])
 
 
 def known_contact_z_m(row: Row, kind: Kind) -> NDArray[np.float64]:
     """Return what :func:`contact_z_m` says of each touch; NaN where it cannot be read."""
-    try:
-        return contact_z_m(row, kind)
-    except IntegrityError:
-        # One by one only where something is damaged: all at once is many times as fast.
-        heights = np.full(touch_total(row), np.nan)
-    for touch in range(len(heights)):
-        with suppress(IntegrityError):
-            heights[touch] = touch_contact_z_m(row, kind, touch)
-    return heights
+    return readable(row, lambda row, touch: contact_z_m(row, kind, touch))
 
 
 def plate_z_m(row: Row) -> float:

@@ -1,16 +1,15 @@
-"""Pictures of real touches: a round as a grid or on a map of the cell, a clip as a strip, the gel's drift."""
+"""Pictures of real touches: a round as a grid or on a map of the cell, a clip as a strip."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from realtouch.columns.poses import contact_z_m, plate_z_m
 from realtouch.contact import contact_heights_m
-from realtouch.dataset import TouchDataset
 from realtouch.media.clips import TouchClip
 from realtouch.media.sheets import evenly_spaced, fitted
 from realtouch.opening import load
@@ -19,7 +18,6 @@ from realtouch.show.overlay import cell_map, overlay, placed_touches
 from realtouch.touch import Touch
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.pictures.lettering import ACCENTS, INK, MUTED, PAPER, draw_text
-from tactile_toolkit.pictures.plots import Points, plot_points, require_plots
 from tactile_toolkit.pictures.sheets import Sheet, Tile, sheet, with_scale_bar
 from tactile_toolkit.pictures.writing import (
     PicturePlan,
@@ -36,12 +34,10 @@ __all__ = [
     "CONTACT",
     "IN_CONTACT",
     "TouchPreviewSpec",
-    "draw_drift",
     "draw_grid",
     "draw_overlay",
     "draw_strip",
     "frames_shown",
-    "gel_drift",
     "plan_previews",
     "timeline",
 ]
@@ -77,9 +73,8 @@ class TouchPreviewSpec:
 def plan_previews(name: str, spec: TouchPreviewSpec) -> PicturePlan:
     """Decide which pictures to draw of whatever :func:`realtouch.load` opens; draws none.
 
-    Kinds are grid, overlay, strip and drift. InputError: no such data set, split, round, touch or kind,
-    nothing in it, or a strip of a set without clips. MissingExtraError: a plot was asked for by name without
-    matplotlib. IntegrityError and HubError as :func:`realtouch.load`.
+    Kinds are grid, overlay and strip. InputError: no such data set, split, round, touch or kind, nothing in
+    it, or a strip of a set without clips. IntegrityError and HubError as :func:`realtouch.load`.
     """
     dataset = load(name, spec.split, revision=spec.revision)
     split = spec.split or "-".join(dataset.splits)
@@ -92,47 +87,29 @@ def plan_previews(name: str, spec: TouchPreviewSpec) -> PicturePlan:
         raise InputError(message)
     record = dataset[number]
     stem = "-".join(filter(None, (file_stem(name), split)))
-    of_round = f"{stem}-round-{number}"
+
+    def planned(kind: str, what: str, draw: Callable[[], Pixels]) -> list[PlannedPicture]:
+        return [PlannedPicture(f"{stem}-round-{number}-{kind}.png", what, draw)]
+
+    def strip() -> list[PlannedPicture]:
+        if not isinstance(record, TouchSeqRound):
+            message = "a film strip needs clips, and this data set holds images; next: give a seq set"
+            raise InputError(message)
+        touch, clips = spec.touch, record.sensor_video
+        if not 0 <= touch < len(clips):
+            message = f"--touch is {touch}; round {number} has touches 0 to {len(clips) - 1}"
+            raise InputError(message)
+        title = f"{_title(record)}, touch {touch}"
+        what = f"the clip of touch {touch} of {record!r}"
+        return planned(f"touch-{touch}-strip", what, lambda: draw_strip(clips[touch], title))
+
+    on_map = f"all touches of {record!r} at their positions"
     plans = {
-        "grid": lambda: [
-            PlannedPicture(
-                f"{of_round}-grid.png", f"touches of {record!r}", lambda: draw_grid(record, spec.touches)
-            )
-        ],
-        "overlay": lambda: [
-            PlannedPicture(
-                f"{of_round}-overlay.png",
-                f"all touches of {record!r} at their positions",
-                lambda: draw_overlay(record),
-            )
-        ],
-        "strip": lambda: [_plan_strip(record, of_round, spec)],
-        "drift": lambda: [_plan_drift(dataset, stem)],
+        "grid": lambda: planned("grid", f"touches of {record!r}", lambda: draw_grid(record, spec.touches)),
+        "overlay": lambda: planned("overlay", on_map, lambda: draw_overlay(record)),
+        "strip": strip,
     }
     return plan_kinds(spec.kinds, plans, ("grid",))
-
-
-def _plan_strip(record: TouchRound, of_round: str, spec: TouchPreviewSpec) -> PlannedPicture:
-    if not isinstance(record, TouchSeqRound):
-        message = "a film strip needs clips, and this data set holds images; next: give a seq set"
-        raise InputError(message)
-    touch = spec.touch
-    if not 0 <= touch < record.touch_count:
-        message = f"--touch is {touch}; round {spec.round_number} has touches 0 to {record.touch_count - 1}"
-        raise InputError(message)
-    title = f"{_title(record)}, touch {touch}"
-    return PlannedPicture(
-        f"{of_round}-touch-{touch}-strip.png",
-        f"the clip of touch {touch} of {record!r}",
-        lambda: draw_strip(record.sensor_video[touch], title),
-    )
-
-
-def _plan_drift(dataset: TouchDataset[Any], stem: str) -> PlannedPicture:
-    _require_poses(dataset)
-    require_plots("the picture of the gel's drift")
-    what = f"drift of the gel over {counted(len(dataset), 'rounds')}"
-    return PlannedPicture(f"{stem}-drift.png", what, lambda: draw_drift(dataset, f"{stem}: drift of the gel"))
 
 
 def frames_shown(count: int, contact: slice, most: int = _MOST_FRAMES) -> tuple[int, ...]:
@@ -223,44 +200,6 @@ def draw_overlay(record: TouchRound) -> Pixels:
         f"{x_mm:.0f} x {y_mm:.0f} mm around the middle of the cell, x right, y up",
     )
     return sheet([Tile(pixels, frame=(205, 210, 215))], Sheet(1, _title(record), words))
-
-
-def gel_drift(dataset: TouchDataset[Any]) -> tuple[NDArray[np.float64], tuple[str, ...]]:
-    """Return the height of the plate in each round, and the gel it was made with; opens no picture.
-
-    Heights are metres in the cell frame, shape (len(dataset),): that of the deepest touch, or as `realtouch
-    select` stored it before it took touches out. Gels are empty words where the data set does not say.
-    InputError: the data set stores no poses.
-    """
-    _require_poses(dataset)
-    z_m, starts = dataset.contact_z_m()
-    rows = dataset.row_numbers
-    deepest = np.array([np.fmin.reduce(z_m[starts[row] : starts[row + 1]], initial=np.inf) for row in rows])
-    stored = dataset.plates_z_m()[rows]
-    levels_m = np.where(np.isnan(stored), deepest, stored)
-    if not dataset.has_column("info.gel_id"):
-        return levels_m, ("",) * len(dataset)
-    by_row = {row: record.info["gel_id"] for row, record in dataset.rounds_without_media()}
-    gels = [by_row[row] for row in rows.tolist()]
-    return levels_m, tuple("unknown gel" if gel is None else f"gel {gel}" for gel in gels)
-
-
-def _require_poses(dataset: TouchDataset[Any]) -> None:
-    if not dataset.has_column(f"{POSE_COLUMN[dataset.kind]}.position"):
-        message = "the drift of the gel needs its poses, which this data set does not store"
-        raise InputError(message)
-
-
-def draw_drift(dataset: TouchDataset[Any], title: str) -> Pixels:
-    """Draw the height of the gel on the plate in every round, in the colours of the gels."""
-    z_m, gels = gel_drift(dataset)
-    z_mm = z_m * 1e3
-    rounds = counted(len(z_mm), "rounds")
-    spread = f"{rounds}; from {z_mm.min():.2f} to {z_mm.max():.2f} mm, median {np.median(z_mm):.2f} mm"
-    estimated = np.isnan(dataset.plates_z_m()[dataset.row_numbers]).any()
-    height = "deepest touch" if estimated else "gel on the plate"
-    points = Points(title, "round", f"{height}, z in mm", np.arange(len(z_mm)), z_mm, gels)
-    return plot_points(points, spread)
 
 
 def _touches_in_words(record: TouchRound) -> str:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from importlib.util import find_spec
 from pathlib import Path
 
 import numpy as np
@@ -12,7 +11,6 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 import realtouch
-from realtouch.show import previews
 from realtouch.show.overlay import CELL_M, SENSING_AREA_M, CellMap, Placed, cell_map, overlay, placed_touches
 from realtouch.show.previews import (
     CONTACT,
@@ -22,7 +20,6 @@ from realtouch.show.previews import (
     draw_overlay,
     draw_strip,
     frames_shown,
-    gel_drift,
     plan_previews,
     timeline,
 )
@@ -32,7 +29,6 @@ from tests.realtouch import factories
 from tests.realtouch.conftest import SIZE, TOUCHES
 from tests.realtouch.factories import Layout, RoundTruth
 
-NO_PLOTS = find_spec("matplotlib") is None
 GREY = 128
 
 
@@ -153,8 +149,6 @@ def test_without_poses_the_intended_position_is_taken(tmp_path: Path, truth: lis
         assert one.centre_m == pytest.approx(truth[0].pos_in_cell_m[touch])
         assert one.axes.tolist() == [[1, 0], [0, -1]]
     assert (draw_grid(record, 5) == CONTACT).all(axis=2).sum() == 0
-    with pytest.raises(InputError, match="needs its poses"):
-        gel_drift(realtouch.load(str(folder)))
 
 
 # ---------------------------------------------------------------- clips
@@ -235,52 +229,6 @@ def test_touches_that_met_the_digit_are_framed_in_the_grid(
     assert fewer.shape[1] != 0
 
 
-def test_drift_is_that_of_the_recordings(seq_folder: Path, truth: list[RoundTruth]) -> None:
-    dataset = realtouch.load(str(seq_folder), "train")
-    z_m, gels = gel_drift(dataset)
-    assert z_m == pytest.approx([min(t.position_m[:, 2].min() for t in each.touches) for each in truth])
-    assert z_m == pytest.approx([each.z_drift_m for each in truth], abs=1e-4)
-    assert gels == tuple(f"gel {each.gel_id}" for each in truth)
-    backwards, _ = gel_drift(dataset[::-1])
-    assert backwards == pytest.approx(z_m[::-1])
-
-
-@pytest.mark.pictures
-@pytest.mark.parametrize(("chosen", "height"), [(False, "deepest touch"), (True, "gel on the plate")])
-def test_the_axis_of_the_drift_names_what_is_drawn(
-    chosen: bool, height: str, single_folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    pytest.importorskip("matplotlib", reason="needs matplotlib, of the extra pictures")
-    drawn: list[previews.Points] = []
-    plot = previews.plot_points
-    monkeypatch.setattr(
-        previews, "plot_points", lambda points, *rest: drawn.append(points) or plot(points, *rest)
-    )
-    if chosen:
-        realtouch.select(single_folder, tmp_path / "some", contact=True)
-    previews.draw_drift(realtouch.load(tmp_path / "some" if chosen else single_folder, "train"), "drift")
-    assert [points.y_label for points in drawn] == [f"{height}, z in mm"]
-
-
-def test_a_gel_without_a_number_is_unknown(tmp_path: Path, single_rows: list[dict]) -> None:
-    def nameless(row: dict, index: int) -> None:
-        row["info.gel_id"] = None if index == 1 else 7
-
-    factories.write_set(tmp_path / "set", {"train": single_rows}, "single", Layout(edit=nameless))
-    _, gels = gel_drift(realtouch.load(str(tmp_path / "set")))
-    assert gels == ("gel 7", "unknown gel", "gel 7")
-
-
-def test_a_drift_that_cannot_be_known_is_left_out_of_all(tmp_path: Path, single_rows: list[dict]) -> None:
-    layout = Layout(leave_out=("gel_pose_cell_frame.position", "gel_pose_cell_frame.quaternion"))
-    factories.write_set(tmp_path / "set", {"train": single_rows}, "single", layout)
-    plan = plan_previews(str(tmp_path / "set"), TouchPreviewSpec(("all",)))
-    assert [picture.name.rpartition("-")[2] for picture in plan.pictures] == ["grid.png", "overlay.png"]
-    assert any("the drift of the gel needs its poses" in reason for reason in plan.left_out)
-    with pytest.raises(InputError, match="the drift of the gel needs its poses"):
-        plan_previews(str(tmp_path / "set"), TouchPreviewSpec(("drift",)))
-
-
 def test_plans_name_round_and_touch(seq_folder: Path, single_folder: Path) -> None:
     plan = plan_previews(
         str(seq_folder), TouchPreviewSpec(("grid", "strip", "overlay"), "train", round_number=2, touch=3)
@@ -305,20 +253,6 @@ def test_plans_name_round_and_touch(seq_folder: Path, single_folder: Path) -> No
     with pytest.raises(InputError, match="--touch is 5; round 0 has touches 0 to 4"):
         plan_previews(str(seq_folder), TouchPreviewSpec(("strip",), "train", touch=5))
     assert SIZE == (96, 72)
-
-
-@pytest.mark.pictures
-@pytest.mark.skipif(NO_PLOTS, reason="needs the extra `pictures` (matplotlib)")
-def test_the_drift_is_plotted(seq_folder: Path) -> None:
-    plan = plan_previews(str(seq_folder), TouchPreviewSpec(("all",), "train"))
-    assert plan.left_out == ()
-    assert [picture.name.rpartition("-")[2] for picture in plan.pictures] == [
-        "grid.png",
-        "overlay.png",
-        "strip.png",
-        "drift.png",
-    ]
-    assert plan.pictures[-1].draw().std() > 5
 
 
 def test_pictures_of_several_sizes_are_not_laid_over_each_other(
