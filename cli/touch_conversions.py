@@ -41,10 +41,10 @@ DifferenceName = Literal["grey", "absolute"]
 FrameName = Literal["contact_end", "contact_start", "peak", "median", "best"]
 """Ways to choose the frame of a clip that shows the contact."""
 
-LayoutName = Literal["flat", "webdataset", "lerobot"]
+LayoutName = Literal["flat", "webdataset", "lerobot", "fota", "sparsh", "anytouch"]
 """Formats of other libraries."""
 
-ImportLayout = Literal["folder", "webdataset"]
+ImportLayout = Literal["folder", "webdataset", "fota", "sparsh", "anytouch"]
 """Formats of others that become touches."""
 
 Target = Annotated[str, typer.Argument(metavar="OUT", help="Folder to write.", parser=place_of_data)]
@@ -245,7 +245,7 @@ def export(
         LayoutName,
         typer.Option(
             help="flat: Parquet, a row for each touch; webdataset: tars; lerobot: LeRobotDataset v3.0 of one "
-            "split."
+            "split; fota: tars of T3; sparsh: pickled images; anytouch: list files."
         ),
     ],
     out: Out,

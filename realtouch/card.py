@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from importlib.resources import files
 from itertools import islice
 from operator import attrgetter
-from typing import Any, Literal, TypeVar
+from typing import Any, Literal, NamedTuple, TypeVar
 
 import numpy as np
 
@@ -216,7 +216,7 @@ def _plain_pictures(folder: DataFolder, facts: FolderFacts) -> Iterator[Pixels |
         yield from (_or_none(decode_image, each) for each in group.arrow("image.bytes")[:_TILES].to_pylist())
     elif shard is not None and "frame" in shard.types and "label" in shard.types:
         names = shard.read(columns=["file"]).column(0).to_pylist()[:_TILES]
-        if not names[0].endswith(".tar"):
+        if names[0].endswith((".jpg", ".png")):
             yield from (_or_none(lambda name: decode_image(folder.read_bytes(name)), name) for name in names)
 
 
@@ -277,8 +277,7 @@ def _or_none(ask: Callable[..., T], *parts: Any) -> T | None:
         return None
 
 
-@dataclass(frozen=True, slots=True)
-class _SplitFigures:
+class _SplitFigures(NamedTuple):
     """One split in numbers; None where the data do not say."""
 
     touches: int | None
@@ -292,10 +291,9 @@ def _split_figures(split: SplitFacts, kind: Kind) -> _SplitFigures:
     if not split.rows:
         return _SplitFigures(0, None, 0, None)
     dataset = dataset_of(split.shards, kind)
-    counts = _or_none(lambda: dataset.touch_counts)
     return _SplitFigures(
-        None if counts is None else int(counts.sum()),
-        None if counts is None else (int(counts.min()), int(counts.max())),
+        _or_none(lambda: int(dataset.touch_counts.sum())),
+        _or_none(lambda: (int(dataset.touch_counts.min()), int(dataset.touch_counts.max()))),
         _or_none(lambda: len(np.unique(dataset.column("object_id")))),
         _or_none(lambda: float(dataset.touches().in_contact().mean())),
     )

@@ -45,7 +45,7 @@ def median_in_memory(pictures: Pixels) -> Pixels:
     values = pictures.reshape(len(pictures), -1)
     starts = range(0, values.shape[1], _PIXELS_AT_ONCE)
     parts = (values[:, start : start + _PIXELS_AT_ONCE] for start in starts)
-    found = [_values_in_the_middle([[part]] * 8, 1) for part in parts]
+    found: list[Any] = [_values_in_the_middle([[part]] * 8, 1) for part in parts]
     median: Pixels = np.concatenate(found).reshape(pictures.shape[1:])
     return median
 
@@ -67,7 +67,8 @@ def _values_in_the_middle(passes: Iterable[Iterable[Pixels]], bits: int) -> Pixe
     found: list[NDArray[np.uint8]] = []  # of the one rank in the middle, or of both
     for number, batches in enumerate(passes, 1):
         steps = (np.arange(1, 1 << bits) << (8 - number * bits)).astype(np.uint8)
-        total, below = 0, np.zeros(0, np.int64)
+        total = 0
+        below: NDArray[Any] = np.zeros(0, np.int32)
         for batch in batches:
             if not found:
                 found = [np.zeros(batch.shape[1:], np.uint8)]

@@ -37,6 +37,12 @@ _EXCHANGED = (
     "lerobot/data/*/*.parquet",
     "lerobot/meta/*",
     "lerobot/meta/*/*/*.parquet",
+    "fota/*/data-*.tar",
+    "fota/*/count.txt",
+    "sparsh/*/dataset_*.*",
+    "sparsh/*/bgs/bg_gs.jpg",
+    "anytouch/*_bg.txt",
+    "anytouch/touch_and_go/*/gelsight_frame/*.jpg",
 )
 
 

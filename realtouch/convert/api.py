@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 import operator
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import replace
 from itertools import chain
 from os import PathLike, fspath
@@ -221,7 +221,7 @@ def select(
         "objects": [_object_id(each) for each in objects],
         "limit": _require_limit(limit),
     }
-    choices = {each: _chosen_rows(opened, each, **options) for each in opened.shards}
+    choices = {each: _chosen_rows(opened, each, options) for each in opened.shards}
     if contact and not any(map(len, choices.values())):
         highest_m = max(
             float(dataset_of(shards, opened.kind).touches().heights_m().max(initial=-math.inf))
@@ -237,35 +237,26 @@ def select(
     return convert(conversion, out, workers, overwrite, on_progress)
 
 
-def _chosen_rows(
-    source: Source,
-    split: str,
-    *,
-    contact: bool,
-    min_height_m: float,
-    recalibrate_z: bool,
-    labels: list[str],
-    objects: list[int],
-    limit: int | None,
-) -> list[RowChoice]:
+def _chosen_rows(source: Source, split: str, options: Mapping[str, Any]) -> list[RowChoice]:
     """Decide which rows and touches of a split :func:`select` keeps; reads small columns only."""
-    dataset = dataset_of(source.shards[split], source.kind)
-    if labels:
+    dataset, limit = dataset_of(source.shards[split], source.kind), options["limit"]
+    if options["labels"]:
         known = dataset.label_names
-        wanted = [name if name in known or not name.isdecimal() else int(name) for name in labels]
-        dataset = dataset.filter_labels(wanted)
-    if objects:
+        dataset = dataset.filter_labels(
+            [name if name in known or not name.isdecimal() else int(name) for name in options["labels"]]
+        )
+    if options["objects"]:
         if not dataset.has_column("object_id"):
             message = (
-                f"objects is {objects}, but {source.name!r} has no column 'object_id'; next: "
+                f"objects is {options['objects']}, but {source.name!r} has no column 'object_id'; next: "
                 "choose by --labels, or import it again with --object-column"
             )
             raise InputError(message)
-        dataset = dataset[np.isin(dataset.column("object_id"), objects)]
+        dataset = dataset[np.isin(dataset.column("object_id"), options["objects"])]
     rows = dataset.row_numbers.tolist()
-    if not contact:
+    if not options["contact"]:
         return list(map(RowChoice, rows))[:limit]
-    touches = dataset.touches().with_contact(min_height_m, recalibrate_z)
+    touches = dataset.touches().with_contact(options["min_height_m"], options["recalibrate_z"])
     kept: dict[int, list[int]] = {}
     for position, touch in zip(touches.round_positions.tolist(), touches.touch_indices.tolist(), strict=True):
         kept.setdefault(position, []).append(touch)

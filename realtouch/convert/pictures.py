@@ -4,24 +4,20 @@ from __future__ import annotations
 
 import csv
 import io
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from functools import partial
 from typing import Any, Literal
 
 import numpy as np
 import pyarrow as pa
-from numpy.typing import NDArray
 
-from realtouch.columns.per_touch import entries_of, int_value, intended_positions, plain_value, touch_total
-from realtouch.columns.poses import clip_poses, poses
+from realtouch.columns.per_touch import int_value, intended_positions, plain_value
 from realtouch.contact import ContactMethod
 from realtouch.convert.plan import Made, RowChoice, Source
-from realtouch.convert.steps import contact_frame_of
+from realtouch.convert.shown import Shown, shown_touches
 from realtouch.damage import damaged
 from realtouch.dataset import dataset_of
-from realtouch.media.clips import TouchClip
-from realtouch.media.images import SensorImages
+from realtouch.integrity.files import write_changed
 from realtouch.preprocess import background, difference
 from realtouch.rounds import TouchSingleRound
 from tactile_toolkit.read.dataset import Row
@@ -31,7 +27,7 @@ from tactile_toolkit.store.manifest import Manifest
 from tactile_toolkit.store.names import problem_of_name
 from tactile_toolkit.store.parquet import sha256_hex
 from tactile_toolkit.touch.jpeg import IMAGE_SUFFIX, ImageFormat, Pixels, encode_image
-from tactile_toolkit.touch.schema import CLASS_NAMES, POSE_COLUMN
+from tactile_toolkit.touch.schema import CLASS_NAMES
 
 __all__ = [
     "IMAGE_FOLDER",
@@ -39,12 +35,10 @@ __all__ = [
     "POSE_COLUMNS",
     "POSITION_COLUMNS",
     "Repeated",
-    "Shown",
     "WritePictures",
     "columns_of_touches",
     "repeated_ids",
     "require_first",
-    "shown_touches",
     "write_index",
 ]
 
@@ -70,47 +64,6 @@ _INDEX_SCHEMA = pa.schema(
         *((name, pa.float64()) for name in (*POSITION_COLUMNS, *POSE_COLUMNS)),
     ]
 )
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Shown:
-    """The picture that stands for a touch, and the pose of the gel then.
-
-    ``stored`` is its file, None where a clip does not hold images; ``pose`` are position and quaternion,
-    seven numbers, None where there are no poses; ``clip`` is what a frame was taken from.
-    """
-
-    touch: int
-    frame: int
-    stored: memoryview | None
-    decode: Callable[[], Pixels]
-    pose: NDArray[np.floating] | None
-    clip: TouchClip | None = None
-
-
-def shown_touches(row: Row, method: ContactMethod) -> Iterator[Shown]:
-    """Yield the picture of each touch of a round: its image, or the frame of its clip by some method."""
-    count = touch_total(row)
-    if row.has("sensor_image"):
-        entries_of(row, "sensor_image")  # refuses a round with more or less than T images
-        images, found = SensorImages(row), None
-        if row.has(f"{POSE_COLUMN['single']}.position"):
-            stored = poses(row)
-            found = np.hstack([stored.position_m, stored.quaternion])
-        for touch in range(count):
-            pose = None if found is None else found[touch]
-            yield Shown(touch, 0, images.encoded(touch), partial(images.__getitem__, touch), pose)
-        return
-    has_pose = row.has(f"{POSE_COLUMN['seq']}.position")
-    for touch in range(count):
-        clip = TouchClip(row, touch)
-        frame = contact_frame_of(clip, method)
-        pose = None
-        if has_pose:
-            at = clip_poses(row, touch)
-            pose = np.hstack([at.position_m[frame], at.quaternion[frame]])
-        data = clip.encoded(frame) if clip.has_index else None
-        yield Shown(touch, frame, data, partial(clip.__getitem__, frame), pose, clip)
 
 
 def columns_of_touches(row: Row, shown: Sequence[Shown], names: Sequence[str]) -> dict[str, Any]:
@@ -226,7 +179,4 @@ def write_index(folder: DataFolder, manifest: Manifest) -> dict[str, str]:
             writer.writerow(["split", *table.column_names])
         writer.writerows([record.shard.split, *line.values()] for line in table.to_pylist())
     content = stream.getvalue().encode()
-    # Only where it differs: a run over a finished set changes nothing.
-    if not folder.exists(INDEX_FILE) or folder.read_bytes(INDEX_FILE) != content:
-        folder.write_bytes(INDEX_FILE, content)
-    return {INDEX_FILE: sha256_hex(content)}
+    return {INDEX_FILE: write_changed(folder, INDEX_FILE, content)}

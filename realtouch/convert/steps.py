@@ -14,10 +14,11 @@ from realtouch.columns.per_touch import touch_total, vectors
 from realtouch.columns.poses import contact_z_m, plate_z_m
 from realtouch.contact import ContactMethod
 from realtouch.convert.plan import Made, RowChoice
+from realtouch.convert.shown import shown_touches
 from realtouch.media.clips import TouchClip
 from realtouch.media.images import SensorImages
 from realtouch.media.round_clips import SensorClips
-from tactile_toolkit.errors import InputError, ItemError
+from tactile_toolkit.errors import InputError
 from tactile_toolkit.read.dataset import Row
 from tactile_toolkit.touch.avi import write_avi
 from tactile_toolkit.touch.jpeg import Pixels, encode_image, resized
@@ -32,7 +33,7 @@ from tactile_toolkit.touch.schema import (
     is_per_touch,
 )
 
-__all__ = ["KeepTouches", "ResizeMedia", "TakeContactFrames", "contact_frame_of"]
+__all__ = ["KeepTouches", "ResizeMedia", "TakeContactFrames"]
 
 _POSE, _POSE_SEQUENCE = POSE_COLUMN["single"], POSE_COLUMN["seq"]
 _WIDTHS = {"position": 3, "quaternion": 4}
@@ -76,22 +77,17 @@ class TakeContactFrames:
         """Take a frame of each clip of a row; its JPEG passes through as it is stored."""
         flat = flat_row(row)
         schema = self.schema(flat.schema)
-        poses: dict[str, list[NDArray[Any]]] = {
-            part: [np.empty((0, width))] for part, width in _WIDTHS.items()
-        }
         pictures: list[bytes | memoryview] = []
-        for touch in range(touch_total(row)):
-            clip = TouchClip(row, touch)
-            frame = contact_frame_of(clip, self.method)
-            pixels = clip[frame]  # decoded in any case: what passes through must be whole
-            pictures.append(clip.encoded(frame) if clip.has_index else encode_image(pixels))
-            pose = clip.poses[frame : frame + 1]
-            poses["position"].append(pose.position_m)
-            poses["quaternion"].append(pose.quaternion)
+        found: list[NDArray[Any]] = [np.empty((0, 7))]
+        for each in shown_touches(row, self.method):
+            pixels = each.decode()  # in any case: what passes through must be intact
+            pictures.append(encode_image(pixels) if each.stored is None else each.stored)
+            found += [] if each.pose is None else [each.pose[None]]
+        poses = dict(zip(_WIDTHS, np.hsplit(np.concatenate(found), [3]), strict=True))
         made = {"sensor_image": bytes_lists([pictures], "jpg", schema.field("sensor_image").type)}
         for part, values in poses.items():
             name = f"{_POSE}.{part}"
-            made[name] = number_lists([np.concatenate(values)], schema.field(name).type)
+            made[name] = number_lists([values], schema.field(name).type)
         if row.has("pos_in_cell"):
             vectors(row, "pos_in_cell", 2)  # checked here, passed through below
         columns = [made[name] if name in made else flat.column(name) for name in schema.names]
@@ -100,15 +96,6 @@ class TakeContactFrames:
 
 def _is_seq_only(name: str) -> bool:
     return name in _SEQ_ONLY or name.startswith(f"{_POSE_SEQUENCE}.")
-
-
-def contact_frame_of(clip: TouchClip, method: ContactMethod) -> int:
-    """Choose the frame of a clip; the last one of registered contact where ``"median"`` sees none."""
-    try:
-        return clip.contact_index(method)
-    # "median" saw no contact: the touch stays in its round all the same.
-    except ItemError:
-        return clip.contact_index("contact_end")
 
 
 @dataclass(frozen=True)

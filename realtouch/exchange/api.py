@@ -20,7 +20,7 @@ __all__ = ["export"]
 def export(
     source: str | PathLike[str],
     out: str | PathLike[str],
-    layout: Literal["flat", "webdataset", "lerobot"],
+    layout: Literal["flat", "webdataset", "lerobot", "fota", "sparsh", "anytouch"],
     *,
     frame: str = "contact_end",
     split: str | None = None,
@@ -35,14 +35,14 @@ def export(
     ----------
     source, out, split, limit, workers, overwrite, on_progress
         As for :func:`realtouch.to_single`.
-    layout : "flat", "webdataset" or "lerobot"
+    layout : str
         ``"flat"``: Parquet with one row a touch, for `datasets`, pandas and polars. ``"webdataset"``: the
         same in tars below ``webdataset/``, an image and a JSON file for each touch. ``"lerobot"``: a
         LeRobotDataset v3.0 in ``lerobot/``, an episode for each clip, or for each round of single images; it
-        holds one split.
+        holds one split. ``"fota"``: the tars of T3, poses in mm. ``"sparsh"``: pickled lists of encoded
+        images, with a background. ``"anytouch"``: images and list files of AnyTouch 2.
     frame : str
-        Which frame of a clip a touch of ``"flat"`` and ``"webdataset"`` shows; as for
-        :func:`realtouch.to_single`. ``"lerobot"`` takes all.
+        Which frame of a clip a touch shows, as for :func:`realtouch.to_single`; ``"lerobot"`` takes all.
 
     Returns
     -------

@@ -18,11 +18,17 @@ EXPORTS: dict[str, Callable[..., Any]] = {
     "flat": lazy("realtouch.exchange.rows:rows_conversion"),
     "webdataset": lazy("realtouch.exchange.webdataset:tar_conversion"),
     "lerobot": lazy("realtouch.exchange.lerobot:lerobot_conversion"),
+    "fota": lazy("realtouch.exchange.fota:fota_conversion"),
+    "sparsh": lazy("realtouch.exchange.sparsh:sparsh_conversion"),
+    "anytouch": lazy("realtouch.exchange.anytouch:anytouch_conversion"),
 }
 
 IMPORTS: dict[str, Callable[..., Any]] = {
     "folder": lazy("realtouch.exchange.folder:items_of_table"),
-    "webdataset": lazy("realtouch.exchange.webdataset:items_of_tars"),
+    "webdataset": lazy("realtouch.exchange.tars:items_of_tars"),
+    "fota": lazy("realtouch.exchange.fota:items_of_fota"),
+    "sparsh": lazy("realtouch.exchange.sparsh:items_of_pickles"),
+    "anytouch": lazy("realtouch.exchange.anytouch:items_of_lists"),
 }
 
 

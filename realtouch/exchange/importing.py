@@ -62,7 +62,7 @@ _MOST_FIELDS = 100
 def import_images(
     source: str | PathLike[str],
     out: str | PathLike[str],
-    layout: Literal["folder", "webdataset"],
+    layout: Literal["folder", "webdataset", "fota", "sparsh", "anytouch"],
     columns: ImportColumns | None = None,
     *,
     table: str | None = None,
@@ -81,9 +81,10 @@ def import_images(
         as ``s3://BUCKET/FOLDER``, which is listed once and read as it is needed.
     out : str or path
         Folder to write, outside the source.
-    layout : "folder" or "webdataset"
-        In tars, the fields are those of the JSON file of each sample, and the text of other files by their
-        endings, such as ``cls``.
+    layout : "folder", "webdataset", "fota", "sparsh" or "anytouch"
+        As :func:`realtouch.export` writes them; of ``"fota"`` and ``"sparsh"`` the folder of one split, whose
+        name is that of the split. In tars, the fields are those of the JSON file of each sample, and the text
+        of other files by their endings, such as ``cls``.
     columns : ImportColumns, optional
         Which columns hold what; those of our own exports are found without.
     table : str, optional

@@ -25,7 +25,14 @@ from realtouch.damage import damaged
 from realtouch.dataset import dataset_of
 from realtouch.exchange.lerobot_statistics import columns_of_episodes, statistics_of_all
 from realtouch.exchange.rows import image_column, known_label, require_intact
-from realtouch.integrity.files import checksums, file_fields, files_are_current, files_of, with_files
+from realtouch.integrity.files import (
+    checksums,
+    file_fields,
+    files_are_current,
+    files_of,
+    with_files,
+    write_changed,
+)
 from realtouch.media.clips import TouchClip
 from realtouch.media.images import SensorImages
 from realtouch.poses import Poses
@@ -34,7 +41,7 @@ from tactile_toolkit.read.dataset import Row
 from tactile_toolkit.read.parquet import Shard
 from tactile_toolkit.store.folder import DataFolder
 from tactile_toolkit.store.manifest import Manifest
-from tactile_toolkit.store.parquet import ParquetStyle, encode_parquet, sha256_hex
+from tactile_toolkit.store.parquet import ParquetStyle, encode_parquet
 from tactile_toolkit.store.shards import ShardName, Skipped
 from tactile_toolkit.touch.jpeg import encode_image
 from tactile_toolkit.touch.schema import MEDIA_TYPE, POSE_COLUMN, class_names, column_type, with_features
@@ -328,9 +335,7 @@ class _WriteMeta:
         }
         for name, content in meta.items():
             path = f"{_FOLDER}/meta/{name}"
-            if not folder.exists(path) or folder.read_bytes(path) != content:
-                folder.write_bytes(path, content)
-            files[path] = sha256_hex(content)
+            files[path] = write_changed(folder, path, content)
         return files
 
     def _info(self, frames: pa.Schema, episodes: int, total_frames: int) -> dict[str, Any]:

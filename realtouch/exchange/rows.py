@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
+import numpy as np
 import pyarrow as pa
 
+from realtouch.changes import median_in_memory
 from realtouch.columns.per_touch import int_value
 from realtouch.contact import ContactMethod
 from realtouch.convert.pictures import (
@@ -18,17 +20,28 @@ from realtouch.convert.pictures import (
     columns_of_touches,
     repeated_ids,
     require_first,
-    shown_touches,
 )
 from realtouch.convert.plan import Conversion, Made, Pack, RowChoice, Source
+from realtouch.convert.shown import shown_touches
 from realtouch.damage import damaged
 from realtouch.integrity.files import checksums, files_are_current
 from realtouch.touch import touch_id
+from tactile_toolkit.errors import InputError
 from tactile_toolkit.read.dataset import Row
+from tactile_toolkit.store.folder import DataFolder
+from tactile_toolkit.store.manifest import Manifest
 from tactile_toolkit.touch.jpeg import decode_image, encode_image, image_size
 from tactile_toolkit.touch.schema import MEDIA_COLUMN, MEDIA_TYPE, POSE_COLUMN, Kind, class_names, column_type
 
-__all__ = ["IMAGE", "image_column", "known_label", "require_intact", "rows_conversion"]
+__all__ = [
+    "IMAGE",
+    "as_jpeg",
+    "background_of",
+    "image_column",
+    "known_label",
+    "require_intact",
+    "rows_conversion",
+]
 
 IMAGE = "image"
 
@@ -47,6 +60,7 @@ def rows_conversion(
     options: Mapping[str, Any],
     pack: Pack | None = None,
     folder: str | None = None,
+    write_files: Callable[[DataFolder, Manifest], Mapping[str, str]] = checksums,
 ) -> Conversion:
     """Plan an export with a row for each touch; ``pack`` makes files of these rows, below ``folder``."""
     is_seq = source.kind == "seq"
@@ -60,7 +74,7 @@ def rows_conversion(
         rows_per_group=max(1, min(_MOST_ROWS_PER_GROUP, _GROUP_BYTES // image_bytes)),
         extra_dirs=() if folder is None else (folder,),
         is_current=files_are_current,
-        write_files=checksums,
+        write_files=write_files,
         pack=pack,
     )
 
@@ -94,6 +108,24 @@ def image_column(images: list[Any], names: list[str]) -> pa.Array:
     paths = [f"{name}.{ending}" for name, ending in zip(names, endings, strict=True)]
     parts = [pa.array(images, pa.binary()), pa.array(paths, pa.string())]
     return pa.StructArray.from_arrays(parts, fields=list(MEDIA_TYPE))
+
+
+def as_jpeg(image: bytes) -> bytes:
+    """Return an image for readers that know JPEG alone: as it is, or encoded again."""
+    return image if image[:2] == _JPEG else encode_image(decode_image(image))
+
+
+def background_of(images: Sequence[bytes]) -> bytes:
+    """Return the median of some images as JPEG: the gel at rest; InputError where they differ in size."""
+    sizes = {image_size(image) for image in images}
+    if len(sizes) > 1:
+        found = ", ".join(f"{width} x {height}" for height, width in sorted(sizes))
+        message = (
+            f"images of {found} pixels have no common background; expected one size; next: make them alike "
+            "with `realtouch resize`"
+        )
+        raise InputError(message)
+    return encode_image(median_in_memory(np.stack([decode_image(image) for image in images])))
 
 
 @dataclass(frozen=True)

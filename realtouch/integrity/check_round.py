@@ -12,11 +12,11 @@ from realtouch.columns.per_touch import (
     column_of,
     entries_of,
     int_value,
-    intended_position,
+    intended_positions,
     plain_value,
     touch_total,
 )
-from realtouch.columns.poses import clip_poses, touch_pose
+from realtouch.columns.poses import clip_poses, poses
 from realtouch.damage import Damage, DamagedRoundError, damaged
 from realtouch.media.clips import TouchClip
 from realtouch.media.images import SensorImages
@@ -45,30 +45,24 @@ def check_round(
     """
     found: list[Damage] = []
     noted = partial(_noted, found, row)
-    if row.has("id"):
-        with noted():
-            plain_value(row, "id")
-    if row.has("object_id"):
-        with noted():
-            int_value(row, "object_id")
-    if row.has("label"):
-        with noted():
-            label = int_value(row, "label")
-            if class_names is not None and label >= len(class_names):
-                limit = f"expected less than {len(class_names)}, the number of named classes"
-                raise damaged(row, "label", f"the value is {label}; {limit}")
+    for name, read in (("id", plain_value), ("object_id", int_value), ("label", int_value)):
+        if row.has(name):
+            with noted():
+                value = read(row, name)
+                if name == "label" and class_names is not None and value >= len(class_names):
+                    limit = f"expected less than {len(class_names)}, the number of named classes"
+                    raise damaged(row, name, f"the value is {value}; {limit}")
     if has_info(row):
         with noted():
             read_info(row)
-    for name in PER_TOUCH_COLUMNS:
-        if row.has(name):
-            with noted():
-                # A list of fixed length would hide a null.
-                if not row.group.arrow(name)[row.index].is_valid:
-                    raise damaged(row, name, "no values are stored")
-                entries_of(row, name)
-            if found and found[-1].field == "pos_in_cell":
-                return found  # nothing says how many touches there should be
+    for name in filter(row.has, PER_TOUCH_COLUMNS):
+        with noted():
+            # A list of fixed length would hide a null.
+            if not row.group.arrow(name)[row.index].is_valid:
+                raise damaged(row, name, "no values are stored")
+            entries_of(row, name)
+        if found and found[-1].field == "pos_in_cell":
+            return found  # nothing says how many touches there should be
     count = touch_total(row)
     if expected_touches is not None and count != expected_touches:
         problem = f"{count} touches; expected {expected_touches} as in the other rounds"
@@ -81,10 +75,10 @@ def check_round(
     for touch in range(count):
         if row.has("pos_in_cell"):
             with noted():
-                intended_position(row, touch)
+                intended_positions(row, touch)
         if has_poses:
             with noted():
-                _ = clip_poses(row, touch) if kind == "seq" else touch_pose(row, touch)
+                _ = clip_poses(row, touch) if kind == "seq" else poses(row, touch)
         if touch >= stop - start:  # too few images or clips: those that are there are checked
             continue
         with noted():

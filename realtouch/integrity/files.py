@@ -12,7 +12,7 @@ from tactile_toolkit.store.manifest import Manifest
 from tactile_toolkit.store.parquet import is_unchanged, sha256_hex
 from tactile_toolkit.store.shards import ShardRecord
 
-__all__ = ["checksums", "file_fields", "files_are_current", "files_of", "with_files"]
+__all__ = ["checksums", "file_fields", "files_are_current", "files_of", "with_files", "write_changed"]
 
 _PREFIXES = ("", "meta_")
 
@@ -50,3 +50,10 @@ def files_are_current(folder: DataFolder, record: ShardRecord, reads: bool) -> b
 def checksums(folder: DataFolder, manifest: Manifest) -> dict[str, Any]:
     """Return the checksum of each file that the shards name, for the manifest."""
     return {path: sha256 for record in manifest.shards for path, sha256 in files_of(folder, record).items()}
+
+
+def write_changed(folder: DataFolder, path: str, content: bytes) -> str:
+    """Write a file only where it differs: a run over a finished set changes nothing. Return its checksum."""
+    if not folder.exists(path) or folder.read_bytes(path) != content:
+        folder.write_bytes(path, content)
+    return sha256_hex(content)

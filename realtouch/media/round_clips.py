@@ -9,18 +9,16 @@ from typing import Any, overload
 import numpy as np
 from numpy.typing import NDArray
 
-from realtouch.columns.per_frame import clip_lengths, padded_times, times_of_touches
+from realtouch.columns.per_frame import padded_times, times_of_touches
 from realtouch.columns.per_touch import entries_of
 from realtouch.columns.poses import pose_sequences
 from realtouch.contact import ContactMethod, contact_windows, deepest_frame
 from realtouch.damage import damaged
 from realtouch.media.clips import TouchClip
 from realtouch.media.images import in_parallel
-from tactile_toolkit.read.columns import BytesColumn
 from tactile_toolkit.read.dataset import Row
 from tactile_toolkit.read.sequence import checked_index, positions
-from tactile_toolkit.touch.avi import Avi
-from tactile_toolkit.touch.jpeg import Pixels, decode_image, room_for
+from tactile_toolkit.touch.jpeg import Pixels, room_for
 
 __all__ = ["SensorClips", "contact_frames_of", "contact_windows_of", "decode_frames"]
 
@@ -28,15 +26,11 @@ __all__ = ["SensorClips", "contact_frames_of", "contact_windows_of", "decode_fra
 class SensorClips(Sequence[TouchClip]):
     """The clips of one round; each is opened when it is asked for."""
 
-    __slots__ = ("_blobs", "_count", "_lengths", "_start", "row")
+    __slots__ = ("_count", "row")
 
     def __init__(self, row: Row) -> None:
-        self.row = row
-        column, self._start, stop = entries_of(row, "sensor_video")
-        self._count = stop - self._start
-        # Kept here: opening a clip takes several times as long as finding one frame.
-        self._blobs: BytesColumn = column.values
-        self._lengths: list[int] | None = None
+        _, start, stop = entries_of(row, "sensor_video")
+        self.row, self._count = row, stop - start
 
     def __len__(self) -> int:
         return self._count
@@ -62,20 +56,6 @@ class SensorClips(Sequence[TouchClip]):
             return room_for(count, size, out)
         except ValueError as error:
             raise damaged(self.row, "sensor_video", str(error)) from error
-
-    def find_frame(self, touch: int, frame: int) -> memoryview | None:
-        """Return the JPEG of one frame of one clip, without opening the clip; None where that takes more."""
-        if self._lengths is None:
-            stated = clip_lengths(self.row)
-            self._lengths = [] if stated is None else stated.tolist()
-        blob = self._blobs[self._start + touch]
-        if blob is None or not self._lengths:
-            return None
-        try:
-            avi = Avi(blob)
-        except ValueError:  # opening the clip names what is wrong with it
-            return None
-        return avi.frame(frame) if avi.entry_count == self._lengths[touch] else None
 
     def __reduce__(self) -> tuple[Any, ...]:
         return (SensorClips, (self.row,))
@@ -123,16 +103,6 @@ def decode_frames(
 
     Raises IntegrityError when a frame is damaged or of another size; it names file, row and touch.
     """
-
-    def decode(number: int) -> None:
-        touch, frame, pixels = touches[number], frames[number], out[number]
-        data = clips.find_frame(touch, frame)
-        if data is None:
-            clips[touch].decode_into(pixels, frame)
-            return
-        try:
-            decode_image(data, pixels)
-        except ValueError as error:
-            raise damaged(clips.row, "sensor_video", f"frame {frame}: {error}", touch) from error
-
-    in_parallel(decode, len(touches), threads)
+    in_parallel(
+        lambda number: clips[touches[number]].decode_into(out[number], frames[number]), len(touches), threads
+    )

@@ -1,0 +1,122 @@
+"""The layout of Sparsh: pickled lists of encoded images, and the picture of a gel at rest.
+
+Facts of the format: ``DATASET.pkl`` is a list of the bytes of image files, in their order; the background is
+``bgs/bg_gs.jpg``. Pickles are read here by their opcodes and never executed. Labels, for which the format has
+no place, lie in a CSV table of the same name.
+"""
+
+from __future__ import annotations
+
+import csv
+import io
+import pickle
+import pickletools
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import pyarrow as pa
+from pyarrow import csv as arrow_csv
+
+from realtouch.contact import ContactMethod
+from realtouch.convert.plan import Conversion, Made, RowChoice, Source
+from realtouch.exchange.items import ImportColumns, Item
+from realtouch.exchange.rows import IMAGE, background_of, rows_conversion
+from realtouch.integrity.files import checksums, file_fields, with_files, write_changed
+from tactile_toolkit.errors import InputError
+from tactile_toolkit.store.folder import DataFolder
+from tactile_toolkit.store.manifest import Manifest
+from tactile_toolkit.store.shards import ShardName, Skipped
+
+__all__ = ["items_of_pickles", "sparsh_conversion"]
+
+_FOLDER = "sparsh"
+_BACKGROUND = "bgs/bg_gs.jpg"
+_PROTOCOL = 4
+_MOST_IN_MEDIAN = 256
+_HEADER_BYTES = {"SHORT_BINBYTES": 2, "BINBYTES": 5, "BINBYTES8": 9}
+"""How many bytes of an opcode come before the content."""
+_OF_LISTS = frozenset(
+    ["PROTO", "FRAME", "EMPTY_LIST", "MARK", "MEMOIZE", "BINPUT", "LONG_BINPUT", "APPEND", "APPENDS", "STOP"]
+)
+
+
+def sparsh_conversion(
+    source: Source,
+    choices: Mapping[str, Sequence[RowChoice]],
+    method: ContactMethod,
+    options: Mapping[str, Any],
+) -> Conversion:
+    """Plan the pickles of an export; see :mod:`realtouch.exchange.formats`."""
+    return rows_conversion(source, choices, method, options, _PackPickle(), _FOLDER, _write_backgrounds)
+
+
+@dataclass(frozen=True)
+class _PackPickle:
+    """Packs the flat touches of a shard as a pickled list and a table, named in the index."""
+
+    def schema(self, rows: pa.Schema) -> pa.Schema:
+        """Return the columns of the index: all but the images, and where those are."""
+        return pa.schema([*(field for field in rows if field.name != IMAGE), *file_fields(2)])
+
+    def apply(self, shard: ShardName, rows: pa.Table, skipped: Sequence[Skipped]) -> Made:
+        """Return the list of the stored images; the same touches give the same bytes."""
+        index, stream = rows.drop_columns([IMAGE]), io.BytesIO()
+        images = [image["bytes"] for image in rows[IMAGE].to_pylist()]
+        arrow_csv.write_csv(index, stream)
+        path = f"{_FOLDER}/{shard.split}/dataset_{shard.index:05d}"
+        files = {f"{path}.pkl": pickle.dumps(images, _PROTOCOL), f"{path}.csv": stream.getvalue()}
+        return with_files(index, files if images else {})
+
+
+def _write_backgrounds(folder: DataFolder, manifest: Manifest) -> dict[str, str]:
+    """Write the median of the first images of each split; return the checksum of each file by its path."""
+    files = checksums(folder, manifest)
+    for split in dict.fromkeys(record.shard.split for record in manifest.shards if record.rows):
+        of_split = f"{_FOLDER}/{split}/"
+        first = next(path for path in files if path.startswith(of_split) and path.endswith(".pkl"))
+        with folder.open(first) as stream:
+            places = list(_places(stream, first))[:_MOST_IN_MEDIAN]
+            content = background_of([_part(stream, *place) for place in places])
+        path = f"{of_split}{_BACKGROUND}"
+        files[path] = write_changed(folder, path, content)
+    return files
+
+
+def _part(stream: io.IOBase | Any, start: int, size: int) -> bytes:
+    stream.seek(start)
+    content: bytes = stream.read(size)
+    return content
+
+
+def _places(stream: Any, name: str) -> Iterator[tuple[int, int]]:
+    """Yield place and size of each image in a pickled list; executes nothing of it."""
+    try:
+        for opcode, content, position in pickletools.genops(stream):
+            if opcode.name in _HEADER_BYTES and content is not None and position is not None:
+                yield position + _HEADER_BYTES[opcode.name], len(content)
+            elif opcode.name not in _OF_LISTS:
+                message = f"{name!r} holds something else than a list of encoded images ({opcode.name})"
+                raise InputError(message)
+    except ValueError as error:
+        message = f"{name!r} is no intact pickle ({error}); next: fetch it again"
+        raise InputError(message) from error
+
+
+def items_of_pickles(home: DataFolder, columns: ImportColumns, table: str | None) -> Iterator[Item]:
+    """Yield a touch for each image of the pickles of one split, with the fields of the table next to it."""
+    split, number = home.address().rstrip("/").rpartition("/")[2], 0
+    names = [name for name in home.sizes() if name.endswith(".pkl")]
+    if not names:
+        message = f"{home.address()!r} holds no pickles (*.pkl)"
+        raise InputError(message)
+    for name in names:
+        stem, found = name.removesuffix(".pkl"), list[dict[str, Any]]()
+        beside = table or f"{stem}.csv"
+        if home.exists(beside):
+            found = list(csv.DictReader(io.StringIO(home.read_bytes(beside).decode("utf-8-sig"), newline="")))
+        with home.open(name) as stream:
+            for place, (start, size) in enumerate(_places(stream, name)):
+                values = {"split": split, **(found[place] if place < len(found) else {})}
+                yield Item(number, f"{stem}_{place:06d}", f"{home.address()}/{name}", start, size, values)
+                number += 1

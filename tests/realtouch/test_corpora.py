@@ -1,0 +1,252 @@
+"""Touches in the layouts that others train on: each read by the steps of its consumer, written anew here."""
+
+from __future__ import annotations
+
+import io
+import json
+import pickle
+import re
+import tarfile
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow.parquet as pq
+import pytest
+from PIL import Image
+
+import realtouch
+from tactile_toolkit.errors import InputError, IntegrityError
+from tactile_toolkit.run.parts import Check, Finish, Part
+from tactile_toolkit.run.processes import InlineRunner
+from tactile_toolkit.touch.jpeg import decode_image
+from tests.command_line import call
+from tests.realtouch import factories
+from tests.realtouch.factories import Layout
+from tests.tactile_toolkit.toy import folder_bytes
+
+PLACES = {"fota": "fota/train", "sparsh": "sparsh/train", "anytouch": "anytouch"}
+
+
+@pytest.fixture(params=["single", "seq"])
+def source(request: pytest.FixtureRequest) -> Path:
+    return request.getfixturevalue(f"{request.param}_folder")
+
+
+@pytest.fixture
+def small_shards(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Have a file for each round, so that there are several."""
+    monkeypatch.setattr("realtouch.convert.plan._MOST_ROWS_PER_SHARD", 1)
+
+
+def touches_of(source: Path) -> list[dict[str, Any]]:
+    """Return image, pose and fields of each touch of the training set; of clips, at the end of contact."""
+    found = []
+    for record in realtouch.load(source, "train"):
+        for touch in record.touches if hasattr(record, "touches") else range(record.touch_count):
+            if isinstance(record, realtouch.TouchSingleRound):
+                image, pose, frame = record.sensor_image.encoded(touch), record.gel_pose_cell_frame, touch
+            else:
+                clip = record.sensor_video[touch]
+                frame = clip.contact_index("contact_end")
+                image, pose = clip.encoded(frame), clip.poses
+            found.append(
+                {
+                    "image": bytes(image),
+                    "pose": [*pose.position_m[frame], *pose.quaternion[frame]],
+                    "label": record.label,
+                    "round_id": record.id,
+                    "touch": touch,
+                }
+            )
+    return found
+
+
+def test_t3_reads_fota(source: Path, tmp_path: Path, small_shards: None) -> None:
+    """As ``t3.data_loader``: the tars from the first to the last, pairs of jpg and json, poses in mm."""
+    realtouch.export(source, tmp_path, "fota")
+    home = tmp_path / "fota" / "train"
+    wanted = touches_of(source)
+    assert int((home / "count.txt").read_text().splitlines()[0]) == len(wanted)
+    tars = sorted(path.name for path in home.iterdir() if path.name.startswith("data-"))
+    assert tars == [f"data-{number:06d}.tar" for number in range(3)], "numbered without gaps"
+    samples: dict[str, dict[str, bytes]] = {}
+    for name in tars:
+        with tarfile.open(home / name) as tar:
+            for member in tar:
+                key, ending = member.name.split(".")
+                samples.setdefault(key, {})[ending] = tar.extractfile(member).read()  # type: ignore[union-attr]
+    for sample, touch in zip(samples.values(), wanted, strict=True):
+        fields = json.loads(sample["json"])
+        assert sample["jpg"] == touch["image"]
+        assert (fields["label"], fields["label_name"]) == (touch["label"], str(touch["label"]))
+        x_mm, y_mm, z_mm = (fields[f"{axis}_mm"] for axis in "xyz")
+        np.testing.assert_allclose([x_mm, y_mm, z_mm], 1e3 * np.array(touch["pose"][:3]), rtol=1e-12)
+        assert [fields[f"quat_{axis}"] for axis in "xyzw"] == touch["pose"][3:]
+
+
+def test_sparsh_reads_its_pickles(source: Path, tmp_path: Path, small_shards: None) -> None:
+    """As ``tactile_ssl.data.vision_tactile``: a list of bytes, less the background, around grey."""
+    realtouch.export(source, tmp_path, "sparsh")
+    home = tmp_path / "sparsh" / "train"
+    frames = []
+    for path in sorted(home.glob("dataset_*.pkl")):
+        with path.open("rb") as stream:
+            frames += pickle.load(stream)
+    assert frames == [touch["image"] for touch in touches_of(source)]
+    with Image.open(home / "bgs" / "bg_gs.jpg") as image:
+        background = np.asarray(image.convert("RGB"), np.int32)
+    first = np.stack([decode_image(each) for each in frames[:5]])
+    assert np.abs(background - np.median(first, axis=0)).mean() < 3
+    image = np.asarray(Image.open(io.BytesIO(frames[1])), np.int32)
+    change = np.uint8(np.clip((image - background) / 255.0 + 0.5, 0.0, 1.0) * 255.0)
+    assert change.shape == (72, 96, 3)
+
+
+def test_anytouch_reads_its_lists(source: Path, tmp_path: Path, small_shards: None) -> None:
+    """As ``data.downstream_dataset.TAGDataset_video``: a line an image, frames before it by their number."""
+    realtouch.export(source, tmp_path, "anytouch")
+    home = tmp_path / "anytouch"
+    wanted = touches_of(source)
+    lines = (home / "train_bg.txt").read_text().splitlines()
+    assert len(lines) == len(wanted)
+    for line, touch in zip(lines, wanted, strict=True):
+        item, label, background = line.split(",")[0], int(line.split(",")[1]), line.split(",")[2].strip()
+        folder, name = item.split("/")
+        number = int(name.split(".")[0])
+        frames = home / "touch_and_go" / folder / "gelsight_frame"
+        images = [frames / f"{max(0, number - 3 + step):010d}.jpg" for step in range(4)]
+        assert images[-1].read_bytes() == touch["image"]
+        assert (label, number) == (touch["label"], touch["touch"])
+        sizes = {Image.open(path).convert("RGB").size for path in [*images, frames / background]}
+        assert sizes == {(96, 72)}
+
+
+@pytest.mark.parametrize("layout", PLACES)
+def test_they_come_back_as_they_were(layout: Any, single_folder: Path, tmp_path: Path) -> None:
+    realtouch.export(single_folder, tmp_path / "there", layout)
+    place = tmp_path / "there" / PLACES[layout]
+    assert (
+        call("realtouch", "import", place, "--layout", layout, "--out", tmp_path / "back", "--workers", 1)
+        == 0
+    )
+    before, after = realtouch.load(single_folder, "train"), realtouch.load(tmp_path / "back", "train")
+    assert after.label_names == before.label_names
+    for one, two in zip(before, after, strict=True):
+        assert isinstance(one, realtouch.TouchSingleRound)
+        assert isinstance(two, realtouch.TouchSingleRound)
+        assert (one.id, one.label, one.touch_count) == (two.id, two.label, two.touch_count)
+        for touch in range(one.touch_count):
+            assert bytes(one.sensor_image.encoded(touch)) == bytes(two.sensor_image.encoded(touch))
+        if layout == "anytouch":  # lists have no place for them
+            continue
+        assert one.object_id == two.object_id
+        np.testing.assert_array_equal(one.pos_in_cell_m, two.pos_in_cell_m)
+        np.testing.assert_array_equal(one.gel_pose_cell_frame.position_m, two.gel_pose_cell_frame.position_m)
+        np.testing.assert_array_equal(one.gel_pose_cell_frame.quaternion, two.gel_pose_cell_frame.quaternion)
+    assert realtouch.verify(tmp_path / "back").ok
+    if layout == "anytouch":
+        assert realtouch.load(tmp_path / "back", "test").ids.tolist() == (
+            realtouch.load(single_folder, "test").ids.tolist()
+        )
+
+
+@pytest.mark.parametrize("layout", PLACES)
+def test_parts_and_damage_end_in_the_same_bytes(
+    layout: Any, single_folder: Path, tmp_path: Path, small_shards: None
+) -> None:
+    whole, parts = tmp_path / "whole", tmp_path / "parts"
+    realtouch.export(single_folder, whole, layout, split="train")
+    for number in (1, 0):
+        realtouch.export(single_folder, parts, layout, split="train", workers=Part(number, 2, InlineRunner()))
+    realtouch.export(single_folder, parts, layout, split="train", workers=Finish())
+    assert folder_bytes(parts) == folder_bytes(whole)
+    checked = realtouch.verify(parts)
+    assert (checked.ok, checked.rounds, checked.touches) == (True, 3, 15)
+    (victim, *_) = sorted(
+        path for path in (parts / layout).rglob("*.*") if path.suffix in (".tar", ".pkl", ".jpg")
+    )
+    content = bytearray(victim.read_bytes())
+    content[len(content) // 2] ^= 1
+    victim.write_bytes(content)
+    assert {finding.file for finding in realtouch.verify(parts).findings} == {str(victim.relative_to(parts))}
+    realtouch.export(single_folder, parts, layout, split="train", workers=Check())
+    assert folder_bytes(parts) == folder_bytes(whole)
+    realtouch.export(single_folder, parts, "flat", split="train", overwrite=True)
+    assert not (parts / layout).exists()
+
+
+def test_foreign_fota_has_poses_in_millimetres(tmp_path: Path) -> None:
+    home = tmp_path / "cnc" / "val"
+    home.mkdir(parents=True)
+    fields = {"x_mm": 1.0, "y_mm": -2.5, "z_mm": 12.0, "material": "wood"}
+    fields |= {f"quat_{axis}": value for axis, value in zip("xyzw", (0.0, 0.0, 0.0, 1.0), strict=True)}
+    content = {
+        "jpg": factories.encode_jpeg(np.zeros((24, 32, 3), np.uint8)),
+        "json": json.dumps(fields).encode(),
+    }
+    with tarfile.open(home / "data-000000.tar", "w") as tar:
+        for ending, each in content.items():
+            header = tarfile.TarInfo(f"a-1.{ending}")
+            header.size = len(each)
+            tar.addfile(header, io.BytesIO(each))
+    realtouch.import_images(home, tmp_path / "out", "fota", realtouch.ImportColumns(label="material"))
+    (only,) = realtouch.load(tmp_path / "out", "val")
+    assert isinstance(only, realtouch.TouchSingleRound)
+    np.testing.assert_array_equal(only.gel_pose_cell_frame.position_m, [[0.001, -0.0025, 0.012]])
+    assert realtouch.load(tmp_path / "out", "val").label_names == ("wood",)
+
+
+def test_no_pickle_is_executed(tmp_path: Path) -> None:
+    home, mark = tmp_path / "home", tmp_path / "mark"
+    home.mkdir()
+
+    class Evil:
+        def __reduce__(self) -> tuple[Any, ...]:
+            return (Path.touch, (mark,))
+
+    for content, words in (
+        (pickle.dumps([Evil()]), "something else than a list of encoded images"),
+        (pickle.dumps([np.zeros((4, 4, 3), np.uint8)]), "something else than a list of encoded images"),
+        (pickle.dumps([b"a" * 300])[:-40], "no intact pickle"),
+        (b"no pickle", "something else|no intact pickle"),
+    ):
+        (home / "dataset.pkl").write_bytes(content)
+        with pytest.raises(InputError, match=words):
+            realtouch.import_images(home, tmp_path / "out", "sparsh")
+    assert not mark.exists()
+    assert not (tmp_path / "out").exists()
+
+
+def test_lines_that_cannot_be_used_are_left_out_and_named(single_folder: Path, tmp_path: Path) -> None:
+    realtouch.export(single_folder, tmp_path / "there", "anytouch", split="train")
+    home = tmp_path / "there" / "anytouch"
+    lines = (home / "train_bg.txt").read_text().splitlines()
+    lines[1] = re.sub(r",\d+,", ",-1,", lines[1])
+    lines[2] = "../../up/0000000000.jpg,1,background.jpg"
+    lines[3] = lines[3].replace("0000000003", "0000000009")
+    (home / "train_bg.txt").write_text("\n".join(lines))
+    manifest = realtouch.import_images(home, tmp_path / "back", "anytouch")
+    assert {item.reason for item in manifest.shards[0].skipped} == {"label", "name", "missing"}
+    for layout, words in (
+        ("anytouch", "holds no lists"),
+        ("sparsh", "holds no pickles"),
+        ("fota", "holds no tars"),
+    ):
+        with pytest.raises(InputError, match=words):
+            realtouch.import_images(tmp_path / "back", tmp_path / "none", layout)  # type: ignore[arg-type]
+
+
+def test_a_file_of_fota_is_never_empty(single_rows: list[dict], tmp_path: Path, small_shards: None) -> None:
+    def cut(row: dict[str, Any], index: int) -> None:
+        if index == 1:
+            row["sensor_image"] = [{**each, "bytes": each["bytes"][:-400]} for each in row["sensor_image"]]
+
+    factories.write_set(tmp_path / "cut", {"train": single_rows}, "single", Layout(edit=cut))
+    with pytest.raises(IntegrityError, match=r"no round is left.*numbered without gaps"):
+        realtouch.export(tmp_path / "cut", tmp_path / "out", "fota")
+    left = realtouch.export(tmp_path / "cut", tmp_path / "lists", "anytouch")
+    assert left.split_table()["train"] == left.split_table()["train"] | {"rows": 10, "skipped": 1}
+    assert realtouch.verify(tmp_path / "lists").ok
+    table = pq.read_table(tmp_path / "lists" / "data")
+    assert {"file", "sha256", "meta_file", "meta_sha256"} < set(table.column_names)
