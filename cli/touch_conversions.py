@@ -41,7 +41,7 @@ DifferenceName = Literal["grey", "absolute"]
 FrameName = Literal["contact_end", "contact_start", "peak", "median", "best"]
 """Ways to choose the frame of a clip that shows the contact."""
 
-LayoutName = Literal["flat", "webdataset", "lerobot", "fota", "sparsh", "anytouch"]
+LayoutName = Literal["flat", "webdataset", "lerobot", "replay", "fota", "sparsh", "anytouch"]
 """Formats of other libraries."""
 
 ImportLayout = Literal["folder", "webdataset", "fota", "sparsh", "anytouch"]
@@ -245,7 +245,8 @@ def export(
         LayoutName,
         typer.Option(
             help="flat: Parquet, a row for each touch; webdataset: tars; lerobot: LeRobotDataset v3.0 of one "
-            "split; fota: tars of T3; sparsh: pickled images; anytouch: list files."
+            "split; replay: Zarr of Diffusion Policy, likewise; fota: tars of T3; sparsh: pickled images; "
+            "anytouch: list files."
         ),
     ],
     out: Out,

@@ -26,7 +26,6 @@ __all__ = [
     "contact_window",
     "contact_windows",
     "deepest_frame",
-    "is_contact",
     "most_changed_frame",
     "require_method",
 ]
@@ -139,16 +138,6 @@ def contact_heights_m(
     if not recalibrate_z or not len(heights):
         return heights
     return heights - (np.fmin.reduce(heights) if math.isnan(plate_z_m) else plate_z_m)
-
-
-def is_contact(
-    z_m: NDArray[np.floating], min_height_m: float = MIN_CONTACT_HEIGHT_M, recalibrate_z: bool = True
-) -> NDArray[np.bool_]:
-    """Tell for each touch of one round, shape (T,), whether the gel stopped on an object.
-
-    A height of exactly ``min_height_m`` counts as contact. See :func:`contact_heights_m`.
-    """
-    return contact_heights_m(z_m, recalibrate_z) >= min_height_m
 
 
 def require_method(method: str) -> ContactMethod:

@@ -6,19 +6,16 @@ Facts of the format: images lie in ``touch_and_go/FOLDER/gelsight_frame``, their
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Sequence
 from functools import cache
 from itertools import groupby
-from typing import Any
 
 import pyarrow as pa
 
-from realtouch.contact import ContactMethod
-from realtouch.convert.plan import Conversion, Made, RowChoice, Source
+from realtouch.convert.plan import Made
 from realtouch.exchange.items import HERE, ImportColumns, Item, Reason, size_below
-from realtouch.exchange.rows import IMAGE, as_jpeg, background_of, rows_conversion
-from realtouch.integrity.files import file_fields, write_changed
+from realtouch.exchange.rows import IMAGE, RowsFormat, as_jpeg, background_of
+from realtouch.integrity.files import write_changed
 from tactile_toolkit.errors import InputError, ItemError
 from tactile_toolkit.read.parquet import Shard
 from tactile_toolkit.store.folder import DataFolder
@@ -26,7 +23,7 @@ from tactile_toolkit.store.manifest import Manifest
 from tactile_toolkit.store.parquet import sha256_hex
 from tactile_toolkit.store.shards import ShardName, Skipped
 
-__all__ = ["anytouch_conversion", "items_of_lists"]
+__all__ = ["FORMAT", "items_of_lists"]
 
 _FOLDER, _IMAGES, _FRAMES = "anytouch", "touch_and_go", "gelsight_frame"
 _BACKGROUND = "background.jpg"
@@ -34,44 +31,24 @@ _LIST_END = "_bg.txt"
 _LEFT_OUT = "-1"
 
 
-def anytouch_conversion(
-    source: Source,
-    choices: Mapping[str, Sequence[RowChoice]],
-    method: ContactMethod,
-    options: Mapping[str, Any],
-) -> Conversion:
-    """Plan images and lists of an export; see :mod:`realtouch.exchange.formats`."""
-    return rows_conversion(source, choices, method, options, _PackImages(), _FOLDER, _write_lists)
-
-
-@dataclass(frozen=True)
-class _PackImages:
-    """Writes the touches of each round as numbered images, and their median as the background."""
-
-    def schema(self, rows: pa.Schema) -> pa.Schema:
-        """Return the columns of the index: all but the images, and where those are."""
-        return pa.schema([*(field for field in rows if field.name != IMAGE), *file_fields(2)])
-
-    def apply(self, shard: ShardName, rows: pa.Table, skipped: Sequence[Skipped]) -> Made:
-        """Return the images and backgrounds."""
-        files: dict[str, bytes] = {}
-        named: list[tuple[str, str]] = []
-        stored = zip(rows["round_id"].to_pylist(), rows["touch"].to_pylist(), rows[IMAGE], strict=True)
-        for name, touches in groupby(stored, key=lambda each: each[0]):
-            home = f"{_FOLDER}/{_IMAGES}/{shard.split}-{name}/{_FRAMES}"
-            images = {
-                f"{home}/{touch:010d}.jpg": as_jpeg(image.as_py()["bytes"]) for _, touch, image in touches
-            }
-            background = f"{home}/{_BACKGROUND}"
-            files |= {**images, background: background_of(list(images.values()))}
-            named += [(path, background) for path in images]
-        index = rows.drop_columns([IMAGE])
-        for place, prefix in enumerate(("", "meta_")):
-            paths = [pair[place] for pair in named]
-            sums = [sha256_hex(files[path]) for path in paths]
-            for name, values in (("file", paths), ("sha256", sums)):
-                index = index.append_column(f"{prefix}{name}", pa.array(values, pa.string()))
-        return index, files
+def _pack(shard: ShardName, rows: pa.Table, skipped: Sequence[Skipped]) -> Made:
+    """Return the touches of each round as numbered images, and their median as the background."""
+    files: dict[str, bytes] = {}
+    named: list[tuple[str, str]] = []
+    stored = zip(rows["round_id"].to_pylist(), rows["touch"].to_pylist(), rows[IMAGE], strict=True)
+    for name, touches in groupby(stored, key=lambda each: each[0]):
+        home = f"{_FOLDER}/{_IMAGES}/{shard.split}-{name}/{_FRAMES}"
+        images = {f"{home}/{touch:010d}.jpg": as_jpeg(image.as_py()["bytes"]) for _, touch, image in touches}
+        background = f"{home}/{_BACKGROUND}"
+        files |= {**images, background: background_of(list(images.values()))}
+        named += [(path, background) for path in images]
+    index = rows.drop_columns([IMAGE])
+    for place, prefix in enumerate(("", "meta_")):
+        paths = [pair[place] for pair in named]
+        sums = [sha256_hex(files[path]) for path in paths]
+        for name, values in (("file", paths), ("sha256", sums)):
+            index = index.append_column(f"{prefix}{name}", pa.array(values, pa.string()))
+    return index, files
 
 
 def _write_lists(folder: DataFolder, manifest: Manifest) -> dict[str, str]:
@@ -85,6 +62,9 @@ def _write_lists(folder: DataFolder, manifest: Manifest) -> dict[str, str]:
     paths = {f"{_FOLDER}/{split}{_LIST_END}": "".join(each).encode() for split, each in lines.items()}
     # The index vouches for the images: as many checksums would make the manifest larger than it.
     return {path: write_changed(folder, path, content) for path, content in paths.items()}
+
+
+FORMAT = RowsFormat(_FOLDER, _pack, 2, _write_lists)
 
 
 def items_of_lists(home: DataFolder, columns: ImportColumns, table: str | None) -> Iterator[Item]:

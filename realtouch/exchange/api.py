@@ -20,7 +20,7 @@ __all__ = ["export"]
 def export(
     source: str | PathLike[str],
     out: str | PathLike[str],
-    layout: Literal["flat", "webdataset", "lerobot", "fota", "sparsh", "anytouch"],
+    layout: Literal["flat", "webdataset", "lerobot", "replay", "fota", "sparsh", "anytouch"],
     *,
     frame: str = "contact_end",
     split: str | None = None,
@@ -39,10 +39,12 @@ def export(
         ``"flat"``: Parquet with one row a touch, for `datasets`, pandas and polars. ``"webdataset"``: the
         same in tars below ``webdataset/``, an image and a JSON file for each touch. ``"lerobot"``: a
         LeRobotDataset v3.0 in ``lerobot/``, an episode for each clip, or for each round of single images; it
-        holds one split. ``"fota"``: the tars of T3, poses in mm. ``"sparsh"``: pickled lists of encoded
-        images, with a background. ``"anytouch"``: images and list files of AnyTouch 2.
+        holds one split. ``"replay"``: the same frames as pixels in the Zarr group that Diffusion Policy
+        reads, for sets that fit on a disk so. ``"fota"``: the tars of T3, poses in mm. ``"sparsh"``: pickled
+        lists of encoded images, with a background. ``"anytouch"``: images and list files of AnyTouch 2.
     frame : str
-        Which frame of a clip a touch shows, as for :func:`realtouch.to_single`; ``"lerobot"`` takes all.
+        Which frame of a clip a touch shows, as for :func:`realtouch.to_single`; ``"lerobot"`` and
+        ``"replay"`` take all.
 
     Returns
     -------

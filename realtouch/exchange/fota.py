@@ -7,24 +7,23 @@ Facts of the format: a sample is ``KEY.jpg`` and ``KEY.json``; poses are ``x_mm`
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 
 import pyarrow as pa
 
-from realtouch.contact import ContactMethod
 from realtouch.convert.pictures import POSE_COLUMNS
-from realtouch.convert.plan import Conversion, Made, RowChoice, Source
+from realtouch.convert.plan import Made
 from realtouch.exchange.items import ImportColumns, Item
-from realtouch.exchange.rows import IMAGE, as_jpeg, rows_conversion
+from realtouch.exchange.rows import IMAGE, RowsFormat, as_jpeg
 from realtouch.exchange.tars import items_of_tars, tar_of
-from realtouch.integrity.files import checksums, file_fields, with_files, write_changed
+from realtouch.integrity.files import checksums, with_files, write_changed
 from tactile_toolkit.errors import IntegrityError
 from tactile_toolkit.store.folder import DataFolder
 from tactile_toolkit.store.manifest import Manifest
 from tactile_toolkit.store.shards import ShardName, Skipped
 
-__all__ = ["fota_conversion", "items_of_fota"]
+__all__ = ["FORMAT", "items_of_fota"]
 
 _FOLDER = "fota"
 _POSE = ("x_mm", "y_mm", "z_mm", "quat_x", "quat_y", "quat_z", "quat_w")
@@ -32,38 +31,20 @@ _LENGTHS = 3  # of these, the first so many are lengths
 _MM_PER_M = 1000.0
 
 
-def fota_conversion(
-    source: Source,
-    choices: Mapping[str, Sequence[RowChoice]],
-    method: ContactMethod,
-    options: Mapping[str, Any],
-) -> Conversion:
-    """Plan the tars of an export; see :mod:`realtouch.exchange.formats`."""
-    return rows_conversion(source, choices, method, options, _PackFota(), _FOLDER, _write_counts)
-
-
-@dataclass(frozen=True)
-class _PackFota:
-    """Packs the flat touches of a shard as one tar, named in the index."""
-
-    def schema(self, rows: pa.Schema) -> pa.Schema:
-        """Return the columns of the index: all but the images, and where those are."""
-        return pa.schema([*(field for field in rows if field.name != IMAGE), *file_fields(1)])
-
-    def apply(self, shard: ShardName, rows: pa.Table, skipped: Sequence[Skipped]) -> Made:
-        """Return the tar; the same touches give the same bytes."""
-        if not len(rows):
-            message = (
-                f"{shard}: no round is left, the first because {skipped[0].message}; tars are numbered "
-                "without gaps; nothing of this file was written; next: leave it out (`realtouch select`)"
-            )
-            raise IntegrityError(message)
-        index = rows.drop_columns([IMAGE])
-        samples = (
-            (f"{fields['id']}.jpg", as_jpeg(image.as_py()["bytes"]), {**fields, **_pose_mm(fields)})
-            for image, fields in zip(rows[IMAGE], index.to_pylist(), strict=True)
+def _pack(shard: ShardName, rows: pa.Table, skipped: Sequence[Skipped]) -> Made:
+    """Return the touches of a shard as one tar; the same touches give the same bytes."""
+    if not len(rows):
+        message = (
+            f"{shard}: no round is left, the first because {skipped[0].message}; tars are numbered "
+            "without gaps; nothing of this file was written; next: leave it out (`realtouch select`)"
         )
-        return with_files(index, {f"{_FOLDER}/{shard.split}/data-{shard.index:06d}.tar": tar_of(samples)})
+        raise IntegrityError(message)
+    index = rows.drop_columns([IMAGE])
+    samples = (
+        (f"{fields['id']}.jpg", as_jpeg(image.as_py()["bytes"]), {**fields, **_pose_mm(fields)})
+        for image, fields in zip(rows[IMAGE], index.to_pylist(), strict=True)
+    )
+    return with_files(index, {f"{_FOLDER}/{shard.split}/data-{shard.index:06d}.tar": tar_of(samples)})
 
 
 def _pose_mm(fields: Mapping[str, Any]) -> dict[str, float]:
@@ -82,6 +63,9 @@ def _write_counts(folder: DataFolder, manifest: Manifest) -> dict[str, str]:
         path = f"{_FOLDER}/{split}/count.txt"
         files[path] = write_changed(folder, path, str(entry["rows"]).encode())
     return files
+
+
+FORMAT = RowsFormat(_FOLDER, _pack, write_files=_write_counts)
 
 
 def items_of_fota(home: DataFolder, columns: ImportColumns, table: str | None) -> Iterator[Item]:

@@ -21,26 +21,28 @@ from realtouch.convert.pictures import (
     repeated_ids,
     require_first,
 )
-from realtouch.convert.plan import Conversion, Made, Pack, RowChoice, Source
+from realtouch.convert.plan import Conversion, Made, RowChoice, Source
 from realtouch.convert.shown import shown_touches
 from realtouch.damage import damaged
-from realtouch.integrity.files import checksums, files_are_current
+from realtouch.integrity.files import checksums, file_fields, files_are_current
 from realtouch.touch import touch_id
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.read.dataset import Row
 from tactile_toolkit.store.folder import DataFolder
 from tactile_toolkit.store.manifest import Manifest
+from tactile_toolkit.store.shards import ShardName, Skipped
 from tactile_toolkit.touch.jpeg import decode_image, encode_image, image_size
 from tactile_toolkit.touch.schema import MEDIA_COLUMN, MEDIA_TYPE, POSE_COLUMN, Kind, class_names, column_type
 
 __all__ = [
+    "FORMAT",
     "IMAGE",
+    "RowsFormat",
     "as_jpeg",
     "background_of",
     "image_column",
     "known_label",
     "require_intact",
-    "rows_conversion",
 ]
 
 IMAGE = "image"
@@ -53,30 +55,66 @@ _MOST_ROWS_PER_GROUP = 1 << 14
 _NAME = re.compile(r"[A-Za-z0-9_-]{1,80}")
 
 
-def rows_conversion(
-    source: Source,
-    choices: Mapping[str, Sequence[RowChoice]],
-    method: ContactMethod,
-    options: Mapping[str, Any],
-    pack: Pack | None = None,
-    folder: str | None = None,
-    write_files: Callable[[DataFolder, Manifest], Mapping[str, str]] = checksums,
-) -> Conversion:
-    """Plan an export with a row for each touch; ``pack`` makes files of these rows, below ``folder``."""
-    is_seq = source.kind == "seq"
-    image_bytes = source.media_bytes() // (_FRAMES_PER_CLIP if is_seq else 1) or 1
-    return Conversion(
-        source,
-        "export",
-        {**options, **({"frame": method} if is_seq else {})},
-        _FlatTouches(method, class_names(source.schema), repeated_ids(source, choices)),
-        choices,
-        rows_per_group=max(1, min(_MOST_ROWS_PER_GROUP, _GROUP_BYTES // image_bytes)),
-        extra_dirs=() if folder is None else (folder,),
-        is_current=files_are_current,
-        write_files=write_files,
-        pack=pack,
-    )
+PackRows = Callable[[ShardName, pa.Table, Sequence[Skipped]], Made]
+"""What makes files of the rows of a shard, and an index that names them; a function of a module."""
+
+
+@dataclass(frozen=True)
+class _Pack:
+    """Packs the rows of a shard; keeps all columns but the images, and the names of files for each row."""
+
+    pack: PackRows
+    files_per_row: int
+
+    def schema(self, rows: pa.Schema) -> pa.Schema:
+        """Return the columns of the index."""
+        kept = (field for field in rows if field.name != IMAGE)
+        return pa.schema([*kept, *file_fields(self.files_per_row)])
+
+    def apply(self, shard: ShardName, rows: pa.Table, skipped: Sequence[Skipped]) -> Made:
+        """Return the files of the shard with the index."""
+        return self.pack(shard, rows, skipped)
+
+
+@dataclass(frozen=True)
+class RowsFormat:
+    """A format with a row for each touch: Parquet, or files that are made of such rows.
+
+    ``pack`` makes the files of a shard below ``folder``, so many for each row; ``write_files`` writes what
+    follows from all, see :class:`tactile_toolkit.store.plan.BuildPlan`.
+    """
+
+    folder: str | None = None
+    pack: PackRows | None = None
+    files_per_row: int = 1
+    write_files: Callable[[DataFolder, Manifest], Mapping[str, str]] = checksums
+
+    def plan(
+        self,
+        source: Source,
+        choices: Mapping[str, Sequence[RowChoice]],
+        method: ContactMethod,
+        options: Mapping[str, Any],
+    ) -> Conversion:
+        """Plan an export; of clips, a touch shows the frame by some method."""
+        is_seq = source.kind == "seq"
+        image_bytes = source.media_bytes() // (_FRAMES_PER_CLIP if is_seq else 1) or 1
+        return Conversion(
+            source,
+            "export",
+            {**options, **({"frame": method} if is_seq else {})},
+            _FlatTouches(method, class_names(source.schema), repeated_ids(source, choices)),
+            choices,
+            rows_per_group=max(1, min(_MOST_ROWS_PER_GROUP, _GROUP_BYTES // image_bytes)),
+            extra_dirs=() if self.folder is None else (self.folder,),
+            is_current=files_are_current,
+            write_files=self.write_files,
+            pack=None if self.pack is None else _Pack(self.pack, self.files_per_row),
+        )
+
+
+FORMAT = RowsFormat()
+"""Flat Parquet: the rows as they are."""
 
 
 def require_intact(data: bytes | memoryview) -> tuple[int, int]:

@@ -11,24 +11,22 @@ import csv
 import io
 import pickle
 import pickletools
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Sequence
 from typing import Any
 
 import pyarrow as pa
 from pyarrow import csv as arrow_csv
 
-from realtouch.contact import ContactMethod
-from realtouch.convert.plan import Conversion, Made, RowChoice, Source
+from realtouch.convert.plan import Made
 from realtouch.exchange.items import ImportColumns, Item
-from realtouch.exchange.rows import IMAGE, background_of, rows_conversion
-from realtouch.integrity.files import checksums, file_fields, with_files, write_changed
+from realtouch.exchange.rows import IMAGE, RowsFormat, background_of
+from realtouch.integrity.files import checksums, with_files, write_changed
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.store.folder import DataFolder
 from tactile_toolkit.store.manifest import Manifest
 from tactile_toolkit.store.shards import ShardName, Skipped
 
-__all__ = ["items_of_pickles", "sparsh_conversion"]
+__all__ = ["FORMAT", "items_of_pickles"]
 
 _FOLDER = "sparsh"
 _BACKGROUND = "bgs/bg_gs.jpg"
@@ -41,32 +39,14 @@ _OF_LISTS = frozenset(
 )
 
 
-def sparsh_conversion(
-    source: Source,
-    choices: Mapping[str, Sequence[RowChoice]],
-    method: ContactMethod,
-    options: Mapping[str, Any],
-) -> Conversion:
-    """Plan the pickles of an export; see :mod:`realtouch.exchange.formats`."""
-    return rows_conversion(source, choices, method, options, _PackPickle(), _FOLDER, _write_backgrounds)
-
-
-@dataclass(frozen=True)
-class _PackPickle:
-    """Packs the flat touches of a shard as a pickled list and a table, named in the index."""
-
-    def schema(self, rows: pa.Schema) -> pa.Schema:
-        """Return the columns of the index: all but the images, and where those are."""
-        return pa.schema([*(field for field in rows if field.name != IMAGE), *file_fields(2)])
-
-    def apply(self, shard: ShardName, rows: pa.Table, skipped: Sequence[Skipped]) -> Made:
-        """Return the list of the stored images; the same touches give the same bytes."""
-        index, stream = rows.drop_columns([IMAGE]), io.BytesIO()
-        images = [image["bytes"] for image in rows[IMAGE].to_pylist()]
-        arrow_csv.write_csv(index, stream)
-        path = f"{_FOLDER}/{shard.split}/dataset_{shard.index:05d}"
-        files = {f"{path}.pkl": pickle.dumps(images, _PROTOCOL), f"{path}.csv": stream.getvalue()}
-        return with_files(index, files if images else {})
+def _pack(shard: ShardName, rows: pa.Table, skipped: Sequence[Skipped]) -> Made:
+    """Return the stored images of a shard as a list, with a table; the same touches give the same bytes."""
+    index, stream = rows.drop_columns([IMAGE]), io.BytesIO()
+    images = [image["bytes"] for image in rows[IMAGE].to_pylist()]
+    arrow_csv.write_csv(index, stream)
+    path = f"{_FOLDER}/{shard.split}/dataset_{shard.index:05d}"
+    files = {f"{path}.pkl": pickle.dumps(images, _PROTOCOL), f"{path}.csv": stream.getvalue()}
+    return with_files(index, files if images else {})
 
 
 def _write_backgrounds(folder: DataFolder, manifest: Manifest) -> dict[str, str]:
@@ -81,6 +61,9 @@ def _write_backgrounds(folder: DataFolder, manifest: Manifest) -> dict[str, str]
         path = f"{of_split}{_BACKGROUND}"
         files[path] = write_changed(folder, path, content)
     return files
+
+
+FORMAT = RowsFormat(_FOLDER, _pack, 2, _write_backgrounds)
 
 
 def _part(stream: io.IOBase | Any, start: int, size: int) -> bytes:

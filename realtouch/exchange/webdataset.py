@@ -2,49 +2,31 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from typing import Any
+from collections.abc import Sequence
 
 import pyarrow as pa
 
-from realtouch.contact import ContactMethod
-from realtouch.convert.plan import Conversion, Made, RowChoice, Source
-from realtouch.exchange.rows import IMAGE, rows_conversion
+from realtouch.convert.plan import Made
+from realtouch.exchange.rows import IMAGE, RowsFormat
 from realtouch.exchange.tars import tar_of
-from realtouch.integrity.files import file_fields, with_files
+from realtouch.integrity.files import with_files
 from tactile_toolkit.store.shards import ShardName, Skipped
 
-__all__ = ["tar_conversion"]
+__all__ = ["FORMAT"]
 
 _FOLDER = "webdataset"
 
 
-def tar_conversion(
-    source: Source,
-    choices: Mapping[str, Sequence[RowChoice]],
-    method: ContactMethod,
-    options: Mapping[str, Any],
-) -> Conversion:
-    """Plan the tars of an export; see :mod:`realtouch.exchange.formats`."""
-    return rows_conversion(source, choices, method, options, _PackTars(), _FOLDER)
+def _pack(shard: ShardName, rows: pa.Table, skipped: Sequence[Skipped]) -> Made:
+    """Return the touches of a shard as one tar; the same touches give the same bytes."""
+    index = rows.drop_columns([IMAGE])
+    images = (each.as_py() for each in rows[IMAGE])
+    samples = (
+        (image["path"], image["bytes"], fields)
+        for image, fields in zip(images, index.to_pylist(), strict=True)
+    )
+    path = f"{_FOLDER}/{shard.split}-{shard.index:06d}.tar"
+    return with_files(index, {path: tar_of(samples)} if len(rows) else {})
 
 
-@dataclass(frozen=True)
-class _PackTars:
-    """Packs the flat touches of a shard as one tar, named in the index."""
-
-    def schema(self, rows: pa.Schema) -> pa.Schema:
-        """Return the columns of the index: all but the images, and where those are."""
-        return pa.schema([*(field for field in rows if field.name != IMAGE), *file_fields(1)])
-
-    def apply(self, shard: ShardName, rows: pa.Table, skipped: Sequence[Skipped]) -> Made:
-        """Return the tar; the same touches give the same bytes."""
-        index = rows.drop_columns([IMAGE])
-        images = (each.as_py() for each in rows[IMAGE])
-        samples = (
-            (each["path"], each["bytes"], fields)
-            for each, fields in zip(images, index.to_pylist(), strict=True)
-        )
-        path = f"{_FOLDER}/{shard.split}-{shard.index:06d}.tar"
-        return with_files(index, {path: tar_of(samples)} if len(rows) else {})
+FORMAT = RowsFormat(_FOLDER, _pack)

@@ -7,6 +7,8 @@ import json
 import pickle
 import re
 import tarfile
+import zipfile
+import zlib
 from pathlib import Path
 from typing import Any
 
@@ -122,6 +124,62 @@ def test_anytouch_reads_its_lists(source: Path, tmp_path: Path, small_shards: No
         assert sizes == {(96, 72)}
 
 
+def zarr_array(group: zipfile.ZipFile, path: str) -> np.ndarray:
+    """Read an array of Zarr version 2, all chunks of it."""
+    stated = json.loads(group.read(f"{path}/.zarray"))
+    assert (stated["zarr_format"], stated["order"], stated["filters"]) == (2, "C", None)
+    assert stated["compressor"]["id"] == "zlib"
+    chunks = []
+    for number in range(-(-stated["shape"][0] // stated["chunks"][0])):
+        content = group.read(f"{path}/{'.'.join([str(number), *'0' * (len(stated['shape']) - 1)])}")
+        chunks.append(np.frombuffer(zlib.decompress(content), stated["dtype"]).reshape(stated["chunks"]))
+    return np.concatenate(chunks)[: stated["shape"][0]]
+
+
+def test_diffusion_policy_reads_the_replay_buffer(
+    source: Path, tmp_path: Path, small_shards: None, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As ``ReplayBuffer.copy_from_path``: all arrays of data are as long as the last of the ends says."""
+    monkeypatch.setattr("realtouch.exchange.replay._CHUNK_BYTES", 4 * 72 * 96 * 3)
+    realtouch.export(source, tmp_path, "replay", split="train")
+    with zipfile.ZipFile(tmp_path / "replay" / "touches.zarr.zip") as group:
+        for path in ("", "data/", "meta/"):
+            assert json.loads(group.read(f"{path}.zgroup")) == {"zarr_format": 2}
+        names = {name.split("/")[1] for name in group.namelist() if name.endswith("/.zarray")}
+        data = {name: zarr_array(group, f"data/{name}") for name in names - {"episode_ends"}}
+        ends = zarr_array(group, "meta/episode_ends")
+    assert {len(values) for values in data.values()} == {ends[-1]}
+    wanted: list[dict[str, Any]] = []
+    lengths = []
+    for record in realtouch.load(source, "train"):
+        if isinstance(record, realtouch.TouchSingleRound):
+            pose = record.gel_pose_cell_frame
+            wanted += [
+                {
+                    "tactile": record.sensor_image[touch],
+                    "state": [*pose.position_m[touch], *pose.quaternion[touch]],
+                }
+                for touch in range(record.touch_count)
+            ]
+            lengths.append(record.touch_count)
+            continue
+        for clip in record.sensor_video:
+            pose = clip.poses
+            lengths.append(len(clip))
+            wanted += [
+                {"tactile": clip[frame], "state": [*pose.position_m[frame], *pose.quaternion[frame]]}
+                for frame in range(len(clip))
+            ]
+    assert np.diff(ends, prepend=0).tolist() == lengths
+    for number in range(0, len(wanted), 7):
+        assert np.array_equal(data["tactile"][number], wanted[number]["tactile"])
+        np.testing.assert_array_equal(data["state"][number], np.float32(wanted[number]["state"]))
+    assert data["action"].shape == (len(wanted), 2)
+    assert realtouch.verify(tmp_path).ok
+    with pytest.raises(InputError, match="a replay buffer holds one; next: add --split"):
+        realtouch.export(source, tmp_path / "both", "replay")
+
+
 @pytest.mark.parametrize("layout", PLACES)
 def test_they_come_back_as_they_were(layout: Any, single_folder: Path, tmp_path: Path) -> None:
     realtouch.export(single_folder, tmp_path / "there", layout)
@@ -151,7 +209,7 @@ def test_they_come_back_as_they_were(layout: Any, single_folder: Path, tmp_path:
         )
 
 
-@pytest.mark.parametrize("layout", PLACES)
+@pytest.mark.parametrize("layout", [*PLACES, "replay"])
 def test_parts_and_damage_end_in_the_same_bytes(
     layout: Any, single_folder: Path, tmp_path: Path, small_shards: None
 ) -> None:
@@ -163,8 +221,9 @@ def test_parts_and_damage_end_in_the_same_bytes(
     assert folder_bytes(parts) == folder_bytes(whole)
     checked = realtouch.verify(parts)
     assert (checked.ok, checked.rounds, checked.touches) == (True, 3, 15)
-    (victim, *_) = sorted(
-        path for path in (parts / layout).rglob("*.*") if path.suffix in (".tar", ".pkl", ".jpg")
+    foreign = (path for path in (parts / layout).rglob("*.*") if not path.name.startswith("."))
+    victim = min(
+        path for path in foreign if path.suffix in (".tar", ".pkl", ".jpg", ".zip") and path.is_file()
     )
     content = bytearray(victim.read_bytes())
     content[len(content) // 2] ^= 1
