@@ -112,7 +112,7 @@ def _introduce(sink: Sink, name: str, plan: DownloadPlan) -> None:
     licence = (known.licence if known else None) or plan.repository.snapshot.licence
     splits = ", ".join(plan.splits)
     sink.talk(
-        f"{plan.repository.repo_id} at {plan.commit[:12]}: {splits}; {counted(len(plan.files), 'files')}, "
+        f"{plan.repository.repo_id} at {plan.record.commit[:12]}: {splits}; {counted(len(plan.files), 'files')}, "
         f"{bytes_text(plan.bytes)}, of which {bytes_text(plan.missing_bytes)} are to be fetched"
     )
     if plan.leftover:
@@ -157,7 +157,7 @@ def _facts(plan: DownloadPlan) -> dict[str, object]:
     missing = {file.path for file in plan.missing}
     return {
         "repository": plan.repository.repo_id,
-        "commit": plan.commit,
+        "commit": plan.record.commit,
         "splits": list(plan.splits),
         "bytes": plan.bytes,
         "missing_bytes": plan.missing_bytes,

@@ -21,35 +21,41 @@ if TYPE_CHECKING:
 
 __all__ = ["add_hub_commands"]
 
+_MAIN = "main"
+
 Repository = Annotated[str, typer.Argument(metavar="USER/NAME", help="Repository of the Hub.")]
-DryRun = Annotated[bool, typer.Option("--dry-run", help="Say what would be sent; send nothing.")]
+DryRun = Annotated[bool, typer.Option("--dry-run", help="Print what would be sent; send nothing.")]
 Yes = Annotated[bool, typer.Option("--yes", "-y", help="Send without asking.")]
+Private = Annotated[bool, typer.Option("--private", help="Create a private repository.")]
+Branch = Annotated[
+    str | None, typer.Option(metavar="BRANCH", help="Branch to write to; made if it is not there.")
+]
+PullRequest = Annotated[
+    bool, typer.Option("--create-pr", help="Open a pull request instead of writing to main.")
+]
+Message = Annotated[str | None, typer.Option(metavar="TEXT", help="First line of the commit.")]
+Tag = Annotated[
+    str | None, typer.Option(metavar="NAME", help="Name of this state, beside the schema's, such as v1.")
+]
+Delete = Annotated[
+    bool, typer.Option("--delete", help="Remove files from the repository that the folder does not have.")
+]
+Viewer = Annotated[
+    bool, typer.Option("--viewer", help="Send each mesh as a file that the Hub shows in 3D, too.")
+]
 
 
 @dataclass(frozen=True, slots=True)
 class Sending:
     """What the user decides of an upload; named as the fields of ``UploadOptions``."""
 
-    private: Annotated[bool, typer.Option("--private", help="Create the repository for your eyes only.")] = (
-        False
-    )
-    revision: Annotated[
-        str | None, typer.Option(metavar="BRANCH", help="Branch to write to; made if it is not there.")
-    ] = None
-    create_pr: Annotated[
-        bool, typer.Option("--create-pr", help="Open a pull request instead of writing to main.")
-    ] = False
-    message: Annotated[str | None, typer.Option(metavar="TEXT", help="First line of the commit.")] = None
-    tag: Annotated[
-        str | None,
-        typer.Option(metavar="NAME", help="Name of this state, beside the schema's, such as v1."),
-    ] = None
-    delete: Annotated[
-        bool, typer.Option("--delete", help="Remove files from the repository that the folder does not have.")
-    ] = False
-    viewer: Annotated[
-        bool, typer.Option("--viewer", help="Send each mesh as a file that the Hub shows in 3D, too.")
-    ] = False
+    private: Private = False
+    revision: Branch = None
+    create_pr: PullRequest = False
+    message: Message = None
+    tag: Tag = None
+    delete: Delete = False
+    viewer: Viewer = False
 
 
 def add_hub_commands(app: typer.Typer, kind: DatasetKind) -> None:
@@ -69,11 +75,10 @@ def add_hub_commands(app: typer.Typer, kind: DatasetKind) -> None:
     ) -> None:
         """Verify a data set folder and bring it to the Hugging Face Hub; only what is missing there is sent.
 
-        Run again after an interruption, it goes on; run again after success, it sends nothing and says so.
+        Run again after an interruption, it goes on; run again after success, it sends nothing.
         """
         from tactile_toolkit.catalog.kinds import require_manifest
-        from tactile_toolkit.exchange.upload import check_folder, prepare_upload, run_upload
-        from tactile_toolkit.exchange.upload_plan import UploadOptions
+        from tactile_toolkit.exchange.upload import UploadOptions, check_folder, prepare_upload, run_upload
         from tactile_toolkit.store.folder import DataFolder
 
         options = UploadOptions(**asdict(sending))
@@ -84,20 +89,17 @@ def add_hub_commands(app: typer.Typer, kind: DatasetKind) -> None:
             folder, repository, options, check=check, dry_run=dry_run, on_wait=sink.talk
         )
         _print_plan(sink, prepared)
-        if dry_run:
-            sink.document(_document(kind, prepared, None))
-            there = f"{_held(prepared, prepared.pull)}; " if prepared.is_done else ""
-            sink.line(f"{there}nothing was sent")
-            return
-        # Even where all files are there, a branch to make is a change that nobody may have meant.
-        if not (prepared.is_done and prepared.state.has_branch) and not yes:
-            _ask(prepared)
-        if sink.quiet or not sys.stderr.isatty():
-            from huggingface_hub.utils.tqdm import disable_progress_bars
+        result = None
+        if not dry_run:
+            # Even where all files are there, a branch to make is a change that may not be meant.
+            if not (prepared.plan.is_done and prepared.state.has_branch) and not yes:
+                _ask(prepared)
+            if sink.quiet or not sys.stderr.isatty():
+                from huggingface_hub.utils.tqdm import disable_progress_bars
 
-            # The Hub's client draws them whatever stderr is.
-            disable_progress_bars()
-        result = run_upload(prepared)
+                # The Hub's client draws them whatever stderr is.
+                disable_progress_bars()
+            result = run_upload(prepared)
         sink.document(_document(kind, prepared, result))
         _print_result(sink, kind, prepared, result)
 
@@ -119,49 +121,58 @@ def _ask(prepared: PreparedUpload) -> None:
 
 
 def _print_plan(sink: Sink, prepared: PreparedUpload) -> None:
-    plan, payload = prepared.plan, prepared.payload
-    if payload.left_out:
-        sink.talk(f"left out, no part of the data set: {listed(payload.left_out)}")
-    if prepared.kept:
-        sink.talk(
-            f"kept on the Hub, though the folder lacks it: {listed(prepared.kept)} (--delete removes it)"
-        )
-    if prepared.mixed:
-        sink.talk(
-            f"{listed(prepared.mixed)}: named like shards of this data set, but not of it; the card leaves "
-            "them out, other readers may not; --delete removes them"
-        )
-    if prepared.state.exists and not prepared.state.has_branch:
+    plan, state, where = prepared.plan, prepared.state, _where(prepared)
+    for paths, words in (
+        (prepared.left_out, "left out, no part of the data set: {}"),
+        (plan.kept, "kept on the Hub, though the folder lacks it: {} (--delete removes it)"),
+        (
+            prepared.mixed,
+            "{}: named like shards of this data set, but not of it; the card leaves them out, other readers may "
+            "not; --delete removes them",
+        ),
+    ):
+        if paths:
+            sink.talk(words.format(listed(paths)))
+    if state.held is None:
+        visible = "private" if prepared.options.private else "public"
+        sink.line(f"{visible} repository to create: {where}")
+    elif not state.has_branch:
         sink.line(f"branch to create at the head of main: {prepared.target.branch}")
-    if prepared.is_done:
+    if plan.is_done:
         return
-    if not prepared.state.exists:
-        sink.line(
-            f"{'private' if prepared.options.private else 'public'} repository to create: {_where(prepared)}"
-        )
-    new = {file.path for file in plan.new}
+    there = state.held.files if state.held else {}
     rows = [
-        (file.path, bytes_text(file.size), "new" if file.path in new else "changed") for file in plan.to_send
+        (file.path, bytes_text(file.size), "changed" if file.path in there else "new")
+        for file in plan.to_send
     ]
     sink.table(("file", "size", "on the Hub"), rows[:FILES_SHOWN])
     if len(rows) > FILES_SHOWN:
         sink.line(f"  and {len(rows) - FILES_SHOWN:,} more")
-    for path in prepared.removed[:FILES_SHOWN]:
+    for path in plan.removed[:FILES_SHOWN]:
         sink.line(f"  to remove: {path}")
+    sizes = [sum(file.size for file in files) for files in (plan.to_send, prepared.files)]
     sink.line(
-        f"{len(plan.to_send):,} of {len(payload.files):,} files to send, {bytes_text(plan.send_bytes)} of "
-        f"{bytes_text(payload.size)}, {len(prepared.removed):,} to remove, to {_where(prepared)}"
+        f"{len(plan.to_send):,} of {len(prepared.files):,} files to send, {bytes_text(sizes[0])} of "
+        f"{bytes_text(sizes[1])}, {len(plan.removed):,} to remove, to {where}"
     )
 
 
-def _print_result(sink: Sink, kind: DatasetKind, prepared: PreparedUpload, result: UploadResult) -> None:
-    if not result.sent and not result.removed:
-        sink.line(f"{_held(prepared, result.pull)}; nothing was sent")
+def _print_result(
+    sink: Sink, kind: DatasetKind, prepared: PreparedUpload, result: UploadResult | None
+) -> None:
+    pull, where = result.pull if result else prepared.pull, _where(prepared)
+    if prepared.plan.is_done:
+        held = f"{pull} of {where}" if pull else where
+        sink.line(f"{held} holds all of it already, compared by checksum; nothing was sent")
+    elif result is None:
+        sink.line("nothing was sent")
     else:
         sink.line(
             f"sent {counted(len(result.sent), 'files')}, removed {len(result.removed):,}; all "
-            f"{len(prepared.payload.files):,} compared by checksum"
+            f"{len(prepared.files):,} compared by checksum"
         )
+    if result is None:
+        return
     if result.tags:
         sink.line(f"tags set: {', '.join(result.tags)}")
     sink.line(_address(prepared, result))
@@ -170,22 +181,22 @@ def _print_result(sink: Sink, kind: DatasetKind, prepared: PreparedUpload, resul
 
 
 def _document(kind: DatasetKind, prepared: PreparedUpload, result: UploadResult | None) -> dict[str, Any]:
-    plan, options = prepared.plan, prepared.options
+    plan, held = prepared.plan, prepared.state.held
     return {
         "repository": prepared.target.repo_id,
         "revision": prepared.target.branch,
         "address": _address(prepared, result),
         "dry_run": result is None,
-        "exists": prepared.state.exists,
-        "private": prepared.state.private if prepared.state.exists else options.private,
-        "files": len(prepared.payload.files),
-        "bytes": prepared.payload.size,
-        "to_send": [file.path for file in plan.to_send] if not prepared.is_done else [],
-        "bytes_to_send": plan.send_bytes if not prepared.is_done else 0,
-        "to_remove": list(prepared.removed),
-        "kept": list(prepared.kept),
+        "exists": held is not None,
+        "private": prepared.options.private if held is None else held.is_private,
+        "files": len(prepared.files),
+        "bytes": sum(file.size for file in prepared.files),
+        "to_send": [file.path for file in plan.to_send],
+        "bytes_to_send": sum(file.size for file in plan.to_send),
+        "to_remove": list(plan.removed),
+        "kept": list(plan.kept),
         "mixed": list(prepared.mixed),
-        "left_out": list(prepared.payload.left_out),
+        "left_out": list(prepared.left_out),
         "tags": list(prepared.tags),
         "commit": result.commit if result else None,
         "pull_request": result.pull if result else None,
@@ -195,33 +206,22 @@ def _document(kind: DatasetKind, prepared: PreparedUpload, result: UploadResult 
     }
 
 
-def _held(prepared: PreparedUpload, pull: str | None) -> str:
-    where = f"{pull} of {_where(prepared)}" if pull else _where(prepared)
-    return f"{where} holds all of it already, compared by checksum"
-
-
 def _where(prepared: PreparedUpload) -> str:
-    from tactile_toolkit.exchange.upload_plan import MAIN
-
     branch = prepared.target.branch
-    return prepared.target.repo_id if branch == MAIN else f"{prepared.target.repo_id} ({branch})"
+    return prepared.target.repo_id if branch == _MAIN else f"{prepared.target.repo_id} ({branch})"
 
 
 def _address(prepared: PreparedUpload, result: UploadResult | None) -> str:
-    from tactile_toolkit.exchange.upload_plan import MAIN
-
     page, branch = prepared.target.page, prepared.target.branch
     # The pull request itself: its branch (refs/pr/N) has no page that can be merged from.
     if result is not None and result.pull is not None:
         return f"{page}/discussions/{result.pull.rpartition('/')[2]}"
-    return page if branch == MAIN else f"{page}/tree/{branch}"
+    return page if branch == _MAIN else f"{page}/tree/{branch}"
 
 
 def _python_lines(kind: DatasetKind, prepared: PreparedUpload, result: UploadResult | None) -> list[str]:
-    from tactile_toolkit.exchange.upload_plan import MAIN
-
     branch = result.pull if result is not None and result.pull else prepared.target.branch
-    revision = None if branch == MAIN else branch
+    revision = None if branch == _MAIN else branch
     split = prepared.manifest.splits[0]
     first, call = kind.loading_lines(prepared.manifest, prepared.target.repo_id, split, revision)
     return [first, f"data = {call}"]

@@ -10,8 +10,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from tactile_toolkit.errors import ToolkitError
-from tactile_toolkit.hub.cache import RepositoryCache
-from tactile_toolkit.hub.repository import HubSnapshot, look_at
+from tactile_toolkit.hub.cache import commit_of
+from tactile_toolkit.hub.repository import HubSnapshot, cached_snapshot, fetch_repo_info
 from tactile_toolkit.kind import DatasetKind, PublishedSet, kinds
 from tactile_toolkit.store.manifest import MANIFEST_FILE
 from tactile_toolkit.store.shards import DATA_FOLDER, shard_files
@@ -79,12 +79,12 @@ def _state(entry: PublishedSet) -> SetState:
     found: HubSnapshot | None = None
     with contextlib.suppress(ToolkitError):
         # Of a list, nobody waits for a Hub in trouble.
-        found = look_at(entry.repo_id, patient=False)
+        found = fetch_repo_info(entry.repo_id, patient=False)
     snapshot = None if found is None or found.is_cache else found
-    cache = RepositoryCache(entry.repo_id)
-    commit = snapshot.commit if snapshot else cache.commit_of("main")
-    paths = list(cache.files(commit)) if commit else []
-    splits = tuple(dict.fromkeys(file.split for file in shard_files(paths)))
+    commit = snapshot.commit if snapshot else commit_of(entry.repo_id, "main")
+    here = cached_snapshot(entry.repo_id, commit).files if commit else {}
+    splits = tuple(dict.fromkeys(file.split for file in shard_files(here)))
     size_bytes = sum(file.size_bytes for file in snapshot.files.values()) if snapshot else None
     licence = entry.licence or (snapshot.licence if snapshot else None)
-    return SetState(entry, cache.size_bytes(), splits, size_bytes, licence)
+    local_bytes = sum(file.size_bytes for file in here.values())
+    return SetState(entry, local_bytes, splits, size_bytes, licence)

@@ -11,7 +11,6 @@ import re
 import shutil
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 from pathlib import Path, PurePosixPath
 
 from tactile_toolkit.cards.card import CARD_FILE
@@ -28,30 +27,31 @@ from tactile_toolkit.errors import (
     StorageError,
     ToolkitError,
 )
-from tactile_toolkit.hub.cache import RepositoryCache, is_whole
+from tactile_toolkit.hub.cache import matches_digest, snapshot_folder
+from tactile_toolkit.hub.calls import is_unanswered
 from tactile_toolkit.hub.errors import not_cached, storage_failure_as_hub_error
-from tactile_toolkit.hub.repository import HubRepository, cached_snapshot
-from tactile_toolkit.hub.retry import is_unanswered
-from tactile_toolkit.hub.transfers import Transfers
+from tactile_toolkit.hub.repository import HubRepository, Transfers, cached_snapshot
 from tactile_toolkit.run.system import locked
+from tactile_toolkit.run.threads import in_threads
 from tactile_toolkit.store.files import scratch_folder
 from tactile_toolkit.store.folder import DataFolder
 from tactile_toolkit.store.job import refuse_unknown_files
 from tactile_toolkit.store.manifest import MANIFEST_FILE, Manifest, read_manifest, write_manifest
 from tactile_toolkit.store.names import names_inside
 from tactile_toolkit.store.origin import DownloadRecord, HubFile, read_record, write_record
-from tactile_toolkit.store.shards import DATA_FOLDER, ShardFile, files_of_split, shard_files
+from tactile_toolkit.store.shards import DATA_FOLDER, files_of_split, shard_files
 
 __all__ = ["DownloadPlan", "download", "plan_download"]
 
 # What is fitted to the splits that a folder gets.
-_LABELS = (CARD_FILE, MANIFEST_FILE, CROISSANT_FILE)
+_METADATA_FILES = (CARD_FILE, MANIFEST_FILE, CROISSANT_FILE)
 
 _EXTRA_FOLDERS = ("reports", "previews")
 _EXTRA_FILES = ("LICENSE", "LICENSE.md", "LICENSE.txt")
 _PICTURE_FOLDER = "images"
-# Hidden, so that readers and `verify` pass over it.
-_STAGE_FOLDER = ".downloading"
+# Where the Hub's client keeps what it has not fetched to the end.
+_STAGE_FOLDER = ".cache"
+_THREADS = 8
 _CARD = re.compile(r"---\r?\n(?P<head>.*?)\n---\r?\n(?P<body>.*)", flags=re.DOTALL)
 
 
@@ -67,8 +67,6 @@ class DownloadPlan:
         Where to; None for the Hub's own cache.
     splits : tuple of str
         Splits that will be there.
-    all_splits : tuple of str
-        Splits of the repository.
     files : tuple of HubFile
         All files wanted, but for cards and manifest of a folder, which are fitted to its splits.
     missing : tuple of HubFile
@@ -76,29 +74,23 @@ class DownloadPlan:
     leftover : tuple of str
         Files of an earlier download that the repository has no more; they are removed. Empty where the Hub
         gives no answer: what is not known here may well be there.
-    labels : tuple of str
-        Which of cards and manifest the repository has.
     is_done : bool
         Whether there is nothing to do at all.
-    record : DownloadRecord or None
+    record : DownloadRecord
+        What a folder is to record when all is done.
+    earlier : DownloadRecord or None
         What the folder recorded when the plan was made.
     """
 
     repository: HubRepository
     folder: DataFolder | None
     splits: tuple[str, ...]
-    all_splits: tuple[str, ...]
     files: tuple[HubFile, ...]
     missing: tuple[HubFile, ...]
     leftover: tuple[str, ...]
-    labels: tuple[str, ...]
     is_done: bool
-    record: DownloadRecord | None
-
-    @property
-    def commit(self) -> str:
-        """Commit that all files are of."""
-        return self.repository.snapshot.commit
+    record: DownloadRecord
+    earlier: DownloadRecord | None
 
     @property
     def bytes(self) -> int:
@@ -129,7 +121,7 @@ def plan_download(
 
     ``name`` is a short name of a published set, or ``USER/NAME``; ``out`` a folder to fill instead of the
     Hub's cache. No split named means all; splits that are in the folder already stay in step with them. A
-    Hub in trouble is waited for; one that stays silent is answered for by the cache and the folder's record.
+    Hub in trouble is waited for; in place of one that stays silent the cache and the folder's record answer.
     Raises InputError (not a repository, no such split, somebody's own files in the folder),
     SpecMismatchError (the folder holds another data set) or HubError; then nothing in the folder was touched.
     """
@@ -140,78 +132,80 @@ def plan_download(
 
 
 def _plan(repository: HubRepository, splits: Sequence[str], folder: DataFolder | None) -> DownloadPlan:
-    record = _own_record(folder, repository) if folder is not None else None
-    repository = _answered(repository, folder, record)
-    snapshot, recorded = repository.snapshot, record.files if record else {}
+    earlier = _own_record(folder, repository) if folder is not None else None
+    repository = _answered(repository, earlier)
+    snapshot, recorded = repository.snapshot, earlier.files if earlier else {}
     # In place of a silent Hub: all that the record lists stays wanted.
-    known = record if snapshot.is_cache else None
+    known = earlier if snapshot.is_cache else None
     shards = repository_shards(repository)
-    all_splits = known.splits if known else _splits_of(repository, shards)
+    there, order = dict.fromkeys(sorted(shard.split for shard in shards)), repository.manifest
+    listed = [split for split in order.split_order if split in there] if order is not None else []
+    all_splits = known.splits if known else tuple(listed or there)
     before = {shard.split for shard in shard_files(recorded)}
     wanted = {*splits, *before} if splits or known else set(all_splits)
-    there = {shard.split for shard in shards}
-    chosen = tuple(split for split in all_splits if split in wanted & there)
+    chosen = tuple(split for split in all_splits if split in wanted and split in there)
     paths = [*_extras(repository, chosen, fitted=folder is None), *(known.files if known else ())]
-    # Of a repository without shards, the usual split is the one that is said to be missing.
+    # Of a repository without shards, the usual split is reported missing.
     for split in dict.fromkeys([*chosen, *splits] or ["train"]):
         with repository.missing_as_not_cached(f"split {split!r}"):
             paths += [file.path for file in files_of_split(shards, split, repository.repo_id)]
     names = names_inside(dict.fromkeys(paths), f"Hub data set {repository.repo_id!r}")
     files = {path: repository.file(path) for path in names}
-    here = Transfers().each(partial(_is_here, repository, folder, record), tuple(files.values()))
-    missing = [file for file, is_here in zip(files.values(), here, strict=True) if not is_here]
+
+    def is_here(file: HubFile) -> bool:
+        """Return whether a file lies intact where it is to be, read again: a flipped bit changes no time."""
+        if folder is None:
+            return repository.cached(file.path, force=True) is not None
+        # A store changes no bit by itself: what a finished download wrote there is known by its size.
+        is_known = earlier is not None and earlier.finished and earlier.files.get(file.path) == file
+        return _matches(folder, file, is_known=is_known)
+
+    here = in_threads(is_here, files.values(), _THREADS)
+    missing = [file for file, is_intact in zip(files.values(), here, strict=True) if not is_intact]
     leftover = [path for path in recorded if path not in files]
-    labels = known.labels if known else tuple(path for path in _LABELS if path in snapshot.files)
+    metadata = known.labels if known else tuple(path for path in _METADATA_FILES if path in snapshot.files)
+    record = DownloadRecord(
+        repository.repo_id, snapshot.commit, repository.revision, files, all_splits, metadata
+    )
     is_done = not missing
     if folder is not None:
         _refuse_own_files(folder, [file.path for file in missing])
-        same = record is not None and record.finished and record.commit == snapshot.commit
-        is_done = same and not missing and not leftover and _is_labelled(folder, labels)
+        same = earlier is not None and earlier.finished and earlier.commit == snapshot.commit
+        is_done = same and not missing and not leftover and _has_metadata(folder, metadata)
     if snapshot.is_cache and not is_done:  # found out before anything is touched
-        for path in (*(file.path for file in missing), *labels):
+        for path in (*(file.path for file in missing), *metadata):
             if path not in snapshot.files or repository.cached(path) is None:
                 raise not_cached(repository.repo_id, repr(path))
     return DownloadPlan(
         repository,
         folder,
         chosen,
-        all_splits,
         tuple(files.values()),
         tuple(missing),
         tuple(leftover),
-        labels,
         is_done,
         record,
+        earlier,
     )
 
 
-def _splits_of(repository: HubRepository, shards: Sequence[ShardFile]) -> tuple[str, ...]:
-    order = repository.manifest.split_order if repository.manifest is not None else ()
-    names = {shard.split for shard in shards}
-    return tuple(split for split in order if split in names) or tuple(sorted(names))
-
-
-def _answered(
-    repository: HubRepository, folder: DataFolder | None, record: DownloadRecord | None
-) -> HubRepository:
+def _answered(repository: HubRepository, record: DownloadRecord | None) -> HubRepository:
     """Return the repository with what it holds: as the Hub says, or else as cache and record do.
 
-    The record of a folder can be mended and added to by the cache; neither tells what the Hub has no more.
+    The record of a folder can be repaired and added to by the cache; neither says what the Hub has no more.
     """
+    commit = ""
     try:
-        snapshot = repository.snapshot
-        if record is None or not snapshot.is_cache:
+        if record is None or not repository.snapshot.is_cache:
             return repository
-        commit = snapshot.commit
+        commit = repository.snapshot.commit
     except HubError as error:
         # A refusal counts, whatever is here.
         if record is None or not is_unanswered(error):
             raise
-        commit = ""
     # Only the Hub knows whether two names mean one commit.
-    if folder is not None and repository.revision != record.revision and commit != record.commit:
-        what = f"commit {record.commit[:12]}, which {folder.address()!r} holds,"
-        raise not_cached(repository.repo_id, what)
+    if repository.revision != record.revision and commit != record.commit:
+        raise not_cached(repository.repo_id, f"commit {record.commit[:12]}, which the folder holds,")
     cached = cached_snapshot(repository.repo_id, record.commit)
     return replace(repository, known=replace(cached, files={**cached.files, **record.files}))
 
@@ -223,8 +217,8 @@ def _own_record(folder: DataFolder, repository: HubRepository) -> DownloadRecord
     record = read_record(folder)
     if record is not None and record.repo_id == repository.repo_id:
         return record
-    found = f"a download of {record.repo_id!r}" if record is not None else "a data set of another origin"
     if record is not None or holds_set:
+        found = f"a download of {record.repo_id!r}" if record is not None else "a data set of another origin"
         message = (
             f"{folder.address()!r} holds {found}, not one of {repository.repo_id!r}; nothing in it was "
             "changed; next: choose another folder with --out"
@@ -259,7 +253,7 @@ def _extras(repository: HubRepository, splits: Sequence[str], *, fitted: bool) -
     shown = {path for paths in viewer_files(manifest).values() for path in paths}
 
     def is_extra(path: str) -> bool:
-        if path in _LABELS:
+        if path in _METADATA_FILES:
             return fitted
         if path in shown:  # repeats the shards for the Hub's page, and stays there
             return False
@@ -273,35 +267,23 @@ def _extras(repository: HubRepository, splits: Sequence[str], *, fitted: bool) -
     return [*found, *(path for path in repository.files() if path.startswith(folders))]
 
 
-def _is_here(
-    repository: HubRepository, folder: DataFolder | None, record: DownloadRecord | None, file: HubFile
-) -> bool:
-    """Tell whether a file lies whole where it is to be, as far as that can be known.
-
-    It is read anew, although it was found whole once: a bit that the disk has flipped changes no time.
-    """
-    if folder is None:
-        return repository.cached(file.path, anew=True) is not None
+def _matches(folder: DataFolder, file: HubFile, *, is_known: bool) -> bool:
     if file.digest is None or not folder.exists(file.path) or folder.size_bytes(file.path) != file.size_bytes:
         return False
     if folder.is_local:
-        return is_whole(Path(folder.address(file.path)), file.digest, anew=True)
-    # A store changes no bit by itself: what a finished download wrote there is known by its size.
-    if record is not None and record.finished and record.files.get(file.path) == file:
+        return matches_digest(Path(folder.address(file.path)), file.digest, force=True)
+    if is_known:
         return True
     with folder.open(file.path) as stream:
         return file.digest.of_stream(stream, file.size_bytes) == file.digest
 
 
-def _is_labelled(folder: DataFolder, labels: Iterable[str]) -> bool:
-    """Tell whether a folder has its card, and a manifest that says that nothing is left to do."""
-    if not all(folder.exists(name) for name in labels):
-        return False
-    try:
+def _has_metadata(folder: DataFolder, paths: Iterable[str]) -> bool:
+    """Return whether a folder has its card, and a manifest that states that nothing is left to do."""
+    with contextlib.suppress(IntegrityError):
         manifest = read_manifest(folder)
-    except IntegrityError:
-        return False
-    return manifest is None or manifest.complete
+        return all(map(folder.exists, paths)) and (manifest is None or manifest.complete)
+    return False
 
 
 @storage_failure_as_hub_error()
@@ -312,29 +294,25 @@ def download(
 ) -> str:
     """Carry out a plan and return the folder that holds the files: that of a commit in the cache, or its own.
 
-    ``on_progress`` is told the bytes that have arrived and the bytes in all. Raises IntegrityError (a file
-    arrived damaged twice; nothing of it is kept, whole files are), HubError (the same call goes on where it
+    ``on_progress`` gets the bytes that have arrived and the bytes in all. Raises IntegrityError (a file
+    arrived damaged twice; nothing of it is kept, intact files are), HubError (the same call goes on where it
     stopped) or StorageError, with the exit code of HubError.
     """
-    arrived = 0
-
-    def on_bytes(count: int) -> None:
-        nonlocal arrived
-        arrived += count
-        on_progress(arrived, plan.missing_bytes)
-
+    repository, folder = (
+        replace(plan.repository, known=plan.repository.snapshot, on_wait=on_wait),
+        plan.folder,
+    )
     _require_space(plan)
-    transfers = Transfers(on_bytes, on_wait)
-    folder = plan.folder
+    transfers = Transfers(lambda done: on_progress(done, plan.missing_bytes))
     if folder is None:
-        plan.repository.fetch([file.path for file in plan.missing], transfers)
-        return str(RepositoryCache(plan.repository.repo_id).snapshot_folder(plan.commit))
+        repository.fetch([file.path for file in plan.missing], transfers)
+        return str(snapshot_folder(repository.repo_id, plan.record.commit))
     if not plan.is_done:
         with _alone(folder, on_wait):
-            if read_record(folder) != plan.record:  # another download was here, maybe of other splits
-                plan = _plan(plan.repository, plan.splits, folder)
+            if read_record(folder) != plan.earlier:  # another download was here, maybe of other splits
+                plan = _plan(repository, plan.splits, folder)
             if not plan.is_done:
-                _fill(plan, folder, transfers)
+                _execute(plan, folder, transfers)
     return folder.address()
 
 
@@ -370,73 +348,62 @@ def _require_space(plan: DownloadPlan) -> None:
         raise StorageError(message)
 
 
-def _fill(plan: DownloadPlan, folder: DataFolder, transfers: Transfers) -> None:
+def _execute(plan: DownloadPlan, folder: DataFolder, transfers: Transfers) -> None:
     """Bring a folder to the commit of the plan; a reader never takes a mixture for a finished data set."""
-    repository, manifest = plan.repository, plan.repository.manifest
+    repository, manifest, record = plan.repository, plan.repository.manifest, plan.record
     if folder.is_local:  # refused before anything changes: a link leads to what is not of this folder
-        for path in (_STAGE_FOLDER, MANIFEST_FILE, *plan.leftover, *(file.path for file in plan.files)):
+        for path in (_STAGE_FOLDER, MANIFEST_FILE, *plan.leftover, *record.files):
             folder.place(path)
     folder.remove_temporaries()
-    record = DownloadRecord(
-        repository.repo_id,
-        plan.commit,
-        repository.revision,
-        {file.path: file for file in plan.files},
-        plan.all_splits,
-        plan.labels,
-    )
     # What the folder is to become is written down first, so that a killed download is known for what it is.
-    earlier = plan.record.files if plan.record else {}
+    earlier = plan.earlier.files if plan.earlier else {}
     write_record(folder, replace(record, files={**earlier, **record.files}, finished=False))
     if manifest is not None and (plan.missing or plan.leftover):
         write_manifest(folder, replace(manifest, shards=(), complete=False))
-    # Before the first new file comes: old and new ones side by side would pass for one set.
+    # Before the first new file comes: old and new ones next to each other would pass for one set.
     for path in (*plan.leftover, *(file.path for file in plan.missing)):
         folder.remove(path)
+
     with contextlib.ExitStack() as stack:
-        # Beside its place until it is checked: what has the name of a file of the data set is whole.
-        stage = folder.place(_STAGE_FOLDER) if folder.is_local else stack.enter_context(scratch_folder())
-        transfers.each(lambda file: _bring(repository, folder, file, stage, transfers), plan.missing)
-    _label(plan, folder, manifest)
+        stage = Path(folder.address()) if folder.is_local else stack.enter_context(scratch_folder())
+
+        def fetch_file(file: HubFile) -> None:
+            """Bring one file into the folder: copied where the Hub's cache has it intact, fetched where not."""
+            cached = repository.cached(file.path)
+            place = cached or repository.download(file.path, transfers, stage)
+            if cached is not None or not folder.is_local:
+                folder.copy_in(file.path, place)
+                transfers.count(file.path, file.size_bytes)
+            if cached is None and not folder.is_local:
+                place.unlink()
+
+        transfers.each(fetch_file, plan.missing)
+    _write_metadata(plan, folder, manifest)
     write_record(folder, record)
     if folder.is_local:
         folder.remove_tree(_STAGE_FOLDER)
 
 
-def _bring(
-    repository: HubRepository, folder: DataFolder, file: HubFile, stage: Path, transfers: Transfers
-) -> None:
-    """Bring one file into the folder: copied where the Hub's cache has it whole, fetched where not."""
-    cached = repository.cached(file.path)
-    if cached is not None:
-        folder.copy_in(file.path, cached)
-        transfers.count(file.size_bytes)
-        return
-    fetched = repository.download(file.path, transfers, stage)
-    if folder.is_local:
-        folder.move(f"{_STAGE_FOLDER}/{file.path}", file.path)
-    else:
-        folder.copy_in(file.path, fetched)
-        fetched.unlink()
-
-
-def _label(plan: DownloadPlan, folder: DataFolder, manifest: Manifest | None) -> None:
+def _write_metadata(plan: DownloadPlan, folder: DataFolder, manifest: Manifest | None) -> None:
     """Write manifest and cards, fitted to the splits that are there."""
-    is_part = set(plan.splits) < set(plan.all_splits)
-    fetched = plan.repository.fetch(plan.labels)
-    contents = {name: Path(path).read_bytes() for name, path in zip(plan.labels, fetched, strict=True)}
+    is_part = set(plan.splits) < set(plan.record.splits)
+    names = plan.record.labels
+    contents = {
+        name: Path(path).read_bytes() for name, path in zip(names, plan.repository.fetch(names), strict=True)
+    }
     shown = {path for paths in viewer_files(manifest).values() for path in paths}
-    is_fitted = is_part or bool(shown)
-    if manifest is not None and is_fitted:
+    if manifest is not None and (is_part or shown):
         records = [record for record in manifest.shards if record.shard.split in plan.splits]
         files = {path: digest for path, digest in (manifest.files or {}).items() if path not in shown}
-        write_manifest(folder, replace(manifest, shards=tuple(records), files=files))
-    elif manifest is not None:
+        fitted = replace(manifest, shards=tuple(records), files=files)
+        contents[MANIFEST_FILE] = fitted.to_json().encode()
+    # In this order: the card is fitted to what the manifest lists, and Croissant describes both.
+    if manifest is not None:
         folder.write_bytes(MANIFEST_FILE, contents[MANIFEST_FILE])
     if CARD_FILE in contents:
         card = contents[CARD_FILE]
         note = _note_of_part(plan) if is_part else ""
-        folder.write_bytes(CARD_FILE, _fitted_card(card, folder, note) if is_fitted else card)
+        folder.write_bytes(CARD_FILE, _fitted_card(card, folder, note) if is_part or shown else card)
     if CROISSANT_FILE in contents:
         content = contents[CROISSANT_FILE]
         with contextlib.suppress(ToolkitError, ValueError, RecursionError):  # somebody's own stays as it is
@@ -448,7 +415,7 @@ def _label(plan: DownloadPlan, folder: DataFolder, manifest: Manifest | None) ->
 def _note_of_part(plan: DownloadPlan) -> str:
     here = ", ".join(f"`{split}`" for split in plan.splits)
     return (
-        f"\n> This folder holds {here} of `{plan.repository.repo_id}` (commit `{plan.commit[:12]}`); the "
+        f"\n> This folder holds {here} of `{plan.repository.repo_id}` (commit `{plan.record.commit[:12]}`); the "
         "text below describes the whole data set.\n\n"
     )
 

@@ -1,22 +1,30 @@
-"""Objects as tables for other libraries: a data set folder with a row for each, its mesh as a file."""
+"""Objects as tables for other libraries and for the Hub's page: a row for each, its mesh as a file."""
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeAlias
 
+from tactile_toolkit.errors import InputError
 from tactile_toolkit.kind import EXPORT, DatasetKind
+from tactile_toolkit.mesh.columns import FACES, VERTICES, class_names
 from tactile_toolkit.mesh.flat import MESH, flat_table
+from tactile_toolkit.mesh.records import SolidDataset
+from tactile_toolkit.read.columns import column_names
+from tactile_toolkit.read.parquet import Shard, ShardedTable
 from tactile_toolkit.read.source import file_fingerprint, manifest_beside, refuse_source
 from tactile_toolkit.run.processes import runner_for
+from tactile_toolkit.run.threads import in_threads
 from tactile_toolkit.store.build import Progress, build
 from tactile_toolkit.store.folder import DataFolder
 from tactile_toolkit.store.job import look
 from tactile_toolkit.store.manifest import Manifest
-from tactile_toolkit.store.parquet import ParquetStyle, encode_parquet
+from tactile_toolkit.store.parquet import ParquetStyle, encode_parquet, sha256_hex
 from tactile_toolkit.store.plan import BuildPlan, ShardContent
-from tactile_toolkit.store.shards import ShardName
+from tactile_toolkit.store.shards import VIEWER_FOLDER, ShardName, ShardRecord
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -24,7 +32,7 @@ if TYPE_CHECKING:
     from tactile_toolkit.mesh.records import SolidRecord
     from tactile_toolkit.read.dataset import RecordDataset
 
-__all__ = ["export_tables", "forecast_tables"]
+__all__ = ["export_tables", "forecast_tables", "viewer_tables"]
 
 Choices: TypeAlias = "Iterable[tuple[str, RecordDataset[SolidRecord], NDArray[Any]]]"
 
@@ -32,6 +40,10 @@ _ROWS_PER_FILE = 1000
 _SAMPLED = 32
 _STYLE = ParquetStyle(100, compression_level=3, encodings=((f"{MESH}.bytes", "PLAIN"),))
 """100 digits are 12 MB unpacked. Level 9 makes their files 8 % smaller and takes three times as long."""
+_VIEWER_STYLE = replace(_STYLE, compression_level=19)
+"""Made once and read by many; at level 9 the meshes of digits take a fifth more."""
+# Shards in memory at a time; packing them at level 19 takes some 100 MB more for each.
+_MOST_AT_ONCE = 8
 
 
 @dataclass(frozen=True)
@@ -115,3 +127,29 @@ def _plan(kind: DatasetKind, name: str, choices: Choices, options: Mapping[str, 
     return BuildPlan(
         kind.name, spec, tuple(shards), tuple(tasks), _STYLE, libraries=("numpy", "pyarrow", "trimesh")
     )
+
+
+def viewer_tables(folder: DataFolder, manifest: Manifest, out: Path) -> dict[str, str]:
+    """Write a file for each shard that the Hub's page shows; return their digests by path in ``out``.
+
+    Each row with its mesh as a GLB file: a second configuration of a repository. It repeats what the shards
+    hold, so it is made when a folder is sent, and nothing here reads it: loaders take the shards, and a download
+    leaves it where it is. Raises InputError where the rows have no mesh.
+    """
+    (out / VIEWER_FOLDER).mkdir()
+
+    def make(record: ShardRecord) -> tuple[str, str]:
+        shard = Shard(folder.address(record.shard.data_path), record.rows)
+        if not {VERTICES, FACES} <= set(column_names(shard.schema)):
+            message = (
+                f"--viewer shows meshes in 3D, and {folder.address()!r} holds none (the Hub shows images and "
+                "clips without it); nothing was sent; next: leave --viewer out"
+            )
+            raise InputError(message)
+        rows = SolidDataset([ShardedTable((shard,))], label_names=class_names(shard.schema, ()))
+        content = encode_parquet(flat_table(rows), _VIEWER_STYLE)
+        path = f"{VIEWER_FOLDER}/{record.shard}.parquet"
+        (out / path).write_bytes(content)
+        return path, sha256_hex(content)
+
+    return dict(in_threads(make, manifest.shards, min(os.cpu_count() or 1, _MOST_AT_ONCE)))

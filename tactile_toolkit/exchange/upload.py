@@ -1,106 +1,244 @@
 """Bringing a data set folder to the Hugging Face Hub.
 
-First everything is looked at and nothing is changed (:func:`prepare_upload`): is the folder whole, what has
+First everything is looked at and nothing is changed (:func:`prepare_upload`): is the folder intact, what has
 the Hub already. Then what is missing is sent (:func:`run_upload`), and what arrived is compared by checksum.
 """
 
 from __future__ import annotations
 
+import contextlib
+import re
 import warnings
-from collections.abc import Callable, Iterable, Mapping, Sequence
+import weakref
+from collections.abc import Callable, Container, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from fnmatch import fnmatch
 from functools import cached_property
 from pathlib import Path
 from typing import Any, TypeVar
 
-from tactile_toolkit.cards.card import CARD_FILE
+from tactile_toolkit.cards.card import CARD_FILE, PREVIEW_FOLDER, addressed
 from tactile_toolkit.cards.checks import check_card
 from tactile_toolkit.cards.croissant import CROISSANT_FILE, croissant_for_hub
 from tactile_toolkit.cards.facts import viewer_files
+from tactile_toolkit.cards.head import config_of, head_text
 from tactile_toolkit.catalog.kinds import require_manifest
 from tactile_toolkit.errors import InputError, IntegrityError
-from tactile_toolkit.exchange.local_copy import LocalCopy
-from tactile_toolkit.exchange.upload_plan import (
-    MAIN,
-    Payload,
-    UploadOptions,
-    UploadPlan,
-    card_for_hub,
-    collect,
-    compare,
-)
-from tactile_toolkit.exchange.viewer import ViewerFiles
-from tactile_toolkit.hub.errors import require_repository_name
-from tactile_toolkit.hub.repository import HubSnapshot, listing
-from tactile_toolkit.hub.retry import ask
+from tactile_toolkit.exchange.tables import viewer_tables
+from tactile_toolkit.hub.calls import call_with_retry
+from tactile_toolkit.hub.repository import HubName, HubSnapshot, hub_name, listing
 from tactile_toolkit.kind import DatasetKind
+from tactile_toolkit.run.threads import in_threads
+from tactile_toolkit.store.files import scratch_folder
 from tactile_toolkit.store.folder import DataFolder
 from tactile_toolkit.store.manifest import MANIFEST_FILE, Manifest, read_manifest
-from tactile_toolkit.store.origin import HubFile
-from tactile_toolkit.store.shards import DATA_FOLDER, Finding
-from tactile_toolkit.store.verify import verify
+from tactile_toolkit.store.names import names_inside, problem_of_name
+from tactile_toolkit.store.origin import Digest, HubFile
+from tactile_toolkit.store.shards import DATA_FOLDER, VIEWER_FOLDER, Finding, ShardName
+from tactile_toolkit.store.verify import problem_of_place, verify
 
 __all__ = [
+    "MAIN",
+    "LocalFile",
     "PreparedUpload",
+    "UploadOptions",
     "UploadResult",
+    "card_for_hub",
     "check_folder",
+    "collect",
+    "compare",
     "prepare_upload",
     "run_upload",
 ]
 
-_REPO_TYPE = "dataset"
+MAIN = "main"
+_COMMIT = re.compile(r"[0-9a-f]{40}")
+# Written by the Hub itself; every repository has them.
+_WRITTEN_BY_HUB = frozenset({".gitattributes"})
+_PICTURE_FOLDER = "images"
+_MOST_IN_GIT_BYTES = 10 << 20  # from here on the Hub keeps every file as a large one
+_SHA256, _GIT = Digest("sha256", "0" * 64), Digest("git-sha1", "0" * 40)
+_FENCE = "---\n"
+_THREADS = 8
 # All files of each are listed and compared.
 _PULLS_SEEN = 10
+_EXCLUDE = "{} and {} exclude each other; next: leave one of them out"
 
 T = TypeVar("T")
 
 
-@dataclass(frozen=True)
-class RemoteState:
-    """A branch of a repository as it is now.
+@dataclass(frozen=True, slots=True)
+class UploadOptions:
+    """What the user decides about an upload.
 
     Attributes
     ----------
-    held : HubSnapshot or None
-        What the commit holds that the branch points to, or that it will start at: the head of ``main``. None
-        where there is no such repository.
-    tags : dict of str to str
-        Commit of each tag.
-    branches : frozenset of str
-        Names of the branches.
-    has_branch : bool
-        Whether the branch is there; False where it is still to be made.
+    private : bool
+        Create the repository so that only its owner sees it.
+    revision : str or None
+        Branch (made if it is not there) or pull request (``refs/pr/3``) to write to; ``main`` where None.
+    create_pr : bool
+        Open a pull request against the main branch instead of writing to it.
+    message : str or None
+        First line of the commit.
+    tag : str or None
+        Name to give to the commit, beside that of the schema version; what is not merged yet gets none.
+    delete : bool
+        Remove files from the repository that the folder does not have.
+    viewer : bool
+        Send each row once more, with its mesh as a file that the Hub's page shows; without, such files of
+        former uploads are removed.
     """
 
-    held: HubSnapshot | None = None
-    tags: Mapping[str, str] = field(default_factory=dict)
-    branches: frozenset[str] = frozenset()
-    has_branch: bool = False
+    private: bool = False
+    revision: str | None = None
+    create_pr: bool = False
+    message: str | None = None
+    tag: str | None = None
+    delete: bool = False
+    viewer: bool = False
+
+    def __post_init__(self) -> None:
+        branch, pull = f"--revision {self.revision}", "--create-pr" if self.create_pr else ""
+        if self.create_pr and self.revision not in (None, MAIN):
+            raise InputError(_EXCLUDE.format(pull, branch))
+        if self.tag is not None and (self.create_pr or (self.revision or "").startswith("refs/")):
+            raise InputError(_EXCLUDE.format(pull or branch, f"--tag {self.tag}"))
+        # Such names for a branch or tag would be read as something else ever after.
+        for option, name in (("--revision", self.revision), ("--tag", self.tag)):
+            if name is not None and _COMMIT.fullmatch(name):
+                message = f"{option} {name} is the name of a commit; next: give a branch or tag of your own"
+                raise InputError(message)
+        if self.tag is not None and self.tag == (self.revision or MAIN):
+            message = f"--tag {self.tag} is the name of the branch that is written to; next: choose another"
+            raise InputError(message)
+
+
+@dataclass(frozen=True, slots=True)
+class LocalFile:
+    """A file as it is to be on the Hub: its path there, where it lies, and each digest that it may have there."""
+
+    path: str
+    place: Path
+    size: int
+    digests: tuple[Digest, ...]
+
+    @classmethod
+    def of(cls, path: str, place: Path, sha256: str | None = None) -> LocalFile:
+        """Look at a file; its SHA-256 is computed unless it is known."""
+        size = place.stat().st_size
+        digest = Digest("sha256", sha256) if sha256 else _SHA256.of(place)
+        is_small = size <= _MOST_IN_GIT_BYTES
+        return cls(path, place, size, (digest, _GIT.of(place)) if is_small else (digest,))
+
+    def is_held(self, there: HubFile) -> bool:
+        """Return whether a file of a repository has its content."""
+        return self.size == there.size_bytes and there.digest in self.digests
+
+
+@dataclass(frozen=True, slots=True)
+class UploadPlan:
+    """The difference between a folder and a repository.
+
+    Of what the folder lacks, but for what the Hub writes itself, some files are ``kept``, others ``removed``.
+    """
+
+    to_send: tuple[LocalFile, ...]
+    kept: tuple[str, ...]
+    removed: tuple[str, ...]
 
     @property
-    def exists(self) -> bool:
-        """Whether there is such a repository."""
-        return self.held is not None
+    def is_done(self) -> bool:
+        """Whether the repository holds the folder already, and nothing that is to go."""
+        return not (self.to_send or self.removed)
 
-    @property
-    def private(self) -> bool:
-        """Whether only its owner sees it."""
-        return self.held is not None and self.held.is_private
 
-    @property
-    def head(self) -> str | None:
-        """The commit that is there."""
-        return self.held.commit if self.held is not None else None
+def compare(files: Iterable[LocalFile], there: Mapping[str, HubFile], *, delete: bool = False) -> UploadPlan:
+    """Compare all that is to be in a repository with its files by path, by checksums.
 
-    @property
-    def files(self) -> Mapping[str, HubFile]:
-        """What that holds."""
-        return self.held.files if self.held is not None else {}
+    Of what it has beside them goes what former uploads made for the Hub's page, and all else with ``delete``.
+    """
+    local = {file.path: file for file in files}
+    others = [path for path in sorted(there) if path not in local and path not in _WRITTEN_BY_HUB]
+    missing = [
+        local[path] for path in sorted(local) if path not in there or not local[path].is_held(there[path])
+    ]
+    kept = [path for path in others if not (delete or _is_for_page(path))]
+    removed = [path for path in others if delete or _is_for_page(path)]
+    return UploadPlan(tuple(missing), tuple(kept), tuple(removed))
+
+
+def _is_for_page(path: str) -> bool:
+    folder, _, name = path.rpartition("/")
+    return folder == VIEWER_FOLDER and ShardName.parse(name) is not None
+
+
+def collect(root: Path, manifest: Manifest, elsewhere: Container[str] = ()) -> list[LocalFile]:
+    """List a verified folder's files: those of the manifest, the cards, the pictures.
+
+    Of what the manifest lists, some may lie ``elsewhere``.
+    """
+    known = {record.shard.data_path: record.sha256 for record in manifest.shards}
+    known |= {path: digest for path, digest in (manifest.files or {}).items() if path not in elsewhere}
+    place, others = DataFolder(str(root)), [CARD_FILE, MANIFEST_FILE]
+    others += [CROISSANT_FILE] if place.exists(CROISSANT_FILE) else []
+    for folder in (PREVIEW_FOLDER, _PICTURE_FOLDER):
+        found = [path.relative_to(root).as_posix() for path in sorted((root / folder).rglob("*"))]
+        # Names with a dot in front are of writers that have not finished; links may lead to anything.
+        others += [path for path in found if not problem_of_name(path) and not problem_of_place(place, path)]
+    return [LocalFile.of(path, root / path, known.get(path)) for path in dict.fromkeys([*others, *known])]
+
+
+def left_out(root: Path, sent: Iterable[str]) -> list[str]:
+    """List what of a folder is not sent; a sub-folder of which nothing is sent once, with a slash."""
+    paths = set(sent)
+    holding = {parent.as_posix() for path in paths for parent in Path(path).parents}
+
+    def below(folder: Path) -> Iterator[str]:
+        for entry in sorted(folder.iterdir()):
+            path = entry.relative_to(root).as_posix()
+            if entry.is_dir() and path in holding:
+                yield from below(entry)
+            elif path not in paths:
+                yield f"{path}/" if entry.is_dir() else path
+
+    return list(below(root))
+
+
+def card_for_hub(
+    text: str,
+    repo_id: str,
+    shards: Mapping[str, Sequence[str]],
+    others: Iterable[str],
+    shown: Mapping[str, Sequence[str]] | None = None,
+) -> str:
+    """Render the card of a folder for a repository, whose name takes the folder's place in its examples.
+
+    ``shards`` are the files of each split, ``shown`` those for the Hub's page; ``others`` stay in the
+    repository though the folder lacks them. Where the pattern of a split would take those for its own, its
+    files are named one by one instead.
+    """
+    import yaml
+
+    named, foreign = addressed(text, repo_id), list(others)
+    _, head, body = named.split(_FENCE, 2)
+    values: dict[str, Any] = yaml.safe_load(head)
+    default = values["configs"][0]
+    wanted = [default, config_of(VIEWER_FOLDER, VIEWER_FOLDER, shown)] if shown else [default]
+    changed = wanted != values["configs"]
+    values["configs"] = wanted
+    for config, files in zip(wanted, (shards, shown or {}), strict=False):
+        for entry in config["data_files"]:
+            patterns = [entry["path"]] if isinstance(entry["path"], str) else entry["path"]
+            if any(fnmatch(path, pattern) for pattern in patterns for path in foreign):
+                entry["path"] = list(files[entry["split"]])
+                changed = True
+    return head_text(values) + body if changed else named
 
 
 @dataclass(frozen=True)
 class UploadTarget:
-    """A branch of a data set repository, or a pull request to be opened; ``on_wait`` is told of each wait."""
+    """A branch of a data set repository, or a pull request to be opened; ``on_wait`` gets a sentence for each wait."""
 
     repo_id: str
     branch: str = MAIN
@@ -113,130 +251,142 @@ class UploadTarget:
 
         return f"{constants.ENDPOINT}/datasets/{self.repo_id}"
 
-    def who(self) -> str:
-        """Return the name of the account that is logged in; HubError if nobody is."""
-        return str(self._ask(lambda: self._api().whoami()["name"]))
+    def ask(self, action: Callable[[Any], T], *, is_question: bool = True) -> T:
+        """Return what an action does with the Hub's client; one that may be called once more."""
+        from huggingface_hub import HfApi
+
+        return call_with_retry(
+            lambda: action(HfApi()),
+            self.repo_id,
+            self.branch,
+            "uploading to",
+            is_question=is_question,
+            on_wait=self.on_wait,
+        )
+
+    def do(self, what: str, **options: Any) -> None:
+        """Call a method of the client for this repository."""
+        self.ask(lambda api: getattr(api, what)(self.repo_id, repo_type="dataset", **options))
+
+    def at(self, revision: str) -> HubSnapshot:
+        """List the files of a commit or pull request."""
+        return self.ask(lambda _: listing(self.repo_id, revision, in_pages=True))
 
     def state(self) -> RemoteState:
         """Look what the branch holds; a repository or branch that does not exist is not an error."""
-        return self._ask(self._state)
+        return self.ask(self._state)
 
-    def at(self, revision: str) -> HubSnapshot:
-        """List the files of a commit, tag, branch or pull request."""
-        return self._ask(lambda: listing(self.repo_id, revision, in_pages=True))
-
-    def open_pulls(self, author: str) -> list[str]:
-        """List the newest open pull requests of an account, such as ``refs/pr/3``; newest first."""
-
-        def pulls() -> list[int]:
-            wanted = {"author": author, "discussion_type": "pull_request", "discussion_status": "open"}
-            found = self._api().get_repo_discussions(self.repo_id, repo_type=_REPO_TYPE, **wanted)
-            return sorted((entry.num for entry in found), reverse=True)
-
-        return [f"refs/pr/{number}" for number in self._ask(pulls)[:_PULLS_SEEN]]
-
-    def do(self, what: str, **options: Any) -> Any:
-        """Call a method of the Hub's client for this repository, one that may be called once more."""
-        return self._ask(lambda: getattr(self._api(), what)(self.repo_id, repo_type=_REPO_TYPE, **options))
-
-    def send(self, prepared: PreparedUpload) -> tuple[str, str | None]:
-        """Send what is missing as one commit, once; return that, and the pull request that it opened."""
-        from huggingface_hub import CommitOperationAdd, CommitOperationDelete
-
-        plan, pull = prepared.plan, prepared.options.create_pr
-        added = [CommitOperationAdd(file.path, prepared.payload.content(file)) for file in plan.to_send]
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # the client library's own, which no user can heed
-            made = self._api().create_commit(
-                repo_id=self.repo_id,
-                operations=[*(CommitOperationDelete(file.path) for file in plan.removed), *added],
-                repo_type=_REPO_TYPE,
-                commit_message=prepared.message,
-                # The Hub opens pull requests against main itself, from wherever that is; only a branch may
-                # have moved on.
-                revision=None if pull else self.branch,
-                create_pr=pull,
-                parent_commit=None if pull else prepared.state.head,
-            )
-        return str(made.oid), made.pr_revision
-
-    def set_tag(self, name: str, commit: str, there: str | None) -> None:
-        """Make a tag name a commit; one that names another is moved."""
-        if there is not None:
-            self.do("delete_tag", tag=name)  # the client moves no tag
-        self.do("create_tag", tag=name, revision=commit, exist_ok=True)
-
-    def _ask(self, action: Callable[[], T]) -> T:
-        return ask(action, self.repo_id, self.branch, "uploading to", on_wait=self.on_wait)
-
-    def _api(self) -> Any:
-        from huggingface_hub import HfApi
-
-        return HfApi()
-
-    def _state(self) -> RemoteState:
+    def _state(self, api: Any) -> RemoteState:
         from huggingface_hub import errors
 
         try:
-            refs = self._api().list_repo_refs(self.repo_id, repo_type=_REPO_TYPE)
-        # To the client it is a kind of RepositoryNotFoundError, but such a repository is there.
-        except errors.GatedRepoError:
-            raise
-        except errors.RepositoryNotFoundError:
+            refs = api.list_repo_refs(self.repo_id, repo_type="dataset")
+        except errors.RepositoryNotFoundError as error:
+            # To the client it is a kind of that, but such a repository is there.
+            if isinstance(error, errors.GatedRepoError):
+                raise
             return RemoteState()
         tags = {ref.name: str(ref.target_commit) for ref in refs.tags}
         heads = {ref.name: str(ref.target_commit) for ref in refs.branches}
         # A pull request that is written to is not listed.
         is_there = self.branch in heads or self.branch.startswith("refs/")
         held = listing(self.repo_id, self.branch if is_there else MAIN, in_pages=True)
-        return RemoteState(held, tags, frozenset(heads), is_there)
+        return RemoteState(held, tags, heads, is_there)
+
+
+@dataclass(frozen=True)
+class RemoteState:
+    """A branch of a repository as it is now.
+
+    ``held`` is what the commit holds that the branch points to, or that it will start at, the head of
+    ``main``; None where there is no such repository. ``tags`` and ``branches`` name commits.
+    """
+
+    held: HubSnapshot | None = None
+    tags: Mapping[str, str] = field(default_factory=dict)
+    branches: Mapping[str, str] = field(default_factory=dict)
+    has_branch: bool = False
+
+    @property
+    def private(self) -> bool:
+        """Whether only its owner sees it."""
+        return self.held is not None and self.held.is_private
 
 
 @dataclass(frozen=True)
 class PreparedUpload:
     """An upload that is decided and not begun; ``pull`` is an open pull request that holds everything.
 
-    ``author`` is the account that sends, empty where that was not asked. ``copy`` and ``viewer`` are kept as
-    long as this is: the copy on this machine of a folder in an object store, and the files that were made for
-    the Hub's page.
+    ``left_out`` lies in the folder and does not belong to the data set. ``scratch`` holds what was made for the
+    upload as long as this is kept.
     """
 
     target: UploadTarget
     options: UploadOptions
     manifest: Manifest
-    payload: Payload
+    files: tuple[LocalFile, ...]
+    left_out: tuple[str, ...]
     state: RemoteState
-    author: str = ""
+    scratch: Scratch
     pull: str | None = None
-    copy: LocalCopy | None = None
-    viewer: ViewerFiles | None = None
 
     @cached_property
     def plan(self) -> UploadPlan:
         """What the Hub lacks of the folder, and has beside it."""
-        return self._compared(self.state.files)
+        return self._compared(self.state.held.files if self.state.held else {})
 
-    def _compared(self, files: Mapping[str, HubFile]) -> UploadPlan:
-        return compare(self.payload.files, files, delete=self.options.delete)
+    def _compared(self, there: Mapping[str, HubFile]) -> UploadPlan:
+        return compare(self.files, there, delete=self.options.delete)
 
     def at(self, state: RemoteState) -> PreparedUpload:
-        """Return the upload that is left where the Hub holds that; or a pull request of ours holds all."""
+        """Return the upload that is left where the Hub holds that; or an open pull request holds all."""
         left = replace(self, state=state, pull=None)
-        if self.options.create_pr and state.exists and self.author and not left.is_done:
-            for pull in self.target.open_pulls(self.author):
-                held = self.target.at(pull)
-                if self._compared(held.files).is_done:
-                    return replace(left, state=replace(state, held=held), pull=pull)
+        if not self.options.create_pr or state.held is None or left.plan.is_done:
+            return left
+
+        def open_pulls(api: Any) -> list[int]:
+            wanted = {"discussion_type": "pull_request", "discussion_status": "open"}
+            found = api.get_repo_discussions(self.target.repo_id, repo_type="dataset", **wanted)
+            return sorted((each.num for each in found), reverse=True)[:_PULLS_SEEN]
+
+        for number in self.target.ask(open_pulls):
+            held = self.target.at(f"refs/pr/{number}")
+            if self._compared(held.files).is_done:
+                return replace(left, state=replace(state, held=held), pull=f"refs/pr/{number}")
         return left
+
+    def send(self, api: Any) -> tuple[str, str | None]:
+        """Send what is missing as one commit; return that, and the pull request that it opened."""
+        from huggingface_hub import CommitOperationAdd, CommitOperationDelete
+
+        pull, held = self.options.create_pr, self.state.held
+        gone = [CommitOperationDelete(path) for path in self.plan.removed]
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # the client library's own, which no user can heed
+            made = api.create_commit(
+                repo_id=self.target.repo_id,
+                operations=[
+                    *gone,
+                    *(CommitOperationAdd(each.path, each.place) for each in self.plan.to_send),
+                ],
+                repo_type="dataset",
+                commit_message=self.message,
+                # The Hub opens pull requests against main itself, from wherever that is; only a branch may
+                # have moved on.
+                revision=None if pull else self.target.branch,
+                create_pr=pull,
+                parent_commit=None if pull or held is None else held.commit,
+            )
+        return str(made.oid), made.pr_revision
 
     def require_arrival(self, commit: str) -> None:
         """Compare every file of a commit with the folder, by checksum; IntegrityError names what differs."""
-        arrived = self._compared(self.target.at(commit).files)
+        there = self.target.at(commit).files
+        arrived = self._compared(there)
         wrong = [
-            *(f"{file.path} is missing" for file in arrived.new),
-            *(f"{file.path} differs" for file in arrived.changed),
-            *(f"{file.path} is still there" for file in arrived.removed),
+            f"{each.path} {'differs' if each.path in there else 'is missing'}" for each in arrived.to_send
         ]
+        wrong += [f"{path} is still there" for path in arrived.removed]
         if wrong:
             message = (
                 f"{self.target.repo_id!r} does not hold what was sent (commit {commit[:12]}): "
@@ -246,25 +396,10 @@ class PreparedUpload:
             raise IntegrityError(message)
 
     @property
-    def is_done(self) -> bool:
-        """Whether nothing is to be sent or removed."""
-        return self.pull is not None or self.plan.is_done
-
-    @property
-    def removed(self) -> tuple[str, ...]:
-        """Files of the repository that are to be removed."""
-        return tuple(file.path for file in self.plan.removed)
-
-    @property
-    def kept(self) -> tuple[str, ...]:
-        """Files of the repository that the folder lacks and that stay."""
-        return tuple(file.path for file in self.plan.kept)
-
-    @property
     def mixed(self) -> tuple[str, ...]:
         """Files among those kept that are named like shards of the folder's splits, but are not."""
         shards = tuple(f"{DATA_FOLDER}/{split}-" for split in self.manifest.splits)
-        return tuple(path for path in self.kept if path.startswith(shards))
+        return tuple(path for path in self.plan.kept if path.startswith(shards))
 
     @property
     def tags(self) -> tuple[str, ...]:
@@ -280,6 +415,16 @@ class PreparedUpload:
         """First line of the commit."""
         made = f"{self.manifest.kind} made by tactile-toolkit {self.manifest.toolkit_version}"
         return self.options.message or f"Upload {made}"
+
+
+class Scratch:
+    """A folder for what is made on the way, which goes with this object."""
+
+    def __init__(self) -> None:
+        stack = contextlib.ExitStack()
+        self.place = stack.enter_context(scratch_folder())
+        # Not a TemporaryDirectory, which warns of every object that is not closed.
+        self._removal = weakref.finalize(self, stack.close)
 
 
 @dataclass(frozen=True)
@@ -318,60 +463,63 @@ def prepare_upload(
 
     ``check`` lists what is wrong with the folder: checksums and card by default. A dry run does without a
     login where the repository can be seen without one. Raises InputError (not a finished data set, an option
-    that cannot be used), IntegrityError (damage, a card that does not tell the truth) or HubError.
+    that cannot be used), IntegrityError (damage, a card that does not fit the data) or HubError.
     """
-    chosen = options or UploadOptions()
-    require_repository_name(repo_id)
-    place, manifest = _finished(folder)
-    copy = None if place.is_local else LocalCopy(place)
-    root = Path(place.address()) if copy is None else copy.root
-    found = DataFolder(str(root))
-    _require_sound(folder, list(check(found) if check else verify(found, check_card=check_card).findings))
+    chosen, place, scratch = options or UploadOptions(), DataFolder(folder), Scratch()
+    if hub_name(repo_id) != HubName(repo_id, None, ""):
+        message = f"{repo_id!r} is not a name of a repository; next: give USER/NAME"
+        raise InputError(message)
+    manifest = read_manifest(place)
+    if manifest is None:
+        message = (
+            f"{place.lacks(MANIFEST_FILE)}: only data sets made by this toolkit can be checked before they are "
+            "sent; next: give the folder of one"
+        )
+        raise InputError(message)
+    if not place.is_local:
+        place = local_copy(place, scratch.place / "copy")
+    _require_sound(folder, list(check(place) if check else verify(place, check_card=check_card).findings))
     target = UploadTarget(repo_id, chosen.revision or MAIN, on_wait)
-    name = "" if dry_run else target.who()
+    if not dry_run:
+        target.ask(lambda api: api.whoami())
     state = target.state()
     _refuse_exposure(target, chosen, state)
     _refuse_taken_names(target, chosen, state)
-    viewer = ViewerFiles(found, manifest) if chosen.viewer else None
-    if viewer is not None:
-        manifest = replace(manifest, files={**(manifest.files or {}), **viewer.digests})
-    shown = {} if viewer is None else viewer.places
-    payload = _payload(root, folder, manifest, target, chosen, state, shown)
-    prepared = PreparedUpload(target, chosen, manifest, payload, state, name, copy=copy, viewer=viewer)
+    manifest, files = _files_to_send(
+        Path(place.address()), folder, manifest, target, chosen, state, scratch.place
+    )
+    unsent = left_out(Path(place.address()), (file.path for file in files))
+    prepared = PreparedUpload(target, chosen, manifest, files, tuple(unsent), state, scratch)
     _refuse_other_tag(prepared)
     return prepared.at(state)
 
 
-def _finished(folder: str) -> tuple[DataFolder, Manifest]:
-    place = DataFolder(folder)
-    manifest = read_manifest(place)
-    if manifest is None:
-        message = (
-            f"{place.lacks(MANIFEST_FILE)}: only data sets made by this toolkit can be proved "
-            "whole before they are sent; next: give the folder of one"
-        )
-        raise InputError(message)
-    return place, manifest
+def local_copy(folder: DataFolder, root: Path) -> DataFolder:
+    """Copy all files of a folder but hidden ones to this machine.
+
+    Raises IntegrityError for names that lead out of a folder, StorageError where there is no room, and
+    RemoteError where the store fails.
+    """
+    visible = [path for path in folder.walk() if not path.startswith(".") and "/." not in path]
+    paths = names_inside(visible, repr(folder.address()))
+    for _ in in_threads(lambda path: folder.copy_out(path, root / path), paths, _THREADS):
+        pass
+    return DataFolder(str(root))
 
 
 def _require_sound(folder: str, findings: Sequence[Finding]) -> None:
-    if not findings:
-        return
-    listed = "; ".join(f"{each.file} {each.problem}".partition("; next: ")[0] for each in findings[:3])
-    more = f" and {len(findings) - 3} more" if len(findings) > 3 else ""
-    cards = {CARD_FILE, CROISSANT_FILE}
-    only_card = all(cards.intersection((finding.file, *finding.problem.split())) for finding in findings)
-    next_step = (
-        "write it with the command `card`, or mend it by hand"
-        if only_card
-        else "run the command that made it again, or `card` for the card alone"
-    )
-    message = f"{folder!r} is not fit to be sent, nothing was: {listed}{more}; next: {next_step}"
-    raise IntegrityError(message)
+    if findings:
+        listed = "; ".join(f"{each.file} {each.problem}".partition("; next: ")[0] for each in findings[:3])
+        more = f" and {len(findings) - 3} more" if len(findings) > 3 else ""
+        message = (
+            f"{folder!r} is not fit to be sent, nothing was: {listed}{more}; next: run the command that made "
+            "it again, or the command `card` where only the card is wrong"
+        )
+        raise IntegrityError(message)
 
 
 def _refuse_exposure(target: UploadTarget, options: UploadOptions, state: RemoteState) -> None:
-    if options.private and state.exists and not state.private:
+    if options.private and state.held is not None and not state.private:
         message = (
             f"{target.repo_id!r} exists and everyone can see it, --private was asked for; nothing was sent; "
             f"next: make it private at {target.page}/settings, or leave --private out"
@@ -381,21 +529,21 @@ def _refuse_exposure(target: UploadTarget, options: UploadOptions, state: Remote
 
 def _refuse_taken_names(target: UploadTarget, options: UploadOptions, state: RemoteState) -> None:
     """Refuse a branch named as a tag, and the other way round: readers could not tell one from the other."""
+    taken = ""
     if options.revision in state.tags and not state.has_branch:
-        option, is_a = f"--revision {options.revision}", "a tag, which names one commit for good"
+        taken = f"--revision {options.revision}: of {target.repo_id!r} that is a tag, which names one commit"
     elif options.tag in state.branches:
-        option, is_a = f"--tag {options.tag}", "a branch"
-    else:
-        return
-    message = f"{option}: of {target.repo_id!r} that is {is_a}; nothing was sent; next: choose another name"
-    raise InputError(message)
+        taken = f"--tag {options.tag}: of {target.repo_id!r} that is a branch"
+    if taken:
+        message = f"{taken}; nothing was sent; next: choose another name"
+        raise InputError(message)
 
 
 def _refuse_other_tag(prepared: PreparedUpload) -> None:
     """Refuse a name of the user's that another commit has: only the schema's name moves along."""
-    tag = prepared.options.tag
+    tag, held = prepared.options.tag, prepared.state.held
     there = prepared.state.tags.get(tag) if tag else None
-    if there is not None and not (prepared.is_done and there == prepared.state.head):
+    if there and not (prepared.plan.is_done and held is not None and there == held.commit):
         message = (
             f"tag {tag!r} of {prepared.target.repo_id!r} names commit {there[:12]} already; nothing was "
             "sent; next: choose another --tag, or delete that one on the Hub"
@@ -403,66 +551,69 @@ def _refuse_other_tag(prepared: PreparedUpload) -> None:
         raise InputError(message)
 
 
-def _payload(
+def _files_to_send(
     root: Path,
     folder: str,
     manifest: Manifest,
     target: UploadTarget,
     options: UploadOptions,
     state: RemoteState,
-    shown: Mapping[str, Path],
-) -> Payload:
-    """Collect the files, with the cards as they are to be on the Hub, checked as such.
-
-    ``shown`` are the files for the Hub's page, by path.
-    """
-    payload = collect(root, manifest, shown)
-    others = [file.path for file in compare(payload.files, state.files, delete=options.delete).kept]
-    stored = (root / CARD_FILE).read_text(encoding="utf-8")
-    shards = {split: [r.shard.data_path for r in manifest.shards_of(split)] for split in manifest.splits}
-    text = card_for_hub(stored, target.repo_id, shards, others, viewer_files(manifest))
-    held = {*(file.path for file in payload.files), *others}
-    _require_sound(folder, check_card(DataFolder(str(root)), text, held=held, manifest=manifest))
-    described = (root / MANIFEST_FILE).read_bytes()
-    if shown:
+    scratch: Path,
+) -> tuple[Manifest, tuple[LocalFile, ...]]:
+    """Collect the files, with the cards as they are to be on the Hub, checked as such."""
+    described, made = (root / MANIFEST_FILE).read_bytes(), dict[str, str]()
+    if options.viewer:
+        made = viewer_tables(DataFolder(str(root)), manifest, scratch)
+        manifest = replace(manifest, files={**(manifest.files or {}), **made})
         described = manifest.to_json().encode()
-    rendered: dict[str, bytes | Path] = {CARD_FILE: text.encode(), MANIFEST_FILE: described, **shown}
+    files = collect(root, manifest, made)
+    there = state.held.files if state.held else {}
+    others = compare(files, there, delete=options.delete).kept
+    shards = {split: [r.shard.data_path for r in manifest.shards_of(split)] for split in manifest.splits}
+    stored = (root / CARD_FILE).read_text(encoding="utf-8")
+    text = card_for_hub(stored, target.repo_id, shards, others, viewer_files(manifest))
+    held = {*(file.path for file in files), *made, *others}
+    _require_sound(folder, check_card(DataFolder(str(root)), text, held=held, manifest=manifest))
+    rendered = {CARD_FILE: text.encode(), MANIFEST_FILE: described}
     if (root / CROISSANT_FILE).exists():
         for_machines = (root / CROISSANT_FILE).read_text(encoding="utf-8")
         rendered[CROISSANT_FILE] = croissant_for_hub(for_machines, target.page, text, described).encode()
-    return payload.with_rendered(rendered)
+    for path, content in rendered.items():
+        (scratch / path).write_bytes(content)
+    others_here = [file for file in files if file.path not in rendered]
+    return manifest, (*(LocalFile.of(path, scratch / path) for path in (*rendered, *made)), *others_here)
 
 
 def run_upload(prepared: PreparedUpload) -> UploadResult:
     """Send what is missing, compare what arrived, and name it.
 
-    What fails in passing is done once more, with what is then missing: nothing, where only the answer was
+    What fails for the moment is done once more, with what is then missing: nothing, where only the answer was
     lost. Raises HubError (what was sent stays there, and the same call goes on from it) or IntegrityError
     (what the Hub holds afterwards is not what the folder has).
     """
-    target, now, tries = prepared.target, prepared, 0
+    target, state, now = prepared.target, prepared.state, prepared
+    if state.held is None:
+        # exist_ok: another upload may have made it since it was looked for.
+        target.do("create_repo", private=prepared.options.private, exist_ok=True)
+    if not state.has_branch and target.branch != MAIN:
+        start = state.held.commit if state.held else None
+        target.do("create_branch", branch=target.branch, revision=start, exist_ok=True)
+    tries = 0
 
-    def send() -> tuple[str, str | None]:
+    def send(api: Any) -> tuple[str, str | None]:
         nonlocal now, tries
         tries += 1
         if tries > 1:
             now = now.at(target.state())
-        if now.is_done and now.state.head is not None:
-            return now.state.head, now.pull
-        return target.send(now)
+        held = now.state.held
+        return (held.commit, now.pull) if held is not None and now.plan.is_done else now.send(api)
 
-    # exist_ok: another upload may have made it since it was looked for.
-    if not prepared.state.exists:
-        target.do("create_repo", private=prepared.options.private, exist_ok=True)
-    if not prepared.state.has_branch and target.branch != MAIN:
-        target.do("create_branch", branch=target.branch, revision=prepared.state.head, exist_ok=True)
-    commit, pull = ask(
-        send, target.repo_id, target.branch, "uploading to", is_question=False, on_wait=target.on_wait
-    )
+    commit, pull = target.ask(send, is_question=False)
     prepared.require_arrival(commit)
-    tags = [tag for tag in prepared.tags if prepared.state.tags.get(tag) != commit]
+    tags = [tag for tag in prepared.tags if state.tags.get(tag) != commit]
     for tag in tags:
-        target.set_tag(tag, commit, prepared.state.tags.get(tag))
-    sent = () if prepared.is_done else tuple(file.path for file in prepared.plan.to_send)
-    removed = () if prepared.is_done else prepared.removed
-    return UploadResult(commit, pull, sent, removed, tuple(tags))
+        if tag in state.tags:
+            target.do("delete_tag", tag=tag)  # the client moves no tag
+        target.do("create_tag", tag=tag, revision=commit, exist_ok=True)
+    sent = tuple(file.path for file in prepared.plan.to_send)
+    return UploadResult(commit, pull, sent, prepared.plan.removed, tuple(tags))

@@ -1,4 +1,4 @@
-"""What of the Hub is on this machine: the Hub's own cache, and which files were found whole before."""
+"""What of the Hub is on this machine: the cache of the Hub's client, and which files had the right digest."""
 
 from __future__ import annotations
 
@@ -6,7 +6,6 @@ import contextlib
 import hashlib
 import os
 import re
-from dataclasses import dataclass
 from pathlib import Path
 
 from tactile_toolkit.cache import cache_folder
@@ -14,28 +13,28 @@ from tactile_toolkit.store.files import atomic_file
 from tactile_toolkit.store.names import problem_of_name
 from tactile_toolkit.store.origin import Digest
 
-__all__ = ["RepositoryCache", "is_whole", "remove_with_content"]
+__all__ = ["commit_of", "matches_digest", "remember_commit", "snapshot_folder"]
 
 _COMMIT = re.compile(r"[0-9a-f]{40}")
 
 
-def is_whole(file: Path, digest: Digest, *, anew: bool = False) -> bool:
-    """Tell whether a file has a digest; one that was found whole is not read again until it changes.
+def matches_digest(file: Path, digest: Digest, *, force: bool = False) -> bool:
+    """Return whether a file has a digest; one that had it is not read again until it changes.
 
-    A bit that the disk has flipped is no change that shows: ``anew`` reads the file in any case.
+    A bit that the disk has flipped is no change that shows: with ``force`` the file is read in any case.
     """
     try:
-        # Before the file is read: what takes its place meanwhile is not what was found whole.
+        # Before the file is read: what takes its place meanwhile was not looked at.
         mark = _mark(file, digest)
-        if not anew and mark.exists():
+        if mark.exists() and not force:
             return True
         is_same = digest.of(file) == digest
     except FileNotFoundError:  # another process has found it damaged, and removed it
         return False
-    with contextlib.suppress(OSError):  # where notes cannot be kept, it is read again next time
+    with contextlib.suppress(OSError):  # where marks cannot be kept, it is read again next time
         if is_same:
             mark.parent.mkdir(parents=True, exist_ok=True)
-            # The name of an empty file says it all: nothing to lock, nothing to tear.
+            # An empty file, whose name is all: nothing to lock, nothing to tear.
             mark.touch()
         else:
             mark.unlink(missing_ok=True)
@@ -44,66 +43,36 @@ def is_whole(file: Path, digest: Digest, *, anew: bool = False) -> bool:
 
 def _mark(file: Path, digest: Digest) -> Path:
     real = Path(os.path.realpath(file))
-    facts = real.stat()
+    stat = real.stat()
     # The last is when anything of the file was changed last, which programs cannot set.
-    seen = (facts.st_size, facts.st_mtime_ns, facts.st_ino, facts.st_ctime_ns)
+    seen = (stat.st_size, stat.st_mtime_ns, stat.st_ino, stat.st_ctime_ns)
     text = repr((str(real), *seen, str(digest)))
     return cache_folder() / "checked" / hashlib.sha256(text.encode()).hexdigest()[:40]
 
 
-@dataclass(frozen=True, slots=True)
-class RepositoryCache:
-    """The part of the Hub's cache that belongs to one data set repository."""
+def snapshot_folder(repo_id: str, commit: str) -> Path:
+    """Return the folder of a commit's files, which are links to their contents where the system has links."""
+    return _folder(repo_id) / "snapshots" / commit
 
-    repo_id: str
 
-    @property
-    def folder(self) -> Path:
-        """Folder of the repository."""
-        from huggingface_hub import constants
+def commit_of(repo_id: str, revision: str) -> str | None:
+    """Return the commit that a revision named when it was last looked at; None when it never was."""
+    found = revision
+    if not _COMMIT.fullmatch(revision) and not problem_of_name(revision):
+        with contextlib.suppress(OSError, UnicodeDecodeError):
+            found = (_folder(repo_id) / "refs" / revision).read_text().strip()
+    return found if _COMMIT.fullmatch(found) else None
 
-        # The layout of the Hub's own client, so that either finds what the other has fetched.
-        return Path(constants.HF_HUB_CACHE) / f"datasets--{self.repo_id.replace('/', '--')}"
 
-    def snapshot_folder(self, commit: str) -> Path:
-        """Folder of the files of a commit, which are links to their contents where the system has links."""
-        return self.folder / "snapshots" / commit
-
-    def commit_of(self, revision: str) -> str | None:
-        """Return the commit that a revision named when it was last looked at; None when it never was."""
-        if _COMMIT.fullmatch(revision):
-            return revision
-        found = ""
-        if not problem_of_name(revision):
-            with contextlib.suppress(OSError, UnicodeDecodeError):
-                found = (self.folder / "refs" / revision).read_text().strip()
-        return found if _COMMIT.fullmatch(found) else None
-
-    def remember_commit(self, revision: str, commit: str) -> None:
-        """Note which commit a revision names; a cache that cannot be written is not an error."""
-        if problem_of_name(revision) or _COMMIT.fullmatch(revision) or self.commit_of(revision) == commit:
-            return
-        with contextlib.suppress(OSError), atomic_file(self.folder / "refs" / revision) as stream:
+def remember_commit(repo_id: str, revision: str, commit: str) -> None:
+    """Note which commit a revision names; a cache that cannot be written is not an error."""
+    if commit_of(repo_id, revision) not in (commit, revision) and not problem_of_name(revision):
+        with contextlib.suppress(OSError), atomic_file(_folder(repo_id) / "refs" / revision) as stream:
             stream.write(commit.encode())
 
-    def files(self, commit: str) -> dict[str, Path]:
-        """Return the cached files of a commit by their path in the repository."""
-        root = self.snapshot_folder(commit)
-        found = sorted(file for file in root.rglob("*") if file.is_file())
-        return {file.relative_to(root).as_posix(): file for file in found}
 
-    def size_bytes(self) -> int:
-        """Return the size of all whole contents."""
-        blobs = self.folder / "blobs"
-        files = [file for file in blobs.iterdir() if file.is_file()] if blobs.is_dir() else []
-        # Contents, as each file of a commit is a link to one of them, and commits share them.
-        return sum(file.stat().st_size for file in files if file.suffix != ".incomplete")
+def _folder(repo_id: str) -> Path:
+    from huggingface_hub import constants
 
-
-def remove_with_content(file: Path) -> None:
-    """Remove a file, and where it is a link all that it leads to: damaged content must not be found again."""
-    while file.is_symlink():
-        target = file.parent / file.readlink()
-        file.unlink(missing_ok=True)
-        file = target
-    file.unlink(missing_ok=True)
+    # The layout of the Hub's own client, so that either finds what the other has fetched.
+    return Path(constants.HF_HUB_CACHE) / f"datasets--{repo_id.replace('/', '--')}"

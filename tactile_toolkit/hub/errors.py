@@ -1,7 +1,7 @@
-"""What went wrong with the Hub, in words that say what to do next.
+"""Failures of the Hub as errors of the toolkit, each in a sentence that ends in the next step.
 
-The client libraries raise a dozen kinds of errors, wrap some in others, and tell a private repository from a
-missing one by nothing at all. :func:`failure_of` looks through all that and names the failure once.
+The client raises a dozen kinds of errors, wraps some in others, and has one status for a private repository and
+for a missing one. :func:`failure_of` looks through all that: one table maps what failed to its sentence.
 """
 
 from __future__ import annotations
@@ -11,19 +11,16 @@ import errno
 import os
 import re
 from collections.abc import Iterator
-from dataclasses import dataclass
-from importlib import import_module
 from typing import Any
 
 from tactile_toolkit.errors import HubError, InputError, StorageError, ToolkitError
 
 __all__ = [
     "cause_chain",
+    "class_names",
     "failure_of",
-    "is_connection_failure",
     "named_failures",
     "not_cached",
-    "require_repository_name",
     "scrub",
     "shown_cause",
     "status_of",
@@ -38,8 +35,55 @@ _QUERY = re.compile(r"(https?://[^\s'\"<>?]+)\?[^\s'\"<>]+")
 _HIDDEN = "hf_***"
 
 _FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
-_FORBIDDEN = (errno.EACCES, errno.EPERM, errno.EROFS)
 _LOGIN = "log in with `hf auth login` (or set HF_TOKEN)"
+_AGAIN = "next: check the network, and HF_ENDPOINT if you set it, and run the same command again"
+# Raised by what reads an answer that has another form than expected.
+_UNREADABLE = (ValueError, TypeError, LookupError, AttributeError, RecursionError)
+
+# By the name of the exception's class or of one that it derives from, by status, or by another key of `_keys`.
+# In order: the first entry that fits any error of the chain is the most telling.
+_SENTENCES = {
+    "full": "no space is left on the device{place} while {task}; nothing half-written counts as intact; next: "
+    "free some space, or choose another place with --out or HF_HOME, and run it again",
+    "PermissionError": "may not write{place} while {task}: {words}; next: choose another place with --out or "
+    "HF_HOME",
+    "TooLargeError": "the Hub sends more than the {words} bytes that were expected, while {task}; nothing of it "
+    "was kept; next: check HF_ENDPOINT, or try again later",
+    "GatedRepoError": "{subject} is gated; next: accept its terms at {page}{and_login}",
+    "RepositoryNotFoundError": "{subject} was not found, or is private and {unseen}",
+    "RevisionNotFoundError": "{subject} has no revision {revision!r}; next: see its branches and tags at {page}",
+    "RemoteEntryNotFoundError": "{subject} has no file {file!r}; next: see what it has at {page}/tree/main",
+    "HFValidationError": "{repo_id!r} is not a name of a repository; next: give USER/NAME",
+    "LocalTokenNotFoundError": f"{{task}} needs a login, and there is no token here; next: {_LOGIN}",
+    "401": "the Hub does not know the token ({source}), it is mistyped, expired or deleted; nothing can be read "
+    "with it, not even {subject}; next: {renew}",
+    "403": "the Hub forbids {task}: {words}{account}; next: use a token of role `write`, and a name of your own",
+    "412": "{subject} was changed by someone else meanwhile; next: run the same command again",
+    "429": "the Hub wants fewer requests (429) while {task}; next: try again {wait}, what has arrived is kept",
+    "5xx": "the Hub is in trouble while {task}: it answered {status}; next: try again later, what has arrived is "
+    "kept",
+    "4xx": "the Hub refused {task} ({status}): {words}; next: correct what it names",
+    "offline": "HF_HUB_OFFLINE forbids {task}{uncached}; next: unset HF_HUB_OFFLINE once",
+    "endpoint": "HF_ENDPOINT is {endpoint!r}, which is not an address, so that {task} cannot begin; next: unset "
+    "it, or set one such as https://huggingface.co",
+    "TimeoutError": f"the Hub at {{endpoint}} does not answer in time while {{task}}{{uncached}}; {_AGAIN}",
+    "ConnectError": f"the Hub at {{endpoint}} cannot be reached ({{kind}}) while {{task}}{{uncached}}; {_AGAIN}",
+    "ConnectionError": "the connection to the Hub broke while {task}; next: run the same command again, it goes "
+    "on where it stopped",
+    "FileMetadataError": "{endpoint} does not answer as a Hub does while {task} ({kind}: {words}); next: check "
+    "HF_ENDPOINT, and whether the network asks for a login",
+    "LocalEntryNotFoundError": "{subject} is not in the cache as far as asked for, and could not be fetched; "
+    "next: check the network and run the same command again",
+    "OSError": "{task} failed: {kind}: {words}; next: try again",
+}
+_CLASSES = {"full": StorageError, "PermissionError": StorageError, "HFValidationError": InputError}
+# Other names of the same: of the HTTP library, and of Python.
+_SAME = {
+    "OfflineModeIsEnabled": "offline",
+    "TimeoutException": "TimeoutError",
+    "ConnectionRefusedError": "ConnectError",
+    "RequestError": "ConnectionError",
+}
 
 
 def scrub(text: str) -> str:
@@ -67,17 +111,18 @@ def cause_chain(error: BaseException) -> list[BaseException]:
     return chain
 
 
+def class_names(error: BaseException) -> list[str]:
+    """Return the names of an error's class and of those that it derives from.
+
+    By name, as each major release of the client has another HTTP library.
+    """
+    return [kind.__name__ for kind in type(error).__mro__]
+
+
 def status_of(error: BaseException) -> int | None:
     """Return the HTTP status that an error carries."""
     status = getattr(getattr(error, "response", None), "status_code", None)
     return int(status) if status is not None else None
-
-
-def is_connection_failure(error: BaseException) -> bool:
-    """Tell an error of the HTTP library, which is another one in each major release of huggingface_hub."""
-    roots = {kind.__module__.partition(".")[0] for kind in type(error).__mro__}
-    libraries = {"httpx", "httpx2", "httpcore", "httpcore2", "requests", "urllib3", "aiohttp"}
-    return status_of(error) is None and bool(roots & libraries)
 
 
 @contextlib.contextmanager
@@ -107,26 +152,14 @@ def storage_failure_as_hub_error() -> Iterator[None]:
 
 
 def not_cached(repo_id: str, what: str) -> HubError:
-    """Say what is missing in the cache while the Hub cannot be asked."""
+    """Return the error for what is missing in the cache while the Hub cannot be asked."""
     from huggingface_hub import constants
 
+    why = f"the Hub at {constants.ENDPOINT} gives no answer now"
+    then = "check the network, and run the same command again"
     if constants.HF_HUB_OFFLINE:
         why, then = "HF_HUB_OFFLINE forbids to fetch it", "unset HF_HUB_OFFLINE once"
-    else:
-        why = f"the Hub at {constants.ENDPOINT} gives no answer now"
-        then = "check the network, and run the same command again"
     return HubError(f"{what} of Hub data set {repo_id!r} is not in the cache, and {why}; next: {then}")
-
-
-def require_repository_name(repo_id: str) -> None:
-    """Refuse what is not ``USER/NAME``: the Hub would make a repository of a bare name, and lose it."""
-    from huggingface_hub import errors
-
-    client: Any = import_module("huggingface_hub.utils")  # its names are not exported to type checkers
-    with named_failures(repo_id):
-        if repo_id.count("/") != 1:
-            raise errors.HFValidationError
-        client.validate_repo_id(repo_id)
 
 
 def failure_of(
@@ -138,226 +171,102 @@ def failure_of(
     *,
     is_answer: bool = False,
 ) -> ToolkitError | None:
-    """Name a failure that came after so many tries; None for one that has nothing to do with the Hub.
+    """Return the error for a failure that came after so many tries; None where it is not one of the Hub.
 
     Where nothing but an answer of the Hub was read (``is_answer``), what cannot be read is not one.
     """
     chain = cause_chain(error)
     if any(isinstance(link, ToolkitError) for link in chain):
         return None
-    request = _Request(repo_id, revision, doing)
-    # The most telling question first, of every link: what wraps an error says less than the error itself.
-    questions = (request.storage, request.client_error, request.status, request.network, request.other)
-    for question in questions:
-        for link in chain:
-            found = question(link)
-            if found is not None:
-                often = f" (tried {tries} times)" if tries > 1 else ""
-                head, next_step, rest = str(found).partition("; next: ")
-                return type(found)(scrub(f"{head}{often}{next_step}{rest}"))
-    # A page for people (a login of the network), a list where names were expected, ...
-    if is_answer and isinstance(error, (ValueError, TypeError, LookupError, AttributeError, RecursionError)):
-        return HubError(request.not_a_hub(f"{type(error).__name__}: {_server_words(error)}"))
+    found = [(key, link) for link in chain for key in _keys(link)]
+    if is_answer and isinstance(error, _UNREADABLE):
+        found.append(("FileMetadataError", error))
+    for key, sentence in _SENTENCES.items():
+        link = next((link for name, link in found if name == key), None)
+        if link is not None:
+            text = sentence.format(repo_id=repo_id, revision=revision, **_facts(link, repo_id, doing))
+            head, next_step, rest = text.partition("; next: ")
+            often = f" (tried {tries} times)" if tries > 1 else ""
+            return _CLASSES.get(key, HubError)(scrub(f"{head}{often}{next_step}{rest}"))
     return None
 
 
-@dataclass(frozen=True, slots=True)
-class _Request:
-    """What was asked of the Hub; each method names one sort of failure, or returns None for any other."""
+def _keys(error: BaseException) -> Iterator[str]:
+    """Yield the keys of the sentences that fit an error."""
+    from huggingface_hub import constants
 
-    repo_id: str
-    revision: str | None
-    doing: str
+    status, names = status_of(error), class_names(error)
+    if status is not None:
+        yield "LocalTokenNotFoundError" if status == 401 and not _token_source() else str(status)
+        yield "5xx" if status >= 500 else "4xx"
+    if getattr(error, "errno", None) in _FULL:
+        yield "full"
+    if getattr(error, "errno", None) == errno.EROFS:
+        yield "PermissionError"
+    if "LocalEntryNotFoundError" in names and constants.HF_HUB_OFFLINE:
+        yield "offline"
+    if "RequestError" in names and not re.match(r"https?://[^/]", constants.ENDPOINT):
+        yield "endpoint"
+    for name in names:
+        yield _SAME.get(name, name)
 
-    @property
-    def subject(self) -> str:
-        return f"Hub data set {self.repo_id!r}"
 
-    @property
-    def task(self) -> str:
-        return f"{self.doing} {self.subject}"
+def _facts(error: BaseException, repo_id: str, doing: str) -> dict[str, Any]:
+    """Return what the sentences are made of."""
+    from huggingface_hub import constants
 
-    def storage(self, error: BaseException) -> ToolkitError | None:
-        if not isinstance(error, OSError) or status_of(error) is not None:
-            return None
-        where = f" ({error.filename!r})" if error.filename else ""
-        if error.errno in _FULL:
-            return StorageError(
-                f"no space is left on the device{where} while {self.task}; nothing "
-                "half-written counts as whole; next: free some space, or choose another place with --out or "
-                "HF_HOME, and run it again"
-            )
-        if error.errno in _FORBIDDEN:
-            return StorageError(
-                f"may not write{where} while {self.task}: {error.strerror}; next: choose "
-                "another place with --out or HF_HOME"
-            )
-        return None
+    # Here, as that module uses this one.
+    from tactile_toolkit.hub.calls import requested_wait_s
 
-    def client_error(self, error: BaseException) -> ToolkitError | None:
-        """Name the errors that the client has a type of its own for."""
-        from huggingface_hub import constants, errors
+    subject, page, source = (
+        f"Hub data set {repo_id!r}",
+        f"{constants.ENDPOINT}/datasets/{repo_id}",
+        _token_source(),
+    )
+    words = str(getattr(error, "server_message", None) or error).strip().partition("\n")[0]
+    address = str(getattr(getattr(error, "response", None), "url", ""))
+    unseen = (
+        "your token may not see it; next: check the name, or log in with `hf auth login` as someone who may"
+    )
+    filename, wait_s = getattr(error, "filename", None), requested_wait_s(error)
+    return {
+        "subject": subject,
+        "task": f"{doing} {subject}",
+        "kind": type(error).__name__,
+        "words": words[:300] or type(error).__name__,
+        "status": status_of(error),
+        "page": page,
+        "endpoint": constants.ENDPOINT,
+        "place": f" ({filename!r})" if filename else "",
+        "file": re.sub(r".*/resolve/[^/]+/|[?#].*", "", address),
+        "source": source,
+        "renew": "set another one, or unset it" if source == "HF_TOKEN" else "`hf auth login --force`",
+        "and_login": "" if source else f", and {_LOGIN}",
+        "unseen": unseen if source else f"you are not logged in; next: check the name, or {_LOGIN}",
+        "account": _account() if status_of(error) == 403 else "",
+        "wait": f"in {wait_s:.0f} s" if wait_s else "in some minutes",
+        "uncached": ", which is not in the cache as far as asked for" if doing == "reading" else "",
+    }
 
-        page, logged_in = f"{constants.ENDPOINT}/datasets/{self.repo_id}", bool(_token_source())
-        accept = f"accept its terms at {page}" + ("" if logged_in else f", and {_LOGIN}")
-        unseen = (
-            "your token may not see it; next: check the name, or log in with `hf auth login` as someone who "
-            "may"
-            if logged_in
-            else f"you are not logged in; next: check the name, or {_LOGIN}"
-        )
-        address = str(getattr(getattr(error, "response", None), "url", ""))
-        file = re.sub(r".*/resolve/[^/]+/|[?#].*", "", address)
-        # In this order: that a repository is gated is, to the client, a kind of its not being found.
-        words: dict[type[Exception], str] = {
-            errors.LocalTokenNotFoundError: self._needs_login(),
-            errors.GatedRepoError: f"{self.subject} is gated; next: {accept}",
-            errors.RepositoryNotFoundError: f"{self.subject} was not found, or is private and {unseen}",
-            errors.RevisionNotFoundError: (
-                f"{self.subject} has no revision {self.revision!r}; next: see its branches and tags at {page}"
-            ),
-            errors.RemoteEntryNotFoundError: (
-                f"{self.subject} has no file {file!r}; next: see what it has at {page}/tree/main"
-            ),
-        }
-        if isinstance(error, errors.HFValidationError):
-            return InputError(f"{self.repo_id!r} is not a name of a repository; next: give USER/NAME")
-        return next((HubError(text) for kind, text in words.items() if isinstance(error, kind)), None)
 
-    def status(self, error: BaseException) -> ToolkitError | None:
-        """Name what the Hub answered with a bare status."""
-        status = status_of(error)
-        if status is None:
-            return None
-        wait = getattr(getattr(error, "response", None), "headers", {}).get("Retry-After")
-        when = f"in {wait} s" if wait and str(wait).isdigit() else "in some minutes"
-        doing = self.task
-        words = {
-            409: f"{self.subject} has that already: {_server_words(error)}; next: choose another name",
-            412: f"{self.subject} was changed by someone else meanwhile; next: run the same command again",
-            429: (
-                f"the Hub wants fewer requests (429) while {doing}; next: try again {when}, what has "
-                "arrived is kept"
-            ),
-        }
-        if status == 401:
-            return HubError(self._unauthorized())
-        if status == 403:
-            return HubError(self._forbidden(error))
-        if status >= 500:
-            return HubError(
-                f"the Hub is in trouble while {doing}: it answered {status}; next: try again later, what has "
-                "arrived is kept"
-            )
-        refused = f"the Hub refused {doing} ({status}): {_server_words(error)}; next: mend what it names"
-        return HubError(words.get(status, refused))
+def _account() -> str:
+    """Ask the Hub whose token this is: its refusals read the same for a weak token and for another's name."""
+    from huggingface_hub import HfApi
 
-    def network(self, error: BaseException) -> ToolkitError | None:
-        from huggingface_hub import constants, errors
-
-        doing = self.task
-        not_here = isinstance(error, errors.LocalEntryNotFoundError) and constants.HF_HUB_OFFLINE
-        if isinstance(error, errors.OfflineModeIsEnabled) or not_here:
-            if self.doing.startswith("uploading"):
-                return HubError(f"HF_HUB_OFFLINE forbids {doing}; next: unset HF_HUB_OFFLINE")
-            return HubError(
-                f"{self.subject} is not in the cache as far as asked for, and HF_HUB_OFFLINE forbids to "
-                "fetch it; next: unset HF_HUB_OFFLINE once"
-            )
-        if not is_connection_failure(error) and not isinstance(error, (TimeoutError, ConnectionError)):
-            return None
-        kind, hub = type(error).__name__, f"the Hub at {constants.ENDPOINT}"
-        again = "next: check the network, and HF_ENDPOINT if you set it, and run the same command again"
-        cached = ", which is not in the cache as far as asked for" if self.doing == "reading" else ""
-        if not re.match(r"https?://[^/]", constants.ENDPOINT):
-            return HubError(
-                f"HF_ENDPOINT is {constants.ENDPOINT!r}, which is not an address, so that {doing} cannot "
-                "begin; next: unset it, or set one such as https://huggingface.co"
-            )
-        if isinstance(error, TimeoutError) or "Timeout" in kind:
-            return HubError(f"{hub} does not answer in time while {doing}{cached}; {again}")
-        if isinstance(error, ConnectionRefusedError) or kind in ("ConnectError", "ClientConnectorError"):
-            return HubError(f"{hub} cannot be reached ({kind}) while {doing}{cached}; {again}")
-        return HubError(
-            f"the connection to the Hub broke while {doing}; next: run the same command again, it goes on "
-            "where it stopped"
-        )
-
-    def other(self, error: BaseException) -> ToolkitError | None:
-        """Name what is left of the client's and the system's errors."""
-        from huggingface_hub import errors
-
-        if isinstance(error, errors.FileMetadataError):
-            return HubError(self.not_a_hub("FileMetadataError"))
-        if isinstance(error, errors.LocalEntryNotFoundError):
-            return HubError(
-                f"{self.subject} is not in the cache as far as asked for, and could not be fetched; next: "
-                "check the network and run the same command again"
-            )
-        if isinstance(error, OSError):
-            what = f"{type(error).__name__}: {_server_words(error)}"
-            return HubError(f"{self.task} failed: {what}; next: try again")
-        return None
-
-    def not_a_hub(self, found: str) -> str:
-        from huggingface_hub import constants
-
+    # Only to word the refusal better: whatever goes wrong here must not hide that refusal.
+    with contextlib.suppress(Exception):
+        person = HfApi().whoami()
+        names = ", ".join(str(entry["name"]) for entry in (person, *person["orgs"]))
         return (
-            f"{constants.ENDPOINT} does not answer as a Hub does while {self.task} ({scrub(found)}); next: "
-            "check HF_ENDPOINT, and whether the network asks for a login"
+            f"; the token has the role {person['auth']['accessToken']['role']!r} and may write under {names}"
         )
-
-    def _needs_login(self) -> str:
-        return f"{self.task} needs a login, and there is no token here; next: {_LOGIN}"
-
-    def _unauthorized(self) -> str:
-        source = _token_source()
-        if not source:
-            return self._needs_login()
-        renew = "set another one, or unset it" if source == "HF_TOKEN" else "`hf auth login --force`"
-        return (
-            f"the Hub does not know the token ({source}), it is mistyped, expired or deleted; nothing can be "
-            f"read with it, not even {self.subject}; next: {renew}"
-        )
-
-    def _forbidden(self, error: BaseException) -> str:
-        """Ask the Hub whose token this is: its refusals read the same for a weak token and another's name."""
-        from huggingface_hub import HfApi
-
-        doing, namespace = self.task, self.repo_id.partition("/")[0]
-        person: dict[str, Any] = {}
-        # Only to word the refusal better: whatever goes wrong here must not hide that refusal.
-        with contextlib.suppress(Exception):
-            person = HfApi().whoami()
-        name = str(person.get("name", ""))
-        if person.get("auth", {}).get("accessToken", {}).get("role") == "read":
-            return (
-                f"the token of {name!r} has no write access, which {doing} needs; next: make one of role "
-                "`write` in your settings on the Hub and `hf auth login` with it"
-            )
-        own = [name, *(str(entry["name"]) for entry in person.get("orgs", ()))]
-        if name and namespace not in own:
-            return (
-                f"{name!r} may not write under the name {namespace!r}, which is someone else's ({doing}); "
-                f"next: use a name of your own: {', '.join(own)}"
-            )
-        return (
-            f"the Hub forbids {doing}: {_server_words(error)}; next: check what your token may do in your "
-            "settings on the Hub"
-        )
+    return ""
 
 
 def _token_source() -> str:
-    """Return where the token in use comes from (``"HF_TOKEN"`` or ``"stored login"``); empty without one."""
+    """Return where the token in use comes from; empty without one."""
     from huggingface_hub import get_token
 
     if not get_token():
         return ""
-    named = any(os.environ.get(name) for name in ("HF_TOKEN", "HUGGING_FACE_HUB_TOKEN"))
-    return "HF_TOKEN" if named else "stored login"
-
-
-def _server_words(error: BaseException) -> str:
-    words = getattr(error, "server_message", None) or str(error)
-    lines = [line.strip() for line in str(words).splitlines() if line.strip()]
-    return lines[0][:300] if lines else type(error).__name__
+    return "HF_TOKEN" if os.environ.get("HF_TOKEN") else "stored login"

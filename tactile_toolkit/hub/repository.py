@@ -1,28 +1,39 @@
-"""A data set repository of the Hub at one commit: what it holds, and its files, whole or not handed out."""
+"""A data set repository of the Hub at one commit: what it holds, and its files, intact or not handed out."""
 
 from __future__ import annotations
 
 import contextlib
 import functools
+import inspect
 import json
 import os
 import re
+import threading
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from multiprocessing.pool import ThreadPool
 from pathlib import Path
-from typing import Any, NoReturn
+from typing import Any, NoReturn, TypeVar
 
 from tactile_toolkit.errors import HubError, InputError, IntegrityError
-from tactile_toolkit.hub.cache import RepositoryCache, is_whole, remove_with_content
-from tactile_toolkit.hub.errors import cause_chain, not_cached
-from tactile_toolkit.hub.retry import ask, is_passing, is_unanswered
-from tactile_toolkit.hub.transfers import ProgressBar, Transfers
+from tactile_toolkit.hub.cache import commit_of, matches_digest, remember_commit, snapshot_folder
+from tactile_toolkit.hub.calls import call_with_retry, is_unanswered
+from tactile_toolkit.hub.errors import not_cached
 from tactile_toolkit.store.manifest import MANIFEST_FILE, Manifest
 from tactile_toolkit.store.names import names_inside
 from tactile_toolkit.store.origin import Digest, HubFile
 
-__all__ = ["HubName", "HubRepository", "HubSnapshot", "cached_snapshot", "hub_name", "listing", "look_at"]
+__all__ = [
+    "HubName",
+    "HubRepository",
+    "HubSnapshot",
+    "Transfers",
+    "cached_snapshot",
+    "fetch_repo_info",
+    "hub_name",
+    "listing",
+]
 
 _PREFIX = "hf://datasets/"
 # Names of branches that hold a slash are written %2F, but for the two kinds that the Hub makes itself.
@@ -35,6 +46,10 @@ _NAME = re.compile(
 _PROBE_TIMEOUT_S = 5.0
 _MAIN = "main"
 _SHA256_DIGITS = 64
+_FILES_AT_ONCE = 8  # as many as the Hub's own client fetches at once
+
+T = TypeVar("T")
+R = TypeVar("R")
 
 
 @dataclass(frozen=True, slots=True)
@@ -78,7 +93,7 @@ class HubSnapshot:
     is_cache : bool
         Whether the cache answered because the Hub could not be asked.
     licence : str or None
-        What its card says, if it says so.
+        What its card states.
     is_private : bool
         Whether the Hub says that only its owner sees the repository.
     """
@@ -91,7 +106,7 @@ class HubSnapshot:
     is_private: bool = False
 
 
-def look_at(
+def fetch_repo_info(
     repo_id: str,
     revision: str | None = None,
     *,
@@ -105,25 +120,19 @@ def look_at(
     """
     from huggingface_hub import constants
 
-    cache = RepositoryCache(repo_id)
-    known = cache.commit_of(revision or _MAIN)
+    named = revision or _MAIN
+    known = commit_of(repo_id, named)
     cached = cached_snapshot(repo_id, known) if known is not None else None
-    has_files = cached is not None and bool(cached.files)
-    waits = patient or (patient is None and not has_files)
+    waits = patient or (patient is None and not (cached and cached.files))
     timeout_s = constants.HF_HUB_ETAG_TIMEOUT if waits else _PROBE_TIMEOUT_S
+    ask = functools.partial(listing, repo_id, revision, timeout_s)
     try:
-        found = ask(
-            functools.partial(listing, repo_id, revision, timeout_s),
-            repo_id,
-            revision,
-            waits_s=None if waits else (),
-            on_wait=on_wait,
-        )
+        found = call_with_retry(ask, repo_id, revision, waits_s=None if waits else (), on_wait=on_wait)
     except HubError as error:
-        if cached is not None and has_files and is_unanswered(error):
+        if cached and cached.files and is_unanswered(error):
             return cached
         raise
-    cache.remember_commit(revision or _MAIN, found.commit)
+    remember_commit(repo_id, named, found.commit)
     return found
 
 
@@ -156,16 +165,81 @@ def listing(
 
 def cached_snapshot(repo_id: str, commit: str) -> HubSnapshot:
     """Return what the cache has of a commit."""
-    files = {}
-    for path, file in RepositoryCache(repo_id).files(commit).items():
-        # The name of a blob tells what it holds; a cache without links has none.
-        name = Path(os.path.realpath(file)).name
-        digest = None
+    files, root = {}, snapshot_folder(repo_id, commit)
+    for file in sorted(file for file in root.rglob("*") if file.is_file()):
+        path, digest = file.relative_to(root).as_posix(), None
+        # A blob is named by the digest of its content; a cache without links has no blobs.
         if file.is_symlink():
+            name = Path(os.path.realpath(file)).name
             with contextlib.suppress(ValueError):
                 digest = Digest("sha256" if len(name) == _SHA256_DIGITS else "git-sha1", name)
         files[path] = HubFile(path, file.stat().st_size, digest)
     return HubSnapshot(repo_id, commit, files, is_cache=True)
+
+
+class _StoppedError(Exception):
+    """Another file failed, or the user does not want to wait."""
+
+
+class Transfers:
+    """Files that are fetched side by side: counted together, and the first that fails stops the others.
+
+    ``on_bytes`` gets the number of bytes that have arrived, from one thread at a time.
+    """
+
+    def __init__(self, on_bytes: Callable[[int], None] = lambda _: None) -> None:
+        self._on_bytes = on_bytes
+        self._arrived: dict[str, int] = {}
+        self._total = 0
+        self._is_stopped = False
+        self._lock = threading.Lock()
+
+    def each(self, action: Callable[[T], R], items: Sequence[T]) -> list[R]:
+        """Call a function for each item, several at once; the first failure is raised, Ctrl-C ends all."""
+        try:
+            # Daemons, not an executor, whose threads the interpreter waits for.
+            with ThreadPool(max(1, min(_FILES_AT_ONCE, len(items)))) as pool:
+                work = pool.imap_unordered(lambda index: (index, action(items[index])), range(len(items)))
+                done = dict(work)
+        except BaseException:
+            self._is_stopped = True
+            raise
+        return [done[index] for index in range(len(items))]
+
+    def count(self, path: str, size_bytes: int, *, more: bool = False) -> None:
+        """Note how much of a file is there, or how much ``more``; what is to stop stops here."""
+        with self._lock:
+            if self._is_stopped:
+                raise _StoppedError
+            before = self._arrived.get(path, 0)
+            self._arrived[path] = size_bytes + before if more else size_bytes
+            self._total += self._arrived[path] - before
+            self._on_bytes(self._total)
+
+    def client_options(self, path: str) -> dict[str, Any]:
+        """Return what makes the client count the bytes of a file here; early releases draw bars instead."""
+        from huggingface_hub import hf_hub_download
+        from huggingface_hub.utils.tqdm import tqdm
+
+        count = functools.partial(self.count, path)
+
+        class Bar(tqdm):
+            """Passes on what is written to the disk."""
+
+            def __init__(self, *_: Any, **__: Any) -> None:
+                super().__init__(disable=True)
+                count(0)
+
+            def update(self, n: float | None = 1) -> None:
+                count(int(n or 0), more=True)
+
+            def update_transfer(self, n: float | None = 1) -> None:
+                """Pass over what arrives in compressed pieces."""
+
+            set_transfer_postfix_str = tqdm.set_postfix_str
+
+        known = inspect.signature(hf_hub_download).parameters
+        return {"tqdm_class": Bar} if "tqdm_class" in known else {}
 
 
 @dataclass(frozen=True)
@@ -184,7 +258,7 @@ class HubRepository:
     known : HubSnapshot or None
         What it holds, where that was looked up already.
     on_wait : callable
-        Told, in a sentence, why there is a wait.
+        Gets a sentence for each wait.
 
     Notes
     -----
@@ -200,15 +274,17 @@ class HubRepository:
 
     @cached_property
     def snapshot(self) -> HubSnapshot:
-        """What the repository holds; from the cache when the Hub cannot be reached, see :func:`look_at`."""
-        return self.known or look_at(self.repo_id, self.revision, patient=self.patient, on_wait=self.on_wait)
+        """What the repository holds; from the cache when the Hub is silent, see :func:`fetch_repo_info`."""
+        return self.known or fetch_repo_info(
+            self.repo_id, self.revision, patient=self.patient, on_wait=self.on_wait
+        )
 
     @cached_property
     def manifest(self) -> Manifest | None:
         """The manifest of a data set made by the toolkit; None of any other, or IntegrityError."""
         if MANIFEST_FILE not in self.snapshot.files:
             return None
-        text = Path(self._fetch(MANIFEST_FILE)).read_text(encoding="utf-8", errors="replace")
+        text = self._fetch(MANIFEST_FILE, Transfers()).read_text(encoding="utf-8", errors="replace")
         try:
             values = json.loads(text)
         except ValueError:
@@ -230,7 +306,7 @@ class HubRepository:
 
     @contextlib.contextmanager
     def missing_as_not_cached(self, what: str) -> Iterator[None]:
-        """Say of what is missing that it is not cached, when the Hub could not be asked."""
+        """Report what is missing as not cached, when the Hub could not be asked."""
         try:
             yield
         except (InputError, IntegrityError) as error:
@@ -239,7 +315,7 @@ class HubRepository:
             raise not_cached(self.repo_id, what) from error
 
     def file(self, path: str) -> HubFile:
-        """Return what a file must be: what the manifest says, or else the Hub, as far as either is known.
+        """Return what a file must be: as the manifest states, or else the Hub, as far as either is known.
 
         Raises IntegrityError where the two disagree (fetching it would not help) and for a name that is not
         that of a file in a folder, HubError for no such file.
@@ -268,102 +344,71 @@ class HubRepository:
         raise HubError(message)
 
     def address(self, path: str) -> str:
-        """Return the fsspec address of a file at the commit, for reading it without downloading it whole."""
+        """Return the fsspec address of a file at the commit, for reading it piece by piece."""
         # The commit, not what it is called: a branch may move on while its files are read in turn.
         return f"{_PREFIX}{self.repo_id}@{self.snapshot.commit}/{path}"
 
-    def cached(self, path: str, *, anew: bool = False) -> Path | None:
-        """Return a file that is in the Hub's cache, whole; None otherwise. Asks nobody, fetches nothing.
+    def cached(self, path: str, *, force: bool = False) -> Path | None:
+        """Return a file that lies intact in the Hub's cache; None otherwise. Asks nobody, fetches nothing.
 
-        One that was found whole is read again only where it has changed since, or if ``anew``.
+        One that was found intact is read again only where it has changed since, or with ``force``.
         """
-        digest = self.file(path).digest
-        file = self._place(path)
-        is_here = file.is_file() and (digest is None or is_whole(file, digest, anew=anew))
+        digest, file = self.file(path).digest, self._place(path)
+        is_here = file.is_file() and (digest is None or matches_digest(file, digest, force=force))
         return file if is_here else None
 
     def _place(self, path: str) -> Path:
-        return RepositoryCache(self.repo_id).snapshot_folder(self.snapshot.commit) / path
+        return snapshot_folder(self.repo_id, self.snapshot.commit) / path
 
     def fetch(self, paths: Sequence[str], transfers: Transfers | None = None) -> list[str]:
         """Bring files into the Hub's cache, or find them there, and return their local paths.
 
-        Each has the checksum of the manifest, where there is one, and else that of the Hub; it is read for
+        Each has the digest of the manifest, where there is one, and else that of the Hub; it is read for
         that once, and again only after it has changed. Raises IntegrityError for one that arrived damaged
-        twice or is not what the manifest says (nothing of it is kept), HubError, StorageError.
+        twice or is not what the manifest lists (nothing of it is kept), HubError, StorageError.
         """
         names_inside(paths, f"Hub data set {self.repo_id!r}")
         for path in paths:
-            self.file(path)  # what cannot be had is told before anything is fetched
-        together = transfers or Transfers(on_wait=self.on_wait)
-        return together.each(lambda path: self._fetch(path, together), paths)
+            self.file(path)  # what cannot be had is reported before anything is fetched
+        together = transfers or Transfers()
+        return together.each(lambda path: str(self._fetch(path, together)), paths)
 
-    def _fetch(self, path: str, transfers: Transfers | None = None) -> str:
-        whole = self.cached(path)
-        if whole is None:
-            remove_with_content(self._place(path))
-            whole = self.download(path, transfers or Transfers(on_wait=self.on_wait))
-        return str(whole)
+    def _fetch(self, path: str, transfers: Transfers) -> Path:
+        return self.cached(path) or self.download(path, transfers)
 
     def download(self, path: str, transfers: Transfers, folder: Path | None = None) -> Path:
         """Fetch a file into the Hub's cache, or into a folder, and check it; one damaged is fetched again."""
         from huggingface_hub import hf_hub_download
 
         wanted = self.file(path)
-        digest = wanted.digest
-        if self.snapshot.is_cache or digest is None:
+        if self.snapshot.is_cache or wanted.digest is None:
             raise not_cached(self.repo_id, repr(path))
+        options = {"revision": self.snapshot.commit, "local_dir": folder, **transfers.client_options(path)}
 
-        def fetched(bar: Any, *, anew: bool) -> Path:
-            try:
-                file = hf_hub_download(
-                    self.repo_id,
-                    path,
-                    repo_type="dataset",
-                    revision=self.snapshot.commit,
-                    local_dir=folder,
-                    force_download=anew,
-                    tqdm_class=bar,
-                )
-                with Path(file).open("rb") as stream:
-                    os.fsync(stream.fileno())  # before it counts as whole: a power cut must not empty it
-            except BaseException:
-                bar.take_back()
-                raise
-            return Path(file)
+        def fetched(*, force: bool) -> Path:
+            place = hf_hub_download(self.repo_id, path, repo_type="dataset", force_download=force, **options)
+            with Path(place).open("rb") as stream:
+                os.fsync(stream.fileno())  # before it counts as intact: a power cut must not empty it
+            return Path(place)
 
-        for anew in (False, True):
-            bar = ProgressBar(transfers, path, wanted.size_bytes)
-            file = ask(
-                functools.partial(fetched, bar, anew=anew),
+        for force in (folder is None and self._place(path).exists(), True):
+            file = call_with_retry(
+                functools.partial(fetched, force=force),
                 self.repo_id,
                 self.revision,
                 f"fetching {path!r} of",
                 is_question=False,
-                may_repeat=_may_repeat_download,
-                on_wait=transfers.say,
+                most_bytes=wanted.size_bytes,
+                on_wait=self.on_wait,
             )
-            if is_whole(file, digest):
+            if matches_digest(file, wanted.digest):
+                transfers.count(path, wanted.size_bytes)
                 return file
-            found = "nothing"
-            with contextlib.suppress(FileNotFoundError):  # removed by another process that found the same
-                found = str(digest.of(file))
-            remove_with_content(file)
-            bar.take_back()
+            # With what it is a link to: damaged content must not be found again.
+            Path(os.path.realpath(file)).unlink(missing_ok=True)
+            file.unlink(missing_ok=True)
         message = (
-            f"{path!r} of Hub data set {self.repo_id!r} arrived damaged twice: {found}, expected {digest}; "
+            f"{path!r} of Hub data set {self.repo_id!r} arrived damaged twice, expected {wanted.digest}; "
             "nothing of it was kept; next: try again later or through another network"
         )
         raise IntegrityError(message)
-
-
-def _may_repeat_download(error: Exception) -> bool:
-    """Tell a failure of a download that may pass; what the client itself waited for in vain is not one."""
-    from huggingface_hub import errors
-
-    chain = cause_chain(error)
-    if any(isinstance(link, errors.LocalEntryNotFoundError) for link in chain):
-        return False
-    # The client has no type of its own for a file that is shorter than was announced.
-    is_cut_short = any(isinstance(link, OSError) and "Consistency check" in str(link) for link in chain)
-    return is_cut_short or is_passing(error)

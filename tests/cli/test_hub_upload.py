@@ -248,12 +248,8 @@ def _read(terminal: int) -> bytes:
     ("account", "name", "words"),
     [
         (None, NAME, "needs a login, and there is no token here; next: log in with `hf auth login`"),
-        (("someone", "read"), NAME, "the token of 'someone' has no write access"),
-        (
-            ("stranger", "write"),
-            NAME,
-            "'stranger' may not write under the name 'someone', which is someone else's",
-        ),
+        (("someone", "read"), NAME, "the token has the role 'read' and may write under someone"),
+        (("stranger", "write"), NAME, "the token has the role 'write' and may write under stranger"),
         (("someone", "write"), "a/b/c", "'a/b/c' is not a name of a repository; next: give USER/NAME"),
     ],
 )

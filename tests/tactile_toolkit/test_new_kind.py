@@ -8,8 +8,7 @@ import datasets
 import pytest
 
 from tactile_toolkit.errors import SpecMismatchError
-from tactile_toolkit.exchange.upload import check_folder
-from tactile_toolkit.exchange.upload_plan import collect
+from tactile_toolkit.exchange.upload import check_folder, collect
 from tactile_toolkit.run.parts import Finish, Part
 from tactile_toolkit.store.folder import DataFolder
 from tactile_toolkit.store.manifest import read_manifest
@@ -52,4 +51,4 @@ def test_generate_resume_parts_verify_card_load_upload_and_preview(tmp_path: Pat
     # upload
     manifest = read_manifest(folder)
     assert manifest is not None
-    assert set(folder_bytes(whole)) == {file.path for file in collect(whole, manifest).files}
+    assert set(folder_bytes(whole)) == {file.path for file in collect(whole, manifest)}

@@ -15,8 +15,7 @@ import pytest
 
 from starstruck_gen.generation import GenerateSpec, generate
 from tactile_toolkit.errors import HubError, InputError, IntegrityError
-from tactile_toolkit.exchange.upload import prepare_upload, run_upload
-from tactile_toolkit.exchange.upload_plan import UploadOptions
+from tactile_toolkit.exchange.upload import UploadOptions, local_copy, prepare_upload, run_upload
 from tactile_toolkit.store.folder import DataFolder
 from tactile_toolkit.store.manifest import read_manifest
 from tests.hub_server import HubServer
@@ -122,8 +121,8 @@ def test_only_what_changed_is_sent(server, folder):
 def test_files_of_others_are_kept_unless_asked(server, folder):
     server.create(NAME, {"notes.txt": b"mine", "data/extra.parquet": b"\0" * 9, ".gitattributes": b"*"})
     prepared = prepare_upload(str(folder), NAME)
-    assert prepared.kept == ("data/extra.parquet", "notes.txt")
-    assert prepared.removed == ()
+    assert prepared.plan.kept == ("data/extra.parquet", "notes.txt")
+    assert prepared.plan.removed == ()
     run_upload(prepared)
     assert {"notes.txt", "data/extra.parquet"} <= set(server.repository(NAME).head.files)
     assert_holds(server, folder)
@@ -140,7 +139,7 @@ def test_brackets_in_names_delete_no_other_file(server, folder):
     server.create(NAME, {"a[12].txt": b"x", "a1.txt": b"x"})
     upload(folder)
     prepared = prepare_upload(str(folder), NAME, UploadOptions(delete=True))
-    assert prepared.removed == ("a1.txt", "a[12].txt")
+    assert prepared.plan.removed == ("a1.txt", "a[12].txt")
     run_upload(prepared)
     assert not {"a[12].txt", "a1.txt"} & set(server.repository(NAME).head.files)
 
@@ -310,7 +309,10 @@ def test_a_picture_that_stays_behind_is_named(server, folder):
     card.write_text(before + "\n![ours](./previews/scenes.png)\n")
     upload(folder)
     card.unlink()
-    with pytest.raises(IntegrityError, match=r"README\.md is missing; next: write it") as refused:
+    with pytest.raises(
+        IntegrityError,
+        match=r"README\.md is missing; next: run the command that made it again, or the command `card`",
+    ) as refused:
         upload(folder)
     assert str(refused.value).count("next: ") == 1
 
@@ -387,6 +389,36 @@ def test_what_is_no_data_set_of_ours_is_refused(server, tmp_path):
     assert server.requests == []
 
 
+def test_a_folder_in_a_store_is_sent_from_a_copy_that_goes_with_the_upload(server, folder):
+    """Without hidden files; a name that leads elsewhere or a failure of the store ends it."""
+    store = DataFolder("memory://uploads/stars")
+    for path, content in folder_bytes(folder).items():
+        store.write_bytes(path, content)
+    store.write_bytes(".hidden", b"mine")
+    prepared = prepare_upload("memory://uploads/stars", NAME)
+    copy = prepared.scratch.place / "copy"
+    assert folder_bytes(copy) == folder_bytes(folder)
+    run_upload(prepared)
+    assert_holds(server, folder)
+    del prepared
+    assert not copy.exists()
+
+
+def test_the_first_failure_ends_the_copying(tmp_path, monkeypatch):
+    asked = []
+
+    def copy_out(_: DataFolder, path: str, __: Path) -> None:
+        asked.append(path)
+        raise OSError(path)
+
+    for number in range(200):
+        (tmp_path / f"{number:03d}").touch()
+    monkeypatch.setattr(DataFolder, "copy_out", copy_out)
+    with pytest.raises(OSError, match="000"):
+        local_copy(DataFolder(str(tmp_path)), tmp_path / "copy")
+    assert len(asked) < 50
+
+
 UPLOAD = """
 from tactile_toolkit.exchange.upload import prepare_upload, run_upload
 run_upload(prepare_upload({folder!r}, {name!r}))
@@ -410,7 +442,8 @@ def test_a_killed_upload_goes_on_with_what_is_missing(server, folder, tmp_path):
     assert process.end(signal.SIGKILL) == -signal.SIGKILL
     assert set(server.repository(NAME).objects) == wanted - {late}
     assert server.repository(NAME).head.title == "initial commit"
-    assert list(scratch.iterdir()) == []
+    left = {file.name for file in scratch.rglob("*") if file.is_file()}
+    assert left <= {"README.md", "manifest.json", "croissant.json"}, "which go with the next upload"
     assert folder_bytes(folder) == before
     server.faults.clear()
     server.requests.clear()
@@ -439,7 +472,8 @@ def test_the_plan_of_four_times_the_files_takes_about_four_times_the_calls(serve
         server.create(name, {**there, **{f"more/{index}.txt": b"." for index in range(count)}})
         with profiled_calls() as seen:
             prepared = prepare_upload(str(folder), name, dry_run=True)
-            assert (len(prepared.plan.same), len(prepared.kept)) == (count, count)
+            assert not set(there) & {file.path for file in prepared.plan.to_send}
+            assert len(prepared.plan.kept) == count
             assert prepared.mixed == ()
         calls.append(seen[0])
     assert calls[1] < 5 * calls[0], calls

@@ -10,12 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from starstruck_gen.generation import GenerateSpec, generate
-from tactile_toolkit.exchange.upload_plan import (
-    LocalFile,
-    card_for_hub,
-    collect,
-    compare,
-)
+from tactile_toolkit.exchange.upload import LocalFile, card_for_hub, collect, compare, left_out
 from tactile_toolkit.store.folder import DataFolder
 from tactile_toolkit.store.manifest import read_manifest
 from tactile_toolkit.store.origin import Digest, HubFile
@@ -36,14 +31,14 @@ contents = st.sampled_from([b"", b"one", b"two", b"three"])
 
 
 def local(path: str, content: bytes) -> LocalFile:
-    blob = hashlib.sha1(b"blob %d\0" % len(content) + content).hexdigest()
-    return LocalFile(path, len(content), hashlib.sha256(content).hexdigest(), blob)
+    blob = Digest("git-sha1", hashlib.sha1(b"blob %d\0" % len(content) + content).hexdigest())
+    sha256 = Digest("sha256", hashlib.sha256(content).hexdigest())
+    return LocalFile(path, Path("not looked at"), len(content), (sha256, blob))
 
 
 def remote(path: str, content: bytes, large: bool) -> HubFile:
-    file = local(path, content)
-    digest = Digest("sha256", file.sha256) if large else Digest("git-sha1", str(file.git_oid))
-    return HubFile(path, len(content), digest)
+    sha256, blob = local(path, content).digests
+    return HubFile(path, len(content), sha256 if large else blob)
 
 
 @given(st.dictionaries(names, contents), st.dictionaries(names, st.tuples(contents, st.booleans())))
@@ -55,20 +50,21 @@ def test_a_plan_brings_exactly_the_folder(here, there):
     after = {path: content for path, (content, _) in there.items()}
     after |= {file.path: here[file.path] for file in plan.to_send}
     assert {path: after[path] for path in here} == here
-    for file in (*plan.kept, *plan.removed):
-        del after[file.path]
+    for path in (*plan.kept, *plan.removed):
+        del after[path]
     assert set(after) - set(here) <= {".gitattributes"}
-    assert plan.send_bytes == sum(len(here[file.path]) for file in plan.to_send)
-    assert all(there[file.path][0] == here[file.path] for file in plan.same), (
-        "nothing that differs is called same"
-    )
     assert not any(path in there and there[path][0] == here[path] for path in (f.path for f in plan.to_send))
 
 
 def test_a_file_too_large_for_git_is_never_taken_for_a_small_one():
-    big = LocalFile("data/a.parquet", 3, "0" * 64, None)
+    big = LocalFile("data/a.parquet", Path("a"), 3, (Digest("sha256", "0" * 64),))
     plan = compare([big], {"data/a.parquet": HubFile("data/a.parquet", 3, Digest("git-sha1", "1" * 40))})
-    assert [file.path for file in plan.changed] == ["data/a.parquet"]
+    assert [file.path for file in plan.to_send] == ["data/a.parquet"]
+
+
+def test_a_file_is_known_by_its_content(tmp_path):
+    (tmp_path / "a").write_bytes(b"one")
+    assert LocalFile.of("a", tmp_path / "a").digests == local("a", b"one").digests
 
 
 def test_the_payload_is_the_data_set_and_nothing_else(folder):
@@ -81,8 +77,8 @@ def test_the_payload_is_the_data_set_and_nothing_else(folder):
     (folder / "secret" / "token").write_text("hf_secret")
     manifest = read_manifest(DataFolder(str(folder)))
     assert manifest is not None
-    payload = collect(folder, manifest).with_rendered({"README.md": b"# card"})
-    assert [file.path for file in sorted(payload.files, key=lambda file: file.path)] == [
+    files = collect(folder, manifest)
+    assert sorted(file.path for file in files) == [
         "README.md",
         "croissant.json",
         "data/test-00000-of-00001.parquet",
@@ -90,16 +86,14 @@ def test_the_payload_is_the_data_set_and_nothing_else(folder):
         "manifest.json",
         "previews/scenes.png",
     ]
-    assert sorted(payload.left_out) == [
+    assert sorted(left_out(folder, (file.path for file in files))) == [
         ".pending/",
         ".writing-host-1-abc-README.md",
         "notes.txt",
         "previews/.writing-host-1-abc-x.png",
         "secret/",
     ]
-    card, *others = payload.files
-    assert payload.content(card) == b"# card"
-    assert all(payload.content(file) == folder / file.path for file in others)
+    assert all(file.place == folder / file.path for file in files)
 
 
 def test_a_card_beside_foreign_shards_names_its_files():

@@ -14,8 +14,7 @@ from mnist3d.generation import GenerateSpec, generate
 from mnist3d.sources.synthetic import SyntheticSource
 from tactile_toolkit.cards.checks import check_card
 from tactile_toolkit.errors import InputError
-from tactile_toolkit.exchange.upload import prepare_upload, run_upload
-from tactile_toolkit.exchange.upload_plan import UploadOptions
+from tactile_toolkit.exchange.upload import UploadOptions, prepare_upload, run_upload
 from tactile_toolkit.store.folder import DataFolder
 from tactile_toolkit.store.verify import verify
 from tests.command_line import call

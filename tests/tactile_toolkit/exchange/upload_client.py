@@ -10,6 +10,7 @@ import pytest
 from huggingface_hub import constants
 from huggingface_hub.utils.tqdm import disable_progress_bars, enable_progress_bars
 
+from tactile_toolkit.hub import calls
 from tests.hub_server import HubServer
 
 __all__ = ["logged_in"]
@@ -23,7 +24,7 @@ def logged_in(server: HubServer, token: str, monkeypatch: pytest.MonkeyPatch) ->
     monkeypatch.setattr(constants, "HUGGINGFACE_CO_URL_TEMPLATE", template)
     monkeypatch.setattr(constants, "HF_HUB_DISABLE_XET", True)
     monkeypatch.setenv("HF_TOKEN", token)
-    monkeypatch.setenv("TACTILE_TOOLKIT_HUB_WAITS", "0.01,0.02")
+    monkeypatch.setattr(calls, "WAITS_S", (0.01, 0.02))
     huggingface_hub.close_session()
     disable_progress_bars()
     try:

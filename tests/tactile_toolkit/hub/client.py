@@ -14,6 +14,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from unittest import mock
 
+from tactile_toolkit.hub import calls
 from tests.forked import Forked, start_forked
 from tests.hub_server import HubServer
 from tests.processes import PATIENCE_S
@@ -31,7 +32,6 @@ def settings(server: HubServer | str, home: Path, token: str | None = None, **mo
         "HF_HUB_DISABLE_XET": "1",
         "HF_HUB_DISABLE_PROGRESS_BARS": "1",
         "TACTILE_TOOLKIT_CACHE": str(home / "toolkit"),
-        "TACTILE_TOOLKIT_HUB_WAITS": "0.01,0.02",
         **({"HF_TOKEN": token} if token else {}),
         **more,
     }
@@ -101,14 +101,14 @@ def as_client(environment: dict[str, str]) -> Iterator[None]:
         "HF_HUB_DISABLE_XET": True,
         "HF_HUB_OFFLINE": environment.get("HF_HUB_OFFLINE") == "1",
         "HF_TOKEN_PATH": f"{home}/token",
-        # Scripts may set these.
-        "DOWNLOAD_CHUNK_SIZE": constants.DOWNLOAD_CHUNK_SIZE,
-        "HF_HUB_DISABLE_SYMLINKS": constants.HF_HUB_DISABLE_SYMLINKS,
+        "DOWNLOAD_CHUNK_SIZE": constants.DOWNLOAD_CHUNK_SIZE,  # scripts may set it
     }
     limit = resource.getrlimit(resource.RLIMIT_FSIZE)
     with (
         mock.patch.dict(os.environ, environment, clear=True),
         mock.patch.multiple(constants, **swapped),
+        mock.patch.object(calls, "WAITS_S", (0.01, 0.02)),
+        mock.patch.object(file_download, "are_symlinks_supported", file_download.are_symlinks_supported),
         mock.patch.object(_http, "time", _NoWaits()),
         mock.patch.object(file_download, "time", _NoWaits()),
     ):

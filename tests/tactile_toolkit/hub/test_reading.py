@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from tactile_toolkit.hub.cache import is_whole
+from tactile_toolkit.hub.cache import matches_digest
 from tactile_toolkit.store.origin import Digest
 from tests.hub_server import HubServer
 from tests.processes import PATIENCE_S
@@ -68,10 +68,10 @@ def test_what_takes_the_place_of_a_file_while_it_is_read_is_not_whole(tmp_path, 
 
     with monkeypatch.context() as patch:
         patch.setattr(Digest, "of", replaced_meanwhile)
-        assert is_whole(file, digest), "it was"
-    assert not is_whole(file, digest)
+        assert matches_digest(file, digest), "it was"
+    assert not matches_digest(file, digest)
     file.unlink()
-    assert not is_whole(file, digest), "another process may remove what it finds damaged"
+    assert not matches_digest(file, digest), "another process may remove what it finds damaged"
 
 
 def test_what_the_manifest_does_not_list_is_not_handed_out(server, tmp_path):

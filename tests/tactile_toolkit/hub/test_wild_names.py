@@ -154,10 +154,9 @@ def test_the_client_does_not_name_files_by_what_the_hub_calls_them(server, tmp_p
 
 
 REVISION = """
-from tactile_toolkit.hub.cache import RepositoryCache
-cache = RepositoryCache("someone/big")
-cache.remember_commit({revision!r}, "0" * 40)
-print(cache.commit_of({revision!r}))
+from tactile_toolkit.hub.cache import commit_of, remember_commit
+remember_commit("someone/big", {revision!r}, "0" * 40)
+print(commit_of("someone/big", {revision!r}))
 """
 
 

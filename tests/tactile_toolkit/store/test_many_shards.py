@@ -12,7 +12,7 @@ from tactile_toolkit.cards.facts import folder_facts
 from tactile_toolkit.cards.head import card_head, configs, head_text
 from tactile_toolkit.catalog.locate import find_shards
 from tactile_toolkit.errors import InputError
-from tactile_toolkit.exchange.upload_plan import card_for_hub
+from tactile_toolkit.exchange.upload import card_for_hub
 from tactile_toolkit.run.processes import InlineRunner
 from tactile_toolkit.store.build import build
 from tactile_toolkit.store.folder import DataFolder

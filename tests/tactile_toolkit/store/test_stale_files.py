@@ -144,9 +144,10 @@ def test_what_is_being_written_is_no_damage(tmp_path):
 
 
 _COPIED = """
-from tactile_toolkit.exchange.local_copy import LocalCopy
+from tactile_toolkit.exchange.upload import Scratch, local_copy
 there.write_bytes("data/a", b"content")
-copy = LocalCopy(there)
+scratch = Scratch()
+copy = local_copy(there, scratch.place / "copy")
 """
 _WRITTEN = """
 writing = there.writing("reports/a")
