@@ -4,19 +4,20 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from cli.application import command
 from cli.options import Json, place_of_data
 from cli.output import BYTES, Sink, bytes_text, counted
+from tactile_toolkit.errors import InputError
 from tactile_toolkit.kind import DatasetKind, kinds
 
 if TYPE_CHECKING:
     from tactile_toolkit.exchange.download import DownloadPlan
 
-__all__ = ["FILES_SHOWN", "add_download", "listed"]
+__all__ = ["FILES_SHOWN", "add_download", "confirmed", "listed"]
 
 _LARGE_BYTES = 1_000_000_000
 FILES_SHOWN = 8
@@ -40,7 +41,7 @@ OutFolder = Annotated[
         parser=place_of_data,
     ),
 ]
-DryRun = Annotated[bool, typer.Option("--dry-run", help="Say what would be fetched; fetch nothing.")]
+DryRun = Annotated[bool, typer.Option("--dry-run", help="Print what would be fetched; fetch nothing.")]
 Yes = Annotated[bool, typer.Option("--yes", "-y", help="Do not ask before a large download.")]
 
 
@@ -69,15 +70,27 @@ def add_download(app: typer.Typer, kind: DatasetKind) -> None:
         A download that broke off goes on where it stopped when the same command is given again. The command
         list names the published sets.
         """
+        from huggingface_hub.utils.tqdm import disable_progress_bars
+
+        from tactile_toolkit.exchange.download import download as carry_out
         from tactile_toolkit.exchange.download import plan_download
 
         _refuse_other_kind(name, kind)
         plan = plan_download(name, split or (), revision=revision, out=out, on_wait=sink.talk)
         kind.refuse_other(plan.manifest, plan.repository.repo_id)
         _introduce(sink, name, plan)
+        place = ""
         if not dry_run:
-            _require_consent(plan, yes=yes)
-        place = "" if dry_run else _fetch(sink, plan)
+            size = bytes_text(plan.missing_bytes)
+            refused = f"{size} would be fetched, and there is no terminal to ask on"
+            is_small = plan.missing_bytes <= _LARGE_BYTES
+            if not (yes or is_small or confirmed(f"fetch {size}?", refused, "add --yes, or name a --split")):
+                message = "aborted, nothing was fetched; next: name a --split to fetch less"
+                raise InputError(message)
+            disable_progress_bars()  # those of the Hub's client
+            with sink.progress("fetching", BYTES) as update:
+                # Where files of 0 bytes alone are missing the total is 0, and a bar of 0 is never full.
+                place = carry_out(plan, lambda done, total: update(done, max(total, 1)))
         sink.document({**_facts(plan), "dry_run": dry_run, "folder": place or None})
         _conclude(sink, plan, place, kind)
 
@@ -87,16 +100,18 @@ def add_download(app: typer.Typer, kind: DatasetKind) -> None:
         _print_sets(Sink(as_json), kind)
 
 
-def _refuse_other_kind(name: str, kind: DatasetKind) -> None:
-    """Refuse a published set that belongs to another command line: its repository holds no manifest.
+def confirmed(question: str, refused: str, next_step: str) -> bool:
+    """Ask on the terminal; InputError where there is none."""
+    # The question goes to stderr: stdout may be a file, or hold the JSON document.
+    if not (sys.stdin.isatty() and sys.stderr.isatty()):
+        message = f"{refused}; next: {next_step}"
+        raise InputError(message)
+    return typer.confirm(question, err=True)
 
-    Raises
-    ------
-    InputError
-        It does.
-    """
+
+def _refuse_other_kind(name: str, kind: DatasetKind) -> None:
+    """Refuse a published set that belongs to another command line: its repository holds no manifest."""
     from tactile_toolkit.catalog.published import kind_that_published
-    from tactile_toolkit.errors import InputError
 
     known = kind_that_published(name)
     if known is not None and known is not kind:
@@ -105,15 +120,15 @@ def _refuse_other_kind(name: str, kind: DatasetKind) -> None:
 
 
 def _introduce(sink: Sink, name: str, plan: DownloadPlan) -> None:
-    """Say what is fetched, how large it is, and under which terms it stands."""
+    """Print what is fetched, how large it is, and under which terms it stands."""
     from tactile_toolkit.catalog.published import published_set
 
-    known = published_set(name)
+    known, facts = published_set(name), _facts(plan)
     licence = (known.licence if known else None) or plan.repository.snapshot.licence
-    splits = ", ".join(plan.splits)
     sink.talk(
-        f"{plan.repository.repo_id} at {plan.record.commit[:12]}: {splits}; {counted(len(plan.files), 'files')}, "
-        f"{bytes_text(plan.bytes)}, of which {bytes_text(plan.missing_bytes)} are to be fetched"
+        f"{plan.repository.repo_id} at {plan.record.commit[:12]}: {', '.join(plan.splits)}; "
+        f"{counted(len(plan.record.files), 'files')}, {bytes_text(facts['bytes'])}, of which "
+        f"{bytes_text(plan.missing_bytes)} are to be fetched"
     )
     if plan.leftover:
         sink.talk(f"to remove, the Hub has them no more: {listed(plan.leftover)}")
@@ -123,67 +138,36 @@ def _introduce(sink: Sink, name: str, plan: DownloadPlan) -> None:
         sink.talk(f"licence: {licence or 'see its card on the Hub'}; please cite: {known.citation}")
 
 
-def _require_consent(plan: DownloadPlan, *, yes: bool) -> None:
-    """Ask before a large download; where nobody can answer, refuse.
-
-    Raises
-    ------
-    InputError
-        Nobody said yes.
-    """
-    from tactile_toolkit.errors import InputError
-
-    if yes or plan.missing_bytes <= _LARGE_BYTES:
-        return
-    size = bytes_text(plan.missing_bytes)
-    # The question goes to stderr: stdout may be a file, or hold the JSON document.
-    if not (sys.stdin.isatty() and sys.stderr.isatty()):
-        message = f"{size} would be fetched, and nobody can be asked; next: add --yes, or name a --split"
-        raise InputError(message)
-    if not typer.confirm(f"fetch {size}?", err=True):
-        message = "nothing was fetched, as you wished; next: name a --split to fetch less"
-        raise InputError(message)
-
-
-def _fetch(sink: Sink, plan: DownloadPlan) -> str:
-    from tactile_toolkit.exchange.download import download as carry_out
-
-    with sink.progress("fetching", BYTES) as update:
-        # Where files of 0 bytes alone are missing the total is 0, and a bar of 0 is never full.
-        return carry_out(plan, lambda done, total: update(done, max(total, 1)), on_wait=sink.talk)
-
-
-def _facts(plan: DownloadPlan) -> dict[str, object]:
-    missing = {file.path for file in plan.missing}
+def _facts(plan: DownloadPlan) -> dict[str, Any]:
+    missing, files = {file.path for file in plan.missing}, plan.record.files.values()
     return {
         "repository": plan.repository.repo_id,
         "commit": plan.record.commit,
         "splits": list(plan.splits),
-        "bytes": plan.bytes,
+        "bytes": sum(file.size_bytes for file in files),
         "missing_bytes": plan.missing_bytes,
         "files": [
             {"path": file.path, "bytes": file.size_bytes, "was_here": file.path not in missing}
-            for file in plan.files
+            for file in files
         ],
         "removed": list(plan.leftover),
     }
 
 
 def _conclude(sink: Sink, plan: DownloadPlan, place: str, kind: DatasetKind) -> None:
-    missing = counted(len(plan.missing), "files")
+    missing, count, gone = counted(len(plan.missing), "files"), len(plan.leftover), ""
     if not place:
-        gone = f" and remove {len(plan.leftover):,}" if plan.leftover else ""
+        gone = f" and remove {count:,}" if count else ""
         size = bytes_text(plan.missing_bytes)
         sink.line(f"would fetch {missing}, {size}{gone}; nothing was fetched, nothing removed")
         return
-    if plan.is_done:
-        sink.line(f"nothing was left to fetch; all {len(plan.files):,} files are whole, in {place}")
-    else:
-        gone = f", removed {len(plan.leftover):,} that the Hub has no more" if plan.leftover else ""
-        sink.line(f"fetched {missing}{gone}; all {len(plan.files):,} are whole, in {place}")
+    gone = f", removed {count:,} that the Hub has no more" if count else ""
+    done = "nothing was left to fetch" if plan.is_done else f"fetched {missing}{gone}"
+    sink.line(f"{done}; all {len(plan.record.files):,} files are intact, in {place}")
     # Files in the Hub's cache are found again by the name of the repository, and by the revision asked for.
-    name = place if plan.folder is not None else plan.repository.repo_id
-    revision = plan.repository.revision if plan.folder is None else None
+    name, revision = plan.repository.repo_id, plan.repository.revision
+    if plan.folder is not None:
+        name, revision = place, None
     line = kind.loading_lines(plan.manifest, name, plan.splits[0], revision)[1]
     sink.line(f"next in Python: {line}")
 
@@ -191,43 +175,26 @@ def _conclude(sink: Sink, plan: DownloadPlan, place: str, kind: DatasetKind) -> 
 def _print_sets(sink: Sink, kind: DatasetKind) -> None:
     from tactile_toolkit.catalog.published import states
 
-    found = states(kind.published)
-    sink.document(
-        [
-            {
-                "name": state.published.name,
-                "repository": state.published.repo_id,
-                "content": state.published.content,
-                "licence": state.licence,
-                "citation": state.published.citation,
-                "hub_bytes": state.hub_bytes,
-                "local_bytes": state.local_bytes,
-                "local_splits": list(state.local_splits),
-            }
-            for state in found
-        ]
-    )
-    rows = [
-        (
-            state.published.name,
-            state.published.content,
-            state.licence or "see its card",
-            "?" if state.hub_bytes is None else bytes_text(state.hub_bytes),
-            f"{bytes_text(state.local_bytes)} ({', '.join(state.local_splits)})"
-            if state.local_bytes
-            else "-",
-        )
-        for state in found
-    ]
+    documents, rows = [], []
+    for state in states(kind.published):
+        known, here, size = state.published, "-", "?"
+        facts = {name: getattr(state, name) for name in ("licence", "hub_bytes", "local_bytes")}
+        names = {"name": known.name, "repository": known.repo_id, "content": known.content}
+        splits = list(state.local_splits)
+        documents.append({**names, "citation": known.citation, **facts, "local_splits": splits})
+        if state.local_bytes:
+            here = f"{bytes_text(state.local_bytes)} ({', '.join(splits)})"
+        if state.hub_bytes is not None:
+            size = bytes_text(state.hub_bytes)
+        rows.append((known.name, known.content, state.licence or "see its card", size, here))
+    sink.document(documents)
     if not rows:
         related = [each for each in kinds() if each.published and each.package == kind.package]
         commands = " or ".join(f"`{each.command} list`" for each in related)
-        sink.line(
-            f"no data set of {kind.command} is published"
-            + (f"; next: {commands} lists what else {kind.package} opens" if commands else "")
-        )
+        lists = f"; next: {commands} lists what else {kind.package} opens" if commands else ""
+        sink.line(f"no data set of {kind.command} is published{lists}")
         return
     sink.table(("name", "holds", "licence", "on the Hub", "here"), rows)
-    if any(state.hub_bytes is None for state in found):
+    if any(row[3] == "?" for row in rows):
         sink.talk("?: the Hub gave no answer for this one (no network, or no access)")
     sink.line(f"next: {kind.command} download NAME [--split SPLIT] [--out DIR]")

@@ -11,7 +11,7 @@ import typer
 
 from cli.application import EXIT_FAILED, command
 from cli.folders import add_card
-from cli.hub_download import FILES_SHOWN, add_download, listed
+from cli.hub_download import FILES_SHOWN, add_download, confirmed, listed
 from cli.options import Folder, ReaderThreads, process_count
 from cli.output import Sink, bytes_text, counted
 from tactile_toolkit.kind import DatasetKind
@@ -92,8 +92,18 @@ def add_hub_commands(app: typer.Typer, kind: DatasetKind) -> None:
         result = None
         if not dry_run:
             # Even where all files are there, a branch to make is a change that may not be meant.
-            if not (prepared.plan.is_done and prepared.state.has_branch) and not yes:
-                _ask(prepared)
+            is_change = not (prepared.plan.is_done and prepared.target.has_branch)
+            if (
+                is_change
+                and not yes
+                and not confirmed(
+                    f"Send this to {prepared.target.page}?",
+                    "upload asks before it sends, and there is no terminal to ask on; nothing was sent",
+                    "add --yes, or look first with --dry-run",
+                )
+            ):
+                sys.stderr.write("nothing was sent\n")
+                raise typer.Exit(EXIT_FAILED)
             if sink.quiet or not sys.stderr.isatty():
                 from huggingface_hub.utils.tqdm import disable_progress_bars
 
@@ -106,43 +116,28 @@ def add_hub_commands(app: typer.Typer, kind: DatasetKind) -> None:
     add_download(app, kind)
 
 
-def _ask(prepared: PreparedUpload) -> None:
-    from tactile_toolkit.errors import InputError
-
-    if not (sys.stdin.isatty() and sys.stderr.isatty()):
-        message = (
-            "upload asks before it sends, and there is no terminal to ask on; nothing was sent; next: add "
-            "--yes, or look first with --dry-run"
-        )
-        raise InputError(message)
-    if not typer.confirm(f"Send this to {prepared.target.page}?", err=True):
-        sys.stderr.write("nothing was sent\n")
-        raise typer.Exit(EXIT_FAILED)
-
-
 def _print_plan(sink: Sink, prepared: PreparedUpload) -> None:
-    plan, state, where = prepared.plan, prepared.state, _where(prepared)
+    plan, target, where = prepared.plan, prepared.target, _where(prepared)
     for paths, words in (
         (prepared.left_out, "left out, no part of the data set: {}"),
         (plan.kept, "kept on the Hub, though the folder lacks it: {} (--delete removes it)"),
         (
             prepared.mixed,
-            "{}: named like shards of this data set, but not of it; the card leaves them out, other readers may "
-            "not; --delete removes them",
+            "{}: named like shards of this data set, but not of it; the card leaves them out, other readers "
+            "may not; --delete removes them",
         ),
     ):
         if paths:
             sink.talk(words.format(listed(paths)))
-    if state.held is None:
+    if target.held is None:
         visible = "private" if prepared.options.private else "public"
         sink.line(f"{visible} repository to create: {where}")
-    elif not state.has_branch:
-        sink.line(f"branch to create at the head of main: {prepared.target.branch}")
+    elif not target.has_branch:
+        sink.line(f"branch to create at the head of main: {target.branch}")
     if plan.is_done:
         return
-    there = state.held.files if state.held else {}
     rows = [
-        (file.path, bytes_text(file.size), "changed" if file.path in there else "new")
+        (file.path, bytes_text(file.size), "changed" if file.path in target.files else "new")
         for file in plan.to_send
     ]
     sink.table(("file", "size", "on the Hub"), rows[:FILES_SHOWN])
@@ -181,7 +176,7 @@ def _print_result(
 
 
 def _document(kind: DatasetKind, prepared: PreparedUpload, result: UploadResult | None) -> dict[str, Any]:
-    plan, held = prepared.plan, prepared.state.held
+    plan, held = prepared.plan, prepared.target.held
     return {
         "repository": prepared.target.repo_id,
         "revision": prepared.target.branch,

@@ -7,7 +7,6 @@ First everything is looked at and nothing is changed (:func:`plan_download`); th
 from __future__ import annotations
 
 import contextlib
-import re
 import shutil
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
@@ -52,7 +51,7 @@ _PICTURE_FOLDER = "images"
 # Where the Hub's client keeps what it has not fetched to the end.
 _STAGE_FOLDER = ".cache"
 _THREADS = 8
-_CARD = re.compile(r"---\r?\n(?P<head>.*?)\n---\r?\n(?P<body>.*)", flags=re.DOTALL)
+_FENCE = "---\n"
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,17 +66,16 @@ class DownloadPlan:
         Where to; None for the Hub's own cache.
     splits : tuple of str
         Splits that will be there.
-    files : tuple of HubFile
-        All files wanted, but for cards and manifest of a folder, which are fitted to its splits.
     missing : tuple of HubFile
-        Those of them that are to be fetched.
+        Files that are to be fetched.
     leftover : tuple of str
         Files of an earlier download that the repository has no more; they are removed. Empty where the Hub
         gives no answer: what is not known here may well be there.
     is_done : bool
         Whether there is nothing to do at all.
     record : DownloadRecord
-        What a folder is to record when all is done.
+        What a folder is to record when all is done. Its files are all that are wanted, but for cards and
+        manifest of a folder, which are fitted to its splits.
     earlier : DownloadRecord or None
         What the folder recorded when the plan was made.
     """
@@ -85,17 +83,11 @@ class DownloadPlan:
     repository: HubRepository
     folder: DataFolder | None
     splits: tuple[str, ...]
-    files: tuple[HubFile, ...]
     missing: tuple[HubFile, ...]
     leftover: tuple[str, ...]
     is_done: bool
     record: DownloadRecord
     earlier: DownloadRecord | None
-
-    @property
-    def bytes(self) -> int:
-        """Size of all files wanted."""
-        return sum(file.size_bytes for file in self.files)
 
     @property
     def missing_bytes(self) -> int:
@@ -154,19 +146,27 @@ def _plan(repository: HubRepository, splits: Sequence[str], folder: DataFolder |
 
     def is_here(file: HubFile) -> bool:
         """Return whether a file lies intact where it is to be, read again: a flipped bit changes no time."""
+        path, digest = file.path, file.digest
         if folder is None:
-            return repository.cached(file.path, force=True) is not None
+            return repository.cached(path, force=True) is not None
+        if digest is None or not folder.exists(path) or folder.size_bytes(path) != file.size_bytes:
+            return False
+        if folder.is_local:
+            return matches_digest(Path(folder.address(path)), digest, force=True)
         # A store changes no bit by itself: what a finished download wrote there is known by its size.
-        is_known = earlier is not None and earlier.finished and earlier.files.get(file.path) == file
-        return _matches(folder, file, is_known=is_known)
+        if earlier is not None and earlier.finished and recorded.get(path) == file:
+            return True
+        with folder.open(path) as stream:
+            return digest.of_stream(stream, file.size_bytes) == digest
 
     here = in_threads(is_here, files.values(), _THREADS)
     missing = [file for file, is_intact in zip(files.values(), here, strict=True) if not is_intact]
     leftover = [path for path in recorded if path not in files]
-    metadata = known.labels if known else tuple(path for path in _METADATA_FILES if path in snapshot.files)
-    record = DownloadRecord(
-        repository.repo_id, snapshot.commit, repository.revision, files, all_splits, metadata
-    )
+    # Other tools write manifests too, which are none of a data set of ours.
+    described = [path for path in _METADATA_FILES if path != MANIFEST_FILE or repository.manifest]
+    metadata = known.labels if known else tuple(path for path in described if path in snapshot.files)
+    origin = (repository.repo_id, snapshot.commit, repository.revision)
+    record = DownloadRecord(*origin, files, all_splits, metadata)
     is_done = not missing
     if folder is not None:
         _refuse_own_files(folder, [file.path for file in missing])
@@ -176,17 +176,8 @@ def _plan(repository: HubRepository, splits: Sequence[str], folder: DataFolder |
         for path in (*(file.path for file in missing), *metadata):
             if path not in snapshot.files or repository.cached(path) is None:
                 raise not_cached(repository.repo_id, repr(path))
-    return DownloadPlan(
-        repository,
-        folder,
-        chosen,
-        tuple(files.values()),
-        tuple(missing),
-        tuple(leftover),
-        is_done,
-        record,
-        earlier,
-    )
+    todo = (tuple(missing), tuple(leftover), is_done)
+    return DownloadPlan(repository, folder, chosen, *todo, record, earlier)
 
 
 def _answered(repository: HubRepository, record: DownloadRecord | None) -> HubRepository:
@@ -267,17 +258,6 @@ def _extras(repository: HubRepository, splits: Sequence[str], *, fitted: bool) -
     return [*found, *(path for path in repository.files() if path.startswith(folders))]
 
 
-def _matches(folder: DataFolder, file: HubFile, *, is_known: bool) -> bool:
-    if file.digest is None or not folder.exists(file.path) or folder.size_bytes(file.path) != file.size_bytes:
-        return False
-    if folder.is_local:
-        return matches_digest(Path(folder.address(file.path)), file.digest, force=True)
-    if is_known:
-        return True
-    with folder.open(file.path) as stream:
-        return file.digest.of_stream(stream, file.size_bytes) == file.digest
-
-
 def _has_metadata(folder: DataFolder, paths: Iterable[str]) -> bool:
     """Return whether a folder has its card, and a manifest that states that nothing is left to do."""
     with contextlib.suppress(IntegrityError):
@@ -287,28 +267,21 @@ def _has_metadata(folder: DataFolder, paths: Iterable[str]) -> bool:
 
 
 @storage_failure_as_hub_error()
-def download(
-    plan: DownloadPlan,
-    on_progress: Callable[[int, int], None] = lambda _done, _total: None,
-    on_wait: Callable[[str], None] = lambda _: None,
-) -> str:
+def download(plan: DownloadPlan, on_progress: Callable[[int, int], None] = lambda _done, _total: None) -> str:
     """Carry out a plan and return the folder that holds the files: that of a commit in the cache, or its own.
 
     ``on_progress`` gets the bytes that have arrived and the bytes in all. Raises IntegrityError (a file
     arrived damaged twice; nothing of it is kept, intact files are), HubError (the same call goes on where it
     stopped) or StorageError, with the exit code of HubError.
     """
-    repository, folder = (
-        replace(plan.repository, known=plan.repository.snapshot, on_wait=on_wait),
-        plan.folder,
-    )
+    repository, folder = plan.repository, plan.folder
     _require_space(plan)
     transfers = Transfers(lambda done: on_progress(done, plan.missing_bytes))
     if folder is None:
         repository.fetch([file.path for file in plan.missing], transfers)
         return str(snapshot_folder(repository.repo_id, plan.record.commit))
     if not plan.is_done:
-        with _alone(folder, on_wait):
+        with _alone(folder, repository.on_wait):
             if read_record(folder) != plan.earlier:  # another download was here, maybe of other splits
                 plan = _plan(repository, plan.splits, folder)
             if not plan.is_done:
@@ -368,7 +341,7 @@ def _execute(plan: DownloadPlan, folder: DataFolder, transfers: Transfers) -> No
         stage = Path(folder.address()) if folder.is_local else stack.enter_context(scratch_folder())
 
         def fetch_file(file: HubFile) -> None:
-            """Bring one file into the folder: copied where the Hub's cache has it intact, fetched where not."""
+            """Bring one file into the folder: a copy where the Hub's cache has it intact, or fetched."""
             cached = repository.cached(file.path)
             place = cached or repository.download(file.path, transfers, stage)
             if cached is not None or not folder.is_local:
@@ -386,13 +359,12 @@ def _execute(plan: DownloadPlan, folder: DataFolder, transfers: Transfers) -> No
 
 def _write_metadata(plan: DownloadPlan, folder: DataFolder, manifest: Manifest | None) -> None:
     """Write manifest and cards, fitted to the splits that are there."""
-    is_part = set(plan.splits) < set(plan.record.splits)
-    names = plan.record.labels
-    contents = {
-        name: Path(path).read_bytes() for name, path in zip(names, plan.repository.fetch(names), strict=True)
-    }
+    is_part, names = set(plan.splits) < set(plan.record.splits), plan.record.labels
+    found = [Path(path).read_bytes() for path in plan.repository.fetch(names)]
+    contents = dict(zip(names, found, strict=True))
     shown = {path for paths in viewer_files(manifest).values() for path in paths}
-    if manifest is not None and (is_part or shown):
+    is_fitted = is_part or bool(shown)
+    if manifest is not None and is_fitted:
         records = [record for record in manifest.shards if record.shard.split in plan.splits]
         files = {path: digest for path, digest in (manifest.files or {}).items() if path not in shown}
         fitted = replace(manifest, shards=tuple(records), files=files)
@@ -402,8 +374,7 @@ def _write_metadata(plan: DownloadPlan, folder: DataFolder, manifest: Manifest |
         folder.write_bytes(MANIFEST_FILE, contents[MANIFEST_FILE])
     if CARD_FILE in contents:
         card = contents[CARD_FILE]
-        note = _note_of_part(plan) if is_part else ""
-        folder.write_bytes(CARD_FILE, _fitted_card(card, folder, note) if is_part or shown else card)
+        folder.write_bytes(CARD_FILE, _fitted_card(card, plan, folder, is_part) if is_fitted else card)
     if CROISSANT_FILE in contents:
         content = contents[CROISSANT_FILE]
         with contextlib.suppress(ToolkitError, ValueError, RecursionError):  # somebody's own stays as it is
@@ -412,15 +383,7 @@ def _write_metadata(plan: DownloadPlan, folder: DataFolder, manifest: Manifest |
         folder.write_bytes(CROISSANT_FILE, content)
 
 
-def _note_of_part(plan: DownloadPlan) -> str:
-    here = ", ".join(f"`{split}`" for split in plan.splits)
-    return (
-        f"\n> This folder holds {here} of `{plan.repository.repo_id}` (commit `{plan.record.commit[:12]}`); the "
-        "text below describes the whole data set.\n\n"
-    )
-
-
-def _fitted_card(content: bytes, folder: DataFolder, note: str) -> bytes:
+def _fitted_card(content: bytes, plan: DownloadPlan, folder: DataFolder, is_part: bool) -> bytes:
     """Return a card whose YAML head names what is here, with a note in front of its text.
 
     A card without a head that can be read is left as it is. Shards and manifest must be in place.
@@ -428,17 +391,21 @@ def _fitted_card(content: bytes, folder: DataFolder, note: str) -> bytes:
     # ``datasets.load_dataset(folder)`` fails over a split that the head names and the folder lacks.
     import yaml
 
-    match = _CARD.fullmatch(content.decode("utf-8", errors="replace"))
     try:
-        head = yaml.safe_load(match["head"]) if match else None
-        if match is None or not isinstance(head, dict):
-            return content
-        facts = folder_facts(folder)
+        start, text, body = content.decode().split(_FENCE, 2)
+        head, facts = yaml.safe_load(text), folder_facts(folder)
         head["configs"] = configs(facts)
         if "size_categories" in head:
             head["size_categories"] = [size_category(facts.rows)]
         if "dataset_info" in head:
             head["dataset_info"] = dataset_info(facts)
-    except (yaml.YAMLError, RecursionError, ToolkitError):
+    except (ValueError, TypeError, yaml.YAMLError, RecursionError, ToolkitError):
         return content
-    return (head_text(head) + note + match["body"]).encode()
+    if start:
+        return content
+    here = ", ".join(f"`{split}`" for split in plan.splits)
+    note = (
+        f"\n> This folder holds {here} of `{plan.repository.repo_id}` (commit `{plan.record.commit[:12]}`); "
+        "the text below describes the whole data set.\n\n"
+    )
+    return (head_text(head) + (note if is_part else "") + body).encode()

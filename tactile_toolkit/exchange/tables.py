@@ -133,8 +133,8 @@ def viewer_tables(folder: DataFolder, manifest: Manifest, out: Path) -> dict[str
     """Write a file for each shard that the Hub's page shows; return their digests by path in ``out``.
 
     Each row with its mesh as a GLB file: a second configuration of a repository. It repeats what the shards
-    hold, so it is made when a folder is sent, and nothing here reads it: loaders take the shards, and a download
-    leaves it where it is. Raises InputError where the rows have no mesh.
+    hold, so it is made when a folder is sent, and nothing here reads it: loaders take the shards, and a
+    download leaves it where it is. Raises InputError where the rows have no mesh.
     """
     (out / VIEWER_FOLDER).mkdir()
 

@@ -10,7 +10,7 @@ import contextlib
 import re
 import warnings
 import weakref
-from collections.abc import Callable, Container, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Container, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from fnmatch import fnmatch
 from functools import cached_property
@@ -62,7 +62,6 @@ _FENCE = "---\n"
 _THREADS = 8
 # All files of each are listed and compared.
 _PULLS_SEEN = 10
-_EXCLUDE = "{} and {} exclude each other; next: leave one of them out"
 
 T = TypeVar("T")
 
@@ -99,24 +98,32 @@ class UploadOptions:
     viewer: bool = False
 
     def __post_init__(self) -> None:
-        branch, pull = f"--revision {self.revision}", "--create-pr" if self.create_pr else ""
-        if self.create_pr and self.revision not in (None, MAIN):
-            raise InputError(_EXCLUDE.format(pull, branch))
-        if self.tag is not None and (self.create_pr or (self.revision or "").startswith("refs/")):
-            raise InputError(_EXCLUDE.format(pull or branch, f"--tag {self.tag}"))
-        # Such names for a branch or tag would be read as something else ever after.
-        for option, name in (("--revision", self.revision), ("--tag", self.tag)):
-            if name is not None and _COMMIT.fullmatch(name):
-                message = f"{option} {name} is the name of a commit; next: give a branch or tag of your own"
-                raise InputError(message)
-        if self.tag is not None and self.tag == (self.revision or MAIN):
-            message = f"--tag {self.tag} is the name of the branch that is written to; next: choose another"
+        branch, tag = f"--revision {self.revision}", f"--tag {self.tag}"
+        exclude = "{} and {} exclude each other; next: leave one of them out"
+        is_pull = (self.revision or "").startswith("refs/")
+        _refuse(
+            (self.create_pr and self.revision not in (None, MAIN), exclude.format("--create-pr", branch)),
+            (self.tag and self.create_pr, exclude.format("--create-pr", tag)),
+            (self.tag and is_pull, exclude.format(branch, tag)),
+            # Such names would be read as something else ever after.
+            (
+                _COMMIT.fullmatch(self.revision or ""),
+                f"{branch} is the name of a commit; next: give a branch",
+            ),
+            (_COMMIT.fullmatch(self.tag or ""), f"{tag} is the name of a commit; next: choose another"),
+            (self.tag == (self.revision or MAIN), f"{tag} is the name of the branch; next: choose another"),
+        )
+
+
+def _refuse(*problems: tuple[object, str]) -> None:
+    for is_found, message in problems:
+        if is_found:
             raise InputError(message)
 
 
 @dataclass(frozen=True, slots=True)
 class LocalFile:
-    """A file as it is to be on the Hub: its path there, where it lies, and each digest that it may have there."""
+    """A file as it is to be on the Hub: its path there, where it lies, and the digests it may have there."""
 
     path: str
     place: Path
@@ -190,19 +197,10 @@ def collect(root: Path, manifest: Manifest, elsewhere: Container[str] = ()) -> l
 
 
 def left_out(root: Path, sent: Iterable[str]) -> list[str]:
-    """List what of a folder is not sent; a sub-folder of which nothing is sent once, with a slash."""
-    paths = set(sent)
-    holding = {parent.as_posix() for path in paths for parent in Path(path).parents}
-
-    def below(folder: Path) -> Iterator[str]:
-        for entry in sorted(folder.iterdir()):
-            path = entry.relative_to(root).as_posix()
-            if entry.is_dir() and path in holding:
-                yield from below(entry)
-            elif path not in paths:
-                yield f"{path}/" if entry.is_dir() else path
-
-    return list(below(root))
+    """List the files and sub-folders of a folder of which nothing is sent."""
+    names = {path.partition("/")[0] for path in sent}
+    others = sorted(entry for entry in root.iterdir() if entry.name not in names)
+    return [f"{entry.name}/" if entry.is_dir() else entry.name for entry in others]
 
 
 def card_for_hub(
@@ -238,11 +236,20 @@ def card_for_hub(
 
 @dataclass(frozen=True)
 class UploadTarget:
-    """A branch of a data set repository, or a pull request to be opened; ``on_wait`` gets a sentence for each wait."""
+    """A branch of a data set repository as it is now, or a pull request.
+
+    ``held`` is what the commit holds that the branch points to, or that it will start at, the head of
+    ``main``; None where there is no such repository. ``tags`` and ``branches`` name commits. ``on_wait`` gets
+    a sentence for each wait.
+    """
 
     repo_id: str
     branch: str = MAIN
     on_wait: Callable[[str], None] = field(default=lambda _: None, repr=False, compare=False)
+    held: HubSnapshot | None = None
+    tags: Mapping[str, str] = field(default_factory=dict)
+    branches: Mapping[str, str] = field(default_factory=dict)
+    has_branch: bool = False
 
     @property
     def page(self) -> str:
@@ -251,18 +258,18 @@ class UploadTarget:
 
         return f"{constants.ENDPOINT}/datasets/{self.repo_id}"
 
+    @property
+    def files(self) -> Mapping[str, HubFile]:
+        """What the branch holds, by path."""
+        return self.held.files if self.held else {}
+
     def ask(self, action: Callable[[Any], T], *, is_question: bool = True) -> T:
         """Return what an action does with the Hub's client; one that may be called once more."""
         from huggingface_hub import HfApi
 
-        return call_with_retry(
-            lambda: action(HfApi()),
-            self.repo_id,
-            self.branch,
-            "uploading to",
-            is_question=is_question,
-            on_wait=self.on_wait,
-        )
+        options: dict[str, Any] = {"is_question": is_question, "on_wait": self.on_wait}
+        doing = "uploading to"
+        return call_with_retry(lambda: action(HfApi()), self.repo_id, self.branch, doing, **options)
 
     def do(self, what: str, **options: Any) -> None:
         """Call a method of the client for this repository."""
@@ -272,11 +279,11 @@ class UploadTarget:
         """List the files of a commit or pull request."""
         return self.ask(lambda _: listing(self.repo_id, revision, in_pages=True))
 
-    def state(self) -> RemoteState:
+    def now(self) -> UploadTarget:
         """Look what the branch holds; a repository or branch that does not exist is not an error."""
-        return self.ask(self._state)
+        return self.ask(self._now)
 
-    def _state(self, api: Any) -> RemoteState:
+    def _now(self, api: Any) -> UploadTarget:
         from huggingface_hub import errors
 
         try:
@@ -285,40 +292,21 @@ class UploadTarget:
             # To the client it is a kind of that, but such a repository is there.
             if isinstance(error, errors.GatedRepoError):
                 raise
-            return RemoteState()
+            return UploadTarget(self.repo_id, self.branch, self.on_wait)
         tags = {ref.name: str(ref.target_commit) for ref in refs.tags}
         heads = {ref.name: str(ref.target_commit) for ref in refs.branches}
         # A pull request that is written to is not listed.
         is_there = self.branch in heads or self.branch.startswith("refs/")
         held = listing(self.repo_id, self.branch if is_there else MAIN, in_pages=True)
-        return RemoteState(held, tags, heads, is_there)
-
-
-@dataclass(frozen=True)
-class RemoteState:
-    """A branch of a repository as it is now.
-
-    ``held`` is what the commit holds that the branch points to, or that it will start at, the head of
-    ``main``; None where there is no such repository. ``tags`` and ``branches`` name commits.
-    """
-
-    held: HubSnapshot | None = None
-    tags: Mapping[str, str] = field(default_factory=dict)
-    branches: Mapping[str, str] = field(default_factory=dict)
-    has_branch: bool = False
-
-    @property
-    def private(self) -> bool:
-        """Whether only its owner sees it."""
-        return self.held is not None and self.held.is_private
+        return replace(self, held=held, tags=tags, branches=heads, has_branch=is_there)
 
 
 @dataclass(frozen=True)
 class PreparedUpload:
     """An upload that is decided and not begun; ``pull`` is an open pull request that holds everything.
 
-    ``left_out`` lies in the folder and does not belong to the data set. ``scratch`` holds what was made for the
-    upload as long as this is kept.
+    ``left_out`` lies in the folder and does not belong to the data set. ``scratch`` holds what was made for
+    the upload as long as this is kept.
     """
 
     target: UploadTarget
@@ -326,40 +314,34 @@ class PreparedUpload:
     manifest: Manifest
     files: tuple[LocalFile, ...]
     left_out: tuple[str, ...]
-    state: RemoteState
     scratch: Scratch
     pull: str | None = None
 
     @cached_property
     def plan(self) -> UploadPlan:
         """What the Hub lacks of the folder, and has beside it."""
-        return self._compared(self.state.held.files if self.state.held else {})
+        return compare(self.files, self.target.files, delete=self.options.delete)
 
-    def _compared(self, there: Mapping[str, HubFile]) -> UploadPlan:
-        return compare(self.files, there, delete=self.options.delete)
-
-    def at(self, state: RemoteState) -> PreparedUpload:
+    def at(self, target: UploadTarget) -> PreparedUpload:
         """Return the upload that is left where the Hub holds that; or an open pull request holds all."""
-        left = replace(self, state=state, pull=None)
-        if not self.options.create_pr or state.held is None or left.plan.is_done:
+        left = replace(self, target=target, pull=None)
+        if not self.options.create_pr or target.held is None or left.plan.is_done:
             return left
 
         def open_pulls(api: Any) -> list[int]:
             wanted = {"discussion_type": "pull_request", "discussion_status": "open"}
-            found = api.get_repo_discussions(self.target.repo_id, repo_type="dataset", **wanted)
+            found = api.get_repo_discussions(target.repo_id, repo_type="dataset", **wanted)
             return sorted((each.num for each in found), reverse=True)[:_PULLS_SEEN]
 
-        for number in self.target.ask(open_pulls):
-            held = self.target.at(f"refs/pr/{number}")
-            if self._compared(held.files).is_done:
-                return replace(left, state=replace(state, held=held), pull=f"refs/pr/{number}")
-        return left
+        pulls = (f"refs/pr/{number}" for number in target.ask(open_pulls))
+        others = (replace(left, target=replace(target, held=target.at(pull)), pull=pull) for pull in pulls)
+        return next((other for other in others if other.plan.is_done), left)
 
     def send(self, api: Any) -> tuple[str, str | None]:
         """Send what is missing as one commit; return that, and the pull request that it opened."""
         from huggingface_hub import CommitOperationAdd, CommitOperationDelete
 
-        pull, held = self.options.create_pr, self.state.held
+        pull, held = self.options.create_pr, self.target.held
         gone = [CommitOperationDelete(path) for path in self.plan.removed]
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # the client library's own, which no user can heed
@@ -382,7 +364,7 @@ class PreparedUpload:
     def require_arrival(self, commit: str) -> None:
         """Compare every file of a commit with the folder, by checksum; IntegrityError names what differs."""
         there = self.target.at(commit).files
-        arrived = self._compared(there)
+        arrived = compare(self.files, there, delete=self.options.delete)
         wrong = [
             f"{each.path} {'differs' if each.path in there else 'is missing'}" for each in arrived.to_send
         ]
@@ -466,32 +448,26 @@ def prepare_upload(
     that cannot be used), IntegrityError (damage, a card that does not fit the data) or HubError.
     """
     chosen, place, scratch = options or UploadOptions(), DataFolder(folder), Scratch()
-    if hub_name(repo_id) != HubName(repo_id, None, ""):
-        message = f"{repo_id!r} is not a name of a repository; next: give USER/NAME"
-        raise InputError(message)
-    manifest = read_manifest(place)
+    manifest, target = read_manifest(place), UploadTarget(repo_id, chosen.revision or MAIN, on_wait)
+    is_name = hub_name(repo_id) == HubName(repo_id, None, "")
+    _refuse((not is_name, f"{repo_id!r} is not a name of a repository; next: give USER/NAME"))
     if manifest is None:
         message = (
-            f"{place.lacks(MANIFEST_FILE)}: only data sets made by this toolkit can be checked before they are "
-            "sent; next: give the folder of one"
+            f"{place.lacks(MANIFEST_FILE)}: only data sets made by this toolkit can be checked before they "
+            "are sent; next: give the folder of one"
         )
         raise InputError(message)
     if not place.is_local:
         place = local_copy(place, scratch.place / "copy")
-    _require_sound(folder, list(check(place) if check else verify(place, check_card=check_card).findings))
-    target = UploadTarget(repo_id, chosen.revision or MAIN, on_wait)
+    _require_sound(check(place) if check else verify(place, check_card=check_card).findings)
     if not dry_run:
         target.ask(lambda api: api.whoami())
-    state = target.state()
-    _refuse_exposure(target, chosen, state)
-    _refuse_taken_names(target, chosen, state)
-    manifest, files = _files_to_send(
-        Path(place.address()), folder, manifest, target, chosen, state, scratch.place
-    )
+    target = target.now()
+    manifest, files = _files_to_send(place, manifest, target, chosen, scratch.place)
     unsent = left_out(Path(place.address()), (file.path for file in files))
-    prepared = PreparedUpload(target, chosen, manifest, files, tuple(unsent), state, scratch)
-    _refuse_other_tag(prepared)
-    return prepared.at(state)
+    prepared = PreparedUpload(target, chosen, manifest, files, tuple(unsent), scratch).at(target)
+    _refuse_conflicts(prepared)
+    return prepared
 
 
 def local_copy(folder: DataFolder, root: Path) -> DataFolder:
@@ -507,81 +483,67 @@ def local_copy(folder: DataFolder, root: Path) -> DataFolder:
     return DataFolder(str(root))
 
 
-def _require_sound(folder: str, findings: Sequence[Finding]) -> None:
-    if findings:
-        listed = "; ".join(f"{each.file} {each.problem}".partition("; next: ")[0] for each in findings[:3])
-        more = f" and {len(findings) - 3} more" if len(findings) > 3 else ""
+def _require_sound(findings: Iterable[Finding]) -> None:
+    found = [f"{each.file} {each.problem}".partition("; next: ")[0] for each in findings]
+    if found:
+        more = f" and {len(found) - 3} more" if len(found) > 3 else ""
         message = (
-            f"{folder!r} is not fit to be sent, nothing was: {listed}{more}; next: run the command that made "
-            "it again, or the command `card` where only the card is wrong"
+            f"the folder is not fit to be sent, nothing was: {'; '.join(found[:3])}{more}; next: run the "
+            "command that made it again, or the command `card` where only the card is wrong"
         )
         raise IntegrityError(message)
 
 
-def _refuse_exposure(target: UploadTarget, options: UploadOptions, state: RemoteState) -> None:
-    if options.private and state.held is not None and not state.private:
-        message = (
-            f"{target.repo_id!r} exists and everyone can see it, --private was asked for; nothing was sent; "
-            f"next: make it private at {target.page}/settings, or leave --private out"
-        )
-        raise InputError(message)
-
-
-def _refuse_taken_names(target: UploadTarget, options: UploadOptions, state: RemoteState) -> None:
-    """Refuse a branch named as a tag, and the other way round: readers could not tell one from the other."""
-    taken = ""
-    if options.revision in state.tags and not state.has_branch:
-        taken = f"--revision {options.revision}: of {target.repo_id!r} that is a tag, which names one commit"
-    elif options.tag in state.branches:
-        taken = f"--tag {options.tag}: of {target.repo_id!r} that is a branch"
-    if taken:
-        message = f"{taken}; nothing was sent; next: choose another name"
-        raise InputError(message)
-
-
-def _refuse_other_tag(prepared: PreparedUpload) -> None:
-    """Refuse a name of the user's that another commit has: only the schema's name moves along."""
-    tag, held = prepared.options.tag, prepared.state.held
-    there = prepared.state.tags.get(tag) if tag else None
-    if there and not (prepared.plan.is_done and held is not None and there == held.commit):
-        message = (
-            f"tag {tag!r} of {prepared.target.repo_id!r} names commit {there[:12]} already; nothing was "
-            "sent; next: choose another --tag, or delete that one on the Hub"
-        )
-        raise InputError(message)
+def _refuse_conflicts(prepared: PreparedUpload) -> None:
+    """Refuse to show what is to be private, to mix up tags and branches, and to move a tag of the user's."""
+    options, target, unsent = prepared.options, prepared.target, "nothing was sent; next:"
+    of_it, other = f"of {target.repo_id!r}", "choose another name"
+    is_public = target.held is not None and not target.held.is_private
+    names = target.tags.get(options.tag or "", "")
+    is_new = not prepared.plan.is_done or target.held is None or target.held.commit != names
+    _refuse(
+        (
+            options.private and is_public,
+            f"{target.repo_id!r} exists and everyone can see it, --private was asked for; {unsent} make it "
+            f"private at {target.page}/settings, or leave --private out",
+        ),
+        (
+            options.revision in target.tags and not target.has_branch,
+            f"--revision {options.revision}: {of_it} that is a tag; {unsent} {other}",
+        ),
+        (options.tag in target.branches, f"--tag {options.tag}: {of_it} that is a branch; {unsent} {other}"),
+        (
+            names and is_new,
+            f"tag {options.tag!r} {of_it} names commit {names[:12]} already; {unsent} choose another --tag, "
+            "or delete that one on the Hub",
+        ),
+    )
 
 
 def _files_to_send(
-    root: Path,
-    folder: str,
-    manifest: Manifest,
-    target: UploadTarget,
-    options: UploadOptions,
-    state: RemoteState,
-    scratch: Path,
+    place: DataFolder, manifest: Manifest, target: UploadTarget, options: UploadOptions, scratch: Path
 ) -> tuple[Manifest, tuple[LocalFile, ...]]:
     """Collect the files, with the cards as they are to be on the Hub, checked as such."""
-    described, made = (root / MANIFEST_FILE).read_bytes(), dict[str, str]()
+    root, described, made = Path(place.address()), place.read_bytes(MANIFEST_FILE), dict[str, str]()
     if options.viewer:
-        made = viewer_tables(DataFolder(str(root)), manifest, scratch)
+        made = viewer_tables(place, manifest, scratch)
         manifest = replace(manifest, files={**(manifest.files or {}), **made})
         described = manifest.to_json().encode()
     files = collect(root, manifest, made)
-    there = state.held.files if state.held else {}
-    others = compare(files, there, delete=options.delete).kept
+    others = compare(files, target.files, delete=options.delete).kept
     shards = {split: [r.shard.data_path for r in manifest.shards_of(split)] for split in manifest.splits}
-    stored = (root / CARD_FILE).read_text(encoding="utf-8")
+    stored = place.read_bytes(CARD_FILE).decode()
     text = card_for_hub(stored, target.repo_id, shards, others, viewer_files(manifest))
     held = {*(file.path for file in files), *made, *others}
-    _require_sound(folder, check_card(DataFolder(str(root)), text, held=held, manifest=manifest))
+    _require_sound(check_card(place, text, held=held, manifest=manifest))
     rendered = {CARD_FILE: text.encode(), MANIFEST_FILE: described}
-    if (root / CROISSANT_FILE).exists():
-        for_machines = (root / CROISSANT_FILE).read_text(encoding="utf-8")
+    if place.exists(CROISSANT_FILE):
+        for_machines = place.read_bytes(CROISSANT_FILE).decode()
         rendered[CROISSANT_FILE] = croissant_for_hub(for_machines, target.page, text, described).encode()
     for path, content in rendered.items():
         (scratch / path).write_bytes(content)
-    others_here = [file for file in files if file.path not in rendered]
-    return manifest, (*(LocalFile.of(path, scratch / path) for path in (*rendered, *made)), *others_here)
+    as_they_are = [file for file in files if file.path not in rendered]
+    return manifest, (*(LocalFile.of(path, scratch / path) for path in (*rendered, *made)), *as_they_are)
 
 
 def run_upload(prepared: PreparedUpload) -> UploadResult:
@@ -591,28 +553,27 @@ def run_upload(prepared: PreparedUpload) -> UploadResult:
     lost. Raises HubError (what was sent stays there, and the same call goes on from it) or IntegrityError
     (what the Hub holds afterwards is not what the folder has).
     """
-    target, state, now = prepared.target, prepared.state, prepared
-    if state.held is None:
+    target, now, tries = prepared.target, prepared, 0
+    if target.held is None:
         # exist_ok: another upload may have made it since it was looked for.
         target.do("create_repo", private=prepared.options.private, exist_ok=True)
-    if not state.has_branch and target.branch != MAIN:
-        start = state.held.commit if state.held else None
+    if not target.has_branch and target.branch != MAIN:
+        start = target.held.commit if target.held else None
         target.do("create_branch", branch=target.branch, revision=start, exist_ok=True)
-    tries = 0
 
     def send(api: Any) -> tuple[str, str | None]:
         nonlocal now, tries
         tries += 1
         if tries > 1:
-            now = now.at(target.state())
-        held = now.state.held
+            now = now.at(target.now())
+        held = now.target.held
         return (held.commit, now.pull) if held is not None and now.plan.is_done else now.send(api)
 
     commit, pull = target.ask(send, is_question=False)
     prepared.require_arrival(commit)
-    tags = [tag for tag in prepared.tags if state.tags.get(tag) != commit]
+    tags = [tag for tag in prepared.tags if target.tags.get(tag) != commit]
     for tag in tags:
-        if tag in state.tags:
+        if tag in target.tags:
             target.do("delete_tag", tag=tag)  # the client moves no tag
         target.do("create_tag", tag=tag, revision=commit, exist_ok=True)
     sent = tuple(file.path for file in prepared.plan.to_send)

@@ -1,7 +1,7 @@
 """Calls of the Hub's client: how much an answer may cost, and trying again what fails for the moment.
 
 The client takes whatever comes for as long as it comes, and waits as long as it is asked to. The hooks of its
-session limit the bytes and the time of all that goes through it: questions, downloads, reading piece by piece.
+session limit bytes and time of all that goes through it: questions, downloads, reading piece by piece.
 """
 
 from __future__ import annotations
@@ -10,12 +10,11 @@ import contextlib
 import contextvars
 import logging
 import re
-import threading
 import time
 from collections.abc import Callable, Iterator
-from concurrent.futures import Future, wait
 from dataclasses import dataclass, field
 from importlib import import_module
+from multiprocessing.pool import ThreadPool
 from typing import Any, TypeVar
 
 from tactile_toolkit.errors import HubError
@@ -52,10 +51,7 @@ _LASTING = frozenset(
 _RANGE = re.compile(r"bytes=(\d+)-(\d+)")
 _ADDRESS = re.compile(r"(https?://[^/\s'\"]+)[^\s'\"]*")
 _LIBRARY = "huggingface_hub"
-# What is said here too, in other words.
-_REPEATED = ("Retrying in", "No files have been modified")
 _LISTENERS: list[Callable[[str], None]] = []
-_RELAYED: set[str] = set()
 
 T = TypeVar("T")
 
@@ -86,11 +82,11 @@ def call_with_retry(
     most_bytes: float = float("inf"),
     on_wait: Callable[[str], None] = lambda _: None,
 ) -> T:
-    """Return what an action with the Hub gives; what fails for the moment is tried again after growing waits.
+    """Return what an action gives; what fails for the moment is tried again after growing waits.
 
-    The action may have had its effect though it failed, where the answer was lost. ``on_wait`` gets a sentence
-    for each wait; all waits that the Hub asks for are limited together. What ``is_question`` (all but sending
-    and fetching files) has a limit of time, and other answers are of ``most_bytes``. Raises what
+    The action may have had its effect though it failed, where the answer was lost. ``on_wait`` gets a
+    sentence for each wait; all waits that the Hub asks for are limited together. What ``is_question`` (all
+    but sending and fetching files) has a limit of time, and other answers are of ``most_bytes``. Raises what
     :func:`tactile_toolkit.hub.errors.named_failures` does, with the number of tries.
     """
     waits = WAITS_S if waits_s is None else waits_s
@@ -155,7 +151,7 @@ def _requested_s(headers: Any) -> float:
 
 @contextlib.contextmanager
 def _client_messages(on_message: Callable[[str], None]) -> Iterator[None]:
-    """Keep the client from writing to the terminal; the newest listener gets each of its messages once."""
+    """Keep the client from writing to the terminal; the newest listener gets its messages."""
     import_module(f"{_LIBRARY}.utils.logging")  # adds its handler when it is imported
     for handler in logging.getLogger(_LIBRARY).handlers:
         handler.addFilter(_relay)  # once, however often
@@ -164,18 +160,14 @@ def _client_messages(on_message: Callable[[str], None]) -> Iterator[None]:
         yield
     finally:
         _LISTENERS.remove(on_message)
-        if not _LISTENERS:
-            _RELAYED.clear()
 
 
 def _relay(record: logging.LogRecord) -> bool:
-    """Return whether a message of the client is for the terminal: nobody listens."""
+    """Pass on a message to the newest listener; return whether it is for the terminal: nobody listens."""
     listeners = _LISTENERS[-1:]
-    # Without tokens, and with no more of an address than its host.
-    text = _ADDRESS.sub(r"\1", scrub(record.getMessage().partition("\n")[0]))
-    is_new = record.levelno >= logging.WARNING and text not in _RELAYED and not text.startswith(_REPEATED)
-    if listeners and is_new:
-        _RELAYED.add(text)
+    if listeners and record.levelno >= logging.WARNING:
+        # Without tokens, and with no more of an address than its host.
+        text = _ADDRESS.sub(r"\1", scrub(record.getMessage().partition("\n")[0]))
         listeners[0](f"the Hub's client says: {text}")
     return not listeners
 
@@ -190,22 +182,15 @@ def _limited_call(action: Callable[[], T], call: _Call, *, is_question: bool) ->
     context.run(_CALL.set, call)
     if not is_question:
         return context.run(action)
-    future: Future[T] = Future()
-
-    def work() -> None:
-        try:
-            future.set_result(context.run(action))
-        except BaseException as error:
-            future.set_exception(error)
-
-    # In a thread that can be given up: the client has no limit for an answer that arrives byte by byte.
-    threading.Thread(target=work, daemon=True).start()
-    while not future.done():
-        left_s = call.began_s + QUESTION_S - time.monotonic()
-        if left_s <= 0:
-            raise TimeoutError
-        wait([future], left_s)
-    return future.result()
+    # In a daemon that can be given up: the client has no limit for an answer that arrives byte by byte.
+    with ThreadPool(1) as pool:
+        result = pool.apply_async(context.run, (action,))
+        while not result.ready():
+            left_s = call.began_s + QUESTION_S - time.monotonic()
+            if left_s <= 0:
+                raise TimeoutError
+            result.wait(left_s)
+        return result.get()
 
 
 def _note_request(_: Any) -> None:
@@ -244,7 +229,8 @@ def _limited(pieces: Callable[..., Iterator[bytes]], most: float) -> Callable[..
             now_s = time.monotonic()
             arrived, lately = arrived + len(piece), lately + len(piece)
             if arrived > most:
-                raise TooLargeError(format(most, ","))
+                message = f"more than the {most:,} bytes that were expected"
+                raise TooLargeError(message)
             if lately >= LEAST_BYTES:
                 lately, since_s = 0, now_s
             elif now_s > since_s + WAIT_S:

@@ -1,7 +1,7 @@
 """Failures of the Hub as errors of the toolkit, each in a sentence that ends in the next step.
 
-The client raises a dozen kinds of errors, wraps some in others, and has one status for a private repository and
-for a missing one. :func:`failure_of` looks through all that: one table maps what failed to its sentence.
+The client raises a dozen kinds of errors, wraps some in others, and has one status for a private repository
+and for a missing one. :func:`failure_of` looks through all that: one table maps what failed to its sentence.
 """
 
 from __future__ import annotations
@@ -40,49 +40,46 @@ _AGAIN = "next: check the network, and HF_ENDPOINT if you set it, and run the sa
 # Raised by what reads an answer that has another form than expected.
 _UNREADABLE = (ValueError, TypeError, LookupError, AttributeError, RecursionError)
 
-# By the name of the exception's class or of one that it derives from, by status, or by another key of `_keys`.
-# In order: the first entry that fits any error of the chain is the most telling.
+# By the name of the exception's class or of one that it derives from, by status, or by another key that
+# `_keys` gives. In order: the first entry that fits any error of the chain is the most telling.
 _SENTENCES = {
-    "full": "no space is left on the device{place} while {task}; nothing half-written counts as intact; next: "
-    "free some space, or choose another place with --out or HF_HOME, and run it again",
-    "PermissionError": "may not write{place} while {task}: {words}; next: choose another place with --out or "
-    "HF_HOME",
-    "TooLargeError": "the Hub sends more than the {words} bytes that were expected, while {task}; nothing of it "
-    "was kept; next: check HF_ENDPOINT, or try again later",
-    "GatedRepoError": "{subject} is gated; next: accept its terms at {page}{and_login}",
-    "RepositoryNotFoundError": "{subject} was not found, or is private and {unseen}",
-    "RevisionNotFoundError": "{subject} has no revision {revision!r}; next: see its branches and tags at {page}",
+    "full": "no space is left on the device{place} while {task}; nothing half-written counts as intact; "
+    "next: free some space, or choose another place with --out or HF_HOME, and run it again",
+    "PermissionError": "may not write{place} while {task}; next: choose another place with --out or HF_HOME",
+    "GatedRepoError": "{subject} is gated; next: accept its terms at {page}{login}",
+    "RepositoryNotFoundError": f"{{subject}} was not found, or is private and {{who}} may not see it; next: "
+    f"check the name, or {_LOGIN} as someone who may",
+    "RevisionNotFoundError": "{subject} has no revision {revision!r}; next: see what it has at {page}",
     "RemoteEntryNotFoundError": "{subject} has no file {file!r}; next: see what it has at {page}/tree/main",
     "HFValidationError": "{repo_id!r} is not a name of a repository; next: give USER/NAME",
     "LocalTokenNotFoundError": f"{{task}} needs a login, and there is no token here; next: {_LOGIN}",
-    "401": "the Hub does not know the token ({source}), it is mistyped, expired or deleted; nothing can be read "
-    "with it, not even {subject}; next: {renew}",
-    "403": "the Hub forbids {task}: {words}{account}; next: use a token of role `write`, and a name of your own",
-    "412": "{subject} was changed by someone else meanwhile; next: run the same command again",
-    "429": "the Hub wants fewer requests (429) while {task}; next: try again {wait}, what has arrived is kept",
-    "5xx": "the Hub is in trouble while {task}: it answered {status}; next: try again later, what has arrived is "
-    "kept",
+    "401": "the Hub does not know the token ({source}), it is mistyped, expired or deleted; nothing can be "
+    "read with it, not even {subject}; next: log in with `hf auth login --force`, or set another HF_TOKEN",
+    "403": "the Hub forbids {task}: {words}{account}; next: use a token of role `write`, and a name of your "
+    "own",
+    "429": "the Hub wants fewer requests (429) while {task}; next: try again {wait}, what arrived is kept",
+    "5xx": "the Hub is in trouble while {task}: it answered {status}; next: try again {wait}, what arrived "
+    "is kept",
     "4xx": "the Hub refused {task} ({status}): {words}; next: correct what it names",
     "offline": "HF_HUB_OFFLINE forbids {task}{uncached}; next: unset HF_HUB_OFFLINE once",
-    "endpoint": "HF_ENDPOINT is {endpoint!r}, which is not an address, so that {task} cannot begin; next: unset "
-    "it, or set one such as https://huggingface.co",
     "TimeoutError": f"the Hub at {{endpoint}} does not answer in time while {{task}}{{uncached}}; {_AGAIN}",
-    "ConnectError": f"the Hub at {{endpoint}} cannot be reached ({{kind}}) while {{task}}{{uncached}}; {_AGAIN}",
-    "ConnectionError": "the connection to the Hub broke while {task}; next: run the same command again, it goes "
-    "on where it stopped",
-    "FileMetadataError": "{endpoint} does not answer as a Hub does while {task} ({kind}: {words}); next: check "
+    "ConnectError": f"the Hub at {{endpoint}} cannot be reached ({{kind}}) while {{task}}{{uncached}}; "
+    f"{_AGAIN}",
+    "ConnectionError": "the connection to the Hub broke while {task}; next: run the same command again, it "
+    "goes on where it stopped",
+    "TooLargeError": "{endpoint} does not answer as a Hub does while {task} ({kind}: {words}); next: check "
     "HF_ENDPOINT, and whether the network asks for a login",
-    "LocalEntryNotFoundError": "{subject} is not in the cache as far as asked for, and could not be fetched; "
-    "next: check the network and run the same command again",
-    "OSError": "{task} failed: {kind}: {words}; next: try again",
+    "OSError": "{task} failed: {kind}: {words}; next: check the network and run the same command again",
 }
 _CLASSES = {"full": StorageError, "PermissionError": StorageError, "HFValidationError": InputError}
-# Other names of the same: of the HTTP library, and of Python.
+# Other names of the same: of the HTTP library, of the client, and of Python.
 _SAME = {
     "OfflineModeIsEnabled": "offline",
     "TimeoutException": "TimeoutError",
+    "UnsupportedProtocol": "ConnectError",
     "ConnectionRefusedError": "ConnectError",
     "RequestError": "ConnectionError",
+    "FileMetadataError": "TooLargeError",
 }
 
 
@@ -180,7 +177,7 @@ def failure_of(
         return None
     found = [(key, link) for link in chain for key in _keys(link)]
     if is_answer and isinstance(error, _UNREADABLE):
-        found.append(("FileMetadataError", error))
+        found.append(("TooLargeError", error))
     for key, sentence in _SENTENCES.items():
         link = next((link for name, link in found if name == key), None)
         if link is not None:
@@ -195,18 +192,16 @@ def _keys(error: BaseException) -> Iterator[str]:
     """Yield the keys of the sentences that fit an error."""
     from huggingface_hub import constants
 
-    status, names = status_of(error), class_names(error)
+    status, names, number = status_of(error), class_names(error), getattr(error, "errno", None)
     if status is not None:
         yield "LocalTokenNotFoundError" if status == 401 and not _token_source() else str(status)
         yield "5xx" if status >= 500 else "4xx"
-    if getattr(error, "errno", None) in _FULL:
+    if number in _FULL:
         yield "full"
-    if getattr(error, "errno", None) == errno.EROFS:
+    if number == errno.EROFS:
         yield "PermissionError"
     if "LocalEntryNotFoundError" in names and constants.HF_HUB_OFFLINE:
         yield "offline"
-    if "RequestError" in names and not re.match(r"https?://[^/]", constants.ENDPOINT):
-        yield "endpoint"
     for name in names:
         yield _SAME.get(name, name)
 
@@ -218,31 +213,22 @@ def _facts(error: BaseException, repo_id: str, doing: str) -> dict[str, Any]:
     # Here, as that module uses this one.
     from tactile_toolkit.hub.calls import requested_wait_s
 
-    subject, page, source = (
-        f"Hub data set {repo_id!r}",
-        f"{constants.ENDPOINT}/datasets/{repo_id}",
-        _token_source(),
-    )
     words = str(getattr(error, "server_message", None) or error).strip().partition("\n")[0]
     address = str(getattr(getattr(error, "response", None), "url", ""))
-    unseen = (
-        "your token may not see it; next: check the name, or log in with `hf auth login` as someone who may"
-    )
-    filename, wait_s = getattr(error, "filename", None), requested_wait_s(error)
+    filename, wait_s, source = getattr(error, "filename", None), requested_wait_s(error), _token_source()
     return {
-        "subject": subject,
-        "task": f"{doing} {subject}",
+        "subject": f"Hub data set {repo_id!r}",
+        "task": f"{doing} Hub data set {repo_id!r}",
         "kind": type(error).__name__,
-        "words": words[:300] or type(error).__name__,
+        "words": words[:300],
         "status": status_of(error),
-        "page": page,
+        "page": f"{constants.ENDPOINT}/datasets/{repo_id}",
         "endpoint": constants.ENDPOINT,
         "place": f" ({filename!r})" if filename else "",
         "file": re.sub(r".*/resolve/[^/]+/|[?#].*", "", address),
         "source": source,
-        "renew": "set another one, or unset it" if source == "HF_TOKEN" else "`hf auth login --force`",
-        "and_login": "" if source else f", and {_LOGIN}",
-        "unseen": unseen if source else f"you are not logged in; next: check the name, or {_LOGIN}",
+        "who": f"the account of your token ({source})" if source else "you, who are not logged in,",
+        "login": "" if source else f" and {_LOGIN}",
         "account": _account() if status_of(error) == 403 else "",
         "wait": f"in {wait_s:.0f} s" if wait_s else "in some minutes",
         "uncached": ", which is not in the cache as far as asked for" if doing == "reading" else "",

@@ -217,7 +217,7 @@ class Transfers:
             self._on_bytes(self._total)
 
     def client_options(self, path: str) -> dict[str, Any]:
-        """Return what makes the client count the bytes of a file here; early releases draw bars instead."""
+        """Return what makes the client count bytes here; early releases draw bars of their own instead."""
         from huggingface_hub import hf_hub_download
         from huggingface_hub.utils.tqdm import tqdm
 
@@ -226,8 +226,10 @@ class Transfers:
         class Bar(tqdm):
             """Passes on what is written to the disk."""
 
+            monitor_interval = 0  # no thread that watches it
+
             def __init__(self, *_: Any, **__: Any) -> None:
-                super().__init__(disable=True)
+                super().__init__(disable=True)  # type: ignore[no-untyped-call]
                 count(0)
 
             def update(self, n: float | None = 1) -> None:

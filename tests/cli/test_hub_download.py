@@ -315,7 +315,9 @@ def test_short_names_show_licence_and_citation(server, tmp_path):
 def test_large_downloads_are_not_begun_unasked(server, tmp_path):
     said = call(server, tmp_path, "mnist3d", "download", DIGITS, large=1000)
     assert said.code == 2
-    assert "would be fetched, and nobody can be asked; next: add --yes, or name a --split" in said.err
+    assert (
+        "would be fetched, and there is no terminal to ask on; next: add --yes, or name a --split" in said.err
+    )
     assert server.fetched == ["manifest.json"]
     assert call(server, tmp_path, "mnist3d", "download", DIGITS, "--yes", large=1000).code == 0
 

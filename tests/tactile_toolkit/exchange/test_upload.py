@@ -264,8 +264,8 @@ def test_branches_and_tags_do_not_share_names(server, folder):
     for options, words in (
         ({"revision": "v1"}, "--revision v1: of 'someone/stars' that is a tag"),
         ({"tag": "next"}, "--tag next: of 'someone/stars' that is a branch"),
-        ({"tag": "main"}, "--tag main is the name of the branch that is written to"),
-        ({"revision": "next", "tag": "next"}, "--tag next is the name of the branch"),
+        ({"tag": "main"}, "--tag main is the name of the branch;"),
+        ({"revision": "next", "tag": "next"}, "--tag next is the name of the branch;"),
         ({"revision": first.commit}, f"--revision {first.commit} is the name of a commit"),
         ({"tag": first.commit}, "is the name of a commit"),
         ({"revision": "refs/pr/1", "tag": "v2"}, "--revision refs/pr/1 and --tag v2 exclude each other"),
@@ -284,17 +284,14 @@ def test_what_is_no_name_is_refused_before_anything_is_asked(server, folder, nam
     assert server.repositories == {}
 
 
-def test_the_client_is_hushed_and_told_once(server, folder, capfd):
+def test_messages_of_the_client_are_passed_on_without_addresses(server, folder, capfd):
     told: list[str] = []
     server.faults.fail("/lfs/*", 500, times=1)
     run_upload(prepare_upload(str(folder), NAME, on_wait=told.append))
     assert_holds(server, folder)
     assert capfd.readouterr().err == ""
-    (line,) = told
-    assert line.startswith(
-        "the Hub's client says: HTTP Error 500 thrown while requesting PUT http://127.0.0.1"
-    )
-    assert "/lfs/" not in line
+    assert "500" in told[0]
+    assert not any("/lfs/" in line for line in told)
 
 
 def test_a_picture_that_stays_behind_is_named(server, folder):

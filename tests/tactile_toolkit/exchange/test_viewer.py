@@ -132,7 +132,7 @@ from tactile_toolkit.exchange.download import download, plan_download
 plan = plan_download("someone/digits", {splits}, out={out!r})
 download(plan)
 again = plan_download("someone/digits", {splits}, out={out!r})
-print(len([file for file in plan.files if file.path.startswith("viewer/")]), again.is_done)
+print(len([file for path in plan.record.files if path.startswith("viewer/")]), again.is_done)
 """
 
 

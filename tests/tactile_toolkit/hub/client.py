@@ -89,7 +89,7 @@ _RESOLVE = "/{repo_id}/resolve/{revision}/{filename}"
 @contextlib.contextmanager
 def as_client(environment: dict[str, str]) -> Iterator[None]:
     """Let this process be a client of these settings, as if they had been set when it was started."""
-    from huggingface_hub import close_session, constants, file_download
+    from huggingface_hub import HfFileSystem, close_session, constants, file_download
     from huggingface_hub.utils import _http, disable_progress_bars, enable_progress_bars
 
     home = environment["HF_HOME"]
@@ -118,5 +118,6 @@ def as_client(environment: dict[str, str]) -> Iterator[None]:
         finally:
             resource.setrlimit(resource.RLIMIT_FSIZE, limit)
             close_session()
+            HfFileSystem.clear_instance_cache()  # early releases keep the address in it
             del os.environ["HF_HUB_DISABLE_PROGRESS_BARS"]
             enable_progress_bars()

@@ -103,8 +103,9 @@ def test_two_processes_fetch_a_file_once(server, tmp_path):
 
 
 OTHERS = """
-from huggingface_hub import hf_hub_download, scan_cache_dir, snapshot_download
-found, repos = scan_cache_dir(), list(scan_cache_dir().repos)
+from huggingface_hub import constants, hf_hub_download, scan_cache_dir, snapshot_download
+found = scan_cache_dir(constants.HF_HUB_CACHE)
+repos = list(found.repos)
 print(len(found.warnings), [repo.repo_id for repo in repos], [repo.size_on_disk for repo in repos])
 print(hf_hub_download('someone/big', 'data/train-00000-of-00001.parquet', repo_type='dataset'))
 print(snapshot_download('someone/big', repo_type='dataset', local_files_only=True))
