@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import sys
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Annotated, Any
@@ -75,6 +76,9 @@ def add_download(app: typer.Typer, kind: DatasetKind) -> None:
         from tactile_toolkit.exchange.download import download as carry_out
         from tactile_toolkit.exchange.download import plan_download
 
+        # The terminal is for this program.
+        logging.getLogger("huggingface_hub").setLevel(logging.ERROR)
+        disable_progress_bars()
         _refuse_other_kind(name, kind)
         plan = plan_download(name, split or (), revision=revision, out=out, on_wait=sink.talk)
         kind.refuse_other(plan.manifest, plan.repository.repo_id)
@@ -87,7 +91,6 @@ def add_download(app: typer.Typer, kind: DatasetKind) -> None:
             if not (yes or is_small or confirmed(f"fetch {size}?", refused, "add --yes, or name a --split")):
                 message = "aborted, nothing was fetched; next: name a --split to fetch less"
                 raise InputError(message)
-            disable_progress_bars()  # those of the Hub's client
             with sink.progress("fetching", BYTES) as update:
                 # Where files of 0 bytes alone are missing the total is 0, and a bar of 0 is never full.
                 place = carry_out(plan, lambda done, total: update(done, max(total, 1)))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import sys
 from dataclasses import asdict, dataclass
 from functools import partial
@@ -77,10 +78,13 @@ def add_hub_commands(app: typer.Typer, kind: DatasetKind) -> None:
 
         Run again after an interruption, it goes on; run again after success, it sends nothing.
         """
+        from huggingface_hub.utils.tqdm import disable_progress_bars
+
         from tactile_toolkit.catalog.kinds import require_manifest
         from tactile_toolkit.exchange.upload import UploadOptions, check_folder, prepare_upload, run_upload
         from tactile_toolkit.store.folder import DataFolder
 
+        logging.getLogger("huggingface_hub").setLevel(logging.ERROR)
         options = UploadOptions(**asdict(sending))
         require_manifest(kind, DataFolder(folder))
         sink.talk(f"checking {folder}")
@@ -105,10 +109,7 @@ def add_hub_commands(app: typer.Typer, kind: DatasetKind) -> None:
                 sys.stderr.write("nothing was sent\n")
                 raise typer.Exit(EXIT_FAILED)
             if sink.quiet or not sys.stderr.isatty():
-                from huggingface_hub.utils.tqdm import disable_progress_bars
-
-                # The Hub's client draws them whatever stderr is.
-                disable_progress_bars()
+                disable_progress_bars()  # the Hub's client draws them whatever stderr is
             result = run_upload(prepared)
         sink.document(_document(kind, prepared, result))
         _print_result(sink, kind, prepared, result)

@@ -49,7 +49,7 @@ _EXTRA_FOLDERS = ("reports", "previews")
 _EXTRA_FILES = ("LICENSE", "LICENSE.md", "LICENSE.txt")
 _PICTURE_FOLDER = "images"
 # Where the Hub's client keeps what it has not fetched to the end.
-_STAGE_FOLDER = ".cache"
+_STAGE_FOLDER = ".cache/huggingface"
 _THREADS = 8
 _FENCE = "---\n"
 
@@ -355,6 +355,7 @@ def _execute(plan: DownloadPlan, folder: DataFolder, transfers: Transfers) -> No
     write_record(folder, record)
     if folder.is_local:
         folder.remove_tree(_STAGE_FOLDER)
+        folder.remove_empty(str(PurePosixPath(_STAGE_FOLDER).parent))
 
 
 def _write_metadata(plan: DownloadPlan, folder: DataFolder, manifest: Manifest | None) -> None:

@@ -37,21 +37,9 @@ from tactile_toolkit.store.origin import Digest, HubFile
 from tactile_toolkit.store.shards import DATA_FOLDER, VIEWER_FOLDER, Finding, ShardName
 from tactile_toolkit.store.verify import problem_of_place, verify
 
-__all__ = [
-    "MAIN",
-    "LocalFile",
-    "PreparedUpload",
-    "UploadOptions",
-    "UploadResult",
-    "card_for_hub",
-    "check_folder",
-    "collect",
-    "compare",
-    "prepare_upload",
-    "run_upload",
-]
+__all__ = ["PreparedUpload", "UploadOptions", "UploadResult", "check_folder", "prepare_upload", "run_upload"]
 
-MAIN = "main"
+_MAIN = "main"
 _COMMIT = re.compile(r"[0-9a-f]{40}")
 # Written by the Hub itself; every repository has them.
 _WRITTEN_BY_HUB = frozenset({".gitattributes"})
@@ -102,7 +90,7 @@ class UploadOptions:
         exclude = "{} and {} exclude each other; next: leave one of them out"
         is_pull = (self.revision or "").startswith("refs/")
         _refuse(
-            (self.create_pr and self.revision not in (None, MAIN), exclude.format("--create-pr", branch)),
+            (self.create_pr and self.revision not in (None, _MAIN), exclude.format("--create-pr", branch)),
             (self.tag and self.create_pr, exclude.format("--create-pr", tag)),
             (self.tag and is_pull, exclude.format(branch, tag)),
             # Such names would be read as something else ever after.
@@ -111,7 +99,7 @@ class UploadOptions:
                 f"{branch} is the name of a commit; next: give a branch",
             ),
             (_COMMIT.fullmatch(self.tag or ""), f"{tag} is the name of a commit; next: choose another"),
-            (self.tag == (self.revision or MAIN), f"{tag} is the name of the branch; next: choose another"),
+            (self.tag == (self.revision or _MAIN), f"{tag} is the name of the branch; next: choose another"),
         )
 
 
@@ -133,10 +121,13 @@ class LocalFile:
     @classmethod
     def of(cls, path: str, place: Path, sha256: str | None = None) -> LocalFile:
         """Look at a file; its SHA-256 is computed unless it is known."""
-        size = place.stat().st_size
-        digest = Digest("sha256", sha256) if sha256 else _SHA256.of(place)
-        is_small = size <= _MOST_IN_GIT_BYTES
-        return cls(path, place, size, (digest, _GIT.of(place)) if is_small else (digest,))
+        with place.open("rb") as stream:
+            size = place.stat().st_size
+            digests = [Digest("sha256", sha256) if sha256 else _SHA256.of_stream(stream, size)]
+            if size <= _MOST_IN_GIT_BYTES:
+                stream.seek(0)
+                digests.append(_GIT.of_stream(stream, size))
+        return cls(path, place, size, tuple(digests))
 
     def is_held(self, there: HubFile) -> bool:
         """Return whether a file of a repository has its content."""
@@ -244,7 +235,7 @@ class UploadTarget:
     """
 
     repo_id: str
-    branch: str = MAIN
+    branch: str = _MAIN
     on_wait: Callable[[str], None] = field(default=lambda _: None, repr=False, compare=False)
     held: HubSnapshot | None = None
     tags: Mapping[str, str] = field(default_factory=dict)
@@ -281,24 +272,25 @@ class UploadTarget:
 
     def now(self) -> UploadTarget:
         """Look what the branch holds; a repository or branch that does not exist is not an error."""
-        return self.ask(self._now)
-
-    def _now(self, api: Any) -> UploadTarget:
         from huggingface_hub import errors
 
-        try:
-            refs = api.list_repo_refs(self.repo_id, repo_type="dataset")
-        except errors.RepositoryNotFoundError as error:
-            # To the client it is a kind of that, but such a repository is there.
-            if isinstance(error, errors.GatedRepoError):
-                raise
-            return UploadTarget(self.repo_id, self.branch, self.on_wait)
-        tags = {ref.name: str(ref.target_commit) for ref in refs.tags}
-        heads = {ref.name: str(ref.target_commit) for ref in refs.branches}
-        # A pull request that is written to is not listed.
-        is_there = self.branch in heads or self.branch.startswith("refs/")
-        held = listing(self.repo_id, self.branch if is_there else MAIN, in_pages=True)
-        return replace(self, held=held, tags=tags, branches=heads, has_branch=is_there)
+        def look(api: Any) -> UploadTarget:
+            try:
+                refs = api.list_repo_refs(self.repo_id, repo_type="dataset")
+            except errors.RepositoryNotFoundError as error:
+                # To the client it is a kind of that, but such a repository is there.
+                if isinstance(error, errors.GatedRepoError):
+                    raise
+                return UploadTarget(self.repo_id, self.branch, self.on_wait)
+            tags, heads = (
+                {ref.name: str(ref.target_commit) for ref in kind} for kind in (refs.tags, refs.branches)
+            )
+            # A pull request that is written to is not listed.
+            is_there = self.branch in heads or self.branch.startswith("refs/")
+            held = listing(self.repo_id, self.branch if is_there else _MAIN, in_pages=True)
+            return replace(self, held=held, tags=tags, branches=heads, has_branch=is_there)
+
+        return self.ask(look)
 
 
 @dataclass(frozen=True)
@@ -389,7 +381,7 @@ class PreparedUpload:
         # What is not merged yet may never be.
         if self.options.create_pr or self.target.branch.startswith("refs/"):
             return ()
-        schema = [f"schema-{self.manifest.schema_version}"] if self.target.branch == MAIN else []
+        schema = [f"schema-{self.manifest.schema_version}"] if self.target.branch == _MAIN else []
         return tuple(dict.fromkeys([*schema, *([self.options.tag] if self.options.tag else [])]))
 
     @property
@@ -448,7 +440,7 @@ def prepare_upload(
     that cannot be used), IntegrityError (damage, a card that does not fit the data) or HubError.
     """
     chosen, place, scratch = options or UploadOptions(), DataFolder(folder), Scratch()
-    manifest, target = read_manifest(place), UploadTarget(repo_id, chosen.revision or MAIN, on_wait)
+    manifest, target = read_manifest(place), UploadTarget(repo_id, chosen.revision or _MAIN, on_wait)
     is_name = hub_name(repo_id) == HubName(repo_id, None, "")
     _refuse((not is_name, f"{repo_id!r} is not a name of a repository; next: give USER/NAME"))
     if manifest is None:
@@ -557,7 +549,7 @@ def run_upload(prepared: PreparedUpload) -> UploadResult:
     if target.held is None:
         # exist_ok: another upload may have made it since it was looked for.
         target.do("create_repo", private=prepared.options.private, exist_ok=True)
-    if not target.has_branch and target.branch != MAIN:
+    if not target.has_branch and target.branch != _MAIN:
         start = target.held.commit if target.held else None
         target.do("create_branch", branch=target.branch, revision=start, exist_ok=True)
 

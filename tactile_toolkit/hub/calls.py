@@ -6,9 +6,7 @@ session limit bytes and time of all that goes through it: questions, downloads, 
 
 from __future__ import annotations
 
-import contextlib
 import contextvars
-import logging
 import re
 import time
 from collections.abc import Callable, Iterator
@@ -18,7 +16,7 @@ from multiprocessing.pool import ThreadPool
 from typing import Any, TypeVar
 
 from tactile_toolkit.errors import HubError
-from tactile_toolkit.hub.errors import cause_chain, class_names, failure_of, scrub, shown_cause, status_of
+from tactile_toolkit.hub.errors import cause_chain, class_names, failure_of, shown_cause, status_of
 from tactile_toolkit.store.names import problem_of_name
 
 __all__ = [
@@ -49,9 +47,6 @@ _LASTING = frozenset(
     {"ConnectError", "ConnectTimeout", "LocalProtocolError", "UnsupportedProtocol", "ProxyError"}
 )
 _RANGE = re.compile(r"bytes=(\d+)-(\d+)")
-_ADDRESS = re.compile(r"(https?://[^/\s'\"]+)[^\s'\"]*")
-_LIBRARY = "huggingface_hub"
-_LISTENERS: list[Callable[[str], None]] = []
 
 T = TypeVar("T")
 
@@ -91,23 +86,22 @@ def call_with_retry(
     """
     waits = WAITS_S if waits_s is None else waits_s
     tries, waited_s = 0, 0.0
-    with _client_messages(on_wait):
-        while True:
-            tries += 1
-            try:
-                return _limited_call(action, _Call(most_bytes), is_question=is_question)
-            except Exception as error:
-                failure = failure_of(error, repo_id, revision, doing, tries, is_answer=True)
-                if failure is None:
-                    raise
-                asked_s = requested_wait_s(error)
-                waited_s += asked_s
-                if tries > len(waits) or not is_transient(error) or waited_s > WAIT_S:
-                    raise failure from shown_cause(error)
-                wait_s = max(waits[tries - 1], asked_s)
-                what = str(failure).partition("; next: ")[0].partition(" (tried ")[0]
-                on_wait(f"{what}; trying again in {wait_s:g} s")
-            time.sleep(wait_s)
+    while True:
+        tries += 1
+        try:
+            return _limited_call(action, _Call(most_bytes), is_question=is_question)
+        except Exception as error:
+            failure = failure_of(error, repo_id, revision, doing, tries, is_answer=True)
+            if failure is None:
+                raise
+            asked_s = requested_wait_s(error)
+            waited_s += asked_s
+            if tries > len(waits) or not is_transient(error) or waited_s > WAIT_S:
+                raise failure from shown_cause(error)
+            wait_s = max(waits[tries - 1], asked_s)
+            what = str(failure).partition("; next: ")[0].partition(" (tried ")[0]
+            on_wait(f"{what}; trying again in {wait_s:g} s")
+        time.sleep(wait_s)
 
 
 def is_transient(error: BaseException) -> bool:
@@ -149,32 +143,9 @@ def _requested_s(headers: Any) -> float:
     return min(float(text), _MOST_S) if re.fullmatch("[0-9]+", text) else 0.0
 
 
-@contextlib.contextmanager
-def _client_messages(on_message: Callable[[str], None]) -> Iterator[None]:
-    """Keep the client from writing to the terminal; the newest listener gets its messages."""
-    import_module(f"{_LIBRARY}.utils.logging")  # adds its handler when it is imported
-    for handler in logging.getLogger(_LIBRARY).handlers:
-        handler.addFilter(_relay)  # once, however often
-    _LISTENERS.append(on_message)
-    try:
-        yield
-    finally:
-        _LISTENERS.remove(on_message)
-
-
-def _relay(record: logging.LogRecord) -> bool:
-    """Pass on a message to the newest listener; return whether it is for the terminal: nobody listens."""
-    listeners = _LISTENERS[-1:]
-    if listeners and record.levelno >= logging.WARNING:
-        # Without tokens, and with no more of an address than its host.
-        text = _ADDRESS.sub(r"\1", scrub(record.getMessage().partition("\n")[0]))
-        listeners[0](f"the Hub's client says: {text}")
-    return not listeners
-
-
 def _limited_call(action: Callable[[], T], call: _Call, *, is_question: bool) -> T:
     """Return what an action gets from the Hub; TimeoutError where a question takes too long."""
-    hooks = import_module(_LIBRARY).get_session().event_hooks
+    hooks = import_module("huggingface_hub").get_session().event_hooks
     if _check_answer not in hooks["response"]:
         hooks["request"].append(_note_request)
         hooks["response"].append(_check_answer)
@@ -190,7 +161,8 @@ def _limited_call(action: Callable[[], T], call: _Call, *, is_question: bool) ->
             if left_s <= 0:
                 raise TimeoutError
             result.wait(left_s)
-        return result.get()
+        answer: T = result.get()
+        return answer
 
 
 def _note_request(_: Any) -> None:
@@ -210,7 +182,7 @@ def _check_answer(response: Any) -> None:
             raise HubError(message)
     if response.status_code in _TRANSIENT_STATUS and _requested_s(response.headers):
         # Raised at once: the caller waits, who can give a reason for it.
-        import_module(f"{_LIBRARY}.utils").hf_raise_for_status(response)
+        import_module("huggingface_hub.utils").hf_raise_for_status(response)
     span = _RANGE.fullmatch(request.headers.get("Range", ""))
     most: float = int(span[2]) - int(span[1]) + 1 if span else call.most_bytes if call else float("inf")
     if not response.is_success or "/api/" in request.url.path.partition("/resolve/")[0]:

@@ -55,8 +55,7 @@ _SENTENCES = {
     "LocalTokenNotFoundError": f"{{task}} needs a login, and there is no token here; next: {_LOGIN}",
     "401": "the Hub does not know the token ({source}), it is mistyped, expired or deleted; nothing can be "
     "read with it, not even {subject}; next: log in with `hf auth login --force`, or set another HF_TOKEN",
-    "403": "the Hub forbids {task}: {words}{account}; next: use a token of role `write`, and a name of your "
-    "own",
+    "403": "the Hub forbids {task}: {words}; next: use a token of role `write`, and a name of your own",
     "429": "the Hub wants fewer requests (429) while {task}; next: try again {wait}, what arrived is kept",
     "5xx": "the Hub is in trouble while {task}: it answered {status}; next: try again {wait}, what arrived "
     "is kept",
@@ -229,24 +228,9 @@ def _facts(error: BaseException, repo_id: str, doing: str) -> dict[str, Any]:
         "source": source,
         "who": f"the account of your token ({source})" if source else "you, who are not logged in,",
         "login": "" if source else f" and {_LOGIN}",
-        "account": _account() if status_of(error) == 403 else "",
         "wait": f"in {wait_s:.0f} s" if wait_s else "in some minutes",
         "uncached": ", which is not in the cache as far as asked for" if doing == "reading" else "",
     }
-
-
-def _account() -> str:
-    """Ask the Hub whose token this is: its refusals read the same for a weak token and for another's name."""
-    from huggingface_hub import HfApi
-
-    # Only to word the refusal better: whatever goes wrong here must not hide that refusal.
-    with contextlib.suppress(Exception):
-        person = HfApi().whoami()
-        names = ", ".join(str(entry["name"]) for entry in (person, *person["orgs"]))
-        return (
-            f"; the token has the role {person['auth']['accessToken']['role']!r} and may write under {names}"
-        )
-    return ""
 
 
 def _token_source() -> str:

@@ -86,8 +86,8 @@ class HubSnapshot:
 
     Attributes
     ----------
-    repo_id, commit : str
-        Repository and full commit.
+    commit : str
+        All 40 digits.
     files : dict of str to HubFile
         By path. Of a snapshot that was read from the cache, only those in the cache.
     is_cache : bool
@@ -98,7 +98,6 @@ class HubSnapshot:
         Whether the Hub says that only its owner sees the repository.
     """
 
-    repo_id: str
     commit: str
     files: Mapping[str, HubFile]
     is_cache: bool = False
@@ -160,7 +159,7 @@ def listing(
     commit = Digest("git-sha1", answer.sha).value
     licence = getattr(answer.card_data, "license", None)
     licence = licence if isinstance(licence, str) else None
-    return HubSnapshot(repo_id, commit, files, licence=licence, is_private=bool(answer.private))
+    return HubSnapshot(commit, files, licence=licence, is_private=bool(answer.private))
 
 
 def cached_snapshot(repo_id: str, commit: str) -> HubSnapshot:
@@ -174,7 +173,7 @@ def cached_snapshot(repo_id: str, commit: str) -> HubSnapshot:
             with contextlib.suppress(ValueError):
                 digest = Digest("sha256" if len(name) == _SHA256_DIGITS else "git-sha1", name)
         files[path] = HubFile(path, file.stat().st_size, digest)
-    return HubSnapshot(repo_id, commit, files, is_cache=True)
+    return HubSnapshot(commit, files, is_cache=True)
 
 
 class _StoppedError(Exception):
@@ -206,14 +205,13 @@ class Transfers:
             raise
         return [done[index] for index in range(len(items))]
 
-    def count(self, path: str, size_bytes: int, *, more: bool = False) -> None:
-        """Note how much of a file is there, or how much ``more``; what is to stop stops here."""
+    def count(self, path: str, size_bytes: int) -> None:
+        """Note how much of a file is there; what is to stop stops here."""
         with self._lock:
             if self._is_stopped:
                 raise _StoppedError
-            before = self._arrived.get(path, 0)
-            self._arrived[path] = size_bytes + before if more else size_bytes
-            self._total += self._arrived[path] - before
+            self._total += size_bytes - self._arrived.get(path, 0)
+            self._arrived[path] = size_bytes
             self._on_bytes(self._total)
 
     def client_options(self, path: str) -> dict[str, Any]:
@@ -233,7 +231,8 @@ class Transfers:
                 count(0)
 
             def update(self, n: float | None = 1) -> None:
-                count(int(n or 0), more=True)
+                self.n += int(n or 0)
+                count(self.n)
 
             def update_transfer(self, n: float | None = 1) -> None:
                 """Pass over what arrives in compressed pieces."""
@@ -382,20 +381,16 @@ class HubRepository:
         """Fetch a file into the Hub's cache, or into a folder, and check it; one damaged is fetched again."""
         from huggingface_hub import hf_hub_download
 
-        wanted = self.file(path)
+        wanted, commit = self.file(path), self.snapshot.commit
         if self.snapshot.is_cache or wanted.digest is None:
             raise not_cached(self.repo_id, repr(path))
-        options = {"revision": self.snapshot.commit, "local_dir": folder, **transfers.client_options(path)}
-
-        def fetched(*, force: bool) -> Path:
-            place = hf_hub_download(self.repo_id, path, repo_type="dataset", force_download=force, **options)
-            with Path(place).open("rb") as stream:
-                os.fsync(stream.fileno())  # before it counts as intact: a power cut must not empty it
-            return Path(place)
-
+        options = {"repo_type": "dataset", "revision": commit, "local_dir": folder}
+        fetch = functools.partial(
+            hf_hub_download, self.repo_id, path, **options, **transfers.client_options(path)
+        )
         for force in (folder is None and self._place(path).exists(), True):
-            file = call_with_retry(
-                functools.partial(fetched, force=force),
+            place = call_with_retry(
+                functools.partial(fetch, force_download=force),
                 self.repo_id,
                 self.revision,
                 f"fetching {path!r} of",
@@ -403,7 +398,10 @@ class HubRepository:
                 most_bytes=wanted.size_bytes,
                 on_wait=self.on_wait,
             )
+            file = Path(place)
             if matches_digest(file, wanted.digest):
+                with file.open("rb") as stream:
+                    os.fsync(stream.fileno())  # a power cut must not empty what counts as intact
                 transfers.count(path, wanted.size_bytes)
                 return file
             # With what it is a link to: damaged content must not be found again.

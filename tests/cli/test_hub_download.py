@@ -272,11 +272,10 @@ def test_an_interrupted_download_is_called_one(server, tmp_path):
 
 def test_waits_are_told_while_the_download_is_planned(server, tmp_path):
     server.faults.fail("/api/datasets/*", 503, times=1)
-    server.faults.fail("*/manifest.json", 503, times=2)  # the client itself asks for a file again
     said = call(server, tmp_path, "mnist3d", "download", DIGITS, "--dry-run")
     assert said.code == 0
     assert said.err.count("it answered 503; trying again in 0.01 s") == 1
-    assert said.err.count("the Hub's client says: HTTP Error 503 thrown while requesting HEAD") == 1
+    assert "HTTP Error" not in said.err
 
 
 def test_dry_run_fetches_no_data(server, tmp_path):

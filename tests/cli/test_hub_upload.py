@@ -248,8 +248,8 @@ def _read(terminal: int) -> bytes:
     ("account", "name", "words"),
     [
         (None, NAME, "needs a login, and there is no token here; next: log in with `hf auth login`"),
-        (("someone", "read"), NAME, "the token has the role 'read' and may write under someone"),
-        (("stranger", "write"), NAME, "the token has the role 'write' and may write under stranger"),
+        (("someone", "read"), NAME, "Your token does not have write access"),
+        (("stranger", "write"), NAME, "You don't have the rights to write under the namespace 'someone'"),
         (("someone", "write"), "a/b/c", "'a/b/c' is not a name of a repository; next: give USER/NAME"),
     ],
 )

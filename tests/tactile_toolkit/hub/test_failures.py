@@ -123,12 +123,11 @@ def test_writing_without_login_without_right_and_elsewhere(server, tmp_path):
         "uploading to Hub data set 'someone/set' needs a login, and there is no token here; next: log" in text
     )
     text = said(server, tmp_path, WRITE.format(repo="someone/set"), token=server.account("someone", "read"))
-    assert (
-        "the token has the role 'read' and may write under someone; next: use a token of role `write`" in text
-    )
+    assert "forbids uploading to Hub data set 'someone/set': Your token does not have write access" in text
+    assert "next: use a token of role `write`, and a name of your own" in text
     token = server.account("else", organizations=("lab",))
     text = said(server, tmp_path, WRITE.format(repo="someone/set"), token=token)
-    assert "the token has the role 'write' and may write under else, lab; next: " in text
+    assert "You don't have the rights to write under the namespace 'someone'; next: " in text
     assert text.endswith("a name of your own")
 
 
