@@ -16,14 +16,21 @@ from multiprocessing.pool import ThreadPool
 from typing import Any, TypeVar
 
 from tactile_toolkit.errors import HubError
-from tactile_toolkit.hub.errors import cause_chain, class_names, failure_of, shown_cause, status_of
+from tactile_toolkit.hub.errors import (
+    cause_chain,
+    class_names,
+    failure_of,
+    requested_s,
+    requested_wait_s,
+    shown_cause,
+    status_of,
+)
 from tactile_toolkit.store.names import problem_of_name
 
 __all__ = [
     "call_with_retry",
     "is_transient",
     "is_unanswered",
-    "requested_wait_s",
 ]
 
 ANSWER_BYTES = 32 << 20
@@ -37,7 +44,6 @@ LEAST_BYTES = 16 << 10
 WAITS_S = (1.0, 2.0, 4.0, 8.0, 16.0)
 """Waits between tries, seconds."""
 
-_MOST_S = 1e9  # for numbers of thousands of digits
 # Too slow, too early, too many, and a server in trouble; 501 stays, as what is not offered will not be.
 _TRANSIENT_STATUS = frozenset({408, 425, 429, 500, 502, 503, 504})
 _SILENCE = frozenset({"ConnectionError", "TimeoutError", "RequestError"})
@@ -127,22 +133,6 @@ def is_unanswered(error: BaseException) -> bool:
     return any(_SILENCE & set(class_names(link)) for link in cause_chain(error)) or is_transient(error)
 
 
-def requested_wait_s(error: BaseException) -> float:
-    """Return for how long the answer asks to wait that an error carries, seconds; 0 where it does not."""
-    for link in cause_chain(error):
-        headers = getattr(getattr(link, "response", None), "headers", None)
-        if headers is not None:
-            return _requested_s(headers)
-    return 0.0
-
-
-def _requested_s(headers: Any) -> float:
-    # Such as "api";r=0;t=55: no requests are left for 55 seconds.
-    spent = re.search(r"\br=0\s*;\s*t=(\d+)", str(headers.get("RateLimit", "")))
-    text = spent[1] if spent else str(headers.get("Retry-After", "")).strip()
-    return min(float(text), _MOST_S) if re.fullmatch("[0-9]+", text) else 0.0
-
-
 def _limited_call(action: Callable[[], T], call: _Call, *, is_question: bool) -> T:
     """Return what an action gets from the Hub; TimeoutError where a question takes too long."""
     hooks = import_module("huggingface_hub").get_session().event_hooks
@@ -180,7 +170,7 @@ def _check_answer(response: Any) -> None:
         if value and ("/" in value or problem_of_name(value)):
             message = f"the Hub calls a file {value[:80]!r}, which is not a digest; next: check HF_ENDPOINT"
             raise HubError(message)
-    if response.status_code in _TRANSIENT_STATUS and _requested_s(response.headers):
+    if response.status_code in _TRANSIENT_STATUS and requested_s(response.headers):
         # Raised at once: the caller waits, who can give a reason for it.
         import_module("huggingface_hub.utils").hf_raise_for_status(response)
     span = _RANGE.fullmatch(request.headers.get("Range", ""))

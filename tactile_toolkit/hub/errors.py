@@ -21,6 +21,8 @@ __all__ = [
     "failure_of",
     "named_failures",
     "not_cached",
+    "requested_s",
+    "requested_wait_s",
     "scrub",
     "shown_cause",
     "status_of",
@@ -34,6 +36,7 @@ _HEADER = re.compile(r"(?i)\b(bearer|authorization:?)\s+(?!bearer)[^\s'\"]+")
 _QUERY = re.compile(r"(https?://[^\s'\"<>?]+)\?[^\s'\"<>]+")
 _HIDDEN = "hf_***"
 
+_MOST_S = 1e9  # for numbers of thousands of digits
 _FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 _LOGIN = "log in with `hf auth login` (or set HF_TOKEN)"
 _AGAIN = "next: check the network, and HF_ENDPOINT if you set it, and run the same command again"
@@ -119,6 +122,23 @@ def status_of(error: BaseException) -> int | None:
     """Return the HTTP status that an error carries."""
     status = getattr(getattr(error, "response", None), "status_code", None)
     return int(status) if status is not None else None
+
+
+def requested_wait_s(error: BaseException) -> float:
+    """Return for how long the answer asks to wait that an error carries, seconds; 0 where it does not."""
+    for link in cause_chain(error):
+        headers = getattr(getattr(link, "response", None), "headers", None)
+        if headers is not None:
+            return requested_s(headers)
+    return 0.0
+
+
+def requested_s(headers: Any) -> float:
+    """Return for how long the head of an answer asks to wait, seconds; 0 where it does not."""
+    # Such as "api";r=0;t=55: no requests are left for 55 seconds.
+    spent = re.search(r"\br=0\s*;\s*t=(\d+)", str(headers.get("RateLimit", "")))
+    text = spent[1] if spent else str(headers.get("Retry-After", "")).strip()
+    return min(float(text), _MOST_S) if re.fullmatch("[0-9]+", text) else 0.0
 
 
 @contextlib.contextmanager
@@ -208,9 +228,6 @@ def _keys(error: BaseException) -> Iterator[str]:
 def _facts(error: BaseException, repo_id: str, doing: str) -> dict[str, Any]:
     """Return what the sentences are made of."""
     from huggingface_hub import constants
-
-    # Here, as that module uses this one.
-    from tactile_toolkit.hub.calls import requested_wait_s
 
     words = str(getattr(error, "server_message", None) or error).strip().partition("\n")[0]
     address = str(getattr(getattr(error, "response", None), "url", ""))
