@@ -23,7 +23,6 @@ from numpy.typing import NDArray
 import realtouch
 from tactile_sim import as_environment
 from tactile_sim.learned.checkpoints import DEPTH_WEIGHTS, TOUCH_WEIGHTS
-from tactile_sim.learned.config import TrainConfig
 from tactile_sim.learned.evaluation import add_noise_per_object, two_sample_test
 from tactile_sim.learned.networks import Generator, initialise, weights_of
 from tactile_sim.learned.rendering import CycleganDepth, CycleganOptics
@@ -32,6 +31,7 @@ from tactile_sim.learned.weights import GeneratorWeights, published_weights, rea
 from tactile_sim.noise import SensorNoise
 from tactile_sim.optics.taxim import TaximOptics
 from tactile_sim.pairs.reading import Pairs
+from tactile_sim.spec import TrainConfig
 from tactile_toolkit.store.folder import DataFolder
 
 SIZE = (64, 64)

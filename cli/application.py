@@ -8,20 +8,22 @@ import inspect
 import os
 import re
 import sys
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Container, Iterator, Mapping
 from contextlib import contextmanager, redirect_stderr, redirect_stdout
-from dataclasses import MISSING, dataclass, fields, is_dataclass
+from dataclasses import MISSING, Field, dataclass, fields, is_dataclass
+from enum import StrEnum
 from functools import wraps
 from pathlib import Path
-from typing import Annotated, Any, NoReturn, TypeVar, get_type_hints
+from typing import Annotated, Any, Literal, NoReturn, TypeVar, get_args, get_origin, get_type_hints
 
 import typer
 from typer.core import TyperCommand
 
+from tactile_toolkit.checked_fields import Rule, check_value, metavar_of, rule_of
 from tactile_toolkit.errors import InputError, StorageError, ToolkitError
 from tactile_toolkit.printable import printable
 
-__all__ = ["EXIT_FAILED", "EXIT_INTERRUPTED", "command", "new_app", "run"]
+__all__ = ["EXIT_FAILED", "EXIT_INTERRUPTED", "OptionsOf", "command", "new_app", "run"]
 
 EXIT_FAILED = 1
 EXIT_INTERRUPTED = 130
@@ -33,6 +35,21 @@ _SETTINGS = {"max_content_width": 100}
 """Help of wide terminals has lines of this length."""
 
 F = TypeVar("F", bound=Callable[..., None])
+Former = Mapping[str, tuple[str, Callable[[str], str] | None]]
+"""Spellings of an earlier version, with those of now and what converts their values."""
+
+
+@dataclass(frozen=True, slots=True)
+class OptionsOf:
+    """Marks a parameter as the options of a specification, of which a command gets a dict of those given.
+
+    ``Annotated[dict[str, Any], OptionsOf(WrenchSpec)]`` serves specifications with defaults that follow from
+    other fields, and commands that must know what was given. ``with_retired`` takes fields without help, too:
+    former options, which stand in the file of ``--config`` now.
+    """
+
+    spec: type
+    with_retired: bool = False
 
 
 def _print_version(wanted: bool) -> None:
@@ -81,85 +98,205 @@ def new_app(name: str, purpose: str) -> typer.Typer:
 
 
 class _Command(TyperCommand):
-    """A command whose refusals of a value are in plain words, without the library's own in front."""
+    """A command with its options by panel, which takes former spellings and refuses values in plain words."""
+
+    former: Former
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
         try:
-            return super().parse_args(ctx, args)
+            return super().parse_args(ctx, list(self._renewed(args)))
         except typer.BadParameter as error:
             error.message = error.message.removeprefix("Value error, ")
             raise
 
+    def _renewed(self, args: list[str]) -> Iterator[str]:
+        """Give arguments their spelling of now; former ones work for one version, with a warning."""
+        words = iter(args)
+        for word in words:
+            name, equals, value = word.partition("=")
+            now, convert = self.former.get(name, ("", None))
+            if not now:
+                yield word
+                continue
+            if convert is not None:
+                now = f"{now}={convert(value if equals else next(words, ''))}"
+                equals = value = ""
+            _warn(f"{name} is deprecated; next: write {now}")
+            yield f"{now}{equals}{value}"
 
-def command(app: typer.Typer, name: str | None = None) -> Callable[[F], F]:
+    def format_options(self, ctx: Any, formatter: Any) -> None:
+        panels: dict[str, list[tuple[str, str]]] = {}
+        for parameter in self.get_params(ctx):
+            usual = "Options" if parameter.param_type_name == "option" else "Arguments"
+            record = parameter.get_help_record(ctx)
+            if record is not None:
+                panels.setdefault(getattr(parameter, "rich_help_panel", None) or usual, []).append(record)
+        for panel, records in panels.items():
+            with formatter.section(panel):
+                formatter.write_dl(records)
+
+
+def _warn(text: str) -> None:
+    sys.stderr.write(f"warning: {printable(text)}\n")
+
+
+@dataclass(frozen=True, slots=True)
+class _Taken:
+    """A parameter of the command line: as Typer sees it, as users write it, and what it takes."""
+
+    parameter: inspect.Parameter
+    option: str
+    rule: Rule | None = None
+    default: Any = None
+    is_retired: bool = False
+
+    @property
+    def name(self) -> str:
+        return self.parameter.name
+
+
+def command(app: typer.Typer, name: str | None = None, former: Former | None = None) -> Callable[[F], F]:
     """Add a function to a command line, by its own name or another one; errors become messages.
 
-    A parameter whose type is a dataclass is a group of options: each field is an option, declared by its type
-    and default as a parameter would be, and the function gets the object. Groups may stand behind defaults
-    where parameters are keyword-only.
+    A parameter whose type is a dataclass is a group of options, and the function gets the object; marked with
+    :class:`OptionsOf` it gets a dict of the options that were given. Fields and defaults of parameters may be
+    declared as in `tactile_toolkit.checked_fields`, or in Typer's own way where several commands share them.
+    Groups may stand behind defaults where parameters are keyword-only.
+
+    ``former`` maps spellings of an earlier version to those of now, and to what converts their values.
     """
 
     def add(function: F) -> F:
+        call, spellings = _with_groups(function)
+        kind = type("_Command", (_Command,), {"former": {**spellings, **(former or {})}})
         # The first paragraph: the library would cut it where a line of the list of commands ends.
         summary = (function.__doc__ or "").partition("\n\n")[0]
-        app.command(name, cls=_Command, short_help=summary, context_settings=_SETTINGS)(
-            _with_groups(function)
-        )
+        app.command(name, cls=kind, short_help=summary, context_settings=_SETTINGS)(call)
         return function
 
     return add
 
 
-def _with_groups(function: Callable[..., None]) -> Callable[..., None]:
-    """Return a function that takes the fields of option groups one by one, and those of every command."""
+def _with_groups(function: Callable[..., None]) -> tuple[Callable[..., None], Former]:
+    """Return a function that takes the fields of option groups one by one, and former spellings of these."""
     # Annotations are text: those of a group are names of the group's module, where Typer would not look.
     hints = get_type_hints(function, include_extras=True)
-    groups: dict[str, Any] = {name: hint for name, hint in hints.items() if is_dataclass(hint)}
-    parameters: list[inspect.Parameter] = []
-    for parameter in inspect.signature(function).parameters.values():
-        if parameter.name in groups:
-            parameters += _parameters_of(groups[parameter.name])
-        else:
-            # By keyword only: options without a default may stand behind those with one.
-            parameters.append(
-                parameter.replace(kind=parameter.KEYWORD_ONLY, annotation=hints[parameter.name])
-            )
-    parameters += _parameters_of(_Everywhere)
-    options = {parameter.name: _option(parameter) for parameter in parameters}
+    groups = {
+        each.name: _group(each.name, hints[each.name], each.default)
+        for each in inspect.signature(function).parameters.values()
+    }
+    taken = [each for group in groups.values() for each in group] + _group("", _Everywhere, None)
+    options = {each.name: each.option for each in taken}
 
     @wraps(function)
-    def call(**values: Any) -> None:
-        def taken(group: Any) -> Any:
-            return group(**{field.name: values.pop(field.name) for field in fields(group)})
-
-        everywhere = taken(_Everywhere)
-        with _errors_reported(everywhere.debug, options):
-            function(**{name: taken(group) for name, group in groups.items()}, **values)
+    def call(context: typer.Context, **values: Any) -> None:
+        with _errors_reported(values["debug"], options):
+            given = {each.name for each in taken if _was_given(context, each.name)}
+            for each in taken:
+                if each.rule is not None:
+                    is_given = each.name in given
+                    values[each.name] = _checked(each, values[each.name]) if is_given else each.default
+            function(**{name: _argument(hints[name], group, values, given) for name, group in groups.items()})
 
     # Typer asks both; two options of one name are refused by `Signature`.
+    context = inspect.Parameter("context", inspect.Parameter.KEYWORD_ONLY, annotation=typer.Context)
+    parameters = [context, *(each.parameter for each in taken)]
     call.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]
     call.__annotations__ = {parameter.name: parameter.annotation for parameter in parameters}
-    return call
+    ruled = ((each.option, each.rule.option) for each in taken if each.rule is not None)
+    return call, {was: (now, None) for now, text in ruled for was in text.get("was", "").split()}
 
 
-def _option(parameter: inspect.Parameter) -> str:
-    """Return an option as users write it."""
-    # Typer keeps the first name that is declared in the place of the default.
-    declared = getattr(getattr(parameter.annotation, "__metadata__", [None])[0], "default", None)
-    return declared if isinstance(declared, str) else f"--{parameter.name.replace('_', '-')}"
+def _was_given(context: typer.Context, name: str) -> bool:
+    source = context.get_parameter_source(name)
+    return source is not None and source.name == "COMMANDLINE"
 
 
-def _parameters_of(group: Any) -> list[inspect.Parameter]:
-    hints = get_type_hints(group, include_extras=True)
-    return [
-        inspect.Parameter(
-            field.name,
-            inspect.Parameter.KEYWORD_ONLY,
-            default=inspect.Parameter.empty if field.default is MISSING else field.default,
-            annotation=hints[field.name],
-        )
-        for field in fields(group)
-    ]
+def _checked(taken: _Taken, value: Any) -> Any:
+    """Return the one spelling of a value that was given; InputError where it does not fit."""
+    if taken.is_retired:
+        _warn(f"{taken.option} is deprecated; next: write {taken.name} = {value} into the file of --config")
+    rule: Any = taken.rule
+    read = rule.option.get("read")
+    return check_value(rule, value if read is None else read(value), taken.option)
+
+
+def _argument(hint: Any, group: list[_Taken], values: Mapping[str, Any], given: Container[str]) -> Any:
+    """Return what a function gets for a parameter: a group of options, those that were given, or a value."""
+    held = {each.name: values[each.name] for each in group}
+    if is_dataclass(hint):
+        return hint(**held)  # type: ignore[operator]
+    if _mark(hint) is not None:
+        return {name: value for name, value in held.items() if name in given}
+    return next(iter(held.values()))
+
+
+def _mark(hint: Any) -> OptionsOf | None:
+    return next((each for each in get_args(hint)[1:] if isinstance(each, OptionsOf)), None)
+
+
+def _group(name: str, hint: Any, default: Any) -> list[_Taken]:
+    """Return what a parameter of a function takes from the command line: itself, or the fields of a group."""
+    mark = _mark(hint)
+    group: Any = mark.spec if mark is not None else hint
+    if not is_dataclass(group):
+        return [_taken(name, hint, default)]
+    # Specifications name types that only checkers of types import; Typer's own declarations are all there.
+    is_ruled = all(rule_of(each) is not None for each in fields(group))
+    hints = {} if is_ruled or mark is not None else get_type_hints(group, include_extras=True)
+    found = []
+    for each in fields(group):
+        rule = rule_of(each)
+        if rule is None and get_origin(hints.get(each.name)) is Annotated:
+            found.append(_taken(each.name, hints[each.name], each.default))
+        elif rule is not None and ("help" in rule.option or (mark is not None and mark.with_retired)):
+            found.append(_taken(each.name, None, each, is_optional=mark is not None))
+    return found
+
+
+def _taken(name: str, hint: Any, declared: Any, *, is_optional: bool = False) -> _Taken:
+    """Return one parameter; ``declared`` is its default, or a field of `checked_fields`."""
+    option = f"--{name.replace('_', '-')}"
+    rule = rule_of(declared) if isinstance(declared, Field) else None
+    if rule is None:
+        # Typer keeps the first name that is declared in the place of the default.
+        first = getattr(getattr(hint, "__metadata__", [None])[0], "default", None)
+        return _Taken(_parameter(name, hint, declared), first if isinstance(first, str) else option)
+    default = None if declared.default is MISSING and is_optional else declared.default
+    names = rule.option.get("name", option).split()
+    # What is read of a text has a default of another type, which Typer would convert.
+    shown = None if "read" in rule.option and default is not MISSING else default
+    parameter = _parameter(name, _annotation(name, names, shown, rule), shown)
+    return _Taken(parameter, names[0], rule, default, "help" not in rule.option)
+
+
+def _parameter(name: str, hint: Any, default: Any) -> inspect.Parameter:
+    default = inspect.Parameter.empty if default is MISSING else default
+    # By keyword only: options without a default may stand behind those with one.
+    return inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=default, annotation=hint)
+
+
+def _annotation(name: str, names: list[str], default: Any, rule: Rule) -> Any:
+    """Return the type and the option by which Typer takes the value of a field."""
+    text, metavar = rule.option, None
+    kind: Any = str if "read" in text else rule.kind
+    if rule.choices:
+        kind = Literal[rule.choices]
+        if isinstance(default, tuple):  # Typer takes lists of enumerations, but not of literals
+            kind = list[StrEnum(name, [(word, word) for word in rule.choices])]
+    elif kind is bool:
+        names = [f"{names[0]}/--no-{names[0][2:]}"] if default else names
+    else:
+        metavar = metavar_of(name, rule)
+    declared = typer.Option(
+        *names,
+        help=text.get("help"),
+        metavar=metavar,
+        show_default=text.get("shown", True),
+        autocompletion=text.get("complete"),
+        hidden="help" not in text,
+    )
+    return Annotated[kind | None if default is None else kind, declared]
 
 
 @contextmanager

@@ -2,81 +2,41 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
 from importlib.metadata import version
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated, Any
 
 import typer
 
-from cli.application import command, new_app, run
+from cli.application import OptionsOf, command, new_app, run
 from cli.export_commands import add_export
 from cli.folders import add_verify
 from cli.options import DryRun, Json, LocalOut, Overwrite, local_place
 from cli.output import Sink, counted
 from env_assets.wrench.kind import KIND
-
-if TYPE_CHECKING:
-    from env_assets.wrench.spec import WrenchSpec
+from env_assets.wrench.spec import WrenchSpec
+from tactile_toolkit.checked_fields import switch, text
 
 __all__ = ["app", "main"]
 
 app = new_app("env-assets", "Assets of environments: the wrench, and what a folder of assets holds.")
 
-Length = Annotated[float | None, typer.Option(metavar="MM", help="Instead of the usual proportion.")]
-
-
-@dataclass(frozen=True, slots=True)
-class WrenchOptions:
-    """The lengths of a wrench; those that were not given follow from the sizes of its nuts."""
-
-    size: Annotated[
-        str, typer.Option(metavar="MM|M8", help="Nut of the first jaw: width across flats, or its thread.")
-    ] = "13"
-    second_size: Annotated[
-        str | None,
-        typer.Option(metavar="MM|M6", help="Nut of the second jaw instead of the next smaller one."),
-    ] = None
-    single: Annotated[bool, typer.Option("--single", help="Make no second jaw.")] = False
-    length_mm: Annotated[
-        float | None,
-        typer.Option(
-            metavar="MM",
-            help="Between the outermost points of the circles of both ends; jaws cut into those, so that the "
-            "solid is a little shorter.",
-        ),
-    ] = None
-    thickness_mm: Length = None
-    handle_mm: Length = None
-    jaw_angle_deg: Annotated[
-        float, typer.Option(metavar="DEGREES", help="Between the handle and the jaws.")
-    ] = 15.0
-    clearance_mm: Annotated[float, typer.Option(metavar="MM", help="What a jaw is wider than its nut.")] = 0.2
-    chamfer_mm: Annotated[float, typer.Option(metavar="MM", help="Slope around top and bottom.")] = 0.6
-
-    def spec(self) -> WrenchSpec:
-        """Return the specification. Raises InputError for lengths that give no wrench."""
-        from env_assets.wrench.spec import WrenchSpec
-
-        lengths = asdict(self)
-        size, second, single = (lengths.pop(name) for name in ("size", "second_size", "single"))
-        given = {name: value for name, value in lengths.items() if value is not None}
-        return WrenchSpec.for_size(size, second, single=single, **given)
-
 
 @command(app)
 def wrench(
     *,
-    options: WrenchOptions,
+    size: str = text("13", metavar="MM|M8", help="Nut of the first jaw: width across flats, or its thread."),
+    second_size: str | None = text(
+        metavar="MM|M6", help="Nut of the second jaw instead of the next smaller one."
+    ),
+    single: bool = switch(False, help="Make no second jaw."),
+    lengths: Annotated[dict[str, Any], OptionsOf(WrenchSpec)],
     out: LocalOut = Path("wrench-data"),
-    stl: Annotated[
-        Path | None,
-        typer.Option(
-            metavar="FILE",
-            help="Write the mesh for a printer, too: .stl, .3mf, .ply, .obj, .glb.",
-            parser=local_place,
-        ),
-    ] = None,
+    stl: Path | None = text(
+        metavar="FILE",
+        read=local_place,
+        help="Write the mesh for a printer, too: .stl, .3mf, .ply, .obj, .glb.",
+    ),
     overwrite: Overwrite = False,
     dry_run: DryRun = False,
     sink: Sink,
@@ -89,7 +49,7 @@ def wrench(
     from env_assets.wrench.generation import mesh_file_at, write_wrench
 
     stl = None if stl is None else mesh_file_at(stl)
-    spec = options.spec()
+    spec = WrenchSpec.for_size(size, second_size, single=single, **lengths)
     facts = wrench_facts(spec)
     if not dry_run:
         write_wrench(spec, str(out), mesh_file=stl, overwrite=overwrite)
@@ -97,9 +57,9 @@ def wrench(
     sink.document({**places, **facts.to_dict()})
     report = facts.report
     second = f" and {spec.second_opening_mm:g}" if spec.second_opening_mm else ""
-    size = " x ".join(f"{side:.1f}" for side in report.size_mm)
+    sides = " x ".join(f"{side:.1f}" for side in report.size_mm)
     sink.line(
-        f"wrench for {spec.opening_mm:g}{second} mm across flats: {size} mm, {report.mass_g:.1f} g of PLA, "
+        f"wrench for {spec.opening_mm:g}{second} mm across flats: {sides} mm, {report.mass_g:.1f} g of PLA, "
         f"thinnest wall {report.thinnest_wall_mm:.1f} mm, {report.faces:,} triangles"
     )
     for warning in report.warnings:
@@ -173,7 +133,7 @@ def list_environments(
 
 
 add_export(app, KIND)
-add_verify(app, KIND, "the folder of a wrench")
+add_verify(app, KIND)
 
 
 def main() -> None:

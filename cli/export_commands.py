@@ -1,17 +1,20 @@
-"""``export``: files for printers, alike for every kind of data set that holds meshes."""
+"""``export``: files for printers, simulators and other libraries, of every kind that holds meshes."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeVar
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from cli.application import EXIT_FAILED, command
-from cli.options import Limit, LocalOut, Workers, process_count
+from cli.application import EXIT_FAILED, OptionsOf, command
+from cli.folders import print_converted
+from cli.options import Chosen, LocalOut, Workers, process_count
 from cli.output import Sink, bytes_text, counted
+from tactile_toolkit.checked_fields import choice, real, switch, text
+from tactile_toolkit.errors import InputError
 from tactile_toolkit.kind import DatasetKind
 
 if TYPE_CHECKING:
@@ -22,16 +25,7 @@ if TYPE_CHECKING:
 
 __all__ = ["add_export"]
 
-T = TypeVar("T")
-
 _ROWS_SHOWN = 20
-
-
-MeshFormat = Literal["stl", "3mf", "ply", "obj", "glb", "mjcf", "urdf", "usd"]
-"""Formats of mesh files on the command line."""
-
-ObjectLayout = Literal["flat"]
-"""Layouts of tables for other libraries."""
 
 
 def _beds(begun: str) -> list[str]:
@@ -41,76 +35,63 @@ def _beds(begun: str) -> list[str]:
 
 
 @dataclass(frozen=True, slots=True)
-class ExportOptions:
-    """Options of the command, in the order of its help."""
+class FileOptions:
+    """Options of files; those that were given go to ``PlateSpec`` and ``Physics``."""
 
-    name: Annotated[
-        str, typer.Argument(metavar="DIR", help="Data set: a folder, a Parquet file or a Hub repository.")
-    ]
-    split: Annotated[str, typer.Option(metavar="NAME", help="Split to export, or all.")] = "all"
-    file_format: Annotated[
-        MeshFormat | None,
-        typer.Option(
-            "--format",
-            help="Format of the files, mm (glb, mjcf, urdf, usd: m). Default stl; plates are 3mf or mjcf.",
-        ),
-    ] = None
-    layout: Annotated[
-        ObjectLayout | None,
-        typer.Option(help="Instead of files, tables: Parquet, a row for each object, its mesh as GLB."),
-    ] = None
-    ids: Annotated[
-        str | None, typer.Option(metavar="3,17,40-60", help="Only the objects with these ids.")
-    ] = None
-    labels: Annotated[str | None, typer.Option(metavar="3,7", help="Only the objects of these classes.")] = (
-        None
+    scale: float = real(1.0, help="Factor on all lengths.")
+    plate: str | None = text(
+        was="--bed",
+        metavar="256x256|prusa-mk4",
+        complete=_beds,
+        help="Pack the objects on build plates of this size, in mm, or of this printer.",
     )
-    limit: Limit = None
-    scale: Annotated[float, typer.Option(metavar="FACTOR", help="Factor on all lengths.")] = 1.0
-    plate: Annotated[
-        str | None,
-        typer.Option(
-            "--plate",
-            "--bed",
-            metavar="256x256|prusa-mk4",
-            help="Pack the objects on build plates of this size, in mm, or of this printer.",
-            autocompletion=_beds,
-        ),
-    ] = None
-    gap: Annotated[
-        float | None,
-        typer.Option(metavar="MM", help="Distance between objects on a plate.", show_default="3"),
-    ] = None
-    margin: Annotated[
-        float | None,
-        typer.Option(metavar="MM", help="Room at the edges of a plate, for a skirt.", show_default="7"),
-    ] = None
-    density: Annotated[
-        float | None,
-        typer.Option(metavar="KG/M3", help="Density of bodies for simulators.", show_default="1240, PLA"),
-    ] = None
-    friction: Annotated[
-        float | None, typer.Option(help="Sliding friction of bodies for simulators.", show_default="0.5")
-    ] = None
+    gap_mm: float = real(3.0, 0, 1_000, was="--gap", help="Distance between objects on a plate.")
+    margin_mm: float = real(7.0, 0, was="--margin", help="Room at the edges of a plate, for a skirt.")
+    density_kg_m3: float = real(
+        1240.0, above=0, most=1e5, was="--density", help="Density of bodies for simulators; that of PLA."
+    )
+    friction: float = real(0.5, above=0, most=100, help="Sliding friction of bodies for simulators.")
+
+
+@dataclass(frozen=True, slots=True)
+class Job:
+    """Where files go, and how they are made."""
+
     out: LocalOut = Path("prints")
-    workers: Workers = 1
-    overwrite: Annotated[
-        bool, typer.Option("--overwrite", help="Replace files of an earlier export that differ.")
-    ] = False
-    dry_run: Annotated[
-        bool,
-        typer.Option("--dry-run", help="Say which files would be made and how large; write nothing."),
-    ] = False
+    workers: Workers = 0
+    overwrite: bool = switch(False, help="Replace files of an earlier export that differ.")
+    dry_run: bool = switch(False, help="Say which files would be made and how large; write nothing.")
 
 
 def add_export(app: typer.Typer, kind: DatasetKind) -> None:
     """Add the command for a kind of data set of meshes to its command line."""
 
-    @command(app)
-    def export(options: ExportOptions, sink: Sink) -> None:
+    @command(app, former={"--layout": ("--format", None)})
+    def export(
+        *,
+        name: Annotated[
+            str,
+            typer.Argument(metavar="DIR", help="Data set: a folder, a Parquet file or a Hub repository."),
+        ],
+        file_format: str | None = choice(
+            None,
+            ("stl", "3mf", "ply", "obj", "glb", "mjcf", "urdf", "usd", "flat"),
+            optional=True,
+            name="--format",
+            shown="stl, plates 3mf",
+            help="Format of the files, mm (glb, mjcf, urdf, usd: m); plates are 3mf or mjcf. flat: tables, "
+            "Parquet, a row for each object, its mesh as GLB.",
+        ),
+        chosen: Chosen,
+        files: Annotated[dict[str, Any], OptionsOf(FileOptions)],
+        job: Job,
+        sink: Sink,
+    ) -> None:
         """Write files for printers and simulators, or tables for other libraries.
 
         One file per object, or objects packed on build plates; tables have a row for each.
+
+        Examples: export DIR --ids 3,17 --format 3mf;  export DIR --per-class 1 --plate 256x256
 
         Objects keep the pose that they have, their lowest point at z = 0.
 
@@ -120,98 +101,77 @@ def add_export(app: typer.Typer, kind: DatasetKind) -> None:
 
         Exit code 1 when an object or plate could not be written as a solid.
         """
-        from tactile_toolkit.printing.objects import choose, choose_rows
+        from tactile_toolkit.catalog.choose import choose_rows
+        from tactile_toolkit.catalog.locate import splits_of
+        from tactile_toolkit.printing.objects import choose
 
-        if options.layout is not None:
-            _refuse_options_of_files(options)
-            _export_flat(sink, kind, _chosen(kind, options, choose_rows), options)
+        some = chosen.given()
+        split = some.pop("split")
+        # One by one, as no loader opens several splits as one data set.
+        datasets = (
+            (each, kind.load(name, each)) for each in (splits_of(name) if split is None else (split,))
+        )
+        if file_format == "flat":
+            _refuse(files, "is about files, --format flat writes tables of meshes as they are stored", "it")
+            _export_flat(sink, kind, name, choose_rows(datasets, **some), some, job)
             return
-        spec = _plate_spec(options)
-        _physics(options)  # what cannot be used is said before any work
-        objects = _chosen(kind, options, choose)
-        if spec is None:
-            failures = _export_files(sink, objects, options)
+        # What cannot be used is reported before any work.
+        plates, physics = _plate_spec(file_format, files), _physics(file_format, files)
+        scale, objects = files.get("scale", 1.0), choose(datasets, **some)
+        if plates is None:
+            failures = _export_files(sink, objects, file_format or "stl", scale, physics, job)
         else:
-            failures = _export_plates(sink, objects, spec, options)
+            # Plates in MJCF are bodies that lie on a floor; 3MF knows neither density nor friction.
+            bodies = physics if file_format == "mjcf" else None
+            failures = _export_plates(sink, objects, plates, scale, bodies, job)
         for failure in failures:
             sink.insist(f"failed: {failure.name}: {failure.detail}")
         if failures:
             raise typer.Exit(EXIT_FAILED)
 
 
-def _plate_spec(options: ExportOptions) -> PlateSpec | None:
-    from tactile_toolkit.errors import InputError
+def _refuse(given: Mapping[str, Any], why: str, instead: str) -> None:
+    """Refuse options that would have no effect."""
+    for name in given:
+        message = f"--{name.replace('_', '-')} {why}; next: {instead}"
+        raise InputError(message)
+
+
+def _some(files: Mapping[str, Any], *names: str) -> dict[str, Any]:
+    return {name: files[name] for name in names if name in files}
+
+
+def _plate_spec(file_format: str | None, files: Mapping[str, Any]) -> PlateSpec | None:
     from tactile_toolkit.printing.packing import PlateSpec
 
-    if options.plate is None:
-        # None where not given, so that a distance without plates is refused instead of ignored.
-        for option, value in (("--gap", options.gap), ("--margin", options.margin)):
-            if value is not None:
-                message = f"{option} is about build plates; next: add --plate 256x256"
-                raise InputError(message)
+    distances = _some(files, "gap_mm", "margin_mm")
+    if "plate" not in files:
+        _refuse(distances, "is about build plates", "add --plate 256x256")
         return None
-    if options.file_format not in (None, "3mf", "mjcf"):
-        message = (
-            f"--plate writes 3mf or mjcf, which hold named objects; --format {options.file_format} does not"
-        )
+    if file_format not in (None, "3mf", "mjcf"):
+        message = f"--plate writes 3mf or mjcf, which hold named objects; --format {file_format} does not"
         raise InputError(message)
-    given = {"gap_mm": options.gap, "margin_mm": options.margin}
-    return PlateSpec.parse(options.plate, **{name: mm for name, mm in given.items() if mm is not None})
+    return PlateSpec.parse(files["plate"], **distances)
 
 
-def _physics(options: ExportOptions) -> Physics:
-    from tactile_toolkit.errors import InputError
+def _physics(file_format: str | None, files: Mapping[str, Any]) -> Physics:
     from tactile_toolkit.printing.simulator import MODELS, Physics
 
-    given = {"density_kg_m3": options.density, "friction": options.friction}
-    chosen = {name: value for name, value in given.items() if value is not None}
-    if chosen and options.file_format not in MODELS:
-        message = (
-            "--density and --friction are about bodies for simulators; next: add --format mjcf, urdf or usd"
-        )
-        raise InputError(message)
-    return Physics(**chosen)
+    material = _some(files, "density_kg_m3", "friction")
+    if file_format not in MODELS:
+        _refuse(material, "is about bodies for simulators", "add --format mjcf, urdf or usd")
+    return Physics(**material)
 
 
-def _refuse_options_of_files(options: ExportOptions) -> None:
-    from tactile_toolkit.errors import InputError
-
-    names = {"file_format": "--format", "scale": "--scale", "plate": "--plate", "gap": "--gap"}
-    names |= {name: f"--{name}" for name in ("margin", "density", "friction")}
-    plain = ExportOptions(options.name)
-    for name, option in names.items():
-        if getattr(options, name) != getattr(plain, name):
-            message = (
-                f"{option} is about files, --layout writes tables of meshes as they are stored; next: leave "
-                "one of them out"
-            )
-            raise InputError(message)
-
-
-def _chosen(kind: DatasetKind, options: ExportOptions, choose: Callable[..., T]) -> T:
-    from tactile_toolkit.catalog.locate import splits_of
-    from tactile_toolkit.printing.objects import parse_ids
-
-    # One by one, as no loader opens several splits as one data set.
-    splits = splits_of(options.name) if options.split == "all" else (options.split,)
-    labels = None if options.labels is None else [word.strip() for word in options.labels.split(",")]
-    ids = None if options.ids is None else parse_ids(options.ids)
-    datasets = ((split, kind.load(options.name, split)) for split in splits)
-    return choose(datasets, ids=ids, labels=labels, limit=options.limit)
-
-
-def _export_files(sink: Sink, objects: list[PrintObject], options: ExportOptions) -> tuple[Failure, ...]:
+def _export_files(
+    sink: Sink, objects: list[PrintObject], ending: str, scale: float, physics: Physics, job: Job
+) -> tuple[Failure, ...]:
     from tactile_toolkit.printing.singles import export_files, forecast_files
 
-    ending, out = options.file_format or "stl", options.out
-    if options.dry_run:
-        view = forecast_files(
-            *(objects, ending, options.scale),
-            physics=_physics(options),
-            out=str(out),
-            overwrite=options.overwrite,
-        )
-        sink.document({"out": str(out), **view.to_dict()})
+    out, overwrite = str(job.out), job.overwrite
+    if job.dry_run:
+        view = forecast_files(objects, ending, scale, physics=physics, out=out, overwrite=overwrite)
+        sink.document({"out": out, **view.to_dict()})
         sink.line(
             f"would write {counted(view.files, f'{ending} files')} to {out}, about {bytes_text(view.bytes)} "
             f"(measured on {view.sampled}); nothing was written"
@@ -219,88 +179,89 @@ def _export_files(sink: Sink, objects: list[PrintObject], options: ExportOptions
         return view.failures
     with sink.progress("writing", "files") as update:
         made = export_files(
-            objects,
-            str(out),
-            ending,
-            scale=options.scale,
-            physics=_physics(options),
-            overwrite=options.overwrite,
-            workers=process_count(options.workers),
+            *(objects, out, ending),
+            scale=scale,
+            physics=physics,
+            overwrite=overwrite,
+            workers=process_count(job.workers),
             on_progress=update,
         )
-    sink.document({"out": str(out), **made.to_dict()})
-    if made.files and len(made.files) <= _ROWS_SHOWN:
-        sizes = [" x ".join(f"{side:.1f}" for side in file.size_mm) for file in made.files]
-        rows = [
-            (file.file, size, f"{file.volume_mm3:,.0f}", file.bytes, file.state)
-            for file, size in zip(made.files, sizes, strict=True)
-        ]
+    sink.document({"out": out, **made.to_dict()})
+    if len(made.files) <= _ROWS_SHOWN:
+        rows = []
+        for file in made.files:
+            size = " x ".join(f"{side:.1f}" for side in file.size_mm)
+            rows.append((file.file, size, f"{file.volume_mm3:,.0f}", file.bytes, file.state))
         sink.table(("file", "size mm", "volume mm³", "bytes", ""), rows)
-    kept = sum(file.state == "kept" for file in made.files)
+    kept = _kept(sum(file.state == "kept" for file in made.files))
     size = bytes_text(sum(file.bytes for file in made.files))
-    sink.line(
-        f"{counted(len(made.files), 'files')} in {out} ({size}), each read back as a solid{_kept(kept)}"
-    )
+    sink.line(f"{counted(len(made.files), 'files')} in {out} ({size}), each read back as a solid{kept}")
     return made.failures
 
 
-def _export_flat(sink: Sink, kind: DatasetKind, choices: Any, options: ExportOptions) -> None:
-    from cli.touch_tables import print_converted
+def _export_flat(
+    sink: Sink, kind: DatasetKind, name: str, choices: Any, some: Mapping[str, Any], job: Job
+) -> None:
     from tactile_toolkit.exchange.tables import export_tables, forecast_tables
 
-    chosen_by = {"ids": options.ids, "labels": options.labels, "limit": options.limit}
-    what, out = (kind, options.name, choices, chosen_by), str(options.out)
-    if options.dry_run:
-        rows, size = forecast_tables(*what, out, overwrite=options.overwrite)
+    ids, labels = some["ids"], some["labels"]
+    chosen_by = {
+        "ids": ids
+        and ",".join("-".join(map(str, each)) if isinstance(each, tuple) else str(each) for each in ids),
+        "labels": labels and ",".join(labels),
+        "limit": some["limit"],
+        **({} if some["per_class"] is None else {"per_class": some["per_class"]}),
+    }
+    what, out = (kind, name, choices, chosen_by), str(job.out)
+    if job.dry_run:
+        rows, size = forecast_tables(*what, out, overwrite=job.overwrite)
         sink.document({"folder": out, "rows": rows, "bytes": size})
         made = f"{counted(rows, kind.nouns)} to {out}, about {bytes_text(size)}"
         sink.line(f"would write {made}; nothing was written")
         return
     with sink.progress("writing", kind.nouns) as update:
         manifest = export_tables(
-            *what,
-            out,
-            overwrite=options.overwrite,
-            workers=process_count(options.workers),
+            *(*what, out),
+            overwrite=job.overwrite,
+            workers=process_count(job.workers),
             on_progress=lambda progress: update(progress.done, progress.total),
         )
     print_converted(sink, manifest, out, kind.nouns)
 
 
 def _export_plates(
-    sink: Sink, objects: list[PrintObject], spec: PlateSpec, options: ExportOptions
+    sink: Sink, objects: list[PrintObject], spec: PlateSpec, scale: float, bodies: Physics | None, job: Job
 ) -> tuple[Failure, ...]:
     from tactile_toolkit.printing.layout import arrange, measure
     from tactile_toolkit.printing.plates import TABLE_FILE, forecast_plates, write_plates
 
-    out, dry_run, overwrite = options.out, options.dry_run, options.overwrite
+    out = str(job.out)
     with sink.progress("measuring", "objects") as update:
-        measured = measure(objects, spec, options.scale, update)
+        measured = measure(objects, spec, scale, update)
     with sink.progress("packing", "objects") as update:
         layout = arrange(measured, update)
-    # Plates in MJCF are bodies that lie on a floor; 3MF knows neither density nor friction.
-    if options.file_format == "mjcf":
-        layout = replace(layout, physics=_physics(options))
-    if dry_run:
-        made = forecast_plates(layout, str(out), overwrite=overwrite)
+    if bodies is not None:
+        layout = replace(layout, physics=bodies)
+    if job.dry_run:
+        made = forecast_plates(layout, out, overwrite=job.overwrite)
     else:
         with sink.progress("writing", "plates") as update:
-            made = write_plates(layout, str(out), overwrite=overwrite, on_progress=update)
-    sink.document({"out": str(out), **made.to_dict()})
+            made = write_plates(layout, out, overwrite=job.overwrite, on_progress=update)
+    sink.document({"out": out, **made.to_dict()})
     if made.removed:
-        verb = "would remove" if dry_run else "removed"
+        verb = "would remove" if job.dry_run else "removed"
         sink.talk(f"{verb} plates of the export that was there before: {', '.join(made.removed)}")
     rows = [
         (plate.file, plate.objects, f"{plate.share:.0%}", bytes_text(plate.bytes)) for plate in made.plates
     ]
     sink.table(("plate", "objects", "needed of the plate", "size"), rows)
-    verb = "would write" if dry_run else "wrote"
+    verb = "would write" if job.dry_run else "wrote"
     ending = f"maps beside them, and {TABLE_FILE} says which object lies where"
-    kept = sum(plate.state == "kept" for plate in made.plates)
+    kept = _kept(sum(plate.state == "kept" for plate in made.plates))
     placed, plates = counted(len(made.rows), "objects"), counted(len(made.plates), "plates")
     sink.line(
         f"{verb} {placed} on {plates} of {spec.text} to {out} (no packing needs fewer than "
-        f"{made.least_plates}){_kept(kept)}; {'nothing was written' if dry_run else ending}"
+        f"{made.least_plates}){kept}; {'nothing was written' if job.dry_run else ending}"
     )
     return made.failures
 

@@ -16,7 +16,10 @@ if TYPE_CHECKING:
     from tactile_toolkit.store.forecast import Forecast
     from tactile_toolkit.store.manifest import Manifest
 
-__all__ = ["Made", "make_with_progress", "print_conclusion", "print_forecast"]
+__all__ = ["Made", "PrintMade", "generate_set", "make_with_progress"]
+
+PrintMade = Callable[[Sink, "Manifest", str, float | None], None]
+"""Prints what a folder holds: with how long it took where it was just made, else None."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,6 +39,34 @@ class Made:
             return "nothing was left to make"
         left_out = f", {self.skipped:,} left out," if self.skipped else ""
         return f"made {counted(self.rows, self.nouns)}{left_out} in {duration_text(self.elapsed_s)}"
+
+
+def generate_set(
+    sink: Sink,
+    kind: DatasetKind,
+    making: Making,
+    out: str,
+    splits: Sequence[str] | None,
+    *,
+    what: str,
+    forecast: Callable[..., Forecast],
+    make: Callable[..., Manifest],
+    print_made: PrintMade,
+) -> None:
+    """Make a data set of a kind, or forecast it, and print what was made and what comes next."""
+    if making.dry_run:
+        _print_forecast(sink, kind, forecast(making.chosen_runner(), overwrite=making.overwrite), out, making)
+        return
+    made = make_with_progress(sink, what, kind.nouns, make, making, out)
+    if made is None:
+        return
+    print_made(sink, made.manifest, out, made.elapsed_s)
+    sink.line(f"{made.text}; the data set is in {out}")
+    table = made.manifest.split_table()
+    # One that has rows, so that the line works when it is tried.
+    split = next((name for name in splits or table if name in table and table[name]["rows"]), None)
+    call = f"{kind.package}.load({out!r}, split={split or next(iter(splits or table))!r})"
+    sink.line(f"next: {kind.command} verify {out}   or in Python: {call}")
 
 
 def make_with_progress(
@@ -85,41 +116,17 @@ def make_with_progress(
             )
             raise KeyboardInterrupt(message) from error
     made = Made(manifest, nouns, rows, skipped, time.monotonic() - start_s)
-    if work.part is not None:
-        _print_part(sink, made, out, work.part)
-        return None
-    # Another split may be unfinished: what is finished of it stays and is shown, as `info` shows it.
-    return replace(made, manifest=manifest_so_far(DataFolder(out)) or manifest)
-
-
-def _print_part(sink: Sink, made: Made, out: str, part: str) -> None:
-    sink.document(
-        {
-            "folder": out,
-            "complete": False,
-            "part": part,
-            "rows": made.rows,
-            "skipped": made.skipped,
-            "elapsed_s": round(made.elapsed_s, 3),
-        }
-    )
-    sink.line(f"{made.text}; part {part} of the data set in {out} is there")
+    if work.part is None:
+        # Another split may be unfinished: what is finished of it stays and is shown, as `info` shows it.
+        return replace(made, manifest=manifest_so_far(DataFolder(out)) or manifest)
+    counts = {"rows": made.rows, "skipped": made.skipped, "elapsed_s": round(made.elapsed_s, 3)}
+    sink.document({"folder": out, "complete": False, "part": work.part, **counts})
+    sink.line(f"{made.text}; part {work.part} of the data set in {out} is there")
     sink.line("next: when all parts have ended, the same command with --finish instead of --part")
+    return None
 
 
-def print_conclusion(sink: Sink, kind: DatasetKind, made: Made, out: str, splits: Sequence[str]) -> None:
-    """Say what was made and where, and which commands come next."""
-    sink.line(f"{made.text}; the data set is in {out}")
-    table = made.manifest.split_table()
-    # One that has rows, so that the line works when it is tried.
-    split = next((name for name in splits if name in table and table[name]["rows"]), splits[0])
-    sink.line(
-        f"next: {kind.command} validate {out}   or in Python: {kind.package}.load({out!r}, split={split!r})"
-    )
-
-
-def print_forecast(sink: Sink, kind: DatasetKind, view: Forecast, out: str, making: Making) -> None:
-    """Print what a run would make."""
+def _print_forecast(sink: Sink, kind: DatasetKind, view: Forecast, out: str, making: Making) -> None:
     sink.document(view.to_dict())
     header = ("split", kind.nouns, "shards", "finished already")
     sink.table(header, [(entry.split, entry.rows, entry.shards, entry.finished) for entry in view.splits])

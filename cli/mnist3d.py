@@ -2,47 +2,118 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from functools import partial
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
-import typer
-
-from cli.application import EXIT_FAILED, command, new_app, run
-from cli.copies import manifest_or_copy
-from cli.digit_options import DigitSplit, DivisionOptions, SolidOptions, SourceOptions
+from cli.application import OptionsOf, command, new_app, run
 from cli.export_commands import add_export
-from cli.folders import add_verify, least_to_most, print_made, print_spec
+from cli.folders import Geometry, add_info, add_verify, least_to_most, print_made, print_skipped
 from cli.gallery_commands import add_mesh_gallery
 from cli.hub_upload import add_hub_commands
-from cli.making import make_with_progress, print_conclusion, print_forecast
-from cli.options import Folder, Json, Limit, Making, Out, Workers, place_of_data, process_count
-from cli.output import Sink, bytes_text, counted
+from cli.making import generate_set
+from cli.options import Limit, Making, Out, PerClass
+from cli.output import Sink, bytes_text
 from cli.preview_commands import preview_digits
-from cli.touch_tables import print_converted
 from mnist3d.kind import KIND
-from tactile_toolkit.kind import is_export
+from mnist3d.spec import SPLITS, SolidSpec, SplitSpec
+from tactile_toolkit.checked_fields import choice, integer, switch, text
+from tactile_toolkit.errors import InputError
+from tactile_toolkit.kind import lazy
 
 if TYPE_CHECKING:
+    from mnist3d.sources import DigitSource
+    from mnist3d.validate import Checked
     from tactile_toolkit.store.manifest import Manifest
 
 __all__ = ["app", "main"]
 
 app = new_app("mnist3d", "Printable 3D digits: from images of handwriting to validated data sets of meshes.")
 
+_SOURCES_OF = {
+    "images": ("hwdplus", "mnist", "folder"),
+    "writer_info": ("hwdplus",),
+    "writer_column": ("hwdplus",),
+    "download": ("mnist",),
+    "ink": ("folder",),
+    "digits": ("synthetic",),
+}
+"""The sources that each option belongs to."""
+
+
+@dataclass(frozen=True, slots=True)
+class SourceOptions:
+    """Where the images come from."""
+
+    images: str | None = text(
+        metavar="PATH",
+        help="Images of the source: the .npy file of HWD+, the folder of the MNIST files, or a folder of "
+        "pictures DIR/<label>/*.png.",
+    )
+    writer_info: str | None = text(metavar="FILE", help="WriterInfo.npy of HWD+ (column 0 is the label).")
+    writer_column: int | None = integer(None, help="Column of WriterInfo.npy that holds the writer.")
+    download: bool = switch(False, help="Fetch MNIST into --images first (extra `torch`).")
+    ink: str = choice("auto", ("auto", "dark", "light"), help="Ink of pictures in a folder.")
+    # As many as MNIST 3D has (Tactile MNIST paper).
+    digits: int = integer(13_580, 1, help="How many digits the synthetic source holds.")
+
+
+def _source(name: str, given: Mapping[str, Any], seed: int) -> DigitSource:
+    """Return the source; InputError for options that are missing or of another source."""
+    for option in given:
+        if name not in _SOURCES_OF[option]:
+            owners = " or ".join(_SOURCES_OF[option])
+            message = (
+                f"--{option.replace('_', '-')} does not belong to --source {name}; next: leave it out, or "
+                f"name its source (--source {owners})"
+            )
+            raise InputError(message)
+    needed = {"hwdplus": ("images", "writer_info"), "mnist": ("images",), "folder": ("images",)}
+    for option in needed.get(name, ()):
+        if option not in given:
+            message = (
+                f"--source {name} needs --{option.replace('_', '-')}, which was not given; see mnist3d "
+                "generate --help"
+            )
+            raise InputError(message)
+    if name == "hwdplus":
+        from mnist3d.sources.hwdplus import HwdPlusSource
+
+        return HwdPlusSource(**given)
+    if name == "mnist":
+        from mnist3d.sources.mnist import MnistSource, download_mnist
+
+        if given.get("download"):
+            download_mnist(given["images"])
+        return MnistSource(given["images"])
+    if name == "folder":
+        from mnist3d.sources.folder import FolderSource
+
+        return FolderSource(given["images"], ink=given.get("ink", "auto"))
+    from mnist3d.sources.synthetic import SyntheticSource
+
+    return SyntheticSource(seed=seed, count=given.get("digits", SourceOptions().digits))
+
 
 @command(app)
 def generate(
     *,
-    split: Annotated[
-        DigitSplit | None,
-        typer.Option(
-            help="Split to make. Without it, pictures of a folder are all in train.", show_default="all"
-        ),
-    ] = None,
+    split: str | None = choice(
+        None,
+        (*SPLITS, "all"),
+        shown="all",
+        help="Split to make. Without it, pictures of a folder are all in train.",
+    ),
     out: Out = "mnist3d-data",
-    source: SourceOptions,
-    division: DivisionOptions,
-    solid: SolidOptions,
+    source: str = choice(
+        "synthetic", ("synthetic", "hwdplus", "mnist", "folder"), help="Where the images come from."
+    ),
+    images: Annotated[dict[str, Any], OptionsOf(SourceOptions)],
+    division: SplitSpec,
+    per_class: PerClass = None,
+    limit: Limit = None,
+    solid: SolidSpec,
     making: Making,
     sink: Sink,
 ) -> None:
@@ -54,87 +125,32 @@ def generate(
     """
     from mnist3d.generation import GenerateSpec, forecast
     from mnist3d.generation import generate as make
-    from mnist3d.splits import SPLITS
     from tactile_toolkit.run.limits import prepare_batch_process
 
     spec = GenerateSpec(
-        source=source.build(division.seed),
-        solid=solid.spec(),
-        split=division.spec(),
-        per_class=division.per_class,
-        limit=division.limit,
+        source=_source(source, images, division.seed),
+        solid=solid,
+        split=division,
+        per_class=per_class,
+        limit=limit,
     )
     splits = None if split is None else SPLITS if split == "all" else (split,)
     # Before the first digit, of a forecast too: it measures what a worker takes.
     prepare_batch_process()
-    if making.dry_run:
-        view = forecast(spec, out, splits, making.chosen_runner(), overwrite=making.overwrite)
-        print_forecast(sink, KIND, view, out, making)
-        return
-    made = make_with_progress(
-        sink, "making digits", KIND.nouns, partial(make, spec, out, splits), making, out
+    generate_set(
+        sink,
+        KIND,
+        making,
+        out,
+        splits,
+        what="making digits",
+        forecast=partial(forecast, spec, out, splits),
+        make=partial(make, spec, out, splits),
+        print_made=_print_made,
     )
-    if made is not None:
-        _print_made(sink, made.manifest, out, made.elapsed_s)
-        print_conclusion(sink, KIND, made, out, splits or SPLITS)
 
 
-@command(app)
-def validate(
-    *,
-    paths: Annotated[
-        list[str],
-        typer.Argument(
-            parser=place_of_data,
-            metavar="DIR|FILE...",
-            help="Data set folders, or STL/3MF/PLY/OBJ/GLB files.",
-        ),
-    ],
-    split: Annotated[DigitSplit, typer.Option(help="Split of a data set folder.")] = "all",
-    limit: Limit = None,
-    workers: Workers = 1,
-    sink: Sink,
-) -> None:
-    """Check meshes as read back from disk: whether each is a solid, and whether it will print.
-
-    Example: mnist3d validate digits part.stl
-
-    Exit code 1 when a mesh is not a valid solid.
-    """
-    from mnist3d.validate import validate_paths
-    from tactile_toolkit.run.limits import prepare_batch_process
-
-    prepare_batch_process()
-    chosen = None if split == "all" else split
-    with sink.progress("checking", "meshes") as update:
-        results = validate_paths(paths, chosen, limit, process_count(workers), on_progress=update)
-    sink.document([result.to_dict() for result in results])
-    # Named even with --quiet: a mesh that could not be read has no row in any table.
-    for item in (item for result in results for item in result.unreadable):
-        sink.insist(f"unreadable: {item.report.detail}")
-    for result in results:
-        sink.table(*result.table())
-    failed = sum(result.failed for result in results)
-    checked = sum(result.checked for result in results)
-    are = "mesh is a valid solid" if checked == 1 else "meshes are valid solids"
-    sink.line(f"{checked - failed:,} of {checked:,} {are}")
-    if failed:
-        raise typer.Exit(EXIT_FAILED)
-
-
-@command(app)
-def info(folder: Folder, as_json: Json = False) -> None:
-    """Show what a data set folder holds and how it was made."""
-    sink = Sink(as_json)
-    manifest = manifest_or_copy(sink, KIND, folder)
-    if manifest is not None and is_export(manifest):
-        print_converted(sink, manifest, folder, KIND.nouns)
-    elif manifest is not None:
-        _print_made(sink, manifest, folder)
-        print_spec(sink, manifest, "source and spec")
-
-
-def _print_made(sink: Sink, manifest: Manifest, out: str, elapsed_s: float | None = None) -> None:
+def _print_made(sink: Sink, manifest: Manifest, out: str, elapsed_s: float | None) -> None:
     from mnist3d.summary import summarise
     from tactile_toolkit.store.folder import DataFolder
 
@@ -159,15 +175,40 @@ def _print_made(sink: Sink, manifest: Manifest, out: str, elapsed_s: float | Non
     skipped = manifest.skipped_reasons()
     print_made(sink, KIND, manifest, out, splits, elapsed_s, (header, rows), skipped=skipped)
     if manifest.complete:
-        for reason, count in skipped.items():
-            sink.line(f"skipped {counted(count, 'digits')}: {reason} (each is named in {out}/manifest.json)")
+        print_skipped(sink, manifest, out, KIND.nouns, "skipped")
 
 
 def _range(spread: tuple[float, ...]) -> str:
     return f"{spread[0]:.1f}-{spread[-1]:.1f}" if spread else "-"
 
 
-add_verify(app, KIND, "a data set folder")
+def _print_checked(sink: Sink, results: Sequence[Checked]) -> None:
+    # Named even with --quiet: a mesh that could not be read has no row in any table.
+    for item in (item for result in results for item in result.unreadable):
+        sink.insist(f"unreadable: {item.report.detail}")
+    for result in results:
+        sink.table(*result.table())
+    failed = sum(result.failed for result in results)
+    checked = sum(result.checked for result in results)
+    are = "mesh is a valid solid" if checked == 1 else "meshes are valid solids"
+    sink.line(f"{checked - failed:,} of {checked:,} {are}")
+
+
+_GEOMETRY = Geometry(
+    "meshes",
+    """Check meshes as read back from disk: whether each is a solid, and whether it will print.
+
+    Example: mnist3d validate digits part.stl
+
+    Exit code 1 when a mesh is not a valid solid. For a folder, `verify --geometry` checks its files as well.
+    """,
+    lazy("mnist3d.validate:validate_paths"),
+    _print_checked,
+)
+
+
+add_info(app, KIND, _print_made, "source and spec")
+add_verify(app, KIND, _GEOMETRY)
 command(app, "preview")(preview_digits)
 add_hub_commands(app, KIND)
 add_mesh_gallery(app, KIND)

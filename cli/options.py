@@ -3,45 +3,50 @@
 from __future__ import annotations
 
 import os
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
+
+from tactile_toolkit.checked_fields import real, text
+from tactile_toolkit.wording import is_count, listed
 
 if TYPE_CHECKING:
     from tactile_toolkit.run.processes import Runner
 
 __all__ = [
+    "SENSOR_NOISE",
+    "Chosen",
     "DryRun",
     "Folder",
+    "Folders",
     "Json",
     "Limit",
     "LocalOut",
     "Making",
-    "MinHeight",
+    "OneSplit",
     "Out",
     "Overwrite",
+    "PerClass",
     "Quiet",
+    "ReaderThreads",
     "Revision",
-    "RunnerName",
-    "Seed",
-    "OneSplit",
     "Split",
     "TouchSet",
     "Work",
     "Workers",
-    "is_count",
     "local_place",
+    "min_height",
     "parse_size",
     "place_of_data",
     "process_count",
 ]
 
-
+SENSOR_NOISE = "none|calibrated|FILE"
 _RUNNERS = ("processes", "ray")
-_LONGEST_COUNT = 18
-"""Digits of a count: more may not fit into 64 bits, and ``int`` itself fails from 4,301 digits on."""
+_JOB = "Job options"
+"""Panel of the help of all options that say who does the work, not what is made."""
 
 
 def local_place(text: str | Path) -> Path:
@@ -49,24 +54,19 @@ def local_place(text: str | Path) -> Path:
 
     Paths of the type ``Path`` would come with ``//`` folded, so that such an address became a folder here.
     """
+    from tactile_toolkit.errors import InputError
+    from tactile_toolkit.store.files import expanded
+
     if "://" in str(text):
         from tactile_toolkit.store.address import shown
 
         place = shown(str(text))
         message = f"{place!r} is a remote address; expected a local path; next: give a path of this machine"
         raise typer.BadParameter(message)
-    from tactile_toolkit.errors import InputError
-    from tactile_toolkit.store.files import expanded
-
     try:
         return expanded(text)
     except InputError as error:
         raise typer.BadParameter(str(error)) from error
-
-
-def is_count(text: str) -> bool:
-    """Tell whether a text is a whole number of sensible length; a superscript is a digit, but no number."""
-    return text.isdecimal() and len(text) <= _LONGEST_COUNT
 
 
 def parse_size(text: str) -> tuple[int, int]:
@@ -102,21 +102,40 @@ def place_of_data(text: str | Path) -> str:
         raise typer.BadParameter(str(error)) from error
 
 
+def parse_ids(text: str) -> Any:
+    """Read ids and ranges of them, such as ``3,17,40-60``."""
+    from tactile_toolkit.catalog.choose import parse_ids as read
+
+    return read(text)
+
+
+def min_height() -> Any:
+    """Declare the option of the height from which a touch counts as contact."""
+    return real(
+        None,
+        optional=True,
+        help="Height above the plate from which a touch counts as contact; 6 by default, and any height for "
+        "touches of `tactile-sim generate`.",
+    )
+
+
+def _job(*names: str, **settings: Any) -> Any:
+    return typer.Option(*names, rich_help_panel=_JOB, **settings)
+
+
+def _out(help: str, parser: Any, metavar: str = "DIR") -> Any:
+    return typer.Option("--out", "-o", metavar=metavar, help=help, parser=parser)
+
+
 Folder = Annotated[
     str, typer.Argument(metavar="DIR", help="Folder of a generated data set.", parser=place_of_data)
 ]
-Out = Annotated[
-    str,
-    typer.Option(
-        "--out", "-o", metavar="DIR", help="Folder to write.", show_default=True, parser=place_of_data
-    ),
+Folders = Annotated[
+    list[str],
+    typer.Argument(parser=place_of_data, metavar="DIR|FILE...", help="Data set folders, or files of meshes."),
 ]
-LocalOut = Annotated[
-    Path,
-    typer.Option(
-        "--out", "-o", metavar="DIR", help="Folder to write.", show_default=True, parser=local_place
-    ),
-]
+Out = Annotated[str, _out("Folder to write.", place_of_data)]
+LocalOut = Annotated[Path, _out("Folder to write.", local_place)]
 Split = Annotated[
     str | None, typer.Option("--split", metavar="NAME", help="Only this split; all by default.")
 ]
@@ -129,16 +148,14 @@ TouchSet = Annotated[
 Revision = Annotated[
     str | None, typer.Option("--revision", metavar="REV", help="Branch, tag or commit of a Hub data set.")
 ]
-Seed = Annotated[int, typer.Option("--seed", min=0, help="Seed of everything that is drawn at random.")]
 Workers = Annotated[
-    int, typer.Option("--workers", "-w", min=0, help="Worker processes; 0 means one per processor core.")
+    int,
+    _job("--workers", "-w", min=0, metavar="N", help="Workers at a time; 0 means one per processor core."),
 ]
-ReaderThreads = Annotated[
-    int, typer.Option("--workers", "-w", min=0, help="Threads that read; 0 means one per processor core.")
-]
+ReaderThreads = Workers
 RunnerName = Annotated[
     str,
-    typer.Option(
+    _job(
         "--runner",
         metavar="processes|ray[=HOST:PORT]",
         help="Where shards are made: on this machine, or on a Ray cluster (--workers 0: all its cores).",
@@ -147,7 +164,7 @@ RunnerName = Annotated[
 ]
 PartText = Annotated[
     str | None,
-    typer.Option(
+    _job(
         "--part",
         metavar="K/N|auto[/N]",
         help="Only every N-th shard from number K on, as one job of an array; auto: what Slurm or Kubernetes "
@@ -155,33 +172,44 @@ PartText = Annotated[
     ),
 ]
 Finishing = Annotated[
-    bool, typer.Option("--finish", help="Put together what all parts have made, or say which are missing.")
+    bool, _job("--finish", help="Put together what all parts have made, or say which are missing.")
+]
+Checking = Annotated[
+    bool, _job("--check", help="Read all that is finished again, in stores too, and remake what is damaged.")
+]
+Overwrite = Annotated[bool, _job("--overwrite", help="Start again in a folder that holds another data set.")]
+DryRun = Annotated[
+    bool, _job("--dry-run", help="Say what would be made, how large and how long; write nothing.")
 ]
 Limit = Annotated[
     int | None, typer.Option("--limit", min=1, metavar="N", help="Only the first N rows of each split.")
 ]
-MinHeight = Annotated[
-    float | None,
-    typer.Option(
-        metavar="MM",
-        help="Height above the plate from which a touch counts as contact; 6 by default, and any height for "
-        "touches of `tactile-sim generate`.",
-    ),
-]
-Checking = Annotated[
-    bool,
-    typer.Option(
-        "--check", help="Read all that is finished again, in stores too, and make what is damaged anew."
-    ),
-]
-Overwrite = Annotated[
-    bool, typer.Option("--overwrite", help="Start again in a folder that holds another data set.")
-]
-DryRun = Annotated[
-    bool, typer.Option("--dry-run", help="Say what would be made, how large and how long; write nothing.")
+PerClass = Annotated[
+    int | None,
+    typer.Option("--per-class", min=1, metavar="N", help="Only the first N of each class of a split."),
 ]
 Json = Annotated[bool, typer.Option("--json", help="Print one JSON document on stdout.")]
 Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="No progress and no table; errors only.")]
+
+
+@dataclass(frozen=True, slots=True)
+class Chosen:
+    """Options of all commands that take some of the objects of a data set."""
+
+    split: Split = None
+    ids: tuple[Any, ...] | None = text(
+        metavar="3,17,40-60", read=parse_ids, help="Only the objects with these ids."
+    )
+    labels: tuple[str, ...] | None = text(
+        metavar="3,7", read=listed, help="Only the objects of these classes."
+    )
+    per_class: PerClass = None
+    limit: Limit = None
+
+    def given(self) -> dict[str, Any]:
+        """Return what was asked for, by name; a split only where it is not ``all``."""
+        named = {each.name: getattr(self, each.name) for each in fields(self)}
+        return {**named, "split": None if self.split == "all" else self.split}
 
 
 @dataclass(frozen=True, slots=True)
@@ -202,32 +230,23 @@ class Work:
 
     def chosen_runner(self) -> int | Runner:
         """Return what makes the shards, as functions take it."""
-        if not self.check:
-            return self._maker()
-        from tactile_toolkit.run.parts import Check
+        from tactile_toolkit.errors import InputError
+        from tactile_toolkit.run.parts import Check, Finish, part_of
 
-        return Check(self._maker())
-
-    def _maker(self) -> int | Runner:
-        if self.finish:
-            from tactile_toolkit.errors import InputError
-            from tactile_toolkit.run.parts import Finish
-
-            if self.part is None:
-                return Finish()
+        if self.finish and self.part is not None:
             message = "--part and --finish were both given; expected --finish when all parts have ended"
             raise InputError(message)
         runner: int | Runner = self.processes
         name, _, address = self.runner.partition("=")
-        if name == "ray":
+        if self.finish:
+            runner = Finish()
+        elif name == "ray":
             from tactile_toolkit.run.ray import RayRunner
 
             runner = RayRunner(address or None, self.workers)
-        if self.part is None:
-            return runner
-        from tactile_toolkit.run.parts import part_of
-
-        return part_of(self.part, runner)
+        if self.part is not None:
+            runner = part_of(self.part, runner)
+        return Check(runner) if self.check else runner
 
 
 @dataclass(frozen=True, slots=True)

@@ -2,20 +2,21 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING
 
 import typer
 
 from cli.application import EXIT_FAILED, command, new_app, run
-from cli.folders import print_unfinished
+from cli.folders import print_converted, print_unfinished
 from cli.gallery_commands import add_touch_gallery
 from cli.hub_upload import add_hub_commands
-from cli.options import Json, OneSplit, ReaderThreads, Revision, Split, TouchSet, process_count
+from cli.options import Json, OneSplit, Revision, Split, TouchSet, Workers, process_count
 from cli.output import Sink, counted
 from cli.preview_commands import preview_touches
 from cli.touch_conversions import add_conversions
-from cli.touch_tables import announce_fetching, print_converted, print_summary, raise_findings
+from cli.touch_tables import announce_fetching, print_summary, raise_findings
 from realtouch.kind import KIND
+from tactile_toolkit.checked_fields import switch
 
 if TYPE_CHECKING:
     from realtouch.integrity.verify import TouchVerification
@@ -31,7 +32,7 @@ def load(
     name: TouchSet,
     split: OneSplit = None,
     revision: Revision = None,
-    check: Annotated[bool, typer.Option(help="Check every round and the headers of its pictures.")] = True,
+    check: bool = switch(True, help="Check every round and the headers of its pictures."),
     sink: Sink,
 ) -> None:
     """Download what is missing, check it, and print what it holds.
@@ -102,8 +103,8 @@ def verify(
     name: TouchSet,
     split: Split = None,
     revision: Revision = None,
-    quick: Annotated[bool, typer.Option("--quick", help="Read headers of pictures; decode none.")] = False,
-    workers: ReaderThreads = 0,
+    quick: bool = switch(False, help="Read headers of pictures; decode none."),
+    workers: Workers = 0,
     sink: Sink,
 ) -> None:
     """Check every file, round, touch and frame, and list all that is wrong.

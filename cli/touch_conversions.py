@@ -1,61 +1,46 @@
-"""``realtouch to-single | resize | frames | select | export``: a data set of touches becomes another one."""
+"""``realtouch to-single | resize | frames | select | export | import``: sets of touches become others."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import MISSING, asdict, dataclass
 from functools import partial
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from cli.application import command
+from cli.folders import print_converted
 from cli.making import make_with_progress
-from cli.options import (
-    Limit,
-    MinHeight,
-    Out,
-    Split,
-    TouchSet,
-    Work,
-    is_count,
-    parse_size,
-    place_of_data,
-)
+from cli.options import Limit, Split, TouchSet, Work, min_height, parse_size, place_of_data
 from cli.output import Sink
-from cli.touch_tables import announce_fetching, print_converted
+from cli.touch_tables import announce_fetching
 from realtouch.kind import KIND
+from tactile_toolkit.checked_fields import choice, integer, switch, text
+from tactile_toolkit.errors import InputError
+from tactile_toolkit.wording import is_count, listed
 
 if TYPE_CHECKING:
-    from realtouch.exchange.items import ImportColumns
     from tactile_toolkit.store.manifest import Manifest
 
 __all__ = ["add_conversions"]
 
 _SKIPPED_SHOWN = 20
 
+FormerOut = Annotated[str | None, typer.Argument(metavar="OUT", hidden=True, parser=place_of_data)]
 
-DifferenceName = Literal["grey", "absolute"]
-"""Ways to show what differs from the background."""
 
-FrameName = Literal["contact_end", "contact_start", "peak", "median", "best"]
-"""Ways to choose the frame of a clip that shows the contact."""
+def _out() -> Any:
+    return text(name="--out -o", metavar="DIR", read=place_of_data, help="Folder to write; required.")
 
-LayoutName = Literal["flat", "webdataset", "lerobot", "replay", "fota", "sparsh", "anytouch"]
-"""Formats of other libraries."""
 
-ImportLayout = Literal["folder", "webdataset", "fota", "sparsh", "anytouch"]
-"""Formats of others that become touches."""
-
-Target = Annotated[str, typer.Argument(metavar="OUT", help="Folder to write.", parser=place_of_data)]
-Frame = Annotated[
-    FrameName,
-    typer.Option(
-        "--frame",
+def _frame() -> Any:
+    return choice(
+        "contact_end",
+        ("contact_end", "contact_start", "peak", "median", "best"),
         help="Frame of a clip: last or first of contact, of the deepest press, most unlike the median, or "
         "that of the best contact score.",
-    ),
-]
+    )
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,12 +55,14 @@ class Converting(Work):
         sink: Sink,
         convert: Callable[..., Manifest],
         source: str,
-        out: str,
+        out: str | None,
+        former_out: str | None,
         *values: Any,
         nouns: str = KIND.nouns,
         **options: Any,
     ) -> None:
-        """Say what will be fetched, convert with a progress bar, and say how many ``nouns`` were made."""
+        """Print what will be fetched, convert with a progress bar, and print how many ``nouns`` were made."""
+        out = _place(sink, out, former_out)
         announce_fetching(sink, source, self.split)
         make = partial(convert, source, out, *values, **options, split=self.split, limit=self.limit)
         made = make_with_progress(sink, "converting", nouns, make, self, out, unit=KIND.nouns)
@@ -83,126 +70,137 @@ class Converting(Work):
             print_converted(sink, made.manifest, out)
 
 
-def _column(words: str) -> Any:
-    return typer.Option(metavar="NAME", help=words)
+def _place(sink: Sink, out: str | None, former_out: str | None) -> str:
+    """Return the folder to write; as the second argument, where it was until now, with a warning."""
+    if out is None and former_out is None:
+        message = "--out was not given; expected the folder to write; next: add --out DIR"
+        raise InputError(message)
+    if former_out is not None:
+        sink.insist(f"warning: OUT without --out is deprecated; next: write --out {former_out}")
+    return str(out or former_out)
 
 
 @dataclass(frozen=True, slots=True)
 class Columns:
-    """Options that name columns; those of our own exports are found without."""
+    """Options that name columns; those of our own exports are found without. Fields of `ImportColumns`."""
 
-    image_column: Annotated[str, _column("Column of the images' paths; of tars, their ending.")] = "file"
-    label_column: Annotated[
-        str | None, _column("Column of the classes, numbers or names: label_name or label by default.")
-    ] = None
-    round_column: Annotated[str | None, _column("Column of what touches belong together by.")] = None
-    object_column: Annotated[str | None, _column("Column of the number of the object.")] = None
-    position_columns: Annotated[
-        str | None, typer.Option(metavar="X,Y", help="Columns of the intended position, m, cell frame.")
-    ] = None
-    pose_columns: Annotated[
-        str | None,
-        typer.Option(metavar="X,Y,Z,QX,QY,QZ,QW", help="Columns of the gel's pose, m, cell frame; or one."),
-    ] = None
-    split_column: Annotated[str | None, _column("Column of the split.")] = None
-
-    def chosen(self) -> ImportColumns:
-        """Return what functions take."""
-        from realtouch.exchange.items import ImportColumns
-
-        return ImportColumns(
-            self.image_column,
-            self.label_column,
-            self.round_column,
-            self.object_column,
-            None if self.position_columns is None else tuple(_listed(self.position_columns)),
-            None if self.pose_columns is None else tuple(_listed(self.pose_columns)),
-            self.split_column,
-        )
+    image: str = text(
+        "file",
+        name="--image-column",
+        metavar="NAME",
+        help="Column of the images' paths; of tars, their ending.",
+    )
+    label: str | None = text(
+        name="--label-column",
+        metavar="NAME",
+        help="Column of the classes, numbers or names: label_name or label by default.",
+    )
+    round: str | None = text(
+        name="--round-column", metavar="NAME", help="Column of what touches belong together by."
+    )
+    object: str | None = text(
+        name="--object-column", metavar="NAME", help="Column of the number of the object."
+    )
+    position: tuple[str, ...] | None = text(
+        name="--position-columns",
+        metavar="X,Y",
+        read=lambda words: tuple(listed(words)),
+        help="Columns of the intended position, m, cell frame.",
+    )
+    pose: tuple[str, ...] | None = text(
+        name="--pose-columns",
+        metavar="X,Y,Z,QX,QY,QZ,QW",
+        read=lambda words: tuple(listed(words)),
+        help="Columns of the gel's pose, m, cell frame; or one.",
+    )
+    split_in: str | None = text(name="--split-column", metavar="NAME", help="Column of the split.")
 
 
 def add_conversions(app: typer.Typer) -> None:
     """Add the commands to a command line."""
     command(app, "to-single")(to_single)
-    for each in (resize, frames, select, export):
+    for each in (resize, select, export):
         command(app)(each)
+    command(app, former={"--png": ("--format=png", None), "--jpeg": ("--format=jpeg", None)})(frames)
     command(app, "import")(import_touches)
 
 
 def to_single(
     *,
     source: TouchSet,
-    out: Target,
-    frame: Frame = "contact_end",
+    former_out: FormerOut = None,
+    out: str | None = _out(),
+    frame: str = _frame(),
     converting: Converting,
     sink: Sink,
 ) -> None:
     """Make a data set of single images of one of clips: a frame of each, with the pose at that moment.
 
-    Example: realtouch to-single real-seq touches --frame peak
+    Example: realtouch to-single real-seq --frame peak --out touches
     """
     from realtouch.convert.api import to_single as convert
 
-    converting.run(sink, convert, source, out, frame)
+    converting.run(sink, convert, source, out, former_out, frame)
 
 
 def resize(
     *,
     source: TouchSet,
-    out: Target,
+    former_out: FormerOut = None,
+    out: str | None = _out(),
     size: Annotated[str, typer.Option("--size", metavar="WIDTHxHEIGHT", help="Size wanted, pixels.")],
-    quality: Annotated[int, typer.Option(min=1, max=100, help="JPEG quality of what is encoded again.")] = 95,
+    quality: int = integer(95, 1, 100, help="JPEG quality of what is encoded again, 1 to 100."),
     converting: Converting,
     sink: Sink,
 ) -> None:
     """Write the same data set with pictures or clips of another size.
 
-    Example: realtouch resize real-single-320x240 small --size 64x64
+    Example: realtouch resize real-single-320x240 --size 64x64 --out small
     """
     from realtouch.convert.api import resize as convert
 
-    converting.run(sink, convert, source, out, *parse_size(size), quality=quality)
+    converting.run(sink, convert, source, out, former_out, *parse_size(size), quality=quality)
 
 
 def frames(
     *,
     source: TouchSet,
-    out: Target,
-    png: Annotated[bool, typer.Option("--png", help="Write PNG (the default); pixels stay exact.")] = False,
-    jpeg: Annotated[bool, typer.Option("--jpeg", help="Write the stored JPEGs as they are.")] = False,
-    frame: Frame = "contact_end",
-    difference: Annotated[
-        DifferenceName | None,
-        typer.Option(
-            help="Write what differs from the median of clip or round: grey (128: no change) or absolute."
-        ),
-    ] = None,
+    former_out: FormerOut = None,
+    out: str | None = _out(),
+    file_format: str = choice(
+        "png",
+        ("png", "jpeg"),
+        name="--format",
+        help="png, whose pixels are exact, or the stored JPEGs as they are.",
+    ),
+    frame: str = _frame(),
+    difference: str | None = choice(
+        None,
+        ("grey", "absolute"),
+        optional=True,
+        help="Write what differs from the median of clip or round: grey (128: no change) or absolute.",
+    ),
     converting: Converting,
     sink: Sink,
 ) -> None:
     """Write touches as plain image files with an index in CSV and Parquet.
 
-    Example: realtouch frames real-single-64x64 pictures --jpeg
+    Example: realtouch frames real-single-64x64 --format jpeg --out pictures
 
-    Example: realtouch frames real-seq changes --frame best --difference grey
+    Example: realtouch frames real-seq --frame best --difference grey --out changes
     """
     from realtouch.convert.api import frames as convert
-    from tactile_toolkit.errors import InputError
 
-    # PNG is the default; --png says so in scripts, and must not meet its contrary.
-    if png and jpeg:
-        message = "--png and --jpeg were both given; expected one of them"
-        raise InputError(message)
-    kind: Literal["png", "jpeg"] = "jpeg" if jpeg else "png"
-    converting.run(sink, convert, source, out, kind, frame, difference=difference)
+    converting.run(sink, convert, source, out, former_out, file_format, frame, difference=difference)
 
 
 def select(
     *,
     source: TouchSet,
-    out: Target,
-    contact: Annotated[bool, typer.Option("--contact", help="Only touches that met an object.")] = False,
-    min_height_mm: MinHeight = None,
+    former_out: FormerOut = None,
+    out: str | None = _out(),
+    contact: bool = switch(False, help="Only touches that met an object."),
+    min_height_mm: float | None = min_height(),
     recalibrate: Annotated[
         bool,
         typer.Option(
@@ -210,60 +208,59 @@ def select(
             help="Take each round's deepest touch as the plate, where its height is not known.",
         ),
     ] = True,
-    labels: Annotated[str | None, typer.Option(metavar="3,5", help="Only these classes.")] = None,
-    objects: Annotated[str | None, typer.Option(metavar="ID,ID", help="Only these objects.")] = None,
+    labels: list[str] | None = text(metavar="3,5", read=listed, help="Only these classes."),
+    ids: list[int] | None = text(
+        was="--objects", metavar="ID,ID", read=lambda words: _object_ids(words), help="Only these objects."
+    ),
     converting: Converting,
     sink: Sink,
 ) -> None:
     """Write some rounds and touches of a data set; pictures pass through byte for byte.
 
-    Example: realtouch select real-single-64x64 touched --contact --labels 3,5
+    Example: realtouch select real-single-64x64 --contact --labels 3,5 --out touched
     """
     from realtouch.convert.api import select as convert
-    from tactile_toolkit.errors import InputError
 
     if not contact and (min_height_mm is not None or not recalibrate):
         message = "--min-height-mm and --as-recorded are about --contact; next: add --contact"
         raise InputError(message)
     converting.run(
-        sink,
-        convert,
-        source,
-        out,
+        *(sink, convert, source, out, former_out),
         contact=contact,
         min_height_m=None if min_height_mm is None else min_height_mm / 1000,
         recalibrate_z=recalibrate,
-        labels=_listed(labels),
-        objects=[_object_id(text) for text in _listed(objects)],
+        labels=labels or (),
+        objects=ids or (),
     )
 
 
 def export(
     *,
     source: TouchSet,
-    layout: Annotated[
-        LayoutName,
-        typer.Option(
-            help="flat: Parquet, a row for each touch; webdataset: tars; lerobot: LeRobotDataset v3.0 of one "
-            "split; replay: Zarr of Diffusion Policy, likewise; fota: tars of T3; sparsh: pickled images; "
-            "anytouch: list files."
-        ),
-    ],
-    out: Out,
-    frame: Frame = "contact_end",
+    file_format: str = choice(
+        MISSING,
+        ("flat", "webdataset", "lerobot", "replay", "fota", "sparsh", "anytouch"),
+        name="--format",
+        was="--layout",
+        help="flat: Parquet, a row for each touch; webdataset: tars; lerobot: LeRobotDataset v3.0 of one "
+        "split; replay: Zarr of Diffusion Policy, likewise; fota: tars of T3; sparsh: pickled images; "
+        "anytouch: list files.",
+    ),
+    out: str | None = _out(),
+    frame: str = _frame(),
     converting: Converting,
     sink: Sink,
 ) -> None:
     """Write touches for other libraries; stored JPEGs are copied, never encoded again.
 
-    Example: realtouch export real-single-64x64 --split train --layout flat --out flat
+    Example: realtouch export real-single-64x64 --split train --format flat --out flat
 
-    Example: realtouch export real-seq --split train --layout lerobot --out robots
+    Example: realtouch export real-seq --split train --format lerobot --out robots
     """
     from realtouch.exchange.api import export as convert
 
     # A row is a touch, or an episode of LeRobot.
-    converting.run(sink, convert, source, out, layout, nouns="rows", frame=frame)
+    converting.run(sink, convert, source, out, None, file_format, nouns="rows", frame=frame)
 
 
 def import_touches(
@@ -271,22 +268,23 @@ def import_touches(
     source: Annotated[
         str, typer.Argument(metavar="DIR", help="Folder of images and a CSV table, or of tars.")
     ],
-    layout: Annotated[ImportLayout, typer.Option(help="How the images lie.")],
-    out: Out,
+    file_format: str = choice(
+        MISSING,
+        ("folder", "webdataset", "fota", "sparsh", "anytouch"),
+        name="--format",
+        was="--layout",
+        help="How the images lie.",
+    ),
+    out: str | None = _out(),
     columns: Columns,
-    table: Annotated[
-        str | None, typer.Option(metavar="FILE", help="The table; the only CSV file there by default.")
-    ] = None,
-    classes: Annotated[
-        str | None, typer.Option(metavar="A,B", help="Names of the classes in order; those found by default.")
-    ] = None,
-    split: Annotated[
-        str | None,
-        typer.Option(
-            metavar="NAME",
-            help="Split, where no column states it; else the one of tars called SPLIT-000000.tar, or train.",
-        ),
-    ] = None,
+    table: str | None = text(metavar="FILE", help="The table; the only CSV file there by default."),
+    classes: list[str] | None = text(
+        metavar="A,B", read=listed, help="Names of the classes in order; those found by default."
+    ),
+    split: str | None = text(
+        metavar="NAME",
+        help="Split, where no column states it; else the one of tars called SPLIT-000000.tar, or train.",
+    ),
     work: Work,
     sink: Sink,
 ) -> None:
@@ -295,20 +293,16 @@ def import_touches(
     What cannot be used is left out, and named with the reason. Columns that this program writes are found by
     their names.
 
-    Example: realtouch import pictures --layout folder --image-column file --label-column digit --out touches
+    Example: realtouch import pictures --format folder --image-column file --label-column digit --out touches
     """
     from realtouch.exchange.importing import NOT_IMPORTED, import_images
+    from realtouch.exchange.items import ImportColumns
     from tactile_toolkit.store.shards import add_up
 
+    out = _place(sink, out, None)
+    named = ImportColumns(*asdict(columns).values())
     make = partial(
-        import_images,
-        source,
-        out,
-        layout,
-        columns.chosen(),
-        table=table,
-        classes=_listed(classes),
-        split=split,
+        import_images, source, out, file_format, named, table=table, classes=classes or (), split=split
     )
     made = make_with_progress(sink, "importing", KIND.nouns, make, work, out, unit="touches")
     if made is None:
@@ -318,19 +312,13 @@ def import_touches(
         sink.talk(f"left out: {item.message} ({item.reason})")
     fields = add_up(list(made.manifest.statistics().values())).get(NOT_IMPORTED, {})
     if fields:
-        listed = ", ".join(f"{name} ({count:,})" for name, count in fields.items())
-        sink.talk(f"fields that were not imported, and of how many touches: {listed}")
+        counts = ", ".join(f"{name} ({count:,})" for name, count in fields.items())
+        sink.talk(f"fields that were not imported, and of how many touches: {counts}")
     print_converted(sink, made.manifest, out, "touches")
 
 
-def _listed(text: str | None) -> list[str]:
-    return [part.strip() for part in text.split(",") if part.strip()] if text else []
-
-
-def _object_id(text: str) -> int:
-    from tactile_toolkit.errors import InputError
-
-    if not is_count(text):
-        message = f"--objects has {text!r}; expected whole numbers, such as 12,408"
+def _object_ids(words: str) -> list[int]:
+    if not all(map(is_count, listed(words))):
+        message = f"--ids has {words!r}; expected whole numbers, such as 12,408"
         raise InputError(message)
-    return int(text)
+    return [int(each) for each in listed(words)]

@@ -1,34 +1,20 @@
-"""What ``realtouch`` prints of data sets, conversions and damage."""
+"""What ``realtouch`` prints of data sets and damage."""
 
 from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
-from cli.output import Sink, bytes_text, counted
+from cli.output import Sink, counted
 
 if TYPE_CHECKING:
     from realtouch.integrity.verify import TouchVerification
     from realtouch.summary import Summary
-    from tactile_toolkit.store.manifest import Manifest
 
-__all__ = ["announce_fetching", "print_converted", "print_summary", "raise_findings"]
-
-
-def print_converted(sink: Sink, manifest: Manifest, out: str, nouns: str = "rounds") -> None:
-    """Print what a conversion wrote."""
-    table = manifest.split_table()
-    sink.document({"folder": out, "splits": table, "spec": manifest.spec})
-    rows = [
-        (split, e["rows"], e["shards"], bytes_text(e["bytes"]), e["skipped"]) for split, e in table.items()
-    ]
-    sink.table(("split", "rows", "shards", "Parquet", "left out"), rows)
-    for reason, count in manifest.skipped_reasons().items():
-        sink.line(f"left out {counted(count, nouns)}: {reason} (each is named in {out}/manifest.json)")
-    sink.line(f"the data set is in {out}")
+__all__ = ["announce_fetching", "print_summary", "raise_findings"]
 
 
 def announce_fetching(sink: Sink, name: str, split: str | None) -> None:
-    """Say what of a data set on the Hub is about to be fetched: a published one may have many gigabytes."""
+    """Print what of a data set on the Hub is about to be fetched: a published one may have many gigabytes."""
     from tactile_toolkit.catalog.published import place_of
     from tactile_toolkit.hub.repository import hub_name
     from tactile_toolkit.store.files import expanded

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 import numpy as np
 
 from mnist3d.ink import count_bodies_and_holes, grown
-from mnist3d.spec import depth_px, half_height_px
+from mnist3d.side_view import depth_px, half_height_px
 from mnist3d.steps import BUDGET_SLACK, bodies_and_holes, decimate, marching_cubes, scale, smooth
 from tactile_toolkit.errors import ItemError
 

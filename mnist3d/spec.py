@@ -1,28 +1,30 @@
-"""Every number that turns ink into a solid, and the side view that they describe.
-
-In the functions of the side view all lengths are in pixels: ``s_px`` is the distance of a point from the
-outline of the ink, positive inside, ``z_px`` its height above the mid-plane. In the round profile the outline
-draws in along a quarter circle whose radius is the half thickness, which gives the published meshes' round
-shoulders.
-"""
+"""Every number that turns ink into a solid, and how digits are divided into splits."""
 
 from __future__ import annotations
 
 from dataclasses import asdict, dataclass, fields
-from typing import Any
+from typing import Any, Literal
 
-import numpy as np
-from numpy.typing import NDArray
-
-from tactile_toolkit.checked_fields import check_fields, choice, real_number, switch, whole_number
+from tactile_toolkit.checked_fields import check_fields, choice, integer, real, switch, text
 from tactile_toolkit.errors import InputError
+from tactile_toolkit.wording import is_count, is_whole, plain_pairs
 
-__all__ = ["EROSIONS", "PROFILES", "SolidSpec", "depth_px", "erosion_radius_px", "half_height_px"]
-
-Floats = NDArray[np.floating[Any]]
+__all__ = ["EROSIONS", "PROFILES", "PUBLISHED_SIZES", "SPLITS", "SolidSpec", "SplitSpec"]
 
 PROFILES = ("round", "linear", "flat")
 EROSIONS = ("outline", "disc")
+
+SPLITS = ("train", "test", "holdout", "printed_train", "printed_test")
+"""The five splits in canonical order, which is also the order in which scarce digits are handed out."""
+
+PUBLISHED_SIZES: dict[str, int] = {
+    "train": 1148,
+    "test": 100,
+    "holdout": 50,
+    "printed_train": 50,
+    "printed_test": 10,
+}
+"""Digits per class in each published split; 1,358 in all."""
 
 LARGEST_HALF_THICKNESS_PX = 100
 """Squares of distances in pixels have to fit 16 bits (:func:`mnist3d.lattice.signed_distance_px`)."""
@@ -75,21 +77,29 @@ class SolidSpec:
         which ends the binary fraction of each coordinate early and so lets Parquet pack it.
     """
 
-    pixel_pitch_mm: float = real_number(0.2, above=0)
-    half_thickness_mm: float = real_number(4.0, above=0)
-    profile: str = choice("round", PROFILES)
-    erosion: str = choice("outline", EROSIONS)
-    threshold: float | None = real_number(None, 0, 255, optional=True)
-    min_speck_mm2: float = real_number(4.0, 0)
-    min_pinhole_mm2: float = real_number(2.0, 0)
-    join_bodies: bool = switch(False)
-    bridge_width_mm: float = real_number(3.0, above=0)
-    lattice_pitch_mm: float | None = real_number(None, above=0, optional=True)
-    target_vertices: int = whole_number(5000, 100)
-    smoothing_iterations: int = whole_number(2)
-    literal_smoothing_iterations: int = whole_number(20)
-    smoothing_factor: float = real_number(0.5, above=0, below=1)
-    vertex_quantum_mm: float = real_number(1000.0 / 2**18, 0)
+    pixel_pitch_mm: float = real(0.2, above=0)
+    half_thickness_mm: float = real(
+        4.0, above=0, help="Height above the mid-plane of ink that is wide enough."
+    )
+    profile: str = choice("round", PROFILES, help="How the rim of a digit rises.")
+    erosion: str = choice(
+        "outline",
+        EROSIONS,
+        help="Draw the outline in by each radius, or erode with a disc of pixels.",
+    )
+    threshold: float | None = real(None, 0, 255, optional=True)
+    min_speck_mm2: float = real(4.0, 0)
+    min_pinhole_mm2: float = real(2.0, 0)
+    join_bodies: bool = switch(False, help="Bridge separate pieces so that a digit prints in one.")
+    bridge_width_mm: float = real(3.0, above=0)
+    lattice_pitch_mm: float | None = real(None, above=0, optional=True)
+    target_vertices: int = integer(
+        5000, 100, name="--vertices", help="Vertices of a mesh, about; 1.5 times as many at most."
+    )
+    smoothing_iterations: int = integer(2)
+    literal_smoothing_iterations: int = integer(20)
+    smoothing_factor: float = real(0.5, above=0, below=1)
+    vertex_quantum_mm: float = real(1000.0 / 2**18, 0)
 
     def __post_init__(self) -> None:
         """Refuse numbers that describe no solid."""
@@ -152,45 +162,78 @@ class SolidSpec:
         return cls(**values)
 
 
-def erosion_radius_px(z_px: Floats, spec: SolidSpec) -> Floats:
-    """Return how far the outline draws in at heights from 0 to the half thickness; grows with the height."""
-    half_px = spec.half_thickness_px
-    if spec.profile == "flat":
-        return np.zeros_like(z_px)
-    radius = z_px
-    if spec.profile == "round":
-        radius = np.asarray(half_px - np.sqrt(np.maximum(half_px**2 - z_px**2, 0)))
-    return np.asarray(np.maximum(radius - _reserve_px(spec), 0))
+def _sizes(words: str) -> dict[str, int]:
+    """Read ``train=8,test=2``."""
+    sizes: dict[str, int] = {}
+    for part in words.split(","):
+        split, _, size = (piece.strip() for piece in part.partition("="))
+        if not is_count(size) or split in sizes:
+            message = f"--split-sizes has {part!r}; expected SPLIT=N once per split, such as train=8,test=2"
+            raise InputError(message)
+        sizes[split] = int(size)
+    return sizes
 
 
-def _reserve_px(spec: SolidSpec) -> np.float32:
-    """Return by how much an erosion falls short of its radius: a disc of pixels leaves those it touches."""
-    return np.float32(0.5 if spec.erosion == "disc" else 0)
+@dataclass(frozen=True, slots=True)
+class SplitSpec:
+    """How digits are divided.
 
-
-def half_height_px(s_px: Floats, spec: SolidSpec) -> Floats:
-    """Return how high the solid stands above the mid-plane; 0 outside the ink."""
-    half_px = spec.half_thickness_px
-    depth = np.where(s_px > 0, np.clip(s_px + _reserve_px(spec), 0, half_px), 0)
-    if spec.profile == "round":
-        # The same quarter circle as in `erosion_radius_px`, solved for the height.
-        return np.asarray(np.sqrt(depth * (2 * half_px - depth)))
-    return depth if spec.profile == "linear" else np.where(s_px > 0, np.float32(half_px), np.float32(0))
-
-
-def depth_px(s_px: Floats, z_px: Floats, spec: SolidSpec) -> Floats:
-    """Return how deep points lie in the solid, positive inside; the two shapes broadcast.
-
-    The values are true distances wherever one side of the solid is nearest, so that their zero is found
-    exactly between two nodes of a lattice; a stack of binary layers would place it half way instead.
+    Attributes
+    ----------
+    seed : int
+        Seed of the division.
+    by : {"digit", "writer", "none"}, or None
+        ``"digit"`` draws single digits, with exact sizes per class. ``"writer"`` gives whole writers to
+        splits, so that no hand is in two of them; sizes are then as near as whole writers allow. ``"none"``
+        divides nothing: all digits are in ``train``. None means ``"none"`` for a folder of pictures of which
+        neither splits nor their sizes are asked for, and else ``"digit"``.
+    sizes : tuple of (str, int), or None
+        Digits per class of each split; a mapping is taken too. None means the published sizes, or their
+        proportions where a class has fewer than 1,358 digits.
     """
-    half_px = spec.half_thickness_px
-    if spec.profile == "flat":
-        return np.asarray(np.minimum(s_px, half_px - z_px))
-    kept_px = s_px + _reserve_px(spec)
-    if spec.profile == "round":
-        depth = np.asarray(half_px - np.sqrt(np.maximum(half_px - kept_px, 0) ** 2 + z_px**2))
-    else:
-        # The side of a linear profile is a plane at 45 degrees.
-        depth = np.asarray(np.minimum((kept_px - z_px) * np.float32(0.5**0.5), half_px - z_px))
-    return np.minimum(depth, s_px) if spec.erosion == "disc" else depth
+
+    seed: int = integer(0, help="Seed of everything that is drawn at random.")
+    by: Literal["digit", "writer", "none"] | None = choice(
+        None,
+        ("digit", "writer", "none"),
+        optional=True,
+        name="--split-by",
+        shown="digit",
+        help="Divide single digits, whole writers, or nothing: then all are in train.",
+    )
+    sizes: tuple[tuple[str, int], ...] | None = text(
+        name="--split-sizes",
+        metavar="train=8,test=2",
+        read=_sizes,
+        help="Digits per class in each split instead of the published.",
+    )
+
+    def __post_init__(self) -> None:
+        check_fields(self, "the division into splits")
+        if self.sizes is None:
+            return
+        if self.by == "none":
+            message = "split sizes are given for digits that are not divided; expected by='digit' or 'writer'"
+            raise InputError(message)
+        object.__setattr__(self, "sizes", plain_pairs(self.sizes))
+        if not all(isinstance(pair, tuple) and len(pair) == 2 for pair in self.sizes):
+            message = f"the split sizes are {self.sizes!r}; expected pairs such as {{'train': 8, 'test': 2}}"
+            raise InputError(message)
+        for split, size in self.sizes:
+            if split not in SPLITS:
+                message = f"unknown split {split!r} in the split sizes; expected one of {', '.join(SPLITS)}"
+                raise InputError(message)
+            if not is_whole(size) or size < 0:
+                message = f"the size of split {split!r} is {size!r}; expected 0 or more digits per class"
+                raise InputError(message)
+        if len(dict(self.sizes)) < len(self.sizes):
+            message = f"the split sizes are {self.sizes!r}; expected each split once"
+            raise InputError(message)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return JSON values."""
+        return {
+            "seed": self.seed,
+            "by": self.by or "digit",
+            "sizes": dict(self.sizes) if self.sizes else None,
+        }

@@ -8,29 +8,16 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from mnist3d.sources import NO_WRITER, DigitCatalog
-from tactile_toolkit.checked_fields import check_fields, choice, whole_number
+from mnist3d.spec import PUBLISHED_SIZES, SPLITS, SplitSpec
 from tactile_toolkit.errors import InputError
-from tactile_toolkit.wording import is_whole, plain_pairs
 
 __all__ = ["PUBLISHED_SIZES", "SPLITS", "SplitPlan", "SplitSpec", "plan_splits"]
-
-SPLITS = ("train", "test", "holdout", "printed_train", "printed_test")
-"""The five splits in canonical order, which is also the order in which scarce digits are handed out."""
-
-PUBLISHED_SIZES: dict[str, int] = {
-    "train": 1148,
-    "test": 100,
-    "holdout": 50,
-    "printed_train": 50,
-    "printed_test": 10,
-}
-"""Digits per class in each published split; 1,358 in all."""
 
 _PER_CLASS = sum(PUBLISHED_SIZES.values())
 _CLASSES = 10
@@ -41,59 +28,6 @@ _BUCKETS = 256
 _BUCKET_SHIFT = np.uint64(56)
 # From here on ids of 32 bits where they fit: those of 10^8 digits take 0.4 GB instead of 0.8.
 _SMALL_SOURCE = 1 << 24
-
-
-@dataclass(frozen=True, slots=True)
-class SplitSpec:
-    """How digits are divided.
-
-    Attributes
-    ----------
-    seed : int
-        Seed of the division.
-    by : {"digit", "writer", "none"}, or None
-        ``"digit"`` draws single digits, with exact sizes per class. ``"writer"`` gives whole writers to
-        splits, so that no hand is in two of them; sizes are then as near as whole writers allow. ``"none"``
-        divides nothing: all digits are in ``train``. None means ``"none"`` for a folder of pictures of which
-        neither splits nor their sizes are asked for, and else ``"digit"``.
-    sizes : tuple of (str, int), or None
-        Digits per class of each split; a mapping is taken too. None means the published sizes, or their
-        proportions where a class has fewer than 1,358 digits.
-    """
-
-    seed: int = whole_number(0)
-    by: Literal["digit", "writer", "none"] | None = choice(None, ("digit", "writer", "none"), optional=True)
-    sizes: tuple[tuple[str, int], ...] | None = None
-
-    def __post_init__(self) -> None:
-        check_fields(self, "the division into splits")
-        if self.sizes is None:
-            return
-        if self.by == "none":
-            message = "split sizes are given for digits that are not divided; expected by='digit' or 'writer'"
-            raise InputError(message)
-        object.__setattr__(self, "sizes", plain_pairs(self.sizes))
-        if not all(isinstance(pair, tuple) and len(pair) == 2 for pair in self.sizes):
-            message = f"the split sizes are {self.sizes!r}; expected pairs such as {{'train': 8, 'test': 2}}"
-            raise InputError(message)
-        for split, size in self.sizes:
-            if split not in SPLITS:
-                message = f"unknown split {split!r} in the split sizes; expected one of {', '.join(SPLITS)}"
-                raise InputError(message)
-            if not is_whole(size) or size < 0:
-                message = f"the size of split {split!r} is {size!r}; expected 0 or more digits per class"
-                raise InputError(message)
-        if len(dict(self.sizes)) < len(self.sizes):
-            message = f"the split sizes are {self.sizes!r}; expected each split once"
-            raise InputError(message)
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return JSON values."""
-        return {
-            "seed": self.seed,
-            "by": self.by or "digit",
-            "sizes": dict(self.sizes) if self.sizes else None,
-        }
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from mnist3d.ink import count_bodies_and_holes
-from mnist3d.spec import erosion_radius_px
+from mnist3d.side_view import erosion_radius_px
 from tactile_toolkit.errors import ItemError
 from tactile_toolkit.mesh.crossings import self_crossing
 from tactile_toolkit.mesh.mesh import MM_PER_M, Mesh

@@ -15,10 +15,11 @@ if TYPE_CHECKING:
     from tactile_sim.given import GivenTouches
     from tactile_sim.noise import SensorNoise
     from tactile_sim.optics import make_optics
-    from tactile_sim.plan import RoundPlan, TouchPlan, plan_round
+    from tactile_sim.plan import RoundPlan, plan_round
     from tactile_sim.poses import pose
     from tactile_sim.pressing import Pressable, Pressed, press
     from tactile_sim.sensor import Sensor, as_environment, as_sensor
+    from tactile_sim.spec import TouchPlan
 
 __all__ = [
     "GenerateSpec",
@@ -47,9 +48,10 @@ __getattr__, __dir__ = on_first_use(
         "tactile_sim.given": ("GivenTouches",),
         "tactile_sim.noise": ("SensorNoise",),
         "tactile_sim.optics": ("make_optics",),
-        "tactile_sim.plan": ("RoundPlan", "TouchPlan", "plan_round"),
+        "tactile_sim.plan": ("RoundPlan", "plan_round"),
         "tactile_sim.poses": ("pose",),
         "tactile_sim.pressing": ("Pressable", "Pressed", "press"),
+        "tactile_sim.spec": ("TouchPlan",),
         "tactile_sim.sensor": ("Sensor", "as_environment", "as_sensor"),
     },
 )

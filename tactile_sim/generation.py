@@ -21,10 +21,11 @@ from tactile_sim.kind import KIND
 from tactile_sim.layers import checked_layer_m
 from tactile_sim.noise import SensorNoise, add_noise
 from tactile_sim.optics import OPTICS, Optics, make_optics
-from tactile_sim.plan import TouchPlan, generator, plan_round
+from tactile_sim.plan import generator, plan_round
 from tactile_sim.pressing import Pressable, press
 from tactile_sim.rows import TouchRow, parquet_style, touch_table
 from tactile_sim.sensor import Sensor, as_environment, as_sensor
+from tactile_sim.spec import TouchPlan
 from tactile_toolkit.catalog.locate import find_shards, splits_of
 from tactile_toolkit.catalog.published import place_of
 from tactile_toolkit.checked_fields import check_fields, choice, whole_number

@@ -4,36 +4,25 @@ from __future__ import annotations
 
 import hashlib
 import math
-from dataclasses import dataclass, fields
-from typing import Any
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_sim.given import GivenTouches
 from tactile_sim.poses import pose, product, turn_quaternion
 from tactile_sim.pressing import Pressable
 from tactile_sim.sensor import CELL_M
+from tactile_sim.spec import TouchPlan
 from tactile_toolkit.arithmetic import cosine_sine
-from tactile_toolkit.checked_fields import check_fields, choice, real_number, switch, whole_number
-from tactile_toolkit.errors import InputError
 
 __all__ = [
-    "PLACES",
     "REACH_M",
-    "TURNS",
     "RoundPlan",
-    "TouchPlan",
     "generator",
     "key_of",
     "on_object",
     "plan_round",
 ]
-
-PLACES = ("cell", "grid", "object", "given")
-
-TURNS = {"digits": math.pi / 8, "any": math.pi, "none": 0.0}
-"""Greatest turn of an object, radians: of the environments that classify, of all others, and none."""
 
 REACH_M = (0.0385, 0.0405)
 """How far from the middle of the cell the gel is sent, x and y, metres: half the cell less ``CELL_PADDING``
@@ -42,69 +31,6 @@ of `tactile-mnist` 0.13.0."""
 _MARGIN_M = 0.01  # tactile-mnist 0.13.0, object_placement_margin
 _SHIFT_M = 1e-3  # tactile-mnist 0.13.0, translation_perturbation_scale
 _SHIFT_RAD = 5e-2  # tactile-mnist 0.13.0, rotation_perturbation_scale
-# A round is held in memory: at 320 x 240 these are 0.9 GB of pixels, and 2.5 of depth.
-_MOST_TOUCHES = 4096
-
-
-@dataclass(frozen=True)
-class TouchPlan:
-    """How often and where each object is touched.
-
-    Attributes
-    ----------
-    rounds : int
-        Rounds of each object; the object lies anew in each.
-    touches : int
-        Touches of a round.
-    place : str
-        Where the gel goes: ``"cell"``, uniform in what it reaches; ``"grid"``, rows from the front left;
-        ``"object"``, uniform on the object as seen from above; ``"given"``, as ``given`` says.
-    given : GivenTouches, optional
-        Where the gel goes with ``place="given"``, and how the object lies, if it says so. Then ``touches`` is
-        the most that a round of it has, and ``rounds`` is what it holds, if it numbers them.
-    turn_rad : float
-        Objects are turned about z by up to this much either way, radians; 0 leaves them as they are.
-    lie : str
-        ``"random"``: anywhere in the cell, a centimetre from its edge, as in the environments; ``"middle"``:
-        the origin of the mesh in the middle of the cell.
-    shift : bool
-        Move the object after each touch as the environments do: N(0, 1 mm) along x and y of its own frame,
-        and N(0, 0.05 rad) about z.
-    seed : int
-        Seed of everything that is drawn.
-    """
-
-    rounds: int = whole_number(16, 1)
-    touches: int = whole_number(32, 1, _MOST_TOUCHES)
-    place: str = choice("cell", PLACES)
-    given: GivenTouches | None = None
-    turn_rad: float = real_number(math.pi / 8, 0, math.pi)
-    lie: str = choice("random", ("random", "middle"))
-    shift: bool = switch(True)
-    seed: int = whole_number(0)
-
-    def __post_init__(self) -> None:
-        given = self.given
-        if (self.place == "given") != isinstance(given, GivenTouches):
-            held = "none" if given is None else type(given).__name__
-            message = (
-                f"the plan of touches has place {self.place!r}, and its given touches are {held}; expected "
-                "place 'given' and a GivenTouches, or neither; next: --place given --touches-from FILE"
-            )
-            raise InputError(message)
-        if given is not None:
-            object.__setattr__(self, "touches", given.longest)
-            object.__setattr__(self, "rounds", self.rounds if given.rounds is None else given.rounds)
-        check_fields(self, "the plan of touches")
-
-    def touches_of(self, object_id: int, number: int) -> int:
-        """Return how many touches a round of an object has; 0 where a given plan does not name it."""
-        return self.touches if self.given is None else len(self.given.of(object_id, number)[0])
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return JSON values that decide every pose."""
-        found = {each.name: getattr(self, each.name) for each in fields(self)}
-        return {**found, "given": None if self.given is None else self.given.to_dict()}
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -1,41 +1,74 @@
-"""Fields of specifications that say which values they take, and one check of them all.
+"""Fields of specifications that state which values they take, one check of them all, and their options.
 
-A frozen dataclass declares ``steps: int = whole_number(100, least=1)`` and calls :func:`check_fields` in its
-``__post_init__``, which also leaves one spelling of each value: Python's own numbers, and tuples.
+A frozen dataclass declares ``steps: int = integer(100, least=1, help="Steps in all.")`` and calls
+:func:`check_fields` in its ``__post_init__``, which also leaves one spelling of each value: Python's own
+numbers, and tuples. A field with ``help`` is an option of the commands that take the specification.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import MISSING, dataclass, field, fields
-from typing import Any
+from dataclasses import MISSING, Field, dataclass, field, fields
+from typing import Any, TypedDict, Unpack
 
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.wording import is_whole, plain
 
-__all__ = ["check_fields", "choice", "real_number", "switch", "whole_number"]
+__all__ = [
+    "OptionText",
+    "Rule",
+    "check_fields",
+    "check_value",
+    "choice",
+    "integer",
+    "metavar_of",
+    "real",
+    "rule_of",
+    "switch",
+    "text",
+]
 
 _RULE = "rule"
+_UNITS = {"_mm": "MM", "_mm2": "MM2", "_deg": "DEG", "_px": "PX", "_m3": "KG/M3"}
+
+
+class OptionText(TypedDict, total=False):
+    """How a field is given on a command line; without ``help`` it cannot be given there.
+
+    ``name`` stands for ``--NAME-OF-THE-FIELD``, ``was`` for former names, ``shown`` for a default that
+    follows from others, ``read`` for what makes a value of the text, ``complete`` for what a shell offers.
+    """
+
+    help: str
+    name: str
+    was: str
+    metavar: str
+    shown: str
+    read: Callable[[str], Any]
+    complete: Callable[[str], list[str]]
 
 
 @dataclass(frozen=True, slots=True)
-class _Rule:
-    kind: type[int] | type[float]
+class Rule:
+    """What a field takes, in code and in words, and its option."""
+
+    kind: type
     fits: Callable[[Any], bool]
     expected: str
-    option: str | None = None
+    option: OptionText
+    choices: tuple[str, ...] = ()
 
 
-def whole_number(
-    default: Any,
+def integer(
+    default: Any = MISSING,
     least: int = 0,
     most: int | None = None,
     *,
     optional: bool = False,
-    option: str | None = None,
+    **option: Unpack[OptionText],
 ) -> Any:
-    """Declare a whole number, or None where it is ``optional``; ``option`` names it in place of the field."""
+    """Declare an integer, or None where it is ``optional``."""
 
     def fits(value: Any) -> bool:
         if value is None:
@@ -43,10 +76,10 @@ def whole_number(
         return is_whole(value) and least <= value and (most is None or value <= most)
 
     span = f"of at least {least:,}" if most is None else f"from {least:,} to {most:,}"
-    return _field(default, _Rule(int, fits, f"a whole number {span}", option))
+    return _field(default, Rule(int, fits, f"a whole number {span}", {"metavar": "N", **option}))
 
 
-def real_number(
+def real(
     default: Any = MISSING,
     least: float = -math.inf,
     most: float = math.inf,
@@ -55,12 +88,9 @@ def real_number(
     below: float = math.inf,
     many: int = 0,
     optional: bool = False,
-    option: str | None = None,
+    **option: Unpack[OptionText],
 ) -> Any:
-    """Declare a finite number, a tuple of so ``many``, or None where it is ``optional``.
-
-    ``option`` names it in place of the field.
-    """
+    """Declare a finite number, a tuple of so ``many``, or None where it is ``optional``."""
 
     def fits_one(value: Any) -> bool:
         return isinstance(value, float) and least <= value <= most and above < value < below
@@ -73,22 +103,52 @@ def real_number(
     ends = ((" from {:g}", least), (" above {:g}", above), (" to {:g}", most), (" and below {:g}", below))
     span = "".join(words.format(end) for words, end in ends if math.isfinite(end)) or ", finite"
     what = f"{many} numbers" if many else "a number"
-    return _field(default, _Rule(float, fits, f"{'None or ' if optional else ''}{what}{span}", option))
+    return _field(default, Rule(float, fits, f"{'None or ' if optional else ''}{what}{span}", option))
 
 
-def choice(default: str | None, known: Sequence[str], *, optional: bool = False) -> Any:
-    """Declare one of several words, or None where it is ``optional``."""
+def choice(
+    default: Any, known: Sequence[str], *, optional: bool = False, **option: Unpack[OptionText]
+) -> Any:
+    """Declare one of several words, None where it is ``optional``, or some where the default is a tuple."""
 
     def fits(value: Any) -> bool:
+        if isinstance(default, tuple):
+            return isinstance(value, tuple) and set(value) <= set(known)
         return value in known if isinstance(value, str) else optional and value is None
 
-    # As int, plain() leaves what is not a number as it was given.
-    return _field(default, _Rule(int, fits, f"{'None or ' if optional else ''}one of {', '.join(known)}"))
+    expected = f"{'None or ' if optional else ''}one of {', '.join(known)}"
+    return _field(default, Rule(str, fits, expected, option, tuple(known)))
 
 
-def switch(default: bool) -> Any:
+def switch(default: bool, **option: Unpack[OptionText]) -> Any:
     """Declare True or False."""
-    return _field(default, _Rule(int, lambda value: isinstance(value, bool), "True or False"))
+    return _field(default, Rule(bool, lambda value: isinstance(value, bool), "True or False", option))
+
+
+def text(default: Any = None, **option: Unpack[OptionText]) -> Any:
+    """Declare a text, or what ``read`` makes of one; checked there."""
+    return _field(default, Rule(str, lambda _: True, "", option))
+
+
+def rule_of(declared: Field[Any]) -> Rule | None:
+    """Return what a field takes; None where it was declared in another way."""
+    rule: Rule | None = declared.metadata.get(_RULE)
+    return rule
+
+
+def metavar_of(name: str, rule: Rule) -> str:
+    """Return what stands for the value of an option: its unit, as the name of the field ends in it."""
+    unit = next((unit for ending, unit in _UNITS.items() if name.endswith(ending)), None)
+    return rule.option.get("metavar") or unit or ("X" if rule.kind is float else "TEXT")
+
+
+def check_value(rule: Rule, value: Any, name: str) -> Any:
+    """Return the one spelling of a value; InputError, which begins with ``name``, where it does not fit."""
+    spelled = plain(value, rule.kind)
+    if not rule.fits(spelled):
+        message = f"{name} is {value!r}; expected {rule.expected}"
+        raise InputError(message)
+    return spelled
 
 
 def check_fields(spec: Any, of: str) -> None:
@@ -97,16 +157,15 @@ def check_fields(spec: Any, of: str) -> None:
     ``of`` is what the message calls the specification, such as ``the plan of touches``.
     """
     for each in fields(spec):
-        rule: _Rule | None = each.metadata.get(_RULE)
-        if rule is None:
-            continue
-        given = getattr(spec, each.name)
-        value = plain(given, rule.kind)
-        if not rule.fits(value):
-            message = f"{rule.option or f'{each.name} of {of}'} is {given!r}; expected {rule.expected}"
-            raise InputError(message)
-        object.__setattr__(spec, each.name, value)
+        rule = rule_of(each)
+        if rule is not None:
+            value = check_value(rule, getattr(spec, each.name), f"{each.name} of {of}")
+            object.__setattr__(spec, each.name, value)
 
 
-def _field(default: Any, rule: _Rule) -> Any:
+def _field(default: Any, rule: Rule) -> Any:
     return field(default=default, metadata={_RULE: rule})
+
+
+# Former names, until the modules that make the rows of each kind are on the new ones.
+whole_number, real_number = integer, real

@@ -6,7 +6,20 @@ import numbers
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
-__all__ = ["class_name", "counted", "did_you_mean", "is_whole", "plain", "plain_number", "plain_pairs"]
+__all__ = [
+    "class_name",
+    "counted",
+    "did_you_mean",
+    "is_count",
+    "is_whole",
+    "listed",
+    "plain",
+    "plain_number",
+    "plain_pairs",
+]
+
+_LONGEST_COUNT = 18
+"""Digits of a count: more may not fit into 64 bits, and ``int`` itself fails from 4,301 digits on."""
 
 # Touches, meshes, classes and boxes; in anything else the e belongs to the word.
 _LONG_PLURALS = ("ches", "shes", "sses", "xes")
@@ -70,3 +83,13 @@ def plain_pairs(values: Any) -> Any:
 def is_whole(*values: object) -> bool:
     """Tell whether all values are whole numbers; True and False are not."""
     return all(isinstance(value, int) and not isinstance(value, bool) for value in values)
+
+
+def is_count(text: str) -> bool:
+    """Return whether a text is an integer of sensible length; a superscript is a digit, but no number."""
+    return text.isdecimal() and len(text) <= _LONGEST_COUNT
+
+
+def listed(text: str) -> list[str]:
+    """Read words separated by commas."""
+    return [part.strip() for part in text.split(",") if part.strip()]

@@ -15,9 +15,9 @@ PATIENCE_S = 3_600
 _HELD = """
 import importlib, sys, time
 from pathlib import Path
+from cli import making
 name, shards, marker = sys.argv[1], int(sys.argv[2]), Path(sys.argv[3])
-module = importlib.import_module(f"cli.{name}")
-make_with_progress = module.make_with_progress
+make_with_progress = making.make_with_progress
 
 def held(sink, what, nouns, make, *others):
     finished = []
@@ -32,9 +32,9 @@ def held(sink, what, nouns, make, *others):
         return make(on_progress=hold, **options)
     return make_with_progress(sink, what, nouns, stand_still, *others)
 
-module.make_with_progress = held
+making.make_with_progress = held
 sys.argv = [name, *sys.argv[4:]]
-module.main()
+importlib.import_module(f"cli.{name}").main()
 """
 
 

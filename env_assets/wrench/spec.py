@@ -6,7 +6,7 @@ import math
 from dataclasses import asdict, dataclass
 from typing import Any, Self
 
-from tactile_toolkit.checked_fields import check_fields, real_number
+from tactile_toolkit.checked_fields import check_fields, real
 from tactile_toolkit.errors import InputError
 
 __all__ = [
@@ -83,17 +83,21 @@ class WrenchSpec:
     (13.0, 10.0, 157.5)
     """
 
-    opening_mm: float = real_number(above=0)
-    second_opening_mm: float = real_number(least=0)
-    length_mm: float = real_number(above=0)
-    head_mm: float = real_number(above=0)
-    second_head_mm: float = real_number(above=0)
-    handle_mm: float = real_number(above=0)
-    thickness_mm: float = real_number(above=0)
-    jaw_angle_deg: float = real_number(15.0, 0, 90)
-    clearance_mm: float = real_number(0.2, 0)
-    fillet_mm: float = real_number(10.0, 0)
-    chamfer_mm: float = real_number(0.6, 0)
+    opening_mm: float = real(above=0)
+    second_opening_mm: float = real(least=0)
+    length_mm: float = real(
+        above=0,
+        help="Between the outermost points of the circles of both ends; jaws cut into those, so that the "
+        "solid is a little shorter. By default in the usual proportion, as the next two.",
+    )
+    head_mm: float = real(above=0)
+    second_head_mm: float = real(above=0)
+    handle_mm: float = real(above=0, help="Width of the handle.")
+    thickness_mm: float = real(above=0, help="Height of the whole wrench.")
+    jaw_angle_deg: float = real(15.0, 0, 90, help="Between the handle and the jaws.")
+    clearance_mm: float = real(0.2, 0, help="What a jaw is wider than its nut.")
+    fillet_mm: float = real(10.0, 0)
+    chamfer_mm: float = real(0.6, 0, help="Slope around top and bottom.")
 
     def __post_init__(self) -> None:
         check_fields(self, "the wrench")

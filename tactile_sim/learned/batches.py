@@ -12,11 +12,11 @@ import torch
 from numpy.typing import NDArray
 
 from tactile_sim.learned.channels import depth_channels, picture_channels
-from tactile_sim.learned.config import TrainConfig
 from tactile_sim.optics import make_optics
 from tactile_sim.pairs.reading import Domain, Pairs
 from tactile_sim.plan import generator
 from tactile_sim.sensor import as_environment, as_sensor
+from tactile_sim.spec import TrainConfig
 
 __all__ = ["Batch", "Batches", "by_taxim"]
 

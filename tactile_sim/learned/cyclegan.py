@@ -11,8 +11,8 @@ import torch
 
 from tactile_sim.learned.batches import Batch
 from tactile_sim.learned.channels import noisy_channels
-from tactile_sim.learned.config import TrainConfig
 from tactile_sim.learned.networks import Generator, discriminator, initialise
+from tactile_sim.spec import TrainConfig
 
 __all__ = ["LOSSES", "CycleGan"]
 

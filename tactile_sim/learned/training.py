@@ -24,7 +24,6 @@ from tactile_sim.learned.checkpoints import (
     write_checkpoint,
     write_log,
 )
-from tactile_sim.learned.config import TrainConfig
 from tactile_sim.learned.cyclegan import LOSSES, CycleGan
 from tactile_sim.learned.networks import weights_of
 from tactile_sim.learned.tensorboard import Events, require_tensorboard
@@ -33,6 +32,7 @@ from tactile_sim.pairs.making import SPLITS
 from tactile_sim.pairs.reading import Pairs
 from tactile_sim.plan import generator
 from tactile_sim.sheets import sheet_png
+from tactile_sim.spec import TrainConfig
 from tactile_toolkit.errors import InputError, MissingExtraError, SpecMismatchError, ToolkitError
 from tactile_toolkit.run.system import locked
 from tactile_toolkit.store.folder import DataFolder

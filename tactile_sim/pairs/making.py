@@ -17,9 +17,10 @@ from numpy.typing import NDArray
 from tactile_sim.kind import KIND
 from tactile_sim.optics import scaled
 from tactile_sim.pairs.rows import PairRow, depth_levels, encode_depth, pair_table, pairs_style
-from tactile_sim.plan import TouchPlan, key_of, plan_round
+from tactile_sim.plan import key_of, plan_round
 from tactile_sim.pressing import Pressable, press
 from tactile_sim.sensor import Sensor, as_environment, as_sensor
+from tactile_sim.spec import TouchPlan
 from tactile_toolkit.catalog.locate import find_shards
 from tactile_toolkit.catalog.published import place_of
 from tactile_toolkit.checked_fields import check_fields, choice, real_number, whole_number

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+import re
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, TypeVar
+from typing import Any, TypeAlias, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,16 +18,23 @@ from tactile_toolkit.store.files import expanded
 
 __all__ = [
     "Choice",
+    "IdChoice",
+    "choose_rows",
     "chosen_records",
-    "chosen_rows",
     "class_by_class",
     "open_splits",
+    "parse_ids",
     "portions",
     "short_name",
     "splits_to_show",
 ]
 
 D = TypeVar("D", bound=RecordDataset[Any])
+
+_IDS = re.compile(r"(-?\d{1,20})(?:-(\d{1,20}))?", re.ASCII)
+
+IdChoice: TypeAlias = Sequence[int | tuple[int, int]]
+"""Ids, and first and last ids of ranges."""
 
 
 def open_splits(name: str, split: str | None, load: Callable[[str, str], D], things: str) -> dict[str, D]:
@@ -89,24 +97,91 @@ def class_by_class(dataset: RecordDataset[Any], ids: Sequence[int], per_class: i
 
 @dataclass(frozen=True, slots=True)
 class Choice:
-    """Which rows of a data set to show: one split or all, the first rows of each split and of each class."""
+    """Which rows of a data set to show: one split or all, and of each split as :func:`choose_rows` says."""
 
     name: str
     split: str | None = None
     limit: int | None = None
     per_class: int | None = None
+    ids: IdChoice | None = None
+    labels: Sequence[str] | None = None
+
+    def rows(self, datasets: Iterable[tuple[str, D]]) -> list[tuple[str, D, NDArray[np.int64]]]:
+        """Return splits with the rows that are chosen; InputError as of :func:`choose_rows`."""
+        return choose_rows(
+            datasets, ids=self.ids, labels=self.labels, per_class=self.per_class, limit=self.limit
+        )
 
 
-def chosen_rows(labels: NDArray[np.int64], limit: int | None, per_class: int | None) -> NDArray[np.int64]:
-    """Choose rows of one split: the first ``per_class`` of each class, and of these the first ``limit``.
+def choose_rows(
+    datasets: Iterable[tuple[str, D]],
+    *,
+    ids: IdChoice | None = None,
+    labels: Sequence[str] | None = None,
+    per_class: int | None = None,
+    limit: int | None = None,
+) -> list[tuple[str, D, NDArray[np.int64]]]:
+    """Choose rows of splits, each with its name; return those with their positions, in order.
 
-    Takes the class of each row, returns row numbers, rising.
+    Only rows with these ``ids`` (a pair stands for all from its first to its last that are there), of these
+    classes, of these the first ``per_class`` of each class, and of what is left the first ``limit`` of each
+    split. Raises InputError where an id or a class is not there, no id of a range is, or nothing is left.
     """
-    rows = np.arange(len(labels))
-    if per_class is not None:
-        kept = [rows[labels == label][:per_class] for label in np.unique(labels)]
-        rows = np.sort(np.concatenate(kept)) if kept else rows
-    return rows[:limit]
+    ranges = None if ids is None else [entry if isinstance(entry, tuple) else (entry, entry) for entry in ids]
+    seen = np.zeros(len(ranges or ()), bool)
+    found = []
+    for split, rows in datasets:
+        wanted = np.ones(len(rows), bool)
+        if ranges is not None:
+            inside = [(rows.ids >= low) & (rows.ids <= high) for low, high in ranges]
+            wanted = np.any(inside, axis=0)
+            seen |= np.any(inside, axis=1)
+        if labels is not None:
+            classes = list(rows.label_names)
+            unknown = [label for label in labels if label not in classes]
+            if unknown:
+                message = f"no class {unknown[0]!r} in split {split!r}; expected one of {', '.join(classes)}"
+                raise InputError(message)
+            wanted &= np.isin(rows.labels, [classes.index(label) for label in labels])
+        chosen = np.flatnonzero(wanted)
+        if per_class is not None:
+            kinds = rows.labels[chosen]
+            kept = [chosen[kinds == label][:per_class] for label in np.unique(kinds)]
+            chosen = np.sort(np.concatenate([chosen[:0], *kept]))
+        found.append((split, rows, chosen[:limit]))
+    missing = [pair for pair, there in zip(ranges or (), seen, strict=True) if not there]
+    if missing:
+        low, high = missing[0]
+        what = f"id {low}" if low == high else f"an id from {low} to {high}"
+        more = f" ({len(missing)} of the ids and ranges are not there)" if len(missing) > 1 else ""
+        message = (
+            f"no object with {what} in what was chosen{more}; next: look at the ids of the split, or name "
+            "another --split"
+        )
+        raise InputError(message)
+    if not any(len(chosen) for _, _, chosen in found):
+        message = (
+            "no object is chosen; expected rows of the split with the ids and classes that were asked for"
+        )
+        raise InputError(message)
+    return found
+
+
+def parse_ids(text: str) -> list[int | tuple[int, int]]:
+    """Read ids such as ``3,17,40-60``: numbers, and first and last one of each range.
+
+    Ranges stay ranges, as the ids of a split are scattered: most numbers of a range belong to no row. Raises
+    InputError for another form.
+    """
+    numbers: list[int | tuple[int, int]] = []
+    for part in text.split(","):
+        match = _IDS.fullmatch(part.strip())
+        low, high = (int(match[1]), int(match[2] or match[1])) if match is not None else (0, -1)
+        if match is None or high < low:
+            message = f"--ids has {part.strip()!r}; expected numbers and ranges such as 3,17,40-60"
+            raise InputError(message)
+        numbers.append(low if match[2] is None else (low, high))
+    return numbers
 
 
 def portions(rows: NDArray[np.int64], size: int) -> Iterator[NDArray[np.int64]]:

@@ -8,7 +8,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from tactile_toolkit.catalog.choose import Choice, chosen_rows, portions, short_name, splits_to_show
+from tactile_toolkit.catalog.choose import Choice, portions, short_name, splits_to_show
 from tactile_toolkit.catalog.kinds import require_kind
 from tactile_toolkit.kind import DatasetKind
 from tactile_toolkit.read.dataset import RecordDataset
@@ -148,8 +148,8 @@ def gallery_of_rows(
     """
     tasks: list[ItemTask] = []
     shown: dict[str, int] = {}
-    for split, dataset in _opened(kind, choice) if splits is None else splits:
-        rows = dataset[chosen_rows(dataset.labels, choice.limit, choice.per_class)]
+    for split, dataset, chosen in choice.rows(_opened(kind, choice) if splits is None else splits):
+        rows = dataset[chosen]
         shown[split] = len(rows)
         given = known(rows, split)
         for portion in portions(np.arange(len(rows)), rows_per_task):

@@ -18,8 +18,9 @@ import typer
 from typer.testing import CliRunner
 
 from cli.application import command, new_app, run
-from cli.options import Folder, Making, Quiet, Seed
+from cli.options import Folder, Making, Quiet
 from cli.output import Sink
+from tactile_toolkit.checked_fields import integer
 from tactile_toolkit.errors import IntegrityError
 from tests.command_line import call
 from tests.processes import printed_by
@@ -44,7 +45,9 @@ def test_a_command_gets_the_objects_and_help_names_the_options(tmp_path):
     app, got = new_app("toy", "A toy."), {}
 
     @command(app)
-    def make(*, folder: Folder, size: Size, seed: Seed = 0, making: Making, sink: Sink) -> None:
+    def make(
+        *, folder: Folder, size: Size, seed: int = integer(0, help="Seed."), making: Making, sink: Sink
+    ) -> None:
         """Make it."""
         got.update(locals())
 
@@ -55,7 +58,7 @@ def test_a_command_gets_the_objects_and_help_names_the_options(tmp_path):
     assert got["making"] == Making(workers=2)
     assert got["sink"] == Sink(quiet=True)
     text = CliRunner().invoke(app, ["make", "--help"], env={"TERMINAL_WIDTH": "100"}).output
-    options = ["--width", "--tall", "--seed", "--workers", "--dry-run", "--json", "--quiet"]
+    options = ["--width", "--tall", "--seed", "--json", "--quiet", "--workers", "--dry-run"]
     assert sorted(options, key=text.index) == options
     assert CliRunner().invoke(app, ["make", str(tmp_path)]).exit_code == 2, "--width has no default"
     assert CliRunner().invoke(app, ["make", str(tmp_path), "--width", "0"]).exit_code == 2

@@ -34,7 +34,7 @@ def test_generate_ends_with_what_was_made_where_and_what_next(tmp_path, capsys):
     assert "test" in printed.out
     assert "made 10 digits" in printed.out
     assert str(out) in printed.out
-    assert "next: mnist3d validate" in printed.out
+    assert "next: mnist3d verify" in printed.out
     assert "making digits: 10 of 10" in printed.err
     assert call("generate", *SMALL, "--out", out) == 0
     assert "nothing was left to make" in capsys.readouterr().out

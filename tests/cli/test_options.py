@@ -1,23 +1,17 @@
 from __future__ import annotations
 
 import os
-from dataclasses import asdict
 from pathlib import Path
 
 import pytest
 import typer
 
-from cli.digit_options import DivisionOptions, SolidOptions
-from cli.env_assets import WrenchOptions
 from cli.options import _runner_name, local_place, place_of_data
-from cli.scene_options import SceneOptions
-from cli.tactile_sim import PictureOptions, PlanOptions
-from cli.tactile_sim_learning import TrainOptions
-from env_assets.wrench.spec import WrenchSpec
-from mnist3d.solid import SolidSpec
-from mnist3d.splits import SplitSpec
+from cli.starstruck import SceneOptions
+from cli.tactile_sim import PictureOptions
 from starstruck_gen.spec import SceneSpec
-from tactile_sim import GenerateSpec, TouchPlan
+from tactile_sim import GenerateSpec
+from tactile_sim.spec import TrainConfig
 from tactile_toolkit.store.folder import DataFolder
 from tests.command_line import call
 
@@ -71,17 +65,6 @@ def test_the_home_of_nobody_is_refused():
 
 
 def test_options_that_are_not_given_mean_the_defaults_of_the_library():
-    assert SolidOptions().spec() == SolidSpec()
-    assert DivisionOptions().spec() == SplitSpec()
     assert SceneOptions().spec() == SceneSpec()
-    assert WrenchOptions().spec() == WrenchSpec.for_size()
-    assert PlanOptions().plan() == TouchPlan()
     assert PictureOptions().spec() == GenerateSpec()
-
-
-@pytest.mark.torch
-def test_a_training_that_nothing_is_said_of_is_that_of_the_library():
-    pytest.importorskip("torch", reason="needs torch, of the extra torch")
-    from tactile_sim.learned.config import TrainConfig
-
-    assert TrainConfig(**{**asdict(TrainOptions()), "sensor_noise": None}) == TrainConfig()
+    assert TrainConfig.read(None, {}) == TrainConfig()

@@ -266,7 +266,7 @@ def test_damage_is_named_and_mended(made, tmp_path):
         (("--stars", "²"), "--stars is '²'; expected a range"),
         (("--scenes", "²"), "--scenes has '²'"),
         (("--scenes", "9" * 5_000), "--scenes has '999"),
-        (("--cell-mm", "120x130x140"), "--cell-mm is '120x130x140'; expected one length"),
+        (("--cell-mm", "120x130x140"), "--cell-mm is '120x130x140'; expected millimetres"),
         (("--distractors", "1,2,9"), "--distractors is '1,2,9'; expected the least and the most"),
         (("--distractors", "1-2-9"), "--distractors is '1-2-9'"),
         (("--shapes", "ring(hole_ratio=.3,hole_ratio=.4)"), "gives 'hole_ratio' 2 times"),

@@ -42,13 +42,13 @@ from tactile_sim.learned.batches import Batch, by_taxim  # noqa: E402
 from tactile_sim.learned.channels import noisy_channels, picture_channels, shades_of  # noqa: E402
 from tactile_sim.learned.checkpoints import settings_of  # noqa: E402
 from tactile_sim.learned.classifier import SmallCNN, balanced_accuracy  # noqa: E402
-from tactile_sim.learned.config import TrainConfig  # noqa: E402
 from tactile_sim.learned.cyclegan import CycleGan  # noqa: E402
 from tactile_sim.learned.evaluation import evaluate  # noqa: E402
 from tactile_sim.learned.rendering import CycleganDepth, CycleganOptics  # noqa: E402
 from tactile_sim.learned.training import train  # noqa: E402
 from tactile_sim.learned.weights import GeneratorWeights, read_weights, write_weights  # noqa: E402
 from tactile_sim.sheets import sheet_png  # noqa: E402
+from tactile_sim.spec import TrainConfig  # noqa: E402
 from tactile_toolkit.store.folder import DataFolder  # noqa: E402
 from tactile_toolkit.touch.jpeg import decode_image  # noqa: E402
 
@@ -229,7 +229,7 @@ def test_a_sheet_takes_columns_of_any_lengths():
 def test_killed_at_any_moment_it_ends_in_the_same_weights(pairs, trained, tmp_path):
     out = tmp_path / "killed"
     program = (
-        "from tactile_sim.learned.training import train; from tactile_sim.learned.config import TrainConfig;"
+        "from tactile_sim.learned.training import train; from tactile_sim.spec import TrainConfig;"
         f"train({pairs!r}, {str(out)!r}, TrainConfig(**{CONFIG.to_dict()!r}), device='cpu',"
         "deterministic=True, on_progress=lambda done, total: print(done, flush=True))"
     )

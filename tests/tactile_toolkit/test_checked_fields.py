@@ -8,17 +8,17 @@ from dataclasses import asdict, dataclass
 import numpy as np
 import pytest
 
-from tactile_toolkit.checked_fields import check_fields, choice, real_number, switch, whole_number
+from tactile_toolkit.checked_fields import check_fields, choice, integer, real, switch
 from tactile_toolkit.errors import InputError
 
 
 @dataclass(frozen=True, slots=True)
 class _Spec:
-    height_m: float = real_number(above=0, below=1)
-    plate_mm: tuple[float, float] = real_number((1.0, 2.0), 0, 256, many=2)
-    level: float | None = real_number(None, optional=True)
-    rounds: int = whole_number(16, 1, 4096)
-    limit: int | None = whole_number(None, 1, optional=True, option="--limit")
+    height_m: float = real(above=0, below=1)
+    plate_mm: tuple[float, float] = real((1.0, 2.0), 0, 256, many=2)
+    level: float | None = real(None, optional=True)
+    rounds: int = integer(16, 1, 4096)
+    limit: int | None = integer(None, 1, optional=True)
     lie: str = choice("random", ("random", "middle"))
     shift: bool = switch(True)
 
@@ -61,7 +61,7 @@ def test_a_field_without_default_is_asked_for():
         ("rounds", 0, "rounds of the example is 0; expected a whole number from 1 to 4,096"),
         ("rounds", 2.0, "is 2.0"),
         ("rounds", None, "is None"),
-        ("limit", 2.5, "--limit is 2.5; expected a whole number of at least 1"),
+        ("limit", 2.5, "limit of the example is 2.5; expected a whole number of at least 1"),
         ("lie", "left", "lie of the example is 'left'; expected one of random, middle"),
         ("lie", ["random"], "expected one of random, middle"),
         ("shift", 1, "shift of the example is 1; expected True or False"),

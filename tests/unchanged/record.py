@@ -74,7 +74,9 @@ def defaults_and_limits(package: str) -> dict[str, str]:
         for each in fields(kind) if isinstance(kind, type) and is_dataclass(kind) else ():
             if each.default is None or isinstance(each.default, (bool, int, float, str, tuple)):
                 rule = each.metadata.get("rule")
-                found[f"{name}.{each.name}"] = repr(each.default) + (f"; {rule.expected}" if rule else "")
+                found[f"{name}.{each.name}"] = repr(each.default) + (
+                    f"; {rule.expected}" if rule and rule.expected else ""
+                )
     return found
 
 

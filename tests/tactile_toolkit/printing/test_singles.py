@@ -9,12 +9,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from tactile_toolkit.catalog.choose import parse_ids
 from tactile_toolkit.errors import InputError, ItemError, StorageError
 from tactile_toolkit.mesh.files import FORMATS, read_mesh
 from tactile_toolkit.mesh.mesh import Mesh
 from tactile_toolkit.mesh.solid_check import check_manifold, require_solid
 from tactile_toolkit.printing.checked import require_same_solid, write_checked
-from tactile_toolkit.printing.objects import parse_ids, standing
+from tactile_toolkit.printing.objects import standing
 from tactile_toolkit.printing.singles import export_files, forecast_files
 from tests.forked import start_forked
 from tests.tactile_toolkit.printing.solids import box, ell, named, open_box, ring

@@ -1,0 +1,277 @@
+"""Plans of touches and settings of a training: what commands have options of, imported with nothing heavy."""
+
+from __future__ import annotations
+
+import math
+import tomllib
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, fields
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from tactile_toolkit.checked_fields import check_fields, choice, integer, real, switch, text
+from tactile_toolkit.errors import InputError
+
+if TYPE_CHECKING:
+    from tactile_sim.given import GivenTouches
+    from tactile_sim.noise import SensorNoise
+
+__all__ = ["PLACES", "TURNS", "TouchPlan", "TrainConfig"]
+
+PLACES = ("cell", "grid", "object", "given")
+
+TURNS = {"digits": math.pi / 8, "any": math.pi, "none": 0.0}
+"""Greatest turn of an object, radians: of the environments that classify, of all others, and none."""
+
+# A round is held in memory: at 320 x 240 these are 0.9 GB of pixels, and 2.5 of depth.
+_MOST_TOUCHES = 4096
+
+
+def _read_given(path: str) -> GivenTouches:
+    from tactile_sim.given import GivenTouches
+
+    return GivenTouches.read(path)
+
+
+def _is_table(given: Any) -> bool:
+    if given is None:
+        return False
+    from tactile_sim.given import GivenTouches
+
+    return isinstance(given, GivenTouches)
+
+
+def _turn_rad(word: str) -> float:
+    if word not in TURNS:
+        message = f"--turn is {word!r}; expected one of {', '.join(TURNS)}"
+        raise InputError(message)
+    return TURNS[word]
+
+
+def _noise(words: str) -> SensorNoise | None:
+    from tactile_sim.noise import SensorNoise
+
+    return SensorNoise.named(words)
+
+
+@dataclass(frozen=True)
+class TouchPlan:
+    """How often and where each object is touched.
+
+    Attributes
+    ----------
+    rounds : int
+        Rounds of each object; the object lies anew in each.
+    touches : int
+        Touches of a round.
+    place : str
+        Where the gel goes: ``"cell"``, uniform in what it reaches; ``"grid"``, rows from the front left;
+        ``"object"``, uniform on the object as seen from above; ``"given"``, as ``given`` says.
+    given : GivenTouches, optional
+        Where the gel goes with ``place="given"``, and how the object lies, if it says so. Then ``touches`` is
+        the most that a round of it has, and ``rounds`` is what it holds, if it numbers them.
+    turn_rad : float
+        Objects are turned about z by up to this much either way, radians; 0 leaves them as they are.
+    lie : str
+        ``"random"``: anywhere in the cell, a centimetre from its edge, as in the environments; ``"middle"``:
+        the origin of the mesh in the middle of the cell.
+    shift : bool
+        Move the object after each touch as the environments do: N(0, 1 mm) along x and y of its own frame,
+        and N(0, 0.05 rad) about z.
+    seed : int
+        Seed of everything that is drawn.
+    """
+
+    rounds: int = integer(16, 1, help="Rounds of each object.")
+    touches: int = integer(32, 1, _MOST_TOUCHES, help="Touches of a round.")
+    place: str = choice(
+        "cell",
+        PLACES,
+        help="Where the gel goes: uniform in the cell, on a grid, or on the object only; or given by "
+        "--touches-from.",
+    )
+    given: GivenTouches | None = text(
+        name="--touches-from",
+        metavar="FILE",
+        read=_read_given,
+        help="Table of touches, CSV, Parquet or npz: x_m, y_m; object_id, round; object_x_m, object_y_m, "
+        "object_turn_rad.",
+    )
+    turn_rad: float = real(
+        math.pi / 8,
+        0,
+        math.pi,
+        name="--turn",
+        metavar="digits|any|none",
+        shown="digits",
+        read=_turn_rad,
+        help="Turn of the object: up to 22.5 degrees, any, or none.",
+    )
+    lie: str = choice("random", ("random", "middle"))
+    shift: bool = switch(True, help="Move the object a little after each touch, as the environments do.")
+    seed: int = integer(0, help="Seed of everything that is drawn at random.")
+
+    def __post_init__(self) -> None:
+        given = self.given
+        if (self.place == "given") != _is_table(given):
+            held = "none" if given is None else type(given).__name__
+            message = (
+                f"the plan of touches has place {self.place!r}, and its given touches are {held}; expected "
+                "place 'given' and a GivenTouches, or neither; next: --place given --touches-from FILE"
+            )
+            raise InputError(message)
+        if given is not None:
+            object.__setattr__(self, "touches", given.longest)
+            object.__setattr__(self, "rounds", self.rounds if given.rounds is None else given.rounds)
+        check_fields(self, "the plan of touches")
+
+    def touches_of(self, object_id: int, number: int) -> int:
+        """Return how many touches a round of an object has; 0 where a given plan does not name it."""
+        return self.touches if self.given is None else len(self.given.of(object_id, number)[0])
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return JSON values that decide every pose."""
+        found = {each.name: getattr(self, each.name) for each in fields(self)}
+        return {**found, "given": None if self.given is None else self.given.to_dict()}
+
+
+# Five convolutions of 4 x 4, three of them halving, leave a patch of 2 x 2.
+_LEAST_CROP_PX = 32
+
+
+@dataclass(frozen=True)
+class TrainConfig:
+    """Settings of a training. The paper gives crops and nothing else; Zhu et al. 2017 means CycleGAN's paper.
+
+    Attributes
+    ----------
+    filters, blocks : int
+        Of the generators: those of the published weights.
+    judge_filters : int
+        Of the discriminators (Zhu et al. 2017).
+    steps : int
+        Optimiser steps; ours: ten passes over 20,000 pictures.
+    start_steps : int
+        First steps, in which both directions also learn from pairs that simulation knows: depth, and the
+        relief that Taxim shows of it, on what the real touches show of nothing (needs the extra ``sim``; 0
+        does not). It has the weight of the cycles, which falls to 0; ours. Pictures that are not paired do
+        not say where in them depth and relief belong together: these do.
+    batch : int
+        Pictures of each kind in a step and process (Zhu et al. 2017).
+    crop : float
+        Side of the random crops as a share of the picture; ours.
+    learning_rate, first_moment : float
+        Of Adam (Zhu et al. 2017); the second moment is 0.999.
+    decay_from : float
+        Share of the steps after which the learning rate falls linearly to 0 (Zhu et al. 2017).
+    depth_cycle_weight, touch_cycle_weight, identity_weight : float
+        Weights of the losses beside the adversarial one (Zhu et al. 2017: 10, 10 and 5). Most of a touch is
+        background: where no relief is learned, weigh the cycle of touches more.
+    level_weight : float
+        Weight of what is known without pairs, if there are touches without contact: they have no depth, and
+        where depth has no contact a touch looks as they do; ours. It keeps depth and relief in one place.
+    sensor_noise : SensorNoise, optional
+        Noise of the sensor that made the real touches, laid over made ones wherever networks are shown them;
+        ours. A generator cannot make noise, and need not: ``generate --sensor-noise`` adds it to what it
+        makes.
+    noise : float
+        White noise over all touches that the way back is shown, of values from -1 to 1: up to this standard
+        deviation; ours. It keeps generators from hiding depth in marks that nobody sees.
+    judge_noise : float
+        The same over all touches that discriminators are shown at first; it falls linearly to 0 until the
+        learning rate begins to fall. Ours: they see coarse things first, and fine ones in the end.
+    pool : int
+        Made pictures that discriminators are shown again (Zhu et al. 2017).
+    seed : int
+        Seed of weights, order, crops and pools.
+    checkpoint_every, log_every : int
+        Steps between checkpoints, and between lines of the log; ours.
+    """
+
+    filters: int = integer(64, 1, 1024, help="Filters of the generators.")
+    blocks: int = integer(9, 0, 64, help="Residual blocks.")
+    judge_filters: int = integer(64, 1, 1024)
+    steps: int = integer(200_000, 1, 10**9, help="Steps in all.")
+    start_steps: int = integer(2500, 0, 10**9)
+    batch: int = integer(1, 1, 4096, help="Pictures of each kind in a step.")
+    crop: float = real(0.875, 0.1, 1)
+    learning_rate: float = real(2e-4, 1e-8, 1, help="Learning rate of Adam.")
+    first_moment: float = real(0.5, 0, 0.999)
+    decay_from: float = real(0.5, 0, 1)
+    depth_cycle_weight: float = real(10.0, 0, 1e4)
+    touch_cycle_weight: float = real(10.0, 0, 1e4)
+    identity_weight: float = real(5.0, 0, 1e4)
+    level_weight: float = real(10.0, 0, 1e4)
+    sensor_noise: SensorNoise | None = text(
+        metavar="none|calibrated|FILE",
+        shown="none",
+        read=_noise,
+        help="Noise of the sensor, which generators need not make: as for `generate --sensor-noise`.",
+    )
+    noise: float = real(0.0, 0, 1)
+    judge_noise: float = real(0.0, 0, 1)
+    pool: int = integer(50, 0, 10_000)
+    seed: int = integer(0, 0, 2**63, help="Seed of everything that is drawn at random.")
+    checkpoint_every: int = integer(1000, 1, 10**9)
+    log_every: int = integer(50, 1, 10**9)
+
+    def __post_init__(self) -> None:
+        noise: Any = self.sensor_noise
+        if noise is not None:
+            from tactile_sim.noise import SensorNoise
+
+            noise = SensorNoise(**noise) if isinstance(noise, dict) else noise  # as it was written
+            object.__setattr__(self, "sensor_noise", noise)
+        if not (noise is None or isinstance(noise, SensorNoise)):
+            message = f"sensor_noise of the training is {noise!r}; expected a SensorNoise, or None"
+            raise InputError(message)
+        check_fields(self, "the training")
+
+    @classmethod
+    def read(cls, path: Path | None, given: Mapping[str, Any]) -> TrainConfig:
+        """Read a TOML file with values of some fields; those ``given`` come before them.
+
+        Raises
+        ------
+        InputError
+            No such file, not TOML, an unknown field or a value that cannot be used.
+        """
+        try:
+            held = {} if path is None else tomllib.loads(path.read_text(encoding="utf-8"))
+        except (OSError, ValueError) as error:
+            message = f"--config {str(path)!r} cannot be read ({error}); expected a TOML file"
+            raise InputError(message) from error
+        known = [each.name for each in fields(cls)]
+        unknown = [name for name in held if name not in known]
+        if unknown:
+            message = f"--config {str(path)!r} has {unknown[0]!r}; expected some of {', '.join(known)}"
+            raise InputError(message)
+        if isinstance(held.get("sensor_noise"), str):
+            held["sensor_noise"] = _noise(held["sensor_noise"])
+        return cls(**(held | dict(given)))
+
+    def crop_px(self, size_px: tuple[int, int]) -> tuple[int, int]:
+        """Return width and height of the crops, multiples of 4; InputError where they are too small."""
+        width, height = (int(self.crop * side) // 4 * 4 for side in size_px)
+        if min(width, height) < _LEAST_CROP_PX:
+            message = (
+                f"crops of {width} x {height} pixels (crop {self.crop:g} of {size_px[0]} x {size_px[1]}) are "
+                f"too small for the discriminators; expected at least {_LEAST_CROP_PX}; next: larger "
+                "pictures, or a larger crop"
+            )
+            raise InputError(message)
+        return width, height
+
+    def rate(self, step: int) -> float:
+        """Return the learning rate of a step, counted from 0."""
+        start = self.decay_from * self.steps
+        left = 1.0 if step < start else (self.steps - step) / max(self.steps - start, 1.0)
+        return self.learning_rate * left
+
+    def judge_noise_at(self, step: int) -> float:
+        """Return the noise that discriminators are shown at a step, counted from 0."""
+        return self.judge_noise * max(0.0, 1 - step / max(self.decay_from * self.steps, 1.0))
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return JSON values."""
+        return asdict(self)
