@@ -10,7 +10,7 @@ import re
 import sys
 from collections.abc import Callable, Container, Iterator, Mapping
 from contextlib import contextmanager, redirect_stderr, redirect_stdout
-from dataclasses import MISSING, Field, dataclass, fields, is_dataclass
+from dataclasses import MISSING, Field, dataclass, fields, is_dataclass, replace
 from enum import StrEnum
 from functools import wraps
 from pathlib import Path
@@ -23,7 +23,7 @@ from tactile_toolkit.checked_fields import Rule, check_value, metavar_of, rule_o
 from tactile_toolkit.errors import InputError, StorageError, ToolkitError
 from tactile_toolkit.printable import printable
 
-__all__ = ["EXIT_FAILED", "EXIT_INTERRUPTED", "OptionsOf", "command", "new_app", "run"]
+__all__ = ["EXIT_FAILED", "EXIT_INTERRUPTED", "Former", "OptionsOf", "command", "new_app", "run"]
 
 EXIT_FAILED = 1
 EXIT_INTERRUPTED = 130
@@ -61,6 +61,10 @@ def _print_version(wanted: bool) -> None:
 
 
 Debug = Annotated[bool, typer.Option("--debug", help="Show the traceback of an error.")]
+Token = Annotated[
+    str | None,
+    typer.Option("--token", metavar="TOKEN", help="Token of the Hugging Face Hub, in place of HF_TOKEN."),
+]
 Version = Annotated[
     bool,
     typer.Option("--version", callback=_print_version, is_eager=True, help="Print the version and exit."),
@@ -71,6 +75,7 @@ Version = Annotated[
 class _Everywhere:
     """Options of every command."""
 
+    token: Token = None
     debug: Debug = False
     version: Version = False
 
@@ -191,6 +196,8 @@ def _with_groups(function: Callable[..., None]) -> tuple[Callable[..., None], Fo
     @wraps(function)
     def call(context: typer.Context, **values: Any) -> None:
         with _errors_reported(values["debug"], options):
+            if values["token"] is not None:
+                os.environ["HF_TOKEN"] = values["token"]
             given = {each.name for each in taken if _was_given(context, each.name)}
             for each in taken:
                 if each.rule is not None:
@@ -218,6 +225,7 @@ def _checked(taken: _Taken, value: Any) -> Any:
         _warn(f"{taken.option} is deprecated; next: write {taken.name} = {value} into the file of --config")
     rule: Any = taken.rule
     read = rule.option.get("read")
+    rule = replace(rule, expected=rule.expected.removeprefix("None or "))  # that is to leave the option out
     return check_value(rule, value if read is None else read(value), taken.option)
 
 
@@ -267,7 +275,7 @@ def _taken(name: str, hint: Any, declared: Any, *, is_optional: bool = False) ->
     # What is read of a text has a default of another type, which Typer would convert.
     shown = None if "read" in rule.option and default is not MISSING else default
     parameter = _parameter(name, _annotation(name, names, shown, rule), shown)
-    return _Taken(parameter, names[0], rule, default, "help" not in rule.option)
+    return _Taken(parameter, names[0].split("/")[0], rule, default, "help" not in rule.option)
 
 
 def _parameter(name: str, hint: Any, default: Any) -> inspect.Parameter:
@@ -285,7 +293,7 @@ def _annotation(name: str, names: list[str], default: Any, rule: Rule) -> Any:
         if isinstance(default, tuple):  # Typer takes lists of enumerations, but not of literals
             kind = list[StrEnum(name, [(word, word) for word in rule.choices])]
     elif kind is bool:
-        names = [f"{names[0]}/--no-{names[0][2:]}"] if default else names
+        names = [f"{names[0]}/--no-{names[0][2:]}"] if default and "/" not in names[0] else names
     else:
         metavar = metavar_of(name, rule)
     declared = typer.Option(

@@ -130,7 +130,7 @@ def print_skipped(sink: Sink, manifest: Manifest, out: str, nouns: str, verb: st
         sink.line(f"{verb} {counted(count, nouns)}: {reason} (each is named in {out}/manifest.json)")
 
 
-def add_info(app: typer.Typer, kind: DatasetKind, print_folder: PrintMade, what: str = "spec") -> None:
+def add_info(app: typer.Typer, kind: DatasetKind, print_folder: PrintMade) -> None:
     """Add ``info``; ``print_folder`` prints what a finished or unfinished folder of the kind holds."""
 
     @command(app)
@@ -154,7 +154,7 @@ def add_info(app: typer.Typer, kind: DatasetKind, print_folder: PrintMade, what:
             print_converted(sink, manifest, folder, kind.nouns)
             return
         print_folder(sink, manifest, folder, None)
-        sink.line(f"made by tactile-toolkit {manifest.toolkit_version}; {what}:")
+        sink.line(f"made by tactile-toolkit {manifest.toolkit_version}; source and spec:")
         for line in flat_lines(manifest.spec):
             sink.line(f"  {line}")
 

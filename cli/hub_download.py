@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from cli.application import command
-from cli.options import Json, place_of_data
+from cli.options import place_of_data
 from cli.output import BYTES, Sink, bytes_text, counted
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.kind import DatasetKind, kinds
@@ -18,7 +18,7 @@ from tactile_toolkit.kind import DatasetKind, kinds
 if TYPE_CHECKING:
     from tactile_toolkit.exchange.download import DownloadPlan
 
-__all__ = ["FILES_SHOWN", "add_download", "confirmed", "listed"]
+__all__ = ["FILES_SHOWN", "add_download", "confirmed", "listed", "print_sets"]
 
 _LARGE_BYTES = 1_000_000_000
 FILES_SHOWN = 8
@@ -53,7 +53,7 @@ def listed(paths: Sequence[str]) -> str:
 
 
 def add_download(app: typer.Typer, kind: DatasetKind) -> None:
-    """Add ``download`` and ``list`` to the command line of a kind of data set."""
+    """Add ``download`` to the command line of a kind of data set."""
 
     @command(app)
     def download(
@@ -96,11 +96,6 @@ def add_download(app: typer.Typer, kind: DatasetKind) -> None:
                 place = carry_out(plan, lambda done, total: update(done, max(total, 1)))
         sink.document({**_facts(plan), "dry_run": dry_run, "folder": place or None})
         _conclude(sink, plan, place, kind)
-
-    @command(app, "list")
-    def list_sets(as_json: Json = False) -> None:
-        """List the published data sets: what they hold, their terms, what is here, and how large they are."""
-        _print_sets(Sink(as_json), kind)
 
 
 def confirmed(question: str, refused: str, next_step: str) -> bool:
@@ -175,7 +170,8 @@ def _conclude(sink: Sink, plan: DownloadPlan, place: str, kind: DatasetKind) -> 
     sink.line(f"next in Python: {line}")
 
 
-def _print_sets(sink: Sink, kind: DatasetKind) -> None:
+def print_sets(sink: Sink, kind: DatasetKind) -> None:
+    """Print the published data sets: what they hold, their terms, what is here, and how large they are."""
     from tactile_toolkit.catalog.published import states
 
     documents, rows = [], []

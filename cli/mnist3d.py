@@ -2,98 +2,30 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Sequence
 from functools import partial
 from typing import TYPE_CHECKING, Annotated, Any
 
 from cli.application import OptionsOf, command, new_app, run
-from cli.export_commands import add_export
-from cli.folders import Geometry, add_info, add_verify, least_to_most, print_made, print_skipped
-from cli.gallery_commands import add_mesh_gallery
-from cli.hub_upload import add_hub_commands
+from cli.folders import Geometry, least_to_most, print_made, print_skipped
 from cli.making import generate_set
 from cli.options import Limit, Making, Out, PerClass
 from cli.output import Sink, bytes_text
 from cli.preview_commands import preview_digits
+from cli.shared_commands import add_shared
 from mnist3d.kind import KIND
+from mnist3d.source_options import SOURCES, SourceOptions, chosen_source
 from mnist3d.spec import SPLITS, SolidSpec, SplitSpec
-from tactile_toolkit.checked_fields import choice, integer, switch, text
-from tactile_toolkit.errors import InputError
+from tactile_toolkit.checked_fields import choice
 from tactile_toolkit.kind import lazy
 
 if TYPE_CHECKING:
-    from mnist3d.sources import DigitSource
     from mnist3d.validate import Checked
     from tactile_toolkit.store.manifest import Manifest
 
 __all__ = ["app", "main"]
 
 app = new_app("mnist3d", "Printable 3D digits: from images of handwriting to validated data sets of meshes.")
-
-_SOURCES_OF = {
-    "images": ("hwdplus", "mnist", "folder"),
-    "writer_info": ("hwdplus",),
-    "writer_column": ("hwdplus",),
-    "download": ("mnist",),
-    "ink": ("folder",),
-    "digits": ("synthetic",),
-}
-"""The sources that each option belongs to."""
-
-
-@dataclass(frozen=True, slots=True)
-class SourceOptions:
-    """Where the images come from."""
-
-    images: str | None = text(
-        metavar="PATH",
-        help="Images of the source: the .npy file of HWD+, the folder of the MNIST files, or a folder of "
-        "pictures DIR/<label>/*.png.",
-    )
-    writer_info: str | None = text(metavar="FILE", help="WriterInfo.npy of HWD+ (column 0 is the label).")
-    writer_column: int | None = integer(None, help="Column of WriterInfo.npy that holds the writer.")
-    download: bool = switch(False, help="Fetch MNIST into --images first (extra `torch`).")
-    ink: str = choice("auto", ("auto", "dark", "light"), help="Ink of pictures in a folder.")
-    # As many as MNIST 3D has (Tactile MNIST paper).
-    digits: int = integer(13_580, 1, help="How many digits the synthetic source holds.")
-
-
-def _source(name: str, given: Mapping[str, Any], seed: int) -> DigitSource:
-    """Return the source; InputError for options that are missing or of another source."""
-    for option in given:
-        if name not in _SOURCES_OF[option]:
-            owners = " or ".join(_SOURCES_OF[option])
-            message = (
-                f"--{option.replace('_', '-')} does not belong to --source {name}; next: leave it out, or "
-                f"name its source (--source {owners})"
-            )
-            raise InputError(message)
-    needed = {"hwdplus": ("images", "writer_info"), "mnist": ("images",), "folder": ("images",)}
-    for option in needed.get(name, ()):
-        if option not in given:
-            message = (
-                f"--source {name} needs --{option.replace('_', '-')}, which was not given; see mnist3d "
-                "generate --help"
-            )
-            raise InputError(message)
-    if name == "hwdplus":
-        from mnist3d.sources.hwdplus import HwdPlusSource
-
-        return HwdPlusSource(**given)
-    if name == "mnist":
-        from mnist3d.sources.mnist import MnistSource, download_mnist
-
-        if given.get("download"):
-            download_mnist(given["images"])
-        return MnistSource(given["images"])
-    if name == "folder":
-        from mnist3d.sources.folder import FolderSource
-
-        return FolderSource(given["images"], ink=given.get("ink", "auto"))
-    from mnist3d.sources.synthetic import SyntheticSource
-
-    return SyntheticSource(seed=seed, count=given.get("digits", SourceOptions().digits))
 
 
 @command(app)
@@ -106,9 +38,7 @@ def generate(
         help="Split to make. Without it, pictures of a folder are all in train.",
     ),
     out: Out = "mnist3d-data",
-    source: str = choice(
-        "synthetic", ("synthetic", "hwdplus", "mnist", "folder"), help="Where the images come from."
-    ),
+    source: str = choice("synthetic", SOURCES, help="Where the images come from."),
     images: Annotated[dict[str, Any], OptionsOf(SourceOptions)],
     division: SplitSpec,
     per_class: PerClass = None,
@@ -128,7 +58,7 @@ def generate(
     from tactile_toolkit.run.limits import prepare_batch_process
 
     spec = GenerateSpec(
-        source=_source(source, images, division.seed),
+        source=chosen_source(source, images, division.seed),
         solid=solid,
         split=division,
         per_class=per_class,
@@ -207,12 +137,7 @@ _GEOMETRY = Geometry(
 )
 
 
-add_info(app, KIND, _print_made, "source and spec")
-add_verify(app, KIND, _GEOMETRY)
-command(app, "preview")(preview_digits)
-add_hub_commands(app, KIND)
-add_mesh_gallery(app, KIND)
-add_export(app, KIND)
+add_shared(app, KIND, preview_digits, print_folder=_print_made, geometry=_GEOMETRY, has_meshes=True)
 
 
 def main() -> None:

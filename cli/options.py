@@ -9,14 +9,13 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from tactile_toolkit.checked_fields import real, text
-from tactile_toolkit.wording import is_count, listed
+from tactile_toolkit.checked_fields import text
+from tactile_toolkit.wording import listed
 
 if TYPE_CHECKING:
     from tactile_toolkit.run.processes import Runner
 
 __all__ = [
-    "SENSOR_NOISE",
     "Chosen",
     "DryRun",
     "Folder",
@@ -37,13 +36,10 @@ __all__ = [
     "Work",
     "Workers",
     "local_place",
-    "min_height",
-    "parse_size",
     "place_of_data",
     "process_count",
 ]
 
-SENSOR_NOISE = "none|calibrated|FILE"
 _RUNNERS = ("processes", "ray")
 _JOB = "Job options"
 """Panel of the help of all options that say who does the work, not what is made."""
@@ -67,17 +63,6 @@ def local_place(text: str | Path) -> Path:
         return expanded(text)
     except InputError as error:
         raise typer.BadParameter(str(error)) from error
-
-
-def parse_size(text: str) -> tuple[int, int]:
-    """Read ``--size``, such as ``64x64``: width and height, pixels. Raises InputError."""
-    width, _, height = text.strip().lower().partition("x")
-    if not (is_count(width) and is_count(height)):
-        from tactile_toolkit.errors import InputError
-
-        message = f"--size is {text!r}; expected WIDTHxHEIGHT in pixels, such as 64x64"
-        raise InputError(message)
-    return int(width), int(height)
 
 
 def _runner_name(text: str) -> str:
@@ -107,16 +92,6 @@ def parse_ids(text: str) -> Any:
     from tactile_toolkit.catalog.choose import parse_ids as read
 
     return read(text)
-
-
-def min_height() -> Any:
-    """Declare the option of the height from which a touch counts as contact."""
-    return real(
-        None,
-        optional=True,
-        help="Height above the plate from which a touch counts as contact; 6 by default, and any height for "
-        "touches of `tactile-sim generate`.",
-    )
 
 
 def _job(*names: str, **settings: Any) -> Any:

@@ -133,44 +133,18 @@ def preview_scenes(
     from starstruck_gen.previews import plan_previews
     from tactile_toolkit.pictures.previews import PreviewSpec
 
-<<<<<<< HEAD
-    kinds = tuple(each.value for each in kind or ())
-    spec = PreviewSpec(kinds, split, parse_ids("--ids", ids), per_class)
-    _write(sink, plan_previews(path, spec), out, dry_run)
-
-
-class TouchPicture(StrEnum):
-    """Pictures of touches."""
-
-    grid = "grid"
-    overlay = "overlay"
-    film_strip = "strip"
-    all = "all"
-=======
     pictures.write(sink, plan_previews(path, PreviewSpec(kind, rows.split, rows.ids, rows.per_class or 8)))
->>>>>>> 4d723be (Options of commands are fields of the specifications they make)
 
 
 def preview_touches(
     *,
     name: TouchSet,
-<<<<<<< HEAD
-    kind: Annotated[
-        list[TouchPicture] | None,
-        typer.Option(
-            "--kind",
-            help="What to draw; may be repeated: a round as a grid (the default) or pasted on a map of the "
-            "cell, a clip as a strip.",
-        ),
-    ] = None,
-=======
     kind: tuple[str, ...] = choice(
         (),
         ("grid", "overlay", "strip", "all"),
         help="What to draw; may be repeated: a round as a grid (the default) or pasted on a map of the cell, "
         "a clip as a strip.",
     ),
->>>>>>> 4d723be (Options of commands are fields of the specifications they make)
     split: OneSplit = None,
     row: int = integer(0, name="--round", help="Which round."),
     touches: int = integer(32, 1, help="How many touches a grid shows."),

@@ -8,11 +8,10 @@ import typer
 
 from cli.application import EXIT_FAILED, command, new_app, run
 from cli.folders import print_converted, print_unfinished
-from cli.gallery_commands import add_touch_gallery
-from cli.hub_upload import add_hub_commands
 from cli.options import Json, OneSplit, Revision, Split, TouchSet, Workers, process_count
 from cli.output import Sink, counted
 from cli.preview_commands import preview_touches
+from cli.shared_commands import add_shared
 from cli.touch_conversions import add_conversions
 from cli.touch_tables import announce_fetching, print_summary, raise_findings
 from realtouch.kind import KIND
@@ -163,9 +162,7 @@ def reproduce(*, name: TouchSet, revision: Revision = None, sink: Sink) -> None:
 
 
 add_conversions(app)
-command(app, "preview")(preview_touches)
-add_hub_commands(app, KIND)
-add_touch_gallery(app)
+add_shared(app, KIND, preview_touches)
 
 
 def main() -> None:

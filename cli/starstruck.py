@@ -2,156 +2,33 @@
 
 from __future__ import annotations
 
-import re
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
 from cli.application import command, new_app, run
-from cli.export_commands import add_export
-from cli.folders import Geometry, add_info, add_verify, least_to_most, print_made
-from cli.gallery_commands import add_mesh_gallery
-from cli.hub_upload import add_hub_commands
+from cli.folders import Geometry, least_to_most, print_made
 from cli.making import generate_set
 from cli.options import Limit, Making, Out
 from cli.output import Sink, bytes_text, counted
 from cli.preview_commands import preview_scenes
+from cli.shared_commands import add_shared
 from starstruck_gen.kind import KIND
-from tactile_toolkit.checked_fields import choice, integer, real, text
-from tactile_toolkit.errors import InputError
-from tactile_toolkit.wording import is_count, listed
+from starstruck_gen.options import SceneOptions, scene_counts
+from tactile_toolkit.checked_fields import choice, integer, text
 
 if TYPE_CHECKING:
-    from starstruck_gen.shapes import Shape
-    from starstruck_gen.spec import SceneSpec
     from starstruck_gen.validate import Checked
     from tactile_toolkit.store.manifest import Manifest
 
 __all__ = ["app", "main"]
 
 _TRIAL_INTERVAL_S = 2.0
-_BETWEEN_SHAPES = re.compile(r",(?![^(]*\))")  # a comma within brackets belongs to a shape
-# Notches at half the radius, as published, are not notches any more between 3 tips.
-_FEWEST_POINTS, _RATIO_OF_FEWEST = 3, 0.25
 
 app = new_app(
     "starstruck", "Starstruck: scenes of stars among other objects, as validated data sets of meshes."
 )
-
-
-def _counts(words: str) -> tuple[int, ...]:
-    """Read ``1-3`` or ``1,2,5``."""
-    least, _, most = (part.strip() for part in words.partition("-"))
-    # Bounded here, before a tuple of the range is made; what a cell has room for `SceneSpec` checks.
-    if is_count(least) and is_count(most) and int(least) <= int(most) < 10_000:
-        return tuple(range(int(least), int(most) + 1))
-    if not all(map(is_count, listed(words))) or not listed(words):
-        message = f"--stars is {words!r}; expected a range such as 1-3, or numbers such as 1,2,5"
-        raise InputError(message)
-    return tuple(map(int, listed(words)))
-
-
-def _least_and_most(words: str) -> tuple[int, int]:
-    """Read ``0-5``, ``0,5`` or ``5``."""
-    parts = [part.strip() for part in words.replace("-", ",").split(",")]
-    if len(parts) > 2 or not all(map(is_count, parts)):
-        message = f"--distractors is {words!r}; expected the least and the most such as 0-5, or one number"
-        raise InputError(message)
-    return int(parts[0]), int(parts[-1])
-
-
-def _lengths_m(option: str, words: str, most: int) -> tuple[float, ...]:
-    """Read lengths in millimetres, separated by commas or by an x."""
-    try:
-        lengths_m = tuple(float(part) / 1e3 for part in words.replace("x", ",").split(","))
-    except ValueError:
-        lengths_m = ()
-    if not 0 < len(lengths_m) <= most:
-        message = f"{option} is {words!r}; expected millimetres such as 120, or up to {most} of them"
-        raise InputError(message)
-    return lengths_m
-
-
-def _scenes(words: str) -> tuple[tuple[str, int], ...]:
-    """Read ``5000`` or ``train=5000,test=500``."""
-    from starstruck_gen.streams import SPLITS
-
-    if is_count(words.strip()):
-        return tuple((split, int(words)) for split in SPLITS)
-    pairs = [tuple(piece.strip() for piece in part.partition("=")) for part in words.split(",")]
-    for split, equals, count in pairs:
-        if not is_count(count):
-            message = (
-                f"--scenes has {split + equals + count!r}; expected a number, or SPLIT=N such as "
-                "train=3000,test=300"
-            )
-            raise InputError(message)
-    return tuple((split, int(count)) for split, _, count in pairs)
-
-
-@dataclass(frozen=True, slots=True)
-class SceneOptions:
-    """What stands in a scene, and how close; lengths are of metres in :class:`SceneSpec`."""
-
-    stars: str = text(
-        "1-3", metavar="1-3|1,2,5", help="Number of stars of each class; a class for each number."
-    )
-    distractors: str = text(
-        "0-5", metavar="0-5", help="Least and most objects of a scene that are not stars."
-    )
-    star_points: int | None = integer(None, help="Tips of a star.", optional=True, shown="5")
-    star_inner_mm: float | None = real(
-        None,
-        optional=True,
-        help="Radius of a star's notches; half of --radius-mm as published, a quarter with 3 points.",
-    )
-    shapes: str = text(
-        "box,disc",
-        metavar="box,disc",
-        help="Shapes of distractors: box, disc, triangle, hexagon, ring, cross, crescent; with proportions "
-        "of their own such as ring(hole_ratio=0.3).",
-    )
-    radius_mm: float = real(10.0, help="Radius of the circle around every object.")
-    heights_mm: str = text("5", metavar="5|4,6", help="Heights of objects, each with equal chance.")
-    cell_mm: str = text("120", metavar="120|120x120", help="Size of the cell along x and y.")
-    collision: str = choice(
-        "circles",
-        ("circles", "exact"),
-        help="What must not meet: circles around objects, or their exact outlines.",
-    )
-    clearance_mm: float = real(0.0, help="Least distance kept between those.")
-
-    def spec(self) -> SceneSpec:
-        """Return the specification of scenes. Raises InputError for what cannot be read or made."""
-        from starstruck_gen.shapes import Shape
-        from starstruck_gen.spec import SceneSpec
-
-        sides_m = _lengths_m("--cell-mm", self.cell_mm, 2)
-        shapes = [each for each in _BETWEEN_SHAPES.split(self.shapes) if each.strip()]
-        return SceneSpec(
-            cell_m=(sides_m[0], sides_m[-1]),
-            stars=_counts(self.stars),
-            distractors=_least_and_most(self.distractors),
-            star=self._star(),
-            distractor_shapes=tuple(Shape.parse(each, self.radius_mm / 1e3) for each in shapes),
-            heights_m=_lengths_m("--heights-mm", self.heights_mm, 1000),
-            collision=self.collision,
-            clearance_m=self.clearance_mm / 1e3,
-        )
-
-    def _star(self) -> Shape:
-        from starstruck_gen.shapes import STAR, Shape, Star
-
-        # A radius that cannot be is refused first, not a ratio that follows from it.
-        plain = Shape(STAR, self.radius_mm / 1e3)
-        numbers: dict[str, float] = {} if self.star_points is None else {"points": self.star_points}
-        if self.star_inner_mm is not None:
-            numbers["inner_ratio"] = self.star_inner_mm / self.radius_mm
-        elif self.star_points == _FEWEST_POINTS:
-            numbers["inner_ratio"] = _RATIO_OF_FEWEST
-        return Shape(STAR, plain.radius_m, Star.from_dict(numbers))
 
 
 @command(app)
@@ -161,7 +38,7 @@ def generate(
     out: Out = "starstruck-data",
     scenes: Any = text(
         metavar="N|train=N,test=N",
-        read=_scenes,
+        read=scene_counts,
         help="Scenes of each split instead of the published 3,000 and 300.",
     ),
     scene: SceneOptions,
@@ -286,12 +163,7 @@ _GEOMETRY = Geometry(
 )
 
 
-add_info(app, KIND, _print_made)
-add_verify(app, KIND, _GEOMETRY)
-command(app, "preview")(preview_scenes)
-add_hub_commands(app, KIND)
-add_mesh_gallery(app, KIND)
-add_export(app, KIND)
+add_shared(app, KIND, preview_scenes, print_folder=_print_made, geometry=_GEOMETRY, has_meshes=True)
 
 
 def main() -> None:

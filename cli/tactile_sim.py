@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
@@ -11,21 +10,20 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import typer
 
 from cli.application import OptionsOf, command, new_app, run
-from cli.folders import add_info, add_verify, print_made
-from cli.gallery_commands import add_touch_gallery
-from cli.hub_upload import add_hub_commands
+from cli.folders import print_made
 from cli.making import generate_set
-from cli.options import SENSOR_NOISE, Limit, Making, Out, local_place, parse_size
+from cli.options import Limit, Making, Out, local_place
 from cli.output import Sink, bytes_text
 from cli.preview_commands import preview_touches
+from cli.shared_commands import add_shared
 from cli.tactile_sim_learning import add_learning
 from tactile_sim.kind import KIND
+from tactile_sim.options import PictureOptions
 from tactile_sim.spec import TouchPlan
-from tactile_toolkit.checked_fields import choice, integer, real, text
+from tactile_toolkit.checked_fields import real, text
 from tactile_toolkit.errors import InputError
 
 if TYPE_CHECKING:
-    from tactile_sim.generation import GenerateSpec
     from tactile_toolkit.store.manifest import Manifest
 
 __all__ = ["app", "main"]
@@ -33,65 +31,6 @@ __all__ = ["app", "main"]
 app = new_app("tactile-sim", "Synthetic touches: press a simulated GelSight Mini onto any solid.")
 
 _ENDINGS: dict[str, Literal["jpeg", "png"]] = {".png": "png", ".jpg": "jpeg", ".jpeg": "jpeg"}
-
-
-@dataclass(frozen=True, slots=True)
-class PictureOptions:
-    """What a touch looks like."""
-
-    size: str = text("64x64", metavar="WxH", help="Size of the pictures, pixels.")
-    optics: str = choice("taxim", ("depth", "taxim", "cyclegan"), help="How depth becomes a picture.")
-    like: str = choice(
-        "environment",
-        ("environment", "published"),
-        help="environment: rendered in this size, with the window that the environments show; published: "
-        "rendered as 320x240 of the whole sensor and scaled.",
-    )
-    image_format: Literal["jpeg", "png"] = choice(
-        "jpeg", ("jpeg", "png"), name="--format", help="Format of the pictures."
-    )
-    quality: int = integer(95, 1, 100, help="Quality of JPEGs, 1 to 100.")
-    weights: Path | None = text(
-        metavar="FILE", read=local_place, help="Weights for cyclegan; those of tactile-mnist by default."
-    )
-    surface: str = choice(
-        "smooth",
-        ("smooth", "printed"),
-        help="Solids as they are modelled, or with the layers that a printer lays.",
-    )
-    layer_mm: float | None = real(
-        None, 0.02, 2.0, optional=True, shown="0.2", help="Height of the layers with --surface printed."
-    )
-    sensor_noise: str = text(
-        "none",
-        was="--noise",
-        metavar=SENSOR_NOISE,
-        help="Noise of a real sensor on the pictures: none, as calibrated in tactile-mnist, or as in a JSON "
-        "file.",
-    )
-
-    def spec(self, plan: TouchPlan | None = None, limit: int | None = None) -> GenerateSpec:
-        """Return the specification of touches."""
-        from tactile_sim.generation import GenerateSpec, require_pictures
-        from tactile_sim.noise import SensorNoise
-
-        if self.layer_mm is not None and self.surface != "printed":
-            message = "--layer-mm is about printed solids; next: add --surface printed"
-            raise InputError(message)
-        if self.sensor_noise != "none":
-            require_pictures(self.optics)  # before a package is asked for that would not help
-        return GenerateSpec(
-            parse_size(self.size),
-            self.optics,
-            self.like,
-            TouchPlan() if plan is None else plan,
-            self.image_format,
-            self.quality,
-            None if self.weights is None else str(self.weights),
-            limit,
-            (0.2 if self.layer_mm is None else self.layer_mm) / 1000 if self.surface == "printed" else 0.0,
-            SensorNoise.named(self.sensor_noise),
-        )
 
 
 @command(app)
@@ -238,11 +177,7 @@ def render(
 
 
 add_learning(app)
-add_info(app, KIND, _print_made)
-add_verify(app, KIND)
-command(app, "preview")(preview_touches)
-add_hub_commands(app, KIND)
-add_touch_gallery(app)
+add_shared(app, KIND, preview_touches, print_folder=_print_made)
 
 
 def main() -> None:

@@ -4,46 +4,25 @@ from __future__ import annotations
 
 import math
 import os
-from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any
 
 import typer
 
 from cli.application import OptionsOf, command
 from cli.folders import print_made
 from cli.making import make_with_progress
-from cli.options import SENSOR_NOISE, LocalOut, Making, Out, local_place, min_height, parse_size
+from cli.options import LocalOut, Making, Out, local_place
 from cli.output import Sink, bytes_text, counted
 from tactile_sim.kind import KIND
+from tactile_sim.options import SENSOR_NOISE, PairsOptions
 from tactile_sim.spec import TrainConfig
-from tactile_toolkit.checked_fields import choice, integer, real, switch, text
+from tactile_toolkit.checked_fields import choice, integer, switch, text
 
 __all__ = ["add_learning"]
 
 PairsFolder = Annotated[str, typer.Argument(metavar="PAIRS", help="Folder that `tactile-sim pairs` made.")]
-
-
-@dataclass(frozen=True, slots=True)
-class PairsOptions:
-    """What a training set is made of."""
-
-    size: str = text("256x256", metavar="WxH", help="Size of the pictures, pixels.")
-    count: int = integer(20_000, 1, help="Depth images, and as many touches.")
-    without_contact: float = real(
-        0.05, 0, 1, metavar="SHARE", help="Share of touches that meet no object, 0 to 1."
-    )
-    min_height_mm: float | None = min_height()
-    like: Literal["published", "environment"] = choice(
-        "published",
-        ("published", "environment"),
-        help="Depth of the whole sensor, as real touches show it, or of an environment's window.",
-    )
-    image_format: Literal["png", "jpeg"] = choice(
-        "png", ("png", "jpeg"), name="--format", help="Format of the real touches."
-    )
-    seed: int = integer(0, help="Seed of everything that is drawn at random.")
 
 
 def add_learning(app: typer.Typer) -> None:
@@ -66,20 +45,12 @@ def pairs(
 
     Example: tactile-sim pairs digits --real real-single-320x240 --split train --out pairs
     """
-    from tactile_sim.pairs.making import PairsSpec, make_pairs, plan_pairs
+    from tactile_sim.pairs.making import make_pairs, plan_pairs
     from tactile_toolkit.run.limits import prepare_batch_process
     from tactile_toolkit.store.build import look_for
     from tactile_toolkit.store.folder import DataFolder
 
-    spec = PairsSpec(
-        parse_size(options.size),
-        options.count,
-        options.without_contact,
-        None if options.min_height_mm is None else options.min_height_mm / 1e3,
-        options.like,
-        options.image_format,
-        seed=options.seed,
-    )
+    spec = options.spec()
     if making.dry_run:
         plan = plan_pairs(objects, real, split, spec)
         runner = making.chosen_runner()

@@ -3,21 +3,23 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import MISSING, asdict, dataclass
+from dataclasses import MISSING, asdict, dataclass, fields
 from functools import partial
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from cli.application import command
+from cli.application import Former, command
 from cli.folders import print_converted
 from cli.making import make_with_progress
-from cli.options import Limit, Split, TouchSet, Work, min_height, parse_size, place_of_data
+from cli.options import Limit, Split, TouchSet, Work, place_of_data
 from cli.output import Sink
 from cli.touch_tables import announce_fetching
 from realtouch.kind import KIND
 from tactile_toolkit.checked_fields import choice, integer, switch, text
 from tactile_toolkit.errors import InputError
+from tactile_toolkit.kind import lazy
+from tactile_toolkit.touch.options import contact_height, image_size
 from tactile_toolkit.wording import is_count, listed
 
 if TYPE_CHECKING:
@@ -43,6 +45,13 @@ def _frame() -> Any:
     )
 
 
+def _object_ids(words: str) -> list[int]:
+    if not all(map(is_count, listed(words))):
+        message = f"--ids has {words!r}; expected whole numbers, such as 12,408"
+        raise InputError(message)
+    return [int(each) for each in listed(words)]
+
+
 @dataclass(frozen=True, slots=True)
 class Converting(Work):
     """Options of all conversions."""
@@ -50,34 +59,113 @@ class Converting(Work):
     split: Split = None
     limit: Limit = None
 
-    def run(
-        self,
-        sink: Sink,
-        convert: Callable[..., Manifest],
-        source: str,
-        out: str | None,
-        former_out: str | None,
-        *values: Any,
-        nouns: str = KIND.nouns,
-        **options: Any,
-    ) -> None:
-        """Print what will be fetched, convert with a progress bar, and print how many ``nouns`` were made."""
-        out = _place(sink, out, former_out)
-        announce_fetching(sink, source, self.split)
-        make = partial(convert, source, out, *values, **options, split=self.split, limit=self.limit)
-        made = make_with_progress(sink, "converting", nouns, make, self, out, unit=KIND.nouns)
-        if made is not None:
-            print_converted(sink, made.manifest, out)
+
+@dataclass(frozen=True, slots=True)
+class _Conversion:
+    """Options of one conversion, named as the parameters of its function; the docstring is the help."""
+
+    def arguments(self) -> dict[str, Any]:
+        """Return what the function takes."""
+        return {each.name: getattr(self, each.name) for each in fields(self)}
 
 
-def _place(sink: Sink, out: str | None, former_out: str | None) -> str:
-    """Return the folder to write; as the second argument, where it was until now, with a warning."""
-    if out is None and former_out is None:
-        message = "--out was not given; expected the folder to write; next: add --out DIR"
-        raise InputError(message)
-    if former_out is not None:
-        sink.insist(f"warning: OUT without --out is deprecated; next: write --out {former_out}")
-    return str(out or former_out)
+@dataclass(frozen=True, slots=True)
+class ToSingle(_Conversion):
+    """Make a data set of single images of one of clips: a frame of each, with the pose at that moment.
+
+    Example: realtouch to-single real-seq --frame peak --out touches
+    """
+
+    frame: str = _frame()
+
+
+@dataclass(frozen=True, slots=True)
+class Resize(_Conversion):
+    """Write the same data set with pictures or clips of another size.
+
+    Example: realtouch resize real-single-320x240 --size 64x64 --out small
+    """
+
+    size: tuple[int, int] = image_size(MISSING)
+    quality: int = integer(95, 1, 100, help="JPEG quality of what is encoded again, 1 to 100.")
+
+    def arguments(self) -> dict[str, Any]:
+        """Return what the function takes."""
+        return {"width": self.size[0], "height": self.size[1], "quality": self.quality}
+
+
+@dataclass(frozen=True, slots=True)
+class Frames(_Conversion):
+    """Write touches as plain image files with an index in CSV and Parquet.
+
+    Example: realtouch frames real-single-64x64 --format jpeg --out pictures
+
+    Example: realtouch frames real-seq --frame best --difference grey --out changes
+    """
+
+    kind: str = choice(
+        "png",
+        ("png", "jpeg"),
+        name="--format",
+        help="png, whose pixels are exact, or the stored JPEGs as they are.",
+    )
+    frame: str = _frame()
+    difference: str | None = choice(
+        None,
+        ("grey", "absolute"),
+        optional=True,
+        help="Write what differs from the median of clip or round: grey (128: no change) or absolute.",
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class Select(_Conversion):
+    """Write some rounds and touches of a data set; pictures pass through byte for byte.
+
+    Example: realtouch select real-single-64x64 --contact --labels 3,5 --out touched
+    """
+
+    contact: bool = switch(False, help="Only touches that met an object.")
+    min_height_mm: float | None = contact_height()
+    recalibrate_z: bool = switch(
+        True,
+        name="--recalibrate/--as-recorded",
+        help="Take each round's deepest touch as the plate, where its height is not known.",
+    )
+    labels: tuple[str, ...] = text((), metavar="3,5", read=listed, help="Only these classes.")
+    objects: tuple[int, ...] = text(
+        (), name="--ids", was="--objects", metavar="ID,ID", read=_object_ids, help="Only these objects."
+    )
+
+    def arguments(self) -> dict[str, Any]:
+        """Return what the function takes; InputError for options that would have no effect."""
+        if not self.contact and (self.min_height_mm is not None or not self.recalibrate_z):
+            message = "--min-height-mm and --as-recorded are about --contact; next: add --contact"
+            raise InputError(message)
+        found = _Conversion.arguments(self)
+        height_mm = found.pop("min_height_mm")
+        return {**found, "min_height_m": None if height_mm is None else height_mm / 1000}
+
+
+@dataclass(frozen=True, slots=True)
+class Export(_Conversion):
+    """Write touches for other libraries; stored JPEGs are copied, never encoded again.
+
+    Example: realtouch export real-single-64x64 --split train --format flat --out flat
+
+    Example: realtouch export real-seq --split train --format lerobot --out robots
+    """
+
+    layout: str = choice(
+        MISSING,
+        ("flat", "webdataset", "lerobot", "replay", "fota", "sparsh", "anytouch"),
+        name="--format",
+        was="--layout",
+        help="flat: Parquet, a row for each touch; webdataset: tars; lerobot: LeRobotDataset v3.0 of one "
+        "split; replay: Zarr of Diffusion Policy, likewise; fota: tars of T3; sparsh: pickled images; "
+        "anytouch: list files.",
+    )
+    frame: str = _frame()
 
 
 @dataclass(frozen=True, slots=True)
@@ -118,149 +206,57 @@ class Columns:
 
 def add_conversions(app: typer.Typer) -> None:
     """Add the commands to a command line."""
-    command(app, "to-single")(to_single)
-    for each in (resize, select, export):
-        command(app)(each)
-    command(app, former={"--png": ("--format=png", None), "--jpeg": ("--format=jpeg", None)})(frames)
+    former = {"--png": ("--format=png", None), "--jpeg": ("--format=jpeg", None)}
+    _add(app, "to-single", ToSingle, lazy("realtouch.convert.api:to_single"))
+    _add(app, "resize", Resize, lazy("realtouch.convert.api:resize"))
+    _add(app, "frames", Frames, lazy("realtouch.convert.api:frames"), former=former)
+    _add(app, "select", Select, lazy("realtouch.convert.api:select"))
+    # A row is a touch, or an episode of LeRobot.
+    _add(app, "export", Export, lazy("realtouch.exchange.api:export"), nouns="rows")
     command(app, "import")(import_touches)
 
 
-def to_single(
+def _add(
+    app: typer.Typer,
+    name: str,
+    spec: type[_Conversion],
+    function: Callable[..., Manifest],
     *,
-    source: TouchSet,
-    former_out: FormerOut = None,
-    out: str | None = _out(),
-    frame: str = _frame(),
-    converting: Converting,
-    sink: Sink,
+    nouns: str = KIND.nouns,
+    former: Former | None = None,
 ) -> None:
-    """Make a data set of single images of one of clips: a frame of each, with the pose at that moment.
+    """Add a command: print what will be fetched, convert with a progress bar, print what was made."""
 
-    Example: realtouch to-single real-seq --frame peak --out touches
-    """
-    from realtouch.convert.api import to_single as convert
+    def convert(
+        *,
+        source: TouchSet,
+        former_out: FormerOut = None,
+        out: str | None = _out(),
+        options: Any,
+        converting: Converting,
+        sink: Sink,
+    ) -> None:
+        place = _place(sink, out, former_out)
+        arguments = options.arguments()
+        announce_fetching(sink, source, converting.split)
+        make = partial(function, source, place, **arguments, split=converting.split, limit=converting.limit)
+        made = make_with_progress(sink, "converting", nouns, make, converting, place, unit=KIND.nouns)
+        if made is not None:
+            print_converted(sink, made.manifest, place)
 
-    converting.run(sink, convert, source, out, former_out, frame)
-
-
-def resize(
-    *,
-    source: TouchSet,
-    former_out: FormerOut = None,
-    out: str | None = _out(),
-    size: Annotated[str, typer.Option("--size", metavar="WIDTHxHEIGHT", help="Size wanted, pixels.")],
-    quality: int = integer(95, 1, 100, help="JPEG quality of what is encoded again, 1 to 100."),
-    converting: Converting,
-    sink: Sink,
-) -> None:
-    """Write the same data set with pictures or clips of another size.
-
-    Example: realtouch resize real-single-320x240 --size 64x64 --out small
-    """
-    from realtouch.convert.api import resize as convert
-
-    converting.run(sink, convert, source, out, former_out, *parse_size(size), quality=quality)
+    convert.__doc__ = spec.__doc__
+    convert.__annotations__["options"] = spec
+    command(app, name, former)(convert)
 
 
-def frames(
-    *,
-    source: TouchSet,
-    former_out: FormerOut = None,
-    out: str | None = _out(),
-    file_format: str = choice(
-        "png",
-        ("png", "jpeg"),
-        name="--format",
-        help="png, whose pixels are exact, or the stored JPEGs as they are.",
-    ),
-    frame: str = _frame(),
-    difference: str | None = choice(
-        None,
-        ("grey", "absolute"),
-        optional=True,
-        help="Write what differs from the median of clip or round: grey (128: no change) or absolute.",
-    ),
-    converting: Converting,
-    sink: Sink,
-) -> None:
-    """Write touches as plain image files with an index in CSV and Parquet.
-
-    Example: realtouch frames real-single-64x64 --format jpeg --out pictures
-
-    Example: realtouch frames real-seq --frame best --difference grey --out changes
-    """
-    from realtouch.convert.api import frames as convert
-
-    converting.run(sink, convert, source, out, former_out, file_format, frame, difference=difference)
-
-
-def select(
-    *,
-    source: TouchSet,
-    former_out: FormerOut = None,
-    out: str | None = _out(),
-    contact: bool = switch(False, help="Only touches that met an object."),
-    min_height_mm: float | None = min_height(),
-    recalibrate: Annotated[
-        bool,
-        typer.Option(
-            "--recalibrate/--as-recorded",
-            help="Take each round's deepest touch as the plate, where its height is not known.",
-        ),
-    ] = True,
-    labels: list[str] | None = text(metavar="3,5", read=listed, help="Only these classes."),
-    ids: list[int] | None = text(
-        was="--objects", metavar="ID,ID", read=lambda words: _object_ids(words), help="Only these objects."
-    ),
-    converting: Converting,
-    sink: Sink,
-) -> None:
-    """Write some rounds and touches of a data set; pictures pass through byte for byte.
-
-    Example: realtouch select real-single-64x64 --contact --labels 3,5 --out touched
-    """
-    from realtouch.convert.api import select as convert
-
-    if not contact and (min_height_mm is not None or not recalibrate):
-        message = "--min-height-mm and --as-recorded are about --contact; next: add --contact"
+def _place(sink: Sink, out: str | None, former_out: str | None = None) -> str:
+    """Return the folder to write; as the second argument, where it was until now, with a warning."""
+    if out is None and former_out is None:
+        message = "--out was not given; expected the folder to write; next: add --out DIR"
         raise InputError(message)
-    converting.run(
-        *(sink, convert, source, out, former_out),
-        contact=contact,
-        min_height_m=None if min_height_mm is None else min_height_mm / 1000,
-        recalibrate_z=recalibrate,
-        labels=labels or (),
-        objects=ids or (),
-    )
-
-
-def export(
-    *,
-    source: TouchSet,
-    file_format: str = choice(
-        MISSING,
-        ("flat", "webdataset", "lerobot", "replay", "fota", "sparsh", "anytouch"),
-        name="--format",
-        was="--layout",
-        help="flat: Parquet, a row for each touch; webdataset: tars; lerobot: LeRobotDataset v3.0 of one "
-        "split; replay: Zarr of Diffusion Policy, likewise; fota: tars of T3; sparsh: pickled images; "
-        "anytouch: list files.",
-    ),
-    out: str | None = _out(),
-    frame: str = _frame(),
-    converting: Converting,
-    sink: Sink,
-) -> None:
-    """Write touches for other libraries; stored JPEGs are copied, never encoded again.
-
-    Example: realtouch export real-single-64x64 --split train --format flat --out flat
-
-    Example: realtouch export real-seq --split train --format lerobot --out robots
-    """
-    from realtouch.exchange.api import export as convert
-
-    # A row is a touch, or an episode of LeRobot.
-    converting.run(sink, convert, source, out, None, file_format, nouns="rows", frame=frame)
+    if former_out is not None:
+        sink.insist(f"warning: OUT without --out is deprecated; next: write --out {former_out}")
+    return str(out or former_out)
 
 
 def import_touches(
@@ -299,12 +295,12 @@ def import_touches(
     from realtouch.exchange.items import ImportColumns
     from tactile_toolkit.store.shards import add_up
 
-    out = _place(sink, out, None)
+    place = _place(sink, out)
     named = ImportColumns(*asdict(columns).values())
     make = partial(
-        import_images, source, out, file_format, named, table=table, classes=classes or (), split=split
+        import_images, source, place, file_format, named, table=table, classes=classes or (), split=split
     )
-    made = make_with_progress(sink, "importing", KIND.nouns, make, work, out, unit="touches")
+    made = make_with_progress(sink, "importing", KIND.nouns, make, work, place, unit="touches")
     if made is None:
         return
     skipped = [item for record in made.manifest.shards for item in record.skipped]
@@ -314,11 +310,4 @@ def import_touches(
     if fields:
         counts = ", ".join(f"{name} ({count:,})" for name, count in fields.items())
         sink.talk(f"fields that were not imported, and of how many touches: {counts}")
-    print_converted(sink, made.manifest, out, "touches")
-
-
-def _object_ids(words: str) -> list[int]:
-    if not all(map(is_count, listed(words))):
-        message = f"--ids has {words!r}; expected whole numbers, such as 12,408"
-        raise InputError(message)
-    return [int(each) for each in listed(words)]
+    print_converted(sink, made.manifest, place, "touches")

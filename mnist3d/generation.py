@@ -18,7 +18,7 @@ from mnist3d.solid import SolidSpec, solidify
 from mnist3d.sources import DigitSource
 from mnist3d.sources.folder import FolderSource
 from mnist3d.splits import SPLITS, SplitSpec, plan_splits
-from tactile_toolkit.checked_fields import check_fields, whole_number
+from tactile_toolkit.checked_fields import check_fields, integer
 from tactile_toolkit.errors import InputError, ItemError
 from tactile_toolkit.mesh.printability import PrintProfile, PrintReport, inspect
 from tactile_toolkit.run.processes import Runner, runner_for
@@ -70,8 +70,8 @@ class GenerateSpec:
     solid: SolidSpec = field(default_factory=SolidSpec)
     split: SplitSpec = field(default_factory=SplitSpec)
     profile: PrintProfile = field(default_factory=PrintProfile)
-    per_class: int | None = whole_number(None, 1, optional=True, option="--per-class")
-    limit: int | None = whole_number(None, 1, optional=True, option="--limit")
+    per_class: int | None = integer(None, 1, optional=True)
+    limit: int | None = integer(None, 1, optional=True)
 
     def __post_init__(self) -> None:
         check_fields(self, "the data set's specification")

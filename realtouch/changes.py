@@ -13,7 +13,7 @@ from typing import Any, Literal, get_args
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_toolkit.checked_fields import check_fields, real_number, whole_number
+from tactile_toolkit.checked_fields import check_fields, integer, real
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.touch.jpeg import Pixels
 
@@ -167,10 +167,10 @@ class ContactRule:
     half of the picture); see :func:`find_contacts`.
     """
 
-    min_change: int = whole_number(10, 0, 255)
-    min_area_px: int = whole_number(40, 0, 1 << 40)
-    min_intensity: float = real_number(12.0, 0, 255)
-    crop: float = real_number(0.5, 1e-6, 1)
+    min_change: int = integer(10, 0, 255)
+    min_area_px: int = integer(40, 0, 1 << 40)
+    min_intensity: float = real(12.0, 0, 255)
+    crop: float = real(0.5, 1e-6, 1)
 
     def __post_init__(self) -> None:
         check_fields(self, "the contact rule")

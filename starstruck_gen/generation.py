@@ -15,7 +15,7 @@ from starstruck_gen.sampling import LayoutFailed, SamplingExhausted, require_fea
 from starstruck_gen.spec import SceneSpec
 from starstruck_gen.streams import MOST_SCENES, SPLITS, scene_seed
 from starstruck_gen.summary import count_scenes
-from tactile_toolkit.checked_fields import check_fields, whole_number
+from tactile_toolkit.checked_fields import check_fields, integer
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.run.processes import Runner, runner_for
 from tactile_toolkit.store.build import Progress, build
@@ -71,8 +71,8 @@ class GenerateSpec:
 
     scene: SceneSpec = field(default_factory=SceneSpec)
     scenes: tuple[tuple[str, int], ...] = PUBLISHED_SIZES
-    seed: int = whole_number(0)
-    limit: int | None = whole_number(None, 1, optional=True, option="--limit")
+    seed: int = integer(0)
+    limit: int | None = integer(None, 1, optional=True)
 
     def __post_init__(self) -> None:
         check_fields(self, "the data set's specification")

@@ -28,7 +28,7 @@ from tactile_sim.sensor import Sensor, as_environment, as_sensor
 from tactile_sim.spec import TouchPlan
 from tactile_toolkit.catalog.locate import find_shards, splits_of
 from tactile_toolkit.catalog.published import place_of
-from tactile_toolkit.checked_fields import check_fields, choice, whole_number
+from tactile_toolkit.checked_fields import check_fields, choice, integer
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.mesh.columns import require_mesh_columns
 from tactile_toolkit.mesh.files import FORMATS
@@ -104,9 +104,9 @@ class GenerateSpec:
     like: str = choice("environment", ("environment", "published"))
     plan: TouchPlan = field(default_factory=TouchPlan)
     image_format: Literal["jpeg", "png"] = choice("jpeg", ("jpeg", "png"))
-    quality: int = whole_number(95, 1, 100)
+    quality: int = integer(95, 1, 100)
     weights: str | None = None
-    limit: int | None = whole_number(None, 1, optional=True, option="--limit")
+    limit: int | None = integer(None, 1, optional=True)
     layer_m: float = 0.0
     noise: SensorNoise | None = None
 

@@ -19,7 +19,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_toolkit.checked_fields import check_fields, real_number
+from tactile_toolkit.checked_fields import check_fields, real
 from tactile_toolkit.errors import InputError
 
 __all__ = ["SensorNoise", "add_noise", "draw_noise"]
@@ -46,14 +46,14 @@ class SensorNoise:
         A value that is not a number, or out of range: 0 to 10, exponents 0 to 20, correlations 0 to 1.
     """
 
-    frame_noise_std: float = real_number(least=0, most=10)
-    frame_noise_spectrum_exponent: float = real_number(least=0, most=20)
-    frame_noise_channel_correlation: float = real_number(least=0, most=1)
-    episode_pattern_std: float = real_number(least=0, most=10)
-    episode_pattern_spectrum_exponent: float = real_number(least=0, most=20)
-    episode_pattern_channel_correlation: float = real_number(least=0, most=1)
-    episode_gain_std: float = real_number(least=0, most=10)
-    episode_offset_std: float = real_number(least=0, most=10)
+    frame_noise_std: float = real(least=0, most=10)
+    frame_noise_spectrum_exponent: float = real(least=0, most=20)
+    frame_noise_channel_correlation: float = real(least=0, most=1)
+    episode_pattern_std: float = real(least=0, most=10)
+    episode_pattern_spectrum_exponent: float = real(least=0, most=20)
+    episode_pattern_channel_correlation: float = real(least=0, most=1)
+    episode_gain_std: float = real(least=0, most=10)
+    episode_offset_std: float = real(least=0, most=10)
 
     def __post_init__(self) -> None:
         check_fields(self, "the noise")

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
-from tactile_toolkit.checked_fields import check_fields, real_number
+from tactile_toolkit.checked_fields import check_fields, real
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.touch.contact import PRESS_DEPTH_M
 from tactile_toolkit.touch.jpeg import MAX_IMAGE_PIXELS
@@ -48,10 +48,10 @@ class Sensor:
     """
 
     size_px: tuple[int, int]
-    window_m: tuple[float, float] = real_number(_SURFACE_M, above=0, most=1, many=2)
-    gel_m: float = real_number(_GEL_M, above=0, most=0.1)
-    press_m: float = real_number(PRESS_DEPTH_M, above=0)
-    sample_px: tuple[float, float] = real_number((0.0, 0.0), -0.5, 0.5, many=2)
+    window_m: tuple[float, float] = real(_SURFACE_M, above=0, most=1, many=2)
+    gel_m: float = real(_GEL_M, above=0, most=0.1)
+    press_m: float = real(PRESS_DEPTH_M, above=0)
+    sample_px: tuple[float, float] = real((0.0, 0.0), -0.5, 0.5, many=2)
 
     def __post_init__(self) -> None:
         size = plain(self.size_px)

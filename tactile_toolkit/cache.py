@@ -9,6 +9,7 @@ from __future__ import annotations
 import contextlib
 import os
 import random
+import stat
 import time
 import warnings
 from collections import OrderedDict
@@ -28,7 +29,18 @@ from tactile_toolkit.store.files import (
     remove_abandoned,
 )
 
-__all__ = ["CACHE_VARIABLE", "DiskCache", "MemoryCache", "cache_folder"]
+__all__ = [
+    "CACHE_VARIABLE",
+    "LOCKS",
+    "DiskCache",
+    "MemoryCache",
+    "cache_folder",
+    "cached_files",
+    "prune_cache",
+]
+
+LOCKS = "locks"
+"""Folder of the cache whose files processes hold while they write others."""
 
 CACHE_VARIABLE = "TACTILE_TOOLKIT_CACHE"
 """Environment variable that names the cache folder."""
@@ -139,6 +151,36 @@ class DiskCache:
                     break
                 self.drop(Path(path))
                 held -= size
+
+
+def cached_files() -> dict[str, list[tuple[Path, int, float]]]:
+    """Return the files of each folder in the cache folder: path, bytes, and days since their last use."""
+    found: dict[str, list[tuple[Path, int, float]]] = {}
+    root = cache_folder()
+    for place in sorted(root.iterdir()) if root.is_dir() else ():
+        files = found.setdefault(place.name, [])
+        for path in sorted(place.rglob("*")):
+            with contextlib.suppress(OSError):  # other processes may remove some meanwhile
+                facts = path.lstat()
+                if stat.S_ISREG(facts.st_mode):
+                    unused_s = time.time() - max(facts.st_atime, facts.st_mtime)
+                    files.append((path, facts.st_size, unused_s / 86_400))
+    return found
+
+
+def prune_cache(unused_days: float = 0.0) -> list[Path]:
+    """Remove cached files that were not used for so many days, and return them; locks stay.
+
+    All of them can be made again. Open maps stay valid, and what is being written stays.
+    """
+    removed = []
+    for name, files in cached_files().items():
+        for path, _, days in files if name != LOCKS else ():
+            if days >= unused_days and not path.name.startswith(TEMPORARY_PREFIX):
+                with contextlib.suppress(OSError):
+                    path.unlink()
+                    removed.append(path)
+    return removed
 
 
 K = TypeVar("K", bound=Hashable)

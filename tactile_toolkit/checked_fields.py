@@ -165,7 +165,3 @@ def check_fields(spec: Any, of: str) -> None:
 
 def _field(default: Any, rule: Rule) -> Any:
     return field(default=default, metadata={_RULE: rule})
-
-
-# Former names, until the modules that make the rows of each kind are on the new ones.
-whole_number, real_number = integer, real

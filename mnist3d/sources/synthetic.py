@@ -21,7 +21,7 @@ from mnist3d.sources.handwriting.hand import (
     posed,
 )
 from mnist3d.sources.handwriting.pen import draw, on_page
-from tactile_toolkit.checked_fields import check_fields, whole_number
+from tactile_toolkit.checked_fields import check_fields, integer
 from tactile_toolkit.errors import InputError
 
 __all__ = ["DRAWING_VERSION", "HWD_PLUS_COUNT", "SyntheticSource"]
@@ -100,8 +100,8 @@ class SyntheticSource:
     name: ClassVar[str] = "synthetic"
     """Word that selects this source on the command line."""
 
-    seed: int = whole_number(0)
-    count: int = whole_number(HWD_PLUS_COUNT, 1)
+    seed: int = integer(0)
+    count: int = integer(HWD_PLUS_COUNT, 1)
 
     def __post_init__(self) -> None:
         check_fields(self, "the synthetic source")

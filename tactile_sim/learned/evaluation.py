@@ -113,7 +113,7 @@ class Evaluation:
         made = (
             "without noise: a sensor's noise alone separates real touches from them"
             if self.noise is None
-            else "under a sensor's noise, as `generate --noise` adds it: "
+            else "under a sensor's noise, as `generate --sensor-noise` adds it: "
             + ", ".join(f"{name} {value:g}" for name, value in self.noise.to_dict().items())
         )
         lines += ["", f"Of {self.touches:,} real touches. Made pictures are {made}."]

@@ -23,7 +23,7 @@ from tactile_sim.sensor import Sensor, as_environment, as_sensor
 from tactile_sim.spec import TouchPlan
 from tactile_toolkit.catalog.locate import find_shards
 from tactile_toolkit.catalog.published import place_of
-from tactile_toolkit.checked_fields import check_fields, choice, real_number, whole_number
+from tactile_toolkit.checked_fields import check_fields, choice, integer, real
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.kind import lazy
 from tactile_toolkit.mesh.columns import require_mesh_columns
@@ -78,13 +78,13 @@ class PairsSpec:
     """
 
     size_px: tuple[int, int] = (256, 256)
-    count: int = whole_number(20_000, 1, 10_000_000)
-    without_contact: float = real_number(0.05, 0, 1)
-    min_height_m: float | None = real_number(None, above=0, below=0.1, optional=True)
+    count: int = integer(20_000, 1, 10_000_000)
+    without_contact: float = real(0.05, 0, 1)
+    min_height_m: float | None = real(None, above=0, below=0.1, optional=True)
     like: Literal["published", "environment"] = choice("published", ("published", "environment"))
     image_format: Literal["png", "jpeg"] = choice("png", ("png", "jpeg"))
-    turn_rad: float = real_number(np.pi / 8, 0, np.pi)
-    seed: int = whole_number(0)
+    turn_rad: float = real(np.pi / 8, 0, np.pi)
+    seed: int = integer(0)
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "size_px", as_sensor(*self.size_px).size_px)

@@ -68,7 +68,7 @@ def write_table_card(
     )
     made = [
         made_by(manifest),
-        ("command", f"`{kind.command} export --layout flat`"),
+        ("command", f"`{kind.command} export --format flat`"),
         ("source", f"{kind.nouns} {rows}; `manifest.json` names and fingerprints each file"),
         (f"{kind.nouns} left out", skipped_text(manifest)),
     ]

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from tactile_toolkit.checked_fields import check_fields, real_number
+from tactile_toolkit.checked_fields import check_fields, real
 from tactile_toolkit.mesh.mesh import MM_PER_M, as_mesh
 from tactile_toolkit.mesh.solid_check import ManifoldCheck, check_manifold
 from tactile_toolkit.mesh.walls import section_area_mm2, thinnest_width_mm
@@ -80,15 +80,15 @@ class PrintProfile:
         Of the material; 1.24 is PLA.
     """
 
-    nozzle_mm: float = real_number(0.4, above=0)
-    layer_height_mm: float = real_number(0.2, above=0)
-    plate_mm: tuple[float, float] = real_number((256.0, 256.0), above=0, many=2)
-    max_height_mm: float = real_number(256.0, above=0)
-    min_wall_mm: float = real_number(0.8, above=0)
-    overhang_deg: float = real_number(45.0, above=0, below=90)
-    max_overhang_share: float = real_number(0.72, above=0)
-    min_contact_mm2: float = real_number(10.0, above=0)
-    density_g_cm3: float = real_number(1.24, above=0)
+    nozzle_mm: float = real(0.4, above=0)
+    layer_height_mm: float = real(0.2, above=0)
+    plate_mm: tuple[float, float] = real((256.0, 256.0), above=0, many=2)
+    max_height_mm: float = real(256.0, above=0)
+    min_wall_mm: float = real(0.8, above=0)
+    overhang_deg: float = real(45.0, above=0, below=90)
+    max_overhang_share: float = real(0.72, above=0)
+    min_contact_mm2: float = real(10.0, above=0)
+    density_g_cm3: float = real(1.24, above=0)
 
     def __post_init__(self) -> None:
         """Refuse numbers that no printer has."""

@@ -12,7 +12,7 @@ import numpy as np
 from tactile_toolkit.catalog.choose import chosen_records, class_by_class, open_splits
 from tactile_toolkit.catalog.kinds import require_kind
 from tactile_toolkit.catalog.locate import folder_named
-from tactile_toolkit.checked_fields import check_fields, whole_number
+from tactile_toolkit.checked_fields import check_fields, integer
 from tactile_toolkit.kind import DatasetKind
 from tactile_toolkit.mesh.mesh import MM_PER_M
 from tactile_toolkit.pictures.plots import Bars, plot_bars, require_plots
@@ -39,7 +39,7 @@ class PreviewSpec:
     kinds: tuple[str, ...] = ()
     split: str | None = None
     ids: tuple[int, ...] = ()
-    per_class: int = whole_number(10, 1, option="--per-class")
+    per_class: int = integer(10, 1)
 
     def __post_init__(self) -> None:
         check_fields(self, "the previews")

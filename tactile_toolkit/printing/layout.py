@@ -109,7 +109,7 @@ def _piece(item: PrintObject, spec: PlateSpec, scale: float) -> Placed:
         message = (
             f"{item.name} does not fit on the plate: it needs {width_mm:.1f} x {depth_mm:.1f} mm, the plate "
             f"has {spec.width_mm:g} x {spec.depth_mm:g} mm{margins}; nothing was written; next: a larger "
-            f"--plate, a smaller {'--margin or ' if margins else ''}--scale, or other --ids"
+            f"--plate, a smaller {'--margin-mm or ' if margins else ''}--scale, or other --ids"
         )
         raise InputError(message)
     box = verdict.manifold.bounding_box()

@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from scipy import fft, ndimage
 
-from tactile_toolkit.checked_fields import check_fields, real_number
+from tactile_toolkit.checked_fields import check_fields, real
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.mesh.raster import highest_values, positions_in_runs
 from tactile_toolkit.mesh.walls import signed_area_mm2
@@ -129,17 +129,17 @@ class PlateSpec:
     therefore at least a gap apart.
     """
 
-    width_mm: float = real_number(256.0, 1, 10_000, option="the width of --plate in mm")
-    depth_mm: float = real_number(256.0, 1, 10_000, option="the depth of --plate in mm")
-    gap_mm: float = real_number(3.0, 0, 1_000, option="--gap")
-    margin_mm: float = real_number(MARGIN_MM, 0, option="--margin")
+    width_mm: float = real(256.0, 1, 10_000)
+    depth_mm: float = real(256.0, 1, 10_000)
+    gap_mm: float = real(3.0, 0, 1_000)
+    margin_mm: float = real(MARGIN_MM, 0)
 
     def __post_init__(self) -> None:
         """Refuse plates that no printer has."""
         check_fields(self, "the plate")
         if min(self.inner_mm) < 1:
             message = (
-                f"--margin is {self.margin_mm:g} mm; expected 0 or more, and 1 mm left of the plate of "
+                f"margin_mm is {self.margin_mm:g}; expected 0 or more, and 1 mm left of the plate of "
                 f"{self.width_mm:g} x {self.depth_mm:g} mm"
             )
             raise InputError(message)

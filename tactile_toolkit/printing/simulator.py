@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from tactile_toolkit.checked_fields import check_fields, real_number
+from tactile_toolkit.checked_fields import check_fields, real
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.mesh.convex import convex_parts
 from tactile_toolkit.mesh.files import BROKEN_FILE, read_mesh
@@ -37,8 +37,8 @@ class Physics:
     filled is lighter. ``friction`` is the coefficient of sliding, our own default.
     """
 
-    density_kg_m3: float = real_number(1240.0, above=0, most=1e5)
-    friction: float = real_number(0.5, above=0, most=100)
+    density_kg_m3: float = real(1240.0, above=0, most=1e5)
+    friction: float = real(0.5, above=0, most=100)
 
     def __post_init__(self) -> None:
         check_fields(self, "the material")

@@ -26,7 +26,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactile_toolkit.bounds import cache_limit_bytes, require_unpackable
-from tactile_toolkit.cache import DiskCache, MemoryCache, cache_folder
+from tactile_toolkit.cache import LOCKS, DiskCache, MemoryCache, cache_folder
 from tactile_toolkit.errors import IntegrityError
 from tactile_toolkit.read.blocks import MappedBlock, identity_of, map_block, write_blocks
 from tactile_toolkit.read.columns import RowGroup, column_types, plain_schema, plain_table
@@ -395,7 +395,7 @@ class Shard:
 @contextlib.contextmanager
 def _lock_of(name: str) -> Iterator[None]:
     """Hold the lock of a file of the cache, one of a few for all of them; without locks nobody waits."""
-    folder = cache_folder() / "locks"
+    folder = cache_folder() / LOCKS
     with contextlib.ExitStack() as stack:
         with contextlib.suppress(OSError):
             folder.mkdir(parents=True, exist_ok=True)

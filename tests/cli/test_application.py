@@ -345,7 +345,7 @@ def test_a_library_that_does_not_fit_into_memory_is_named(tmp_path):
     from pathlib import Path
     from cli.mnist3d import main
     pages = int(Path("/proc/self/statm").read_text().split()[0])
-    most = pages * resource.getpagesize() + 16_000_000
+    most = pages * resource.getpagesize() + 32_000_000
     resource.setrlimit(resource.RLIMIT_AS, (most, most))
     sys.argv = ["mnist3d", "info", sys.argv[1]]
     sys.stderr = sys.stdout

@@ -65,7 +65,7 @@ def test_all_splits_ids_and_json(folder: Path, tmp_path: Path, capsys: pytest.Ca
 
 
 def test_plates(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    options = ("--split", "printed_test", "--plate", "130x130", "--gap", "2", "--out", tmp_path)
+    options = ("--split", "printed_test", "--plate", "130x130", "--gap-mm", "2", "--out", tmp_path)
     assert call("export", folder, *options) == 0
     printed = capsys.readouterr()
     assert "wrote 10 objects on" in printed.out
@@ -114,9 +114,9 @@ def test_quiet_says_nothing(folder: Path, tmp_path: Path, capsys: pytest.Capture
         (("--scale", "0"), ("--scale is 0",)),
         (("--plate", "256"), ("--plate is '256'", "256x256")),
         (("--plate", "20x20"), ("does not fit on the plate", "printed_", "20 x 20 mm")),
-        (("--plate", "256x256", "--gap", "-1"), ("--gap is -1",)),
+        (("--plate", "256x256", "--gap-mm", "-1"), ("--gap-mm is -1",)),
         (("--plate", "256x256", "--format", "stl"), ("--plate writes 3mf",)),
-        (("--gap", "3"), ("--gap is about build plates",)),
+        (("--gap-mm", "3"), ("--gap-mm is about build plates",)),
     ],
 )
 def test_bad_input_is_named_and_writes_nothing(
@@ -244,7 +244,7 @@ def test_tables_for_other_libraries(folder: Path, tmp_path: Path, capsys: pytest
     import mnist3d
 
     out = tmp_path / "flat"
-    assert call("export", folder, "--layout", "flat", "--out", out, "--workers", "1", "--json", "-q") == 0
+    assert call("export", folder, "--format", "flat", "--out", out, "--workers", "1", "--json", "-q") == 0
     made = json.loads(capsys.readouterr().out)["splits"]
     assert {split: each["rows"] for split, each in made.items()} == {"printed_test": 10, "printed_train": 10}
     digits = mnist3d.load(folder, split="printed_test")
@@ -271,7 +271,7 @@ def test_tables_are_a_data_set_folder(
     folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     out = tmp_path / "flat"
-    words = ("export", folder, "--layout", "flat", "--out", out, "--workers", "1", "-q")
+    words = ("export", folder, "--format", "flat", "--out", out, "--workers", "1", "-q")
     assert call(*words) == 0
     before = folder_bytes(out)
     assert {"README.md", "croissant.json", "manifest.json", "previews/tables.png"} <= set(before)
@@ -296,7 +296,7 @@ def test_tables_are_kept_and_nothing_of_others_is_touched(
     folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     out = tmp_path / "flat"
-    words = ("export", folder, "--layout", "flat", "--out", out, "--workers", "1", "-q")
+    words = ("export", folder, "--format", "flat", "--out", out, "--workers", "1", "-q")
     assert call(*words) == 0
     before = folder_bytes(out)
     some = ("--split", "printed_test", "--limit", "3")
@@ -331,7 +331,7 @@ def test_scenes_keep_what_stands_where(tmp_path: Path) -> None:
     making = ("--scenes", "train=3", "--workers", "1", "--quiet", "--out", scenes)
     assert command_line.call("starstruck", "generate", *making) == 0
     out = tmp_path / "flat"
-    assert command_line.call("starstruck", "export", scenes, "--layout", "flat", "--out", out, "-q") == 0
+    assert command_line.call("starstruck", "export", scenes, "--format", "flat", "--out", out, "-q") == 0
     rows = datasets.load_dataset(str(out), split="train")
     for row, scene in zip(rows, starstruck_gen.load(scenes, split="train"), strict=True):
         stored = [(each["shape"], each["x_m"], each["y_m"]) for each in row["placements"]]
@@ -342,6 +342,6 @@ def test_scenes_keep_what_stands_where(tmp_path: Path) -> None:
     assert command_line.call("starstruck", "info", out) == 0
     wrench = tmp_path / "wrench"
     assert command_line.call("env-assets", "wrench", "--size", "13", "--out", wrench, "-q") == 0
-    tables = ("--layout", "flat", "--out", tmp_path / "wrenches", "-q")
+    tables = ("--format", "flat", "--out", tmp_path / "wrenches", "-q")
     assert command_line.call("env-assets", "export", wrench, *tables) == 0
     assert command_line.call("env-assets", "verify", tmp_path / "wrenches") == 0

@@ -352,5 +352,5 @@ def test_a_card_of_ones_own_pictures_is_named_as_its_folder(own_pictures, tmp_pa
     (out / "README.md").unlink()
     assert call("card", out) == 0
     assert (out / "README.md").read_text() == card
-    assert call("export", out, "--layout", "flat", "--out", tmp_path / "tables", "--quiet") == 0
+    assert call("export", out, "--format", "flat", "--out", tmp_path / "tables", "--quiet") == 0
     assert "\n# 3D digits as tables\n" in (tmp_path / "tables" / "README.md").read_text()

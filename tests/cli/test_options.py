@@ -7,10 +7,10 @@ import pytest
 import typer
 
 from cli.options import _runner_name, local_place, place_of_data
-from cli.starstruck import SceneOptions
-from cli.tactile_sim import PictureOptions
+from starstruck_gen.options import SceneOptions
 from starstruck_gen.spec import SceneSpec
 from tactile_sim import GenerateSpec
+from tactile_sim.options import PictureOptions
 from tactile_sim.spec import TrainConfig
 from tactile_toolkit.store.folder import DataFolder
 from tests.command_line import call

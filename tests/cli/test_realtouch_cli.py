@@ -94,7 +94,10 @@ def test_one_split_alone(clips, tmp_path, capsys):
     for command in ("to-single", "resize --size 32x24", "frames", "select"):
         name, *options = command.split()
         out = tmp_path / name
-        assert call(name, clips, out, *options, "--split", "test", "--workers", 1, "--json", "--quiet") == 0
+        assert (
+            call(name, clips, "--out", out, *options, "--split", "test", "--workers", 1, "--json", "--quiet")
+            == 0
+        )
         assert set(json.loads(capsys.readouterr().out)["splits"]) == {"test"}
 
 
@@ -114,15 +117,15 @@ def test_what_is_fetched_is_told(capsys):
 
 
 def test_numbers_that_are_none(images, tmp_path, capsys):
-    assert call("select", images, tmp_path / "out", "--objects", "²") == 2
-    assert "--objects has '²'" in capsys.readouterr().err
-    assert call("select", images, tmp_path / "out", "--labels", "²") == 2
+    assert call("select", images, "--out", tmp_path / "out", "--ids", "²") == 2
+    assert "--ids has '²'" in capsys.readouterr().err
+    assert call("select", images, "--out", tmp_path / "out", "--labels", "²") == 2
     assert "no class '²'" in capsys.readouterr().err
 
 
 def test_info_shows_every_split_and_how_it_was_made(clips, tmp_path, capsys):
     out = tmp_path / "single"
-    assert call("to-single", clips, out, "--frame", "peak", "--workers", 1) == 0
+    assert call("to-single", clips, "--out", out, "--frame", "peak", "--workers", 1) == 0
     assert str(out) in capsys.readouterr().out
     assert call("info", out) == 0
     printed = capsys.readouterr().out
@@ -143,9 +146,9 @@ def test_info_shows_every_split_and_how_it_was_made(clips, tmp_path, capsys):
             ("select", "--contact", "--labels", "0,1"),
             lambda out: len(realtouch.load(out, "train").touches()) == 4,
         ),
-        (("select", "--objects", "4001"), lambda out: realtouch.load(out, "train")[0].object_id == 4001),
+        (("select", "--ids", "4001"), lambda out: realtouch.load(out, "train")[0].object_id == 4001),
         (("select", "--limit", 1), lambda out: len(realtouch.load(out, "train")) == 1),
-        (("frames", "--jpeg"), lambda out: len(list((out / "images").rglob("*.jpg"))) == 9),
+        (("frames", "--format", "jpeg"), lambda out: len(list((out / "images").rglob("*.jpg"))) == 9),
         (("frames",), lambda out: len(list((out / "images").rglob("*.png"))) == 9),
     ],
 )
@@ -196,20 +199,19 @@ def test_preview_writes_a_picture(clips, tmp_path, capsys):
     [
         (("load", "nowhere/"), "(the published sets: `mnist3d list`, `realtouch list`"),
         (("load", "{images}", "--split", "holdout"), "no split 'holdout'"),
-        (("resize", "{images}", "{out}", "--size", "64"), "expected WIDTHxHEIGHT"),
-        (("resize", "{images}", "{out}", "--size", "0x9"), "expected at least 1 x 1"),
-        (("resize", "{images}", "{out}", "--size", f"9x{'9' * 5_000}"), "expected WIDTHxHEIGHT"),
-        (("select", "{images}", "{out}", "--objects", "9" * 5_000), "expected whole numbers"),
-        (("frames", "{images}", "{out}", "--png", "--jpeg"), "expected one of them"),
-        (("select", "{images}", "{out}", "--labels", "cat"), "no class 'cat'"),
-        (("select", "{images}", "{out}", "--objects", "x"), "expected whole numbers"),
+        (("resize", "{images}", "--out", "{out}", "--size", "64"), "expected WIDTHxHEIGHT"),
+        (("resize", "{images}", "--out", "{out}", "--size", "0x9"), "expected at least 1 x 1"),
+        (("resize", "{images}", "--out", "{out}", "--size", f"9x{'9' * 5_000}"), "expected WIDTHxHEIGHT"),
+        (("select", "{images}", "--out", "{out}", "--ids", "9" * 5_000), "expected whole numbers"),
+        (("select", "{images}", "--out", "{out}", "--labels", "cat"), "no class 'cat'"),
+        (("select", "{images}", "--out", "{out}", "--ids", "x"), "expected whole numbers"),
         (
-            ("select", "{images}", "{out}", "--contact", "--min-height-mm", "nan"),
-            "--min-height-mm, in metres, is nan; expected metres",
+            ("select", "{images}", "--out", "{out}", "--contact", "--min-height-mm", "nan"),
+            "--min-height-mm is nan; expected a number",
         ),
-        (("select", "{images}", "{out}", "--min-height-mm", "7"), "next: add --contact"),
-        (("select", "{images}", "{out}", "--as-recorded"), "next: add --contact"),
-        (("to-single", "{images}", "{out}"), "holds single images already"),
+        (("select", "{images}", "--out", "{out}", "--min-height-mm", "7"), "next: add --contact"),
+        (("select", "{images}", "--out", "{out}", "--as-recorded"), "next: add --contact"),
+        (("to-single", "{images}", "--out", "{out}"), "holds single images already"),
         (("verify", "{out}/nothing"), "does not exist"),
     ],
 )

@@ -118,9 +118,12 @@ def test_touches_of_digits_of_a_store(s3, bucket, tmp_path):  # noqa: F811
     for mine, other in zip(there.touches(), here.touches(), strict=True):
         np.testing.assert_array_equal(mine.image, other.image)
     small = f"s3://{bucket}/small"
-    assert call("realtouch", "resize", touches, small, "--size", "8x8", "--workers", "1", "--quiet") == 0
+    assert (
+        call("realtouch", "resize", touches, "--out", small, "--size", "8x8", "--workers", "1", "--quiet")
+        == 0
+    )
     assert call("realtouch", "verify", small) == 0
-    assert call("realtouch", "resize", touches, f"{touches}/inside", "--size", "8x8", "--quiet") == 2
+    assert call("realtouch", "resize", touches, "--out", f"{touches}/inside", "--size", "8x8", "--quiet") == 2
 
 
 def test_touches_for_other_libraries_and_back(s3, bucket, tmp_path, capfd):  # noqa: F811
@@ -131,11 +134,11 @@ def test_touches_for_other_libraries_and_back(s3, bucket, tmp_path, capfd):  # n
     tars = f"s3://{bucket}/webdataset"
     for layout in ("flat", "webdataset", "lerobot"):
         there, here = f"s3://{bucket}/{layout}", tmp_path / layout
-        words = ("export", source, "--layout", layout, "--workers", "1", "--quiet", "--out")
+        words = ("export", source, "--format", layout, "--workers", "1", "--quiet", "--out")
         assert call("realtouch", *words, there) == call("realtouch", *words, here) == 0
         assert stored(s3, bucket, layout) == folder_bytes(here)
         assert call("realtouch", "verify", there) == 0
-    words = ("import", f"{tmp_path}/webdataset/webdataset", "--layout", "webdataset", "--workers", "1", "-q")
+    words = ("import", f"{tmp_path}/webdataset/webdataset", "--format", "webdataset", "--workers", "1", "-q")
     for out in (f"s3://{bucket}/back", tmp_path / "back", f"s3://{bucket}/back"):
         assert call("realtouch", *words, "--round-column", "round_id", "--out", out) == 0
     assert stored(s3, bucket, "back") == folder_bytes(tmp_path / "back")
@@ -143,12 +146,12 @@ def test_touches_for_other_libraries_and_back(s3, bucket, tmp_path, capfd):  # n
     DataFolder(tars).write_bytes(tar, b"cut")
     assert call("realtouch", "verify", tars) == 3
     assert tar in capfd.readouterr().err
-    again = ("export", source, "--layout", "webdataset", "--workers", "1", "--quiet", "--out", tars)
+    again = ("export", source, "--format", "webdataset", "--workers", "1", "--quiet", "--out", tars)
     assert call("realtouch", *again) == 0
     assert DataFolder(tars).read_bytes(tar) == b"cut"  # that it is there is all that is asked
     assert call("realtouch", *again, "--check") == 0
     assert stored(s3, bucket, "webdataset") == folder_bytes(tmp_path / "webdataset")
-    words = ("import", f"{tars}/webdataset", "--layout", "webdataset", "--workers", "1", "-q")
+    words = ("import", f"{tars}/webdataset", "--format", "webdataset", "--workers", "1", "-q")
     for part in (("--part", "0/2"), ("--part", "1/2"), ("--finish",)):
         out = ("--round-column", "round_id", "--out", tmp_path / "from-there")
         assert call("realtouch", *words, *out, *part) == 0

@@ -369,7 +369,7 @@ def test_bad_input_is_named(folder, tmp_path):
         plan_previews(str(folder), PreviewSpec(ids=(999999,)))
     with pytest.raises(InputError, match="no pictures of kind"):
         plan_previews(str(folder), PreviewSpec(("shoe",)))
-    with pytest.raises(InputError, match="--per-class is 0"):
+    with pytest.raises(InputError, match="per_class of the previews is 0"):
         PreviewSpec(per_class=0)
 
 

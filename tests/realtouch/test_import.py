@@ -90,7 +90,7 @@ def test_our_own_field_names_are_found(
     else:
         realtouch.export(single_folder, there, "webdataset")
         place = there / "webdataset"
-    assert call("realtouch", "import", place, "--layout", layout, "--out", back, "--workers", 1) == 0
+    assert call("realtouch", "import", place, "--format", layout, "--out", back, "--workers", 1) == 0
     for split in ("train", "test"):
         for before, after in zip(
             realtouch.load(single_folder, split), realtouch.load(back, split), strict=True
@@ -162,7 +162,7 @@ def test_an_empty_name_stands_for_no_column(
     names = ("round", "object", "split")
     options = [word for name in names for word in (f"--{name}-column", "")]
     options += ["--pose-columns", "", "--position-columns", "", "--split", "mine", "--workers", "1"]
-    arguments = ("import", tmp_path / "there", "--layout", "folder", *options)
+    arguments = ("import", tmp_path / "there", "--format", "folder", *options)
     assert call("realtouch", *arguments, "--out", tmp_path / "out") == 0
     found = realtouch.load(tmp_path / "out", "mine")
     (shard,) = (tmp_path / "out" / "data").iterdir()
@@ -177,14 +177,14 @@ def test_cards_of_touches_on_objects_alone_claim_nothing_of_a_plate(
     realtouch.select(single_folder, tmp_path / "some", contact=True)
     realtouch.export(tmp_path / "some", tmp_path / "tars", "webdataset")
     back = tmp_path / "back"
-    arguments = ("--layout", "webdataset", "--object-column=", "--out", back)
+    arguments = ("--format", "webdataset", "--object-column=", "--out", back)
     assert call("realtouch", "import", tmp_path / "tars" / "webdataset", *arguments) == 0
     card = (back / "README.md").read_text()
     assert "do not count as contact: 16 of 16 (" in card
     assert "never met the bare plate" in card
     assert "met no object" not in card
     assert "![Some touches](" in card
-    assert call("realtouch", "select", back, tmp_path / "none", "--objects", "3") == 2
+    assert call("realtouch", "select", back, "--out", tmp_path / "none", "--ids", "3") == 2
     assert "no column 'object_id'; next: choose by --labels" in capsys.readouterr().err
 
 
@@ -479,7 +479,7 @@ def test_splits_that_differ_in_case_alone(
 ) -> None:
     lines = [{"file": f"pictures/{n}.jpg", "label": 1, "part": ("Train", "train")[n % 2]} for n in range(4)]
     write_table(home, lines)
-    arguments = ("import", home, "--layout", "folder", "--split-column", "part", "--workers", 1)
+    arguments = ("import", home, "--format", "folder", "--split-column", "part", "--workers", 1)
     assert call("realtouch", *arguments, "--out", tmp_path / "out") == 2
     said = capsys.readouterr().err
     assert "the splits 'Train' and 'train' differ in case alone" in said
@@ -504,7 +504,7 @@ def test_text_that_cannot_be_stored_or_seen(tmp_path: Path, capsys: pytest.Captu
     ]
     write_tar(tmp_path / "a.tar", members)
     out = tmp_path / "out"
-    arguments = ("import", tmp_path / "a.tar", "--layout", "webdataset", "--workers", 1)
+    arguments = ("import", tmp_path / "a.tar", "--format", "webdataset", "--workers", 1)
     assert call("realtouch", *arguments, "--round-column", "round", "--out", out) == 0
     for command in ("verify", "info", "card"):
         assert call("realtouch", command, out) == 0
@@ -640,7 +640,7 @@ def test_a_tar_with_a_header_that_cannot_be_true(
     good = (tmp_path / "a.tar").read_bytes().rstrip(b"\0")
     good += bytes(-len(good) % 512)
     (tmp_path / "a.tar").write_bytes(good + odd + bytes(10_240))
-    arguments = ("import", tmp_path / "a.tar", "--layout", "webdataset", "--label-column", "cls")
+    arguments = ("import", tmp_path / "a.tar", "--format", "webdataset", "--label-column", "cls")
     assert call("realtouch", *arguments, "--workers", 1, "--out", tmp_path / "out") == 3
     said = capsys.readouterr().err
     assert words in said
@@ -660,7 +660,7 @@ def test_a_damaged_header_is_not_the_end_of_a_tar(tmp_path: Path) -> None:
 
 def test_the_command_names_what_it_leaves_out(home: Path, tmp_path: Path) -> None:
     write_table(home, [line("pictures/0.jpg"), line("pictures/9.jpg")])
-    arguments = ["import", str(home), "--layout", "folder", "--workers", "1"]
+    arguments = ["import", str(home), "--format", "folder", "--workers", "1"]
     done = CliRunner().invoke(app, [*arguments, "--pose-columns", "pose", "--out", str(tmp_path / "out")])
     assert done.exit_code == 0, done.output
     assert "left out: 'pictures/9.jpg': there is no such file (missing)" in done.output

@@ -248,5 +248,5 @@ def test_bad_input_is_named(folder, tmp_path):
         plan_previews(str(folder), PreviewSpec(split="holdout"))
     with pytest.raises(InputError, match="no scene of id 77"):
         plan_previews(str(folder), PreviewSpec(ids=(1, 77)))
-    with pytest.raises(InputError, match="--per-class is 0"):
+    with pytest.raises(InputError, match="per_class of the previews is 0"):
         PreviewSpec(per_class=0)

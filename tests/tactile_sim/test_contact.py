@@ -106,7 +106,7 @@ def test_cards_speak_of_touches_that_meet_nothing_where_there_are_some(on_object
 
 def test_selected_touches_are_those_in_contact(touches, tmp_path):
     met = _met(touches)
-    assert call("realtouch", "select", touches, tmp_path / "some", "--contact") == 0
+    assert call("realtouch", "select", touches, "--out", tmp_path / "some", "--contact") == 0
     some = realtouch.load(tmp_path / "some", "train")
     assert len(some.touches()) == met.sum()
     assert realtouch.summarise(some).contact_share == 1.0
@@ -148,7 +148,9 @@ def test_too_few_touches_in_contact_name_the_option(scenes, on_objects, tmp_path
         make_pairs(
             scenes, str(on_objects), "train", PairsSpec((32, 24), 4, min_height_m=0.006), tmp_path / "o"
         )
-    code = call("realtouch", "select", on_objects, tmp_path / "o", "--contact", "--min-height-mm", "6")
+    code = call(
+        "realtouch", "select", on_objects, "--out", tmp_path / "o", "--contact", "--min-height-mm", "6"
+    )
     assert code == 2
     said = capsys.readouterr().err
     assert "5.0 mm" in said

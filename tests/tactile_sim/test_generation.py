@@ -333,8 +333,8 @@ def test_a_look_that_misses_the_mesh_says_where_it_is(tmp_path, capsys):
     found, note = _rendered(capsys, *arguments)
     assert (found["contact"], found["sensor_z_m"]) == (0.0, 0.002125)
     assert "x 90.0 to 110.0 mm, y -33.0 to -27.0 mm" in note
-    assert "--at object" in note
-    found, note = _rendered(capsys, *arguments, "--at", "object")
+    assert "--at-mm object" in note
+    found, note = _rendered(capsys, *arguments, "--at-mm", "object")
     assert found["contact"] > 0.2
     assert found["sensor_z_m"] == pytest.approx(0.004 + 0.002125)
     assert note == ""
@@ -343,7 +343,9 @@ def test_a_look_that_misses_the_mesh_says_where_it_is(tmp_path, capsys):
 def test_a_look_at_the_object_meets_what_is_hollow_in_the_middle_or_larger_than_the_cell(tmp_path, capsys):
     ring = trimesh.creation.annulus(0.09, 0.1, 0.005)
     ring.apply_scale(1000).export(tmp_path / "ring.stl")
-    found, note = _rendered(capsys, tmp_path / "ring.stl", "--at", "object", "--out", tmp_path / "ring.png")
+    found, note = _rendered(
+        capsys, tmp_path / "ring.stl", "--at-mm", "object", "--out", tmp_path / "ring.png"
+    )
     assert found["contact"] > 0.5
     assert note == ""
 

@@ -346,7 +346,7 @@ def test_the_chain_from_the_command_line(sources, pairs, trained, tmp_path, monk
     assert verified.exit_code == 0, verified.output
     noise = tmp_path / "noise.json"
     noise.write_text(json.dumps(NOISE.to_dict()))
-    options = ["--pairs", pairs, "--out", str(tmp_path / "found"), "--noise", str(noise), "--json"]
+    options = ["--pairs", pairs, "--out", str(tmp_path / "found"), "--sensor-noise", str(noise), "--json"]
     found = run.invoke(app, ["evaluate", str(trained), *options])
     assert found.exit_code == 0, found.output
     told = json.loads(found.output)

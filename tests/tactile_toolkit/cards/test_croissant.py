@@ -64,7 +64,7 @@ def test_records_of_scenes_and_of_tables(tmp_path):
     """Structs in lists, and meshes as files."""
     scenes, tables = tmp_path / "scenes", tmp_path / "tables"
     starstruck_gen.generate(starstruck_gen.GenerateSpec(scenes=(("train", 3),)), scenes, ["train"])
-    assert call("starstruck", "export", scenes, "--layout", "flat", "--out", tables, "-q") == 0
+    assert call("starstruck", "export", scenes, "--format", "flat", "--out", tables, "-q") == 0
     rows = starstruck_gen.load(scenes, "train")
     for folder in (scenes, tables):
         for record, row in zip(loaded(folder).records("train"), rows, strict=True):

@@ -169,7 +169,7 @@ def test_an_upload_without_it_takes_it_back(server, sent, made):
 
 def test_tables_go_to_the_hub_and_come_back(server, made, tmp_path):
     tables, out = tmp_path / "tables", tmp_path / "back"
-    assert call("mnist3d", "export", made, "--layout", "flat", "--out", tables, "-q") == 0
+    assert call("mnist3d", "export", made, "--format", "flat", "--out", tables, "-q") == 0
     upload(tables)
     assert "- name: mesh\n    dtype: mesh" in held(server)["README.md"].decode()
     done = run_here(DOWNLOAD.format(splits=(), out=str(out)), settings(server, tmp_path), tmp_path)

@@ -208,7 +208,7 @@ def test_a_plate_can_be_filled_to_its_edges() -> None:
         (box(10, 80.1), SMALL, "it needs 10.0 x 80.1 mm"),
         (box(10, 90), SMALL, "it needs 10.0 x 90.0 mm"),
         (box(90, 10), PlateSpec(100, 80), "the plate has 100 x 80 mm less 7 mm at each edge"),
-        (box(10, 70), PlateSpec(100, 80), "next: a larger --plate, a smaller --margin or --scale"),
+        (box(10, 70), PlateSpec(100, 80), "next: a larger --plate, a smaller --margin-mm or --scale"),
     ],
 )
 def test_what_is_larger_than_the_plate_is_named(
@@ -250,7 +250,7 @@ def test_beds_have_names() -> None:
 
 @pytest.mark.parametrize("margin_mm", [-1.0, 49.6, float("nan"), float("inf")])
 def test_margins_that_leave_no_plate_are_refused(margin_mm: float) -> None:
-    with pytest.raises(InputError, match="--margin is"):
+    with pytest.raises(InputError, match="margin_mm is"):
         PlateSpec(100, 100, 3, margin_mm)
 
 

@@ -98,7 +98,7 @@ def test_a_null_is_named_with_file_and_row(digits_without: Path, name: str) -> N
 
 
 @pytest.mark.parametrize("digits_without", ["mesh.vertices", "label"], indirect=True)
-@pytest.mark.parametrize("command", ["preview", "gallery", "export --layout flat"])
+@pytest.mark.parametrize("command", ["preview", "gallery", "export --format flat"])
 def test_commands_name_a_null(
     digits_without: Path, command: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -1,0 +1,78 @@
+"""Spellings of an earlier version work for one more, with a warning that names what to write."""
+
+from __future__ import annotations
+
+import json
+from importlib import import_module
+
+import pytest
+import trimesh
+import typer
+from typer.testing import CliRunner
+
+import realtouch
+from tests.command_line import call
+from tests.realtouch import factories
+
+COMMAND_LINES = ("mnist3d", "starstruck", "realtouch", "tactile_sim", "env_assets")
+
+
+@pytest.fixture
+def touches(tmp_path):
+    rounds = [factories.make_round(index, 3, (32, 24), (4, 5)) for index in range(2)]
+    return factories.write_set(tmp_path / "touches", {"train": factories.single_rows(rounds)}, "single")
+
+
+def test_a_folder_without_out_is_taken_with_a_warning(touches, tmp_path, capsys):
+    out = tmp_path / "small"
+    assert call("realtouch", "resize", touches, out, "--size", "16x12", "--workers", 1) == 0
+    assert f"warning: OUT without --out is deprecated; next: write --out {out}" in capsys.readouterr().err
+    assert len(realtouch.load(out, "train")) == 2
+    assert call("realtouch", "resize", touches, "--size", "16x12") == 2
+    assert "--out was not given" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(("former", "ending"), [("--png", "png"), ("--jpeg", "jpg")])
+def test_a_flag_that_is_a_format_now(former, ending, touches, tmp_path, capsys):
+    words = ("frames", touches, "--out", tmp_path / "out", former, "--workers", 1, "-q")
+    assert call("realtouch", *words) == 0
+    assert f"warning: {former} is deprecated; next: write --format=" in capsys.readouterr().err
+    assert len(list((tmp_path / "out").rglob(f"0*.{ending}"))) == 6
+
+
+@pytest.mark.sim
+@pytest.mark.parametrize("equals", [False, True])
+def test_lengths_and_angles_that_had_other_units(equals, tmp_path, capsys):
+    mesh = tmp_path / "part.stl"
+    trimesh.creation.box((20, 6, 4)).export(mesh)
+    former = [("--at", "0.002,0.001"), ("--turn", "0.3")]
+    now = [("--at-mm", "2,1"), ("--turn-deg", "17.188733853924695")]
+    found = []
+    for options in (former, now):
+        words = (
+            ["=".join(each) for each in options] if equals else [word for each in options for word in each]
+        )
+        out = tmp_path / f"{len(found)}.png"
+        assert call("tactile-sim", "render", mesh, *words, "--optics", "depth", "--out", out, "--json") == 0
+        printed = capsys.readouterr()
+        assert ("warning: --at is deprecated" in printed.err) == (options is former)
+        found.append((out.read_bytes(), json.loads(printed.out)["sensor_z_m"]))
+    assert found[0] == found[1]
+
+
+def test_no_help_names_a_former_spelling_or_a_type_of_python():
+    for line in COMMAND_LINES:
+        app = import_module(f"cli.{line}").app
+        for name in typer.main.get_command(app).commands:
+            text = CliRunner().invoke(app, [name, "--help"], env={"TERMINAL_WIDTH": "100"}).output
+            for word in (
+                "<bool>",
+                "<int range>",
+                "<float>",
+                "<float range>",
+                " --layout",
+                " --gap ",
+                " --bed",
+            ):
+                assert word not in text, (line, name, word)
+            assert "Example" in text or name in ("upload", "download"), (line, name)

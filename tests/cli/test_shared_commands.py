@@ -1,0 +1,129 @@
+"""Commands and options that all kinds share: show, list, cache, verify --geometry, --token, some of the objects."""
+
+from __future__ import annotations
+
+import json
+import os
+from importlib import import_module
+from pathlib import Path
+
+import pytest
+import typer
+
+import mnist3d
+from cli.shared_commands import _brief
+from tactile_sim.spec import TouchPlan, TrainConfig
+from tactile_toolkit.cache import cache_folder
+from tests.command_line import call
+
+
+@pytest.fixture(scope="module")
+def digits(tmp_path_factory) -> Path:
+    folder = tmp_path_factory.mktemp("sets") / "digits"
+    words = ("--split", "test", "--per-class", 2, "--vertices", 500, "--workers", 1, "-q")
+    assert call("mnist3d", "generate", *words, "--out", folder) == 0
+    return folder
+
+
+def test_a_row_is_shown_column_by_column(digits, capsys):
+    assert call("mnist3d", "show", digits, "--row", 3, "--json") == 0
+    document = json.loads(capsys.readouterr().out)
+    record = mnist3d.load(str(digits), "test")[3]
+    assert (document["split"], document["row"]) == ("test", 3)
+    assert (document["values"]["id"], document["values"]["label"]) == (record.id, record.label)
+    assert call("mnist3d", "show", digits, "--row", 3) == 0
+    printed = capsys.readouterr().out
+    assert f"{len(record.mesh.vertices_m):,} values" in printed
+    assert "row 3 of the 20 digits in test" in printed
+    assert call("mnist3d", "show", digits, "--row", 20) == 2
+    assert "--row is 20; expected less than the 20 rows" in capsys.readouterr().err
+
+
+def test_long_and_binary_values_are_counted():
+    value = {"bytes": b"1234", "path": None, "rows": [[1] * 7, [2]], "few": [1.5, True]}
+    shown = {"bytes": "4 B", "path": None, "rows": ["7 values", [2]], "few": [1.5, True]}
+    assert _brief(value) == shown
+
+
+def test_sets_of_a_folder_are_listed_with_what_is_wrong(digits, tmp_path, capsys):
+    (tmp_path / "none").mkdir()
+    (tmp_path / "good").symlink_to(digits)
+    bad = tmp_path / "bad"
+    bad.mkdir()
+    (bad / "manifest.json").write_text("{")
+    assert call("starstruck", "list", tmp_path, "--json") == 0
+    first, second = json.loads(capsys.readouterr().out)
+    assert (first["name"], first["kind"]) == ("bad", "")
+    assert "manifest.json" in first["state"]
+    assert (second["name"], second["kind"], second["splits"]) == ("good", "mnist3d", "test")
+    assert (second["rows"], second["state"]) == (20, "finished")
+    assert call("starstruck", "list", tmp_path / "nowhere") == 2
+
+
+def test_the_cache_is_listed_and_pruned_but_for_locks(tmp_path, monkeypatch, capsys):
+    monkeypatch.setenv("TACTILE_TOOLKIT_CACHE", str(tmp_path / "cache"))
+    assert call("mnist3d", "cache", "ls") == 0
+    files = [cache_folder() / name for name in ("blocks/old", "blocks/new", "locks/held", "blocks/.tmp-x")]
+    for file in files:
+        file.parent.mkdir(parents=True, exist_ok=True)
+        file.write_bytes(b"12345")
+    os.utime(files[0], (1, 1))
+    capsys.readouterr()
+    assert call("mnist3d", "cache", "ls", "--json") == 0
+    held = json.loads(capsys.readouterr().out)["held"]
+    assert held["blocks"] == {"files": 3, "bytes": 15}
+    assert call("mnist3d", "cache", "prune", "--unused-days", 30) == 0
+    assert [file.exists() for file in files[:3]] == [False, True, True]
+    assert call("mnist3d", "cache", "prune") == 0
+    assert [file.exists() for file in files[:3]] == [False, False, True]
+    assert call("mnist3d", "cache", "empty") == 2
+
+
+def test_verify_checks_the_objects_too_where_asked(digits, capsys):
+    assert call("mnist3d", "verify", digits, "--geometry", "--limit", 3, "--json") == 0
+    document = json.loads(capsys.readouterr().out)
+    assert (document["ok"], document["rows"]) == (True, 20)
+    assert [(each["checked"], each["failed"]) for each in document["geometry"]] == [(3, 0)]
+
+
+def test_a_token_is_that_of_the_hub(digits, monkeypatch):
+    monkeypatch.setenv("HF_TOKEN", "another")
+    assert call("mnist3d", "info", digits, "--token", "hf_example", "-q") == 2, "info has no --quiet"
+    assert call("mnist3d", "info", digits, "--token", "hf_example") == 0
+    assert os.environ["HF_TOKEN"] == "hf_example"
+
+
+def test_ten_digits_are_one_of_each(digits, tmp_path, capsys):
+    words = ("--per-class", 1, "--workers", 1, "--json")
+    assert call("mnist3d", "export", digits, *words, "--out", tmp_path / "files") == 0
+    files = [file["file"] for file in json.loads(capsys.readouterr().out)["files"]]
+    assert sorted(name.split("-")[1] for name in files) == list("0123456789")
+    assert call("mnist3d", "export", digits, "--labels", "3,7", *words, "--out", tmp_path / "some") == 0
+    assert len(json.loads(capsys.readouterr().out)["files"]) == 2
+    ids = mnist3d.load(str(digits), "test").ids[[0, 5]].tolist()
+    page = ("--ids", ",".join(map(str, ids)), "--out", tmp_path / "page", "--json", "--workers", 1)
+    assert call("mnist3d", "gallery", digits, *page) == 0
+    assert json.loads(capsys.readouterr().out)["items"] == 2
+
+
+def test_a_training_reads_a_file_and_options_come_before_it(tmp_path):
+    file = tmp_path / "train.toml"
+    file.write_text("crop = 1.0\nsteps = 7\n")
+    assert TrainConfig.read(file, {"steps": 9}) == TrainConfig(crop=1.0, steps=9)
+    for text, words in (
+        ("croop = 1.0", "'croop'"),
+        ("crop", "TOML"),
+        ("steps = 0", "steps of the training is 0"),
+    ):
+        file.write_text(text)
+        with pytest.raises(ValueError, match=words):
+            TrainConfig.read(file, {})
+
+
+def test_specifications_give_commands_their_options():
+    """A field with help is an option, one without is none."""
+    group = typer.main.get_command(import_module("cli.tactile_sim").app)
+    options = {text for each in group.commands["generate"].params for text in each.opts}
+    assert {"--rounds", "--turn", "--touches-from"} <= options
+    assert "--lie" not in options
+    assert "lie" in {name for name in TouchPlan.__dataclass_fields__}
