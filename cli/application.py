@@ -122,6 +122,8 @@ class _Command(TyperCommand):
             now, convert = self.former.get(name, ("", None))
             if not now:
                 yield word
+                if word == "--":  # all that follows are names
+                    yield from words
                 continue
             if convert is not None:
                 now = f"{now}={convert(value if equals else next(words, ''))}"
@@ -291,7 +293,8 @@ def _annotation(name: str, names: list[str], default: Any, rule: Rule) -> Any:
     if rule.choices:
         kind = Literal[rule.choices]
         if isinstance(default, tuple):  # Typer takes lists of enumerations, but not of literals
-            kind = list[StrEnum(name, [(word, word) for word in rule.choices])]
+            words: Any = StrEnum("Choice", [(word, word) for word in rule.choices])  # type: ignore[misc]
+            kind = list[words]
     elif kind is bool:
         names = [f"{names[0]}/--no-{names[0][2:]}"] if default and "/" not in names[0] else names
     else:
@@ -300,7 +303,8 @@ def _annotation(name: str, names: list[str], default: Any, rule: Rule) -> Any:
         *names,
         help=text.get("help"),
         metavar=metavar,
-        show_default=text.get("shown", True),
+        show_default=text.get("shown") or True,
+        rich_help_panel=text.get("panel"),
         autocompletion=text.get("complete"),
         hidden="help" not in text,
     )

@@ -11,7 +11,7 @@ import typer
 
 from cli.application import EXIT_FAILED, OptionsOf, command
 from cli.folders import print_converted
-from cli.options import Chosen, LocalOut, Workers, process_count
+from cli.options import JOB, AnySet, Chosen, LocalOut, Workers, process_count
 from cli.output import Sink, bytes_text, counted
 from tactile_toolkit.checked_fields import choice, real, switch, text
 from tactile_toolkit.errors import InputError
@@ -59,8 +59,10 @@ class Job:
 
     out: LocalOut = Path("prints")
     workers: Workers = 0
-    overwrite: bool = switch(False, help="Replace files of an earlier export that differ.")
-    dry_run: bool = switch(False, help="Say which files would be made and how large; write nothing.")
+    overwrite: bool = switch(False, panel=JOB, help="Replace files of an earlier export that differ.")
+    dry_run: bool = switch(
+        False, panel=JOB, help="Say which files would be made and how large; write nothing."
+    )
 
 
 def add_export(app: typer.Typer, kind: DatasetKind) -> None:
@@ -69,10 +71,7 @@ def add_export(app: typer.Typer, kind: DatasetKind) -> None:
     @command(app, former={"--layout": ("--format", None)})
     def export(
         *,
-        name: Annotated[
-            str,
-            typer.Argument(metavar="DIR", help="Data set: a folder, a Parquet file or a Hub repository."),
-        ],
+        name: AnySet,
         file_format: str | None = choice(
             None,
             ("stl", "3mf", "ply", "obj", "glb", "mjcf", "urdf", "usd", "flat"),

@@ -171,21 +171,19 @@ def _print_copy(sink: Sink, place: DataFolder, folder: str, kind: DatasetKind) -
         message = f"{place.lacks('data set')}; next: give the folder of a generated or downloaded data set"
         raise InputError(message)
     record = read_record(place)
-    entries = []
+    entries, rows = [], []
     for split, dataset in open_splits(folder, None, kind.load, kind.nouns).items():
         paths = [shard.path for shard in find_shards(folder, split)]
         size = sum(store.size_bytes(name) for store, name in map(file_at, paths))
         labels = dataset.labels
         # Not by `bincount`, which fails on labels below 0 as other people's data have them.
         per_class = {name: int((labels == index).sum()) for index, name in enumerate(dataset.label_names)}
-        held = {"rows": len(dataset), "shards": len(paths), "bytes": size, "per_class": per_class}
-        entries.append({"split": split, **held})
+        counts = {"rows": len(dataset), "shards": len(paths), "bytes": size}
+        entries.append({"split": split, **counts, "per_class": per_class})
+        classes = ", ".join(f"{name}: {count:,}" for name, count in per_class.items())
+        rows.append((split, len(dataset), len(paths), bytes_text(size), classes))
     source = {"repository": record and record.repo_id, "commit": record and record.commit}
     sink.document({"folder": folder, **source, "splits": entries})
-    rows = []
-    for entry in entries:
-        classes = ", ".join(f"{name}: {count:,}" for name, count in entry["per_class"].items())
-        rows.append((entry["split"], entry["rows"], entry["shards"], bytes_text(entry["bytes"]), classes))
     sink.table(("split", kind.nouns, "shards", "Parquet", "per class"), rows)
     origin = f"downloaded from {record.repo_id} at {record.commit[:12]}" if record else "no manifest"
     sink.line(f"{origin}: no provenance recorded")

@@ -6,12 +6,12 @@ import sys
 import time
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING
 
 import typer
 
 from cli.application import EXIT_INTERRUPTED, command
-from cli.options import Chosen, DryRun, Revision, TouchSet, Workers, local_place, process_count
+from cli.options import JOB, AnySet, Chosen, DryRun, Revision, TouchSet, Workers, local_place, process_count
 from cli.output import Sink, bytes_text, counted, duration_text
 from tactile_toolkit.checked_fields import integer, switch, text
 from tactile_toolkit.kind import DatasetKind
@@ -35,7 +35,7 @@ class Page:
         help="Folder of the page; it appears complete or not at all.",
     )
     workers: Workers = 0
-    overwrite: bool = switch(False, help="Replace a gallery that is there; nothing else ever is.")
+    overwrite: bool = switch(False, panel=JOB, help="Replace a gallery that is there; nothing else ever is.")
     dry_run: DryRun = False
 
     def make(self, sink: Sink, gallery: Gallery) -> None:
@@ -79,10 +79,7 @@ def add_mesh_gallery(app: typer.Typer, kind: DatasetKind) -> None:
     @command(app)
     def gallery(
         *,
-        name: Annotated[
-            str,
-            typer.Argument(metavar="DIR", help="Data set folder, Parquet file, or Hub data set (USER/NAME)."),
-        ],
+        name: AnySet,
         chosen: Chosen,
         page: Page,
         sink: Sink,

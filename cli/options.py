@@ -9,13 +9,15 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from tactile_toolkit.checked_fields import text
+from tactile_toolkit.checked_fields import switch, text
 from tactile_toolkit.wording import listed
 
 if TYPE_CHECKING:
     from tactile_toolkit.run.processes import Runner
 
 __all__ = [
+    "JOB",
+    "AnySet",
     "Chosen",
     "DryRun",
     "Folder",
@@ -41,7 +43,7 @@ __all__ = [
 ]
 
 _RUNNERS = ("processes", "ray")
-_JOB = "Job options"
+JOB = "Job options"
 """Panel of the help of all options that say who does the work, not what is made."""
 
 
@@ -94,10 +96,6 @@ def parse_ids(text: str) -> Any:
     return read(text)
 
 
-def _job(*names: str, **settings: Any) -> Any:
-    return typer.Option(*names, rich_help_panel=_JOB, **settings)
-
-
 def _out(help: str, parser: Any, metavar: str = "DIR") -> Any:
     return typer.Option("--out", "-o", metavar=metavar, help=help, parser=parser)
 
@@ -108,6 +106,9 @@ Folder = Annotated[
 Folders = Annotated[
     list[str],
     typer.Argument(parser=place_of_data, metavar="DIR|FILE...", help="Data set folders, or files of meshes."),
+]
+AnySet = Annotated[
+    str, typer.Argument(metavar="DIR", help="Data set: a folder, a Parquet file or a Hub repository.")
 ]
 Out = Annotated[str, _out("Folder to write.", place_of_data)]
 LocalOut = Annotated[Path, _out("Folder to write.", local_place)]
@@ -125,36 +126,29 @@ Revision = Annotated[
 ]
 Workers = Annotated[
     int,
-    _job("--workers", "-w", min=0, metavar="N", help="Workers at a time; 0 means one per processor core."),
+    typer.Option(
+        "--workers",
+        "-w",
+        min=0,
+        metavar="N",
+        rich_help_panel=JOB,
+        help="Workers at a time; 0 means one per processor core.",
+    ),
 ]
 ReaderThreads = Workers
-RunnerName = Annotated[
-    str,
-    _job(
-        "--runner",
-        metavar="processes|ray[=HOST:PORT]",
-        help="Where shards are made: on this machine, or on a Ray cluster (--workers 0: all its cores).",
-        parser=_runner_name,
+Overwrite = Annotated[
+    bool,
+    typer.Option(
+        "--overwrite", rich_help_panel=JOB, help="Start again in a folder that holds another data set."
     ),
 ]
-PartText = Annotated[
-    str | None,
-    _job(
-        "--part",
-        metavar="K/N|auto[/N]",
-        help="Only every N-th shard from number K on, as one job of an array; auto: what Slurm or Kubernetes "
-        "call this job.",
-    ),
-]
-Finishing = Annotated[
-    bool, _job("--finish", help="Put together what all parts have made, or say which are missing.")
-]
-Checking = Annotated[
-    bool, _job("--check", help="Read all that is finished again, in stores too, and remake what is damaged.")
-]
-Overwrite = Annotated[bool, _job("--overwrite", help="Start again in a folder that holds another data set.")]
 DryRun = Annotated[
-    bool, _job("--dry-run", help="Say what would be made, how large and how long; write nothing.")
+    bool,
+    typer.Option(
+        "--dry-run",
+        rich_help_panel=JOB,
+        help="Say what would be made, how large and how long; write nothing.",
+    ),
 ]
 Limit = Annotated[
     int | None, typer.Option("--limit", min=1, metavar="N", help="Only the first N rows of each split.")
@@ -192,10 +186,26 @@ class Work:
     """Options of all commands that fill a data set folder: who does the work."""
 
     workers: Workers = 0
-    runner: RunnerName = _RUNNERS[0]
-    part: PartText = None
-    finish: Finishing = False
-    check: Checking = False
+    runner: str = text(
+        "processes",
+        panel=JOB,
+        metavar="processes|ray[=HOST:PORT]",
+        read=_runner_name,
+        shown="processes",
+        help="Where shards are made: on this machine, or on a Ray cluster (--workers 0: all its cores).",
+    )
+    part: str | None = text(
+        panel=JOB,
+        metavar="K/N|auto[/N]",
+        help="Only every N-th shard from number K on, as one job of an array; auto: what Slurm or Kubernetes "
+        "call this job.",
+    )
+    finish: bool = switch(
+        False, panel=JOB, help="Put together what all parts have made, or say which are missing."
+    )
+    check: bool = switch(
+        False, panel=JOB, help="Read all that is finished again, in stores too, and remake what is damaged."
+    )
     overwrite: Overwrite = False
 
     @property

@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from cli.options import OneSplit, Revision, Split, TouchSet, local_place
+from cli.options import DryRun, OneSplit, Revision, Split, TouchSet, local_place
 from cli.output import Sink, bytes_text
-from tactile_toolkit.checked_fields import choice, integer, switch, text
+from tactile_toolkit.checked_fields import choice, integer, text
 
 if TYPE_CHECKING:
     from tactile_toolkit.pictures.writing import PicturePlan
@@ -37,7 +37,7 @@ class Pictures:
         shown="previews",
         help="Folder to write, or the file of a single picture; pictures of the same name are replaced.",
     )
-    dry_run: bool = switch(False, help="Say which pictures would be drawn; write nothing.")
+    dry_run: DryRun = False
 
     def write(self, sink: Sink, plan: PicturePlan, usual: Path = _FOLDER) -> None:
         """Draw planned pictures and print where they are, or print only what would be drawn."""

@@ -14,7 +14,7 @@ from cli.gallery_commands import add_mesh_gallery, add_touch_gallery
 from cli.hub_download import print_sets
 from cli.hub_upload import add_hub_commands
 from cli.making import PrintMade
-from cli.options import Json, Split, local_place
+from cli.options import AnySet, Json, Split, local_place
 from cli.output import Sink, bytes_text, counted, flat_lines
 from tactile_toolkit.checked_fields import integer, real
 from tactile_toolkit.kind import DatasetKind
@@ -59,7 +59,7 @@ def add_show(app: typer.Typer, kind: DatasetKind) -> None:
     @command(app)
     def show(
         *,
-        name: Annotated[str, typer.Argument(metavar="DIR", help="Data set: a folder, a file or a Hub id.")],
+        name: AnySet,
         row: int = integer(0, help="Which row of the split, from 0."),
         split: Split = None,
         sink: Sink,

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import MISSING, asdict, dataclass, fields
 from functools import partial
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
@@ -264,7 +264,7 @@ def import_touches(
     source: Annotated[
         str, typer.Argument(metavar="DIR", help="Folder of images and a CSV table, or of tars.")
     ],
-    file_format: str = choice(
+    file_format: Literal["folder", "webdataset", "fota", "sparsh", "anytouch"] = choice(
         MISSING,
         ("folder", "webdataset", "fota", "sparsh", "anytouch"),
         name="--format",

@@ -31,7 +31,7 @@ def _path(words: str) -> Path:
 class PictureOptions:
     """What a touch looks like."""
 
-    size: tuple[int, int] = image_size((64, 64))
+    size: tuple[int, int] = image_size((64, 64), shown="64x64")
     optics: str = choice("taxim", ("depth", "taxim", "cyclegan"), help="How depth becomes a picture.")
     like: str = choice(
         "environment",
@@ -90,7 +90,7 @@ class PictureOptions:
 class PairsOptions:
     """What a training set is made of."""
 
-    size: tuple[int, int] = image_size((256, 256))
+    size: tuple[int, int] = image_size((256, 256), shown="256x256")
     count: int = integer(20_000, 1, help="Depth images, and as many touches.")
     without_contact: float = real(
         0.05, 0, 1, metavar="SHARE", help="Share of touches that meet no object, 0 to 1."

@@ -37,13 +37,15 @@ class OptionText(TypedDict, total=False):
     """How a field is given on a command line; without ``help`` it cannot be given there.
 
     ``name`` stands for ``--NAME-OF-THE-FIELD``, ``was`` for former names, ``shown`` for a default that
-    follows from others, ``read`` for what makes a value of the text, ``complete`` for what a shell offers.
+    follows from others, ``panel`` for a part of the help, ``read`` for what makes a value of the text,
+    ``complete`` for what a shell offers.
     """
 
     help: str
     name: str
     was: str
     metavar: str
+    panel: str
     shown: str
     read: Callable[[str], Any]
     complete: Callable[[str], list[str]]

@@ -11,11 +11,15 @@ from tactile_toolkit.wording import is_count
 __all__ = ["contact_height", "image_size"]
 
 
-def image_size(default: Any) -> Any:
-    """Declare the size of pictures: width and height, pixels."""
-    shown = {"shown": "x".join(map(str, default))} if isinstance(default, tuple) else {}
+def image_size(default: Any, shown: str = "") -> Any:
+    """Declare the size of pictures, width and height in pixels; ``shown`` is the default in words."""
     return text(
-        default, name="--size", metavar="WxH", read=_size, help="Size of the pictures, pixels.", **shown
+        default,
+        name="--size",
+        metavar="WxH",
+        read=_size,
+        shown=shown,
+        help="Size of the pictures, pixels.",
     )
 
 

@@ -1,4 +1,4 @@
-"""Commands and options that all kinds share: show, list, cache, verify --geometry, --token, some of the objects."""
+"""What all kinds share: show, list, cache, verify --geometry, --token, some of the objects."""
 
 from __future__ import annotations
 
@@ -14,6 +14,7 @@ import mnist3d
 from cli.shared_commands import _brief
 from tactile_sim.spec import TouchPlan, TrainConfig
 from tactile_toolkit.cache import cache_folder
+from tactile_toolkit.errors import InputError
 from tests.command_line import call
 
 
@@ -33,7 +34,7 @@ def test_a_row_is_shown_column_by_column(digits, capsys):
     assert (document["values"]["id"], document["values"]["label"]) == (record.id, record.label)
     assert call("mnist3d", "show", digits, "--row", 3) == 0
     printed = capsys.readouterr().out
-    assert f"{len(record.mesh.vertices_m):,} values" in printed
+    assert f"{len(record.vertices_m):,} values" in printed
     assert "row 3 of the 20 digits in test" in printed
     assert call("mnist3d", "show", digits, "--row", 20) == 2
     assert "--row is 20; expected less than the 20 rows" in capsys.readouterr().err
@@ -110,13 +111,10 @@ def test_a_training_reads_a_file_and_options_come_before_it(tmp_path):
     file = tmp_path / "train.toml"
     file.write_text("crop = 1.0\nsteps = 7\n")
     assert TrainConfig.read(file, {"steps": 9}) == TrainConfig(crop=1.0, steps=9)
-    for text, words in (
-        ("croop = 1.0", "'croop'"),
-        ("crop", "TOML"),
-        ("steps = 0", "steps of the training is 0"),
-    ):
+    wrong = {"croop = 1.0": "'croop'", "crop": "TOML", "steps = 0": "steps of the training is 0"}
+    for text, words in wrong.items():
         file.write_text(text)
-        with pytest.raises(ValueError, match=words):
+        with pytest.raises(InputError, match=words):
             TrainConfig.read(file, {})
 
 
@@ -126,4 +124,4 @@ def test_specifications_give_commands_their_options():
     options = {text for each in group.commands["generate"].params for text in each.opts}
     assert {"--rounds", "--turn", "--touches-from"} <= options
     assert "--lie" not in options
-    assert "lie" in {name for name in TouchPlan.__dataclass_fields__}
+    assert "lie" in TouchPlan.__dataclass_fields__
