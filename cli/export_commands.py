@@ -35,10 +35,9 @@ def _beds(begun: str) -> list[str]:
 
 
 @dataclass(frozen=True, slots=True)
-class FileOptions:
-    """Options of files; those that were given go to ``PlateSpec`` and ``Physics``."""
+class PlateOptions:
+    """Build plates; those that were given go to ``PlateSpec``."""
 
-    scale: float = real(1.0, help="Factor on all lengths.")
     plate: str | None = text(
         was="--bed",
         metavar="256x256|prusa-mk4",
@@ -47,6 +46,12 @@ class FileOptions:
     )
     gap_mm: float = real(3.0, 0, 1_000, was="--gap", help="Distance between objects on a plate.")
     margin_mm: float = real(7.0, 0, was="--margin", help="Room at the edges of a plate, for a skirt.")
+
+
+@dataclass(frozen=True, slots=True)
+class MaterialOptions:
+    """Bodies for simulators; those that were given go to ``Physics``."""
+
     density_kg_m3: float = real(
         1240.0, above=0, most=1e5, was="--density", help="Density of bodies for simulators; that of PLA."
     )
@@ -68,7 +73,7 @@ class Job:
 def add_export(app: typer.Typer, kind: DatasetKind) -> None:
     """Add the command for a kind of data set of meshes to its command line."""
 
-    @command(app, former={"--layout": ("--format", None)})
+    @command(app)
     def export(
         *,
         name: AnySet,
@@ -77,12 +82,15 @@ def add_export(app: typer.Typer, kind: DatasetKind) -> None:
             ("stl", "3mf", "ply", "obj", "glb", "mjcf", "urdf", "usd", "flat"),
             optional=True,
             name="--format",
+            was="--layout",
             shown="stl, plates 3mf",
             help="Format of the files, mm (glb, mjcf, urdf, usd: m); plates are 3mf or mjcf. flat: tables, "
             "Parquet, a row for each object, its mesh as GLB.",
         ),
         chosen: Chosen,
-        files: Annotated[dict[str, Any], OptionsOf(FileOptions)],
+        scale: float = real(1.0, help="Factor on all lengths."),
+        plate: Annotated[dict[str, Any], OptionsOf(PlateOptions)],
+        material: Annotated[dict[str, Any], OptionsOf(MaterialOptions)],
         job: Job,
         sink: Sink,
     ) -> None:
@@ -111,12 +119,13 @@ def add_export(app: typer.Typer, kind: DatasetKind) -> None:
             (each, kind.load(name, each)) for each in (splits_of(name) if split is None else (split,))
         )
         if file_format == "flat":
-            _refuse(files, "is about files, --format flat writes tables of meshes as they are stored", "it")
+            files = {**plate, **material, **({} if scale == 1 else {"scale": scale})}
+            _refuse(files, "is about files, not about tables of meshes as they are stored", "leave it out")
             _export_flat(sink, kind, name, choose_rows(datasets, **some), some, job)
             return
         # What cannot be used is reported before any work.
-        plates, physics = _plate_spec(file_format, files), _physics(file_format, files)
-        scale, objects = files.get("scale", 1.0), choose(datasets, **some)
+        plates, physics = _plate_spec(file_format, plate), _physics(file_format, material)
+        objects = choose(datasets, **some)
         if plates is None:
             failures = _export_files(sink, objects, file_format or "stl", scale, physics, job)
         else:
@@ -136,27 +145,21 @@ def _refuse(given: Mapping[str, Any], why: str, instead: str) -> None:
         raise InputError(message)
 
 
-def _some(files: Mapping[str, Any], *names: str) -> dict[str, Any]:
-    return {name: files[name] for name in names if name in files}
-
-
-def _plate_spec(file_format: str | None, files: Mapping[str, Any]) -> PlateSpec | None:
+def _plate_spec(file_format: str | None, plate: Mapping[str, Any]) -> PlateSpec | None:
     from tactile_toolkit.printing.packing import PlateSpec
 
-    distances = _some(files, "gap_mm", "margin_mm")
-    if "plate" not in files:
-        _refuse(distances, "is about build plates", "add --plate 256x256")
+    if "plate" not in plate:
+        _refuse(plate, "is about build plates", "add --plate 256x256")
         return None
     if file_format not in (None, "3mf", "mjcf"):
         message = f"--plate writes 3mf or mjcf, which hold named objects; --format {file_format} does not"
         raise InputError(message)
-    return PlateSpec.parse(files["plate"], **distances)
+    return PlateSpec.parse(**plate)
 
 
-def _physics(file_format: str | None, files: Mapping[str, Any]) -> Physics:
+def _physics(file_format: str | None, material: Mapping[str, Any]) -> Physics:
     from tactile_toolkit.printing.simulator import MODELS, Physics
 
-    material = _some(files, "density_kg_m3", "friction")
     if file_format not in MODELS:
         _refuse(material, "is about bodies for simulators", "add --format mjcf, urdf or usd")
     return Physics(**material)

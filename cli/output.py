@@ -159,21 +159,15 @@ def _bar(what: str, unit: str) -> Iterator[Callable[[int, int], None]]:
     from rich import progress
     from rich.console import Console
 
-    columns = (
-        progress.TextColumn("{task.description}", markup=False),
-        progress.BarColumn(),
-        progress.TextColumn("{task.fields[count]}"),
-        progress.TextColumn("{task.fields[rate]}"),
-        progress.TimeRemainingColumn(),
-    )
-    # Rates are over all the time: shards come in bursts, of which rich's own rate of the last seconds jumps.
     start_s = time.monotonic()
+    state = progress.TextColumn("{task.fields[state]}", markup=False)
+    columns = (progress.TextColumn("{task.description}", markup=False), progress.BarColumn(), state)
     with progress.Progress(*columns, console=Console(file=sys.stderr)) as bar:
-        task = bar.add_task(printable(what), total=None, count="", rate="")
+        task = bar.add_task(printable(what), total=None, state="")
 
         def update(done: int, total: int) -> None:
-            rate = rate_text(done, time.monotonic() - start_s, unit)
-            bar.update(task, completed=done, total=total, count=_count(done, total, unit), rate=rate)
+            text = _state(done, total, unit, time.monotonic() - start_s)
+            bar.update(task, completed=done, total=total, state=text)
 
         yield update
 
@@ -185,20 +179,22 @@ def _plain_lines(talk: Callable[[str], None], what: str, unit: str) -> Callable[
         nonlocal last_s
         now_s = time.monotonic()
         # The last one always: a log that ends at 80 % looks like work that was stopped.
-        if done == 0 or (done < total and now_s - last_s < _PLAIN_INTERVAL_S):
-            return
-        last_s = now_s
-        elapsed_s = now_s - start_s
-        left_s = elapsed_s / done * (total - done)
-        rate = rate_text(done, elapsed_s, unit)
-        talk(f"{what}: {_count(done, total, unit)}, {rate}, {duration_text(left_s)} left")
+        if done and (done == total or now_s - last_s >= _PLAIN_INTERVAL_S):
+            last_s = now_s
+            talk(f"{what}: {_state(done, total, unit, now_s - start_s)}")
 
     return update
 
 
-def _count(done: int, total: int, unit: str) -> str:
+def _state(done: int, total: int, unit: str, elapsed_s: float) -> str:
+    """Write how far work is: counts, and once some is done the rate over all the time, and the time left."""
+    # Shards come in bursts: the rate of the last seconds would jump.
     amount = bytes_text if unit == BYTES else "{:,}".format
-    return f"{amount(done)} of {amount(total)}"
+    count = f"{amount(done)} of {amount(total)}"
+    if not done:
+        return count
+    left = duration_text(elapsed_s / done * (total - done))
+    return f"{count}, {rate_text(done, elapsed_s, unit)}, {left} left"
 
 
 def rate_text(done: int, elapsed_s: float, unit: str) -> str:

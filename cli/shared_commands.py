@@ -84,9 +84,10 @@ def add_show(app: typer.Typer, kind: DatasetKind) -> None:
         sink.line(f"{name}: row {row:,} of the {counted(len(rows), kind.nouns)} in {chosen}")
         lines = []
         for field in stored.schema:
+            kept = str(field.type).replace("element: ", "").replace("fixed_size_list", "list")
             for line in flat_lines({field.name: values[field.name]}):
                 column, _, value = line.partition(" = ")
-                lines.append((column, field.type, value))
+                lines.append((column, kept, value))
         sink.table(("column", "type", "value"), lines)
 
 
