@@ -139,7 +139,6 @@ def add_info(app: typer.Typer, kind: DatasetKind, print_folder: PrintMade) -> No
 
         Example: info FOLDER --json
         """
-        from tactile_toolkit.catalog.kinds import require_manifest
         from tactile_toolkit.store.folder import DataFolder
         from tactile_toolkit.store.job import manifest_so_far
 
@@ -148,7 +147,10 @@ def add_info(app: typer.Typer, kind: DatasetKind, print_folder: PrintMade) -> No
         if manifest is None and kind.published:
             _print_copy(sink, place, folder, kind)
             return
-        manifest = manifest or require_manifest(kind, place)
+        if manifest is None:
+            from tactile_toolkit.catalog.kinds import require_manifest
+
+            manifest = require_manifest(kind, place)
         kind.refuse_other(manifest, folder)
         if is_export(manifest):
             print_converted(sink, manifest, folder, kind.nouns)

@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from cli.options import DryRun, OneSplit, Revision, Split, TouchSet, local_place
 from cli.output import Sink, bytes_text
 from tactile_toolkit.checked_fields import choice, integer, text
+from tactile_toolkit.wording import listed
 
 if TYPE_CHECKING:
     from tactile_toolkit.pictures.writing import PicturePlan
@@ -70,9 +71,14 @@ class Rows:
     ids: tuple[int, ...] = text(
         (), metavar="ID,ID", read=_ids, help="Only the objects with these ids; draws each one by default."
     )
+    labels: tuple[str, ...] = text((), metavar="3,7", read=listed, help="Only the objects of these classes.")
     per_class: int | None = integer(
         None, 1, optional=True, shown="10, of scenes 8", help="Objects of each class on a sheet."
     )
+
+    def given(self, per_class: int) -> dict[str, Any]:
+        """Return the fields by name, with ``per_class`` where none was given."""
+        return {**asdict(self), "per_class": self.per_class or per_class}
 
 
 def preview_digits(
@@ -105,7 +111,7 @@ def preview_digits(
     """
     from mnist3d.previews import DigitPreviewSpec, plan_previews
 
-    spec = DigitPreviewSpec(kind, rows.split, rows.ids, rows.per_class or 10, images, writer_info)
+    spec = DigitPreviewSpec(kind, **rows.given(10), images=images, writer_info=writer_info)
     pictures.write(sink, plan_previews(path, spec))
 
 
@@ -133,7 +139,7 @@ def preview_scenes(
     from starstruck_gen.previews import plan_previews
     from tactile_toolkit.pictures.previews import PreviewSpec
 
-    pictures.write(sink, plan_previews(path, PreviewSpec(kind, rows.split, rows.ids, rows.per_class or 8)))
+    pictures.write(sink, plan_previews(path, PreviewSpec(kind, **rows.given(8))))
 
 
 def preview_touches(

@@ -13,6 +13,7 @@ from tactile_toolkit.catalog.choose import chosen_records, class_by_class, open_
 from tactile_toolkit.catalog.kinds import require_kind
 from tactile_toolkit.catalog.locate import folder_named
 from tactile_toolkit.checked_fields import check_fields, integer
+from tactile_toolkit.errors import InputError
 from tactile_toolkit.kind import DatasetKind
 from tactile_toolkit.mesh.mesh import MM_PER_M
 from tactile_toolkit.pictures.plots import Bars, plot_bars, require_plots
@@ -33,13 +34,15 @@ class PreviewSpec:
     """Which pictures of a data set of meshes to draw.
 
     Without kinds the usual ones, or single rows where ids are given; without a split all of them; without ids
-    the first ``per_class`` rows of each class on a sheet, and the first row where one is shown alone.
+    the first ``per_class`` rows of each class on a sheet, and the first row where one is shown alone. With
+    ``labels`` only rows of these classes.
     """
 
     kinds: tuple[str, ...] = ()
     split: str | None = None
     ids: tuple[int, ...] = ()
     per_class: int = integer(10, 1)
+    labels: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         check_fields(self, "the previews")
@@ -55,6 +58,12 @@ class MeshPreviews(Generic[D]):
         self.name, self.spec, self.things = name, spec, kind.nouns
         self.stem = file_stem(name)
         self.datasets: dict[str, D] = open_splits(name, spec.split, kind.load, kind.nouns)
+        if spec.labels:
+            some = {split: rows.filter_labels(spec.labels) for split, rows in self.datasets.items()}
+            self.datasets = {split: rows for split, rows in some.items() if len(rows)}
+        if not self.datasets:
+            message = f"{name!r} has no {kind.nouns} of class {', '.join(spec.labels)}; next: name others"
+            raise InputError(message)
         require_kind(kind, "preview", name, self.datasets.values())
         self.records: list[tuple[str, Any]] = chosen_records(self.datasets, spec.ids, name, kind.noun)
 

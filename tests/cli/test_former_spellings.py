@@ -76,3 +76,30 @@ def test_no_help_names_a_former_spelling_or_a_type_of_python():
             ):
                 assert word not in text, (line, name, word)
             assert "Example" in text or name in ("upload", "download"), (line, name)
+
+
+def test_plates_and_tables_by_former_names(tmp_path, capsys):
+    scenes = tmp_path / "scenes"
+    assert call("starstruck", "generate", "--scenes", "train=2", "--out", scenes, "--workers", 1, "-q") == 0
+    plates = ("--bed", "256x256", "--gap=2", "--margin", "5", "--dry-run", "--out", tmp_path / "prints")
+    assert call("starstruck", "export", scenes, *plates) == 0
+    printed = capsys.readouterr()
+    assert "256 x 256 mm, gap 2 mm, margin 5 mm" in printed.out
+    renamed = {"--bed": "--plate", "--gap": "--gap-mm", "--margin": "--margin-mm"}
+    for former, now in renamed.items():
+        assert f"warning: {former} is deprecated; next: write {now}\n" in printed.err
+    assert call("starstruck", "export", scenes, "--layout", "flat", "--dry-run", "-q") == 0
+    assert call("starstruck", "info", "--", "--gap") == 2
+    assert "warning" not in capsys.readouterr().err.rpartition("--format\n")[2]
+
+
+@pytest.mark.torch
+def test_settings_of_a_training_that_are_in_its_file_now(tmp_path, capsys):
+    pytest.importorskip("torch", reason="needs torch, of the extra torch")
+    assert call("tactile-sim", "train", tmp_path / "nowhere", "--judge-filters", 4, "--steps", 1) == 2
+    said = capsys.readouterr().err
+    expected = (
+        "warning: --judge-filters is deprecated; next: write judge_filters = 4 into the file of --config"
+    )
+    assert expected in said
+    assert said.count("warning") == 1

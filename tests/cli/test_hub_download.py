@@ -121,7 +121,7 @@ def test_a_copy_of_a_published_set_is_shown_and_verified(server, root, tmp_path)
     assert call(server, tmp_path, "mnist3d", "download", BARE, "--out", out).code == 0
     shown = call(server, tmp_path, "mnist3d", "info", out)
     assert shown.code == 0, shown.err
-    assert f"downloaded from {BARE} at {commit}: how it was made is not told here" in shown.out
+    assert f"downloaded from {BARE} at {commit}: no provenance recorded" in shown.out
     document = json.loads(call(server, tmp_path, "mnist3d", "info", out, "--json").out)
     assert [(entry["split"], entry["rows"], entry["shards"]) for entry in document["splits"]] == [
         ("holdout", 10, 1),

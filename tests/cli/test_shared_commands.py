@@ -105,6 +105,9 @@ def test_ten_digits_are_one_of_each(digits, tmp_path, capsys):
     page = ("--ids", ",".join(map(str, ids)), "--out", tmp_path / "page", "--json", "--workers", 1)
     assert call("mnist3d", "gallery", digits, *page) == 0
     assert json.loads(capsys.readouterr().out)["items"] == 2
+    sheet = ("--kind", "sheet", "--labels", "3", "--dry-run", "--json")
+    assert call("mnist3d", "preview", digits, *sheet) == 0
+    assert "2 digits" in json.loads(capsys.readouterr().out)["pictures"][0]["what"]
 
 
 def test_a_training_reads_a_file_and_options_come_before_it(tmp_path):
