@@ -74,7 +74,11 @@ def make(work: Path, split: str, objects: int, touches: int, count: int) -> None
     made = work / f"digits-{split}"
     run("mnist3d", "generate", "--source", "synthetic", "--split", split, "--limit", objects, "--out", made)
     learned = ("--optics", "cyclegan", "--weights", work / "published.npz")
-    hows = {"truth": ("--optics", "depth"), "real": (*learned, "--noise", "calibrated"), "clean": learned}
+    hows = {
+        "truth": ("--optics", "depth"),
+        "real": (*learned, "--sensor-noise", "calibrated"),
+        "clean": learned,
+    }
     for name, how in hows.items():
         if (name, split) != ("clean", "train"):
             run(
@@ -192,8 +196,8 @@ def main() -> None:
     print(f"{done.taken} steps: {taken_s:.0f} s, {computed_s:.0f} s of processor time; {done.losses}")
     for noise in ("calibrated", "none"):
         run(
-            "tactile_sim", "evaluate", work / "weights", "--pairs", work / "pairs-test", "--noise", noise,
-            "--out", work / f"evaluation-{noise}",
+            "tactile_sim", "evaluate", work / "weights", "--pairs", work / "pairs-test",
+            "--sensor-noise", noise, "--out", work / f"evaluation-{noise}",
         )  # fmt: skip
         print((work / f"evaluation-{noise}" / "evaluation.md").read_text())
     untrained = Generator(config.filters, config.blocks)

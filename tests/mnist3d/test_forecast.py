@@ -33,7 +33,7 @@ def folder(tmp_path_factory):
 def test_values_of_numpy_and_mappings_are_the_same_specification():
     assert SplitSpec(np.int64(3), sizes={"train": 2}) == SplitSpec(3, sizes=(("train", 2),))
     assert json.loads(json.dumps(_spec(per_class=np.int64(2)).to_dict()))["per_class"] == 2
-    with pytest.raises(InputError, match=r"--limit is 2\.5"):
+    with pytest.raises(InputError, match=r"limit of .* is 2\.5"):
         _spec(limit=2.5)
 
 
